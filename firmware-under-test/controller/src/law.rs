@@ -1,0 +1,106 @@
+//! What a law is given, what it answers, and which laws there are.
+
+use crate::dq_pi::DqPi;
+use crate::open_loop::OpenLoop;
+use platebench_wire::{Configure, Gains, LawId, Rejection};
+
+/// What the controller knows of the plate at a control instant. Peak to peak, in µm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measurement {
+    /// Wished amplitude.
+    pub setpoint_um: f32,
+    /// In-phase component of the vibration.
+    pub wd_um: f32,
+    /// Quadrature component, zero at resonance.
+    pub wq_um: f32,
+}
+
+impl Measurement {
+    /// False where any value is NaN or infinite.
+    pub fn is_finite(&self) -> bool {
+        self.setpoint_um.is_finite() && self.wd_um.is_finite() && self.wq_um.is_finite()
+    }
+}
+
+/// What the plate is to be driven with until the next control instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Actuation {
+    /// Drive, Vpp, within what the amplifier gives.
+    pub drive_vpp: f32,
+    /// Excitation frequency above the start frequency, Hz.
+    pub frequency_offset_hz: f32,
+    /// See [`platebench_wire::flags`].
+    pub flags: u8,
+}
+
+impl Actuation {
+    /// False where a value is NaN or infinite.
+    pub fn is_finite(&self) -> bool {
+        self.drive_vpp.is_finite() && self.frequency_offset_hz.is_finite()
+    }
+}
+
+/// A control law with its state.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Law {
+    /// `open-loop`
+    OpenLoop(OpenLoop),
+    /// `dq-pi` and `dq-pi-euler`
+    DqPi(DqPi),
+}
+
+impl Law {
+    /// The law that `configure` asks for, at rest, and the gains that it will use.
+    ///
+    /// # Errors
+    /// [`Rejection::Value`] where a number is not finite or not positive, or a gain leads to one that is not.
+    pub fn design(configure: &Configure) -> Result<(Self, Gains), Rejection> {
+        let positive = [
+            configure.gain_um_per_vpp,
+            configure.time_constant_s,
+            configure.response_time_s,
+            configure.drive_limit_vpp,
+            configure.frequency_range_hz,
+            configure.frequency_slew_hz,
+        ];
+        let usable = configure.period_us > 0
+            && configure.start_frequency_mhz > 0
+            && positive.iter().all(|value| value.is_finite() && *value > 0.0);
+        if !usable {
+            return Err(Rejection::Value);
+        }
+        let (law, gains) = match configure.law {
+            LawId::OpenLoop => OpenLoop::design(configure),
+            LawId::DqPi | LawId::DqPiEuler => DqPi::design(configure),
+        };
+        let all = [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
+        if all.iter().all(|gain| gain.is_finite()) { Ok((law, gains)) } else { Err(Rejection::Value) }
+    }
+
+    /// One control period.
+    pub fn step(&mut self, measurement: &Measurement) -> Actuation {
+        match self {
+            Self::OpenLoop(law) => law.step(measurement),
+            Self::DqPi(law) => law.step(measurement),
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod example {
+    use super::*;
+
+    /// The paper's plate and design.
+    pub(crate) const CONFIGURE: Configure = Configure {
+        law: LawId::DqPi,
+        period_us: 1_000,
+        start_frequency_mhz: 32_307_600,
+        gain_um_per_vpp: 0.00698,
+        time_constant_s: 1.88e-3,
+        response_time_s: 1.9e-3,
+        drive_limit_vpp: 900.0,
+        frequency_range_hz: 200.0,
+        frequency_slew_hz: 100.0,
+        gains: None,
+    };
+}

@@ -1,0 +1,25 @@
+//! `open-loop`: the drive that an undisturbed plate would need, at a fixed frequency. The paper's comparison in Fig. 13 to 16.
+
+use crate::law::{Actuation, Law, Measurement};
+use platebench_wire::{Configure, Gains, flags};
+
+/// Constant drive `V = setpoint / K1` (equation 13 at rest).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OpenLoop {
+    gain_um_per_vpp: f32,
+    drive_limit_vpp: f32,
+}
+
+impl OpenLoop {
+    pub(crate) fn design(configure: &Configure) -> (Law, Gains) {
+        let law = Self { gain_um_per_vpp: configure.gain_um_per_vpp, drive_limit_vpp: configure.drive_limit_vpp };
+        (Law::OpenLoop(law), Gains { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 })
+    }
+
+    pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {
+        let wished = measurement.setpoint_um / self.gain_um_per_vpp;
+        let drive_vpp = wished.clamp(0.0, self.drive_limit_vpp);
+        let flags = if drive_vpp == wished { 0 } else { flags::SATURATED };
+        Actuation { drive_vpp, frequency_offset_hz: 0.0, flags }
+    }
+}

@@ -1,0 +1,135 @@
+//! A proportional-integral controller whose integral tracks the saturated output.
+//!
+//! Output `u[k] = Kp e[k] + x[k]`, integral `x[k+1] = x[k] + Ki·Ts e[k] + c (sat(u[k]) − u[k])` (forward Euler; Åström and
+//! Hägglund's back-calculation with tracking constant `c`).
+
+/// Which fraction of `Ki·Ts/Kp` the integral takes over from the saturation error per period.
+///
+/// 1 is the conditioning technique: the loop leaves saturation as if it had never been there, with the design's closed-loop
+/// pole, which at 400 Vpp costs 16 % over the time floor. 0 is no anti-windup at all: 7 % overshoot there, 14 % at 340 Vpp. With 0.6 the
+/// response settles within 8 % of the floor from 300 to 416 Vpp and overshoots less than 4 %
+/// (`tests/tests/closed_loop.rs` holds both).
+const TRACKING: f32 = 0.6;
+
+/// Gains of one loop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PiGains {
+    /// Proportional gain, output per error.
+    pub proportional: f32,
+    /// Integral gain times the period, output per error and period.
+    pub integral_per_period: f32,
+}
+
+impl PiGains {
+    /// Equation 24 as printed, with a forward-Euler integral: `Kp = 3τ/(K t_r)`, `Ki = Kp/τ`.
+    ///
+    /// `gain` is the static gain K of the plant, times in seconds.
+    pub fn as_printed(gain: f32, time_constant: f32, response_time: f32, period: f32) -> Self {
+        let proportional = 3.0 * time_constant / (gain * response_time);
+        Self { proportional, integral_per_period: proportional / time_constant * period }
+    }
+
+    /// Equation 24 matched to the zero-order hold: the controller's zero on the plant's sampled pole `a = e^(−Ts/τ)`, the
+    /// closed loop's pole at `p = e^(−3 Ts/t_r)`.
+    ///
+    /// From `Kp (1 − a) K / (z − 1)` in the open loop: `Kp = (1 − p) / (K (1 − a))`, `Ki·Ts = Kp (1 − a)`.
+    pub fn zero_order_hold_matched(gain: f32, time_constant: f32, response_time: f32, period: f32) -> Self {
+        let plant_pole = libm::expf(-period / time_constant);
+        let closed_loop_pole = libm::expf(-3.0 * period / response_time);
+        let proportional = (1.0 - closed_loop_pole) / (gain * (1.0 - plant_pole));
+        Self { proportional, integral_per_period: proportional * (1.0 - plant_pole) }
+    }
+}
+
+/// The state of one loop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pi {
+    gains: PiGains,
+    /// Fraction of the saturation error that the integral takes over per period.
+    tracking: f32,
+    integral: f32,
+}
+
+impl Pi {
+    /// A loop at rest.
+    pub fn new(gains: PiGains) -> Self {
+        // A loop without a proportional part holds its integral at the limit itself.
+        let tracking = if gains.proportional > 0.0 {
+            (TRACKING * gains.integral_per_period / gains.proportional).min(1.0)
+        } else {
+            1.0
+        };
+        Self { gains, tracking, integral: 0.0 }
+    }
+
+    /// One period: the output that `error` asks for, held within `low..=high`.
+    pub fn step(&mut self, error: f32, low: f32, high: f32) -> f32 {
+        let wished = self.gains.proportional * error + self.integral;
+        let given = wished.clamp(low, high);
+        self.integral += self.gains.integral_per_period * error;
+        if given != wished {
+            self.integral += self.tracking * (given - wished);
+        }
+        given
+    }
+
+    /// The part of the output that does not depend on the present error.
+    pub fn integral(&self) -> f32 {
+        self.integral
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const K1: f32 = 0.00698;
+    const TAU: f32 = 1.88e-3;
+
+    #[test]
+    fn equation_24_gives_the_paper_s_gains() {
+        let gains = PiGains::as_printed(K1, TAU, 2e-3, 1e-3);
+        // 3 · 1.88 / (0.00698 · 2) = 404.01 Vpp/µm, and 404.01 / 1.88 per ms.
+        assert!((gains.proportional - 404.011).abs() < 1e-3);
+        assert!((gains.integral_per_period - 214.900).abs() < 1e-3);
+    }
+
+    #[test]
+    fn the_matched_loop_contracts_the_error_by_its_pole() {
+        let gains = PiGains::zero_order_hold_matched(K1, TAU, 2e-3, 1e-3);
+        let (a, p) = (libm::expf(-1.0 / 1.88), libm::expf(-1.5));
+        let mut pi = Pi::new(gains);
+        let mut w = 0.0_f32;
+        for period in 0..8 {
+            let v = pi.step(2.0 - w, 0.0, f32::MAX);
+            if period == 0 {
+                assert!((v - 539.6).abs() < 0.1, "peak drive {v}");
+            }
+            w = a * w + K1 * (1.0 - a) * v;
+            let expected = 2.0 * (1.0 - libm::powf(p, period as f32 + 1.0));
+            assert!((w - expected).abs() < 2e-6, "period {period}: {w} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn a_saturated_integral_stays_where_it_can_come_back_from() {
+        let mut pi = Pi::new(PiGains::zero_order_hold_matched(K1, TAU, 2e-3, 1e-3));
+        for _ in 0..1000 {
+            // An error that no drive removes.
+            pi.step(0.5, 0.0, 400.0);
+        }
+        assert_eq!(pi.step(0.5, 0.0, 400.0), 400.0);
+        // Equilibrium: Ki e = c·Ki/Kp (u − sat u), that is an excess of Kp e / c over the limit; not a thousand periods' worth.
+        assert!(pi.integral() < 400.0 + 270.0 * 0.5 / TRACKING);
+    }
+
+    #[test]
+    fn an_integral_alone_saturates_without_losing_its_footing() {
+        let mut pi = Pi::new(PiGains { proportional: 0.0, integral_per_period: 100.0 });
+        for _ in 0..20 {
+            pi.step(2.0, 0.0, 400.0);
+        }
+        assert_eq!(pi.step(-1.0, 0.0, 400.0), 400.0);
+        assert!(pi.step(-1.0, 0.0, 400.0) < 400.0);
+    }
+}

@@ -1,0 +1,184 @@
+//! Framing: `COBS(body ‖ CRC-32(body)) ‖ 0x00`.
+//!
+//! COBS removes every zero from the frame at the price of one byte, so that a zero on the line always ends a frame and
+//! a reader that joins in the middle finds its place after one delimiter. The CRC is CRC-32/ISO-HDLC (Ethernet, zlib),
+//! little-endian, over the body alone.
+
+use crc::{CRC_32_ISO_HDLC, Crc, Table};
+
+/// Longest body in bytes that a frame may carry, CRC not counted.
+pub const MAX_BODY: usize = 64;
+/// Longest frame in bytes on the line: body, CRC, one COBS byte, delimiter.
+pub const MAX_ENCODED: usize = MAX_BODY + CRC_BYTES + 2;
+
+const CRC_BYTES: usize = 4;
+const MAX_UNSTUFFED: usize = MAX_BODY + CRC_BYTES;
+const CHECKSUM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
+
+/// Why a frame was refused. None of its content may be used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FrameError {
+    /// The bytes between two delimiters are not valid COBS.
+    Stuffing,
+    /// More than [`MAX_ENCODED`] bytes came without a delimiter.
+    Overlong,
+    /// Too few bytes to hold even a checksum.
+    Truncated,
+    /// The checksum disagrees with the body.
+    Checksum,
+}
+
+/// A frame as it travels, delimiter included.
+#[derive(Debug, Clone, Copy)]
+pub struct Encoded {
+    bytes: [u8; MAX_ENCODED],
+    length: usize,
+}
+
+impl Encoded {
+    /// Frames `body`. A body longer than [`MAX_BODY`] has no frame.
+    pub fn new(body: &[u8]) -> Option<Self> {
+        let mut unstuffed = [0; MAX_UNSTUFFED];
+        let end = body.len();
+        unstuffed.get_mut(..end)?.copy_from_slice(body);
+        unstuffed.get_mut(end..end + CRC_BYTES)?.copy_from_slice(&CHECKSUM.checksum(body).to_le_bytes());
+        let mut bytes = [0; MAX_ENCODED];
+        let stuffed = cobs::try_encode(unstuffed.get(..end + CRC_BYTES)?, &mut bytes).ok()?;
+        // The array was zeroed, so the delimiter already stands behind the stuffed bytes.
+        Some(Self { bytes, length: stuffed + 1 })
+    }
+
+    /// The bytes to send.
+    pub fn as_bytes(&self) -> &[u8] {
+        self.bytes.get(..self.length).unwrap_or_default()
+    }
+}
+
+/// Cuts a stream of bytes into frames; keeps at most one frame's worth of memory whatever arrives.
+#[derive(Debug, Clone)]
+pub struct FrameReader {
+    buffer: [u8; MAX_ENCODED],
+    length: usize,
+    overlong: bool,
+}
+
+impl Default for FrameReader {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl FrameReader {
+    /// A reader that has seen nothing yet.
+    pub fn new() -> Self {
+        Self { buffer: [0; MAX_ENCODED], length: 0, overlong: false }
+    }
+
+    /// Takes one byte. At a delimiter: the body of the frame that it ends, or why that frame was refused. Delimiters
+    /// with nothing between them are idle line and give `None`.
+    pub fn push(&mut self, byte: u8) -> Option<Result<&[u8], FrameError>> {
+        if byte != 0 {
+            match self.buffer.get_mut(self.length) {
+                Some(place) => {
+                    *place = byte;
+                    self.length += 1;
+                }
+                None => self.overlong = true,
+            }
+            return None;
+        }
+        let length = core::mem::take(&mut self.length);
+        if core::mem::take(&mut self.overlong) {
+            return Some(Err(FrameError::Overlong));
+        }
+        if length == 0 {
+            return None;
+        }
+        Some(self.unwrap_frame(length))
+    }
+
+    fn unwrap_frame(&mut self, length: usize) -> Result<&[u8], FrameError> {
+        let stuffed = self.buffer.get_mut(..length).ok_or(FrameError::Overlong)?;
+        let unstuffed = cobs::decode_in_place(stuffed).map_err(|_| FrameError::Stuffing)?;
+        let body_length = unstuffed.checked_sub(CRC_BYTES).ok_or(FrameError::Truncated)?;
+        let (body, rest) = self.buffer.split_at(body_length);
+        let sent = rest.first_chunk::<CRC_BYTES>().ok_or(FrameError::Truncated)?;
+        if u32::from_le_bytes(*sent) == CHECKSUM.checksum(body) { Ok(body) } else { Err(FrameError::Checksum) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    fn read_all(bytes: &[u8]) -> Vec<Result<Vec<u8>, FrameError>> {
+        let mut reader = FrameReader::new();
+        bytes.iter().filter_map(|&byte| reader.push(byte).map(|frame| frame.map(<[u8]>::to_vec))).collect()
+    }
+
+    #[test]
+    fn the_check_value_of_the_crc_is_the_catalogue_s() {
+        assert_eq!(CHECKSUM.checksum(b"123456789"), 0xCBF4_3926);
+    }
+
+    #[test]
+    fn a_frame_is_stuffed_body_and_checksum_and_a_zero() {
+        // CRC-32 of 11 00 2a is 0x391ED983.
+        let frame = Encoded::new(&[0x11, 0x00, 0x2a]).unwrap();
+        assert_eq!(frame.as_bytes(), [0x02, 0x11, 0x06, 0x2a, 0x83, 0xd9, 0x1e, 0x39, 0x00]);
+    }
+
+    #[test]
+    fn the_longest_body_fits_and_one_byte_more_does_not() {
+        let body = [7; MAX_BODY];
+        let frame = Encoded::new(&body).unwrap();
+        assert_eq!(frame.as_bytes().len(), MAX_ENCODED);
+        assert_eq!(read_all(frame.as_bytes()), [Ok(body.to_vec())]);
+        assert!(Encoded::new(&[7; MAX_BODY + 1]).is_none());
+    }
+
+    #[test]
+    fn a_babbling_line_costs_one_error_and_the_next_frame_is_read() {
+        let mut bytes = std::vec![0x55; 10_000];
+        bytes.push(0);
+        bytes.extend_from_slice(Encoded::new(&[1, 2, 3]).unwrap().as_bytes());
+        assert_eq!(read_all(&bytes), [Err(FrameError::Overlong), Ok(std::vec![1, 2, 3])]);
+    }
+
+    #[test]
+    fn too_short_for_a_checksum_is_truncated() {
+        assert_eq!(read_all(&[0x04, 1, 2, 3, 0]), [Err(FrameError::Truncated)]);
+        assert_eq!(read_all(&[0, 0, 0]), []);
+    }
+
+    proptest! {
+        #[test]
+        fn any_body_comes_back(body in proptest::collection::vec(any::<u8>(), 0..=MAX_BODY)) {
+            let frame = Encoded::new(&body).unwrap();
+            prop_assert!(frame.as_bytes()[..frame.as_bytes().len() - 1].iter().all(|&byte| byte != 0));
+            prop_assert_eq!(read_all(frame.as_bytes()), [Ok(body)]);
+        }
+
+        #[test]
+        fn any_single_bit_flip_is_refused(body in proptest::collection::vec(any::<u8>(), 2..=MAX_BODY)) {
+            let frame = Encoded::new(&body).unwrap();
+            for bit in 0..frame.as_bytes().len() * 8 {
+                let mut flipped = frame.as_bytes().to_vec();
+                flipped[bit / 8] ^= 1 << (bit % 8);
+                // A second frame behind it: a flipped delimiter must not let anything through either.
+                flipped.extend_from_slice(frame.as_bytes());
+                let bodies: Vec<_> = read_all(&flipped).into_iter().filter_map(Result::ok).collect();
+                let flip_in_delimiter = bit / 8 == frame.as_bytes().len() - 1;
+                let expected = if flip_in_delimiter { Vec::new() } else { std::vec![body.clone()] };
+                prop_assert_eq!(bodies, expected, "bit {}", bit);
+            }
+        }
+
+        #[test]
+        fn garbage_never_panics_and_gives_at_most_a_frame_per_delimiter(bytes in proptest::collection::vec(any::<u8>(), 0..2_000)) {
+            prop_assert!(read_all(&bytes).len() <= bytes.iter().filter(|&&byte| byte == 0).count());
+        }
+    }
+}

@@ -1,0 +1,522 @@
+//! What a frame's body means.
+//!
+//! Every body starts with two bytes: version (upper four bits) and kind (lower four bits), then the sequence number.
+//! An answer carries the sequence number of what it answers. All numbers are little-endian, floats are IEEE 754
+//! binary32, amplitudes and voltages are peak to peak.
+//!
+//! | kind | message | from | body bytes |
+//! |---|---|---|---|
+//! | 1 | [`Message::Hello`] | bench | 2 |
+//! | 2 | [`Identity`] | target | 50 |
+//! | 3 | [`Configure`] | bench | 56 |
+//! | 4 | [`Configured`] | target | 20 |
+//! | 5 | [`Sample`] | bench | 18 |
+//! | 6 | [`Command`] | target | 18 |
+//! | 7 | [`Message::Safe`] | bench | 2 |
+//! | 8 | [`FaultReport`] | target | 20 |
+
+use crate::cursor::{Reader, Writer};
+use crate::frame::Encoded;
+
+/// Version of the protocol, in the upper four bits of every body's first byte.
+pub const VERSION: u8 = 1;
+
+/// A message with its sequence number: the whole content of a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Packet {
+    /// Counts up by one, wrapping, per message of the bench; answers repeat it.
+    pub sequence: u8,
+    /// What is said.
+    pub message: Message,
+}
+
+/// Everything that either side can say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Message {
+    /// Bench: who are you?
+    Hello,
+    /// Target: the answer to `Hello`.
+    Identity(Identity),
+    /// Bench: the next trial's law, period, plate and limits. Leaves `Fault` and `Safe`.
+    Configure(Configure),
+    /// Target: what it made of `Configure`.
+    Configured(Configured),
+    /// Bench: the plate as the sensor sees it, once per period.
+    Sample(Sample),
+    /// Target: what to drive the plate with from now on.
+    Command(Command),
+    /// Bench: 0 V now, until the next `Configure`. Answered by a `Command` of 0 V in state `Safe`.
+    Safe,
+    /// Target: the processor trapped; sent once, with the drive already at 0 V.
+    Fault(FaultReport),
+}
+
+/// Control laws by number. The names are those of scenario files and `--law`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum LawId {
+    /// Constant drive and frequency.
+    OpenLoop = 0,
+    /// Two PI loops, equation 24 matched to the zero-order hold.
+    DqPi = 1,
+    /// Two PI loops, equation 24 as printed with a forward-Euler integral.
+    DqPiEuler = 2,
+}
+
+impl LawId {
+    /// Every law, in the order of their numbers.
+    pub const ALL: [Self; 3] = [Self::OpenLoop, Self::DqPi, Self::DqPiEuler];
+
+    /// The law's name in scenario files and on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::OpenLoop => "open-loop",
+            Self::DqPi => "dq-pi",
+            Self::DqPiEuler => "dq-pi-euler",
+        }
+    }
+
+    /// The law of that name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|law| law.name() == name)
+    }
+
+    fn from_number(number: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|&law| law as u8 == number)
+    }
+}
+
+/// Who the target is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Identity {
+    /// Firmware version: major, minor, patch.
+    pub version: [u8; 3],
+    /// Bit n set: the law with number n is there.
+    pub laws: u32,
+    /// First eight bytes of the SHA-256 of the firmware's sources; zero where the build did not say.
+    pub build: [u8; 8],
+    /// The chip's identity code (DBGMCU_IDCODE on an STM32); zero for a program on a computer.
+    pub chip: u32,
+    /// The chip's unique number; zero for a program on a computer.
+    pub unique: [u8; 12],
+    /// Name of the firmware in ASCII, filled up with zeros.
+    pub name: [u8; 16],
+}
+
+/// Proportional and integral gains of both loops.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gains {
+    /// Amplitude loop, Vpp per µm.
+    pub amplitude_kp: f32,
+    /// Amplitude loop, Vpp per µm and second.
+    pub amplitude_ki: f32,
+    /// Frequency loop, rad/s per unit of Wq/Wd.
+    pub frequency_kp: f32,
+    /// Frequency loop, rad/s per unit of Wq/Wd and second.
+    pub frequency_ki: f32,
+}
+
+/// Everything a controller needs to know before a trial.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Configure {
+    /// The law to run.
+    pub law: LawId,
+    /// Control period, µs.
+    pub period_us: u32,
+    /// Excitation frequency at the start, mHz.
+    pub start_frequency_mhz: u32,
+    /// Nominal gain K1 of the plate, µm per Vpp.
+    pub gain_um_per_vpp: f32,
+    /// Nominal time constant τ of the plate, s.
+    pub time_constant_s: f32,
+    /// Design value of the 5 % response time, s (equation 24).
+    pub response_time_s: f32,
+    /// Highest drive the amplifier gives, Vpp.
+    pub drive_limit_vpp: f32,
+    /// The excitation frequency stays within this much of the start frequency, Hz.
+    pub frequency_range_hz: f32,
+    /// The excitation frequency moves at most this much per period, Hz.
+    pub frequency_slew_hz: f32,
+    /// Gains to use instead of the law's own design.
+    pub gains: Option<Gains>,
+}
+
+/// Why a configuration was refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Rejection {
+    /// A value is not finite, not positive or beyond what the law can work with.
+    Value = 1,
+    /// The firmware does not have this law.
+    Law = 2,
+}
+
+/// The target's answer to [`Configure`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Configured {
+    /// The gains in force, or why there are none.
+    pub outcome: Result<Gains, Rejection>,
+}
+
+/// The plate as the demodulated sensor shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Instant of sampling on the bench's clock, µs, wrapping.
+    pub time_us: u32,
+    /// Wished amplitude, µm peak to peak.
+    pub setpoint_um: f32,
+    /// In-phase component, µm.
+    pub wd_um: f32,
+    /// Quadrature component, µm.
+    pub wq_um: f32,
+}
+
+/// What the target is doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum State {
+    /// Powered, at 0 V, waiting for a configuration or a first sample.
+    Idle = 0,
+    /// Controlling.
+    Running = 1,
+    /// At 0 V after something went wrong; the cause is beside it.
+    Fault = 2,
+    /// At 0 V because the bench asked for it.
+    Safe = 3,
+}
+
+/// Why the target left `Running`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[repr(u8)]
+pub enum StateCause {
+    /// Nothing happened.
+    #[default]
+    None = 0,
+    /// No sample for five periods.
+    SampleTimeout = 1,
+    /// Too many refused frames.
+    LineNoise = 2,
+    /// A sample or a computed value was not finite.
+    NonFinite = 3,
+}
+
+/// Bits of [`Command::flags`].
+pub mod flags {
+    /// The law wished for a drive outside what the amplifier gives.
+    pub const SATURATED: u8 = 1;
+    /// The frequency loop is at the end of its range or slews at its limit.
+    pub const FREQUENCY_LIMITED: u8 = 2;
+    /// The frequency loop rests because the in-phase amplitude is too small to divide by.
+    pub const FREQUENCY_HELD: u8 = 4;
+}
+
+/// What the plate is to be driven with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Command {
+    /// Instant at which the sample was taken in, on the target's own clock, µs, wrapping.
+    pub target_time_us: u32,
+    /// Drive, Vpp.
+    pub drive_vpp: f32,
+    /// Excitation frequency, mHz.
+    pub frequency_mhz: u32,
+    /// What the target is doing.
+    pub state: State,
+    /// Why, where it stopped.
+    pub cause: StateCause,
+    /// See [`flags`]; four bits.
+    pub flags: u8,
+    /// How long the previous control step took, µs; zero where nobody measured.
+    pub compute_us: u16,
+}
+
+/// A processor trap, as the target's registers show it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FaultReport {
+    /// 1 panic, 2 `HardFault`, 3 watchdog reset before this start.
+    pub code: u16,
+    /// Program counter.
+    pub pc: u32,
+    /// Link register.
+    pub lr: u32,
+    /// Configurable fault status register.
+    pub cfsr: u32,
+    /// Faulting address, zero where none is valid.
+    pub address: u32,
+}
+
+/// Why a body with a good checksum was refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MessageError {
+    /// Another version of the protocol.
+    Version(u8),
+    /// No message has this number.
+    Kind(u8),
+    /// The body is shorter or longer than its kind has it.
+    Length,
+    /// A field holds a number that means nothing.
+    Field,
+}
+
+impl Message {
+    fn kind(&self) -> u8 {
+        match self {
+            Self::Hello => 1,
+            Self::Identity(_) => 2,
+            Self::Configure(_) => 3,
+            Self::Configured(_) => 4,
+            Self::Sample(_) => 5,
+            Self::Command(_) => 6,
+            Self::Safe => 7,
+            Self::Fault(_) => 8,
+        }
+    }
+}
+
+impl Packet {
+    /// The frame of this packet.
+    pub fn encode(&self) -> Encoded {
+        let mut writer = Writer::new();
+        writer.u8(VERSION << 4 | self.message.kind());
+        writer.u8(self.sequence);
+        match &self.message {
+            Message::Hello | Message::Safe => {}
+            Message::Identity(identity) => identity.write(&mut writer),
+            Message::Configure(configure) => configure.write(&mut writer),
+            Message::Configured(configured) => configured.write(&mut writer),
+            Message::Sample(sample) => sample.write(&mut writer),
+            Message::Command(command) => command.write(&mut writer),
+            Message::Fault(report) => report.write(&mut writer),
+        }
+        // A writer holds at most MAX_BODY bytes, and such a body always has a frame.
+        match Encoded::new(writer.body()) {
+            Some(frame) => frame,
+            None => unreachable!(),
+        }
+    }
+
+    /// Reads the body of a frame.
+    ///
+    /// # Errors
+    /// [`MessageError`] where version, kind, length or a field is not of this protocol.
+    pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
+        let mut reader = Reader::new(body);
+        let first = reader.u8().ok_or(MessageError::Length)?;
+        if first >> 4 != VERSION {
+            return Err(MessageError::Version(first >> 4));
+        }
+        let sequence = reader.u8().ok_or(MessageError::Length)?;
+        let message = match first & 0x0f {
+            1 => Message::Hello,
+            2 => Message::Identity(Identity::read(&mut reader)?),
+            3 => Message::Configure(Configure::read(&mut reader)?),
+            4 => Message::Configured(Configured::read(&mut reader)?),
+            5 => Message::Sample(Sample::read(&mut reader)?),
+            6 => Message::Command(Command::read(&mut reader)?),
+            7 => Message::Safe,
+            8 => Message::Fault(FaultReport::read(&mut reader)?),
+            kind => return Err(MessageError::Kind(kind)),
+        };
+        if reader.is_at_end() { Ok(Self { sequence, message }) } else { Err(MessageError::Length) }
+    }
+}
+
+fn whole<T>(field: Option<T>) -> Result<T, MessageError> {
+    field.ok_or(MessageError::Length)
+}
+
+fn known<T>(field: Option<T>) -> Result<T, MessageError> {
+    field.ok_or(MessageError::Field)
+}
+
+impl Identity {
+    fn write(&self, writer: &mut Writer) {
+        writer.put(self.version);
+        writer.u8(0);
+        writer.u32(self.laws);
+        writer.put(self.build);
+        writer.u32(self.chip);
+        writer.put(self.unique);
+        writer.put(self.name);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let version = whole(reader.take())?;
+        whole(reader.u8())?;
+        Ok(Self {
+            version,
+            laws: whole(reader.u32())?,
+            build: whole(reader.take())?,
+            chip: whole(reader.u32())?,
+            unique: whole(reader.take())?,
+            name: whole(reader.take())?,
+        })
+    }
+
+    /// True when the target says that it has `law`.
+    pub fn has(&self, law: LawId) -> bool {
+        self.laws & 1 << law as u8 != 0
+    }
+}
+
+impl Gains {
+    const NONE: Self = Self { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
+
+    fn write(&self, writer: &mut Writer) {
+        writer.f32(self.amplitude_kp);
+        writer.f32(self.amplitude_ki);
+        writer.f32(self.frequency_kp);
+        writer.f32(self.frequency_ki);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        Ok(Self {
+            amplitude_kp: whole(reader.f32())?,
+            amplitude_ki: whole(reader.f32())?,
+            frequency_kp: whole(reader.f32())?,
+            frequency_ki: whole(reader.f32())?,
+        })
+    }
+}
+
+impl Configure {
+    fn write(&self, writer: &mut Writer) {
+        writer.u8(self.law as u8);
+        writer.u8(u8::from(self.gains.is_some()));
+        writer.u16(0);
+        writer.u32(self.period_us);
+        writer.u32(self.start_frequency_mhz);
+        writer.f32(self.gain_um_per_vpp);
+        writer.f32(self.time_constant_s);
+        writer.f32(self.response_time_s);
+        writer.f32(self.drive_limit_vpp);
+        writer.f32(self.frequency_range_hz);
+        writer.f32(self.frequency_slew_hz);
+        self.gains.unwrap_or(Gains::NONE).write(writer);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let law = known(LawId::from_number(whole(reader.u8())?))?;
+        let has_gains = match whole(reader.u8())? {
+            0 => false,
+            1 => true,
+            _ => return Err(MessageError::Field),
+        };
+        whole(reader.u16())?;
+        Ok(Self {
+            law,
+            period_us: whole(reader.u32())?,
+            start_frequency_mhz: whole(reader.u32())?,
+            gain_um_per_vpp: whole(reader.f32())?,
+            time_constant_s: whole(reader.f32())?,
+            response_time_s: whole(reader.f32())?,
+            drive_limit_vpp: whole(reader.f32())?,
+            frequency_range_hz: whole(reader.f32())?,
+            frequency_slew_hz: whole(reader.f32())?,
+            gains: Some(Gains::read(reader)?).filter(|_| has_gains),
+        })
+    }
+}
+
+impl Configured {
+    fn write(&self, writer: &mut Writer) {
+        writer.u8(self.outcome.err().map_or(0, |rejection| rejection as u8));
+        writer.u8(0);
+        self.outcome.unwrap_or(Gains::NONE).write(writer);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let status = whole(reader.u8())?;
+        whole(reader.u8())?;
+        let gains = Gains::read(reader)?;
+        let outcome = match status {
+            0 => Ok(gains),
+            1 => Err(Rejection::Value),
+            2 => Err(Rejection::Law),
+            _ => return Err(MessageError::Field),
+        };
+        Ok(Self { outcome })
+    }
+}
+
+impl Sample {
+    fn write(&self, writer: &mut Writer) {
+        writer.u32(self.time_us);
+        writer.f32(self.setpoint_um);
+        writer.f32(self.wd_um);
+        writer.f32(self.wq_um);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        Ok(Self {
+            time_us: whole(reader.u32())?,
+            setpoint_um: whole(reader.f32())?,
+            wd_um: whole(reader.f32())?,
+            wq_um: whole(reader.f32())?,
+        })
+    }
+}
+
+impl Command {
+    fn write(&self, writer: &mut Writer) {
+        writer.u32(self.target_time_us);
+        writer.f32(self.drive_vpp);
+        writer.u32(self.frequency_mhz);
+        writer.u8(self.state as u8);
+        writer.u8((self.cause as u8) << 4 | self.flags & 0x0f);
+        writer.u16(self.compute_us);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let target_time_us = whole(reader.u32())?;
+        let drive_vpp = whole(reader.f32())?;
+        let frequency_mhz = whole(reader.u32())?;
+        let state = known(State::from_number(whole(reader.u8())?))?;
+        let bits = whole(reader.u8())?;
+        Ok(Self {
+            target_time_us,
+            drive_vpp,
+            frequency_mhz,
+            state,
+            cause: known(StateCause::from_number(bits >> 4))?,
+            flags: bits & 0x0f,
+            compute_us: whole(reader.u16())?,
+        })
+    }
+}
+
+impl State {
+    fn from_number(number: u8) -> Option<Self> {
+        [Self::Idle, Self::Running, Self::Fault, Self::Safe].into_iter().find(|&state| state as u8 == number)
+    }
+}
+
+impl StateCause {
+    fn from_number(number: u8) -> Option<Self> {
+        [Self::None, Self::SampleTimeout, Self::LineNoise, Self::NonFinite]
+            .into_iter()
+            .find(|&cause| cause as u8 == number)
+    }
+}
+
+impl FaultReport {
+    fn write(&self, writer: &mut Writer) {
+        writer.u16(self.code);
+        writer.u32(self.pc);
+        writer.u32(self.lr);
+        writer.u32(self.cfsr);
+        writer.u32(self.address);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        Ok(Self {
+            code: whole(reader.u16())?,
+            pc: whole(reader.u32())?,
+            lr: whole(reader.u32())?,
+            cfsr: whole(reader.u32())?,
+            address: whole(reader.u32())?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

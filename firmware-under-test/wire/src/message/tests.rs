@@ -1,0 +1,174 @@
+//! Every byte of every message, the round trip, and what must be refused.
+
+use super::*;
+use crate::frame::{FrameReader, MAX_BODY};
+use proptest::prelude::*;
+use std::vec::Vec;
+
+const GAINS: Gains = Gains { amplitude_kp: 1.0, amplitude_ki: -2.0, frequency_kp: 0.5, frequency_ki: 4.0 };
+
+fn body_of(packet: &Packet) -> Vec<u8> {
+    let mut reader = FrameReader::new();
+    let frame = packet.encode();
+    let mut bodies =
+        frame.as_bytes().iter().filter_map(|&byte| reader.push(byte).map(|body| body.unwrap().to_vec())).collect::<Vec<_>>();
+    assert_eq!(bodies.len(), 1);
+    bodies.remove(0)
+}
+
+fn hex(text: &str) -> Vec<u8> {
+    text.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
+}
+
+#[track_caller]
+fn pinned(sequence: u8, message: Message, bytes: &str) {
+    let packet = Packet { sequence, message };
+    assert_eq!(body_of(&packet), hex(bytes));
+    assert_eq!(Packet::decode(&hex(bytes)), Ok(packet));
+}
+
+#[test]
+fn hello_and_safe_are_two_bytes() {
+    pinned(0, Message::Hello, "11 00");
+    pinned(255, Message::Safe, "17 ff");
+}
+
+#[test]
+fn identity_is_fifty_bytes() {
+    let identity = Identity {
+        version: [1, 2, 3],
+        laws: 0b111,
+        build: [0xa0, 0xa1, 0xa2, 0xa3, 0xa4, 0xa5, 0xa6, 0xa7],
+        chip: 0x1000_0413,
+        unique: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12],
+        name: *b"firmware\0\0\0\0\0\0\0\0",
+    };
+    pinned(
+        9,
+        Message::Identity(identity),
+        "12 09 01 02 03 00 07 00 00 00 a0 a1 a2 a3 a4 a5 a6 a7 13 04 00 10 01 02 03 04 05 06 07 08 09 0a 0b 0c \
+         66 69 72 6d 77 61 72 65 00 00 00 00 00 00 00 00",
+    );
+    assert!(identity.has(LawId::DqPiEuler));
+    assert!(!Identity { laws: 0b011, ..identity }.has(LawId::DqPiEuler));
+}
+
+#[test]
+fn configure_is_fifty_six_bytes() {
+    let configure = Configure {
+        law: LawId::DqPi,
+        period_us: 1000,
+        start_frequency_mhz: 32_307_600,
+        gain_um_per_vpp: 0.5,
+        time_constant_s: 0.25,
+        response_time_s: 2.0,
+        drive_limit_vpp: 900.0,
+        frequency_range_hz: 200.0,
+        frequency_slew_hz: 100.0,
+        gains: Some(GAINS),
+    };
+    let head = "01 01 00 00 e8 03 00 00 90 f9 ec 01 00 00 00 3f 00 00 80 3e 00 00 00 40 00 00 61 44 00 00 48 43 00 00 c8 42";
+    let gains = "00 00 80 3f 00 00 00 c0 00 00 00 3f 00 00 80 40";
+    pinned(1, Message::Configure(configure), &std::format!("13 01 {head} {gains}"));
+    let own_design = head.replacen("01 01", "01 00", 1);
+    pinned(
+        1,
+        Message::Configure(Configure { gains: None, ..configure }),
+        &std::format!("13 01 {own_design} {}", "00 ".repeat(16)),
+    );
+}
+
+#[test]
+fn configured_is_twenty_bytes() {
+    pinned(
+        2,
+        Message::Configured(Configured { outcome: Ok(GAINS) }),
+        "14 02 00 00 00 00 80 3f 00 00 00 c0 00 00 00 3f 00 00 80 40",
+    );
+    pinned(
+        2,
+        Message::Configured(Configured { outcome: Err(Rejection::Law) }),
+        "14 02 02 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00",
+    );
+}
+
+#[test]
+fn sample_is_eighteen_bytes() {
+    let sample = Sample { time_us: 0x0102_0304, setpoint_um: 2.0, wd_um: 1.5, wq_um: -0.25 };
+    pinned(7, Message::Sample(sample), "15 07 04 03 02 01 00 00 00 40 00 00 c0 3f 00 00 80 be");
+}
+
+#[test]
+fn command_is_eighteen_bytes() {
+    let command = Command {
+        target_time_us: 0x0a0b_0c0d,
+        drive_vpp: 400.0,
+        frequency_mhz: 32_307_600,
+        state: State::Running,
+        cause: StateCause::None,
+        flags: flags::SATURATED | flags::FREQUENCY_HELD,
+        compute_us: 300,
+    };
+    pinned(7, Message::Command(command), "16 07 0d 0c 0b 0a 00 00 c8 43 90 f9 ec 01 01 05 2c 01");
+    let stopped = Command { drive_vpp: 0.0, state: State::Fault, cause: StateCause::NonFinite, flags: 0, ..command };
+    pinned(7, Message::Command(stopped), "16 07 0d 0c 0b 0a 00 00 00 00 90 f9 ec 01 02 30 2c 01");
+}
+
+#[test]
+fn fault_is_twenty_bytes() {
+    let report = FaultReport { code: 2, pc: 0x0800_1234, lr: 0x0800_0001, cfsr: 0x0100_0000, address: 0xdead_beef };
+    pinned(0, Message::Fault(report), "18 00 02 00 34 12 00 08 01 00 00 08 00 00 00 01 ef be ad de");
+}
+
+#[test]
+fn the_cyclic_frames_have_twenty_four_bytes_whatever_they_say() {
+    for value in [0.0, 1.0, f32::MAX, f32::NAN, f32::from_bits(u32::MAX)] {
+        let sample = Sample { time_us: value.to_bits(), setpoint_um: value, wd_um: value, wq_um: value };
+        assert_eq!(Packet { sequence: 0, message: Message::Sample(sample) }.encode().as_bytes().len(), 24);
+    }
+}
+
+#[test]
+fn other_versions_kinds_lengths_and_fields_are_refused() {
+    assert_eq!(Packet::decode(&hex("21 00")), Err(MessageError::Version(2)));
+    assert_eq!(Packet::decode(&hex("10 00")), Err(MessageError::Kind(0)));
+    assert_eq!(Packet::decode(&hex("19 00")), Err(MessageError::Kind(9)));
+    assert_eq!(Packet::decode(&[]), Err(MessageError::Length));
+    assert_eq!(Packet::decode(&hex("11")), Err(MessageError::Length));
+    assert_eq!(Packet::decode(&hex("11 00 00")), Err(MessageError::Length));
+    let command = hex("16 07 0d 0c 0b 0a 00 00 c8 43 90 f9 ec 01 01 05 2c 01");
+    assert_eq!(Packet::decode(&command[..17]), Err(MessageError::Length));
+    for (byte, value) in [(14, 4), (15, 0x45)] {
+        let mut wrong = command.clone();
+        wrong[byte] = value;
+        assert_eq!(Packet::decode(&wrong), Err(MessageError::Field), "byte {byte}");
+    }
+}
+
+#[test]
+fn names_of_laws_come_back() {
+    for law in LawId::ALL {
+        assert_eq!(LawId::from_name(law.name()), Some(law));
+    }
+    assert_eq!(LawId::from_name("dq-pid"), None);
+}
+
+proptest! {
+    #[test]
+    fn whatever_decodes_encodes_to_the_same_meaning(body in proptest::collection::vec(any::<u8>(), 0..=MAX_BODY), kind in 0x10_u8..0x1a) {
+        let mut body = body;
+        if let Some(first) = body.first_mut() {
+            *first = kind;
+        }
+        if let Ok(packet) = Packet::decode(&body) {
+            // Compared as bytes: a float may be NaN.
+            prop_assert_eq!(body_of(&Packet::decode(&body_of(&packet)).unwrap()), body_of(&packet));
+        }
+    }
+
+    #[test]
+    fn any_sample_comes_back(sequence: u8, time_us: u32, setpoint_um: f32, wd_um: f32, wq_um: f32) {
+        let packet = Packet { sequence, message: Message::Sample(Sample { time_us, setpoint_um, wd_um, wq_um }) };
+        prop_assert_eq!(Packet::decode(&body_of(&packet)), Ok(packet));
+    }
+}

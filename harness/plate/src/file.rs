@@ -1,0 +1,258 @@
+//! The plate file: raw as it is written, [`Plate`] as it may be used.
+
+use serde::Deserialize;
+use std::f64::consts::TAU;
+
+/// The plate file as serde reads it; every key that it may have, none of them checked yet.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawPlate {
+    /// What the plate is.
+    pub name: String,
+    /// Where the numbers come from.
+    pub source: String,
+    /// The bending mode.
+    pub mode: RawMode,
+    /// What a finger does; nothing if left out.
+    #[serde(default)]
+    pub finger: RawFinger,
+    /// The amplifier.
+    pub drive: RawDrive,
+    /// The sensor; without noise if left out.
+    #[serde(default)]
+    pub sensor: RawSensor,
+}
+
+/// `[mode]`
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawMode {
+    /// Resonance at the reference temperature, Hz.
+    pub resonance_hz: f64,
+    /// Temperature from which offsets are counted, °C.
+    pub reference_temperature_c: f64,
+    /// Change of the resonance per kelvin, Hz.
+    pub resonance_slope_hz_per_k: f64,
+    /// τ = 1/σ untouched, ms.
+    pub time_constant_ms: f64,
+    /// K1 at resonance, untouched, µm/Vpp.
+    pub gain_um_per_vpp: f64,
+}
+
+/// `[finger]`
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawFinger {
+    /// Points [force N, σ/σ0]; linear between, the last segment extended.
+    #[serde(default = "undamped")]
+    pub damping_ratio: Vec<[f64; 2]>,
+    /// Change of the resonance per newton, Hz.
+    #[serde(default)]
+    pub resonance_shift_hz_per_n: f64,
+}
+
+impl Default for RawFinger {
+    fn default() -> Self {
+        Self { damping_ratio: undamped(), resonance_shift_hz_per_n: 0.0 }
+    }
+}
+
+fn undamped() -> Vec<[f64; 2]> {
+    vec![[0.0, 1.0]]
+}
+
+/// `[drive]`
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawDrive {
+    /// Highest drive the amplifier gives, Vpp.
+    pub limit_vpp: f64,
+}
+
+/// `[sensor]`
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawSensor {
+    /// Standard deviation of white noise on each demodulated component, µm.
+    #[serde(default)]
+    pub noise_um_rms: f64,
+}
+
+/// A value in a plate file that cannot be meant.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("`{key}` is {value}, expected {expected}")]
+pub struct PlateError {
+    /// Dotted path of the key.
+    pub key: &'static str,
+    /// What stands there.
+    pub value: String,
+    /// What may stand there.
+    pub expected: &'static str,
+}
+
+/// A plate whose every number can be worked with.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plate {
+    /// What the plate is.
+    pub name: String,
+    /// Where the numbers come from.
+    pub source: String,
+    /// Resonance at the reference temperature, rad/s.
+    pub omega0: f64,
+    /// Temperature from which offsets are counted, °C.
+    pub reference_temperature_c: f64,
+    /// Change of the resonance per kelvin, rad/s.
+    pub omega0_per_k: f64,
+    /// Damping σ = d/2m = 1/τ untouched, 1/s.
+    pub sigma0: f64,
+    /// Gain K1 at resonance, untouched, µm/Vpp (equation 13).
+    pub gain: f64,
+    /// Points [force N, σ/σ0], at least one, forces rising, ratios positive.
+    pub damping_ratio: Vec<[f64; 2]>,
+    /// Change of the resonance per newton, rad/s.
+    pub omega0_per_n: f64,
+    /// Highest drive, Vpp.
+    pub drive_limit_vpp: f64,
+    /// Standard deviation of the noise on each sensed component, µm.
+    pub noise_um_rms: f64,
+}
+
+fn check(holds: bool, key: &'static str, value: &impl ToString, expected: &'static str) -> Result<(), PlateError> {
+    if holds { Ok(()) } else { Err(PlateError { key, value: value.to_string(), expected }) }
+}
+
+fn positive(key: &'static str, value: f64) -> Result<f64, PlateError> {
+    check(value.is_finite() && value > 0.0, key, &value, "a finite number above 0").map(|()| value)
+}
+
+fn finite(key: &'static str, value: f64) -> Result<f64, PlateError> {
+    check(value.is_finite(), key, &value, "a finite number").map(|()| value)
+}
+
+impl RawPlate {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// [`PlateError`] naming the first key whose value cannot be meant.
+    pub fn check(self) -> Result<Plate, PlateError> {
+        let omega0 = positive("mode.resonance_hz", self.mode.resonance_hz)? * TAU;
+        let sigma0 = 1e3 / positive("mode.time_constant_ms", self.mode.time_constant_ms)?;
+        check(
+            omega0 / (2.0 * sigma0) > 1.0,
+            "mode.time_constant_ms",
+            &self.mode.time_constant_ms,
+            "a time constant that leaves a resonance: Q = π · resonance_hz · τ above 1",
+        )?;
+        let reference = finite("mode.reference_temperature_c", self.mode.reference_temperature_c)?;
+        check(reference > -273.15, "mode.reference_temperature_c", &reference, "a temperature above -273.15")?;
+        let noise = finite("sensor.noise_um_rms", self.sensor.noise_um_rms)?;
+        check(noise >= 0.0, "sensor.noise_um_rms", &noise, "0 or more")?;
+        Ok(Plate {
+            name: self.name,
+            source: self.source,
+            omega0,
+            reference_temperature_c: reference,
+            omega0_per_k: finite("mode.resonance_slope_hz_per_k", self.mode.resonance_slope_hz_per_k)? * TAU,
+            sigma0,
+            gain: positive("mode.gain_um_per_vpp", self.mode.gain_um_per_vpp)?,
+            damping_ratio: damping_curve(self.finger.damping_ratio)?,
+            omega0_per_n: finite("finger.resonance_shift_hz_per_n", self.finger.resonance_shift_hz_per_n)? * TAU,
+            drive_limit_vpp: positive("drive.limit_vpp", self.drive.limit_vpp)?,
+            noise_um_rms: noise,
+        })
+    }
+}
+
+fn damping_curve(points: Vec<[f64; 2]>) -> Result<Vec<[f64; 2]>, PlateError> {
+    const KEY: &str = "finger.damping_ratio";
+    let shown = || format!("{points:?}");
+    check(points.iter().flatten().all(|value| value.is_finite()), KEY, &shown(), "finite numbers")?;
+    check(points.first().is_some_and(|first| first[0] == 0.0), KEY, &shown(), "a first point at 0 N")?;
+    check(points.is_sorted_by(|a, b| a[0] < b[0]), KEY, &shown(), "points with rising forces")?;
+    check(points.iter().all(|point| point[1] > 0.0), KEY, &shown(), "ratios above 0: no finger makes a plate swing up by itself")?;
+    let falls_at_the_end = matches!(points[..], [.., a, b] if b[1] < a[1]);
+    check(!falls_at_the_end, KEY, &shown(), "a last segment that does not fall: it is extended to any force")?;
+    Ok(points)
+}
+
+impl Plate {
+    /// The plant's constant N/m, µm/s² per Vpp: `K1 · 2σ0 · ω0` (from equation 8 at the reference temperature).
+    ///
+    /// A finger changes σ and a temperature changes ω0, but not this.
+    pub fn force_constant(&self) -> f64 {
+        self.gain * 2.0 * self.sigma0 * self.omega0
+    }
+
+    /// σ/σ0 under a finger force in N.
+    pub fn damping_ratio_at(&self, force_n: f64) -> f64 {
+        let points = &self.damping_ratio;
+        let [first, .., _] = points[..] else {
+            return points.first().map_or(1.0, |only| only[1]);
+        };
+        if force_n <= first[0] {
+            return first[1];
+        }
+        // The segment that holds the force, or the last one for whatever lies beyond.
+        let segment = points.windows(2).find(|pair| force_n <= pair[1][0]).or_else(|| points.windows(2).last());
+        segment.map_or(first[1], |pair| {
+            let slope = (pair[1][1] - pair[0][1]) / (pair[1][0] - pair[0][0]);
+            pair[0][1] + slope * (force_n - pair[0][0])
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
+
+    fn read(text: &str) -> Result<Plate, PlateError> {
+        toml::from_str::<RawPlate>(text).unwrap().check()
+    }
+
+    #[test]
+    fn the_paper_s_plate_has_the_paper_s_numbers() {
+        let plate = read(PAPER).unwrap();
+        assert!((plate.omega0 - 202_995.0).abs() < 1.0, "{}", plate.omega0);
+        assert!((plate.omega0 + 9.0 * plate.omega0_per_k - 202_450.0).abs() < 1.0);
+        assert!((plate.omega0 / (2.0 * plate.sigma0) - 191.0).abs() < 0.5, "quality factor");
+    }
+
+    #[rstest]
+    #[case("resonance_hz = 32307.6", "resonance_hz = 0.0", "mode.resonance_hz")]
+    #[case("resonance_hz = 32307.6", "resonance_hz = nan", "mode.resonance_hz")]
+    #[case("time_constant_ms = 1.88", "time_constant_ms = -1.88", "mode.time_constant_ms")]
+    // Q = π f τ: 1 at 9.853 µs.
+    #[case("time_constant_ms = 1.88", "time_constant_ms = 0.00985", "mode.time_constant_ms")]
+    #[case("gain_um_per_vpp = 0.00698", "gain_um_per_vpp = inf", "mode.gain_um_per_vpp")]
+    #[case("reference_temperature_c = 24.0", "reference_temperature_c = -274.0", "mode.reference_temperature_c")]
+    #[case("limit_vpp = 900.0", "limit_vpp = 0.0", "drive.limit_vpp")]
+    #[case("noise_um_rms = 0.0", "noise_um_rms = -0.1", "sensor.noise_um_rms")]
+    #[case("[1.5, 2.0]", "[1.5, -2.0]", "finger.damping_ratio")]
+    #[case("[1.5, 2.0]", "[1.5, 0.5]", "finger.damping_ratio")]
+    #[case("[1.5, 2.0]", "[0.0, 2.0]", "finger.damping_ratio")]
+    #[case("[0.0, 1.0], ", "", "finger.damping_ratio")]
+    fn what_cannot_be_meant_is_refused(#[case] good: &str, #[case] bad: &str, #[case] key: &str) {
+        assert!(PAPER.contains(good), "{good}");
+        assert_eq!(read(&PAPER.replacen(good, bad, 1)).unwrap_err().key, key);
+    }
+
+    #[test]
+    fn the_last_good_time_constant_is_taken() {
+        assert!(read(&PAPER.replacen("time_constant_ms = 1.88", "time_constant_ms = 0.00986", 1)).is_ok());
+    }
+
+    #[test]
+    fn the_damping_curve_is_linear_and_its_last_segment_goes_on() {
+        let plate = read(PAPER).unwrap();
+        for (force, ratio) in [(0.0, 1.0), (0.75, 1.5), (1.5, 2.0), (3.0, 3.0)] {
+            assert!((plate.damping_ratio_at(force) - ratio).abs() < 1e-15, "{force} N");
+        }
+        let bent = Plate { damping_ratio: vec![[0.0, 1.0], [1.0, 3.0], [2.0, 4.0]], ..plate };
+        for (force, ratio) in [(0.5, 2.0), (1.0, 3.0), (1.5, 3.5), (4.0, 6.0)] {
+            assert!((bent.damping_ratio_at(force) - ratio).abs() < 1e-15, "{force} N");
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! Exact propagation between two events: drive, excitation frequency, damping and resonance constant.
+//!
+//! With `y = Re(W e^{jθ})`, `θ' = ω` and the voltage on the q axis, equation 1 reads `y'' + 2σy' + ω0²y = (N/m) Re(jV e^{jθ})`.
+//!
+//! * **modal**: states `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. U, not W', is continuous when ω steps. Two poles
+//!   `s± = −σ ± j√(ω0² − σ²)` around the steady state `W∞ = (N/m) jV / (ω0² − ω² + 2jσω)`.
+//! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`: what is left for ω ≈ ω0 once the pole `s−`, some 64 kHz away in
+//!   this frame, is dropped (equations 11 and 18 without their linearisation).
+
+use crate::mode::{Drive, Mode};
+use num_complex::Complex64;
+
+const J: Complex64 = Complex64::I;
+
+/// Components smaller than this, in µm or µm/s, are set to zero: a decaying component would otherwise spend its life in
+/// subnormal numbers, which cost many times the time.
+const NEGLIGIBLE: f64 = 1e-150;
+
+/// How much of the plate is modelled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Tier {
+    /// Second order, exact for one mode.
+    #[default]
+    Modal,
+    /// First order: the slow pole alone.
+    Envelope,
+}
+
+impl Tier {
+    /// Every tier.
+    pub const ALL: [Self; 2] = [Self::Modal, Self::Envelope];
+
+    /// The tier's name in scenario files and records.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Modal => "modal",
+            Self::Envelope => "envelope",
+        }
+    }
+}
+
+/// The plate's state in the rotating frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct State {
+    /// `W = Wd + jWq`, µm.
+    pub w: Complex64,
+    /// `U = W' + jωW`, µm/s; zero and unused in the envelope tier.
+    pub u: Complex64,
+}
+
+impl State {
+    /// |W|, µm.
+    pub fn amplitude(&self) -> f64 {
+        self.w.norm()
+    }
+
+    /// False where a component is NaN or infinite.
+    pub fn is_finite(&self) -> bool {
+        self.w.is_finite() && self.u.is_finite()
+    }
+
+    fn flushed(self) -> Self {
+        let flush = |z: Complex64| {
+            let part = |x: f64| if x.abs() < NEGLIGIBLE { 0.0 } else { x };
+            Complex64::new(part(z.re), part(z.im))
+        };
+        Self { w: flush(self.w), u: flush(self.u) }
+    }
+}
+
+/// The plate's motion from an instant on, for as long as nothing changes.
+#[derive(Debug, Clone, Copy)]
+pub struct Flow {
+    rest: Complex64,
+    slow: Term,
+    /// The fast pole's share and ω; `None` in the envelope tier.
+    fast: Option<(Term, f64)>,
+}
+
+/// `amplitude · e^{pole t}` in the rotating frame.
+#[derive(Debug, Clone, Copy)]
+struct Term {
+    amplitude: Complex64,
+    pole: Complex64,
+}
+
+impl Term {
+    fn after(&self, seconds: f64) -> Complex64 {
+        self.amplitude * (self.pole * seconds).exp()
+    }
+}
+
+impl Flow {
+    /// The motion of a plate in `state` under `mode` and `drive`.
+    ///
+    /// `mode` must be resonant (σ < ω0), which a checked plate and scenario guarantee.
+    pub fn new(tier: Tier, mode: &Mode, drive: &Drive, state: &State) -> Self {
+        match tier {
+            Tier::Modal => Self::modal(mode, drive, state),
+            Tier::Envelope => Self::envelope(mode, drive, state),
+        }
+    }
+
+    fn envelope(mode: &Mode, drive: &Drive, state: &State) -> Self {
+        let pole = Complex64::new(-mode.sigma, mode.omega0 - drive.omega);
+        let rest = -mode.envelope_constant * drive.vpp / pole;
+        Self { rest, slow: Term { amplitude: state.w - rest, pole }, fast: None }
+    }
+
+    fn modal(mode: &Mode, drive: &Drive, state: &State) -> Self {
+        let Mode { sigma, omega0, .. } = *mode;
+        let omega = drive.omega;
+        let damped = ((omega0 - sigma) * (omega0 + sigma)).sqrt();
+        let stiffness = Complex64::new((omega0 - omega) * (omega0 + omega), 2.0 * sigma * omega);
+        let rest = J * (mode.force_constant * drive.vpp) / stiffness;
+        // Deviation from the steady state, split over both poles: w = A + B, u = s₊A + s₋B.
+        let w = state.w - rest;
+        let u = state.u - J * omega * rest;
+        let (plus, minus) = (Complex64::new(-sigma, damped), Complex64::new(-sigma, -damped));
+        let slow = (u - minus * w) / (plus - minus);
+        Self {
+            rest,
+            slow: Term { amplitude: slow, pole: Complex64::new(-sigma, damped - omega) },
+            fast: Some((Term { amplitude: w - slow, pole: Complex64::new(-sigma, -damped - omega) }, omega)),
+        }
+    }
+
+    /// The state `seconds` later.
+    pub fn after(&self, seconds: f64) -> State {
+        let slow = self.slow.after(seconds);
+        let state = match &self.fast {
+            None => State { w: self.rest + slow, u: Complex64::ZERO },
+            Some((term, omega)) => {
+                let fast = term.after(seconds);
+                let frame = J * *omega;
+                // The poles of U' in the fixed frame are those of the rotating frame plus jω.
+                let u = frame * self.rest + (self.slow.pole + frame) * slow + (term.pole + frame) * fast;
+                State { w: self.rest + slow + fast, u }
+            }
+        };
+        state.flushed()
+    }
+
+    /// An upper bound, in µm, on how far W gets from where it is now within `seconds`.
+    pub fn reach(&self, seconds: f64) -> f64 {
+        let slow = self.slow.amplitude.norm() * (self.slow.pole.norm() * seconds).min(2.0);
+        let fast = self.fast.as_ref().map_or(0.0, |(term, _)| 2.0 * term.amplitude.norm());
+        slow + fast
+    }
+
+    /// The steady state W∞, µm.
+    pub fn rest(&self) -> Complex64 {
+        self.rest
+    }
+}

@@ -1,0 +1,32 @@
+//! The plant: a plate with one bending mode, seen in the frame that rotates with the excitation.
+//!
+//! * [`time`]: instants in whole nanoseconds since the start of a trial.
+//! * [`file`]: the plate file, read once and checked once.
+//! * [`profile`]: setpoint, temperature offset and finger force over time.
+//! * [`mode`]: what a finger and a temperature make of the mode's damping and resonance.
+//! * [`flow`]: exact propagation between two events, per tier.
+//! * [`plant`]: a plate playing its profiles: events in, state out.
+//! * [`sensor`]: what the controller gets to see.
+//!
+//! Symbols and equations are those of Ben Messaoud et al., "Amplitude control of an ultrasonic vibration for a tactile
+//! stimulator", IEEE/ASME Transactions on Mechatronics, 2016; derivations stand in `docs/mathematics.md`. Amplitudes are µm and
+//! voltages Vpp, both peak to peak; angular frequencies are rad/s; times are s unless a name says otherwise.
+//!
+//! The plate knows no wall clock, no controller and no file of a run.
+
+pub mod file;
+pub mod flow;
+pub mod mode;
+pub mod plant;
+pub mod profile;
+pub mod sensor;
+pub mod time;
+
+pub use file::{Plate, PlateError};
+pub use flow::{Flow, State, Tier};
+pub use mode::{Conditions, Drive, Mode};
+pub use num_complex::Complex64;
+pub use plant::{Crossing, Plant, Scene, Watch};
+pub use profile::{Profile, ProfileError};
+pub use sensor::Sensor;
+pub use time::Time;

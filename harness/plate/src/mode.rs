@@ -1,0 +1,68 @@
+//! What a finger and a temperature make of the bending mode, and what it is driven with.
+
+use crate::file::Plate;
+
+/// The plate's surroundings at an instant.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Conditions {
+    /// Kelvin above the plate's reference temperature.
+    pub temperature_offset_k: f64,
+    /// Normal force of the finger, N.
+    pub finger_force_n: f64,
+}
+
+/// The mode's parameters while the surroundings stay as they are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mode {
+    /// Damping σ = d/2m, 1/s.
+    pub sigma: f64,
+    /// Undamped resonance ω0, rad/s.
+    pub omega0: f64,
+    /// The plant's constant N/m, µm/s² per Vpp.
+    pub force_constant: f64,
+    /// `b = K1 σ0`, µm/s per Vpp: the same constant as the envelope sees it.
+    pub envelope_constant: f64,
+}
+
+/// What the amplifier gives: constant between two actuations.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Drive {
+    /// Voltage, Vpp.
+    pub vpp: f64,
+    /// Excitation frequency ω, rad/s.
+    pub omega: f64,
+}
+
+impl Plate {
+    /// The mode under the given conditions.
+    pub fn mode(&self, conditions: &Conditions) -> Mode {
+        let omega0 = self.omega0
+            + self.omega0_per_k * conditions.temperature_offset_k
+            + self.omega0_per_n * conditions.finger_force_n;
+        Mode {
+            sigma: self.sigma0 * self.damping_ratio_at(conditions.finger_force_n),
+            omega0,
+            force_constant: self.force_constant(),
+            envelope_constant: self.gain * self.sigma0,
+        }
+    }
+}
+
+impl Mode {
+    /// True where the mode swings at all: σ below ω0, both positive.
+    pub fn is_resonant(&self) -> bool {
+        self.sigma > 0.0 && self.omega0 > self.sigma
+    }
+
+    /// The drive in Vpp that holds `amplitude` µm at resonance: `V = W σ / b`.
+    pub fn drive_for(&self, amplitude: f64) -> f64 {
+        amplitude * self.sigma / self.envelope_constant
+    }
+
+    /// The shortest time in s in which |W| can get from rest to `share` of `setpoint` µm with at most `limit` Vpp at resonance:
+    /// `−ln(1 − share·setpoint/W∞)/σ`; `None` where the limit cannot get there at all.
+    pub fn time_floor(&self, setpoint: f64, share: f64, limit: f64) -> Option<f64> {
+        let missing = 1.0 - share * self.drive_for(setpoint) / limit;
+        (missing > 0.0).then(|| -missing.ln() / self.sigma)
+    }
+}

@@ -1,0 +1,325 @@
+//! Setpoint, temperature offset or finger force over time: raw as a scenario writes it, [`Profile`] as a plant plays it.
+
+use crate::time::Time;
+use serde::Deserialize;
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+
+/// A profile as a scenario writes it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected a number or one of { hold = [[t_ms, value], …] }, { linear = [[t_ms, value], …] }, \
+                 { sine = { mean, amplitude, frequency_hz } }, { csv = \"FILE\" }"
+)]
+pub enum RawProfile {
+    /// The same value throughout.
+    Number(f64),
+    /// One of the shapes.
+    Shape(RawShape),
+}
+
+/// The shapes that a profile may have.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub enum RawShape {
+    /// Points [`t_ms`, value]; each value is held until the next point.
+    Hold(Vec<[f64; 2]>),
+    /// Points [`t_ms`, value]; straight lines between, constant before the first and after the last.
+    Linear(Vec<[f64; 2]>),
+    /// A sine wave.
+    Sine(RawSine),
+    /// Points from a file with the columns `t_ms` and `value`, read as `linear`.
+    Csv(PathBuf),
+}
+
+/// `mean + amplitude · sin(2π frequency_hz t + phase_deg)`
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawSine {
+    mean: f64,
+    amplitude: f64,
+    frequency_hz: f64,
+    #[serde(default)]
+    phase_deg: f64,
+}
+
+/// Why a profile was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ProfileError {
+    /// No points at all.
+    #[error("the profile has no points, expected at least one [t_ms, value]")]
+    Empty,
+    /// A value that is NaN or infinite.
+    #[error("point {index}: {value} is not a finite number")]
+    NotFinite {
+        /// Counted from 1.
+        index: usize,
+        /// What stands there.
+        value: f64,
+    },
+    /// A time that is negative or beyond what can be counted.
+    #[error("point {index}: time {t_ms} ms is not between 0 and 9.0e9 ms")]
+    Time {
+        /// Counted from 1.
+        index: usize,
+        /// What stands there.
+        t_ms: f64,
+    },
+    /// Times that do not rise.
+    #[error("point {index}: time {t_ms} ms does not come after the point before it; times must rise")]
+    Unordered {
+        /// Counted from 1.
+        index: usize,
+        /// What stands there.
+        t_ms: f64,
+    },
+    /// A sine wave with a number that cannot be meant.
+    #[error("a sine needs finite numbers and a frequency_hz above 0")]
+    Sine,
+    /// A profile file that cannot be read.
+    #[error("{}: {source}", path.display())]
+    Csv {
+        /// The file.
+        path: PathBuf,
+        /// What the reader says, with the line.
+        source: csv::Error,
+    },
+}
+
+/// A profile that can be played.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Profile {
+    /// Each value is held from its instant to the next; the first one from the start.
+    Hold(Vec<(Time, f64)>),
+    /// Straight lines between the points.
+    Linear(Vec<(Time, f64)>),
+    /// `mean + amplitude sin(omega t + phase)`
+    Sine {
+        /// Value around which it swings.
+        mean: f64,
+        /// Half of the swing.
+        amplitude: f64,
+        /// rad/s.
+        omega: f64,
+        /// rad.
+        phase: f64,
+    },
+}
+
+impl RawProfile {
+    /// The file that this profile is read from, if any, relative to `folder`.
+    pub fn file(&self, folder: &Path) -> Option<PathBuf> {
+        match self {
+            Self::Shape(RawShape::Csv(path)) => Some(folder.join(path)),
+            _ => None,
+        }
+    }
+
+    /// Checks the profile; files are looked for in `folder`.
+    ///
+    /// # Errors
+    /// [`ProfileError`] with the first point that cannot be meant.
+    pub fn check(&self, folder: &Path) -> Result<Profile, ProfileError> {
+        match self {
+            Self::Number(value) => points(&[[0.0, *value]]).map(Profile::Hold),
+            Self::Shape(RawShape::Hold(raw)) => points(raw).map(Profile::Hold),
+            Self::Shape(RawShape::Linear(raw)) => points(raw).map(Profile::Linear),
+            Self::Shape(RawShape::Csv(path)) => points(&read_points(&folder.join(path))?).map(Profile::Linear),
+            Self::Shape(RawShape::Sine(raw)) => {
+                let numbers = [raw.mean, raw.amplitude, raw.frequency_hz, raw.phase_deg];
+                if !numbers.iter().all(|number| number.is_finite()) || raw.frequency_hz <= 0.0 {
+                    return Err(ProfileError::Sine);
+                }
+                Ok(Profile::Sine {
+                    mean: raw.mean,
+                    amplitude: raw.amplitude,
+                    omega: TAU * raw.frequency_hz,
+                    phase: raw.phase_deg.to_radians(),
+                })
+            }
+        }
+    }
+}
+
+fn points(raw: &[[f64; 2]]) -> Result<Vec<(Time, f64)>, ProfileError> {
+    let mut points: Vec<(Time, f64)> = Vec::with_capacity(raw.len());
+    for (index, &[t_ms, value]) in (1..).zip(raw) {
+        if !value.is_finite() {
+            return Err(ProfileError::NotFinite { index, value });
+        }
+        let time = Time::from_ms(t_ms).ok_or(ProfileError::Time { index, t_ms })?;
+        if points.last().is_some_and(|(before, _)| *before >= time) {
+            return Err(ProfileError::Unordered { index, t_ms });
+        }
+        points.push((time, value));
+    }
+    if points.is_empty() { Err(ProfileError::Empty) } else { Ok(points) }
+}
+
+fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, ProfileError> {
+    #[derive(Deserialize)]
+    struct Row {
+        t_ms: f64,
+        value: f64,
+    }
+    let with_path = |source| ProfileError::Csv { path: path.to_owned(), source };
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path).map_err(with_path)?;
+    reader.deserialize::<Row>().map(|row| row.map(|row| [row.t_ms, row.value]).map_err(with_path)).collect()
+}
+
+impl Profile {
+    /// The same value throughout.
+    pub fn constant(value: f64) -> Self {
+        Self::Hold(vec![(Time::ZERO, value)])
+    }
+
+    /// The value at `time`; at a point of `hold` already the new one.
+    pub fn at(&self, time: Time) -> f64 {
+        match self {
+            Self::Hold(points) => {
+                let passed = points.partition_point(|(from, _)| *from <= time);
+                points.get(passed.saturating_sub(1)).map_or(0.0, |(_, value)| *value)
+            }
+            Self::Linear(points) => {
+                let passed = points.partition_point(|(from, _)| *from <= time);
+                match (passed.checked_sub(1).and_then(|before| points.get(before)), points.get(passed)) {
+                    (Some((t0, v0)), Some((t1, v1))) => {
+                        let share = (time - *t0).seconds() / (*t1 - *t0).seconds();
+                        v0 + (v1 - v0) * share
+                    }
+                    (Some((_, value)), None) | (None, Some((_, value))) => *value,
+                    (None, None) => 0.0,
+                }
+            }
+            Self::Sine { mean, amplitude, omega, phase } => mean + amplitude * (omega * time.seconds() + phase).sin(),
+        }
+    }
+
+    /// The next point after `time`, where the profile may jump or bend.
+    pub fn next_point_after(&self, time: Time) -> Option<Time> {
+        match self {
+            Self::Hold(points) | Self::Linear(points) => {
+                points.get(points.partition_point(|(point, _)| *point <= time)).map(|(point, _)| *point)
+            }
+            Self::Sine { .. } => None,
+        }
+    }
+
+    /// True where the value changes between `from` and the next point.
+    pub fn varies_after(&self, from: Time) -> bool {
+        match self {
+            Self::Hold(_) => false,
+            Self::Linear(_) => self.next_point_after(from).is_some_and(|next| self.at(from) != self.at(next)),
+            Self::Sine { amplitude, .. } => *amplitude != 0.0,
+        }
+    }
+
+    /// Smallest and largest value.
+    pub fn range(&self) -> (f64, f64) {
+        match self {
+            Self::Hold(points) | Self::Linear(points) => points
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, value)| (low.min(*value), high.max(*value))),
+            Self::Sine { mean, amplitude, .. } => (mean - amplitude.abs(), mean + amplitude.abs()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rstest::rstest;
+
+    #[derive(Deserialize)]
+    struct Document {
+        p: RawProfile,
+    }
+
+    fn read(text: &str) -> Result<Profile, ProfileError> {
+        toml::from_str::<Document>(&format!("p = {text}")).unwrap().p.check(Path::new("."))
+    }
+
+    fn ms(value: f64) -> Time {
+        Time::from_ms(value).unwrap()
+    }
+
+    #[test]
+    fn a_hold_jumps_at_its_points() {
+        let profile = read("{ hold = [[1.0, 0.0], [2.0, 5.0]] }").unwrap();
+        for (t, value) in [(0.0, 0.0), (1.999_999, 0.0), (2.0, 5.0), (99.0, 5.0)] {
+            assert_eq!(profile.at(ms(t)), value, "at {t} ms");
+        }
+        assert_eq!(profile.next_point_after(ms(1.0)), Some(ms(2.0)));
+        assert_eq!(profile.next_point_after(ms(2.0)), None);
+        assert!(!profile.varies_after(ms(0.0)));
+    }
+
+    #[test]
+    fn a_line_is_straight_between_its_points_and_constant_outside() {
+        let profile = read("{ linear = [[20.0, 0.0], [120.0, 1.0]] }").unwrap();
+        for (t, value) in [(0.0, 0.0), (20.0, 0.0), (70.0, 0.5), (120.0, 1.0), (130.0, 1.0)] {
+            assert_eq!(profile.at(ms(t)), value, "at {t} ms");
+        }
+        assert!(!profile.varies_after(ms(0.0)) && profile.varies_after(ms(20.0)) && !profile.varies_after(ms(120.0)));
+    }
+
+    #[test]
+    fn a_sine_starts_at_its_phase() {
+        let profile = read("{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 2.0, phase_deg = 90.0 } }").unwrap();
+        assert!((profile.at(Time::ZERO) - 1.5).abs() < 1e-15);
+        assert!((profile.at(ms(250.0)) - 0.5).abs() < 1e-12);
+        assert_eq!(profile.range(), (0.5, 1.5));
+    }
+
+    #[rstest]
+    #[case("{ hold = [] }", "no points")]
+    #[case("nan", "point 1: NaN is not a finite number")]
+    #[case("{ hold = [[0.0, 1.0], [-1.0, 2.0]] }", "point 2: time -1 ms")]
+    #[case("{ linear = [[0.0, 1.0], [0.0, 2.0]] }", "point 2: time 0 ms does not come after")]
+    #[case("{ linear = [[5.0, 1.0], [4.0, 2.0]] }", "point 2: time 4 ms does not come after")]
+    #[case("{ hold = [[inf, 1.0]] }", "point 1: time inf ms")]
+    #[case("{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 0.0 } }", "frequency_hz above 0")]
+    #[case("{ csv = \"no-such-file.csv\" }", "no-such-file.csv")]
+    fn what_cannot_be_meant_is_refused(#[case] text: &str, #[case] message: &str) {
+        let error = read(text).unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+    }
+
+    #[rstest]
+    #[case("{ ramp = [[0.0, 1.0]] }")]
+    #[case("\"2.0\"")]
+    #[case("{ hold = [[0.0]] }")]
+    fn other_shapes_are_told_what_shapes_there_are(#[case] text: &str) {
+        let error = toml::from_str::<Document>(&format!("p = {text}")).err().unwrap().to_string();
+        assert!(error.contains("expected a number or one of"), "{error}");
+    }
+
+    proptest! {
+        #[test]
+        fn a_line_stays_within_its_range(
+            steps in proptest::collection::vec((1_u32..1_000_000, -5.0..5.0), 1..20), t in 0_u64..40_000_000_000,
+        ) {
+            let mut at = 0.0;
+            let points: Vec<_> = steps.iter().map(|(step, value)| { at += f64::from(*step) / 1e3; [at, *value] }).collect();
+            let profile = RawProfile::Shape(RawShape::Linear(points)).check(Path::new(".")).unwrap();
+            let (low, high) = profile.range();
+            let value = profile.at(Time::from_nanos(t));
+            prop_assert!(low - 1e-12 <= value && value <= high + 1e-12);
+        }
+
+        #[test]
+        fn a_hold_only_changes_at_its_points(
+            steps in proptest::collection::vec((1_u32..1_000, -5.0..5.0), 1..20), t in 0_u64..20_000,
+        ) {
+            let mut at = 0.0;
+            let points: Vec<_> = steps.iter().map(|(step, value)| { at += f64::from(*step); [at, *value] }).collect();
+            let profile = RawProfile::Shape(RawShape::Hold(points)).check(Path::new(".")).unwrap();
+            let from = Time::from_nanos(t * 1_000_000);
+            if let Some(next) = profile.next_point_after(from) {
+                prop_assert_eq!(profile.at(from), profile.at(Time::from_nanos(next.as_nanos() - 1)));
+            }
+        }
+    }
+}
