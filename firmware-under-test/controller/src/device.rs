@@ -17,13 +17,7 @@ pub struct Device {
 impl Device {
     /// A controller at 0 V that will answer as `identity`.
     pub fn new(identity: Identity) -> Self {
-        Self {
-            identity,
-            reader: FrameReader::new(),
-            machine: Machine::new(),
-            last_sequence: None,
-            compute_us: 0,
-        }
+        Self { identity, reader: FrameReader::new(), machine: Machine::new(), last_sequence: None, compute_us: 0 }
     }
 
     /// Takes in what the line brought, at `now_us` on the target's clock, and sends what is to be answered, a frame a call.
@@ -68,8 +62,7 @@ impl Device {
             Message::Sample(sample) => {
                 // A frame that the line doubled is answered again, not controlled with again.
                 let repeated = self.last_sequence.replace(packet.sequence) == Some(packet.sequence);
-                let command =
-                    if repeated { *self.machine.output() } else { self.machine.sample(sample, now_us) };
+                let command = if repeated { *self.machine.output() } else { self.machine.sample(sample, now_us) };
                 Message::Command(Command { compute_us: self.compute_us, ..command })
             }
             Message::Safe => Message::Command(self.machine.safe(now_us)),

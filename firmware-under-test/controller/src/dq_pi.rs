@@ -60,8 +60,7 @@ impl DqPi {
 
     pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {
         let mut flags = 0;
-        let drive_vpp =
-            self.amplitude.step(measurement.setpoint_um - measurement.wd_um, 0.0, self.drive_limit_vpp);
+        let drive_vpp = self.amplitude.step(measurement.setpoint_um - measurement.wd_um, 0.0, self.drive_limit_vpp);
         if drive_vpp >= self.drive_limit_vpp {
             flags |= flags::SATURATED;
         }

@@ -84,11 +84,8 @@ impl Machine {
     pub fn configure(&mut self, configure: &Configure) -> Configured {
         let outcome = match Law::design(configure) {
             Ok((law, gains)) => {
-                let design = Design {
-                    law,
-                    period_us: configure.period_us,
-                    start_frequency_mhz: configure.start_frequency_mhz,
-                };
+                let design =
+                    Design { law, period_us: configure.period_us, start_frequency_mhz: configure.start_frequency_mhz };
                 self.mode = Mode::Idle(Some(design));
                 self.last = Command { frequency_mhz: configure.start_frequency_mhz, ..AT_REST };
                 Ok(gains)
@@ -115,8 +112,7 @@ impl Machine {
             Mode::Running(run) => run,
             Mode::Idle(None) | Mode::Fault(_) | Mode::Safe => return self.last,
         };
-        let measurement =
-            Measurement { setpoint_um: sample.setpoint_um, wd_um: sample.wd_um, wq_um: sample.wq_um };
+        let measurement = Measurement { setpoint_um: sample.setpoint_um, wd_um: sample.wd_um, wq_um: sample.wq_um };
         if !measurement.is_finite() {
             return self.fault(StateCause::NonFinite);
         }

@@ -169,7 +169,12 @@ fn damping_curve(points: Vec<[f64; 2]>) -> Result<Vec<[f64; 2]>, PlateError> {
     check(points.iter().flatten().all(|value| value.is_finite()), KEY, &shown(), "finite numbers")?;
     check(points.first().is_some_and(|first| first[0] == 0.0), KEY, &shown(), "a first point at 0 N")?;
     check(points.is_sorted_by(|a, b| a[0] < b[0]), KEY, &shown(), "points with rising forces")?;
-    check(points.iter().all(|point| point[1] > 0.0), KEY, &shown(), "ratios above 0: no finger makes a plate swing up by itself")?;
+    check(
+        points.iter().all(|point| point[1] > 0.0),
+        KEY,
+        &shown(),
+        "ratios above 0: no finger makes a plate swing up by itself",
+    )?;
     let falls_at_the_end = matches!(points[..], [.., a, b] if b[1] < a[1]);
     check(!falls_at_the_end, KEY, &shown(), "a last segment that does not fall: it is extended to any force")?;
     Ok(points)
@@ -181,6 +186,12 @@ impl Plate {
     /// A finger changes σ and a temperature changes ω0, but not this.
     pub fn force_constant(&self) -> f64 {
         self.gain * 2.0 * self.sigma0 * self.omega0
+    }
+
+    /// Largest change of σ/σ0 per newton.
+    pub fn steepest_damping(&self) -> f64 {
+        let slopes = self.damping_ratio.windows(2).map(|pair| (pair[1][1] - pair[0][1]) / (pair[1][0] - pair[0][0]));
+        slopes.fold(0.0, |steepest, slope| slope.abs().max(steepest))
     }
 
     /// σ/σ0 under a finger force in N.
@@ -251,6 +262,7 @@ mod tests {
             assert!((plate.damping_ratio_at(force) - ratio).abs() < 1e-15, "{force} N");
         }
         let bent = Plate { damping_ratio: vec![[0.0, 1.0], [1.0, 3.0], [2.0, 4.0]], ..plate };
+        assert_eq!(bent.steepest_damping(), 2.0);
         for (force, ratio) in [(0.5, 2.0), (1.0, 3.0), (1.5, 3.5), (4.0, 6.0)] {
             assert!((bent.damping_ratio_at(force) - ratio).abs() < 1e-15, "{force} N");
         }

@@ -5,15 +5,16 @@ use crate::flow::{Flow, State, Tier};
 use crate::mode::{Conditions, Drive, Mode};
 use crate::profile::Profile;
 use crate::time::Time;
+use std::f64::consts::TAU;
 
-/// Bound on the error that freezing a varying mode per substep may cause, as a fraction of |W|.
+/// What freezing a varying mode per substep may cost, as a fraction of the amplitude that the drive would reach at resonance.
 ///
-/// Frozen at its midpoint over a substep h, a mode whose pole λ moves at the rate λ' leaves a relative error of `|λ'| h³ |λ| / 12`
-/// per substep (the first commutator of the Magnus series), which the plate forgets with 1/|λ|: `|λ'| h² / 12` in all.
-/// `docs/mathematics.md` derives it; the tests hold it against the reference integrator.
+/// A pole λ that moves at the rate λ' and is frozen at its midpoint over a substep h leaves an error of `λ' bV h³/12` (the first
+/// commutator of the Magnus series; the part of W itself comes out right), and the plate forgets with σ: `|λ'| h²/12 · bV/σ` in
+/// all. `docs/mathematics.md` derives it; the tests hold it against the reference integrator.
 const FREEZING_ERROR: f64 = 1e-7;
-/// A rate that would ask for more substeps than this per interval is a jump in all but name.
-const MOST_SUBSTEPS: f64 = 1e4;
+/// Seconds. A line that asks for shorter substeps is over within microseconds, a jump in all but name.
+const SHORTEST_SUBSTEP: f64 = 1e-7;
 /// Entering and leaving a band is looked for at this spacing, some fifteen points per period of the fast pole.
 const SCAN: u64 = 1_000;
 
@@ -39,10 +40,6 @@ impl Scene {
     pub fn next_point_after(&self, time: Time) -> Option<Time> {
         let points = [&self.temperature_offset_k, &self.finger_force_n].map(|profile| profile.next_point_after(time));
         points.into_iter().flatten().min()
-    }
-
-    fn varies_after(&self, time: Time) -> bool {
-        self.temperature_offset_k.varies_after(time) || self.finger_force_n.varies_after(time)
     }
 }
 
@@ -173,20 +170,31 @@ impl Plant {
     }
 
     /// Into how many substeps the interval from now to `end` has to be cut so that freezing the mode stays within
-    /// [`FREEZING_ERROR`].
+    /// [`FREEZING_ERROR`]. No profile has a point in between.
     fn substeps(&self, end: Time) -> u64 {
-        let span = end - self.time;
-        if !self.scene.varies_after(self.time) {
+        let rate = self.pole_rate();
+        if rate == 0.0 {
             return 1;
         }
-        // The largest of three slopes: the profiles are smooth between their points.
-        let instants = [self.time, self.time.midpoint(end), Time::from_nanos(end.as_nanos().saturating_sub(1))];
-        let modes = instants.map(|instant| self.mode_at(instant));
-        let change = |a: &Mode, b: &Mode| (b.sigma - a.sigma).hypot(b.omega0 - a.omega0);
-        let half = span.seconds() / 2.0;
-        let rate = (change(&modes[0], &modes[1]).max(change(&modes[1], &modes[2]))) / half;
-        let longest = (12.0 * FREEZING_ERROR / rate).sqrt();
-        (span.seconds() / longest).ceil().clamp(1.0, MOST_SUBSTEPS).min(span.as_nanos() as f64) as u64
+        let span = end - self.time;
+        let longest = (12.0 * FREEZING_ERROR / rate).sqrt().max(SHORTEST_SUBSTEP);
+        let mut substeps = (span.seconds() / longest).ceil().max(1.0);
+        if self.tier == Tier::Modal {
+            let turns = (self.mode_at(self.time).omega0 + self.drive.omega) * span.seconds() / TAU;
+            while kicks_in_step(turns / substeps) {
+                substeps += 1.0;
+            }
+        }
+        (substeps as u64).min(span.as_nanos())
+    }
+
+    /// Bound on |λ'| from now to the next point of a profile, rad/s².
+    fn pole_rate(&self) -> f64 {
+        let plate = &self.plate;
+        let [warming, pressing] = [&self.scene.temperature_offset_k, &self.scene.finger_force_n]
+            .map(|profile| profile.slope_after(self.time, 1.0 / plate.sigma0));
+        let damping = plate.sigma0 * plate.steepest_damping() * pressing;
+        damping.hypot(plate.omega0_per_k.abs() * warming + plate.omega0_per_n.abs() * pressing)
     }
 
     fn advance_frozen(&mut self, end: Time, watches: &[Watch], crossings: &mut Vec<Crossing>) {
@@ -209,6 +217,12 @@ impl Plant {
         self.state = flow.after(seconds);
         self.time = end;
     }
+}
+
+/// True where the fast pole makes nearly whole turns per substep: the steps between frozen modes would then kick it in phase, up to
+/// `|λ'|/(2ω0σ)` however short the substeps.
+fn kicks_in_step(turns: f64) -> bool {
+    turns > 0.75 && !(0.25..=0.75).contains(&turns.fract())
 }
 
 fn find_crossings(watch: &Watch, flow: &Flow, from: &State, start: Time, end: Time, found: &mut Vec<Crossing>) {

@@ -164,7 +164,8 @@ fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, ProfileError> {
         value: f64,
     }
     let with_path = |source| ProfileError::Csv { path: path.to_owned(), source };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path).map_err(with_path)?;
+    let mut reader =
+        csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path).map_err(with_path)?;
     reader.deserialize::<Row>().map(|row| row.map(|row| [row.t_ms, row.value]).map_err(with_path)).collect()
 }
 
@@ -206,21 +207,26 @@ impl Profile {
         }
     }
 
-    /// True where the value changes between `from` and the next point.
-    pub fn varies_after(&self, from: Time) -> bool {
+    /// Bound on the slope per second between `from` and the next point. For a curve, what its bend adds over a memory of `memory` s
+    /// is included: `|v'|` and `|v''| · memory/2` together.
+    pub fn slope_after(&self, from: Time, memory: f64) -> f64 {
         match self {
-            Self::Hold(_) => false,
-            Self::Linear(_) => self.next_point_after(from).is_some_and(|next| self.at(from) != self.at(next)),
-            Self::Sine { amplitude, .. } => *amplitude != 0.0,
+            Self::Hold(_) => 0.0,
+            Self::Linear(_) => self
+                .next_point_after(from)
+                .map_or(0.0, |next| ((self.at(next) - self.at(from)) / (next - from).seconds()).abs()),
+            Self::Sine { amplitude, omega, .. } => (amplitude * omega).abs() * 1.0_f64.hypot(omega * memory / 2.0),
         }
     }
 
     /// Smallest and largest value.
     pub fn range(&self) -> (f64, f64) {
         match self {
-            Self::Hold(points) | Self::Linear(points) => points
-                .iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, value)| (low.min(*value), high.max(*value))),
+            Self::Hold(points) | Self::Linear(points) => {
+                points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, value)| {
+                    (low.min(*value), high.max(*value))
+                })
+            }
             Self::Sine { mean, amplitude, .. } => (mean - amplitude.abs(), mean + amplitude.abs()),
         }
     }
@@ -253,7 +259,7 @@ mod tests {
         }
         assert_eq!(profile.next_point_after(ms(1.0)), Some(ms(2.0)));
         assert_eq!(profile.next_point_after(ms(2.0)), None);
-        assert!(!profile.varies_after(ms(0.0)));
+        assert_eq!(profile.slope_after(ms(0.0), 1.0), 0.0);
     }
 
     #[test]
@@ -262,7 +268,9 @@ mod tests {
         for (t, value) in [(0.0, 0.0), (20.0, 0.0), (70.0, 0.5), (120.0, 1.0), (130.0, 1.0)] {
             assert_eq!(profile.at(ms(t)), value, "at {t} ms");
         }
-        assert!(!profile.varies_after(ms(0.0)) && profile.varies_after(ms(20.0)) && !profile.varies_after(ms(120.0)));
+        for (t, slope) in [(0.0, 0.0), (20.0, 10.0), (119.0, 10.0), (120.0, 0.0)] {
+            assert!((profile.slope_after(ms(t), 1.0) - slope).abs() < 1e-9, "at {t} ms");
+        }
     }
 
     #[test]
@@ -271,6 +279,9 @@ mod tests {
         assert!((profile.at(Time::ZERO) - 1.5).abs() < 1e-15);
         assert!((profile.at(ms(250.0)) - 0.5).abs() < 1e-12);
         assert_eq!(profile.range(), (0.5, 1.5));
+        let slope = 0.5 * TAU * 2.0;
+        assert!((profile.slope_after(Time::ZERO, 0.0) - slope).abs() < 1e-12);
+        assert!((profile.slope_after(Time::ZERO, 1.0) - slope * 1.0_f64.hypot(TAU)).abs() < 1e-12);
     }
 
     #[rstest]

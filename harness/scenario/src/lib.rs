@@ -1,1 +1,25 @@
-//! x
+//! Scenarios: what is played to a controller and what is expected of it.
+//!
+//! * [`raw`]: the file as serde reads it; every key it may have.
+//! * [`load`]: raw to [`Scenario`], which cannot hold a wrong value; every rule that a file can break.
+//! * [`diagnostic`]: where a file is wrong and what was expected.
+//! * [`expect`]: metrics, limits, expectations.
+//! * [`variation`]: what differs from trial to trial.
+//! * [`find`]: which files a command line means.
+//!
+//! Nothing is run and nothing is judged here.
+
+pub mod diagnostic;
+pub mod expect;
+pub mod find;
+pub mod load;
+pub mod raw;
+mod scenario;
+pub mod variation;
+
+pub use diagnostic::Diagnostic;
+pub use expect::{Expectation, Limit, Metric, Window};
+pub use find::{Found, find};
+pub use load::load;
+pub use scenario::{Controller, Gains, Input, Scenario, Trials};
+pub use variation::{Spread, Variation};

@@ -1,1 +1,20 @@
-//! x
+//! From traces to verdicts.
+//!
+//! * [`metrics`]: numbers of one trial, off its trace alone.
+//! * [`feasibility`]: whether any controller could have met a demand.
+//! * [`statistics`]: intervals for what only many trials can tell.
+//! * [`judge`]: expectation to verdict.
+//! * [`record`]: what a run leaves behind in `run.json`.
+//!
+//! The definitions for users stand in `docs/verdicts.md`. A verdict depends on the scenario and the stored traces and on nothing else: no clock, no
+//! rig, no order of execution.
+
+pub mod feasibility;
+pub mod judge;
+pub mod metrics;
+pub mod record;
+pub mod statistics;
+
+pub use judge::{Judgement, TrialMeasures, judge, measure};
+pub use metrics::Measure;
+pub use record::{Cause, ExpectationRecord, RunRecord, ScenarioRecord, TrialRecord, Verdict};

@@ -40,7 +40,10 @@ fn every_question_is_answered_under_its_number() {
     let answers = say(&mut device, 0, &frame(77, Message::Hello));
     assert_eq!(answers, [Packet { sequence: 77, message: Message::Identity(IDENTITY) }]);
     let answers = say(&mut device, 0, &frame(78, Message::Safe));
-    assert!(matches!(answers[..], [Packet { sequence: 78, message: Message::Command(Command { state: State::Safe, .. }) }]));
+    assert!(matches!(
+        answers[..],
+        [Packet { sequence: 78, message: Message::Command(Command { state: State::Safe, .. }) }]
+    ));
 }
 
 #[test]

@@ -167,8 +167,7 @@ fn the_drive_keeps_to_its_limits() {
 
 #[test]
 fn given_gains_replace_the_design() {
-    let given =
-        platebench_wire::Gains { amplitude_kp: 10.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
+    let given = platebench_wire::Gains { amplitude_kp: 10.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
     let mut machine = Machine::new();
     let told = machine.configure(&Configure { gains: Some(given), ..CONFIGURE }).outcome;
     assert_eq!(told, Ok(given));

@@ -10,8 +10,11 @@ const GAINS: Gains = Gains { amplitude_kp: 1.0, amplitude_ki: -2.0, frequency_kp
 fn body_of(packet: &Packet) -> Vec<u8> {
     let mut reader = FrameReader::new();
     let frame = packet.encode();
-    let mut bodies =
-        frame.as_bytes().iter().filter_map(|&byte| reader.push(byte).map(|body| body.unwrap().to_vec())).collect::<Vec<_>>();
+    let mut bodies = frame
+        .as_bytes()
+        .iter()
+        .filter_map(|&byte| reader.push(byte).map(|body| body.unwrap().to_vec()))
+        .collect::<Vec<_>>();
     assert_eq!(bodies.len(), 1);
     bodies.remove(0)
 }
@@ -67,7 +70,8 @@ fn configure_is_fifty_six_bytes() {
         frequency_slew_hz: 100.0,
         gains: Some(GAINS),
     };
-    let head = "01 01 00 00 e8 03 00 00 90 f9 ec 01 00 00 00 3f 00 00 80 3e 00 00 00 40 00 00 61 44 00 00 48 43 00 00 c8 42";
+    let head =
+        "01 01 00 00 e8 03 00 00 90 f9 ec 01 00 00 00 3f 00 00 80 3e 00 00 00 40 00 00 61 44 00 00 48 43 00 00 c8 42";
     let gains = "00 00 80 3f 00 00 00 c0 00 00 00 3f 00 00 80 40";
     pinned(1, Message::Configure(configure), &std::format!("13 01 {head} {gains}"));
     let own_design = head.replacen("01 01", "01 00", 1);

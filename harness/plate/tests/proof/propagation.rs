@@ -1,0 +1,175 @@
+//! Constant parameters: each tier against the reference, and many steps against one.
+
+use crate::reference::{Carrier, HOLD, Random, SETPOINT, calm, distance, driven, paper_plate, state_at, surroundings};
+use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plant, Plate, Profile, Scene, State, Tier, Time};
+use rstest::rstest;
+
+fn calm_mode(plate: &Plate) -> Mode {
+    plate.mode(&Conditions::default())
+}
+
+/// Largest error over 40 control periods of 1 ms with random drives, and with random jumps of force and temperature if asked for.
+fn error_under_random_drives(seed: u64, detuning: f64, jumps: bool) -> f64 {
+    let plate = paper_plate();
+    let mut random = Random::new(seed);
+    let mut jumping = |high: f64| {
+        let points = (0..40)
+            .map(|period| (Time::from_nanos(period * 1_000_000), if jumps { random.between(0.0, high) } else { 0.0 }));
+        Profile::Hold(points.collect())
+    };
+    let scene = Scene { temperature_offset_k: jumping(9.0), finger_force_n: jumping(2.0) };
+    let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
+    let mut carrier = Carrier::at_rest(plate.omega0);
+    let mut worst = 0.0_f64;
+    for period in 1..=40 {
+        let mode = plant.mode_at(plant.time());
+        let omega = plate.omega0 + random.between(-detuning, detuning);
+        let drive = Drive { vpp: random.between(0.0, 800.0), omega };
+        plant.set_drive(drive);
+        let state = state_at(&mut plant, f64::from(period));
+        carrier.advance(1e-3, plate.force_constant(), &drive, &|_| (mode.sigma, mode.omega0));
+        worst = worst.max(distance(&state, &carrier.state(), plate.omega0));
+        for (ours, reference) in carrier.waveform_of(&state).into_iter().zip(carrier.waveform()) {
+            worst = worst.max((ours - reference).abs() / SETPOINT);
+        }
+    }
+    worst
+}
+
+#[rstest]
+#[case::near_resonance(1, 600.0, false)]
+#[case::far_off(2, 20_000.0, false)]
+#[case::jumping_surroundings(3, 600.0, true)]
+fn modal_is_the_reference(#[case] seed: u64, #[case] detuning: f64, #[case] jumps: bool) {
+    let error = error_under_random_drives(seed, detuning, jumps);
+    println!("modal against reference, 40 periods, ±{detuning} rad/s, jumps: {jumps}: {error:.1e}");
+    assert!(error <= 1e-10, "{error:e}");
+}
+
+/// The paper's plate, and one of quality 10⁶ that is still swinging after a minute.
+fn plate_with_quality(quality: Option<f64>) -> Plate {
+    let plate = paper_plate();
+    let sigma0 = quality.map_or(plate.sigma0, |quality| plate.omega0 / (2.0 * quality));
+    // The same N/m, so that amplitudes stay within reach.
+    Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate }
+}
+
+#[rstest]
+#[case::paper(None, 545.0, HOLD)]
+#[case::at_resonance(None, 0.0, HOLD)]
+#[case::quality_1e6(Some(1e6), 545.0, 100.0)]
+fn a_minute_in_steps_is_a_minute_at_once(
+    #[case] quality: Option<f64>,
+    #[case] detuning: f64,
+    #[case] vpp: f64,
+    #[values(Tier::Modal, Tier::Envelope)] tier: Tier,
+    #[values(false, true)] irregular: bool,
+) {
+    let plate = plate_with_quality(quality);
+    let drive = Drive { vpp, omega: plate.omega0 + detuning };
+    let whole = Flow::new(tier, &calm_mode(&plate), &drive, &State::default());
+    let mut plant = driven(&plate, &calm(), tier, drive);
+    let mut random = Random::new(4);
+    let end = Time::from_nanos(60_000_000_000);
+    let (mut worst, mut steps) = (0.0_f64, 0);
+    while plant.time() < end {
+        // From nanoseconds to some milliseconds, evenly in the logarithm, or 60 000 times 1 ms.
+        let step = if irregular { random.between(0.0, 16.0).exp() as u64 } else { 1_000_000 };
+        plant.advance((plant.time() + Time::from_nanos(step)).min(end), &[], &mut Vec::new());
+        worst = worst.max(distance(&plant.state(), &whole.after(plant.time().seconds()), plate.omega0));
+        steps += 1;
+    }
+    println!("{}, {steps} steps over 60 s, quality {quality:?}, {detuning} rad/s off: {worst:.1e}", tier.name());
+    assert!(worst <= 1e-9, "{worst:e}");
+    if quality.is_none() {
+        let rest = (plant.state().w - whole.rest()).norm() / SETPOINT;
+        println!("    distance from the steady state: {rest:.1e}");
+        assert!(rest <= 1e-12, "{rest:e}");
+    }
+}
+
+#[rstest]
+fn splitting_an_interval_changes_nothing(#[values(Tier::Modal, Tier::Envelope)] tier: Tier) {
+    let plate = paper_plate();
+    let mut random = Random::new(5);
+    let mut worst = 0.0_f64;
+    for _ in 0..200 {
+        let omega = plate.omega0 + random.between(-5000.0, 5000.0);
+        let drive = Drive { vpp: random.between(0.0, 800.0), omega };
+        let mode = plate.mode(&Conditions { temperature_offset_k: random.between(0.0, 9.0), finger_force_n: 1.0 });
+        let mut component = || Complex64::new(random.between(-2.0, 2.0), random.between(-2.0, 2.0));
+        let w = component();
+        let u = if tier == Tier::Modal { (component() + Complex64::I * w) * omega } else { Complex64::ZERO };
+        let mut state = State { w, u };
+        let flow = Flow::new(tier, &mode, &drive, &state);
+        let mut elapsed = 0.0;
+        while elapsed < 5e-3 {
+            let step = random.between(0.0, 2e-4);
+            state = Flow::new(tier, &mode, &drive, &state).after(step);
+            elapsed += step;
+        }
+        worst = worst.max(distance(&state, &flow.after(elapsed), omega));
+    }
+    println!("{}, 5 ms in some 50 random pieces against one: {worst:.1e}", tier.name());
+    assert!(worst <= 1e-12, "{worst:e}");
+}
+
+#[rstest]
+#[case::step(0.0, 3.5e-3, 4.5e-3)]
+#[case::detuned(545.0, 2.0e-3, 2.8e-3)]
+#[case::far(2000.0, 0.9e-2, 1.1e-2)]
+fn the_envelope_is_as_wrong_as_it_is_said_to_be(#[case] detuning: f64, #[case] least: f64, #[case] most: f64) {
+    let plate = paper_plate();
+    let drive = Drive { vpp: HOLD, omega: plate.omega0 + detuning };
+    let mut modal = driven(&plate, &calm(), Tier::Modal, drive);
+    let mut envelope = driven(&plate, &calm(), Tier::Envelope, drive);
+    let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
+    for period in 1..=40 {
+        let t = f64::from(period);
+        let exact = state_at(&mut modal, t).w;
+        worst = worst.max((exact - state_at(&mut envelope, t).w).norm());
+        largest = largest.max(exact.norm());
+    }
+    let (of_setpoint, of_amplitude) = (worst / SETPOINT, worst / largest);
+    println!(
+        "envelope against modal, {detuning} rad/s off: {of_setpoint:.2e} of the setpoint, {of_amplitude:.2e} of max |W|"
+    );
+    assert!((least..=most).contains(&of_setpoint), "{of_setpoint:e}");
+}
+
+#[test]
+fn u_and_not_the_derivative_of_w_outlives_a_frequency_step() {
+    let plate = paper_plate();
+    let mode = calm_mode(&plate);
+    let mut carrier = Carrier::at_rest(plate.omega0);
+    let (mut ours, mut theirs) = (State::default(), State::default());
+    let (mut our_error, mut their_error) = (0.0_f64, 0.0_f64);
+    let mut omega = plate.omega0;
+    for period in 0..40 {
+        let next = plate.omega0 + if period / 10 % 2 == 0 { 0.0 } else { 545.0 };
+        // W' continuous: W' = U − jωW, before and after.
+        theirs.u += Complex64::I * (next - omega) * theirs.w;
+        omega = next;
+        let drive = Drive { vpp: HOLD, omega };
+        ours = Flow::new(Tier::Modal, &mode, &drive, &ours).after(1e-3);
+        theirs = Flow::new(Tier::Modal, &mode, &drive, &theirs).after(1e-3);
+        carrier.advance(1e-3, plate.force_constant(), &drive, &|_| (mode.sigma, mode.omega0));
+        our_error = our_error.max((ours.w - carrier.state().w).norm() / SETPOINT);
+        their_error = their_error.max((theirs.w - carrier.state().w).norm() / SETPOINT);
+    }
+    println!("frequency steps of 545 rad/s: {our_error:.1e} with U continuous, {their_error:.1e} with W' continuous");
+    assert!(our_error <= 1e-10, "{our_error:e}");
+    assert!((0.5e-3..=2e-3).contains(&their_error), "{their_error:e}");
+}
+
+#[rstest]
+fn actuating_moves_nothing(#[values(Tier::Modal, Tier::Envelope)] tier: Tier) {
+    let plate = paper_plate();
+    let mut plant = driven(&plate, &surroundings(3.0, 1.0), tier, Drive { vpp: HOLD, omega: plate.omega0 });
+    let before = state_at(&mut plant, 3.0);
+    plant.set_drive(Drive { vpp: 10.0, omega: plate.omega0 - 300.0 });
+    assert_eq!(plant.state(), before);
+    // Backwards is nowhere.
+    plant.advance(Time::from_ms(1.0).unwrap(), &[], &mut Vec::new());
+    assert_eq!((plant.time(), plant.state()), (Time::from_ms(3.0).unwrap(), before));
+}

@@ -1,0 +1,96 @@
+//! Where a file is wrong and what was expected, shown with the line itself.
+
+use annotate_snippets::{AnnotationKind, Level, Renderer, Snippet};
+use std::fmt;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use toml::de::{DeTable, DeValue};
+
+/// One fault of an input file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Diagnostic {
+    /// The file.
+    pub path: PathBuf,
+    /// Its text; empty where it could not be read.
+    source: String,
+    /// Bytes of the text that are meant.
+    span: Range<usize>,
+    /// What is wrong and what was expected, in one sentence.
+    pub message: String,
+}
+
+impl Diagnostic {
+    /// A fault of a file as a whole, such as that it is not there.
+    pub fn of_file(path: &Path, message: impl Into<String>) -> Self {
+        Self { path: path.to_owned(), source: String::new(), span: 0..0, message: message.into() }
+    }
+
+    /// A fault at a byte range of `source`.
+    pub fn at_span(path: &Path, source: &str, span: Range<usize>, message: impl Into<String>) -> Self {
+        Self { path: path.to_owned(), source: source.to_owned(), span, message: message.into() }
+    }
+
+    /// A fault of the value at a dotted `key` of a TOML document, with array elements by number: `expect.0.metric`. Where the
+    /// key is not there, its nearest parent is meant.
+    pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
+        Self::at_span(path, source, span_of_key(source, key), message)
+    }
+
+    pub(crate) fn of_toml(path: &Path, source: &str, error: &toml::de::Error) -> Self {
+        let span = error.span().unwrap_or(0..0);
+        Self::at_span(path, source, span, error.message().trim())
+    }
+
+    /// Line and column of the fault, both counted from 1, columns in characters.
+    pub fn position(&self) -> (usize, usize) {
+        let before = self.source.get(..self.span.start).unwrap_or_default();
+        let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
+        let column = before.get(line_start..).unwrap_or_default().chars().count() + 1;
+        (before.matches('\n').count() + 1, column)
+    }
+
+    /// The fault with the line it stands in, marked; in colour where `colour` is set.
+    pub fn render(&self, colour: bool) -> String {
+        let path = self.path.display().to_string();
+        if self.source.is_empty() {
+            return format!("error: {path}: {}", self.message);
+        }
+        let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
+        // An empty span would not be drawn.
+        let span = self.span.start..self.span.end.max(self.span.start + 1).min(self.source.len().max(1));
+        let annotation = AnnotationKind::Primary.span(span);
+        let snippet = Snippet::source(&self.source).path(path).annotation(annotation);
+        renderer.render(&[Level::ERROR.primary_title(&self.message).element(snippet)])
+    }
+}
+
+impl fmt::Display for Diagnostic {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (line, column) = self.position();
+        write!(formatter, "{}:{line}:{column}: {}", self.path.display(), self.message)
+    }
+}
+
+impl std::error::Error for Diagnostic {}
+
+fn span_of_key(source: &str, key: &str) -> Range<usize> {
+    let Ok(document) = DeTable::parse(source) else { return 0..0 };
+    let mut span = 0..0;
+    let mut names = key.split('.');
+    let first = names.next().unwrap_or_default();
+    let Some(mut value) = document.get_ref().get(first) else { return span };
+    span = value.span();
+    for name in names {
+        let next = match value.get_ref() {
+            DeValue::Table(table) => table.get(name),
+            DeValue::Array(array) => name.parse::<usize>().ok().and_then(|index| array.get(index)),
+            _ => None,
+        };
+        match next {
+            Some(next) => value = next,
+            None => break,
+        }
+        span = value.span();
+    }
+    span
+}

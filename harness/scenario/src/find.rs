@@ -1,0 +1,102 @@
+//! Which scenario files a command line means.
+
+use crate::diagnostic::Diagnostic;
+use crate::load::load;
+use crate::scenario::Scenario;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Folders that hold other things than scenarios.
+const OTHER_FOLDERS: [&str; 2] = ["plates", "baselines"];
+/// Scenarios are called by their path below a folder of this name.
+const ROOT: &str = "scenarios";
+
+/// What was found.
+#[derive(Debug)]
+pub struct Found {
+    /// The scenarios, by name.
+    pub scenarios: Vec<Scenario>,
+    /// Scenarios that show a limit and were left out because neither they nor their own folder were named.
+    pub left_out: Vec<String>,
+}
+
+/// Loads every scenario that `arguments` name: files as they are, folders with everything below them.
+///
+/// A scenario with `expected_exit` is meant to end otherwise than in a pass; it is only taken where it or its own folder is named.
+///
+/// # Errors
+/// Every [`Diagnostic`] of every file, so that all can be mended at once.
+pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
+    let mut faults = Vec::new();
+    // By canonical path: a file that is named twice is played once.
+    let mut files: BTreeMap<PathBuf, (PathBuf, String, bool)> = BTreeMap::new();
+    for argument in arguments {
+        for path in files_below(argument, &mut faults) {
+            let own = path == *argument || path.parent() == Some(argument.as_path());
+            let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
+            let name = name_of(&canonical, argument);
+            let entry = files.entry(canonical).or_insert((path, name, own));
+            entry.2 |= own;
+        }
+    }
+    let mut found = Found { scenarios: Vec::new(), left_out: Vec::new() };
+    for (path, name, own) in files.into_values() {
+        match load(&path, &name) {
+            Ok(scenario) if scenario.expected_exit.is_some() && !own => found.left_out.push(name),
+            Ok(scenario) => found.scenarios.push(scenario),
+            Err(fault) => faults.push(fault),
+        }
+    }
+    found.scenarios.sort_by(|a, b| a.file.cmp(&b.file));
+    for pair in found.scenarios.windows(2) {
+        if let [first, second] = pair
+            && first.file == second.file
+        {
+            faults.push(second.diagnose("title", format!("two scenarios would be filed as {}", first.file)));
+        }
+    }
+    if faults.is_empty() { Ok(found) } else { Err(faults) }
+}
+
+fn files_below(argument: &Path, faults: &mut Vec<Diagnostic>) -> Vec<PathBuf> {
+    if !argument.is_dir() {
+        return vec![argument.to_owned()];
+    }
+    let entries = match fs::read_dir(argument).and_then(Iterator::collect::<Result<Vec<_>, _>>) {
+        Ok(entries) => entries,
+        Err(error) => {
+            faults.push(Diagnostic::of_file(argument, format!("cannot be read: {error}")));
+            return Vec::new();
+        }
+    };
+    let mut files = Vec::new();
+    for path in entries.into_iter().map(|entry| entry.path()) {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if path.is_dir() {
+            if !OTHER_FOLDERS.contains(&&*name) && !name.starts_with('.') {
+                files.extend(files_below(&path, faults));
+            }
+        } else if path.extension().is_some_and(|extension| extension == "toml") && !name.starts_with('.') {
+            files.push(path);
+        }
+    }
+    files
+}
+
+/// What a scenario is called in records: its path below the nearest folder called `scenarios`, else below the folder that was
+/// named, else its file name.
+fn name_of(path: &Path, argument: &Path) -> String {
+    let components: Vec<_> = path.components().map(|component| component.as_os_str().to_string_lossy()).collect();
+    if let Some(root) = components.iter().rposition(|component| component == ROOT) {
+        return components.get(root + 1..).unwrap_or_default().join("/");
+    }
+    let below = fs::canonicalize(argument).ok().filter(|folder| folder.is_dir());
+    let relative = below.and_then(|folder| path.strip_prefix(folder).ok().map(Path::to_path_buf));
+    match relative {
+        Some(relative) => {
+            relative.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
+        }
+        None => components.last().map(ToString::to_string).unwrap_or_default(),
+    }
+}

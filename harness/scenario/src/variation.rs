@@ -1,0 +1,113 @@
+//! What differs from trial to trial: a plate and a sensor that are never quite the nominal ones.
+
+use crate::scenario::Scenario;
+use platebench_plate::{Plant, Plate, Profile, Scene, Sensor};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// Standard deviations from trial to trial.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Spread {
+    /// Of the plate's gain K1, percent.
+    pub gain_percent: f64,
+    /// Of the plate's time constant, percent.
+    pub time_constant_percent: f64,
+    /// Of the sensor's gain, percent.
+    pub sensor_gain_percent: f64,
+    /// Of the temperature, kelvin.
+    pub temperature_k: f64,
+}
+
+/// A stream of the generator apart from the sensor's noise, so that one can be switched off without changing the other.
+const STREAM: u64 = 1;
+/// A drawn factor is kept within this much of one, far outside what a permitted spread draws.
+const LARGEST_DEVIATION: f64 = 0.9;
+
+/// One trial's plate, sensor and temperature, drawn from its seed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Variation {
+    /// Seed of the trial.
+    pub seed: u64,
+    /// Factor on K1.
+    pub gain: f64,
+    /// Factor on τ.
+    pub time_constant: f64,
+    /// Factor on what the sensor shows.
+    pub sensor_gain: f64,
+    /// Kelvin on top of the profile.
+    pub temperature_k: f64,
+}
+
+impl Variation {
+    /// Draws from normal distributions. The same seed gives the same trial.
+    pub fn draw(spread: &Spread, seed: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        random.set_stream(STREAM);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
+        let mut factor = |percent: f64| 1.0 + (normal() * percent / 100.0).clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION);
+        Self {
+            seed,
+            gain: factor(spread.gain_percent),
+            time_constant: factor(spread.time_constant_percent),
+            sensor_gain: factor(spread.sensor_gain_percent),
+            temperature_k: normal() * spread.temperature_k,
+        }
+    }
+
+    /// The plate of this trial.
+    pub fn plate(&self, nominal: &Plate) -> Plate {
+        Plate { gain: nominal.gain * self.gain, sigma0: nominal.sigma0 / self.time_constant, ..nominal.clone() }
+    }
+
+    /// The plate of this trial at rest at the start of the scenario.
+    pub fn plant(&self, scenario: &Scenario) -> Plant {
+        let scene = Scene {
+            temperature_offset_k: shifted(&scenario.scene.temperature_offset_k, self.temperature_k),
+            finger_force_n: scenario.scene.finger_force_n.clone(),
+        };
+        Plant::new(self.plate(&scenario.plate), scene, scenario.tier)
+    }
+
+    /// The sensor of this trial.
+    pub fn sensor(&self, scenario: &Scenario) -> Sensor {
+        Sensor::new(self.sensor_gain, scenario.plate.noise_um_rms, self.seed)
+    }
+}
+
+fn shifted(profile: &Profile, by: f64) -> Profile {
+    let moved = |points: &[_]| points.iter().map(|(time, value)| (*time, value + by)).collect();
+    match profile {
+        Profile::Hold(points) => Profile::Hold(moved(points)),
+        Profile::Linear(points) => Profile::Linear(moved(points)),
+        Profile::Sine { mean, amplitude, omega, phase } => {
+            Profile::Sine { mean: mean + by, amplitude: *amplitude, omega: *omega, phase: *phase }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn draws_have_their_deviation_and_follow_their_seed() {
+        let spread = Spread { sensor_gain_percent: 1.2, temperature_k: 0.5, ..Spread::default() };
+        let trials: Vec<_> = (0..10_000).map(|seed| Variation::draw(&spread, seed)).collect();
+        let deviation = |of: fn(&Variation) -> f64| {
+            (trials.iter().map(|trial| of(trial).powi(2)).sum::<f64>() / trials.len() as f64).sqrt()
+        };
+        // Three standard errors of a standard deviation over 10 000 draws: 2.1 %.
+        assert!((deviation(|trial| trial.sensor_gain - 1.0) / 0.012 - 1.0).abs() < 0.021);
+        assert!((deviation(|trial| trial.temperature_k) / 0.5 - 1.0).abs() < 0.021);
+        assert!(trials.iter().all(|trial| trial.gain == 1.0 && trial.time_constant == 1.0));
+        assert_eq!(trials[7], Variation::draw(&spread, 7));
+    }
+
+    #[test]
+    fn one_spread_does_not_move_another() {
+        let only = Variation::draw(&Spread { sensor_gain_percent: 1.0, ..Spread::default() }, 3);
+        let both = Variation::draw(&Spread { sensor_gain_percent: 1.0, gain_percent: 5.0, ..Spread::default() }, 3);
+        assert_eq!(only.sensor_gain, both.sensor_gain);
+    }
+}

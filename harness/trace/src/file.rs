@@ -1,0 +1,194 @@
+//! Traces in files.
+
+use crate::row::{COLUMNS, Row};
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a trace was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum TraceError {
+    /// The file cannot be opened or read.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file is not a trace.
+    #[error("{}:{line}: {message}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// Counted from 1.
+        line: u64,
+        /// What is wrong and what was expected.
+        message: String,
+    },
+}
+
+/// Writes a trace under a provisional name that [`Writer::finish`] turns into the final one, so that a file of that name is always
+/// whole.
+#[derive(Debug)]
+pub struct Writer {
+    rows: csv::Writer<File>,
+    provisional: PathBuf,
+    path: PathBuf,
+}
+
+impl Writer {
+    /// Starts the trace at `path`, whose folder must be there.
+    ///
+    /// # Errors
+    /// [`TraceError::Io`] where the file cannot be created.
+    pub fn create(path: &Path) -> Result<Self, TraceError> {
+        let provisional = path.with_extension("csv.part");
+        let file = File::create(&provisional).map_err(|source| TraceError::Io { path: provisional.clone(), source })?;
+        Ok(Self { rows: csv::Writer::from_writer(file), provisional, path: path.to_owned() })
+    }
+
+    /// Appends a row.
+    ///
+    /// # Errors
+    /// [`TraceError::Io`] where the file cannot be written.
+    pub fn write(&mut self, row: &Row) -> Result<(), TraceError> {
+        self.rows.serialize(row).map_err(|error| self.failed(error.into()))
+    }
+
+    /// Gives the trace its final name.
+    ///
+    /// # Errors
+    /// [`TraceError::Io`] where the file cannot be written or renamed.
+    pub fn finish(mut self) -> Result<(), TraceError> {
+        self.rows.flush().and_then(|()| fs::rename(&self.provisional, &self.path)).map_err(|source| self.failed(source))
+    }
+
+    fn failed(&self, source: io::Error) -> TraceError {
+        TraceError::Io { path: self.path.clone(), source }
+    }
+}
+
+/// Reads a whole trace: at least one row, times that do not fall, every number finite.
+///
+/// # Errors
+/// [`TraceError`] with the file and the line.
+pub fn read(path: &Path) -> Result<Vec<Row>, TraceError> {
+    let file = File::open(path).map_err(|source| TraceError::Io { path: path.to_owned(), source })?;
+    let refuse = |line: u64, message: String| TraceError::Content { path: path.to_owned(), line, message };
+    let refused = |error: csv::Error| match error.kind() {
+        csv::ErrorKind::Io(io_error) => {
+            TraceError::Io { path: path.to_owned(), source: io::Error::new(io_error.kind(), error.to_string()) }
+        }
+        _ => refuse(error.position().map_or(1, csv::Position::line), error.to_string()),
+    };
+    let mut reader = csv::Reader::from_reader(file);
+    let header = reader.headers().map_err(refused)?;
+    if header.iter().ne(COLUMNS) {
+        let found = header.iter().collect::<Vec<_>>().join(",");
+        return Err(refuse(1, format!("columns `{found}`, expected `{}`", COLUMNS.join(","))));
+    }
+    let mut rows: Vec<Row> = Vec::new();
+    let mut record = csv::StringRecord::new();
+    while reader.read_record(&mut record).map_err(refused)? {
+        let line = record.position().map_or(0, csv::Position::line);
+        let row: Row = record.deserialize(None).map_err(|error| refuse(line, error.to_string()))?;
+        let numbers = record.iter().zip(COLUMNS).take(COLUMNS.len() - 1);
+        for (text, column) in numbers {
+            if !text.parse::<f64>().is_ok_and(f64::is_finite) {
+                return Err(refuse(line, format!("`{column}` is {text}, expected a finite number")));
+            }
+        }
+        if rows.last().is_some_and(|before| before.t_s > row.t_s) {
+            return Err(refuse(
+                line,
+                format!("`t_s` is {}, expected a time that is not before the row above", row.t_s),
+            ));
+        }
+        rows.push(row);
+    }
+    if rows.is_empty() { Err(refuse(2, "no rows, expected at least one".to_owned())) } else { Ok(rows) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::row::Flags;
+    use proptest::prelude::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    /// A file of its own for each call; removed by the test that it is given to.
+    fn fresh() -> PathBuf {
+        static COUNT: AtomicUsize = AtomicUsize::new(0);
+        let number = COUNT.fetch_add(1, Ordering::Relaxed);
+        std::env::temp_dir().join(format!("platebench-trace-{}-{number}.csv", std::process::id()))
+    }
+
+    fn round_trip(rows: &[Row]) -> (String, Vec<Row>) {
+        let path = fresh();
+        let mut writer = Writer::create(&path).unwrap();
+        for row in rows {
+            writer.write(row).unwrap();
+        }
+        assert!(!path.exists(), "not under its final name before it is whole");
+        writer.finish().unwrap();
+        let result = (fs::read_to_string(&path).unwrap(), read(&path).unwrap());
+        fs::remove_file(&path).unwrap();
+        result
+    }
+
+    fn refusal(text: &str) -> String {
+        let path = fresh();
+        fs::write(&path, text).unwrap();
+        let error = read(&path).unwrap_err().to_string();
+        fs::remove_file(&path).unwrap();
+        error.rsplit_once(".csv").unwrap().1.to_owned()
+    }
+
+    #[test]
+    fn the_layout_is_the_documented_one() {
+        let row = Row {
+            t_s: 0.00105,
+            setpoint_um: 2.0,
+            wq_um: -1e-9,
+            drive_vpp: 551.25,
+            flags: Flags::CONTROL | Flags::LINK_LOST,
+            ..Row::default()
+        };
+        let (text, _) = round_trip(&[row, Row { t_s: 1.0, ..Row::default() }]);
+        assert_eq!(
+            text,
+            "t_s,setpoint_um,wd_um,wq_um,amplitude_um,drive_vpp,frequency_hz,resonance_hz,temperature_offset_k,\
+             finger_force_n,sensed_wd_um,sensed_wq_um,lateness_us,flags\n\
+             0.00105,2.0,0.0,-1e-9,0.0,551.25,0.0,0.0,0.0,0.0,0.0,0.0,0.0,control|link-lost\n\
+             1.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,\n"
+        );
+    }
+
+    #[test]
+    fn what_is_not_a_trace_is_refused_with_its_line() {
+        let header = COLUMNS.join(",");
+        let zeros = "0,0,0,0,0,0,0,0,0,0,0,0,0,";
+        assert!(refusal("").starts_with(":1: columns ``, expected `t_s,"));
+        assert!(refusal(&format!("{}\n", header.replace("wq_um", "w_q"))).starts_with(":1: columns `t_s,"));
+        assert!(refusal(&format!("{header}\n")).starts_with(":2: no rows"));
+        assert!(refusal(&format!("{header}\n{zeros}\n0,0\n")).starts_with(":3: "));
+        assert!(refusal(&format!("{header}\n{zeros}\n0,x{zeros}\n")).starts_with(":3: "));
+        assert!(refusal(&format!("{header}\n0,NaN,0,0,0,0,0,0,0,0,0,0,0,\n")).contains(":2: `setpoint_um` is NaN"));
+        assert!(refusal(&format!("{header}\n{zeros}late\n")).contains("unknown flag `late`"));
+        assert!(refusal(&format!("{header}\n1{zeros}\n{zeros}\n").replace("10,", "1,")).contains(":3: `t_s` is 0"));
+        assert!(read(Path::new("/no/such/trace.csv")).unwrap_err().to_string().starts_with("/no/such/trace.csv: "));
+    }
+
+    proptest! {
+        #[test]
+        fn every_double_comes_back(bits in proptest::collection::vec(any::<f64>().prop_filter("finite", |x| x.is_finite()), 12), flags in 0_u8..32) {
+            let row = Row {
+                t_s: 0.0, setpoint_um: bits[0], wd_um: bits[1], wq_um: bits[2], amplitude_um: bits[3], drive_vpp: bits[4],
+                frequency_hz: bits[5], resonance_hz: bits[6], temperature_offset_k: bits[7], finger_force_n: bits[8],
+                sensed_wd_um: bits[9], sensed_wq_um: bits[10], lateness_us: bits[11], flags: Flags::from_bits_truncate(flags),
+            };
+            prop_assert_eq!(round_trip(&[row]).1, [row]);
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! One row of a trace, and its columns by name.
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+bitflags::bitflags! {
+    /// What else there is to say about a row.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub struct Flags: u8 {
+        /// A control instant: the controller was given this state.
+        const CONTROL = 1;
+        /// The drive is at the amplifier's limit.
+        const SATURATED = 1 << 1;
+        /// The bench was too late for this instant.
+        const OVERRUN = 1 << 2;
+        /// No answer came; the last drive is held.
+        const LINK_LOST = 1 << 3;
+        /// The controller is not running: 0 V.
+        const SAFE = 1 << 4;
+    }
+}
+
+const NAMES: [(Flags, &str); 5] = [
+    (Flags::CONTROL, "control"),
+    (Flags::SATURATED, "saturated"),
+    (Flags::OVERRUN, "overrun"),
+    (Flags::LINK_LOST, "link-lost"),
+    (Flags::SAFE, "safe"),
+];
+
+impl Serialize for Flags {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let names: Vec<_> = NAMES.iter().filter(|(flag, _)| self.contains(*flag)).map(|(_, name)| *name).collect();
+        serializer.serialize_str(&names.join("|"))
+    }
+}
+
+impl<'de> Deserialize<'de> for Flags {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        text.split('|').filter(|name| !name.is_empty()).try_fold(Self::empty(), |flags, name| {
+            let known = NAMES.iter().find(|(_, known)| *known == name);
+            known.map(|(flag, _)| flags | *flag).ok_or_else(|| {
+                serde::de::Error::custom(format!(
+                    "unknown flag `{name}`, expected a |-separated set of control, saturated, overrun, link-lost, safe"
+                ))
+            })
+        })
+    }
+}
+
+/// The state of a trial at an instant. Amplitudes and voltages are peak to peak.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
+pub struct Row {
+    /// Seconds since the start of the trial.
+    pub t_s: f64,
+    /// Wished amplitude, µm.
+    pub setpoint_um: f64,
+    /// In-phase component of the plate's vibration, µm.
+    pub wd_um: f64,
+    /// Quadrature component, µm.
+    pub wq_um: f64,
+    /// |W|, µm.
+    pub amplitude_um: f64,
+    /// Drive from here on, Vpp.
+    pub drive_vpp: f64,
+    /// Excitation frequency from here on, Hz.
+    pub frequency_hz: f64,
+    /// The plate's true resonance ω0/2π, Hz.
+    pub resonance_hz: f64,
+    /// Kelvin above the plate's reference temperature.
+    pub temperature_offset_k: f64,
+    /// Normal force of the finger, N.
+    pub finger_force_n: f64,
+    /// In-phase component that the controller was last given, µm.
+    pub sensed_wd_um: f64,
+    /// Quadrature component that the controller was last given, µm.
+    pub sensed_wq_um: f64,
+    /// How late the bench was at this instant, µs.
+    pub lateness_us: f64,
+    /// See [`Flags`].
+    pub flags: Flags,
+}
+
+/// The columns of a trace, in order.
+pub const COLUMNS: [&str; 14] = [
+    "t_s",
+    "setpoint_um",
+    "wd_um",
+    "wq_um",
+    "amplitude_um",
+    "drive_vpp",
+    "frequency_hz",
+    "resonance_hz",
+    "temperature_offset_k",
+    "finger_force_n",
+    "sensed_wd_um",
+    "sensed_wq_um",
+    "lateness_us",
+    "flags",
+];
+
+/// A column that is measured in µm like the setpoint, and can therefore be held against it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Column {
+    /// `amplitude_um`
+    Amplitude,
+    /// `wd_um`
+    Wd,
+    /// `wq_um`
+    Wq,
+    /// `sensed_wd_um`
+    SensedWd,
+    /// `sensed_wq_um`
+    SensedWq,
+}
+
+impl Column {
+    /// Every such column.
+    pub const ALL: [Self; 5] = [Self::Amplitude, Self::Wd, Self::Wq, Self::SensedWd, Self::SensedWq];
+
+    /// The column's name in the header.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Amplitude => "amplitude_um",
+            Self::Wd => "wd_um",
+            Self::Wq => "wq_um",
+            Self::SensedWd => "sensed_wd_um",
+            Self::SensedWq => "sensed_wq_um",
+        }
+    }
+
+    /// The column's value in a row.
+    pub const fn of(self, row: &Row) -> f64 {
+        match self {
+            Self::Amplitude => row.amplitude_um,
+            Self::Wd => row.wd_um,
+            Self::Wq => row.wq_um,
+            Self::SensedWd => row.sensed_wd_um,
+            Self::SensedWq => row.sensed_wq_um,
+        }
+    }
+}

@@ -1,0 +1,224 @@
+//! Numbers of one trial, off its trace alone.
+//!
+//! The runner puts a row on each side of every crossing of an expected band, found on the continuous solution; between rows the plate's signals are
+//! taken as straight, which then moves a settling time by less than a nanosecond. For a band that the run did not know of it moves by some
+//! microseconds at the default row spacing.
+
+use platebench_plate::Time;
+use platebench_scenario::{Expectation, Metric, Window};
+use platebench_trace::{Column, Flags, Row};
+
+/// What a metric came to in a trial.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Measure {
+    /// A number. The static error carries its sign here: mean − setpoint.
+    Value(f64),
+    /// There is none, and that is the controller's failure: it never settled.
+    Missing(&'static str),
+    /// There is none, because the trial does not have what the metric is about.
+    Undefined(&'static str),
+}
+
+impl Measure {
+    /// The number, if there is one.
+    pub fn value(&self) -> Option<f64> {
+        match self {
+            Self::Value(value) => Some(*value),
+            Self::Missing(_) | Self::Undefined(_) => None,
+        }
+    }
+}
+
+/// The metric of `expectation` in a trial. [`Metric::Repeatability`] gives the trial's contribution: its window mean over the setpoint, in percent.
+pub fn measure(expectation: &Expectation, rows: &[Row], loop_delay: Time) -> Measure {
+    let Some(last) = rows.last() else { return Measure::Undefined("the trace is empty") };
+    let signal = Signal::named(expectation.signal);
+    match expectation.metric {
+        Metric::SettlingTime => settling_time(expectation, signal, rows),
+        Metric::RecoveryTime => recovery_time(expectation, signal, rows),
+        Metric::Overshoot => overshoot(expectation, signal, rows),
+        Metric::PeakDeviation => peak_deviation(expectation, signal, rows),
+        Metric::StaticError => window_ratio(signal, &expectation.window, rows).map_or_else(
+            || Measure::Undefined("the setpoint is 0 in the window"),
+            |ratio| Measure::Value((ratio - 1.0) * 100.0),
+        ),
+        Metric::Repeatability => window_ratio(signal, &expectation.window, rows).map_or_else(
+            || Measure::Undefined("the setpoint is 0 in the window"),
+            |ratio| Measure::Value(ratio * 100.0),
+        ),
+        Metric::FrequencyError => Measure::Value((last.frequency_hz - last.resonance_hz).abs()),
+        Metric::QuadratureRatio if last.wd_um == 0.0 => Measure::Undefined("Wd is 0 at the end"),
+        Metric::QuadratureRatio => Measure::Value((last.wq_um / last.wd_um).abs()),
+        Metric::FinalAmplitude => Measure::Value(last.amplitude_um),
+        Metric::DrivePeak => Measure::Value(rows.iter().map(|row| row.drive_vpp).fold(0.0, f64::max)),
+        Metric::Saturated => Measure::Value(flagged_share(rows, Flags::SATURATED) * 100.0),
+        Metric::LoopDelay => Measure::Value(loop_delay.seconds() * 1e6),
+        Metric::Overruns => Measure::Value(rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN)).count() as f64),
+    }
+}
+
+/// A column with its behaviour between rows.
+#[derive(Clone, Copy)]
+struct Signal {
+    column: Column,
+    /// The plate moves on between rows; what the controller was given stays.
+    held: bool,
+}
+
+impl Signal {
+    fn named(name: &str) -> Self {
+        let column = Column::ALL.into_iter().find(|column| column.name() == name).unwrap_or(Column::Amplitude);
+        Self { column, held: matches!(column, Column::SensedWd | Column::SensedWq) }
+    }
+
+    fn of(self, row: &Row) -> f64 {
+        self.column.of(row)
+    }
+
+    fn is_outside(self, row: &Row, expectation: &Expectation) -> bool {
+        let (low, high) = expectation.band(row.setpoint_um);
+        !(low..=high).contains(&self.of(row))
+    }
+}
+
+/// Index of each row at which the setpoint starts to move; a constant one moves at the start, unless it is 0.
+pub(crate) fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
+    let mut steps = Vec::new();
+    let mut moving = false;
+    let mut before = 0.0;
+    for (index, row) in rows.iter().enumerate() {
+        let moves = row.setpoint_um != before;
+        // A ramp moves from row to row and is one step.
+        if moves && !moving {
+            steps.push(index);
+        }
+        // Several rows may share the instant of a step; they do not end it.
+        if rows.get(index + 1).is_none_or(|next| next.t_s > row.t_s) {
+            moving = moves;
+        }
+        before = row.setpoint_um;
+    }
+    steps
+}
+
+/// The rows from the setpoint step that `from` asks for up to the next one, and the setpoint before it.
+fn after_step<'a>(expectation: &Expectation, rows: &'a [Row]) -> Option<(&'a [Row], f64)> {
+    let steps = setpoint_steps(rows);
+    let chosen = match expectation.from {
+        None => 0,
+        Some(from) => {
+            let passed = steps.partition_point(|&step| rows.get(step).is_some_and(|row| row.t_s <= from.seconds()));
+            passed.saturating_sub(1)
+        }
+    };
+    let start = *steps.get(chosen)?;
+    let end = steps.get(chosen + 1).copied().unwrap_or(rows.len());
+    let before = start.checked_sub(1).and_then(|index| rows.get(index)).map_or(0.0, |row| row.setpoint_um);
+    rows.get(start..end).map(|part| (part, before))
+}
+
+/// Seconds at which the signal enters the band for the last time; `None` where it ends outside.
+fn last_entry(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Option<f64> {
+    let Some(outside) = rows.iter().rposition(|row| signal.is_outside(row, expectation)) else {
+        return rows.first().map(|row| row.t_s);
+    };
+    let (left, entered) = (rows.get(outside)?, rows.get(outside + 1)?);
+    if signal.held {
+        return Some(entered.t_s);
+    }
+    let (low, high) = expectation.band(entered.setpoint_um);
+    let (from, to) = (signal.of(left), signal.of(entered));
+    let edge = if from < low { low } else { high };
+    // A setpoint that steps to where the signal already is leaves nothing to interpolate.
+    let share = if from == to { 1.0 } else { ((edge - from) / (to - from)).clamp(0.0, 1.0) };
+    Some(left.t_s + (entered.t_s - left.t_s) * share)
+}
+
+fn settling_time(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Measure {
+    let Some((rows, _)) = after_step(expectation, rows) else {
+        return Measure::Undefined("the setpoint never steps");
+    };
+    let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return Measure::Undefined("no rows") };
+    if last.setpoint_um == 0.0 {
+        return Measure::Undefined("a setpoint of 0 has no band");
+    }
+    match last_entry(expectation, signal, rows) {
+        Some(entry) => Measure::Value((entry - first.t_s) * 1e3),
+        None => Measure::Missing("never stays inside the band"),
+    }
+}
+
+fn recovery_time(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Measure {
+    let from = expectation.from.unwrap_or(Time::ZERO).seconds();
+    let start = rows.partition_point(|row| row.t_s < from);
+    let steps = setpoint_steps(rows);
+    let end = steps.into_iter().find(|&step| step > start).unwrap_or(rows.len());
+    let rows = rows.get(start..end).unwrap_or_default();
+    if rows.last().is_none_or(|row| row.setpoint_um == 0.0) {
+        return Measure::Undefined("no setpoint to recover to");
+    }
+    match last_entry(expectation, signal, rows) {
+        Some(entry) => Measure::Value((entry - from).max(0.0) * 1e3),
+        None => Measure::Missing("never stays inside the band again"),
+    }
+}
+
+fn overshoot(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Measure {
+    let Some((rows, before)) = after_step(expectation, rows) else {
+        return Measure::Undefined("the setpoint never steps");
+    };
+    let Some(last) = rows.last() else { return Measure::Undefined("no rows") };
+    let step = last.setpoint_um - before;
+    if step == 0.0 {
+        return Measure::Undefined("the setpoint comes back to where it was");
+    }
+    let beyond = rows.iter().map(|row| (signal.of(row) - last.setpoint_um) / step).fold(0.0, f64::max);
+    Measure::Value(beyond * 100.0)
+}
+
+fn peak_deviation(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Measure {
+    let start = if let Some(from) = expectation.from {
+        rows.partition_point(|row| row.t_s < from.seconds())
+    } else {
+        let step = setpoint_steps(rows).first().copied().unwrap_or(0);
+        let entered = rows.iter().skip(step).position(|row| !signal.is_outside(row, expectation));
+        let Some(entered) = entered else { return Measure::Missing("never enters the band") };
+        step + entered
+    };
+    let deviations = rows.iter().skip(start).filter(|row| row.setpoint_um > 0.0);
+    let peak = deviations.map(|row| (signal.of(row) - row.setpoint_um).abs() / row.setpoint_um).reduce(f64::max);
+    peak.map_or(Measure::Undefined("no setpoint to deviate from"), |peak| Measure::Value(peak * 100.0))
+}
+
+/// Mean of the signal over the mean of the setpoint in the window, both weighted with time; `None` where the setpoint is 0.
+fn window_ratio(signal: Signal, window: &Window, rows: &[Row]) -> Option<f64> {
+    let (from, to) = (window.from.seconds(), window.to.seconds());
+    let mut setpoint_area = 0.0;
+    let mut signal_area = 0.0;
+    for pair in rows.windows(2) {
+        let [left, right] = pair else { continue };
+        if left.t_s < from || right.t_s > to {
+            continue;
+        }
+        let span = right.t_s - left.t_s;
+        let level = if signal.held { signal.of(left) } else { f64::midpoint(signal.of(left), signal.of(right)) };
+        setpoint_area += span * left.setpoint_um;
+        signal_area += span * level;
+    }
+    (setpoint_area > 0.0).then(|| signal_area / setpoint_area)
+}
+
+fn flagged_share(rows: &[Row], flag: Flags) -> f64 {
+    let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return 0.0 };
+    let flagged: f64 = rows
+        .windows(2)
+        .filter_map(|pair| match pair {
+            [left, right] if left.flags.contains(flag) => Some(right.t_s - left.t_s),
+            _ => None,
+        })
+        .sum();
+    if last.t_s > first.t_s { flagged / (last.t_s - first.t_s) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests;

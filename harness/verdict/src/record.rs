@@ -1,0 +1,319 @@
+//! What a run leaves behind: `run.json`.
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+use std::fmt;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+/// Version of the format; readers refuse others.
+pub const FORMAT: u32 = 1;
+/// The record's name in a run folder.
+pub const FILE: &str = "run.json";
+
+/// How something ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// Demonstrated.
+    Pass,
+    /// Refuted.
+    Fail,
+    /// Neither; the cause is beside it.
+    Inconclusive,
+}
+
+impl Verdict {
+    /// The verdict over several: one failure fails all, and one doubt remains a doubt. Nothing at all is a doubt.
+    pub fn over(verdicts: impl IntoIterator<Item = Self>) -> Self {
+        verdicts
+            .into_iter()
+            .reduce(|a, b| match (a, b) {
+                (Self::Fail, _) | (_, Self::Fail) => Self::Fail,
+                (Self::Pass, Self::Pass) => Self::Pass,
+                _ => Self::Inconclusive,
+            })
+            .unwrap_or(Self::Inconclusive)
+    }
+
+    /// The verdict in a word.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Pass => "pass",
+            Self::Fail => "fail",
+            Self::Inconclusive => "inconclusive",
+        }
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.pad(self.name())
+    }
+}
+
+/// Whose doing it is that there is no verdict.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Cause {
+    /// The link to the controller, or a delay that it adds.
+    Rig,
+    /// The bench itself was too late or lost a row.
+    Bench,
+    /// No controller could have met the demand.
+    Infeasible,
+    /// Too few trials for the stated confidence.
+    Evidence,
+}
+
+impl fmt::Display for Cause {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Rig => "rig",
+            Self::Bench => "bench",
+            Self::Infeasible => "infeasible",
+            Self::Evidence => "evidence",
+        })
+    }
+}
+
+/// A whole run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunRecord {
+    /// Version of this format.
+    pub format: u32,
+    /// Over all scenarios.
+    pub verdict: Verdict,
+    /// False while the run goes on, and for ever after it was killed.
+    pub complete: bool,
+    /// The bench that made it.
+    pub tool: Tool,
+    /// When it started, UTC, RFC 3339.
+    pub started: String,
+    /// What the controller ran on.
+    pub rig: RigRecord,
+    /// `lockstep` or `real-time`.
+    pub clock: String,
+    /// Options of the command line that changed the scenarios.
+    pub overrides: Overrides,
+    /// The computer.
+    pub host: Host,
+    /// What was played.
+    pub scenarios: Vec<ScenarioRecord>,
+}
+
+/// The bench that made a record.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Tool {
+    /// Its name.
+    pub name: String,
+    /// Its version.
+    pub version: String,
+}
+
+/// What the controller ran on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RigRecord {
+    /// As named on the command line.
+    pub name: String,
+    /// The firmware as it introduced itself; empty where it never did.
+    #[serde(default)]
+    pub firmware: Option<Firmware>,
+}
+
+/// The firmware as it introduced itself.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Firmware {
+    /// Its name.
+    pub name: String,
+    /// `major.minor.patch`
+    pub version: String,
+    /// Build identity, hexadecimal.
+    pub build: String,
+    /// Chip identity code, hexadecimal; zero for a program on a computer.
+    pub chip: String,
+}
+
+/// Options of the command line that changed the scenarios.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Overrides {
+    /// `--law`
+    pub law: Option<String>,
+    /// `--trials`
+    pub trials: Option<u32>,
+    /// `--seed`
+    pub seed: Option<u64>,
+}
+
+/// The computer that a run was made on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Host {
+    /// Operating system.
+    pub os: String,
+    /// Instruction set.
+    pub arch: String,
+}
+
+/// One scenario of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScenarioRecord {
+    /// Its file below the scenario folder.
+    pub file: String,
+    /// What is played.
+    pub title: String,
+    /// Where it comes from.
+    pub source: Option<String>,
+    /// Over all expectations.
+    pub verdict: Verdict,
+    /// The control law that was asked for.
+    pub law: String,
+    /// The tier of the plate.
+    pub model: String,
+    /// Every file that went into it; the first is the scenario.
+    pub inputs: Vec<InputRecord>,
+    /// What was expected and what came of it.
+    pub expectations: Vec<ExpectationRecord>,
+    /// What was played.
+    pub trials: Vec<TrialRecord>,
+}
+
+/// A file that went into a run.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct InputRecord {
+    /// Its copy, relative to the run folder.
+    pub file: String,
+    /// SHA-256 of its content, hexadecimal.
+    pub sha256: String,
+}
+
+/// One expectation and what came of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ExpectationRecord {
+    /// Name of the metric.
+    pub metric: String,
+    /// How it ended.
+    pub verdict: Verdict,
+    /// What decided: see `statistic`. `null` where no trial gave a number.
+    pub value: Option<f64>,
+    /// `worst` trial, `mean` or `deviation` over trials.
+    pub statistic: String,
+    /// What it was held against, as in the scenario: `at_most`, `at_least`, `within` or `about`.
+    pub limit: Map<String, Value>,
+    /// `worst`: smallest and largest over trials; otherwise bounds at `confidence`.
+    pub interval: Option<[f64; 2]>,
+    /// Of the interval's bounds; `null` where every trial counts by itself.
+    pub confidence: Option<f64>,
+    /// Whose doing an inconclusive verdict is.
+    pub cause: Option<Cause>,
+    /// Why it did not pass, in a sentence.
+    pub reason: Option<String>,
+    /// The paper's value.
+    pub paper: Option<f64>,
+    /// Identifier of a requirement.
+    pub requirement: Option<String>,
+}
+
+/// One trial.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TrialRecord {
+    /// Counted from 0.
+    pub index: u32,
+    /// What its plate, sensor and noise were drawn from.
+    pub seed: u64,
+    /// Its trace, relative to the run folder.
+    pub trace: String,
+    /// By name of the metric, `[n]` behind the name of the n-th further expectation of it; `null` where there is no number.
+    pub metrics: Map<String, Value>,
+    /// Whose doing it is that the trial does not count.
+    pub cause: Option<Cause>,
+    /// What happened, in a sentence.
+    pub reason: Option<String>,
+    /// Wall-clock time of the trial, ms; `null` where the trial was judged again.
+    pub wall_ms: Option<f64>,
+}
+
+/// Why a record could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// The file is not there or cannot be read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file is not a run record.
+    #[error("{path}:{}:{}: {source}", source.line(), source.column())]
+    Content {
+        /// The file.
+        path: String,
+        /// What the parser says.
+        source: serde_json::Error,
+    },
+    /// Another version of the format.
+    #[error("{path}: format {found}, expected {FORMAT}")]
+    Format {
+        /// The file.
+        path: String,
+        /// What it says it is.
+        found: u32,
+    },
+}
+
+impl RunRecord {
+    /// Writes the record into `folder`, replacing an earlier one as a whole.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn write(&self, folder: &Path) -> io::Result<()> {
+        let mut text = serde_json::to_string_pretty(self)?;
+        text.push('\n');
+        let provisional = folder.join("run.json.part");
+        fs::write(&provisional, text)?;
+        fs::rename(&provisional, folder.join(FILE))
+    }
+
+    /// Reads the record of the run in `folder`.
+    ///
+    /// # Errors
+    /// [`RecordError`] where there is none of this format.
+    pub fn read(folder: &Path) -> Result<Self, RecordError> {
+        #[derive(Deserialize)]
+        struct Head {
+            format: u32,
+        }
+        let path = folder.join(FILE);
+        let shown = path.display().to_string();
+        let text = fs::read_to_string(&path).map_err(|source| RecordError::Io { path: shown.clone(), source })?;
+        let content = |source| RecordError::Content { path: shown.clone(), source };
+        let head: Head = serde_json::from_str(&text).map_err(content)?;
+        if head.format != FORMAT {
+            return Err(RecordError::Format { path: shown, found: head.format });
+        }
+        serde_json::from_str(&text).map_err(content)
+    }
+
+    /// The causes of everything inconclusive in the run.
+    pub fn causes(&self) -> impl Iterator<Item = Cause> {
+        self.scenarios.iter().flat_map(|scenario| {
+            let of_trials = scenario.trials.iter().filter_map(|trial| trial.cause);
+            scenario.expectations.iter().filter_map(|expectation| expectation.cause).chain(of_trials)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_failure_fails_all_and_nothing_is_no_pass() {
+        use Verdict::{Fail, Inconclusive, Pass};
+        assert_eq!(Verdict::over([Pass, Pass]), Pass);
+        assert_eq!(Verdict::over([Pass, Inconclusive]), Inconclusive);
+        assert_eq!(Verdict::over([Inconclusive, Fail, Pass]), Fail);
+        assert_eq!(Verdict::over([]), Inconclusive);
+    }
+}
