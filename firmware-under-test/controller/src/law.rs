@@ -58,14 +58,15 @@ impl Law {
         let positive = [
             configure.gain_um_per_vpp,
             configure.time_constant_s,
-            configure.response_time_s,
             configure.drive_limit_vpp,
             configure.frequency_range_hz,
             configure.frequency_slew_hz,
         ];
         let usable = configure.period_us > 0
             && configure.start_frequency_mhz > 0
-            && positive.iter().all(|value| value.is_finite() && *value > 0.0);
+            && positive.iter().all(|value| value.is_finite() && *value > 0.0)
+            && configure.response_time_s.is_finite()
+            && configure.response_time_s >= 0.0;
         if !usable {
             return Err(Rejection::Value);
         }

@@ -35,7 +35,7 @@ pub struct Machine {
 enum Mode {
     Idle(Option<Design>),
     Running(Run),
-    Fault(StateCause),
+    Fault,
     Safe,
 }
 
@@ -110,7 +110,7 @@ impl Machine {
                 return self.fault(StateCause::SampleTimeout);
             }
             Mode::Running(run) => run,
-            Mode::Idle(None) | Mode::Fault(_) | Mode::Safe => return self.last,
+            Mode::Idle(None) | Mode::Fault | Mode::Safe => return self.last,
         };
         let measurement = Measurement { setpoint_um: sample.setpoint_um, wd_um: sample.wd_um, wq_um: sample.wq_um };
         if !measurement.is_finite() {
@@ -164,7 +164,7 @@ impl Machine {
     }
 
     fn fault(&mut self, cause: StateCause) -> Command {
-        self.mode = Mode::Fault(cause);
+        self.mode = Mode::Fault;
         self.stop(State::Fault, cause)
     }
 

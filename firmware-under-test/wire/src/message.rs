@@ -95,7 +95,7 @@ pub struct Identity {
     pub laws: u32,
     /// First eight bytes of the SHA-256 of the firmware's sources; zero where the build did not say.
     pub build: [u8; 8],
-    /// The chip's identity code (DBGMCU_IDCODE on an STM32); zero for a program on a computer.
+    /// The chip's identity code (`DBGMCU_IDCODE` on an STM32); zero for a program on a computer.
     pub chip: u32,
     /// The chip's unique number; zero for a program on a computer.
     pub unique: [u8; 12],
@@ -129,7 +129,7 @@ pub struct Configure {
     pub gain_um_per_vpp: f32,
     /// Nominal time constant τ of the plate, s.
     pub time_constant_s: f32,
-    /// Design value of the 5 % response time, s (equation 24).
+    /// Design value of the 5 % response time, s (equation 24); zero for the law's own.
     pub response_time_s: f32,
     /// Highest drive the amplifier gives, Vpp.
     pub drive_limit_vpp: f32,

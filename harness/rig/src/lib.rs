@@ -1,1 +1,19 @@
-//! x
+//! How a controller is reached.
+//!
+//! * [`spec`]: `--rig` as a user writes it.
+//! * [`link`]: bytes to a target and back; what every kind of rig provides.
+//! * [`hosted`]: the controller crate in this process.
+//! * [`session`]: handshake, configuration, samples and a safe end over any link.
+//!
+//! Everything above the bytes is the same for every rig, so that a controller in this process is talked to exactly like one behind a cable. Plate, profiles
+//! and verdicts are unknown here; time is an argument.
+
+pub mod hosted;
+pub mod link;
+pub mod session;
+pub mod spec;
+
+pub use hosted::Hosted;
+pub use link::{Link, LinkError};
+pub use session::{Reply, RigError, Session};
+pub use spec::{RigSpec, SpecError};

@@ -1,0 +1,58 @@
+//! The controller crate in this process: the same source as on the board, reached through the same bytes.
+
+use crate::link::{Link, LinkError};
+use platebench_controller::Device;
+use platebench_wire::{Identity, LawId};
+use std::time::Duration;
+
+/// A device without a board.
+#[derive(Debug, Clone)]
+pub struct Hosted {
+    device: Device,
+}
+
+impl Default for Hosted {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Hosted {
+    /// A device that has just been switched on.
+    pub fn new() -> Self {
+        Self { device: Device::new(identity()) }
+    }
+}
+
+fn identity() -> Identity {
+    let number = |text: &str| text.parse().unwrap_or_default();
+    Identity {
+        version: [
+            number(env!("CARGO_PKG_VERSION_MAJOR")),
+            number(env!("CARGO_PKG_VERSION_MINOR")),
+            number(env!("CARGO_PKG_VERSION_PATCH")),
+        ],
+        laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
+        build: [0; 8],
+        chip: 0,
+        unique: [0; 12],
+        name: *b"platebench-host\0",
+    }
+}
+
+/// The target's clock: microseconds, wrapping, as on the board.
+fn micros(now: Duration) -> u32 {
+    now.as_micros() as u32
+}
+
+impl Link for Hosted {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        self.device.receive(bytes, micros(now), |frame| answer.extend_from_slice(frame));
+        Ok(Duration::ZERO)
+    }
+
+    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.device.tick(micros(now), |frame| said.extend_from_slice(frame));
+        Ok(())
+    }
+}

@@ -1,0 +1,144 @@
+//! The session over a device in process, and over links that misbehave.
+
+use super::*;
+use crate::hosted::Hosted;
+use platebench_wire::LawId;
+use std::sync::{Arc, Mutex};
+
+const CONFIGURE: Configure = Configure {
+    law: LawId::DqPi,
+    period_us: 1_000,
+    start_frequency_mhz: 32_307_600,
+    gain_um_per_vpp: 0.00698,
+    time_constant_s: 1.88e-3,
+    response_time_s: 0.0,
+    drive_limit_vpp: 900.0,
+    frequency_range_hz: 250.0,
+    frequency_slew_hz: 100.0,
+    gains: None,
+};
+
+const FROM_REST: Sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
+
+/// What passes on the way to a hosted device.
+#[derive(Clone, Copy, PartialEq)]
+enum Fault {
+    None,
+    Silent,
+    FlipAnswer,
+    OldAnswers,
+    Dead,
+}
+
+/// A hosted device behind a fault that can be switched, with a log of what it was sent.
+struct Faulty {
+    device: Hosted,
+    fault: Arc<Mutex<Fault>>,
+    sent: Arc<Mutex<Vec<Message>>>,
+    before: Vec<u8>,
+}
+
+impl Link for Faulty {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let fault = *self.fault.lock().unwrap();
+        if fault == Fault::Dead {
+            return Err(LinkError::Disconnected("pulled".to_owned()));
+        }
+        let mut reader = FrameReader::new();
+        let packets =
+            bytes.iter().filter_map(|&byte| reader.push(byte).map(|body| Packet::decode(body.unwrap()).unwrap()));
+        self.sent.lock().unwrap().extend(packets.collect::<Vec<_>>().into_iter().map(|packet| packet.message));
+        let mut real = Vec::new();
+        let delay = self.device.exchange(now, bytes, &mut real)?;
+        match fault {
+            Fault::Silent => {}
+            Fault::FlipAnswer => {
+                real[5] ^= 4;
+                answer.extend(&real);
+            }
+            Fault::OldAnswers => answer.extend(&self.before),
+            _ => answer.extend(&real),
+        }
+        self.before = real;
+        Ok(delay)
+    }
+
+    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.device.pass(now, said)
+    }
+}
+
+struct Bench {
+    session: Session<Faulty>,
+    fault: Arc<Mutex<Fault>>,
+    sent: Arc<Mutex<Vec<Message>>>,
+}
+
+fn bench() -> Bench {
+    let fault = Arc::new(Mutex::new(Fault::None));
+    let sent = Arc::new(Mutex::new(Vec::new()));
+    let link = Faulty { device: Hosted::new(), fault: fault.clone(), sent: sent.clone(), before: Vec::new() };
+    let mut session = Session::open(link).unwrap();
+    session.begin(&CONFIGURE).unwrap();
+    Bench { session, fault, sent }
+}
+
+#[test]
+fn the_hosted_device_introduces_itself_and_controls() {
+    let mut bench = bench();
+    assert_eq!(bench.session.firmware_name(), "platebench-host");
+    assert!(LawId::ALL.into_iter().all(|law| bench.session.identity().has(law)));
+    let reply = bench.session.sample(Duration::ZERO, &FROM_REST).unwrap().unwrap();
+    assert_eq!(reply.delay, Duration::ZERO);
+    assert!(reply.command.drive_vpp > 500.0);
+}
+
+#[test]
+fn silence_corruption_and_old_answers_are_no_answer() {
+    for fault in [Fault::Silent, Fault::FlipAnswer, Fault::OldAnswers] {
+        let mut bench = bench();
+        bench.session.sample(Duration::ZERO, &FROM_REST).unwrap().unwrap();
+        *bench.fault.lock().unwrap() = fault;
+        assert_eq!(bench.session.sample(Duration::from_millis(1), &FROM_REST).unwrap(), None);
+        *bench.fault.lock().unwrap() = Fault::None;
+        assert!(bench.session.sample(Duration::from_millis(2), &FROM_REST).unwrap().is_some());
+    }
+}
+
+#[test]
+fn a_dead_line_is_an_error_and_a_silent_one_at_the_start_too() {
+    let mut bench = bench();
+    *bench.fault.lock().unwrap() = Fault::Dead;
+    assert!(matches!(bench.session.sample(Duration::ZERO, &FROM_REST), Err(RigError::Link(_))));
+    assert!(!bench.session.safe());
+
+    let fault = Arc::new(Mutex::new(Fault::Silent));
+    let link = Faulty { device: Hosted::new(), fault, sent: Arc::default(), before: Vec::new() };
+    assert!(matches!(Session::open(link), Err(RigError::NoAnswer { expected: "identity" })));
+}
+
+#[test]
+fn a_refused_configuration_says_why() {
+    let mut bench = bench();
+    let refused = bench.session.begin(&Configure { drive_limit_vpp: -1.0, ..CONFIGURE });
+    assert!(matches!(refused, Err(RigError::Refused(Rejection::Value))));
+}
+
+#[test]
+fn time_without_samples_ends_at_zero_volts() {
+    let mut bench = bench();
+    bench.session.sample(Duration::ZERO, &FROM_REST).unwrap();
+    assert_eq!(bench.session.pass(Duration::from_micros(4_999)).unwrap(), None);
+    let command = bench.session.pass(Duration::from_micros(5_000)).unwrap().unwrap();
+    assert_eq!((command.state, command.drive_vpp), (State::Fault, 0.0));
+}
+
+#[test]
+fn safe_is_confirmed_and_a_dropped_session_asks_for_it() {
+    let mut bench = bench();
+    bench.session.sample(Duration::ZERO, &FROM_REST).unwrap();
+    assert!(bench.session.safe());
+    bench.sent.lock().unwrap().clear();
+    drop(bench.session);
+    assert_eq!(*bench.sent.lock().unwrap(), [Message::Safe]);
+}
