@@ -4,7 +4,7 @@
 //! (equation 19); the minus sign turns the loop's error `0 − Wq/Wd` into `+Wq/Wd`.
 
 use crate::law::{Actuation, Law, Measurement};
-use crate::pi::{Pi, PiGains};
+use crate::pi::{Pi, PiGains, Tracking};
 use core::f32::consts::TAU;
 use platebench_wire::{Configure, Gains, LawId, flags};
 
@@ -19,6 +19,11 @@ const PRINTED_RESPONSE_S: f32 = 2.0e-3;
 /// At 2.0 ms the matched design leaves 4.98 % after two periods of 1 ms, less of a margin to the 5 % band than the plate's fast mode ripples; 1.9 ms leave
 /// 4.2 %.
 const MATCHED_RESPONSE_S: f32 = 1.9e-3;
+
+/// At the amplifier's limit full tracking costs 16 % over the time floor at 400 Vpp and none at all overshoots by 14 % at 340 Vpp; with 0.6 the response
+/// settles within 10 % of the floor from 300 to 416 Vpp and overshoots by less than 4 %. At 0 V the plate falls by its own damping and nothing brakes it:
+/// there full tracking is best.
+const AMPLITUDE_TRACKING: Tracking = Tracking { low: 1.0, high: 0.6 };
 
 /// State of both loops.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,8 +54,8 @@ impl DqPi {
             None => (design(gain), design(tau)),
         };
         let law = Self {
-            amplitude: Pi::new(amplitude),
-            frequency: Pi::new(frequency),
+            amplitude: Pi::new(amplitude, AMPLITUDE_TRACKING),
+            frequency: Pi::new(frequency, Tracking::CONDITIONED),
             drive_limit_vpp: configure.drive_limit_vpp,
             range_rad: configure.frequency_range_hz * TAU,
             slew_rad: configure.frequency_slew_hz * TAU,

@@ -3,13 +3,22 @@
 //! Output `u[k] = Kp e[k] + x[k]`, integral `x[k+1] = x[k] + Ki·Ts e[k] + c (sat(u[k]) − u[k])` (forward Euler; Åström and
 //! Hägglund's back-calculation with tracking constant `c`).
 
-/// Which fraction of `Ki·Ts/Kp` the integral takes over from the saturation error per period.
+/// Which fraction of `Ki·Ts/Kp` the integral takes over from the saturation error per period, at either limit.
 ///
-/// 1 is the conditioning technique: the loop leaves saturation as if it had never been there, with the design's closed-loop
-/// pole, which at 400 Vpp costs 16 % over the time floor. 0 is no anti-windup at all: 7 % overshoot there, 14 % at 340 Vpp. With 0.6 the
-/// response settles within 8 % of the floor from 300 to 416 Vpp and overshoots less than 4 %
-/// (`tests/tests/closed_loop.rs` holds both).
-const TRACKING: f32 = 0.6;
+/// 1 is the conditioning technique: the loop leaves saturation as if it had never been there, with the design's closed-loop pole. 0 is no anti-windup at
+/// all.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tracking {
+    /// At the lower limit.
+    pub low: f32,
+    /// At the upper limit.
+    pub high: f32,
+}
+
+impl Tracking {
+    /// The conditioning technique at both limits.
+    pub const CONDITIONED: Self = Self { low: 1.0, high: 1.0 };
+}
 
 /// Gains of one loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,20 +55,21 @@ impl PiGains {
 pub struct Pi {
     gains: PiGains,
     /// Fraction of the saturation error that the integral takes over per period.
-    tracking: f32,
+    tracking: Tracking,
     integral: f32,
 }
 
 impl Pi {
     /// A loop at rest.
-    pub fn new(gains: PiGains) -> Self {
+    pub fn new(gains: PiGains, tracking: Tracking) -> Self {
         // A loop without a proportional part holds its integral at the limit itself.
-        let tracking = if gains.proportional > 0.0 {
-            (TRACKING * gains.integral_per_period / gains.proportional).min(1.0)
-        } else {
-            1.0
-        };
-        Self { gains, tracking, integral: 0.0 }
+        let ratio = if gains.proportional > 0.0 { gains.integral_per_period / gains.proportional } else { 1.0 };
+        let per_period = |share: f32| (share * ratio).min(1.0);
+        Self {
+            gains,
+            tracking: Tracking { low: per_period(tracking.low), high: per_period(tracking.high) },
+            integral: 0.0,
+        }
     }
 
     /// One period: the output that `error` asks for, held within `low..=high`.
@@ -68,7 +78,8 @@ impl Pi {
         let given = wished.clamp(low, high);
         self.integral += self.gains.integral_per_period * error;
         if given != wished {
-            self.integral += self.tracking * (given - wished);
+            let tracking = if given < wished { self.tracking.high } else { self.tracking.low };
+            self.integral += tracking * (given - wished);
         }
         given
     }
@@ -98,7 +109,7 @@ mod tests {
     fn the_matched_loop_contracts_the_error_by_its_pole() {
         let gains = PiGains::zero_order_hold_matched(K1, TAU, 2e-3, 1e-3);
         let (a, p) = (libm::expf(-1.0 / 1.88), libm::expf(-1.5));
-        let mut pi = Pi::new(gains);
+        let mut pi = Pi::new(gains, Tracking::CONDITIONED);
         let mut w = 0.0_f32;
         for period in 0..8 {
             let v = pi.step(2.0 - w, 0.0, f32::MAX);
@@ -113,19 +124,19 @@ mod tests {
 
     #[test]
     fn a_saturated_integral_stays_where_it_can_come_back_from() {
-        let mut pi = Pi::new(PiGains::zero_order_hold_matched(K1, TAU, 2e-3, 1e-3));
+        let mut pi = Pi::new(PiGains::zero_order_hold_matched(K1, TAU, 2e-3, 1e-3), Tracking { low: 1.0, high: 0.5 });
         for _ in 0..1000 {
             // An error that no drive removes.
             pi.step(0.5, 0.0, 400.0);
         }
         assert_eq!(pi.step(0.5, 0.0, 400.0), 400.0);
         // Equilibrium: Ki e = c·Ki/Kp (u − sat u), that is an excess of Kp e / c over the limit; not a thousand periods' worth.
-        assert!(pi.integral() < 400.0 + 270.0 * 0.5 / TRACKING);
+        assert!(pi.integral() < 400.0 + 270.0 * 0.5 / 0.5);
     }
 
     #[test]
     fn an_integral_alone_saturates_without_losing_its_footing() {
-        let mut pi = Pi::new(PiGains { proportional: 0.0, integral_per_period: 100.0 });
+        let mut pi = Pi::new(PiGains { proportional: 0.0, integral_per_period: 100.0 }, Tracking::CONDITIONED);
         for _ in 0..20 {
             pi.step(2.0, 0.0, 400.0);
         }

@@ -207,8 +207,8 @@ impl Profile {
         }
     }
 
-    /// Bound on the slope per second between `from` and the next point. For a curve, what its bend adds over a memory of `memory` s
-    /// is included: `|v'|` and `|v''| · memory/2` together.
+    /// Bound on the slope per second between `from` and the next point. What a curve's bend adds over a memory of `memory` s is
+    /// included: `|v'|` and `|v''| · memory/2` together.
     pub fn slope_after(&self, from: Time, memory: f64) -> f64 {
         match self {
             Self::Hold(_) => 0.0,

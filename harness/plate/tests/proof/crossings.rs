@@ -1,1 +1,221 @@
-//! x
+//! Entering and leaving bands, to the nanosecond.
+
+use crate::reference::{Carrier, HOLD, Random, SETPOINT, calm, driven, paper_plate, surroundings};
+use platebench_plate::plant::Signal;
+use platebench_plate::{Conditions, Crossing, Drive, Flow, Plant, Plate, Profile, Scene, State, Tier, Time, Watch};
+use rstest::rstest;
+
+fn band(signal: Signal, low: f64, high: f64) -> Watch {
+    Watch { signal, low, high }
+}
+
+const FIVE_PERCENT: Watch = Watch { signal: Signal::Amplitude, low: 1.9, high: 2.1 };
+
+/// Everything that is crossed up to `end_ms`, in intervals of `interval_ns`.
+fn crossings(plant: &mut Plant, watches: &[Watch], end_ms: f64, interval_ns: u64) -> Vec<Crossing> {
+    let end = Time::from_ms(end_ms).unwrap();
+    let mut found = Vec::new();
+    while plant.time() < end {
+        plant.advance((plant.time() + Time::from_nanos(interval_ns)).min(end), watches, &mut found);
+    }
+    found
+}
+
+#[rstest]
+fn the_first_order_plate_settles_after_tau_ln_20(
+    #[values(1_000_000, 50_000, 10_000_000, 333_333)] interval_ns: u64,
+    #[values(Signal::Amplitude, Signal::InPhase)] signal: Signal,
+) {
+    let plate = paper_plate();
+    let mut plant = driven(&plate, &calm(), Tier::Envelope, Drive { vpp: HOLD, omega: plate.omega0 });
+    let found = crossings(&mut plant, &[band(signal, 1.9, 2.1)], 10.0, interval_ns);
+    let expected = 20.0_f64.ln() * 1.88e6;
+    println!("{signal:?}, intervals of {interval_ns} ns: {} (τ ln 20 = {:.6} ms)", found[0].time, expected / 1e6);
+    assert_eq!(found.len(), 1);
+    assert_eq!(found[0].time.as_nanos(), expected.ceil() as u64);
+    assert!((found[0].state.amplitude() - 1.9).abs() < 1e-7);
+}
+
+/// Every change of side on a grid of 50 ns, closed form.
+fn brackets(flow: &Flow, holds: impl Fn(&State) -> bool, end_ns: u64) -> Vec<u64> {
+    let side = |ns: u64| holds(&flow.after(ns as f64 / 1e9));
+    (0..end_ns / 50).map(|step| 50 * step).filter(|ns| side(*ns) != side(ns + 50)).collect()
+}
+
+/// Leaves out pairs of brackets that nothing was found in, if they lie within the microsecond that `Plant::advance` may miss.
+fn without_unseen(brackets: &[u64], found: &[Crossing]) -> Vec<u64> {
+    let mut kept = Vec::new();
+    let mut rest = brackets;
+    while let [first, others @ ..] = rest {
+        let seen = found.iter().any(|crossing| (first + 1..=first + 50).contains(&crossing.time.as_nanos()));
+        rest = match others {
+            [second, others @ ..] if !seen && second - first <= 1_000 => {
+                println!("    an excursion of {} ns at {first} ns goes unseen", second - first);
+                others
+            }
+            _ => {
+                kept.push(*first);
+                others
+            }
+        };
+    }
+    kept
+}
+
+#[rstest]
+#[case::drive_at_resonance(HOLD, 0.0, FIVE_PERCENT)]
+#[case::more_drive(540.0, 0.0, FIVE_PERCENT)]
+#[case::detuned_beats(900.0, 3000.0, band(Signal::Amplitude, 1.5, 1.6))]
+#[case::quadrature(600.0, -545.0, band(Signal::Quadrature, 0.3, 0.9))]
+#[case::ripple_decides(HOLD, 0.0, band(Signal::Quadrature, -0.001, 0.001))]
+fn the_modal_plate_crosses_where_the_closed_form_and_the_reference_do(
+    #[case] vpp: f64,
+    #[case] detuning: f64,
+    #[case] watch: Watch,
+    #[values(1_000_000, 50_000)] interval_ns: u64,
+) {
+    let plate = paper_plate();
+    let drive = Drive { vpp, omega: plate.omega0 + detuning };
+    let mut plant = driven(&plate, &calm(), Tier::Modal, drive);
+    let found = crossings(&mut plant, &[watch], 8.0, interval_ns);
+    let holds = |state: &State| (watch.low..=watch.high).contains(&watch.signal.of(state));
+    let flow = Flow::new(Tier::Modal, &plate.mode(&Conditions::default()), &drive, &State::default());
+    let brackets = brackets(&flow, holds, 8_000_000);
+    println!("{watch:?} at {vpp} Vpp, {detuning} rad/s off: {} crossings", found.len());
+    assert!(!found.is_empty());
+    let brackets = without_unseen(&brackets, &found);
+    assert_eq!(found.len(), brackets.len());
+    let mut inside = holds(&State::default());
+    for (crossing, bracket) in found.iter().zip(brackets) {
+        assert!(
+            (bracket + 1..=bracket + 50).contains(&crossing.time.as_nanos()),
+            "{crossing:?} not behind {bracket} ns"
+        );
+        // A nanosecond earlier the reference is on this side, now on the other.
+        let mut carrier = Carrier::at_rest(plate.omega0);
+        let before = crossing.time - Time::from_nanos(1);
+        carrier.advance(before.seconds(), plate.force_constant(), &drive, &|_| (plate.sigma0, plate.omega0));
+        assert_eq!(holds(&carrier.state()), inside, "{crossing:?}");
+        carrier.advance(1e-9, plate.force_constant(), &drive, &|_| (plate.sigma0, plate.omega0));
+        inside = !inside;
+        assert_eq!(holds(&carrier.state()), inside, "{crossing:?}");
+        assert_eq!(holds(&crossing.state), inside, "{crossing:?}");
+    }
+}
+
+#[test]
+fn what_is_entered_is_left_again() {
+    let plate = paper_plate();
+    let mut plant = driven(&plate, &calm(), Tier::Envelope, Drive { vpp: HOLD, omega: plate.omega0 });
+    let mut found = crossings(&mut plant, &[FIVE_PERCENT], 10.0, 1_000_000);
+    let from = plant.state().w.re;
+    plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 });
+    found.extend(crossings(&mut plant, &[FIVE_PERCENT], 20.0, 1_000_000));
+    let expected = 10e6 + (from / 1.9).ln() * 1.88e6;
+    println!("entered at {}, left at {} (closed form {:.6} ms)", found[0].time, found[1].time, expected / 1e6);
+    assert_eq!(found.len(), 2);
+    // The edge itself is still inside.
+    assert_eq!(found[1].time.as_nanos(), expected.floor() as u64 + 1);
+    assert!(found[0].state.amplitude() >= 1.9 && found[1].state.amplitude() < 1.9);
+}
+
+/// |W| of a detuned plate overshoots: its first peak, by golden section over the closed form.
+fn first_peak(flow: &Flow) -> (f64, f64) {
+    let amplitude = |t: f64| flow.after(t).amplitude();
+    let (mut low, mut high) = (0.5e-3, 1.5e-3);
+    while high - low > 1e-9 {
+        let (a, b) = (high - 0.618 * (high - low), low + 0.618 * (high - low));
+        if amplitude(a) < amplitude(b) { low = a } else { high = b }
+    }
+    (low, amplitude(low))
+}
+
+#[rstest]
+#[case::just_inside(1.0 - 1e-5, 2)]
+#[case::just_outside(1.0 + 1e-9, 0)]
+#[case::well_inside(0.999, 2)]
+fn a_peak_that_touches_a_band(
+    #[case] edge: f64,
+    #[case] count: usize,
+    #[values(1_000_000, 77_777, 5_000_000)] interval_ns: u64,
+) {
+    let plate = paper_plate();
+    let drive = Drive { vpp: 600.0, omega: plate.omega0 + 3000.0 };
+    let flow = Flow::new(Tier::Envelope, &plate.mode(&Conditions::default()), &drive, &State::default());
+    let (at, peak) = first_peak(&flow);
+    let watch = band(Signal::Amplitude, edge * peak, 10.0);
+    let mut plant = driven(&plate, &calm(), Tier::Envelope, drive);
+    let found = crossings(&mut plant, &[watch], 5.0, interval_ns);
+    assert_eq!(found.len(), count, "{found:?}");
+    if let [entered, left] = found[..] {
+        // |W| = peak · (1 − x²/2) near its peak, so the middle of the excursion is the peak.
+        println!("peak at {:.6} ms, above {edge} of it from {} to {}", 1e3 * at, entered.time, left.time);
+        assert!(entered.time.seconds() < at && at < left.time.seconds());
+        for (crossing, sign) in [(entered, 1.0), (left, -1.0)] {
+            let t = crossing.time.seconds();
+            assert!(sign * (flow.after(t).amplitude() - watch.low) >= 0.0);
+            assert!(sign * (flow.after(t - 1e-9).amplitude() - watch.low) <= 0.0);
+        }
+    }
+}
+
+#[test]
+fn several_watches_are_reported_in_order_of_time() {
+    let plate = paper_plate();
+    let watches = [
+        FIVE_PERCENT,
+        band(Signal::Amplitude, 1.0, 9.0),
+        band(Signal::Amplitude, 1.98, 2.02),
+        band(Signal::InPhase, 0.2, 9.0),
+        band(Signal::Amplitude, 1.5, 1.6),
+        // Never entered.
+        band(Signal::Quadrature, 5.0, 6.0),
+    ];
+    let mut plant = driven(&plate, &calm(), Tier::Envelope, Drive { vpp: HOLD, omega: plate.omega0 });
+    // One interval holds all of them; what somebody else has put there stays where it is.
+    let other = Crossing { time: Time::from_ms(99.0).unwrap(), state: State::default(), before: State::default() };
+    let mut found = vec![other];
+    plant.advance(Time::from_ms(12.0).unwrap(), &watches, &mut found);
+    assert_eq!(found.remove(0), other);
+    let times: Vec<u64> = found.iter().map(|crossing| crossing.time.as_nanos()).collect();
+    let at = |level: f64| ((SETPOINT / (SETPOINT - level)).ln() * 1.88e6).ceil() as u64;
+    let expected = [0.2, 1.0, 1.5, 1.6, 1.9, 1.98].map(at);
+    assert_eq!(times.len(), expected.len());
+    for (time, expected) in times.iter().zip(expected) {
+        // At 1.6 µm the band is left, a nanosecond later at most.
+        assert!(time.abs_diff(expected) <= 1, "{times:?} instead of {expected:?}");
+    }
+    // What was found before is left alone.
+    plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 });
+    let before = found.clone();
+    plant.advance(Time::from_ms(30.0).unwrap(), &watches, &mut found);
+    assert_eq!(found[..before.len()], before);
+    assert!(found.is_sorted_by_key(|crossing| crossing.time));
+    assert_eq!(found.len(), 2 * before.len());
+}
+
+/// With many frozen substeps per interval, the way there does not depend on who is watching, nor the times on the intervals.
+#[test]
+fn a_pressing_finger_pushes_the_amplitude_out_of_its_band() {
+    let plate: Plate = paper_plate();
+    let points = [(20.0, 0.0), (120.0, 1.0)].map(|(t, force)| (Time::from_ms(t).unwrap(), force));
+    let scene = Scene { finger_force_n: Profile::Linear(points.to_vec()), ..surroundings(0.0, 0.0) };
+    let drive = Drive { vpp: HOLD, omega: plate.omega0 };
+    let mut random = Random::new(7);
+    let mut unwatched = driven(&plate, &scene, Tier::Modal, drive);
+    let mut times = Vec::new();
+    for interval_ns in [1_000_000, 50_000, random.between(1e5, 1e6) as u64] {
+        let mut plant = driven(&plate, &scene, Tier::Modal, drive);
+        let found = crossings(&mut plant, &[FIVE_PERCENT], 60.0, interval_ns);
+        let left = found.last().unwrap();
+        assert!(left.time > Time::from_ms(20.0).unwrap() && left.state.amplitude() < 1.9);
+        times.push(left.time.as_nanos());
+        if interval_ns == 1_000_000 {
+            crossings(&mut unwatched, &[], 60.0, interval_ns);
+            assert_eq!(plant.state(), unwatched.state());
+        }
+    }
+    println!("1 N in 0.1 s pushes |W| out of 5 % at {times:?} ns");
+    // The way out is slow, 7 µm/s: 1e-7 of the setpoint is some 30 ns.
+    assert!(times.iter().all(|time| time.abs_diff(times[0]) < 200), "{times:?}");
+}

@@ -1,1 +1,129 @@
-//! x
+//! What must hold where numbers end: decay to nothing, detuning without measure, damping next to nothing.
+
+use crate::reference::{HOLD, calm, driven, paper_plate, state_at};
+use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plant, Plate, State, Tier};
+use rstest::rstest;
+use std::num::FpCategory;
+
+fn components(state: &State) -> [f64; 4] {
+    [state.w.re, state.w.im, state.u.re, state.u.im]
+}
+
+fn assert_normal(plant: &Plant) {
+    for component in components(&plant.state()) {
+        assert_ne!(component.classify(), FpCategory::Subnormal, "{component:e} at {}", plant.time());
+    }
+}
+
+#[rstest]
+fn a_plate_without_drive_comes_to_rest_and_not_to_subnormal_numbers(
+    #[values(Tier::Modal, Tier::Envelope)] tier: Tier,
+    #[values(0.05, 1.0, 30.0)] interval_ms: f64,
+) {
+    let plate = paper_plate();
+    let mut plant = driven(&plate, &calm(), tier, Drive { vpp: HOLD, omega: plate.omega0 + 100.0 });
+    state_at(&mut plant, 30.0);
+    plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 + 100.0 });
+    let mut at_rest_from = None;
+    for step in 1..=(5_000.0 / interval_ms) as u32 {
+        let state = state_at(&mut plant, 30.0 + f64::from(step) * interval_ms);
+        assert_normal(&plant);
+        if state == State::default() && at_rest_from.is_none() {
+            at_rest_from = Some(plant.time());
+        }
+    }
+    let from = at_rest_from.unwrap();
+    println!("{}, intervals of {interval_ms} ms: exactly at rest from {from} on", tier.name());
+    // From 2 µm to 1e-150 µm takes τ · 346 = 0.65 s; U, in µm/s, some 20 ms longer.
+    assert!((600.0..800.0).contains(&from.ms()));
+    assert_eq!(plant.state(), State::default());
+}
+
+#[rstest]
+fn a_quadrature_that_decays_under_drive_does_not_become_subnormal(#[values(Tier::Modal, Tier::Envelope)] tier: Tier) {
+    let plate = paper_plate();
+    let mut plant = driven(&plate, &calm(), tier, Drive { vpp: HOLD, omega: plate.omega0 + 545.0 });
+    state_at(&mut plant, 5.0);
+    plant.set_drive(Drive { vpp: HOLD, omega: plate.omega0 });
+    for period in 6..=5_000 {
+        state_at(&mut plant, f64::from(period));
+        assert_normal(&plant);
+    }
+    let w = plant.state().w;
+    println!("{}, 5 s at resonance: Wq = {:e} µm", tier.name(), w.im);
+    assert!(w.im.abs() < 1e-15 && (w.re - 2.0).abs() < 1e-12, "{w}");
+}
+
+#[test]
+fn a_state_knows_when_it_is_not_finite() {
+    let whole = State { w: Complex64::new(1.0, 2.0), u: Complex64::new(3.0, 4.0) };
+    assert!(whole.is_finite());
+    for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        for state in [
+            State { w: Complex64::new(bad, 0.0), ..whole },
+            State { w: Complex64::new(0.0, bad), ..whole },
+            State { u: Complex64::new(bad, 0.0), ..whole },
+            State { u: Complex64::new(0.0, bad), ..whole },
+        ] {
+            assert!(!state.is_finite(), "{state:?}");
+        }
+    }
+}
+
+#[rstest]
+fn no_excitation_frequency_makes_the_plate_diverge(
+    #[values(Tier::Modal, Tier::Envelope)] tier: Tier,
+    #[values(0.0, 1.0, 1e5, 4e5, 1e9, 1e12)] omega: f64,
+    #[values(None, Some(1e6))] quality: Option<f64>,
+) {
+    let plate = paper_plate();
+    let sigma0 = quality.map_or(plate.sigma0, |quality| plate.omega0 / (2.0 * quality));
+    let plate = Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate };
+    let mut plant = driven(&plate, &calm(), tier, Drive { vpp: 900.0, omega: plate.omega0 });
+    let before = state_at(&mut plant, 10.0).amplitude();
+    let mut largest = 0.0_f64;
+    for period in 11..=60 {
+        plant.set_drive(Drive { vpp: if period % 2 == 0 { 900.0 } else { 0.0 }, omega });
+        let state = state_at(&mut plant, f64::from(period));
+        assert!(state.is_finite());
+        largest = largest.max(state.amplitude());
+    }
+    // Far from resonance a drive does no more than its stiffness allows: (N/m) V/ω0² = 0.03 µm, twice in every step at worst.
+    assert!(largest <= before + 1.0, "{largest} µm after {before} µm");
+}
+
+#[test]
+fn at_quality_1e6_the_amplitude_grows_as_it_must() {
+    let plate = paper_plate();
+    let sigma0 = plate.omega0 / 2e6;
+    let plate = Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate };
+    let mut plant = driven(&plate, &calm(), Tier::Modal, Drive { vpp: 10.0, omega: plate.omega0 });
+    // τ is 9.85 s.
+    for seconds in [1.0, 10.0, 100.0] {
+        let w = state_at(&mut plant, 1e3 * seconds).w;
+        let expected = plate.gain * 10.0 * -(-sigma0 * seconds).exp_m1();
+        println!("quality 1e6, {seconds} s: {:.1e} off", (w.re / expected - 1.0).abs());
+        // The fast pole's share is Δω-free: σ/2ω0 of the steady state.
+        assert!((w.re / expected - 1.0).abs() < 1e-5 && w.im.abs() < 1e-5 * expected, "{w} instead of {expected}");
+    }
+}
+
+#[test]
+fn every_checked_mode_is_resonant_and_others_are_told_apart() {
+    let plate = paper_plate();
+    let mode = plate.mode(&Conditions::default());
+    assert!(mode.is_resonant());
+    for overdamped in [
+        Mode { sigma: mode.omega0, ..mode },
+        Mode { sigma: 0.0, ..mode },
+        Mode { sigma: -1.0, ..mode },
+        Mode { omega0: -mode.omega0, ..mode },
+        Mode { sigma: f64::NAN, ..mode },
+    ] {
+        assert!(!overdamped.is_resonant(), "{overdamped:?}");
+    }
+    let next_to = Mode { sigma: mode.omega0 * 0.999, ..mode };
+    assert!(next_to.is_resonant());
+    let flow = Flow::new(Tier::Modal, &next_to, &Drive { vpp: 400.0, omega: mode.omega0 }, &State::default());
+    assert!(flow.after(1e-5).is_finite());
+}

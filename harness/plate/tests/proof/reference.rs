@@ -62,7 +62,7 @@ impl Random {
     }
 }
 
-/// `z'' + 2σ(t) z' + ω0(t)² z = (N/m) jV e^{jθ}`: its real part is equation 1, its imaginary part the same a quarter period later.
+/// `z'' + 2σ(t) z' + ω0(t)² z = (N/m) jV e^{jθ}`: its real part is equation 1, its imaginary part the same a quarter period on.
 ///
 /// Nothing here knows of a rotating frame: θ is accumulated, and only reading a state turns back by it.
 pub(crate) struct Carrier {
@@ -85,8 +85,8 @@ struct Equation1<'a> {
     scale: f64,
 }
 
-/// Without a word of the integrator's own time: `ode_solvers` 0.6.2 (and 0.5.0) give the twelfth stage of DOP853 the node 0 in place of 1, so time
-/// is the fifth component.
+/// Autonomous, with time as the fifth component: `ode_solvers` 0.6.2 gives the twelfth stage of DOP853 the node 0 in place of 1,
+/// which costs seven digits wherever a right-hand side reads the integrator's own time.
 impl System<f64, Vector5<f64>> for Equation1<'_> {
     fn system(&self, _: f64, z: &Vector5<f64>, change: &mut Vector5<f64>) {
         let t = z[4];

@@ -1,0 +1,184 @@
+//! What can be said on the command line.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use platebench_rig::RigSpec;
+use platebench_wire::LawId;
+use std::path::PathBuf;
+
+const EXIT_CODES: &str = "\
+Exit codes:
+  0  everything passed
+  1  something failed
+  2  wrong usage or invalid input
+  3  nothing failed but something is inconclusive
+  4  there was nothing to run
+  5  the rig could not be reached or was lost
+  130, 143  ended by Ctrl-C or SIGTERM, with the plate at 0 V";
+
+/// A hardware-in-the-loop bench for controllers of an ultrasonic tactile plate.
+#[derive(Debug, Parser)]
+#[command(name = "platebench", version, after_help = EXIT_CODES)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    pub(crate) command: Command,
+    #[command(flatten)]
+    pub(crate) logging: Logging,
+}
+
+/// How much is said about what goes on.
+#[derive(Debug, Args)]
+pub(crate) struct Logging {
+    /// Say more: -v what is done, -vv how, -vvv everything
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub(crate) verbose: u8,
+    /// Say nothing but errors and the result
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub(crate) quiet: bool,
+    /// How the log on standard error is written; `PLATEBENCH_LOG` chooses what is in it
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Human, value_name = "FORMAT")]
+    pub(crate) log_format: LogFormat,
+}
+
+/// `--log-format`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// For people
+    Human,
+    /// One JSON object a line
+    Json,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Play, record, judge, report
+    Run(Run),
+    /// Judge the traces of a stored run again, without a rig
+    Judge(Judge),
+    /// Render the report of a stored run again
+    Report(Report),
+}
+
+/// `platebench run`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench run                                        every scenario below scenarios/ but those that show a limit
+  platebench run scenarios/limits/one-period-delay.toml one scenario
+  platebench run scenarios/paper --law dq-pi-euler      another law of the firmware
+  platebench run --trials 300 --seed 7 --out /tmp/night")]
+pub(crate) struct Run {
+    /// Scenario files, or folders with everything below them
+    #[arg(value_name = "SCENARIO|FOLDER", default_value = "scenarios")]
+    pub(crate) scenarios: Vec<PathBuf>,
+    /// What the controller runs on: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP
+    #[arg(long, default_value = "hosted")]
+    pub(crate) rig: RigSpec,
+    /// Control law of the firmware under test
+    #[arg(long, value_name = "NAME", value_parser = clap::builder::PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
+    pub(crate) law: Option<String>,
+    /// How time passes for the plate
+    #[arg(long, value_enum, default_value_t = Clock::Lockstep)]
+    pub(crate) clock: Clock,
+    /// The run folder; a new one below runs/ where not given
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) out: Option<PathBuf>,
+    /// Trials of each scenario
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(crate) trials: Option<u32>,
+    /// Seed of each scenario's first trial
+    #[arg(long, value_name = "S")]
+    pub(crate) seed: Option<u64>,
+    /// Trials that run at once; as many as there are cores where not given
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(crate) jobs: Option<u16>,
+    /// Play the K-th of N parts of the scenarios
+    #[arg(long, value_name = "K/N")]
+    pub(crate) shard: Option<Shard>,
+    /// What standard output shows
+    #[arg(long, value_enum, default_value_t = Format::Human)]
+    pub(crate) format: Format,
+}
+
+/// `--clock`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Clock {
+    /// The plate waits while a sample travels and the controller computes
+    Lockstep,
+}
+
+/// `--format`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Format {
+    /// A table
+    Human,
+    /// The run record
+    Json,
+}
+
+/// `--shard K/N`
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Shard {
+    number: usize,
+    of: usize,
+}
+
+impl Shard {
+    /// True where the `index`-th thing, counted from 0, belongs to this part.
+    pub(crate) fn holds(self, index: usize) -> bool {
+        index % self.of == self.number - 1
+    }
+}
+
+impl std::str::FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
+        match parts {
+            Some((number, of)) if (1..=of).contains(&number) => Ok(Self { number, of }),
+            _ => Err("expected K/N with K from 1 to N".to_owned()),
+        }
+    }
+}
+
+/// `platebench judge`
+#[derive(Debug, Args)]
+pub(crate) struct Judge {
+    /// The run folder
+    pub(crate) run: PathBuf,
+    /// Expectations from this scenario file instead of the stored one of its name
+    #[arg(long, value_name = "FILE")]
+    pub(crate) scenario: Option<PathBuf>,
+    /// What standard output shows
+    #[arg(long, value_enum, default_value_t = Format::Human)]
+    pub(crate) format: Format,
+}
+
+/// `platebench report`
+#[derive(Debug, Args)]
+pub(crate) struct Report {
+    /// The run folder
+    pub(crate) run: PathBuf,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_definition_is_consistent() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn shards_part_everything_once() {
+        let shards = ["1/3", "2/3", "3/3"].map(|text| text.parse::<Shard>().unwrap());
+        for index in 0..20 {
+            assert_eq!(shards.iter().filter(|shard| shard.holds(index)).count(), 1, "{index}");
+        }
+        for wrong in ["0/3", "4/3", "1", "1/0", "a/b", ""] {
+            assert!(wrong.parse::<Shard>().is_err(), "{wrong}");
+        }
+    }
+}

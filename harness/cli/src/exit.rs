@@ -1,0 +1,61 @@
+//! Exit codes, all of them.
+
+use platebench_runner::RunError;
+use platebench_verdict::{Cause, RunRecord, Verdict};
+use std::process::ExitCode;
+
+/// How the program ends. Where several apply: invalid, then unreachable, then failed, then inconclusive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Exit {
+    /// 0: everything passed.
+    Passed,
+    /// 1: something failed.
+    Failed,
+    /// 2: wrong usage or invalid input.
+    Invalid,
+    /// 3: nothing failed but something is inconclusive.
+    Inconclusive,
+    /// 4: there was nothing to run.
+    Nothing,
+    /// 5: the rig could not be reached or was lost.
+    Unreachable,
+    /// 128 + number of the signal that ended the run.
+    Signal(u8),
+}
+
+impl Exit {
+    /// How a run with this record ends.
+    pub(crate) fn of_record(record: &RunRecord) -> Self {
+        if record.causes().any(|cause| cause == Cause::Rig) {
+            return Self::Unreachable;
+        }
+        match record.verdict {
+            Verdict::Pass => Self::Passed,
+            Verdict::Fail => Self::Failed,
+            Verdict::Inconclusive => Self::Inconclusive,
+        }
+    }
+
+    /// How a run without a record ends.
+    pub(crate) fn of_error(error: &RunError) -> Self {
+        match error {
+            RunError::Scenario(_) | RunError::Folder(_) | RunError::Trace(_) => Self::Invalid,
+            RunError::Rig(_) => Self::Unreachable,
+            RunError::Bench(_) | RunError::Cancelled => Self::Inconclusive,
+        }
+    }
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(match exit {
+            Exit::Passed => 0,
+            Exit::Failed => 1,
+            Exit::Invalid => 2,
+            Exit::Inconclusive => 3,
+            Exit::Nothing => 4,
+            Exit::Unreachable => 5,
+            Exit::Signal(number) => 128 + number,
+        })
+    }
+}

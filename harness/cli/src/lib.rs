@@ -1,0 +1,33 @@
+//! The bench on the command line: arguments, wiring, exit codes; nothing else.
+//!
+//! A library only so that the whole-bench tests can start the very same program as a process of their own.
+
+mod args;
+mod exit;
+mod logging;
+mod output;
+mod run;
+mod stored;
+
+use args::{Arguments, Command};
+use clap::Parser;
+use exit::Exit;
+use std::process::ExitCode;
+
+/// The program: reads the process's arguments, does what they say and tells how it ended.
+pub fn main() -> ExitCode {
+    std::panic::set_hook(Box::new(|panic| tracing::error!("{panic}")));
+    let arguments = Arguments::parse();
+    logging::start(&arguments.logging);
+    // A panic is a fault of the bench: nothing was shown, so nothing passes and nothing fails.
+    let exit = std::panic::catch_unwind(|| match &arguments.command {
+        Command::Run(run) => run::run(run, arguments.logging.quiet),
+        Command::Judge(judge) => stored::judge(judge),
+        Command::Report(report) => stored::report(report),
+    });
+    exit.unwrap_or_else(|_| {
+        output::error("the bench has a fault of its own, please report it; -v shows more");
+        Exit::Inconclusive
+    })
+    .into()
+}

@@ -1,0 +1,158 @@
+//! `platebench run`: find, play, judge, report.
+
+use crate::args::{Clock, Run};
+use crate::exit::Exit;
+use crate::output;
+use platebench_report::{Progress, ProgressKind, html, junit};
+use platebench_rig::{Hosted, RigError, RigSpec};
+use platebench_runner::run::{AnyLink, Connect};
+use platebench_runner::{Cancel, Event, Plan, RunError, RunFolder, rejudge};
+use platebench_scenario::{Scenario, find};
+use platebench_verdict::RunRecord;
+use platebench_verdict::record::Overrides;
+use std::num::NonZero;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::mpsc;
+use tracing::info;
+
+const SIGINT: u8 = 2;
+const SIGTERM: u8 = 15;
+
+/// Plays scenarios and judges them.
+pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
+    let connect: Box<Connect> = match (&arguments.rig, arguments.clock) {
+        (RigSpec::Hosted, Clock::Lockstep) => Box::new(|| Ok::<AnyLink, RigError>(Box::new(Hosted::new()))),
+        (rig, _) => {
+            output::error(&format!("rig `{rig}` is not there yet, expected hosted"));
+            return Exit::Invalid;
+        }
+    };
+    let Ok(scenarios) = scenarios(arguments) else { return Exit::Invalid };
+    if scenarios.is_empty() {
+        output::error("there is nothing to run");
+        return Exit::Nothing;
+    }
+    let folder = match RunFolder::create(arguments.out.as_deref()) {
+        Ok(folder) => folder,
+        Err(error) => {
+            output::error(&error.to_string());
+            return Exit::Invalid;
+        }
+    };
+    let cores = std::thread::available_parallelism().map_or(1, NonZero::get);
+    let plan = Plan {
+        scenarios,
+        jobs: arguments.jobs.map_or(cores, usize::from),
+        rig: arguments.rig.to_string(),
+        overrides: overrides(arguments),
+    };
+    info!(folder = %folder.path().display(), scenarios = plan.scenarios.len(), jobs = plan.jobs, "run starts");
+    let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };
+    match play(plan, &folder, connect, kind) {
+        Ok(record) => finish(&record, &folder, arguments),
+        Err((error, signal)) => {
+            explain(&error, &folder);
+            signal.map_or_else(|| Exit::of_error(&error), Exit::Signal)
+        }
+    }
+}
+
+fn overrides(arguments: &Run) -> Overrides {
+    Overrides { law: arguments.law.clone(), trials: arguments.trials, seed: arguments.seed }
+}
+
+/// The scenarios that the command line means; every fault of every file has been shown where there are any.
+fn scenarios(arguments: &Run) -> Result<Vec<Scenario>, ()> {
+    let found = find(&arguments.scenarios).map_err(|faults| faults.iter().for_each(output::diagnostic))?;
+    if !found.left_out.is_empty() {
+        let names = found.left_out.join(", ");
+        info!(%names, "left out: scenarios that show a limit run where they or their folder are named");
+    }
+    let mut scenarios = found.scenarios;
+    let overrides = overrides(arguments);
+    for scenario in &mut scenarios {
+        rejudge::apply(&overrides, scenario);
+    }
+    let mut index = 0..;
+    scenarios.retain(|_| arguments.shard.zip(index.next()).is_none_or(|(shard, index)| shard.holds(index)));
+    Ok(scenarios)
+}
+
+/// Plays the plan on threads of its own while this one listens for signals and tells of progress.
+fn play(
+    plan: Plan,
+    folder: &RunFolder,
+    connect: Box<Connect>,
+    kind: ProgressKind,
+) -> Result<RunRecord, (RunError, Option<u8>)> {
+    let without_signal = |error: std::io::Error| (RunError::Bench(error.to_string()), None);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(without_signal)?;
+    let cancel = Cancel::default();
+    runtime.block_on(async {
+        let mut interrupt = signal(SignalKind::interrupt()).map_err(without_signal)?;
+        let mut terminate = signal(SignalKind::terminate()).map_err(without_signal)?;
+        let (teller, mut events) = mpsc::channel::<Event>(64);
+        let mut playing = {
+            let (folder, cancel) = (folder.clone(), cancel.clone());
+            tokio::task::spawn_blocking(move || {
+                let mut tell = |event| {
+                    // Nobody listens any more once the run was given up.
+                    let _ = teller.blocking_send(event);
+                };
+                platebench_runner::run(&plan, &folder, &*connect, &cancel, &mut tell)
+            })
+        };
+        let mut progress = Progress::new(kind);
+        let mut received = None;
+        loop {
+            let number = tokio::select! {
+                Some(event) = events.recv() => {
+                    follow(&mut progress, &event);
+                    continue;
+                }
+                ended = &mut playing => {
+                    progress.finish();
+                    let ended = ended.unwrap_or_else(|error| Err(RunError::Bench(error.to_string())));
+                    return ended.map_err(|error| (error, received));
+                }
+                _ = interrupt.recv() => SIGINT,
+                _ = terminate.recv() => SIGTERM,
+            };
+            if received.replace(number).is_some() {
+                // Asked twice: the plate is at 0 V or can no longer be brought there.
+                return Err((RunError::Cancelled, received));
+            }
+            cancel.cancel();
+        }
+    })
+}
+
+fn follow(progress: &mut Progress, event: &Event) {
+    match event {
+        Event::ScenarioStarted { file, trials } => progress.scenario_started(file, *trials),
+        Event::TrialFinished { file, trial } => progress.trial_finished(file, trial.index),
+        Event::ScenarioFinished(record) => progress.scenario_finished(record),
+    }
+}
+
+fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run) -> Exit {
+    let written =
+        junit::write(record, &folder.path().join(junit::FILE)).and_then(|()| html::write(record, folder.path()));
+    output::record(record, arguments.format);
+    output::note(&format!("run folder: {}", folder.path().display()));
+    match written {
+        Ok(()) => Exit::of_record(record),
+        Err(error) => {
+            output::error(&error.to_string());
+            Exit::Invalid
+        }
+    }
+}
+
+fn explain(error: &RunError, folder: &RunFolder) {
+    match error {
+        RunError::Scenario(diagnostic) => output::diagnostic(diagnostic),
+        error => output::error(&error.to_string()),
+    }
+    output::note(&format!("run folder: {}", folder.path().display()));
+}

@@ -1,0 +1,154 @@
+//! A stored run, judged again without a rig.
+
+use crate::folder::{sha256, trace_file};
+use crate::run::{Done, empty_record, finish};
+use platebench_scenario::{Diagnostic, Scenario, load};
+use platebench_trace::{TraceError, read};
+use platebench_verdict::judge::trial_record;
+use platebench_verdict::record::{Cause, RecordError};
+use platebench_verdict::{RunRecord, ScenarioRecord, TrialMeasures, Verdict, measure};
+use std::path::{Path, PathBuf};
+
+/// Why a stored run cannot be judged.
+#[derive(Debug, thiserror::Error)]
+pub enum RejudgeError {
+    /// There is no record that could be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A scenario, stored or given, is not one.
+    #[error("{0}")]
+    Scenario(Box<Diagnostic>),
+    /// A trace is not one.
+    #[error(transparent)]
+    Trace(#[from] TraceError),
+    /// An input is no longer what it was.
+    #[error("{}: SHA-256 {found}, expected {expected}: not the file that the run was made with", path.display())]
+    Changed {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        found: String,
+        /// What the record says.
+        expected: String,
+    },
+    /// The given scenario belongs to none of the run's.
+    #[error("{}: none of the run's scenarios has this name ({known})", path.display())]
+    NoSuchScenario {
+        /// The file.
+        path: PathBuf,
+        /// The names that there are.
+        known: String,
+    },
+}
+
+impl From<Diagnostic> for RejudgeError {
+    fn from(diagnostic: Diagnostic) -> Self {
+        Self::Scenario(Box::new(diagnostic))
+    }
+}
+
+/// Judges the traces in `folder` again, with the scenarios that are stored beside them or, for the one of that name, with `replacement`.
+///
+/// Trials whose trace is not there were cut off; they leave what they should have decided undecided.
+///
+/// # Errors
+/// [`RejudgeError`].
+pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, RejudgeError> {
+    let mut record = RunRecord::read(folder)?;
+    let replaced = replacement.map(|path| Ok::<_, RejudgeError>((path, chosen(&record, path)?))).transpose()?;
+    let mut scenarios = Vec::with_capacity(record.scenarios.len());
+    for (number, stored) in record.scenarios.iter().enumerate() {
+        let mut scenario = match replaced {
+            Some((path, chosen)) if chosen == number => load(path, &stored.file)?,
+            _ => stored_scenario(folder, stored)?,
+        };
+        apply(&record.overrides, &mut scenario);
+        scenarios.push(judged(folder, &scenario, stored)?);
+    }
+    record.verdict = Verdict::over(scenarios.iter().map(|scenario| scenario.verdict));
+    record.scenarios = scenarios;
+    Ok(record)
+}
+
+/// Changes a scenario as the run's command line asked for.
+pub fn apply(overrides: &platebench_verdict::record::Overrides, scenario: &mut Scenario) {
+    if let Some(law) = &overrides.law {
+        scenario.controller.law.clone_from(law);
+    }
+    if let Some(trials) = overrides.trials {
+        scenario.trials.count = trials;
+        scenario.trials.max_count = trials;
+    }
+    if let Some(seed) = overrides.seed {
+        scenario.trials.seed = seed;
+    }
+}
+
+/// Which of the run's scenarios `path` stands for: the only one, or the one with the same file name.
+fn chosen(record: &RunRecord, path: &Path) -> Result<usize, RejudgeError> {
+    let file_name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let same_name = |scenario: &ScenarioRecord| scenario.file.rsplit('/').next() == Some(&*file_name);
+    match &record.scenarios[..] {
+        [_] => Ok(0),
+        several => several.iter().position(same_name).ok_or_else(|| RejudgeError::NoSuchScenario {
+            path: path.to_owned(),
+            known: several.iter().map(|scenario| scenario.file.as_str()).collect::<Vec<_>>().join(", "),
+        }),
+    }
+}
+
+fn stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, RejudgeError> {
+    let Some(input) = stored.inputs.first() else {
+        let message = format!("the record of {} names no inputs", stored.file);
+        return Err(Diagnostic::of_file(&folder.join(platebench_verdict::record::FILE), message).into());
+    };
+    let scenario = load(&folder.join(&input.file), &stored.file)?;
+    for (now, then) in scenario.inputs.iter().zip(&stored.inputs) {
+        let found = sha256(&now.bytes);
+        if found != then.sha256 {
+            return Err(RejudgeError::Changed { path: now.path.clone(), found, expected: then.sha256.clone() });
+        }
+    }
+    Ok(scenario)
+}
+
+fn judged(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result<ScenarioRecord, RejudgeError> {
+    let mut trials = Vec::new();
+    let mut missing = Vec::new();
+    for index in 0..scenario.trials.max_count {
+        let trace = trace_file(scenario.name(), index);
+        let path = folder.join(&trace);
+        if !path.exists() {
+            missing.push(cut_off(scenario, index));
+            continue;
+        }
+        let measures = measure(scenario, index, &read(&path)?, scenario.controller.loop_delay);
+        let mut record = trial_record(scenario, &measures, trace, None);
+        if let Some(then) = stored.trials.iter().find(|then| then.index == index) {
+            record.reason = record.reason.or_else(|| then.reason.clone());
+            record.wall_ms = then.wall_ms;
+        }
+        trials.push(Done { measures, record });
+    }
+    let mut record = empty_record(scenario, stored.inputs.clone());
+    let mut measures: Vec<TrialMeasures> = trials.iter().map(|done| done.measures.clone()).collect();
+    finish(scenario, trials, &mut record);
+    if !missing.is_empty() {
+        measures.append(&mut missing);
+        let judgement = platebench_verdict::judge(scenario, &measures);
+        record.verdict = judgement.verdict;
+        record.expectations = judgement.expectations;
+    }
+    Ok(record)
+}
+
+/// What is known of a trial that was never played to its end.
+fn cut_off(scenario: &Scenario, index: u32) -> TrialMeasures {
+    TrialMeasures {
+        index,
+        seed: scenario.variation(index).seed,
+        measures: Vec::new(),
+        excuses: Vec::new(),
+        cause: Some((Cause::Bench, "the run was cut off before this trial was whole".to_owned())),
+    }
+}

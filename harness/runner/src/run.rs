@@ -1,0 +1,309 @@
+//! All trials of all scenarios, over several workers, in an order that no result depends on.
+
+use crate::configure;
+use crate::event::Event;
+use crate::folder::{FolderError, RunFolder, hexadecimal, trace_file};
+use crate::trial::{self, Patience};
+use platebench_rig::{Link, RigError, Session};
+use platebench_scenario::{Diagnostic, Scenario};
+use platebench_trace::{Row, TraceError, Writer};
+use platebench_verdict::judge::trial_record;
+use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
+use platebench_verdict::{Cause, RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, measure};
+use platebench_wire::{Identity, LawId};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc;
+use std::thread;
+use std::time::Instant;
+use tracing::{error, info, info_span};
+
+/// A link of any kind.
+pub type AnyLink = Box<dyn Link>;
+
+/// Makes a new link to a controller; called once per worker, and again where a controller was lost.
+pub type Connect = dyn Fn() -> Result<AnyLink, RigError> + Send + Sync;
+
+/// What is to be done.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// What is played, with the overrides already applied.
+    pub scenarios: Vec<Scenario>,
+    /// How many trials may run at once.
+    pub jobs: usize,
+    /// The rig as named on the command line.
+    pub rig: String,
+    /// Options of the command line that changed the scenarios.
+    pub overrides: Overrides,
+}
+
+/// A switch that ends a run early, from any thread.
+#[derive(Debug, Clone, Default)]
+pub struct Cancel(Arc<AtomicBool>);
+
+impl Cancel {
+    /// Ends the run: trials that go on are driven to 0 V and given up.
+    pub fn cancel(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// True once the run is to end.
+    pub fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+impl Patience for Cancel {
+    fn is_over(&self) -> bool {
+        self.is_cancelled()
+    }
+}
+
+/// Why there is no record.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// A scenario asks for what the controller does not have.
+    #[error("{0}")]
+    Scenario(Box<Diagnostic>),
+    /// The controller cannot be reached at all.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// The run folder cannot be written.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// A trace cannot be written.
+    #[error(transparent)]
+    Trace(#[from] TraceError),
+    /// The run was ended early; what was whole by then is in the run folder.
+    #[error("the run was ended early")]
+    Cancelled,
+    /// A fault of the bench itself.
+    #[error("the bench has a fault of its own, please report it: {0}")]
+    Bench(String),
+}
+
+/// Plays `plan` into `folder` and returns the record, which is also in the folder.
+///
+/// # Errors
+/// [`RunError`]; what was whole by then can still be judged and reported.
+pub fn run(
+    plan: &Plan,
+    folder: &RunFolder,
+    connect: &Connect,
+    cancel: &Cancel,
+    tell: &mut dyn FnMut(Event),
+) -> Result<RunRecord, RunError> {
+    let laws = plan.scenarios.iter().map(configure::law).collect::<Result<Vec<_>, _>>();
+    let laws = laws.map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
+    let identity = *Session::open(connect()?)?.identity();
+    let inputs = folder.store_inputs(&plan.scenarios)?;
+    for scenario in &plan.scenarios {
+        folder.prepare(scenario)?;
+    }
+    let mut record = first_record(plan, folder, &identity, &inputs);
+    let write = |record: &RunRecord| {
+        record.write(folder.path()).map_err(|source| FolderError::Io { path: folder.path().to_owned(), source })
+    };
+    write(&record)?;
+    let tasks: Vec<Task> =
+        plan.scenarios.iter().enumerate().flat_map(|(scenario, of)| trials_of(scenario, of)).collect();
+    let work =
+        Work { plan, laws: &laws, folder: folder.path(), connect, cancel, tasks: &tasks, next: AtomicUsize::new(0) };
+    let mut collected: Vec<Vec<Done>> = plan.scenarios.iter().map(|_| Vec::new()).collect();
+    thread::scope(|scope| {
+        let (sender, results) = mpsc::channel();
+        for _ in 0..plan.jobs.clamp(1, tasks.len().max(1)) {
+            let (work, sender) = (&work, sender.clone());
+            scope.spawn(move || work.worker(&sender));
+        }
+        drop(sender);
+        for result in results {
+            let result = result.inspect_err(|_| cancel.cancel());
+            let (number, done) = match result? {
+                Progress::Started(number) => {
+                    if let Some(scenario) = plan.scenarios.get(number) {
+                        let (file, trials) = (scenario.file.clone(), scenario.trials.max_count);
+                        tell(Event::ScenarioStarted { file, trials });
+                    }
+                    continue;
+                }
+                Progress::Done(number, done) => (number, done),
+            };
+            let (Some(scenario), Some(of_scenario), Some(scenario_record)) =
+                (plan.scenarios.get(number), collected.get_mut(number), record.scenarios.get_mut(number))
+            else {
+                continue;
+            };
+            tell(Event::TrialFinished { file: scenario.file.clone(), trial: Box::new(done.record.clone()) });
+            of_scenario.push(*done);
+            if of_scenario.len() == scenario.trials.max_count as usize {
+                finish(scenario, std::mem::take(of_scenario), scenario_record);
+                info!(scenario = %scenario.file, verdict = %scenario_record.verdict, "scenario judged");
+                let finished = Box::new(scenario_record.clone());
+                write(&record)?;
+                tell(Event::ScenarioFinished(finished));
+            }
+        }
+        Ok::<(), RunError>(())
+    })?;
+    if cancel.is_cancelled() {
+        return Err(RunError::Cancelled);
+    }
+    record.verdict = Verdict::over(record.scenarios.iter().map(|scenario| scenario.verdict));
+    record.complete = true;
+    write(&record)?;
+    Ok(record)
+}
+
+/// Judges a scenario whose trials have all been played.
+pub(crate) fn finish(scenario: &Scenario, mut trials: Vec<Done>, record: &mut ScenarioRecord) {
+    trials.sort_by_key(|done| done.record.index);
+    let (measures, records): (Vec<_>, Vec<_>) = trials.into_iter().map(|done| (done.measures, done.record)).unzip();
+    let judgement = judge(scenario, &measures);
+    record.verdict = judgement.verdict;
+    record.expectations = judgement.expectations;
+    record.trials = records;
+}
+
+/// The record of a scenario that nothing is known of yet.
+pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> ScenarioRecord {
+    ScenarioRecord {
+        file: scenario.file.clone(),
+        title: scenario.title.clone(),
+        source: scenario.source.clone(),
+        verdict: Verdict::Inconclusive,
+        law: scenario.controller.law.clone(),
+        model: scenario.tier.name().to_owned(),
+        inputs,
+        expectations: Vec::new(),
+        trials: Vec::new(),
+    }
+}
+
+/// One trial that is to be played.
+#[derive(Clone, Copy)]
+struct Task {
+    scenario: usize,
+    index: u32,
+}
+
+fn trials_of(scenario: usize, of: &Scenario) -> impl Iterator<Item = Task> + use<> {
+    (0..of.trials.max_count).map(move |index| Task { scenario, index })
+}
+
+/// One trial that was played.
+pub(crate) struct Done {
+    pub(crate) measures: TrialMeasures,
+    pub(crate) record: TrialRecord,
+}
+
+enum Progress {
+    Started(usize),
+    Done(usize, Box<Done>),
+}
+
+/// What all workers share.
+struct Work<'a> {
+    plan: &'a Plan,
+    laws: &'a [LawId],
+    folder: &'a Path,
+    connect: &'a Connect,
+    cancel: &'a Cancel,
+    tasks: &'a [Task],
+    next: AtomicUsize,
+}
+
+impl Work<'_> {
+    /// Plays trials until none is left, each worker over a link of its own.
+    fn worker(&self, results: &mpsc::Sender<Result<Progress, RunError>>) {
+        let mut session = None;
+        while !self.cancel.is_cancelled() {
+            let Some(&task) = self.tasks.get(self.next.fetch_add(1, Ordering::Relaxed)) else { break };
+            if task.index == 0 && results.send(Ok(Progress::Started(task.scenario))).is_err() {
+                break;
+            }
+            let played = catch_unwind(AssertUnwindSafe(|| self.play(&mut session, task)));
+            let result = match played {
+                Ok(Ok(Some(done))) => Ok(Progress::Done(task.scenario, Box::new(done))),
+                Ok(Ok(None)) => break,
+                Ok(Err(error)) => Err(error),
+                Err(panic) => Err(RunError::Bench(panic_message(panic.as_ref()))),
+            };
+            let is_over = result.is_err();
+            if results.send(result).is_err() || is_over {
+                break;
+            }
+        }
+    }
+
+    /// Plays and measures one trial. `None` where it was given up.
+    fn play(&self, session: &mut Option<Session<AnyLink>>, task: Task) -> Result<Option<Done>, RunError> {
+        let (Some(scenario), Some(&law)) = (self.plan.scenarios.get(task.scenario), self.laws.get(task.scenario))
+        else {
+            return Ok(None);
+        };
+        let _span = info_span!("trial", scenario = %scenario.file, index = task.index).entered();
+        let started = Instant::now();
+        let open = match session {
+            Some(open) => open,
+            None => session.insert(Session::open((self.connect)()?)?),
+        };
+        let Some(played) = trial::play(open, scenario, law, task.index, self.cancel) else { return Ok(None) };
+        let trace = trace_file(scenario.name(), task.index);
+        write_trace(&self.folder.join(&trace), &played.rows)?;
+        let measures = measure(scenario, task.index, &played.rows, scenario.controller.loop_delay);
+        let wall_ms = started.elapsed().as_secs_f64() * 1e3;
+        let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));
+        if let Some(lost) = played.lost {
+            error!(error = %lost, "controller lost");
+            record.reason = Some(lost.to_string());
+            // The next trial starts over a new link.
+            *session = None;
+        }
+        Ok(Some(Done { measures, record }))
+    }
+}
+
+fn write_trace(path: &Path, rows: &[Row]) -> Result<(), TraceError> {
+    let mut writer = Writer::create(path)?;
+    rows.iter().try_for_each(|row| writer.write(row))?;
+    writer.finish()
+}
+
+fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+    text.unwrap_or("no message").to_owned()
+}
+
+fn first_record(plan: &Plan, folder: &RunFolder, identity: &Identity, inputs: &[Vec<InputRecord>]) -> RunRecord {
+    let scenarios = plan.scenarios.iter().zip(inputs).map(|(scenario, inputs)| empty_record(scenario, inputs.clone()));
+    let name = identity.name.split(|&byte| byte == 0).next().unwrap_or_default();
+    let [major, minor, patch] = identity.version;
+    RunRecord {
+        format: platebench_verdict::record::FORMAT,
+        verdict: Verdict::Inconclusive,
+        complete: false,
+        tool: Tool { name: "platebench".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
+        started: folder.started(),
+        rig: RigRecord {
+            name: plan.rig.clone(),
+            firmware: Some(Firmware {
+                name: String::from_utf8_lossy(name).into_owned(),
+                version: format!("{major}.{minor}.{patch}"),
+                build: hexadecimal(&identity.build),
+                chip: format!("{:#010x}", identity.chip),
+            }),
+        },
+        clock: "lockstep".to_owned(),
+        overrides: plan.overrides.clone(),
+        host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
+        scenarios: scenarios.collect(),
+    }
+}
+
+/// True where the record says that a controller was lost.
+pub fn lost_the_rig(record: &RunRecord) -> bool {
+    record.causes().any(|cause| cause == Cause::Rig)
+}

@@ -1,0 +1,93 @@
+//! The bench as the tests hold it.
+
+use platebench_rig::Hosted;
+use platebench_runner::run::AnyLink;
+use platebench_runner::{Cancel, Plan, RunFolder};
+use platebench_scenario::load;
+use platebench_trace::Row;
+use platebench_verdict::RunRecord;
+use platebench_verdict::record::Overrides;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use tempfile::TempDir;
+
+/// The workspace.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
+}
+
+/// The program, in a folder where a run may leave its traces.
+pub fn program(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_platebench-under-test"));
+    command.current_dir(folder).env_remove("PLATEBENCH_LOG");
+    command
+}
+
+/// Starts the program with `arguments` in `folder` and waits for its end.
+pub fn call<A: AsRef<std::ffi::OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> Output {
+    program(folder).args(arguments).output().unwrap()
+}
+
+/// The program's exit code.
+#[track_caller]
+pub fn code(output: &Output) -> i32 {
+    let code = output.status.code();
+    code.unwrap_or_else(|| panic!("ended by a signal: {}", String::from_utf8_lossy(&output.stderr)))
+}
+
+/// A folder with the repository's plates and scenarios of the test's own.
+pub struct Workshop {
+    folder: TempDir,
+}
+
+impl Workshop {
+    pub fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let plates = folder.path().join("scenarios/plates");
+        fs::create_dir_all(&plates).unwrap();
+        for plate in fs::read_dir(root().join("scenarios/plates")).unwrap() {
+            let path = plate.unwrap().path();
+            fs::copy(&path, plates.join(path.file_name().unwrap())).unwrap();
+        }
+        Self { folder }
+    }
+
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Writes `scenarios/<name>` and returns its path.
+    pub fn scenario(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.path().join("scenarios").join(name);
+        fs::write(&path, text).unwrap();
+        path
+    }
+
+    /// Plays a scenario text on the hosted rig and returns its record and its first trace.
+    pub fn play(&self, text: &str) -> (RunRecord, Vec<Row>) {
+        let path = self.scenario("played.toml", text);
+        let scenario = load(&path, "played.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let out = tempfile::tempdir_in(self.path()).unwrap();
+        let folder = RunFolder::create(Some(out.path())).unwrap();
+        let plan =
+            Plan { scenarios: vec![scenario], jobs: 1, rig: "hosted".to_owned(), overrides: Overrides::default() };
+        let connect = || Ok::<AnyLink, _>(Box::new(Hosted::new()));
+        let record = platebench_runner::run(&plan, &folder, &connect, &Cancel::default(), &mut |_| {}).unwrap();
+        let trace = out.path().join(&record.scenarios[0].trials[0].trace);
+        (record, platebench_trace::read(&trace).unwrap())
+    }
+
+    /// The first expectation's value of a scenario text.
+    pub fn value(&self, text: &str) -> Option<f64> {
+        self.play(text).0.scenarios[0].expectations[0].value
+    }
+}
+
+/// A scenario of the paper's plate with a step to 2 µm at the start; `controller`, `more` and `expect` are TOML.
+pub fn step_scenario(plate: &str, controller: &str, profile: &str, expect: &str) -> String {
+    format!(
+        "title = \"step\"\nplate = \"plates/{plate}.toml\"\nduration_ms = 60.0\n\
+         [controller]\n{controller}\n[profile]\nsetpoint_um = 2.0\n{profile}\n[[expect]]\n{expect}\n"
+    )
+}

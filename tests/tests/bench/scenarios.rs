@@ -1,0 +1,44 @@
+//! Every scenario of the repository ends as it says it does.
+
+use crate::bench::{call, code, root};
+use rstest::rstest;
+use std::fs;
+use std::path::PathBuf;
+
+fn expected_exit(path: &PathBuf) -> i32 {
+    let document: toml::Table = fs::read_to_string(path).unwrap().parse().unwrap();
+    document.get("expected_exit").map_or(0, |code| i32::try_from(code.as_integer().unwrap()).unwrap())
+}
+
+#[rstest]
+fn ends_as_it_says(
+    #[files("../scenarios/paper/*.toml")]
+    #[files("../scenarios/limits/*.toml")]
+    path: PathBuf,
+) {
+    let folder = tempfile::tempdir().unwrap();
+    let output = call(folder.path(), ["run", path.to_str().unwrap(), "--out", "run"]);
+    let told = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(code(&output), expected_exit(&path), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
+    for file in ["run.json", "junit.xml", "report.html"] {
+        assert!(folder.path().join("run").join(file).exists(), "{file}");
+    }
+}
+
+#[test]
+fn the_folder_of_limits_is_no_part_of_the_default_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let output =
+        call(folder.path(), ["run", root().join("scenarios").to_str().unwrap(), "--out", "run", "--trials", "2"]);
+    let record = fs::read_to_string(folder.path().join("run/run.json")).unwrap();
+    assert!(record.contains("paper/fig16-closed-loop.toml"));
+    assert!(!record.contains("limits/"), "{}", String::from_utf8_lossy(&output.stdout));
+}
+
+#[test]
+fn the_table_of_the_default_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = call(folder.path(), ["run", root().join("scenarios").to_str().unwrap(), "--out", "run", "--quiet"]);
+    assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
+    insta::assert_snapshot!(String::from_utf8(output.stdout).unwrap());
+}

@@ -1,0 +1,93 @@
+//! Stored runs: judged again, reported again, cut off, doctored.
+
+use crate::bench::{Workshop, call, code, root, step_scenario};
+use platebench_runner::rejudge;
+use platebench_verdict::{Cause, RunRecord, Verdict};
+use std::fs;
+
+const GOOD: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
+
+fn three_trials() -> String {
+    step_scenario("aluminium-198x138-noisy", "", "", "metric = \"settling_time_ms\"\nat_most = 4.0")
+        + "[trials]\ncount = 3\n[trials.spread]\nsensor_gain_percent = 1.0\n"
+}
+
+#[test]
+fn judging_again_gives_every_verdict_and_every_number_again() {
+    let folder = tempfile::tempdir().unwrap();
+    for (part, out) in [("scenarios/paper", "paper"), ("scenarios/limits", "limits")] {
+        call(folder.path(), ["run", root().join(part).to_str().unwrap(), "--out", out]);
+        let live = RunRecord::read(&folder.path().join(out)).unwrap();
+        let again = rejudge(&folder.path().join(out), None).unwrap();
+        assert!(live.complete && live.scenarios.len() >= 4);
+        assert_eq!(live, again);
+    }
+}
+
+#[test]
+fn a_run_that_was_cut_off_can_be_judged_and_reported() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &three_trials());
+    call(workshop.path(), ["run", "--out", "run"]);
+    let run = workshop.path().join("run");
+    // What a kill leaves behind: a record without verdicts, whole traces and a provisional one.
+    let mut record = RunRecord::read(&run).unwrap();
+    assert_eq!(record.verdict, Verdict::Pass);
+    record.complete = false;
+    record.scenarios[0].trials.clear();
+    record.scenarios[0].expectations.clear();
+    record.write(&run).unwrap();
+    fs::rename(run.join("traces/s/002.csv"), run.join("traces/s/002.csv.part")).unwrap();
+    fs::remove_file(run.join("report.html")).unwrap();
+
+    let again = rejudge(&run, None).unwrap();
+    assert_eq!(again.verdict, Verdict::Inconclusive);
+    assert_eq!(again.scenarios[0].trials.len(), 2);
+    assert_eq!(again.scenarios[0].expectations[0].cause, Some(Cause::Bench));
+    assert_eq!(code(&call(workshop.path(), ["judge", "run"])), 3);
+    assert_eq!(code(&call(workshop.path(), ["report", "run"])), 0);
+    assert!(fs::read_to_string(run.join("report.html")).unwrap().contains("inconclusive"));
+}
+
+#[test]
+fn other_expectations_can_be_held_against_stored_traces() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    call(workshop.path(), ["run", "--out", "run"]);
+    let stricter = step_scenario("aluminium-198x138", "", "", "metric = \"settling_time_ms\"\nat_most = 1.9");
+    workshop.scenario("stricter.toml", &stricter);
+    assert_eq!(code(&call(workshop.path(), ["judge", "run"])), 0);
+    assert_eq!(code(&call(workshop.path(), ["judge", "run", "--scenario", "scenarios/stricter.toml"])), 1);
+}
+
+#[test]
+fn inputs_that_are_no_longer_the_run_s_are_refused() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    call(workshop.path(), ["run", "--out", "run"]);
+    let stored = workshop.path().join("run/inputs/s.toml");
+    let text = fs::read_to_string(&stored).unwrap();
+    fs::write(&stored, text.replace("at_most = 2.0", "at_most = 9.0")).unwrap();
+    let output = call(workshop.path(), ["judge", "run"]);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(code(&output), 2, "{told}");
+    assert!(told.contains("s.toml") && told.contains("SHA-256"), "{told}");
+}
+
+#[test]
+fn a_broken_record_or_trace_is_told_with_its_line() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    call(workshop.path(), ["run", "--out", "run"]);
+    let trace = workshop.path().join("run/traces/s/000.csv");
+    let text = fs::read_to_string(&trace).unwrap();
+    fs::write(&trace, text.replacen("control", "kontrol", 1)).unwrap();
+    let output = call(workshop.path(), ["judge", "run"]);
+    assert_eq!(code(&output), 2);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("000.csv:2: "));
+
+    fs::write(workshop.path().join("run/run.json"), "{\n  \"format\": 2\n}").unwrap();
+    let output = call(workshop.path(), ["judge", "run"]);
+    assert_eq!(code(&output), 2);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("format 2, expected 1"));
+}
