@@ -8,7 +8,7 @@
 //! |---|---|---|---|
 //! | 1 | [`Message::Hello`] | bench | 2 |
 //! | 2 | [`Identity`] | target | 50 |
-//! | 3 | [`Configure`] | bench | 56 |
+//! | 3 | [`Configure`] | bench | 54 |
 //! | 4 | [`Configured`] | target | 20 |
 //! | 5 | [`Sample`] | bench | 18 |
 //! | 6 | [`Command`] | target | 18 |

@@ -1,1 +1,19 @@
-//! x
+//! What people and machines read of a run: everything here is made from a run record and its stored traces.
+//!
+//! * [`console`]: tables for a terminal, and progress while a run goes on.
+//! * [`junit`]: `junit.xml` for continuous integration.
+//! * [`html`]: `report.html`, one file that needs nothing else.
+//!
+//! Neighbours: `platebench-verdict` decides and owns the record, `platebench-trace` reads what happened. Nothing is
+//! judged here and nothing is measured: a number in a report stands in the record or in a trace. Exit codes are the
+//! command line's.
+
+pub mod console;
+mod error;
+mod evidence;
+pub mod html;
+pub mod junit;
+mod shown;
+
+pub use console::{Progress, ProgressKind, Style};
+pub use error::ReportError;

@@ -54,7 +54,8 @@ fn equation_24_as_printed_bears_its_budget_of_delay(#[case] delay_ms: f64, #[cas
     // Room to swing: with the amplifier's limit in the way a loop beyond its budget ends in a limit cycle instead.
     let text = step_scenario("aluminium-198x138", &controller, "", SETTLING)
         .replace("duration_ms = 60.0", "duration_ms = 900.0");
-    assert_eq!(Workshop::new().value(&text).is_some(), settles);
+    // A limit cycle may be inside the band when the trial ends: an entry that late is none.
+    assert_eq!(Workshop::new().value(&text).is_some_and(|ms| ms < 300.0), settles);
 }
 
 fn behind_an_amplifier_of(limit_vpp: f64, expect: &str) -> f64 {

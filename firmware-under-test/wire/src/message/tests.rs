@@ -57,7 +57,7 @@ fn identity_is_fifty_bytes() {
 }
 
 #[test]
-fn configure_is_fifty_six_bytes() {
+fn configure_is_fifty_four_bytes() {
     let configure = Configure {
         law: LawId::DqPi,
         period_us: 1000,

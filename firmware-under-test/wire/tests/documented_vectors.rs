@@ -1,0 +1,27 @@
+//! The test vectors of `docs/wire-protocol.md`, which strangers build their controllers on.
+
+use platebench_wire::{Encoded, FrameReader, Packet};
+
+const PAGE: &str = include_str!("../../../docs/wire-protocol.md");
+
+fn bytes(line: &str) -> Vec<u8> {
+    line.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
+}
+
+#[test]
+fn every_vector_holds_both_ways() {
+    let lines: Vec<_> = PAGE.lines().collect();
+    let vectors: Vec<_> = lines
+        .windows(2)
+        .filter_map(|pair| Some((bytes(pair[0].strip_prefix("body  ")?), bytes(pair[1].strip_prefix("frame ")?))))
+        .collect();
+    assert_eq!(vectors.len(), 8, "one for each kind but `configured`, and a second command");
+    for (body, frame) in vectors {
+        assert_eq!(Encoded::new(&body).unwrap().as_bytes(), frame);
+        let packet = Packet::decode(&body).unwrap();
+        assert_eq!(packet.encode().as_bytes(), frame, "{packet:?}");
+        let mut reader = FrameReader::new();
+        let read: Vec<_> = frame.iter().filter_map(|&byte| reader.push(byte).map(|body| body.unwrap().to_vec())).collect();
+        assert_eq!(read, [body]);
+    }
+}

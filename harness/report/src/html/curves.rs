@@ -1,0 +1,309 @@
+//! Rows to curves that a plot can hold: a few hundred points that lose no peak.
+//!
+//! Neighbours: `bundle` reads traces and calls this, `figure` decides which curves stand together. Nothing is measured
+//! here.
+
+use platebench_trace::{Flags, Row};
+
+/// Milliseconds and a value.
+pub(crate) type Point = (f64, f64);
+
+/// Points per line, at most; more than there are pixels for.
+pub(crate) const POINTS: usize = 400;
+/// Stretches of time into which an envelope is cut.
+const BUCKETS: usize = 200;
+
+/// What is plotted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Signal {
+    Amplitude,
+    InPhase,
+    Quadrature,
+    Setpoint,
+    Drive,
+    Frequency,
+    Resonance,
+    Force,
+    Temperature,
+}
+
+impl Signal {
+    pub(crate) const ALL: [Self; 9] = [
+        Self::Amplitude,
+        Self::InPhase,
+        Self::Quadrature,
+        Self::Setpoint,
+        Self::Drive,
+        Self::Frequency,
+        Self::Resonance,
+        Self::Force,
+        Self::Temperature,
+    ];
+
+    fn of(self, row: &Row) -> f64 {
+        match self {
+            Self::Amplitude => row.amplitude_um,
+            Self::InPhase => row.wd_um,
+            Self::Quadrature => row.wq_um,
+            Self::Setpoint => row.setpoint_um,
+            Self::Drive => row.drive_vpp,
+            Self::Frequency => row.frequency_hz,
+            Self::Resonance => row.resonance_hz,
+            Self::Force => row.finger_force_n,
+            Self::Temperature => row.temperature_offset_k,
+        }
+    }
+
+    /// What is applied stays until the next row; the plate moves on between rows.
+    fn is_held(self) -> bool {
+        matches!(self, Self::Setpoint | Self::Drive | Self::Frequency)
+    }
+}
+
+/// A stretch of a trial.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Window {
+    pub(crate) from_ms: f64,
+    pub(crate) to_ms: f64,
+}
+
+impl Window {
+    pub(crate) fn span_ms(self) -> f64 {
+        self.to_ms - self.from_ms
+    }
+
+    /// The edges of bucket `number`.
+    fn bucket(self, number: usize) -> (f64, f64) {
+        let edge = |number: usize| self.from_ms + self.span_ms() * number as f64 / BUCKETS as f64;
+        (edge(number), edge(number + 1))
+    }
+}
+
+fn ms(row: &Row) -> f64 {
+    row.t_s * 1e3
+}
+
+/// The rows after `from_ms` up to `to_ms`, inclusive.
+fn between(rows: &[Row], from_ms: f64, to_ms: f64) -> &[Row] {
+    let start = rows.partition_point(|row| ms(row) <= from_ms);
+    let end = rows.partition_point(|row| ms(row) <= to_ms);
+    rows.get(start..end).unwrap_or_default()
+}
+
+/// The signal at an instant; `None` before the first row and after the last.
+pub(crate) fn value_at(rows: &[Row], signal: Signal, at_ms: f64) -> Option<f64> {
+    let next = rows.partition_point(|row| ms(row) <= at_ms);
+    let before = rows.get(next.checked_sub(1)?)?;
+    let Some(after) = rows.get(next) else { return (ms(before) == at_ms).then(|| signal.of(before)) };
+    if signal.is_held() {
+        return Some(signal.of(before));
+    }
+    let share = (at_ms - ms(before)) / (ms(after) - ms(before));
+    Some(signal.of(before) + (signal.of(after) - signal.of(before)) * share)
+}
+
+/// The signal in the window as a line of at most some `limit` points.
+pub(crate) fn line(rows: &[Row], signal: Signal, window: Window, limit: usize) -> Vec<Point> {
+    let mut points: Vec<Point> = Vec::new();
+    let edge = |at_ms| value_at(rows, signal, at_ms).map(|value| (at_ms, value));
+    points.extend(edge(window.from_ms));
+    let mut end = None;
+    for point in between(rows, window.from_ms, window.to_ms).iter().map(|row| (ms(row), signal.of(row))) {
+        end = Some(point);
+        match points.last() {
+            Some((_, before)) if signal.is_held() && *before == point.1 => continue,
+            Some((_, before)) if signal.is_held() => points.push((point.0, *before)),
+            _ => {}
+        }
+        points.push(point);
+    }
+    points.extend(edge(window.to_ms).or(end));
+    points.dedup();
+    thin(&points, window, limit)
+}
+
+/// Lowest and highest point of each of `limit / 2` stretches of the window, in the order of time; the two ends stay.
+pub(crate) fn thin(points: &[Point], window: Window, limit: usize) -> Vec<Point> {
+    if points.len() <= limit {
+        return points.to_vec();
+    }
+    let buckets = (limit / 2).max(1) as f64;
+    let bucket = |point: &Point| ((point.0 - window.from_ms) / window.span_ms() * buckets).floor();
+    let mut thinned: Vec<Point> = points.first().copied().into_iter().collect();
+    for part in points.chunk_by(|a, b| bucket(a) == bucket(b)) {
+        let by_value = |a: &&Point, b: &&Point| a.1.total_cmp(&b.1);
+        let extremes = [part.iter().min_by(by_value), part.iter().max_by(by_value)];
+        let mut extremes: Vec<Point> = extremes.into_iter().flatten().copied().collect();
+        extremes.sort_by(|a, b| a.0.total_cmp(&b.0));
+        thinned.extend(extremes);
+    }
+    thinned.extend(points.last());
+    thinned.dedup();
+    thinned
+}
+
+/// Lowest and highest value over trials, by stretch of time.
+#[derive(Debug, Clone)]
+pub(crate) struct Envelope {
+    window: Window,
+    held: bool,
+    range: Vec<Option<(f64, f64)>>,
+    trials: usize,
+    differs: bool,
+}
+
+impl Envelope {
+    pub(crate) fn new(window: Window, signal: Signal) -> Self {
+        Self { window, held: signal.is_held(), range: vec![None; BUCKETS], trials: 0, differs: false }
+    }
+
+    /// Takes a trial in.
+    pub(crate) fn widen(&mut self, rows: &[Row], signal: Signal) {
+        for (number, range) in self.range.iter_mut().enumerate() {
+            let (from_ms, to_ms) = self.window.bucket(number);
+            let edges = [value_at(rows, signal, from_ms), value_at(rows, signal, to_ms)];
+            let inside = between(rows, from_ms, to_ms).iter().map(|row| signal.of(row));
+            for value in edges.into_iter().flatten().chain(inside) {
+                let (low, high) = range.unwrap_or((value, value));
+                if self.trials > 0 && !(low..=high).contains(&value) {
+                    self.differs = true;
+                }
+                *range = Some((low.min(value), high.max(value)));
+            }
+        }
+        self.trials += 1;
+    }
+
+    /// Upper and lower edge, both from left to right; `None` where all trials are the same.
+    pub(crate) fn edges(&self) -> Option<[Vec<Point>; 2]> {
+        if !self.differs {
+            return None;
+        }
+        let mut edges = [Vec::new(), Vec::new()];
+        for (number, (low, high)) in self.range.iter().enumerate().filter_map(|(n, range)| Some((n, (*range)?))) {
+            let (from_ms, to_ms) = self.window.bucket(number);
+            for (edge, value) in edges.iter_mut().zip([high, low]) {
+                if self.held {
+                    edge.extend([(from_ms, value), (to_ms, value)]);
+                } else {
+                    edge.push((f64::midpoint(from_ms, to_ms), value));
+                }
+            }
+        }
+        Some(edges)
+    }
+}
+
+/// The stretches in which the drive is at the amplifier's limit.
+pub(crate) fn saturated(rows: &[Row], window: Window) -> Vec<Window> {
+    let mut spans: Vec<Window> = Vec::new();
+    for pair in rows.windows(2) {
+        let [row, next] = pair else { continue };
+        let (from_ms, to_ms) = (ms(row).max(window.from_ms), ms(next).min(window.to_ms));
+        if row.flags.contains(Flags::SATURATED) && from_ms < to_ms {
+            spans.push(Window { from_ms, to_ms });
+        }
+    }
+    merged(spans)
+}
+
+/// Stretches that touch or overlap as one.
+pub(crate) fn merged(mut spans: Vec<Window>) -> Vec<Window> {
+    spans.sort_by(|a, b| a.from_ms.total_cmp(&b.from_ms));
+    let mut result: Vec<Window> = Vec::new();
+    for span in spans {
+        match result.last_mut() {
+            Some(last) if span.from_ms <= last.to_ms => last.to_ms = last.to_ms.max(span.to_ms),
+            _ => result.push(span),
+        }
+    }
+    result
+}
+
+/// The instants at which the setpoint starts to move; a ramp is one step, and a constant setpoint moves at the start.
+pub(crate) fn steps_ms(rows: &[Row]) -> Vec<f64> {
+    let mut steps = Vec::new();
+    let mut moving = false;
+    let mut before = 0.0;
+    // Several rows may share an instant; the last of them is the state from there on.
+    for instant in rows.chunk_by(|a, b| a.t_s == b.t_s) {
+        let Some(row) = instant.last() else { continue };
+        let moves = row.setpoint_um != before;
+        if moves && !moving {
+            steps.push(ms(row));
+        }
+        moving = moves;
+        before = row.setpoint_um;
+    }
+    steps
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows(values: &[(f64, f64)]) -> Vec<Row> {
+        let row = |&(t_ms, value): &(f64, f64)| Row {
+            t_s: t_ms / 1e3,
+            amplitude_um: value,
+            drive_vpp: value,
+            setpoint_um: value,
+            ..Row::default()
+        };
+        values.iter().map(row).collect()
+    }
+
+    const ALL: Window = Window { from_ms: 0.0, to_ms: 4.0 };
+
+    #[test]
+    fn the_plate_moves_between_rows_and_the_drive_stays() {
+        let rows = rows(&[(0.0, 0.0), (2.0, 4.0), (4.0, 4.0)]);
+        assert_eq!(value_at(&rows, Signal::Amplitude, 1.0), Some(2.0));
+        assert_eq!(value_at(&rows, Signal::Drive, 1.0), Some(0.0));
+        assert_eq!(value_at(&rows, Signal::Drive, 4.5), None);
+        assert_eq!(line(&rows, Signal::Drive, ALL, POINTS), [(0.0, 0.0), (2.0, 0.0), (2.0, 4.0), (4.0, 4.0)]);
+        let middle = Window { from_ms: 1.0, to_ms: 3.0 };
+        assert_eq!(line(&rows, Signal::Amplitude, middle, POINTS), [(1.0, 2.0), (2.0, 4.0), (3.0, 4.0)]);
+    }
+
+    #[test]
+    fn thinning_keeps_a_single_peak() {
+        let mut many: Vec<Point> = (0..60_000).map(|n| (f64::from(n) * 4.0 / 60_000.0, 1.0)).collect();
+        many[31_234].1 = 9.0;
+        let thinned = thin(&many, ALL, POINTS);
+        assert!(thinned.len() <= POINTS + 2, "{}", thinned.len());
+        assert!(thinned.contains(&many[31_234]));
+        assert!(thinned.is_sorted_by(|a, b| a.0 <= b.0));
+    }
+
+    #[test]
+    fn an_envelope_holds_every_trial_and_equal_trials_have_none() {
+        let low = rows(&[(0.0, 1.0), (4.0, 1.0)]);
+        let high = rows(&[(0.0, 1.0), (1.0, 3.0), (1.01, 1.0), (4.0, 1.0)]);
+        let mut envelope = Envelope::new(ALL, Signal::Amplitude);
+        envelope.widen(&low, Signal::Amplitude);
+        envelope.widen(&low, Signal::Amplitude);
+        assert!(envelope.edges().is_none());
+        envelope.widen(&high, Signal::Amplitude);
+        let [upper, lower] = envelope.edges().unwrap();
+        assert_eq!(upper.iter().map(|point| point.1).fold(0.0, f64::max), 3.0);
+        assert_eq!(lower.iter().map(|point| point.1).fold(9.0, f64::min), 1.0);
+        assert_eq!(upper.len(), BUCKETS);
+    }
+
+    #[test]
+    fn a_ramp_is_one_step_and_equal_instants_are_one() {
+        let steps =
+            steps_ms(&rows(&[(0.0, 0.0), (1.0, 0.0), (1.0, 2.0), (2.0, 2.0), (3.0, 2.5), (3.5, 3.0), (4.0, 3.0)]));
+        assert_eq!(steps, [1.0, 3.0]);
+        assert_eq!(steps_ms(&rows(&[(0.0, 2.0), (1.0, 2.0)])), [0.0]);
+    }
+
+    #[test]
+    fn saturation_lasts_until_the_next_row() {
+        let mut rows = rows(&[(0.0, 1.0), (1.0, 1.0), (2.0, 1.0), (3.0, 1.0)]);
+        rows[1].flags = Flags::SATURATED | Flags::CONTROL;
+        rows[2].flags = Flags::SATURATED;
+        assert_eq!(saturated(&rows, ALL), [Window { from_ms: 1.0, to_ms: 3.0 }]);
+    }
+}

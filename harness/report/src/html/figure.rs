@@ -1,0 +1,227 @@
+//! Which curves stand together in a figure, and what its legend says.
+//!
+//! Neighbours: `bundle` holds the curves, `plot` draws them, `scenario` puts figures onto the page.
+
+use super::bundle::{BAND, Bundle, Settling, Strand, View};
+use super::curves::{self, POINTS, Point, Signal};
+use super::plot::{Chart, Ink, Mark};
+use crate::shown;
+use platebench_verdict::ScenarioRecord;
+
+/// A drawing with its words.
+#[derive(Debug, Clone)]
+pub(crate) struct Figure {
+    pub(crate) title: &'static str,
+    pub(crate) legend: Vec<Key>,
+    pub(crate) chart: Chart,
+}
+
+/// A line of a legend.
+#[derive(Debug, Clone)]
+pub(crate) struct Key {
+    pub(crate) ink: Ink,
+    pub(crate) is_area: bool,
+    pub(crate) text: String,
+}
+
+/// Another scenario whose response is shown behind.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Behind<'a> {
+    pub(crate) scenario: &'a ScenarioRecord,
+    pub(crate) bundle: &'a Bundle,
+}
+
+/// The figures of a scenario in groups, each with its heading.
+pub(crate) fn figures(bundle: &Bundle, behind: Option<Behind<'_>>) -> Vec<(&'static str, Vec<Figure>)> {
+    let Some((whole, before)) = bundle.views.split_last() else { return Vec::new() };
+    let maker = |view| Maker { bundle, view, behind };
+    let response = before.iter().map(|view| {
+        let maker = maker(view);
+        ("Response to the setpoint step", vec![maker.amplitude(), maker.drive()])
+    });
+    let all = maker(whole);
+    let mut figures = vec![all.amplitude(), all.components(), all.drive(), all.frequency()];
+    figures.extend(all.profile(Signal::Force, "Finger force", "N"));
+    figures.extend(all.profile(Signal::Temperature, "Temperature above the reference", "K"));
+    response.chain([("Whole trial", figures)]).collect()
+}
+
+struct Maker<'a> {
+    bundle: &'a Bundle,
+    view: &'a View,
+    behind: Option<Behind<'a>>,
+}
+
+/// A figure in the making.
+struct Draft {
+    areas: Vec<(Ink, [Vec<Point>; 2])>,
+    lines: Vec<(Ink, Vec<Point>)>,
+    legend: Vec<Key>,
+}
+
+impl Draft {
+    fn new() -> Self {
+        Self { areas: Vec::new(), lines: Vec::new(), legend: Vec::new() }
+    }
+
+    fn area(&mut self, ink: Ink, edges: [Vec<Point>; 2], text: String) {
+        self.areas.push((ink, edges));
+        self.legend.push(Key { ink, is_area: true, text });
+    }
+
+    fn line(&mut self, ink: Ink, points: Vec<Point>, text: String) {
+        if !points.is_empty() {
+            self.lines.push((ink, points));
+            self.legend.push(Key { ink, is_area: false, text });
+        }
+    }
+
+    /// Lowest and highest value of everything in it.
+    fn range(&self) -> (f64, f64) {
+        let edges = self.areas.iter().flat_map(|(_, edges)| edges).flatten();
+        let values = self.lines.iter().flat_map(|(_, points)| points).chain(edges).map(|point| point.1);
+        let range = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+        if range.0 <= range.1 { range } else { (0.0, 0.0) }
+    }
+
+    /// The range with air around it and at least `least` wide; `from_zero` where 0 is an end that means something.
+    fn axis(&self, least: f64, from_zero: bool) -> (f64, f64) {
+        let (low, high) = self.range();
+        let (low, high) = if from_zero { (low.min(0.0), high.max(0.0)) } else { (low, high) };
+        let span = (high - low).max(least);
+        let centred = if from_zero { 0.0 } else { (span - (high - low)) / 2.0 };
+        let bottom = if from_zero && low >= 0.0 { 0.0 } else { low - centred - 0.06 * span };
+        (bottom, low - centred + span * 1.08)
+    }
+}
+
+impl Maker<'_> {
+    fn strand(&self, signal: Signal) -> Option<&Strand> {
+        self.view.strands.get(&signal)
+    }
+
+    fn first(&self, signal: Signal) -> Vec<Point> {
+        self.strand(signal).map(|strand| strand.first.clone()).unwrap_or_default()
+    }
+
+    fn of_first(&self) -> String {
+        format!("trial {}", self.bundle.first)
+    }
+
+    /// Spread, the first trial and the one that decided.
+    fn trials(&self, draft: &mut Draft, signal: Signal) {
+        let Some(strand) = self.strand(signal) else { return };
+        if let Some(edges) = strand.envelope.edges() {
+            draft.area(Ink::Spread, edges, format!("range of {}", shown::count(self.bundle.shown, "trial")));
+        }
+        draft.line(Ink::First, strand.first.clone(), self.of_first());
+        // Where it does as the first one does it would only hide it.
+        if let Some((index, metric)) = self.bundle.exhibit.as_ref().filter(|_| strand.exhibit != strand.first) {
+            draft.line(Ink::Exhibit, strand.exhibit.clone(), format!("trial {index}, decided {metric}"));
+        }
+    }
+
+    fn setpoint(&self, draft: &mut Draft, with_band: bool) {
+        let setpoint = self.first(Signal::Setpoint);
+        let edge = |sign: f64| setpoint.iter().map(|&(t, value)| (t, value * (1.0 + sign * BAND))).collect();
+        if with_band && setpoint.iter().any(|point| point.1 != 0.0) {
+            draft.area(Ink::Band, [edge(1.0), edge(-1.0)], format!("{} % band", shown::number(BAND * 100.0)));
+        }
+        draft.line(Ink::Setpoint, setpoint, "setpoint".to_owned());
+    }
+
+    fn finish(&self, title: &'static str, unit: &'static str, draft: Draft, range: (f64, f64)) -> Figure {
+        let Draft { areas, lines, legend } = draft;
+        let chart = Chart { window: self.view.window, range, unit, spans: Vec::new(), areas, lines, mark: None };
+        Figure { title, legend, chart }
+    }
+
+    fn amplitude(&self) -> Figure {
+        let mut draft = Draft::new();
+        self.setpoint(&mut draft, true);
+        if let Some(behind) = self.behind {
+            let window = self.view.window;
+            let inside = |point: &&Point| (window.from_ms..=window.to_ms).contains(&point.0);
+            let points: Vec<Point> = behind.bundle.amplitude.iter().filter(inside).copied().collect();
+            draft.line(
+                Ink::Other,
+                curves::thin(&points, window, POINTS),
+                format!("open loop ({})", behind.scenario.file),
+            );
+        }
+        self.trials(&mut draft, Signal::Amplitude);
+        let range = draft.axis(0.1, true);
+        let mut figure = self.finish("Amplitude |W|", "µm", draft, range);
+        match self.bundle.settling {
+            Settling::At { instant_ms, after_ms } => {
+                let text = format!("settled after {} ms", shown::number(after_ms));
+                figure.legend.push(Key {
+                    ink: Ink::Settling,
+                    is_area: false,
+                    text: format!("{} {text}", self.of_first()),
+                });
+                figure.chart.mark = Some(Mark { at_ms: instant_ms, text });
+            }
+            Settling::Never => {
+                let text = format!("{} does not settle", self.of_first());
+                figure.legend.push(Key { ink: Ink::Settling, is_area: false, text });
+            }
+            Settling::Unknown => {}
+        }
+        figure
+    }
+
+    fn components(&self) -> Figure {
+        let mut draft = Draft::new();
+        self.setpoint(&mut draft, false);
+        for (signal, ink, spread, name) in [
+            (Signal::InPhase, Ink::First, Ink::Spread, "in-phase Wd"),
+            (Signal::Quadrature, Ink::Second, Ink::SecondSpread, "quadrature Wq"),
+        ] {
+            if let Some(edges) = self.strand(signal).and_then(|strand| strand.envelope.edges()) {
+                draft.areas.push((spread, edges));
+            }
+            draft.line(ink, self.first(signal), format!("{name}, {}", self.of_first()));
+        }
+        let range = draft.axis(0.1, false);
+        self.finish("Components Wd and Wq", "µm", draft, range)
+    }
+
+    fn drive(&self) -> Figure {
+        let mut draft = Draft::new();
+        self.trials(&mut draft, Signal::Drive);
+        let range = draft.axis(10.0, true);
+        let mut figure = self.finish("Drive", "Vpp", draft, range);
+        if !self.view.saturated.is_empty() {
+            figure.chart.spans = self.view.saturated.iter().map(|span| (Ink::Saturated, *span)).collect();
+            let text = if self.bundle.shown > 1 { "saturated in a trial" } else { "saturated" };
+            figure.legend.push(Key { ink: Ink::Saturated, is_area: true, text: text.to_owned() });
+        }
+        figure
+    }
+
+    fn frequency(&self) -> Figure {
+        let mut draft = Draft::new();
+        // Before the controller has spoken there is no excitation, and 0 Hz would flatten everything else.
+        let driven =
+            self.strand(Signal::Frequency).is_some_and(|strand| strand.first.iter().all(|point| point.1 > 0.0));
+        if driven {
+            self.trials(&mut draft, Signal::Frequency);
+        } else {
+            let points = self.first(Signal::Frequency).into_iter().filter(|point| point.1 > 0.0).collect();
+            draft.line(Ink::First, points, self.of_first());
+        }
+        draft.line(Ink::Other, self.first(Signal::Resonance), "resonance".to_owned());
+        let range = draft.axis(20.0, false);
+        self.finish("Excitation frequency against resonance", "Hz", draft, range)
+    }
+
+    /// A profile of the scene, where it is not zero throughout.
+    fn profile(&self, signal: Signal, title: &'static str, unit: &'static str) -> Option<Figure> {
+        let mut draft = Draft::new();
+        self.trials(&mut draft, signal);
+        let (low, high) = draft.range();
+        let range = draft.axis(0.1, true);
+        (low != 0.0 || high != 0.0).then(|| self.finish(title, unit, draft, range))
+    }
+}

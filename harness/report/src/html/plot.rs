@@ -1,0 +1,225 @@
+//! Curves to SVG.
+//!
+//! Plotters draws; a drawing has no colours of its own, only classes that the page's style sheet paints, so that it
+//! serves light, dark and paper. Neighbours: `figure` says what is drawn. Nothing here knows a metric.
+
+use super::curves::{Point, Window};
+use crate::error::ReportError;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use std::error::Error;
+
+/// Units of the drawing per CSS pixel at natural size: plotters puts points on whole numbers only.
+const FINE: u32 = 4;
+/// Width and height of every drawing.
+pub(crate) const SIZE: (u32, u32) = (560 * FINE, 306 * FINE);
+
+/// A role in a drawing. The style sheet gives it a colour.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Ink {
+    Text,
+    Grid,
+    Axis,
+    First,
+    Second,
+    Exhibit,
+    Other,
+    Setpoint,
+    Band,
+    Spread,
+    SecondSpread,
+    Saturated,
+    Settling,
+}
+
+impl Ink {
+    const ALL: [Self; 13] = [
+        Self::Text,
+        Self::Grid,
+        Self::Axis,
+        Self::First,
+        Self::Second,
+        Self::Exhibit,
+        Self::Other,
+        Self::Setpoint,
+        Self::Band,
+        Self::Spread,
+        Self::SecondSpread,
+        Self::Saturated,
+        Self::Settling,
+    ];
+
+    /// The class, with `s-` before it for a stroke and `f-` for a filling.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Text => "text",
+            Self::Grid => "grid",
+            Self::Axis => "axis",
+            Self::First => "first",
+            Self::Second => "second",
+            Self::Exhibit => "exhibit",
+            Self::Other => "other",
+            Self::Setpoint => "setpoint",
+            Self::Band => "band",
+            Self::Spread => "spread",
+            Self::SecondSpread => "second-spread",
+            Self::Saturated => "saturated",
+            Self::Settling => "settling",
+        }
+    }
+
+    /// A colour that stands for the role until the drawing is done.
+    const fn colour(self) -> RGBColor {
+        RGBColor(1, 2, self as u8)
+    }
+}
+
+/// A line at an instant.
+#[derive(Debug, Clone)]
+pub(crate) struct Mark {
+    pub(crate) at_ms: f64,
+    pub(crate) text: String,
+}
+
+/// What is drawn, from the back to the front.
+#[derive(Debug, Clone)]
+pub(crate) struct Chart {
+    pub(crate) window: Window,
+    /// Lowest and highest value of the vertical axis.
+    pub(crate) range: (f64, f64),
+    pub(crate) unit: &'static str,
+    pub(crate) spans: Vec<(Ink, Window)>,
+    /// Upper and lower edge, both from left to right.
+    pub(crate) areas: Vec<(Ink, [Vec<Point>; 2])>,
+    pub(crate) lines: Vec<(Ink, Vec<Point>)>,
+    pub(crate) mark: Option<Mark>,
+}
+
+impl Chart {
+    /// The elements of the drawing, to stand in an `svg` element of [`SIZE`].
+    pub(crate) fn draw(&self, title: &str) -> Result<String, ReportError> {
+        let mut svg = String::new();
+        self.draw_into(&mut svg).map_err(|source| ReportError::Plot { title: title.to_owned(), source })?;
+        Ok(classed(&svg))
+    }
+
+    fn draw_into(&self, svg: &mut String) -> Result<(), Box<dyn Error + Send + Sync>> {
+        let (low, high) = self.range;
+        let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+        let mut chart = ChartBuilder::on(&root)
+            .margin_top(30 * FINE)
+            .margin_right(14 * FINE)
+            .set_label_area_size(LabelAreaPosition::Left, 66 * FINE)
+            .set_label_area_size(LabelAreaPosition::Bottom, 50 * FINE)
+            .build_cartesian_2d(self.window.from_ms..self.window.to_ms, low..high)?;
+        for (ink, span) in &self.spans {
+            chart.draw_series([Rectangle::new([(span.from_ms, low), (span.to_ms, high)], ink.colour().filled())])?;
+        }
+        let (x_decimals, y_decimals) = (decimals(self.window.span_ms()), decimals(high - low));
+        chart
+            .configure_mesh()
+            .disable_x_mesh()
+            .x_labels(7)
+            .y_labels(6)
+            .x_label_formatter(&|value| tick(*value, x_decimals))
+            .y_label_formatter(&|value| tick(*value, y_decimals))
+            .label_style(text(Ink::Text, HPos::Center, VPos::Center))
+            .axis_style(Ink::Axis.colour())
+            .bold_line_style(Ink::Grid.colour())
+            .light_line_style(TRANSPARENT)
+            .set_all_tick_mark_size(4 * FINE)
+            .draw()?;
+        for (ink, [upper, lower]) in &self.areas {
+            let outline: Vec<Point> = upper.iter().chain(lower.iter().rev()).copied().collect();
+            chart.draw_series([Polygon::new(outline, ink.colour().filled())])?;
+        }
+        for (ink, points) in &self.lines {
+            chart.draw_series([PathElement::new(points.clone(), ink.colour())])?;
+        }
+        if let Some(mark) = &self.mark {
+            let height = high - low;
+            chart.draw_series([PathElement::new([(mark.at_ms, low), (mark.at_ms, high)], Ink::Settling.colour())])?;
+            // Below a settled response there is room; towards the right end there is none.
+            let is_left = mark.at_ms - self.window.from_ms < 0.55 * self.window.span_ms();
+            let (side, shift) = if is_left { (HPos::Left, 1.0) } else { (HPos::Right, -1.0) };
+            let place = (mark.at_ms + shift * 0.012 * self.window.span_ms(), low + 0.12 * height);
+            chart.draw_series([Text::new(mark.text.clone(), place, text(Ink::Settling, side, VPos::Center))])?;
+        }
+        drop(chart);
+        let (width, height) = (i32::try_from(SIZE.0)?, i32::try_from(SIZE.1)?);
+        let fine = i32::try_from(FINE)?;
+        root.draw_text(self.unit, &text(Ink::Text, HPos::Right, VPos::Center), (58 * fine, 14 * fine))?;
+        root.draw_text(
+            "time, ms",
+            &text(Ink::Text, HPos::Right, VPos::Bottom),
+            (width - 14 * fine, height - 2 * fine),
+        )?;
+        root.present()?;
+        Ok(())
+    }
+}
+
+fn text(ink: Ink, side: HPos, height: VPos) -> TextStyle<'static> {
+    let font = ("sans-serif", f64::from(13 * FINE)).into_font();
+    let style = TextStyle::from(font).pos(Pos::new(side, height));
+    TextStyle { color: ink.colour().to_backend_color(), ..style }
+}
+
+/// Decimals that tell the ticks of a range apart.
+fn decimals(span: f64) -> usize {
+    let step = span / 8.0;
+    if step > 0.0 { (-step.log10().floor()).clamp(0.0, 9.0) as usize } else { 0 }
+}
+
+fn tick(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    if text == "-0" { "0".to_owned() } else { text.replace('-', "−") }
+}
+
+/// The drawing without its outer element and with classes instead of colours.
+fn classed(svg: &str) -> String {
+    let body = svg.split_once('>').map_or(svg, |(_, rest)| rest).trim_end().trim_end_matches("</svg>");
+    let mut body = body.replace("opacity=\"1\" ", "").replace("stroke-width=\"1\" ", "").replace(" \"/>", "\"/>");
+    for ink in Ink::ALL {
+        let RGBColor(red, green, blue) = ink.colour();
+        for (attribute, prefix) in [("stroke", 's'), ("fill", 'f')] {
+            let colour = format!("{attribute}=\"#{red:02X}{green:02X}{blue:02X}\"");
+            body = body.replace(&colour, &format!("class=\"{prefix}-{}\"", ink.name()));
+        }
+    }
+    body
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    #[case(0.5, 60.0, "0.5")]
+    #[case(-20.0, 400.0, "−20")]
+    #[case(-1e-12, 2.0, "0")]
+    #[case(32_307.5, 3.0, "32307.5")]
+    fn ticks_are_short(#[case] value: f64, #[case] span: f64, #[case] expected: &str) {
+        assert_eq!(tick(value, decimals(span).max(1)), expected);
+    }
+
+    #[test]
+    fn no_colour_is_left_in_a_drawing() {
+        let chart = Chart {
+            window: Window { from_ms: 0.0, to_ms: 10.0 },
+            range: (0.0, 1.0),
+            unit: "µm",
+            spans: vec![(Ink::Saturated, Window { from_ms: 1.0, to_ms: 2.0 })],
+            areas: vec![(Ink::Band, [vec![(0.0, 1.0), (1.0, 1.0)], vec![(0.0, 0.5), (1.0, 0.5)]])],
+            lines: vec![(Ink::First, vec![(0.0, 0.0), (10.0, 1.0)])],
+            mark: Some(Mark { at_ms: 9.0, text: "settled".to_owned() }),
+        };
+        let svg = chart.draw("test").unwrap();
+        assert!(!svg.contains('#') && !svg.contains("<svg") && !svg.contains("</svg"), "{svg}");
+        for class in ["f-saturated", "f-band", "s-first", "s-settling", "f-settling", "s-grid", "s-axis", "f-text"] {
+            assert!(svg.contains(class), "{class}: {svg}");
+        }
+    }
+}

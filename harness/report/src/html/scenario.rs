@@ -1,0 +1,194 @@
+//! A scenario on the page: what was expected, what came of it, and how it looked.
+//!
+//! Neighbours: `figure` makes the drawings. The words of verdicts and reasons are the record's.
+
+use super::bundle::Bundle;
+use super::figure::{Behind, Figure, Key, figures};
+use super::plot::SIZE;
+use super::{anchor, badge};
+use crate::error::ReportError;
+use crate::{evidence, shown};
+use maud::{Markup, PreEscaped, html};
+use platebench_verdict::{ExpectationRecord, ScenarioRecord};
+use serde_json::Value;
+
+/// How many unreadable traces are named one by one.
+const NAMED: usize = 5;
+
+/// The scenario with number `index` of the record.
+pub(super) fn article(
+    index: usize,
+    scenario: &ScenarioRecord,
+    bundle: &Bundle,
+    behind: Option<Behind<'_>>,
+) -> Result<Markup, ReportError> {
+    let mut groups = Vec::new();
+    for (heading, figures) in figures(bundle, behind) {
+        let drawn: Vec<Markup> = figures.iter().map(drawing).collect::<Result<_, _>>()?;
+        groups.push((heading, drawn));
+    }
+    let id = anchor(index);
+    Ok(html! {
+        section class={ "scenario " (scenario.verdict) } id=(id) aria-labelledby={ (id) "-title" } {
+            p.eyebrow { (scenario.file) }
+            h2 id={ (id) "-title" } { (scenario.title) " " (badge(scenario.verdict, scenario.verdict.name())) }
+            p.facts {
+                @if let Some(source) = &scenario.source { span { "Source: " (source) } }
+                span { "Law: " (scenario.law) }
+                span { "Plate model: " (scenario.model) }
+                span { (shown::count(scenario.trials.len(), "trial")) }
+            }
+            (expectations(&id, scenario))
+            (missing(bundle))
+            @for (heading, drawn) in &groups {
+                h3 { (heading) }
+                div.figures { @for figure in drawn { (figure) } }
+            }
+            (trials(scenario))
+        }
+    })
+}
+
+fn with_unit(text: Option<String>, unit: &str) -> Markup {
+    html! { @match text {
+        Some(text) => span { (text) @if !unit.is_empty() { " " span.unit { (unit) } } },
+        None => { span.nothing { "–" } },
+    } }
+}
+
+/// What the measured value is of all trials' values.
+fn statistic(expectation: &ExpectationRecord) -> &str {
+    match expectation.statistic.as_str() {
+        "worst" => "worst trial",
+        "mean" => "mean of trials",
+        "deviation" => "over trials",
+        other => other,
+    }
+}
+
+fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
+    let row = |index: usize, expectation: &ExpectationRecord| {
+        let unit = shown::unit(&expectation.metric);
+        html! {
+            tr {
+                th scope="row" {
+                    code { (evidence::key(scenario, index)) }
+                    @if let Some(requirement) = &expectation.requirement { span.file { (requirement) } }
+                }
+                td data-label="Verdict" { (badge(expectation.verdict, &shown::verdict(expectation))) }
+                td.number data-label="Measured" {
+                    strong { (with_unit(shown::value(expectation), unit)) }
+                    span.statistic { (statistic(expectation)) }
+                }
+                td.number data-label="Paper" { (with_unit(expectation.paper.map(shown::number), unit)) }
+                td.number data-label="Demanded" { (with_unit(Some(shown::limit(expectation)), unit)) }
+                td.number data-label="Interval" { (with_unit(shown::interval(expectation), "")) }
+            }
+            @if let Some(reason) = &expectation.reason {
+                tr.reason { td colspan="6" { span { (reason) } } }
+            }
+        }
+    };
+    html! {
+        h3 id={ (id) "-expectations" } { "Expectations" }
+        @if scenario.expectations.is_empty() { p.notice { "Nothing was judged." } }
+        @else {
+            div.scroll role="region" aria-labelledby={ (id) "-expectations" } tabindex="0" {
+                table.expectations {
+                    thead { tr {
+                        th scope="col" { "Metric" }
+                        th scope="col" { "Verdict" }
+                        th.number scope="col" { "Measured" }
+                        th.number scope="col" { "Paper" }
+                        th.number scope="col" { "Demanded" }
+                        th.number scope="col" { "Interval" }
+                    } }
+                    tbody { @for (index, expectation) in scenario.expectations.iter().enumerate() {
+                        (row(index, expectation))
+                    } }
+                }
+            }
+        }
+    }
+}
+
+fn missing(bundle: &Bundle) -> Markup {
+    let (named, further) = bundle.missing.split_at(bundle.missing.len().min(NAMED));
+    html! {
+        @if !named.is_empty() {
+            div.notice {
+                p { (shown::count(bundle.missing.len(), "trace")) " cannot be shown." }
+                ul {
+                    @for reason in named { li { (reason) } }
+                    @if !further.is_empty() { li { "and " (further.len()) " more" } }
+                }
+            }
+        }
+    }
+}
+
+fn drawing(figure: &Figure) -> Result<Markup, ReportError> {
+    let chart = &figure.chart;
+    let (from_ms, to_ms) = (shown::number(chart.window.from_ms), shown::number(chart.window.to_ms));
+    let keys: Vec<&str> = figure.legend.iter().map(|key| key.text.as_str()).collect();
+    let label =
+        format!("{} in {} against time, {from_ms} to {to_ms} ms: {}", figure.title, chart.unit, keys.join("; "));
+    let svg = chart.draw(figure.title)?;
+    Ok(html! {
+        figure {
+            figcaption { (figure.title) }
+            svg viewBox={ "0 0 " (SIZE.0) " " (SIZE.1) } role="img" aria-label=(label) { (PreEscaped(svg)) }
+            ul.legend { @for key in &figure.legend { li { (swatch(key)) (key.text) } } }
+        }
+    })
+}
+
+fn swatch(key: &Key) -> Markup {
+    html! {
+        svg.swatch viewBox="0 0 24 10" aria-hidden="true" {
+            @if key.is_area { rect width="24" height="10" rx="2" class={ "f-" (key.ink.name()) } {} }
+            @else { path d="M0 5H24" class={ "s-" (key.ink.name()) } {} }
+        }
+    }
+}
+
+/// Every trial with its numbers, folded away.
+fn trials(scenario: &ScenarioRecord) -> Markup {
+    let columns: Vec<String> = (0..scenario.expectations.len())
+        .map(|index| evidence::key(scenario, index))
+        .filter(|key| scenario.trials.iter().any(|trial| trial.metrics.contains_key(key)))
+        .collect();
+    let number = |value: Option<&Value>| value.and_then(Value::as_f64).map(shown::number);
+    html! {
+        @if !scenario.trials.is_empty() {
+            details {
+                summary { (shown::count(scenario.trials.len(), "trial")) " in numbers" }
+                div.scroll role="region" aria-label="Trials" tabindex="0" {
+                    table.trials {
+                        thead { tr {
+                            th.number scope="col" { "Trial" }
+                            th.number scope="col" { "Seed" }
+                            @for column in &columns { th.number scope="col" { code { (column) } } }
+                            th scope="col" { "Trace" }
+                            th scope="col" { "Remark" }
+                        } }
+                        tbody { @for trial in &scenario.trials {
+                            tr {
+                                th.number scope="row" { (trial.index) }
+                                td.number { (trial.seed) }
+                                @for column in &columns {
+                                    td.number { (with_unit(number(trial.metrics.get(column)), "")) }
+                                }
+                                td.file { (trial.trace) }
+                                td {
+                                    @if let Some(cause) = trial.cause { strong { (cause) } }
+                                    @if let Some(reason) = &trial.reason { " " (reason) }
+                                }
+                            }
+                        } }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! The page's beginning: how the run ended, what did not pass and why, and what was played.
+//!
+//! Neighbours: `html` puts it on top; everything here links to the scenarios below.
+
+use super::{anchor, badge, in_order};
+use crate::{evidence, shown};
+use maud::{Markup, html};
+use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
+
+/// Title, verdict, counts.
+pub(super) fn head(record: &RunRecord) -> Markup {
+    let scenarios = shown::Counts::of_scenarios(record);
+    let expectations = shown::Counts::of_expectations(record);
+    let tiles = [
+        ("failed", Verdict::Fail, scenarios.failed, expectations.failed),
+        ("inconclusive", Verdict::Inconclusive, scenarios.inconclusive, expectations.inconclusive),
+        ("passed", Verdict::Pass, scenarios.passed, expectations.passed),
+    ];
+    html! {
+        p.eyebrow { (record.tool.name) " · run of " (record.started) }
+        h1 { "Run " (badge(record.verdict, record.verdict.name())) }
+        p.lead {
+            (shown::count(scenarios.total(), "scenario")) ", " (shown::count(expectations.total(), "expectation"))
+            " on " code { (record.rig.name) } ", " (record.clock) " clock."
+        }
+        @if !record.complete {
+            p.notice { "The run was not finished. What follows was played until then." }
+        }
+        ul.tiles {
+            @for (word, verdict, of_scenarios, of_expectations) in tiles {
+                li class={ "tile " (verdict) @if of_scenarios + of_expectations == 0 { " none" } } {
+                    span.number { (of_scenarios) }
+                    span.word { @if of_scenarios == 1 { "scenario " } @else { "scenarios " } (word) }
+                    span.detail { (shown::count(of_expectations, "expectation")) }
+                }
+            }
+        }
+    }
+}
+
+/// Everything that did not pass, with its reason and its trace.
+pub(super) fn open_points(record: &RunRecord) -> Markup {
+    let open = evidence::open_points(record);
+    html! {
+        @if !open.is_empty() {
+            section aria-labelledby="open" {
+                h2 id="open" { "What did not pass" }
+                ol.open {
+                    @for (scenario, index) in open { (open_point(record, scenario, index)) }
+                }
+            }
+        }
+    }
+}
+
+fn open_point(record: &RunRecord, scenario: &ScenarioRecord, index: usize) -> Markup {
+    let place = record.scenarios.iter().position(|other| std::ptr::eq(other, scenario)).unwrap_or(0);
+    let Some(expectation) = scenario.expectations.get(index) else { return Markup::default() };
+    let unit = shown::unit(&expectation.metric);
+    html! {
+        li class=(expectation.verdict) {
+            p.what {
+                (badge(expectation.verdict, &shown::verdict(expectation)))
+                " " a href={ "#" (anchor(place)) } { (scenario.title) }
+            }
+            p.why {
+                code { (expectation.metric) } " "
+                @if let Some(value) = shown::value(expectation) { strong { (value) " " (unit) } ", demanded " }
+                @else { "demanded " }
+                span.number { (shown::limit(expectation)) " " (unit) }
+                @if let Some(reason) = &expectation.reason { span.reason { (reason) } }
+            }
+            p.where {
+                (scenario.file)
+                @if let Some(trial) = evidence::trial(scenario, index) { " · " (trial.trace) }
+            }
+        }
+    }
+}
+
+/// All scenarios in a table.
+pub(super) fn scenarios(record: &RunRecord) -> Markup {
+    html! {
+        section aria-labelledby="scenarios" {
+            h2 id="scenarios" { "Scenarios" }
+            @if record.scenarios.is_empty() { p.notice { "There was nothing to run." } }
+            @else {
+                div.scroll role="region" aria-labelledby="scenarios" tabindex="0" {
+                    table.contents {
+                        thead { tr {
+                            th scope="col" { "Scenario" }
+                            th scope="col" { "Verdict" }
+                            th scope="col" { "Law" }
+                            th.number scope="col" { "Trials" }
+                            th.number scope="col" { "Expectations met" }
+                        } }
+                        tbody {
+                            @for (index, scenario) in in_order(record) {
+                                @let expectations = &scenario.expectations;
+                                @let met = expectations.iter().filter(|found| found.verdict == Verdict::Pass).count();
+                                tr {
+                                    th scope="row" {
+                                        a href={ "#" (anchor(index)) } { (scenario.title) }
+                                        span.file { (scenario.file) }
+                                    }
+                                    td { (badge(scenario.verdict, scenario.verdict.name())) }
+                                    td { (scenario.law) }
+                                    td.number { (scenario.trials.len()) }
+                                    td.number { (met) " of " (expectations.len()) }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

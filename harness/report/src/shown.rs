@@ -1,0 +1,206 @@
+//! Numbers, limits and counts as people read them; the same words in every report.
+//!
+//! Neighbours: all three reports. No layout and no markup here.
+
+use platebench_verdict::{ExpectationRecord, RunRecord, Verdict};
+use serde_json::Value;
+use std::fmt;
+
+/// How many ended how.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Counts {
+    pub(crate) passed: usize,
+    pub(crate) failed: usize,
+    pub(crate) inconclusive: usize,
+}
+
+impl Counts {
+    /// Counts scenarios.
+    pub(crate) fn of_scenarios(record: &RunRecord) -> Self {
+        record.scenarios.iter().map(|scenario| scenario.verdict).collect()
+    }
+
+    /// Counts expectations.
+    pub(crate) fn of_expectations(record: &RunRecord) -> Self {
+        let expectations = record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
+        expectations.map(|expectation| expectation.verdict).collect()
+    }
+
+    pub(crate) fn total(self) -> usize {
+        self.passed + self.failed + self.inconclusive
+    }
+}
+
+impl FromIterator<Verdict> for Counts {
+    fn from_iter<I: IntoIterator<Item = Verdict>>(verdicts: I) -> Self {
+        verdicts.into_iter().fold(Self::default(), |mut counts, verdict| {
+            match verdict {
+                Verdict::Pass => counts.passed += 1,
+                Verdict::Fail => counts.failed += 1,
+                Verdict::Inconclusive => counts.inconclusive += 1,
+            }
+            counts
+        })
+    }
+}
+
+impl fmt::Display for Counts {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{} passed, {} failed, {} inconclusive", self.passed, self.failed, self.inconclusive)
+    }
+}
+
+/// `1 trial`, `30 trials`.
+pub(crate) fn count(number: usize, one: &str) -> String {
+    if number == 1 { format!("1 {one}") } else { format!("{number} {one}s") }
+}
+
+/// A sign that tells verdicts apart without colour.
+pub(crate) const fn sign(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Pass => "✓",
+        Verdict::Fail => "✗",
+        Verdict::Inconclusive => "?",
+    }
+}
+
+/// The verdict with its cause: `inconclusive: rig`.
+pub(crate) fn verdict(expectation: &ExpectationRecord) -> String {
+    match expectation.cause {
+        Some(cause) if expectation.verdict == Verdict::Inconclusive => format!("{}: {cause}", expectation.verdict),
+        _ => expectation.verdict.to_string(),
+    }
+}
+
+/// A number with four significant digits, without trailing zeros.
+pub(crate) fn number(value: f64) -> String {
+    digits(value, 4)
+}
+
+fn digits(value: f64, significant: i32) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    let magnitude = value.abs().log10().floor() as i32;
+    if !(-3..=9).contains(&magnitude) {
+        let text = format!("{value:.*e}", usize::try_from(significant - 1).unwrap_or(0));
+        return match text.split_once('e') {
+            Some((mantissa, exponent)) => format!("{}e{exponent}", trimmed(mantissa)),
+            None => text,
+        };
+    }
+    let decimals = usize::try_from(significant - 1 - magnitude).unwrap_or(0);
+    trimmed(&format!("{value:.decimals$}")).to_owned()
+}
+
+/// Without zeros at the end of a fraction.
+fn trimmed(text: &str) -> &str {
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { text }
+}
+
+/// The value that decided, with as many digits as it takes to see on which side of its limit it lies.
+pub(crate) fn value(expectation: &ExpectationRecord) -> Option<String> {
+    let value = expectation.value?;
+    let bounds: Vec<f64> = expectation
+        .limit
+        .values()
+        .flat_map(|limit| match limit {
+            Value::Array(items) => items.iter().filter_map(Value::as_f64).collect(),
+            other => other.as_f64().into_iter().collect::<Vec<_>>(),
+        })
+        .collect();
+    let same_side = |text: &str| {
+        let shown: f64 = text.parse().unwrap_or(f64::NAN);
+        bounds.iter().all(|bound| shown.partial_cmp(bound) == value.partial_cmp(bound))
+    };
+    (4..=12).map(|significant| digits(value, significant)).find(|text| same_side(text)).or_else(|| Some(number(value)))
+}
+
+/// What the value was held against: `≤ 2`, `≥ 2`, `1 … 2` or `≈ 2`.
+pub(crate) fn limit(expectation: &ExpectationRecord) -> String {
+    let said = |value: &Value| match value {
+        Value::Array(items) => items
+            .iter()
+            .map(|item| item.as_f64().map_or_else(|| item.to_string(), number))
+            .collect::<Vec<_>>()
+            .join(" … "),
+        other => other.as_f64().map_or_else(|| other.to_string(), number),
+    };
+    let parts = expectation.limit.iter().map(|(name, value)| match name.as_str() {
+        "at_most" => format!("≤ {}", said(value)),
+        "at_least" => format!("≥ {}", said(value)),
+        "about" => format!("≈ {}", said(value)),
+        "within" => said(value),
+        other => format!("{other} {}", said(value)),
+    });
+    parts.collect::<Vec<_>>().join(", ")
+}
+
+/// `1.9 … 1.96`, with the confidence of its ends where there is one.
+pub(crate) fn interval(expectation: &ExpectationRecord) -> Option<String> {
+    let [low, high] = expectation.interval?;
+    let confidence = expectation.confidence.map(|confidence| format!(" ({} %)", number(confidence * 100.0)));
+    Some(format!("{} … {}{}", number(low), number(high), confidence.unwrap_or_default()))
+}
+
+/// The unit that a metric's name ends in; empty where it is a ratio or a count.
+pub(crate) fn unit(metric: &str) -> &'static str {
+    match metric.rsplit_once('_').map(|(_, last)| last) {
+        Some("ms") => "ms",
+        Some("us") => "µs",
+        Some("percent") => "%",
+        Some("hz") => "Hz",
+        Some("um") => "µm",
+        Some("vpp") => "Vpp",
+        _ => "",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    #[case(0.0, "0")]
+    #[case(2.0, "2")]
+    #[case(1.948_71, "1.949")]
+    #[case(32_307.61, "32308")]
+    #[case(540.0, "540")]
+    #[case(-0.001_234_56, "-0.001235")]
+    #[case(0.000_012_3, "1.23e-5")]
+    #[case(1e-12, "1e-12")]
+    fn numbers_are_short(#[case] value: f64, #[case] expected: &str) {
+        assert_eq!(number(value), expected);
+    }
+
+    #[test]
+    fn a_value_never_rounds_onto_its_limit() {
+        let limit = serde_json::Map::from_iter([("at_most".to_owned(), Value::from(2.0))]);
+        let mut expectation = ExpectationRecord {
+            metric: "settling_time_ms".to_owned(),
+            verdict: Verdict::Fail,
+            value: Some(2.000_04),
+            statistic: "worst".to_owned(),
+            limit,
+            interval: None,
+            confidence: None,
+            cause: None,
+            reason: None,
+            paper: None,
+            requirement: None,
+        };
+        assert_eq!(value(&expectation).unwrap(), "2.00004");
+        expectation.value = Some(2.0);
+        assert_eq!(value(&expectation).unwrap(), "2");
+    }
+
+    #[rstest]
+    #[case("settling_time_ms", "ms")]
+    #[case("static_error_percent", "%")]
+    #[case("overruns", "")]
+    #[case("quadrature_ratio", "")]
+    fn a_metric_names_its_unit(#[case] metric: &str, #[case] expected: &str) {
+        assert_eq!(unit(metric), expected);
+    }
+}

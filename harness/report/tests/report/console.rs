@@ -1,0 +1,65 @@
+//! The console's text.
+
+use crate::made;
+use platebench_report::{Progress, Style, console};
+use std::io::{self, Write};
+use std::sync::{Arc, Mutex};
+
+#[test]
+fn every_outcome_in_one_table() {
+    let text = console::table(&made::mixed(), Style::default());
+    insta::assert_snapshot!(text);
+    assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+}
+
+#[test]
+fn colour_changes_nothing_but_colour() {
+    let record = made::mixed();
+    let coloured = console::table(&record, Style { colour: true });
+    assert!(
+        coloured.contains("\u{1b}[1;31m✗ fail\u{1b}[0m") && coloured.contains("\u{1b}[33m? inconclusive: rig\u{1b}[0m")
+    );
+    let mut plain = coloured;
+    for code in ["0", "1", "2", "32", "33", "1;31"] {
+        plain = plain.replace(&format!("\u{1b}[{code}m"), "");
+    }
+    assert_eq!(plain, console::table(&record, Style::default()));
+}
+
+#[test]
+fn a_run_without_anything_does_not_look_green() {
+    let mut record = made::run(Vec::new());
+    record.complete = false;
+    let text = console::table(&record, Style::default());
+    assert_eq!(
+        text,
+        "0 scenarios: 0 passed, 0 failed, 0 inconclusive\n0 expectations: 0 passed, 0 failed, 0 inconclusive\n\
+         the run was not finished\nverdict: ? inconclusive\n"
+    );
+}
+
+#[derive(Clone, Default)]
+struct Shared(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Shared {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn progress_in_lines_says_when_a_scenario_starts_and_ends() {
+    let shared = Shared::default();
+    let record = made::mixed();
+    let mut progress = Progress::lines_to(shared.clone());
+    progress.scenario_started("paper/fig13-open-loop.toml", 3);
+    progress.trial_finished("paper/fig13-open-loop.toml", 0);
+    progress.scenario_finished(&record.scenarios[1]);
+    progress.finish();
+    let text = String::from_utf8(shared.0.lock().unwrap().clone()).unwrap();
+    assert_eq!(text, "… paper/fig13-open-loop.toml: 3 trials\n✗ paper/fig13-open-loop.toml: fail, 3 trials\n");
+}
