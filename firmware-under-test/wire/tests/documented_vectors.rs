@@ -1,5 +1,7 @@
 //! The test vectors of `docs/wire-protocol.md`, which strangers build their controllers on.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends by panicking")]
+
 use platebench_wire::{Encoded, FrameReader, Packet};
 
 const PAGE: &str = include_str!("../../../docs/wire-protocol.md");

@@ -117,7 +117,7 @@ impl<'a, L: Link> Trial<'a, L> {
                 self.actuate(&command);
             }
         }
-        if matches!(self.lost, Some(RigError::Link(LinkError::Disconnected(_)) | RigError::NoAnswer { .. })) {
+        if self.lost.as_ref().is_some_and(|error| !is_the_controllers_doing(error)) {
             flags |= Flags::LINK_LOST;
         }
         self.push_row(now, &self.plant.state(), flags);
@@ -222,6 +222,14 @@ impl<'a, L: Link> Trial<'a, L> {
             lateness_us: 0.0,
             flags: also.into_iter().filter(|(holds, _)| *holds).fold(flags, |flags, (_, flag)| flags | flag),
         });
+    }
+}
+
+/// True where the controller itself came to grief, which fails a trial; a line that went dead only leaves it undecided.
+fn is_the_controllers_doing(error: &RigError) -> bool {
+    match error {
+        RigError::Trapped(_) => true,
+        RigError::Link(LinkError::Disconnected(_)) | RigError::NoAnswer { .. } | RigError::Refused(_) => false,
     }
 }
 

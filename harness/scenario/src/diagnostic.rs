@@ -6,6 +6,16 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 
+/// What serde says, and what it is called in a TOML file.
+const SERDE_WORDS: [(&str, &str); 6] = [
+    ("unknown field", "unknown key"),
+    ("missing field", "missing key"),
+    ("expected f64", "expected a number"),
+    ("expected i64", "expected a whole number"),
+    ("floating point", "the number"),
+    ("a sequence", "a list"),
+];
+
 /// One fault of an input file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
@@ -38,7 +48,17 @@ impl Diagnostic {
 
     pub(crate) fn of_toml(path: &Path, source: &str, error: &toml::de::Error) -> Self {
         let span = error.span().unwrap_or(0..0);
-        Self::at_span(path, source, span, error.message().trim())
+        let mut message = error.message().trim().to_owned();
+        for (serde, ours) in SERDE_WORDS {
+            message = message.replace(serde, ours);
+        }
+        // The key that is not known and all that are, in backticks.
+        let mut quoted = message.split('`').skip(1).step_by(2);
+        let hint = match quoted.next() {
+            Some(name) if message.starts_with("unknown key") => suggestion(name, quoted),
+            _ => String::new(),
+        };
+        Self::at_span(path, source, span, format!("{message}{hint}"))
     }
 
     /// Line and column of the fault, both counted from 1, columns in characters.
@@ -56,8 +76,10 @@ impl Diagnostic {
             return format!("error: {path}: {}", self.message);
         }
         let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
-        // An empty span would not be drawn.
-        let span = self.span.start..self.span.end.max(self.span.start + 1).min(self.source.len().max(1));
+        // An empty span would not be drawn, and the renderer cannot draw half a character.
+        let boundary = |from: usize| (from..=self.source.len()).find(|at| self.source.is_char_boundary(*at));
+        let end = self.span.end.max(self.span.start + 1);
+        let span = self.span.start..boundary(end).unwrap_or(self.source.len());
         let annotation = AnnotationKind::Primary.span(span);
         let snippet = Snippet::source(&self.source).path(path).annotation(annotation);
         renderer.render(&[Level::ERROR.primary_title(&self.message).element(snippet)])
@@ -66,12 +88,25 @@ impl Diagnostic {
 
 impl fmt::Display for Diagnostic {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.source.is_empty() {
+            return write!(formatter, "{}: {}", self.path.display(), self.message);
+        }
         let (line, column) = self.position();
         write!(formatter, "{}:{line}:{column}: {}", self.path.display(), self.message)
     }
 }
 
 impl std::error::Error for Diagnostic {}
+
+/// `; did you mean …?` where one of `known` is close to `name`.
+pub(crate) fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    const CLOSE: f64 = 0.85;
+    let rated = known.into_iter().map(|known| (strsim::jaro_winkler(name, known), known));
+    match rated.filter(|(closeness, _)| *closeness >= CLOSE).max_by(|a, b| a.0.total_cmp(&b.0)) {
+        Some((_, known)) => format!("; did you mean `{known}`?"),
+        None => String::new(),
+    }
+}
 
 fn span_of_key(source: &str, key: &str) -> Range<usize> {
     let Ok(document) = DeTable::parse(source) else { return 0..0 };

@@ -76,6 +76,14 @@ impl Metric {
         Self::ALL.into_iter().find(|metric| metric.name() == name)
     }
 
+    /// The smallest and the largest value that it can take.
+    pub const fn possible(self) -> (f64, f64) {
+        match self {
+            Self::Saturated => (0.0, 100.0),
+            _ => (0.0, f64::INFINITY),
+        }
+    }
+
     /// True where a band around the setpoint is part of the definition.
     pub const fn has_band(self) -> bool {
         matches!(self, Self::SettlingTime | Self::RecoveryTime | Self::PeakDeviation)

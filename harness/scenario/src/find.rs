@@ -3,7 +3,7 @@
 use crate::diagnostic::Diagnostic;
 use crate::load::load;
 use crate::scenario::Scenario;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
     // By canonical path: a file that is named twice is played once.
     let mut files: BTreeMap<PathBuf, (PathBuf, String, bool)> = BTreeMap::new();
     for argument in arguments {
-        for path in files_below(argument, &mut faults) {
+        for path in files_below(argument, &mut BTreeSet::new(), &mut faults) {
             let own = path == *argument || path.parent() == Some(argument.as_path());
             let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
             let name = name_of(&canonical, argument);
@@ -53,15 +53,21 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
         if let [first, second] = pair
             && first.file == second.file
         {
-            faults.push(second.diagnose("title", format!("two scenarios would be filed as {}", first.file)));
+            let other = first.inputs.first().map_or(Path::new(""), |input| &input.path).display();
+            let message = format!("two scenarios would be filed as {}, the other one is {other}", first.file);
+            faults.push(second.diagnose("title", message));
         }
     }
     if faults.is_empty() { Ok(found) } else { Err(faults) }
 }
 
-fn files_below(argument: &Path, faults: &mut Vec<Diagnostic>) -> Vec<PathBuf> {
+/// `visited` are the folders already looked into: a link may lead back to one.
+fn files_below(argument: &Path, visited: &mut BTreeSet<PathBuf>, faults: &mut Vec<Diagnostic>) -> Vec<PathBuf> {
     if !argument.is_dir() {
         return vec![argument.to_owned()];
+    }
+    if fs::canonicalize(argument).is_ok_and(|folder| !visited.insert(folder)) {
+        return Vec::new();
     }
     let entries = match fs::read_dir(argument).and_then(Iterator::collect::<Result<Vec<_>, _>>) {
         Ok(entries) => entries,
@@ -75,7 +81,7 @@ fn files_below(argument: &Path, faults: &mut Vec<Diagnostic>) -> Vec<PathBuf> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         if path.is_dir() {
             if !OTHER_FOLDERS.contains(&&*name) && !name.starts_with('.') {
-                files.extend(files_below(&path, faults));
+                files.extend(files_below(&path, visited, faults));
             }
         } else if path.extension().is_some_and(|extension| extension == "toml") && !name.starts_with('.') {
             files.push(path);
@@ -88,7 +94,8 @@ fn files_below(argument: &Path, faults: &mut Vec<Diagnostic>) -> Vec<PathBuf> {
 /// named, else its file name.
 fn name_of(path: &Path, argument: &Path) -> String {
     let components: Vec<_> = path.components().map(|component| component.as_os_str().to_string_lossy()).collect();
-    if let Some(root) = components.iter().rposition(|component| component == ROOT) {
+    let folders = components.len().saturating_sub(1);
+    if let Some(root) = components.iter().take(folders).rposition(|component| component == ROOT) {
         return components.get(root + 1..).unwrap_or_default().join("/");
     }
     let below = fs::canonicalize(argument).ok().filter(|folder| folder.is_dir());
@@ -100,3 +107,6 @@ fn name_of(path: &Path, argument: &Path) -> String {
         None => components.last().map(ToString::to_string).unwrap_or_default(),
     }
 }
+
+#[cfg(test)]
+mod tests;

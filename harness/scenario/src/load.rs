@@ -1,16 +1,18 @@
 //! Raw to checked: every rule that a scenario file can break, each with a pointer to where it breaks it.
 
-use crate::diagnostic::Diagnostic;
-use crate::expect::{Expectation, Limit, Metric, SIGNALS, Window};
-use crate::raw::{RawController, RawExpectation, RawScenario, RawSpread, RawTrials, RawWindow};
+use crate::diagnostic::{Diagnostic, suggestion};
+use crate::raw::{RawController, RawScenario, RawSpread, RawTrials};
 use crate::scenario::{Controller, Gains, Input, Scenario, Trials};
 use crate::variation::Spread;
 use platebench_plate::file::RawPlate;
 use platebench_plate::profile::RawProfile;
-use platebench_plate::{Conditions, Plate, Profile, Scene, Tier, Time};
+use platebench_plate::{Plate, Scene, Tier, Time};
 use std::f64::consts::TAU;
 use std::fs;
 use std::path::Path;
+
+mod expectation;
+mod profile;
 
 const DEFAULT_LAW: &str = "dq-pi";
 const DEFAULT_PERIOD_MS: f64 = 1.0;
@@ -26,10 +28,6 @@ const LONGEST_FINE_TRACE_MS: f64 = 1_000.0;
 const MOST_ROWS: f64 = 2e7;
 const MOST_TRIALS: i64 = 100_000;
 const LARGEST_SPREAD_PERCENT: f64 = 20.0;
-const DEFAULT_CONFIDENCE: f64 = 0.95;
-const DEFAULT_BAND_PERCENT: f64 = 5.0;
-const DEFAULT_TOLERANCE_PERCENT: f64 = 5.0;
-const LARGEST_SETPOINT_UM: f64 = 1_000.0;
 
 /// Reads and checks the scenario at `path`, which will be called `file` in records.
 ///
@@ -42,7 +40,22 @@ pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
 }
 
 fn read(path: &Path) -> Result<String, Diagnostic> {
-    fs::read_to_string(path).map_err(|error| Diagnostic::of_file(path, format!("cannot be read: {error}")))
+    let bytes = fs::read(path).map_err(|error| Diagnostic::of_file(path, format!("cannot be read: {error}")))?;
+    text_of(path, bytes)
+}
+
+fn text_of(path: &Path, bytes: Vec<u8>) -> Result<String, Diagnostic> {
+    String::from_utf8(bytes).map_err(|error| {
+        // Up to the fault the replaced text is the same, byte for byte.
+        let at = error.utf8_error().valid_up_to();
+        let shown = String::from_utf8_lossy(error.as_bytes());
+        Diagnostic::at_span(
+            path,
+            &shown,
+            at..at + char::REPLACEMENT_CHARACTER.len_utf8(),
+            "not UTF-8, expected a text file in UTF-8",
+        )
+    })
 }
 
 /// The file under examination.
@@ -74,7 +87,8 @@ impl Checker<'_> {
 
     fn scenario(&self, raw: RawScenario, file: &str) -> Result<Scenario, Diagnostic> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
-        self.require(!raw.title.trim().is_empty(), "title", || "an empty title, expected one line".to_owned())?;
+        let one_line = !raw.title.trim().is_empty() && !raw.title.contains(char::is_control);
+        self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title))?;
         let mut inputs = vec![Input { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
         let plate = self.plate(&folder.join(&raw.plate), &mut inputs)?;
         let controller = self.controller(&raw.controller, &plate)?;
@@ -88,11 +102,15 @@ impl Checker<'_> {
         let temperature = profile("profile.temperature_offset_k", &raw.profile.temperature_offset_k)?;
         let force = profile("profile.finger_force_n", &raw.profile.finger_force_n)?;
         let trials = self.trials(&raw.trials)?;
-        self.surroundings(&plate, &setpoint, &temperature, &force, &trials)?;
-        self.require(!raw.expect.is_empty(), "title", || {
+        let scene = Scene { temperature_offset_k: temperature, finger_force_n: force };
+        self.setpoints(folder, &raw.profile, &setpoint)?;
+        self.surroundings(folder, &raw.profile, &plate, &scene, &trials.spread)?;
+        self.require(!raw.expect.is_empty(), "expect", || {
             "no [[expect]], expected at least one: a scenario that expects nothing cannot fail".to_owned()
         })?;
-        let expectations = (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, duration));
+        let expectations =
+            (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, duration, &setpoint));
+        let expectations = expectations.collect::<Result<_, _>>()?;
         Ok(Scenario {
             file: file.to_owned(),
             title: raw.title,
@@ -100,8 +118,8 @@ impl Checker<'_> {
             tags: raw.tags,
             tier: self.tier(raw.model.as_deref())?,
             expected_exit: self.expected_exit(raw.expected_exit)?,
-            expectations: expectations.collect::<Result<_, _>>()?,
-            scene: Scene { temperature_offset_k: temperature, finger_force_n: force },
+            expectations,
+            scene,
             inputs,
             plate,
             duration,
@@ -113,8 +131,8 @@ impl Checker<'_> {
     }
 
     fn plate(&self, path: &Path, inputs: &mut Vec<Input>) -> Result<Plate, Diagnostic> {
-        let text = match fs::read_to_string(path) {
-            Ok(text) => text,
+        let text = match fs::read(path) {
+            Ok(bytes) => text_of(path, bytes)?,
             Err(error) => {
                 return self.refuse("plate", format!("plate file {} cannot be read: {error}", path.display()));
             }
@@ -150,8 +168,17 @@ impl Checker<'_> {
         let optional = |key: &str, value: Option<f64>| value.map(|value| self.positive(key, value)).transpose();
         let range = optional("controller.frequency_range_hz", raw.frequency_range_hz)?;
         let slew = optional("controller.frequency_slew_hz", raw.frequency_slew_hz)?;
+        let key = "controller.frequency_range_hz";
+        self.require(range.is_none_or(|range| range < start_frequency_hz), key, || {
+            format!(
+                "{} Hz, expected less than the start frequency of {start_frequency_hz:.1} Hz",
+                range.unwrap_or_default()
+            )
+        })?;
+        let law = raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned());
+        self.require(!law.trim().is_empty(), "controller.law", || "an empty name, expected a control law".to_owned())?;
         Ok(Controller {
-            law: raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned()),
+            law,
             period,
             start_frequency_hz,
             loop_delay,
@@ -188,9 +215,12 @@ impl Checker<'_> {
             None if duration.ms() > LONGEST_FINE_TRACE_MS => period,
             None => self.span(key, DEFAULT_TRACE_STEP_MS)?,
         };
-        let rows = duration.seconds() / step.seconds();
+        // There is a row at every control instant as well.
+        let spacing = step.min(period);
+        let rows = duration.seconds() / spacing.seconds();
+        let key = if raw.is_some() && step <= period { key } else { "duration_ms" };
         self.require(rows <= MOST_ROWS, key, || {
-            format!("{} ms over {duration} is {rows:.0} rows, expected at most {MOST_ROWS:.0}", step.ms())
+            format!("a row every {spacing} over {duration} is {rows:.0} rows, expected at most {MOST_ROWS:.0}")
         })?;
         Ok(step)
     }
@@ -201,7 +231,11 @@ impl Checker<'_> {
             Some(tier) => Ok(tier),
             None => self.refuse(
                 "model",
-                format!("unknown model `{name}`, expected one of {}", quoted(Tier::ALL.map(Tier::name))),
+                format!(
+                    "unknown model `{name}`, expected one of {}{}",
+                    quoted(Tier::ALL.map(Tier::name)),
+                    suggestion(name, Tier::ALL.map(Tier::name))
+                ),
             ),
         }
     }
@@ -215,25 +249,6 @@ impl Checker<'_> {
                 format!("{code}, expected 1 (something fails) or 3 (something is inconclusive)"),
             ),
         }
-    }
-
-    fn profile(
-        &self,
-        folder: &Path,
-        key: &str,
-        raw: &RawProfile,
-        inputs: &mut Vec<Input>,
-    ) -> Result<Profile, Diagnostic> {
-        let profile = match raw.check(folder) {
-            Ok(profile) => profile,
-            Err(error) => return self.refuse(key, error.to_string()),
-        };
-        if let Some(path) = raw.file(folder) {
-            let bytes =
-                fs::read(&path).map_err(|error| Diagnostic::of_file(&path, format!("cannot be read: {error}")))?;
-            inputs.push(Input { path, bytes });
-        }
-        Ok(profile)
     }
 
     fn trials(&self, raw: &RawTrials) -> Result<Trials, Diagnostic> {
@@ -273,139 +288,11 @@ impl Checker<'_> {
             temperature_k: raw.temperature_k,
         })
     }
-
-    /// Whether the plate exists under everything that is played to it.
-    fn surroundings(
-        &self,
-        plate: &Plate,
-        setpoint: &Profile,
-        temperature: &Profile,
-        force: &Profile,
-        trials: &Trials,
-    ) -> Result<(), Diagnostic> {
-        let (low, high) = setpoint.range();
-        self.require(low >= 0.0 && high <= LARGEST_SETPOINT_UM, "profile.setpoint_um", || {
-            format!("setpoints from {low} to {high} µm, expected 0 to {LARGEST_SETPOINT_UM} µm")
-        })?;
-        let (lightest, heaviest) = force.range();
-        self.require(lightest >= 0.0, "profile.finger_force_n", || {
-            format!("a force of {lightest} N, expected 0 or more: a finger cannot pull")
-        })?;
-        // Five deviations beyond the profile: no draw of a trial comes near it.
-        let margin = 5.0 * trials.spread.temperature_k;
-        let (coldest, hottest) = temperature.range();
-        for temperature_offset_k in [coldest - margin, hottest + margin] {
-            for finger_force_n in [lightest, heaviest] {
-                let mode = plate.mode(&Conditions { temperature_offset_k, finger_force_n });
-                self.require(mode.is_resonant(), "profile.temperature_offset_k", || {
-                    format!("at {temperature_offset_k} K and {finger_force_n} N the plate has no resonance left")
-                })?;
-            }
-        }
-        Ok(())
-    }
-
-    fn expectation(&self, index: usize, raw: &RawExpectation, duration: Time) -> Result<Expectation, Diagnostic> {
-        let key = |name: &str| format!("expect.{index}.{name}");
-        let Some(metric) = Metric::from_name(&raw.metric) else {
-            let known = quoted(Metric::ALL.map(Metric::name));
-            return self.refuse(&key("metric"), format!("unknown metric `{}`, expected one of {known}", raw.metric));
-        };
-        for (name, given, used) in [
-            ("band_percent", raw.band_percent.is_some(), metric.has_band()),
-            ("from_ms", raw.from_ms.is_some(), metric.has_from()),
-            ("window_ms", raw.window_ms.is_some(), metric.has_window()),
-            ("signal", raw.signal.is_some(), metric.has_signal()),
-            (
-                "tolerance_percent",
-                raw.tolerance_percent.is_some(),
-                raw.about.is_some() && metric != Metric::Repeatability,
-            ),
-        ] {
-            self.require(used || !given, &key(name), || {
-                format!("`{name}` means nothing to this expectation of {metric}")
-            })?;
-        }
-        self.require(raw.paper.is_none_or(f64::is_finite), &key("paper"), || "expected a finite number".to_owned())?;
-        let band_percent = raw.band_percent.unwrap_or(DEFAULT_BAND_PERCENT);
-        self.require(band_percent > 0.0 && band_percent < 100.0, &key("band_percent"), || {
-            format!("{band_percent} %, expected above 0 and below 100")
-        })?;
-        let confidence = raw.confidence.unwrap_or(DEFAULT_CONFIDENCE);
-        self.require((0.5..1.0).contains(&confidence), &key("confidence"), || {
-            format!("{confidence}, expected 0.5 or more and below 1")
-        })?;
-        let from = raw.from_ms.map(|ms| self.span(&key("from_ms"), ms)).transpose()?;
-        self.require(from.is_none_or(|from| from < duration), &key("from_ms"), || {
-            format!("{} ms, expected before the scenario's end at {duration}", raw.from_ms.unwrap_or_default())
-        })?;
-        self.require(from.is_some() || metric != Metric::RecoveryTime, &key("metric"), || {
-            format!("{metric} without `from_ms`, expected the instant of the disturbance")
-        })?;
-        let name = raw.signal.as_deref().unwrap_or("amplitude_um");
-        let Some(signal) = SIGNALS.into_iter().find(|signal| *signal == name) else {
-            return self
-                .refuse(&key("signal"), format!("unknown signal `{name}`, expected one of {}", quoted(SIGNALS)));
-        };
-        Ok(Expectation {
-            metric,
-            limit: self.limit(&key, raw)?,
-            paper: raw.paper,
-            requirement: raw.requirement.clone(),
-            confidence,
-            band_percent,
-            from,
-            window: self.window(&key("window_ms"), raw.window_ms, duration)?,
-            signal,
-        })
-    }
-
-    fn limit(&self, key: &impl Fn(&str) -> String, raw: &RawExpectation) -> Result<Limit, Diagnostic> {
-        let tolerance_percent = raw.tolerance_percent.unwrap_or(DEFAULT_TOLERANCE_PERCENT);
-        self.require(tolerance_percent.is_finite() && tolerance_percent > 0.0, &key("tolerance_percent"), || {
-            format!("{tolerance_percent} %, expected a finite number above 0")
-        })?;
-        let given = [
-            ("at_most", raw.at_most.map(Limit::AtMost)),
-            ("at_least", raw.at_least.map(Limit::AtLeast)),
-            ("within", raw.within.map(|[low, high]| Limit::Within(low, high))),
-            ("about", raw.about.map(|value| Limit::About { value, tolerance_percent })),
-        ];
-        let mut limits = given.into_iter().filter_map(|(name, limit)| limit.map(|limit| (name, limit)));
-        let (Some((name, limit)), None) = (limits.next(), limits.next()) else {
-            return self.refuse(&key("metric"), "expected exactly one of `at_most`, `at_least`, `within`, `about`");
-        };
-        let numbers = match limit {
-            Limit::AtMost(value) | Limit::AtLeast(value) | Limit::About { value, .. } => [value, value],
-            Limit::Within(low, high) => [low, high],
-        };
-        self.require(numbers.iter().all(|value| value.is_finite()), &key(name), || {
-            "expected finite numbers".to_owned()
-        })?;
-        self.require(numbers[0] <= numbers[1], &key(name), || {
-            "expected [low, high] with low not above high".to_owned()
-        })?;
-        Ok(limit)
-    }
-
-    fn window(&self, key: &str, raw: Option<RawWindow>, duration: Time) -> Result<Window, Diagnostic> {
-        let window = match raw {
-            None => Window { from: Time::from_nanos(duration.as_nanos() / 3 * 2), to: duration },
-            Some(RawWindow::Last(ms)) => {
-                Window { from: duration - self.span(key, self.positive(key, ms)?)?, to: duration }
-            }
-            Some(RawWindow::Between([from, to])) => Window { from: self.span(key, from)?, to: self.span(key, to)? },
-        };
-        self.require(window.from < window.to && window.to <= duration, key, || {
-            format!(
-                "a window from {} to {}, expected a stretch within the scenario's {duration}",
-                window.from, window.to
-            )
-        })?;
-        Ok(window)
-    }
 }
 
 fn quoted<const N: usize>(names: [&str; N]) -> String {
     names.map(|name| format!("`{name}`")).join(", ")
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,6 +12,8 @@ use std::collections::BTreeMap;
 
 /// How far, in percent of the setpoint, the bench itself may be off: its bound on the plate's propagation error, doubled.
 const BENCH_ERROR_PERCENT: f64 = 2e-4;
+/// A deviation agrees with a value where its interval also tells the value from one so many times smaller or larger.
+const DISTINCT: f64 = 2.0;
 
 /// Everything about a trial that verdicts are made from.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,6 +64,16 @@ fn disturbance(scenario: &Scenario, rows: &[Row]) -> Option<(Cause, String)> {
     }
     if let Some(t_ms) = first(Flags::OVERRUN) {
         return Some((Cause::Bench, format!("the bench was too late at {t_ms} ms")));
+    }
+    if let Some(first) = rows.first().filter(|row| row.t_s > 0.0) {
+        return Some((Cause::Bench, format!("the trace starts at {} ms", first.t_s * 1e3)));
+    }
+    // Instants are whole nanoseconds.
+    let widest = scenario.trace_step.seconds() + 0.5e-9;
+    let gap = rows.windows(2).find(|pair| matches!(pair, [left, right] if right.t_s - left.t_s > widest));
+    if let Some([left, right]) = gap {
+        let what = format!("no rows between {} and {} ms", left.t_s * 1e3, right.t_s * 1e3);
+        return Some((Cause::Bench, format!("{what}, expected one every {}", scenario.trace_step)));
     }
     let end = rows.last().map_or(0.0, |row| row.t_s);
     (end < scenario.duration.seconds())
@@ -132,7 +144,8 @@ impl Case<'_> {
             value: finding.value,
             statistic: finding.statistic.to_owned(),
             limit: limit_record(self.expectation.limit),
-            interval: finding.interval,
+            // JSON has no infinity.
+            interval: finding.interval.filter(|ends| ends.iter().all(|end| end.is_finite())),
             confidence: finding.confidence,
             cause: finding.cause,
             reason: finding.reason,
@@ -151,8 +164,15 @@ impl Case<'_> {
         self.counted().filter_map(|(_, measure)| measure.value()).collect()
     }
 
-    /// A pass with trials that do not count is not demonstrated; a failure stands.
+    /// A pass with trials that do not count, or that were never played, is not demonstrated; a failure stands.
     fn doubt_disturbed(&self, finding: Finding) -> Finding {
+        let (played, planned) = (self.trials.len(), self.scenario.trials.count as usize);
+        let finding = if finding.verdict == Verdict::Pass && played < planned {
+            let reason = Some(format!("{played} of {planned} trials were played"));
+            Finding { verdict: Verdict::Inconclusive, cause: Some(Cause::Evidence), reason, ..finding }
+        } else {
+            finding
+        };
         let Some((trial, (cause, what))) =
             self.trials.iter().find_map(|trial| trial.cause.as_ref().map(|cause| (trial, cause)))
         else {
@@ -165,18 +185,27 @@ impl Case<'_> {
         Finding { verdict: Verdict::Inconclusive, cause: Some(*cause), reason, ..finding }
     }
 
-    /// A trial that could not give the number at all.
-    fn without_number(&self, statistic: &'static str) -> Option<Finding> {
-        let (trial, measure) = self.counted().find(|(_, measure)| measure.value().is_none())?;
+    /// What one trial shows by itself.
+    fn of_trial(&self, statistic: &'static str, trial: &TrialMeasures, measure: &Measure) -> Finding {
+        let limit = self.expectation.limit;
         let (verdict, cause, what) = match measure {
-            Measure::Undefined(what) => (Verdict::Inconclusive, Some(Cause::Evidence), what),
-            Measure::Missing(what) => (Verdict::Fail, None, what),
-            Measure::Value(_) => return None,
+            Measure::Value(value) if limit.holds(*value) => (Verdict::Pass, None, None),
+            Measure::Value(value) => (Verdict::Fail, None, Some(format!("{value:.4}, expected {limit}"))),
+            Measure::Missing(what) => (Verdict::Fail, None, Some((*what).to_owned())),
+            Measure::Undefined(what) => (Verdict::Inconclusive, Some(Cause::Evidence), Some((*what).to_owned())),
         };
-        let reason = format!("trial {}: {what}", trial.index);
+        let reason = what.map(|what| format!("trial {}: {what}", trial.index));
         let finding =
-            Finding { verdict, cause, reason: Some(reason), value: None, statistic, interval: None, confidence: None };
-        Some(self.excuse_failure(finding, trial))
+            Finding { verdict, cause, reason, value: measure.value(), statistic, interval: None, confidence: None };
+        self.excuse_failure(finding, trial)
+    }
+
+    /// A trial that could not give the number at all: a failure before a doubt.
+    fn without_number(&self, statistic: &'static str) -> Option<Finding> {
+        let without = self.counted().filter(|(_, measure)| measure.value().is_none());
+        without
+            .map(|(trial, measure)| self.of_trial(statistic, trial, measure))
+            .reduce(|worst, other| if gravity(other.verdict) > gravity(worst.verdict) { other } else { worst })
     }
 
     /// A failure for which no controller is to blame.
@@ -192,8 +221,20 @@ impl Case<'_> {
         }
     }
 
-    fn no_evidence(&self, statistic: &'static str, value: Option<f64>) -> Finding {
-        let reason = format!("{} trials that count, expected at least 2", self.counted().count());
+    /// A failure over trials is excused where those trials that no controller could have played better make it: the others alone do not fail.
+    fn excuse_by_rest(&self, finding: Finding, decide: impl Fn(&[f64]) -> Finding) -> Finding {
+        let is_excused = |trial: &TrialMeasures| matches!(trial.excuses.get(self.number), Some(Some(_)));
+        let Some((excused, _)) = self.counted().find(|(trial, _)| is_excused(trial)) else { return finding };
+        let rest = self.counted().filter(|(trial, _)| !is_excused(trial));
+        let rest: Vec<f64> = rest.filter_map(|(_, measure)| measure.value()).collect();
+        if decide(&rest).verdict == Verdict::Fail { finding } else { self.excuse_failure(finding, excused) }
+    }
+
+    fn no_evidence(&self, statistic: &'static str, value: Option<f64>, needed: usize) -> Finding {
+        let reason = match self.counted().count() {
+            0 => "no trial counts".to_owned(),
+            count => format!("{count} of the trials count, expected at least {needed}"),
+        };
         Finding {
             verdict: Verdict::Inconclusive,
             cause: Some(Cause::Evidence),
@@ -205,50 +246,38 @@ impl Case<'_> {
         }
     }
 
-    /// Each trial must meet the limit.
+    /// Each trial must meet the limit: the worst one decides.
     fn each(&self) -> Finding {
         const STATISTIC: &str = "worst";
         let values = self.values();
         let interval = values.iter().copied().reduce(f64::min).zip(values.iter().copied().reduce(f64::max));
-        let interval = interval.map(|(low, high)| [low, high]);
-        if let Some(finding) = self.without_number(STATISTIC) {
-            return Finding { interval, ..finding };
-        }
         let limit = self.expectation.limit;
-        let worst = self
-            .counted()
-            .filter_map(|(trial, measure)| Some((trial, measure.value()?)))
-            .max_by(|a, b| badness(limit, a.1).total_cmp(&badness(limit, b.1)));
-        let Some((trial, value)) = worst else { return self.no_evidence(STATISTIC, None) };
-        let holds = limit.holds(value);
-        let finding = Finding {
-            verdict: if holds { Verdict::Pass } else { Verdict::Fail },
-            cause: None,
-            reason: (!holds).then(|| format!("trial {}: {value:.4}, expected {limit}", trial.index)),
-            value: Some(value),
-            statistic: STATISTIC,
-            interval,
-            confidence: None,
-        };
-        self.excuse_failure(finding, trial)
+        let rated = self.counted().map(|(trial, measure)| {
+            let finding = self.of_trial(STATISTIC, trial, measure);
+            ((gravity(finding.verdict), measure.value().map_or(f64::INFINITY, |value| badness(limit, value))), finding)
+        });
+        let worst = rated.reduce(|worst, other| if other.0 > worst.0 { other } else { worst });
+        let Some((_, finding)) = worst else { return self.no_evidence(STATISTIC, None, 1) };
+        Finding { interval: interval.map(|(low, high)| [low, high]), ..finding }
     }
 
     /// The size of the mean over trials, by two one-sided tests.
     fn mean(&self) -> Finding {
+        self.without_number("mean")
+            .unwrap_or_else(|| self.excuse_by_rest(self.mean_of(&self.values()), |rest| self.mean_of(rest)))
+    }
+
+    fn mean_of(&self, values: &[f64]) -> Finding {
         const STATISTIC: &str = "mean";
-        if let Some(finding) = self.without_number(STATISTIC) {
-            return finding;
-        }
-        let values = self.values();
         let confidence = self.expectation.confidence;
-        let Some(summary) = Summary::of(&values) else { return self.no_evidence(STATISTIC, None) };
-        let bounds = if self.scenario.is_deterministic() {
-            // Every trial is the same one: nothing is left to chance.
+        let Some(summary) = Summary::of(values) else { return self.no_evidence(STATISTIC, None, 1) };
+        // Where nothing is left to chance every trial is the same one.
+        let bounds = if self.scenario.is_deterministic() && values.iter().all(|value| *value == values[0]) {
             [summary.mean, summary.mean]
         } else {
             match summary.mean_bounds(confidence) {
                 Some(bounds) => bounds,
-                None => return self.no_evidence(STATISTIC, Some(summary.mean.abs())),
+                None => return self.no_evidence(STATISTIC, Some(summary.mean.abs()), 2),
             }
         };
         let [low, high] = [bounds[0] - BENCH_ERROR_PERCENT, bounds[1] + BENCH_ERROR_PERCENT];
@@ -264,37 +293,52 @@ impl Case<'_> {
 
     /// The standard deviation over trials, by chi-square.
     fn deviation(&self) -> Finding {
+        self.without_number("deviation")
+            .unwrap_or_else(|| self.excuse_by_rest(self.deviation_of(&self.values()), |rest| self.deviation_of(rest)))
+    }
+
+    fn deviation_of(&self, values: &[f64]) -> Finding {
         const STATISTIC: &str = "deviation";
-        if let Some(finding) = self.without_number(STATISTIC) {
-            return finding;
-        }
         let confidence = self.expectation.confidence;
-        let summary = Summary::of(&self.values());
+        let summary = Summary::of(values);
         // Agreement with a value is a two-sided question.
         let per_side = match self.expectation.limit {
             Limit::About { .. } => f64::midpoint(1.0, confidence),
             _ => confidence,
         };
         let bounds = summary.and_then(|summary| Some((summary, summary.deviation_bounds(per_side)?)));
-        let Some((summary, bounds)) = bounds else { return self.no_evidence(STATISTIC, None) };
-        let Limit::About { value, .. } = self.expectation.limit else {
-            return self.demonstrated(STATISTIC, summary.deviation, bounds, confidence);
-        };
-        let agrees = (bounds[0]..=bounds[1]).contains(&value);
-        Finding {
-            verdict: if agrees { Verdict::Pass } else { Verdict::Fail },
-            cause: None,
-            reason: (!agrees).then(|| {
-                format!(
-                    "{:.4}, between {:.4} and {:.4}: does not agree with {value}",
-                    summary.deviation, bounds[0], bounds[1]
-                )
-            }),
+        let Some((summary, bounds)) = bounds else { return self.no_evidence(STATISTIC, None, 2) };
+        let finding = |verdict, cause, reason| Finding {
+            verdict,
+            cause,
+            reason,
             value: Some(summary.deviation),
             statistic: STATISTIC,
             interval: Some(bounds),
             confidence: Some(confidence),
+        };
+        if summary.deviation == 0.0 {
+            let reason =
+                format!("all {} trials came out the same: nothing varies, so nothing is repeated", summary.count);
+            return finding(Verdict::Inconclusive, Some(Cause::Evidence), Some(reason));
         }
+        let Limit::About { value, .. } = self.expectation.limit else {
+            return self.demonstrated(STATISTIC, summary.deviation, bounds, confidence);
+        };
+        let [low, high] = bounds;
+        let between = format!("{:.4}, between {low:.4} and {high:.4}", summary.deviation);
+        if value < low || high < value {
+            return finding(Verdict::Fail, None, Some(format!("{between}: does not agree with {value}")));
+        }
+        // An interval that would agree with anything agrees with nothing.
+        if low < value / DISTINCT || value * DISTINCT < high {
+            let reason = format!(
+                "{} trials leave it {between}, which does not tell {value} from half or double of it",
+                summary.count
+            );
+            return finding(Verdict::Inconclusive, Some(Cause::Evidence), Some(reason));
+        }
+        finding(Verdict::Pass, None, None)
     }
 
     /// Pass where the whole interval keeps to the limit, fail where none of it does.
@@ -312,7 +356,7 @@ impl Case<'_> {
             let reason = format!("{count} trials leave it {between}, which does not decide {limit}");
             (Verdict::Inconclusive, Some(Cause::Evidence), Some(reason))
         };
-        let finding = Finding {
+        Finding {
             verdict,
             cause,
             reason,
@@ -320,12 +364,16 @@ impl Case<'_> {
             statistic,
             interval: Some(interval),
             confidence: Some(confidence),
-        };
-        // A mean that fails is excused where some trial could not have been better.
-        match self.trials.iter().find(|trial| matches!(trial.excuses.get(self.number), Some(Some(_)))) {
-            Some(trial) => self.excuse_failure(finding, trial),
-            None => finding,
         }
+    }
+}
+
+/// A failure weighs more than a doubt, and a doubt more than a pass.
+fn gravity(verdict: Verdict) -> u8 {
+    match verdict {
+        Verdict::Fail => 2,
+        Verdict::Inconclusive => 1,
+        Verdict::Pass => 0,
     }
 }
 

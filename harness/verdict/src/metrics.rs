@@ -1,7 +1,7 @@
 //! Numbers of one trial, off its trace alone.
 //!
-//! The runner puts a row on each side of every crossing of an expected band, found on the continuous solution; between rows the plate's signals are
-//! taken as straight, which then moves a settling time by less than a nanosecond. For a band that the run did not know of it moves by some
+//! The runner puts a row on either side of every crossing of an expected band, found on the continuous solution; between rows the plate's signals
+//! are taken as straight, which then moves a settling time by less than a nanosecond. For a band that the run did not know of it moves by some
 //! microseconds at the default row spacing.
 
 use platebench_plate::Time;
@@ -32,20 +32,24 @@ impl Measure {
 /// The metric of `expectation` in a trial. [`Metric::Repeatability`] gives the trial's contribution: its window mean over the setpoint, in percent.
 pub fn measure(expectation: &Expectation, rows: &[Row], loop_delay: Time) -> Measure {
     let Some(last) = rows.last() else { return Measure::Undefined("the trace is empty") };
+    // A controller that has given up neither overshoots nor saturates: that is no merit.
+    if last.flags.contains(Flags::SAFE) {
+        return Measure::Missing("ends with the controller not running");
+    }
     let signal = Signal::named(expectation.signal);
     match expectation.metric {
         Metric::SettlingTime => settling_time(expectation, signal, rows),
         Metric::RecoveryTime => recovery_time(expectation, signal, rows),
         Metric::Overshoot => overshoot(expectation, signal, rows),
         Metric::PeakDeviation => peak_deviation(expectation, signal, rows),
-        Metric::StaticError => window_ratio(signal, &expectation.window, rows).map_or_else(
-            || Measure::Undefined("the setpoint is 0 in the window"),
-            |ratio| Measure::Value((ratio - 1.0) * 100.0),
-        ),
-        Metric::Repeatability => window_ratio(signal, &expectation.window, rows).map_or_else(
-            || Measure::Undefined("the setpoint is 0 in the window"),
-            |ratio| Measure::Value(ratio * 100.0),
-        ),
+        Metric::StaticError => match window_ratio(signal, &expectation.window, rows) {
+            Ok(ratio) => Measure::Value((ratio - 1.0) * 100.0),
+            Err(what) => Measure::Undefined(what),
+        },
+        Metric::Repeatability => match window_ratio(signal, &expectation.window, rows) {
+            Ok(ratio) => Measure::Value(ratio * 100.0),
+            Err(what) => Measure::Undefined(what),
+        },
         Metric::FrequencyError => Measure::Value((last.frequency_hz - last.resonance_hz).abs()),
         Metric::QuadratureRatio if last.wd_um == 0.0 => Measure::Undefined("Wd is 0 at the end"),
         Metric::QuadratureRatio => Measure::Value((last.wq_um / last.wd_um).abs()),
@@ -82,21 +86,41 @@ impl Signal {
 }
 
 /// Index of each row at which the setpoint starts to move; a constant one moves at the start, unless it is 0.
-pub(crate) fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
+///
+/// A jump is over at once. A ramp or a curve moves from row to row and is one step; it began at the row before the first that differs, and it is over
+/// when two instants in a row have not moved: a curve may stand still for one at its crest.
+fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
     let mut steps = Vec::new();
-    let mut moving = false;
     let mut before = 0.0;
-    for (index, row) in rows.iter().enumerate() {
-        let moves = row.setpoint_um != before;
-        // A ramp moves from row to row and is one step.
-        if moves && !moving {
-            steps.push(index);
+    let mut start = 0;
+    // Instants that moved, and instants that have rested since.
+    let (mut moved, mut rested) = (0_u32, 0_u32);
+    // Several rows may share an instant.
+    for instant in rows.chunk_by(|a, b| a.t_s == b.t_s) {
+        let first_moved = instant.iter().position(|row| row.setpoint_um != before);
+        before = instant.last().map_or(before, |row| row.setpoint_um);
+        match first_moved {
+            Some(offset) => {
+                let goes_on = moved > 0 && (rested == 0 || (moved > 1 && rested == 1));
+                if goes_on {
+                    moved += 1;
+                } else {
+                    steps.push(start + offset);
+                    // What is there from the start is no movement that could go on.
+                    moved = u32::from(start > 0);
+                }
+                if moved == 2 && goes_on {
+                    // It was no jump: it has been moving since the row before, which may be the start.
+                    let began = steps.pop().map_or(0, |step| step.saturating_sub(1));
+                    if steps.last() != Some(&began) {
+                        steps.push(began);
+                    }
+                }
+                rested = 0;
+            }
+            None => rested += 1,
         }
-        // Several rows may share the instant of a step; they do not end it.
-        if rows.get(index + 1).is_none_or(|next| next.t_s > row.t_s) {
-            moving = moves;
-        }
-        before = row.setpoint_um;
+        start += instant.len();
     }
     steps
 }
@@ -126,11 +150,15 @@ fn last_entry(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Option
     if signal.held {
         return Some(entered.t_s);
     }
-    let (low, high) = expectation.band(entered.setpoint_um);
-    let (from, to) = (signal.of(left), signal.of(entered));
-    let edge = if from < low { low } else { high };
-    // A setpoint that steps to where the signal already is leaves nothing to interpolate.
-    let share = if from == to { 1.0 } else { ((edge - from) / (to - from)).clamp(0.0, 1.0) };
+    // How far outside the edge that it comes in by, which may be moving itself; not positive once inside.
+    let below = signal.of(left) < expectation.band(left.setpoint_um).0;
+    let beyond = |row: &Row| {
+        let (low, high) = expectation.band(row.setpoint_um);
+        if below { low - signal.of(row) } else { signal.of(row) - high }
+    };
+    let (from, to) = (beyond(left), beyond(entered));
+    // Where it jumped across the whole band there is no edge to come in by.
+    let share = if to <= 0.0 { from / (from - to) } else { 1.0 };
     Some(left.t_s + (entered.t_s - left.t_s) * share)
 }
 
@@ -148,17 +176,22 @@ fn settling_time(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Mea
     }
 }
 
+/// The rows from `start` up to the next setpoint step.
+fn until_next_step(rows: &[Row], start: usize) -> &[Row] {
+    let end = setpoint_steps(rows).into_iter().find(|&step| step > start).unwrap_or(rows.len());
+    rows.get(start..end).unwrap_or_default()
+}
+
 fn recovery_time(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Measure {
     let from = expectation.from.unwrap_or(Time::ZERO).seconds();
-    let start = rows.partition_point(|row| row.t_s < from);
-    let steps = setpoint_steps(rows);
-    let end = steps.into_iter().find(|&step| step > start).unwrap_or(rows.len());
-    let rows = rows.get(start..end).unwrap_or_default();
+    let rows = until_next_step(rows, rows.partition_point(|row| row.t_s < from));
     if rows.last().is_none_or(|row| row.setpoint_um == 0.0) {
         return Measure::Undefined("no setpoint to recover to");
     }
     match last_entry(expectation, signal, rows) {
-        Some(entry) => Measure::Value((entry - from).max(0.0) * 1e3),
+        // Never outside: there was nothing to recover from.
+        Some(entry) if rows.first().is_some_and(|first| entry == first.t_s) => Measure::Value(0.0),
+        Some(entry) => Measure::Value((entry - from) * 1e3),
         None => Measure::Missing("never stays inside the band again"),
     }
 }
@@ -177,35 +210,51 @@ fn overshoot(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Measure
 }
 
 fn peak_deviation(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Measure {
-    let start = if let Some(from) = expectation.from {
-        rows.partition_point(|row| row.t_s < from.seconds())
+    let looked_at = if let Some(from) = expectation.from {
+        until_next_step(rows, rows.partition_point(|row| row.t_s < from.seconds()))
     } else {
-        let step = setpoint_steps(rows).first().copied().unwrap_or(0);
-        let entered = rows.iter().skip(step).position(|row| !signal.is_outside(row, expectation));
+        let Some((rows, _)) = after_step(expectation, rows) else {
+            return Measure::Undefined("the setpoint never steps");
+        };
+        let entered = rows.iter().position(|row| !signal.is_outside(row, expectation));
         let Some(entered) = entered else { return Measure::Missing("never enters the band") };
-        step + entered
+        rows.get(entered..).unwrap_or_default()
     };
-    let deviations = rows.iter().skip(start).filter(|row| row.setpoint_um > 0.0);
+    let deviations = looked_at.iter().filter(|row| row.setpoint_um > 0.0);
     let peak = deviations.map(|row| (signal.of(row) - row.setpoint_um).abs() / row.setpoint_um).reduce(f64::max);
     peak.map_or(Measure::Undefined("no setpoint to deviate from"), |peak| Measure::Value(peak * 100.0))
 }
 
-/// Mean of the signal over the mean of the setpoint in the window, both weighted with time; `None` where the setpoint is 0.
-fn window_ratio(signal: Signal, window: &Window, rows: &[Row]) -> Option<f64> {
+/// Mean of the signal over the window, weighted with time, in units of the setpoint, which has to rest there: a mean over a moving one could come
+/// out right for a signal that never moved.
+fn window_ratio(signal: Signal, window: &Window, rows: &[Row]) -> Result<f64, &'static str> {
     let (from, to) = (window.from.seconds(), window.to.seconds());
-    let mut setpoint_area = 0.0;
-    let mut signal_area = 0.0;
+    let mut setpoint = None;
+    let (mut area, mut length) = (0.0, 0.0);
     for pair in rows.windows(2) {
         let [left, right] = pair else { continue };
-        if left.t_s < from || right.t_s > to {
+        let (start, end) = (left.t_s.max(from), right.t_s.min(to));
+        if start >= end {
             continue;
         }
-        let span = right.t_s - left.t_s;
-        let level = if signal.held { signal.of(left) } else { f64::midpoint(signal.of(left), signal.of(right)) };
-        setpoint_area += span * left.setpoint_um;
-        signal_area += span * level;
+        if *setpoint.get_or_insert(left.setpoint_um) != left.setpoint_um {
+            return Err("the setpoint moves in the window");
+        }
+        let level = if signal.held {
+            signal.of(left)
+        } else {
+            // Straight between the rows: the mean over a piece is the value in its middle.
+            let share = (f64::midpoint(start, end) - left.t_s) / (right.t_s - left.t_s);
+            signal.of(left) + (signal.of(right) - signal.of(left)) * share
+        };
+        area += (end - start) * level;
+        length += end - start;
     }
-    (setpoint_area > 0.0).then(|| signal_area / setpoint_area)
+    match setpoint {
+        Some(setpoint) if setpoint > 0.0 => Ok(area / length / setpoint),
+        Some(_) => Err("the setpoint is 0 in the window"),
+        None => Err("no rows in the window"),
+    }
 }
 
 fn flagged_share(rows: &[Row], flag: Flags) -> f64 {

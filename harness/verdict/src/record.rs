@@ -194,7 +194,7 @@ pub struct ExpectationRecord {
     pub metric: String,
     /// How it ended.
     pub verdict: Verdict,
-    /// What decided: see `statistic`. `null` where no trial gave a number.
+    /// What decided: see `statistic`. `null` where the trial that decided has no number, because it never settled for instance.
     pub value: Option<f64>,
     /// `worst` trial, `mean` or `deviation` over trials.
     pub statistic: String,
@@ -305,15 +305,4 @@ impl RunRecord {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn one_failure_fails_all_and_nothing_is_no_pass() {
-        use Verdict::{Fail, Inconclusive, Pass};
-        assert_eq!(Verdict::over([Pass, Pass]), Pass);
-        assert_eq!(Verdict::over([Pass, Inconclusive]), Inconclusive);
-        assert_eq!(Verdict::over([Inconclusive, Fail, Pass]), Fail);
-        assert_eq!(Verdict::over([]), Inconclusive);
-    }
-}
+mod tests;

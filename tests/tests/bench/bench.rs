@@ -13,36 +13,36 @@ use std::process::{Command, Output};
 use tempfile::TempDir;
 
 /// The workspace.
-pub fn root() -> PathBuf {
+pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
 }
 
 /// The program, in a folder where a run may leave its traces.
-pub fn program(folder: &Path) -> Command {
+pub(crate) fn program(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_platebench-under-test"));
     command.current_dir(folder).env_remove("PLATEBENCH_LOG");
     command
 }
 
 /// Starts the program with `arguments` in `folder` and waits for its end.
-pub fn call<A: AsRef<std::ffi::OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> Output {
+pub(crate) fn call<A: AsRef<std::ffi::OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> Output {
     program(folder).args(arguments).output().unwrap()
 }
 
 /// The program's exit code.
 #[track_caller]
-pub fn code(output: &Output) -> i32 {
+pub(crate) fn code(output: &Output) -> i32 {
     let code = output.status.code();
     code.unwrap_or_else(|| panic!("ended by a signal: {}", String::from_utf8_lossy(&output.stderr)))
 }
 
 /// A folder with the repository's plates and scenarios of the test's own.
-pub struct Workshop {
+pub(crate) struct Workshop {
     folder: TempDir,
 }
 
 impl Workshop {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let plates = folder.path().join("scenarios/plates");
         fs::create_dir_all(&plates).unwrap();
@@ -53,19 +53,19 @@ impl Workshop {
         Self { folder }
     }
 
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         self.folder.path()
     }
 
     /// Writes `scenarios/<name>` and returns its path.
-    pub fn scenario(&self, name: &str, text: &str) -> PathBuf {
+    pub(crate) fn scenario(&self, name: &str, text: &str) -> PathBuf {
         let path = self.path().join("scenarios").join(name);
         fs::write(&path, text).unwrap();
         path
     }
 
     /// Plays a scenario text on the hosted rig and returns its record and its first trace.
-    pub fn play(&self, text: &str) -> (RunRecord, Vec<Row>) {
+    pub(crate) fn play(&self, text: &str) -> (RunRecord, Vec<Row>) {
         let path = self.scenario("played.toml", text);
         let scenario = load(&path, "played.toml").unwrap_or_else(|fault| panic!("{fault}"));
         let out = tempfile::tempdir_in(self.path()).unwrap();
@@ -79,13 +79,13 @@ impl Workshop {
     }
 
     /// The first expectation's value of a scenario text.
-    pub fn value(&self, text: &str) -> Option<f64> {
+    pub(crate) fn value(&self, text: &str) -> Option<f64> {
         self.play(text).0.scenarios[0].expectations[0].value
     }
 }
 
 /// A scenario of the paper's plate with a step to 2 µm at the start; `controller`, `more` and `expect` are TOML.
-pub fn step_scenario(plate: &str, controller: &str, profile: &str, expect: &str) -> String {
+pub(crate) fn step_scenario(plate: &str, controller: &str, profile: &str, expect: &str) -> String {
     format!(
         "title = \"step\"\nplate = \"plates/{plate}.toml\"\nduration_ms = 60.0\n\
          [controller]\n{controller}\n[profile]\nsetpoint_um = 2.0\n{profile}\n[[expect]]\n{expect}\n"

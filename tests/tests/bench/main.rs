@@ -1,5 +1,12 @@
 //! Tests of the whole bench, through its program and through its libraries.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot go on ends by panicking"
+)]
+
 mod bench;
 mod closed_loop;
 mod determinism;

@@ -1,1 +1,383 @@
-//! x
+use super::*;
+use platebench_scenario::Limit;
+use rstest::rstest;
+
+fn ms(value: f64) -> Time {
+    Time::from_ms(value).unwrap()
+}
+
+fn expect(metric: Metric) -> Expectation {
+    Expectation {
+        metric,
+        limit: Limit::AtMost(2.0),
+        paper: None,
+        requirement: None,
+        confidence: 0.95,
+        band_percent: 5.0,
+        from: None,
+        window: Window { from: ms(40.0), to: ms(60.0) },
+        signal: "amplitude_um",
+    }
+}
+
+fn from(metric: Metric, from_ms: f64) -> Expectation {
+    Expectation { from: Some(ms(from_ms)), ..expect(metric) }
+}
+
+/// Rows of (ms, setpoint, amplitude).
+fn rows(points: &[(f64, f64, f64)]) -> Vec<Row> {
+    let row = |&(t_ms, setpoint_um, amplitude_um)| Row {
+        t_s: ms(t_ms).seconds(),
+        setpoint_um,
+        amplitude_um,
+        ..Row::default()
+    };
+    points.iter().map(row).collect()
+}
+
+/// A trace at the given instants, ms.
+fn sampled(
+    instants: impl IntoIterator<Item = f64>,
+    setpoint: impl Fn(f64) -> f64,
+    amplitude: impl Fn(f64) -> f64,
+) -> Vec<Row> {
+    rows(&instants.into_iter().map(|t| (t, setpoint(t), amplitude(t))).collect::<Vec<_>>())
+}
+
+fn grid(step: f64, end: f64) -> impl Iterator<Item = f64> + Clone {
+    (0..=(end / step).round() as u32).map(move |index| f64::from(index) * step)
+}
+
+fn value(expectation: &Expectation, rows: &[Row]) -> f64 {
+    let measured = measure(expectation, rows, Time::ZERO);
+    measured.value().unwrap_or_else(|| panic!("{measured:?}"))
+}
+
+#[track_caller]
+fn assert_close(measured: f64, expected: f64, tolerance: f64) {
+    assert!((measured - expected).abs() <= tolerance, "{measured}, expected {expected}");
+}
+
+const TAU: f64 = 1.88;
+
+fn first_order(t: f64) -> f64 {
+    2.0 * (1.0 - (-t / TAU).exp())
+}
+
+#[test]
+fn a_first_order_response_settles_after_tau_ln_20() {
+    let exact = TAU * 20.0_f64.ln();
+    // The chord error h²/8τ² · e^{-t/τ} · 2 µm over the slope there: h²/8τ.
+    for step in [0.05, 0.01] {
+        assert_close(
+            value(&expect(Metric::SettlingTime), &sampled(grid(step, 60.0), |_| 2.0, first_order)),
+            exact,
+            step * step / (8.0 * TAU),
+        );
+    }
+    let irregular = (0_u32..3_000).map(|index| f64::from(index) * 0.02 + 0.009 * (f64::from(index) * 1.7).sin().abs());
+    assert_close(value(&expect(Metric::SettlingTime), &sampled(irregular, |_| 2.0, first_order)), exact, 1e-4);
+}
+
+#[test]
+fn with_a_row_on_the_far_side_of_the_crossing_it_is_exact_to_a_nanosecond() {
+    let exact = TAU * 20.0_f64.ln();
+    let crossing = (exact * 1e6).ceil() / 1e6;
+    let instants = grid(1.0, 5.0).chain([crossing]).chain((6..60).map(f64::from));
+    assert_close(value(&expect(Metric::SettlingTime), &sampled(instants, |_| 2.0, first_order)), exact, 1e-6);
+}
+
+#[test]
+fn the_edges_of_the_band_are_inside_and_the_next_float_is_not() {
+    let held = |level: f64| {
+        measure(
+            &expect(Metric::SettlingTime),
+            &rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, level), (2.0, 2.0, level)]),
+            Time::ZERO,
+        )
+    };
+    let (low, high) = expect(Metric::SettlingTime).band(2.0);
+    assert_eq!(held(low), Measure::Value(1.0));
+    assert_eq!(held(high).value().map(|t| t < 1.0), Some(true));
+    assert!(matches!(held(low.next_down()), Measure::Missing(_)));
+    assert!(matches!(held(high.next_up()), Measure::Missing(_)));
+}
+
+#[rstest]
+#[case::re_exit_below(&[(0.0, 2.0, 0.0), (1.0, 2.0, 2.0), (2.0, 2.0, 1.8), (3.0, 2.0, 2.0), (4.0, 2.0, 2.0)], Some(2.5))]
+#[case::re_exit_above(&[(0.0, 2.0, 0.0), (1.0, 2.0, 2.0), (2.0, 2.0, 2.2), (3.0, 2.0, 2.0), (4.0, 2.0, 2.0)], Some(2.5))]
+#[case::just_settled(&[(0.0, 2.0, 0.0), (1.0, 2.0, 1.8), (2.0, 2.0, 2.0)], Some(1.5))]
+#[case::just_not(&[(0.0, 2.0, 0.0), (1.0, 2.0, 2.0), (2.0, 2.0, 1.8)], None)]
+#[case::never(&[(0.0, 2.0, 0.0), (1.0, 2.0, 0.0)], None)]
+#[case::at_once(&[(0.0, 2.0, 2.0), (1.0, 2.0, 2.0)], Some(0.0))]
+#[case::across_the_whole_band(&[(0.0, 2.0, 0.0), (1.0, 2.0, 3.0), (2.0, 2.0, 2.0)], Some(1.9))]
+#[case::falling(&[(0.0, 2.0, 2.0), (1.0, 1.0, 2.0), (2.0, 1.0, 1.1), (3.0, 1.0, 1.0)], Some(0.0))]
+fn the_last_entry_counts(#[case] points: &[(f64, f64, f64)], #[case] settled: Option<f64>) {
+    let measured = measure(&expect(Metric::SettlingTime), &rows(points), Time::ZERO);
+    match settled {
+        Some(t) => assert_close(measured.value().unwrap(), t, 1e-12),
+        None => assert_eq!(measured, Measure::Missing("never stays inside the band")),
+    }
+}
+
+#[test]
+fn a_falling_step_is_timed_from_its_own_instant() {
+    let trace = rows(&[(0.0, 2.0, 2.0), (1.0, 1.0, 2.0), (2.0, 1.0, 1.1), (3.0, 1.0, 1.0)]);
+    assert_close(value(&from(Metric::SettlingTime, 1.0), &trace), 1.5, 1e-12);
+}
+
+#[rstest]
+#[case::constant(&[(0.0, 2.0), (1.0, 2.0)], &[0])]
+#[case::nothing(&[(0.0, 0.0), (1.0, 0.0)], &[])]
+#[case::hold(&[(0.0, 0.0), (1.0, 2.0), (2.0, 2.0)], &[1])]
+#[case::several(&[(0.0, 0.0), (1.0, 2.0), (2.0, 2.0), (3.0, 1.0), (4.0, 1.0), (5.0, 0.0)], &[1, 3, 5])]
+#[case::shared_instant(&[(0.0, 0.0), (1.0, 2.0), (1.0, 2.0), (2.0, 2.0)], &[1])]
+#[case::shared_instant_late(&[(0.0, 0.0), (1.0, 0.0), (1.0, 2.0), (2.0, 2.0)], &[2])]
+#[case::two_values_in_one_instant(&[(0.0, 0.0), (1.0, 1.0), (1.0, 2.0), (2.0, 2.0)], &[1])]
+#[case::ramp(&[(0.0, 0.0), (1.0, 0.0), (2.0, 1.0), (3.0, 2.0), (4.0, 2.0)], &[1])]
+#[case::ramp_with_shared_instants(&[(0.0, 0.0), (1.0, 1.0), (1.0, 1.0), (2.0, 2.0), (2.0, 2.0), (3.0, 3.0)], &[0])]
+#[case::two_ramps(&[(0.0, 0.0), (1.0, 1.0), (2.0, 2.0), (3.0, 2.0), (4.0, 2.0), (5.0, 1.0), (6.0, 0.0)], &[0, 4])]
+#[case::jump_after_a_ramp(&[(0.0, 0.0), (1.0, 1.0), (2.0, 2.0), (3.0, 2.0), (4.0, 2.0), (5.0, 1.0), (6.0, 1.0)], &[0, 5])]
+#[case::crest(&[(0.0, 0.0), (1.0, 1.0), (2.0, 1.5), (3.0, 1.5), (4.0, 1.0), (5.0, 0.5)], &[0])]
+#[case::ramp_from_the_start(&[(0.0, 2.0), (1.0, 2.1), (2.0, 2.2), (3.0, 2.3), (4.0, 2.3)], &[0])]
+#[case::jump_right_after_the_start(&[(0.0, 2.0), (1.0, 1.0), (2.0, 1.0)], &[0, 1])]
+#[case::empty(&[], &[])]
+fn steps_are_where_the_setpoint_starts_to_move(#[case] points: &[(f64, f64)], #[case] steps: &[usize]) {
+    let trace = rows(&points.iter().map(|&(t, setpoint)| (t, setpoint, 0.0)).collect::<Vec<_>>());
+    assert_eq!(setpoint_steps(&trace), steps);
+}
+
+/// 2 µm from 0 ms, 1 µm from 10 ms, 3 µm from 20 ms; each reached on a straight line, in 2, 1 and 4 ms.
+fn staircase() -> Vec<Row> {
+    let setpoint = |t: f64| {
+        if t < 10.0 {
+            2.0
+        } else if t < 20.0 {
+            1.0
+        } else {
+            3.0
+        }
+    };
+    let amplitude = |t: f64| match t {
+        t if t < 10.0 => t.min(2.0),
+        t if t < 20.0 => 2.0 - (t - 10.0).min(1.0),
+        t => 1.0 + ((t - 20.0) / 2.0).min(2.0),
+    };
+    sampled(grid(0.05, 30.0), setpoint, amplitude)
+}
+
+#[rstest]
+#[case(None, 1.9)]
+#[case(Some(0.0), 1.9)]
+#[case(Some(9.999_999), 1.9)]
+#[case(Some(10.0), 0.95)]
+#[case(Some(19.0), 0.95)]
+#[case(Some(20.0), 3.7)]
+#[case(Some(29.0), 3.7)]
+fn the_last_step_up_to_from_ms_is_meant(#[case] from_ms: Option<f64>, #[case] settled: f64) {
+    let expectation = Expectation { from: from_ms.map(ms), ..expect(Metric::SettlingTime) };
+    assert_close(value(&expectation, &staircase()), settled, 1e-9);
+}
+
+#[test]
+fn a_step_after_from_ms_is_meant_where_there_is_none_before() {
+    let trace = rows(&[(0.0, 0.0, 0.0), (5.0, 2.0, 0.0), (6.0, 2.0, 2.0), (7.0, 2.0, 2.0)]);
+    assert_close(value(&from(Metric::SettlingTime, 1.0), &trace), 0.95, 1e-9);
+}
+
+#[test]
+fn what_happens_after_the_next_step_does_not_count() {
+    let mut trace = staircase();
+    for row in trace.iter_mut().filter(|row| row.t_s > 0.021) {
+        row.amplitude_um = 9.0;
+    }
+    assert_close(value(&expect(Metric::SettlingTime), &trace), 1.9, 1e-9);
+    assert_eq!(value(&expect(Metric::Overshoot), &trace), 0.0);
+    assert!(value(&expect(Metric::PeakDeviation), &trace) <= 5.0 + 1e-9);
+    assert_eq!(value(&from(Metric::RecoveryTime, 15.0), &trace), 0.0);
+}
+
+#[test]
+fn a_ramp_is_timed_from_where_it_starts_to_where_its_band_is_entered() {
+    // From 1 to 2 µm between 10 and 20 ms; the signal lags by 1 ms, which is more than 5 % of the setpoint until it nears the end.
+    let setpoint = |t: f64| 1.0 + ((t - 10.0) / 10.0).clamp(0.0, 1.0);
+    let trace = sampled(grid(0.5, 30.0), setpoint, |t| setpoint(t - 1.0));
+    let ramp = from(Metric::SettlingTime, 10.0);
+    // s(t) − s(t − 1) = 0.1 ≤ 0.05 s(t) first at s = 2, t = 20 ms.
+    assert_close(value(&ramp, &trace), 10.0, 1e-9);
+    // With 6 %: 0.1 ≤ 0.06 s at s = 1.6667, t = 16.667 ms, which lies between two rows of a band that moves.
+    assert_close(value(&Expectation { band_percent: 6.0, ..ramp }, &trace), 20.0 / 3.0, 1e-9);
+}
+
+#[test]
+fn without_a_step_or_with_a_setpoint_of_0_there_is_nothing_to_settle() {
+    let settling = expect(Metric::SettlingTime);
+    assert!(matches!(
+        measure(&settling, &rows(&[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]), Time::ZERO),
+        Measure::Undefined(_)
+    ));
+    let to_rest = rows(&[(0.0, 2.0, 2.0), (1.0, 0.0, 2.0), (2.0, 0.0, 0.0)]);
+    assert!(matches!(measure(&from(Metric::SettlingTime, 1.0), &to_rest, Time::ZERO), Measure::Undefined(_)));
+    assert!(matches!(measure(&settling, &[], Time::ZERO), Measure::Undefined(_)));
+}
+
+#[test]
+fn what_the_controller_was_given_is_held_between_rows() {
+    let mut trace = rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, 0.0), (2.0, 2.0, 0.0), (3.0, 2.0, 0.0)]);
+    for (row, sensed) in trace.iter_mut().zip([0.0, 1.0, 2.0, 2.0]) {
+        (row.sensed_wd_um, row.wd_um) = (sensed, sensed);
+    }
+    let settling = |signal| Expectation { signal, ..expect(Metric::SettlingTime) };
+    assert_eq!(value(&settling("sensed_wd_um"), &trace), 2.0);
+    assert_close(value(&settling("wd_um"), &trace), 1.9, 1e-12);
+    let error =
+        |signal| Expectation { signal, window: Window { from: ms(0.0), to: ms(3.0) }, ..expect(Metric::StaticError) };
+    // Held: 0, 1, 2 over a ms each, mean 1. Straight: 0.5, 1.5, 2, mean 4/3.
+    assert_close(value(&error("sensed_wd_um"), &trace), -50.0, 1e-9);
+    assert_close(value(&error("wd_um"), &trace), -100.0 / 3.0, 1e-9);
+}
+
+#[rstest]
+#[case::rising(&[(0.0, 2.0, 0.0), (1.0, 2.0, 2.3), (2.0, 2.0, 2.0)], None, 15.0)]
+#[case::none(&[(0.0, 2.0, 0.0), (1.0, 2.0, 1.9)], None, 0.0)]
+#[case::relative_to_the_step(&[(0.0, 2.0, 2.0), (1.0, 2.5, 2.0), (2.0, 2.5, 2.6)], Some(1.0), 20.0)]
+#[case::falling(&[(0.0, 2.0, 2.0), (1.0, 1.0, 2.0), (2.0, 1.0, 0.8), (3.0, 1.0, 1.0)], Some(1.0), 20.0)]
+#[case::falling_short(&[(0.0, 2.0, 2.0), (1.0, 1.0, 2.0), (2.0, 1.0, 1.2)], Some(1.0), 0.0)]
+#[case::falling_to_rest(&[(0.0, 2.0, 2.0), (1.0, 0.0, 2.0), (2.0, 0.0, 0.0)], Some(1.0), 0.0)]
+fn overshoot_goes_beyond_the_setpoint_in_the_direction_of_the_step(
+    #[case] points: &[(f64, f64, f64)],
+    #[case] from_ms: Option<f64>,
+    #[case] overshoot: f64,
+) {
+    let expectation = Expectation { from: from_ms.map(ms), ..expect(Metric::Overshoot) };
+    assert_close(value(&expectation, &rows(points)), overshoot, 1e-9);
+}
+
+#[test]
+fn a_triangle_has_no_step_to_overshoot() {
+    let triangle = sampled(grid(1.0, 20.0), |t| 10.0 - (t - 10.0).abs(), |_| 0.0);
+    assert!(matches!(measure(&expect(Metric::Overshoot), &triangle, Time::ZERO), Measure::Undefined(_)));
+}
+
+#[rstest]
+#[case::dip(&[(0.0, 2.0, 2.0), (10.0, 2.0, 2.0), (11.0, 2.0, 1.5), (12.0, 2.0, 2.0), (13.0, 2.0, 2.0)], Some(1.8))]
+#[case::twice(&[(0.0, 2.0, 2.0), (10.0, 2.0, 1.5), (11.0, 2.0, 2.0), (12.0, 2.0, 2.5), (13.0, 2.0, 2.0)], Some(2.8))]
+#[case::never_left(&[(0.0, 2.0, 2.0), (10.5, 2.0, 2.0), (13.0, 2.0, 2.0)], Some(0.0))]
+#[case::not_again(&[(0.0, 2.0, 2.0), (10.0, 2.0, 2.0), (13.0, 2.0, 1.5)], None)]
+#[case::a_later_step_ends_it(&[(0.0, 2.0, 2.0), (10.0, 2.0, 1.8), (11.0, 2.0, 2.0), (12.0, 3.0, 2.0), (13.0, 3.0, 2.0)], Some(0.5))]
+fn recovery_runs_from_the_disturbance_to_the_last_entry(
+    #[case] points: &[(f64, f64, f64)],
+    #[case] recovered: Option<f64>,
+) {
+    match (measure(&from(Metric::RecoveryTime, 10.0), &rows(points), Time::ZERO), recovered) {
+        (Measure::Value(value), Some(expected)) => assert_close(value, expected, 1e-9),
+        (measured, expected) => {
+            assert_eq!((measured, expected), (Measure::Missing("never stays inside the band again"), None));
+        }
+    }
+}
+
+#[test]
+fn the_peak_deviation_starts_at_the_first_entry_or_at_from_ms() {
+    let trace = rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, 1.9), (2.0, 2.0, 2.3), (3.0, 2.0, 1.96), (4.0, 2.0, 2.06)]);
+    assert_close(value(&expect(Metric::PeakDeviation), &trace), 15.0, 1e-9);
+    assert_close(value(&from(Metric::PeakDeviation, 0.0), &trace), 100.0, 1e-9);
+    assert_close(value(&from(Metric::PeakDeviation, 2.0), &trace), 15.0, 1e-9);
+    assert_close(value(&from(Metric::PeakDeviation, 2.000_001), &trace), 3.0, 1e-9);
+    let never = rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, 1.0)]);
+    assert_eq!(measure(&expect(Metric::PeakDeviation), &never, Time::ZERO), Measure::Missing("never enters the band"));
+}
+
+fn error_over(window: (f64, f64), trace: &[Row]) -> Measure {
+    let window = Window { from: ms(window.0), to: ms(window.1) };
+    measure(&Expectation { window, ..expect(Metric::StaticError) }, trace, Time::ZERO)
+}
+
+#[test]
+fn the_static_error_has_its_sign_and_is_weighted_with_time() {
+    for (level, error) in [(2.1, 5.0), (1.9, -5.0)] {
+        assert_close(value(&expect(Metric::StaticError), &sampled(grid(0.05, 60.0), |_| 2.0, |_| level)), error, 1e-9);
+    }
+    // 1 µm for 9 ms, then a thousand rows of 3 µm in 1 ms.
+    let instants = [0.0, 9.0].into_iter().chain((0..=1_000).map(|index| 9.0 + 1e-6 + f64::from(index) * 0.000_999));
+    let trace = sampled(instants, |_| 2.0, |t| if t <= 9.0 { 1.0 } else { 3.0 });
+    assert_close(error_over((0.0, 10.0), &trace).value().unwrap(), -40.0, 0.01);
+}
+
+#[test]
+fn a_window_is_cut_out_exactly_even_between_rows() {
+    // A line of 1 µm per ms from 0: its mean over a window is its middle.
+    let trace = sampled([0.0, 0.7, 2.9, 3.0, 7.5, 10.0], |_| 2.0, |t| t);
+    for (from, to) in [(0.0, 10.0), (1.0, 5.0), (3.1, 3.2), (2.95, 9.999)] {
+        assert_close(error_over((from, to), &trace).value().unwrap(), ((from + to) / 4.0 - 1.0) * 100.0, 1e-9);
+    }
+    let mut outside = sampled(grid(0.05, 60.0), |_| 2.0, |t| if (20.0..=30.0).contains(&t) { 2.0 } else { 9.0 });
+    assert_close(error_over((20.0, 30.0), &outside).value().unwrap(), 0.0, 1e-12);
+    outside.retain(|row| row.t_s < 0.019);
+    assert_eq!(error_over((20.0, 30.0), &outside), Measure::Undefined("no rows in the window"));
+}
+
+#[test]
+fn a_mean_over_a_moving_setpoint_says_nothing() {
+    // Stuck at 2 µm while the setpoint is at 1 and then at 3: right on average, wrong all the time.
+    let trace = sampled(grid(0.05, 60.0), |t| if t < 50.0 { 1.0 } else { 3.0 }, |_| 2.0);
+    assert_eq!(error_over((40.0, 60.0), &trace), Measure::Undefined("the setpoint moves in the window"));
+    assert_close(error_over((50.0, 60.0), &trace).value().unwrap(), -100.0 / 3.0, 1e-9);
+    assert_close(error_over((40.0, 50.0), &trace).value().unwrap(), 100.0, 1e-9);
+    let none = sampled(grid(0.05, 60.0), |_| 0.0, |_| 2.0);
+    assert_eq!(error_over((40.0, 60.0), &none), Measure::Undefined("the setpoint is 0 in the window"));
+}
+
+#[test]
+fn a_trial_s_part_in_the_repeatability_is_its_mean_in_percent() {
+    let trace = sampled(grid(0.05, 60.0), |_| 2.0, |_| 1.9);
+    assert_close(value(&expect(Metric::Repeatability), &trace), 95.0, 1e-9);
+}
+
+#[test]
+fn what_is_read_off_the_end_is_read_off_the_last_row() {
+    let mut trace = rows(&[(0.0, 2.0, 9.0), (1.0, 2.0, 1.95)]);
+    trace[0] = Row { frequency_hz: 1.0, wq_um: 5.0, wd_um: 1.0, ..trace[0] };
+    trace[1] = Row { frequency_hz: 32_300.0, resonance_hz: 32_307.6, wd_um: -1.0, wq_um: 0.25, ..trace[1] };
+    assert_close(value(&expect(Metric::FrequencyError), &trace), 7.6, 1e-9);
+    assert_eq!(value(&expect(Metric::QuadratureRatio), &trace), 0.25);
+    assert_eq!(value(&expect(Metric::FinalAmplitude), &trace), 1.95);
+    trace[1].wd_um = 0.0;
+    assert!(matches!(measure(&expect(Metric::QuadratureRatio), &trace, Time::ZERO), Measure::Undefined(_)));
+}
+
+#[test]
+fn saturation_is_weighted_with_time_and_counts_from_its_row_on() {
+    let mut trace = rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, 0.0), (4.0, 2.0, 0.0), (10.0, 2.0, 0.0)]);
+    trace[1].flags = Flags::SATURATED | Flags::CONTROL;
+    trace[3].flags = Flags::SATURATED;
+    assert_close(value(&expect(Metric::Saturated), &trace), 30.0, 1e-12);
+    for (row, drive) in trace.iter_mut().zip([1.0, 540.0, 12.0, 3.0]) {
+        row.drive_vpp = drive;
+    }
+    assert_eq!(value(&expect(Metric::DrivePeak), &trace), 540.0);
+    trace[0].flags = Flags::OVERRUN;
+    trace[2].flags = Flags::OVERRUN | Flags::SATURATED;
+    assert_eq!(value(&expect(Metric::Overruns), &trace), 2.0);
+    assert_eq!(measure(&expect(Metric::LoopDelay), &trace, ms(0.52)), Measure::Value(520.0));
+}
+
+#[test]
+fn a_controller_that_gave_up_meets_nothing() {
+    let mut trace = sampled(grid(0.05, 60.0), |_| 2.0, |_| 2.0);
+    trace[3].flags = Flags::SAFE;
+    for metric in Metric::ALL.into_iter().filter(|metric| *metric != Metric::QuadratureRatio) {
+        assert!(
+            measure(&from(metric, 0.0), &trace, Time::ZERO).value().is_some(),
+            "{metric} of a controller that started late"
+        );
+    }
+    trace.last_mut().unwrap().flags = Flags::SAFE;
+    for metric in Metric::ALL {
+        assert_eq!(
+            measure(&from(metric, 0.0), &trace, Time::ZERO),
+            Measure::Missing("ends with the controller not running"),
+            "{metric}"
+        );
+    }
+}

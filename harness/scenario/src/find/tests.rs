@@ -1,0 +1,136 @@
+use super::*;
+use tempfile::TempDir;
+
+const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
+const GOOD: &str = "title = \"Good\"\nplate = \"PLATE\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 2.0\n\
+                    [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n";
+
+/// A folder with a plate and good scenarios at the given paths; one whose name starts with `limit` must end with 1.
+fn tree(paths: &[&str]) -> TempDir {
+    let folder = TempDir::new().unwrap();
+    fs::write(folder.path().join("plate"), PLATE).unwrap();
+    let plate = folder.path().join("plate").display().to_string();
+    for path in paths {
+        let file = folder.path().join(path);
+        fs::create_dir_all(file.parent().unwrap()).unwrap();
+        let limit = file.file_name().unwrap().to_string_lossy().starts_with("limit");
+        let exit = if limit { "expected_exit = 1\n" } else { "" };
+        fs::write(file, format!("{exit}{}", GOOD.replace("PLATE", &plate))).unwrap();
+    }
+    folder
+}
+
+fn names(folder: &TempDir, arguments: &[&str]) -> (Vec<String>, Vec<String>) {
+    let arguments: Vec<_> = arguments.iter().map(|argument| folder.path().join(argument)).collect();
+    let found = find(&arguments).unwrap();
+    (found.scenarios.into_iter().map(|scenario| scenario.file).collect(), found.left_out)
+}
+
+fn faults(folder: &TempDir, arguments: &[&str]) -> Vec<String> {
+    let arguments: Vec<_> = arguments.iter().map(|argument| folder.path().join(argument)).collect();
+    let root = format!("{}/", fs::canonicalize(folder.path()).unwrap().display());
+    find(&arguments).unwrap_err().iter().map(|fault| fault.to_string().replace(&root, "")).collect()
+}
+
+#[test]
+fn folders_are_taken_with_everything_below_and_without_what_is_no_scenario() {
+    let folder = tree(&[
+        "a/z.toml",
+        "a/b/c.toml",
+        "a/plates/p.toml",
+        "a/baselines/d.toml",
+        "a/.hidden/e.toml",
+        "a/.f.toml",
+        "a/notes.md",
+    ]);
+    assert_eq!(names(&folder, &["a"]).0, ["b/c.toml", "z.toml"]);
+    assert_eq!(names(&folder, &["a/"]).0, ["b/c.toml", "z.toml"]);
+}
+
+#[test]
+fn nothing_is_found_in_an_empty_folder() {
+    let folder = tree(&["a/plates/p.toml"]);
+    assert_eq!(names(&folder, &["a"]), (vec![], vec![]));
+    assert_eq!(names(&folder, &[]), (vec![], vec![]));
+}
+
+#[test]
+fn what_is_named_twice_is_played_once() {
+    let folder = tree(&["a/x.toml", "a/y.toml"]);
+    assert_eq!(names(&folder, &["a", "a/x.toml", "a/../a/x.toml", "a"]).0, ["x.toml", "y.toml"]);
+}
+
+#[test]
+fn a_name_starts_below_the_nearest_folder_called_scenarios() {
+    let folder = tree(&["scenarios/old/scenarios/paper/x.toml", "scenarios/y.toml", "scenarios/scenarios"]);
+    assert_eq!(names(&folder, &["scenarios/old"]).0, ["paper/x.toml"]);
+    assert_eq!(names(&folder, &["scenarios/old/scenarios/paper/x.toml"]).0, ["paper/x.toml"]);
+    assert_eq!(names(&folder, &["scenarios"]).0, ["paper/x.toml", "y.toml"]);
+    assert_eq!(names(&folder, &["scenarios/scenarios"]).0, ["scenarios"], "a file of that name is not a folder");
+}
+
+#[test]
+fn a_name_elsewhere_is_the_path_below_the_named_folder_or_the_file_name() {
+    let folder = tree(&["a/b/x.toml"]);
+    assert_eq!(names(&folder, &["a"]).0, ["b/x.toml"]);
+    assert_eq!(names(&folder, &["a/b/x.toml"]).0, ["x.toml"]);
+}
+
+#[test]
+fn a_limit_is_only_played_where_it_or_its_own_folder_is_named() {
+    let folder = tree(&["scenarios/x.toml", "scenarios/limits/limit.toml"]);
+    let (x, limit) = (|| "x.toml".to_owned(), || "limits/limit.toml".to_owned());
+    assert_eq!(names(&folder, &["scenarios"]), (vec![x()], vec![limit()]));
+    assert_eq!(names(&folder, &["scenarios/limits"]), (vec![limit()], vec![]));
+    assert_eq!(names(&folder, &["scenarios/limits/"]), (vec![limit()], vec![]));
+    assert_eq!(names(&folder, &["scenarios/limits/limit.toml"]), (vec![limit()], vec![]));
+    assert_eq!(names(&folder, &["scenarios", "scenarios/limits/limit.toml"]), (vec![limit(), x()], vec![]));
+    assert_eq!(names(&folder, &["scenarios/limits/limit.toml", "scenarios"]), (vec![limit(), x()], vec![]));
+}
+
+#[test]
+fn two_files_of_one_name_are_refused() {
+    let folder = tree(&["a/x.toml", "b/x.toml", "c/x.toml"]);
+    let told = faults(&folder, &["a", "b", "c"]);
+    assert_eq!(told.len(), 2, "{told:?}");
+    assert_eq!(told[0], "b/x.toml:1:9: two scenarios would be filed as x.toml, the other one is a/x.toml");
+}
+
+#[test]
+fn every_broken_file_is_told_at_once() {
+    let folder = tree(&["a/good.toml"]);
+    fs::write(folder.path().join("a/bad.toml"), "title = 1").unwrap();
+    fs::write(folder.path().join("a/limit-bad.toml"), "expected_exit = 1\ntitle = 1").unwrap();
+    fs::create_dir(folder.path().join("a/sub")).unwrap();
+    fs::write(folder.path().join("a/sub/worse.toml"), b"\xff").unwrap();
+    let told = faults(&folder, &["a", "no-such.toml"]);
+    assert_eq!(told.len(), 4, "{told:?}");
+    for part in [
+        "a/bad.toml:1:9: invalid type",
+        "a/limit-bad.toml:2:9: invalid type",
+        "a/sub/worse.toml:1:1: not UTF-8",
+        "no-such.toml: cannot be read",
+    ] {
+        assert!(told.iter().any(|fault| fault.starts_with(part)), "{part} in {told:#?}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn folders_that_contain_themselves_come_to_an_end() {
+    let folder = tree(&["a/b/x.toml"]);
+    for name in ["one", "two", "three"] {
+        std::os::unix::fs::symlink(folder.path().join("a"), folder.path().join("a/b").join(name)).unwrap();
+    }
+    assert_eq!(names(&folder, &["a"]).0, ["b/x.toml"]);
+}
+
+#[test]
+fn every_scenario_of_this_repository_can_be_run() {
+    let scenarios = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
+    let folders = ["", "limits"].map(|folder| scenarios.join(folder));
+    match find(&folders) {
+        Ok(found) => assert!(!found.scenarios.is_empty()),
+        Err(faults) => panic!("{}", faults.iter().map(|fault| fault.render(false)).collect::<Vec<_>>().join("\n")),
+    }
+}

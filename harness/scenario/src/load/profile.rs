@@ -1,0 +1,238 @@
+//! What is played: profiles with a pointer to the very number that is wrong, in the scenario or in the CSV file that it names, and a plate that
+//! exists under all of it.
+
+use super::Checker;
+use crate::diagnostic::Diagnostic;
+use crate::raw::RawProfiles;
+use crate::scenario::Input;
+use crate::variation::Spread;
+use platebench_plate::profile::{RawProfile, RawShape};
+use platebench_plate::{Conditions, Plate, Profile, ProfileError, Scene};
+use std::fs;
+use std::ops::Range;
+use std::path::Path;
+
+const LARGEST_SETPOINT_UM: f64 = 1_000.0;
+const ABSOLUTE_ZERO_C: f64 = -273.15;
+/// No draw of a trial lies so many deviations off.
+const DEVIATIONS: f64 = 5.0;
+
+/// Which number of a point is meant.
+#[derive(Clone, Copy)]
+enum Part {
+    Time,
+    Value,
+}
+
+impl Checker<'_> {
+    pub(super) fn profile(
+        &self,
+        folder: &Path,
+        key: &str,
+        raw: &RawProfile,
+        inputs: &mut Vec<Input>,
+    ) -> Result<Profile, Diagnostic> {
+        let profile = raw.check(folder).map_err(|error| self.profile_fault(folder, key, raw, &error))?;
+        if let Some(path) = raw.file(folder) {
+            let bytes =
+                fs::read(&path).map_err(|error| Diagnostic::of_file(&path, format!("cannot be read: {error}")))?;
+            inputs.push(Input { path, bytes });
+        }
+        Ok(profile)
+    }
+
+    fn profile_fault(&self, folder: &Path, key: &str, raw: &RawProfile, error: &ProfileError) -> Diagnostic {
+        let (index, part) = match error {
+            ProfileError::NotFinite { index, .. } => (*index, Part::Value),
+            ProfileError::Time { index, .. } | ProfileError::Unordered { index, .. } => (*index, Part::Time),
+            ProfileError::Empty | ProfileError::Sine => (1, Part::Value),
+            ProfileError::Csv { path, source } => return self.csv_fault(key, path, source),
+        };
+        self.at_point(folder, key, raw, index, part, error.to_string())
+    }
+
+    fn csv_fault(&self, key: &str, path: &Path, error: &csv::Error) -> Diagnostic {
+        let text = fs::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+        match (error.kind(), text) {
+            (csv::ErrorKind::Deserialize { pos: Some(position), err }, Ok(text)) => {
+                let line = record_span(&text, position.record());
+                let column = err.field().and_then(|field| usize::try_from(field).ok());
+                let span = column.map_or(line.clone(), |column| field_span(&text, line, column));
+                let message = format!("{}, expected a number in each of the columns `t_ms` and `value`", err.kind());
+                Diagnostic::at_span(path, &text, span, message)
+            }
+            (csv::ErrorKind::UnequalLengths { pos: Some(position), expected_len, len }, Ok(text)) => {
+                let span = record_span(&text, position.record());
+                Diagnostic::at_span(
+                    path,
+                    &text,
+                    span,
+                    format!("{len} fields, expected {expected_len} as in the header"),
+                )
+            }
+            (csv::ErrorKind::Utf8 { pos: Some(position), .. }, Ok(text)) => {
+                let span = record_span(&text, position.record());
+                Diagnostic::at_span(path, &text, span, "not UTF-8, expected a text file in UTF-8")
+            }
+            _ => Diagnostic::at_key(
+                self.path,
+                self.text,
+                &format!("{key}.csv"),
+                format!("profile file {} cannot be read: {error}", path.display()),
+            ),
+        }
+    }
+
+    /// A fault of the point with number `index`, counted from 1, wherever that stands.
+    fn at_point(
+        &self,
+        folder: &Path,
+        key: &str,
+        raw: &RawProfile,
+        index: usize,
+        part: Part,
+        message: String,
+    ) -> Diagnostic {
+        let place = |shape: &str| format!("{key}.{shape}.{}.{}", index - 1, part as usize);
+        let key = match raw {
+            RawProfile::Number(_) => key.to_owned(),
+            RawProfile::Shape(RawShape::Hold(_)) => place("hold"),
+            RawProfile::Shape(RawShape::Linear(_)) => place("linear"),
+            RawProfile::Shape(RawShape::Sine(_)) => format!("{key}.sine"),
+            RawProfile::Shape(RawShape::Csv(file)) => {
+                let path = folder.join(file);
+                let Ok(text) = fs::read_to_string(&path) else { return Diagnostic::of_file(&path, message) };
+                let span = csv_point(&text, index, part);
+                return Diagnostic::at_span(&path, &text, span, message);
+            }
+        };
+        Diagnostic::at_key(self.path, self.text, &key, message)
+    }
+
+    /// Refuses the first point of `profile` whose value is not good.
+    fn require_values(
+        &self,
+        folder: &Path,
+        key: &str,
+        (raw, profile): (&RawProfile, &Profile),
+        good: impl Fn(f64) -> bool,
+        message: impl Fn(f64) -> String,
+    ) -> Result<(), Diagnostic> {
+        let values = match profile {
+            Profile::Hold(points) | Profile::Linear(points) => points.iter().map(|(_, value)| *value).collect(),
+            Profile::Sine { .. } => vec![profile.range().0, profile.range().1],
+        };
+        match (1..).zip(values).find(|(_, value)| !good(*value)) {
+            Some((index, value)) => Err(self.at_point(folder, key, raw, index, Part::Value, message(value))),
+            None => Ok(()),
+        }
+    }
+
+    pub(super) fn setpoints(&self, folder: &Path, raw: &RawProfiles, setpoint: &Profile) -> Result<(), Diagnostic> {
+        self.require_values(
+            folder,
+            "profile.setpoint_um",
+            (&raw.setpoint_um, setpoint),
+            |value| (0.0..=LARGEST_SETPOINT_UM).contains(&value),
+            |value| format!("a setpoint of {value} µm, expected 0 to {LARGEST_SETPOINT_UM} µm"),
+        )
+    }
+
+    /// Whether the plate exists under everything that is played to it.
+    pub(super) fn surroundings(
+        &self,
+        folder: &Path,
+        raw: &RawProfiles,
+        plate: &Plate,
+        scene: &Scene,
+        spread: &Spread,
+    ) -> Result<(), Diagnostic> {
+        let force = (&raw.finger_force_n, &scene.finger_force_n);
+        let force_key = "profile.finger_force_n";
+        self.require_values(
+            folder,
+            force_key,
+            force,
+            |value| value >= 0.0,
+            |value| format!("a force of {value} N, expected 0 or more: a finger cannot pull"),
+        )?;
+        let temperature = (&raw.temperature_offset_k, &scene.temperature_offset_k);
+        let temperature_key = "profile.temperature_offset_k";
+        self.require_values(
+            folder,
+            temperature_key,
+            temperature,
+            |value| plate.reference_temperature_c + value > ABSOLUTE_ZERO_C,
+            |value| format!("an offset of {value} K, expected a temperature above {ABSOLUTE_ZERO_C} °C"),
+        )?;
+        let shortest = 1.0 - DEVIATIONS * spread.time_constant_percent / 100.0;
+        let worst = Plate { sigma0: plate.sigma0 / shortest.max(0.1), ..plate.clone() };
+        let exists = |temperature_offset_k: f64, finger_force_n: f64| {
+            let mode = worst.mode(&Conditions { temperature_offset_k, finger_force_n });
+            mode.is_resonant() && mode.omega0.is_finite()
+        };
+        self.require_values(
+            folder,
+            force_key,
+            force,
+            |value| exists(0.0, value),
+            |value| format!("a force of {value} N leaves the plate without a resonance"),
+        )?;
+        // What lies between two points counts only where the damping has a corner there.
+        let (lightest, heaviest) = scene.finger_force_n.range();
+        let corners =
+            plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (lightest..heaviest).contains(force));
+        let forces: Vec<f64> = corners.chain([lightest, heaviest]).collect();
+        let margin = DEVIATIONS * spread.temperature_k;
+        self.require_values(
+            folder,
+            temperature_key,
+            temperature,
+            |value| forces.iter().all(|force| exists(value - margin, *force) && exists(value + margin, *force)),
+            |value| {
+                format!("{value} K (± {margin} K of spread) and up to {heaviest} N leave the plate without a resonance")
+            },
+        )
+    }
+}
+
+/// The record with that number, the header being number 0: comments and empty lines are none.
+fn record_span(text: &str, number: u64) -> Range<usize> {
+    let mut start = 0;
+    let mut counted = 0;
+    for line in text.split_inclusive('\n') {
+        let content = line.trim_end();
+        if !content.is_empty() && !line.starts_with('#') {
+            if counted == number {
+                return start..start + content.len();
+            }
+            counted += 1;
+        }
+        start += line.len();
+    }
+    0..0
+}
+
+/// The field of a line with that number, counted from 0, without the blanks around it.
+fn field_span(text: &str, line: Range<usize>, column: usize) -> Range<usize> {
+    let mut start = line.start;
+    for (index, field) in text.get(line.clone()).unwrap_or_default().split(',').enumerate() {
+        if index == column {
+            let from = start + field.len() - field.trim_start().len();
+            return from..from + field.trim().len();
+        }
+        start += field.len() + 1;
+    }
+    line
+}
+
+/// A number of the point with number `index`, counted from 1, of a CSV text.
+fn csv_point(text: &str, index: usize, part: Part) -> Range<usize> {
+    let header = text.get(record_span(text, 0)).unwrap_or_default();
+    let name = match part {
+        Part::Time => "t_ms",
+        Part::Value => "value",
+    };
+    let column = header.split(',').position(|field| field.trim() == name).unwrap_or(0);
+    field_span(text, record_span(text, index as u64), column)
+}
