@@ -23,7 +23,8 @@ fn every_vector_holds_both_ways() {
         let packet = Packet::decode(&body).unwrap();
         assert_eq!(packet.encode().as_bytes(), frame, "{packet:?}");
         let mut reader = FrameReader::new();
-        let read: Vec<_> = frame.iter().filter_map(|&byte| reader.push(byte).map(|body| body.unwrap().to_vec())).collect();
+        let read: Vec<_> =
+            frame.iter().filter_map(|&byte| reader.push(byte).map(|body| body.unwrap().to_vec())).collect();
         assert_eq!(read, [body]);
     }
 }

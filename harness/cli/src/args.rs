@@ -71,7 +71,7 @@ pub(crate) struct Run {
     #[arg(value_name = "SCENARIO|FOLDER", default_value = "scenarios")]
     pub(crate) scenarios: Vec<PathBuf>,
     /// What the controller runs on: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP
-    #[arg(long, default_value = "hosted")]
+    #[arg(long, default_value = "emulated")]
     pub(crate) rig: RigSpec,
     /// Control law of the firmware under test
     #[arg(long, value_name = "NAME", value_parser = clap::builder::PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
@@ -79,6 +79,9 @@ pub(crate) struct Run {
     /// How time passes for the plate
     #[arg(long, value_enum, default_value_t = Clock::Lockstep)]
     pub(crate) clock: Clock,
+    /// Let the time that an emulated line and controller take act on the plate as loop delay
+    #[arg(long)]
+    pub(crate) wire_time: bool,
     /// The run folder; a new one below runs/ where not given
     #[arg(long, value_name = "FOLDER")]
     pub(crate) out: Option<PathBuf>,
@@ -104,6 +107,8 @@ pub(crate) struct Run {
 pub(crate) enum Clock {
     /// The plate waits while a sample travels and the controller computes
     Lockstep,
+    /// Every microsecond acts
+    RealTime,
 }
 
 /// `--format`

@@ -1,5 +1,6 @@
 //! Exit codes, all of them.
 
+use platebench_rig::RigError;
 use platebench_runner::RunError;
 use platebench_verdict::{Cause, RunRecord, Verdict};
 use std::process::ExitCode;
@@ -39,8 +40,12 @@ impl Exit {
     /// How a run without a record ends.
     pub(crate) fn of_error(error: &RunError) -> Self {
         match error {
-            RunError::Scenario(_) | RunError::Folder(_) | RunError::Trace(_) => Self::Invalid,
-            RunError::Rig(_) => Self::Unreachable,
+            // Refused is what the firmware cannot do with the scenario or the plate.
+            RunError::Scenario(_) | RunError::Folder(_) | RunError::Trace(_) | RunError::Rig(RigError::Refused(_)) => {
+                Self::Invalid
+            }
+            RunError::Connect(error) if error.is_invalid_input() => Self::Invalid,
+            RunError::Connect(_) | RunError::Rig(_) => Self::Unreachable,
             RunError::Bench(_) | RunError::Cancelled => Self::Inconclusive,
         }
     }

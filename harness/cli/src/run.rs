@@ -4,8 +4,7 @@ use crate::args::{Clock, Run};
 use crate::exit::Exit;
 use crate::output;
 use platebench_report::{Progress, ProgressKind, html, junit};
-use platebench_rig::{Hosted, RigError, RigSpec};
-use platebench_runner::run::{AnyLink, Connect};
+use platebench_rig::RigSpec;
 use platebench_runner::{Cancel, Event, Plan, RunError, RunFolder, rejudge};
 use platebench_scenario::{Scenario, find};
 use platebench_verdict::RunRecord;
@@ -20,13 +19,10 @@ const SIGTERM: u8 = 15;
 
 /// Plays scenarios and judges them.
 pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
-    let connect: Box<Connect> = match (&arguments.rig, arguments.clock) {
-        (RigSpec::Hosted, Clock::Lockstep) => Box::new(|| Ok::<AnyLink, RigError>(Box::new(Hosted::new()))),
-        (rig, _) => {
-            output::error(&format!("rig `{rig}` is not there yet, expected hosted"));
-            return Exit::Invalid;
-        }
-    };
+    if arguments.clock == Clock::RealTime {
+        output::error("the real-time clock is not there yet, expected lockstep");
+        return Exit::Invalid;
+    }
     let Ok(scenarios) = scenarios(arguments) else { return Exit::Invalid };
     if scenarios.is_empty() {
         output::error("there is nothing to run");
@@ -43,12 +39,13 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
     let plan = Plan {
         scenarios,
         jobs: arguments.jobs.map_or(cores, usize::from),
+        wire_time: arguments.wire_time,
         rig: arguments.rig.to_string(),
         overrides: overrides(arguments),
     };
     info!(folder = %folder.path().display(), scenarios = plan.scenarios.len(), jobs = plan.jobs, "run starts");
     let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };
-    match play(plan, &folder, connect, kind) {
+    match play(plan, &folder, arguments.rig.clone(), kind) {
         Ok(record) => finish(&record, &folder, arguments),
         Err((error, signal)) => {
             explain(&error, &folder);
@@ -66,7 +63,7 @@ fn scenarios(arguments: &Run) -> Result<Vec<Scenario>, ()> {
     let found = find(&arguments.scenarios).map_err(|faults| faults.iter().for_each(output::diagnostic))?;
     if !found.left_out.is_empty() {
         let names = found.left_out.join(", ");
-        info!(%names, "left out: scenarios that show a limit run where they or their folder are named");
+        output::note(&format!("left out, because they show a limit and were not named: {names}"));
     }
     let mut scenarios = found.scenarios;
     let overrides = overrides(arguments);
@@ -79,16 +76,11 @@ fn scenarios(arguments: &Run) -> Result<Vec<Scenario>, ()> {
 }
 
 /// Plays the plan on threads of its own while this one listens for signals and tells of progress.
-fn play(
-    plan: Plan,
-    folder: &RunFolder,
-    connect: Box<Connect>,
-    kind: ProgressKind,
-) -> Result<RunRecord, (RunError, Option<u8>)> {
+fn play(plan: Plan, folder: &RunFolder, rig: RigSpec, kind: ProgressKind) -> Result<RunRecord, (RunError, Option<u8>)> {
     let without_signal = |error: std::io::Error| (RunError::Bench(error.to_string()), None);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(without_signal)?;
     let cancel = Cancel::default();
-    runtime.block_on(async {
+    let result = runtime.block_on(async {
         let mut interrupt = signal(SignalKind::interrupt()).map_err(without_signal)?;
         let mut terminate = signal(SignalKind::terminate()).map_err(without_signal)?;
         let (teller, mut events) = mpsc::channel::<Event>(64);
@@ -99,7 +91,7 @@ fn play(
                     // Nobody listens any more once the run was given up.
                     let _ = teller.blocking_send(event);
                 };
-                platebench_runner::run(&plan, &folder, &*connect, &cancel, &mut tell)
+                platebench_runner::run(&plan, &folder, &|| rig.connect(), &cancel, &mut tell)
             })
         };
         let mut progress = Progress::new(kind);
@@ -124,7 +116,10 @@ fn play(
             }
             cancel.cancel();
         }
-    })
+    });
+    // A trial that does not come back is not waited for.
+    runtime.shutdown_background();
+    result
 }
 
 fn follow(progress: &mut Progress, event: &Event) {

@@ -78,6 +78,9 @@ pub struct RawSensor {
     pub noise_um_rms: f64,
 }
 
+/// An excitation half as high again still fits into 32 bits of millihertz.
+const HIGHEST_RESONANCE_HZ: f64 = 2.5e6;
+
 /// A value in a plate file that cannot be meant.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("`{key}` is {value}, expected {expected}")]
@@ -135,7 +138,14 @@ impl RawPlate {
     /// # Errors
     /// [`PlateError`] naming the first key whose value cannot be meant.
     pub fn check(self) -> Result<Plate, PlateError> {
-        let omega0 = positive("mode.resonance_hz", self.mode.resonance_hz)? * TAU;
+        let resonance_hz = positive("mode.resonance_hz", self.mode.resonance_hz)?;
+        check(
+            resonance_hz <= HIGHEST_RESONANCE_HZ,
+            "mode.resonance_hz",
+            &resonance_hz,
+            "at most 2.5e6: the wire carries the excitation frequency in millihertz",
+        )?;
+        let omega0 = resonance_hz * TAU;
         let sigma0 = 1e3 / positive("mode.time_constant_ms", self.mode.time_constant_ms)?;
         check(
             omega0 / (2.0 * sigma0) > 1.0,
@@ -234,6 +244,7 @@ mod tests {
     #[rstest]
     #[case("resonance_hz = 32307.6", "resonance_hz = 0.0", "mode.resonance_hz")]
     #[case("resonance_hz = 32307.6", "resonance_hz = nan", "mode.resonance_hz")]
+    #[case("resonance_hz = 32307.6", "resonance_hz = 2500001.0", "mode.resonance_hz")]
     #[case("time_constant_ms = 1.88", "time_constant_ms = -1.88", "mode.time_constant_ms")]
     // Q = π f τ: 1 at 9.853 µs.
     #[case("time_constant_ms = 1.88", "time_constant_ms = 0.00985", "mode.time_constant_ms")]

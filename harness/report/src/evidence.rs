@@ -59,7 +59,7 @@ pub(crate) fn open_loop_of(record: &RunRecord, scenario: &ScenarioRecord) -> Opt
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_verdict::ExpectationRecord;
+    use platebench_verdict::{ExpectationRecord, Telemetry};
     use serde_json::{Map, json};
 
     #[test]
@@ -85,6 +85,8 @@ mod tests {
             metrics: metrics(value),
             cause: None,
             reason: None,
+            sha256: None,
+            telemetry: Telemetry::default(),
             wall_ms: None,
         };
         let mut scenario = ScenarioRecord {

@@ -55,4 +55,9 @@ impl Link for Hosted {
         self.device.tick(micros(now), |frame| said.extend_from_slice(frame));
         Ok(())
     }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        *self = Self::new();
+        Ok(true)
+    }
 }

@@ -1,18 +1,24 @@
 //! How a controller is reached.
 //!
 //! * [`spec`]: `--rig` as a user writes it.
+//! * [`connect`]: from there to a line.
 //! * [`link`]: bytes to a target and back; what every kind of rig provides.
 //! * [`hosted`]: the controller crate in this process.
+//! * [`emulated`]: a firmware image on an emulated STM32F4, in virtual time.
 //! * [`session`]: handshake, configuration, samples and a safe end over any link.
 //!
 //! Everything above the bytes is the same for every rig, so that a controller in this process is talked to exactly like one behind a cable. Plate, profiles
 //! and verdicts are unknown here; time is an argument.
 
+pub mod connect;
+pub mod emulated;
 pub mod hosted;
 pub mod link;
 pub mod session;
 pub mod spec;
 
+pub use connect::{AnyLink, ConnectError};
+pub use emulated::{Emulated, EmulatedError, TargetFault};
 pub use hosted::Hosted;
 pub use link::{Link, LinkError};
 pub use session::{Reply, RigError, Session};

@@ -1,13 +1,17 @@
 //! Bytes to a target and back.
 
+use crate::emulated::TargetFault;
 use std::time::Duration;
 
 /// Why bytes no longer pass.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     /// The other side is gone: process ended, cable pulled, port closed.
-    #[error("disconnected: {0}")]
+    #[error("the link to the controller is lost: {0}")]
     Disconnected(String),
+    /// The firmware on an emulated board trapped, fell silent or left what the emulator knows.
+    #[error("{0}")]
+    Target(Box<TargetFault>),
 }
 
 /// A line to a target. Instants are counted from the start of the trial.
@@ -26,6 +30,19 @@ pub trait Link: Send {
     /// # Errors
     /// [`LinkError`] where the line is dead.
     fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError>;
+
+    /// Brings the target back to its state after power-on, where the link can; the instants of the next trial count from zero again. True where it did.
+    ///
+    /// # Errors
+    /// [`LinkError`] where the target does not come back.
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        Ok(false)
+    }
+
+    /// Instructions that the target executed from the first bit of the last [`Link::exchange`] to the last bit of its answer, where the link can count them.
+    fn cost(&self) -> Option<u64> {
+        None
+    }
 }
 
 impl<L: Link + ?Sized> Link for Box<L> {
@@ -35,5 +52,13 @@ impl<L: Link + ?Sized> Link for Box<L> {
 
     fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
         (**self).pass(now, said)
+    }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        (**self).restart()
+    }
+
+    fn cost(&self) -> Option<u64> {
+        (**self).cost()
     }
 }

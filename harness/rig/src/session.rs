@@ -11,8 +11,8 @@ use tracing::{debug, warn};
 /// Why a controller cannot be worked with.
 #[derive(Debug, thiserror::Error)]
 pub enum RigError {
-    /// The line is dead.
-    #[error("the link to the controller is lost: {0}")]
+    /// The line or what is behind it is dead.
+    #[error(transparent)]
     Link(#[from] LinkError),
     /// The target does not answer as the protocol has it.
     #[error(
@@ -41,6 +41,8 @@ pub struct Reply {
     pub command: Command,
     /// How long it took, as the link counts it.
     pub delay: Duration,
+    /// Instructions that the target executed for it, where the link can count them.
+    pub instructions: Option<u64>,
 }
 
 /// A conversation with one controller. Dropping it drives the plate to 0 V.
@@ -71,6 +73,11 @@ impl<L: Link> Session<L> {
         Ok(session)
     }
 
+    /// The line, for what only its kind of rig can tell.
+    pub fn link(&self) -> &L {
+        &self.link
+    }
+
     /// Who is there.
     pub fn identity(&self) -> &Identity {
         &self.identity
@@ -82,12 +89,16 @@ impl<L: Link> Session<L> {
         String::from_utf8_lossy(name).into_owned()
     }
 
-    /// Starts a trial: time zero, 0 V, the design that `configure` asks for.
+    /// Starts a trial: time zero, 0 V, the design that `configure` asks for. A target that can be restarted is, so that no trial depends on those before it.
     ///
     /// # Errors
     /// [`RigError`] where the target refuses or does not answer.
     pub fn begin(&mut self, configure: &Configure) -> Result<Gains, RigError> {
         self.now = Duration::ZERO;
+        if self.link.restart()? {
+            self.sequence = 0;
+            self.reader = FrameReader::new();
+        }
         match self.ask(Message::Configure(*configure))? {
             Some((Message::Configured(Configured { outcome }), _)) => outcome.map_err(RigError::Refused),
             _ => Err(RigError::NoAnswer { expected: "answer to its configuration" }),
@@ -101,7 +112,9 @@ impl<L: Link> Session<L> {
     pub fn sample(&mut self, now: Duration, sample: &Sample) -> Result<Option<Reply>, RigError> {
         self.now = now;
         match self.ask(Message::Sample(*sample))? {
-            Some((Message::Command(command), delay)) => Ok(Some(Reply { command, delay })),
+            Some((Message::Command(command), delay)) => {
+                Ok(Some(Reply { command, delay, instructions: self.link.cost() }))
+            }
             _ => Ok(None),
         }
     }
@@ -129,7 +142,7 @@ impl<L: Link> Session<L> {
             Ok(Some((Message::Command(command), _))) => command.state == State::Safe && command.drive_vpp == 0.0,
             Ok(_) => false,
             Err(error) => {
-                warn!(%error, "0 V could not be asked for");
+                debug!(%error, "0 V could not be asked for");
                 false
             }
         }

@@ -1,9 +1,9 @@
 //! Playing scenarios to a controller.
 //!
 //! * [`trial`]: one trial in lockstep: plate state → sample → controller → drive → plate → row.
-//! * [`run`]: all trials of all scenarios, over several workers, in an order that no result depends on.
+//! * [`mod@run`]: all trials of all scenarios, over several workers, in an order that no result depends on.
 //! * [`folder`]: the run folder: inputs, traces, record.
-//! * [`rejudge`]: a stored run, judged again without a rig.
+//! * [`mod@rejudge`]: a stored run, judged again without a rig.
 //! * [`event`]: what a run says while it goes on.
 //!
 //! What is shown of a run belongs to `platebench-report`; exit codes belong to the command line.

@@ -1,13 +1,17 @@
 //! A stored run, judged again without a rig.
 
-use crate::folder::{sha256, trace_file};
+use crate::folder::{FolderError, sha256, trace_file};
 use crate::run::{Done, empty_record, finish};
-use platebench_scenario::{Diagnostic, Scenario, load};
+use platebench_scenario::{Diagnostic, Expectation, Scenario, load};
 use platebench_trace::{TraceError, read};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Cause, RecordError};
-use platebench_verdict::{RunRecord, ScenarioRecord, TrialMeasures, Verdict, measure};
+use platebench_verdict::{RunRecord, ScenarioRecord, Telemetry, TrialMeasures, Verdict, measure};
+use std::fs;
 use std::path::{Path, PathBuf};
+
+/// As many as the command line takes.
+const MOST_TRIALS: u32 = 100_000;
 
 /// Why a stored run cannot be judged.
 #[derive(Debug, thiserror::Error)]
@@ -21,7 +25,18 @@ pub enum RejudgeError {
     /// A trace is not one.
     #[error(transparent)]
     Trace(#[from] TraceError),
-    /// An input is no longer what it was.
+    /// A file is not there.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// The given scenario describes another experiment than the one that was played.
+    #[error("{}: {what} differs from what was played; only expectations can be held against stored traces", path.display())]
+    OtherExperiment {
+        /// The file.
+        path: PathBuf,
+        /// What differs.
+        what: &'static str,
+    },
+    /// An input or a trace is no longer what it was.
     #[error("{}: SHA-256 {found}, expected {expected}: not the file that the run was made with", path.display())]
     Changed {
         /// The file.
@@ -47,7 +62,8 @@ impl From<Diagnostic> for RejudgeError {
     }
 }
 
-/// Judges the traces in `folder` again, with the scenarios that are stored beside them or, for the one of that name, with `replacement`.
+/// Judges the traces in `folder` again, with the scenarios that are stored beside them; for the one of that name with the
+/// expectations of `replacement`.
 ///
 /// Trials whose trace is not there were cut off; they leave what they should have decided undecided.
 ///
@@ -58,10 +74,10 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
     let replaced = replacement.map(|path| Ok::<_, RejudgeError>((path, chosen(&record, path)?))).transpose()?;
     let mut scenarios = Vec::with_capacity(record.scenarios.len());
     for (number, stored) in record.scenarios.iter().enumerate() {
-        let mut scenario = match replaced {
-            Some((path, chosen)) if chosen == number => load(path, &stored.file)?,
-            _ => stored_scenario(folder, stored)?,
-        };
+        let mut scenario = stored_scenario(folder, stored)?;
+        if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
+            scenario.expectations = other_expectations(path, &scenario)?;
+        }
         apply(&record.overrides, &mut scenario);
         scenarios.push(judged(folder, &scenario, stored)?);
     }
@@ -75,7 +91,7 @@ pub fn apply(overrides: &platebench_verdict::record::Overrides, scenario: &mut S
     if let Some(law) = &overrides.law {
         scenario.controller.law.clone_from(law);
     }
-    if let Some(trials) = overrides.trials {
+    if let Some(trials) = overrides.trials.filter(|trials| (1..=MOST_TRIALS).contains(trials)) {
         scenario.trials.count = trials;
         scenario.trials.max_count = trials;
     }
@@ -97,19 +113,48 @@ fn chosen(record: &RunRecord, path: &Path) -> Result<usize, RejudgeError> {
     }
 }
 
+/// The expectations of the scenario at `path`, which must otherwise describe what was played.
+fn other_expectations(path: &Path, played: &Scenario) -> Result<Vec<Expectation>, RejudgeError> {
+    let other = load(path, &played.file)?;
+    let alike = [
+        (other.duration == played.duration, "duration_ms"),
+        (other.trace_step == played.trace_step, "trace_step_ms"),
+        (other.plate == played.plate, "the plate"),
+        (other.tier == played.tier, "model"),
+        (other.controller == played.controller, "[controller]"),
+        (other.setpoint == played.setpoint && other.scene == played.scene, "[profile]"),
+        (other.trials == played.trials, "[trials]"),
+    ];
+    match alike.iter().find(|(holds, _)| !holds) {
+        Some((_, what)) => Err(RejudgeError::OtherExperiment { path: path.to_owned(), what }),
+        None => Ok(other.expectations),
+    }
+}
+
 fn stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, RejudgeError> {
     let Some(input) = stored.inputs.first() else {
         let message = format!("the record of {} names no inputs", stored.file);
         return Err(Diagnostic::of_file(&folder.join(platebench_verdict::record::FILE), message).into());
     };
+    for input in &stored.inputs {
+        unchanged(&folder.join(&input.file), &input.sha256)?;
+    }
     let scenario = load(&folder.join(&input.file), &stored.file)?;
-    for (now, then) in scenario.inputs.iter().zip(&stored.inputs) {
-        let found = sha256(&now.bytes);
-        if found != then.sha256 {
-            return Err(RejudgeError::Changed { path: now.path.clone(), found, expected: then.sha256.clone() });
-        }
+    if scenario.inputs.len() != stored.inputs.len() {
+        let message = format!("the record of {} does not name all inputs", stored.file);
+        return Err(Diagnostic::of_file(&folder.join(platebench_verdict::record::FILE), message).into());
     }
     Ok(scenario)
+}
+
+/// Refuses a file that is not what the record says.
+fn unchanged(path: &Path, expected: &str) -> Result<(), RejudgeError> {
+    let bytes = fs::read(path).map_err(|source| FolderError::Io { path: path.to_owned(), source })?;
+    let found = sha256(&bytes);
+    if found == expected {
+        return Ok(());
+    }
+    Err(RejudgeError::Changed { path: path.to_owned(), found, expected: expected.to_owned() })
 }
 
 fn judged(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result<ScenarioRecord, RejudgeError> {
@@ -122,10 +167,15 @@ fn judged(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result
             missing.push(cut_off(scenario, index));
             continue;
         }
-        let measures = measure(scenario, index, &read(&path)?, scenario.controller.loop_delay);
+        let then = stored.trials.iter().find(|then| then.index == index);
+        if let Some(expected) = then.and_then(|then| then.sha256.as_deref()) {
+            unchanged(&path, expected)?;
+        }
+        let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
+        let measures = measure(scenario, index, &read(&path)?, &telemetry);
         let mut record = trial_record(scenario, &measures, trace, None);
-        if let Some(then) = stored.trials.iter().find(|then| then.index == index) {
-            record.reason = record.reason.or_else(|| then.reason.clone());
+        if let Some(then) = then {
+            record.sha256.clone_from(&then.sha256);
             record.wall_ms = then.wall_ms;
         }
         trials.push(Done { measures, record });
@@ -149,6 +199,7 @@ fn cut_off(scenario: &Scenario, index: u32) -> TrialMeasures {
         seed: scenario.variation(index).seed,
         measures: Vec::new(),
         excuses: Vec::new(),
+        telemetry: Telemetry::default(),
         cause: Some((Cause::Bench, "the run was cut off before this trial was whole".to_owned())),
     }
 }

@@ -2,15 +2,16 @@
 
 use crate::configure;
 use crate::event::Event;
-use crate::folder::{FolderError, RunFolder, hexadecimal, trace_file};
-use crate::trial::{self, Patience};
-use platebench_rig::{Link, RigError, Session};
+use crate::folder::{FolderError, RunFolder, hexadecimal, sha256, trace_file};
+use crate::trial::{self, Order, Patience};
+use platebench_rig::{AnyLink, ConnectError, RigError, Session};
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::{Row, TraceError, Writer};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
-use platebench_verdict::{Cause, RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, measure};
+use platebench_verdict::{RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, measure};
 use platebench_wire::{Identity, LawId};
+use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
@@ -20,11 +21,8 @@ use std::thread;
 use std::time::Instant;
 use tracing::{error, info, info_span};
 
-/// A link of any kind.
-pub type AnyLink = Box<dyn Link>;
-
 /// Makes a new link to a controller; called once per worker, and again where a controller was lost.
-pub type Connect = dyn Fn() -> Result<AnyLink, RigError> + Send + Sync;
+pub type Connect<'a> = dyn Fn() -> Result<AnyLink, ConnectError> + Send + Sync + 'a;
 
 /// What is to be done.
 #[derive(Debug, Clone)]
@@ -33,6 +31,8 @@ pub struct Plan {
     pub scenarios: Vec<Scenario>,
     /// How many trials may run at once.
     pub jobs: usize,
+    /// True where the time that the rig takes acts on the plate as loop delay.
+    pub wire_time: bool,
     /// The rig as named on the command line.
     pub rig: String,
     /// Options of the command line that changed the scenarios.
@@ -67,7 +67,10 @@ pub enum RunError {
     /// A scenario asks for what the controller does not have.
     #[error("{0}")]
     Scenario(Box<Diagnostic>),
-    /// The controller cannot be reached at all.
+    /// There is no line to a controller.
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    /// The controller does not answer.
     #[error(transparent)]
     Rig(#[from] RigError),
     /// The run folder cannot be written.
@@ -91,7 +94,7 @@ pub enum RunError {
 pub fn run(
     plan: &Plan,
     folder: &RunFolder,
-    connect: &Connect,
+    connect: &Connect<'_>,
     cancel: &Cancel,
     tell: &mut dyn FnMut(Event),
 ) -> Result<RunRecord, RunError> {
@@ -209,7 +212,7 @@ struct Work<'a> {
     plan: &'a Plan,
     laws: &'a [LawId],
     folder: &'a Path,
-    connect: &'a Connect,
+    connect: &'a Connect<'a>,
     cancel: &'a Cancel,
     tasks: &'a [Task],
     next: AtomicUsize,
@@ -250,15 +253,21 @@ impl Work<'_> {
             Some(open) => open,
             None => session.insert(Session::open((self.connect)()?)?),
         };
-        let Some(played) = trial::play(open, scenario, law, task.index, self.cancel) else { return Ok(None) };
+        let order = Order { scenario, law, index: task.index, wire_time: self.plan.wire_time };
+        let Some(played) = trial::play(open, &order, self.cancel) else { return Ok(None) };
+        if let Some(refused @ RigError::Refused(_)) = played.lost {
+            return Err(refused.into());
+        }
         let trace = trace_file(scenario.name(), task.index);
-        write_trace(&self.folder.join(&trace), &played.rows)?;
-        let measures = measure(scenario, task.index, &played.rows, scenario.controller.loop_delay);
+        let path = self.folder.join(&trace);
+        write_trace(&path, &played.rows)?;
+        let measures = measure(scenario, task.index, &played.rows, &played.telemetry);
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
         let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));
+        let bytes = fs::read(&path).map_err(|source| TraceError::Io { path, source })?;
+        record.sha256 = Some(sha256(&bytes));
         if let Some(lost) = played.lost {
             error!(error = %lost, "controller lost");
-            record.reason = Some(lost.to_string());
             // The next trial starts over a new link.
             *session = None;
         }
@@ -301,9 +310,4 @@ fn first_record(plan: &Plan, folder: &RunFolder, identity: &Identity, inputs: &[
         host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
         scenarios: scenarios.collect(),
     }
-}
-
-/// True where the record says that a controller was lost.
-pub fn lost_the_rig(record: &RunRecord) -> bool {
-    record.causes().any(|cause| cause == Cause::Rig)
 }

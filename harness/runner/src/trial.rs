@@ -6,9 +6,10 @@
 use crate::configure::{configure, start_frequency_mhz};
 use platebench_plate::plant::Signal;
 use platebench_plate::{Crossing, Drive, Plant, Sensor, State, Time, Watch};
-use platebench_rig::{Link, LinkError, RigError, Session};
+use platebench_rig::{Link, LinkError, Reply, RigError, Session};
 use platebench_scenario::{Metric, Scenario};
 use platebench_trace::{Flags, Row};
+use platebench_verdict::Telemetry;
 use platebench_wire::{Command, LawId, Sample, State as Mode};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -19,11 +20,26 @@ const MISSES_UNTIL_LOST: u32 = 5;
 /// The amplifier counts as saturated from here on, as a fraction of its limit: the wire carries the limit as f32.
 const SATURATED_FROM: f64 = 1.0 - 1e-6;
 
+/// What is to be played.
+#[derive(Debug, Clone, Copy)]
+pub struct Order<'a> {
+    /// The scenario.
+    pub scenario: &'a Scenario,
+    /// The law that it asks for.
+    pub law: LawId,
+    /// Number of the trial, counted from 0.
+    pub index: u32,
+    /// True where the time that the rig takes acts on the plate as loop delay.
+    pub wire_time: bool,
+}
+
 /// How a trial came to its end.
 #[derive(Debug)]
 pub struct Played {
     /// Everything that happened.
     pub rows: Vec<Row>,
+    /// What the rig told beside it.
+    pub telemetry: Telemetry,
     /// Why the controller was no longer there, if it was not; the plate then rests at 0 V.
     pub lost: Option<RigError>,
 }
@@ -34,16 +50,10 @@ pub trait Patience {
     fn is_over(&self) -> bool;
 }
 
-/// Plays trial `index` of `scenario`. `None` where it was given up.
-pub fn play<L: Link>(
-    session: &mut Session<L>,
-    scenario: &Scenario,
-    law: LawId,
-    index: u32,
-    patience: &impl Patience,
-) -> Option<Played> {
-    let mut trial = Trial::new(session, scenario, index);
-    if let Err(error) = trial.session.begin(&configure(scenario, law)) {
+/// Plays a trial. `None` where it was given up.
+pub fn play<L: Link>(session: &mut Session<L>, order: &Order<'_>, patience: &impl Patience) -> Option<Played> {
+    let mut trial = Trial::new(session, order);
+    if let Err(error) = trial.session.begin(&configure(order.scenario, order.law)) {
         trial.lose(error);
     }
     while !trial.step() {
@@ -52,7 +62,42 @@ pub fn play<L: Link>(
             return None;
         }
     }
-    Some(Played { rows: trial.rows, lost: trial.lost })
+    let ended = trial.lost.as_ref().map(ToString::to_string);
+    Some(Played { telemetry: Telemetry { ended, ..trial.observed.telemetry() }, rows: trial.rows, lost: trial.lost })
+}
+
+/// What the rig tells with each answer.
+#[derive(Debug, Default)]
+struct Observed {
+    longest_delay: Time,
+    longest_rig_delay: Duration,
+    answers: u64,
+    instructions: Option<(u64, u64)>,
+}
+
+impl Observed {
+    fn take(&mut self, reply: &Reply, delay: Time) {
+        self.answers += 1;
+        self.longest_delay = self.longest_delay.max(delay);
+        self.longest_rig_delay = self.longest_rig_delay.max(reply.delay);
+        if let Some(count) = reply.instructions {
+            let (sum, worst) = self.instructions.unwrap_or_default();
+            self.instructions = Some((sum + count, worst.max(count)));
+        }
+    }
+
+    fn telemetry(&self) -> Telemetry {
+        if self.answers == 0 {
+            return Telemetry::default();
+        }
+        Telemetry {
+            loop_delay_us: Some(self.longest_delay.seconds() * 1e6),
+            rig_delay_us: Some(self.longest_rig_delay.as_secs_f64() * 1e6),
+            instructions_mean: self.instructions.map(|(sum, _)| sum as f64 / self.answers as f64),
+            instructions_worst: self.instructions.map(|(_, worst)| worst as f64),
+            ended: None,
+        }
+    }
 }
 
 /// An actuation on its way to the plate.
@@ -64,6 +109,8 @@ struct Pending {
 struct Trial<'a, L: Link> {
     session: &'a mut Session<L>,
     scenario: &'a Scenario,
+    wire_time: bool,
+    observed: Observed,
     plant: Plant,
     sensor: Sensor,
     rows: Vec<Row>,
@@ -79,7 +126,8 @@ struct Trial<'a, L: Link> {
 }
 
 impl<'a, L: Link> Trial<'a, L> {
-    fn new(session: &'a mut Session<L>, scenario: &'a Scenario, index: u32) -> Self {
+    fn new(session: &'a mut Session<L>, order: &Order<'a>) -> Self {
+        let Order { scenario, index, .. } = *order;
         let variation = scenario.variation(index);
         let mut plant = variation.plant(scenario);
         let frequency_hz = f64::from(start_frequency_mhz(scenario)) / 1e3;
@@ -88,6 +136,8 @@ impl<'a, L: Link> Trial<'a, L> {
         Self {
             session,
             scenario,
+            wire_time: order.wire_time,
+            observed: Observed::default(),
             plant,
             sensor: variation.sensor(scenario),
             rows: Vec::with_capacity(rows as usize + 64),
@@ -140,7 +190,11 @@ impl<'a, L: Link> Trial<'a, L> {
         match self.session.sample(Duration::from_nanos(now.as_nanos()), &sample) {
             Ok(Some(reply)) => {
                 self.misses = 0;
-                let at = now + self.scenario.controller.loop_delay + Time::from_nanos(reply.delay.as_nanos() as u64);
+                let rig_delay = Time::from_nanos(reply.delay.as_nanos() as u64);
+                let acting = if self.wire_time { rig_delay } else { Time::ZERO };
+                let delay = self.scenario.controller.loop_delay + acting;
+                self.observed.take(&reply, delay);
+                let at = now + delay;
                 // A controller that answers faster than before does not overtake itself.
                 let at = self.pending.back().map_or(at, |last| last.at.max(at));
                 self.pending.push_back(Pending { at, command: reply.command });
@@ -228,7 +282,7 @@ impl<'a, L: Link> Trial<'a, L> {
 /// True where the controller itself came to grief, which fails a trial; a line that went dead only leaves it undecided.
 fn is_the_controllers_doing(error: &RigError) -> bool {
     match error {
-        RigError::Trapped(_) => true,
+        RigError::Trapped(_) | RigError::Link(LinkError::Target(_)) => true,
         RigError::Link(LinkError::Disconnected(_)) | RigError::NoAnswer { .. } | RigError::Refused(_) => false,
     }
 }

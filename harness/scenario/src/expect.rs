@@ -30,13 +30,15 @@ pub enum Metric {
     Saturated,
     /// Sampling to actuation.
     LoopDelay,
+    /// Instructions that the target executed for a sample, worst of the trial.
+    InstructionsPerStep,
     /// Instants for which the bench was too late.
     Overruns,
 }
 
 impl Metric {
     /// Every metric.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::SettlingTime,
         Self::StaticError,
         Self::Repeatability,
@@ -49,6 +51,7 @@ impl Metric {
         Self::DrivePeak,
         Self::Saturated,
         Self::LoopDelay,
+        Self::InstructionsPerStep,
         Self::Overruns,
     ];
 
@@ -67,6 +70,7 @@ impl Metric {
             Self::DrivePeak => "drive_peak_vpp",
             Self::Saturated => "saturated_percent",
             Self::LoopDelay => "loop_delay_us",
+            Self::InstructionsPerStep => "instructions_per_step",
             Self::Overruns => "overruns",
         }
     }

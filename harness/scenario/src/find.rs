@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 
 /// Folders that hold other things than scenarios.
 const OTHER_FOLDERS: [&str; 2] = ["plates", "baselines"];
+/// A folder with this file is a run's; the scenarios in it are copies.
+const RUN_RECORD: &str = "run.json";
 /// Scenarios are called by their path below a folder of this name.
 const ROOT: &str = "scenarios";
 
@@ -51,7 +53,7 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
     found.scenarios.sort_by(|a, b| a.file.cmp(&b.file));
     for pair in found.scenarios.windows(2) {
         if let [first, second] = pair
-            && first.file == second.file
+            && first.name() == second.name()
         {
             let other = first.inputs.first().map_or(Path::new(""), |input| &input.path).display();
             let message = format!("two scenarios would be filed as {}, the other one is {other}", first.file);
@@ -80,7 +82,8 @@ fn files_below(argument: &Path, visited: &mut BTreeSet<PathBuf>, faults: &mut Ve
     for path in entries.into_iter().map(|entry| entry.path()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         if path.is_dir() {
-            if !OTHER_FOLDERS.contains(&&*name) && !name.starts_with('.') {
+            let is_other = OTHER_FOLDERS.contains(&&*name) || path.join(RUN_RECORD).exists();
+            if !is_other && !name.starts_with('.') {
                 files.extend(files_below(&path, visited, faults));
             }
         } else if path.extension().is_some_and(|extension| extension == "toml") && !name.starts_with('.') {

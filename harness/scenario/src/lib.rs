@@ -1,11 +1,11 @@
 //! Scenarios: what is played to a controller and what is expected of it.
 //!
 //! * [`raw`]: the file as serde reads it; every key it may have.
-//! * [`load`]: raw to [`Scenario`], which cannot hold a wrong value; every rule that a file can break.
+//! * [`mod@load`]: raw to [`Scenario`], which cannot hold a wrong value; every rule that a file can break.
 //! * [`diagnostic`]: where a file is wrong and what was expected.
 //! * [`expect`]: metrics, limits, expectations.
 //! * [`variation`]: what differs from trial to trial.
-//! * [`find`]: which files a command line means.
+//! * [`mod@find`]: which files a command line means.
 //!
 //! Nothing is run and nothing is judged here.
 

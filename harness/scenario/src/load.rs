@@ -25,7 +25,8 @@ const DEFAULT_FREQUENCY_SLEW_HZ: f64 = 100.0;
 const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
 /// Longer scenarios have a row per control period unless they say otherwise.
 const LONGEST_FINE_TRACE_MS: f64 = 1_000.0;
-const MOST_ROWS: f64 = 2e7;
+/// A trial is held in memory: some 250 MB at the most.
+const MOST_ROWS: f64 = 2e6;
 const MOST_TRIALS: i64 = 100_000;
 const LARGEST_SPREAD_PERCENT: f64 = 20.0;
 
@@ -95,6 +96,12 @@ impl Checker<'_> {
         let duration = self.span("duration_ms", self.positive("duration_ms", raw.duration_ms)?)?;
         self.require(duration >= controller.period, "duration_ms", || {
             format!("{} ms, expected at least one control period of {}", raw.duration_ms, controller.period)
+        })?;
+        self.require(controller.loop_delay < duration, "controller.loop_delay_ms", || {
+            format!(
+                "{}, expected less than the scenario's {duration}: nothing would ever reach the plate",
+                controller.loop_delay
+            )
         })?;
         let trace_step = self.trace_step(raw.trace_step_ms, duration, controller.period)?;
         let mut profile = |key: &str, raw: &RawProfile| self.profile(folder, key, raw, &mut inputs);

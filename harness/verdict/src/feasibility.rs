@@ -5,6 +5,7 @@
 //! `W' = −σ W + b V` with V at the limit where W has to rise, and 0 where it has to fall.
 
 use crate::metrics::{self, Measure};
+use crate::record::Telemetry;
 use platebench_plate::{Plant, Time};
 use platebench_scenario::{Expectation, Metric, Scenario};
 use platebench_trace::{Flags, Row};
@@ -28,7 +29,7 @@ pub fn excuse(scenario: &Scenario, expectation: &Expectation, plant: &Plant, row
     if !fell_at_rest && !rows.iter().any(|row| row.flags.contains(Flags::SATURATED)) {
         return None;
     }
-    let best = metrics::measure(expectation, &ideal, Time::ZERO);
+    let best = metrics::measure(expectation, &ideal, &Telemetry::default());
     let (lowest, highest) = expectation.limit.range();
     let out_of_reach = match (expectation.metric, &best) {
         // The ideal is never above the setpoint; how much less than it is the question.

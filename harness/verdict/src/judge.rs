@@ -2,9 +2,8 @@
 
 use crate::feasibility;
 use crate::metrics::{self, Measure};
-use crate::record::{Cause, ExpectationRecord, TrialRecord, Verdict};
+use crate::record::{Cause, ExpectationRecord, Telemetry, TrialRecord, Verdict};
 use crate::statistics::Summary;
-use platebench_plate::Time;
 use platebench_scenario::{Expectation, Limit, Metric, Scenario};
 use platebench_trace::{Flags, Row};
 use serde_json::{Map, Value, json};
@@ -26,6 +25,8 @@ pub struct TrialMeasures {
     pub measures: Vec<Measure>,
     /// Per expectation, why no controller could have met it.
     pub excuses: Vec<Option<String>>,
+    /// What the rig told beside the trace.
+    pub telemetry: Telemetry,
     /// Whose doing it is that the trial does not count, and what happened.
     pub cause: Option<(Cause, String)>,
 }
@@ -40,18 +41,19 @@ pub struct Judgement {
 }
 
 /// Measures the trial with number `index`.
-pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], loop_delay: Time) -> TrialMeasures {
+pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Telemetry) -> TrialMeasures {
     let variation = scenario.variation(index);
     let plant = variation.plant(scenario);
     let expectations = &scenario.expectations;
     TrialMeasures {
         index,
         seed: variation.seed,
-        measures: expectations.iter().map(|expectation| metrics::measure(expectation, rows, loop_delay)).collect(),
+        measures: expectations.iter().map(|expectation| metrics::measure(expectation, rows, telemetry)).collect(),
         excuses: expectations
             .iter()
             .map(|expectation| feasibility::excuse(scenario, expectation, &plant, rows))
             .collect(),
+        telemetry: telemetry.clone(),
         cause: disturbance(scenario, rows),
     }
 }
@@ -105,7 +107,18 @@ pub fn trial_record(scenario: &Scenario, trial: &TrialMeasures, trace: String, w
         by_name.insert(name, json!(shown(metric, measure)));
     }
     let (cause, reason) = trial.cause.clone().unzip();
-    TrialRecord { index: trial.index, seed: trial.seed, trace, metrics: by_name, cause, reason, wall_ms }
+    let reason = reason.or_else(|| trial.telemetry.ended.clone());
+    TrialRecord {
+        index: trial.index,
+        seed: trial.seed,
+        trace,
+        sha256: None,
+        metrics: by_name,
+        telemetry: trial.telemetry.clone(),
+        cause,
+        reason,
+        wall_ms,
+    }
 }
 
 fn shown(metric: Metric, measure: &Measure) -> Option<f64> {
@@ -194,7 +207,10 @@ impl Case<'_> {
             Measure::Missing(what) => (Verdict::Fail, None, Some((*what).to_owned())),
             Measure::Undefined(what) => (Verdict::Inconclusive, Some(Cause::Evidence), Some((*what).to_owned())),
         };
-        let reason = what.map(|what| format!("trial {}: {what}", trial.index));
+        let reason = what.map(|what| match &trial.telemetry.ended {
+            Some(ended) => format!("trial {}: {what}: {ended}", trial.index),
+            None => format!("trial {}: {what}", trial.index),
+        });
         let finding =
             Finding { verdict, cause, reason, value: measure.value(), statistic, interval: None, confidence: None };
         self.excuse_failure(finding, trial)
@@ -261,7 +277,7 @@ impl Case<'_> {
         Finding { interval: interval.map(|(low, high)| [low, high]), ..finding }
     }
 
-    /// The size of the mean over trials, by two one-sided tests.
+    /// The mean over trials of each trial's size, by two one-sided tests: errors of opposite sign do not make up for each other.
     fn mean(&self) -> Finding {
         self.without_number("mean")
             .unwrap_or_else(|| self.excuse_by_rest(self.mean_of(&self.values()), |rest| self.mean_of(rest)))
@@ -270,25 +286,19 @@ impl Case<'_> {
     fn mean_of(&self, values: &[f64]) -> Finding {
         const STATISTIC: &str = "mean";
         let confidence = self.expectation.confidence;
-        let Some(summary) = Summary::of(values) else { return self.no_evidence(STATISTIC, None, 1) };
+        let sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
+        let Some(summary) = Summary::of(&sizes) else { return self.no_evidence(STATISTIC, None, 1) };
         // Where nothing is left to chance every trial is the same one.
         let bounds = if self.scenario.is_deterministic() && values.iter().all(|value| *value == values[0]) {
             [summary.mean, summary.mean]
         } else {
             match summary.mean_bounds(confidence) {
                 Some(bounds) => bounds,
-                None => return self.no_evidence(STATISTIC, Some(summary.mean.abs()), 2),
+                None => return self.no_evidence(STATISTIC, Some(summary.mean), 2),
             }
         };
-        let [low, high] = [bounds[0] - BENCH_ERROR_PERCENT, bounds[1] + BENCH_ERROR_PERCENT];
-        let size = if low > 0.0 {
-            [low, high]
-        } else if high < 0.0 {
-            [-high, -low]
-        } else {
-            [0.0, high.max(-low)]
-        };
-        self.demonstrated(STATISTIC, summary.mean.abs(), size, confidence)
+        let size = [(bounds[0] - BENCH_ERROR_PERCENT).max(0.0), bounds[1] + BENCH_ERROR_PERCENT];
+        self.demonstrated(STATISTIC, summary.mean, size, confidence)
     }
 
     /// The standard deviation over trials, by chi-square.

@@ -3,11 +3,11 @@
 //! * [`metrics`]: numbers of one trial, off its trace alone.
 //! * [`feasibility`]: whether any controller could have met a demand.
 //! * [`statistics`]: intervals for what only many trials can tell.
-//! * [`judge`]: expectation to verdict.
+//! * [`mod@judge`]: expectation to verdict.
 //! * [`record`]: what a run leaves behind in `run.json`.
 //!
-//! The definitions for users stand in `docs/verdicts.md`. A verdict depends on the scenario and the stored traces and on nothing else: no clock, no
-//! rig, no order of execution.
+//! The definitions for users stand in `docs/verdicts.md`. A verdict depends on the scenario, the stored traces and
+//! what the rig told beside them, and on nothing else: no clock, no order of execution.
 
 pub mod feasibility;
 pub mod judge;
@@ -17,4 +17,4 @@ pub mod statistics;
 
 pub use judge::{Judgement, TrialMeasures, judge, measure};
 pub use metrics::Measure;
-pub use record::{Cause, ExpectationRecord, RunRecord, ScenarioRecord, TrialRecord, Verdict};
+pub use record::{Cause, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};

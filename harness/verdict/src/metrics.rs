@@ -4,6 +4,7 @@
 //! are taken as straight, which then moves a settling time by less than a nanosecond. For a band that the run did not know of it moves by some
 //! microseconds at the default row spacing.
 
+use crate::record::Telemetry;
 use platebench_plate::Time;
 use platebench_scenario::{Expectation, Metric, Window};
 use platebench_trace::{Column, Flags, Row};
@@ -30,7 +31,7 @@ impl Measure {
 }
 
 /// The metric of `expectation` in a trial. [`Metric::Repeatability`] gives the trial's contribution: its window mean over the setpoint, in percent.
-pub fn measure(expectation: &Expectation, rows: &[Row], loop_delay: Time) -> Measure {
+pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let Some(last) = rows.last() else { return Measure::Undefined("the trace is empty") };
     // A controller that has given up neither overshoots nor saturates: that is no merit.
     if last.flags.contains(Flags::SAFE) {
@@ -56,9 +57,14 @@ pub fn measure(expectation: &Expectation, rows: &[Row], loop_delay: Time) -> Mea
         Metric::FinalAmplitude => Measure::Value(last.amplitude_um),
         Metric::DrivePeak => Measure::Value(rows.iter().map(|row| row.drive_vpp).fold(0.0, f64::max)),
         Metric::Saturated => Measure::Value(flagged_share(rows, Flags::SATURATED) * 100.0),
-        Metric::LoopDelay => Measure::Value(loop_delay.seconds() * 1e6),
+        Metric::LoopDelay => told(telemetry.loop_delay_us),
+        Metric::InstructionsPerStep => told(telemetry.instructions_worst),
         Metric::Overruns => Measure::Value(rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN)).count() as f64),
     }
+}
+
+fn told(number: Option<f64>) -> Measure {
+    number.map_or(Measure::Undefined("the rig does not tell"), Measure::Value)
 }
 
 /// A column with its behaviour between rows.

@@ -223,14 +223,36 @@ pub struct TrialRecord {
     pub seed: u64,
     /// Its trace, relative to the run folder.
     pub trace: String,
+    /// SHA-256 of the trace, hexadecimal; `null` where the trial was cut off before it was recorded.
+    #[serde(default)]
+    pub sha256: Option<String>,
     /// By name of the metric, `[n]` behind the name of the n-th further expectation of it; `null` where there is no number.
     pub metrics: Map<String, Value>,
+    /// What the rig told beside the trace.
+    #[serde(default)]
+    pub telemetry: Telemetry,
     /// Whose doing it is that the trial does not count.
     pub cause: Option<Cause>,
     /// What happened, in a sentence.
     pub reason: Option<String>,
     /// Wall-clock time of the trial, ms; `null` where the trial was judged again.
     pub wall_ms: Option<f64>,
+}
+
+/// What the rig told of a trial, beside its trace.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Telemetry {
+    /// The longest time from sampling to actuation as it acted on the plate, µs.
+    pub loop_delay_us: Option<f64>,
+    /// The longest time that line and controller took on the target's own clock, whether it acted on the plate or not, µs.
+    pub rig_delay_us: Option<f64>,
+    /// Instructions per control step, mean.
+    pub instructions_mean: Option<f64>,
+    /// Instructions per control step, worst.
+    pub instructions_worst: Option<f64>,
+    /// Why the controller was no longer there, where it was not.
+    #[serde(default)]
+    pub ended: Option<String>,
 }
 
 /// Why a record could not be read.

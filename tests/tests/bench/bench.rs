@@ -1,7 +1,6 @@
 //! The bench as the tests hold it.
 
-use platebench_rig::Hosted;
-use platebench_runner::run::AnyLink;
+use platebench_rig::RigSpec;
 use platebench_runner::{Cancel, Plan, RunFolder};
 use platebench_scenario::load;
 use platebench_trace::Row;
@@ -70,10 +69,16 @@ impl Workshop {
         let scenario = load(&path, "played.toml").unwrap_or_else(|fault| panic!("{fault}"));
         let out = tempfile::tempdir_in(self.path()).unwrap();
         let folder = RunFolder::create(Some(out.path())).unwrap();
-        let plan =
-            Plan { scenarios: vec![scenario], jobs: 1, rig: "hosted".to_owned(), overrides: Overrides::default() };
-        let connect = || Ok::<AnyLink, _>(Box::new(Hosted::new()));
-        let record = platebench_runner::run(&plan, &folder, &connect, &Cancel::default(), &mut |_| {}).unwrap();
+        let plan = Plan {
+            scenarios: vec![scenario],
+            jobs: 1,
+            wire_time: false,
+            rig: "hosted".to_owned(),
+            overrides: Overrides::default(),
+        };
+        let record =
+            platebench_runner::run(&plan, &folder, &|| RigSpec::Hosted.connect(), &Cancel::default(), &mut |_| {})
+                .unwrap();
         let trace = out.path().join(&record.scenarios[0].trials[0].trace);
         (record, platebench_trace::read(&trace).unwrap())
     }

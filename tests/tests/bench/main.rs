@@ -12,6 +12,7 @@ mod closed_loop;
 mod determinism;
 mod exits;
 mod layout;
+mod rigs;
 mod scenarios;
 mod signals;
 mod stored;

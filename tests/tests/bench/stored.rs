@@ -3,6 +3,7 @@
 use crate::bench::{Workshop, call, code, root, step_scenario};
 use platebench_runner::rejudge;
 use platebench_verdict::{Cause, RunRecord, Verdict};
+use rstest::rstest;
 use std::fs;
 
 const GOOD: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
@@ -75,19 +76,53 @@ fn inputs_that_are_no_longer_the_run_s_are_refused() {
 }
 
 #[test]
-fn a_broken_record_or_trace_is_told_with_its_line() {
+fn a_doctored_trace_is_refused_by_name() {
     let workshop = Workshop::new();
     workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
     call(workshop.path(), ["run", "--out", "run"]);
     let trace = workshop.path().join("run/traces/s/000.csv");
     let text = fs::read_to_string(&trace).unwrap();
-    fs::write(&trace, text.replacen("control", "kontrol", 1)).unwrap();
+    fs::write(&trace, text.replacen("control", "", 1)).unwrap();
     let output = call(workshop.path(), ["judge", "run"]);
-    assert_eq!(code(&output), 2);
-    assert!(String::from_utf8_lossy(&output.stderr).contains("000.csv:2: "));
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(code(&output), 2, "{told}");
+    assert!(told.contains("000.csv") && told.contains("SHA-256"), "{told}");
+}
 
+#[test]
+fn a_record_of_another_format_is_refused() {
+    let workshop = Workshop::new();
+    fs::create_dir(workshop.path().join("run")).unwrap();
     fs::write(workshop.path().join("run/run.json"), "{\n  \"format\": 2\n}").unwrap();
     let output = call(workshop.path(), ["judge", "run"]);
     assert_eq!(code(&output), 2);
     assert!(String::from_utf8_lossy(&output.stderr).contains("format 2, expected 1"));
+}
+
+#[rstest]
+#[case::duration("duration_ms = 60.0", "duration_ms = 30.0", "duration_ms")]
+#[case::setpoint("setpoint_um = 2.0", "setpoint_um = 1.0", "[profile]")]
+#[case::controller("[controller]", "[controller]\nloop_delay_ms = 0.1", "[controller]")]
+#[case::trials("[profile]", "[trials]\nseed = 9\n[profile]", "[trials]")]
+#[case::plate("aluminium-198x138.toml", "aluminium-198x138-noisy.toml", "the plate")]
+fn another_experiment_is_not_held_against_the_traces(#[case] good: &str, #[case] other: &str, #[case] named: &str) {
+    let workshop = Workshop::new();
+    let text = step_scenario("aluminium-198x138", "", "", GOOD);
+    assert!(text.contains(good));
+    workshop.scenario("s.toml", &text);
+    call(workshop.path(), ["run", "--out", "run"]);
+    workshop.scenario("other.toml", &text.replacen(good, other, 1));
+    let output = call(workshop.path(), ["judge", "run", "--scenario", "scenarios/other.toml"]);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(code(&output), 2, "{told}");
+    assert!(told.contains(named) && told.contains("differs from what was played"), "{told}");
+}
+
+#[test]
+fn scenarios_inside_a_run_folder_are_not_played_again() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    assert_eq!(code(&call(workshop.path(), ["run", "--out", "scenarios/kept"])), 0);
+    assert_eq!(code(&call(workshop.path(), ["run", "--out", "again"])), 0);
+    assert_eq!(RunRecord::read(&workshop.path().join("again")).unwrap().scenarios.len(), 1);
 }

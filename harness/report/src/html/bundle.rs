@@ -190,6 +190,7 @@ fn reason(error: &TraceError) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use platebench_verdict::Telemetry;
     use serde_json::{Map, json};
 
     /// 0 µm, from 1 ms on 1 µm, from 11 ms on 2 µm, each reached with a time constant of 1 ms.
@@ -207,7 +208,17 @@ mod tests {
     fn marked(settling_ms: Value) -> Settling {
         let metrics = Map::from_iter([("settling_time_ms".to_owned(), settling_ms)]);
         let trace = "traces/a/000.csv".to_owned();
-        let trial = TrialRecord { index: 0, seed: 1, trace, metrics, cause: None, reason: None, wall_ms: None };
+        let trial = TrialRecord {
+            index: 0,
+            seed: 1,
+            trace,
+            metrics,
+            sha256: None,
+            telemetry: Telemetry::default(),
+            cause: None,
+            reason: None,
+            wall_ms: None,
+        };
         let rows = two_steps();
         settling(&trial, &curves::steps_ms(&rows), &rows)
     }

@@ -2,7 +2,7 @@
 
 use platebench_trace::{Flags, Row, Writer};
 use platebench_verdict::record::{FORMAT, Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
-use platebench_verdict::{Cause, ExpectationRecord, RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_verdict::{Cause, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};
 use serde_json::{Map, Value, json};
 use std::fs;
 use std::path::Path;
@@ -88,6 +88,8 @@ pub(crate) fn trial(file: &str, index: u32, metrics: &[(&str, Value)]) -> TrialR
         metrics: metrics.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect(),
         cause: None,
         reason: None,
+        sha256: None,
+        telemetry: Telemetry::default(),
         wall_ms: Some(12.5),
     }
 }

@@ -129,7 +129,7 @@ fn time_without_samples_ends_at_zero_volts() {
     let mut bench = bench();
     bench.session.sample(Duration::ZERO, &FROM_REST).unwrap();
     assert_eq!(bench.session.pass(Duration::from_micros(4_999)).unwrap(), None);
-    let command = bench.session.pass(Duration::from_micros(5_000)).unwrap().unwrap();
+    let command = bench.session.pass(Duration::from_millis(5)).unwrap().unwrap();
     assert_eq!((command.state, command.drive_vpp), (State::Fault, 0.0));
 }
 

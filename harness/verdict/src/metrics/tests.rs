@@ -2,6 +2,14 @@ use super::*;
 use platebench_scenario::Limit;
 use rstest::rstest;
 
+const TOLD_NOTHING: Telemetry = Telemetry {
+    loop_delay_us: None,
+    rig_delay_us: None,
+    instructions_mean: None,
+    instructions_worst: None,
+    ended: None,
+};
+
 fn ms(value: f64) -> Time {
     Time::from_ms(value).unwrap()
 }
@@ -49,7 +57,7 @@ fn grid(step: f64, end: f64) -> impl Iterator<Item = f64> + Clone {
 }
 
 fn value(expectation: &Expectation, rows: &[Row]) -> f64 {
-    let measured = measure(expectation, rows, Time::ZERO);
+    let measured = measure(expectation, rows, &TOLD_NOTHING);
     measured.value().unwrap_or_else(|| panic!("{measured:?}"))
 }
 
@@ -93,7 +101,7 @@ fn the_edges_of_the_band_are_inside_and_the_next_float_is_not() {
         measure(
             &expect(Metric::SettlingTime),
             &rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, level), (2.0, 2.0, level)]),
-            Time::ZERO,
+            &TOLD_NOTHING,
         )
     };
     let (low, high) = expect(Metric::SettlingTime).band(2.0);
@@ -113,7 +121,7 @@ fn the_edges_of_the_band_are_inside_and_the_next_float_is_not() {
 #[case::across_the_whole_band(&[(0.0, 2.0, 0.0), (1.0, 2.0, 3.0), (2.0, 2.0, 2.0)], Some(1.9))]
 #[case::falling(&[(0.0, 2.0, 2.0), (1.0, 1.0, 2.0), (2.0, 1.0, 1.1), (3.0, 1.0, 1.0)], Some(0.0))]
 fn the_last_entry_counts(#[case] points: &[(f64, f64, f64)], #[case] settled: Option<f64>) {
-    let measured = measure(&expect(Metric::SettlingTime), &rows(points), Time::ZERO);
+    let measured = measure(&expect(Metric::SettlingTime), &rows(points), &TOLD_NOTHING);
     match settled {
         Some(t) => assert_close(measured.value().unwrap(), t, 1e-12),
         None => assert_eq!(measured, Measure::Missing("never stays inside the band")),
@@ -213,12 +221,12 @@ fn a_ramp_is_timed_from_where_it_starts_to_where_its_band_is_entered() {
 fn without_a_step_or_with_a_setpoint_of_0_there_is_nothing_to_settle() {
     let settling = expect(Metric::SettlingTime);
     assert!(matches!(
-        measure(&settling, &rows(&[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]), Time::ZERO),
+        measure(&settling, &rows(&[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]), &TOLD_NOTHING),
         Measure::Undefined(_)
     ));
     let to_rest = rows(&[(0.0, 2.0, 2.0), (1.0, 0.0, 2.0), (2.0, 0.0, 0.0)]);
-    assert!(matches!(measure(&from(Metric::SettlingTime, 1.0), &to_rest, Time::ZERO), Measure::Undefined(_)));
-    assert!(matches!(measure(&settling, &[], Time::ZERO), Measure::Undefined(_)));
+    assert!(matches!(measure(&from(Metric::SettlingTime, 1.0), &to_rest, &TOLD_NOTHING), Measure::Undefined(_)));
+    assert!(matches!(measure(&settling, &[], &TOLD_NOTHING), Measure::Undefined(_)));
 }
 
 #[test]
@@ -256,7 +264,7 @@ fn overshoot_goes_beyond_the_setpoint_in_the_direction_of_the_step(
 #[test]
 fn a_triangle_has_no_step_to_overshoot() {
     let triangle = sampled(grid(1.0, 20.0), |t| 10.0 - (t - 10.0).abs(), |_| 0.0);
-    assert!(matches!(measure(&expect(Metric::Overshoot), &triangle, Time::ZERO), Measure::Undefined(_)));
+    assert!(matches!(measure(&expect(Metric::Overshoot), &triangle, &TOLD_NOTHING), Measure::Undefined(_)));
 }
 
 #[rstest]
@@ -269,7 +277,7 @@ fn recovery_runs_from_the_disturbance_to_the_last_entry(
     #[case] points: &[(f64, f64, f64)],
     #[case] recovered: Option<f64>,
 ) {
-    match (measure(&from(Metric::RecoveryTime, 10.0), &rows(points), Time::ZERO), recovered) {
+    match (measure(&from(Metric::RecoveryTime, 10.0), &rows(points), &TOLD_NOTHING), recovered) {
         (Measure::Value(value), Some(expected)) => assert_close(value, expected, 1e-9),
         (measured, expected) => {
             assert_eq!((measured, expected), (Measure::Missing("never stays inside the band again"), None));
@@ -285,12 +293,15 @@ fn the_peak_deviation_starts_at_the_first_entry_or_at_from_ms() {
     assert_close(value(&from(Metric::PeakDeviation, 2.0), &trace), 15.0, 1e-9);
     assert_close(value(&from(Metric::PeakDeviation, 2.000_001), &trace), 3.0, 1e-9);
     let never = rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, 1.0)]);
-    assert_eq!(measure(&expect(Metric::PeakDeviation), &never, Time::ZERO), Measure::Missing("never enters the band"));
+    assert_eq!(
+        measure(&expect(Metric::PeakDeviation), &never, &TOLD_NOTHING),
+        Measure::Missing("never enters the band")
+    );
 }
 
 fn error_over(window: (f64, f64), trace: &[Row]) -> Measure {
     let window = Window { from: ms(window.0), to: ms(window.1) };
-    measure(&Expectation { window, ..expect(Metric::StaticError) }, trace, Time::ZERO)
+    measure(&Expectation { window, ..expect(Metric::StaticError) }, trace, &TOLD_NOTHING)
 }
 
 #[test]
@@ -343,7 +354,7 @@ fn what_is_read_off_the_end_is_read_off_the_last_row() {
     assert_eq!(value(&expect(Metric::QuadratureRatio), &trace), 0.25);
     assert_eq!(value(&expect(Metric::FinalAmplitude), &trace), 1.95);
     trace[1].wd_um = 0.0;
-    assert!(matches!(measure(&expect(Metric::QuadratureRatio), &trace, Time::ZERO), Measure::Undefined(_)));
+    assert!(matches!(measure(&expect(Metric::QuadratureRatio), &trace, &TOLD_NOTHING), Measure::Undefined(_)));
 }
 
 #[test]
@@ -359,23 +370,32 @@ fn saturation_is_weighted_with_time_and_counts_from_its_row_on() {
     trace[0].flags = Flags::OVERRUN;
     trace[2].flags = Flags::OVERRUN | Flags::SATURATED;
     assert_eq!(value(&expect(Metric::Overruns), &trace), 2.0);
-    assert_eq!(measure(&expect(Metric::LoopDelay), &trace, ms(0.52)), Measure::Value(520.0));
+    assert_eq!(
+        measure(&expect(Metric::LoopDelay), &trace, &Telemetry { loop_delay_us: Some(520.0), ..TOLD_NOTHING }),
+        Measure::Value(520.0)
+    );
+    let costly = Telemetry { instructions_mean: Some(900.0), instructions_worst: Some(950.0), ..TOLD_NOTHING };
+    assert_eq!(measure(&expect(Metric::InstructionsPerStep), &trace, &costly), Measure::Value(950.0));
+    for untold in [Metric::LoopDelay, Metric::InstructionsPerStep] {
+        assert!(matches!(measure(&expect(untold), &trace, &TOLD_NOTHING), Measure::Undefined(_)));
+    }
 }
 
 #[test]
 fn a_controller_that_gave_up_meets_nothing() {
     let mut trace = sampled(grid(0.05, 60.0), |_| 2.0, |_| 2.0);
     trace[3].flags = Flags::SAFE;
+    let told = Telemetry { loop_delay_us: Some(0.0), instructions_worst: Some(900.0), ..TOLD_NOTHING };
     for metric in Metric::ALL.into_iter().filter(|metric| *metric != Metric::QuadratureRatio) {
         assert!(
-            measure(&from(metric, 0.0), &trace, Time::ZERO).value().is_some(),
+            measure(&from(metric, 0.0), &trace, &told).value().is_some(),
             "{metric} of a controller that started late"
         );
     }
     trace.last_mut().unwrap().flags = Flags::SAFE;
     for metric in Metric::ALL {
         assert_eq!(
-            measure(&from(metric, 0.0), &trace, Time::ZERO),
+            measure(&from(metric, 0.0), &trace, &told),
             Measure::Missing("ends with the controller not running"),
             "{metric}"
         );

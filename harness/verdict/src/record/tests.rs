@@ -51,6 +51,8 @@ fn record() -> RunRecord {
         metrics: map(&json!({ "settling_time_ms": 1.93, "settling_time_ms[2]": null })),
         cause: Some(Cause::Bench),
         reason: Some("the bench was too late at 3 ms".to_owned()),
+        sha256: None,
+        telemetry: Telemetry::default(),
         wall_ms: Some(12.5),
     };
     RunRecord {

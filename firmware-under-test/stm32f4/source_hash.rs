@@ -1,0 +1,63 @@
+// The hash that ties an image to its source; shared by the build script and the test that holds the committed image to it.
+//
+// SHA-256 over what `sha256sum` prints for the files below, run in `firmware-under-test/`, paths in byte order:
+// `Cargo.toml` and `src/**.rs` of `wire`, `controller` and `stm32f4`, less `tests.rs`, and of `stm32f4` also `Cargo.lock`, `build.rs`, `memory.x`,
+// `source_hash.rs` and `.cargo/config.toml`. `ci/firmware` does the same in a line of shell.
+
+use sha2::{Digest, Sha256};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+const SINGLE: [&str; 8] = [
+    "controller/Cargo.toml",
+    "stm32f4/.cargo/config.toml",
+    "stm32f4/Cargo.lock",
+    "stm32f4/Cargo.toml",
+    "stm32f4/build.rs",
+    "stm32f4/memory.x",
+    "stm32f4/source_hash.rs",
+    "wire/Cargo.toml",
+];
+
+/// The files that make the firmware, relative to `firmware-under-test/`, in byte order.
+pub(crate) fn files(firmware_under_test: &Path) -> io::Result<Vec<String>> {
+    let mut found: Vec<String> = SINGLE.map(str::to_owned).to_vec();
+    for package in ["controller", "stm32f4", "wire"] {
+        walk(&firmware_under_test.join(package).join("src"), &format!("{package}/src"), &mut found)?;
+    }
+    found.sort_unstable();
+    Ok(found)
+}
+
+fn walk(folder: &Path, name: &str, found: &mut Vec<String>) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let file = entry.file_name().to_string_lossy().into_owned();
+        let path: PathBuf = entry.path();
+        if path.is_dir() {
+            walk(&path, &format!("{name}/{file}"), found)?;
+        } else if path.extension().is_some_and(|extension| extension == "rs") && file != "tests.rs" {
+            found.push(format!("{name}/{file}"));
+        }
+    }
+    Ok(())
+}
+
+/// The hash of the sources below `firmware-under-test/`.
+pub(crate) fn source_hash(firmware_under_test: &Path) -> io::Result<[u8; 32]> {
+    let mut listing = String::new();
+    for file in files(firmware_under_test)? {
+        let content = fs::read(firmware_under_test.join(&file))?;
+        let _ = writeln!(listing, "{}  {file}", hex(&Sha256::digest(content).into()));
+    }
+    Ok(Sha256::digest(listing).into())
+}
+
+/// Lower-case hexadecimal.
+pub(crate) fn hex(hash: &[u8; 32]) -> String {
+    hash.iter().fold(String::new(), |mut text, byte| {
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}

@@ -1,0 +1,129 @@
+//! Clocks, the microsecond counter, the tick and the watchdog. Every wait is bounded; a clock that does not come up is done without.
+//!
+//! Crystal and PLL at 168 MHz; else the internal oscillator and PLL at 168 MHz; else the internal oscillator at 16 MHz. The baud rate fits all three.
+
+use crate::pac;
+use cortex_m::peripheral::SYST;
+use cortex_m::peripheral::syst::SystClkSource;
+
+const CRYSTAL_MHZ: Option<u32> = if cfg!(feature = "no-crystal") {
+    None
+} else if cfg!(feature = "crystal-25mhz") {
+    Some(25)
+} else {
+    Some(8)
+};
+const INTERNAL_MHZ: u32 = 16;
+
+/// A crystal starts within some ms; a round takes at least 6 cycles of the 16 MHz it runs from here.
+const ROUNDS: u32 = 30_000;
+
+#[derive(Clone, Copy)]
+#[allow(clippy::struct_field_names, reason = "the unit is in the name")]
+pub(crate) struct Clocks {
+    pub(crate) core_hz: u32,
+    /// USART2 hangs on it.
+    pub(crate) apb1_hz: u32,
+    pub(crate) timer_hz: u32,
+}
+
+const SLOW: Clocks = Clocks { core_hz: 16_000_000, apb1_hz: 16_000_000, timer_hz: 16_000_000 };
+const FAST: Clocks = Clocks { core_hz: 168_000_000, apb1_hz: 42_000_000, timer_hz: 84_000_000 };
+
+fn comes(mut ready: impl FnMut() -> bool) -> bool {
+    (0..ROUNDS).any(|_| ready())
+}
+
+/// Sets the clocks up and says what they became.
+pub(crate) fn start(p: &pac::Peripherals) -> Clocks {
+    let rcc = &p.RCC;
+    // SAFETY: the reset values with single bits added, or whole values out of RM0090 chapters 5 to 7; the order is the manual's.
+    unsafe {
+        rcc.apb1enr().modify(|r, w| w.bits(r.bits() | 1 << 28)); // PWR
+        p.PWR.cr().modify(|r, w| w.bits(r.bits() | 1 << 14)); // voltage scale 1, which 168 MHz need
+        let crystal_mhz = CRYSTAL_MHZ.filter(|_| {
+            rcc.cr().modify(|_, w| w.hseon().set_bit());
+            let ready = comes(|| rcc.cr().read().hserdy().bit_is_set());
+            if !ready {
+                rcc.cr().modify(|_, w| w.hseon().clear_bit());
+            }
+            ready
+        });
+        // 1 MHz into the PLL, times 336, halved: 168 MHz. Q = 7: 48 MHz.
+        let source = u32::from(crystal_mhz.is_some()) << 22;
+        rcc.pllcfgr().write(|w| w.bits(crystal_mhz.unwrap_or(INTERNAL_MHZ) | 336 << 6 | source | 7 << 24));
+        rcc.cr().modify(|_, w| w.pllon().set_bit());
+        if !comes(|| rcc.cr().read().pllrdy().bit_is_set()) {
+            rcc.cr().modify(|_, w| w.pllon().clear_bit());
+            return SLOW;
+        }
+        // 5 wait states at 168 MHz and 3.3 V; prefetch and both caches.
+        p.FLASH.acr().write(|w| w.bits(5 | 0b111 << 8));
+        if !comes(|| p.FLASH.acr().read().bits() & 0b111 == 5) {
+            return SLOW;
+        }
+        let dividers = 0b101 << 10 | 0b100 << 13; // APB1 / 4, APB2 / 2, before the switch
+        rcc.cfgr().write(|w| w.bits(dividers));
+        rcc.cfgr().write(|w| w.bits(dividers | 0b10));
+        if !comes(|| rcc.cfgr().read().bits() >> 2 & 0b11 == 0b10) {
+            rcc.cfgr().write(|w| w.bits(0));
+            return SLOW;
+        }
+    }
+    FAST
+}
+
+/// TIM2 as a free-running 32-bit counter of microseconds.
+pub(crate) fn start_microseconds(p: &pac::Peripherals, timer_hz: u32) {
+    let timer = &p.TIM2;
+    // SAFETY: TIM2 belongs to this module; RM0090 chapter 18.
+    unsafe {
+        p.RCC.apb1enr().modify(|r, w| w.bits(r.bits() | 1));
+        timer.psc().write(|w| w.bits(timer_hz / 1_000_000 - 1));
+        timer.arr().write(|w| w.bits(u32::MAX));
+        timer.egr().write(|w| w.bits(1)); // loads the prescaler
+        timer.cr1().write(|w| w.bits(1));
+    }
+}
+
+/// Microseconds since the start, wrapping.
+pub(crate) fn now_us(p: &pac::Peripherals) -> u32 {
+    p.TIM2.cnt().read().bits()
+}
+
+/// Some 0.5 s (0.35 to 0.96 s over the spread of its oscillator): LSI / 64, 256 counts. It cannot be stopped again; a halted debugger holds it.
+pub(crate) fn start_watchdog(p: &pac::Peripherals) {
+    // SAFETY: the key sequence of RM0090, 21.3.
+    unsafe {
+        p.DBGMCU.apb1_fz().modify(|r, w| w.bits(r.bits() | 1 << 12)); // DBG_IWDG_STOP
+        p.IWDG.kr().write(|w| w.bits(0xCCCC));
+        p.IWDG.kr().write(|w| w.bits(0x5555));
+        p.IWDG.pr().write(|w| w.bits(4));
+        p.IWDG.rlr().write(|w| w.bits(256));
+    }
+    comes(|| p.IWDG.sr().read().bits() == 0);
+    feed_watchdog(p);
+}
+
+/// To be called from the main loop alone: what stops that must not go unnoticed.
+pub(crate) fn feed_watchdog(p: &pac::Peripherals) {
+    // SAFETY: the only effect is the reload.
+    p.IWDG.kr().write(|w| unsafe { w.bits(0xAAAA) });
+}
+
+/// True where the watchdog was what reset the chip. Clears the flags.
+pub(crate) fn was_watchdog_reset(p: &pac::Peripherals) -> bool {
+    let was = p.RCC.csr().read().bits() & 1 << 29 != 0;
+    // SAFETY: RMVF, which clears the flags and nothing else.
+    p.RCC.csr().modify(|r, w| unsafe { w.bits(r.bits() | 1 << 24) });
+    was
+}
+
+/// `SysTick` every millisecond.
+pub(crate) fn start_tick(timer: &mut SYST, core_hz: u32) {
+    timer.set_clock_source(SystClkSource::Core);
+    timer.set_reload(core_hz / 1_000 - 1);
+    timer.clear_current();
+    timer.enable_counter();
+    timer.enable_interrupt();
+}

@@ -1,0 +1,50 @@
+//! Who this firmware is, in the handshake and as text in the image.
+
+use crate::pac;
+use platebench_wire::{Identity, LawId};
+
+const SOURCE_HASH: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/source_hash.bin"));
+
+/// Found by `strings`, by a debugger and by `ci/firmware`, whatever the optimiser does.
+#[used]
+static TEXT: [u8; 90] = {
+    let text = concat!("platebench-stm32f4 ", env!("CARGO_PKG_VERSION"), " ", env!("PLATEBENCH_SOURCE_HASH"), "\n");
+    let (bytes, mut padded, mut at) = (text.as_bytes(), [0; 90], 0);
+    while at < bytes.len() {
+        padded[at] = bytes[at];
+        at += 1;
+    }
+    padded
+};
+
+/// 96 bits that no other chip has, in the factory's part of the flash. RM0090, 39.1.
+const UNIQUE: *const [u8; 12] = 0x1FFF_7A10 as *const [u8; 12];
+
+const fn number(digits: &str) -> u8 {
+    let (bytes, mut value, mut at) = (digits.as_bytes(), 0, 0);
+    while at < bytes.len() {
+        value = value * 10 + (bytes[at] - b'0');
+        at += 1;
+    }
+    value
+}
+
+pub(crate) fn identity(p: &pac::Peripherals) -> Identity {
+    let mut build = [0; 8];
+    build.copy_from_slice(&SOURCE_HASH[..8]);
+    Identity {
+        version: const {
+            [
+                number(env!("CARGO_PKG_VERSION_MAJOR")),
+                number(env!("CARGO_PKG_VERSION_MINOR")),
+                number(env!("CARGO_PKG_VERSION_PATCH")),
+            ]
+        },
+        laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
+        build,
+        chip: p.DBGMCU.idcode().read().bits(),
+        // SAFETY: present and readable on every STM32F4, aligned for bytes, never written.
+        unique: unsafe { UNIQUE.read_volatile() },
+        name: *b"platebench-f4\0\0\0",
+    }
+}

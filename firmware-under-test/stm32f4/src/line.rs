@@ -1,0 +1,168 @@
+//! The line to the bench: USART2 on PA2 (TX) and PA3 (RX), 8N1.
+//!
+//! Received bytes go to a ring by DMA1 stream 5, and the idle line after a frame wakes the main loop; sent ones leave by DMA1 stream 6 (both channel 4, RM0090 table 42).
+//! The processor sleeps in between.
+
+use crate::{clock, pac};
+use core::cell::UnsafeCell;
+use core::sync::atomic::{AtomicBool, Ordering, compiler_fence};
+use pac::interrupt;
+
+/// Divides every APB1 clock that there can be: 42 MHz and 16 MHz.
+const BAUD: u32 = 1_000_000;
+const BITS_PER_BYTE: u32 = 10;
+
+const RING: usize = 512;
+const OUTBOX: usize = 256;
+
+/// More than this without an idle line is a babbling one: taken in with the next tick.
+const PLENTY: usize = RING / 2;
+
+const DATA_REGISTER: u32 = 0x4000_4404;
+const CHANNEL_4: u32 = 4 << 25;
+const MEMORY_INCREMENT: u32 = 1 << 10;
+const CIRCULAR: u32 = 1 << 8;
+const TO_PERIPHERAL: u32 = 1 << 6;
+const ENABLE: u32 = 1;
+
+/// Memory that a DMA stream shares with the processor.
+#[repr(C, align(4))]
+struct Shared<const N: usize>(UnsafeCell<[u8; N]>);
+
+// SAFETY: one core; the main loop is the only software that touches it, and it reads and writes around the stream's position.
+unsafe impl<const N: usize> Sync for Shared<N> {}
+
+impl<const N: usize> Shared<N> {
+    const fn new() -> Self {
+        Self(UnsafeCell::new([0; N]))
+    }
+
+    fn start(&self) -> *mut u8 {
+        self.0.get().cast()
+    }
+}
+
+static RECEIVED: Shared<RING> = Shared::new();
+static LEAVING: Shared<OUTBOX> = Shared::new();
+static IDLE: AtomicBool = AtomicBool::new(false);
+
+/// What the line brought.
+pub(crate) struct Inbox {
+    taken: usize,
+}
+
+/// What is to go out on the line.
+pub(crate) struct Outbox {
+    bytes: [u8; OUTBOX],
+    length: usize,
+}
+
+/// Sets the line up; to be called once.
+pub(crate) fn start(p: &pac::Peripherals, apb1_hz: u32) -> (Inbox, Outbox) {
+    // SAFETY: pins, streams and USART belong to this module; values from RM0090 chapters 8, 10 and 30. The streams are set up while disabled.
+    unsafe {
+        p.RCC.ahb1enr().modify(|r, w| w.bits(r.bits() | 1 | 1 << 21)); // GPIOA, DMA1
+        p.RCC.apb1enr().modify(|r, w| w.bits(r.bits() | 1 << 17)); // USART2
+        p.GPIOA.pupdr().modify(|r, w| w.bits(r.bits() & !(0b11 << 6) | 0b01 << 6)); // PA3 up: no cable is silence
+        p.GPIOA.afrl().modify(|r, w| w.bits(r.bits() & !(0xFF << 8) | 0x77 << 8));
+        p.GPIOA.moder().modify(|r, w| w.bits(r.bits() & !(0b1111 << 4) | 0b1010 << 4));
+        let receive = p.DMA1.st(5);
+        receive.par().write(|w| w.bits(DATA_REGISTER));
+        receive.m0ar().write(|w| w.bits(RECEIVED.start() as u32));
+        receive.ndtr().write(|w| w.bits(RING as u32));
+        receive.cr().write(|w| w.bits(CHANNEL_4 | MEMORY_INCREMENT | CIRCULAR));
+        receive.cr().write(|w| w.bits(CHANNEL_4 | MEMORY_INCREMENT | CIRCULAR | ENABLE));
+        let send = p.DMA1.st(6);
+        send.par().write(|w| w.bits(DATA_REGISTER));
+        send.m0ar().write(|w| w.bits(LEAVING.start() as u32));
+        send.cr().write(|w| w.bits(CHANNEL_4 | MEMORY_INCREMENT | TO_PERIPHERAL));
+        p.USART2.brr().write(|w| w.bits(((apb1_hz + BAUD / 2) / BAUD) as u16));
+        p.USART2.cr3().write(|w| w.bits(1 << 7 | 1 << 6)); // DMAT, DMAR
+        p.USART2.cr1().write(|w| w.bits(1 << 13 | 1 << 4 | 1 << 3 | 1 << 2)); // UE, IDLEIE, TE, RE
+        cortex_m::peripheral::NVIC::unmask(pac::Interrupt::USART2);
+    }
+    (Inbox { taken: 0 }, Outbox { bytes: [0; OUTBOX], length: 0 })
+}
+
+impl Inbox {
+    /// True where the line went quiet since the last [`Inbox::take`].
+    pub(crate) fn went_idle() -> bool {
+        IDLE.load(Ordering::Relaxed)
+    }
+
+    /// What arrived since the last call, once the line is quiet or has brought plenty; at most the ring's end at a time, so ask again.
+    pub(crate) fn take(&mut self, p: &pac::Peripherals) -> &[u8] {
+        let idle = IDLE.swap(false, Ordering::Acquire);
+        let written = (RING - p.DMA1.st(5).ndtr().read().bits() as usize) % RING;
+        let waiting = (written + RING - self.taken) % RING;
+        if waiting == 0 || !idle && waiting < PLENTY {
+            return &[];
+        }
+        compiler_fence(Ordering::SeqCst);
+        let from = self.taken;
+        let until = if written > from { written } else { RING };
+        self.taken = until % RING;
+        if self.taken != written {
+            IDLE.store(true, Ordering::Release);
+        }
+        // SAFETY: `from..until` lies in the ring and behind the stream's position; the stream comes back to it after a whole round, 5 ms later.
+        unsafe { core::slice::from_raw_parts(RECEIVED.start().add(from), until - from) }
+    }
+}
+
+impl Outbox {
+    /// Puts a frame with those that leave at the next [`Outbox::flush`]. One that does not fit any more is dropped whole.
+    pub(crate) fn put(&mut self, frame: &[u8]) {
+        if let Some(place) = self.bytes.get_mut(self.length..self.length + frame.len()) {
+            place.copy_from_slice(frame);
+            self.length += frame.len();
+        }
+    }
+
+    /// Lets go what was put. Waits for what is still leaving, no longer than that can take.
+    pub(crate) fn flush(&mut self, p: &pac::Peripherals) {
+        if self.length == 0 {
+            return;
+        }
+        let send = p.DMA1.st(6);
+        let since = clock::now_us(p);
+        while send.cr().read().bits() & ENABLE != 0 {
+            if clock::now_us(p).wrapping_sub(since) > OUTBOX as u32 * BITS_PER_BYTE * 1_000_000 / BAUD {
+                break;
+            }
+        }
+        // SAFETY: stream 6 belongs to this module. It is off before its memory and length change; HIFCR clears its flags alone.
+        unsafe {
+            send.cr().write(|w| w.bits(CHANNEL_4 | MEMORY_INCREMENT | TO_PERIPHERAL));
+            p.DMA1.hifcr().write(|w| w.bits(0x3D << 16));
+            LEAVING.start().copy_from_nonoverlapping(self.bytes.as_ptr(), self.length);
+            compiler_fence(Ordering::SeqCst);
+            cortex_m::asm::dmb();
+            send.ndtr().write(|w| w.bits(self.length as u32));
+            send.cr().write(|w| w.bits(CHANNEL_4 | MEMORY_INCREMENT | TO_PERIPHERAL | ENABLE));
+        }
+        self.length = 0;
+    }
+}
+
+#[interrupt]
+fn USART2() {
+    // SAFETY: reading status, then data, clears the idle and error flags, and that is all this handler does with the USART.
+    let usart = unsafe { &*pac::USART2::ptr() };
+    let _ = usart.sr().read();
+    let _ = usart.dr().read();
+    IDLE.store(true, Ordering::Release);
+}
+
+/// Sends `frame` byte by byte after a delimiter that ends whatever was on its way. For fault handlers: no interrupts, no DMA, bounded.
+pub(crate) fn send_by_hand(frame: &[u8]) {
+    // SAFETY: called with everything else stopped for good.
+    let usart = unsafe { &*pac::USART2::ptr() };
+    // SAFETY: DMA requests off, transmitter as it was.
+    usart.cr3().modify(|r, w| unsafe { w.bits(r.bits() & !(1 << 7)) });
+    for &byte in [0].iter().chain(frame) {
+        let _ = (0..20_000).any(|_| usart.sr().read().bits() & 1 << 7 != 0);
+        // SAFETY: nine bits of data.
+        usart.dr().write(|w| unsafe { w.bits(u16::from(byte)) });
+    }
+}

@@ -1,0 +1,84 @@
+//! The controller on an STM32F405, F407 or F427: board, line, clock, watchdog and traps around `platebench-controller`.
+//!
+//! | pin | what |
+//! |---|---|
+//! | PA2, PA3 | USART2 TX, RX: the line to the bench, 1 Mbaud, 8N1 |
+//! | PB0 | amplifier enable, high while the controller runs |
+//! | PH0, PH1 | crystal, 8 MHz (feature `crystal-25mhz`, `no-crystal`); without one the internal oscillator serves |
+//!
+//! The main loop sleeps until the line goes idle after a frame or a millisecond is over, lets `Device` answer, and feeds the watchdog. The control step is paced by the
+//! bench: one step per sample. A mode paced by the board's own timer needs messages that the protocol does not have yet.
+#![no_std]
+#![no_main]
+
+mod clock;
+mod identity;
+mod line;
+mod output;
+#[cfg(feature = "plant-faults")]
+mod plant;
+mod trap;
+
+use core::sync::atomic::{AtomicBool, Ordering};
+use cortex_m_rt::{entry, exception};
+use line::Inbox;
+use platebench_controller::Device;
+use platebench_wire::{Message, Packet};
+use stm32f4::stm32f405 as pac;
+
+static TICK: AtomicBool = AtomicBool::new(false);
+
+#[entry]
+fn main() -> ! {
+    // SAFETY: called once, at the start, and nothing else takes them for good.
+    let (p, mut core) = unsafe { (pac::Peripherals::steal(), cortex_m::Peripherals::steal()) };
+
+    let mut output = output::Output::new(&p);
+    trap::arm(&mut core.SCB);
+    let clocks = clock::start(&p);
+    clock::start_microseconds(&p, clocks.timer_hz);
+    clock::start_watchdog(&p);
+    let (mut inbox, mut outbox) = line::start(&p, clocks.apb1_hz);
+    if let Some(report) = trap::before_this_start(&p) {
+        outbox.put(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());
+        outbox.flush(&p);
+    }
+    clock::start_tick(&mut core.SYST, clocks.core_hz);
+
+    let mut device = Device::new(identity::identity(&p));
+    #[cfg(feature = "plant-faults")]
+    let mut planted = plant::Planted::new();
+    loop {
+        // Masked from the last look until it sleeps, so that nothing comes in between; a masked interrupt ends the sleep all the same.
+        cortex_m::interrupt::disable();
+        if !Inbox::went_idle() && !TICK.load(Ordering::Relaxed) {
+            cortex_m::asm::wfi();
+        }
+        // SAFETY: no critical section is open.
+        unsafe { cortex_m::interrupt::enable() };
+        clock::feed_watchdog(&p);
+
+        loop {
+            let bytes = inbox.take(&p);
+            if bytes.is_empty() {
+                break;
+            }
+            #[cfg(feature = "plant-faults")]
+            planted.watch(bytes);
+            let since = clock::now_us(&p);
+            device.receive(bytes, since, |frame| outbox.put(frame));
+            let took = clock::now_us(&p).wrapping_sub(since);
+            device.set_compute_us(u16::try_from(took).unwrap_or(u16::MAX));
+        }
+        if TICK.swap(false, Ordering::Relaxed) {
+            device.tick(clock::now_us(&p), |frame| outbox.put(frame));
+        }
+        output.apply(&p, device.output());
+        outbox.flush(&p);
+    }
+}
+
+#[exception]
+fn SysTick() {
+    TICK.store(true, Ordering::Relaxed);
+}

@@ -1,0 +1,79 @@
+//! What the emulated rig costs: speed, start-up, memory, instructions per control step, stack. `ci/firmware` prints some of it for the image that it built.
+//!
+//! `cargo run --release --ignore-rust-version -p platebench-rig --example emulated-figures [ELF]`
+
+use platebench_rig::{Emulated, Session};
+use platebench_wire::{Configure, LawId, Sample};
+use std::error::Error;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+const EXCHANGES: u32 = 20_000;
+const PERIOD: Duration = Duration::from_millis(1);
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let argument = std::env::args().nth(1);
+    let open = || match &argument {
+        Some(elf) => Emulated::open(Path::new(elf)),
+        None => Emulated::built_in(),
+    };
+    let before = Instant::now();
+    let emulated = open()?;
+    println!("load, power-on and handshake: {:.1} ms, {} baud", ms(before), emulated.baud());
+    drop(emulated);
+
+    for law in LawId::ALL {
+        let mut session = Session::open(open()?)?;
+        let configure = Configure {
+            law,
+            period_us: 1_000,
+            start_frequency_mhz: 32_307_600,
+            gain_um_per_vpp: 0.00698,
+            time_constant_s: 1.88e-3,
+            response_time_s: 0.0,
+            drive_limit_vpp: 900.0,
+            frequency_range_hz: 250.0,
+            frequency_slew_hz: 100.0,
+            gains: None,
+        };
+        session.begin(&configure)?;
+        let before = Instant::now();
+        session.begin(&configure)?;
+        let restart_ms = ms(before);
+        let before = Instant::now();
+        let (mut sum, mut worst, mut delay, mut amplitude) = (0, 0, Duration::ZERO, 0.0);
+        for index in 0..EXCHANGES {
+            let sample = Sample { time_us: index * 1_000, setpoint_um: 2.0, wd_um: amplitude, wq_um: 0.01 };
+            let reply = session.sample(index * PERIOD, &sample)?.ok_or("no reply")?;
+            amplitude += 0.4 * (0.00698 * reply.command.drive_vpp - amplitude);
+            let instructions = reply.instructions.ok_or("no count")?;
+            sum += instructions;
+            worst = worst.max(instructions);
+            delay = delay.max(reply.delay);
+        }
+        let seconds = before.elapsed().as_secs_f64();
+        println!(
+            "{:<12} {:>6.0} exchanges/s ({:.1} us each, {:.1} times real time at 1 kHz); {:.0} instructions per step, worst {worst}; loop delay at most {:.3} us; restart {restart_ms:.2} ms",
+            law.name(),
+            f64::from(EXCHANGES) / seconds,
+            seconds * 1e6 / f64::from(EXCHANGES),
+            f64::from(EXCHANGES) / 1e3 / seconds,
+            sum as f64 / f64::from(EXCHANGES),
+            delay.as_secs_f64() * 1e6,
+        );
+        if let Some(bytes) = session.link().stack_used() {
+            println!("{:<12} stack: at most {bytes} bytes", "");
+        }
+    }
+    if let Ok(status) = std::fs::read_to_string("/proc/self/status") {
+        status
+            .lines()
+            .filter(|line| line.starts_with("VmHWM") || line.starts_with("VmRSS"))
+            .for_each(|line| println!("{line}"));
+    }
+    Ok(())
+}
+
+fn ms(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}

@@ -1,0 +1,139 @@
+//! A firmware image: an ELF that is fit for the emulated board, or why it is not.
+
+use object::LittleEndian;
+use object::read::elf::{ElfFile32, ProgramHeader as _};
+use std::sync::Arc;
+
+/// Where the processor starts.
+pub(super) const FLASH_START: u64 = 0x0800_0000;
+const FLASH: std::ops::Range<u64> = FLASH_START..0x0820_0000;
+const SRAM: std::ops::RangeInclusive<u32> = 0x2000_0000..=0x2003_0000;
+const CCM: std::ops::RangeInclusive<u32> = 0x1000_0000..=0x1001_0000;
+const ARM: u16 = 40;
+const EXECUTABLE: u16 = 2;
+
+/// Why a file is no image for the emulated board.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ImageError {
+    /// Not an ELF at all.
+    #[error("not an ELF file")]
+    NotElf,
+    /// For a computer with other words than an STM32's.
+    #[error("a {0} ELF, expected 32 bits, little endian")]
+    Class(&'static str),
+    /// For another processor.
+    #[error("built for {}, expected ARM (thumbv7em-none-eabihf, thumbv7em-none-eabi or arm-none-eabi)", machine(*.0))]
+    Machine(u16),
+    /// An object file, a library or a core dump.
+    #[error("not linked to an executable (ELF type {0})")]
+    NotExecutable(u16),
+    /// Cut off or otherwise broken.
+    #[error("damaged: {0}")]
+    Damaged(String),
+    /// Linked for other memory than the part has.
+    #[error(
+        "linked to {address:#010x}, {length} bytes; the emulated board has flash from 0x08000000 to 0x08200000 and starts there"
+    )]
+    Misplaced {
+        /// Where the segment is to be stored.
+        address: u64,
+        /// How long it is.
+        length: u64,
+    },
+    /// Nothing at the start of the flash.
+    #[error("no vector table at 0x08000000, where the processor starts")]
+    NoVectors,
+    /// The first word of the vector table is no stack.
+    #[error("the vector table's stack pointer {0:#010x} is not the end of a place in SRAM or CCM")]
+    Stack(u32),
+    /// The second word of the vector table is no thumb code of this image.
+    #[error("the vector table's reset vector {0:#010x} is not thumb code of this image")]
+    Reset(u32),
+}
+
+fn machine(number: u16) -> String {
+    let name = match number {
+        3 => "x86",
+        8 => "MIPS",
+        62 => "x86-64",
+        83 => "AVR",
+        94 => "Xtensa",
+        183 => "AArch64",
+        243 => "RISC-V",
+        _ => return format!("processor number {number}"),
+    };
+    name.to_owned()
+}
+
+/// A piece of the image and where a programmer stores it.
+#[derive(Debug, Clone)]
+pub(super) struct Segment {
+    pub(super) address: u64,
+    pub(super) bytes: Arc<[u8]>,
+}
+
+/// An ELF that was checked.
+#[derive(Debug, Clone)]
+pub(super) struct Image {
+    pub(super) elf: Arc<[u8]>,
+    pub(super) segments: Vec<Segment>,
+    pub(super) initial_stack: u32,
+}
+
+impl Image {
+    pub(super) fn new(elf: Arc<[u8]>) -> Result<Self, ImageError> {
+        check_header(&elf)?;
+        let damaged = |problem: &dyn std::fmt::Display| ImageError::Damaged(problem.to_string());
+        let file = ElfFile32::<LittleEndian>::parse(&*elf).map_err(|error| damaged(&error))?;
+        let mut segments = Vec::new();
+        for header in file.elf_program_headers() {
+            let data = header
+                .data(LittleEndian, &*elf)
+                .map_err(|()| damaged(&"a segment reaches past the end of the file"))?;
+            if header.p_type(LittleEndian) != object::elf::PT_LOAD || data.is_empty() {
+                continue;
+            }
+            let (address, length) = (u64::from(header.p_paddr(LittleEndian)), data.len() as u64);
+            if !FLASH.contains(&address) || address + length > FLASH.end {
+                return Err(ImageError::Misplaced { address, length });
+            }
+            segments.push(Segment { address, bytes: data.into() });
+        }
+        let word = |at: u64| {
+            segments.iter().find_map(|segment| {
+                let from = usize::try_from(at.checked_sub(segment.address)?).ok()?;
+                Some(u32::from_le_bytes(*segment.bytes.get(from..)?.first_chunk()?))
+            })
+        };
+        let (Some(initial_stack), Some(reset)) = (word(FLASH.start), word(FLASH.start + 4)) else {
+            return Err(ImageError::NoVectors);
+        };
+        let in_memory = SRAM.contains(&initial_stack) || CCM.contains(&initial_stack);
+        if !in_memory || !initial_stack.is_multiple_of(4) {
+            return Err(ImageError::Stack(initial_stack));
+        }
+        if reset % 2 == 0 || word(u64::from(reset - 1) & !3).is_none() {
+            return Err(ImageError::Reset(reset));
+        }
+        drop(file);
+        Ok(Self { elf, segments, initial_stack })
+    }
+}
+
+fn check_header(elf: &[u8]) -> Result<(), ImageError> {
+    if !elf.starts_with(b"\x7fELF") {
+        return Err(ImageError::NotElf);
+    }
+    let cut = || ImageError::Damaged("the file ends within its header".to_owned());
+    let half = |at: usize| elf.get(at..).and_then(|rest| rest.first_chunk()).map(|two| u16::from_le_bytes(*two));
+    let &[class, data] = elf.get(4..).and_then(|rest| rest.first_chunk::<2>()).ok_or_else(cut)?;
+    let (kind, processor) = half(16).zip(half(18)).ok_or_else(cut)?;
+    match (class, data) {
+        (1 | 2, 1) if processor != ARM => Err(ImageError::Machine(processor)),
+        (1, 1) if kind != EXECUTABLE => Err(ImageError::NotExecutable(kind)),
+        (1, 1) => Ok(()),
+        (2, _) => Err(ImageError::Class("64-bit")),
+        (_, 2) => Err(ImageError::Class("big-endian")),
+        _ => Err(ImageError::Damaged("the header names no class".to_owned())),
+    }
+}

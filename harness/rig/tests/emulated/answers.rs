@@ -1,0 +1,214 @@
+//! What the firmware answers, and when.
+
+use super::{CONFIGURE, PERIOD, firmware_under_test, logged, sample};
+use crate::provenance::source_hash;
+use platebench_rig::emulated::Options;
+use platebench_rig::{Emulated, Hosted, Link, Session};
+use platebench_wire::{Configure, FrameReader, Gains, LawId, Message, Packet, Sample, State, StateCause};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::time::Duration;
+
+/// Eleven bytes of ten bits at 1 Mbaud: the idle line behind the frame is one more.
+const SAMPLE_AND_COMMAND: Duration = Duration::from_micros((24 + 1 + 24) * 10);
+
+#[test]
+fn the_firmware_says_who_it_is_and_what_it_was_built_from() {
+    let session = Session::open(Emulated::built_in().unwrap()).unwrap();
+    let identity = session.identity();
+    assert_eq!(session.firmware_name(), "platebench-f4");
+    assert_eq!(identity.version, [0, 1, 0]);
+    assert!(LawId::ALL.into_iter().all(|law| identity.has(law)));
+    assert_eq!(identity.build, source_hash::source_hash(&firmware_under_test()).unwrap()[..8]);
+    // STM32F42x and F43x: device 0x419.
+    assert_eq!(identity.chip & 0xFFF, 0x419);
+    assert_eq!(&identity.unique, b"emulated-427");
+    assert_eq!(session.link().baud(), 1_000_000);
+}
+
+fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
+    let gain = |random: &mut ChaCha8Rng| uniform(random, 0.0, 400.0);
+    let gains = random.next_u32().is_multiple_of(2).then(|| Gains {
+        amplitude_kp: gain(random),
+        amplitude_ki: 1e3 * gain(random),
+        frequency_kp: gain(random),
+        frequency_ki: 1e3 * gain(random),
+    });
+    let response_time_s = [0.0, 2e-3][random.next_u32() as usize % 2];
+    Configure { law, gains, response_time_s, drive_limit_vpp: uniform(random, 100.0, 1_000.0), ..CONFIGURE }
+}
+
+fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
+    low + (high - low) * (random.next_u32() >> 8) as f32 / 16_777_216.0
+}
+
+fn random_sample(random: &mut ChaCha8Rng, time_us: u32) -> Sample {
+    let setpoint_um = uniform(random, 0.0, 4.0);
+    // Now and then nothing to divide by, and what a torn sensor cable would give.
+    let wd_um = if random.next_u32().is_multiple_of(16) { 1e-9 } else { uniform(random, -1.0, 4.0) };
+    let wq_um = if random.next_u32().is_multiple_of(64) { 1e6 } else { uniform(random, -1.0, 1.0) };
+    Sample { time_us, setpoint_um, wd_um, wq_um }
+}
+
+#[test]
+fn two_thousand_random_samples_give_the_bits_that_the_host_gives() {
+    let mut emulated = Session::open(Emulated::built_in().unwrap()).unwrap();
+    let mut hosted = Session::open(Hosted::new()).unwrap();
+    for law in LawId::ALL {
+        for seed in 0..4 {
+            let mut random = ChaCha8Rng::seed_from_u64(seed);
+            let configure = random_configure(law, &mut random);
+            let gains = [emulated.begin(&configure).unwrap(), hosted.begin(&configure).unwrap()];
+            assert_eq!(format!("{:?}", gains[0]), format!("{:?}", gains[1]), "{law:?}");
+            let mut moved = 0;
+            let mut before = None;
+            for index in 0..500 {
+                let sample = random_sample(&mut random, index * 1_000);
+                let answer = |reply: Option<platebench_rig::Reply>| {
+                    let command = reply.unwrap().command;
+                    (command.drive_vpp.to_bits(), command.frequency_mhz, command.state, command.cause, command.flags)
+                };
+                let expected = answer(hosted.sample(index * PERIOD, &sample).unwrap());
+                assert_eq!(answer(emulated.sample(index * PERIOD, &sample).unwrap()), expected, "{law:?} {sample:?}");
+                moved += u32::from(before.replace(expected) != Some(expected));
+            }
+            assert!(moved > 100, "{law:?}: answers that never change prove nothing ({moved})");
+        }
+    }
+}
+
+#[test]
+fn five_periods_of_silence_end_at_zero_volts() {
+    let mut session = Session::open(Emulated::built_in().unwrap()).unwrap();
+    session.begin(&CONFIGURE).unwrap();
+    assert!(session.sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap().unwrap().command.drive_vpp > 400.0);
+    assert_eq!(session.pass(Duration::from_micros(5_200)).unwrap(), None);
+    // The firmware looks every millisecond, and its command takes a quarter of one.
+    let command = session.pass(Duration::from_micros(6_600)).unwrap().unwrap();
+    assert_eq!((command.state, command.cause, command.drive_vpp), (State::Fault, StateCause::SampleTimeout, 0.0));
+}
+
+#[test]
+fn its_clock_keeps_step_with_the_bench() {
+    let mut session = Session::open(Emulated::built_in().unwrap()).unwrap();
+    session.begin(&CONFIGURE).unwrap();
+    let mut time = |index: u32| {
+        let reply = session.sample(index * PERIOD, &sample(2.0, 0.0)).unwrap().unwrap();
+        reply.command.target_time_us
+    };
+    let first = time(0);
+    for index in 1..200 {
+        let drift = time(index).wrapping_sub(first).abs_diff(index * 1_000);
+        assert!(drift <= 2, "{drift} us after {index} ms");
+    }
+}
+
+#[test]
+fn a_corrupted_sample_costs_an_answer_and_five_in_a_row_the_drive() {
+    let mut link = Emulated::built_in().unwrap();
+    let packet = |sequence, message| Packet { sequence, message }.encode().as_bytes().to_vec();
+    let good = |sequence| packet(sequence, Message::Sample(sample(2.0, 0.5)));
+    let mut answer = Vec::new();
+    link.exchange(Duration::ZERO, &packet(1, Message::Configure(CONFIGURE)), &mut answer).unwrap();
+    answer.clear();
+    assert!(link.exchange(PERIOD, &good(2), &mut answer).unwrap() > SAMPLE_AND_COMMAND);
+    assert!(link.cost().unwrap() > 100);
+    for index in 0..5 {
+        let mut bad = good(3);
+        bad[9] ^= 0x10;
+        answer.clear();
+        assert_eq!(link.exchange((2 + index) * PERIOD, &bad, &mut answer).unwrap(), Duration::ZERO);
+        assert_eq!(link.cost(), None);
+        assert_eq!(answer.is_empty(), index < 4, "{answer:?}");
+    }
+    let mut reader = FrameReader::new();
+    let said = answer.iter().find_map(|&byte| reader.push(byte).map(|body| Packet::decode(body.unwrap()).unwrap()));
+    let Some(Packet { message: Message::Command(command), .. }) = said else { panic!("{said:?}") };
+    assert_eq!((command.state, command.cause, command.drive_vpp), (State::Fault, StateCause::LineNoise, 0.0));
+}
+
+#[test]
+fn half_a_frame_is_followed_by_a_whole_one_and_only_that_is_answered() {
+    let mut link = Emulated::built_in().unwrap();
+    let hello = |sequence| Packet { sequence, message: Message::Hello }.encode();
+    let mut answer = Vec::new();
+    assert_eq!(link.exchange(PERIOD, &hello(1).as_bytes()[..4], &mut answer).unwrap(), Duration::ZERO);
+    // The delimiter ends the torn frame, so the one after it is whole.
+    assert_eq!(link.exchange(2 * PERIOD, hello(2).as_bytes(), &mut answer).unwrap(), Duration::ZERO);
+    assert_eq!(answer, []);
+    assert!(link.exchange(3 * PERIOD, hello(3).as_bytes(), &mut answer).unwrap() > Duration::from_micros(500));
+    assert!(!answer.is_empty());
+}
+
+#[test]
+fn the_delay_is_the_wire_and_the_computing() {
+    let delays = |options| {
+        let emulated = Emulated::new(&super::image("platebench-stm32f4.elf"), options).unwrap();
+        assert_eq!(emulated.baud(), 1_000_000);
+        let mut session = Session::open(emulated).unwrap();
+        session.begin(&CONFIGURE).unwrap();
+        let delay = |index| session.sample(index * PERIOD, &sample(2.0, 0.3)).unwrap().unwrap().delay;
+        (0..50).map(delay).collect::<Vec<_>>()
+    };
+    let first = delays(Options::default());
+    for delay in &first {
+        let computing = delay.checked_sub(SAMPLE_AND_COMMAND).unwrap();
+        assert!((Duration::from_micros(1)..Duration::from_micros(25)).contains(&computing), "{computing:?}");
+    }
+    assert_eq!(delays(Options::default()), first);
+    // No crystal: the internal oscillator gives the same baud rate and the same clock.
+    let without_crystal = delays(Options { crystal_hz: 0, ..Options::default() });
+    for (with, without) in first.iter().zip(&without_crystal) {
+        assert!(with.abs_diff(*without) < Duration::from_micros(5), "{with:?} {without:?}");
+    }
+}
+
+#[test]
+fn a_trial_gives_the_same_bytes_whatever_came_before() {
+    let trial = |session: &mut Session<_>, law| {
+        session.begin(&Configure { law, ..CONFIGURE }).unwrap();
+        for index in 0..20 {
+            session.sample(index * PERIOD, &sample(2.0, 0.1 * index as f32)).unwrap();
+        }
+        session.pass(Duration::from_millis(30)).unwrap();
+    };
+    let (mut fresh, log) = logged(Emulated::built_in().unwrap());
+    trial(&mut fresh, LawId::DqPi);
+    let expected = log.lock().unwrap().clone();
+    assert_eq!(expected.len(), 22);
+
+    let (mut used, log) = logged(Emulated::built_in().unwrap());
+    trial(&mut used, LawId::DqPiEuler);
+    // Copied: a failed assertion that holds the lock would make the session's end panic as well.
+    let other = log.lock().unwrap().clone();
+    assert_ne!(other, expected);
+    used.sample(Duration::from_millis(31), &sample(f32::NAN, 0.0)).unwrap();
+    used.safe();
+    trial(&mut used, LawId::OpenLoop);
+    trial(&mut used, LawId::DqPi);
+    let again = log.lock().unwrap().clone();
+    assert_eq!(again, expected);
+}
+
+#[test]
+fn a_period_shorter_than_the_wire_makes_the_plate_wait() {
+    let mut session = Session::open(Emulated::built_in().unwrap()).unwrap();
+    let period = Duration::from_micros(200);
+    session.begin(&Configure { period_us: 200, ..CONFIGURE }).unwrap();
+    for index in 0..100 {
+        let reply = session.sample(index * period, &sample(2.0, 0.3)).unwrap().unwrap();
+        assert_eq!(reply.command.state, State::Running, "sample {index}");
+        assert!(reply.delay > SAMPLE_AND_COMMAND);
+    }
+}
+
+#[test]
+fn memory_is_unknown_at_power_on_and_the_stack_leaves_its_mark() {
+    let mut session = Session::open(Emulated::built_in().unwrap()).unwrap();
+    for _ in 0..2 {
+        session.begin(&CONFIGURE).unwrap();
+        session.sample(Duration::ZERO, &sample(2.0, 0.3)).unwrap().unwrap();
+        let used = session.link().stack_used().unwrap();
+        assert!((200..4_096).contains(&used), "{used} bytes");
+    }
+}
