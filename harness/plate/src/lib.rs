@@ -1,7 +1,7 @@
 //! The plant: a plate with one bending mode, seen in the frame that rotates with the excitation.
 //!
 //! * [`time`]: instants in whole nanoseconds since the start of a trial.
-//! * [`file`]: the plate file, read once and checked once.
+//! * [`mod@file`]: the plate file, read once and checked once.
 //! * [`profile`]: setpoint, temperature offset and finger force over time.
 //! * [`mode`]: what a finger and a temperature make of the mode's damping and resonance.
 //! * [`flow`]: exact propagation between two events, per tier.
