@@ -12,7 +12,7 @@ pub type AnyLink = Box<dyn Link>;
 #[derive(Debug, thiserror::Error)]
 pub enum ConnectError {
     /// The kind of rig is known but not built yet.
-    #[error("rig `{0}` is not there yet, expected hosted or emulated[:ELF]")]
+    #[error("rig `{0}` is not in the command line yet, expected hosted or emulated[:ELF]")]
     NotYet(RigSpec),
     /// The emulated board did not come up.
     #[error(transparent)]

@@ -5,6 +5,7 @@
 //! * [`link`]: bytes to a target and back; what every kind of rig provides.
 //! * [`hosted`]: the controller crate in this process.
 //! * [`emulated`]: a firmware image on an emulated STM32F4, in virtual time.
+//! * `probe` (feature `probe`): a board on a debug probe.
 //! * [`session`]: handshake, configuration, samples and a safe end over any link.
 //!
 //! Everything above the bytes is the same for every rig, so that a controller in this process is talked to exactly like one behind a cable. Plate, profiles
@@ -14,6 +15,8 @@ pub mod connect;
 pub mod emulated;
 pub mod hosted;
 pub mod link;
+#[cfg(feature = "probe")]
+pub mod probe;
 pub mod session;
 pub mod spec;
 

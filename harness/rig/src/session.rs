@@ -6,7 +6,7 @@ use platebench_wire::{
     State,
 };
 use std::time::Duration;
-use tracing::{debug, warn};
+use tracing::{debug, trace, warn};
 
 /// Why a controller cannot be worked with.
 #[derive(Debug, thiserror::Error)]
@@ -100,7 +100,10 @@ impl<L: Link> Session<L> {
             self.reader = FrameReader::new();
         }
         match self.ask(Message::Configure(*configure))? {
-            Some((Message::Configured(Configured { outcome }), _)) => outcome.map_err(RigError::Refused),
+            Some((Message::Configured(Configured { outcome }), _)) => {
+                debug!(law = configure.law.name(), gains = ?outcome, "controller configured");
+                outcome.map_err(RigError::Refused)
+            }
             _ => Err(RigError::NoAnswer { expected: "answer to its configuration" }),
         }
     }
@@ -113,6 +116,7 @@ impl<L: Link> Session<L> {
         self.now = now;
         match self.ask(Message::Sample(*sample))? {
             Some((Message::Command(command), delay)) => {
+                trace!(?now, ?sample, ?command, ?delay, "control step");
                 Ok(Some(Reply { command, delay, instructions: self.link.cost() }))
             }
             _ => Ok(None),

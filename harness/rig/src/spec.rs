@@ -20,13 +20,15 @@ pub enum RigSpec {
         /// Bits per second.
         baud: Option<u32>,
     },
-    /// A board on a debug probe.
+    /// A board on a debug probe: `CHIP[@VID:PID[:SERIAL]]`, read by `probe::ProbeSpec`.
     Probe(String),
 }
 
 /// A rig that was not understood.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}`: {problem}, expected hosted, emulated[:ELF], exec:COMMAND, serial:PORT[@BAUD] or probe:CHIP")]
+#[error(
+    "`{text}`: {problem}, expected hosted, emulated[:ELF], exec:COMMAND, serial:PORT[@BAUD] or probe:CHIP[@VID:PID[:SERIAL]]"
+)]
 pub struct SpecError {
     text: String,
     problem: &'static str,
@@ -89,6 +91,7 @@ mod tests {
             "serial:/dev/ttyACM0",
             "serial:COM3@921600",
             "probe:STM32F407VG",
+            "probe:STM32F407VG@0483:374b:066DFF",
         ] {
             assert_eq!(text.parse::<RigSpec>().unwrap().to_string(), text);
         }

@@ -11,6 +11,7 @@ use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
 use platebench_verdict::{RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, measure};
 use platebench_wire::{Identity, LawId};
+use std::cmp::Reverse;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -19,7 +20,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::thread;
 use std::time::Instant;
-use tracing::{error, info, info_span};
+use tracing::{debug, error, info, info_span};
 
 /// Makes a new link to a controller; called once per worker, and again where a controller was lost.
 pub type Connect<'a> = dyn Fn() -> Result<AnyLink, ConnectError> + Send + Sync + 'a;
@@ -110,8 +111,10 @@ pub fn run(
         record.write(folder.path()).map_err(|source| FolderError::Io { path: folder.path().to_owned(), source })
     };
     write(&record)?;
-    let tasks: Vec<Task> =
+    let mut tasks: Vec<Task> =
         plan.scenarios.iter().enumerate().flat_map(|(scenario, of)| trials_of(scenario, of)).collect();
+    // The longest first, so that no worker is left with one while the others have nothing to do.
+    tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
     let work =
         Work { plan, laws: &laws, folder: folder.path(), connect, cancel, tasks: &tasks, next: AtomicUsize::new(0) };
     let mut collected: Vec<Vec<Done>> = plan.scenarios.iter().map(|_| Vec::new()).collect();
@@ -263,6 +266,7 @@ impl Work<'_> {
         write_trace(&path, &played.rows)?;
         let measures = measure(scenario, task.index, &played.rows, &played.telemetry);
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
+        debug!(rows = played.rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
         let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));
         let bytes = fs::read(&path).map_err(|source| TraceError::Io { path, source })?;
         record.sha256 = Some(sha256(&bytes));

