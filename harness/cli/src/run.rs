@@ -23,6 +23,10 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
         output::error("the real-time clock is not there yet, expected lockstep");
         return Exit::Invalid;
     }
+    if let Err(error) = arguments.rig.check() {
+        output::error(&error.to_string());
+        return Exit::Invalid;
+    }
     let Ok(scenarios) = scenarios(arguments) else { return Exit::Invalid };
     if scenarios.is_empty() {
         output::error("there is nothing to run");

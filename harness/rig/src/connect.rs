@@ -30,6 +30,17 @@ impl ConnectError {
 }
 
 impl RigSpec {
+    /// Whether this kind of rig can be connected to at all.
+    ///
+    /// # Errors
+    /// [`ConnectError::NotYet`].
+    pub fn check(&self) -> Result<(), ConnectError> {
+        match self {
+            Self::Hosted | Self::Emulated(_) => Ok(()),
+            Self::Exec(_) | Self::Serial { .. } | Self::Probe(_) => Err(ConnectError::NotYet(self.clone())),
+        }
+    }
+
     /// A new line to a controller of this kind; each call makes another one.
     ///
     /// # Errors

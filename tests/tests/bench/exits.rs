@@ -96,6 +96,18 @@ fn a_run_folder_is_not_written_over() {
 }
 
 #[test]
+fn a_rig_that_is_not_there_yet_leaves_nothing_behind() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step(GOOD));
+    for rig in ["serial:/dev/ttyACM0", "exec:true", "probe:STM32F407VG"] {
+        let output = call(workshop.path(), ["run", "--rig", rig]);
+        assert_eq!(code(&output), 2);
+        assert!(String::from_utf8_lossy(&output.stderr).contains(rig));
+    }
+    assert!(!workshop.path().join("runs").exists());
+}
+
+#[test]
 fn a_reader_who_goes_away_is_no_error() {
     let workshop = Workshop::new();
     workshop.scenario("s.toml", &step(GOOD));
