@@ -136,21 +136,21 @@ fn stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, R
         let message = format!("the record of {} names no inputs", stored.file);
         return Err(Diagnostic::of_file(&folder.join(platebench_verdict::record::FILE), message).into());
     };
-    for input in &stored.inputs {
-        unchanged(&folder.join(&input.file), &input.sha256)?;
-    }
     let scenario = load(&folder.join(&input.file), &stored.file)?;
     if scenario.inputs.len() != stored.inputs.len() {
         let message = format!("the record of {} does not name all inputs", stored.file);
         return Err(Diagnostic::of_file(&folder.join(platebench_verdict::record::FILE), message).into());
     }
+    // What was just read, which for a plate named by an absolute path is not the copy in the run folder.
+    for (now, then) in scenario.inputs.iter().zip(&stored.inputs) {
+        unchanged(&now.path, &now.bytes, &then.sha256)?;
+    }
     Ok(scenario)
 }
 
-/// Refuses a file that is not what the record says.
-fn unchanged(path: &Path, expected: &str) -> Result<(), RejudgeError> {
-    let bytes = fs::read(path).map_err(|source| FolderError::Io { path: path.to_owned(), source })?;
-    let found = sha256(&bytes);
+/// Refuses a file whose content is not what the record says.
+fn unchanged(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeError> {
+    let found = sha256(bytes);
     if found == expected {
         return Ok(());
     }
@@ -169,7 +169,8 @@ fn judged(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result
         }
         let then = stored.trials.iter().find(|then| then.index == index);
         if let Some(expected) = then.and_then(|then| then.sha256.as_deref()) {
-            unchanged(&path, expected)?;
+            let bytes = fs::read(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
+            unchanged(&path, &bytes, expected)?;
         }
         let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
         let measures = measure(scenario, index, &read(&path)?, &telemetry);

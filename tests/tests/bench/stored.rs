@@ -126,3 +126,21 @@ fn scenarios_inside_a_run_folder_are_not_played_again() {
     assert_eq!(code(&call(workshop.path(), ["run", "--out", "again"])), 0);
     assert_eq!(RunRecord::read(&workshop.path().join("again")).unwrap().scenarios.len(), 1);
 }
+
+#[test]
+fn a_plate_outside_the_run_folder_that_has_changed_is_refused() {
+    let workshop = Workshop::new();
+    let plate = workshop.path().join("elsewhere.toml");
+    let text = fs::read_to_string(workshop.path().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
+    fs::write(&plate, &text).unwrap();
+    let scenario = step_scenario("aluminium-198x138", "", "", GOOD);
+    let absolute = scenario.replace("plates/aluminium-198x138.toml", plate.to_str().unwrap());
+    workshop.scenario("s.toml", &absolute);
+    assert_eq!(code(&call(workshop.path(), ["run", "--rig", "hosted", "--out", "run"])), 0);
+    assert_eq!(code(&call(workshop.path(), ["judge", "run"])), 0);
+    fs::write(&plate, text.replace("limit_vpp = 900.0", "limit_vpp = 500.0")).unwrap();
+    let output = call(workshop.path(), ["judge", "run"]);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(code(&output), 2, "{told}");
+    assert!(told.contains("elsewhere.toml") && told.contains("SHA-256"), "{told}");
+}
