@@ -10,7 +10,7 @@ use platebench_trace::{Row, TraceError, Writer};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
 use platebench_verdict::{RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, measure};
-use platebench_wire::{Identity, LawId};
+use platebench_wire::LawId;
 use std::cmp::Reverse;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -101,12 +101,12 @@ pub fn run(
 ) -> Result<RunRecord, RunError> {
     let laws = plan.scenarios.iter().map(configure::law).collect::<Result<Vec<_>, _>>();
     let laws = laws.map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
-    let identity = *Session::open(connect()?)?.identity();
+    let first = Session::open(connect()?)?;
     let inputs = folder.store_inputs(&plan.scenarios)?;
     for scenario in &plan.scenarios {
         folder.prepare(scenario)?;
     }
-    let mut record = first_record(plan, folder, &identity, &inputs);
+    let mut record = first_record(plan, folder, &first, &inputs);
     let write = |record: &RunRecord| {
         record.write(folder.path()).map_err(|source| FolderError::Io { path: folder.path().to_owned(), source })
     };
@@ -120,9 +120,11 @@ pub fn run(
     let mut collected: Vec<Vec<Done>> = plan.scenarios.iter().map(|_| Vec::new()).collect();
     thread::scope(|scope| {
         let (sender, results) = mpsc::channel();
+        // The controller that introduced itself is the first worker's; the others find their own.
+        let mut first = Some(first);
         for _ in 0..plan.jobs.clamp(1, tasks.len().max(1)) {
-            let (work, sender) = (&work, sender.clone());
-            scope.spawn(move || work.worker(&sender));
+            let (work, sender, session) = (&work, sender.clone(), first.take());
+            scope.spawn(move || work.worker(session, &sender));
         }
         drop(sender);
         for result in results {
@@ -223,8 +225,7 @@ struct Work<'a> {
 
 impl Work<'_> {
     /// Plays trials until none is left, each worker over a link of its own.
-    fn worker(&self, results: &mpsc::Sender<Result<Progress, RunError>>) {
-        let mut session = None;
+    fn worker(&self, mut session: Option<Session<AnyLink>>, results: &mpsc::Sender<Result<Progress, RunError>>) {
         while !self.cancel.is_cancelled() {
             let Some(&task) = self.tasks.get(self.next.fetch_add(1, Ordering::Relaxed)) else { break };
             if task.index == 0 && results.send(Ok(Progress::Started(task.scenario))).is_err() {
@@ -290,9 +291,9 @@ fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
     text.unwrap_or("no message").to_owned()
 }
 
-fn first_record(plan: &Plan, folder: &RunFolder, identity: &Identity, inputs: &[Vec<InputRecord>]) -> RunRecord {
+fn first_record(plan: &Plan, folder: &RunFolder, session: &Session<AnyLink>, inputs: &[Vec<InputRecord>]) -> RunRecord {
     let scenarios = plan.scenarios.iter().zip(inputs).map(|(scenario, inputs)| empty_record(scenario, inputs.clone()));
-    let name = identity.name.split(|&byte| byte == 0).next().unwrap_or_default();
+    let identity = session.identity();
     let [major, minor, patch] = identity.version;
     RunRecord {
         format: platebench_verdict::record::FORMAT,
@@ -303,7 +304,7 @@ fn first_record(plan: &Plan, folder: &RunFolder, identity: &Identity, inputs: &[
         rig: RigRecord {
             name: plan.rig.clone(),
             firmware: Some(Firmware {
-                name: String::from_utf8_lossy(name).into_owned(),
+                name: session.firmware_name(),
                 version: format!("{major}.{minor}.{patch}"),
                 build: hexadecimal(&identity.build),
                 chip: format!("{:#010x}", identity.chip),
