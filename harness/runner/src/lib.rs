@@ -13,6 +13,7 @@ pub mod event;
 pub mod folder;
 pub mod rejudge;
 pub mod run;
+mod stage;
 pub mod trial;
 
 pub use event::Event;

@@ -1,0 +1,203 @@
+//! The plate of a trial with its sensor, its drive and its rows: what both clocks have in common.
+//!
+//! Between events nothing changes, so that nothing is smeared over a step; where a profile varies the plant cuts the interval itself.
+
+use crate::configure::start_frequency_mhz;
+use platebench_plate::plant::Signal;
+use platebench_plate::{Crossing, Drive, Plant, Sensor, State, Time, Watch};
+use platebench_scenario::{Metric, Scenario};
+use platebench_trace::{Flags, Row};
+use platebench_wire::{Command, Sample, State as Mode};
+use std::f64::consts::TAU;
+
+/// The amplifier counts as saturated from here on, as a fraction of its limit: the wire carries the limit as f32.
+const SATURATED_FROM: f64 = 1.0 - 1e-6;
+
+/// Where rows go.
+pub(crate) trait Rows {
+    /// Takes a row; must not wait.
+    fn push(&mut self, row: Row);
+}
+
+impl Rows for Vec<Row> {
+    fn push(&mut self, row: Row) {
+        Self::push(self, row);
+    }
+}
+
+/// How many rows a trial of `scenario` has at about: one per step of the trace and some per control instant.
+pub(crate) fn expected_rows(scenario: &Scenario) -> usize {
+    let of = |span: Time| (scenario.duration.seconds() / span.seconds()) as usize;
+    of(scenario.trace_step) + 2 * of(scenario.controller.period) + 64
+}
+
+pub(crate) struct Stage<'a, R> {
+    scenario: &'a Scenario,
+    plant: Plant,
+    sensor: Sensor,
+    rows: R,
+    last_row_s: Option<f64>,
+    crossings: Vec<Crossing>,
+    watches: Vec<Watch>,
+    /// The setpoint that the watches were made for.
+    watched_um: Option<f64>,
+    frequency_hz: f64,
+    sensed: [f64; 2],
+    safe: bool,
+}
+
+impl<'a, R: Rows> Stage<'a, R> {
+    pub(crate) fn new(scenario: &'a Scenario, index: u32, rows: R) -> Self {
+        let variation = scenario.variation(index);
+        let mut plant = variation.plant(scenario);
+        let frequency_hz = f64::from(start_frequency_mhz(scenario)) / 1e3;
+        plant.set_drive(Drive { vpp: 0.0, omega: TAU * frequency_hz });
+        Self {
+            scenario,
+            plant,
+            sensor: variation.sensor(scenario),
+            rows,
+            last_row_s: None,
+            crossings: Vec::with_capacity(64),
+            watches: Vec::with_capacity(scenario.expectations.len()),
+            watched_um: None,
+            frequency_hz,
+            sensed: [0.0; 2],
+            safe: false,
+        }
+    }
+
+    pub(crate) fn time(&self) -> Time {
+        self.plant.time()
+    }
+
+    pub(crate) fn is_over(&self) -> bool {
+        self.time() >= self.scenario.duration
+    }
+
+    pub(crate) fn into_rows(self) -> R {
+        self.rows
+    }
+
+    /// What the controller is given now.
+    pub(crate) fn sense(&mut self) -> Sample {
+        let now = self.time();
+        let sensed = self.sensor.sense(self.plant.state().w);
+        let sample = Sample {
+            time_us: now.wrapping_micros(),
+            setpoint_um: self.scenario.setpoint.at(now) as f32,
+            wd_um: sensed.re as f32,
+            wq_um: sensed.im as f32,
+        };
+        self.sensed = [f64::from(sample.wd_um), f64::from(sample.wq_um)];
+        sample
+    }
+
+    /// The controller's command acts on the plate from now on.
+    pub(crate) fn actuate(&mut self, command: &Command) {
+        self.safe = command.state != Mode::Running;
+        let asked = f64::from(command.drive_vpp);
+        let vpp = if asked.is_finite() { asked.clamp(0.0, self.scenario.plate.drive_limit_vpp) } else { 0.0 };
+        self.frequency_hz = f64::from(command.frequency_mhz) / 1e3;
+        self.plant.set_drive(Drive { vpp, omega: TAU * self.frequency_hz });
+    }
+
+    /// Nobody drives the plate any more.
+    pub(crate) fn rest(&mut self) {
+        self.safe = true;
+        self.plant.set_drive(Drive { vpp: 0.0, ..self.plant.drive() });
+    }
+
+    /// The next instant at which the scenario itself wants a row, after now.
+    pub(crate) fn next_fixed(&self) -> Time {
+        let now = self.time();
+        let points = [self.plant.next_point_after(now), self.scenario.setpoint.next_point_after(now)];
+        let step = self.scenario.trace_step.next_multiple_after(now).min(self.scenario.duration);
+        points.into_iter().flatten().fold(step, Time::min)
+    }
+
+    /// Moves the plate on to `end`, with a row on either side of each crossing of a band that an expectation looks at. Nothing the scenario wants a row
+    /// for lies between.
+    pub(crate) fn advance(&mut self, end: Time) {
+        self.watch();
+        self.plant.advance(end, &self.watches, &mut self.crossings);
+        let mut crossings = std::mem::take(&mut self.crossings);
+        for crossing in crossings.drain(..) {
+            let last = Time::from_nanos(crossing.time.as_nanos().saturating_sub(1));
+            for (time, state) in [(last, crossing.before), (crossing.time, crossing.state)] {
+                // The rows at both ends of the interval are there anyway.
+                if self.last_row_s.is_none_or(|last_row_s| last_row_s < time.seconds()) && time < end {
+                    self.push(time, &state, 0.0, Flags::empty());
+                }
+            }
+        }
+        self.crossings = crossings;
+    }
+
+    /// Moves the plate on to `end`, however far that is, with every row that the scenario wants before it.
+    pub(crate) fn advance_through(&mut self, end: Time) {
+        let end = end.min(self.scenario.duration);
+        while self.time() < end {
+            let next = self.next_fixed().min(end);
+            self.advance(next);
+            if next < end {
+                self.push_row(0.0, Flags::empty());
+            }
+        }
+    }
+
+    /// A row for now.
+    pub(crate) fn push_row(&mut self, lateness_us: f64, flags: Flags) {
+        let (now, state) = (self.time(), self.plant.state());
+        self.push(now, &state, lateness_us, flags);
+    }
+
+    fn push(&mut self, time: Time, state: &State, lateness_us: f64, flags: Flags) {
+        let drive = self.plant.drive();
+        let conditions = self.plant.conditions_at(time);
+        let saturated = drive.vpp >= self.scenario.plate.drive_limit_vpp * SATURATED_FROM;
+        let also = [(saturated, Flags::SATURATED), (self.safe, Flags::SAFE)];
+        self.last_row_s = Some(time.seconds());
+        self.rows.push(Row {
+            t_s: time.seconds(),
+            setpoint_um: self.scenario.setpoint.at(time),
+            wd_um: state.w.re,
+            wq_um: state.w.im,
+            amplitude_um: state.amplitude(),
+            drive_vpp: drive.vpp,
+            frequency_hz: self.frequency_hz,
+            resonance_hz: self.plant.mode_at(time).omega0 / TAU,
+            temperature_offset_k: conditions.temperature_offset_k,
+            finger_force_n: conditions.finger_force_n,
+            sensed_wd_um: self.sensed[0],
+            sensed_wq_um: self.sensed[1],
+            lateness_us,
+            flags: also.into_iter().filter(|(holds, _)| *holds).fold(flags, |flags, (_, flag)| flags | flag),
+        });
+    }
+
+    /// The bands that the scenario's expectations look at, around the setpoint of now.
+    fn watch(&mut self) {
+        let setpoint = self.scenario.setpoint.at(self.time());
+        if self.watched_um.replace(setpoint) == Some(setpoint) {
+            return;
+        }
+        self.watches.clear();
+        for expectation in &self.scenario.expectations {
+            let signal = match expectation.signal {
+                "wd_um" => Signal::InPhase,
+                "wq_um" => Signal::Quadrature,
+                "amplitude_um" => Signal::Amplitude,
+                _ => continue,
+            };
+            if !matches!(expectation.metric, Metric::SettlingTime | Metric::RecoveryTime | Metric::PeakDeviation) {
+                continue;
+            }
+            let (low, high) = expectation.band(setpoint);
+            let watch = Watch { signal, low, high };
+            if setpoint > 0.0 && !self.watches.contains(&watch) {
+                self.watches.push(watch);
+            }
+        }
+    }
+}
