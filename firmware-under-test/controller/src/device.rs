@@ -67,7 +67,11 @@ impl Device {
             }
             Message::Safe => Message::Command(self.machine.safe(now_us)),
             // Only a target says these; a line that echoes is no reason to act.
-            Message::Identity(_) | Message::Configured(_) | Message::Command(_) | Message::Fault(_) => return None,
+            Message::Identity(_)
+            | Message::Configured(_)
+            | Message::Command(_)
+            | Message::Fault(_)
+            | Message::Tick(_) => return None,
         };
         Some(Packet { sequence: packet.sequence, message })
     }

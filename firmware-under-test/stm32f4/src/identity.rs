@@ -1,7 +1,7 @@
 //! Who this firmware is, in the handshake and as text in the image.
 
 use crate::pac;
-use platebench_wire::{Identity, LawId};
+use platebench_wire::{Identity, LawId, capabilities};
 
 const SOURCE_HASH: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/source_hash.bin"));
 
@@ -40,6 +40,7 @@ pub(crate) fn identity(p: &pac::Peripherals) -> Identity {
                 number(env!("CARGO_PKG_VERSION_PATCH")),
             ]
         },
+        capabilities: capabilities::TARGET_PACED | capabilities::MEASURES_COMPUTING,
         laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
         build,
         chip: p.DBGMCU.idcode().read().bits(),

@@ -14,9 +14,12 @@
 //! | 6 | [`Command`] | target | 18 |
 //! | 7 | [`Message::Safe`] | bench | 2 |
 //! | 8 | [`FaultReport`] | target | 20 |
+//! | 9 | [`Tick`] | target | 6 |
 
 use crate::cursor::{Reader, Writer};
 use crate::frame::Encoded;
+
+mod layout;
 
 /// Version of the protocol, in the upper four bits of every body's first byte.
 pub const VERSION: u8 = 1;
@@ -24,7 +27,7 @@ pub const VERSION: u8 = 1;
 /// A message with its sequence number: the whole content of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Packet {
-    /// Counts up by one, wrapping, per message of the bench; answers repeat it.
+    /// Counts up by one, wrapping, per message of the bench; answers repeat it. Ticks count by themselves.
     pub sequence: u8,
     /// What is said.
     pub message: Message,
@@ -49,6 +52,8 @@ pub enum Message {
     Safe,
     /// Target: the processor trapped; sent once, with the drive already at 0 V.
     Fault(FaultReport),
+    /// Target: a period of mine begins, sample the plate. Only where the configuration asked for it; numbered by itself.
+    Tick(Tick),
 }
 
 /// Control laws by number. The names are those of scenario files and `--law`.
@@ -86,11 +91,21 @@ impl LawId {
     }
 }
 
+/// Bits of [`Identity::capabilities`].
+pub mod capabilities {
+    /// A timer of the target's own can pace the control: [`Configure::paced_by_target`](super::Configure::paced_by_target).
+    pub const TARGET_PACED: u8 = 1;
+    /// The target measures how long a control step takes it: [`Command::compute_us`](super::Command::compute_us).
+    pub const MEASURES_COMPUTING: u8 = 2;
+}
+
 /// Who the target is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Identity {
     /// Firmware version: major, minor, patch.
     pub version: [u8; 3],
+    /// See [`capabilities`]; bits that are not known there mean nothing.
+    pub capabilities: u8,
     /// Bit n set: the law with number n is there.
     pub laws: u32,
     /// First eight bytes of the SHA-256 of the firmware's sources; zero where the build did not say.
@@ -101,6 +116,18 @@ pub struct Identity {
     pub unique: [u8; 12],
     /// Name of the firmware in ASCII, filled up with zeros.
     pub name: [u8; 16],
+}
+
+impl Identity {
+    /// True when the target says that it has `law`.
+    pub fn has(&self, law: LawId) -> bool {
+        self.laws & 1 << law as u8 != 0
+    }
+
+    /// True when the target says that it can do `capability`, one of [`capabilities`].
+    pub fn can(&self, capability: u8) -> bool {
+        self.capabilities & capability != 0
+    }
 }
 
 /// Proportional and integral gains of both loops.
@@ -121,6 +148,10 @@ pub struct Gains {
 pub struct Configure {
     /// The law to run.
     pub law: LawId,
+    /// True where the target is to say [`Tick`] at each of its own periods, and the bench answers with a sample; false where the bench's samples pace the control.
+    pub paced_by_target: bool,
+    /// Without a sample for this long on the target's own clock the drive goes to 0 V, ms; zero for five periods.
+    pub patience_ms: u16,
     /// Control period, µs.
     pub period_us: u32,
     /// Excitation frequency at the start, mHz.
@@ -192,7 +223,7 @@ pub enum StateCause {
     /// Nothing happened.
     #[default]
     None = 0,
-    /// No sample for five periods.
+    /// No sample for as long as the configuration has patience, by default five periods.
     SampleTimeout = 1,
     /// Too many refused frames.
     LineNoise = 2,
@@ -244,6 +275,13 @@ pub struct FaultReport {
     pub address: u32,
 }
 
+/// The beginning of a control period that the target's own timer paces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Tick {
+    /// Instant at which it is said, on the target's own clock, µs, wrapping.
+    pub target_time_us: u32,
+}
+
 /// Why a body with a good checksum was refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MessageError {
@@ -268,6 +306,7 @@ impl Message {
             Self::Command(_) => 6,
             Self::Safe => 7,
             Self::Fault(_) => 8,
+            Self::Tick(_) => 9,
         }
     }
 }
@@ -286,6 +325,7 @@ impl Packet {
             Message::Sample(sample) => sample.write(&mut writer),
             Message::Command(command) => command.write(&mut writer),
             Message::Fault(report) => report.write(&mut writer),
+            Message::Tick(tick) => tick.write(&mut writer),
         }
         // A writer holds at most MAX_BODY bytes, and such a body always has a frame.
         match Encoded::new(writer.body()) {
@@ -314,207 +354,10 @@ impl Packet {
             6 => Message::Command(Command::read(&mut reader)?),
             7 => Message::Safe,
             8 => Message::Fault(FaultReport::read(&mut reader)?),
+            9 => Message::Tick(Tick::read(&mut reader)?),
             kind => return Err(MessageError::Kind(kind)),
         };
         if reader.is_at_end() { Ok(Self { sequence, message }) } else { Err(MessageError::Length) }
-    }
-}
-
-fn whole<T>(field: Option<T>) -> Result<T, MessageError> {
-    field.ok_or(MessageError::Length)
-}
-
-fn known<T>(field: Option<T>) -> Result<T, MessageError> {
-    field.ok_or(MessageError::Field)
-}
-
-impl Identity {
-    fn write(&self, writer: &mut Writer) {
-        writer.put(self.version);
-        writer.u8(0);
-        writer.u32(self.laws);
-        writer.put(self.build);
-        writer.u32(self.chip);
-        writer.put(self.unique);
-        writer.put(self.name);
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
-        let version = whole(reader.take())?;
-        whole(reader.u8())?;
-        Ok(Self {
-            version,
-            laws: whole(reader.u32())?,
-            build: whole(reader.take())?,
-            chip: whole(reader.u32())?,
-            unique: whole(reader.take())?,
-            name: whole(reader.take())?,
-        })
-    }
-
-    /// True when the target says that it has `law`.
-    pub fn has(&self, law: LawId) -> bool {
-        self.laws & 1 << law as u8 != 0
-    }
-}
-
-impl Gains {
-    const NONE: Self = Self { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
-
-    fn write(&self, writer: &mut Writer) {
-        writer.f32(self.amplitude_kp);
-        writer.f32(self.amplitude_ki);
-        writer.f32(self.frequency_kp);
-        writer.f32(self.frequency_ki);
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
-        Ok(Self {
-            amplitude_kp: whole(reader.f32())?,
-            amplitude_ki: whole(reader.f32())?,
-            frequency_kp: whole(reader.f32())?,
-            frequency_ki: whole(reader.f32())?,
-        })
-    }
-}
-
-impl Configure {
-    fn write(&self, writer: &mut Writer) {
-        writer.u8(self.law as u8);
-        writer.u8(u8::from(self.gains.is_some()));
-        writer.u16(0);
-        writer.u32(self.period_us);
-        writer.u32(self.start_frequency_mhz);
-        writer.f32(self.gain_um_per_vpp);
-        writer.f32(self.time_constant_s);
-        writer.f32(self.response_time_s);
-        writer.f32(self.drive_limit_vpp);
-        writer.f32(self.frequency_range_hz);
-        writer.f32(self.frequency_slew_hz);
-        self.gains.unwrap_or(Gains::NONE).write(writer);
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
-        let law = known(LawId::from_number(whole(reader.u8())?))?;
-        let has_gains = match whole(reader.u8())? {
-            0 => false,
-            1 => true,
-            _ => return Err(MessageError::Field),
-        };
-        whole(reader.u16())?;
-        Ok(Self {
-            law,
-            period_us: whole(reader.u32())?,
-            start_frequency_mhz: whole(reader.u32())?,
-            gain_um_per_vpp: whole(reader.f32())?,
-            time_constant_s: whole(reader.f32())?,
-            response_time_s: whole(reader.f32())?,
-            drive_limit_vpp: whole(reader.f32())?,
-            frequency_range_hz: whole(reader.f32())?,
-            frequency_slew_hz: whole(reader.f32())?,
-            gains: Some(Gains::read(reader)?).filter(|_| has_gains),
-        })
-    }
-}
-
-impl Configured {
-    fn write(&self, writer: &mut Writer) {
-        writer.u8(self.outcome.err().map_or(0, |rejection| rejection as u8));
-        writer.u8(0);
-        self.outcome.unwrap_or(Gains::NONE).write(writer);
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
-        let status = whole(reader.u8())?;
-        whole(reader.u8())?;
-        let gains = Gains::read(reader)?;
-        let outcome = match status {
-            0 => Ok(gains),
-            1 => Err(Rejection::Value),
-            2 => Err(Rejection::Law),
-            _ => return Err(MessageError::Field),
-        };
-        Ok(Self { outcome })
-    }
-}
-
-impl Sample {
-    fn write(&self, writer: &mut Writer) {
-        writer.u32(self.time_us);
-        writer.f32(self.setpoint_um);
-        writer.f32(self.wd_um);
-        writer.f32(self.wq_um);
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
-        Ok(Self {
-            time_us: whole(reader.u32())?,
-            setpoint_um: whole(reader.f32())?,
-            wd_um: whole(reader.f32())?,
-            wq_um: whole(reader.f32())?,
-        })
-    }
-}
-
-impl Command {
-    fn write(&self, writer: &mut Writer) {
-        writer.u32(self.target_time_us);
-        writer.f32(self.drive_vpp);
-        writer.u32(self.frequency_mhz);
-        writer.u8(self.state as u8);
-        writer.u8((self.cause as u8) << 4 | self.flags & 0x0f);
-        writer.u16(self.compute_us);
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
-        let target_time_us = whole(reader.u32())?;
-        let drive_vpp = whole(reader.f32())?;
-        let frequency_mhz = whole(reader.u32())?;
-        let state = known(State::from_number(whole(reader.u8())?))?;
-        let bits = whole(reader.u8())?;
-        Ok(Self {
-            target_time_us,
-            drive_vpp,
-            frequency_mhz,
-            state,
-            cause: known(StateCause::from_number(bits >> 4))?,
-            flags: bits & 0x0f,
-            compute_us: whole(reader.u16())?,
-        })
-    }
-}
-
-impl State {
-    fn from_number(number: u8) -> Option<Self> {
-        [Self::Idle, Self::Running, Self::Fault, Self::Safe].into_iter().find(|&state| state as u8 == number)
-    }
-}
-
-impl StateCause {
-    fn from_number(number: u8) -> Option<Self> {
-        [Self::None, Self::SampleTimeout, Self::LineNoise, Self::NonFinite]
-            .into_iter()
-            .find(|&cause| cause as u8 == number)
-    }
-}
-
-impl FaultReport {
-    fn write(&self, writer: &mut Writer) {
-        writer.u16(self.code);
-        writer.u32(self.pc);
-        writer.u32(self.lr);
-        writer.u32(self.cfsr);
-        writer.u32(self.address);
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
-        Ok(Self {
-            code: whole(reader.u16())?,
-            pc: whole(reader.u32())?,
-            lr: whole(reader.u32())?,
-            cfsr: whole(reader.u32())?,
-            address: whole(reader.u32())?,
-        })
     }
 }
 

@@ -26,6 +26,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mut session = Session::open(open()?)?;
         let configure = Configure {
             law,
+            paced_by_target: false,
+            patience_ms: 0,
             period_us: 1_000,
             start_frequency_mhz: 32_307_600,
             gain_um_per_vpp: 0.00698,

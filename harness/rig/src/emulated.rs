@@ -256,6 +256,8 @@ impl Emulated {
                 let Some(Ok(body)) = self.answers.push(byte) else { continue };
                 match Packet::decode(body) {
                     Ok(Packet { message: Message::Fault(_), .. }) => return Ok(Some(at_ns)),
+                    // Ticks count by themselves.
+                    Ok(Packet { message: Message::Tick(_), .. }) => {}
                     Ok(packet) if Some(packet.sequence) == sequence => return Ok(Some(at_ns)),
                     _ => {}
                 }

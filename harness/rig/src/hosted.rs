@@ -2,7 +2,7 @@
 
 use crate::link::{Link, LinkError};
 use platebench_controller::Device;
-use platebench_wire::{Identity, LawId};
+use platebench_wire::{Identity, LawId, capabilities};
 use std::time::Duration;
 
 /// A device without a board.
@@ -32,6 +32,7 @@ fn identity() -> Identity {
             number(env!("CARGO_PKG_VERSION_MINOR")),
             number(env!("CARGO_PKG_VERSION_PATCH")),
         ],
+        capabilities: capabilities::TARGET_PACED,
         laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
         build: [0; 8],
         chip: 0,

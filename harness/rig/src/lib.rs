@@ -23,6 +23,6 @@ pub mod spec;
 pub use connect::{AnyLink, ConnectError};
 pub use emulated::{Emulated, EmulatedError, TargetFault};
 pub use hosted::Hosted;
-pub use link::{Link, LinkError};
-pub use session::{Reply, RigError, Session};
+pub use link::{Line, Link, LinkError};
+pub use session::{Heard, Reply, RigError, Session};
 pub use spec::{RigSpec, SpecError};

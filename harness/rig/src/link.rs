@@ -1,7 +1,7 @@
 //! Bytes to a target and back.
 
 use crate::emulated::TargetFault;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Why bytes no longer pass.
 #[derive(Debug, thiserror::Error)]
@@ -14,11 +14,27 @@ pub enum LinkError {
     Target(Box<TargetFault>),
 }
 
+/// A line in real time. One thread sends and listens; nothing here waits for an answer by itself.
+pub trait Line: Send {
+    /// Puts `bytes` on the line and returns at once. A line that is full drops what does not fit: silence will show it.
+    ///
+    /// # Errors
+    /// [`LinkError`] where the line is dead.
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
+
+    /// Waits until something arrives or `until` has passed, appends it to `bytes` and returns the instant at which it was there; `None` where nothing came.
+    /// What is there already is taken even where `until` is over. Never allocates once `bytes` has room.
+    ///
+    /// # Errors
+    /// [`LinkError`] where the line is dead.
+    fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError>;
+}
+
 /// A line to a target. Instants are counted from the start of the trial.
 ///
 /// Faults are links around links; rigs are links at the bottom.
 pub trait Link: Send {
-    /// Puts `bytes` on the line at `now` and appends to `answer` what comes back, up to the end of the first frame or until the link's patience, which is
+    /// Puts `bytes` on the line at `now` and appends to `answer` what comes back, up to the end of the answer or until the link's patience, which is
     /// bounded, is over. Returns how long the target took on its own clock, zero where the link is transparent.
     ///
     /// # Errors
@@ -43,6 +59,12 @@ pub trait Link: Send {
     fn cost(&self) -> Option<u64> {
         None
     }
+
+    /// The same line in real time, where it can be used so. Between [`Link::restart`] and the next one a caller uses either this or
+    /// [`Link::exchange`] and [`Link::pass`] for samples; the handshake, the configuration and the end may be exchanged in both cases.
+    fn line(&mut self) -> Option<&mut dyn Line> {
+        None
+    }
 }
 
 impl<L: Link + ?Sized> Link for Box<L> {
@@ -60,5 +82,9 @@ impl<L: Link + ?Sized> Link for Box<L> {
 
     fn cost(&self) -> Option<u64> {
         (**self).cost()
+    }
+
+    fn line(&mut self) -> Option<&mut dyn Line> {
+        (**self).line()
     }
 }

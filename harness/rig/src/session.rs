@@ -5,7 +5,7 @@ use platebench_wire::{
     Command, Configure, Configured, FaultReport, FrameReader, Gains, Identity, Message, Packet, Rejection, Sample,
     State,
 };
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tracing::{debug, trace, warn};
 
 /// Why a controller cannot be worked with.
@@ -23,6 +23,9 @@ pub enum RigError {
         /// What should have come.
         expected: &'static str,
     },
+    /// The rig knows virtual time alone.
+    #[error("this rig cannot be used in real time")]
+    NotLive,
     /// The target refused its configuration.
     #[error("the controller refused its configuration: {}", match .0 {
         Rejection::Value => "a value that it cannot work with",
@@ -45,6 +48,22 @@ pub struct Reply {
     pub instructions: Option<u64>,
 }
 
+/// Something that a target said in real time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Heard {
+    /// When its last byte was there.
+    pub at: Instant,
+    /// The number that it carries.
+    pub sequence: u8,
+    /// What it is.
+    pub message: Message,
+}
+
+/// Room for what arrives at once: more than a pseudo-terminal holds, so that listening never allocates.
+const ROOM: usize = 8 * 1024;
+/// A line that loses a frame now and then must not cost the confirmation of 0 V.
+const ATTEMPTS_AT_SAFE: u32 = 3;
+
 /// A conversation with one controller. Dropping it drives the plate to 0 V.
 #[derive(Debug)]
 pub struct Session<L: Link> {
@@ -54,6 +73,11 @@ pub struct Session<L: Link> {
     sequence: u8,
     now: Duration,
     bytes: Vec<u8>,
+    /// How many of `bytes` were read.
+    read: usize,
+    /// When the last of `bytes` was there, where they were heard in real time.
+    arrived: Instant,
+    refused: u64,
 }
 
 impl<L: Link> Session<L> {
@@ -62,9 +86,26 @@ impl<L: Link> Session<L> {
     /// # Errors
     /// [`RigError`] where nobody answers as the protocol has it.
     pub fn open(link: L) -> Result<Self, RigError> {
-        let identity = Identity { version: [0; 3], laws: 0, build: [0; 8], chip: 0, unique: [0; 12], name: [0; 16] };
-        let bytes = Vec::with_capacity(256);
-        let mut session = Self { link, reader: FrameReader::new(), identity, sequence: 0, now: Duration::ZERO, bytes };
+        let identity = Identity {
+            version: [0; 3],
+            capabilities: 0,
+            laws: 0,
+            build: [0; 8],
+            chip: 0,
+            unique: [0; 12],
+            name: [0; 16],
+        };
+        let mut session = Self {
+            link,
+            reader: FrameReader::new(),
+            identity,
+            sequence: 0,
+            now: Duration::ZERO,
+            bytes: Vec::with_capacity(ROOM),
+            read: 0,
+            arrived: Instant::now(),
+            refused: 0,
+        };
         match session.ask(Message::Hello)? {
             Some((Message::Identity(identity), _)) => session.identity = identity,
             _ => return Err(RigError::NoAnswer { expected: "identity" }),
@@ -98,9 +139,12 @@ impl<L: Link> Session<L> {
         if self.link.restart()? {
             self.sequence = 0;
             self.reader = FrameReader::new();
+            self.bytes.clear();
+            self.read = 0;
         }
         match self.ask(Message::Configure(*configure))? {
             Some((Message::Configured(Configured { outcome }), _)) => {
+                self.refused = 0;
                 debug!(law = configure.law.name(), gains = ?outcome, "controller configured");
                 outcome.map_err(RigError::Refused)
             }
@@ -129,7 +173,7 @@ impl<L: Link> Session<L> {
     /// [`RigError`] where the line is dead or the target trapped.
     pub fn pass(&mut self, now: Duration) -> Result<Option<Command>, RigError> {
         self.now = now;
-        self.bytes.clear();
+        self.forget_read();
         self.link.pass(now, &mut self.bytes)?;
         let mut last = None;
         self.read_packets(|packet| {
@@ -140,28 +184,79 @@ impl<L: Link> Session<L> {
         Ok(last)
     }
 
-    /// Asks for 0 V. True where the target confirmed it.
+    /// Asks for 0 V, again where no answer comes. True where the target confirmed it.
     pub fn safe(&mut self) -> bool {
-        match self.ask(Message::Safe) {
-            Ok(Some((Message::Command(command), _))) => command.state == State::Safe && command.drive_vpp == 0.0,
-            Ok(_) => false,
-            Err(error) => {
-                debug!(%error, "0 V could not be asked for");
-                false
+        for _ in 0..ATTEMPTS_AT_SAFE {
+            match self.ask(Message::Safe) {
+                Ok(Some((Message::Command(command), _))) => {
+                    return command.state == State::Safe && command.drive_vpp == 0.0;
+                }
+                Ok(_) => {}
+                Err(error) => {
+                    debug!(%error, "0 V could not be asked for");
+                    return false;
+                }
             }
         }
+        false
+    }
+
+    /// True where [`Session::post`] and [`Session::listen`] can be used.
+    pub fn is_live(&mut self) -> bool {
+        self.link.line().is_some()
+    }
+
+    /// Sends `message` without waiting for its answer and returns the number that it was sent under. Neither allocates nor logs.
+    ///
+    /// # Errors
+    /// [`RigError`] where the line is dead or knows virtual time alone.
+    pub fn post(&mut self, message: Message) -> Result<u8, RigError> {
+        let sequence = self.sequence.wrapping_add(1);
+        let frame = Packet { sequence, message }.encode();
+        self.link.line().ok_or(RigError::NotLive)?.send(frame.as_bytes())?;
+        self.sequence = sequence;
+        Ok(sequence)
+    }
+
+    /// Waits for the next thing that the target says, at most until `until`; one packet a call, those that came with it are kept for the next calls.
+    /// What cannot be read is counted by [`Session::refused`]. Neither allocates nor logs.
+    ///
+    /// # Errors
+    /// [`RigError`] where the line is dead or knows virtual time alone, or the target trapped.
+    pub fn listen(&mut self, until: Instant) -> Result<Option<Heard>, RigError> {
+        let mut over = false;
+        loop {
+            if let Some(Packet { sequence, message }) = self.next_packet()? {
+                return Ok(Some(Heard { at: self.arrived, sequence, message }));
+            }
+            if over {
+                return Ok(None);
+            }
+            self.forget_read();
+            let line = self.link.line().ok_or(RigError::NotLive)?;
+            let Some(arrived) = line.receive(until, &mut self.bytes)? else { return Ok(None) };
+            self.arrived = arrived;
+            // A line that babbles without end does not hold anybody up.
+            over = arrived >= until;
+        }
+    }
+
+    /// Frames that came in and could not be read since [`Session::begin`].
+    pub fn refused(&self) -> u64 {
+        self.refused
     }
 
     /// Sends `message` and returns the answer that carries its number.
     fn ask(&mut self, message: Message) -> Result<Option<(Message, Duration)>, RigError> {
         self.sequence = self.sequence.wrapping_add(1);
         let sequence = self.sequence;
-        self.bytes.clear();
+        self.forget_read();
         let frame = Packet { sequence, message }.encode();
         let delay = self.link.exchange(self.now, frame.as_bytes(), &mut self.bytes)?;
         let mut answer = None;
         self.read_packets(|packet| {
-            if packet.sequence == sequence {
+            // Ticks count by themselves.
+            if packet.sequence == sequence && !matches!(packet.message, Message::Tick(_)) {
                 answer = Some((packet.message, delay));
             }
         })?;
@@ -169,19 +264,36 @@ impl<L: Link> Session<L> {
     }
 
     fn read_packets(&mut self, mut take: impl FnMut(&Packet)) -> Result<(), RigError> {
-        for &byte in &self.bytes {
-            let Some(frame) = self.reader.push(byte) else { continue };
-            let Ok(body) = frame else {
-                warn!(error = ?frame.err(), "frame refused");
-                continue;
-            };
-            match Packet::decode(body) {
-                Ok(Packet { message: Message::Fault(report), .. }) => return Err(RigError::Trapped(report)),
-                Ok(packet) => take(&packet),
-                Err(error) => warn!(?error, "message refused"),
-            }
+        let refused = self.refused;
+        while let Some(packet) = self.next_packet()? {
+            take(&packet);
+        }
+        if self.refused > refused {
+            warn!(frames = self.refused - refused, "frames refused");
         }
         Ok(())
+    }
+
+    /// The next packet among what arrived; frames that cannot be read are counted.
+    fn next_packet(&mut self) -> Result<Option<Packet>, RigError> {
+        while let Some(&byte) = self.bytes.get(self.read) {
+            self.read += 1;
+            let Some(frame) = self.reader.push(byte) else { continue };
+            match frame.ok().and_then(|body| Packet::decode(body).ok()) {
+                Some(Packet { message: Message::Fault(report), .. }) => return Err(RigError::Trapped(report)),
+                Some(packet) => return Ok(Some(packet)),
+                None => self.refused += 1,
+            }
+        }
+        Ok(None)
+    }
+
+    /// Makes room; what was heard but not asked for yet stays.
+    fn forget_read(&mut self) {
+        if self.read >= self.bytes.len() {
+            self.bytes.clear();
+            self.read = 0;
+        }
     }
 }
 

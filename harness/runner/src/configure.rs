@@ -21,6 +21,8 @@ pub(crate) fn configure(scenario: &Scenario, law: LawId) -> Configure {
     let plate = &scenario.plate;
     Configure {
         law,
+        paced_by_target: false,
+        patience_ms: 0,
         period_us: controller.period.wrapping_micros(),
         start_frequency_mhz: start_frequency_mhz(scenario),
         gain_um_per_vpp: plate.gain as f32,

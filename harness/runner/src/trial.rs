@@ -204,6 +204,9 @@ impl<'a, L: Link> Trial<'a, L> {
 fn is_the_controllers_doing(error: &RigError) -> bool {
     match error {
         RigError::Trapped(_) | RigError::Link(LinkError::Target(_)) => true,
-        RigError::Link(LinkError::Disconnected(_)) | RigError::NoAnswer { .. } | RigError::Refused(_) => false,
+        RigError::Link(LinkError::Disconnected(_))
+        | RigError::NoAnswer { .. }
+        | RigError::NotLive
+        | RigError::Refused(_) => false,
     }
 }

@@ -2,12 +2,19 @@
 
 use super::*;
 use crate::law::example::CONFIGURE;
-use platebench_wire::{FrameReader, Sample, State, StateCause};
+use platebench_wire::{FrameReader, Sample, State, StateCause, capabilities};
 use proptest::prelude::*;
 use std::vec::Vec;
 
-const IDENTITY: Identity =
-    Identity { version: [0, 1, 0], laws: 0b111, build: [0; 8], chip: 0, unique: [0; 12], name: *b"device under tes" };
+const IDENTITY: Identity = Identity {
+    version: [0, 1, 0],
+    capabilities: capabilities::TARGET_PACED,
+    laws: 0b111,
+    build: [0; 8],
+    chip: 0,
+    unique: [0; 12],
+    name: *b"device under tes",
+};
 
 fn say(device: &mut Device, now_us: u32, bytes: &[u8]) -> Vec<Packet> {
     let mut sent = Vec::new();

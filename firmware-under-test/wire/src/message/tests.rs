@@ -40,6 +40,7 @@ fn hello_and_safe_are_two_bytes() {
 fn identity_is_fifty_bytes() {
     let identity = Identity {
         version: [1, 2, 3],
+        capabilities: capabilities::TARGET_PACED,
         laws: 0b111,
         build: [0xa0, 0xa1, 0xa2, 0xa3, 0xa4, 0xa5, 0xa6, 0xa7],
         chip: 0x1000_0413,
@@ -49,9 +50,11 @@ fn identity_is_fifty_bytes() {
     pinned(
         9,
         Message::Identity(identity),
-        "12 09 01 02 03 00 07 00 00 00 a0 a1 a2 a3 a4 a5 a6 a7 13 04 00 10 01 02 03 04 05 06 07 08 09 0a 0b 0c \
+        "12 09 01 02 03 01 07 00 00 00 a0 a1 a2 a3 a4 a5 a6 a7 13 04 00 10 01 02 03 04 05 06 07 08 09 0a 0b 0c \
          66 69 72 6d 77 61 72 65 00 00 00 00 00 00 00 00",
     );
+    assert!(identity.can(capabilities::TARGET_PACED) && !identity.can(capabilities::MEASURES_COMPUTING));
+    assert!(Identity { capabilities: 0xfe, ..identity }.can(capabilities::MEASURES_COMPUTING));
     assert!(identity.has(LawId::DqPiEuler));
     assert!(!Identity { laws: 0b011, ..identity }.has(LawId::DqPiEuler));
 }
@@ -60,6 +63,8 @@ fn identity_is_fifty_bytes() {
 fn configure_is_fifty_four_bytes() {
     let configure = Configure {
         law: LawId::DqPi,
+        paced_by_target: false,
+        patience_ms: 0,
         period_us: 1000,
         start_frequency_mhz: 32_307_600,
         gain_um_per_vpp: 0.5,
@@ -80,6 +85,18 @@ fn configure_is_fifty_four_bytes() {
         Message::Configure(Configure { gains: None, ..configure }),
         &std::format!("13 01 {own_design} {}", "00 ".repeat(16)),
     );
+    let patient = head.replacen("01 01 00 00", "01 01 e8 03", 1);
+    pinned(
+        1,
+        Message::Configure(Configure { patience_ms: 1_000, ..configure }),
+        &std::format!("13 01 {patient} {gains}"),
+    );
+    let paced = head.replacen("01 01 00 00", "01 03 fe ff", 1);
+    let configure = Configure { paced_by_target: true, patience_ms: 0xfffe, ..configure };
+    pinned(1, Message::Configure(configure), &std::format!("13 01 {paced} {gains}"));
+    let neither = head.replacen("01 01 00 00", "01 02 fe ff", 1);
+    let configure = Configure { gains: None, ..configure };
+    pinned(1, Message::Configure(configure), &std::format!("13 01 {neither} {}", "00 ".repeat(16)));
 }
 
 #[test]
@@ -125,6 +142,11 @@ fn fault_is_twenty_bytes() {
 }
 
 #[test]
+fn tick_is_six_bytes() {
+    pinned(5, Message::Tick(Tick { target_time_us: 0x0102_0304 }), "19 05 04 03 02 01");
+}
+
+#[test]
 fn the_cyclic_frames_have_twenty_four_bytes_whatever_they_say() {
     for value in [0.0, 1.0, f32::MAX, f32::NAN, f32::from_bits(u32::MAX)] {
         let sample = Sample { time_us: value.to_bits(), setpoint_um: value, wd_um: value, wq_um: value };
@@ -136,7 +158,13 @@ fn the_cyclic_frames_have_twenty_four_bytes_whatever_they_say() {
 fn other_versions_kinds_lengths_and_fields_are_refused() {
     assert_eq!(Packet::decode(&hex("21 00")), Err(MessageError::Version(2)));
     assert_eq!(Packet::decode(&hex("10 00")), Err(MessageError::Kind(0)));
-    assert_eq!(Packet::decode(&hex("19 00")), Err(MessageError::Kind(9)));
+    assert_eq!(Packet::decode(&hex("1a 00")), Err(MessageError::Kind(10)));
+    assert_eq!(Packet::decode(&hex("19 00 01 02 03")), Err(MessageError::Length));
+    assert_eq!(Packet::decode(&hex("19 00 01 02 03 04 05")), Err(MessageError::Length));
+    let configure = hex(&std::format!("13 00 01 03 {}", "00 ".repeat(50)));
+    assert!(Packet::decode(&configure).is_ok());
+    let unknown_bit = hex(&std::format!("13 00 01 04 {}", "00 ".repeat(50)));
+    assert_eq!(Packet::decode(&unknown_bit), Err(MessageError::Field));
     assert_eq!(Packet::decode(&[]), Err(MessageError::Length));
     assert_eq!(Packet::decode(&hex("11")), Err(MessageError::Length));
     assert_eq!(Packet::decode(&hex("11 00 00")), Err(MessageError::Length));
@@ -159,7 +187,7 @@ fn names_of_laws_come_back() {
 
 proptest! {
     #[test]
-    fn whatever_decodes_encodes_to_the_same_meaning(body in proptest::collection::vec(any::<u8>(), 0..=MAX_BODY), kind in 0x10_u8..0x1a) {
+    fn whatever_decodes_encodes_to_the_same_meaning(body in proptest::collection::vec(any::<u8>(), 0..=MAX_BODY), kind in 0x10_u8..0x1b) {
         let mut body = body;
         if let Some(first) = body.first_mut() {
             *first = kind;

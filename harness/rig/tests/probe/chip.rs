@@ -60,8 +60,15 @@ impl Chip {
         let raw = target.flash_algorithms.iter().find(|algorithm| algorithm.name == "stm32f4xx_1024").unwrap();
         let algorithm = FlashAlgorithm::assemble_from_raw_with_core(raw, "main", &target).unwrap();
         let name = *b"emulated-board\0\0";
-        let identity =
-            Identity { version: [0, 1, 0], laws: 7, build: [9; 8], chip: 0x1007_6413, unique: [7; 12], name };
+        let identity = Identity {
+            version: [0, 1, 0],
+            capabilities: 0,
+            laws: 7,
+            build: [9; 8],
+            chip: 0x1007_6413,
+            unique: [7; 12],
+            name,
+        };
         Self {
             idcode: 0x1007_6413,
             resets: 0,

@@ -14,6 +14,8 @@ use std::time::{Duration, Instant};
 fn configure() -> Configure {
     Configure {
         law: LawId::DqPi,
+        paced_by_target: false,
+        patience_ms: 0,
         period_us: 1_000_000,
         start_frequency_mhz: 32_307_600,
         gain_um_per_vpp: 0.006_98,
