@@ -1,7 +1,10 @@
 //! Bytes in, bytes out: what a board's main loop or a hosted rig calls.
 
 use crate::machine::Machine;
-use platebench_wire::{Command, FrameReader, Identity, Message, Packet};
+use crate::pacing::Pacer;
+use platebench_wire::{
+    Command, Configure, Configured, FrameReader, Identity, Message, Packet, Rejection, capabilities,
+};
 
 /// A controller on its line.
 #[derive(Debug, Clone)]
@@ -12,12 +15,15 @@ pub struct Device {
     /// Sequence number of the last sample that was acted on.
     last_sequence: Option<u8>,
     compute_us: u16,
+    /// Where the target's own timer paces the control.
+    pacer: Option<Pacer>,
 }
 
 impl Device {
-    /// A controller at 0 V that will answer as `identity`.
+    /// A controller at 0 V that will answer as `identity`. Without [`capabilities::TARGET_PACED`] there it refuses to pace itself.
     pub fn new(identity: Identity) -> Self {
-        Self { identity, reader: FrameReader::new(), machine: Machine::new(), last_sequence: None, compute_us: 0 }
+        let (reader, machine) = (FrameReader::new(), Machine::new());
+        Self { identity, reader, machine, last_sequence: None, compute_us: 0, pacer: None }
     }
 
     /// Takes in what the line brought, at `now_us` on the target's clock, and sends what is to be answered, a frame a call.
@@ -35,11 +41,21 @@ impl Device {
         }
     }
 
-    /// Lets time pass without bytes; to be called at least once per period.
+    /// Lets time pass without bytes; to be called at least once per period, and where the target paces the control also at [`Device::next_tick_us`].
     pub fn tick(&mut self, now_us: u32, mut send: impl FnMut(&[u8])) {
         if let Some(command) = self.machine.tick(now_us) {
             send(self.unasked(command).encode().as_bytes());
         }
+        let state = self.machine.output().state;
+        self.pacer = self.pacer.filter(|pacer| pacer.goes_on(state, now_us));
+        if let Some(tick) = self.pacer.as_mut().and_then(|pacer| pacer.tick(now_us)) {
+            send(tick.encode().as_bytes());
+        }
+    }
+
+    /// When the next period of a control that the target paces begins, on the target's clock: what a board sets its timer to.
+    pub fn next_tick_us(&self) -> Option<u32> {
+        self.pacer.as_ref().map(Pacer::next_us)
     }
 
     /// What the plate is driven with now: for a board that has an amplifier of its own.
@@ -55,10 +71,7 @@ impl Device {
     fn answer(&mut self, packet: &Packet, now_us: u32) -> Option<Packet> {
         let message = match &packet.message {
             Message::Hello => Message::Identity(self.identity),
-            Message::Configure(configure) => {
-                self.last_sequence = None;
-                Message::Configured(self.machine.configure(configure))
-            }
+            Message::Configure(configure) => Message::Configured(self.configure(configure, now_us)),
             Message::Sample(sample) => {
                 // A frame that the line doubled is answered again, not controlled with again.
                 let repeated = self.last_sequence.replace(packet.sequence) == Some(packet.sequence);
@@ -74,6 +87,19 @@ impl Device {
             | Message::Tick(_) => return None,
         };
         Some(Packet { sequence: packet.sequence, message })
+    }
+
+    fn configure(&mut self, configure: &Configure, now_us: u32) -> Configured {
+        self.last_sequence = None;
+        self.pacer = None;
+        if configure.paced_by_target && !self.identity.can(capabilities::TARGET_PACED) {
+            return Configured { outcome: Err(self.machine.refuse(Rejection::Value)) };
+        }
+        let configured = self.machine.configure(configure);
+        if configure.paced_by_target && configured.outcome.is_ok() {
+            self.pacer = Some(Pacer::new(configure, now_us));
+        }
+        configured
     }
 
     fn unasked(&self, command: Command) -> Packet {

@@ -19,6 +19,7 @@ mod dq_pi;
 pub mod law;
 pub mod machine;
 mod open_loop;
+mod pacing;
 pub mod pi;
 
 pub use device::Device;

@@ -4,7 +4,7 @@
 //!                    configure                 first sample
 //!   power-on ──▶ Idle ────────▶ Idle (designed) ──────────▶ Running ──┐ sample: one control step
 //!                 ▲                  ▲                       │  │  ▲───┘
-//!                 │ refused          │ configure             │  │ five periods without a sample,
+//!                 │ refused          │ configure             │  │ no sample for as long as there is patience,
 //!                 └──────────────────┤                  safe │  │ too many refused frames, a value not finite
 //!                                    │                       ▼  ▼
 //!                                    └────────────────── Safe  Fault      both at 0 V
@@ -15,7 +15,7 @@
 use crate::law::{Actuation, Law, Measurement};
 use platebench_wire::{Command, Configure, Configured, Rejection, Sample, State, StateCause};
 
-/// A controller that gets no sample for this many periods goes to 0 V.
+/// A controller that gets no sample for this many periods goes to 0 V, where its configuration has no patience of its own.
 pub const PERIODS_WITHOUT_SAMPLE: u32 = 5;
 
 /// Each refused frame counts this much towards a storm, each good sample takes one away: five refused frames in a row, or one of
@@ -42,7 +42,8 @@ enum Mode {
 #[derive(Debug, Clone, Copy)]
 struct Design {
     law: Law,
-    period_us: u32,
+    /// Without a sample for this long the drive goes to 0 V.
+    patience_us: u32,
     start_frequency_mhz: u32,
 }
 
@@ -84,8 +85,11 @@ impl Machine {
     pub fn configure(&mut self, configure: &Configure) -> Configured {
         let outcome = match Law::design(configure) {
             Ok((law, gains)) => {
-                let design =
-                    Design { law, period_us: configure.period_us, start_frequency_mhz: configure.start_frequency_mhz };
+                let patience_us = match configure.patience_ms {
+                    0 => configure.period_us.saturating_mul(PERIODS_WITHOUT_SAMPLE),
+                    given => u32::from(given) * 1_000,
+                };
+                let design = Design { law, patience_us, start_frequency_mhz: configure.start_frequency_mhz };
                 self.mode = Mode::Idle(Some(design));
                 self.last = Command { frequency_mhz: configure.start_frequency_mhz, ..AT_REST };
                 Ok(gains)
@@ -95,7 +99,8 @@ impl Machine {
         Configured { outcome }
     }
 
-    fn refuse(&mut self, rejection: Rejection) -> Rejection {
+    /// Leaves no design behind.
+    pub(crate) fn refuse(&mut self, rejection: Rejection) -> Rejection {
         self.mode = Mode::Idle(None);
         self.stop(State::Idle, StateCause::None);
         rejection
@@ -106,7 +111,7 @@ impl Machine {
         self.last.target_time_us = now_us;
         let mut run = match self.mode {
             Mode::Idle(Some(design)) => Run { design, last_sample_us: now_us, refused: 0 },
-            Mode::Running(run) if now_us.wrapping_sub(run.last_sample_us) >= run.timeout_us() => {
+            Mode::Running(run) if run.is_out_of_patience(now_us) => {
                 return self.fault(StateCause::SampleTimeout);
             }
             Mode::Running(run) => run,
@@ -148,7 +153,7 @@ impl Machine {
     /// Time passes. The command that leads to 0 V where the samples have stopped.
     pub fn tick(&mut self, now_us: u32) -> Option<Command> {
         match self.mode {
-            Mode::Running(run) if now_us.wrapping_sub(run.last_sample_us) >= run.timeout_us() => {
+            Mode::Running(run) if run.is_out_of_patience(now_us) => {
                 self.last.target_time_us = now_us;
                 Some(self.fault(StateCause::SampleTimeout))
             }
@@ -186,8 +191,8 @@ impl Design {
 }
 
 impl Run {
-    fn timeout_us(&self) -> u32 {
-        self.design.period_us.saturating_mul(PERIODS_WITHOUT_SAMPLE)
+    fn is_out_of_patience(&self, now_us: u32) -> bool {
+        now_us.wrapping_sub(self.last_sample_us) >= self.design.patience_us
     }
 }
 

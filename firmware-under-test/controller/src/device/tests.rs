@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::law::example::CONFIGURE;
-use platebench_wire::{FrameReader, Sample, State, StateCause, capabilities};
+use platebench_wire::{Sample, State, StateCause, Tick};
 use proptest::prelude::*;
 use std::vec::Vec;
 
@@ -102,6 +102,109 @@ fn a_storm_and_a_silence_are_told_without_being_asked() {
     let told = packets(&sent);
     let [Packet { message: Message::Command(command), .. }] = told[..] else { panic!("{told:?}") };
     assert_eq!((command.target_time_us, command.cause), (5_000, StateCause::SampleTimeout));
+}
+
+fn paced(identity: Identity, period_us: u32, now_us: u32) -> (Device, Vec<Packet>) {
+    let mut device = Device::new(identity);
+    let configure = Configure { paced_by_target: true, period_us, ..CONFIGURE };
+    let answer = say(&mut device, now_us, &frame(1, Message::Configure(configure)));
+    (device, answer)
+}
+
+fn ticks(device: &mut Device, now_us: u32) -> Vec<Packet> {
+    let mut sent = Vec::new();
+    device.tick(now_us, |frame| sent.extend_from_slice(frame));
+    packets(&sent)
+}
+
+fn tick(sequence: u8, target_time_us: u32) -> Packet {
+    Packet { sequence, message: Message::Tick(Tick { target_time_us }) }
+}
+
+#[test]
+fn a_target_that_paces_says_when_its_periods_begin() {
+    // Over the end of the clock.
+    let start = u32::MAX - 1_499;
+    let (mut device, answer) = paced(IDENTITY, 1_000, start);
+    assert!(matches!(answer[..], [Packet { message: Message::Configured(Configured { outcome: Ok(_) }), .. }]));
+    let at = |us: u32| start.wrapping_add(us);
+    assert_eq!(ticks(&mut device, at(999)), []);
+    assert_eq!(device.next_tick_us(), Some(at(1_000)));
+    assert_eq!(ticks(&mut device, at(1_000)), [tick(1, at(1_000))]);
+    assert_eq!(ticks(&mut device, at(1_000)), []);
+    // Late by 900 µs, but the period after it begins on time.
+    assert_eq!(ticks(&mut device, at(2_900)), [tick(2, at(2_900))]);
+    assert_eq!(ticks(&mut device, at(3_000)), [tick(3, at(3_000))]);
+    // Two periods slept through are not made up for.
+    assert_eq!(ticks(&mut device, at(6_001)), [tick(4, at(6_001))]);
+    assert_eq!(ticks(&mut device, at(6_999)), []);
+    assert_eq!(ticks(&mut device, at(7_000)), [tick(5, at(7_000))]);
+}
+
+#[test]
+fn ticks_do_not_drift() {
+    let (mut device, _) = paced(IDENTITY, 1_000, 0);
+    let mut said = 0_u32;
+    for now_us in (0..20_000_000).step_by(333) {
+        if now_us % 999 == 0 {
+            say(&mut device, now_us, &sample((now_us / 999) as u8, 1.0));
+        }
+        for packet in ticks(&mut device, now_us) {
+            said += 1;
+            let Message::Tick(Tick { target_time_us }) = packet.message else { panic!("{packet:?}") };
+            assert!(target_time_us - said * 1_000 < 333, "tick {said} at {target_time_us}");
+        }
+    }
+    assert_eq!(said, 19_999);
+}
+
+#[test]
+fn ticks_end_with_the_trial() {
+    let running = || {
+        let (mut device, _) = paced(IDENTITY, 1_000, 0);
+        assert_eq!(ticks(&mut device, 1_000), [tick(1, 1_000)]);
+        say(&mut device, 1_100, &sample(2, 1.0));
+        assert_eq!(ticks(&mut device, 2_000), [tick(2, 2_000)]);
+        device
+    };
+    let mut safe = running();
+    say(&mut safe, 2_500, &frame(3, Message::Safe));
+    assert_eq!(ticks(&mut safe, 3_000), []);
+    assert_eq!(safe.next_tick_us(), None);
+
+    let mut again = running();
+    say(&mut again, 2_500, &frame(3, Message::Configure(CONFIGURE)));
+    assert_eq!(ticks(&mut again, 3_000), []);
+
+    // The sample at 1.1 ms was the last one: five periods later the drive goes to 0 V, said once, and no period after that.
+    let mut deserted = running();
+    assert_eq!(ticks(&mut deserted, 6_099).len(), 1);
+    let told = ticks(&mut deserted, 6_100);
+    assert!(
+        matches!(told[..], [Packet { message: Message::Command(Command { state: State::Fault, .. }), .. }]),
+        "{told:?}"
+    );
+    assert_eq!(ticks(&mut deserted, 7_000), []);
+
+    let (mut alone, _) = paced(IDENTITY, 1_000, 0);
+    assert_eq!(ticks(&mut alone, 999_999).len(), 1);
+    assert_eq!(ticks(&mut alone, 1_000_000), []);
+    assert_eq!(ticks(&mut alone, 1_001_000), []);
+}
+
+#[test]
+fn a_target_that_cannot_pace_refuses_to() {
+    let (mut device, answer) = paced(Identity { capabilities: 0, ..IDENTITY }, 1_000, 0);
+    let refused = Message::Configured(Configured { outcome: Err(Rejection::Value) });
+    assert_eq!(answer, [Packet { sequence: 1, message: refused }]);
+    assert_eq!(ticks(&mut device, 1_000), []);
+    say(&mut device, 1_000, &sample(2, 0.0));
+    assert_eq!((device.output().state, device.output().drive_vpp), (State::Idle, 0.0));
+
+    let mut device = Device::new(IDENTITY);
+    let bad = Configure { paced_by_target: true, time_constant_s: 0.0, ..CONFIGURE };
+    say(&mut device, 0, &frame(1, Message::Configure(bad)));
+    assert_eq!(device.next_tick_us(), None);
 }
 
 #[test]

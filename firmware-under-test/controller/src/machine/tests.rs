@@ -58,6 +58,20 @@ fn the_fifth_period_without_a_sample_is_one_too_many() {
 }
 
 #[test]
+fn patience_replaces_the_five_periods() {
+    for (patience_ms, last_good) in [(1, 999), (20, 19_999), (u16::MAX, 65_534_999)] {
+        let mut machine = Machine::new();
+        machine.configure(&Configure { patience_ms, ..CONFIGURE }).outcome.unwrap();
+        machine.sample(&FROM_REST, 0);
+        assert_eq!(machine.tick(last_good), None, "{patience_ms}");
+        let mut late = machine;
+        assert_eq!(late.sample(&AT_SETPOINT, last_good).state, State::Running);
+        assert_eq!(machine.tick(last_good + 1).unwrap().cause, StateCause::SampleTimeout);
+        assert_eq!(machine.sample(&AT_SETPOINT, last_good + 1).drive_vpp, 0.0);
+    }
+}
+
+#[test]
 fn the_clock_may_wrap() {
     let mut machine = Machine::new();
     machine.configure(&CONFIGURE).outcome.unwrap();
