@@ -76,9 +76,15 @@ pub(crate) struct Run {
     /// Control law of the firmware under test
     #[arg(long, value_name = "NAME", value_parser = clap::builder::PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
     pub(crate) law: Option<String>,
-    /// How time passes for the plate
-    #[arg(long, value_enum, default_value_t = Clock::Lockstep)]
-    pub(crate) clock: Clock,
+    /// How time passes for the plate; real-time for serial and probe where not given, else lockstep
+    #[arg(long, value_enum)]
+    pub(crate) clock: Option<Clock>,
+    /// Plate seconds per wall second: 0.1 makes a line's delay ten times smaller for the plate
+    #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = time_scale)]
+    pub(crate) time_scale: f64,
+    /// Whose timer makes the control instants in real time
+    #[arg(long, value_enum, default_value_t = Pacing::Bench)]
+    pub(crate) pacing: Pacing,
     /// Let the time that an emulated line and controller take act on the plate as loop delay
     #[arg(long)]
     pub(crate) wire_time: bool,
@@ -109,6 +115,20 @@ pub(crate) enum Clock {
     Lockstep,
     /// Every microsecond acts
     RealTime,
+}
+
+/// `--pacing`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Pacing {
+    /// The bench's: a sample triggers a control step
+    Bench,
+    /// The controller's own: it asks for each sample
+    Target,
+}
+
+fn time_scale(text: &str) -> Result<f64, String> {
+    let scale = text.parse().ok().filter(|scale| (0.001..=10.0).contains(scale));
+    scale.ok_or_else(|| "expected a number from 0.001 to 10".to_owned())
 }
 
 /// `--format`
@@ -184,6 +204,16 @@ mod tests {
         }
         for wrong in ["0/3", "4/3", "1", "1/0", "a/b", ""] {
             assert!(wrong.parse::<Shard>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn time_scales_are_bounded_on_both_sides() {
+        for (text, expected) in [("0.1", 0.1), ("0.001", 0.001), ("10", 10.0)] {
+            assert_eq!(time_scale(text), Ok(expected));
+        }
+        for wrong in ["0", "-1", "0.0009", "10.1", "NaN", "inf", "fast", ""] {
+            assert!(time_scale(wrong).is_err(), "{wrong}");
         }
     }
 }

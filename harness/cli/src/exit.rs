@@ -2,7 +2,7 @@
 
 use platebench_rig::RigError;
 use platebench_runner::RunError;
-use platebench_verdict::{Cause, RunRecord, Verdict};
+use platebench_verdict::{RunRecord, Verdict};
 use std::process::ExitCode;
 
 /// How the program ends. Where several apply: invalid, then unreachable, then failed, then inconclusive.
@@ -27,7 +27,7 @@ pub(crate) enum Exit {
 impl Exit {
     /// How a run with this record ends.
     pub(crate) fn of_record(record: &RunRecord) -> Self {
-        if record.causes().any(|cause| cause == Cause::Rig) {
+        if record.lost_a_controller() {
             return Self::Unreachable;
         }
         match record.verdict {

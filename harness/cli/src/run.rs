@@ -1,11 +1,11 @@
 //! `platebench run`: find, play, judge, report.
 
-use crate::args::{Clock, Run};
+use crate::args::{Clock, Pacing, Run};
 use crate::exit::Exit;
 use crate::output;
 use platebench_report::{Progress, ProgressKind, html, junit};
 use platebench_rig::RigSpec;
-use platebench_runner::{Cancel, Event, Plan, RunError, RunFolder, rejudge};
+use platebench_runner::{Cancel, Event, Pace, Plan, RunError, RunFolder, rejudge};
 use platebench_scenario::{Scenario, find};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
@@ -19,10 +19,14 @@ const SIGTERM: u8 = 15;
 
 /// Plays scenarios and judges them.
 pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
-    if arguments.clock == Clock::RealTime {
-        output::error("the real-time clock is not there yet, expected lockstep");
-        return Exit::Invalid;
-    }
+    let own_clock = matches!(arguments.rig, RigSpec::Exec(_) | RigSpec::Serial { .. } | RigSpec::Probe(_));
+    let clock = match clock(arguments) {
+        Ok(clock) => clock,
+        Err(what) => {
+            output::error(what);
+            return Exit::Invalid;
+        }
+    };
     if let Err(error) = arguments.rig.check() {
         output::error(&error.to_string());
         return Exit::Invalid;
@@ -39,11 +43,16 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
             return Exit::Invalid;
         }
     };
-    let cores = std::thread::available_parallelism().map_or(1, NonZero::get);
+    // One line is driven by one; and in real time nothing may compete with it.
+    let most = match (clock, &arguments.rig) {
+        (platebench_runner::Clock::RealTime(_), _) | (_, RigSpec::Serial { .. } | RigSpec::Probe(_)) => 1,
+        _ => std::thread::available_parallelism().map_or(1, NonZero::get),
+    };
     let plan = Plan {
         scenarios,
-        jobs: arguments.jobs.map_or(cores, usize::from),
-        wire_time: arguments.wire_time,
+        jobs: arguments.jobs.map_or(most, usize::from),
+        clock,
+        own_clock,
         rig: arguments.rig.to_string(),
         overrides: overrides(arguments),
     };
@@ -55,6 +64,32 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
             explain(&error, &folder);
             signal.map_or_else(|| Exit::of_error(&error), Exit::Signal)
         }
+    }
+}
+
+/// The clock that the command line means; why it cannot be meant where it cannot.
+fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
+    let default = match arguments.rig {
+        RigSpec::Serial { .. } | RigSpec::Probe(_) => Clock::RealTime,
+        RigSpec::Hosted | RigSpec::Emulated(_) | RigSpec::Exec(_) => Clock::Lockstep,
+    };
+    let pacing = match arguments.pacing {
+        Pacing::Bench => platebench_runner::Pacing::Bench,
+        Pacing::Target => platebench_runner::Pacing::Target,
+    };
+    let time_scale = arguments.time_scale;
+    match arguments.clock.unwrap_or(default) {
+        Clock::Lockstep if time_scale != 1.0 || arguments.pacing == Pacing::Target => {
+            Err("--time-scale and --pacing are for --clock real-time")
+        }
+        Clock::Lockstep => Ok(platebench_runner::Clock::Lockstep { wire_time: arguments.wire_time }),
+        Clock::RealTime if arguments.wire_time => {
+            Err("--wire-time is for --clock lockstep; in real time every microsecond acts anyway")
+        }
+        Clock::RealTime if time_scale != 1.0 && pacing == platebench_runner::Pacing::Target => {
+            Err("--time-scale needs --pacing bench: a controller's own timer cannot be slowed down")
+        }
+        Clock::RealTime => Ok(platebench_runner::Clock::RealTime(Pace { time_scale, pacing })),
     }
 }
 

@@ -152,6 +152,14 @@ impl Plant {
         self.scene.next_point_after(time)
     }
 
+    /// Whatever its profiles say, the surroundings are `conditions` from now on: somebody has put a hand on the plate.
+    pub fn hold(&mut self, conditions: Conditions) {
+        self.scene = Scene {
+            temperature_offset_k: Profile::constant(conditions.temperature_offset_k),
+            finger_force_n: Profile::constant(conditions.finger_force_n),
+        };
+    }
+
     /// Actuates: the drive applies from now on. W and U are continuous.
     pub fn set_drive(&mut self, drive: Drive) {
         self.drive = drive;

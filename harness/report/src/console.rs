@@ -7,7 +7,7 @@ mod progress;
 
 pub use progress::{Progress, ProgressKind};
 
-use crate::{evidence, shown};
+use crate::{evidence, shown, timing};
 use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -69,6 +69,9 @@ fn heading(text: &mut String, scenario: &ScenarioRecord, style: Style) {
     // Writing into a String cannot fail.
     let _ = writeln!(text, "{verdict}  {file}  (law {}, {trials})", scenario.law);
     wrapped(text, "  ", "  ", &scenario.title);
+    if let Some(sentence) = timing::sentence(scenario) {
+        wrapped(text, "  ", "  ", &sentence);
+    }
 }
 
 fn expectations(text: &mut String, scenario: &ScenarioRecord, style: Style) {

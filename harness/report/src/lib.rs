@@ -14,6 +14,7 @@ mod evidence;
 pub mod html;
 pub mod junit;
 mod shown;
+mod timing;
 
 pub use console::{Progress, ProgressKind, Style};
 pub use error::ReportError;

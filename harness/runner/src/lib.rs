@@ -1,6 +1,7 @@
 //! Playing scenarios to a controller.
 //!
 //! * [`trial`]: one trial in lockstep: plate state → sample → controller → drive → plate → row.
+//! * [`real_time`]: the same with a clock that does not wait.
 //! * [`mod@run`]: all trials of all scenarios, over several workers, in an order that no result depends on.
 //! * [`folder`]: the run folder: inputs, traces, record.
 //! * [`mod@rejudge`]: a stored run, judged again without a rig.
@@ -8,15 +9,22 @@
 //!
 //! What is shown of a run belongs to `platebench-report`; exit codes belong to the command line.
 
+mod accounting;
 mod configure;
 pub mod event;
 pub mod folder;
+mod measured;
+mod queue;
+pub mod real_time;
 pub mod rejudge;
 pub mod run;
+mod scheduling;
 mod stage;
 pub mod trial;
 
 pub use event::Event;
 pub use folder::{FolderError, RunFolder};
+pub use real_time::{Hand, Pace, Pacing};
 pub use rejudge::{RejudgeError, rejudge};
-pub use run::{Cancel, Plan, RunError, run};
+pub use run::{Cancel, Clock, Plan, RunError, run};
+pub use stage::Held;

@@ -1,12 +1,14 @@
 //! A stored run, judged again without a rig.
 
+use crate::configure;
 use crate::folder::{FolderError, sha256, trace_file};
+use crate::measured::measured;
 use crate::run::{Done, empty_record, finish};
 use platebench_scenario::{Diagnostic, Expectation, Scenario, load};
 use platebench_trace::{TraceError, read};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Cause, RecordError};
-use platebench_verdict::{RunRecord, ScenarioRecord, Telemetry, TrialMeasures, Verdict, measure};
+use platebench_verdict::{RunRecord, ScenarioRecord, Telemetry, TrialMeasures, Verdict};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -158,6 +160,7 @@ fn unchanged(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeErr
 }
 
 fn judged(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result<ScenarioRecord, RejudgeError> {
+    let law = configure::law(scenario)?;
     let mut trials = Vec::new();
     let mut missing = Vec::new();
     for index in 0..scenario.trials.max_count {
@@ -173,7 +176,7 @@ fn judged(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result
             unchanged(&path, &bytes, expected)?;
         }
         let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
-        let measures = measure(scenario, index, &read(&path)?, &telemetry);
+        let measures = measured(scenario, law, index, &read(&path)?, &telemetry);
         let mut record = trial_record(scenario, &measures, trace, None);
         if let Some(then) = then {
             record.sha256.clone_from(&then.sha256);

@@ -3,13 +3,15 @@
 use crate::configure;
 use crate::event::Event;
 use crate::folder::{FolderError, RunFolder, hexadecimal, sha256, trace_file};
+use crate::measured::{delay_budget, measured};
+use crate::real_time::{self, Pace};
 use crate::trial::{self, Order, Patience};
 use platebench_rig::{AnyLink, ConnectError, RigError, Session};
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::{Row, TraceError, Writer};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
-use platebench_verdict::{RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, measure};
+use platebench_verdict::{RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge};
 use platebench_wire::LawId;
 use std::cmp::Reverse;
 use std::fs;
@@ -32,12 +34,36 @@ pub struct Plan {
     pub scenarios: Vec<Scenario>,
     /// How many trials may run at once.
     pub jobs: usize,
-    /// True where the time that the rig takes acts on the plate as loop delay.
-    pub wire_time: bool,
+    /// How time passes for the plate.
+    pub clock: Clock,
+    /// True where the controller has a clock of its own, which does not wait for the plate's.
+    pub own_clock: bool,
     /// The rig as named on the command line.
     pub rig: String,
     /// Options of the command line that changed the scenarios.
     pub overrides: Overrides,
+}
+
+/// How time passes for the plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Clock {
+    /// It waits while a sample travels and the controller computes.
+    Lockstep {
+        /// True where the time that the rig takes acts on the plate as loop delay.
+        wire_time: bool,
+    },
+    /// It does not wait.
+    RealTime(Pace),
+}
+
+impl Clock {
+    /// The name in records.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Lockstep { .. } => "lockstep",
+            Self::RealTime(_) => "real-time",
+        }
+    }
 }
 
 /// A switch that ends a run early, from any thread.
@@ -257,15 +283,23 @@ impl Work<'_> {
             Some(open) => open,
             None => session.insert(Session::open((self.connect)()?)?),
         };
-        let order = Order { scenario, law, index: task.index, wire_time: self.plan.wire_time };
-        let Some(played) = trial::play(open, &order, self.cancel) else { return Ok(None) };
+        let wire_time = self.plan.clock == Clock::Lockstep { wire_time: true };
+        let order = Order { scenario, law, index: task.index, wire_time, own_clock: self.plan.own_clock };
+        let played = match self.plan.clock {
+            Clock::Lockstep { .. } => trial::play(open, &order, self.cancel),
+            Clock::RealTime(pace) => real_time::play(open, &order, pace, self.cancel),
+        };
+        let Some(mut played) = played else { return Ok(None) };
+        if let Some(timing) = &mut played.telemetry.timing {
+            timing.loop_delay_budget_us = delay_budget(scenario, law).map(|budget| budget.seconds() * 1e6);
+        }
         if let Some(refused @ RigError::Refused(_)) = played.lost {
             return Err(refused.into());
         }
         let trace = trace_file(scenario.name(), task.index);
         let path = self.folder.join(&trace);
         write_trace(&path, &played.rows)?;
-        let measures = measure(scenario, task.index, &played.rows, &played.telemetry);
+        let measures = measured(scenario, law, task.index, &played.rows, &played.telemetry);
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
         debug!(rows = played.rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
         let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));
@@ -310,7 +344,7 @@ fn first_record(plan: &Plan, folder: &RunFolder, session: &Session<AnyLink>, inp
                 chip: format!("{:#010x}", identity.chip),
             }),
         },
-        clock: "lockstep".to_owned(),
+        clock: plan.clock.name().to_owned(),
         overrides: plan.overrides.clone(),
         host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
         scenarios: scenarios.collect(),

@@ -4,7 +4,7 @@
 
 use crate::configure::start_frequency_mhz;
 use platebench_plate::plant::Signal;
-use platebench_plate::{Crossing, Drive, Plant, Sensor, State, Time, Watch};
+use platebench_plate::{Conditions, Crossing, Drive, Plant, Sensor, State, Time, Watch};
 use platebench_scenario::{Metric, Scenario};
 use platebench_trace::{Flags, Row};
 use platebench_wire::{Command, Sample, State as Mode};
@@ -31,16 +31,30 @@ pub(crate) fn expected_rows(scenario: &Scenario) -> usize {
     of(scenario.trace_step) + 2 * of(scenario.controller.period) + 64
 }
 
+/// What somebody at the plate can change.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Held {
+    /// Wished amplitude, µm.
+    pub setpoint_um: f64,
+    /// Kelvin above the plate's reference temperature.
+    pub temperature_offset_k: f64,
+    /// Normal force of the finger, N.
+    pub finger_force_n: f64,
+}
+
 pub(crate) struct Stage<'a, R> {
     scenario: &'a Scenario,
     plant: Plant,
     sensor: Sensor,
     rows: R,
-    last_row_s: Option<f64>,
+    /// The last row, until time has moved on: further events of its instant are put into it.
+    held: Option<Row>,
     crossings: Vec<Crossing>,
     watches: Vec<Watch>,
     /// The setpoint that the watches were made for.
     watched_um: Option<f64>,
+    /// Instead of the scenario's.
+    setpoint_um: Option<f64>,
     frequency_hz: f64,
     sensed: [f64; 2],
     safe: bool,
@@ -57,10 +71,11 @@ impl<'a, R: Rows> Stage<'a, R> {
             plant,
             sensor: variation.sensor(scenario),
             rows,
-            last_row_s: None,
+            held: None,
             crossings: Vec::with_capacity(64),
             watches: Vec::with_capacity(scenario.expectations.len()),
             watched_um: None,
+            setpoint_um: None,
             frequency_hz,
             sensed: [0.0; 2],
             safe: false,
@@ -75,8 +90,22 @@ impl<'a, R: Rows> Stage<'a, R> {
         self.time() >= self.scenario.duration
     }
 
-    pub(crate) fn into_rows(self) -> R {
+    pub(crate) fn into_rows(mut self) -> R {
+        if let Some(last) = self.held.take() {
+            self.rows.push(last);
+        }
         self.rows
+    }
+
+    /// From now on setpoint and surroundings are these, whatever the scenario says. Allocates.
+    pub(crate) fn hold(&mut self, held: &Held) {
+        let Held { setpoint_um, temperature_offset_k, finger_force_n } = *held;
+        self.setpoint_um = Some(setpoint_um);
+        self.plant.hold(Conditions { temperature_offset_k, finger_force_n });
+    }
+
+    fn setpoint_at(&self, time: Time) -> f64 {
+        self.setpoint_um.unwrap_or_else(|| self.scenario.setpoint.at(time))
     }
 
     /// What the controller is given now.
@@ -85,7 +114,7 @@ impl<'a, R: Rows> Stage<'a, R> {
         let sensed = self.sensor.sense(self.plant.state().w);
         let sample = Sample {
             time_us: now.wrapping_micros(),
-            setpoint_um: self.scenario.setpoint.at(now) as f32,
+            setpoint_um: self.setpoint_at(now) as f32,
             wd_um: sensed.re as f32,
             wq_um: sensed.im as f32,
         };
@@ -126,7 +155,7 @@ impl<'a, R: Rows> Stage<'a, R> {
             let last = Time::from_nanos(crossing.time.as_nanos().saturating_sub(1));
             for (time, state) in [(last, crossing.before), (crossing.time, crossing.state)] {
                 // The rows at both ends of the interval are there anyway.
-                if self.last_row_s.is_none_or(|last_row_s| last_row_s < time.seconds()) && time < end {
+                if self.held.is_none_or(|last| last.t_s < time.seconds()) && time < end {
                     self.push(time, &state, 0.0, Flags::empty());
                 }
             }
@@ -146,7 +175,7 @@ impl<'a, R: Rows> Stage<'a, R> {
         }
     }
 
-    /// A row for now.
+    /// A row for now, or what else happened at the instant of the last one.
     pub(crate) fn push_row(&mut self, lateness_us: f64, flags: Flags) {
         let (now, state) = (self.time(), self.plant.state());
         self.push(now, &state, lateness_us, flags);
@@ -157,10 +186,9 @@ impl<'a, R: Rows> Stage<'a, R> {
         let conditions = self.plant.conditions_at(time);
         let saturated = drive.vpp >= self.scenario.plate.drive_limit_vpp * SATURATED_FROM;
         let also = [(saturated, Flags::SATURATED), (self.safe, Flags::SAFE)];
-        self.last_row_s = Some(time.seconds());
-        self.rows.push(Row {
+        let row = Row {
             t_s: time.seconds(),
-            setpoint_um: self.scenario.setpoint.at(time),
+            setpoint_um: self.setpoint_at(time),
             wd_um: state.w.re,
             wq_um: state.w.im,
             amplitude_um: state.amplitude(),
@@ -173,12 +201,24 @@ impl<'a, R: Rows> Stage<'a, R> {
             sensed_wq_um: self.sensed[1],
             lateness_us,
             flags: also.into_iter().filter(|(holds, _)| *holds).fold(flags, |flags, (_, flag)| flags | flag),
-        });
+        };
+        match &mut self.held {
+            // Several events at one instant: what holds from here on, and everything that happened.
+            Some(last) if last.t_s == row.t_s => {
+                let happened = last.flags & (Flags::CONTROL | Flags::OVERRUN | Flags::LINK_LOST);
+                *last = Row { lateness_us: row.lateness_us.max(last.lateness_us), flags: row.flags | happened, ..row };
+            }
+            held => {
+                if let Some(last) = held.replace(row) {
+                    self.rows.push(last);
+                }
+            }
+        }
     }
 
     /// The bands that the scenario's expectations look at, around the setpoint of now.
     fn watch(&mut self) {
-        let setpoint = self.scenario.setpoint.at(self.time());
+        let setpoint = self.setpoint_at(self.time());
         if self.watched_um.replace(setpoint) == Some(setpoint) {
             return;
         }

@@ -9,12 +9,15 @@ use platebench_rig::{Link, LinkError, Reply, RigError, Session};
 use platebench_scenario::Scenario;
 use platebench_trace::{Flags, Row};
 use platebench_verdict::Telemetry;
-use platebench_wire::{Command, LawId};
+use platebench_wire::{Command, Configure, LawId};
 use std::collections::VecDeque;
 use std::time::Duration;
 
 /// After this many samples without an answer the controller is taken to be gone.
 const MISSES_UNTIL_LOST: u32 = 5;
+
+/// A controller with a clock of its own gets its samples whenever the bench comes to it; after this long without one the bench is gone.
+const OWN_CLOCK_PATIENCE_MS: u16 = 1_000;
 
 /// What is to be played.
 #[derive(Debug, Clone, Copy)]
@@ -27,6 +30,8 @@ pub struct Order<'a> {
     pub index: u32,
     /// True where the time that the rig takes acts on the plate as loop delay.
     pub wire_time: bool,
+    /// True where the controller's clock does not wait while the plate does.
+    pub own_clock: bool,
 }
 
 /// How a trial came to its end.
@@ -49,7 +54,9 @@ pub trait Patience {
 /// Plays a trial. `None` where it was given up.
 pub fn play<L: Link>(session: &mut Session<L>, order: &Order<'_>, patience: &impl Patience) -> Option<Played> {
     let mut trial = Trial::new(session, order);
-    if let Err(error) = trial.session.begin(&configure(order.scenario, order.law)) {
+    let patience_ms = if order.own_clock { OWN_CLOCK_PATIENCE_MS } else { 0 };
+    let configure = Configure { patience_ms, ..configure(order.scenario, order.law) };
+    if let Err(error) = trial.session.begin(&configure) {
         trial.lose(error);
     }
     while !trial.step() {
@@ -59,7 +66,11 @@ pub fn play<L: Link>(session: &mut Session<L>, order: &Order<'_>, patience: &imp
         }
     }
     let ended = trial.lost.as_ref().map(ToString::to_string);
-    Some(Played { telemetry: Telemetry { ended, ..trial.observed.telemetry() }, rows: trial.stage.into_rows(), lost: trial.lost })
+    Some(Played {
+        telemetry: Telemetry { ended, ..trial.observed.telemetry() },
+        rows: trial.stage.into_rows(),
+        lost: trial.lost,
+    })
 }
 
 /// What the rig tells with each answer.
@@ -91,7 +102,7 @@ impl Observed {
             rig_delay_us: Some(self.longest_rig_delay.as_secs_f64() * 1e6),
             instructions_mean: self.instructions.map(|(sum, _)| sum as f64 / self.answers as f64),
             instructions_worst: self.instructions.map(|(_, worst)| worst as f64),
-            ended: None,
+            ..Telemetry::default()
         }
     }
 }
@@ -201,7 +212,7 @@ impl<'a, L: Link> Trial<'a, L> {
 }
 
 /// True where the controller itself came to grief, which fails a trial; a line that went dead only leaves it undecided.
-fn is_the_controllers_doing(error: &RigError) -> bool {
+pub(crate) fn is_the_controllers_doing(error: &RigError) -> bool {
     match error {
         RigError::Trapped(_) | RigError::Link(LinkError::Target(_)) => true,
         RigError::Link(LinkError::Disconnected(_))

@@ -23,12 +23,21 @@ pub struct TrialMeasures {
     pub seed: u64,
     /// One measure per expectation of the scenario.
     pub measures: Vec<Measure>,
-    /// Per expectation, why no controller could have met it.
-    pub excuses: Vec<Option<String>>,
+    /// Per expectation, why missing it is not the controller's doing.
+    pub excuses: Vec<Option<Excuse>>,
     /// What the rig told beside the trace.
     pub telemetry: Telemetry,
     /// Whose doing it is that the trial does not count, and what happened.
     pub cause: Option<(Cause, String)>,
+}
+
+/// Why a missed expectation is not the controller's doing.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Excuse {
+    /// Whose doing it is.
+    pub cause: Cause,
+    /// In a sentence.
+    pub reason: String,
 }
 
 /// A scenario's verdict with everything that it rests on.
@@ -51,21 +60,31 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
         measures: expectations.iter().map(|expectation| metrics::measure(expectation, rows, telemetry)).collect(),
         excuses: expectations
             .iter()
-            .map(|expectation| feasibility::excuse(scenario, expectation, &plant, rows))
+            .map(|expectation| {
+                let reason = feasibility::excuse(scenario, expectation, &plant, rows)?;
+                Some(Excuse { cause: Cause::Infeasible, reason: format!("saturated: {reason}") })
+            })
             .collect(),
         telemetry: telemetry.clone(),
-        cause: disturbance(scenario, rows),
+        cause: disturbance(scenario, rows, telemetry),
     }
 }
 
 /// What happened on the way that is not the controller's doing.
-fn disturbance(scenario: &Scenario, rows: &[Row]) -> Option<(Cause, String)> {
+fn disturbance(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<(Cause, String)> {
     let first = |flag| rows.iter().find(|row| row.flags.contains(flag)).map(|row| row.t_s * 1e3);
     if let Some(t_ms) = first(Flags::LINK_LOST) {
         return Some((Cause::Rig, format!("no answer at {t_ms} ms")));
     }
-    if let Some(t_ms) = first(Flags::OVERRUN) {
-        return Some((Cause::Bench, format!("the bench was too late at {t_ms} ms")));
+    let overruns = rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN)).count();
+    if overruns as f64 > overrun_budget(scenario)
+        && let Some(t_ms) = first(Flags::OVERRUN)
+    {
+        let what = format!("the bench was too late {overruns} times, first at {t_ms} ms");
+        return Some((Cause::Bench, what));
+    }
+    if let Some(lost) = telemetry.timing.as_ref().map(|timing| timing.lost_rows).filter(|lost| *lost > 0) {
+        return Some((Cause::Bench, format!("{lost} rows were lost on their way out of the loop")));
     }
     if let Some(first) = rows.first().filter(|row| row.t_s > 0.0) {
         return Some((Cause::Bench, format!("the trace starts at {} ms", first.t_s * 1e3)));
@@ -80,6 +99,12 @@ fn disturbance(scenario: &Scenario, rows: &[Row]) -> Option<(Cause, String)> {
     let end = rows.last().map_or(0.0, |row| row.t_s);
     (end < scenario.duration.seconds())
         .then(|| (Cause::Bench, format!("the trace ends at {} ms instead of {}", end * 1e3, scenario.duration)))
+}
+
+/// How many overruns a trial may have and still count: what the scenario expects of `overruns` at most, else none.
+fn overrun_budget(scenario: &Scenario) -> f64 {
+    let expected = scenario.expectations.iter().filter(|expectation| expectation.metric == Metric::Overruns);
+    expected.map(|expectation| expectation.limit.range().1).reduce(f64::min).unwrap_or(0.0)
 }
 
 /// Judges a scenario by its trials.
@@ -229,8 +254,8 @@ impl Case<'_> {
         match trial.excuses.get(self.number) {
             Some(Some(excuse)) if finding.verdict == Verdict::Fail => Finding {
                 verdict: Verdict::Inconclusive,
-                cause: Some(Cause::Infeasible),
-                reason: Some(format!("saturated: {excuse}")),
+                cause: Some(excuse.cause),
+                reason: Some(excuse.reason.clone()),
                 ..finding
             },
             _ => finding,

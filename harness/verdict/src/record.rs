@@ -1,5 +1,9 @@
 //! What a run leaves behind: `run.json`.
 
+mod timing;
+
+pub use timing::{Quantiles, Timing};
+
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::fmt;
@@ -253,6 +257,9 @@ pub struct Telemetry {
     /// Why the controller was no longer there, where it was not.
     #[serde(default)]
     pub ended: Option<String>,
+    /// How punctual everything was, in real time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub timing: Option<Timing>,
 }
 
 /// Why a record could not be read.
@@ -317,12 +324,10 @@ impl RunRecord {
         serde_json::from_str(&text).map_err(content)
     }
 
-    /// The causes of everything inconclusive in the run.
-    pub fn causes(&self) -> impl Iterator<Item = Cause> {
-        self.scenarios.iter().flat_map(|scenario| {
-            let of_trials = scenario.trials.iter().filter_map(|trial| trial.cause);
-            scenario.expectations.iter().filter_map(|expectation| expectation.cause).chain(of_trials)
-        })
+    /// True where a controller was lost for good and that is not its own doing.
+    pub fn lost_a_controller(&self) -> bool {
+        let mut trials = self.scenarios.iter().flat_map(|scenario| &scenario.trials);
+        trials.any(|trial| trial.cause == Some(Cause::Rig) && trial.telemetry.ended.is_some())
     }
 }
 

@@ -72,7 +72,8 @@ impl Workshop {
         let plan = Plan {
             scenarios: vec![scenario],
             jobs: 1,
-            wire_time: false,
+            clock: platebench_runner::Clock::Lockstep { wire_time: false },
+            own_clock: false,
             rig: "hosted".to_owned(),
             overrides: Overrides::default(),
         };

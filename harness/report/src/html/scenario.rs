@@ -7,7 +7,7 @@ use super::figure::{Behind, Figure, Key, figures};
 use super::plot::SIZE;
 use super::{anchor, badge};
 use crate::error::ReportError;
-use crate::{evidence, shown};
+use crate::{evidence, shown, timing};
 use maud::{Markup, PreEscaped, html};
 use platebench_verdict::{ExpectationRecord, ScenarioRecord};
 use serde_json::Value;
@@ -38,6 +38,7 @@ pub(super) fn article(
                 span { "Plate model: " (scenario.model) }
                 span { (shown::count(scenario.trials.len(), "trial")) }
             }
+            @if let Some(sentence) = timing::sentence(scenario) { p { (sentence) } }
             (expectations(&id, scenario))
             (missing(bundle))
             @for (heading, drawn) in &groups {

@@ -9,3 +9,4 @@ mod html;
 mod junit;
 mod look;
 mod made;
+mod timing;

@@ -110,8 +110,22 @@ fn a_record_comes_back_as_it_was_and_leaves_nothing_beside_it() {
 }
 
 #[test]
-fn causes_are_gathered_from_expectations_and_trials() {
-    assert_eq!(record().causes().collect::<Vec<_>>(), [Cause::Rig, Cause::Bench]);
+fn a_controller_is_lost_where_a_trial_ended_for_the_sake_of_its_rig() {
+    let lost = |cause, ended: Option<&str>| {
+        let mut record = record();
+        for trial in record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.trials) {
+            trial.cause = None;
+            trial.telemetry.ended = None;
+        }
+        let last = record.scenarios.last_mut().and_then(|scenario| scenario.trials.last_mut()).unwrap();
+        last.cause = cause;
+        last.telemetry.ended = ended.map(str::to_owned);
+        record.lost_a_controller()
+    };
+    assert!(lost(Some(Cause::Rig), Some("unplugged")));
+    assert!(!lost(Some(Cause::Rig), None), "a reply that was missed is not a controller that is gone");
+    assert!(!lost(None, Some("trapped")), "a trap is the controller's own doing");
+    assert!(!lost(Some(Cause::Bench), Some("too late")));
 }
 
 fn refusal(text: &str) -> RecordError {

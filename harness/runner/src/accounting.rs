@@ -1,0 +1,178 @@
+//! What a real-time loop keeps count of, without allocating while it runs.
+
+use hdrhistogram::Histogram;
+use platebench_verdict::record::{Quantiles, Timing};
+use std::time::Duration;
+
+/// Three significant digits up to a minute.
+const LONGEST_NS: u64 = 60_000_000_000;
+
+/// A distribution of spans.
+pub(crate) struct Spans(Histogram<u64>);
+
+impl Spans {
+    pub(crate) fn new() -> Self {
+        let histogram = Histogram::new_with_bounds(1, LONGEST_NS, 3);
+        // Only bounds that contradict each other are refused.
+        Self(histogram.unwrap_or_else(|_| unreachable!()))
+    }
+
+    pub(crate) fn take(&mut self, span: Duration) {
+        self.0.saturating_record(u64::try_from(span.as_nanos()).unwrap_or(u64::MAX).max(1));
+    }
+
+    /// In µs; `None` where nothing was taken.
+    pub(crate) fn quantiles_us(&self) -> Option<Quantiles> {
+        let at = |share: f64| self.0.value_at_quantile(share) as f64 / 1e3;
+        (!self.0.is_empty()).then(|| Quantiles {
+            p50: at(0.5),
+            p99: at(0.99),
+            p999: at(0.999),
+            max: self.0.max() as f64 / 1e3,
+        })
+    }
+}
+
+/// A target's clock beside the bench's: least squares over the instants at which samples left and were taken in.
+///
+/// A line that holds samples back now and then widens the standard error; one that grows slower and slower would look like drift.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Drift {
+    last_target_us: Option<u32>,
+    /// Unwrapped.
+    target_us: f64,
+    count: f64,
+    mean_bench: f64,
+    mean_ahead: f64,
+    square_bench: f64,
+    product: f64,
+    square_ahead: f64,
+}
+
+impl Drift {
+    /// The target's clock showed `target_us`, wrapping, when the bench's showed `bench`.
+    pub(crate) fn take(&mut self, bench: Duration, target_us: u32) {
+        let step = self.last_target_us.replace(target_us).map_or(0, |last| target_us.wrapping_sub(last));
+        self.target_us += f64::from(step);
+        let bench_us = bench.as_secs_f64() * 1e6;
+        let ahead = self.target_us - bench_us;
+        // Welford's update of means and products.
+        self.count += 1.0;
+        let (from_bench, from_ahead) = (bench_us - self.mean_bench, ahead - self.mean_ahead);
+        self.mean_bench += from_bench / self.count;
+        self.mean_ahead += from_ahead / self.count;
+        self.square_bench += from_bench * (bench_us - self.mean_bench);
+        self.product += from_bench * (ahead - self.mean_ahead);
+        self.square_ahead += from_ahead * (ahead - self.mean_ahead);
+    }
+
+    /// How much faster the target's clock runs, and the standard error of that, parts per million; `None` with less than three pairs.
+    pub(crate) fn ppm(&self) -> Option<(f64, f64)> {
+        if self.count < 3.0 || self.square_bench <= 0.0 {
+            return None;
+        }
+        let slope = self.product / self.square_bench;
+        let residual = (self.square_ahead - slope * self.product).max(0.0) / (self.count - 2.0);
+        Some((slope * 1e6, (residual / self.square_bench).sqrt() * 1e6))
+    }
+}
+
+/// Everything that is counted.
+pub(crate) struct Accounts {
+    pub(crate) periods: u64,
+    pub(crate) overruns: u64,
+    pub(crate) skipped: u64,
+    pub(crate) missed_replies: u64,
+    pub(crate) lateness: Spans,
+    /// Plate time.
+    pub(crate) loop_delay: Spans,
+    /// Wall time.
+    pub(crate) longest_rig_delay: Duration,
+    pub(crate) drift: Drift,
+}
+
+impl Accounts {
+    pub(crate) fn new() -> Self {
+        Self {
+            periods: 0,
+            overruns: 0,
+            skipped: 0,
+            missed_replies: 0,
+            lateness: Spans::new(),
+            loop_delay: Spans::new(),
+            longest_rig_delay: Duration::ZERO,
+            drift: Drift::default(),
+        }
+    }
+
+    /// For the record. What only others know is left for them.
+    pub(crate) fn timing(&self) -> Timing {
+        let nothing = Quantiles { p50: 0.0, p99: 0.0, p999: 0.0, max: 0.0 };
+        Timing {
+            pacing: String::new(),
+            time_scale: 1.0,
+            scheduling: String::new(),
+            memory_locked: false,
+            periods: self.periods,
+            overruns: self.overruns,
+            skipped: self.skipped,
+            missed_replies: self.missed_replies,
+            refused_frames: 0,
+            lost_rows: 0,
+            lateness_us: self.lateness.quantiles_us().unwrap_or(nothing),
+            loop_delay_us: self.loop_delay.quantiles_us(),
+            loop_delay_budget_us: None,
+            target_clock_ppm: self.drift.ppm().map(|(ppm, _)| ppm),
+            target_clock_error_ppm: self.drift.ppm().map(|(_, error)| error),
+            safe_confirmed: false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_what_was_taken() {
+        let mut spans = Spans::new();
+        assert_eq!(spans.quantiles_us(), None);
+        (1..=1000).for_each(|micros| spans.take(Duration::from_micros(micros)));
+        let found = spans.quantiles_us().unwrap();
+        for (value, expected) in [(found.p50, 500.0), (found.p99, 990.0), (found.p999, 999.0), (found.max, 1000.0)] {
+            assert!((value / expected - 1.0).abs() < 2e-3, "{value}, expected {expected}");
+        }
+        spans.take(Duration::from_hours(1));
+        assert!((spans.quantiles_us().unwrap().max / 60e6 - 1.0).abs() < 2e-3, "beyond the range counts as its end");
+    }
+
+    /// A target that started at `offset_us` and runs `ppm` fast, heard every millisecond with `jitter_us` of delay on every other sample.
+    fn drift(offset_us: f64, ppm: f64, jitter_us: f64, count: u32) -> Drift {
+        let mut drift = Drift::default();
+        for number in 0..count {
+            let bench = Duration::from_millis(u64::from(number));
+            let late = if number % 2 == 0 { 0.0 } else { jitter_us };
+            let target = offset_us + (bench.as_secs_f64() * 1e6 + late) * (1.0 + ppm * 1e-6);
+            drift.take(bench, (target.round() as u64) as u32);
+        }
+        drift
+    }
+
+    #[test]
+    fn a_clock_that_runs_fast_or_slow_is_found_across_its_wrap() {
+        for ppm in [-80.0, 0.0, 40.0] {
+            // The counter wraps half-way.
+            let (found, error) = drift(4_294_967_296.0 - 5e6, ppm, 30.0, 10_000).ppm().unwrap();
+            assert!((found - ppm).abs() < 4.0 * error.max(0.01), "{found} ± {error}, expected {ppm}");
+            assert!(error < 0.1, "{error}");
+        }
+    }
+
+    #[test]
+    fn jitter_shows_in_the_standard_error() {
+        let quiet = drift(0.0, 10.0, 0.0, 1_000).ppm().unwrap().1;
+        let noisy = drift(0.0, 10.0, 100.0, 1_000).ppm().unwrap().1;
+        assert!(noisy > 10.0 * quiet, "{quiet} {noisy}");
+        assert_eq!(drift(0.0, 0.0, 0.0, 2).ppm(), None);
+    }
+}

@@ -1,0 +1,163 @@
+//! What a trial measured, and whether the rig's delay excuses what it missed.
+//!
+//! Lines take time. A demand that the law itself, computed here, meets without the delay and misses with it says nothing about the controller
+//! behind the line: the rig is not fit to decide it.
+
+use crate::trial::{self, Order, Patience};
+use platebench_plate::{Profile, Time};
+use platebench_rig::{Hosted, Session};
+use platebench_scenario::{Expectation, Metric, Scenario, Spread};
+use platebench_trace::Row;
+use platebench_verdict::judge::Excuse;
+use platebench_verdict::metrics::Measure;
+use platebench_verdict::record::Cause;
+use platebench_verdict::{Telemetry, TrialMeasures, measure};
+use platebench_wire::LawId;
+
+/// A budget is looked for up to so many periods, and found to the last of these steps.
+const BUDGET_PERIODS: u64 = 3;
+const BUDGET_BISECTIONS: u32 = 12;
+/// Periods after which a loop that settles at all has done so, and how many of them are looked at.
+const BUDGET_TRIAL: u64 = 400;
+const BUDGET_WINDOW: usize = 40;
+/// Half the band around the setpoint.
+const BUDGET_BAND: f64 = 0.05;
+
+/// Plays to the end.
+struct Patient;
+
+impl Patience for Patient {
+    fn is_over(&self) -> bool {
+        false
+    }
+}
+
+/// Measures a trial and excuses what the rig's own delay makes impossible for the law.
+pub(crate) fn measured(
+    scenario: &Scenario,
+    law: LawId,
+    index: u32,
+    rows: &[Row],
+    telemetry: &Telemetry,
+) -> TrialMeasures {
+    let mut measures = measure(scenario, index, rows, telemetry);
+    let Some((typical, longest)) = added_delay(scenario, telemetry) else { return measures };
+    let missed: Vec<usize> = missed(scenario, &measures).collect();
+    if missed.is_empty() {
+        return measures;
+    }
+    let of_law = |delay| twin(scenario, law, index, delay);
+    let without = of_law(scenario.controller.loop_delay);
+    let with = [typical, longest].map(of_law);
+    for number in missed {
+        let (Some(expectation), Some(excuse)) = (scenario.expectations.get(number), measures.excuses.get_mut(number))
+        else {
+            continue;
+        };
+        let holds = |twin: &Option<TrialMeasures>| {
+            let twin = twin.as_ref().and_then(|twin| twin.measures.get(number));
+            twin.is_some_and(|measure| holds(expectation, measure))
+        };
+        let Some(delayed) = with.iter().find(|delayed| !holds(delayed)) else { continue };
+        if excuse.is_none() && holds(&without) {
+            let value = |twin: &Option<TrialMeasures>| {
+                twin.as_ref().and_then(|twin| twin.measures.get(number)).and_then(Measure::value)
+            };
+            *excuse = Some(Excuse {
+                cause: Cause::Rig,
+                reason: format!(
+                    "trial {index}: at this rig's loop delay of {:.0} µs (longest {:.0}) the law itself gets {}, without it {}; a slower --time-scale makes the delay smaller",
+                    typical.seconds() * 1e6,
+                    longest.seconds() * 1e6,
+                    shown(value(delayed)),
+                    shown(value(&without)),
+                ),
+            });
+        }
+    }
+    measures
+}
+
+/// The typical and the longest loop delay where they exceed what the scenario itself asks for.
+fn added_delay(scenario: &Scenario, telemetry: &Telemetry) -> Option<(Time, Time)> {
+    let longest = telemetry.loop_delay_us?;
+    let of_timing = telemetry.timing.as_ref().and_then(|timing| timing.loop_delay_us);
+    let typical = of_timing.map_or(longest, |quantiles| quantiles.p50);
+    let (typical, longest) = (Time::from_ms(typical / 1e3)?, Time::from_ms(longest / 1e3)?);
+    (longest > scenario.controller.loop_delay).then_some((typical, longest))
+}
+
+/// Expectations that this trial misses by itself and that a delay could excuse.
+fn missed<'a>(scenario: &'a Scenario, measures: &'a TrialMeasures) -> impl Iterator<Item = usize> + 'a {
+    let both = scenario.expectations.iter().zip(&measures.measures).enumerate();
+    both.filter(|(_, (expectation, measure))| {
+        let of_the_rig = matches!(expectation.metric, Metric::Repeatability | Metric::LoopDelay | Metric::Overruns);
+        !of_the_rig && !holds(expectation, measure)
+    })
+    .map(|(number, _)| number)
+}
+
+fn holds(expectation: &Expectation, measure: &Measure) -> bool {
+    // An error keeps its sign in a measure.
+    let signed = expectation.metric == Metric::StaticError;
+    let value = measure.value().map(|value| if signed { value.abs() } else { value });
+    value.is_some_and(|value| expectation.limit.holds(value))
+}
+
+fn shown(value: Option<f64>) -> String {
+    value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.3}"))
+}
+
+/// The same trial, played by the law in this process at a constant loop delay. `None` where it cannot be played.
+fn twin(scenario: &Scenario, law: LawId, index: u32, delay: Time) -> Option<TrialMeasures> {
+    let mut delayed = scenario.clone();
+    delayed.controller.loop_delay = delay;
+    let rows = play(&delayed, law, index)?;
+    Some(measure(&delayed, index, &rows, &Telemetry::default()))
+}
+
+fn play(scenario: &Scenario, law: LawId, index: u32) -> Option<Vec<Row>> {
+    let mut session = Session::open(Hosted::new()).ok()?;
+    let order = Order { scenario, law, index, wire_time: false, own_clock: false };
+    trial::play(&mut session, &order, &Patient).map(|played| played.rows)
+}
+
+/// The longest constant loop delay at which `law` still settles on the scenario's nominal plate, as it is at the start: at its highest setpoint, from its
+/// start frequency. `None` where it does not even settle without delay.
+pub(crate) fn delay_budget(scenario: &Scenario, law: LawId) -> Option<Time> {
+    let mut calm = scenario.clone();
+    calm.plate.noise_um_rms = 0.0;
+    calm.trials.spread = Spread::default();
+    calm.duration = scenario.controller.period.times(BUDGET_TRIAL);
+    calm.trace_step = scenario.controller.period;
+    calm.expectations.clear();
+    let (_, highest) = scenario.setpoint.range();
+    let start = scenario.scene.at(Time::ZERO);
+    calm.setpoint = Profile::constant(highest);
+    calm.scene.temperature_offset_k = Profile::constant(start.temperature_offset_k);
+    calm.scene.finger_force_n = Profile::constant(start.finger_force_n);
+    let mut settles = |delay: Time| {
+        calm.controller.loop_delay = delay;
+        let rows = play(&calm, law, 0).unwrap_or_default();
+        let end = rows.len().saturating_sub(BUDGET_WINDOW);
+        highest > 0.0
+            && !rows.is_empty()
+            && rows.iter().skip(end).all(|row| (row.amplitude_um / highest - 1.0).abs() <= BUDGET_BAND)
+    };
+    let (mut good, mut bad) = (Time::ZERO, scenario.controller.period.times(BUDGET_PERIODS));
+    if !settles(good) {
+        return None;
+    }
+    if settles(bad) {
+        return Some(bad);
+    }
+    for _ in 0..BUDGET_BISECTIONS {
+        let middle = good.midpoint(bad);
+        if settles(middle) {
+            good = middle;
+        } else {
+            bad = middle;
+        }
+    }
+    Some(good)
+}
