@@ -65,7 +65,9 @@ impl Gains {
 impl Configure {
     pub(super) fn write(&self, writer: &mut Writer) {
         writer.u8(self.law as u8);
-        writer.u8(u8::from(self.gains.is_some()) * HAS_GAINS | u8::from(self.paced_by_target) * PACED_BY_TARGET);
+        let has_gains = if self.gains.is_some() { HAS_GAINS } else { 0 };
+        let paced_by_target = if self.paced_by_target { PACED_BY_TARGET } else { 0 };
+        writer.u8(has_gains | paced_by_target);
         writer.u16(self.patience_ms);
         writer.u32(self.period_us);
         writer.u32(self.start_frequency_mhz);
@@ -203,7 +205,7 @@ impl FaultReport {
 }
 
 impl Tick {
-    pub(super) fn write(&self, writer: &mut Writer) {
+    pub(super) fn write(self, writer: &mut Writer) {
         writer.u32(self.target_time_us);
     }
 
