@@ -53,6 +53,11 @@ impl Device {
         }
     }
 
+    /// The control period of the configuration in force.
+    pub fn period_us(&self) -> Option<u32> {
+        self.machine.period_us()
+    }
+
     /// When the next period of a control that the target paces begins, on the target's clock: what a board sets its timer to.
     pub fn next_tick_us(&self) -> Option<u32> {
         self.pacer.as_ref().map(Pacer::next_us)

@@ -42,6 +42,7 @@ enum Mode {
 #[derive(Debug, Clone, Copy)]
 struct Design {
     law: Law,
+    period_us: u32,
     /// Without a sample for this long the drive goes to 0 V.
     patience_us: u32,
     start_frequency_mhz: u32,
@@ -81,6 +82,15 @@ impl Machine {
         &self.last
     }
 
+    /// The control period while there is one to keep.
+    pub fn period_us(&self) -> Option<u32> {
+        match self.mode {
+            Mode::Idle(design) => design.map(|design| design.period_us),
+            Mode::Running(run) => Some(run.design.period_us),
+            Mode::Fault | Mode::Safe => None,
+        }
+    }
+
     /// Takes over a new design and waits at 0 V for its first sample. A refused one leaves no design behind.
     pub fn configure(&mut self, configure: &Configure) -> Configured {
         let outcome = match Law::design(configure) {
@@ -89,7 +99,12 @@ impl Machine {
                     0 => configure.period_us.saturating_mul(PERIODS_WITHOUT_SAMPLE),
                     given => u32::from(given) * 1_000,
                 };
-                let design = Design { law, patience_us, start_frequency_mhz: configure.start_frequency_mhz };
+                let design = Design {
+                    law,
+                    period_us: configure.period_us,
+                    patience_us,
+                    start_frequency_mhz: configure.start_frequency_mhz,
+                };
                 self.mode = Mode::Idle(Some(design));
                 self.last = Command { frequency_mhz: configure.start_frequency_mhz, ..AT_REST };
                 Ok(gains)

@@ -1,9 +1,13 @@
 //! From what a user wrote to a line.
 
 use crate::emulated::{Emulated, EmulatedError};
+use crate::exec::{Exec, ExecError, Words};
 use crate::hosted::Hosted;
 use crate::link::Link;
+use crate::paced::Paced;
+use crate::serial::{DEFAULT_BAUD, Serial, SerialError};
 use crate::spec::RigSpec;
+use std::path::Path;
 
 /// A link of any kind.
 pub type AnyLink = Box<dyn Link>;
@@ -12,45 +16,107 @@ pub type AnyLink = Box<dyn Link>;
 #[derive(Debug, thiserror::Error)]
 pub enum ConnectError {
     /// The kind of rig is known but not built yet.
-    #[error("rig `{0}` is not in the command line yet, expected hosted or emulated[:ELF]")]
+    #[error(
+        "rig `{0}` is not in the command line yet, expected hosted, emulated[:ELF], exec:COMMAND or serial:PORT[@BAUD]"
+    )]
     NotYet(RigSpec),
     /// The emulated board did not come up.
     #[error(transparent)]
     Emulated(#[from] EmulatedError),
+    /// The program did not come up.
+    #[error(transparent)]
+    Exec(#[from] ExecError),
+    /// The port cannot be used.
+    #[error(transparent)]
+    Serial(#[from] SerialError),
 }
 
 impl ConnectError {
     /// True where what the user named is at fault, not the rig.
     pub fn is_invalid_input(&self) -> bool {
         match self {
-            Self::NotYet(_) | Self::Emulated(EmulatedError::Read { .. } | EmulatedError::Image(_)) => true,
-            Self::Emulated(EmulatedError::Target(_)) => false,
+            Self::NotYet(_)
+            | Self::Emulated(EmulatedError::Read { .. } | EmulatedError::Image(_))
+            | Self::Serial(SerialError::NoTerminal { .. } | SerialError::Settings { .. }) => true,
+            Self::Exec(error) => match error {
+                ExecError::Quoting(_) | ExecError::Empty(_) | ExecError::NoPlace(_) | ExecError::Start { .. } => true,
+                ExecError::Terminal(_) | ExecError::Ended { .. } | ExecError::Silent { .. } | ExecError::Link(_) => {
+                    false
+                }
+            },
+            Self::Emulated(EmulatedError::Target(_))
+            | Self::Serial(SerialError::Open { .. } | SerialError::InUse { .. }) => false,
         }
     }
 }
 
 impl RigSpec {
-    /// Whether this kind of rig can be connected to at all.
+    /// Whether this kind of rig can be connected to at all. Starts and opens nothing.
     ///
     /// # Errors
-    /// [`ConnectError::NotYet`].
+    /// [`ConnectError`], which is the user's doing.
     pub fn check(&self) -> Result<(), ConnectError> {
         match self {
-            Self::Hosted | Self::Emulated(_) => Ok(()),
-            Self::Exec(_) | Self::Serial { .. } | Self::Probe(_) => Err(ConnectError::NotYet(self.clone())),
+            Self::Hosted | Self::Emulated(_) | Self::Serial { .. } => Ok(()),
+            Self::Exec(command) => Ok(Words::of(command).map(drop)?),
+            Self::Probe(_) => Err(ConnectError::NotYet(self.clone())),
         }
     }
 
-    /// A new line to a controller of this kind; each call makes another one.
+    /// Bits per second, where the line has a rate that counts: a pseudo-terminal throttles nothing.
+    pub fn baud(&self) -> Option<u32> {
+        match self {
+            Self::Serial { baud, .. } => Some(baud.unwrap_or(DEFAULT_BAUD)),
+            Self::Hosted | Self::Emulated(_) | Self::Exec(_) | Self::Probe(_) => None,
+        }
+    }
+
+    /// True where several lines at once reach several controllers; false for what there is one of.
+    pub fn is_plural(&self) -> bool {
+        match self {
+            Self::Hosted | Self::Emulated(_) | Self::Exec(_) => true,
+            Self::Serial { .. } | Self::Probe(_) => false,
+        }
+    }
+
+    /// True where the controller has a clock of its own, which goes on while the plate waits: in lockstep it needs more patience than five periods.
+    pub fn has_own_clock(&self) -> bool {
+        match self {
+            Self::Hosted | Self::Emulated(_) => false,
+            Self::Exec(_) | Self::Serial { .. } | Self::Probe(_) => true,
+        }
+    }
+
+    /// A new line to a controller of this kind, in lockstep; each call makes another one.
     ///
     /// # Errors
     /// [`ConnectError`].
     pub fn connect(&self) -> Result<AnyLink, ConnectError> {
         match self {
             Self::Hosted => Ok(Box::new(Hosted::new())),
-            Self::Emulated(None) => Ok(Box::new(Emulated::built_in()?)),
-            Self::Emulated(Some(elf)) => Ok(Box::new(Emulated::open(elf)?)),
-            Self::Exec(_) | Self::Serial { .. } | Self::Probe(_) => Err(ConnectError::NotYet(self.clone())),
+            Self::Emulated(_) => Ok(Box::new(self.emulated()?)),
+            Self::Exec(command) => Ok(Box::new(Exec::start(command)?)),
+            Self::Serial { port, baud } => Ok(Box::new(Serial::open(Path::new(port), baud.unwrap_or(DEFAULT_BAUD))?)),
+            Self::Probe(_) => Err(ConnectError::NotYet(self.clone())),
+        }
+    }
+
+    /// A new line to a controller of this kind that can be used in real time: [`Link::line`] has it.
+    ///
+    /// # Errors
+    /// [`ConnectError`].
+    pub fn connect_in_real_time(&self) -> Result<AnyLink, ConnectError> {
+        match self {
+            Self::Hosted => Ok(Box::new(Paced::new(Hosted::new()))),
+            Self::Emulated(_) => Ok(Box::new(Paced::new(self.emulated()?))),
+            Self::Exec(_) | Self::Serial { .. } | Self::Probe(_) => self.connect(),
+        }
+    }
+
+    fn emulated(&self) -> Result<Emulated, EmulatedError> {
+        match self {
+            Self::Emulated(Some(elf)) => Emulated::open(elf),
+            _ => Emulated::built_in(),
         }
     }
 }

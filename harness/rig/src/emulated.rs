@@ -26,6 +26,7 @@ mod target;
 pub use fault::{Gap, Place, TargetFault, Trap};
 pub use image::ImageError;
 
+use crate::asked::Asked;
 use crate::link::{Link, LinkError};
 use image::Image;
 use machine::{Machine, Setup};
@@ -112,28 +113,6 @@ pub struct Emulated {
     dead: Option<TargetFault>,
 }
 
-/// Follows what is sent, to know whether an answer is due.
-#[derive(Debug)]
-struct Asked {
-    reader: FrameReader,
-}
-
-impl Asked {
-    /// The number of the last whole message in `bytes` that asks for an answer.
-    fn expects(&mut self, bytes: &[u8]) -> Option<u8> {
-        let mut expected = None;
-        for &byte in bytes {
-            let Some(Ok(body)) = self.reader.push(byte) else { continue };
-            if let Ok(Packet { sequence, message }) = Packet::decode(body) {
-                let asks =
-                    matches!(message, Message::Hello | Message::Configure(_) | Message::Sample(_) | Message::Safe);
-                expected = asks.then_some(sequence).or(expected);
-            }
-        }
-        expected
-    }
-}
-
 impl Emulated {
     /// The firmware that came with the bench.
     ///
@@ -165,7 +144,7 @@ impl Emulated {
             zero_ns: 0,
             byte_ns: 0,
             heard: Vec::with_capacity(2 * MAX_ENCODED),
-            asked: Asked { reader: FrameReader::new() },
+            asked: Asked::default(),
             answers: FrameReader::new(),
             instructions: None,
             dead: None,
@@ -194,7 +173,7 @@ impl Emulated {
         let hello = Packet { sequence: 0, message: Message::Hello }.encode();
         let mut attempt_ends = 0;
         loop {
-            self.asked.reader = FrameReader::new();
+            self.asked = Asked::default();
             self.answers = FrameReader::new();
             self.heard.clear();
             attempt_ends += HANDSHAKE_EVERY_NS;

@@ -6,23 +6,38 @@
 //! * [`hosted`]: the controller crate in this process.
 //! * [`emulated`]: a firmware image on an emulated STM32F4, in virtual time.
 //! * `probe` (feature `probe`): a board on a debug probe.
+//! * [`exec`]: a controller program on a pseudo-terminal.
+//! * [`serial`]: a controller on a serial port; [`baud`]: whether that is fast enough.
+//! * [`paced`]: virtual time links in real time.
 //! * [`session`]: handshake, configuration, samples and a safe end over any link.
 //!
 //! Everything above the bytes is the same for every rig, so that a controller in this process is talked to exactly like one behind a cable. Plate, profiles
 //! and verdicts are unknown here; time is an argument.
 
+mod asked;
+pub mod baud;
 pub mod connect;
 pub mod emulated;
+pub mod exec;
 pub mod hosted;
 pub mod link;
+mod lock;
+pub mod paced;
+mod port;
 #[cfg(feature = "probe")]
 pub mod probe;
+pub mod serial;
 pub mod session;
 pub mod spec;
 
+pub use baud::{TooSlow, check_baud, smallest_baud};
 pub use connect::{AnyLink, ConnectError};
 pub use emulated::{Emulated, EmulatedError, TargetFault};
+pub use exec::{Exec, ExecError};
 pub use hosted::Hosted;
 pub use link::{Line, Link, LinkError};
+pub use lock::Holder;
+pub use paced::Paced;
+pub use serial::{Serial, SerialError};
 pub use session::{Heard, Reply, RigError, Session};
 pub use spec::{RigSpec, SpecError};

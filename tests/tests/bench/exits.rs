@@ -96,13 +96,13 @@ fn a_run_folder_is_not_written_over() {
 }
 
 #[test]
-fn a_rig_that_is_not_there_yet_leaves_nothing_behind() {
+fn a_rig_that_cannot_be_used_leaves_nothing_behind() {
     let workshop = Workshop::new();
     workshop.scenario("s.toml", &step(GOOD));
-    for rig in ["serial:/dev/ttyACM0", "exec:true", "probe:STM32F407VG"] {
+    for (rig, told) in [("exec:true", "`true` has no {port}"), ("probe:STM32F407VG", "`probe:STM32F407VG` is not")] {
         let output = call(workshop.path(), ["run", "--rig", rig]);
         assert_eq!(code(&output), 2);
-        assert!(String::from_utf8_lossy(&output.stderr).contains(rig));
+        assert!(String::from_utf8_lossy(&output.stderr).contains(told));
     }
     assert!(!workshop.path().join("runs").exists());
 }

@@ -6,9 +6,10 @@ use std::fs;
 use toml::Table;
 
 /// Crates from the bottom up. A crate may import only what stands before it.
-const ORDER: [&str; 10] = [
+const ORDER: [&str; 11] = [
     "firmware-under-test/wire",
     "firmware-under-test/controller",
+    "firmware-under-test/host",
     "harness/plate",
     "harness/trace",
     "harness/scenario",
@@ -20,9 +21,10 @@ const ORDER: [&str; 10] = [
 ];
 
 /// What may be imported, where that is less than everything before.
-const ALLOWED: [(&str, &[&str]); 8] = [
+const ALLOWED: [(&str, &[&str]); 9] = [
     ("firmware-under-test/wire", &[]),
     ("firmware-under-test/controller", &["platebench-wire"]),
+    ("firmware-under-test/host", &["platebench-wire", "platebench-controller"]),
     ("harness/plate", &[]),
     ("harness/trace", &[]),
     ("harness/scenario", &["platebench-plate"]),

@@ -1,0 +1,81 @@
+//! The command line.
+
+/// How it is used.
+pub(crate) const USAGE: &str = "usage: platebench-host-controller PORT [--baud N] [--log FILE]";
+
+const DEFAULT_BAUD: u32 = 1_000_000;
+
+/// What was asked for.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Arguments {
+    pub(crate) port: String,
+    pub(crate) baud: u32,
+    pub(crate) log: Option<String>,
+}
+
+/// What was not understood.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum UsageError {
+    #[error("no PORT")]
+    NoPort,
+    #[error("a second PORT, `{0}`")]
+    SecondPort(String),
+    #[error("unknown option `{0}`")]
+    Unknown(String),
+    #[error("nothing after `{0}`")]
+    NoValue(String),
+    #[error("`{0}` is no baud rate, expected a positive number")]
+    Baud(String),
+}
+
+impl Arguments {
+    /// `None` where only help was asked for.
+    pub(crate) fn parse(mut words: impl Iterator<Item = String>) -> Result<Option<Self>, UsageError> {
+        let (mut port, mut baud, mut log) = (None, DEFAULT_BAUD, None);
+        while let Some(word) = words.next() {
+            let mut value = || words.next().ok_or_else(|| UsageError::NoValue(word.clone()));
+            match word.as_str() {
+                "--help" | "-h" => return Ok(None),
+                "--baud" => {
+                    let text = value()?;
+                    let number = text.parse().ok().filter(|&baud| baud > 0);
+                    baud = number.ok_or(UsageError::Baud(text))?;
+                }
+                "--log" => log = Some(value()?),
+                option if option.starts_with('-') => return Err(UsageError::Unknown(word)),
+                _ if port.is_some() => return Err(UsageError::SecondPort(word)),
+                _ => port = Some(word),
+            }
+        }
+        Ok(Some(Self { port: port.ok_or(UsageError::NoPort)?, baud, log }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(words: &[&str]) -> Result<Option<Arguments>, UsageError> {
+        Arguments::parse(words.iter().map(|&word| word.to_owned()))
+    }
+
+    #[test]
+    fn port_and_options_come_in_any_order() {
+        let plain = Arguments { port: "/dev/pts/3".to_owned(), baud: 1_000_000, log: None };
+        assert_eq!(parse(&["/dev/pts/3"]), Ok(Some(plain)));
+        let whole = Arguments { port: "p".to_owned(), baud: 9_600, log: Some("l".to_owned()) };
+        assert_eq!(parse(&["--log", "l", "p", "--baud", "9600"]), Ok(Some(whole)));
+        assert_eq!(parse(&["p", "--help"]), Ok(None));
+    }
+
+    #[test]
+    fn what_is_wrong_is_said() {
+        assert_eq!(parse(&[]), Err(UsageError::NoPort));
+        assert_eq!(parse(&["a", "b"]), Err(UsageError::SecondPort("b".to_owned())));
+        assert_eq!(parse(&["a", "-x"]), Err(UsageError::Unknown("-x".to_owned())));
+        assert_eq!(parse(&["a", "--log"]), Err(UsageError::NoValue("--log".to_owned())));
+        for baud in ["0", "-1", "fast"] {
+            assert_eq!(parse(&["a", "--baud", baud]), Err(UsageError::Baud(baud.to_owned())));
+        }
+    }
+}
