@@ -52,6 +52,8 @@ pub(crate) enum LogFormat {
 pub(crate) enum Command {
     /// Play, record, judge, report
     Run(Run),
+    /// The plate alone, in real time, for somebody else's controller
+    Emulate(Emulate),
     /// Judge the traces of a stored run again, without a rig
     Judge(Judge),
     /// Render the report of a stored run again
@@ -126,6 +128,11 @@ pub(crate) enum Pacing {
     Target,
 }
 
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|seconds| (0.0..=1e7).contains(seconds));
+    seconds.ok_or_else(|| "expected a number of seconds from 0 to 1e7".to_owned())
+}
+
 fn time_scale(text: &str) -> Result<f64, String> {
     let scale = text.parse().ok().filter(|scale| (0.001..=10.0).contains(scale));
     scale.ok_or_else(|| "expected a number from 0.001 to 10".to_owned())
@@ -164,6 +171,30 @@ impl std::str::FromStr for Shard {
             _ => Err("expected K/N with K from 1 to N".to_owned()),
         }
     }
+}
+
+/// `platebench emulate`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench emulate --port pty                     says on which pseudo-terminal the plate is, and waits there
+  platebench emulate --port /dev/ttyUSB0@921600 --scenario scenarios/paper/force-ramp.toml")]
+pub(crate) struct Emulate {
+    /// Where the controller is: PORT[@BAUD], or pty for a new pseudo-terminal
+    #[arg(long, value_name = "PORT")]
+    pub(crate) port: String,
+    /// Plate, controller and profile; its last values hold on after its end
+    #[arg(long, value_name = "FILE", default_value = "scenarios/paper/fig13-closed-loop.toml")]
+    pub(crate) scenario: PathBuf,
+    /// Control law to ask the controller for
+    #[arg(long, value_name = "NAME", value_parser = clap::builder::PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
+    pub(crate) law: Option<String>,
+    /// Whose timer makes the control instants
+    #[arg(long, value_enum, default_value_t = Pacing::Bench)]
+    pub(crate) pacing: Pacing,
+    /// End by itself after so many seconds
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub(crate) seconds: Option<f64>,
 }
 
 /// `platebench judge`

@@ -3,10 +3,12 @@
 //! A library only so that the whole-bench tests can start the very same program as a process of their own.
 
 mod args;
+mod emulate;
 mod exit;
 mod logging;
 mod output;
 mod run;
+mod signals;
 mod stored;
 
 use args::{Arguments, Command};
@@ -22,6 +24,7 @@ pub fn main() -> ExitCode {
     // A panic is a fault of the bench: nothing was shown, so nothing passes and nothing fails.
     let exit = std::panic::catch_unwind(|| match &arguments.command {
         Command::Run(run) => run::run(run, arguments.logging.quiet),
+        Command::Emulate(emulate) => emulate::emulate(emulate),
         Command::Judge(judge) => stored::judge(judge),
         Command::Report(report) => stored::report(report),
     });

@@ -3,23 +3,20 @@
 use crate::args::{Clock, Pacing, Run};
 use crate::exit::Exit;
 use crate::output;
+use crate::signals::Signals;
 use platebench_report::{Progress, ProgressKind, html, junit};
-use platebench_rig::RigSpec;
+use platebench_rig::{RigSpec, check_baud};
 use platebench_runner::{Cancel, Event, Pace, Plan, RunError, RunFolder, rejudge};
 use platebench_scenario::{Scenario, find};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
 use std::num::NonZero;
-use tokio::signal::unix::{SignalKind, signal};
+use std::time::Duration;
 use tokio::sync::mpsc;
 use tracing::info;
 
-const SIGINT: u8 = 2;
-const SIGTERM: u8 = 15;
-
 /// Plays scenarios and judges them.
 pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
-    let own_clock = matches!(arguments.rig, RigSpec::Exec(_) | RigSpec::Serial { .. } | RigSpec::Probe(_));
     let clock = match clock(arguments) {
         Ok(clock) => clock,
         Err(what) => {
@@ -36,6 +33,10 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
         output::error("there is nothing to run");
         return Exit::Nothing;
     }
+    if let Err(error) = fast_enough(arguments, clock, &scenarios) {
+        output::error(&error);
+        return Exit::Invalid;
+    }
     let folder = match RunFolder::create(arguments.out.as_deref()) {
         Ok(folder) => folder,
         Err(error) => {
@@ -44,15 +45,13 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
         }
     };
     // One line is driven by one; and in real time nothing may compete with it.
-    let most = match (clock, &arguments.rig) {
-        (platebench_runner::Clock::RealTime(_), _) | (_, RigSpec::Serial { .. } | RigSpec::Probe(_)) => 1,
-        _ => std::thread::available_parallelism().map_or(1, NonZero::get),
-    };
+    let alone = matches!(clock, platebench_runner::Clock::RealTime(_)) || !arguments.rig.is_plural();
+    let most = if alone { 1 } else { std::thread::available_parallelism().map_or(1, NonZero::get) };
     let plan = Plan {
         scenarios,
-        jobs: arguments.jobs.map_or(most, usize::from),
+        jobs: if arguments.rig.is_plural() { arguments.jobs.map_or(most, usize::from) } else { 1 },
         clock,
-        own_clock,
+        own_clock: arguments.rig.has_own_clock(),
         rig: arguments.rig.to_string(),
         overrides: overrides(arguments),
     };
@@ -93,6 +92,16 @@ fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
     }
 }
 
+/// Whether the line can carry what the scenarios ask for, in real time; in lockstep the plate waits for it.
+fn fast_enough(arguments: &Run, clock: platebench_runner::Clock, scenarios: &[Scenario]) -> Result<(), String> {
+    let (platebench_runner::Clock::RealTime(pace), Some(baud)) = (clock, arguments.rig.baud()) else { return Ok(()) };
+    for scenario in scenarios {
+        let period = Duration::from_nanos(scenario.controller.period.as_nanos());
+        check_baud(baud, period, pace.time_scale).map_err(|error| format!("{}: {error}", scenario.file))?;
+    }
+    Ok(())
+}
+
 fn overrides(arguments: &Run) -> Overrides {
     Overrides { law: arguments.law.clone(), trials: arguments.trials, seed: arguments.seed }
 }
@@ -120,8 +129,7 @@ fn play(plan: Plan, folder: &RunFolder, rig: RigSpec, kind: ProgressKind) -> Res
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(without_signal)?;
     let cancel = Cancel::default();
     let result = runtime.block_on(async {
-        let mut interrupt = signal(SignalKind::interrupt()).map_err(without_signal)?;
-        let mut terminate = signal(SignalKind::terminate()).map_err(without_signal)?;
+        let mut signals = Signals::listen().map_err(without_signal)?;
         let (teller, mut events) = mpsc::channel::<Event>(64);
         let mut playing = {
             let (folder, cancel) = (folder.clone(), cancel.clone());
@@ -130,7 +138,11 @@ fn play(plan: Plan, folder: &RunFolder, rig: RigSpec, kind: ProgressKind) -> Res
                     // Nobody listens any more once the run was given up.
                     let _ = teller.blocking_send(event);
                 };
-                platebench_runner::run(&plan, &folder, &|| rig.connect(), &cancel, &mut tell)
+                let connect = || match plan.clock {
+                    platebench_runner::Clock::Lockstep { .. } => rig.connect(),
+                    platebench_runner::Clock::RealTime(_) => rig.connect_in_real_time(),
+                };
+                platebench_runner::run(&plan, &folder, &connect, &cancel, &mut tell)
             })
         };
         let mut progress = Progress::new(kind);
@@ -146,8 +158,7 @@ fn play(plan: Plan, folder: &RunFolder, rig: RigSpec, kind: ProgressKind) -> Res
                     let ended = ended.unwrap_or_else(|error| Err(RunError::Bench(error.to_string())));
                     return ended.map_err(|error| (error, received));
                 }
-                _ = interrupt.recv() => SIGINT,
-                _ = terminate.recv() => SIGTERM,
+                number = signals.next() => number,
             };
             if received.replace(number).is_some() {
                 // Asked twice: the plate is at 0 V or can no longer be brought there.

@@ -108,7 +108,7 @@ impl Words {
 #[derive(Debug)]
 pub struct Exec {
     /// `None` once it has hung up.
-    port: Option<Port>,
+    port: Option<Port<OwnedFd>>,
     program: Program,
 }
 
@@ -153,12 +153,12 @@ impl Exec {
         Err(ExecError::Silent { program: self.program.name.clone(), port: name.to_owned() })
     }
 
-    fn port(&mut self) -> Result<&mut Port, LinkError> {
+    fn port(&mut self) -> Result<&mut Port<OwnedFd>, LinkError> {
         self.port.as_mut().ok_or_else(|| LinkError::Disconnected("it was hung up".to_owned()))
     }
 
     /// Does `what` with the line; where that is gone, says what became of the program.
-    fn with_port<T>(&mut self, what: impl FnOnce(&mut Port) -> Result<T, LinkError>) -> Result<T, LinkError> {
+    fn with_port<T>(&mut self, what: impl FnOnce(&mut Port<OwnedFd>) -> Result<T, LinkError>) -> Result<T, LinkError> {
         let result = what(self.port()?);
         result.map_err(|error| match (error, self.program.ended(ENDED_WITHIN)) {
             (LinkError::Disconnected(_), Some(how)) => {
@@ -173,7 +173,7 @@ impl Exec {
 }
 
 /// Our end, the program's end, and its path.
-fn pseudo_terminal() -> rustix::io::Result<(Port, OwnedFd, String)> {
+pub(crate) fn pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, OwnedFd, String)> {
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
     grantpt(&master)?;
     unlockpt(&master)?;
@@ -183,7 +183,7 @@ fn pseudo_terminal() -> rustix::io::Result<(Port, OwnedFd, String)> {
     let mut settings = tcgetattr(&slave)?;
     settings.make_raw();
     tcsetattr(&slave, OptionalActions::Now, &settings)?;
-    Ok((Port::new(master)?, slave, name.to_string_lossy().into_owned()))
+    Ok((Port::of_file(master)?, slave, name.to_string_lossy().into_owned()))
 }
 
 /// A started program; dropping it ends its whole process group.

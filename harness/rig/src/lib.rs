@@ -8,6 +8,7 @@
 //! * `probe` (feature `probe`): a board on a debug probe.
 //! * [`exec`]: a controller program on a pseudo-terminal.
 //! * [`serial`]: a controller on a serial port; [`baud`]: whether that is fast enough.
+//! * [`terminal`]: a pseudo-terminal for a controller that somebody else starts.
 //! * [`paced`]: virtual time links in real time.
 //! * [`session`]: handshake, configuration, samples and a safe end over any link.
 //!
@@ -29,6 +30,7 @@ pub mod probe;
 pub mod serial;
 pub mod session;
 pub mod spec;
+pub mod terminal;
 
 pub use baud::{TooSlow, check_baud, smallest_baud};
 pub use connect::{AnyLink, ConnectError};
@@ -41,3 +43,4 @@ pub use paced::Paced;
 pub use serial::{Serial, SerialError};
 pub use session::{Heard, Reply, RigError, Session};
 pub use spec::{RigSpec, SpecError};
+pub use terminal::Terminal;

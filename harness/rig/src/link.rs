@@ -67,6 +67,28 @@ pub trait Link: Send {
     }
 }
 
+impl<L: Link + ?Sized> Link for &mut L {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        (**self).exchange(now, bytes, answer)
+    }
+
+    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
+        (**self).pass(now, said)
+    }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        (**self).restart()
+    }
+
+    fn cost(&self) -> Option<u64> {
+        (**self).cost()
+    }
+
+    fn line(&mut self) -> Option<&mut dyn Line> {
+        (**self).line()
+    }
+}
+
 impl<L: Link + ?Sized> Link for Box<L> {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         (**self).exchange(now, bytes, answer)

@@ -11,7 +11,7 @@ use std::fs;
 use std::path::Path;
 
 /// Whoever drives the port already.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Holder {
     /// Its process and that process's command line, where this one may see them.
     process: Option<(u32, String)>,
@@ -36,9 +36,9 @@ pub(crate) fn lock(file: impl AsFd) -> rustix::io::Result<Option<Holder>> {
     }
 }
 
-/// Whoever holds the port at `path`, which could not even be opened.
-pub(crate) fn holder(path: &Path) -> Holder {
-    stat(path).map_or(Holder { process: None }, |status| Holder::of(&status))
+/// Whoever holds the port at `path`, which could not be opened, where it is held and the holder can be seen.
+pub(crate) fn holder_of(path: &Path) -> Option<Holder> {
+    stat(path).ok().map(|status| Holder::of(&status)).filter(|holder| holder.process.is_some())
 }
 
 impl Holder {
@@ -98,8 +98,9 @@ mod tests {
         let (pid, command) = lock(&second).unwrap().unwrap().process.unwrap();
         assert_eq!(pid, std::process::id());
         assert!(command.contains("platebench_rig"), "{command}");
-        assert_eq!(holder(&path).process.unwrap().0, pid);
+        assert_eq!(holder_of(&path).unwrap().process.unwrap().0, pid);
         drop(first);
+        assert_eq!(holder_of(&path), None);
         assert_eq!(lock(&second).unwrap(), None);
     }
 }

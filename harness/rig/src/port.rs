@@ -1,6 +1,6 @@
 //! An open terminal with a controller behind it: a serial port, or our end of a pseudo-terminal.
 //!
-//! Deadlines are waited for with `ppoll`, in nanoseconds. However the other side goes (end of file, `EIO`, a broken pipe, a hang-up), it is one
+//! Deadlines are waited for in nanoseconds. However the other side goes (end of file, `EIO`, a broken pipe, a hang-up), it is one
 //! [`LinkError::Disconnected`]; that a write succeeded proves nothing.
 
 use crate::asked::{self, Asked};
@@ -9,6 +9,8 @@ use platebench_wire::FrameReader;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::OwnedFd;
 use rustix::io::Errno;
+use serialport::{SerialPort as _, TTYPort};
+use std::io::{self, Read, Write};
 use std::time::{Duration, Instant};
 
 /// An answer that is not whole this long after its question is none.
@@ -20,11 +22,81 @@ const FULL: Duration = Duration::from_millis(100);
 /// Taken from the line at a time.
 const CHUNK: usize = 512;
 
+/// What bytes go through.
+pub(crate) trait Terminal: Send {
+    /// Reads what there is once there is something; `None` where nothing came by `until`.
+    fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError>;
+
+    /// Writes as much as the line takes once it takes something; `None` where it took nothing by `until`.
+    fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError>;
+}
+
+/// A terminal that never blocks, waited for with `ppoll`.
+impl Terminal for OwnedFd {
+    fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        let mut over = false;
+        loop {
+            match rustix::io::read(&*self, &mut *buffer) {
+                Ok(0) | Err(Errno::IO) => return Err(gone("the other side has hung up")),
+                Ok(count) => return Ok(Some(count)),
+                Err(Errno::AGAIN) if over => return Ok(None),
+                Err(Errno::AGAIN) => over = !wait(self, PollFlags::IN, until)?,
+                Err(Errno::INTR) => {}
+                Err(error) => return Err(gone(error)),
+            }
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        let mut over = false;
+        loop {
+            match rustix::io::write(&*self, bytes) {
+                Ok(written) => return Ok(Some(written)),
+                Err(Errno::INTR) => {}
+                Err(Errno::AGAIN) if over => return Ok(None),
+                Err(Errno::AGAIN) => over = !wait(self, PollFlags::OUT, until)?,
+                Err(error) => return Err(gone(error)),
+            }
+        }
+    }
+}
+
+/// A serial port, which waits by itself: with `ppoll` as well.
+impl Terminal for TTYPort {
+    fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        in_time(self, until, |port| Read::read(port, buffer)).and_then(|count| match count {
+            Some(0) => Err(gone("the other side has hung up")),
+            count => Ok(count),
+        })
+    }
+
+    fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        in_time(self, until, |port| Write::write(port, bytes))
+    }
+}
+
+/// Does `what` with what is left of the time as its own patience.
+fn in_time(
+    port: &mut TTYPort,
+    until: Instant,
+    mut what: impl FnMut(&mut TTYPort) -> io::Result<usize>,
+) -> Result<Option<usize>, LinkError> {
+    loop {
+        port.set_timeout(until.saturating_duration_since(Instant::now())).map_err(gone)?;
+        match what(port) {
+            Ok(count) => return Ok(Some(count)),
+            Err(error) if error.kind() == io::ErrorKind::TimedOut => return Ok(None),
+            // A signal is looked at by others.
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(gone(error)),
+        }
+    }
+}
+
 /// See the module.
 #[derive(Debug)]
-pub(crate) struct Port {
-    /// Never blocks.
-    file: OwnedFd,
+pub(crate) struct Port<T> {
+    terminal: T,
     asked: Asked,
     answers: FrameReader,
 }
@@ -39,35 +111,37 @@ fn left(instant: Instant) -> Timespec {
     Timespec { tv_sec: i64::try_from(left.as_secs()).unwrap_or(i64::MAX), tv_nsec: left.subsec_nanos().into() }
 }
 
-impl Port {
+/// Waits for `events` until `instant`. True where there may be some.
+fn wait(file: &OwnedFd, events: PollFlags, instant: Instant) -> Result<bool, LinkError> {
+    let mut descriptors = [PollFd::new(file, events)];
+    match poll(&mut descriptors, Some(&left(instant))) {
+        Ok(0) => Ok(false),
+        // Whatever else it is, the next read or write says it. A signal is looked at by others.
+        Ok(_) | Err(Errno::INTR) => Ok(true),
+        Err(error) => Err(gone(error)),
+    }
+}
+
+impl Port<OwnedFd> {
     /// Takes over `file`, a terminal in raw mode.
-    pub(crate) fn new(file: OwnedFd) -> rustix::io::Result<Self> {
+    pub(crate) fn of_file(file: OwnedFd) -> rustix::io::Result<Self> {
         rustix::io::ioctl_fionbio(&file, true)?;
-        Ok(Self { file, asked: Asked::default(), answers: FrameReader::new() })
+        Ok(Self::new(file))
+    }
+}
+
+impl<T: Terminal> Port<T> {
+    /// Takes over a terminal in raw mode.
+    pub(crate) fn new(terminal: T) -> Self {
+        Self { terminal, asked: Asked::default(), answers: FrameReader::new() }
     }
 
-    /// Waits for `events` until `instant`. True where there may be some.
-    fn wait(&self, events: PollFlags, instant: Instant) -> Result<bool, LinkError> {
-        let mut descriptors = [PollFd::new(&self.file, events)];
-        match poll(&mut descriptors, Some(&left(instant))) {
-            Ok(0) => Ok(false),
-            // Whatever else it is, the next read or write says it. A signal is looked at by others.
-            Ok(_) | Err(Errno::INTR) => Ok(true),
-            Err(error) => Err(gone(error)),
-        }
-    }
-
-    /// Writes as much of `bytes` as the line takes by `deadline`, `None` for what it takes at once.
-    fn write(&self, mut bytes: &[u8], deadline: Option<Instant>) -> Result<(), LinkError> {
+    /// Writes as much of `bytes` as the line takes by `deadline`.
+    fn write(&mut self, mut bytes: &[u8], deadline: Instant) -> Result<(), LinkError> {
         while !bytes.is_empty() {
-            match rustix::io::write(&self.file, bytes) {
-                Ok(written) => bytes = bytes.get(written..).unwrap_or_default(),
-                Err(Errno::INTR) => {}
-                Err(Errno::AGAIN) => match deadline {
-                    Some(deadline) if self.wait(PollFlags::OUT, deadline)? => {}
-                    _ => return Ok(()),
-                },
-                Err(error) => return Err(gone(error)),
+            match self.terminal.write(bytes, deadline)? {
+                Some(written) => bytes = bytes.get(written..).unwrap_or_default(),
+                None => return Ok(()),
             }
         }
         Ok(())
@@ -77,7 +151,7 @@ impl Port {
     pub(crate) fn exchange(&mut self, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let expected = self.asked.expects(bytes);
         let since = Instant::now();
-        self.write(bytes, Some(since + FULL))?;
+        self.write(bytes, since + FULL)?;
         let deadline = Instant::now() + if expected.is_some() { PATIENCE } else { AFTERTHOUGHT };
         let mut read = answer.len();
         while let Some(at) = self.receive(deadline, answer)? {
@@ -105,27 +179,16 @@ impl Port {
     }
 }
 
-impl Line for Port {
+impl<T: Terminal> Line for Port<T> {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.write(bytes, None)
+        self.write(bytes, Instant::now())
     }
 
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
         let mut chunk = [0; CHUNK];
-        let mut over = false;
-        loop {
-            match rustix::io::read(&self.file, &mut chunk) {
-                Ok(0) | Err(Errno::IO) => return Err(gone("the other side has hung up")),
-                Ok(count) => {
-                    let at = Instant::now();
-                    bytes.extend_from_slice(chunk.get(..count).unwrap_or_default());
-                    return Ok(Some(at));
-                }
-                Err(Errno::AGAIN) if over => return Ok(None),
-                Err(Errno::AGAIN) => over = !self.wait(PollFlags::IN, until)?,
-                Err(Errno::INTR) => {}
-                Err(error) => return Err(gone(error)),
-            }
-        }
+        let Some(count) = self.terminal.read(&mut chunk, until)? else { return Ok(None) };
+        let at = Instant::now();
+        bytes.extend_from_slice(chunk.get(..count).unwrap_or_default());
+        Ok(Some(at))
     }
 }

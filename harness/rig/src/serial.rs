@@ -3,10 +3,9 @@
 use crate::link::{Line, Link, LinkError};
 use crate::lock::{self, Holder};
 use crate::port::Port;
-use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
 use rustix::io::Errno;
-use rustix::termios::{ControlModes, OptionalActions, QueueSelector, ioctl_tiocexcl, tcflush, tcgetattr, tcsetattr};
+use serialport::{ClearBuffer, SerialPort as _, TTYPort};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -55,7 +54,7 @@ pub enum SerialError {
 /// A port, 8N1 without flow control, locked against other benches for as long as it lives.
 #[derive(Debug)]
 pub struct Serial {
-    port: Port,
+    port: Port<TTYPort>,
 }
 
 impl Serial {
@@ -64,38 +63,39 @@ impl Serial {
     /// # Errors
     /// [`SerialError`].
     pub fn open(path: &Path, baud: u32) -> Result<Self, SerialError> {
-        let refused = |error: Errno| SerialError::Settings { port: path.to_owned(), baud, error: error.into() };
-        let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
-        let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| match error {
-            Errno::BUSY => SerialError::InUse { port: path.to_owned(), holder: lock::holder(path) },
-            error => SerialError::Open { port: path.to_owned(), error: error.into() },
+        check_free(path)?;
+        // Opened for this process alone, with a lock of the kernel's that other benches see.
+        let port = TTYPort::open(&serialport::new(path.to_string_lossy(), baud)).map_err(|error| {
+            let port = path.to_owned();
+            match lock::holder_of(path) {
+                Some(holder) => SerialError::InUse { port, holder },
+                None => SerialError::Settings { port, baud, error: error.into() },
+            }
         })?;
-        if !rustix::termios::isatty(&file) {
-            return Err(SerialError::NoTerminal { port: path.to_owned() });
-        }
-        // Locked before anything is changed: the port may be somebody else's.
-        if let Some(holder) = lock::lock(&file).map_err(refused)? {
-            return Err(SerialError::InUse { port: path.to_owned(), holder });
-        }
-        set_up(&file, baud).map_err(refused)?;
-        // Against programs that know nothing of the lock; ports that cannot are none the worse.
-        if let Err(error) = ioctl_tiocexcl(&file) {
-            debug!(port = %path.display(), %error, "other programs are not kept out");
-        }
         lower_latency(path);
-        tcflush(&file, QueueSelector::IOFlush).map_err(refused)?;
-        Ok(Self { port: Port::new(file).map_err(refused)? })
+        if let Err(error) = port.clear(ClearBuffer::All) {
+            debug!(port = %path.display(), %error, "what the port held before is not thrown away");
+        }
+        Ok(Self { port: Port::new(port) })
     }
 }
 
-/// Raw, 8N1, no flow control, modem lines ignored.
-fn set_up(file: &OwnedFd, baud: u32) -> rustix::io::Result<()> {
-    let mut settings = tcgetattr(file)?;
-    settings.make_raw();
-    settings.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
-    settings.control_modes &= !(ControlModes::CSTOPB | ControlModes::CRTSCTS);
-    settings.set_speed(baud)?;
-    tcsetattr(file, OptionalActions::Now, &settings)
+/// Looks whether `path` can be opened, is a terminal and is nobody else's, before anything about it is changed.
+fn check_free(path: &Path) -> Result<(), SerialError> {
+    let port = || path.to_owned();
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| match error {
+        Errno::BUSY => SerialError::InUse { port: port(), holder: lock::holder_of(path).unwrap_or_default() },
+        error => SerialError::Open { port: port(), error: error.into() },
+    })?;
+    if !rustix::termios::isatty(&file) {
+        return Err(SerialError::NoTerminal { port: port() });
+    }
+    match lock::lock(&file) {
+        Ok(None) => Ok(()),
+        Ok(Some(holder)) => Err(SerialError::InUse { port: port(), holder }),
+        Err(error) => Err(SerialError::Open { port: port(), error: error.into() }),
+    }
 }
 
 /// FTDI adapters hold received bytes back for 16 ms unless told otherwise; other ports have no such setting.

@@ -107,24 +107,17 @@ impl Accounts {
 
     /// For the record. What only others know is left for them.
     pub(crate) fn timing(&self) -> Timing {
-        let nothing = Quantiles { p50: 0.0, p99: 0.0, p999: 0.0, max: 0.0 };
+        let drift = self.drift.ppm();
         Timing {
-            pacing: String::new(),
-            time_scale: 1.0,
-            scheduling: String::new(),
-            memory_locked: false,
             periods: self.periods,
             overruns: self.overruns,
             skipped: self.skipped,
             missed_replies: self.missed_replies,
-            refused_frames: 0,
-            lost_rows: 0,
-            lateness_us: self.lateness.quantiles_us().unwrap_or(nothing),
+            lateness_us: self.lateness.quantiles_us().unwrap_or_default(),
             loop_delay_us: self.loop_delay.quantiles_us(),
-            loop_delay_budget_us: None,
-            target_clock_ppm: self.drift.ppm().map(|(ppm, _)| ppm),
-            target_clock_error_ppm: self.drift.ppm().map(|(_, error)| error),
-            safe_confirmed: false,
+            target_clock_ppm: drift.map(|(ppm, _)| ppm),
+            target_clock_error_ppm: drift.map(|(_, error)| error),
+            ..Timing::default()
         }
     }
 }

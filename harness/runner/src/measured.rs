@@ -41,13 +41,14 @@ pub(crate) fn measured(
     telemetry: &Telemetry,
 ) -> TrialMeasures {
     let mut measures = measure(scenario, index, rows, telemetry);
-    let Some((typical, longest)) = added_delay(scenario, telemetry) else { return measures };
+    let Some((typical, longest)) = added_delay(telemetry) else { return measures };
     let missed: Vec<usize> = missed(scenario, &measures).collect();
     if missed.is_empty() {
         return measures;
     }
     let of_law = |delay| twin(scenario, law, index, delay);
-    let without = of_law(scenario.controller.loop_delay);
+    // What the scenario asks for in lockstep does not act in real time.
+    let without = of_law(Time::ZERO);
     let with = [typical, longest].map(of_law);
     for number in missed {
         let (Some(expectation), Some(excuse)) = (scenario.expectations.get(number), measures.excuses.get_mut(number))
@@ -78,13 +79,10 @@ pub(crate) fn measured(
     measures
 }
 
-/// The typical and the longest loop delay where they exceed what the scenario itself asks for.
-fn added_delay(scenario: &Scenario, telemetry: &Telemetry) -> Option<(Time, Time)> {
-    let longest = telemetry.loop_delay_us?;
-    let of_timing = telemetry.timing.as_ref().and_then(|timing| timing.loop_delay_us);
-    let typical = of_timing.map_or(longest, |quantiles| quantiles.p50);
-    let (typical, longest) = (Time::from_ms(typical / 1e3)?, Time::from_ms(longest / 1e3)?);
-    (longest > scenario.controller.loop_delay).then_some((typical, longest))
+/// The typical and the longest loop delay in real time. Where time waits, whoever lets a delay act wants to see what it does.
+fn added_delay(telemetry: &Telemetry) -> Option<(Time, Time)> {
+    let delay = telemetry.timing.as_ref()?.loop_delay_us?;
+    Some((Time::from_ms(delay.p50 / 1e3)?, Time::from_ms(delay.max / 1e3)?))
 }
 
 /// Expectations that this trial misses by itself and that a delay could excuse.
@@ -160,4 +158,71 @@ pub(crate) fn delay_budget(scenario: &Scenario, law: LawId) -> Option<Time> {
         }
     }
     Some(good)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_scenario::load;
+    use platebench_verdict::record::{Quantiles, Timing};
+    use std::path::Path;
+
+    fn scenario(name: &str) -> Scenario {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
+        load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
+    }
+
+    fn budget_periods(law: LawId, response_ms: f64) -> f64 {
+        let mut scenario = scenario("paper/fig13-closed-loop.toml");
+        scenario.controller.response_time_ms = Some(response_ms);
+        scenario.plate.drive_limit_vpp = 1e5;
+        let budget = delay_budget(&scenario, law).unwrap();
+        budget.seconds() / scenario.controller.period.seconds()
+    }
+
+    #[test]
+    fn the_budget_is_the_boundary_of_stability() {
+        // Derived for a response time of 2 ms at 1 kHz: 0.83 periods with the forward-Euler integral.
+        let found = budget_periods(LawId::DqPiEuler, 2.0);
+        assert!((found - 0.83).abs() < 0.02, "{found}");
+        // The matched design bears one period (z² − z + 0.777 has its roots at 0.88), two it does not (z³ − z² + 0.777 has a pair at 1.07).
+        let found = budget_periods(LawId::DqPi, 2.0);
+        assert!((found - 1.64).abs() < 0.02, "{found}");
+    }
+
+    fn telemetry(delay_us: f64) -> Telemetry {
+        let delay = Quantiles { p50: delay_us, p99: delay_us, p999: delay_us, max: delay_us };
+        let timing = Timing { loop_delay_us: Some(delay), ..Timing::default() };
+        Telemetry { timing: Some(timing), ..Telemetry::default() }
+    }
+
+    /// The excuse for the first expectation, a settling time of at most 2 ms, at a delay of the rig.
+    fn excuse(played_law: LawId, delay_us: f64) -> Option<Cause> {
+        let scenario = scenario("paper/fig13-closed-loop.toml");
+        let mut delayed = scenario.clone();
+        delayed.controller.loop_delay = Time::from_ms(delay_us / 1e3).unwrap();
+        let rows = play(&delayed, played_law, 0).unwrap();
+        let measures = measured(&scenario, LawId::DqPi, 0, &rows, &telemetry(delay_us));
+        assert_eq!(scenario.expectations[0].metric, Metric::SettlingTime);
+        measures.excuses[0].as_ref().map(|excuse| excuse.cause)
+    }
+
+    #[test]
+    fn a_delay_that_the_law_itself_does_not_bear_excuses_the_controller() {
+        assert_eq!(excuse(LawId::DqPi, 500.0), Some(Cause::Rig));
+        assert_eq!(excuse(LawId::DqPi, 1.0), None, "met");
+    }
+
+    #[test]
+    fn a_controller_that_is_worse_than_the_law_at_the_same_delay_has_no_excuse() {
+        assert_eq!(excuse(LawId::OpenLoop, 1.0), None);
+    }
+
+    #[test]
+    fn without_real_time_nothing_is_excused() {
+        let scenario = scenario("paper/fig13-closed-loop.toml");
+        let rows = play(&scenario, LawId::OpenLoop, 0).unwrap();
+        let telemetry = Telemetry { loop_delay_us: Some(500.0), ..Telemetry::default() };
+        assert_eq!(measured(&scenario, LawId::DqPi, 0, &rows, &telemetry).excuses[0], None);
+    }
 }

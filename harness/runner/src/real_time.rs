@@ -15,7 +15,7 @@ use platebench_rig::{Heard, Link, RigError, Session};
 use platebench_trace::{Flags, Row};
 use platebench_verdict::Telemetry;
 use platebench_wire::{Command, Configure, Message, State};
-use rtrb::Consumer;
+pub use rtrb::Consumer;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -469,5 +469,78 @@ impl Ticks {
         let earliest = self.earliest.iter().flatten().fold(behind, |least, &other| least.min(other));
         self.earliest[0] = Some(self.earliest[0].map_or(behind, |least| least.min(behind)));
         Duration::from_secs_f64((behind - earliest).max(0.0) / 1e6)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plate_and_wall_are_the_same_at_a_scale_of_one_and_apart_otherwise() {
+        let pace = |time_scale| Pace { time_scale, pacing: Pacing::Bench };
+        let period = Time::from_nanos(1_000_000);
+        assert_eq!(pace(1.0).wall(period), Duration::from_millis(1));
+        assert_eq!(pace(0.1).wall(period), Duration::from_millis(10));
+        assert_eq!(pace(0.1).plate(Duration::from_millis(10)), period);
+        // Three hours, to the nanosecond.
+        let long = Time::from_nanos(3 * 3_600_000_000_000 + 1);
+        assert_eq!(pace(1.0).plate(pace(1.0).wall(long)), long);
+    }
+
+    #[test]
+    fn a_controller_is_given_patience_in_wall_time() {
+        let configure = Configure {
+            law: platebench_wire::LawId::DqPi,
+            paced_by_target: false,
+            patience_ms: 0,
+            period_us: 1_000,
+            start_frequency_mhz: 32_307_600,
+            gain_um_per_vpp: 0.00698,
+            time_constant_s: 1.88e-3,
+            response_time_s: 0.0,
+            drive_limit_vpp: 900.0,
+            frequency_range_hz: 250.0,
+            frequency_slew_hz: 100.0,
+            gains: None,
+        };
+        let told = |time_scale, pacing| Pace { time_scale, pacing }.of_target(configure);
+        assert_eq!(told(1.0, Pacing::Bench).patience_ms, 0);
+        assert_eq!(told(0.1, Pacing::Bench).patience_ms, 50);
+        assert_eq!(told(0.3, Pacing::Bench).patience_ms, 17);
+        assert!(!told(1.0, Pacing::Bench).paced_by_target && told(1.0, Pacing::Target).paced_by_target);
+    }
+
+    #[test]
+    fn a_tick_is_late_against_the_punctual_ones_before_it() {
+        let start = Instant::now();
+        let mut ticks = Ticks::default();
+        // The target's counter wraps in between and runs 50 ppm slow.
+        let mut hear = |number: u32, late_us: u64| {
+            let at = start + Duration::from_micros(u64::from(number) * 1_000 + 100 + late_us);
+            let target = (f64::from(number) * 1_000.0 * (1.0 - 50e-6)) as u32;
+            ticks.lateness(at, 0xFFFF_0000_u32.wrapping_add(target)).as_micros()
+        };
+        assert_eq!(hear(0, 0), 0);
+        // The target counts whole microseconds.
+        assert!((299..=301).contains(&hear(1, 300)));
+        assert!(hear(2, 0) <= 1);
+        for number in 3..5_000 {
+            let lateness = hear(number, 0);
+            assert!(lateness <= 60, "tick {number}: drift of two stretches at most, not {lateness}");
+        }
+        let lateness = hear(5_000, 400);
+        assert!((400..=460).contains(&lateness), "{lateness}");
+    }
+
+    #[test]
+    fn a_hand_is_seen_once_per_move() {
+        let hand = Hand::default();
+        let mut seen = 0;
+        assert_eq!(hand.moved(&mut seen), None);
+        let held = Held { finger_force_n: 1.5, ..Held::default() };
+        hand.hold(held);
+        assert_eq!(hand.moved(&mut seen), Some(held));
+        assert_eq!(hand.moved(&mut seen), None);
     }
 }

@@ -37,7 +37,7 @@ fn table(trials: impl IntoIterator<Item = Option<Timing>>) -> String {
         .into_iter()
         .map(|timing| TrialRecord {
             telemetry: Telemetry { timing, ..Telemetry::default() },
-            ..made::trial("paper/a", 0, &[])
+            ..made::trial("paper/a.toml", 0, &[])
         })
         .collect();
     let table = console::table(&made::run(vec![scenario]), Style::default());

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// How punctual bench, line and controller were in a real-time trial. Times are the wall's unless said otherwise.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Timing {
     /// Whose timer made the control instants: `bench` or `target`.
     pub pacing: String,
@@ -40,7 +40,7 @@ pub struct Timing {
 }
 
 /// Points of a distribution.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Quantiles {
     /// Median.
     pub p50: f64,

@@ -1,0 +1,290 @@
+//! `platebench emulate`: the plate alone, in real time, for somebody else's controller.
+
+use crate::args::{Emulate, Pacing};
+use crate::exit::Exit;
+use crate::{output, signals};
+use crossterm::event::{Event, KeyCode, KeyEventKind, poll, read};
+use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
+use platebench_plate::Time;
+use platebench_rig::{AnyLink, RigSpec, Session, Terminal};
+use platebench_runner::real_time::{Consumer, emulate as play};
+use platebench_runner::trial::Order;
+use platebench_runner::{Cancel, Hand, Held, Pace};
+use platebench_scenario::{Scenario, load};
+use platebench_trace::{Flags, Row};
+use platebench_wire::LawId;
+use std::io::{IsTerminal, stdin, stdout};
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Between two calls for a controller, and between two tries to open a port that is gone.
+const CALL_EVERY: Duration = Duration::from_millis(500);
+/// Between two status lines on a terminal, and elsewhere.
+const SHOW_EVERY: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// 100 days: whoever is at the plate ends it, not the scenario.
+const ENDLESS: Time = Time::from_nanos(100 * 24 * 3_600_000_000_000);
+const KEYS: &str =
+    "keys: f/F finger -/+ 0.25 N, t/T plate -/+ 1 K, s/S setpoint -/+ 0.1 µm, r release and cool down, q quit";
+
+/// Emulates the plate until somebody ends it.
+pub(crate) fn emulate(arguments: &Emulate) -> Exit {
+    let scenario = match load(&arguments.scenario, &arguments.scenario.display().to_string()) {
+        Ok(scenario) => scenario,
+        Err(fault) => {
+            output::diagnostic(&fault);
+            return Exit::Invalid;
+        }
+    };
+    let name = arguments.law.as_ref().unwrap_or(&scenario.controller.law);
+    let Some(law) = LawId::from_name(name) else {
+        output::error(&format!("unknown law `{name}`"));
+        return Exit::Invalid;
+    };
+    let port = match Place::of(&arguments.port) {
+        Ok(port) => port,
+        Err(error) => {
+            output::error(&error);
+            return Exit::Invalid;
+        }
+    };
+    let pace = Pace {
+        time_scale: 1.0,
+        pacing: match arguments.pacing {
+            Pacing::Bench => platebench_runner::Pacing::Bench,
+            Pacing::Target => platebench_runner::Pacing::Target,
+        },
+    };
+    if let Some(Err(error)) =
+        port.baud().map(|baud| platebench_rig::check_baud(baud, pace.wall(scenario.controller.period), 1.0))
+    {
+        output::error(&error.to_string());
+        return Exit::Invalid;
+    }
+    let plate = Plate { scenario: endless(scenario), law, pace };
+    let cancel = Cancel::default();
+    let end = arguments.seconds.map(Duration::from_secs_f64);
+    let emulating = {
+        let cancel = cancel.clone();
+        move || {
+            let ended = plate.serve(&port, &cancel);
+            // Also where it ended by itself: nobody is to wait for keys any more.
+            cancel.cancel();
+            ended
+        }
+    };
+    match signals::until_signal(emulating, &cancel, end) {
+        Ok((exit, None)) => exit,
+        Ok((_, Some(number))) => Exit::Signal(number),
+        Err(error) => {
+            output::error(&error.to_string());
+            Exit::Inconclusive
+        }
+    }
+}
+
+/// The same scenario without an end and with a row per control instant.
+fn endless(mut scenario: Scenario) -> Scenario {
+    scenario.duration = ENDLESS;
+    scenario.trace_step = ENDLESS;
+    scenario.expectations.clear();
+    scenario
+}
+
+/// Where the controller is to be found.
+enum Place {
+    /// A new pseudo-terminal.
+    Terminal,
+    Serial(RigSpec),
+}
+
+impl Place {
+    fn of(port: &str) -> Result<Self, String> {
+        if port == "pty" {
+            return Ok(Self::Terminal);
+        }
+        format!("serial:{port}").parse().map(Self::Serial).map_err(|error: platebench_rig::SpecError| error.to_string())
+    }
+
+    fn baud(&self) -> Option<u32> {
+        match self {
+            Self::Terminal => None,
+            Self::Serial(rig) => rig.baud(),
+        }
+    }
+
+    fn open(&self) -> Result<AnyLink, String> {
+        match self {
+            Self::Terminal => {
+                let terminal = Terminal::open().map_err(|error| error.to_string())?;
+                output::show(&format!("port: {}\n", terminal.path()));
+                Ok(Box::new(terminal))
+            }
+            Self::Serial(rig) => rig.connect_in_real_time().map_err(|error| error.to_string()),
+        }
+    }
+}
+
+struct Plate {
+    scenario: Scenario,
+    law: LawId,
+    pace: Pace,
+}
+
+impl Plate {
+    /// One controller after the other, until the end is asked for.
+    fn serve(&self, port: &Place, cancel: &Cancel) -> Exit {
+        let hand = Arc::new(Hand::default());
+        let mut link = match port.open() {
+            Ok(link) => link,
+            Err(error) => {
+                output::error(&error);
+                return Exit::Unreachable;
+            }
+        };
+        let keys = stdin().is_terminal().then(|| {
+            let held = Held { setpoint_um: self.scenario.setpoint.range().1, ..Held::default() };
+            let (hand, cancel) = (Arc::clone(&hand), cancel.clone());
+            thread::spawn(move || watch_keys(held, &hand, &cancel))
+        });
+        output::note("waiting for a controller");
+        while !cancel.is_cancelled() {
+            let called = Instant::now();
+            let Ok(mut session) = Session::open(&mut link) else {
+                // A port that is gone comes back as another one.
+                if let (Place::Serial(_), Ok(again)) = (port, port.open()) {
+                    link = again;
+                }
+                thread::sleep(CALL_EVERY.saturating_sub(called.elapsed()));
+                continue;
+            };
+            output::note(&format!("controller: {}", session.firmware_name()));
+            let order = Order { scenario: &self.scenario, law: self.law, index: 0, wire_time: false, own_clock: true };
+            if let Some(lost) = play(&mut session, &order, self.pace, cancel, &hand, show) {
+                output::note(&format!("\n{lost}; waiting for a controller"));
+            }
+        }
+        if let Some(keys) = keys {
+            // It looks at the same switch.
+            let _ = keys.join();
+        }
+        Exit::Passed
+    }
+}
+
+/// Shows the newest control instant now and then until there are no more.
+fn show(mut rows: Consumer<Row>) {
+    let terminal = stdout().is_terminal();
+    let every = SHOW_EVERY[usize::from(!terminal)];
+    let mut shown = Instant::now();
+    let mut newest = None;
+    loop {
+        let is_over = rows.is_abandoned();
+        while let Ok(row) = rows.pop() {
+            if row.flags.contains(Flags::CONTROL) {
+                newest = Some(row);
+            }
+        }
+        if is_over {
+            return;
+        }
+        if let Some(row) = newest.filter(|_| shown.elapsed() >= every) {
+            shown = Instant::now();
+            output::show(&if terminal { format!("\r\u{1b}[K{}", line(&row)) } else { format!("{}\n", line(&row)) });
+        }
+        thread::sleep(LOOK_EVERY);
+    }
+}
+
+fn line(row: &Row) -> String {
+    let flags: Vec<&str> = [
+        (Flags::SATURATED, "saturated"),
+        (Flags::SAFE, "0 V"),
+        (Flags::LINK_LOST, "no reply"),
+        (Flags::OVERRUN, "late"),
+    ]
+    .into_iter()
+    .filter(|(flag, _)| row.flags.contains(*flag))
+    .map(|(_, name)| name)
+    .collect();
+    format!(
+        "{:9.3} s  |W| {:.3} of {:.3} µm  Wq {:+.3}  {:3.0} Vpp  {:.1} Hz ({:+.1})  {:.2} N  {:+.1} K  {:3.0} µs  {}",
+        row.t_s,
+        row.amplitude_um,
+        row.setpoint_um,
+        row.wq_um,
+        row.drive_vpp,
+        row.frequency_hz,
+        row.frequency_hz - row.resonance_hz,
+        row.finger_force_n,
+        row.temperature_offset_k,
+        row.lateness_us,
+        flags.join(" ")
+    )
+}
+
+/// Keys move the hand until the end.
+fn watch_keys(mut held: Held, hand: &Hand, cancel: &Cancel) {
+    if enable_raw_mode().is_err() {
+        return;
+    }
+    output::note(&format!("{KEYS}\r"));
+    while !cancel.is_cancelled() {
+        if !poll(CALL_EVERY / 5).unwrap_or(false) {
+            continue;
+        }
+        let Ok(Event::Key(key)) = read() else { continue };
+        if key.kind == KeyEventKind::Release {
+            continue;
+        }
+        let interrupt =
+            key.code == KeyCode::Char('c') && key.modifiers.contains(crossterm::event::KeyModifiers::CONTROL);
+        if interrupt || key.code == KeyCode::Char('q') {
+            cancel.cancel();
+        } else if let KeyCode::Char(letter) = key.code
+            && turned(&mut held, letter)
+        {
+            hand.hold(held);
+        }
+    }
+    // The terminal is the user's again.
+    let _ = disable_raw_mode();
+}
+
+/// What a key does; false where it does nothing.
+fn turned(held: &mut Held, letter: char) -> bool {
+    match letter {
+        'f' => held.finger_force_n = (held.finger_force_n - 0.25).max(0.0),
+        'F' => held.finger_force_n = (held.finger_force_n + 0.25).min(10.0),
+        't' => held.temperature_offset_k = (held.temperature_offset_k - 1.0).max(-40.0),
+        'T' => held.temperature_offset_k = (held.temperature_offset_k + 1.0).min(60.0),
+        's' => held.setpoint_um = (held.setpoint_um - 0.1).max(0.0),
+        'S' => held.setpoint_um = (held.setpoint_um + 0.1).min(10.0),
+        'r' => {
+            held.finger_force_n = 0.0;
+            held.temperature_offset_k = 0.0;
+        }
+        _ => return false,
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_move_one_thing_each_and_stop_at_the_ends() {
+        let mut held = Held { setpoint_um: 2.0, ..Held::default() };
+        for letter in "FFFfTTtS".chars() {
+            assert!(turned(&mut held, letter));
+        }
+        assert_eq!(held, Held { setpoint_um: 2.1, temperature_offset_k: 1.0, finger_force_n: 0.5 });
+        (0..100).for_each(|_| assert!(turned(&mut held, 'f') && turned(&mut held, 'S')));
+        assert_eq!((held.finger_force_n, held.setpoint_um), (0.0, 10.0));
+        assert!(turned(&mut held, 'r'));
+        assert_eq!(held.temperature_offset_k, 0.0);
+        assert!(!turned(&mut held, 'x'));
+    }
+}

@@ -1,0 +1,77 @@
+//! Work on a thread of its own, while this one listens for signals.
+
+use platebench_runner::Cancel;
+use std::io;
+use std::time::Duration;
+use tokio::signal::unix::{SignalKind, signal};
+
+/// The polite ends: terminal closed, Ctrl-C, asked to end.
+const POLITE: [(SignalKind, u8); 3] =
+    [(SignalKind::hangup(), 1), (SignalKind::interrupt(), 2), (SignalKind::terminate(), 15)];
+
+/// The next of the signals that ask a program to end.
+pub(crate) struct Signals(Vec<(tokio::signal::unix::Signal, u8)>);
+
+impl Signals {
+    /// From now on they are listened for, instead of ending the program. Inside a runtime.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub(crate) fn listen() -> io::Result<Self> {
+        POLITE.into_iter().map(|(kind, number)| Ok((signal(kind)?, number))).collect::<io::Result<_>>().map(Self)
+    }
+
+    /// The number of the next one.
+    pub(crate) async fn next(&mut self) -> u8 {
+        std::future::poll_fn(|context| {
+            for (signal, number) in &mut self.0 {
+                if signal.poll_recv(context).is_ready() {
+                    return std::task::Poll::Ready(*number);
+                }
+            }
+            std::task::Poll::Pending
+        })
+        .await
+    }
+}
+
+/// Does `work` until it is done, a signal asks for the end or `longest` is over; `cancel` then tells it so. What it came to, and the signal.
+///
+/// A second signal does not wait for it any more.
+///
+/// # Errors
+/// What the system says where there are no signals or no threads to be had, and where the work panicked.
+pub(crate) fn until_signal<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+    cancel: &Cancel,
+    longest: Option<Duration>,
+) -> io::Result<(T, Option<u8>)> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let result = runtime.block_on(async {
+        let mut signals = Signals::listen()?;
+        let mut working = tokio::task::spawn_blocking(work);
+        let mut received = None;
+        let end = async {
+            match longest {
+                Some(longest) => tokio::time::sleep(longest).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::pin!(end);
+        let mut ended = false;
+        loop {
+            tokio::select! {
+                done = &mut working => return done.map(|done| (done, received)).map_err(io::Error::other),
+                () = &mut end, if !ended => ended = true,
+                number = signals.next() => {
+                    if received.replace(number).is_some() {
+                        return Err(io::Error::other("ended twice over"));
+                    }
+                }
+            }
+            cancel.cancel();
+        }
+    });
+    runtime.shutdown_background();
+    result
+}
