@@ -15,6 +15,9 @@ const CRYSTAL_MHZ: Option<u32> = if cfg!(feature = "no-crystal") {
 };
 const INTERNAL_MHZ: u32 = 16;
 
+/// Of a timer's flags and interrupt enables.
+const CHANNEL_1: u32 = 1 << 1;
+
 /// A crystal starts within some ms; a round takes at least 6 cycles of the 16 MHz it runs from here.
 const ROUNDS: u32 = 30_000;
 
@@ -89,6 +92,46 @@ pub(crate) fn start_microseconds(p: &pac::Peripherals, timer_hz: u32) {
 /// Microseconds since the start, wrapping.
 pub(crate) fn now_us(p: &pac::Peripherals) -> u32 {
     p.TIM2.cnt().read().bits()
+}
+
+/// An alarm at an instant of [`now_us`]: the counter's first compare channel, so that periods depend on no interrupt's delay.
+pub(crate) struct Alarm {
+    at_us: Option<u32>,
+}
+
+impl Alarm {
+    /// To be called once, after [`start_microseconds`].
+    pub(crate) fn new() -> Self {
+        // SAFETY: the handler of this interrupt does nothing but to note it.
+        unsafe { cortex_m::peripheral::NVIC::unmask(pac::Interrupt::TIM2) };
+        Self { at_us: None }
+    }
+
+    /// Sets the alarm to `at_us`, or off. False where that instant is over already and nothing will ring.
+    #[must_use]
+    pub(crate) fn set(&mut self, p: &pac::Peripherals, at_us: Option<u32>) -> bool {
+        if self.at_us == at_us {
+            return true;
+        }
+        self.at_us = at_us;
+        let timer = &p.TIM2;
+        // SAFETY: compare value, interrupt flag and enable of the first channel, whose output is off; RM0090 18.4.
+        unsafe {
+            timer.dier().write(|w| w.bits(0));
+            let Some(at_us) = at_us else { return true };
+            timer.ccr1().write(|w| w.bits(at_us));
+            timer.sr().write(|w| w.bits(!CHANNEL_1));
+            timer.dier().write(|w| w.bits(CHANNEL_1));
+        }
+        // The counter may have gone past between the two.
+        at_us.is_none_or(|at_us| at_us.wrapping_sub(now_us(p)).wrapping_sub(1) < u32::MAX / 2)
+    }
+
+    /// The interrupt's own part.
+    pub(crate) fn rang() {
+        // SAFETY: clears the flag of the first channel alone.
+        unsafe { (*pac::TIM2::ptr()).sr().write(|w| w.bits(!CHANNEL_1)) };
+    }
 }
 
 /// Some 0.5 s (0.35 to 0.96 s over the spread of its oscillator): LSI / 64, 256 counts. It cannot be stopped again; a halted debugger holds it.

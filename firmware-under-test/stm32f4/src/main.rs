@@ -6,8 +6,8 @@
 //! | PB0 | amplifier enable, high while the controller runs |
 //! | PH0, PH1 | crystal, 8 MHz (feature `crystal-25mhz`, `no-crystal`); without one the internal oscillator serves |
 //!
-//! The main loop sleeps until the line goes idle after a frame or a millisecond is over, lets `Device` answer, and feeds the watchdog. The control step is paced by the
-//! bench: one step per sample. A mode paced by the board's own timer needs messages that the protocol does not have yet.
+//! The main loop sleeps until the line goes idle after a frame, a millisecond is over or the alarm rings, lets `Device` answer, and feeds the watchdog. The control step is paced by the
+//! bench, one step per sample; where the bench asks for it, the samples are paced by the board, whose alarm rings at the beginning of each period.
 #![no_std]
 #![no_main]
 
@@ -22,6 +22,7 @@ mod trap;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m_rt::{entry, exception};
 use line::Inbox;
+use pac::interrupt;
 use platebench_controller::Device;
 use platebench_wire::{Message, Packet};
 use stm32f4::stm32f405 as pac;
@@ -37,6 +38,7 @@ fn main() -> ! {
     trap::arm(&mut core.SCB);
     let clocks = clock::start(&p);
     clock::start_microseconds(&p, clocks.timer_hz);
+    let mut alarm = clock::Alarm::new();
     clock::start_watchdog(&p);
     let (mut inbox, mut outbox) = line::start(&p, clocks.apb1_hz);
     if let Some(report) = trap::before_this_start(&p) {
@@ -73,6 +75,9 @@ fn main() -> ! {
         if TICK.swap(false, Ordering::Relaxed) {
             device.tick(clock::now_us(&p), |frame| outbox.put(frame));
         }
+        if !alarm.set(&p, device.next_tick_us()) {
+            TICK.store(true, Ordering::Relaxed);
+        }
         output.apply(&p, device.output());
         outbox.flush(&p);
     }
@@ -80,5 +85,11 @@ fn main() -> ! {
 
 #[exception]
 fn SysTick() {
+    TICK.store(true, Ordering::Relaxed);
+}
+
+#[interrupt]
+fn TIM2() {
+    clock::Alarm::rang();
     TICK.store(true, Ordering::Relaxed);
 }
