@@ -155,6 +155,24 @@ fn a_bench_that_is_gone_leaves_zero_volts_and_a_program_that_ends() {
 }
 
 #[test]
+fn a_program_that_is_killed_is_a_lost_rig() {
+    let mut session = Session::open(start(None)).unwrap();
+    session.begin(&CONFIGURE).unwrap();
+    let pid = session.link().process_id().to_string();
+    assert!(process::Command::new("kill").args(["-9", &pid]).status().unwrap().success());
+    let error = loop {
+        if let Err(error) = session.sample(Duration::ZERO, &sample(0)) {
+            break error.to_string();
+        }
+    };
+    assert!(error.ends_with("was ended by signal 9"), "{error}");
+    // A pseudo-terminal takes bytes for nobody; that nobody is there shows when listening.
+    let _ = session.post(Message::Hello);
+    assert!(session.listen(Instant::now() + WITHIN).is_err());
+    assert!(!session.safe());
+}
+
+#[test]
 fn a_port_or_a_log_that_cannot_be_opened_is_said() {
     let output = process::Command::new(PROGRAM).arg("/dev/there-is-no-port").output().unwrap();
     assert_eq!(output.status.code(), Some(1));

@@ -128,6 +128,11 @@ impl Exec {
         Ok(exec)
     }
 
+    /// The program's process.
+    pub fn process_id(&self) -> u32 {
+        self.program.child.id()
+    }
+
     fn come_up(&mut self, name: &str) -> Result<(), ExecError> {
         let hello = Packet { sequence: 0, message: Message::Hello }.encode();
         let deadline = Instant::now() + HANDSHAKE_WITHIN;
@@ -303,5 +308,45 @@ mod tests {
         assert!(matches!(Words::of("  "), Err(ExecError::Empty(_))));
         assert!(matches!(Words::of("'' {port}"), Err(ExecError::Empty(_))));
         assert!(matches!(Words::of("a '{port}"), Err(ExecError::Quoting(_))));
+    }
+
+    /// True while a process of that number is there and no zombie.
+    fn lives(pid: &str) -> bool {
+        let status = std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
+        status.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
+    }
+
+    fn script(folder: &tempfile::TempDir, text: &str) -> (Program, Vec<String>) {
+        let said = folder.path().join("pids");
+        let program = Program::start(&Words::of(&format!("sh -c '{text}' {} {{port}}", said.display())).unwrap(), "x");
+        let deadline = Instant::now() + Duration::from_secs(10);
+        loop {
+            let pids = std::fs::read_to_string(&said).unwrap_or_default();
+            if pids.ends_with("done\n") {
+                return (program.unwrap(), pids.lines().filter(|line| *line != "done").map(str::to_owned).collect());
+            }
+            assert!(Instant::now() < deadline, "the script does not come up");
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    #[test]
+    fn a_program_that_ignores_everything_is_ended_with_all_that_it_started() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = r#"trap "" TERM HUP; sleep 60 & echo $$ >"$0"; echo $! >>"$0"; echo done >>"$0"; while :; do sleep 1; done"#;
+        let (program, pids) = script(&folder, text);
+        assert_eq!(pids.len(), 2);
+        assert!(pids.iter().all(|pid| lives(pid)));
+        drop(program);
+        assert!(!pids.iter().any(|pid| lives(pid)), "{pids:?}");
+    }
+
+    #[test]
+    fn a_program_that_heeds_sigterm_is_not_killed() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = r#"trap "echo heard >>\"$0\"; exit 0" TERM; echo done >"$0"; while :; do sleep 0.01; done"#;
+        let (program, _) = script(&folder, text);
+        drop(program);
+        assert!(std::fs::read_to_string(folder.path().join("pids")).unwrap().ends_with("heard\n"));
     }
 }

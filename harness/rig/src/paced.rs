@@ -139,3 +139,92 @@ impl<L: Link> Line for Paced<L> {
         Ok(Some(at))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hosted::Hosted;
+    use crate::session::Session;
+    use platebench_wire::{Configure, LawId, Message, Sample, Tick};
+
+    const CONFIGURE: Configure = Configure {
+        law: LawId::DqPi,
+        paced_by_target: true,
+        patience_ms: 1_000,
+        period_us: 1_000,
+        start_frequency_mhz: 32_307_600,
+        gain_um_per_vpp: 0.00698,
+        time_constant_s: 1.88e-3,
+        response_time_s: 0.0,
+        drive_limit_vpp: 900.0,
+        frequency_range_hz: 250.0,
+        frequency_slew_hz: 100.0,
+        gains: None,
+    };
+
+    /// Echoes what it is sent, a fixed time later on its own clock.
+    struct Echo(Duration);
+
+    impl Link for Echo {
+        fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            answer.extend_from_slice(bytes);
+            Ok(self.0)
+        }
+
+        fn pass(&mut self, _now: Duration, _said: &mut Vec<u8>) -> Result<(), LinkError> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn an_answer_is_there_after_the_link_s_own_delay_and_not_before() {
+        let delay = Duration::from_millis(40);
+        let mut line = Paced::new(Echo(delay));
+        let mut bytes = Vec::new();
+        let before = Instant::now();
+        line.send(b"one").unwrap();
+        let after = Instant::now();
+        assert_eq!(line.receive(before + delay / 2, &mut bytes).unwrap(), None);
+        assert!(Instant::now() >= before + delay / 2, "the wait was not sat out");
+        let at = line.receive(after + 10 * delay, &mut bytes).unwrap().unwrap();
+        assert!((before + delay..=after + delay).contains(&at));
+        assert!(Instant::now() >= at, "told before it was there");
+        assert_eq!(bytes, b"one");
+    }
+
+    #[test]
+    fn what_is_sent_before_the_answer_is_there_waits_for_the_target() {
+        let delay = Duration::from_millis(20);
+        let mut line = Paced::new(Echo(delay));
+        let mut bytes = Vec::new();
+        line.send(b"one").unwrap();
+        line.send(b"two").unwrap();
+        let far = Instant::now() + 100 * delay;
+        let first = line.receive(far, &mut bytes).unwrap().unwrap();
+        let second = line.receive(far, &mut bytes).unwrap().unwrap();
+        assert_eq!((bytes.as_slice(), second - first), (&b"onetwo"[..], delay));
+    }
+
+    #[test]
+    fn a_hosted_device_paces_in_real_time() {
+        let mut session = Session::open(Paced::new(Hosted::new())).unwrap();
+        let begun = Instant::now();
+        session.begin(&CONFIGURE).unwrap();
+        let mut ticks = Vec::new();
+        while ticks.len() < 20 {
+            let heard = session.listen(begun + Duration::from_secs(10)).unwrap().unwrap();
+            assert!(heard.at <= Instant::now());
+            if let Message::Tick(Tick { target_time_us }) = heard.message {
+                ticks.push((heard.at, target_time_us));
+                let sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 1.9, wq_um: 0.0 };
+                session.post(Message::Sample(sample)).unwrap();
+            }
+        }
+        for pair in ticks.windows(2) {
+            // The instants on both clocks are the same, to the microsecond that the wire carries.
+            let (wall, target) = (pair[1].0 - pair[0].0, Duration::from_micros((pair[1].1 - pair[0].1).into()));
+            assert!(wall.abs_diff(target) <= Duration::from_micros(2), "{wall:?} {target:?}");
+        }
+        assert!(session.safe());
+    }
+}

@@ -144,3 +144,33 @@ fn safe_is_confirmed_and_a_dropped_session_asks_for_it() {
     drop(bench.session);
     assert_eq!(*bench.sent.lock().unwrap(), [Message::Safe]);
 }
+
+#[test]
+fn a_link_in_virtual_time_is_not_live() {
+    let mut bench = bench();
+    assert!(!bench.session.is_live());
+    assert!(matches!(bench.session.post(Message::Hello), Err(RigError::NotLive)));
+    assert!(matches!(bench.session.listen(Instant::now()), Err(RigError::NotLive)));
+}
+
+#[test]
+fn what_cannot_be_read_is_counted_from_the_beginning_of_a_trial() {
+    let mut bench = bench();
+    *bench.fault.lock().unwrap() = Fault::FlipAnswer;
+    for _ in 0..3 {
+        bench.session.sample(Duration::ZERO, &FROM_REST).unwrap();
+    }
+    assert_eq!(bench.session.refused(), 3);
+    *bench.fault.lock().unwrap() = Fault::None;
+    bench.session.begin(&CONFIGURE).unwrap();
+    assert_eq!(bench.session.refused(), 0);
+}
+
+#[test]
+fn zero_volts_are_asked_for_again_where_no_answer_comes() {
+    let mut bench = bench();
+    bench.sent.lock().unwrap().clear();
+    *bench.fault.lock().unwrap() = Fault::FlipAnswer;
+    assert!(!bench.session.safe());
+    assert_eq!(*bench.sent.lock().unwrap(), [Message::Safe; 3]);
+}

@@ -5,6 +5,7 @@
 mod answers;
 mod faults;
 mod images;
+mod paces;
 mod provenance;
 
 use platebench_rig::{Link, LinkError, Session};
