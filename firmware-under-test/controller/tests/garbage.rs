@@ -1,0 +1,280 @@
+//! Millions of random, mutated and spliced byte strings against the frame reader, the decoder and the device, beside a second reading of
+//! `docs/wire-protocol.md` that shares no code with them.
+//!
+//! Deterministic: a failure names the round, and the same round fails again.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    reason = "a test that cannot go on ends by panicking"
+)]
+
+use platebench_controller::Device;
+use platebench_wire::{
+    Command, Configure, FrameReader, Identity, LawId, MAX_ENCODED, Message, Packet, Sample, State, capabilities,
+};
+
+/// Byte strings; each is taken in byte by byte.
+const ROUNDS: u64 = 2_000_000;
+/// Strings after which another device begins.
+const LIFE: u64 = 200;
+
+const LIMIT_VPP: f32 = 900.0;
+
+/// Marsaglia's xorshift64*: fast, and good enough to find its way about.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 16
+    }
+
+    fn below(&mut self, bound: usize) -> usize {
+        (self.next() % bound as u64) as usize
+    }
+
+    fn bytes(&mut self, into: &mut Vec<u8>, count: usize) {
+        for _ in 0..count {
+            // Zeros, which end frames, are rare among random bytes.
+            let byte = self.next() as u16;
+            into.push(if byte < 0x1000 { 0 } else { byte as u8 });
+        }
+    }
+}
+
+/// The page's frames, read as slowly and plainly as can be.
+#[derive(Default)]
+struct Page {
+    since_delimiter: Vec<u8>,
+}
+
+/// What a byte completes.
+#[derive(Debug, PartialEq)]
+enum Completed {
+    Nothing,
+    Refused,
+    Body(Vec<u8>),
+}
+
+impl Page {
+    fn push(&mut self, byte: u8) -> Completed {
+        if byte != 0 {
+            if self.since_delimiter.len() <= MAX_ENCODED {
+                self.since_delimiter.push(byte);
+            }
+            return Completed::Nothing;
+        }
+        let frame = std::mem::take(&mut self.since_delimiter);
+        if frame.is_empty() {
+            return Completed::Nothing;
+        }
+        Self::body(&frame).map_or(Completed::Refused, Completed::Body)
+    }
+
+    fn body(frame: &[u8]) -> Option<Vec<u8>> {
+        if frame.len() > MAX_ENCODED {
+            return None;
+        }
+        let (mut data, mut rest) = (Vec::new(), frame);
+        while let Some((&code, behind)) = rest.split_first() {
+            let length = usize::from(code) - 1;
+            data.extend_from_slice(behind.get(..length)?);
+            rest = &behind[length..];
+            if !rest.is_empty() {
+                data.push(0);
+            }
+        }
+        let crc = data.split_off(data.len().checked_sub(4)?);
+        (crc == crc_32(&data).to_le_bytes()).then_some(data)
+    }
+}
+
+/// CRC-32/ISO-HDLC, bit by bit.
+fn crc_32(data: &[u8]) -> u32 {
+    !data
+        .iter()
+        .fold(!0, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), |crc: u32, _| (crc >> 1) ^ (0xEDB8_8320 * (crc & 1))))
+}
+
+/// A message that a bench could send.
+fn message(random: &mut Random) -> Packet {
+    let sequence = random.next() as u8;
+    let small = |random: &mut Random| random.below(4_000) as f32 / 1_000.0;
+    let message = match random.below(16) {
+        0 => Message::Hello,
+        1 => Message::Safe,
+        2..=4 => Message::Configure(Configure {
+            law: LawId::ALL[random.below(LawId::ALL.len())],
+            paced_by_target: random.below(4) == 0,
+            patience_ms: random.below(3) as u16 * 10,
+            period_us: 1_000,
+            start_frequency_mhz: 32_307_600,
+            gain_um_per_vpp: 0.00698,
+            time_constant_s: if random.below(8) == 0 { f32::from_bits(random.next() as u32) } else { 1.88e-3 },
+            response_time_s: 0.0,
+            drive_limit_vpp: LIMIT_VPP,
+            frequency_range_hz: 250.0,
+            frequency_slew_hz: 100.0,
+            gains: None,
+        }),
+        _ => Message::Sample(Sample {
+            time_us: random.next() as u32,
+            setpoint_um: small(random),
+            wd_um: if random.below(64) == 0 { f32::from_bits(random.next() as u32) } else { small(random) },
+            wq_um: small(random) - 2.0,
+        }),
+    };
+    Packet { sequence, message }
+}
+
+/// A body of any kind and content under a good checksum.
+fn framed_nonsense(random: &mut Random, into: &mut Vec<u8>) {
+    let mut body = vec![0x10 | random.below(16) as u8];
+    let length = [1, 2, 6, 18, 20, 50, 54, 64][random.below(8)];
+    random.bytes(&mut body, length - 1);
+    into.extend_from_slice(platebench_wire::Encoded::new(&body).unwrap().as_bytes());
+}
+
+fn mutate(random: &mut Random, bytes: &mut Vec<u8>) {
+    for _ in 0..=random.below(3) {
+        let Some(last) = bytes.len().checked_sub(1) else { return };
+        let at = random.below(last + 1);
+        match random.below(6) {
+            0 => bytes[at] ^= 1 << random.below(8),
+            1 => bytes[at] = random.next() as u8,
+            2 => bytes.truncate(at),
+            3 => drop(bytes.remove(at)),
+            4 => bytes.insert(at, random.next() as u8),
+            _ => {
+                let again = bytes[at..].to_vec();
+                bytes.extend(again);
+            }
+        }
+    }
+}
+
+/// The next byte string on the line.
+fn string(random: &mut Random, into: &mut Vec<u8>) {
+    into.clear();
+    match random.below(8) {
+        0 => {
+            let count = random.below(120);
+            random.bytes(into, count);
+        }
+        1 => framed_nonsense(random, into),
+        2..=4 => into.extend_from_slice(message(random).encode().as_bytes()),
+        _ => {
+            into.extend_from_slice(message(random).encode().as_bytes());
+            if random.below(4) == 0 {
+                into.extend_from_slice(message(random).encode().as_bytes());
+            }
+            mutate(random, into);
+        }
+    }
+}
+
+#[derive(Default)]
+struct Seen {
+    bodies: u64,
+    refused: u64,
+    driven: u64,
+    ticks: u64,
+}
+
+/// One byte to the reader and the device, looked at from outside.
+fn take(byte: u8, now_us: u32, reader: &mut FrameReader, page: &mut Page, device: &mut Device, seen: &mut Seen) {
+    let completed = page.push(byte);
+    let read = match reader.push(byte) {
+        None => Completed::Nothing,
+        Some(Err(_)) => Completed::Refused,
+        Some(Ok(body)) => Completed::Body(body.to_vec()),
+    };
+    assert_eq!(read, completed, "the reader and the page agree");
+    let sample = match &completed {
+        Completed::Body(body) => {
+            seen.bodies += 1;
+            body.len() == 18 && body[0] == 0x15
+        }
+        Completed::Refused => {
+            seen.refused += 1;
+            false
+        }
+        Completed::Nothing => false,
+    };
+
+    let before = *device.output();
+    let mut answers = 0;
+    device.receive(&[byte], now_us, |frame| {
+        answers += 1;
+        let body = Page::body(&frame[..frame.len() - 1]).unwrap();
+        if let Message::Command(command) = Packet::decode(&body).unwrap().message {
+            assert!(sample || command.state != State::Running || command.drive_vpp == 0.0, "{completed:?}");
+        }
+    });
+    assert!(answers <= usize::from(completed != Completed::Nothing), "an answer to nothing");
+    let after = device.output();
+    if after.state == State::Running && driven(after) != driven(&before) {
+        assert!(sample, "driven by {completed:?}");
+        seen.driven += 1;
+    }
+    assert!(after.state == State::Running || after.drive_vpp == 0.0, "{after:?}");
+    assert!((0.0..=f32::MAX).contains(&after.drive_vpp), "{after:?}");
+}
+
+fn driven(command: &Command) -> (State, u32, u32, u32) {
+    (command.state, command.drive_vpp.to_bits(), command.frequency_mhz, command.target_time_us)
+}
+
+#[test]
+fn nothing_but_a_whole_sample_drives_the_plate() {
+    let identity = Identity {
+        version: [0, 1, 0],
+        capabilities: capabilities::TARGET_PACED,
+        laws: 0b111,
+        build: [0; 8],
+        chip: 0,
+        unique: [0; 12],
+        name: *b"device under tes",
+    };
+    let mut random = Random(0x9E37_79B9_7F4A_7C15);
+    let (mut device, mut reader, mut page) = (Device::new(identity), FrameReader::new(), Page::default());
+    let (mut bytes, mut now_us, mut seen) = (Vec::new(), u32::MAX - 1_000_000, Seen::default());
+    for round in 0..ROUNDS {
+        if round % LIFE == 0 {
+            (device, reader, page) = (Device::new(identity), FrameReader::new(), Page::default());
+            // A configuration at the start, so that there is something to lose.
+            bytes.clear();
+            let packet = std::iter::repeat_with(|| message(&mut random));
+            let configure = packet.take(1_000).find(|packet| matches!(packet.message, Message::Configure(_))).unwrap();
+            bytes.extend_from_slice(configure.encode().as_bytes());
+        } else {
+            string(&mut random, &mut bytes);
+        }
+        for &byte in &bytes {
+            take(byte, now_us, &mut reader, &mut page, &mut device, &mut seen);
+        }
+        now_us = now_us.wrapping_add(random.below(2_000) as u32);
+        device.tick(now_us, |frame| {
+            let packet = Packet::decode(&Page::body(&frame[..frame.len() - 1]).unwrap()).unwrap();
+            match packet.message {
+                Message::Tick(_) => seen.ticks += 1,
+                Message::Command(command) => assert_eq!((command.state, command.drive_vpp), (State::Fault, 0.0)),
+                other => panic!("round {round}: {other:?}"),
+            }
+        });
+    }
+    // The search went where it was meant to go.
+    assert!(seen.bodies > ROUNDS / 4 && seen.refused > ROUNDS / 8, "{} {}", seen.bodies, seen.refused);
+    assert!(seen.driven > ROUNDS / 20 && seen.ticks > ROUNDS / 100, "{} {}", seen.driven, seen.ticks);
+}
+
+#[test]
+fn a_device_is_as_large_as_it_will_ever_be() {
+    // It has no heap; this is what a line that babbles for ever can make it hold.
+    assert!(size_of::<FrameReader>() <= MAX_ENCODED + 32);
+    assert!(size_of::<Device>() <= 512, "{}", size_of::<Device>());
+}
