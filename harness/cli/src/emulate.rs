@@ -7,7 +7,7 @@ use crossterm::event::{Event, KeyCode, KeyEventKind, poll, read};
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use platebench_plate::Time;
 use platebench_rig::{AnyLink, RigSpec, Session, Terminal};
-use platebench_runner::real_time::{Consumer, emulate as play};
+use platebench_runner::real_time::{Consumer, Emulated, emulate as play};
 use platebench_runner::trial::Order;
 use platebench_runner::{Cancel, Hand, Held, Pace};
 use platebench_scenario::{Scenario, load};
@@ -153,16 +153,23 @@ impl Plate {
             let called = Instant::now();
             let Ok(mut session) = Session::open(&mut link) else {
                 // A port that is gone comes back as another one.
-                if let (Place::Serial(_), Ok(again)) = (port, port.open()) {
-                    link = again;
+                if let Place::Serial(rig) = port {
+                    link = rig.connect_in_real_time().unwrap_or(link);
                 }
                 thread::sleep(CALL_EVERY.saturating_sub(called.elapsed()));
                 continue;
             };
             output::note(&format!("controller: {}", session.firmware_name()));
             let order = Order { scenario: &self.scenario, law: self.law, index: 0, wire_time: false, own_clock: true };
-            if let Some(lost) = play(&mut session, &order, self.pace, cancel, &hand, show) {
-                output::note(&format!("\n{lost}; waiting for a controller"));
+            loop {
+                match play(&mut session, &order, self.pace, cancel, &hand, show) {
+                    Emulated::Stopped => output::note("\nthe controller has stopped; it is configured anew"),
+                    Emulated::Lost(error) => {
+                        output::note(&format!("\n{error}; waiting for a controller"));
+                        break;
+                    }
+                    Emulated::GivenUp => break,
+                }
             }
         }
         if let Some(keys) = keys {

@@ -77,6 +77,8 @@ pub struct Session<L: Link> {
     read: usize,
     /// When the last of `bytes` was there, where they were heard in real time.
     arrived: Instant,
+    /// True once the controller said who it is.
+    introduced: bool,
     refused: u64,
 }
 
@@ -104,10 +106,14 @@ impl<L: Link> Session<L> {
             bytes: Vec::with_capacity(ROOM),
             read: 0,
             arrived: Instant::now(),
+            introduced: false,
             refused: 0,
         };
         match session.ask(Message::Hello)? {
-            Some((Message::Identity(identity), _)) => session.identity = identity,
+            Some((Message::Identity(identity), _)) => {
+                session.identity = identity;
+                session.introduced = true;
+            }
             _ => return Err(RigError::NoAnswer { expected: "identity" }),
         }
         debug!(name = %session.firmware_name(), laws = session.identity.laws, "controller found");
@@ -299,7 +305,7 @@ impl<L: Link> Session<L> {
 
 impl<L: Link> Drop for Session<L> {
     fn drop(&mut self) {
-        if !self.safe() {
+        if !self.safe() && self.introduced {
             warn!("0 V was not confirmed at the end of the session");
         }
     }

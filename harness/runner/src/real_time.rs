@@ -98,7 +98,7 @@ pub fn play<L: Link>(
 }
 
 /// Plays the plate to whatever controller is there until `patience` is over or the controller is gone; `hand` takes over from the scenario's
-/// profiles once it is used, and `show` is given the rows on a thread of its own. Returns why the controller is no longer there, if it is not.
+/// profiles once it is used, and `show` is given the rows. Returns why nobody drives the plate any more.
 pub fn emulate<L: Link>(
     session: &mut Session<L>,
     order: &Order<'_>,
@@ -106,9 +106,24 @@ pub fn emulate<L: Link>(
     patience: &(impl Patience + Sync),
     hand: &Hand,
     show: impl FnOnce(Consumer<Row>),
-) -> Option<RigError> {
+) -> Emulated {
     let ((), ended) = drive(session, order, pace, patience, Some(hand), show);
-    ended.and_then(|(_, lost)| lost)
+    match ended {
+        None => Emulated::GivenUp,
+        Some((_, Some(error))) => Emulated::Lost(error),
+        Some((_, None)) => Emulated::Stopped,
+    }
+}
+
+/// Why nobody drives an emulated plate any more.
+#[derive(Debug)]
+pub enum Emulated {
+    /// Somebody asked for the end.
+    GivenUp,
+    /// The controller is no longer there.
+    Lost(RigError),
+    /// The controller has stopped and waits to be configured.
+    Stopped,
 }
 
 /// Somebody's hand at the plate, while the loop looks at it once per period.
@@ -194,6 +209,8 @@ struct Live<'a, L: Link> {
     last_sent: Option<u8>,
     last_heard: Instant,
     silent_periods: u32,
+    /// The controller says that it does not run.
+    stopped: bool,
     accounts: Accounts,
 }
 
@@ -219,6 +236,7 @@ impl<'a, L: Link> Live<'a, L> {
             last_sent: None,
             last_heard: now,
             silent_periods: 0,
+            stopped: false,
             accounts: Accounts::new(),
         }
     }
@@ -241,6 +259,9 @@ impl<'a, L: Link> Live<'a, L> {
     /// Control instants are multiples of the period.
     fn play_by_own_timer(&mut self, patience: &impl Patience) -> Result<(), End> {
         while self.next_control < self.duration {
+            if self.waits_in_vain() {
+                return Ok(());
+            }
             if patience.is_over() {
                 return Err(End::GivenUp);
             }
@@ -286,6 +307,9 @@ impl<'a, L: Link> Live<'a, L> {
         let mut ticks = Ticks::default();
         let first = Instant::now() + SILENT_TIME;
         while !self.is_over() {
+            if self.waits_in_vain() {
+                return Ok(());
+            }
             if patience.is_over() {
                 return Err(End::GivenUp);
             }
@@ -371,7 +395,13 @@ impl<'a, L: Link> Live<'a, L> {
             let bench = self.at(sampled).saturating_duration_since(self.start);
             self.accounts.drift.take(bench, command.target_time_us);
         }
+        self.stopped |= command.state != State::Running;
         self.actuate(&command);
+    }
+
+    /// True where somebody waits for the controller to go on, and it does not.
+    fn waits_in_vain(&self) -> bool {
+        self.stopped && self.hand.is_some()
     }
 
     fn actuate(&mut self, command: &Command) {

@@ -8,7 +8,9 @@ use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// The workspace.
@@ -26,6 +28,39 @@ pub(crate) fn program(folder: &Path) -> Command {
 /// Starts the program with `arguments` in `folder` and waits for its end.
 pub(crate) fn call<A: AsRef<std::ffi::OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> Output {
     program(folder).args(arguments).output().unwrap()
+}
+
+/// `--rig` for the controller program that plays the board, writing down what it does where a file is named.
+pub(crate) fn controller(log: Option<&Path>) -> String {
+    let log = log.map_or_else(String::new, |file| format!(" --log '{}'", file.display()));
+    format!("exec:'{}' {{port}}{log}", env!("CARGO_BIN_EXE_controller-under-test"))
+}
+
+/// Waits for `there`, which comes soon or is missed.
+#[track_caller]
+pub(crate) fn await_that(what: &str, mut there: impl FnMut() -> bool) {
+    let started = Instant::now();
+    while !there() {
+        assert!(started.elapsed() < Duration::from_mins(1), "{what}");
+        sleep(Duration::from_millis(5));
+    }
+}
+
+/// A process that does not outlive its test.
+pub(crate) struct Guarded(pub(crate) Child);
+
+impl Drop for Guarded {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Sends `child` the signal of that name.
+pub(crate) fn signal(child: &Child, name: &str) {
+    let status = Command::new("kill").args([&format!("-{name}"), &child.id().to_string()]).status().unwrap();
+    assert!(status.success());
 }
 
 /// The program's exit code.

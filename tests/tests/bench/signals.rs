@@ -1,13 +1,11 @@
 //! Runs that are ended from outside.
 
-use crate::bench::{Workshop, call, code, program, step_scenario};
+use crate::bench::{Workshop, await_that, call, code, program, signal, step_scenario};
 use platebench_verdict::RunRecord;
 use rstest::rstest;
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::process::{Child, Stdio};
 
 /// Far more trials than can be played while the test looks on.
 fn endless() -> String {
@@ -28,19 +26,11 @@ fn await_traces(folder: &Path) {
         let entries = fs::read_dir(folder.join("run/traces/s")).into_iter().flatten().flatten();
         entries.filter(|entry| entry.path().extension().is_some_and(|extension| extension == "csv")).count()
     };
-    let started = Instant::now();
-    while whole() < 3 {
-        assert!(started.elapsed() < Duration::from_mins(1), "no trial became whole");
-        sleep(Duration::from_millis(20));
-    }
-}
-
-fn signal(child: &Child, name: &str) {
-    let status = Command::new("kill").args([&format!("-{name}"), &child.id().to_string()]).status().unwrap();
-    assert!(status.success());
+    await_that("no trial became whole", || whole() >= 3);
 }
 
 #[rstest]
+#[case::hang_up("HUP", 129)]
 #[case::interrupt("INT", 130)]
 #[case::terminate("TERM", 143)]
 fn a_polite_end_is_told_in_the_exit_code(#[case] name: &str, #[case] expected: i32) {
