@@ -107,8 +107,8 @@ impl Words {
 /// A controller program that has introduced itself.
 #[derive(Debug)]
 pub struct Exec {
-    /// `None` once it has hung up.
-    port: Option<Port<OwnedFd>>,
+    // Declared before `program`: fields are dropped in this order, so the line hangs up first.
+    port: Port<OwnedFd>,
     program: Program,
 }
 
@@ -121,7 +121,7 @@ impl Exec {
         let words = Words::of(command)?;
         let (master, slave, name) = pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
         let program = Program::start(&words, &name)?;
-        let mut exec = Self { port: Some(master), program };
+        let mut exec = Self { port: master, program };
         exec.come_up(&name)?;
         // From here on the line hangs up with the program.
         drop(slave);
@@ -140,7 +140,7 @@ impl Exec {
         while Instant::now() < deadline {
             let since = Instant::now();
             answer.clear();
-            let waited = self.port()?.exchange(hello.as_bytes(), &mut answer)?;
+            let waited = self.port.exchange(hello.as_bytes(), &mut answer)?;
             let mut reader = platebench_wire::FrameReader::new();
             let said = answer.iter().any(|&byte| {
                 matches!(reader.push(byte), Some(Ok(body)) if matches!(Packet::decode(body), Ok(Packet { message: Message::Identity(_), .. })))
@@ -158,14 +158,9 @@ impl Exec {
         Err(ExecError::Silent { program: self.program.name.clone(), port: name.to_owned() })
     }
 
-    fn port(&mut self) -> Result<&mut Port<OwnedFd>, LinkError> {
-        self.port.as_mut().ok_or_else(|| LinkError::Disconnected("it was hung up".to_owned()))
-    }
-
     /// Does `what` with the line; where that is gone, says what became of the program.
     fn with_port<T>(&mut self, what: impl FnOnce(&mut Port<OwnedFd>) -> Result<T, LinkError>) -> Result<T, LinkError> {
-        let result = what(self.port()?);
-        result.map_err(|error| match (error, self.program.ended(ENDED_WITHIN)) {
+        what(&mut self.port).map_err(|error| match (error, self.program.ended(ENDED_WITHIN)) {
             (LinkError::Disconnected(_), Some(how)) => {
                 LinkError::Disconnected(format!("`{}` {how}", self.program.name))
             }
@@ -254,14 +249,12 @@ impl Drop for Program {
         }
         // Whatever it left behind in its group goes too. Its number is its own until it is waited for.
         self.signal(Signal::KILL);
-        debug!(program = self.name, ended, status = ?self.child.wait(), "program ended");
-    }
-}
-
-impl Drop for Exec {
-    fn drop(&mut self) {
-        // Hangs up; `program` is dropped after this.
-        self.port = None;
+        if let Some(how) = ended.or_else(|| self.ended(GRACE)) {
+            debug!(program = self.name, how, status = ?self.child.wait(), "program ended");
+        } else {
+            // Stuck in the kernel: not waited for, or the bench would be stuck too.
+            warn!(program = self.name, pid = self.child.id(), "still runs after SIGKILL, left behind");
+        }
     }
 }
 

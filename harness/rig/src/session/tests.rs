@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::hosted::Hosted;
+use crate::link::Line;
 use platebench_wire::LawId;
 use std::sync::{Arc, Mutex};
 
@@ -173,4 +174,49 @@ fn zero_volts_are_asked_for_again_where_no_answer_comes() {
     *bench.fault.lock().unwrap() = Fault::FlipAnswer;
     assert!(!bench.session.safe());
     assert_eq!(*bench.sent.lock().unwrap(), [Message::Safe; 3]);
+}
+
+/// A hosted device on a line that brings garbage whenever somebody listens.
+struct Babbling {
+    device: Hosted,
+    until: Instant,
+}
+
+impl Link for Babbling {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        self.device.exchange(now, bytes, answer)
+    }
+
+    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.device.pass(now, said)
+    }
+
+    fn line(&mut self) -> Option<&mut dyn Line> {
+        Some(self)
+    }
+}
+
+impl Line for Babbling {
+    fn send(&mut self, _bytes: &[u8]) -> Result<(), LinkError> {
+        Ok(())
+    }
+
+    fn receive(&mut self, _until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
+        let now = Instant::now();
+        if now > self.until {
+            return Err(LinkError::Disconnected("listened to for too long".to_owned()));
+        }
+        bytes.extend_from_slice(&[1, 2, 3, 0].repeat(8));
+        Ok(Some(now))
+    }
+}
+
+#[test]
+fn a_line_that_babbles_holds_nobody_up_and_fills_no_memory() {
+    let now = Instant::now();
+    let mut session = Session::open(Babbling { device: Hosted::new(), until: now + Duration::from_secs(10) }).unwrap();
+    let room = session.bytes.capacity();
+    assert_eq!(session.listen(now + Duration::from_millis(20)).unwrap(), None);
+    assert!(session.refused() >= 8);
+    assert_eq!(session.bytes.capacity(), room);
 }
