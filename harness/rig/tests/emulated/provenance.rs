@@ -6,7 +6,7 @@ use sha2::{Digest, Sha256};
 #[path = "../../../../firmware-under-test/stm32f4/source_hash.rs"]
 pub(crate) mod source_hash;
 
-const IMAGES: [&str; 2] = ["platebench-stm32f4.elf", "planted-faults.elf"];
+const IMAGES: [&str; 3] = ["platebench-stm32f4.elf", "planted-faults.elf", "qemu.elf"];
 
 fn holds(elf: &[u8], text: &str) -> bool {
     elf.windows(text.len()).any(|window| window == text.as_bytes())
