@@ -11,16 +11,15 @@ use rigless::soc::Width;
 use rigless::time::{NO_DEADLINE, VirtualNanos};
 use std::num::NonZeroU64;
 
-const NS_PER_S: u128 = 1_000_000_000;
 /// The processor comes back at least this often, whatever the models say.
-const LONGEST_RUN: u128 = 1 << 20;
+const LONGEST_RUN: u64 = 1 << 20;
 
 /// Everything around the processor that is not a model.
 #[derive(Debug)]
 pub(super) struct Surroundings {
     pub(super) memory: Memory,
     queued: Vec<Queued>,
-    instructions_per_second: NonZeroU64,
+    pace: Pace,
     /// Time that passed while the processor slept.
     pub(super) slept_ns: u64,
     /// The next instant at which a model wants a look.
@@ -28,10 +27,39 @@ pub(super) struct Surroundings {
     pub(super) restart: bool,
 }
 
+/// How long instructions take, as a fraction in its lowest terms: with that, years fit 64 bits, and converting is cheap enough to do at every event.
+#[derive(Debug, Clone, Copy)]
+struct Pace {
+    nanoseconds: u64,
+    instructions: NonZeroU64,
+}
+
+impl Pace {
+    fn new(instructions_per_second: NonZeroU64) -> Self {
+        const NS_PER_S: u64 = 1_000_000_000;
+        let (mut divisor, mut rest) = (NS_PER_S, instructions_per_second.get());
+        while rest > 0 {
+            (divisor, rest) = (rest, divisor % rest);
+        }
+        let instructions = NonZeroU64::new(instructions_per_second.get() / divisor).unwrap_or(instructions_per_second);
+        Self { nanoseconds: NS_PER_S / divisor, instructions }
+    }
+
+    /// The time that so many instructions take, rounded down.
+    fn nanoseconds(self, instructions: u64) -> u64 {
+        instructions.saturating_mul(self.nanoseconds) / self.instructions
+    }
+
+    /// The first instruction count that takes so long.
+    fn instructions(self, nanoseconds: u64) -> u64 {
+        nanoseconds.saturating_mul(self.instructions.get()).div_ceil(self.nanoseconds)
+    }
+}
+
 impl Surroundings {
     pub(super) fn new(memory: Memory, instructions_per_second: NonZeroU64) -> Self {
-        let deadline = NO_DEADLINE;
-        Self { memory, queued: Vec::new(), instructions_per_second, slept_ns: 0, deadline, restart: false }
+        let (pace, deadline) = (Pace::new(instructions_per_second), NO_DEADLINE);
+        Self { memory, queued: Vec::new(), pace, slept_ns: 0, deadline, restart: false }
     }
 
     /// As at power-on.
@@ -45,15 +73,13 @@ impl Surroundings {
 
     /// The instant at which that many instructions are executed.
     pub(super) fn time(&self, instructions: u64) -> VirtualNanos {
-        let rate = u128::from(self.instructions_per_second.get());
-        VirtualNanos(self.slept_ns + (u128::from(instructions) * NS_PER_S / rate) as u64)
+        VirtualNanos(self.slept_ns + self.pace.nanoseconds(instructions))
     }
 
     /// How many more instructions lead to `target`; at least one.
     pub(super) fn instructions_until(&self, instructions: u64, target: VirtualNanos) -> u32 {
-        let awake_ns = u128::from(target.0.saturating_sub(self.slept_ns));
-        let needed = (awake_ns * u128::from(self.instructions_per_second.get())).div_ceil(NS_PER_S);
-        needed.saturating_sub(u128::from(instructions)).clamp(1, LONGEST_RUN) as u32
+        let needed = self.pace.instructions(target.0.saturating_sub(self.slept_ns));
+        needed.saturating_sub(instructions).clamp(1, LONGEST_RUN) as u32
     }
 
     /// The processor's own next event or that of a model.
@@ -143,5 +169,31 @@ impl CoreBus for Lent<'_> {
         let target = self.surroundings.next(event);
         let time_left = target > self.surroundings.time(instructions);
         time_left.then(|| self.surroundings.instructions_until(instructions, target))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_and_instructions_agree_with_arithmetic_in_128_bits() {
+        const NS_PER_S: u128 = 1_000_000_000;
+        for rate in [168_000_000, 1, 7, 999_999_937, 1_000_000_000, 3_000_000_000] {
+            let pace = Pace::new(NonZeroU64::new(rate).unwrap());
+            for count in [0, 1, 20, 21, 22, 167_999_999, 168_000_000, 168_000_001, 9_000_000_000] {
+                let exact = u128::from(count) * NS_PER_S / u128::from(rate);
+                assert_eq!(u128::from(pace.nanoseconds(count)), exact, "{count} instructions at {rate}/s");
+                let exact = (u128::from(count) * u128::from(rate)).div_ceil(NS_PER_S);
+                assert_eq!(u128::from(pace.instructions(count)), exact, "{count} ns at {rate}/s");
+            }
+        }
+    }
+
+    #[test]
+    fn a_deadline_that_never_comes_is_far_away_and_no_overflow() {
+        let pace = Pace::new(NonZeroU64::new(168_000_000).unwrap());
+        assert!(pace.instructions(u64::MAX) > u64::from(u32::MAX));
+        assert!(pace.nanoseconds(u64::MAX) > 1 << 57);
     }
 }
