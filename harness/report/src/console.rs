@@ -7,7 +7,7 @@ mod progress;
 
 pub use progress::{Progress, ProgressKind};
 
-use crate::{evidence, shown, timing};
+use crate::{cost, evidence, shown, timing};
 use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -124,6 +124,12 @@ fn summary(text: &mut String, record: &RunRecord, style: Style) {
         [("scenario", shown::Counts::of_scenarios(record)), ("expectation", shown::Counts::of_expectations(record))]
     {
         let _ = writeln!(text, "{}: {counts}", shown::count(counts.total(), one));
+    }
+    for trend in &record.cost {
+        let _ = writeln!(text, "instructions per step: {}", cost::worst(trend));
+        if let Some(change) = cost::change(trend) {
+            wrapped(text, "  ↳ ", "    ", &change);
+        }
     }
     if !record.complete {
         text.push_str("the run was not finished\n");

@@ -2,11 +2,12 @@
 //!
 //! * `bundle`, `curves`: traces to what can be shown of them.
 //! * `figure`, `plot`: curves to drawings.
-//! * `summary`, `scenario`, `environment`: the page's parts.
+//! * `summary`, `scenario`, `cost`, `environment`: the page's parts.
 //!
 //! Neighbours: the record is shown as it is. What did not pass comes first.
 
 mod bundle;
+mod cost;
 mod curves;
 mod environment;
 mod figure;
@@ -64,6 +65,7 @@ fn page(record: &RunRecord, folder: &Path) -> Result<Markup, ReportError> {
                     (summary::open_points(record))
                     (summary::scenarios(record))
                     @for article in &articles { (article) }
+                    (cost::section(record))
                     (environment::section(record))
                 }
                 footer { p { (record.tool.name) " " (record.tool.version) } }

@@ -9,6 +9,7 @@
 //! command line's.
 
 pub mod console;
+mod cost;
 mod error;
 mod evidence;
 pub mod html;

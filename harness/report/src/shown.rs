@@ -77,6 +77,11 @@ pub(crate) fn number(value: f64) -> String {
     digits(value, 4)
 }
 
+/// How large a change is, without its sign: two digits where it is small.
+pub(crate) fn percent(value: f64) -> String {
+    digits(value.abs(), if value.abs() < 10.0 { 2 } else { 3 })
+}
+
 fn digits(value: f64, significant: i32) -> String {
     if value == 0.0 {
         return "0".to_owned();

@@ -5,6 +5,7 @@
 //! * [`mod@run`]: all trials of all scenarios, over several workers, in an order that no result depends on.
 //! * [`folder`]: the run folder: inputs, traces, record.
 //! * [`mod@rejudge`]: a stored run, judged again without a rig.
+//! * `trend`: what a control step costs, beside earlier runs.
 //! * [`event`]: what a run says while it goes on.
 //!
 //! What is shown of a run belongs to `platebench-report`; exit codes belong to the command line.
@@ -20,6 +21,7 @@ pub mod rejudge;
 pub mod run;
 mod scheduling;
 mod stage;
+mod trend;
 pub mod trial;
 
 pub use event::Event;
@@ -28,3 +30,4 @@ pub use real_time::{Hand, Pace, Pacing};
 pub use rejudge::{RejudgeError, rejudge};
 pub use run::{Cancel, Clock, Plan, RunError, run};
 pub use stage::Held;
+pub use trend::inputs_digest;

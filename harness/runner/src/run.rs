@@ -5,6 +5,7 @@ use crate::event::Event;
 use crate::folder::{FolderError, RunFolder, hexadecimal, sha256, trace_file};
 use crate::measured::{delay_budget, measured};
 use crate::real_time::{self, Pace};
+use crate::trend;
 use crate::trial::{self, Order, Patience};
 use platebench_rig::{AnyLink, ConnectError, RigError, Session};
 use platebench_scenario::{Diagnostic, Scenario};
@@ -187,6 +188,7 @@ pub fn run(
     }
     record.verdict = Verdict::over(record.scenarios.iter().map(|scenario| scenario.verdict));
     record.complete = true;
+    record.cost = trend::cost(&record, folder.path());
     write(&record)?;
     Ok(record)
 }
@@ -348,5 +350,6 @@ fn first_record(plan: &Plan, folder: &RunFolder, session: &Session<AnyLink>, inp
         overrides: plan.overrides.clone(),
         host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
         scenarios: scenarios.collect(),
+        cost: Vec::new(),
     }
 }

@@ -4,6 +4,9 @@ mod timing;
 
 pub use timing::{Quantiles, Timing};
 
+mod cost;
+pub use cost::{Cost, CostChange, CostTrend, EarlierCost};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::fmt;
@@ -105,6 +108,9 @@ pub struct RunRecord {
     pub host: Host,
     /// What was played.
     pub scenarios: Vec<ScenarioRecord>,
+    /// Instructions per control step by law, where the rig counts them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cost: Vec<CostTrend>,
 }
 
 /// The bench that made a record.
@@ -309,19 +315,19 @@ impl RunRecord {
     /// # Errors
     /// [`RecordError`] where there is none of this format.
     pub fn read(folder: &Path) -> Result<Self, RecordError> {
+        read(folder)
+    }
+
+    /// When the run in `folder` started, without looking at the rest of its record.
+    ///
+    /// # Errors
+    /// [`RecordError`] where there is no record of this format.
+    pub fn read_started(folder: &Path) -> Result<String, RecordError> {
         #[derive(Deserialize)]
-        struct Head {
-            format: u32,
+        struct Started {
+            started: String,
         }
-        let path = folder.join(FILE);
-        let shown = path.display().to_string();
-        let text = fs::read_to_string(&path).map_err(|source| RecordError::Io { path: shown.clone(), source })?;
-        let content = |source| RecordError::Content { path: shown.clone(), source };
-        let head: Head = serde_json::from_str(&text).map_err(content)?;
-        if head.format != FORMAT {
-            return Err(RecordError::Format { path: shown, found: head.format });
-        }
-        serde_json::from_str(&text).map_err(content)
+        read(folder).map(|Started { started }| started)
     }
 
     /// True where a controller was lost for good and that is not its own doing.
@@ -329,6 +335,22 @@ impl RunRecord {
         let mut trials = self.scenarios.iter().flat_map(|scenario| &scenario.trials);
         trials.any(|trial| trial.cause == Some(Cause::Rig) && trial.telemetry.ended.is_some())
     }
+}
+
+fn read<T: DeserializeOwned>(folder: &Path) -> Result<T, RecordError> {
+    #[derive(Deserialize)]
+    struct Head {
+        format: u32,
+    }
+    let path = folder.join(FILE);
+    let shown = path.display().to_string();
+    let text = fs::read_to_string(&path).map_err(|source| RecordError::Io { path: shown.clone(), source })?;
+    let content = |source| RecordError::Content { path: shown.clone(), source };
+    let head: Head = serde_json::from_str(&text).map_err(content)?;
+    if head.format != FORMAT {
+        return Err(RecordError::Format { path: shown, found: head.format });
+    }
+    serde_json::from_str(&text).map_err(content)
 }
 
 #[cfg(test)]

@@ -18,3 +18,4 @@ mod safe_exit;
 mod scenarios;
 mod signals;
 mod stored;
+mod trend;

@@ -92,7 +92,7 @@ pub(crate) fn paper(law: LawId) -> Vec<Conversation> {
     let mut conversations = Vec::new();
     for scenario in &scenarios {
         for index in 0..TRIALS {
-            let order = Order { scenario, law, index, wire_time: false };
+            let order = Order { scenario, law, index, wire_time: false, own_clock: false };
             let played = play(&mut session, &order, &enough);
             assert!(played.is_none_or(|played| played.lost.is_none()), "{}", scenario.file);
             let exchanges = std::mem::take(&mut *log.lock().unwrap());
@@ -137,6 +137,8 @@ fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
         frequency_ki: uniform(random, 0.0, 400e3),
     });
     Configure {
+        paced_by_target: false,
+        patience_ms: 0,
         law,
         period_us: 1_000,
         start_frequency_mhz: 30_000_000 + random.next_u32() % 4_000_000,

@@ -38,6 +38,25 @@ fn a_run_without_anything_does_not_look_green() {
     );
 }
 
+#[test]
+fn a_step_that_became_longer_is_told_below_the_counts() {
+    let mut record = made::run(Vec::new());
+    record.cost = made::costs();
+    let text = console::table(&record, Style::default());
+    let told: Vec<&str> = text.lines().skip(2).take_while(|line| !line.starts_with("verdict")).collect();
+    assert_eq!(
+        told,
+        [
+            "instructions per step: 3 332 worst (dq-pi), 2.0 % of the 168 000 of a 1 ms period",
+            "  ↳ 30 % more than 2 563 of build 1a2b3c4d (run 20260301T093000Z-abcdef)",
+            "instructions per step: 2 640 worst (dq-pi-euler), 1.6 % of the 168 000 of a 1 ms period",
+            "  ↳ mean 2 410 over the 42 trials that both played: 3.6 % less than 2 500 of build 00112233 (the",
+            "    image that comes with the bench)",
+            "instructions per step: 2 494 worst (open-loop), 1.5 % of the 168 000 of a 1 ms period",
+        ]
+    );
+}
+
 #[derive(Clone, Default)]
 struct Shared(Arc<Mutex<Vec<u8>>>);
 

@@ -53,6 +53,27 @@ fn balanced(page: &str) {
 }
 
 #[test]
+fn what_a_step_costs_stands_beside_earlier_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut record = made::mixed();
+    assert!(!written(&record, folder.path()).contains("Instructions per control step"));
+    record.cost = made::costs();
+    let page = written(&record, folder.path());
+    balanced(&page);
+    let start = page.find("id=\"cost\"").unwrap();
+    let part = page[start..].split("</section>").next().unwrap();
+    for said in [
+        "3 332 worst (dq-pi), 2.0 % of the 168 000 of a 1 ms period, mean 3 280.",
+        "<strong>30 % more than 2 563 of build 1a2b3c4d (run 20260301T093000Z-abcdef)</strong>",
+        "<td class=\"number\">2 563</td><td class=\"number\">3 332 (+30 %)</td>",
+        "<td class=\"number\">2 500</td><td class=\"number\">2 410 (−3.6 %)</td>",
+        "the image that comes with the bench",
+    ] {
+        assert!(part.contains(said), "`{said}` is missing in {part}");
+    }
+}
+
+#[test]
 fn what_failed_comes_before_what_passed() {
     let folder = tempfile::tempdir().unwrap();
     let page = written(&made::mixed(), folder.path());

@@ -1,7 +1,9 @@
 //! Records and traces to report on: what a run could have left behind.
 
 use platebench_trace::{Flags, Row, Writer};
-use platebench_verdict::record::{FORMAT, Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
+use platebench_verdict::record::{
+    Cost, CostTrend, EarlierCost, FORMAT, Firmware, Host, InputRecord, Overrides, RigRecord, Tool,
+};
 use platebench_verdict::{Cause, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};
 use serde_json::{Map, Value, json};
 use std::fs;
@@ -28,6 +30,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
         overrides: Overrides { seed: Some(7), ..Overrides::default() },
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
         scenarios,
+        cost: Vec::new(),
     }
 }
 
@@ -183,6 +186,42 @@ pub(crate) fn mixed() -> RunRecord {
     doubted.trials[2].cause = Some(Cause::Bench);
     doubted.trials[2].reason = Some("the bench was too late at 31.05 ms".to_owned());
     run(vec![passing, failing, doubted])
+}
+
+/// The cost of a step under three laws: a third more than in an earlier run, a mean that fell, and one that nobody played before.
+pub(crate) fn costs() -> Vec<CostTrend> {
+    let cost = |mean, worst| Cost { mean, worst };
+    let earlier = |run: Option<&str>, build: &str, then, now| EarlierCost {
+        run: run.map(str::to_owned),
+        started: run.map(|_| "2026-03-01T09:30:00Z".to_owned()),
+        build: build.to_owned(),
+        trials: 42,
+        then,
+        now,
+    };
+    let trend = |law: &str, cost, earlier| CostTrend {
+        law: law.to_owned(),
+        build: "5f3a9c01aabbccdd".to_owned(),
+        cost,
+        earlier,
+    };
+    let slower = cost(3_280.5, 3_332.0);
+    vec![
+        trend(
+            "dq-pi",
+            slower,
+            vec![
+                earlier(Some("20260301T103000Z-0a0b0c"), "5f3a9c01aabbccdd", slower, slower),
+                earlier(Some("20260301T093000Z-abcdef"), "1a2b3c4d00000000", cost(2_523.0, 2_563.0), slower),
+            ],
+        ),
+        trend(
+            "dq-pi-euler",
+            cost(2_400.0, 2_640.0),
+            vec![earlier(None, "00112233", cost(2_500.0, 2_610.0), cost(2_410.0, 2_610.0))],
+        ),
+        trend("open-loop", cost(2_417.0, 2_494.0), Vec::new()),
+    ]
 }
 
 /// A first-order response to a step of 2 µm at 1 ms.

@@ -84,6 +84,7 @@ fn record() -> RunRecord {
             expectations: vec![passed, lost],
             trials: vec![trial],
         }],
+        cost: Vec::new(),
     }
 }
 

@@ -1,0 +1,177 @@
+use super::*;
+use platebench_verdict::record::{FILE, FORMAT, Firmware, Host, InputRecord, Overrides, Tool};
+use platebench_verdict::{Telemetry, TrialRecord, Verdict};
+use tempfile::TempDir;
+
+fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
+    let trial = |(index, &worst): (usize, &f64)| TrialRecord {
+        index: index as u32,
+        seed: index as u64 + 1,
+        trace: String::new(),
+        sha256: None,
+        metrics: serde_json::Map::new(),
+        telemetry: Telemetry {
+            instructions_mean: Some(0.9 * worst),
+            instructions_worst: Some(worst),
+            ..Telemetry::default()
+        },
+        cause: None,
+        reason: None,
+        wall_ms: None,
+    };
+    ScenarioRecord {
+        file: "s.toml".to_owned(),
+        title: "s".to_owned(),
+        source: None,
+        verdict: Verdict::Pass,
+        law: law.to_owned(),
+        model: "modal".to_owned(),
+        inputs: vec![InputRecord { file: "inputs/s.toml".to_owned(), sha256: input.to_owned() }],
+        expectations: Vec::new(),
+        trials: worst.iter().enumerate().map(trial).collect(),
+    }
+}
+
+fn record(build: &str, second: u32, scenarios: Vec<ScenarioRecord>) -> RunRecord {
+    let firmware =
+        Firmware { name: "own".to_owned(), version: "1.0.0".to_owned(), build: build.to_owned(), chip: String::new() };
+    RunRecord {
+        format: FORMAT,
+        verdict: Verdict::Pass,
+        complete: true,
+        tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned() },
+        started: format!("2026-01-01T00:00:{second:02}Z"),
+        rig: RigRecord { name: format!("emulated:{build}.elf"), firmware: Some(firmware) },
+        clock: "lockstep".to_owned(),
+        overrides: Overrides::default(),
+        host: Host { os: String::new(), arch: String::new() },
+        scenarios,
+        cost: Vec::new(),
+    }
+}
+
+/// Runs side by side in a folder; the last is the present one.
+struct Runs(TempDir);
+
+impl Runs {
+    fn new(earlier: &[(&str, RunRecord)]) -> Self {
+        let runs = Self(tempfile::tempdir().unwrap());
+        for (name, record) in earlier {
+            let folder = runs.folder(name);
+            fs::create_dir(&folder).unwrap();
+            record.write(&folder).unwrap();
+        }
+        fs::create_dir(runs.folder("now")).unwrap();
+        runs
+    }
+
+    fn folder(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn cost(&self, record: &RunRecord) -> Vec<CostTrend> {
+        record.write(&self.folder("now")).unwrap();
+        cost(record, &self.folder("now"))
+    }
+}
+
+#[test]
+fn a_step_that_became_a_third_longer_is_told_with_the_build_that_it_was_shorter_in() {
+    let runs = Runs::new(&[
+        ("a", record("old", 1, vec![scenario("dq-pi", "1", &[1_000.0])])),
+        ("b", record("new", 2, vec![scenario("dq-pi", "1", &[1_300.0])])),
+    ]);
+    let trends = runs.cost(&record("new", 3, vec![scenario("dq-pi", "1", &[1_300.0])]));
+    let [trend] = &trends[..] else { panic!("{trends:?}") };
+    assert_eq!((trend.law.as_str(), trend.build.as_str()), ("dq-pi", "new"));
+    assert_eq!(trend.cost, Cost { mean: 1_170.0, worst: 1_300.0 });
+    let names: Vec<_> = trend.earlier.iter().map(|earlier| earlier.run.as_deref()).collect();
+    assert_eq!(names, [Some("b"), Some("a")], "the newest first, and not the run itself");
+    let change = trend.change().unwrap();
+    assert_eq!((change.what, change.now, change.then), ("worst", 1_300.0, 1_000.0));
+    assert_eq!(change.against.build, "old");
+}
+
+#[test]
+fn only_what_both_played_is_compared() {
+    let earlier = vec![
+        scenario("dq-pi", "1", &[1_000.0, 2_000.0]),
+        scenario("open-loop", "1", &[500.0]),
+        scenario("dq-pi", "changed since", &[9_000.0]),
+    ];
+    let runs = Runs::new(&[("a", record("old", 1, earlier))]);
+    let now = vec![
+        scenario("dq-pi", "1", &[1_010.0]),
+        scenario("dq-pi", "2", &[4_000.0]),
+        scenario("dq-pi-euler", "1", &[7_000.0]),
+    ];
+    let trends = runs.cost(&record("new", 2, now));
+    let laws: Vec<_> = trends.iter().map(|trend| (trend.law.as_str(), trend.cost.worst)).collect();
+    assert_eq!(laws, [("dq-pi", 4_000.0), ("dq-pi-euler", 7_000.0)]);
+    let [earlier] = &trends[0].earlier[..] else { panic!("{trends:?}") };
+    assert_eq!((earlier.trials, earlier.then.worst, earlier.now.worst), (1, 1_000.0, 1_010.0));
+    assert_eq!(trends[0].change(), None, "a percent is not worth a word");
+    assert_eq!(trends[1].earlier, [], "another law is another matter");
+}
+
+#[test]
+fn other_firmware_other_rigs_and_damaged_records_are_left_out() {
+    let played = || vec![scenario("dq-pi", "1", &[1_000.0])];
+    let mut hosted = record("x", 1, played());
+    hosted.rig.name = "serial:/dev/ttyUSB0".to_owned();
+    let mut other = record("x", 1, played());
+    other.rig.firmware.as_mut().unwrap().name = "other".to_owned();
+    let runs = Runs::new(&[("hosted", hosted), ("other", other), ("damaged", record("x", 1, played()))]);
+    fs::write(runs.folder("damaged").join(FILE), "{ \"format\": 1, \"started\": \"2026\" }").unwrap();
+    fs::create_dir(runs.folder("no-run")).unwrap();
+    fs::write(runs.folder("no-folder"), "").unwrap();
+    let trends = runs.cost(&record("new", 2, played()));
+    assert_eq!(trends[0].earlier, []);
+    assert_eq!(runs.cost(&record("new", 2, vec![scenario("dq-pi", "1", &[])])), [], "nothing was counted");
+}
+
+#[test]
+fn no_more_than_the_twenty_newest_are_read() {
+    let earlier: Vec<_> = (0..22).map(|second| record("old", second, vec![scenario("dq-pi", "1", &[1e3])])).collect();
+    // Named against the order of their times.
+    let names: Vec<String> = (0..22).map(|second| format!("run-{}", 99 - second)).collect();
+    let named: Vec<_> = names.iter().map(String::as_str).zip(earlier).collect();
+    let trends = Runs::new(&named).cost(&record("new", 30, vec![scenario("dq-pi", "1", &[1e3])]));
+    let started: Vec<_> = trends[0].earlier.iter().filter_map(|earlier| earlier.started.clone()).collect();
+    assert_eq!(started.len(), NEWEST);
+    assert_eq!((started[0].as_str(), started[19].as_str()), ("2026-01-01T00:00:21Z", "2026-01-01T00:00:02Z"));
+}
+
+#[test]
+fn the_reference_comes_last_and_only_for_the_firmware_that_it_names_on_the_emulated_board() {
+    let played = || scenario("dq-pi", "1", &[2_000.0]);
+    let reference = |firmware: &str| Reference {
+        firmware: firmware.to_owned(),
+        build: "shipped".to_owned(),
+        trial: vec![ReferenceTrial {
+            law: "dq-pi".to_owned(),
+            inputs: inputs_digest(&played()),
+            seed: 1,
+            mean: 900.0,
+            worst: 1_000.0,
+        }],
+    };
+    let now = record("new", 2, vec![played()]);
+    let earlier = || vec![known(("a".to_owned(), record("new", 1, vec![played()])))];
+    let trends = beside(&now, &costs(&now), earlier(), Some(reference("own")));
+    let builds: Vec<_> = trends[0].earlier.iter().map(|earlier| earlier.build.as_str()).collect();
+    assert_eq!(builds, ["new", "shipped"]);
+    let change = trends[0].change().unwrap();
+    assert_eq!((change.percent, change.against.run.as_ref()), (100.0, None));
+
+    assert_eq!(beside(&now, &costs(&now), earlier(), Some(reference("other")))[0].earlier.len(), 1);
+    let mut on_a_board = now.clone();
+    on_a_board.rig.name = "probe:STM32F407VG".to_owned();
+    assert_eq!(beside(&on_a_board, &costs(&on_a_board), earlier(), Some(reference("own")))[0].earlier.len(), 1);
+}
+
+#[test]
+fn the_reference_can_be_read() {
+    let reference = reference().unwrap();
+    assert!(reference.trial.len() >= 30, "{} trials", reference.trial.len());
+}

@@ -1,0 +1,102 @@
+//! What a control step costs beside earlier runs, and the reference for the image that comes with the bench.
+
+use crate::bench::{Workshop, call, code, root, step_scenario};
+use platebench_rig::RigSpec;
+use platebench_runner::{Cancel, Plan, RunFolder, inputs_digest, rejudge, run};
+use platebench_scenario::find;
+use platebench_verdict::RunRecord;
+use platebench_verdict::record::{FILE, Overrides};
+use platebench_wire::LawId;
+use std::fmt::Write as _;
+use std::fs;
+
+const SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
+/// Long scenarios cost no more per step than short ones.
+const LONGEST_S: f64 = 1.0;
+
+#[test]
+fn a_control_step_that_became_longer_is_told_live_and_from_the_record() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", SETTLING));
+    let play = |out: &str| {
+        let output = call(workshop.path(), ["run", "--rig", "emulated", "--out", out]);
+        assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let first = play("runs/first");
+    assert!(first.contains("instructions per step: 2 ") && !first.contains('↳'), "{first}");
+    // What the first run would have left behind, had its firmware been quicker.
+    let folder = workshop.path().join("runs/first");
+    let mut quicker = RunRecord::read(&folder).unwrap();
+    quicker.rig.firmware.as_mut().unwrap().build = "1a2b3c4d5e6f7081".to_owned();
+    let telemetry = &mut quicker.scenarios[0].trials[0].telemetry;
+    telemetry.instructions_worst = telemetry.instructions_worst.map(|worst| worst / 1.3);
+    quicker.write(&folder).unwrap();
+    let said = "30 % more than";
+    let second = play("runs/second");
+    assert!(second.contains(said) && second.contains("of build 1a2b3c4d (run first)"), "{second}");
+    let page = fs::read_to_string(workshop.path().join("runs/second/report.html")).unwrap();
+    assert!(page.contains(said), "the page tells it too");
+    // The record keeps what was compared: the earlier run is not needed any more.
+    fs::remove_file(folder.join(FILE)).unwrap();
+    let judged = call(workshop.path(), ["judge", "runs/second"]);
+    assert!(String::from_utf8_lossy(&judged.stdout).contains(said), "{}", String::from_utf8_lossy(&judged.stdout));
+    let stored = workshop.path().join("runs/second");
+    assert_eq!(rejudge(&stored, None).unwrap().cost, RunRecord::read(&stored).unwrap().cost);
+}
+
+/// One line of the reference for each trial.
+fn lines(record: &RunRecord, text: &mut String) {
+    for scenario in &record.scenarios {
+        let trial = &scenario.trials[0];
+        let (mean, worst) = (trial.telemetry.instructions_mean.unwrap(), trial.telemetry.instructions_worst.unwrap());
+        writeln!(
+            text,
+            "\n[[trial]] # {}\nlaw = {:?}\ninputs = {:?}\nseed = {}\nmean = {mean:?}\nworst = {worst:?}",
+            scenario.file,
+            scenario.law,
+            inputs_digest(scenario),
+            trial.seed
+        )
+        .unwrap();
+    }
+}
+
+/// Holds `firmware-under-test/images/cost.toml` to the image, or writes it where `PLATEBENCH_COST=update` asks for that.
+#[test]
+fn the_reference_is_what_the_image_takes() {
+    let mut scenarios =
+        find(&[root().join("scenarios/paper")]).unwrap_or_else(|faults| panic!("{}", faults[0])).scenarios;
+    scenarios.retain(|scenario| scenario.duration.seconds() <= LONGEST_S);
+    let mut text = "# Instructions per control step of platebench-stm32f4.elf: the first trial of the paper's scenarios under every law.\n\
+                    # Written by `ci/cost --update` after the image has changed; a test holds it to the image.\n"
+        .to_owned();
+    for law in LawId::ALL {
+        let overrides = Overrides { law: Some(law.name().to_owned()), trials: Some(1), seed: None };
+        let mut scenarios = scenarios.clone();
+        for scenario in &mut scenarios {
+            rejudge::apply(&overrides, scenario);
+        }
+        let clock = platebench_runner::Clock::Lockstep { wire_time: false };
+        let plan = Plan { scenarios, jobs: 2, clock, own_clock: false, rig: "emulated".to_owned(), overrides };
+        let out = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(Some(&out.path().join("run"))).unwrap();
+        let connect = || RigSpec::Emulated(None).connect();
+        let record = run(&plan, &folder, &connect, &Cancel::default(), &mut |_| {}).unwrap();
+        if law == LawId::ALL[0] {
+            let firmware = record.rig.firmware.as_ref().unwrap();
+            writeln!(text, "firmware = {:?}\nbuild = {:?}", firmware.name, firmware.build).unwrap();
+        }
+        lines(&record, &mut text);
+    }
+    let path = root().join("firmware-under-test/images/cost.toml");
+    if std::env::var("PLATEBENCH_COST").is_ok_and(|wish| wish == "update") {
+        fs::write(&path, &text).unwrap();
+    }
+    let committed = fs::read_to_string(&path).unwrap();
+    let differs = committed.lines().zip(text.lines()).find(|(old, new)| old != new);
+    assert!(
+        committed == text,
+        "the image takes other instructions than the reference says: ci/cost --update; {differs:?}"
+    );
+}
