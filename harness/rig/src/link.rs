@@ -9,7 +9,7 @@ pub enum LinkError {
     /// The other side is gone: process ended, cable pulled, port closed.
     #[error("the link to the controller is lost: {0}")]
     Disconnected(String),
-    /// The firmware on an emulated board trapped, fell silent or left what the emulator knows.
+    /// The firmware trapped, on an emulated board or before the eyes of a debug probe; or it fell silent or left what the emulator knows.
     #[error("{0}")]
     Target(Box<TargetFault>),
 }

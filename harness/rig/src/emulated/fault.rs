@@ -26,7 +26,7 @@ impl fmt::Display for Place {
     }
 }
 
-/// Why the firmware on an emulated board cannot go on, or may not be believed.
+/// Why the firmware on an emulated board, or on one behind a debug probe, cannot go on, or may not be believed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum TargetFault {
     /// The processor entered a fault handler, or the program panicked.
@@ -77,6 +77,9 @@ pub enum TargetFault {
         /// What it does use.
         seen: u32,
     },
+    /// The processor of a board trapped; what its debug probe read of that.
+    #[error("{0}")]
+    OnBoard(String),
     /// The emulator itself failed.
     #[error("the emulator failed: {0}")]
     Emulator(String),

@@ -1,6 +1,7 @@
 //! Why a board on a debug probe cannot be worked with.
 
 use super::fault::Fault;
+use crate::emulated::TargetFault;
 use crate::link::LinkError;
 use probe_rs::flashing::FlashError;
 use probe_rs::probe::DebugProbeError;
@@ -187,8 +188,12 @@ impl ProbeError {
 }
 
 impl From<ProbeError> for LinkError {
+    /// A trap is the firmware's doing; everything else means that the board is out of reach.
     fn from(error: ProbeError) -> Self {
-        Self::Disconnected(error.to_string())
+        match error {
+            ProbeError::Trapped(fault) => Self::Target(Box::new(TargetFault::OnBoard(fault.to_string()))),
+            lost => Self::Disconnected(lost.to_string()),
+        }
     }
 }
 

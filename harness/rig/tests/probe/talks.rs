@@ -4,7 +4,7 @@ use crate::emulated::Bench;
 use crate::image::{Program, Recipe};
 use crate::rtt::Rings;
 use crate::{attach, link};
-use platebench_rig::link::Link;
+use platebench_rig::link::{Link, LinkError};
 use platebench_rig::probe::{Image, ProbeError, RttLink};
 use platebench_rig::{RigError, Session};
 use platebench_wire::{Configure, LawId, Sample, State};
@@ -88,7 +88,9 @@ fn a_line_that_does_not_acknowledge_is_an_error_that_nothing_repeats_away() {
     let bench = Bench::new();
     let mut link = link(&bench, &Recipe::default()).unwrap();
     bench.chip().unacknowledged = 1;
-    let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string();
+    let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err();
+    assert!(matches!(error, LinkError::Disconnected(_)), "{error:?}");
+    let error = error.to_string();
     assert!(error.contains("an exchange failed") && error.contains("did not respond"), "{error}");
     // The line is back; a session that lost bytes is not.
     assert!(link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string().contains("earlier error"));
