@@ -65,7 +65,7 @@ impl CostTrend {
         self.earlier.iter().find(|earlier| earlier.build != self.build).or_else(|| self.earlier.first())
     }
 
-    /// The change of the worst step against that run, or that of the mean where only the mean has changed by more than [`WORTH_A_WORD_PERCENT`].
+    /// The change of the worst step against that run, or that of the mean where only the mean has changed by more than 1 %.
     pub fn change(&self) -> Option<CostChange<'_>> {
         let against = self.against()?;
         let EarlierCost { now, then, .. } = against;
