@@ -10,6 +10,7 @@
 //! * [`serial`]: a controller on a serial port; [`baud`]: whether that is fast enough.
 //! * [`terminal`]: a pseudo-terminal for a controller that somebody else starts.
 //! * [`paced`]: virtual time links in real time.
+//! * [`faulty`]: faults of a line, on purpose, around any link.
 //! * [`session`]: handshake, configuration, samples and a safe end over any link.
 //!
 //! Everything above the bytes is the same for every rig, so that a controller in this process is talked to exactly like one behind a cable. Plate, profiles
@@ -20,6 +21,7 @@ pub mod baud;
 pub mod connect;
 pub mod emulated;
 pub mod exec;
+pub mod faulty;
 pub mod hosted;
 pub mod link;
 mod lock;
@@ -36,6 +38,7 @@ pub use baud::{TooSlow, check_baud, smallest_baud};
 pub use connect::{AnyLink, ConnectError};
 pub use emulated::{Emulated, EmulatedError, TargetFault};
 pub use exec::{Exec, ExecError};
+pub use faulty::{Direction, Faulty, WireFault, WireFaultKind};
 pub use hosted::Hosted;
 pub use link::{Line, Link, LinkError};
 pub use lock::Holder;

@@ -71,6 +71,10 @@ pub struct Session<L: Link> {
     reader: FrameReader,
     identity: Identity,
     sequence: u8,
+    /// Number of the last command that was handed over.
+    heard: u8,
+    /// A command that came beside the answer that was waited for, and has not been handed over yet.
+    said: Option<(u8, Command)>,
     now: Duration,
     bytes: Vec<u8>,
     /// How many of `bytes` were read.
@@ -102,6 +106,8 @@ impl<L: Link> Session<L> {
             reader: FrameReader::new(),
             identity,
             sequence: 0,
+            heard: 0,
+            said: None,
             now: Duration::ZERO,
             bytes: Vec::with_capacity(ROOM),
             read: 0,
@@ -125,6 +131,11 @@ impl<L: Link> Session<L> {
         &self.link
     }
 
+    /// The line, for what only its kind takes.
+    pub fn link_mut(&mut self) -> &mut L {
+        &mut self.link
+    }
+
     /// Who is there.
     pub fn identity(&self) -> &Identity {
         &self.identity
@@ -141,16 +152,26 @@ impl<L: Link> Session<L> {
     /// # Errors
     /// [`RigError`] where the target refuses or does not answer.
     pub fn begin(&mut self, configure: &Configure) -> Result<Gains, RigError> {
-        self.now = Duration::ZERO;
         if self.link.restart()? {
             self.sequence = 0;
             self.reader = FrameReader::new();
             self.bytes.clear();
             self.read = 0;
         }
+        let gains = self.configure(Duration::ZERO, configure)?;
+        self.refused = 0;
+        Ok(gains)
+    }
+
+    /// Within a trial, at `now`: 0 V, and the design that `configure` asks for from the next sample on. Leaves the states of a controller that has stopped.
+    ///
+    /// # Errors
+    /// [`RigError`] where the target refuses or does not answer.
+    pub fn configure(&mut self, now: Duration, configure: &Configure) -> Result<Gains, RigError> {
+        self.now = now;
+        self.said = None;
         match self.ask(Message::Configure(*configure))? {
             Some((Message::Configured(Configured { outcome }), _)) => {
-                self.refused = 0;
                 debug!(law = configure.law.name(), gains = ?outcome, "controller configured");
                 outcome.map_err(RigError::Refused)
             }
@@ -173,7 +194,13 @@ impl<L: Link> Session<L> {
         }
     }
 
-    /// Lets time pass without a sample and returns the last thing that the target did about it, if it said so.
+    /// True where the last sample was answered, in time or late.
+    pub fn is_answered(&self) -> bool {
+        self.heard == self.sequence
+    }
+
+    /// Lets time pass without a sample and returns the last command that came meanwhile or beside an answer: one that is late, or one that the target gave
+    /// of its own accord because it stopped. One that is older than what was handed over before is none.
     ///
     /// # Errors
     /// [`RigError`] where the line is dead or the target trapped.
@@ -181,13 +208,13 @@ impl<L: Link> Session<L> {
         self.now = now;
         self.forget_read();
         self.link.pass(now, &mut self.bytes)?;
-        let mut last = None;
-        self.read_packets(|packet| {
-            if let Message::Command(command) = packet.message {
-                last = Some(command);
-            }
-        })?;
-        Ok(last)
+        let mut last = self.said.take();
+        let news = self.news();
+        self.read_packets(|packet| last = news.of(packet).or(last))?;
+        if let Some((sequence, _)) = last {
+            self.heard = sequence;
+        }
+        Ok(last.map(|(_, command)| command))
     }
 
     /// Asks for 0 V, again where no answer comes. True where the target confirmed it.
@@ -259,14 +286,26 @@ impl<L: Link> Session<L> {
         self.forget_read();
         let frame = Packet { sequence, message }.encode();
         let delay = self.link.exchange(self.now, frame.as_bytes(), &mut self.bytes)?;
-        let mut answer = None;
+        let (mut answer, mut said) = (None, self.said.take());
+        let news = self.news();
         self.read_packets(|packet| {
             // Ticks count by themselves.
             if packet.sequence == sequence && !matches!(packet.message, Message::Tick(_)) {
                 answer = Some((packet.message, delay));
+            } else {
+                said = news.of(packet).or(said);
             }
         })?;
+        if answer.is_some() {
+            self.heard = sequence;
+        } else {
+            self.said = said;
+        }
         Ok(answer)
+    }
+
+    fn news(&self) -> News {
+        News { sent: self.sequence, heard: self.heard }
     }
 
     fn read_packets(&mut self, mut take: impl FnMut(&Packet)) -> Result<(), RigError> {
@@ -300,6 +339,23 @@ impl<L: Link> Session<L> {
             self.bytes.clear();
             self.read = 0;
         }
+    }
+}
+
+/// Tells commands that are still to be heard from those that came too late to matter.
+#[derive(Clone, Copy)]
+struct News {
+    sent: u8,
+    heard: u8,
+}
+
+impl News {
+    /// The command of `packet`, where it answers a later message than the last command did, or takes that one back because the target stopped.
+    fn of(self, packet: &Packet) -> Option<(u8, Command)> {
+        let Message::Command(command) = packet.message else { return None };
+        let [age, known] = [packet.sequence, self.heard].map(|number| self.sent.wrapping_sub(number));
+        let is_news = age < known || (age == known && command.state != State::Running);
+        is_news.then_some((packet.sequence, command))
     }
 }
 

@@ -220,3 +220,28 @@ fn a_line_that_babbles_holds_nobody_up_and_fills_no_memory() {
     assert!(session.refused() >= 8);
     assert_eq!(session.bytes.capacity(), room);
 }
+
+#[test]
+fn a_command_is_news_once_and_in_order_unless_it_takes_the_last_one_back() {
+    let command = |state| Command {
+        target_time_us: 0,
+        drive_vpp: 0.0,
+        frequency_mhz: 0,
+        state,
+        cause: platebench_wire::StateCause::None,
+        flags: 0,
+        compute_us: 0,
+    };
+    let is_news = |sent, heard, sequence, state| {
+        News { sent, heard }.of(&Packet { sequence, message: Message::Command(command(state)) }).is_some()
+    };
+    // Around the end of the numbers, too.
+    for (sent, heard) in [(7, 5), (1, 255), (0, 254)] {
+        let at = |offset: i8| is_news(sent, heard, heard.wrapping_add_signed(offset), State::Running);
+        assert_eq!([-1, 0, 1, 2, 3].map(at), [false, false, true, true, false], "{sent} {heard}");
+        assert!(
+            is_news(sent, heard, heard, State::Fault) && !is_news(sent, heard, heard.wrapping_sub(1), State::Fault)
+        );
+    }
+    assert!(News { sent: 7, heard: 5 }.of(&Packet { sequence: 7, message: Message::Hello }).is_none());
+}
