@@ -6,7 +6,7 @@ use crate::{output, signals};
 use crossterm::event::{Event, KeyCode, KeyEventKind, poll, read};
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use platebench_plate::Time;
-use platebench_rig::{AnyLink, RigSpec, Session, Terminal};
+use platebench_rig::{AnyLink, Faulty, RigSpec, Session, Terminal};
 use platebench_runner::real_time::{Consumer, Emulated, emulate as play};
 use platebench_runner::trial::Order;
 use platebench_runner::{Cancel, Hand, Held, Pace};
@@ -151,7 +151,7 @@ impl Plate {
         output::note("waiting for a controller");
         while !cancel.is_cancelled() {
             let called = Instant::now();
-            let Ok(mut session) = Session::open(&mut link) else {
+            let Ok(mut session) = Session::open(Faulty::new(&mut link)) else {
                 // A port that is gone comes back as another one.
                 if let Place::Serial(rig) = port {
                     link = rig.connect_in_real_time().unwrap_or(link);

@@ -13,8 +13,10 @@
 mod accounting;
 mod configure;
 pub mod event;
+mod fault;
 pub mod folder;
 mod measured;
+mod observed;
 mod queue;
 pub mod real_time;
 pub mod rejudge;

@@ -5,7 +5,7 @@
 
 use crate::trial::{self, Order, Patience};
 use platebench_plate::{Profile, Time};
-use platebench_rig::{Hosted, Session};
+use platebench_rig::{Faulty, Hosted, Session};
 use platebench_scenario::{Expectation, Metric, Scenario, Spread};
 use platebench_trace::Row;
 use platebench_verdict::judge::Excuse;
@@ -115,7 +115,7 @@ fn twin(scenario: &Scenario, law: LawId, index: u32, delay: Time) -> Option<Tria
 }
 
 fn play(scenario: &Scenario, law: LawId, index: u32) -> Option<Vec<Row>> {
-    let mut session = Session::open(Hosted::new()).ok()?;
+    let mut session = Session::open(Faulty::new(Hosted::new())).ok()?;
     let order = Order { scenario, law, index, wire_time: false, own_clock: false };
     trial::play(&mut session, &order, &Patient).map(|played| played.rows)
 }

@@ -6,15 +6,18 @@
 
 use crate::accounting::Accounts;
 use crate::configure::configure;
+use crate::fault::{reconfigures, wire_faults};
+use crate::observed::stop_reason;
 use crate::queue::{Queue, collect};
 use crate::scheduling::Granted;
 use crate::stage::{Held, Stage, expected_rows};
 use crate::trial::{Order, Patience, Played, is_the_controllers_doing};
 use platebench_plate::Time;
-use platebench_rig::{Heard, Link, RigError, Session};
+use platebench_rig::{Faulty, Heard, Link, RigError, Session};
+use platebench_scenario::Scenario;
 use platebench_trace::{Flags, Row};
 use platebench_verdict::Telemetry;
-use platebench_wire::{Command, Configure, Message, State};
+use platebench_wire::{Command, Configure, LawId, Message, State};
 pub use rtrb::Consumer;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -87,7 +90,7 @@ impl Pace {
 ///
 /// Blocks the calling thread, which only collects rows: the loop has a thread of its own.
 pub fn play<L: Link>(
-    session: &mut Session<L>,
+    session: &mut Session<Faulty<L>>,
     order: &Order<'_>,
     pace: Pace,
     patience: &(impl Patience + Sync),
@@ -100,7 +103,7 @@ pub fn play<L: Link>(
 /// Plays the plate to whatever controller is there until `patience` is over or the controller is gone; `hand` takes over from the scenario's
 /// profiles once it is used, and `show` is given the rows. Returns why nobody drives the plate any more.
 pub fn emulate<L: Link>(
-    session: &mut Session<L>,
+    session: &mut Session<Faulty<L>>,
     order: &Order<'_>,
     pace: Pace,
     patience: &(impl Patience + Sync),
@@ -154,7 +157,7 @@ impl Hand {
 
 /// The loop on a thread of its own; its rows go to `take`.
 fn drive<L: Link, T>(
-    session: &mut Session<L>,
+    session: &mut Session<Faulty<L>>,
     order: &Order<'_>,
     pace: Pace,
     patience: &(impl Patience + Sync),
@@ -163,6 +166,7 @@ fn drive<L: Link, T>(
 ) -> (T, Option<(Telemetry, Option<RigError>)>) {
     let (queue, consumer) = Queue::new();
     let stage = Stage::new(order.scenario, order.index, queue);
+    session.link_mut().arm(&wire_faults(order.scenario, order.index));
     let begun = session.begin(&pace.of_target(configure(order.scenario, order.law)));
     thread::scope(|scope| {
         let live = scope.spawn(move || {
@@ -194,7 +198,9 @@ impl From<RigError> for End {
 }
 
 struct Live<'a, L: Link> {
-    session: &'a mut Session<L>,
+    session: &'a mut Session<Faulty<L>>,
+    scenario: &'a Scenario,
+    law: LawId,
     stage: Stage<'a, Queue>,
     /// With the moves of it that were seen.
     hand: Option<(&'a Hand, u64)>,
@@ -209,14 +215,15 @@ struct Live<'a, L: Link> {
     last_sent: Option<u8>,
     last_heard: Instant,
     silent_periods: u32,
-    /// The controller says that it does not run.
-    stopped: bool,
+    /// When the controller said that it does not run, while it does not, and why it first did.
+    stopped: Option<Time>,
+    stop_reason: Option<&'static str>,
     accounts: Accounts,
 }
 
 impl<'a, L: Link> Live<'a, L> {
     fn new(
-        session: &'a mut Session<L>,
+        session: &'a mut Session<Faulty<L>>,
         order: &Order<'a>,
         pace: Pace,
         stage: Stage<'a, Queue>,
@@ -225,6 +232,8 @@ impl<'a, L: Link> Live<'a, L> {
         let now = Instant::now();
         Self {
             session,
+            scenario: order.scenario,
+            law: order.law,
             stage,
             hand: hand.map(|hand| (hand, 0)),
             pace,
@@ -236,7 +245,8 @@ impl<'a, L: Link> Live<'a, L> {
             last_sent: None,
             last_heard: now,
             silent_periods: 0,
-            stopped: false,
+            stopped: None,
+            stop_reason: None,
             accounts: Accounts::new(),
         }
     }
@@ -258,6 +268,7 @@ impl<'a, L: Link> Live<'a, L> {
 
     /// Control instants are multiples of the period.
     fn play_by_own_timer(&mut self, patience: &impl Patience) -> Result<(), End> {
+        self.session.link_mut().run_from(self.start, self.pace.time_scale);
         while self.next_control < self.duration {
             if self.waits_in_vain() {
                 return Ok(());
@@ -328,6 +339,7 @@ impl<'a, L: Link> Live<'a, L> {
             };
             if !ticks.any() {
                 self.start = heard.at;
+                self.session.link_mut().run_from(self.start, self.pace.time_scale);
             }
             self.last_heard = heard.at;
             let instant = self.since_start(heard.at);
@@ -353,7 +365,14 @@ impl<'a, L: Link> Live<'a, L> {
         }
         let sample = self.stage.sense();
         let sent = Instant::now();
+        if let Some(configure) = self.new_configuration(now) {
+            self.session.post(Message::Configure(configure))?;
+            self.stopped = None;
+        }
         let outcome = self.session.post(Message::Sample(sample));
+        if let Some(given) = self.session.link().given() {
+            self.stage.given(given.map(f64::from));
+        }
         let overrun = lateness.as_secs_f64() > OVERRUN_SHARE * self.pace.wall(self.period).as_secs_f64();
         let missed = self.last_sent.is_some_and(|last| self.open.get(usize::from(last)).is_some_and(Option::is_some));
         self.accounts.periods += 1;
@@ -369,11 +388,23 @@ impl<'a, L: Link> Live<'a, L> {
             *open = Some(now);
         }
         self.last_sent = Some(sequence);
+        if self.scenario.explains(now) {
+            // A line that is planned to come back is waited for.
+            self.last_heard = sent;
+            self.silent_periods = 0;
+        }
         let silent = sent.saturating_duration_since(self.last_heard);
         if self.silent_periods > SILENT_PERIODS && silent > SILENT_TIME {
             return Err(RigError::NoAnswer { expected: "command" }.into());
         }
         Ok(())
+    }
+
+    /// What a line operator says once a fault is over that stopped the controller. Its answer is not waited for.
+    fn new_configuration(&self, now: Time) -> Option<Configure> {
+        let stopped = self.stopped?;
+        let is_over = reconfigures(self.scenario, stopped, now);
+        is_over.then(|| self.pace.of_target(configure(self.scenario, self.law)))
     }
 
     fn hear(&mut self, heard: &Heard) {
@@ -395,13 +426,18 @@ impl<'a, L: Link> Live<'a, L> {
             let bench = self.at(sampled).saturating_duration_since(self.start);
             self.accounts.drift.take(bench, command.target_time_us);
         }
-        self.stopped |= command.state != State::Running;
+        if command.state == State::Running {
+            self.stopped = None;
+        } else {
+            self.stopped.get_or_insert(instant);
+            self.stop_reason.get_or_insert(stop_reason(&command));
+        }
         self.actuate(&command);
     }
 
     /// True where somebody waits for the controller to go on, and it does not.
     fn waits_in_vain(&self) -> bool {
-        self.stopped && self.hand.is_some()
+        self.stopped.is_some() && self.hand.is_some()
     }
 
     fn actuate(&mut self, command: &Command) {
@@ -452,7 +488,10 @@ impl<'a, L: Link> Live<'a, L> {
         timing.refused_frames = self.session.refused();
         timing.safe_confirmed = safe_confirmed;
         timing.lost_rows = self.stage.into_rows().lost();
+        let faults = self.session.link().counts().map(|(kind, count)| (kind.to_owned(), count)).collect();
         let telemetry = Telemetry {
+            faults,
+            stopped: self.stop_reason.map(str::to_owned),
             loop_delay_us: timing.loop_delay_us.map(|quantiles| quantiles.max),
             rig_delay_us: timing.loop_delay_us.map(|_| self.accounts.longest_rig_delay.as_secs_f64() * 1e6),
             ended: lost.as_ref().map(ToString::to_string),

@@ -126,6 +126,7 @@ fn other_expectations(path: &Path, played: &Scenario) -> Result<Vec<Expectation>
         (other.controller == played.controller, "[controller]"),
         (other.setpoint == played.setpoint && other.scene == played.scene, "[profile]"),
         (other.trials == played.trials, "[trials]"),
+        (other.faults == played.faults, "[[fault]]"),
     ];
     match alike.iter().find(|(holds, _)| !holds) {
         Some((_, what)) => Err(RejudgeError::OtherExperiment { path: path.to_owned(), what }),

@@ -7,7 +7,7 @@ use crate::measured::{delay_budget, measured};
 use crate::real_time::{self, Pace};
 use crate::trend;
 use crate::trial::{self, Order, Patience};
-use platebench_rig::{AnyLink, ConnectError, RigError, Session};
+use platebench_rig::{AnyLink, ConnectError, Faulty, RigError};
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::{Row, TraceError, Writer};
 use platebench_verdict::judge::trial_record;
@@ -27,6 +27,9 @@ use tracing::{debug, error, info, info_span};
 
 /// Makes a new link to a controller; called once per worker, and again where a controller was lost.
 pub type Connect<'a> = dyn Fn() -> Result<AnyLink, ConnectError> + Send + Sync + 'a;
+
+/// A controller on any rig, with a line that may be harmed.
+type Session = platebench_rig::Session<Faulty<AnyLink>>;
 
 /// What is to be done.
 #[derive(Debug, Clone)]
@@ -128,7 +131,7 @@ pub fn run(
 ) -> Result<RunRecord, RunError> {
     let laws = plan.scenarios.iter().map(configure::law).collect::<Result<Vec<_>, _>>();
     let laws = laws.map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
-    let first = Session::open(connect()?)?;
+    let first = Session::open(Faulty::new(connect()?))?;
     let inputs = folder.store_inputs(&plan.scenarios)?;
     for scenario in &plan.scenarios {
         folder.prepare(scenario)?;
@@ -253,7 +256,7 @@ struct Work<'a> {
 
 impl Work<'_> {
     /// Plays trials until none is left, each worker over a link of its own.
-    fn worker(&self, mut session: Option<Session<AnyLink>>, results: &mpsc::Sender<Result<Progress, RunError>>) {
+    fn worker(&self, mut session: Option<Session>, results: &mpsc::Sender<Result<Progress, RunError>>) {
         while !self.cancel.is_cancelled() {
             let Some(&task) = self.tasks.get(self.next.fetch_add(1, Ordering::Relaxed)) else { break };
             if task.index == 0 && results.send(Ok(Progress::Started(task.scenario))).is_err() {
@@ -274,7 +277,7 @@ impl Work<'_> {
     }
 
     /// Plays and measures one trial. `None` where it was given up.
-    fn play(&self, session: &mut Option<Session<AnyLink>>, task: Task) -> Result<Option<Done>, RunError> {
+    fn play(&self, session: &mut Option<Session>, task: Task) -> Result<Option<Done>, RunError> {
         let (Some(scenario), Some(&law)) = (self.plan.scenarios.get(task.scenario), self.laws.get(task.scenario))
         else {
             return Ok(None);
@@ -283,7 +286,7 @@ impl Work<'_> {
         let started = Instant::now();
         let open = match session {
             Some(open) => open,
-            None => session.insert(Session::open((self.connect)()?)?),
+            None => session.insert(Session::open(Faulty::new((self.connect)()?))?),
         };
         let wire_time = self.plan.clock == Clock::Lockstep { wire_time: true };
         let order = Order { scenario, law, index: task.index, wire_time, own_clock: self.plan.own_clock };
@@ -327,7 +330,7 @@ fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
     text.unwrap_or("no message").to_owned()
 }
 
-fn first_record(plan: &Plan, folder: &RunFolder, session: &Session<AnyLink>, inputs: &[Vec<InputRecord>]) -> RunRecord {
+fn first_record(plan: &Plan, folder: &RunFolder, session: &Session, inputs: &[Vec<InputRecord>]) -> RunRecord {
     let scenarios = plan.scenarios.iter().zip(inputs).map(|(scenario, inputs)| empty_record(scenario, inputs.clone()));
     let identity = session.identity();
     let [major, minor, patch] = identity.version;

@@ -175,6 +175,11 @@ impl<'a, R: Rows> Stage<'a, R> {
         }
     }
 
+    /// What the controller was given instead of what was sensed.
+    pub(crate) fn given(&mut self, sensed: [f64; 2]) {
+        self.sensed = sensed;
+    }
+
     /// A row for now, or what else happened at the instant of the last one.
     pub(crate) fn push_row(&mut self, lateness_us: f64, flags: Flags) {
         let (now, state) = (self.time(), self.plant.state());
@@ -238,6 +243,21 @@ impl<'a, R: Rows> Stage<'a, R> {
             if setpoint > 0.0 && !self.watches.contains(&watch) {
                 self.watches.push(watch);
             }
+        }
+    }
+}
+
+impl Stage<'_, Vec<Row>> {
+    /// Rows up to now, without the one that this instant will have: its number.
+    pub(crate) fn rows_so_far(&self) -> usize {
+        self.rows.len() + usize::from(self.held.is_some())
+    }
+
+    /// Adds to the flags of the row with this number.
+    pub(crate) fn flag(&mut self, number: usize, flags: Flags) {
+        let row = if number == self.rows.len() { self.held.as_mut() } else { self.rows.get_mut(number) };
+        if let Some(row) = row {
+            row.flags |= flags;
         }
     }
 }

@@ -3,19 +3,20 @@
 //! Events, in this order where they fall together: control instant, actuation, row.
 
 use crate::configure::configure;
+use crate::fault::{reconfigures, wire_faults};
+use crate::observed::{Observed, stop_reason};
 use crate::stage::{Stage, expected_rows};
 use platebench_plate::Time;
-use platebench_rig::{Link, LinkError, Reply, RigError, Session};
+use platebench_rig::{Faulty, Link, LinkError, RigError, Session};
 use platebench_scenario::Scenario;
 use platebench_trace::{Flags, Row};
 use platebench_verdict::Telemetry;
-use platebench_wire::{Command, Configure, LawId};
+use platebench_wire::{Command, Configure, LawId, State as Mode};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// After this many samples without an answer the controller is taken to be gone.
-const MISSES_UNTIL_LOST: u32 = 5;
-
+/// After this many periods without any answer the controller is taken to be gone: time for its own time-out, which takes five, and for more than one repeat.
+const MISSES_UNTIL_LOST: u32 = 20;
 /// A controller with a clock of its own gets its samples whenever the bench comes to it; after this long without one the bench is gone.
 const OWN_CLOCK_PATIENCE_MS: u16 = 1_000;
 
@@ -52,10 +53,10 @@ pub trait Patience {
 }
 
 /// Plays a trial. `None` where it was given up.
-pub fn play<L: Link>(session: &mut Session<L>, order: &Order<'_>, patience: &impl Patience) -> Option<Played> {
+pub fn play<L: Link>(session: &mut Session<Faulty<L>>, order: &Order<'_>, patience: &impl Patience) -> Option<Played> {
+    session.link_mut().arm(&wire_faults(order.scenario, order.index));
     let mut trial = Trial::new(session, order);
-    let patience_ms = if order.own_clock { OWN_CLOCK_PATIENCE_MS } else { 0 };
-    let configure = Configure { patience_ms, ..configure(order.scenario, order.law) };
+    let configure = trial.configure();
     if let Err(error) = trial.session.begin(&configure) {
         trial.lose(error);
     }
@@ -66,45 +67,9 @@ pub fn play<L: Link>(session: &mut Session<L>, order: &Order<'_>, patience: &imp
         }
     }
     let ended = trial.lost.as_ref().map(ToString::to_string);
-    Some(Played {
-        telemetry: Telemetry { ended, ..trial.observed.telemetry() },
-        rows: trial.stage.into_rows(),
-        lost: trial.lost,
-    })
-}
-
-/// What the rig tells with each answer.
-#[derive(Debug, Default)]
-struct Observed {
-    longest_delay: Time,
-    longest_rig_delay: Duration,
-    answers: u64,
-    instructions: Option<(u64, u64)>,
-}
-
-impl Observed {
-    fn take(&mut self, reply: &Reply, delay: Time) {
-        self.answers += 1;
-        self.longest_delay = self.longest_delay.max(delay);
-        self.longest_rig_delay = self.longest_rig_delay.max(reply.delay);
-        if let Some(count) = reply.instructions {
-            let (sum, worst) = self.instructions.unwrap_or_default();
-            self.instructions = Some((sum + count, worst.max(count)));
-        }
-    }
-
-    fn telemetry(&self) -> Telemetry {
-        if self.answers == 0 {
-            return Telemetry::default();
-        }
-        Telemetry {
-            loop_delay_us: Some(self.longest_delay.seconds() * 1e6),
-            rig_delay_us: Some(self.longest_rig_delay.as_secs_f64() * 1e6),
-            instructions_mean: self.instructions.map(|(sum, _)| sum as f64 / self.answers as f64),
-            instructions_worst: self.instructions.map(|(_, worst)| worst as f64),
-            ..Telemetry::default()
-        }
-    }
+    let faults = trial.session.link().counts().map(|(kind, count)| (kind.to_owned(), count)).collect();
+    let telemetry = Telemetry { ended, faults, ..trial.observed.telemetry() };
+    Some(Played { telemetry, rows: trial.stage.into_rows(), lost: trial.lost })
 }
 
 /// An actuation on its way to the plate.
@@ -114,30 +79,41 @@ struct Pending {
 }
 
 struct Trial<'a, L: Link> {
-    session: &'a mut Session<L>,
+    session: &'a mut Session<Faulty<L>>,
     scenario: &'a Scenario,
+    law: LawId,
     wire_time: bool,
-    stage: Stage<'a, Vec<Row>>,
+    own_clock: bool,
     observed: Observed,
+    stage: Stage<'a, Vec<Row>>,
     next_control: Time,
     /// In order of their instants.
     pending: VecDeque<Pending>,
+    /// Control instants in a row that no answer came to.
     misses: u32,
+    /// The last control instant and its row, while its sample has no answer.
+    unanswered: Option<(Time, usize)>,
+    /// When the controller said that it does not run, while it does not.
+    stopped: Option<Time>,
     lost: Option<RigError>,
 }
 
 impl<'a, L: Link> Trial<'a, L> {
-    fn new(session: &'a mut Session<L>, order: &Order<'a>) -> Self {
-        let Order { scenario, index, .. } = *order;
+    fn new(session: &'a mut Session<Faulty<L>>, order: &Order<'a>) -> Self {
+        let Order { scenario, index, law, .. } = *order;
         Self {
             session,
             scenario,
+            law,
             wire_time: order.wire_time,
-            stage: Stage::new(scenario, index, Vec::with_capacity(expected_rows(scenario))),
+            own_clock: order.own_clock,
             observed: Observed::default(),
+            stage: Stage::new(scenario, index, Vec::with_capacity(expected_rows(scenario))),
             next_control: Time::ZERO,
             pending: VecDeque::new(),
             misses: 0,
+            unanswered: None,
+            stopped: None,
             lost: None,
         }
     }
@@ -146,8 +122,17 @@ impl<'a, L: Link> Trial<'a, L> {
     fn step(&mut self) -> bool {
         let now = self.stage.time();
         let mut flags = Flags::empty();
+        if self.lost.is_none() && (self.unanswered.is_some() || self.misses > 0) {
+            self.listen(now);
+        }
+        if now == self.next_control || self.stage.is_over() {
+            self.note_miss();
+        }
         if now == self.next_control && !self.stage.is_over() {
             self.next_control = now + self.scenario.controller.period;
+            if self.lost.is_none() {
+                self.reconfigure(now);
+            }
             if self.lost.is_none() {
                 flags |= self.control(now);
             }
@@ -170,30 +155,89 @@ impl<'a, L: Link> Trial<'a, L> {
 
     fn control(&mut self, now: Time) -> Flags {
         let sample = self.stage.sense();
-        match self.session.sample(Duration::from_nanos(now.as_nanos()), &sample) {
+        let answer = self.session.sample(duration(now), &sample);
+        self.note_given();
+        match answer {
             Ok(Some(reply)) => {
                 self.misses = 0;
                 let rig_delay = Time::from_nanos(reply.delay.as_nanos() as u64);
                 let acting = if self.wire_time { rig_delay } else { Time::ZERO };
                 let delay = self.scenario.controller.loop_delay + acting;
                 self.observed.take(&reply, delay);
-                let at = now + delay;
-                // A controller that answers faster than before does not overtake itself.
-                let at = self.pending.back().map_or(at, |last| last.at.max(at));
-                self.pending.push_back(Pending { at, command: reply.command });
-                Flags::CONTROL
+                self.take(now, now + delay, reply.command);
             }
             Ok(None) => {
-                self.misses += 1;
-                if self.misses >= MISSES_UNTIL_LOST {
-                    self.lose(RigError::NoAnswer { expected: "command" });
+                // It may still come before the next control instant; the row of this one is not there yet.
+                self.unanswered = Some((now, self.stage.rows_so_far()));
+                self.listen(now);
+            }
+            Err(error) => self.lose(error),
+        }
+        Flags::CONTROL
+    }
+
+    /// What the controller says late or of its own accord acts from when it is heard.
+    fn listen(&mut self, now: Time) {
+        let said = self.session.pass(duration(now));
+        self.note_given();
+        match said {
+            Ok(Some(command)) => {
+                self.misses = 0;
+                let loop_delay = self.scenario.controller.loop_delay;
+                if let Some((sampled, _)) = self.unanswered.take_if(|_| self.session.is_answered()) {
+                    self.observed.late_answers += 1;
+                    self.observed.longest_delay = self.observed.longest_delay.max(now - sampled + loop_delay);
                 }
-                Flags::CONTROL | Flags::LINK_LOST
+                self.take(now, now + loop_delay, command);
             }
-            Err(error) => {
-                self.lose(error);
-                Flags::CONTROL
-            }
+            Ok(None) => {}
+            Err(error) => self.lose(error),
+        }
+    }
+
+    /// A command that was heard `now` and acts on the plate from `at` on.
+    fn take(&mut self, now: Time, at: Time, command: Command) {
+        if command.state == Mode::Running {
+            self.stopped = None;
+        } else {
+            self.stopped.get_or_insert(now);
+            self.observed.stopped.get_or_insert_with(|| stop_reason(&command).to_owned());
+        }
+        // A controller that answers faster than before does not overtake itself.
+        let at = self.pending.back().map_or(at, |last| last.at.max(at));
+        self.pending.push_back(Pending { at, command });
+    }
+
+    /// The last control instant has had its time for an answer.
+    fn note_miss(&mut self) {
+        let Some((sampled, index)) = self.unanswered.take() else { return };
+        self.stage.flag(index, Flags::LINK_LOST);
+        // A line that is planned to come back is waited for.
+        if self.scenario.explains(sampled) {
+            return;
+        }
+        self.misses += 1;
+        if self.misses >= MISSES_UNTIL_LOST && self.lost.is_none() {
+            self.lose(RigError::NoAnswer { expected: "command" });
+        }
+    }
+
+    /// What a line operator does once a fault is over that stopped the controller.
+    fn reconfigure(&mut self, now: Time) {
+        if !self.stopped.is_some_and(|stopped| reconfigures(self.scenario, stopped, now)) {
+            return;
+        }
+        let configure = self.configure();
+        match self.session.configure(duration(now), &configure) {
+            Ok(_) => self.stopped = None,
+            Err(error) => self.lose(error),
+        }
+    }
+
+    /// The trace tells what the controller was given, which faults may have changed.
+    fn note_given(&mut self) {
+        if let Some(given) = self.session.link().given() {
+            self.stage.given(given.map(f64::from));
         }
     }
 
@@ -207,7 +251,15 @@ impl<'a, L: Link> Trial<'a, L> {
     fn next_event(&self, now: Time) -> Time {
         let actuation = self.pending.front().map(|pending| pending.at);
         let control = Some(self.next_control).filter(|control| *control > now);
-        actuation.into_iter().chain(control).fold(self.stage.next_fixed(), Time::min)
+        let due = self.session.link().due().map(|due| Time::from_nanos(due.as_nanos() as u64));
+        let held = due.filter(|due| *due > now && self.lost.is_none());
+        actuation.into_iter().chain(control).chain(held).fold(self.stage.next_fixed(), Time::min)
+    }
+
+    /// What the controller is told before the trial, and again where it is configured anew.
+    fn configure(&self) -> Configure {
+        let patience_ms = if self.own_clock { OWN_CLOCK_PATIENCE_MS } else { 0 };
+        Configure { patience_ms, ..configure(self.scenario, self.law) }
     }
 }
 
@@ -217,7 +269,11 @@ pub(crate) fn is_the_controllers_doing(error: &RigError) -> bool {
         RigError::Trapped(_) | RigError::Link(LinkError::Target(_)) => true,
         RigError::Link(LinkError::Disconnected(_))
         | RigError::NoAnswer { .. }
-        | RigError::NotLive
-        | RigError::Refused(_) => false,
+        | RigError::Refused(_)
+        | RigError::NotLive => false,
     }
+}
+
+fn duration(time: Time) -> Duration {
+    Duration::from_nanos(time.as_nanos())
 }

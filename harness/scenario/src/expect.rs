@@ -34,11 +34,15 @@ pub enum Metric {
     InstructionsPerStep,
     /// Instants for which the bench was too late.
     Overruns,
+    /// From a disturbance to 0 V.
+    ShutdownTime,
+    /// Control instants without an answer.
+    MissedReplies,
 }
 
 impl Metric {
     /// Every metric.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 16] = [
         Self::SettlingTime,
         Self::StaticError,
         Self::Repeatability,
@@ -53,6 +57,8 @@ impl Metric {
         Self::LoopDelay,
         Self::InstructionsPerStep,
         Self::Overruns,
+        Self::ShutdownTime,
+        Self::MissedReplies,
     ];
 
     /// The metric's name in scenario files and records, with its unit.
@@ -72,6 +78,8 @@ impl Metric {
             Self::LoopDelay => "loop_delay_us",
             Self::InstructionsPerStep => "instructions_per_step",
             Self::Overruns => "overruns",
+            Self::ShutdownTime => "shutdown_time_ms",
+            Self::MissedReplies => "missed_replies",
         }
     }
 
@@ -100,7 +108,10 @@ impl Metric {
 
     /// True where an instant to look from is part of the definition.
     pub const fn has_from(self) -> bool {
-        matches!(self, Self::SettlingTime | Self::Overshoot | Self::PeakDeviation | Self::RecoveryTime)
+        matches!(
+            self,
+            Self::SettlingTime | Self::Overshoot | Self::PeakDeviation | Self::RecoveryTime | Self::ShutdownTime
+        )
     }
 
     /// True where the signal can be chosen.
@@ -191,7 +202,7 @@ pub struct Expectation {
     pub band_percent: f64,
     /// From when on to look.
     pub from: Option<Time>,
-    /// The window of a mean.
+    /// The window of a mean; of a shutdown, from when to when it has to happen and last.
     pub window: Window,
     /// Name of the column to look at.
     pub signal: &'static str,

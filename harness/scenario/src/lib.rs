@@ -4,6 +4,7 @@
 //! * [`mod@load`]: raw to [`Scenario`], which cannot hold a wrong value; every rule that a file can break.
 //! * [`diagnostic`]: where a file is wrong and what was expected.
 //! * [`expect`]: metrics, limits, expectations.
+//! * [`fault`]: what goes wrong on the line, on purpose.
 //! * [`variation`]: what differs from trial to trial.
 //! * [`mod@find`]: which files a command line means.
 //!
@@ -11,6 +12,7 @@
 
 pub mod diagnostic;
 pub mod expect;
+pub mod fault;
 pub mod find;
 pub mod load;
 pub mod raw;
@@ -19,6 +21,7 @@ pub mod variation;
 
 pub use diagnostic::Diagnostic;
 pub use expect::{Expectation, Limit, Metric, Window};
+pub use fault::{Direction, Fault, FaultKind};
 pub use find::{Found, find};
 pub use load::load;
 pub use scenario::{Controller, Gains, Input, Scenario, Trials};

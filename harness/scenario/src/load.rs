@@ -1,17 +1,19 @@
 //! Raw to checked: every rule that a scenario file can break, each with a pointer to where it breaks it.
 
 use crate::diagnostic::{Diagnostic, suggestion};
+use crate::fault::Fault;
 use crate::raw::{RawController, RawScenario, RawSpread, RawTrials};
 use crate::scenario::{Controller, Gains, Input, Scenario, Trials};
 use crate::variation::Spread;
 use platebench_plate::file::RawPlate;
 use platebench_plate::profile::RawProfile;
-use platebench_plate::{Plate, Scene, Tier, Time};
+use platebench_plate::{Plate, Profile, Scene, Tier, Time};
 use std::f64::consts::TAU;
 use std::fs;
 use std::path::Path;
 
 mod expectation;
+mod fault;
 mod profile;
 
 const DEFAULT_LAW: &str = "dq-pi";
@@ -65,6 +67,14 @@ struct Checker<'a> {
     text: &'a str,
 }
 
+/// What expectations are checked against.
+#[derive(Clone, Copy)]
+struct Play<'a> {
+    duration: Time,
+    setpoint: &'a Profile,
+    faults: &'a [Fault],
+}
+
 impl Checker<'_> {
     fn refuse<T>(&self, key: &str, message: impl Into<String>) -> Result<T, Diagnostic> {
         Err(Diagnostic::at_key(self.path, self.text, key, message))
@@ -115,8 +125,10 @@ impl Checker<'_> {
         self.require(!raw.expect.is_empty(), "expect", || {
             "no [[expect]], expected at least one: a scenario that expects nothing cannot fail".to_owned()
         })?;
-        let expectations =
-            (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, duration, &setpoint));
+        let faults = (0..).zip(&raw.fault).map(|(index, fault)| self.fault(index, fault, duration, controller.period));
+        let faults = faults.collect::<Result<Vec<_>, _>>()?;
+        let play = Play { duration, setpoint: &setpoint, faults: &faults };
+        let expectations = (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, play));
         let expectations = expectations.collect::<Result<_, _>>()?;
         Ok(Scenario {
             file: file.to_owned(),
@@ -126,6 +138,7 @@ impl Checker<'_> {
             tier: self.tier(raw.model.as_deref())?,
             expected_exit: self.expected_exit(raw.expected_exit)?,
             expectations,
+            faults,
             scene,
             inputs,
             plate,
@@ -250,10 +263,12 @@ impl Checker<'_> {
     fn expected_exit(&self, raw: Option<i64>) -> Result<Option<u8>, Diagnostic> {
         match raw {
             None => Ok(None),
-            Some(code @ (1 | 3)) => Ok(Some(code as u8)),
+            Some(code @ (1 | 3 | 5)) => Ok(Some(code as u8)),
             Some(code) => self.refuse(
                 "expected_exit",
-                format!("{code}, expected 1 (something fails) or 3 (something is inconclusive)"),
+                format!(
+                    "{code}, expected 1 (something fails), 3 (something is inconclusive) or 5 (the controller is lost)"
+                ),
             ),
         }
     }

@@ -37,6 +37,9 @@ pub struct RawScenario {
     /// How often, and what differs from trial to trial.
     #[serde(default)]
     pub trials: RawTrials,
+    /// What goes wrong on the line to the controller.
+    #[serde(default)]
+    pub fault: Vec<RawFault>,
     /// What is expected.
     #[serde(default)]
     pub expect: Vec<RawExpectation>,
@@ -128,6 +131,37 @@ pub struct RawSpread {
     pub sensor_gain_percent: f64,
     /// Of the temperature, kelvin.
     pub temperature_k: f64,
+}
+
+/// `[[fault]]`
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawFault {
+    /// What goes wrong.
+    pub kind: String,
+    /// Start of the window, ms.
+    pub from_ms: f64,
+    /// End of the window, ms, no longer inside.
+    #[serde(default)]
+    pub until_ms: Option<f64>,
+    /// Which way the messages go that it strikes.
+    #[serde(default)]
+    pub direction: Option<String>,
+    /// It strikes each so many-th message.
+    #[serde(default)]
+    pub every: Option<i64>,
+    /// How long a message is held up, ms.
+    #[serde(default)]
+    pub delay_ms: Option<f64>,
+    /// What the sensed components are multiplied with.
+    #[serde(default)]
+    pub factor: Option<f64>,
+    /// Seed of what is left to chance.
+    #[serde(default)]
+    pub seed: Option<i64>,
+    /// Configure a controller anew that stopped because of it.
+    #[serde(default)]
+    pub reconfigure: bool,
 }
 
 /// `[[expect]]`

@@ -2,6 +2,7 @@
 
 use crate::diagnostic::Diagnostic;
 use crate::expect::Expectation;
+use crate::fault::Fault;
 use crate::variation::{Spread, Variation};
 use platebench_plate::{Plate, Profile, Scene, Tier, Time};
 use std::path::PathBuf;
@@ -46,6 +47,8 @@ pub struct Scenario {
     pub scene: Scene,
     /// How often, and what differs.
     pub trials: Trials,
+    /// What goes wrong on the line to the controller, on purpose.
+    pub faults: Vec<Fault>,
     /// What is expected; at least one.
     pub expectations: Vec<Expectation>,
 }
@@ -111,6 +114,11 @@ impl Scenario {
     /// True where no trial differs from another: nothing spreads and the sensor is silent.
     pub fn is_deterministic(&self) -> bool {
         self.trials.spread == Spread::default() && self.plate.noise_um_rms == 0.0
+    }
+
+    /// True where a fault that was planned, and that ends, explains that the controller did not answer, or stopped, at `time`.
+    pub fn explains(&self, time: Time) -> bool {
+        self.faults.iter().any(|fault| fault.explains(time, self.controller.period))
     }
 
     /// A diagnostic that points at `key` of the scenario file.

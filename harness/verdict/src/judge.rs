@@ -4,6 +4,7 @@ use crate::feasibility;
 use crate::metrics::{self, Measure};
 use crate::record::{Cause, ExpectationRecord, Telemetry, TrialRecord, Verdict};
 use crate::statistics::Summary;
+use platebench_plate::Time;
 use platebench_scenario::{Expectation, Limit, Metric, Scenario};
 use platebench_trace::{Flags, Row};
 use serde_json::{Map, Value, json};
@@ -72,15 +73,17 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
 
 /// What happened on the way that is not the controller's doing.
 fn disturbance(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<(Cause, String)> {
-    let first = |flag| rows.iter().find(|row| row.flags.contains(flag)).map(|row| row.t_s * 1e3);
-    if let Some(t_ms) = first(Flags::LINK_LOST) {
-        return Some((Cause::Rig, format!("no answer at {t_ms} ms")));
+    // An answer that a planned fault swallowed is the experiment itself.
+    let is_planned = |row: &&Row| Time::from_seconds(row.t_s).is_some_and(|time| scenario.explains(time));
+    let mut flagged = rows.iter().filter(|row| row.flags.contains(Flags::LINK_LOST));
+    if let Some(row) = flagged.find(|row| !is_planned(row)) {
+        return Some((Cause::Rig, format!("no answer at {} ms", row.t_s * 1e3)));
     }
-    let overruns = rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN)).count();
-    if overruns as f64 > overrun_budget(scenario)
-        && let Some(t_ms) = first(Flags::OVERRUN)
+    let late = || rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN));
+    if late().count() as f64 > overrun_budget(scenario)
+        && let Some(first) = late().next()
     {
-        let what = format!("the bench was too late {overruns} times, first at {t_ms} ms");
+        let what = format!("the bench was too late {} times, first at {} ms", late().count(), first.t_s * 1e3);
         return Some((Cause::Bench, what));
     }
     if let Some(lost) = telemetry.timing.as_ref().map(|timing| timing.lost_rows).filter(|lost| *lost > 0) {

@@ -33,8 +33,10 @@ impl Measure {
 /// The metric of `expectation` in a trial. [`Metric::Repeatability`] gives the trial's contribution: its window mean over the setpoint, in percent.
 pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let Some(last) = rows.last() else { return Measure::Undefined("the trace is empty") };
-    // A controller that has given up neither overshoots nor saturates: that is no merit.
-    if last.flags.contains(Flags::SAFE) {
+    // A controller that has given up neither overshoots nor saturates: that is no merit, unless giving up is what was asked of it.
+    // Not if it was cut off: the 0 V is then the bench's own.
+    let is_of_the_line = matches!(expectation.metric, Metric::ShutdownTime | Metric::MissedReplies);
+    if last.flags.contains(Flags::SAFE) && !(is_of_the_line && telemetry.ended.is_none()) {
         return Measure::Missing("ends with the controller not running");
     }
     let signal = Signal::named(expectation.signal);
@@ -59,8 +61,14 @@ pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -
         Metric::Saturated => Measure::Value(flagged_share(rows, Flags::SATURATED) * 100.0),
         Metric::LoopDelay => told(telemetry.loop_delay_us),
         Metric::InstructionsPerStep => told(telemetry.instructions_worst),
-        Metric::Overruns => Measure::Value(rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN)).count() as f64),
+        Metric::Overruns => count(rows, Flags::OVERRUN),
+        Metric::ShutdownTime => shutdown_time(&expectation.window, rows),
+        Metric::MissedReplies => count(rows, Flags::CONTROL | Flags::LINK_LOST),
     }
+}
+
+fn count(rows: &[Row], flags: Flags) -> Measure {
+    Measure::Value(rows.iter().filter(|row| row.flags.contains(flags)).count() as f64)
 }
 
 fn told(number: Option<f64>) -> Measure {
@@ -199,6 +207,23 @@ fn recovery_time(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Mea
         Some(entry) if rows.first().is_some_and(|first| entry == first.t_s) => Measure::Value(0.0),
         Some(entry) => Measure::Value((entry - from) * 1e3),
         None => Measure::Missing("never stays inside the band again"),
+    }
+}
+
+/// To the instant from which a controller that ran at the start of the window has stopped and the drive is 0 V, up to the window's end.
+fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {
+    let (from, to) = (window.from.seconds(), window.to.seconds());
+    let has_stopped = |row: &Row| row.flags.contains(Flags::SAFE) && row.drive_vpp == 0.0;
+    let is_last = to >= rows.last().map_or(0.0, |row| row.t_s);
+    let end = if is_last { rows.len() } else { rows.partition_point(|row| row.t_s < to) };
+    let rows = rows.get(..end).unwrap_or_default();
+    let Some(ran) = rows.iter().rposition(|row| !has_stopped(row)) else {
+        return Measure::Missing("never ran");
+    };
+    match rows.get(ran + 1) {
+        None => Measure::Missing("does not come to rest at 0 V"),
+        Some(stopped) if stopped.t_s < from => Measure::Missing("stopped before"),
+        Some(stopped) => Measure::Value((stopped.t_s - from) * 1e3),
     }
 }
 

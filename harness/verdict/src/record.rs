@@ -9,6 +9,7 @@ pub use cost::{Cost, CostChange, CostTrend, EarlierCost};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::fs;
 use std::io;
@@ -266,6 +267,12 @@ pub struct Telemetry {
     /// How punctual everything was, in real time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timing: Option<Timing>,
+    /// Why the controller stopped, in its own words, where it said that it did; the first time counts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stopped: Option<String>,
+    /// Messages that planned faults struck, by the kind of fault.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub faults: BTreeMap<String, u64>,
 }
 
 /// Why a record could not be read.

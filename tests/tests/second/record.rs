@@ -1,6 +1,6 @@
 //! Conversations with the controller in this process, byte for byte.
 
-use platebench_rig::{Hosted, Link, LinkError, Session};
+use platebench_rig::{Faulty, Hosted, Link, LinkError, Session};
 use platebench_runner::trial::{Order, Patience, play};
 use platebench_scenario::find;
 use platebench_wire::{Configure, FrameReader, Gains, LawId, Message, Packet, Sample};
@@ -88,7 +88,7 @@ pub(crate) fn paper(law: LawId) -> Vec<Conversation> {
     let scenarios = find(&[folder]).unwrap_or_else(|faults| panic!("{}", faults[0])).scenarios;
     let recorder = Recorder::default();
     let (log, enough) = (recorder.log.clone(), Enough(recorder.count.clone()));
-    let mut session = Session::open(recorder).unwrap();
+    let mut session = Session::open(Faulty::new(recorder)).unwrap();
     let mut conversations = Vec::new();
     for scenario in &scenarios {
         for index in 0..TRIALS {

@@ -8,6 +8,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 const CONFIGURE: Configure = Configure {
+    paced_by_target: false,
+    patience_ms: 0,
     law: LawId::DqPi,
     period_us: 1_000,
     start_frequency_mhz: 32_307_600,

@@ -1,8 +1,9 @@
 //! What a scenario may expect: limits that can be failed, options that mean something, windows within the trial.
 
-use super::{Checker, quoted};
+use super::{Checker, Play, quoted};
 use crate::diagnostic::{Diagnostic, suggestion};
 use crate::expect::{Expectation, Limit, Metric, SIGNALS, Window};
+use crate::fault::Fault;
 use crate::raw::{RawExpectation, RawWindow};
 use platebench_plate::{Profile, Time};
 
@@ -10,13 +11,18 @@ const DEFAULT_CONFIDENCE: f64 = 0.95;
 const DEFAULT_BAND_PERCENT: f64 = 5.0;
 const DEFAULT_TOLERANCE_PERCENT: f64 = 5.0;
 
+/// Until when a controller that stops after `from` has to stay at 0 V: to the end, or until the bench configures it anew.
+fn reconfigured(faults: &[Fault], from: Time, duration: Time) -> Time {
+    let ends = faults.iter().filter(|fault| fault.reconfigure).filter_map(|fault| fault.until);
+    ends.filter(|until| *until > from).fold(duration, Time::min)
+}
+
 impl Checker<'_> {
     pub(super) fn expectation(
         &self,
         index: usize,
         raw: &RawExpectation,
-        duration: Time,
-        setpoint: &Profile,
+        Play { duration, setpoint, faults }: Play<'_>,
     ) -> Result<Expectation, Diagnostic> {
         let key = |name: &str| format!("expect.{index}.{name}");
         let Some(metric) = Metric::from_name(&raw.metric) else {
@@ -53,7 +59,8 @@ impl Checker<'_> {
         self.require(from.is_none_or(|from| from < duration), &key("from_ms"), || {
             format!("{} ms, expected before the scenario's end at {duration}", raw.from_ms.unwrap_or_default())
         })?;
-        self.require(from.is_some() || metric != Metric::RecoveryTime, &key("from_ms"), || {
+        let needs_from = matches!(metric, Metric::RecoveryTime | Metric::ShutdownTime);
+        self.require(from.is_some() || !needs_from, &key("from_ms"), || {
             format!("{metric} without `from_ms`, expected the instant of the disturbance")
         })?;
         let name = raw.signal.as_deref().unwrap_or("amplitude_um");
@@ -65,6 +72,10 @@ impl Checker<'_> {
         if metric.has_window() {
             self.steady_window(&key("window_ms"), window, setpoint)?;
         }
+        let window = match from {
+            Some(from) if metric == Metric::ShutdownTime => Window { from, to: reconfigured(faults, from, duration) },
+            _ => window,
+        };
         Ok(Expectation {
             metric,
             limit: self.limit(&key, raw, metric)?,

@@ -1,5 +1,6 @@
 use super::*;
 use crate::expect::{Limit, Metric, Window};
+use crate::fault::{Direction, FaultKind};
 use insta::assert_snapshot;
 use rstest::{Context, rstest};
 use std::fmt::Write;
@@ -68,14 +69,47 @@ about = 2.0
 tolerance_percent = 3.0
 "#;
 
+/// Behind the base where a case is about them: their windows go with its duration and period.
+const FAULTS: &str = r#"
+[[fault]]
+kind = "flip"
+from_ms = 10.0
+until_ms = 20.0
+direction = "to-controller"
+every = 10
+seed = 5
+reconfigure = true
+
+[[fault]]
+kind = "delay"
+from_ms = 10.0
+until_ms = 11.0
+delay_ms = 0.5
+
+[[fault]]
+kind = "scale"
+from_ms = 10.0
+until_ms = 60.0
+factor = 0.9
+
+[[fault]]
+kind = "disconnect"
+from_ms = 30.0
+"#;
+
 const FORCE: &str = "# a finger\nt_ms, value\n20.0, 0.0\n\n  30.0, 1.0\n";
 
 /// A folder with the base scenario, each `(good, bad)` of `changes` made in whichever of its three files has the good piece.
 fn folder(changes: &[(&str, &str)]) -> TempDir {
     let folder = TempDir::new().unwrap();
     std::fs::create_dir(folder.path().join("plates")).unwrap();
-    let mut files =
-        [("s.toml", BASE.to_owned()), ("plates/plate.toml", PLATE.to_owned()), ("force.csv", FORCE.to_owned())];
+    let is_of_faults = |(good, _): &(&str, &str)| FAULTS.contains(good) && !BASE.contains(good);
+    let faults = if changes.iter().any(is_of_faults) { FAULTS } else { "" };
+    let mut files = [
+        ("s.toml", format!("{BASE}{faults}")),
+        ("plates/plate.toml", PLATE.to_owned()),
+        ("force.csv", FORCE.to_owned()),
+    ];
     for (good, bad) in changes {
         let text = files.iter_mut().map(|(_, text)| text).find(|text| text.contains(good));
         let text = text.unwrap_or_else(|| panic!("`{good}` is in no file"));
@@ -128,6 +162,27 @@ fn the_base_is_good_and_says_what_it_says() {
     assert_eq!(scenario.expectations[2].limit, Limit::About { value: 2.0, tolerance_percent: 3.0 });
     assert_eq!(scenario.trials.max_count, 200);
     assert_eq!(scenario.scene.finger_force_n.at(Time::from_ms(25.0).unwrap()), 0.5);
+}
+
+#[test]
+fn faults_say_what_they_say_and_have_their_documented_defaults() {
+    let scenario = with("seed = 5", "seed = 5").unwrap();
+    let [flip, delay, scale, disconnect] = &scenario.faults[..] else { panic!("{:?}", scenario.faults) };
+    let [ms_10, ms_20] = [10.0, 20.0].map(|ms| Time::from_ms(ms).unwrap());
+    let expected = Fault {
+        kind: FaultKind::Flip,
+        from: ms_10,
+        until: Some(ms_20),
+        direction: Direction::ToController,
+        every: 10,
+        seed: Some(5),
+        reconfigure: true,
+    };
+    assert_eq!(*flip, expected);
+    assert_eq!(delay.kind, FaultKind::Delay(Time::from_ms(0.5).unwrap()));
+    assert_eq!((delay.direction, delay.every, delay.seed, delay.reconfigure), (Direction::Both, 1, None, false));
+    assert_eq!((scale.kind, scale.direction), (FaultKind::Scale(0.9), Direction::ToController));
+    assert_eq!((disconnect.kind, disconnect.until), (FaultKind::Disconnect, None));
 }
 
 #[test]
@@ -252,6 +307,43 @@ fn what_is_left_out_has_its_documented_default() {
     ("temperature_k = 4.0", "temperature_k = 20.1"),
     ("temperature_k = 4.0", "temperature_percent = 4.0"),
 ])]
+#[case::faults(&[
+    ("kind = \"flip\"", "kind = \"flipp\""),
+    ("kind = \"flip\"", "kind = \"lightning\""),
+    ("kind = \"flip\"\n", ""),
+    ("kind = \"flip\"", "kinds = \"flip\""),
+    ("from_ms = 10.0\nuntil_ms = 20.0", "until_ms = 20.0"),
+    ("from_ms = 10.0\nuntil_ms = 20.0", "from_ms = -1.0\nuntil_ms = 20.0"),
+    ("from_ms = 10.0\nuntil_ms = 20.0", "from_ms = 60.0\nuntil_ms = 70.0"),
+    ("from_ms = 10.0\nuntil_ms = 11.0\n", "from_ms = 10.0\n"),
+    ("until_ms = 20.0", "until_ms = 10.0"),
+    ("until_ms = 20.0", "until_ms = nan"),
+    ("until_ms = 60.0", "until_ms = 60.000001"),
+    ("every = 10", "every = 0"),
+    ("every = 10", "every = -1"),
+    ("every = 10", "every = 11"),
+    ("every = 10", "every = 4294967296"),
+    ("every = 10", "every = 1.5"),
+    ("from_ms = 10.0\nuntil_ms = 11.0", "from_ms = 10.1\nuntil_ms = 10.9"),
+    ("seed = 5", "seed = -1"),
+    ("direction = \"to-controller\"", "direction = \"to-the-controller\""),
+    ("direction = \"to-controller\"", "direction = \"sideways\""),
+    ("direction = \"to-controller\"", "delay_ms = 1.0"),
+    ("direction = \"to-controller\"", "factor = 1.0"),
+    ("delay_ms = 0.5\n", ""),
+    ("delay_ms = 0.5", "delay_ms = 0.0"),
+    ("delay_ms = 0.5", "delay_ms = 1e-7"),
+    ("delay_ms = 0.5", "delay_ms = 100.000001"),
+    ("delay_ms = 0.5", "delay_ms = 0.5\nseed = 1"),
+    ("factor = 0.9\n", ""),
+    ("factor = 0.9", "factor = inf"),
+    ("factor = 0.9", "factor = 1e39"),
+    ("factor = 0.9", "factor = 1.0"),
+    ("factor = 0.9", "factor = 0.9\ndirection = \"both\""),
+    ("kind = \"disconnect\"", "kind = \"disconnect\"\nevery = 2"),
+    ("kind = \"disconnect\"", "kind = \"disconnect\"\nreconfigure = true"),
+    ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"shutdown_time_ms\"\nat_most = 5.0"),
+])]
 #[case::expectations(&[
     ("\"settling_time_ms\"", "\"settling_time\""),
     ("\"settling_time_ms\"", "\"colour\""),
@@ -345,6 +437,15 @@ fn a_scenario_that_expects_nothing_is_refused() {
 #[case("start_frequency_hz = 32220.9", "start_frequency_hz = 48461.3")]
 #[case("frequency_range_hz = 250.0", "frequency_range_hz = 32220.8")]
 #[case("expected_exit = 1", "expected_exit = 3")]
+#[case("expected_exit = 1", "expected_exit = 5")]
+#[case("from_ms = 10.0\nuntil_ms = 20.0", "from_ms = 0.0\nuntil_ms = 60.0")]
+#[case("from_ms = 10.0\nuntil_ms = 11.0", "from_ms = 59.0\nuntil_ms = 59.000001")]
+#[case("every = 10", "every = 1")]
+#[case("delay_ms = 0.5", "delay_ms = 100.0")]
+#[case("delay_ms = 0.5", "delay_ms = 1e-6")]
+#[case("factor = 0.9", "factor = -1.0")]
+#[case("factor = 0.9", "factor = 3.4e38")]
+#[case("kind = \"disconnect\"", "kind = \"disconnect\"\nuntil_ms = 40.0\nreconfigure = true")]
 #[case("expected_exit = 1\n", "")]
 #[case("trace_step_ms = 0.05", "trace_step_ms = 3e-5")]
 #[case("trace_step_ms = 0.05", "trace_step_ms = 1000.0")]
@@ -512,4 +613,17 @@ fn metrics_have_the_names_that_they_are_called_by() {
     for metric in Metric::ALL {
         assert_eq!(Metric::from_name(metric.name()), Some(metric));
     }
+}
+
+#[test]
+fn a_shutdown_has_to_last_until_the_next_configuration_that_is_planned() {
+    let window = |from_ms: f64| {
+        let expectation = format!("\"shutdown_time_ms\"\nfrom_ms = {from_ms:?}\nat_most = 5.0");
+        let other = ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", expectation.as_str());
+        let scenario = loaded(&[other, ("seed = 5", "seed = 5")]).unwrap();
+        let Window { from, to } = scenario.expectations[2].window;
+        (from.ms(), to.ms())
+    };
+    assert_eq!(window(19.0), (19.0, 20.0));
+    assert_eq!(window(20.0), (20.0, 60.0));
 }

@@ -1,6 +1,7 @@
 use super::*;
 use platebench_scenario::Limit;
 use rstest::rstest;
+use std::collections::BTreeMap;
 
 const TOLD_NOTHING: Telemetry = Telemetry {
     loop_delay_us: None,
@@ -8,6 +9,8 @@ const TOLD_NOTHING: Telemetry = Telemetry {
     instructions_mean: None,
     instructions_worst: None,
     ended: None,
+    stopped: None,
+    faults: BTreeMap::new(),
 };
 
 fn ms(value: f64) -> Time {
@@ -386,18 +389,82 @@ fn a_controller_that_gave_up_meets_nothing() {
     let mut trace = sampled(grid(0.05, 60.0), |_| 2.0, |_| 2.0);
     trace[3].flags = Flags::SAFE;
     let told = Telemetry { loop_delay_us: Some(0.0), instructions_worst: Some(900.0), ..TOLD_NOTHING };
-    for metric in Metric::ALL.into_iter().filter(|metric| *metric != Metric::QuadratureRatio) {
+    // The last two are about controllers that stop.
+    let of_the_line = [Metric::ShutdownTime, Metric::MissedReplies];
+    let others = || Metric::ALL.into_iter().filter(|metric| !of_the_line.contains(metric));
+    for metric in others().filter(|metric| *metric != Metric::QuadratureRatio) {
         assert!(
             measure(&from(metric, 0.0), &trace, &told).value().is_some(),
             "{metric} of a controller that started late"
         );
     }
     trace.last_mut().unwrap().flags = Flags::SAFE;
-    for metric in Metric::ALL {
+    for metric in others() {
         assert_eq!(
             measure(&from(metric, 0.0), &trace, &told),
             Measure::Missing("ends with the controller not running"),
             "{metric}"
         );
     }
+}
+
+/// A row per millisecond up to 60 ms; stopped where `stopped` says so.
+fn stopping(stopped: impl Fn(u32) -> bool) -> Vec<Row> {
+    let row = |t: u32| Row {
+        t_s: ms(f64::from(t)).seconds(),
+        setpoint_um: 2.0,
+        drive_vpp: if stopped(t) { 0.0 } else { 286.0 },
+        flags: if stopped(t) { Flags::SAFE } else { Flags::CONTROL },
+        ..Row::default()
+    };
+    (0..=60).map(row).collect()
+}
+
+fn shutdown(to_ms: f64) -> Expectation {
+    Expectation { window: Window { from: ms(40.0), to: ms(to_ms) }, ..from(Metric::ShutdownTime, 40.0) }
+}
+
+#[test]
+fn a_shutdown_counts_from_the_disturbance_to_the_stop_that_lasts() {
+    let time = |to_ms: f64, rows: &[Row]| value(&shutdown(to_ms), rows);
+    assert_close(time(60.0, &stopping(|t| t >= 44)), 4.0, 1e-9);
+    assert_close(time(60.0, &stopping(|t| t >= 40)), 0.0, 1e-9);
+    assert_close(time(60.0, &stopping(|t| t == 42 || t >= 44)), 4.0, 1e-9);
+    assert_close(time(60.0, &stopping(|t| t >= 60)), 20.0, 1e-9);
+    // Configured anew at 50 ms; what comes before is the stop, what comes behind is not looked at.
+    let resumed = stopping(|t| (44..50).contains(&t));
+    assert_close(time(50.0, &resumed), 4.0, 1e-9);
+    assert_eq!(measure(&shutdown(51.0), &resumed, &TOLD_NOTHING), Measure::Missing("does not come to rest at 0 V"));
+}
+
+#[test]
+fn what_is_no_shutdown_has_no_time() {
+    let missing = |rows: &[Row], telemetry: &Telemetry| match measure(&shutdown(60.0), rows, telemetry) {
+        Measure::Missing(what) => what,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(missing(&stopping(|_| false), &TOLD_NOTHING), "does not come to rest at 0 V");
+    assert_eq!(missing(&stopping(|_| true), &TOLD_NOTHING), "never ran");
+    assert_eq!(missing(&stopping(|t| t >= 39), &TOLD_NOTHING), "stopped before");
+    let stopped = stopping(|t| t >= 44);
+    // Running at 0 V is no stop, and neither is a stop that goes on driving.
+    let with = |change: fn(&mut Row)| {
+        let mut rows = stopped.clone();
+        rows.iter_mut().for_each(change);
+        rows
+    };
+    assert_eq!(missing(&with(|row| row.flags = Flags::empty()), &TOLD_NOTHING), "does not come to rest at 0 V");
+    assert_eq!(missing(&with(|row| row.drive_vpp = 1.0), &TOLD_NOTHING), "does not come to rest at 0 V");
+    let trapped = Telemetry { ended: Some("trapped".to_owned()), ..TOLD_NOTHING };
+    assert_eq!(missing(&stopped, &trapped), "ends with the controller not running");
+}
+
+#[test]
+fn control_instants_without_an_answer_are_missed_replies() {
+    let mut rows = stopping(|t| t >= 44);
+    assert_eq!(value(&expect(Metric::MissedReplies), &rows), 0.0);
+    rows[3].flags |= Flags::LINK_LOST;
+    rows[5].flags |= Flags::LINK_LOST;
+    rows[5].flags -= Flags::CONTROL;
+    assert_eq!(value(&expect(Metric::MissedReplies), &rows), 1.0);
 }

@@ -1,0 +1,46 @@
+//! A scenario's faults in the words of the rig.
+
+use platebench_plate::Time;
+use platebench_rig::{Direction as Way, WireFault, WireFaultKind};
+use platebench_scenario::{Direction, Fault, FaultKind, Scenario};
+use std::time::Duration;
+
+/// The faults of the trial with number `index`.
+pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
+    let seed = scenario.variation(index).seed;
+    scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
+}
+
+fn wire_fault(fault: &Fault, seed: u64) -> WireFault {
+    let span = |time: Time| Duration::from_nanos(time.as_nanos());
+    WireFault {
+        kind: match fault.kind {
+            FaultKind::Drop => WireFaultKind::Drop,
+            FaultKind::Flip => WireFaultKind::Flip,
+            FaultKind::Duplicate => WireFaultKind::Duplicate,
+            FaultKind::Delay(delay) => WireFaultKind::Delay(span(delay)),
+            FaultKind::Truncate => WireFaultKind::Truncate,
+            FaultKind::Babble => WireFaultKind::Babble,
+            FaultKind::Disconnect => WireFaultKind::Disconnect,
+            FaultKind::Freeze => WireFaultKind::Freeze,
+            FaultKind::Scale(factor) => WireFaultKind::Scale(factor as f32),
+        },
+        from: span(fault.from),
+        until: fault.until.map(span),
+        direction: match fault.direction {
+            Direction::ToController => Way::ToController,
+            Direction::FromController => Way::FromController,
+            Direction::Both => Way::Both,
+        },
+        every: fault.every,
+        seed: fault.seed.unwrap_or(seed),
+    }
+}
+
+/// True where a fault that stopped the controller at `stopped` is over by `now`, and its scenario wants it configured anew.
+pub(crate) fn reconfigures(scenario: &Scenario, stopped: Time, now: Time) -> bool {
+    let period = scenario.controller.period;
+    scenario.faults.iter().any(|fault| {
+        fault.reconfigure && fault.explains(stopped, period) && fault.until.is_some_and(|until| until <= now)
+    })
+}

@@ -1,0 +1,115 @@
+//! What a scenario may have go wrong: faults that strike at least one message, with the options that mean something to them.
+
+use super::{Checker, LONGEST_DELAY_PERIODS, quoted};
+use crate::diagnostic::{Diagnostic, suggestion};
+use crate::fault::{Direction, Fault, FaultKind};
+use crate::raw::RawFault;
+use platebench_plate::Time;
+
+impl Checker<'_> {
+    pub(super) fn fault(
+        &self,
+        index: usize,
+        raw: &RawFault,
+        duration: Time,
+        period: Time,
+    ) -> Result<Fault, Diagnostic> {
+        let key = |name: &str| format!("fault.{index}.{name}");
+        let kind = self.kind(&key, raw, period)?;
+        let wired = !kind.is_of_the_sensor();
+        for (name, given, used) in [
+            ("delay_ms", raw.delay_ms.is_some(), matches!(kind, FaultKind::Delay(_))),
+            ("factor", raw.factor.is_some(), matches!(kind, FaultKind::Scale(_))),
+            ("seed", raw.seed.is_some(), kind.is_random()),
+            ("direction", raw.direction.is_some(), wired),
+            ("every", raw.every.is_some(), kind != FaultKind::Disconnect),
+            ("reconfigure", raw.reconfigure, raw.until_ms.is_some()),
+        ] {
+            self.require(used || !given, &key(name), || {
+                let why = if name == "reconfigure" { " without an end" } else { "" };
+                format!("`{name}` means nothing to a fault of kind `{}`{why}", raw.kind)
+            })?;
+        }
+        let from = self.span(&key("from_ms"), raw.from_ms)?;
+        self.require(from < duration, &key("from_ms"), || {
+            format!("{} ms, expected before the scenario's end at {duration}", raw.from_ms)
+        })?;
+        let until = raw.until_ms.map(|ms| self.span(&key("until_ms"), ms)).transpose()?;
+        self.require(until.is_some() || kind == FaultKind::Disconnect, &key("until_ms"), || {
+            format!("`{}` without `until_ms`, expected the end of its window: only a disconnect may stay", raw.kind)
+        })?;
+        self.require(until.is_none_or(|until| from < until && until <= duration), &key("until_ms"), || {
+            let until = raw.until_ms.unwrap_or_default();
+            format!("a window from {from} to {until} ms, expected a stretch within the scenario's {duration}")
+        })?;
+        let every = raw.every.unwrap_or(1);
+        let instants = control_instants(from, until.unwrap_or(duration), period);
+        self.require((1..=i64::from(u32::MAX)).contains(&every), &key("every"), || {
+            format!("{every}, expected 1 to {}: each so many-th message", u32::MAX)
+        })?;
+        let at = if raw.every.is_some() { "every" } else { "from_ms" };
+        self.require(every as u64 <= instants, &key(at), || {
+            format!("{instants} control instants in the window, expected at least {every}: it would never strike")
+        })?;
+        self.require(raw.seed.is_none_or(|seed| seed >= 0), &key("seed"), || {
+            format!("{}, expected 0 or more", raw.seed.unwrap_or_default())
+        })?;
+        let seed = raw.seed.map(|seed| seed as u64);
+        let direction = if wired { self.direction(&key, raw)? } else { Direction::ToController };
+        Ok(Fault { kind, from, until, direction, every: every as u32, seed, reconfigure: raw.reconfigure })
+    }
+
+    fn kind(&self, key: &impl Fn(&str) -> String, raw: &RawFault, period: Time) -> Result<FaultKind, Diagnostic> {
+        Ok(match raw.kind.as_str() {
+            "drop" => FaultKind::Drop,
+            "flip" => FaultKind::Flip,
+            "duplicate" => FaultKind::Duplicate,
+            "truncate" => FaultKind::Truncate,
+            "babble" => FaultKind::Babble,
+            "disconnect" => FaultKind::Disconnect,
+            "freeze" => FaultKind::Freeze,
+            "delay" => {
+                let Some(ms) = raw.delay_ms else {
+                    return self.refuse(&key("delay_ms"), "`delay` without `delay_ms`, expected how much");
+                };
+                let delay = self.span(&key("delay_ms"), self.positive(&key("delay_ms"), ms)?)?;
+                self.require(
+                    delay > Time::ZERO && delay <= period.times(LONGEST_DELAY_PERIODS),
+                    &key("delay_ms"),
+                    || format!("{ms} ms, expected 1 ns to {LONGEST_DELAY_PERIODS} control periods"),
+                )?;
+                FaultKind::Delay(delay)
+            }
+            "scale" => {
+                let Some(factor) = raw.factor else {
+                    return self.refuse(&key("factor"), "`scale` without `factor`, expected how much");
+                };
+                let fits = (factor as f32).is_finite() && factor as f32 != 1.0;
+                self.require(fits, &key("factor"), || {
+                    format!("{factor}, expected a finite number other than 1, which would change nothing")
+                })?;
+                FaultKind::Scale(factor)
+            }
+            name => {
+                let (known, hint) = (quoted(FaultKind::NAMES), suggestion(name, FaultKind::NAMES));
+                return self.refuse(&key("kind"), format!("unknown fault `{name}`, expected one of {known}{hint}"));
+            }
+        })
+    }
+
+    fn direction(&self, key: &impl Fn(&str) -> String, raw: &RawFault) -> Result<Direction, Diagnostic> {
+        let Some(name) = raw.direction.as_deref() else { return Ok(Direction::default()) };
+        if let Some(direction) = Direction::ALL.into_iter().find(|direction| direction.name() == name) {
+            return Ok(direction);
+        }
+        let names = Direction::ALL.map(Direction::name);
+        let (known, hint) = (quoted(names), suggestion(name, names));
+        self.refuse(&key("direction"), format!("unknown direction `{name}`, expected one of {known}{hint}"))
+    }
+}
+
+/// How many multiples of the period lie from `from` on and before `until`.
+fn control_instants(from: Time, until: Time, period: Time) -> u64 {
+    let before = |time: Time| time.as_nanos().div_ceil(period.as_nanos());
+    before(until) - before(from)
+}
