@@ -11,6 +11,7 @@ mod bench;
 mod closed_loop;
 mod determinism;
 mod exits;
+mod faults;
 mod layout;
 mod real_time;
 mod rigs;

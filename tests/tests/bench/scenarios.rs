@@ -14,6 +14,7 @@ fn expected_exit(path: &PathBuf) -> i32 {
 fn ends_as_it_says(
     #[files("../scenarios/paper/*.toml")]
     #[files("../scenarios/limits/*.toml")]
+    #[files("../scenarios/faults/*.toml")]
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();

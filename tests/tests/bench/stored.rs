@@ -16,7 +16,7 @@ fn three_trials() -> String {
 #[test]
 fn judging_again_gives_every_verdict_and_every_number_again() {
     let folder = tempfile::tempdir().unwrap();
-    for (part, out) in [("scenarios/paper", "paper"), ("scenarios/limits", "limits")] {
+    for (part, out) in [("scenarios/paper", "paper"), ("scenarios/limits", "limits"), ("scenarios/faults", "faults")] {
         call(folder.path(), ["run", root().join(part).to_str().unwrap(), "--out", out]);
         let live = RunRecord::read(&folder.path().join(out)).unwrap();
         let again = rejudge(&folder.path().join(out), None).unwrap();

@@ -4,6 +4,7 @@ use rstest::rstest;
 use std::collections::BTreeMap;
 
 const TOLD_NOTHING: Telemetry = Telemetry {
+    timing: None,
     loop_delay_us: None,
     rig_delay_us: None,
     instructions_mean: None,
