@@ -1,7 +1,11 @@
 //! What a law is given, what it answers, and which laws there are.
 
+use crate::bang_bang::BangBang;
 use crate::dq_pi::DqPi;
+use crate::frequency_only::FrequencyOnly;
 use crate::open_loop::OpenLoop;
+use crate::pll::Pll;
+use crate::voltage_only::VoltageOnly;
 use platebench_wire::{Configure, Gains, LawId, Rejection};
 
 /// What the controller knows of the plate at a control instant. Peak to peak, in µm.
@@ -16,6 +20,11 @@ pub struct Measurement {
 }
 
 impl Measurement {
+    /// |W|, µm.
+    pub fn amplitude_um(&self) -> f32 {
+        libm::sqrtf(self.wd_um * self.wd_um + self.wq_um * self.wq_um)
+    }
+
     /// False where any value is NaN or infinite.
     pub fn is_finite(&self) -> bool {
         self.setpoint_um.is_finite() && self.wd_um.is_finite() && self.wq_um.is_finite()
@@ -47,6 +56,14 @@ pub enum Law {
     OpenLoop(OpenLoop),
     /// `dq-pi` and `dq-pi-euler`
     DqPi(DqPi),
+    /// `voltage-only`
+    VoltageOnly(VoltageOnly),
+    /// `frequency-only`
+    FrequencyOnly(FrequencyOnly),
+    /// `bang-bang`
+    BangBang(BangBang),
+    /// `pll`
+    Pll(Pll),
 }
 
 impl Law {
@@ -73,6 +90,10 @@ impl Law {
         let (law, gains) = match configure.law {
             LawId::OpenLoop => OpenLoop::design(configure),
             LawId::DqPi | LawId::DqPiEuler => DqPi::design(configure),
+            LawId::VoltageOnly => VoltageOnly::design(configure),
+            LawId::FrequencyOnly => FrequencyOnly::design(configure),
+            LawId::BangBang => BangBang::design(configure),
+            LawId::Pll => Pll::design(configure),
         };
         let all = [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
         if all.iter().all(|gain| gain.is_finite()) { Ok((law, gains)) } else { Err(Rejection::Value) }
@@ -83,6 +104,10 @@ impl Law {
         match self {
             Self::OpenLoop(law) => law.step(measurement),
             Self::DqPi(law) => law.step(measurement),
+            Self::VoltageOnly(law) => law.step(measurement),
+            Self::FrequencyOnly(law) => law.step(measurement),
+            Self::BangBang(law) => law.step(measurement),
+            Self::Pll(law) => law.step(measurement),
         }
     }
 }
@@ -107,3 +132,6 @@ pub(crate) mod example {
         gains: None,
     };
 }
+
+#[cfg(test)]
+mod tests;

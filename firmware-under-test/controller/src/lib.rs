@@ -14,13 +14,18 @@
 #[cfg(test)]
 extern crate std;
 
+mod bang_bang;
 pub mod device;
 mod dq_pi;
+mod frequency_only;
 pub mod law;
+mod loops;
 pub mod machine;
 mod open_loop;
 mod pacing;
 pub mod pi;
+mod pll;
+mod voltage_only;
 
 pub use device::Device;
 pub use law::{Actuation, Law, Measurement};

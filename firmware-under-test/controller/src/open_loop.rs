@@ -1,6 +1,8 @@
 //! `open-loop`: the drive that an undisturbed plate would need, at a fixed frequency. The paper's comparison in Fig. 13 to 16.
 
 use crate::law::{Actuation, Law, Measurement};
+use crate::loops;
+use crate::pi::PiGains;
 use platebench_wire::{Configure, Gains, flags};
 
 /// Constant drive `V = setpoint / K1` (equation 13 at rest).
@@ -12,8 +14,11 @@ pub struct OpenLoop {
 
 impl OpenLoop {
     pub(crate) fn design(configure: &Configure) -> (Law, Gains) {
-        let law = Self { gain_um_per_vpp: configure.gain_um_per_vpp, drive_limit_vpp: configure.drive_limit_vpp };
-        (Law::OpenLoop(law), Gains { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 })
+        (Law::OpenLoop(Self::new(configure)), loops::told(PiGains::NONE, PiGains::NONE, loops::period_s(configure)))
+    }
+
+    pub(crate) fn new(configure: &Configure) -> Self {
+        Self { gain_um_per_vpp: configure.gain_um_per_vpp, drive_limit_vpp: configure.drive_limit_vpp }
     }
 
     pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {

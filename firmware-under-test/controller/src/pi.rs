@@ -30,6 +30,9 @@ pub struct PiGains {
 }
 
 impl PiGains {
+    /// No loop at all.
+    pub const NONE: Self = Self { proportional: 0.0, integral_per_period: 0.0 };
+
     /// Equation 24 as printed, with a forward-Euler integral: `Kp = 3τ/(K t_r)`, `Ki = Kp/τ`.
     ///
     /// `gain` is the static gain K of the plant, times in seconds.

@@ -66,11 +66,27 @@ pub enum LawId {
     DqPi = 1,
     /// Two PI loops, equation 24 as printed with a forward-Euler integral.
     DqPiEuler = 2,
+    /// PI on the amplitude, fixed frequency.
+    VoltageOnly = 3,
+    /// Constant drive, the frequency adjusts the amplitude.
+    FrequencyOnly = 4,
+    /// PI on the amplitude, fixed frequency steps by the sign of Wq.
+    BangBang = 5,
+    /// Phase locked to the resonance, voltage of constant magnitude.
+    Pll = 6,
 }
 
 impl LawId {
     /// Every law, in the order of their numbers.
-    pub const ALL: [Self; 3] = [Self::OpenLoop, Self::DqPi, Self::DqPiEuler];
+    pub const ALL: [Self; 7] = [
+        Self::OpenLoop,
+        Self::DqPi,
+        Self::DqPiEuler,
+        Self::VoltageOnly,
+        Self::FrequencyOnly,
+        Self::BangBang,
+        Self::Pll,
+    ];
 
     /// The law's name in scenario files and on the command line.
     pub const fn name(self) -> &'static str {
@@ -78,6 +94,10 @@ impl LawId {
             Self::OpenLoop => "open-loop",
             Self::DqPi => "dq-pi",
             Self::DqPiEuler => "dq-pi-euler",
+            Self::VoltageOnly => "voltage-only",
+            Self::FrequencyOnly => "frequency-only",
+            Self::BangBang => "bang-bang",
+            Self::Pll => "pll",
         }
     }
 

@@ -1,0 +1,134 @@
+//! Each law's reaction to what it is given; what the loops do on a plate is played by `harness/runner/tests`.
+
+use super::example::CONFIGURE;
+use super::*;
+use core::f32::consts::TAU;
+use platebench_wire::flags;
+
+const REST: Measurement = Measurement { setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
+const ON_SETPOINT: Measurement = Measurement { wd_um: 2.0, ..REST };
+/// Still swinging, and asked to stop.
+const OFF: Measurement = Measurement { setpoint_um: 0.0, wd_um: 0.1, ..REST };
+
+fn law(id: LawId) -> Law {
+    Law::design(&Configure { law: id, ..CONFIGURE }).unwrap().0
+}
+
+#[test]
+fn every_law_starts_bounded_and_stops_at_a_setpoint_of_zero() {
+    for id in LawId::ALL {
+        let mut law = law(id);
+        let start = law.step(&REST);
+        assert!(start.drive_vpp > 250.0 && start.drive_vpp <= CONFIGURE.drive_limit_vpp, "{}", id.name());
+        for measurement in [ON_SETPOINT, REST, ON_SETPOINT] {
+            law.step(&measurement);
+        }
+        let last = (0..200).map(|_| law.step(&OFF)).last().unwrap();
+        assert!(last.drive_vpp < 1.0, "{}: {} Vpp", id.name(), last.drive_vpp);
+    }
+}
+
+#[test]
+fn every_law_keeps_to_range_slew_and_limit_whatever_it_is_shown() {
+    let extremes = [-1e9, -3.0, -1e-3, 0.0, 1e-3, 3.0, 1e9];
+    for id in LawId::ALL {
+        let mut law = law(id);
+        let mut before = 0.0;
+        // A fixed walk through all pairs of extremes, with the setpoint switched on and off in between.
+        for (number, (wd_um, wq_um)) in
+            extremes.iter().flat_map(|&wd| extremes.map(|wq| (wd, wq))).cycle().take(400).enumerate()
+        {
+            let setpoint_um = if number % 17 == 0 { 0.0 } else { 0.5 + (number % 5) as f32 * 0.5 };
+            let actuation = law.step(&Measurement { setpoint_um, wd_um, wq_um });
+            let name = id.name();
+            assert!(actuation.is_finite(), "{name} {number}: {actuation:?}");
+            assert!((0.0..=CONFIGURE.drive_limit_vpp).contains(&actuation.drive_vpp), "{name} {number}: {actuation:?}");
+            let offset = actuation.frequency_offset_hz;
+            assert!(offset.abs() <= CONFIGURE.frequency_range_hz * 1.000_001, "{name} {number}: {offset} Hz");
+            assert!(
+                (offset - before).abs() <= CONFIGURE.frequency_slew_hz * 1.000_01,
+                "{name} {number}: {before} to {offset} Hz"
+            );
+            before = offset;
+        }
+    }
+}
+
+#[test]
+fn laws_without_a_frequency_loop_leave_the_frequency_alone() {
+    for id in [LawId::OpenLoop, LawId::VoltageOnly] {
+        let mut law = law(id);
+        for wq_um in [-2.0, 0.5, 2.0] {
+            assert_eq!(law.step(&Measurement { wq_um, ..ON_SETPOINT }).frequency_offset_hz, 0.0, "{}", id.name());
+        }
+    }
+}
+
+#[test]
+fn voltage_only_looks_at_the_whole_amplitude() {
+    // |W| = 2 with hardly any Wd: nothing is missing.
+    let turned = Measurement { wd_um: 1.2, wq_um: 1.6, ..REST };
+    assert_eq!(law(LawId::VoltageOnly).step(&turned).drive_vpp, law(LawId::VoltageOnly).step(&ON_SETPOINT).drive_vpp);
+    assert!(law(LawId::DqPi).step(&turned).drive_vpp > 200.0);
+}
+
+#[test]
+fn bang_bang_takes_one_step_whatever_the_distance() {
+    let mut law = law(LawId::BangBang);
+    let step = 1.0 / (20.0 * CONFIGURE.time_constant_s) / TAU;
+    for (number, wq_um) in [0.001, 1.0, 0.1].into_iter().enumerate() {
+        let offset = law.step(&Measurement { wq_um, ..ON_SETPOINT }).frequency_offset_hz;
+        assert!((offset - step * (number + 1) as f32).abs() < 1e-3, "{offset} Hz");
+    }
+    let back = law.step(&Measurement { wq_um: -0.001, ..ON_SETPOINT }).frequency_offset_hz;
+    assert!((back - step * 2.0).abs() < 1e-3, "{back} Hz");
+    // Below a tenth of the setpoint the sign is noise.
+    let held = law.step(&Measurement { wd_um: 0.19, wq_um: 0.0, ..REST });
+    assert_eq!((held.frequency_offset_hz, held.flags & flags::FREQUENCY_HELD), (back, flags::FREQUENCY_HELD));
+    let moved = law.step(&Measurement { wd_um: 0.21, wq_um: 0.0, ..REST });
+    assert_eq!(moved.flags & flags::FREQUENCY_HELD, 0);
+}
+
+#[test]
+fn the_pll_turns_towards_the_resonance_at_a_constant_voltage() {
+    for wq_um in [0.3, -0.3] {
+        let mut law = law(LawId::Pll);
+        // Wq > 0 is a drive below resonance.
+        let actuation = law.step(&Measurement { wq_um, ..ON_SETPOINT });
+        assert_eq!(actuation.frequency_offset_hz > 0.0, wq_um > 0.0);
+        assert!((actuation.drive_vpp - 286.533).abs() < 1e-3);
+        let low = law.step(&Measurement { wd_um: 0.5, ..REST });
+        assert_eq!(low.drive_vpp, actuation.drive_vpp, "the amplitude is left to the plate");
+    }
+    // The phase is read in all four quadrants: nearly turned around is far off, not close.
+    let offset = |wd_um, wq_um| law(LawId::Pll).step(&Measurement { wd_um, wq_um, ..REST }).frequency_offset_hz;
+    assert!(offset(-1.0, 0.1) > offset(1.0, 0.1) * 5.0);
+}
+
+#[test]
+fn frequency_only_starts_where_the_nominal_plate_has_the_setpoint_and_stays_above() {
+    let mut law = law(LawId::FrequencyOnly);
+    let first = law.step(&REST);
+    // √((0.00698 · 450 / 2)² − 1) / (2π · 1.88 ms) = 102.58 Hz, reached at 100 Hz per period.
+    assert_eq!((first.drive_vpp, first.frequency_offset_hz), (450.0, CONFIGURE.frequency_slew_hz));
+    let high = law.step(&Measurement { wd_um: 2.1, ..REST }).frequency_offset_hz;
+    assert!(high > first.frequency_offset_hz, "too much amplitude leads away from the resonance");
+    let low = (0..100).map(|_| law.step(&REST)).last().unwrap();
+    assert_eq!((low.frequency_offset_hz, low.flags & flags::FREQUENCY_LIMITED), (0.0, flags::FREQUENCY_LIMITED));
+}
+
+#[test]
+fn given_gains_replace_every_designed_one() {
+    let gains = Gains { amplitude_kp: 10.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 200.0 };
+    for id in [LawId::VoltageOnly, LawId::BangBang] {
+        let (mut law, told) = Law::design(&Configure { law: id, gains: Some(gains), ..CONFIGURE }).unwrap();
+        assert_eq!(told.amplitude_kp, 10.0);
+        assert_eq!(law.step(&REST).drive_vpp, 20.0, "{}", id.name());
+    }
+    let given = Configure { law: LawId::FrequencyOnly, gains: Some(gains), ..CONFIGURE };
+    let mut law = Law::design(&given).unwrap().0;
+    law.step(&REST);
+    // 200 rad/s per unit and second over 1 ms, at an error of one half.
+    let moved = law.step(&Measurement { wd_um: 1.0, ..REST }).frequency_offset_hz - CONFIGURE.frequency_slew_hz;
+    assert!((moved + 0.1 / TAU).abs() < 1e-4, "{moved} Hz");
+}

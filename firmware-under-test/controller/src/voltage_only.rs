@@ -1,0 +1,28 @@
+//! `voltage-only`: the drive alone is adjusted, at a fixed frequency ([7] of the paper, a haptic knob).
+//!
+//! The paper says of [7]: "the voltage across the piezoelectric material is adjusted in order to obtain the required vibration amplitude". Assumed: a PI
+//! controller on |W|, designed like `dq-pi`'s amplitude loop. Off resonance it pays with drive: |W|/V = K1/√(1 + (τΔω)²).
+
+use crate::law::{Actuation, Law, Measurement};
+use crate::loops::{self, AmplitudeLoop};
+use crate::pi::PiGains;
+use platebench_wire::{Configure, Gains};
+
+/// State of the amplitude loop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VoltageOnly {
+    amplitude: AmplitudeLoop,
+}
+
+impl VoltageOnly {
+    pub(crate) fn design(configure: &Configure) -> (Law, Gains) {
+        let (amplitude, _) = loops::gains(configure);
+        let law = Self { amplitude: AmplitudeLoop::new(amplitude, configure) };
+        (Law::VoltageOnly(law), loops::told(amplitude, PiGains::NONE, loops::period_s(configure)))
+    }
+
+    pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {
+        let (drive_vpp, flags) = self.amplitude.step(measurement.setpoint_um - measurement.amplitude_um());
+        Actuation { drive_vpp, frequency_offset_hz: 0.0, flags }
+    }
+}
