@@ -1,6 +1,7 @@
 //! What a law is given, what it answers, and which laws there are.
 
 use crate::bang_bang::BangBang;
+use crate::deadbeat::Deadbeat;
 use crate::dq_pi::DqPi;
 use crate::frequency_only::FrequencyOnly;
 use crate::open_loop::OpenLoop;
@@ -64,6 +65,8 @@ pub enum Law {
     BangBang(BangBang),
     /// `pll`
     Pll(Pll),
+    /// `deadbeat`
+    Deadbeat(Deadbeat),
 }
 
 impl Law {
@@ -94,6 +97,7 @@ impl Law {
             LawId::FrequencyOnly => FrequencyOnly::design(configure),
             LawId::BangBang => BangBang::design(configure),
             LawId::Pll => Pll::design(configure),
+            LawId::Deadbeat => Deadbeat::design(configure),
         };
         let all = [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
         if all.iter().all(|gain| gain.is_finite()) { Ok((law, gains)) } else { Err(Rejection::Value) }
@@ -108,6 +112,7 @@ impl Law {
             Self::FrequencyOnly(law) => law.step(measurement),
             Self::BangBang(law) => law.step(measurement),
             Self::Pll(law) => law.step(measurement),
+            Self::Deadbeat(law) => law.step(measurement),
         }
     }
 }
@@ -133,5 +138,7 @@ pub(crate) mod example {
     };
 }
 
+#[cfg(test)]
+pub(crate) mod bench;
 #[cfg(test)]
 mod tests;

@@ -15,8 +15,10 @@
 extern crate std;
 
 mod bang_bang;
+mod deadbeat;
 pub mod device;
 mod dq_pi;
+mod envelope;
 mod frequency_only;
 pub mod law;
 mod loops;

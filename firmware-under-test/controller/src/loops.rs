@@ -95,6 +95,11 @@ impl Excitation {
         if self.offset <= low || self.offset >= high { flags::FREQUENCY_LIMITED } else { 0 }
     }
 
+    /// Furthest offset, rad/s.
+    pub(crate) fn range(&self) -> f32 {
+        self.range
+    }
+
     pub(crate) fn offset_rad(&self) -> f32 {
         self.offset
     }

@@ -48,8 +48,22 @@ impl PiGains {
     pub fn zero_order_hold_matched(gain: f32, time_constant: f32, response_time: f32, period: f32) -> Self {
         let plant_pole = libm::expf(-period / time_constant);
         let closed_loop_pole = libm::expf(-3.0 * period / response_time);
+        Self::placing(gain, plant_pole, closed_loop_pole)
+    }
+
+    /// The same, for poles per period.
+    pub fn placing(gain: f32, plant_pole: f32, closed_loop_pole: f32) -> Self {
         let proportional = (1.0 - closed_loop_pole) / (gain * (1.0 - plant_pole));
         Self { proportional, integral_per_period: proportional * (1.0 - plant_pole) }
+    }
+}
+
+impl PiGains {
+    /// What fraction of the saturation error `share` takes over per period.
+    fn tracked(self, share: f32) -> f32 {
+        // A loop without a proportional part holds its integral at the limit itself.
+        let ratio = if self.proportional > 0.0 { self.integral_per_period / self.proportional } else { 1.0 };
+        (share * ratio).min(1.0)
     }
 }
 
@@ -57,7 +71,6 @@ impl PiGains {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pi {
     gains: PiGains,
-    /// Fraction of the saturation error that the integral takes over per period.
     tracking: Tracking,
     integral: f32,
 }
@@ -65,14 +78,17 @@ pub struct Pi {
 impl Pi {
     /// A loop at rest.
     pub fn new(gains: PiGains, tracking: Tracking) -> Self {
-        // A loop without a proportional part holds its integral at the limit itself.
-        let ratio = if gains.proportional > 0.0 { gains.integral_per_period / gains.proportional } else { 1.0 };
-        let per_period = |share: f32| (share * ratio).min(1.0);
-        Self {
-            gains,
-            tracking: Tracking { low: per_period(tracking.low), high: per_period(tracking.high) },
-            integral: 0.0,
-        }
+        Self { gains, tracking, integral: 0.0 }
+    }
+
+    /// Other gains from now on; the integral stays.
+    pub fn set_gains(&mut self, gains: PiGains) {
+        self.gains = gains;
+    }
+
+    /// Sets the part of the output that does not depend on the present error.
+    pub fn seed(&mut self, integral: f32) {
+        self.integral = integral;
     }
 
     /// One period: the output that `error` asks for, held within `low..=high`.
@@ -81,8 +97,8 @@ impl Pi {
         let given = wished.clamp(low, high);
         self.integral += self.gains.integral_per_period * error;
         if given != wished {
-            let tracking = if given < wished { self.tracking.high } else { self.tracking.low };
-            self.integral += tracking * (given - wished);
+            let share = if given < wished { self.tracking.high } else { self.tracking.low };
+            self.integral += self.gains.tracked(share) * (given - wished);
         }
         given
     }

@@ -74,11 +74,13 @@ pub enum LawId {
     BangBang = 5,
     /// Phase locked to the resonance, voltage of constant magnitude.
     Pll = 6,
+    /// Steers to the setpoint in one period once the first has shown the plate, then holds with PI loops.
+    Deadbeat = 7,
 }
 
 impl LawId {
     /// Every law, in the order of their numbers.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::OpenLoop,
         Self::DqPi,
         Self::DqPiEuler,
@@ -86,6 +88,7 @@ impl LawId {
         Self::FrequencyOnly,
         Self::BangBang,
         Self::Pll,
+        Self::Deadbeat,
     ];
 
     /// The law's name in scenario files and on the command line.
@@ -98,6 +101,7 @@ impl LawId {
             Self::FrequencyOnly => "frequency-only",
             Self::BangBang => "bang-bang",
             Self::Pll => "pll",
+            Self::Deadbeat => "deadbeat",
         }
     }
 
@@ -259,6 +263,8 @@ pub mod flags {
     pub const FREQUENCY_LIMITED: u8 = 2;
     /// The frequency loop rests because the in-phase amplitude is too small to divide by.
     pub const FREQUENCY_HELD: u8 = 4;
+    /// The plate did not do what the law predicted, and the law fell back to a simpler one.
+    pub const PREDICTION_MISSED: u8 = 8;
 }
 
 /// What the plate is to be driven with.
