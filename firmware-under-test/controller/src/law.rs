@@ -55,7 +55,7 @@ impl Actuation {
 pub enum Law {
     /// `open-loop`
     OpenLoop(OpenLoop),
-    /// `dq-pi` and `dq-pi-euler`
+    /// `dq-pi`, `dq-pi-fixed` and `dq-pi-euler`
     DqPi(DqPi),
     /// `voltage-only`
     VoltageOnly(VoltageOnly),
@@ -92,7 +92,7 @@ impl Law {
         }
         let (law, gains) = match configure.law {
             LawId::OpenLoop => OpenLoop::design(configure),
-            LawId::DqPi | LawId::DqPiEuler => DqPi::design(configure),
+            LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed => DqPi::design(configure),
             LawId::VoltageOnly => VoltageOnly::design(configure),
             LawId::FrequencyOnly => FrequencyOnly::design(configure),
             LawId::BangBang => BangBang::design(configure),

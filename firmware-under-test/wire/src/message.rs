@@ -62,7 +62,7 @@ pub enum Message {
 pub enum LawId {
     /// Constant drive and frequency.
     OpenLoop = 0,
-    /// Two PI loops, equation 24 matched to the zero-order hold.
+    /// Two PI loops, equation 24 matched to the zero-order hold and to the plate's damping.
     DqPi = 1,
     /// Two PI loops, equation 24 as printed with a forward-Euler integral.
     DqPiEuler = 2,
@@ -76,11 +76,13 @@ pub enum LawId {
     Pll = 6,
     /// Steers to the setpoint in one period once the first has shown the plate, then holds with PI loops.
     Deadbeat = 7,
+    /// As `DqPi`, with the gains of the untouched plate whatever touches it.
+    DqPiFixed = 8,
 }
 
 impl LawId {
     /// Every law, in the order of their numbers.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::OpenLoop,
         Self::DqPi,
         Self::DqPiEuler,
@@ -89,6 +91,7 @@ impl LawId {
         Self::BangBang,
         Self::Pll,
         Self::Deadbeat,
+        Self::DqPiFixed,
     ];
 
     /// The law's name in scenario files and on the command line.
@@ -102,6 +105,7 @@ impl LawId {
             Self::BangBang => "bang-bang",
             Self::Pll => "pll",
             Self::Deadbeat => "deadbeat",
+            Self::DqPiFixed => "dq-pi-fixed",
         }
     }
 
