@@ -18,12 +18,13 @@
 //!   amplifier's limit that is the fastest there is, from period to period; at the end of the slew |W| goes before its angle.
 //! * **Holding.** PI loops matched to the zero-order hold as in `dq-pi`, with the plant that their own integrals tell: σ = bV/W, the excitation is the resonance.
 //!   They begin with the integrals that the steady state will have, so that nothing jumps.
-//! * **Prediction.** Each sample is compared with what the last drive should have led to. Where it is off by more than noise can be, the plate has changed and is
+//! * **Prediction.** Each sample is compared with what the last drive should have led to. Where it is off by more than half a percent of noise can be, the plate has changed and is
 //!   learnt again, or the drive acts later than thought: a loop delay of up to nine tenths of a period that explains both samples is taken over
 //!   and from then on reckoned with. Where four in a row are missed, the law falls back for twenty periods to its PI loops and raises
 //!   [`flags::PREDICTION_MISSED`].
 //!
-//! A step evaluates [`crate::envelope`]'s exponential at most 4 + 4 + 3 times (16 + 16 + 11 with a delay), and some 90 times in the one step that looks for the delay.
+//! The instructions of a step are bounded. In units of [`crate::envelope`]'s exponential, some 100 multiplications and additions: 1 while holding, at most 14
+//! while steering, 19 with a delay; 90 more in a step that looks for one, which is at most every period of a start that goes wrong.
 
 use crate::envelope::{Bounds, Complex, Drive, Envelope, Mode};
 use crate::law::{Actuation, Law, Measurement};
@@ -37,12 +38,6 @@ const FIRST_AIM: f32 = 0.97;
 const HOLDING_RESPONSE_S: f32 = 3e-3;
 /// A sample may be this share of the setpoint away from its prediction: what half a percent of noise makes of λ and of the prediction is a third of it.
 const TOLERANCE: f32 = 0.08;
-/// … or this many times the mean distance that noise has had so far.
-const NOISE_TOLERANCE: f32 = 4.0;
-/// … but never this share of the setpoint.
-const LARGEST_TOLERANCE: f32 = 0.25;
-/// Share of a new distance in that mean.
-const NOISE_SHARE: f32 = 0.125;
 /// A setpoint that moves by more than this share is steered to, by less it is followed.
 const SETPOINT_STEP: f32 = 0.02;
 /// On the setpoint: this close to it, as a share.
@@ -52,7 +47,7 @@ const AT_REST: f32 = 0.1;
 /// Periods of steering without arriving, at the amplifier's limit say, before the PI loops take over.
 const LONGEST_STEERING: u8 = 12;
 /// Drives that may end beside the setpoint before the PI loops take over.
-const ATTEMPTS: u8 = 4;
+const ATTEMPTS: u8 = 3;
 /// A missed prediction counts this much against the law, each other one takes one away …
 const MISSED_WEIGHT: u8 = 2;
 /// … and at this count it falls back: four in a row. A start with an unknown delay misses one or two.
@@ -114,8 +109,6 @@ pub struct Deadbeat {
     drives: [Drive; 3],
     /// What this sample should be.
     expected: Complex,
-    /// Mean distance of the samples from their predictions where nothing else was going on, µm.
-    noise: f32,
     setpoint: f32,
     /// Missed predictions, weighed against the others.
     misses: u8,
@@ -148,7 +141,6 @@ impl Deadbeat {
             samples: [Complex::default(); 2],
             drives: [Drive::default(); 3],
             expected: Complex::default(),
-            noise: 0.0,
             setpoint: 0.0,
             misses: 0,
             probation: 0,
@@ -159,32 +151,27 @@ impl Deadbeat {
     pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {
         let w = Complex::new(measurement.wd_um, measurement.wq_um);
         let setpoint = measurement.setpoint_um;
-        let surprise = (w - self.expected).norm();
-        let tolerance = (NOISE_TOLERANCE * self.noise).clamp(TOLERANCE * setpoint, LARGEST_TOLERANCE * setpoint);
-        let missed = setpoint > 0.0 && surprise > tolerance;
-        if matches!(self.phase, Phase::Rest | Phase::Holding) && !missed {
-            self.noise += NOISE_SHARE * (surprise - self.noise);
-        }
+        let missed = setpoint > 0.0 && (w - self.expected).norm() > TOLERANCE * setpoint;
         self.keep_faith(missed);
         let mut flags = 0;
-        let drive = if setpoint > 0.0 {
+        if setpoint > 0.0 {
             self.choose(w, setpoint, missed);
-            // Where the plate will be when this step's drive begins to act.
-            let begins = self.envelope.after(self.mode, w, self.drives[0], self.delay);
-            if self.phase == Phase::Holding {
-                self.hold(begins, setpoint, &mut flags)
-            } else {
-                self.steer(begins, setpoint, &mut flags)
-            }
         } else {
             self.phase = Phase::Rest;
-            flags |= flags::FREQUENCY_HELD;
-            Drive { vpp: 0.0, offset: self.excitation.offset_rad() }
+        }
+        // Where the plate will be when this step's drive begins to act.
+        let begins = self.envelope.after(self.mode, w, self.drives[0], self.delay);
+        let drive = match self.phase {
+            Phase::Rest => {
+                flags |= flags::FREQUENCY_HELD;
+                Drive { vpp: 0.0, offset: self.excitation.offset_rad() }
+            }
+            Phase::Learning | Phase::Steering(_) => self.steer(begins, setpoint, &mut flags),
+            Phase::Holding => self.hold(begins, setpoint, &mut flags),
         };
         if self.probation > 0 {
             flags |= flags::PREDICTION_MISSED;
         }
-        let begins = self.envelope.after(self.mode, w, self.drives[0], self.delay);
         self.expected = self.envelope.after(self.mode, begins, drive, self.period - self.delay);
         self.samples = [w, self.samples[0]];
         self.drives = [drive, self.drives[0], self.drives[1]];
@@ -223,7 +210,13 @@ impl Deadbeat {
             Phase::Holding if (setpoint - self.setpoint).abs() > SETPOINT_STEP * setpoint.max(self.setpoint) => {
                 Phase::Steering(Steering::commanded())
             }
-            Phase::Holding => Phase::Holding,
+            Phase::Holding => {
+                // At a limit the integral tells of the limit.
+                if self.drives[0].vpp > 0.0 && self.drives[0].vpp < self.limit_vpp {
+                    self.follow_the_integrals(setpoint);
+                }
+                Phase::Holding
+            }
         };
     }
 
@@ -260,7 +253,7 @@ impl Deadbeat {
             self.delay = delay;
         }
         self.mode = self.identified(w);
-        if arrived || gives_up || !self.is_within_reach(setpoint) {
+        if arrived || gives_up {
             return self.hand_over(setpoint);
         }
         Phase::Steering(Steering { periods: periods + 1, attempts, commanded })
@@ -301,14 +294,11 @@ impl Deadbeat {
         (explained && found.is_finite()).then_some(found)
     }
 
-    fn is_within_reach(&self, setpoint: f32) -> bool {
-        self.envelope.force * self.limit_vpp > self.mode.sigma * setpoint
-    }
-
     /// The loops start where they will stay if nothing changes.
     fn hand_over(&mut self, setpoint: f32) -> Phase {
         self.amplitude.seed((self.mode.sigma * setpoint / self.envelope.force).min(self.limit_vpp));
         self.frequency.seed(self.mode.resonance);
+        self.follow_the_integrals(setpoint);
         Phase::Holding
     }
 
@@ -325,7 +315,6 @@ impl Deadbeat {
     }
 
     fn hold(&mut self, begins: Complex, setpoint: f32, flags: &mut u8) -> Drive {
-        self.follow_the_integrals(setpoint);
         let vpp = self.amplitude.step(setpoint - begins.re, 0.0, self.limit_vpp);
         if vpp >= self.limit_vpp {
             *flags |= flags::SATURATED;
@@ -342,10 +331,6 @@ impl Deadbeat {
 
     /// The plate that the integrals tell, and the gains that suit it.
     fn follow_the_integrals(&mut self, setpoint: f32) {
-        // At a limit the integral tells of the limit.
-        if self.drives[0].vpp <= 0.0 || self.drives[0].vpp >= self.limit_vpp {
-            return;
-        }
         let sigma = self.envelope.force * self.amplitude.integral() / setpoint;
         self.mode = self.envelope.clamped(Mode { sigma, resonance: self.frequency.integral() });
         if !self.fixed_gains {

@@ -179,6 +179,8 @@ mod tests {
             }
         }
         assert!(settled(&played(LawId::DqPiFixed, 7.0 / 3.0, 0.0, 0.0)) >= 9);
+        let wq = |law| played(law, 7.0 / 3.0, NINE_KELVIN, 0.0)[8].wq.abs();
+        assert!(wq(LawId::DqPi) < 0.2 * wq(LawId::DqPiFixed), "the frequency loop as well: {} µm", wq(LawId::DqPi));
         assert!(settled(&played(LawId::DqPi, 7.0 / 3.0, 0.0, 0.4e-3)) <= 5, "with a delay as well");
     }
 
