@@ -244,7 +244,7 @@ impl Deadbeat {
         let Steering { periods, attempts, commanded } = steering;
         // Where the limits did not let the last drive end on the setpoint, it was no attempt.
         let attempts = attempts + u8::from(missed || off(self.expected) < ARRIVED * setpoint);
-        let gives_up = attempts >= ATTEMPTS || periods >= LONGEST_STEERING || self.probation > 0;
+        let gives_up = attempts >= ATTEMPTS || periods >= LONGEST_STEERING;
         if missed
             && commanded
             && !gives_up
@@ -298,7 +298,6 @@ impl Deadbeat {
     fn hand_over(&mut self, setpoint: f32) -> Phase {
         self.amplitude.seed((self.mode.sigma * setpoint / self.envelope.force).min(self.limit_vpp));
         self.frequency.seed(self.mode.resonance);
-        self.follow_the_integrals(setpoint);
         Phase::Holding
     }
 

@@ -1,5 +1,6 @@
 //! The law on the envelope that it reckons with, in f64. On the modal plate it is played by `harness/runner/tests`.
 
+use super::Phase;
 use crate::law::bench::{Bench, FORCE, NINE_KELVIN, Period};
 use crate::law::example::CONFIGURE;
 use crate::law::{Law, Measurement};
@@ -82,6 +83,9 @@ fn out_of_reach_it_says_saturated_and_nothing_worse_and_comes_back() {
     let played = bench.play(2.0, 60);
     assert!(played[..50].iter().all(|period| period.actuation.drive_vpp == 400.0));
     assert_eq!(raised(&played) & !flags::FREQUENCY_LIMITED, flags::SATURATED);
+    let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+    assert_eq!(law.phase, Phase::Holding);
+    assert!((law.mode.sigma * CONFIGURE.time_constant_s * 3.0 / 7.0 - 1.0).abs() < 1e-3, "{:?}", law.mode);
     bench.damping = 1.0;
     let played = bench.play(2.0, 30);
     assert!(highest(&played) < 2.1, "{played:?}");
@@ -127,6 +131,34 @@ fn a_finger_that_comes_or_goes_at_once_is_answered_at_once() {
         );
         assert_eq!(raised(&played) & flags::PREDICTION_MISSED, 0);
     }
+}
+
+/// Within a period no single damping explains what happened; a delay would.
+#[test]
+fn a_finger_within_a_period_is_no_delay() {
+    for (before, after) in [(1.0, 2.0), (7.0 / 3.0, 1.0)] {
+        for share in [0.1, 0.3, 0.5, 0.7, 0.9] {
+            let mut bench = Bench::new(&DEADBEAT, before, 0.0);
+            bench.play(2.0, 30);
+            bench.changes_to(after, share);
+            let played = bench.play(2.0, 30);
+            assert!(played[4..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.04), "{share}: {played:?}");
+            let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+            assert_eq!(law.delay, 0.0, "σ × {before} to {after} after {share} of a period");
+        }
+    }
+}
+
+/// A plate that swings by 3.3 %: there is nothing to arrive at.
+#[test]
+fn steering_comes_to_an_end() {
+    let mut bench = Bench::new(&DEADBEAT, 1.0, 0.0);
+    for period in 0..6 {
+        bench.period(2.0);
+        bench.w.0 *= if period % 2 == 0 { 1.033 } else { 0.967 };
+    }
+    let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+    assert_eq!(law.phase, Phase::Holding);
 }
 
 /// Nobody tells the law of a delay. It may cost the first start an overshoot, and never a second one.

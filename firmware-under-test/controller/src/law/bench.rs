@@ -25,6 +25,8 @@ pub(crate) struct Bench {
     pub(crate) force: f64,
     /// Sampling to actuation, s.
     pub(crate) delay: f64,
+    /// The next damping, and when in the next period, s.
+    pub(crate) change: Option<(f64, f64)>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -39,7 +41,12 @@ impl Bench {
     /// At rest, with the law that `configure` asks for.
     pub(crate) fn new(configure: &Configure, damping: f64, resonance: f64) -> Self {
         let law = Law::design(configure).unwrap().0;
-        Self { law, w: (0.0, 0.0), acting: (0.0, 0.0), damping, resonance, force: FORCE, delay: 0.0 }
+        Self { law, w: (0.0, 0.0), acting: (0.0, 0.0), damping, resonance, force: FORCE, delay: 0.0, change: None }
+    }
+
+    /// The damping changes after `share` of the next period.
+    pub(crate) fn changes_to(&mut self, damping: f64, share: f64) {
+        self.change = Some((damping, share * PERIOD));
     }
 
     fn pass(&mut self, seconds: f64) {
@@ -58,7 +65,14 @@ impl Bench {
         self.pass(self.delay);
         self.acting =
             (f64::from(actuation.drive_vpp), f64::from(actuation.frequency_offset_hz) * core::f64::consts::TAU);
-        self.pass(PERIOD - self.delay);
+        match self.change.take() {
+            Some((damping, after)) => {
+                self.pass(after);
+                self.damping = damping;
+                self.pass(PERIOD - self.delay - after);
+            }
+            None => self.pass(PERIOD - self.delay),
+        }
         Period { amplitude: wd.hypot(wq), wq, actuation }
     }
 }
