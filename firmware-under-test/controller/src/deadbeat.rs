@@ -211,10 +211,7 @@ impl Deadbeat {
                 Phase::Steering(Steering::commanded())
             }
             Phase::Holding => {
-                // At a limit the integral tells of the limit.
-                if self.drives[0].vpp > 0.0 && self.drives[0].vpp < self.limit_vpp {
-                    self.follow_the_integrals(setpoint);
-                }
+                self.follow_the_integrals(setpoint);
                 Phase::Holding
             }
         };

@@ -139,6 +139,4 @@ pub(crate) mod example {
 }
 
 #[cfg(test)]
-pub(crate) mod bench;
-#[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -1,8 +1,8 @@
 //! The law on the envelope that it reckons with, in f64. On the modal plate it is played by `harness/runner/tests`.
 
 use super::Phase;
-use crate::law::bench::{Bench, FORCE, NINE_KELVIN, Period};
 use crate::law::example::CONFIGURE;
+use crate::law::tests::{Bench, FORCE, NINE_KELVIN, Period};
 use crate::law::{Law, Measurement};
 use platebench_wire::{Configure, Gains, LawId, flags};
 use std::vec::Vec;

@@ -1,0 +1,77 @@
+//! The schedule against the fixed gains that it starts from.
+
+use super::*;
+use crate::law::example::CONFIGURE;
+use crate::law::tests::{Bench, NINE_KELVIN, Period};
+use platebench_wire::LawId;
+use std::vec::Vec;
+
+fn played(law: LawId, damping: f64, resonance: f64, delay: f64) -> Vec<Period> {
+    let configure = Configure { law, ..CONFIGURE };
+    Bench { delay, ..Bench::new(&configure, damping, resonance) }.play(2.0, 40)
+}
+
+/// The first period from which on |W| stays within 5 %.
+fn settled(played: &[Period]) -> usize {
+    played.iter().rposition(|period| (period.amplitude - 2.0).abs() > 0.1).map_or(0, |outside| outside + 1)
+}
+
+#[test]
+fn untouched_the_schedule_changes_nothing() {
+    for (resonance, delay) in [(0.0, 0.0), (NINE_KELVIN, 0.0), (-NINE_KELVIN, 0.0), (0.0, 0.2e-3), (0.0, 0.5e-3)] {
+        let scheduled = played(LawId::DqPi, 1.0, resonance, delay);
+        let fixed = played(LawId::DqPiFixed, 1.0, resonance, delay);
+        for (a, b) in scheduled.iter().zip(&fixed) {
+            assert!((a.amplitude - b.amplitude).abs() < 0.002, "{resonance} rad/s, {delay} s: {a:?} instead of {b:?}");
+        }
+    }
+}
+
+#[test]
+fn under_a_finger_it_is_the_design_for_that_finger() {
+    for damping in [1.5, 2.0, 7.0 / 3.0] {
+        for resonance in [0.0, NINE_KELVIN, -NINE_KELVIN] {
+            assert!(settled(&played(LawId::DqPi, damping, resonance, 0.0)) <= 4, "σ × {damping}, {resonance} rad/s");
+        }
+    }
+    assert!(settled(&played(LawId::DqPiFixed, 7.0 / 3.0, 0.0, 0.0)) >= 9);
+    let wq = |law| played(law, 7.0 / 3.0, NINE_KELVIN, 0.0)[8].wq.abs();
+    assert!(wq(LawId::DqPi) < 0.2 * wq(LawId::DqPiFixed), "the frequency loop as well: {} µm", wq(LawId::DqPi));
+    assert!(settled(&played(LawId::DqPi, 7.0 / 3.0, 0.0, 0.4e-3)) <= 5, "with a delay as well");
+}
+
+#[test]
+fn a_single_sample_is_no_other_plate() {
+    let configure = Configure { law: LawId::DqPi, ..CONFIGURE };
+    let mut bench = Bench::new(&configure, 1.0, 0.0);
+    bench.play(2.0, 30);
+    let gains = |bench: &Bench| {
+        let Law::DqPi(law) = bench.law else { panic!("another law") };
+        law.schedule.unwrap().sigma * CONFIGURE.time_constant_s
+    };
+    assert!((gains(&bench) - 1.0).abs() < 1e-3, "{}", gains(&bench));
+    bench.damping = 2.0;
+    bench.period(2.0);
+    bench.period(2.0);
+    assert!((gains(&bench) - 1.0).abs() < 1e-3, "one sample shows the finger: {}", gains(&bench));
+    bench.period(2.0);
+    assert!((gains(&bench) - 2.0).abs() < 1e-2, "two do: {}", gains(&bench));
+    // A slow finger is followed without that.
+    for step in 0..1000 {
+        bench.damping = 2.0 - f64::from(step) * 1e-3;
+        bench.period(2.0);
+    }
+    assert!((gains(&bench) - 1.0).abs() < 0.02, "{}", gains(&bench));
+}
+
+#[test]
+fn given_gains_stay_as_they_are() {
+    let gains = Gains { amplitude_kp: 270.0, amplitude_ki: 1.1e5, frequency_kp: 1000.0, frequency_ki: 4e5 };
+    let scheduled =
+        Bench::new(&Configure { law: LawId::DqPi, gains: Some(gains), ..CONFIGURE }, 2.0, 0.0).play(2.0, 20);
+    let fixed =
+        Bench::new(&Configure { law: LawId::DqPiFixed, gains: Some(gains), ..CONFIGURE }, 2.0, 0.0).play(2.0, 20);
+    for (a, b) in scheduled.iter().zip(&fixed) {
+        assert_eq!(a.actuation, b.actuation);
+    }
+}
