@@ -58,7 +58,7 @@ const PROBATION: u8 = 20;
 const HEAVIEST_FINGER: f32 = 2.5;
 /// The loop delay is looked for up to this share of the period.
 const LONGEST_DELAY: f32 = 0.9;
-/// Halvings of the search for the delay, at most.
+/// Steps of the search for the delay.
 const DELAY_ITERATIONS: u32 = 6;
 /// As `dq-pi`'s.
 const LARGEST_RATIO: f32 = 2.0;

@@ -17,7 +17,7 @@ fn paper(controller: &str, profile: &str, expect: &str) -> Option<f64> {
 #[case::matched_for_two("law = \"dq-pi\"\nresponse_time_ms = 2.0", 2.0, 2.05, 0.0, 0.1, 539.0, 540.0)]
 #[case::as_printed("law = \"dq-pi-euler\"", 2.84, 2.90, 16.0, 17.0, 808.0, 808.1)]
 #[case::matched_delayed(
-    "law = \"dq-pi\"\nresponse_time_ms = 2.0\nloop_delay_ms = 1.0",
+    "law = \"dq-pi-fixed\"\nresponse_time_ms = 2.0\nloop_delay_ms = 1.0",
     22.0,
     24.0,
     70.0,

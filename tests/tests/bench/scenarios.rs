@@ -15,6 +15,7 @@ fn ends_as_it_says(
     #[files("../scenarios/paper/*.toml")]
     #[files("../scenarios/limits/*.toml")]
     #[files("../scenarios/faults/*.toml")]
+    #[files("../scenarios/laws/*.toml")]
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();
