@@ -43,7 +43,8 @@ fn play(law: &str, controller: &str, profile: &str) -> Response {
     let plan = Plan {
         scenarios: vec![scenario],
         jobs: 1,
-        wire_time: false,
+        clock: platebench_runner::Clock::Lockstep { wire_time: false },
+        own_clock: false,
         rig: "hosted".to_owned(),
         overrides: Overrides::default(),
     };
