@@ -1,6 +1,6 @@
-//! `bang-bang`: the drive holds the amplitude, the frequency takes a fixed step per period towards the resonance ([10] and [11] of the paper).
+//! `bang-bang`: the drive holds the amplitude, the frequency takes a fixed step per period towards the resonance (\[10\] and \[11\] of the paper).
 //!
-//! The paper says of [10]: "the frequency control was based on a 'bang-bang' strategy [11]", good close to the resonance, slow "with unsuited initial
+//! The paper says of \[10\]: "the frequency control was based on a 'bang-bang' strategy \[11\]", good close to the resonance, slow "with unsuited initial
 //! condition". Assumed: the amplitude loop is that of `voltage-only`; the sign of Wq gives the direction (Wq/Wd → −τΔω, equation 19); the step is a
 //! twentieth of the plate's half bandwidth, `1/(20 τ)` or 4.2 Hz, which leaves 0.1 % of the amplitude to a hunt of one step, and needs twenty periods for a
 //! start that is 9 K off.

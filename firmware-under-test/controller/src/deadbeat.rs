@@ -18,13 +18,13 @@
 //!   amplifier's limit that is the fastest there is, from period to period; at the end of the slew |W| goes before its angle.
 //! * **Holding.** PI loops matched to the zero-order hold as in `dq-pi`, with the plant that their own integrals tell: σ = bV/W, the excitation is the resonance.
 //!   They begin with the integrals that the steady state will have, so that nothing jumps.
-//! * **Prediction.** Each sample is compared with what the last drive should have led to. Where it is off by more than half a percent of noise can be, the plate has changed and is
+//! * **Prediction.** Each sample is compared with what the last drive should have led to. Where it is off by more than noise explains, the plate has changed and is
 //!   learnt again, or the drive acts later than thought: a loop delay of up to nine tenths of a period that explains both samples is taken over
 //!   and from then on reckoned with. Where four in a row are missed, the law falls back for twenty periods to its PI loops and raises
 //!   [`flags::PREDICTION_MISSED`].
 //!
 //! The instructions of a step are bounded. In units of [`crate::envelope`]'s exponential, some 100 multiplications and additions: 1 while holding, at most 14
-//! while steering, 19 with a delay; 90 more in a step that looks for one, which is at most every period of a start that goes wrong.
+//! while steering, 19 with a delay; 100 more in a step that looks for one, which is at most every period of a start that goes wrong.
 
 use crate::envelope::{Bounds, Complex, Drive, Envelope, Mode};
 use crate::law::{Actuation, Law, Measurement};
@@ -270,6 +270,11 @@ impl Deadbeat {
             let begins = self.envelope.after(mode, self.samples[0], self.drives[1], delay);
             self.envelope.after(mode, begins, self.drives[0], self.period - delay)
         };
+        let explains = |delay: f32| (predicted(delay) - w).norm() < 0.5 * TOLERANCE * setpoint;
+        // A finger heavier than was thought possible.
+        if explains(0.0) {
+            return Some(0.0);
+        }
         let excess = |delay: f32| predicted(delay).norm() - w.norm();
         // False position with Illinois's remedy for an end that stays.
         let (mut low, mut high) = (0.0, LONGEST_DELAY * self.period);
@@ -287,8 +292,7 @@ impl Deadbeat {
                 (low, below, above) = (found, there, above * 0.5);
             }
         }
-        let explained = (predicted(found) - w).norm() < 0.5 * TOLERANCE * setpoint;
-        (explained && found.is_finite()).then_some(found)
+        (found.is_finite() && explains(found)).then_some(found)
     }
 
     /// The loops start where they will stay if nothing changes.

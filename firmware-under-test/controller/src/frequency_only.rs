@@ -1,4 +1,4 @@
-//! `frequency-only`: constant voltage, the frequency adjusts the amplitude ([8] and [9] of the paper).
+//! `frequency-only`: constant voltage, the frequency adjusts the amplitude (\[8\] and \[9\] of the paper).
 //!
 //! The paper says of them: "the piezoelectric ceramics are supplied with a constant voltage amplitude while the frequency is adjusted in order to reach the
 //! required vibration amplitude"; operation at resonance is not guaranteed. Assumed:

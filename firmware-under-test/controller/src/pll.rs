@@ -1,9 +1,9 @@
-//! `pll`: the frame is locked to the vibration, the voltage keeps its magnitude ([13] of the paper).
+//! `pll`: the frame is locked to the vibration, the voltage keeps its magnitude (\[13\] of the paper).
 //!
-//! The paper says of [13]: "axis d was attached to W using a phase locked loop, leading to Wq = 0, and the voltage components Vd and Vq were constrained by
+//! The paper says of \[13\]: "axis d was attached to W using a phase locked loop, leading to Wq = 0, and the voltage components Vd and Vq were constrained by
 //! the condition of a constant voltage amplitude". Assumed: the loop locks the vibration 90° behind the voltage, which is the resonance, and the magnitude
 //! is the one that an undisturbed plate needs, `V = setpoint / K1`. In this bench's frame, which hangs on the voltage, the phase to be brought to zero is
-//! arg W. A lock at another angle, with which [13] can set the amplitude, leaves the resonance; the paper objects to that. This one stays there and leaves the
+//! arg W. A lock at another angle, with which \[13\] can set the amplitude, leaves the resonance; the paper objects to that. This one stays there and leaves the
 //! amplitude to the plate.
 
 use crate::law::{Actuation, Law, Measurement};

@@ -1,6 +1,6 @@
-//! `voltage-only`: the drive alone is adjusted, at a fixed frequency ([7] of the paper, a haptic knob).
+//! `voltage-only`: the drive alone is adjusted, at a fixed frequency (\[7\] of the paper, a haptic knob).
 //!
-//! The paper says of [7]: "the voltage across the piezoelectric material is adjusted in order to obtain the required vibration amplitude". Assumed: a PI
+//! The paper says of \[7\]: "the voltage across the piezoelectric material is adjusted in order to obtain the required vibration amplitude". Assumed: a PI
 //! controller on |W|, designed like `dq-pi`'s amplitude loop. Off resonance it pays with drive: |W|/V = K1/√(1 + (τΔω)²).
 
 use crate::law::{Actuation, Law, Measurement};

@@ -189,6 +189,20 @@ fn a_delay_is_found_and_from_then_on_reckoned_with() {
     }
 }
 
+/// The first sample is taken for a delay, the second one corrects that.
+#[test]
+fn a_finger_too_heavy_to_be_believed_costs_a_period() {
+    for damping in [2.6, 3.0, 4.0] {
+        let configure = Configure { drive_limit_vpp: 1500.0, ..DEADBEAT };
+        let mut bench = Bench::new(&configure, damping, NINE_KELVIN);
+        let played = bench.play(2.0, 30);
+        assert!(played[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "σ × {damping}: {played:?}");
+        assert_eq!(raised(&played) & flags::PREDICTION_MISSED, 0);
+        let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+        assert_eq!(law.delay, 0.0);
+    }
+}
+
 /// Without a delay none is found where the plate is not quite the nominal one, except that too little of it under 2 N
 /// is more damping than any finger's and becomes a tenth of a period.
 #[test]
