@@ -17,7 +17,7 @@ fn raised(periods: &[Period]) -> u8 {
     periods.iter().fold(0, |all, period| all | period.actuation.flags)
 }
 
-/// The demand: two periods, whatever finger up to 2 N and whatever detuning up to 9 K, with at most 800 Vpp.
+/// Two periods, whatever finger up to 2 N and whatever detuning up to 9 K, with at most 800 Vpp.
 #[test]
 fn two_periods_are_enough() {
     for damping in [1.0, 1.2, 1.5, 2.0, 7.0 / 3.0] {
