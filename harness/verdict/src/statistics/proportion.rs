@@ -1,0 +1,91 @@
+//! How often something happens, from how often it was seen.
+
+use statrs::function::beta::beta_reg;
+
+/// Halvings of the unit interval: as many as a double can tell apart.
+const HALVINGS: u32 = 60;
+
+/// Bounds of the probability of something that was seen `seen` times in `count` independent trials, each one-sided at `confidence`; `None` where nothing
+/// was tried. They cover at least at that rate whatever the probability is, and where it is small, more.
+///
+/// C. J. Clopper and E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413: the probabilities at which as many, or as few, would be seen with probability
+/// `1 − confidence`. Nothing seen in n trials leaves `1 − (1 − confidence)^(1/n)`.
+pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2]> {
+    if count == 0 || seen > count {
+        return None;
+    }
+    let tail = 1.0 - confidence;
+    let lower = if seen == 0 { 0.0 } else { root(|p| at_least(seen, count, p) >= tail) };
+    let upper = if seen == count { 1.0 } else { root(|p| at_most(seen, count, p) < tail) };
+    Some([lower, upper])
+}
+
+/// The probability that something of probability `p` happens at most `seen` times in `count` trials: `I_{1−p}(n − k, k + 1)`.
+pub fn at_most(seen: u32, count: u32, p: f64) -> f64 {
+    if seen >= count {
+        1.0
+    } else {
+        beta_reg(f64::from(count - seen), f64::from(seen) + 1.0, (1.0 - p).clamp(0.0, 1.0))
+    }
+}
+
+/// The probability that something of probability `p` happens at least `seen` times in `count` trials: `I_p(k, n − k + 1)`.
+pub fn at_least(seen: u32, count: u32, p: f64) -> f64 {
+    match seen {
+        0 => 1.0,
+        _ if seen > count => 0.0,
+        _ => beta_reg(f64::from(seen), f64::from(count - seen) + 1.0, p.clamp(0.0, 1.0)),
+    }
+}
+
+/// Where `holds` becomes true between 0 and 1.
+fn root(holds: impl Fn(f64) -> bool) -> f64 {
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..HALVINGS {
+        let middle = f64::midpoint(low, high);
+        if holds(middle) { high = middle } else { low = middle }
+    }
+    high
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    // Nothing in 30 leaves 9.5 %, below 1 % takes 299 and below 0.1 % 2 995: 1 − 0.05^(1/n).
+    #[case(0, 30, 0.0, 0.095_034)]
+    #[case(0, 299, 0.0, 0.009_969)]
+    #[case(0, 2_995, 0.0, 0.000_999_7)]
+    // One-sided at 97.5 % each: the two-sided 95 % interval of the tables.
+    #[case(5, 10, 0.187_086, 0.812_914)]
+    #[case(10, 10, 0.691_503, 1.0)]
+    fn the_bounds_are_the_tabulated_ones(#[case] seen: u32, #[case] count: u32, #[case] low: f64, #[case] high: f64) {
+        let confidence = if seen == 0 { 0.95 } else { 0.975 };
+        let [lower, upper] = clopper_pearson(seen, count, confidence).unwrap();
+        assert!((lower - low).abs() < 1e-6 && (upper - high).abs() < 1e-6, "{lower} {upper}");
+    }
+
+    #[test]
+    fn the_last_trial_that_takes_it_below_a_percent_is_the_299th() {
+        let upper = |count| clopper_pearson(0, count, 0.95).unwrap()[1];
+        assert!(upper(298) > 0.01 && upper(299) < 0.01);
+        assert!(upper(2_994) > 0.001 && upper(2_995) < 0.001);
+    }
+
+    #[test]
+    fn the_tails_are_the_binomial_sums() {
+        // Three coins.
+        for (seen, least, most) in [(0, 1.0, 0.125), (1, 0.875, 0.5), (2, 0.5, 0.875), (3, 0.125, 1.0)] {
+            assert!((at_least(seen, 3, 0.5) - least).abs() < 1e-12 && (at_most(seen, 3, 0.5) - most).abs() < 1e-12);
+        }
+        assert_eq!((at_least(4, 3, 0.5), at_most(2, 3, 0.0), at_least(1, 3, 0.0)), (0.0, 1.0, 0.0));
+    }
+
+    #[test]
+    fn nothing_tried_shows_nothing() {
+        assert_eq!(clopper_pearson(0, 0, 0.95), None);
+        assert_eq!(clopper_pearson(2, 1, 0.95), None);
+    }
+}
