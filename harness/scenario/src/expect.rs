@@ -176,6 +176,33 @@ impl fmt::Display for Limit {
     }
 }
 
+/// What the trials of a scenario come to, before it is held against the limit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Over {
+    /// Each trial has to keep the limit by itself.
+    Each,
+    /// Their mean has to.
+    Mean,
+    /// That share of all trials lies at or below what has to.
+    Quantile(f64),
+    /// Their standard deviation has to; only [`Metric::Repeatability`].
+    Deviation,
+}
+
+impl Over {
+    /// Names in scenario files.
+    pub const NAMES: [&str; 3] = ["each", "mean", "quantile"];
+
+    /// What a metric comes to unless the scenario says otherwise.
+    pub const fn default_of(metric: Metric) -> Self {
+        match metric {
+            Metric::Repeatability => Self::Deviation,
+            Metric::StaticError => Self::Mean,
+            _ => Self::Each,
+        }
+    }
+}
+
 /// The stretch of a trial over which a mean is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Window {
@@ -198,6 +225,8 @@ pub struct Expectation {
     pub requirement: Option<String>,
     /// Confidence at which a verdict over trials is made.
     pub confidence: f64,
+    /// What the trials come to.
+    pub over: Over,
     /// Half width of the band around the setpoint, percent.
     pub band_percent: f64,
     /// From when on to look.

@@ -20,7 +20,7 @@ mod scenario;
 pub mod variation;
 
 pub use diagnostic::Diagnostic;
-pub use expect::{Expectation, Limit, Metric, Window};
+pub use expect::{Expectation, Limit, Metric, Over, Window};
 pub use fault::{Direction, Fault, FaultKind};
 pub use find::{Found, find};
 pub use load::load;

@@ -194,6 +194,12 @@ pub struct RawExpectation {
     /// Confidence at which a verdict over trials is made.
     #[serde(default)]
     pub confidence: Option<f64>,
+    /// What the trials come to: `each`, `mean` or `quantile`.
+    #[serde(default)]
+    pub over: Option<String>,
+    /// Which quantile.
+    #[serde(default)]
+    pub quantile: Option<f64>,
     /// Half width of the band around the setpoint, percent.
     #[serde(default)]
     pub band_percent: Option<f64>,

@@ -2,7 +2,7 @@
 
 use super::{Checker, Play, quoted};
 use crate::diagnostic::{Diagnostic, suggestion};
-use crate::expect::{Expectation, Limit, Metric, SIGNALS, Window};
+use crate::expect::{Expectation, Limit, Metric, Over, SIGNALS, Window};
 use crate::fault::Fault;
 use crate::raw::{RawExpectation, RawWindow};
 use platebench_plate::{Profile, Time};
@@ -10,6 +10,7 @@ use platebench_plate::{Profile, Time};
 const DEFAULT_CONFIDENCE: f64 = 0.95;
 const DEFAULT_BAND_PERCENT: f64 = 5.0;
 const DEFAULT_TOLERANCE_PERCENT: f64 = 5.0;
+const DEFAULT_QUANTILE: f64 = 0.95;
 
 /// Until when a controller that stops after `from` has to stay at 0 V: to the end, or until the bench configures it anew.
 fn reconfigured(faults: &[Fault], from: Time, duration: Time) -> Time {
@@ -41,6 +42,8 @@ impl Checker<'_> {
                 raw.tolerance_percent.is_some(),
                 raw.about.is_some() && metric != Metric::Repeatability,
             ),
+            ("over", raw.over.is_some(), metric != Metric::Repeatability),
+            ("quantile", raw.quantile.is_some(), raw.over.as_deref() == Some("quantile")),
         ] {
             self.require(used || !given, &key(name), || {
                 format!("`{name}` means nothing to this expectation of {metric}")
@@ -82,6 +85,7 @@ impl Checker<'_> {
             paper: raw.paper,
             requirement: raw.requirement.clone(),
             confidence,
+            over: self.over(&key, raw, metric)?,
             band_percent,
             from,
             window,
@@ -132,6 +136,23 @@ impl Checker<'_> {
         })?;
         self.require(smallest < low || high < largest, &key(name), || format!("{}: this can never fail", always()))?;
         Ok(limit)
+    }
+
+    fn over(&self, key: &impl Fn(&str) -> String, raw: &RawExpectation, metric: Metric) -> Result<Over, Diagnostic> {
+        let quantile = raw.quantile.unwrap_or(DEFAULT_QUANTILE);
+        self.require(quantile > 0.0 && quantile < 1.0, &key("quantile"), || {
+            format!("{quantile}, expected above 0 and below 1")
+        })?;
+        match raw.over.as_deref() {
+            None => Ok(Over::default_of(metric)),
+            Some("each") => Ok(Over::Each),
+            Some("mean") => Ok(Over::Mean),
+            Some("quantile") => Ok(Over::Quantile(quantile)),
+            Some(name) => {
+                let (known, hint) = (quoted(Over::NAMES), suggestion(name, Over::NAMES));
+                self.refuse(&key("over"), format!("`{name}`, expected one of {known}{hint}"))
+            }
+        }
     }
 
     fn window(&self, key: &str, raw: Option<RawWindow>, duration: Time) -> Result<Window, Diagnostic> {

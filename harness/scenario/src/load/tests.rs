@@ -1,5 +1,5 @@
 use super::*;
-use crate::expect::{Limit, Metric, Window};
+use crate::expect::{Limit, Metric, Over, Window};
 use crate::fault::{Direction, FaultKind};
 use insta::assert_snapshot;
 use rstest::{Context, rstest};
@@ -208,6 +208,22 @@ fn what_is_left_out_has_its_documented_default() {
     assert_eq!(expectation.signal, "amplitude_um");
 }
 
+#[test]
+fn what_the_trials_come_to_can_be_chosen() {
+    let over = |more: &str| with("confidence = 0.9", more).unwrap().expectations[1].over;
+    assert_eq!(over(""), Over::Mean);
+    assert_eq!(over("over = \"each\""), Over::Each);
+    assert_eq!(over("over = \"mean\""), Over::Mean);
+    assert_eq!(over("over = \"quantile\""), Over::Quantile(0.95));
+    assert_eq!(over("over = \"quantile\"\nquantile = 0.5"), Over::Quantile(0.5));
+    let all = loaded(&[(
+        "\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0",
+        "\"repeatability_percent\"\nat_most = 2.0",
+    )]);
+    let all: Vec<_> = all.unwrap().expectations.iter().map(|expectation| expectation.over).collect();
+    assert_eq!(all, [Over::Each, Over::Mean, Over::Deviation]);
+}
+
 #[rstest]
 #[case::head(&[
     ("\"All keys\"", "\" \""),
@@ -374,6 +390,13 @@ fn what_is_left_out_has_its_documented_default() {
     ("confidence = 0.9", "confidence = 0.49"),
     ("confidence = 0.9", "confidence = 1.0"),
     ("confidence = 0.9", "confidence = 95"),
+    ("confidence = 0.9", "over = \"median\""),
+    ("confidence = 0.9", "over = \"quantle\""),
+    ("confidence = 0.9", "quantile = 0.9"),
+    ("confidence = 0.9", "over = \"mean\"\nquantile = 0.9"),
+    ("confidence = 0.9", "over = \"quantile\"\nquantile = 0.0"),
+    ("confidence = 0.9", "over = \"quantile\"\nquantile = 1.0"),
+    ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"repeatability_percent\"\nabout = 1.3\nover = \"mean\""),
     ("from_ms = 1.0", "from_ms = 60.0"),
     ("from_ms = 1.0", "from_ms = -1.0"),
     ("signal = \"amplitude_um\"", "signal = \"amplitude\""),
@@ -463,6 +486,8 @@ fn a_scenario_that_expects_nothing_is_refused() {
 #[case("band_percent = 5.0", "band_percent = 99.999")]
 #[case("confidence = 0.9", "confidence = 0.5")]
 #[case("confidence = 0.9", "confidence = 0.9999999999999999")]
+#[case("confidence = 0.9", "over = \"quantile\"\nquantile = 0.000001")]
+#[case("confidence = 0.9", "over = \"quantile\"\nquantile = 0.999999")]
 #[case("from_ms = 1.0", "from_ms = 59.999999")]
 #[case("from_ms = 1.0", "from_ms = 0.0")]
 #[case("window_ms = 20.0", "window_ms = 59.0")]
