@@ -106,6 +106,7 @@ fn case(scenario: &ScenarioRecord, index: usize) -> Option<TestCase> {
         ("limit", Some(limit)),
         ("interval", expectation.interval.map(|[low, high]| format!("{low} {high}"))),
         ("confidence", expectation.confidence.map(|confidence| confidence.to_string())),
+        ("evidence", shown::evidence(expectation)),
         ("cause", expectation.cause.map(|cause| cause.to_string())),
         ("paper", expectation.paper.map(|paper| paper.to_string())),
         ("seed", trial.map(|trial| trial.seed.to_string())),

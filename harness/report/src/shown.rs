@@ -141,11 +141,22 @@ pub(crate) fn limit(expectation: &ExpectationRecord) -> String {
     parts.collect::<Vec<_>>().join(", ")
 }
 
-/// `1.9 … 1.96`, with the confidence of its ends where there is one.
+/// `1.9 … 1.96`, with the confidence of its ends where there is one. What the worst and the best trial came to is no bound of anything.
 pub(crate) fn interval(expectation: &ExpectationRecord) -> Option<String> {
     let [low, high] = expectation.interval?;
-    let confidence = expectation.confidence.map(|confidence| format!(" ({} %)", number(confidence * 100.0)));
+    let confidence = expectation
+        .confidence
+        .filter(|_| expectation.statistic != "worst")
+        .map(|confidence| format!(" ({} %)", number(confidence * 100.0)));
     Some(format!("{} … {}{}", number(low), number(high), confidence.unwrap_or_default()))
+}
+
+/// What the trials show beside the verdict: the sentence of the record, and the look at which it was judged.
+pub(crate) fn evidence(expectation: &ExpectationRecord) -> Option<String> {
+    let evidence = &expectation.evidence;
+    let look = evidence.look.map(|[number, of]| format!("judged at look {number} of {of}"));
+    let parts: Vec<String> = evidence.says.iter().cloned().chain(look).collect();
+    (!parts.is_empty()).then(|| parts.join("; "))
 }
 
 /// The unit that a metric's name ends in; empty where it is a ratio or a count.
@@ -164,6 +175,7 @@ pub(crate) fn unit(metric: &str) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use platebench_verdict::Evidence;
     use rstest::rstest;
 
     #[rstest]
@@ -194,6 +206,7 @@ mod tests {
             reason: None,
             paper: None,
             requirement: None,
+            evidence: Evidence::default(),
         };
         assert_eq!(value(&expectation).unwrap(), "2.00004");
         expectation.value = Some(2.0);

@@ -29,7 +29,9 @@ pub fn excuse(scenario: &Scenario, expectation: &Expectation, plant: &Plant, row
     if !fell_at_rest && !rows.iter().any(|row| row.flags.contains(Flags::SATURATED)) {
         return None;
     }
-    let best = metrics::measure(expectation, &ideal, &Telemetry::default());
+    // The ideal's amplitude is known at all times, also where the controller's is known at its samples only.
+    let plain = Expectation { signal: "amplitude_um", ..expectation.clone() };
+    let best = metrics::measure(&plain, &ideal, &Telemetry::default());
     let (lowest, highest) = expectation.limit.range();
     let out_of_reach = match (expectation.metric, &best) {
         // The ideal is never above the setpoint; how much less than it is the question.
@@ -37,7 +39,7 @@ pub fn excuse(scenario: &Scenario, expectation: &Expectation, plant: &Plant, row
         // A mean that cannot get to the setpoint goes with the drive, not with the controller.
         (Metric::Repeatability, Measure::Value(ratio)) => *ratio < 100.0 - RATIO_TOLERANCE_PERCENT,
         (Metric::StaticError, Measure::Value(value)) => value.abs() > highest,
-        (_, Measure::Value(value)) => *value > highest,
+        (_, Measure::Value(value) | Measure::Between([value, _])) => *value > highest,
         (_, Measure::Missing(_)) => true,
         (_, Measure::Undefined(_)) => false,
     };
@@ -47,7 +49,7 @@ pub fn excuse(scenario: &Scenario, expectation: &Expectation, plant: &Plant, row
     let name = expectation.metric;
     let at_best = match best {
         Measure::Value(value) if name == Metric::Repeatability => format!("a mean of {value:.3} % of the setpoint"),
-        Measure::Value(value) => format!("{name} {:.3}", value.abs()),
+        Measure::Value(value) | Measure::Between([value, _]) => format!("{name} {:.3}", value.abs()),
         Measure::Missing(what) | Measure::Undefined(what) => format!("a signal that {what}"),
     };
     Some(if needed > limit {

@@ -15,6 +15,6 @@ pub mod metrics;
 pub mod record;
 pub mod statistics;
 
-pub use judge::{Judgement, TrialMeasures, judge, measure};
+pub use judge::{Decision, Judgement, TrialMeasures, judge, measure, sequential};
 pub use metrics::Measure;
-pub use record::{Cause, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};
+pub use record::{Cause, Evidence, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};

@@ -2,7 +2,8 @@
 //!
 //! The runner puts a row on either side of every crossing of an expected band, found on the continuous solution; between rows the plate's signals
 //! are taken as straight, which then moves a settling time by less than a nanosecond. For a band that the run did not know of it moves by some
-//! microseconds at the default row spacing.
+//! microseconds at the default row spacing. What the controller was given is known at the control instants only, so a time read off it is an interval: from
+//! the last sample outside to the first one that stays inside.
 
 use crate::record::Telemetry;
 use platebench_plate::Time;
@@ -14,6 +15,8 @@ use platebench_trace::{Column, Flags, Row};
 pub enum Measure {
     /// A number. The static error carries its sign here: mean − setpoint.
     Value(f64),
+    /// A number between these two: it was read off samples, and what happened between two of them nobody saw.
+    Between([f64; 2]),
     /// There is none, and that is the controller's failure: it never settled.
     Missing(&'static str),
     /// There is none, because the trial does not have what the metric is about.
@@ -21,10 +24,10 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// The number, if there is one.
+    /// The number, if there is one; the upper end of what samples leave.
     pub fn value(&self) -> Option<f64> {
         match self {
-            Self::Value(value) => Some(*value),
+            Self::Value(value) | Self::Between([_, value]) => Some(*value),
             Self::Missing(_) | Self::Undefined(_) => None,
         }
     }
@@ -155,15 +158,15 @@ fn after_step<'a>(expectation: &Expectation, rows: &'a [Row]) -> Option<(&'a [Ro
     rows.get(start..end).map(|part| (part, before))
 }
 
-/// Seconds at which the signal enters the band for the last time; `None` where it ends outside.
-fn last_entry(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Option<f64> {
+/// The seconds between which the signal enters the band for the last time, both the same where the solution is known; `None` where it ends outside.
+fn last_entry(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Option<[f64; 2]> {
+    if signal.held {
+        return last_entry_of_samples(expectation, signal, rows);
+    }
     let Some(outside) = rows.iter().rposition(|row| signal.is_outside(row, expectation)) else {
-        return rows.first().map(|row| row.t_s);
+        return rows.first().map(|row| [row.t_s; 2]);
     };
     let (left, entered) = (rows.get(outside)?, rows.get(outside + 1)?);
-    if signal.held {
-        return Some(entered.t_s);
-    }
     // How far outside the edge that it comes in by, which may be moving itself; not positive once inside.
     let below = signal.of(left) < expectation.band(left.setpoint_um).0;
     let beyond = |row: &Row| {
@@ -173,7 +176,25 @@ fn last_entry(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Option
     let (from, to) = (beyond(left), beyond(entered));
     // Where it jumped across the whole band there is no edge to come in by.
     let share = if to <= 0.0 { from / (from - to) } else { 1.0 };
-    Some(left.t_s + (entered.t_s - left.t_s) * share)
+    Some([left.t_s + (entered.t_s - left.t_s) * share; 2])
+}
+
+/// The same for what is known at control instants alone: from the last sample outside to the first one after it.
+fn last_entry_of_samples(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Option<[f64; 2]> {
+    let sampled = rows.iter().any(|row| row.flags.contains(Flags::CONTROL));
+    // Between control instants the last sample stands in every row; a trace without flags has nothing but samples.
+    let mut samples = rows.iter().filter(|row| !sampled || row.flags.contains(Flags::CONTROL));
+    let outside = samples.rfind(|row| signal.is_outside(row, expectation)).map(|row| row.t_s);
+    let start = rows.first()?.t_s;
+    let after = |row: &&Row| outside.is_none_or(|outside| row.t_s > outside);
+    let entered = rows.iter().filter(|row| !sampled || row.flags.contains(Flags::CONTROL)).find(after)?;
+    Some([outside.unwrap_or(start), entered.t_s])
+}
+
+/// A time after `from` in ms.
+fn since(from: f64, entry: [f64; 2]) -> Measure {
+    let [first, last] = entry.map(|t_s| (t_s - from) * 1e3);
+    if first == last { Measure::Value(last) } else { Measure::Between([first, last]) }
 }
 
 fn settling_time(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Measure {
@@ -185,7 +206,7 @@ fn settling_time(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Mea
         return Measure::Undefined("a setpoint of 0 has no band");
     }
     match last_entry(expectation, signal, rows) {
-        Some(entry) => Measure::Value((entry - first.t_s) * 1e3),
+        Some(entry) => since(first.t_s, entry),
         None => Measure::Missing("never stays inside the band"),
     }
 }
@@ -204,8 +225,8 @@ fn recovery_time(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Mea
     }
     match last_entry(expectation, signal, rows) {
         // Never outside: there was nothing to recover from.
-        Some(entry) if rows.first().is_some_and(|first| entry == first.t_s) => Measure::Value(0.0),
-        Some(entry) => Measure::Value((entry - from) * 1e3),
+        Some(entry) if rows.first().is_some_and(|first| entry == [first.t_s; 2]) => Measure::Value(0.0),
+        Some(entry) => since(from, entry),
         None => Measure::Missing("never stays inside the band again"),
     }
 }

@@ -207,13 +207,13 @@ pub struct ExpectationRecord {
     pub verdict: Verdict,
     /// What decided: see `statistic`. `null` where the trial that decided has no number, because it never settled for instance.
     pub value: Option<f64>,
-    /// `worst` trial, `mean` or `deviation` over trials.
+    /// `worst` trial, or `mean`, `quantile` or `deviation` over trials.
     pub statistic: String,
     /// What it was held against, as in the scenario: `at_most`, `at_least`, `within` or `about`.
     pub limit: Map<String, Value>,
     /// `worst`: smallest and largest over trials; otherwise bounds at `confidence`.
     pub interval: Option<[f64; 2]>,
-    /// Of the interval's bounds; `null` where every trial counts by itself.
+    /// Of the interval's bounds, or of the failure rate's where every trial counts by itself; `null` where nothing was left to chance.
     pub confidence: Option<f64>,
     /// Whose doing an inconclusive verdict is.
     pub cause: Option<Cause>,
@@ -223,6 +223,40 @@ pub struct ExpectationRecord {
     pub paper: Option<f64>,
     /// Identifier of a requirement.
     pub requirement: Option<String>,
+    /// What else the trials show.
+    #[serde(default, skip_serializing_if = "Evidence::is_empty")]
+    pub evidence: Evidence,
+}
+
+/// What trials show beside the verdict, and how it was found. Only what applies is there.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Evidence {
+    /// How the bounds were found: `t`, `chi-square`, `bootstrap`, `order statistics` or `clopper-pearson`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub method: Option<String>,
+    /// Bounds of the share of trials that break the limit, at the expectation's confidence.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub failure_rate: Option<[f64; 2]>,
+    /// Which quantile was judged.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quantile: Option<f64>,
+    /// How likely it was to notice that the truth is half or double of what it should agree with; the smaller of the two.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub power: Option<f64>,
+    /// Number of the planned look at which it was judged, and how many are planned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub look: Option<[u32; 2]>,
+    /// All that in a sentence.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub says: Option<String>,
+}
+
+impl Evidence {
+    /// True where there is nothing to say.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// One trial.

@@ -58,13 +58,15 @@ fn with_unit(text: Option<String>, unit: &str) -> Markup {
 }
 
 /// What the measured value is of all trials' values.
-fn statistic(expectation: &ExpectationRecord) -> &str {
-    match expectation.statistic.as_str() {
-        "worst" => "worst trial",
-        "mean" => "mean of trials",
-        "deviation" => "over trials",
-        other => other,
-    }
+fn statistic(expectation: &ExpectationRecord) -> String {
+    let said = match (expectation.statistic.as_str(), expectation.evidence.quantile) {
+        ("worst", _) => "worst trial",
+        ("mean", _) => "mean of trials",
+        ("deviation", _) => "over trials",
+        ("quantile", Some(share)) => return format!("{} % quantile", shown::number(share * 100.0)),
+        (other, _) => other,
+    };
+    said.to_owned()
 }
 
 fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
@@ -87,6 +89,9 @@ fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
             }
             @if let Some(reason) = &expectation.reason {
                 tr.reason { td colspan="6" { span { (reason) } } }
+            }
+            @if let Some(evidence) = shown::evidence(expectation) {
+                tr.evidence { td colspan="6" { span { (evidence) } } }
             }
         }
     };

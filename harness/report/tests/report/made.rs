@@ -4,7 +4,9 @@ use platebench_trace::{Flags, Row, Writer};
 use platebench_verdict::record::{
     Cost, CostTrend, EarlierCost, FORMAT, Firmware, Host, InputRecord, Overrides, RigRecord, Tool,
 };
-use platebench_verdict::{Cause, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};
+use platebench_verdict::{
+    Cause, Evidence, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict,
+};
 use serde_json::{Map, Value, json};
 use std::fs;
 use std::path::Path;
@@ -67,6 +69,7 @@ pub(crate) fn passed(metric: &str, limit: (&str, Value), value: f64) -> Expectat
         reason: None,
         paper: None,
         requirement: None,
+        evidence: Evidence::default(),
     }
 }
 

@@ -1,5 +1,5 @@
 use super::*;
-use platebench_scenario::Limit;
+use platebench_scenario::{Limit, Over};
 use rstest::rstest;
 use std::collections::BTreeMap;
 
@@ -25,6 +25,7 @@ fn expect(metric: Metric) -> Expectation {
         paper: None,
         requirement: None,
         confidence: 0.95,
+        over: Over::default_of(metric),
         band_percent: 5.0,
         from: None,
         window: Window { from: ms(40.0), to: ms(60.0) },
@@ -240,13 +241,48 @@ fn what_the_controller_was_given_is_held_between_rows() {
         (row.sensed_wd_um, row.wd_um) = (sensed, sensed);
     }
     let settling = |signal| Expectation { signal, ..expect(Metric::SettlingTime) };
-    assert_eq!(value(&settling("sensed_wd_um"), &trace), 2.0);
+    assert_eq!(measure(&settling("sensed_wd_um"), &trace, &TOLD_NOTHING), Measure::Between([1.0, 2.0]));
     assert_close(value(&settling("wd_um"), &trace), 1.9, 1e-12);
     let error =
         |signal| Expectation { signal, window: Window { from: ms(0.0), to: ms(3.0) }, ..expect(Metric::StaticError) };
     // Held: 0, 1, 2 over a ms each, mean 1. Straight: 0.5, 1.5, 2, mean 4/3.
     assert_close(value(&error("sensed_wd_um"), &trace), -50.0, 1e-9);
     assert_close(value(&error("wd_um"), &trace), -100.0 / 3.0, 1e-9);
+}
+
+/// Control instants at 0.5, 1.5, … ms, rows every 0.5 ms; the controller is given 0, 0, then 2 µm.
+#[test]
+fn a_time_off_samples_lies_between_the_last_one_outside_and_the_first_one_inside() {
+    let mut trace = rows(&[
+        (0.0, 2.0, 0.0),
+        (0.5, 2.0, 0.0),
+        (1.0, 2.0, 0.0),
+        (1.5, 2.0, 0.0),
+        (2.0, 2.0, 0.0),
+        (2.5, 2.0, 2.0),
+        (3.0, 2.0, 2.0),
+        (3.5, 2.0, 2.0),
+    ]);
+    for (index, row) in trace.iter_mut().enumerate() {
+        row.flags = if index % 2 == 1 { Flags::CONTROL } else { Flags::empty() };
+        row.sensed_wd_um = if index >= 5 { 2.0 } else { 0.0 };
+    }
+    let settling = Expectation { signal: "sensed_wd_um", ..expect(Metric::SettlingTime) };
+    let recovery = Expectation { signal: "sensed_wd_um", ..from(Metric::RecoveryTime, 0.25) };
+    assert_eq!(measure(&settling, &trace, &TOLD_NOTHING), Measure::Between([1.5, 2.5]));
+    let Measure::Between([first, last]) = measure(&recovery, &trace, &TOLD_NOTHING) else { panic!("samples") };
+    assert_close(first, 1.25, 1e-12);
+    assert_close(last, 2.25, 1e-12);
+    // Inside from the first sample on: it settled somewhere before that.
+    for row in &mut trace {
+        row.sensed_wd_um = 2.0;
+    }
+    assert_eq!(measure(&settling, &trace, &TOLD_NOTHING), Measure::Between([0.0, 0.5]));
+    trace[0].flags = Flags::CONTROL;
+    assert_eq!(measure(&settling, &trace, &TOLD_NOTHING), Measure::Value(0.0));
+    // Outside at the last sample, whatever is held after it.
+    trace[7].sensed_wd_um = 0.0;
+    assert!(matches!(measure(&settling, &trace, &TOLD_NOTHING), Measure::Missing(_)));
 }
 
 #[rstest]

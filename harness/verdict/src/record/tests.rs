@@ -31,6 +31,14 @@ fn record() -> RunRecord {
         reason: None,
         paper: Some(2.0),
         requirement: Some("ACC-1".to_owned()),
+        evidence: Evidence {
+            method: Some("clopper-pearson".to_owned()),
+            failure_rate: Some([0.0, 0.095]),
+            quantile: Some(0.95),
+            power: Some(0.99),
+            look: Some([2, 4]),
+            says: Some("30 trials without a failure".to_owned()),
+        },
     };
     let lost = ExpectationRecord {
         verdict: Verdict::Inconclusive,
@@ -42,6 +50,7 @@ fn record() -> RunRecord {
         limit: map(&json!({ "within": [1.0, 2.0] })),
         paper: None,
         requirement: None,
+        evidence: Evidence::default(),
         ..passed.clone()
     };
     let trial = TrialRecord {

@@ -19,9 +19,13 @@ pub struct Look {
 }
 
 impl Look {
+    /// The one look of a plan without any.
+    pub const ONLY: Self = Self { number: 1, of: 1, trials: 0, share: 1.0 };
+
     /// The confidence of a bound at this look, where all looks together have `confidence`.
     pub fn confidence(&self, confidence: f64) -> f64 {
-        1.0 - (1.0 - confidence) * self.share
+        // A share that is lost in rounding must not leave certainty.
+        if self.share >= 1.0 { confidence } else { (1.0 - (1.0 - confidence) * self.share).min(1.0_f64.next_down()) }
     }
 }
 

@@ -93,6 +93,16 @@ pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Me
     Some((resampled(values, logarithm, logarithm_and_error, confidence).map(f64::exp), Method::Bootstrap))
 }
 
+/// How likely a deviation is refused that is `ratio` times what it should agree with, where agreement means to lie in the two-sided chi-square interval with
+/// each end at `per_side` (normal data). `None` below two values.
+///
+/// `P = 1 − F(χ²_hi/ρ²) + F(χ²_lo/ρ²)`: s² (n − 1)/σ² is chi-square distributed with n − 1 degrees of freedom, σ = ρ σ0.
+pub fn agreement_power(count: usize, per_side: f64, ratio: f64) -> Option<f64> {
+    let chi_squared = ChiSquared::new(count.checked_sub(1)? as f64).ok()?;
+    let scaled = |probability: f64| chi_squared.cdf(chi_squared.inverse_cdf(probability) / (ratio * ratio));
+    Some(1.0 - scaled(per_side) + scaled(1.0 - per_side))
+}
+
 /// The outer ends of both bootstraps: BCa is short above where data are skewed, the other one where they have corners. Where neither has an answer there is
 /// no bound.
 fn resampled(
@@ -141,6 +151,16 @@ mod tests {
         let upper = |deviation| Summary { count: 30, mean: 0.0, deviation }.deviation_bounds(0.95).unwrap()[1];
         assert!(upper(1.015) < 1.3, "{}", upper(1.015));
         assert!(upper(1.017) > 1.3, "{}", upper(1.017));
+    }
+
+    #[test]
+    fn the_power_is_the_level_at_the_value_itself_and_grows_with_the_distance() {
+        let power = |count, ratio| agreement_power(count, 0.975, ratio).unwrap();
+        for count in [2, 30, 300] {
+            assert!((power(count, 1.0) - 0.05).abs() < 1e-9);
+        }
+        assert!(power(5, 2.0) < power(10, 2.0) && power(10, 1.5) < power(10, 2.0) && power(10, 0.5) > 0.05);
+        assert_eq!(agreement_power(1, 0.975, 2.0), None);
     }
 
     #[test]

@@ -162,3 +162,22 @@ fn quantiles_are_covered_at_least_at_the_nominal_rate(#[case] data: Data, #[case
     // Ranks are whole: at least nominal, and not wastefully more.
     assert!(rates.iter().all(|rate| (0.942..0.99).contains(rate)), "{rates:?}");
 }
+
+/// Ten values of a deviation that is `ratio` times the 1 that it should agree with.
+#[rstest]
+#[case(2.0)]
+#[case(1.5)]
+#[case(0.5)]
+fn the_power_is_how_often_another_deviation_is_refused(#[case] ratio: f64) {
+    let runs = 6_000;
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let refused = (0..runs).filter(|_| {
+        let values: Vec<f64> = (0..10).map(|_| ratio * Data::Normal.draw(&mut random)).collect();
+        let [low, high] = Summary::of(&values).unwrap().deviation_bounds(0.975).unwrap();
+        !(low..=high).contains(&1.0)
+    });
+    let rate = refused.count() as f64 / f64::from(runs);
+    let power = summary::agreement_power(10, 0.975, ratio).unwrap();
+    // Three standard errors of a proportion near a half: 1.9 %.
+    assert!((rate - power).abs() < 0.02, "{rate} {power}");
+}
