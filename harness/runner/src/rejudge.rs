@@ -3,12 +3,12 @@
 use crate::configure;
 use crate::folder::{FolderError, sha256, trace_file};
 use crate::measured::measured;
-use crate::run::{Done, empty_record, finish};
+use crate::run::{Done, empty_record};
 use platebench_scenario::{Diagnostic, Expectation, Scenario, load};
 use platebench_trace::{TraceError, read};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Cause, RecordError};
-use platebench_verdict::{RunRecord, ScenarioRecord, Telemetry, TrialMeasures, Verdict};
+use platebench_verdict::{Decision, RunRecord, ScenarioRecord, Telemetry, TrialMeasures, Verdict, judge, sequential};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -81,7 +81,7 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
             scenario.expectations = other_expectations(path, &scenario)?;
         }
         apply(&record.overrides, &mut scenario);
-        scenarios.push(judged(folder, &scenario, stored)?);
+        scenarios.push(judged(folder, &scenario, stored, record.complete)?);
     }
     record.verdict = Verdict::over(scenarios.iter().map(|scenario| scenario.verdict));
     record.scenarios = scenarios;
@@ -160,41 +160,66 @@ fn unchanged(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeErr
     Err(RejudgeError::Changed { path: path.to_owned(), found, expected: expected.to_owned() })
 }
 
-fn judged(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result<ScenarioRecord, RejudgeError> {
-    let law = configure::law(scenario)?;
-    let mut trials = Vec::new();
-    let mut missing = Vec::new();
-    for index in 0..scenario.trials.max_count {
-        let trace = trace_file(scenario.name(), index);
-        let path = folder.join(&trace);
-        if !path.exists() {
-            missing.push(cut_off(scenario, index));
-            continue;
+/// Judges the trials up to the look that decides; the same one as live, since the trials are the same.
+fn judged(
+    folder: &Path,
+    scenario: &Scenario,
+    stored: &ScenarioRecord,
+    complete: bool,
+) -> Result<ScenarioRecord, RejudgeError> {
+    let mut measures: Vec<TrialMeasures> = Vec::new();
+    let mut records = Vec::new();
+    while let Decision::Go { trials } = sequential(scenario, &measures) {
+        let played = measures.len();
+        for index in measures.len() as u32..trials {
+            match judged_trial(folder, scenario, stored, index)? {
+                Some(done) => {
+                    measures.push(done.measures);
+                    records.push(done.record);
+                }
+                None => measures.push(cut_off(scenario, index)),
+            }
         }
-        let then = stored.trials.iter().find(|then| then.index == index);
-        if let Some(expected) = then.and_then(|then| then.sha256.as_deref()) {
-            let bytes = fs::read(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
-            unchanged(&path, &bytes, expected)?;
+        // A run that was not cut off has all the trials that it was meant to have; other expectations may ask for more.
+        if complete && records.len() == played {
+            measures.truncate(played);
+            break;
         }
-        let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
-        let measures = measured(scenario, law, index, &read(&path)?, &telemetry);
-        let mut record = trial_record(scenario, &measures, trace, None);
-        if let Some(then) = then {
-            record.sha256.clone_from(&then.sha256);
-            record.wall_ms = then.wall_ms;
-        }
-        trials.push(Done { measures, record });
     }
     let mut record = empty_record(scenario, stored.inputs.clone());
-    let mut measures: Vec<TrialMeasures> = trials.iter().map(|done| done.measures.clone()).collect();
-    finish(scenario, trials, &mut record);
-    if !missing.is_empty() {
-        measures.append(&mut missing);
-        let judgement = platebench_verdict::judge(scenario, &measures);
-        record.verdict = judgement.verdict;
-        record.expectations = judgement.expectations;
-    }
+    let judgement = judge(scenario, &measures);
+    record.verdict = judgement.verdict;
+    record.expectations = judgement.expectations;
+    record.trials = records;
     Ok(record)
+}
+
+/// The stored trial with number `index`, judged by itself; `None` where its trace is not there.
+fn judged_trial(
+    folder: &Path,
+    scenario: &Scenario,
+    stored: &ScenarioRecord,
+    index: u32,
+) -> Result<Option<Done>, RejudgeError> {
+    let trace = trace_file(scenario.name(), index);
+    let path = folder.join(&trace);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let then = stored.trials.iter().find(|then| then.index == index);
+    if let Some(expected) = then.and_then(|then| then.sha256.as_deref()) {
+        let bytes = fs::read(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
+        unchanged(&path, &bytes, expected)?;
+    }
+    let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
+    let law = configure::law(scenario)?;
+    let measures = measured(scenario, law, index, &read(&path)?, &telemetry);
+    let mut record = trial_record(scenario, &measures, trace, None);
+    if let Some(then) = then {
+        record.sha256.clone_from(&then.sha256);
+        record.wall_ms = then.wall_ms;
+    }
+    Ok(Some(Done { measures, record }))
 }
 
 /// What is known of a trial that was never played to its end.

@@ -12,7 +12,7 @@ use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::{Row, TraceError, Writer};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
-use platebench_verdict::{RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge};
+use platebench_verdict::{Decision, RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, sequential};
 use platebench_wire::LawId;
 use std::cmp::Reverse;
 use std::fs;
@@ -141,51 +141,79 @@ pub fn run(
         record.write(folder.path()).map_err(|source| FolderError::Io { path: folder.path().to_owned(), source })
     };
     write(&record)?;
-    let mut tasks: Vec<Task> =
-        plan.scenarios.iter().enumerate().flat_map(|(scenario, of)| trials_of(scenario, of)).collect();
-    // The longest first, so that no worker is left with one while the others have nothing to do.
-    tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
-    let work =
-        Work { plan, laws: &laws, folder: folder.path(), connect, cancel, tasks: &tasks, next: AtomicUsize::new(0) };
     let mut collected: Vec<Vec<Done>> = plan.scenarios.iter().map(|_| Vec::new()).collect();
-    thread::scope(|scope| {
-        let (sender, results) = mpsc::channel();
-        // The controller that introduced itself is the first worker's; the others find their own.
-        let mut first = Some(first);
-        for _ in 0..plan.jobs.clamp(1, tasks.len().max(1)) {
-            let (work, sender, session) = (&work, sender.clone(), first.take());
-            scope.spawn(move || work.worker(session, &sender));
-        }
-        drop(sender);
-        for result in results {
-            let result = result.inspect_err(|_| cancel.cancel());
-            let (number, done) = match result? {
-                Progress::Started(number) => {
-                    if let Some(scenario) = plan.scenarios.get(number) {
-                        let (file, trials) = (scenario.file.clone(), scenario.trials.max_count);
-                        tell(Event::ScenarioStarted { file, trials });
+    // The controller that introduced itself is the first worker's; the others find their own.
+    let mut sessions: Vec<Option<Session>> = (0..plan.jobs.max(1)).map(|_| None).collect();
+    if let Some(session) = sessions.first_mut() {
+        *session = Some(first);
+    }
+    // Trials up to the next look at a scenario, all scenarios together; then those that are not decided go on.
+    let mut goals: Vec<u32> = plan.scenarios.iter().map(|scenario| next_goal(scenario, &[])).collect();
+    let mut tasks: Vec<Task> = (0..).zip(&goals).flat_map(|(scenario, goal)| trials_of(scenario, 0, *goal)).collect();
+    while !tasks.is_empty() {
+        // The longest first, so that no worker is left with one while the others have nothing to do.
+        tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
+        let batch = std::mem::take(&mut tasks);
+        let work = Work {
+            plan,
+            laws: &laws,
+            folder: folder.path(),
+            connect,
+            cancel,
+            tasks: &batch,
+            next: AtomicUsize::new(0),
+        };
+        thread::scope(|scope| {
+            let (sender, results) = mpsc::channel();
+            for session in sessions.iter_mut().take(batch.len()) {
+                let (work, sender) = (&work, sender.clone());
+                scope.spawn(move || work.worker(session, &sender));
+            }
+            drop(sender);
+            for result in results {
+                let result = result.inspect_err(|_| cancel.cancel());
+                let (number, done) = match result? {
+                    Progress::Started(number) => {
+                        if let Some(scenario) = plan.scenarios.get(number) {
+                            let (file, trials) = (scenario.file.clone(), scenario.trials.count);
+                            tell(Event::ScenarioStarted { file, trials });
+                        }
+                        continue;
                     }
+                    Progress::Done(number, done) => (number, done),
+                };
+                let (Some(scenario), Some(of_scenario), Some(goal), Some(scenario_record)) = (
+                    plan.scenarios.get(number),
+                    collected.get_mut(number),
+                    goals.get_mut(number),
+                    record.scenarios.get_mut(number),
+                ) else {
+                    continue;
+                };
+                tell(Event::TrialFinished { file: scenario.file.clone(), trial: Box::new(done.record.clone()) });
+                of_scenario.push(*done);
+                if of_scenario.len() < *goal as usize {
                     continue;
                 }
-                Progress::Done(number, done) => (number, done),
-            };
-            let (Some(scenario), Some(of_scenario), Some(scenario_record)) =
-                (plan.scenarios.get(number), collected.get_mut(number), record.scenarios.get_mut(number))
-            else {
-                continue;
-            };
-            tell(Event::TrialFinished { file: scenario.file.clone(), trial: Box::new(done.record.clone()) });
-            of_scenario.push(*done);
-            if of_scenario.len() == scenario.trials.max_count as usize {
+                let next = next_goal(scenario, of_scenario);
+                if next > *goal {
+                    info!(scenario = %scenario.file, played = *goal, next, "not decided yet");
+                    tasks.extend(trials_of(number, *goal, next));
+                    *goal = next;
+                    continue;
+                }
                 finish(scenario, std::mem::take(of_scenario), scenario_record);
                 info!(scenario = %scenario.file, verdict = %scenario_record.verdict, "scenario judged");
                 let finished = Box::new(scenario_record.clone());
                 write(&record)?;
                 tell(Event::ScenarioFinished(finished));
             }
+            Ok::<(), RunError>(())
+        })?;
+        if cancel.is_cancelled() {
+            return Err(RunError::Cancelled);
         }
-        Ok::<(), RunError>(())
-    })?;
+    }
     if cancel.is_cancelled() {
         return Err(RunError::Cancelled);
     }
@@ -194,6 +222,15 @@ pub fn run(
     record.cost = trend::cost(&record, folder.path());
     write(&record)?;
     Ok(record)
+}
+
+/// How many trials of a scenario there have to be for the next look at them; as many as there are where they decide.
+fn next_goal(scenario: &Scenario, played: &[Done]) -> u32 {
+    let measures: Vec<TrialMeasures> = played.iter().map(|done| done.measures.clone()).collect();
+    match sequential(scenario, &measures) {
+        Decision::Go { trials } => trials,
+        Decision::Stop(_) => played.len() as u32,
+    }
 }
 
 /// Judges a scenario whose trials have all been played.
@@ -228,8 +265,8 @@ struct Task {
     index: u32,
 }
 
-fn trials_of(scenario: usize, of: &Scenario) -> impl Iterator<Item = Task> + use<> {
-    (0..of.trials.max_count).map(move |index| Task { scenario, index })
+fn trials_of(scenario: usize, from: u32, to: u32) -> impl Iterator<Item = Task> {
+    (from..to).map(move |index| Task { scenario, index })
 }
 
 /// One trial that was played.
@@ -256,13 +293,13 @@ struct Work<'a> {
 
 impl Work<'_> {
     /// Plays trials until none is left, each worker over a link of its own.
-    fn worker(&self, mut session: Option<Session>, results: &mpsc::Sender<Result<Progress, RunError>>) {
+    fn worker(&self, session: &mut Option<Session>, results: &mpsc::Sender<Result<Progress, RunError>>) {
         while !self.cancel.is_cancelled() {
             let Some(&task) = self.tasks.get(self.next.fetch_add(1, Ordering::Relaxed)) else { break };
             if task.index == 0 && results.send(Ok(Progress::Started(task.scenario))).is_err() {
                 break;
             }
-            let played = catch_unwind(AssertUnwindSafe(|| self.play(&mut session, task)));
+            let played = catch_unwind(AssertUnwindSafe(|| self.play(session, task)));
             let result = match played {
                 Ok(Ok(Some(done))) => Ok(Progress::Done(task.scenario, Box::new(done))),
                 Ok(Ok(None)) => break,

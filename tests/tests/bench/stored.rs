@@ -25,6 +25,57 @@ fn judging_again_gives_every_verdict_and_every_number_again() {
     }
 }
 
+/// Goes on from 4 to 8 to 16 trials: the mean error of a sensor that is 1 % off is not told from 0.8 % any earlier.
+fn open_ended() -> String {
+    let expect = "metric = \"static_error_percent\"\nat_most = 1.4\n[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 6.0\n\
+                  over = \"quantile\"\nquantile = 0.6\n[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 6.0\nsignal = \"sensed_wd_um\"";
+    step_scenario("aluminium-198x138-noisy", "", "", expect)
+        + "[trials]\ncount = 4\nmax_count = 100\nseed = 3\n[trials.spread]\nsensor_gain_percent = 1.0\n"
+}
+
+#[test]
+fn a_run_that_went_on_until_it_was_decided_is_judged_at_the_same_look() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &open_ended());
+    let read = |out: &str| RunRecord::read(&workshop.path().join(out)).unwrap();
+    call(workshop.path(), ["run", "--rig", "hosted", "--out", "one", "--jobs", "1"]);
+    call(workshop.path(), ["run", "--rig", "hosted", "--out", "five", "--jobs", "5"]);
+    let (one, five) = (read("one"), read("five"));
+    let of = |record: &RunRecord| (record.scenarios[0].expectations.clone(), record.scenarios[0].trials.len());
+    assert_eq!(of(&one), of(&five));
+    let (expectations, trials) = of(&one);
+    let [number, planned] = expectations[0].evidence.look.unwrap();
+    assert!(1 < number && number < planned && trials == 4 << (number - 1), "{number} of {planned}: {trials} trials");
+    assert_eq!(one.verdict, Verdict::Pass, "{expectations:?}");
+    for (live, out) in [(one, "one"), (five, "five")] {
+        assert_eq!(live, rejudge(&workshop.path().join(out), None).unwrap());
+    }
+    // A stricter demand would have gone on; what was played does not decide it, and nobody is to blame.
+    workshop.scenario("stricter.toml", &open_ended().replace("at_most = 1.4", "at_most = 0.8"));
+    let stricter =
+        rejudge(&workshop.path().join("one"), Some(&workshop.path().join("scenarios/stricter.toml"))).unwrap();
+    let found = &stricter.scenarios[0].expectations[0];
+    assert_eq!((found.verdict, found.cause), (Verdict::Inconclusive, Some(Cause::Evidence)), "{found:?}");
+}
+
+#[test]
+fn a_run_that_was_killed_between_two_looks_is_the_bench_s_doubt() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &open_ended());
+    call(workshop.path(), ["run", "--rig", "hosted", "--out", "run"]);
+    let run = workshop.path().join("run");
+    let mut record = RunRecord::read(&run).unwrap();
+    assert!(record.scenarios[0].trials.len() > 4);
+    record.complete = false;
+    for trial in record.scenarios[0].trials.drain(..).skip(4) {
+        fs::remove_file(run.join(&trial.trace)).unwrap();
+    }
+    record.write(&run).unwrap();
+    let again = rejudge(&run, None).unwrap();
+    assert_eq!(again.scenarios[0].trials.len(), 4);
+    assert!(again.scenarios[0].expectations.iter().all(|found| found.cause == Some(Cause::Bench)));
+}
+
 #[test]
 fn a_run_that_was_cut_off_can_be_judged_and_reported() {
     let workshop = Workshop::new();
