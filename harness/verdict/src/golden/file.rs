@@ -1,0 +1,349 @@
+//! A baseline in two files, small enough to be read in a review: `<scenario>.csv` with the curves and `<scenario>.toml` with their tolerances and what they
+//! were made with.
+
+use super::Golden;
+use super::thin::thin;
+use crate::metrics::{self, Measure};
+use crate::record::Telemetry;
+use crate::tube::{Point, SIGNALS, Signal, Tolerance, Tube};
+use platebench_plate::Time;
+use platebench_scenario::{Expectation, Limit, Metric, Over, Window};
+use platebench_trace::Row;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Ends the name of a column that holds what was learned beside the tolerance.
+const WIDTH: &str = "_width";
+const TIME: &str = "t_ms";
+
+/// Why a baseline cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum BaselineError {
+    /// What the system says.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file is no baseline.
+    #[error("{}:{line}: {message}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// Counted from 1.
+        line: usize,
+        /// What is wrong and what was expected.
+        message: String,
+    },
+}
+
+/// What was accepted of a scenario.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Accepted {
+    /// The scenario's file below the scenario folder.
+    pub scenario: String,
+    /// The control law.
+    pub law: String,
+    /// What it was made with.
+    pub build: Build,
+    /// What is read off the first trial.
+    pub features: Features,
+    /// Where the tubes were learned from trials that differ.
+    pub learned: Option<Learned>,
+    /// The curves.
+    pub golden: Golden,
+}
+
+/// What a baseline was made with.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Build {
+    /// What the controller ran on.
+    pub rig: String,
+    /// Name and version of the firmware.
+    pub firmware: String,
+    /// Its build identity.
+    pub id: String,
+}
+
+/// What people look at first, rounded to what is meaningful; nothing where the trial has no such number.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Features {
+    /// 5 % settling time of |W| after the first step, to 0.01 ms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub settling_time_ms: Option<f64>,
+    /// To 0.1 %.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub overshoot_percent: Option<f64>,
+    /// To 1 Vpp.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drive_peak_vpp: Option<f64>,
+}
+
+/// What a tube was learned from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Learned {
+    /// How many trials.
+    pub trials: u32,
+    /// Share of further trials that leave it although nothing has changed, as declared.
+    pub false_alarm_rate: f64,
+}
+
+/// The TOML file.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Head {
+    scenario: String,
+    law: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    step_ms: Option<f64>,
+    build: Build,
+    #[serde(default)]
+    features: Features,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    learned: Option<Learned>,
+    tolerance: BTreeMap<String, Tolerance>,
+}
+
+impl Features {
+    /// The features of a trial.
+    pub fn of(rows: &[Row]) -> Self {
+        let number = |metric: Metric, grain: f64| {
+            let expectation = Expectation {
+                metric,
+                limit: Limit::AtLeast(0.0),
+                paper: None,
+                requirement: None,
+                confidence: 0.95,
+                over: Over::Each,
+                band_percent: 5.0,
+                from: None,
+                window: Window { from: Time::ZERO, to: Time::ZERO },
+                signal: "amplitude_um",
+            };
+            match metrics::measure(&expectation, rows, &Telemetry::default()) {
+                // Divided, not multiplied: 195/100 is the double next to 1.95.
+                Measure::Value(value) => Some((value * grain).round() / grain),
+                _ => None,
+            }
+        };
+        Self {
+            settling_time_ms: number(Metric::SettlingTime, 100.0),
+            overshoot_percent: number(Metric::Overshoot, 10.0),
+            drive_peak_vpp: number(Metric::DrivePeak, 1.0),
+        }
+    }
+
+    /// Each feature by name.
+    pub fn named(&self) -> [(&'static str, Option<f64>); 3] {
+        [
+            ("settling_time_ms", self.settling_time_ms),
+            ("overshoot_percent", self.overshoot_percent),
+            ("drive_peak_vpp", self.drive_peak_vpp),
+        ]
+    }
+}
+
+impl Golden {
+    /// The curves of one trial, thinned to what it takes to draw them; looked at every `step_ms`.
+    pub fn of_trial(rows: &[Row], step_ms: f64) -> Option<Self> {
+        let mut golden = Self { step_ms: Some(step_ms), ..Self::of_rows(rows)? };
+        thin(&mut golden.tubes);
+        Some(golden)
+    }
+}
+
+fn at(folder: &Path, scenario: &str, extension: &str) -> PathBuf {
+    folder.join(format!("{}.{extension}", scenario.strip_suffix(".toml").unwrap_or(scenario)))
+}
+
+impl Accepted {
+    /// The two files, TOML and CSV, as they are written.
+    pub fn texts(&self) -> [String; 2] {
+        let tubes = &self.golden.tubes;
+        let head = Head {
+            scenario: self.scenario.clone(),
+            law: self.law.clone(),
+            step_ms: self.golden.step_ms,
+            build: self.build.clone(),
+            features: self.features.clone(),
+            learned: self.learned.clone(),
+            tolerance: tubes.iter().map(|tube| (tube.signal.clone(), tube.tolerance)).collect(),
+        };
+        // Strings, numbers and tables under names: nothing in it that TOML could not say.
+        let head = toml::to_string(&head).unwrap_or_default();
+        let is_learned = self.learned.is_some();
+        let names = tubes.iter().map(|tube| tube.signal.clone());
+        let widths = tubes.iter().filter(|_| is_learned).map(|tube| format!("{}{WIDTH}", tube.signal));
+        let mut table = std::iter::once(TIME.to_owned()).chain(names).chain(widths).collect::<Vec<_>>().join(",");
+        table.push('\n');
+        let count = tubes.first().map_or(0, |tube| tube.points.len());
+        for index in 0..count {
+            let points = || tubes.iter().filter_map(|tube| Some((tube, tube.points.get(index)?)));
+            let decimals = |tube: &Tube| Signal::named(&tube.signal).map_or(6, |signal| signal.decimals);
+            let t_ms = points().next().map_or(0.0, |(_, point)| point.t_ms);
+            table.push_str(&short(t_ms, 6));
+            for (tube, point) in points() {
+                let _ = write!(table, ",{}", short(point.value, decimals(tube)));
+            }
+            for (tube, point) in points().filter(|_| is_learned) {
+                let _ = write!(table, ",{}", short(point.width, decimals(tube)));
+            }
+            table.push('\n');
+        }
+        [head, table]
+    }
+
+    /// Writes both files below `folder`, each as a whole.
+    ///
+    /// # Errors
+    /// [`BaselineError::Io`].
+    pub fn write(&self, folder: &Path) -> Result<(), BaselineError> {
+        let [head, table] = self.texts();
+        for (extension, text) in [("toml", head), ("csv", table)] {
+            let path = at(folder, &self.scenario, extension);
+            let provisional = path.with_extension(format!("{extension}.part"));
+            let written = path
+                .parent()
+                .map_or(Ok(()), fs::create_dir_all)
+                .and_then(|()| fs::write(&provisional, text))
+                .and_then(|()| fs::rename(&provisional, &path));
+            written.map_err(|source| BaselineError::Io { path, source })?;
+        }
+        Ok(())
+    }
+
+    /// Reads what was accepted of the scenario in file `scenario`; `None` where nothing was.
+    ///
+    /// # Errors
+    /// [`BaselineError`] where one of the two files is missing or is no baseline.
+    pub fn read(folder: &Path, scenario: &str) -> Result<Option<Self>, BaselineError> {
+        let (head, table) = (at(folder, scenario, "toml"), at(folder, scenario, "csv"));
+        if !head.exists() && !table.exists() { Ok(None) } else { Self::read_files(&head, &table).map(Some) }
+    }
+
+    /// Reads the two files of a baseline.
+    ///
+    /// # Errors
+    /// [`BaselineError`].
+    pub fn read_files(head_path: &Path, table_path: &Path) -> Result<Self, BaselineError> {
+        let text = |path: &Path| {
+            fs::read_to_string(path).map_err(|source| BaselineError::Io { path: path.to_owned(), source })
+        };
+        let (head, table) = (text(head_path)?, text(table_path)?);
+        let refused = |line, message| BaselineError::Content { path: head_path.to_owned(), line, message };
+        let parsed: Head = toml::from_str(&head).map_err(|error| {
+            let before = error.span().and_then(|span| head.get(..span.start)).unwrap_or_default();
+            refused(before.matches('\n').count() + 1, error.message().to_owned())
+        })?;
+        let line_of = |key: &str| head.lines().position(|line| line.contains(key)).map_or(1, |index| index + 1);
+        for (signal, tolerance) in &parsed.tolerance {
+            let Tolerance { absolute, relative, time_ms } = *tolerance;
+            let line = line_of(&format!("tolerance.{signal}"));
+            if Signal::named(signal).is_none() {
+                let known = SIGNALS.iter().map(|signal| signal.name).collect::<Vec<_>>().join(", ");
+                return Err(refused(line, format!("tolerance of `{signal}`, expected one of {known}")));
+            }
+            let fits = absolute > 0.0
+                && absolute.is_finite()
+                && (0.0..1.0).contains(&relative)
+                && (0.0..1e6).contains(&time_ms);
+            if !fits {
+                let message = format!(
+                    "tolerance of {signal}: absolute {absolute}, relative {relative}, time_ms {time_ms}; expected an absolute part above 0, \
+                     without which a signal near zero has no tolerance, a relative one from 0 to 1 and a time of 0 or more"
+                );
+                return Err(refused(line, message));
+            }
+        }
+        let rate = parsed.learned.as_ref().map(|learned| learned.false_alarm_rate);
+        if rate.is_some_and(|rate| !(rate > 0.0 && rate < 1.0)) {
+            return Err(refused(
+                line_of("false_alarm_rate"),
+                "expected a false-alarm rate above 0 and below 1".to_owned(),
+            ));
+        }
+        if parsed.step_ms.is_some_and(|step| !(1e-6..1e6).contains(&step)) {
+            return Err(refused(line_of("step_ms"), "expected a step from 1e-6 to 1e6 ms".to_owned()));
+        }
+        let tubes = tubes(&parsed, table_path, &table)?;
+        Ok(Self {
+            scenario: parsed.scenario,
+            law: parsed.law,
+            build: parsed.build,
+            features: parsed.features,
+            learned: parsed.learned,
+            golden: Golden { tubes, step_ms: parsed.step_ms, false_alarm_rate: rate },
+        })
+    }
+}
+
+/// The curves out of the CSV file.
+fn tubes(head: &Head, path: &Path, table: &str) -> Result<Vec<Tube>, BaselineError> {
+    let refused = |line: usize, message: String| BaselineError::Content { path: path.to_owned(), line, message };
+    let mut lines = (1..).zip(table.lines()).filter(|(_, line)| !line.trim().is_empty());
+    let columns: Vec<&str> = lines.next().map(|(_, line)| line.split(',').collect()).unwrap_or_default();
+    if columns.first() != Some(&TIME) {
+        return Err(refused(1, format!("the first column is not `{TIME}`")));
+    }
+    let column = |name: &str| columns.iter().position(|column| *column == name);
+    let known = |name: &str| {
+        head.tolerance.contains_key(name)
+            || name.strip_suffix(WIDTH).is_some_and(|name| head.tolerance.contains_key(name))
+    };
+    if let Some(strange) = columns.iter().skip(1).find(|name| !known(name)) {
+        return Err(refused(1, format!("column `{strange}` has no tolerance")));
+    }
+    let mut tubes = Vec::new();
+    for signal in SIGNALS.iter().filter(|signal| head.tolerance.contains_key(signal.name)) {
+        let Some(value) = column(signal.name) else {
+            return Err(refused(1, format!("no column `{}`, expected one for each tolerance", signal.name)));
+        };
+        let width = column(&format!("{}{WIDTH}", signal.name));
+        if width.is_some() != head.learned.is_some() {
+            return Err(refused(1, format!("column `{}{WIDTH}` and [learned] go together", signal.name)));
+        }
+        let tolerance = head.tolerance.get(signal.name).copied().unwrap_or(signal.tolerance);
+        tubes.push((Tube { signal: signal.name.to_owned(), tolerance, points: Vec::new() }, value, width));
+    }
+    let mut before = f64::NEG_INFINITY;
+    for (line, text) in lines {
+        let numbers = text.split(',').map(|field| field.trim().parse::<f64>().ok().filter(|number| number.is_finite()));
+        let numbers: Option<Vec<f64>> = numbers.collect();
+        let Some(numbers) = numbers.filter(|numbers| numbers.len() == columns.len()) else {
+            return Err(refused(line, format!("expected {} finite numbers", columns.len())));
+        };
+        let of = |index: usize| numbers.get(index).copied().unwrap_or_default();
+        let t_ms = of(0);
+        if t_ms < before {
+            return Err(refused(line, format!("`{TIME}` is {t_ms}, expected a time that is not before the row above")));
+        }
+        before = t_ms;
+        for (tube, value, width) in &mut tubes {
+            let width = width.map_or(0.0, of);
+            if width < 0.0 {
+                return Err(refused(line, format!("a width of {width}, expected 0 or more")));
+            }
+            tube.points.push(Point { t_ms, value: of(*value), width });
+        }
+    }
+    if tubes.first().is_none_or(|(tube, ..)| tube.points.is_empty()) {
+        return Err(refused(2, "no rows or no signals, expected at least one".to_owned()));
+    }
+    Ok(tubes.into_iter().map(|(tube, ..)| tube).collect())
+}
+
+/// A number with at most so many decimals, without zeros at its end.
+fn short(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
