@@ -58,6 +58,10 @@ pub(crate) enum Command {
     Judge(Judge),
     /// Render the report of a stored run again
     Report(Report),
+    /// Hold responses against others, or against what was accepted, within a tolerance tube
+    Compare(Compare),
+    /// Golden traces: accept, list, review
+    Baseline(Baseline),
 }
 
 /// `platebench run`
@@ -215,6 +219,84 @@ pub(crate) struct Judge {
 pub(crate) struct Report {
     /// The run folder
     pub(crate) run: PathBuf,
+}
+
+/// `platebench compare`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench compare runs/tonight --against baseline
+  platebench compare runs/tonight --against runs/yesterday
+  platebench compare board.csv --against scenarios/baselines/paper/fig13-closed-loop.toml
+
+Exit codes: 0 all inside, 1 something outside, 3 nothing to compare with or not to the end")]
+pub(crate) struct Compare {
+    /// A trace or a run folder
+    #[arg(value_name = "TRACE|RUN")]
+    pub(crate) subject: PathBuf,
+    /// What it is held against: a trace, a run folder, the .toml file of a baseline, or `baseline` for those of the scenarios
+    #[arg(long, value_name = "TRACE|RUN|baseline")]
+    pub(crate) against: String,
+    /// Where baselines are
+    #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+    pub(crate) baselines: PathBuf,
+    /// Where the worst place of each scenario is drawn; RUN/comparison for a run
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) draw: Option<PathBuf>,
+    /// What standard output shows
+    #[arg(long, value_enum, default_value_t = Format::Human)]
+    pub(crate) format: Format,
+}
+
+const BASELINES: &str = "scenarios/baselines";
+
+/// `platebench baseline`
+#[derive(Debug, Args)]
+pub(crate) struct Baseline {
+    #[command(subcommand)]
+    pub(crate) action: BaselineAction,
+}
+
+/// What to do with baselines.
+#[derive(Debug, Subcommand)]
+pub(crate) enum BaselineAction {
+    /// Take what a run played as golden, where it passed, and say what that changes
+    Accept {
+        /// The run folder
+        run: PathBuf,
+        /// Where baselines are
+        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+        baselines: PathBuf,
+        /// Where trials differ: the share of further trials that may leave the learned tube although nothing has changed
+        #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = share)]
+        false_alarm_rate: f64,
+    },
+    /// Show what is golden, of all scenarios or of those of a run
+    List {
+        /// The run folder
+        run: Option<PathBuf>,
+        /// Where baselines are
+        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+        baselines: PathBuf,
+    },
+    /// Show what accepting a run would change, without doing it
+    Diff {
+        /// The run folder
+        run: PathBuf,
+        /// Where baselines are
+        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+        baselines: PathBuf,
+        /// As for accept
+        #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = share)]
+        false_alarm_rate: f64,
+    },
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(share) if (1e-4..=0.5).contains(&share) => Ok(share),
+        _ => Err("expected a share from 0.0001 to 0.5".to_owned()),
+    }
 }
 
 #[cfg(test)]

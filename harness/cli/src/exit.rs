@@ -30,7 +30,12 @@ impl Exit {
         if record.lost_a_controller() {
             return Self::Unreachable;
         }
-        match record.verdict {
+        Self::of_verdict(record.verdict)
+    }
+
+    /// How something with this verdict ends.
+    pub(crate) fn of_verdict(verdict: Verdict) -> Self {
+        match verdict {
             Verdict::Pass => Self::Passed,
             Verdict::Fail => Self::Failed,
             Verdict::Inconclusive => Self::Inconclusive,

@@ -3,6 +3,8 @@
 //! A library only so that the whole-bench tests can start the very same program as a process of their own.
 
 mod args;
+mod baseline;
+mod compare;
 mod emulate;
 mod exit;
 mod logging;
@@ -27,6 +29,8 @@ pub fn main() -> ExitCode {
         Command::Emulate(emulate) => emulate::emulate(emulate),
         Command::Judge(judge) => stored::judge(judge),
         Command::Report(report) => stored::report(report),
+        Command::Compare(arguments) => compare::compare(arguments),
+        Command::Baseline(arguments) => baseline::baseline(arguments),
     });
     exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");

@@ -4,7 +4,8 @@ use crate::args::{Clock, Pacing, Run};
 use crate::exit::Exit;
 use crate::output;
 use crate::signals::Signals;
-use platebench_report::{Progress, ProgressKind, html, junit};
+use platebench_report::{Progress, ProgressKind, html, junit, traceability};
+use platebench_rig::RigSpec;
 use platebench_rig::{RigSpec, check_baud};
 use platebench_runner::{Cancel, Event, Pace, Plan, RunError, RunFolder, rejudge};
 use platebench_scenario::{Scenario, find};
@@ -181,8 +182,9 @@ fn follow(progress: &mut Progress, event: &Event) {
 }
 
 fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run) -> Exit {
-    let written =
-        junit::write(record, &folder.path().join(junit::FILE)).and_then(|()| html::write(record, folder.path()));
+    let written = junit::write(record, &folder.path().join(junit::FILE))
+        .and_then(|()| html::write(record, folder.path()))
+        .and_then(|()| traceability::write(record, folder.path()));
     output::record(record, arguments.format);
     output::note(&format!("run folder: {}", folder.path().display()));
     match written {

@@ -3,7 +3,7 @@
 use crate::args::{Judge, Report};
 use crate::exit::Exit;
 use crate::output;
-use platebench_report::html;
+use platebench_report::{html, traceability};
 use platebench_runner::{RejudgeError, rejudge};
 use platebench_verdict::RunRecord;
 
@@ -49,7 +49,8 @@ pub(crate) fn report(arguments: &Report) -> Exit {
         Ok(record) => record,
         Err(error) => return explain(&error),
     };
-    match html::write(&record, &arguments.run) {
+    let written = html::write(&record, &arguments.run).and_then(|()| traceability::write(&record, &arguments.run));
+    match written {
         Ok(()) => {
             output::show(&format!("{}\n", arguments.run.join("report.html").display()));
             Exit::Passed

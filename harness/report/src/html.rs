@@ -8,10 +8,10 @@
 
 mod bundle;
 mod cost;
-mod curves;
+pub(crate) mod curves;
 mod environment;
 mod figure;
-mod plot;
+pub(crate) mod plot;
 mod scenario;
 mod summary;
 
@@ -64,6 +64,7 @@ fn page(record: &RunRecord, folder: &Path) -> Result<Markup, ReportError> {
                 main {
                     (summary::open_points(record))
                     (summary::scenarios(record))
+                    (summary::requirements(record))
                     @for article in &articles { (article) }
                     (cost::section(record))
                     (environment::section(record))

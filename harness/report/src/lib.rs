@@ -3,11 +3,14 @@
 //! * [`console`]: tables for a terminal, and progress while a run goes on.
 //! * [`junit`]: `junit.xml` for continuous integration.
 //! * [`html`]: `report.html`, one file that needs nothing else.
+//! * [`traceability`]: `traceability.csv`, from requirement to trace.
+//! * [`comparison`]: a response beside its baseline.
 //!
 //! Neighbours: `platebench-verdict` decides and owns the record, `platebench-trace` reads what happened. Nothing is
 //! judged here and nothing is measured: a number in a report stands in the record or in a trace. Exit codes are the
 //! command line's.
 
+pub mod comparison;
 pub mod console;
 mod cost;
 mod error;
@@ -16,6 +19,7 @@ pub mod html;
 pub mod junit;
 mod shown;
 mod timing;
+pub mod traceability;
 
 pub use console::{Progress, ProgressKind, Style};
 pub use error::ReportError;

@@ -145,7 +145,10 @@ impl Golden {
         let (outside, trials) = (comparison.outside as u32, comparison.trials as u32);
         let rate = self.false_alarm_rate.unwrap_or(0.0);
         let expected = rate * f64::from(trials);
-        let said = format!("{outside} of {trials} trials lie outside, {expected:.1} would by chance");
+        let said = match self.false_alarm_rate {
+            Some(_) => format!("{outside} of {trials} trials lie outside, {expected:.1} would by chance"),
+            None => format!("{outside} of {trials} trials lie outside"),
+        };
         if trials == 0 {
             (Verdict::Inconclusive, Some("there is no trial to compare".to_owned()))
         } else if outside > 0 && at_least(outside, trials, rate) <= REFUSED_BELOW + ROUNDING {

@@ -12,6 +12,7 @@ mod closed_loop;
 mod determinism;
 mod exits;
 mod faults;
+mod golden;
 mod layout;
 mod real_time;
 mod rigs;

@@ -22,8 +22,17 @@ fn ends_as_it_says(
     let output = call(folder.path(), ["run", path.to_str().unwrap(), "--out", "run"]);
     let told = String::from_utf8_lossy(&output.stdout);
     assert_eq!(code(&output), expected_exit(&path), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
-    for file in ["run.json", "junit.xml", "report.html"] {
+    for file in ["run.json", "junit.xml", "report.html", "traceability.csv"] {
         assert!(folder.path().join("run").join(file).exists(), "{file}");
+    }
+}
+
+/// Every expectation of the paper's scenarios says which requirement it holds.
+#[rstest]
+fn names_its_requirements(#[files("../scenarios/paper/*.toml")] path: PathBuf) {
+    let scenario = platebench_scenario::load(&path, "s.toml").unwrap();
+    for expectation in scenario.expectations {
+        assert!(expectation.requirement.is_some(), "{}", expectation.metric);
     }
 }
 

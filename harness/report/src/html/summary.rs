@@ -3,7 +3,7 @@
 //! Neighbours: `html` puts it on top; everything here links to the scenarios below.
 
 use super::{anchor, badge, in_order};
-use crate::{evidence, shown};
+use crate::{evidence, shown, traceability};
 use maud::{Markup, html};
 use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
 
@@ -110,6 +110,40 @@ pub(super) fn scenarios(record: &RunRecord) -> Markup {
                                 }
                             }
                         }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// From each requirement to what holds it.
+pub(super) fn requirements(record: &RunRecord) -> Markup {
+    let links = traceability::links(record);
+    let all: usize = record.scenarios.iter().map(|scenario| scenario.expectations.len()).sum();
+    html! {
+        @if !links.is_empty() {
+            section aria-labelledby="requirements" {
+                h2 id="requirements" { "Requirements" }
+                p { (links.len()) " of " (shown::count(all, "expectation")) " hold a requirement; the same is in " code { (traceability::FILE) } "." }
+                div.scroll role="region" aria-labelledby="requirements" tabindex="0" {
+                    table.contents {
+                        thead { tr {
+                            th scope="col" { "Requirement" }
+                            th scope="col" { "Expectation" }
+                            th scope="col" { "Scenario" }
+                            th scope="col" { "Verdict" }
+                            th scope="col" { "Trace" }
+                        } }
+                        tbody { @for link in &links {
+                            tr {
+                                th scope="row" { (link.requirement) }
+                                td { code { (link.expectation) } " " (link.limit) }
+                                td { a href={ "#" (anchor(link.number)) } { (link.scenario) } }
+                                td { (badge(link.verdict, link.verdict.name())) }
+                                td.file { (link.trace) }
+                            }
+                        } }
                     }
                 }
             }

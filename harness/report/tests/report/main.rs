@@ -10,3 +10,4 @@ mod junit;
 mod look;
 mod made;
 mod timing;
+mod traceability;
