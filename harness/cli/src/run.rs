@@ -5,7 +5,6 @@ use crate::exit::Exit;
 use crate::output;
 use crate::signals::Signals;
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
-use platebench_rig::RigSpec;
 use platebench_rig::{RigSpec, check_baud};
 use platebench_runner::{Cancel, Event, Pace, Plan, RunError, RunFolder, rejudge};
 use platebench_scenario::{Scenario, find};

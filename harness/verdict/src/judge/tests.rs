@@ -7,6 +7,9 @@ use rand_distr::{Distribution, StandardNormal};
 use rstest::rstest;
 use tempfile::TempDir;
 
+mod looks;
+mod over_trials;
+
 const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
 
 /// A scenario with the given expectations, as TOML inline tables, and changes to the text.
@@ -378,35 +381,11 @@ fn disturbances_are_read_off_the_trace() {
     assert_eq!(played(&scenario, &gap), doubt(Cause::Bench), "a row in the middle is missing");
 }
 
-#[rstest]
-#[case::before(29, "kind = \"drop\", from_ms = 30.0, until_ms = 40.0", false)]
-#[case::first(30, "kind = \"drop\", from_ms = 30.0, until_ms = 40.0", true)]
-#[case::a_period_later(40, "kind = \"drop\", from_ms = 30.0, until_ms = 40.0", true)]
-#[case::too_late(41, "kind = \"drop\", from_ms = 30.0, until_ms = 40.0", false)]
-#[case::held_up(42, "kind = \"delay\", delay_ms = 2.0, from_ms = 30.0, until_ms = 40.0", true)]
-#[case::no_longer_held_up(43, "kind = \"delay\", delay_ms = 2.0, from_ms = 30.0, until_ms = 40.0", false)]
-#[case::for_good(30, "kind = \"disconnect\", from_ms = 30.0", false)]
-fn an_answer_that_a_planned_fault_swallowed_is_no_disturbance(
-    #[case] at_ms: usize,
-    #[case] fault: &str,
-    #[case] planned: bool,
-) {
-    let expect = "metric = \"settling_time_ms\", at_most = 2.0 }]\nfault = [{ ".to_owned() + fault;
-    let scenario = Build { expect: &[&expect], ..ONE }.scenario();
-    let mut rows = rows(&scenario, |_| 2.0);
-    rows[at_ms * 20].flags |= Flags::LINK_LOST;
-    assert_eq!(played(&scenario, &rows), if planned { PASS } else { doubt(Cause::Rig) });
-    // One that is planned does not hide one that is not.
-    rows[100].flags |= Flags::LINK_LOST;
-    assert_eq!(played(&scenario, &rows), doubt(Cause::Rig));
-}
-
 #[test]
 fn a_controller_that_gave_up_has_failed() {
     let expect: Vec<String> = Metric::ALL
         .into_iter()
-        // The last two are there for controllers that stop.
-        .filter(|metric| !matches!(metric, Metric::Overruns | Metric::ShutdownTime | Metric::MissedReplies))
+        .filter(|metric| *metric != Metric::Overruns)
         .map(|metric| {
             format!(
                 "metric = \"{metric}\", at_most = 99.0{}",
@@ -551,7 +530,7 @@ fn an_excused_trial_does_not_excuse_another() {
     let excused = |values: &[f64], which: &[usize]| {
         let mut trials = trials(values);
         for index in which {
-            trials[*index].excuses = vec![Some(Excuse { cause: Cause::Infeasible, reason: "too weak".to_owned() })];
+            trials[*index].excuses = vec![Some("too weak".to_owned())];
         }
         trials
     };
@@ -596,270 +575,6 @@ fn metrics_are_recorded_by_name_with_a_number_from_the_second_on() {
         text,
         r#"{"settling_time_ms":1.93,"static_error_percent":0.5,"settling_time_ms[2]":null,"settling_time_ms[3]":4.0}"#
     );
-}
-
-#[test]
-fn trials_without_a_failure_bound_the_failure_rate() {
-    let scenario = spread("metric = \"settling_time_ms\", at_most = 2.0", 30);
-    let record = judged(&scenario, &trials(&[1.9; 30]));
-    let [low, high] = record.evidence.failure_rate.unwrap();
-    assert_eq!((record.verdict, low, record.confidence), (Verdict::Pass, 0.0, Some(0.95)));
-    assert!((high - (1.0 - 0.05_f64.powf(1.0 / 30.0))).abs() < 1e-9);
-    let says = "30 trials without a failure: fewer than 9.50 % of all fail, at 95.00 %";
-    assert_eq!(record.evidence.says.as_deref(), Some(says));
-    let mut values = [1.9; 30];
-    values[3] = 2.1;
-    let [low, high] = judged(&scenario, &trials(&values)).evidence.failure_rate.unwrap();
-    assert!((low - 0.001_708).abs() < 1e-5 && (high - 0.148_6).abs() < 1e-3, "{low} {high}");
-    // What could not have come out otherwise shows no rate, and trials that differ all the same do.
-    let certain = Build { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], trials: 2, ..ONE }.scenario();
-    assert!(judged(&certain, &trials(&[1.9, 1.9])).evidence.is_empty());
-    assert_eq!(judged(&certain, &trials(&[1.9, 1.9])).confidence, None);
-    assert!(judged(&certain, &trials(&[1.9, 1.8])).evidence.failure_rate.is_some());
-}
-
-#[rstest]
-#[case("each", "worst", PASS)]
-#[case("mean", "mean", PASS)]
-#[case("quantile", "quantile", doubt(Cause::Evidence))]
-fn a_response_time_can_be_judged_each_way(
-    #[case] over: &str,
-    #[case] statistic: &str,
-    #[case] expected: (Verdict, Option<Cause>),
-) {
-    let expect = format!("metric = \"settling_time_ms\", at_most = 2.0, over = \"{over}\"");
-    let values = trials(&with_moments(30, 1.9, 0.03));
-    assert_eq!(verdict(&spread(&expect, 30), &values), expected);
-    let record = judged(&spread(&expect, 30), &values);
-    assert_eq!(record.statistic, statistic);
-    // Slower trials: the mean is still good where the worst is not.
-    let slower = trials(&with_moments(30, 1.9, 0.1));
-    let expected = match over {
-        "mean" => PASS,
-        _ => FAIL,
-    };
-    assert_eq!(verdict(&spread(&expect, 30), &slower), expected);
-}
-
-#[rstest]
-#[case::too_few(58, 0, doubt(Cause::Evidence))]
-#[case::just_enough(59, 0, PASS)]
-#[case::one_beyond(59, 1, doubt(Cause::Evidence))]
-#[case::one_beyond_of_92(92, 1, doubt(Cause::Evidence))]
-#[case::one_beyond_of_93(93, 1, PASS)]
-// P(B(93, 5 %) ≥ 9) = 0.045 and P(B(93, 5 %) ≥ 8) = 0.10.
-#[case::eight_beyond(93, 8, doubt(Cause::Evidence))]
-#[case::nine_beyond(93, 9, FAIL)]
-fn a_quantile_is_demonstrated_by_ranks(
-    #[case] count: u32,
-    #[case] beyond: usize,
-    #[case] expected: (Verdict, Option<Cause>),
-) {
-    let expect = "metric = \"settling_time_ms\", at_most = 2.0, over = \"quantile\"";
-    let values: Vec<f64> = (0..count as usize).map(|index| if index < beyond { 3.0 } else { 1.9 }).collect();
-    assert_eq!(verdict(&spread(expect, count), &trials(&values)), expected);
-    // A trial that never settled is as bad as one that settled too late.
-    let mut never = trials(&values);
-    for trial in never.iter_mut().take(beyond) {
-        trial.measures = vec![Measure::Missing("never")];
-    }
-    assert_eq!(verdict(&spread(expect, count), &never), expected);
-    let text = serde_json::to_string(&judged(&spread(expect, count), &never)).unwrap();
-    assert!(serde_json::from_str::<ExpectationRecord>(&text).is_ok(), "{text}");
-    // The other way round: 5 % are at most that low.
-    let mirrored = "metric = \"settling_time_ms\", at_least = 2.0, over = \"quantile\", quantile = 0.05";
-    let values: Vec<f64> = values.iter().map(|value| 4.0 - value).collect();
-    let scenario = spread(mirrored, count);
-    assert_eq!(verdict(&scenario, &trials(&values)), expected);
-}
-
-#[test]
-fn a_mean_or_a_quantile_of_what_cannot_vary_needs_one_trial() {
-    for over in ["mean", "quantile"] {
-        let expect = format!("metric = \"settling_time_ms\", at_most = 2.0, over = \"{over}\"");
-        let scenario = Build { expect: &[&expect], ..ONE }.scenario();
-        assert_eq!(verdict(&scenario, &trials(&[2.0])), PASS);
-        assert_eq!(verdict(&scenario, &trials(&[2.0_f64.next_up()])), FAIL);
-        assert_eq!(verdict(&spread(&expect, 1), &trials(&[1.0])), doubt(Cause::Evidence));
-        let never = [trial(0, &[Measure::Missing("never")])];
-        assert_eq!(verdict(&scenario, &never), FAIL);
-    }
-}
-
-#[test]
-fn errors_by_trial_have_the_bench_s_own_error_around_them() {
-    let expect = "metric = \"static_error_percent\", at_most = 1.0, over = \"each\"";
-    let scenario = Build { expect: &[expect], ..ONE }.scenario();
-    for (error, expected) in [
-        (1.0 - 2e-4 - 1e-9, PASS),
-        (-1.0 + 2e-4 + 1e-9, PASS),
-        (1.0 - 1e-4, doubt(Cause::Evidence)),
-        (-1.0 - 1e-4, doubt(Cause::Evidence)),
-        (1.0 + 2e-4 + 1e-9, FAIL),
-    ] {
-        assert_eq!(verdict(&scenario, &trials(&[error])), expected, "{error}");
-    }
-}
-
-/// A limit inside the two samples between which the plate settled decides nothing.
-#[rstest]
-#[case("at_most = 2.0", [1.0, 2.0], PASS)]
-#[case("at_most = 2.0", [1.0, 2.0_f64.next_up()], doubt(Cause::Evidence))]
-#[case("at_most = 2.0", [2.0, 3.0], doubt(Cause::Evidence))]
-#[case("at_most = 2.0", [2.0_f64.next_up(), 3.0], FAIL)]
-#[case("at_least = 2.0", [2.0, 3.0], PASS)]
-#[case("at_least = 2.0", [1.0, 3.0], doubt(Cause::Evidence))]
-#[case("at_least = 2.0", [1.0, 1.5], FAIL)]
-#[case("within = [1.0, 3.0]", [1.0, 3.0], PASS)]
-#[case("within = [1.5, 3.0]", [1.0, 3.0], doubt(Cause::Evidence))]
-fn what_samples_leave_open_stays_open(
-    #[case] limit: &str,
-    #[case] between: [f64; 2],
-    #[case] expected: (Verdict, Option<Cause>),
-) {
-    let scenario = Build { expect: &[&format!("metric = \"settling_time_ms\", {limit}")], ..ONE }.scenario();
-    let sampled = [trial(0, &[Measure::Between(between)])];
-    assert_eq!(verdict(&scenario, &sampled), expected);
-    assert_eq!(judged(&scenario, &sampled).interval, Some(between));
-    // The mean of thirty such trials is as open as they are.
-    let scenario = spread(&format!("metric = \"settling_time_ms\", {limit}, over = \"mean\""), 30);
-    let many: Vec<_> = (0..30).map(|index| trial(index, &[Measure::Between(between)])).collect();
-    assert_eq!(verdict(&scenario, &many), expected);
-}
-
-#[test]
-fn an_agreement_says_how_much_it_is_worth() {
-    let scenario = spread("metric = \"repeatability_percent\", about = 1.3", 30);
-    let evidence = judged(&scenario, &trials(&with_moments(30, 100.0, 1.3))).evidence;
-    assert!(evidence.power.unwrap() > 0.99, "{evidence:?}");
-    assert_eq!(evidence.method.as_deref(), Some("chi-square"));
-    assert!(evidence.says.unwrap().starts_with("half or double of 1.3 would have been noticed in 99."));
-    let few =
-        judged(&spread("metric = \"repeatability_percent\", about = 1.3", 5), &trials(&with_moments(5, 100.0, 1.3)));
-    assert!(few.evidence.power.unwrap() < 0.7 && few.verdict == Verdict::Inconclusive);
-}
-
-/// A scenario of `count` to `most` trials that differ.
-fn open_ended(expect: &[&str], count: u32, most: u32) -> Scenario {
-    Build { expect, trials: count, most, spread: true, ..ONE }.scenario()
-}
-
-fn look(judgement: &Judgement) -> [u32; 2] {
-    judgement.expectations[0].evidence.look.unwrap()
-}
-
-#[test]
-fn a_run_goes_on_until_it_is_decided_and_no_further() {
-    let expect = ["metric = \"static_error_percent\", at_most = 1.0"];
-    let scenario = open_ended(&expect, 10, 50);
-    let go = |trials| Decision::Go { trials };
-    assert_eq!(sequential(&scenario, &[]), go(10));
-    assert_eq!(sequential(&scenario, &trials(&[0.5; 9])), go(10));
-    let clear = trials(&with_moments(10, 0.5, 0.1));
-    let Decision::Stop(judgement) = sequential(&scenario, &clear) else { panic!("clear after ten") };
-    assert_eq!((judgement.verdict, look(&judgement)), (Verdict::Pass, [1, 4]));
-    let Decision::Stop(judgement) = sequential(&scenario, &trials(&with_moments(10, 1.5, 0.1))) else { panic!() };
-    assert_eq!(judgement.verdict, Verdict::Fail);
-    // At the limit nothing is decided before the end, and there it is a doubt.
-    let repeated: Vec<f64> = (0..50).map(|index| if index % 2 == 0 { 0.9 } else { 1.1 }).collect();
-    for (count, next) in [(10, 20), (19, 20), (20, 40), (39, 40), (40, 50), (49, 50)] {
-        let some = trials(&repeated[..count]);
-        assert_eq!(sequential(&scenario, &some), go(next), "{count}");
-        assert_eq!(verdict(&scenario, &some), doubt(Cause::Evidence));
-    }
-    let Decision::Stop(judgement) = sequential(&scenario, &trials(&repeated)) else { panic!("fifty are all") };
-    assert_eq!((judgement.verdict, look(&judgement)), (Verdict::Inconclusive, [4, 4]));
-}
-
-#[test]
-fn what_comes_after_the_deciding_look_does_not_count() {
-    let scenario = open_ended(&["metric = \"static_error_percent\", at_most = 1.0"], 10, 50);
-    let mut all = trials(&with_moments(10, 0.5, 0.1));
-    let decided = judge(&scenario, &all);
-    all.extend((10..50).map(|index| trial(index, &[Measure::Value(9.0)])));
-    assert_eq!(judge(&scenario, &all), decided);
-    all.reverse();
-    assert_eq!(judge(&scenario, &all), decided, "nor does the order in which they were played");
-    assert_eq!(sequential(&scenario, &all), Decision::Stop(decided));
-}
-
-#[test]
-fn no_trial_is_played_for_what_trials_cannot_change() {
-    let expect = ["metric = \"static_error_percent\", at_most = 1.0", "metric = \"settling_time_ms\", at_most = 2.0"];
-    let scenario = open_ended(&expect, 4, 50);
-    let four = |cause: Option<Cause>, excuse: Option<&str>, settling: f64| -> Vec<_> {
-        let one = |index: u32| {
-            // In doubt by itself: right on the limit.
-            let error = 0.9 + 0.2 * f64::from(index % 2);
-            let mut trial = trial(index, &[Measure::Value(error), Measure::Value(settling)]);
-            trial.cause = cause.filter(|_| index == 2).map(|cause| (cause, "it happened".to_owned()));
-            trial.excuses =
-                vec![None, excuse.map(|reason| Excuse { cause: Cause::Infeasible, reason: reason.to_owned() })];
-            trial
-        };
-        (0..4).map(one).collect()
-    };
-    assert_eq!(sequential(&scenario, &four(None, None, 1.0)), Decision::Go { trials: 8 });
-    for (stopped, expected) in [
-        (four(Some(Cause::Rig), None, 1.0), Verdict::Inconclusive),
-        (four(None, Some("too weak"), 3.0), Verdict::Inconclusive),
-        (four(None, None, 3.0), Verdict::Fail),
-    ] {
-        let Decision::Stop(judgement) = sequential(&scenario, &stopped) else { panic!("{stopped:?}") };
-        assert_eq!(judgement.verdict, expected);
-    }
-}
-
-/// How often a run that goes on until it is decided passes, and how many trials it takes on average; `draw` makes a value of a standard normal number.
-fn sequential_rate(expect: &str, count: u32, most: u32, runs: u32, draw: impl Fn(f64) -> f64) -> (f64, f64, f64) {
-    let scenario = open_ended(&[expect], count, most);
-    let mut random = ChaCha8Rng::seed_from_u64(11);
-    let (mut passed, mut failed, mut played) = (0, 0, 0);
-    for _ in 0..runs {
-        let mut values: Vec<TrialMeasures> = Vec::new();
-        let judgement = loop {
-            match sequential(&scenario, &values) {
-                Decision::Stop(judgement) => break judgement,
-                Decision::Go { trials } => {
-                    values.extend(
-                        (values.len() as u32..trials)
-                            .map(|index| trial(index, &[Measure::Value(draw(StandardNormal.sample(&mut random)))])),
-                    );
-                }
-            }
-        };
-        passed += u32::from(judgement.verdict == Verdict::Pass);
-        failed += u32::from(judgement.verdict == Verdict::Fail);
-        played += values.len();
-    }
-    let share = |count: u32| f64::from(count) / f64::from(runs);
-    (share(passed), share(failed), played as f64 / f64::from(runs))
-}
-
-/// However often it is looked at, a controller exactly on its limit passes in at most one run of twenty, and fails in at most one.
-#[rstest]
-#[case::mean("metric = \"static_error_percent\", at_most = 1.0", |z: f64| 1.0 + 0.3 * z)]
-#[case::deviation("metric = \"repeatability_percent\", at_most = 1.3", |z: f64| 100.0 + 1.3 * z)]
-#[case::quantile("metric = \"settling_time_ms\", at_most = 1.281551565545, over = \"quantile\", quantile = 0.9", |z: f64| z)]
-fn looking_again_is_no_second_chance(#[case] expect: &str, #[case] draw: fn(f64) -> f64) {
-    let (passed, failed, played) = sequential_rate(expect, 20, 160, 2_000, draw);
-    assert!(passed <= 0.05 && failed <= 0.05, "{passed} {failed}");
-    // The bound is not so careful that nothing is ever decided.
-    assert!(passed > 0.01 && failed > 0.01 && played > 120.0, "{passed} {failed} {played}");
-}
-
-#[test]
-fn agreement_is_refused_no_more_often_for_being_looked_at() {
-    let expect = "metric = \"repeatability_percent\", about = 1.3";
-    let (_, failed, _) = sequential_rate(expect, 8, 64, 2_000, |z| 100.0 + 1.3 * z);
-    assert!(failed <= 0.05, "{failed}");
-}
-
-#[test]
-fn what_is_clear_ends_early() {
-    let (passed, _, played) =
-        sequential_rate("metric = \"static_error_percent\", at_most = 1.0", 20, 160, 200, |z| 0.7 + 0.3 * z);
-    assert!(passed > 0.99 && played < 30.0, "{passed} {played}");
 }
 
 /// How often a verdict is a pass, where the truth lies exactly on the limit.
