@@ -530,7 +530,7 @@ fn an_excused_trial_does_not_excuse_another() {
     let excused = |values: &[f64], which: &[usize]| {
         let mut trials = trials(values);
         for index in which {
-            trials[*index].excuses = vec![Some("too weak".to_owned())];
+            trials[*index].excuses = vec![Some(Excuse { cause: Cause::Infeasible, reason: "too weak".to_owned() })];
         }
         trials
     };

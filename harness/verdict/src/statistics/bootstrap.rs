@@ -137,6 +137,20 @@ mod tests {
     }
 
     #[test]
+    fn the_bound_is_the_resample_at_the_published_percentile() {
+        let normal = Normal::standard();
+        let mut resampled = resample(&SKEWED, mean, 0.95).unwrap();
+        resampled.sort_by(f64::total_cmp);
+        let share = |value: f64| resampled.partition_point(|other| *other <= value) as f64 / resampled.len() as f64;
+        let (bias, acceleration) = (normal.inverse_cdf(share(mean(&SKEWED))), acceleration(&SKEWED, &mean).unwrap());
+        for (bound, z) in bca(&SKEWED, mean, 0.95).unwrap().into_iter().zip([-1.644_854, 1.644_854]) {
+            let percentile = normal.cdf(bias + (bias + z) / (1.0 - acceleration * (bias + z)));
+            assert!((share(bound) - percentile).abs() < 1e-3, "{} {percentile}", share(bound));
+        }
+        assert!(bias > 0.0 && share(bca(&SKEWED, mean, 0.95).unwrap()[1]) > 0.98);
+    }
+
+    #[test]
     fn skewed_data_have_their_longer_side_above() {
         for bounds in [bca(&SKEWED, mean, 0.95).unwrap(), studentised(&SKEWED, mean_and_error, 0.95).unwrap()] {
             let below = mean(&SKEWED) - bounds[0];

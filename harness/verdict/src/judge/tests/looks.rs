@@ -56,7 +56,8 @@ fn no_trial_is_played_for_what_trials_cannot_change() {
             let error = 0.9 + 0.2 * f64::from(index % 2);
             let mut trial = trial(index, &[Measure::Value(error), Measure::Value(settling)]);
             trial.cause = cause.filter(|_| index == 2).map(|cause| (cause, "it happened".to_owned()));
-            trial.excuses = vec![None, excuse.map(str::to_owned)];
+            trial.excuses =
+                vec![None, excuse.map(|reason| Excuse { cause: Cause::Infeasible, reason: reason.to_owned() })];
             trial
         };
         (0..4).map(one).collect()
