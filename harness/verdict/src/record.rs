@@ -241,7 +241,7 @@ pub struct Evidence {
     /// Which quantile was judged.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantile: Option<f64>,
-    /// How likely it was to notice that the truth is half or double of what it should agree with; the smaller of the two.
+    /// How likely it was, for normal data, to notice that the truth is half or double of what it should agree with; the smaller of the two.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<f64>,
     /// Number of the planned look at which it was judged, and how many are planned.

@@ -351,20 +351,14 @@ fn found_by(method: Option<Method>) -> Evidence {
 /// Whether a deviation agrees with `expected`, and what that is worth.
 fn agreement(finding: Finding, summary: &Summary, expected: f64, method: Method, per_side: f64) -> Finding {
     let [low, high] = finding.interval.unwrap_or([0.0, f64::INFINITY]);
-    let power = (method == Method::ChiSquare)
-        .then(|| {
-            let noticed = |ratio| agreement_power(summary.count, per_side, ratio);
-            Some(noticed(DISTINCT)?.min(noticed(1.0 / DISTINCT)?))
-        })
-        .flatten();
-    let says = power
-        .map(|power| format!("half or double of {expected} would have been noticed in {} of runs", percent(power)));
-    let evidence = Evidence {
-        power,
-        says: says.or(finding.evidence.says),
-        method: finding.evidence.method,
-        ..Evidence::default()
-    };
+    let noticed = |ratio| agreement_power(summary.count, per_side, ratio);
+    let power = noticed(DISTINCT).zip(noticed(1.0 / DISTINCT)).map(|(double, half)| double.min(half));
+    let says = power.map(|power| {
+        let (if_normal, share) =
+            (if method == Method::Bootstrap { ", were the trials normal" } else { "" }, percent(power));
+        format!("half or double of {expected} would have been noticed in {share} of runs{if_normal}")
+    });
+    let evidence = Evidence { power, says, ..finding.evidence };
     let finding = Finding { evidence, ..finding };
     let found = format!("{:.4}, {}", summary.deviation, between([low, high]));
     if expected < low || high < expected {

@@ -55,7 +55,7 @@ pub enum Method {
     T,
     /// Chi-square, for the deviation of normal data.
     ChiSquare,
-    /// The outer ends of BCa and of the studentised bootstrap, for data that are not normal.
+    /// The outer ends of BCa, of the studentised bootstrap and of the bounds for normal data, for data that are not normal.
     Bootstrap,
 }
 
@@ -78,7 +78,7 @@ pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Method)
         return Some((normal, Method::T));
     }
     let mean_of = |values: &[f64]| Summary::of(values).map_or(0.0, |summary| summary.mean);
-    Some((resampled(values, mean_of, mean_and_error, confidence), Method::Bootstrap))
+    Some((outer(normal, resampled(values, mean_of, mean_and_error, confidence)), Method::Bootstrap))
 }
 
 /// Bounds of the standard deviation, each one-sided at `confidence`: by chi-square, or where normality is refused by bootstrap. `None` below two values.
@@ -90,7 +90,8 @@ pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Me
     }
     // A deviation is a scale: on its logarithm it is nearer to a shift, and bounds stay above 0.
     let logarithm = |values: &[f64]| Summary::of(values).map_or(0.0, |summary| summary.deviation.ln());
-    Some((resampled(values, logarithm, logarithm_and_error, confidence).map(f64::exp), Method::Bootstrap))
+    let bounds = resampled(values, logarithm, logarithm_and_error, confidence).map(f64::exp);
+    Some((outer(normal, bounds), Method::Bootstrap))
 }
 
 /// How likely a deviation is refused that is `ratio` times what it should agree with, where agreement means to lie in the two-sided chi-square interval with
@@ -103,6 +104,11 @@ pub fn agreement_power(count: usize, per_side: f64, ratio: f64) -> Option<f64> {
     Some(1.0 - scaled(per_side) + scaled(1.0 - per_side))
 }
 
+/// The outer ends of two intervals. One sample of normal data in twenty is refused by mistake: resampling may widen its bounds, and never narrows them.
+fn outer(one: [f64; 2], other: [f64; 2]) -> [f64; 2] {
+    [one[0].min(other[0]), one[1].max(other[1])]
+}
+
 /// The outer ends of both bootstraps: BCa is short above where data are skewed, the other one where they have corners. Where neither has an answer there is
 /// no bound.
 fn resampled(
@@ -112,7 +118,7 @@ fn resampled(
     confidence: f64,
 ) -> [f64; 2] {
     let both = bootstrap::bca(values, statistic, confidence).zip(bootstrap::studentised(values, estimate, confidence));
-    both.map_or([f64::NEG_INFINITY, f64::INFINITY], |(one, other)| [one[0].min(other[0]), one[1].max(other[1])])
+    both.map_or([f64::NEG_INFINITY, f64::INFINITY], |(one, other)| outer(one, other))
 }
 
 fn mean_and_error(values: &[f64]) -> (f64, f64) {
@@ -175,6 +181,12 @@ mod tests {
         for ([low, high], value) in [(mean.0, summary.mean), (deviation.0, summary.deviation)] {
             assert!(0.0 < low && low < value && value < high, "{low} {value} {high}");
         }
+        // Never narrower than for normal data.
+        assert!(mean.0[1] >= summary.mean_bounds(0.95).unwrap()[1]);
+        let flat: Vec<f64> = [0.0, 1.0].repeat(15);
+        let (bounds, method) = deviation_bounds(&flat, 0.95).unwrap();
+        let normal = Summary::of(&flat).unwrap().deviation_bounds(0.95).unwrap();
+        assert_eq!((method, bounds), (Method::Bootstrap, normal));
         // Too high a confidence for resampling leaves everything open, and in order.
         assert_eq!(deviation_bounds(&skewed, 0.999_999_9).unwrap().0, [0.0, f64::INFINITY]);
         assert_eq!(mean_bounds(&skewed, 0.999_999_9).unwrap().0, [f64::NEG_INFINITY, f64::INFINITY]);
