@@ -344,7 +344,7 @@ impl Case<'_> {
 }
 
 fn found_by(method: Option<Method>) -> Evidence {
-    let says = (method == Some(Method::Bootstrap)).then(|| "the trials are not normally distributed".to_owned());
+    let says = (method == Some(Method::Bootstrap)).then(|| "the trials do not look normally distributed".to_owned());
     Evidence { method: method.map(|method| method.name().to_owned()), says, ..Evidence::default() }
 }
 

@@ -55,7 +55,7 @@ pub enum Method {
     T,
     /// Chi-square, for the deviation of normal data.
     ChiSquare,
-    /// The outer ends of BCa, of the studentised bootstrap and of the bounds for normal data, for data that are not normal.
+    /// The outer ends of BCa and of the studentised bootstrap, for a deviation those by chi-square too: for data that are not normal.
     Bootstrap,
 }
 
@@ -78,7 +78,7 @@ pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Method)
         return Some((normal, Method::T));
     }
     let mean_of = |values: &[f64]| Summary::of(values).map_or(0.0, |summary| summary.mean);
-    Some((outer(normal, resampled(values, mean_of, mean_and_error, confidence)), Method::Bootstrap))
+    Some((resampled(values, mean_of, mean_and_error, confidence), Method::Bootstrap))
 }
 
 /// Bounds of the standard deviation, each one-sided at `confidence`: by chi-square, or where normality is refused by bootstrap. `None` below two values.
@@ -91,6 +91,7 @@ pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Me
     // A deviation is a scale: on its logarithm it is nearer to a shift, and bounds stay above 0.
     let logarithm = |values: &[f64]| Summary::of(values).map_or(0.0, |summary| summary.deviation.ln());
     let bounds = resampled(values, logarithm, logarithm_and_error, confidence).map(f64::exp);
+    // One sample of normal data in twenty is refused by mistake: resampling may widen the bounds of its deviation, and never narrows them.
     Some((outer(normal, bounds), Method::Bootstrap))
 }
 
@@ -104,7 +105,7 @@ pub fn agreement_power(count: usize, per_side: f64, ratio: f64) -> Option<f64> {
     Some(1.0 - scaled(per_side) + scaled(1.0 - per_side))
 }
 
-/// The outer ends of two intervals. One sample of normal data in twenty is refused by mistake: resampling may widen its bounds, and never narrows them.
+/// The outer ends of two intervals.
 fn outer(one: [f64; 2], other: [f64; 2]) -> [f64; 2] {
     [one[0].min(other[0]), one[1].max(other[1])]
 }
@@ -182,7 +183,6 @@ mod tests {
             assert!(0.0 < low && low < value && value < high, "{low} {value} {high}");
         }
         // Never narrower than for normal data.
-        assert!(mean.0[1] >= summary.mean_bounds(0.95).unwrap()[1]);
         let flat: Vec<f64> = [0.0, 1.0].repeat(15);
         let (bounds, method) = deviation_bounds(&flat, 0.95).unwrap();
         let normal = Summary::of(&flat).unwrap().deviation_bounds(0.95).unwrap();
