@@ -77,7 +77,8 @@ fn in_real_time_everything_is_accounted_for(#[case] rig: String) {
     assert!(timing.safe_confirmed && timing.lost_rows == 0 && timing.refused_frames == 0);
     let delay = timing.loop_delay_us.unwrap();
     assert!(0.0 < delay.p50 && delay.p50 <= delay.p99 && delay.p99 <= delay.max, "{delay:?}");
-    assert!((1_500.0..1_700.0).contains(&timing.loop_delay_budget_us.unwrap()), "{:?}", timing.loop_delay_budget_us);
+    let budget = timing.loop_delay_budget_us.unwrap();
+    assert!((1_300.0..1_400.0).contains(&budget), "{budget}");
 
     let trial = &record.scenarios[0].trials[0];
     let rows = platebench_trace::read(&workshop.path().join("run").join(&trial.trace)).unwrap();
@@ -125,8 +126,8 @@ fn a_controller_s_own_timer_makes_the_control_instants() {
     let record = played(&workshop, &["--rig", &controller(None), "--pacing", "target"]);
     let timing = timing(&record);
     assert_eq!(timing.pacing, "target");
-    // As many as fit, less those that a busy target skipped.
-    assert!((1..=61).contains(&timing.periods), "{}", timing.periods);
+    // Those that a busy target skipped are missing, and those that waited for a busy bench come at once.
+    assert!(timing.periods > 1, "{}", timing.periods);
     let trial = &record.scenarios[0].trials[0];
     let rows = platebench_trace::read(&workshop.path().join("run").join(&trial.trace)).unwrap();
     let instants: Vec<f64> = rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).map(|row| row.t_s).collect();

@@ -24,7 +24,7 @@ fn a_control_step_that_became_longer_is_told_live_and_from_the_record() {
         String::from_utf8(output.stdout).unwrap()
     };
     let first = play("runs/first");
-    assert!(first.contains("instructions per step: 2 ") && !first.contains('↳'), "{first}");
+    assert!(first.contains("instructions per step: 4 ") && !first.contains('↳'), "{first}");
     // What the first run would have left behind, had its firmware been quicker.
     let folder = workshop.path().join("runs/first");
     let mut quicker = RunRecord::read(&folder).unwrap();

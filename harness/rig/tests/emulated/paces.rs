@@ -36,8 +36,8 @@ fn ticks_come_a_period_apart_on_the_board_s_clock_and_do_not_drift() {
             other => panic!("{other:?}"),
         })
         .collect();
-    // 200 ms, and what the configuration took.
-    assert_eq!(ticks.len(), 274);
+    // 200 ms, less what the configuration took.
+    assert_eq!(ticks.len(), 272);
     let (_, first_us) = ticks[0];
     for (index, (sequence, at_us)) in (0..).zip(ticks) {
         assert_eq!(sequence, (index + 1) as u8);

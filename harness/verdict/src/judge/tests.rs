@@ -381,11 +381,35 @@ fn disturbances_are_read_off_the_trace() {
     assert_eq!(played(&scenario, &gap), doubt(Cause::Bench), "a row in the middle is missing");
 }
 
+#[rstest]
+#[case::before(29, "kind = \"drop\", from_ms = 30.0, until_ms = 40.0", false)]
+#[case::first(30, "kind = \"drop\", from_ms = 30.0, until_ms = 40.0", true)]
+#[case::a_period_later(40, "kind = \"drop\", from_ms = 30.0, until_ms = 40.0", true)]
+#[case::too_late(41, "kind = \"drop\", from_ms = 30.0, until_ms = 40.0", false)]
+#[case::held_up(42, "kind = \"delay\", delay_ms = 2.0, from_ms = 30.0, until_ms = 40.0", true)]
+#[case::no_longer_held_up(43, "kind = \"delay\", delay_ms = 2.0, from_ms = 30.0, until_ms = 40.0", false)]
+#[case::for_good(30, "kind = \"disconnect\", from_ms = 30.0", false)]
+fn an_answer_that_a_planned_fault_swallowed_is_no_disturbance(
+    #[case] at_ms: usize,
+    #[case] fault: &str,
+    #[case] planned: bool,
+) {
+    let expect = "metric = \"settling_time_ms\", at_most = 2.0 }]\nfault = [{ ".to_owned() + fault;
+    let scenario = Build { expect: &[&expect], ..ONE }.scenario();
+    let mut rows = rows(&scenario, |_| 2.0);
+    rows[at_ms * 20].flags |= Flags::LINK_LOST;
+    assert_eq!(played(&scenario, &rows), if planned { PASS } else { doubt(Cause::Rig) });
+    // One that is planned does not hide one that is not.
+    rows[100].flags |= Flags::LINK_LOST;
+    assert_eq!(played(&scenario, &rows), doubt(Cause::Rig));
+}
+
 #[test]
 fn a_controller_that_gave_up_has_failed() {
     let expect: Vec<String> = Metric::ALL
         .into_iter()
-        .filter(|metric| *metric != Metric::Overruns)
+        // The last two are there for controllers that stop.
+        .filter(|metric| !matches!(metric, Metric::Overruns | Metric::ShutdownTime | Metric::MissedReplies))
         .map(|metric| {
             format!(
                 "metric = \"{metric}\", at_most = 99.0{}",
