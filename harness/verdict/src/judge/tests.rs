@@ -359,6 +359,39 @@ fn what_happened_on_the_way_is_never_a_pass_and_a_failure_stands() {
     assert_eq!(verdict(&scenario, &all), doubt(Cause::Rig));
 }
 
+#[rstest]
+#[case::within("{ metric = \"overruns\", at_most = 2.0 }", 2, PASS)]
+#[case::beyond("{ metric = \"overruns\", at_most = 2.0 }", 3, doubt(Cause::Bench))]
+#[case::none_stated("{ metric = \"overshoot_percent\", at_most = 2.0 }", 1, doubt(Cause::Bench))]
+#[case::the_smallest_counts(
+    "{ metric = \"overruns\", at_most = 9.0 }, { metric = \"overruns\", at_most = 1.0 }",
+    2,
+    doubt(Cause::Bench)
+)]
+fn overruns_are_borne_up_to_what_the_scenario_states(
+    #[case] expect: &str,
+    #[case] overruns: usize,
+    #[case] expected: (Verdict, Option<Cause>),
+) {
+    let expect = expect.trim_start_matches("{ ").trim_end_matches(" }");
+    let scenario = Build { expect: &[expect], ..ONE }.scenario();
+    let mut rows = rows(&scenario, |_| 2.0);
+    rows.iter_mut().skip(100).step_by(20).take(overruns).for_each(|row| row.flags |= Flags::OVERRUN);
+    assert_eq!(played(&scenario, &rows), expected);
+}
+
+#[test]
+fn a_trial_that_lost_rows_on_their_way_does_not_count() {
+    let scenario = Build { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..ONE }.scenario();
+    let rows = rows(&scenario, |_| 2.0);
+    let cause = |lost_rows| {
+        let timing = crate::record::Timing { lost_rows, ..Default::default() };
+        let telemetry = Telemetry { timing: Some(timing), ..Telemetry::default() };
+        measure(&scenario, 0, &rows, &telemetry).cause.map(|(cause, _)| cause)
+    };
+    assert_eq!((cause(0), cause(1)), (None, Some(Cause::Bench)));
+}
+
 #[test]
 fn disturbances_are_read_off_the_trace() {
     let scenario = Build { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..ONE }.scenario();
