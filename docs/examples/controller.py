@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """A controller of the plate in Python: `python3 controller.py PORT [BAUD]`.
 
-Written from docs/wire-protocol.md alone; needs pyserial. Law dq-pi, paced by the bench. Try it without a board:
+Written from docs/wire-protocol.md alone; needs pyserial. Laws dq-pi and dq-pi-fixed, which are the same here: the
+gains do not follow the damping. Paced by the bench. Try it without a board:
 
-    platebench run --rig "exec:python3 docs/examples/controller.py {port}" --law dq-pi
+    platebench run scenarios/paper/fig13-closed-loop.toml --rig "exec:python3 docs/examples/controller.py {port}"
 
 Python stops for garbage collection and for other processes whenever it likes: this is an example, not for an amplifier with 400 V.
 """
@@ -21,7 +22,7 @@ HELLO, IDENTITY, CONFIGURE, CONFIGURED, SAMPLE, COMMAND, SAFE = range(1, 8)
 IDLE, RUNNING, FAULT, SAFE_STATE = range(4)
 NOTHING, NO_SAMPLE, NOISE, NOT_FINITE = range(4)
 SATURATED, FREQUENCY_LIMITED, FREQUENCY_HELD = 1, 2, 4
-DQ_PI = 1
+LAWS = DQ_PI, DQ_PI_FIXED = 1, 8
 LONGEST = 70  # bytes of a frame, delimiter included
 BODY_BYTES = {HELLO: 2, CONFIGURE: 54, SAMPLE: 18, SAFE: 2}
 FROM_CONTROLLER = {IDENTITY: 50, CONFIGURED: 20, COMMAND: 18, 8: 20, 9: 6}
@@ -126,7 +127,7 @@ class Controller:
             return None  # an echo
         if kind == HELLO:
             name = b"python-example".ljust(16, b"\0")
-            who = bytes([0, 1, 0, 2]) + struct.pack("<I8sI12s16s", 1 << DQ_PI, bytes(8), 0, bytes(12), name)
+            who = bytes([0, 1, 0, 2]) + struct.pack("<I8sI12s16s", 1 << DQ_PI | 1 << DQ_PI_FIXED, bytes(8), 0, bytes(12), name)
             return encode(bytes([VERSION << 4 | IDENTITY, number]) + who)
         if kind == CONFIGURE:
             outcome, gains = self.configure(body)
@@ -142,11 +143,11 @@ class Controller:
     def configure(self, body):
         law, bits, patience_ms, period_us, start = struct.unpack_from("<BBHII", body, 2)
         k1, tau, response, limit, reach, slew, *gains = struct.unpack_from("<10f", body, 14)
-        if law > 2 or bits > 3:
+        if law > 8 or bits > 3:
             raise ValueError("field")
         self.law, self.number, self.noise = None, None, 0
         self.stop(IDLE)
-        if law != DQ_PI:
+        if law not in LAWS:
             return 2, (0.0,) * 4
         positive = all(math.isfinite(value) and value > 0 for value in (k1, tau, limit, reach, slew))
         usable = positive and period_us and start and math.isfinite(response) and response >= 0

@@ -46,9 +46,11 @@ impl Exit {
     pub(crate) fn of_error(error: &RunError) -> Self {
         match error {
             // Refused is what the firmware cannot do with the scenario or the plate.
-            RunError::Scenario(_) | RunError::Folder(_) | RunError::Trace(_) | RunError::Rig(RigError::Refused(_)) => {
-                Self::Invalid
-            }
+            RunError::Scenario(_)
+            | RunError::Folder(_)
+            | RunError::Trace(_)
+            | RunError::NoPace(_)
+            | RunError::Rig(RigError::Refused(_)) => Self::Invalid,
             RunError::Connect(error) if error.is_invalid_input() => Self::Invalid,
             RunError::Connect(_) | RunError::Rig(_) => Self::Unreachable,
             RunError::Bench(_) | RunError::Cancelled => Self::Inconclusive,

@@ -4,7 +4,7 @@ use crate::configure;
 use crate::event::Event;
 use crate::folder::{FolderError, RunFolder, hexadecimal, sha256, trace_file};
 use crate::measured::{delay_budget, measured};
-use crate::real_time::{self, Pace};
+use crate::real_time::{self, Pace, Pacing};
 use crate::trend;
 use crate::trial::{self, Order, Patience};
 use platebench_rig::{AnyLink, ConnectError, Faulty, RigError};
@@ -13,7 +13,7 @@ use platebench_trace::{Row, TraceError, Writer};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
 use platebench_verdict::{Decision, RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, sequential};
-use platebench_wire::LawId;
+use platebench_wire::{LawId, capabilities};
 use std::cmp::Reverse;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -104,6 +104,9 @@ pub enum RunError {
     /// The controller does not answer.
     #[error(transparent)]
     Rig(#[from] RigError),
+    /// The controller has no timer of its own to pace the plate by.
+    #[error("{0} does not say that it can pace itself, expected --pacing bench")]
+    NoPace(String),
     /// The run folder cannot be written.
     #[error(transparent)]
     Folder(#[from] FolderError),
@@ -132,6 +135,11 @@ pub fn run(
     let laws = plan.scenarios.iter().map(configure::law).collect::<Result<Vec<_>, _>>();
     let laws = laws.map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
     let first = Session::open(Faulty::new(connect()?))?;
+    if let Clock::RealTime(Pace { pacing: Pacing::Target, .. }) = plan.clock
+        && !first.identity().can(capabilities::TARGET_PACED)
+    {
+        return Err(RunError::NoPace(first.firmware_name()));
+    }
     let inputs = folder.store_inputs(&plan.scenarios)?;
     for scenario in &plan.scenarios {
         folder.prepare(scenario)?;
