@@ -186,6 +186,7 @@ fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run) -> Exit {
         .and_then(|()| traceability::write(record, folder.path()));
     output::record(record, arguments.format);
     output::note(&format!("run folder: {}", folder.path().display()));
+    warn_of_drive(record);
     match written {
         Ok(()) => Exit::of_record(record),
         Err(error) => {
@@ -201,4 +202,15 @@ fn explain(error: &RunError, folder: &RunFolder) {
         error => output::error(&error.to_string()),
     }
     output::note(&format!("run folder: {}", folder.path().display()));
+    // What ended the run has been said; a folder without a record says nothing of the drive.
+    if let Ok(record) = RunRecord::read(folder.path()) {
+        warn_of_drive(&record);
+    }
+}
+
+/// Somebody has to look where nobody knows.
+fn warn_of_drive(record: &RunRecord) {
+    if record.safe_confirmed == Some(false) {
+        output::error("the controller did not confirm 0 V at its end: see to the amplifier before you touch the plate");
+    }
 }

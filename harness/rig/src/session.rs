@@ -83,6 +83,8 @@ pub struct Session<L: Link> {
     arrived: Instant,
     /// True once the controller said who it is.
     introduced: bool,
+    /// True once 0 V has been asked for at its end.
+    closed: bool,
     refused: u64,
 }
 
@@ -113,6 +115,7 @@ impl<L: Link> Session<L> {
             read: 0,
             arrived: Instant::now(),
             introduced: false,
+            closed: false,
             refused: 0,
         };
         match session.ask(Message::Hello)? {
@@ -232,6 +235,12 @@ impl<L: Link> Session<L> {
             }
         }
         false
+    }
+
+    /// Ends the session and asks for 0 V, as dropping it does. True where the target confirmed it.
+    pub fn close(mut self) -> bool {
+        self.closed = true;
+        self.safe()
     }
 
     /// True where [`Session::post`] and [`Session::listen`] can be used.
@@ -361,7 +370,7 @@ impl News {
 
 impl<L: Link> Drop for Session<L> {
     fn drop(&mut self) {
-        if !self.safe() && self.introduced {
+        if !self.closed && !self.safe() && self.introduced {
             warn!("0 V was not confirmed at the end of the session");
         }
     }

@@ -145,16 +145,62 @@ pub fn run(
         folder.prepare(scenario)?;
     }
     let mut record = first_record(plan, folder, &first, &inputs);
-    let write = |record: &RunRecord| {
-        record.write(folder.path()).map_err(|source| FolderError::Io { path: folder.path().to_owned(), source })
-    };
-    write(&record)?;
-    let mut collected: Vec<Vec<Done>> = plan.scenarios.iter().map(|_| Vec::new()).collect();
+    write(&record, folder)?;
     // The controller that introduced itself is the first worker's; the others find their own.
     let mut sessions: Vec<Option<Session>> = (0..plan.jobs.max(1)).map(|_| None).collect();
     if let Some(session) = sessions.first_mut() {
         *session = Some(first);
     }
+    let unconfirmed = AtomicBool::new(false);
+    let run = Run { plan, laws: &laws, folder, connect, cancel, unconfirmed: &unconfirmed };
+    let played = play(run, &mut sessions, &mut record, tell);
+    // However it ended, what the controllers say of 0 V is in the record.
+    sessions.iter_mut().for_each(|session| end(session, &unconfirmed));
+    record.safe_confirmed = Some(!unconfirmed.load(Ordering::Relaxed));
+    if played.is_ok() {
+        record.verdict = Verdict::over(record.scenarios.iter().map(|scenario| scenario.verdict));
+        record.complete = true;
+        record.cost = trend::cost(&record, folder.path());
+    }
+    let written = write(&record, folder);
+    played?;
+    written?;
+    Ok(record)
+}
+
+fn write(record: &RunRecord, folder: &RunFolder) -> Result<(), FolderError> {
+    record.write(folder.path()).map_err(|source| FolderError::Io { path: folder.path().to_owned(), source })
+}
+
+/// Drives the plate to 0 V and lets go of its controller.
+fn end(session: &mut Option<Session>, unconfirmed: &AtomicBool) {
+    let Some(session) = session.take() else { return };
+    // A link that panics has confirmed nothing.
+    let confirmed = catch_unwind(AssertUnwindSafe(|| session.close())).unwrap_or(false);
+    unconfirmed.fetch_or(!confirmed, Ordering::Relaxed);
+}
+
+/// A run and what all its parts share.
+#[derive(Clone, Copy)]
+struct Run<'a> {
+    plan: &'a Plan,
+    laws: &'a [LawId],
+    folder: &'a RunFolder,
+    connect: &'a Connect<'a>,
+    cancel: &'a Cancel,
+    /// Set where a controller was let go that did not confirm 0 V.
+    unconfirmed: &'a AtomicBool,
+}
+
+/// Plays until every scenario is decided, and judges each as soon as it is.
+fn play(
+    run: Run<'_>,
+    sessions: &mut [Option<Session>],
+    record: &mut RunRecord,
+    tell: &mut dyn FnMut(Event),
+) -> Result<(), RunError> {
+    let Run { plan, cancel, folder, .. } = run;
+    let mut collected: Vec<Vec<Done>> = plan.scenarios.iter().map(|_| Vec::new()).collect();
     // Trials up to the next look at a scenario, all scenarios together; then those that are not decided go on.
     let mut goals: Vec<u32> = plan.scenarios.iter().map(|scenario| next_goal(scenario, &[])).collect();
     let mut tasks: Vec<Task> = (0..).zip(&goals).flat_map(|(scenario, goal)| trials_of(scenario, 0, *goal)).collect();
@@ -162,15 +208,7 @@ pub fn run(
         // The longest first, so that no worker is left with one while the others have nothing to do.
         tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
         let batch = std::mem::take(&mut tasks);
-        let work = Work {
-            plan,
-            laws: &laws,
-            folder: folder.path(),
-            connect,
-            cancel,
-            tasks: &batch,
-            next: AtomicUsize::new(0),
-        };
+        let work = Work { run, tasks: &batch, next: AtomicUsize::new(0) };
         thread::scope(|scope| {
             let (sender, results) = mpsc::channel();
             for session in sessions.iter_mut().take(batch.len()) {
@@ -213,7 +251,7 @@ pub fn run(
                 finish(scenario, std::mem::take(of_scenario), scenario_record);
                 info!(scenario = %scenario.file, verdict = %scenario_record.verdict, "scenario judged");
                 let finished = Box::new(scenario_record.clone());
-                write(&record)?;
+                write(record, folder)?;
                 tell(Event::ScenarioFinished(finished));
             }
             Ok::<(), RunError>(())
@@ -225,11 +263,7 @@ pub fn run(
     if cancel.is_cancelled() {
         return Err(RunError::Cancelled);
     }
-    record.verdict = Verdict::over(record.scenarios.iter().map(|scenario| scenario.verdict));
-    record.complete = true;
-    record.cost = trend::cost(&record, folder.path());
-    write(&record)?;
-    Ok(record)
+    Ok(())
 }
 
 /// How many trials of a scenario there have to be for the next look at them; as many as there are where they decide.
@@ -290,11 +324,7 @@ enum Progress {
 
 /// What all workers share.
 struct Work<'a> {
-    plan: &'a Plan,
-    laws: &'a [LawId],
-    folder: &'a Path,
-    connect: &'a Connect<'a>,
-    cancel: &'a Cancel,
+    run: Run<'a>,
     tasks: &'a [Task],
     next: AtomicUsize,
 }
@@ -302,7 +332,7 @@ struct Work<'a> {
 impl Work<'_> {
     /// Plays trials until none is left, each worker over a link of its own.
     fn worker(&self, session: &mut Option<Session>, results: &mpsc::Sender<Result<Progress, RunError>>) {
-        while !self.cancel.is_cancelled() {
+        while !self.run.cancel.is_cancelled() {
             let Some(&task) = self.tasks.get(self.next.fetch_add(1, Ordering::Relaxed)) else { break };
             if task.index == 0 && results.send(Ok(Progress::Started(task.scenario))).is_err() {
                 break;
@@ -315,6 +345,10 @@ impl Work<'_> {
                 Err(panic) => Err(RunError::Bench(panic_message(panic.as_ref()))),
             };
             let is_over = result.is_err();
+            if is_over {
+                // At once, and not once the others have come to their end.
+                end(session, self.run.unconfirmed);
+            }
             if results.send(result).is_err() || is_over {
                 break;
             }
@@ -323,7 +357,8 @@ impl Work<'_> {
 
     /// Plays and measures one trial. `None` where it was given up.
     fn play(&self, session: &mut Option<Session>, task: Task) -> Result<Option<Done>, RunError> {
-        let (Some(scenario), Some(&law)) = (self.plan.scenarios.get(task.scenario), self.laws.get(task.scenario))
+        let (Some(scenario), Some(&law)) =
+            (self.run.plan.scenarios.get(task.scenario), self.run.laws.get(task.scenario))
         else {
             return Ok(None);
         };
@@ -331,13 +366,13 @@ impl Work<'_> {
         let started = Instant::now();
         let open = match session {
             Some(open) => open,
-            None => session.insert(Session::open(Faulty::new((self.connect)()?))?),
+            None => session.insert(Session::open(Faulty::new((self.run.connect)()?))?),
         };
-        let wire_time = self.plan.clock == Clock::Lockstep { wire_time: true };
-        let order = Order { scenario, law, index: task.index, wire_time, own_clock: self.plan.own_clock };
-        let played = match self.plan.clock {
-            Clock::Lockstep { .. } => trial::play(open, &order, self.cancel),
-            Clock::RealTime(pace) => real_time::play(open, &order, pace, self.cancel),
+        let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
+        let order = Order { scenario, law, index: task.index, wire_time, own_clock: self.run.plan.own_clock };
+        let played = match self.run.plan.clock {
+            Clock::Lockstep { .. } => trial::play(open, &order, self.run.cancel),
+            Clock::RealTime(pace) => real_time::play(open, &order, pace, self.run.cancel),
         };
         let Some(mut played) = played else { return Ok(None) };
         if let Some(timing) = &mut played.telemetry.timing {
@@ -347,7 +382,7 @@ impl Work<'_> {
             return Err(refused.into());
         }
         let trace = trace_file(scenario.name(), task.index);
-        let path = self.folder.join(&trace);
+        let path = self.run.folder.path().join(&trace);
         write_trace(&path, &played.rows)?;
         let measures = measured(scenario, law, task.index, &played.rows, &played.telemetry);
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
@@ -358,7 +393,7 @@ impl Work<'_> {
         if let Some(lost) = played.lost {
             error!(error = %lost, "controller lost");
             // The next trial starts over a new link.
-            *session = None;
+            end(session, self.run.unconfirmed);
         }
         Ok(Some(Done { measures, record }))
     }
@@ -396,6 +431,7 @@ fn first_record(plan: &Plan, folder: &RunFolder, session: &Session, inputs: &[Ve
         },
         clock: plan.clock.name().to_owned(),
         overrides: plan.overrides.clone(),
+        safe_confirmed: None,
         host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
         scenarios: scenarios.collect(),
         cost: Vec::new(),

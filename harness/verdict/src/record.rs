@@ -107,6 +107,9 @@ pub struct RunRecord {
     pub overrides: Overrides,
     /// The computer.
     pub host: Host,
+    /// Whether every controller confirmed 0 V when its session ended; empty while the run goes on, and for ever after it was killed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub safe_confirmed: Option<bool>,
     /// What was played.
     pub scenarios: Vec<ScenarioRecord>,
     /// Instructions per control step by law, where the rig counts them.

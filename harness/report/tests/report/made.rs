@@ -30,6 +30,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
         },
         clock: "lockstep".to_owned(),
         overrides: Overrides { seed: Some(7), ..Overrides::default() },
+        safe_confirmed: Some(true),
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
         scenarios,
         cost: Vec::new(),

@@ -44,6 +44,7 @@ fn record(build: &str, second: u32, scenarios: Vec<ScenarioRecord>) -> RunRecord
         rig: RigRecord { name: format!("emulated:{build}.elf"), firmware: Some(firmware) },
         clock: "lockstep".to_owned(),
         overrides: Overrides::default(),
+        safe_confirmed: None,
         host: Host { os: String::new(), arch: String::new() },
         scenarios,
         cost: Vec::new(),

@@ -81,6 +81,7 @@ fn record() -> RunRecord {
         },
         clock: "lockstep".to_owned(),
         overrides: Overrides { law: None, trials: Some(1), seed: None },
+        safe_confirmed: None,
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
         scenarios: vec![ScenarioRecord {
             file: "paper/fig13-closed-loop.toml".to_owned(),
