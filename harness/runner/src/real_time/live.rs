@@ -352,3 +352,6 @@ impl<'a, L: Link> Live<'a, L> {
 fn micros(span: Duration) -> f64 {
     span.as_secs_f64() * 1e6
 }
+
+#[cfg(test)]
+mod tests;

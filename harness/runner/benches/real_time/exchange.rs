@@ -1,0 +1,165 @@
+//! The same exchange each millisecond, sample against command with the host controller, by a plain thread that blocks and by a task of a runtime.
+
+use super::limits::Guarded;
+use super::table::{Quantiles, quantiles};
+use platebench_rig::{Exec, Faulty, Session};
+use platebench_wire::{Configure, FrameReader, LawId, Message, Packet, Sample};
+use std::error::Error;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio_serial::{SerialPort, SerialStream};
+
+/// A command that is not there by then is missed.
+const PATIENCE: Duration = Duration::from_millis(100);
+const PERIOD: Duration = Duration::from_millis(1);
+
+/// What was measured.
+pub(crate) struct Exchange {
+    /// How late the sample left.
+    pub(crate) lateness: Quantiles,
+    /// From then until the command was there.
+    pub(crate) round_trip: Quantiles,
+    pub(crate) missed: u32,
+}
+
+fn configure() -> Configure {
+    Configure {
+        law: LawId::DqPi,
+        paced_by_target: false,
+        patience_ms: 1_000,
+        period_us: 1_000,
+        start_frequency_mhz: 32_307_600,
+        gain_um_per_vpp: 0.00698,
+        time_constant_s: 1.88e-3,
+        response_time_s: 0.0,
+        drive_limit_vpp: 900.0,
+        frequency_range_hz: 250.0,
+        frequency_slew_hz: 100.0,
+        gains: None,
+    }
+}
+
+fn sample(number: u32) -> Sample {
+    Sample { time_us: number * 1_000, setpoint_um: 2.0, wd_um: 1.9, wq_um: 0.0 }
+}
+
+/// Lateness and round trips as they come.
+#[derive(Default)]
+struct Taken {
+    lateness: Vec<Duration>,
+    round_trip: Vec<Duration>,
+    missed: u32,
+}
+
+impl Taken {
+    fn finish(mut self) -> Exchange {
+        Exchange {
+            lateness: quantiles(&mut self.lateness),
+            round_trip: quantiles(&mut self.round_trip),
+            missed: self.missed,
+        }
+    }
+}
+
+/// A plain thread: it sleeps to the deadline and waits for the answer in `ppoll`.
+pub(crate) fn blocking(length: Duration) -> Result<Exchange, Box<dyn Error>> {
+    let mut session = Session::open(Faulty::new(Exec::start(&crate::other_side("")?)?))?;
+    session.begin(&configure())?;
+    let mut taken = Taken::default();
+    let start = Instant::now();
+    for number in 1..=length.as_millis() as u32 {
+        let due = start + PERIOD * number;
+        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        let sent = Instant::now();
+        taken.lateness.push(sent.saturating_duration_since(due));
+        let sequence = session.post(Message::Sample(sample(number)))?;
+        let answered = loop {
+            match session.listen(sent + PATIENCE)? {
+                Some(heard) if heard.sequence == sequence => break Some(heard.at),
+                Some(_) => {}
+                None => break None,
+            }
+        };
+        match answered {
+            Some(at) => taken.round_trip.push(at.saturating_duration_since(sent)),
+            None => taken.missed += 1,
+        }
+    }
+    Ok(taken.finish())
+}
+
+/// A task on a runtime of one thread, with the runtime's own timer and tokio-serial for the line.
+pub(crate) fn tokio(length: Duration) -> Result<Exchange, Box<dyn Error>> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let (mut port, other) = SerialStream::pair()?;
+        let path = other.name().ok_or("a pseudo-terminal without a name")?;
+        let mut other = Some(other);
+        if let Some(other) = &mut other {
+            other.set_exclusive(false)?;
+        }
+        let child = Command::new(std::env::current_exe()?).arg(&path).stdin(Stdio::null()).spawn()?;
+        let _child = Guarded(child);
+        let mut line = Line { port: &mut port, reader: FrameReader::new(), buffer: [0; 512], filled: 0, read: 0 };
+        // The controller may not be up yet.
+        let begun = Instant::now();
+        while !line.ask(0, Message::Hello).await? {
+            if begun.elapsed() > Duration::from_secs(5) {
+                return Err("the controller does not come up".into());
+            }
+        }
+        drop(other);
+        if !line.ask(1, Message::Configure(configure())).await? {
+            return Err("the controller is not configured".into());
+        }
+        let mut taken = Taken::default();
+        let start = tokio::time::Instant::now();
+        for number in 1..=length.as_millis() as u32 {
+            let due = start + PERIOD * number;
+            tokio::time::sleep_until(due).await;
+            let sent = Instant::now();
+            taken.lateness.push(sent.saturating_duration_since(due.into_std()));
+            if line.ask(number as u8, Message::Sample(sample(number))).await? {
+                taken.round_trip.push(sent.elapsed());
+            } else {
+                taken.missed += 1;
+            }
+        }
+        Ok(taken.finish())
+    })
+}
+
+struct Line<'a> {
+    port: &'a mut SerialStream,
+    reader: FrameReader,
+    buffer: [u8; 512],
+    filled: usize,
+    read: usize,
+}
+
+impl Line<'_> {
+    /// True where the answer that carries the number came in time.
+    async fn ask(&mut self, sequence: u8, message: Message) -> std::io::Result<bool> {
+        self.port.write_all(Packet { sequence, message }.encode().as_bytes()).await?;
+        match tokio::time::timeout(PATIENCE, self.answer(sequence)).await {
+            Ok(answered) => answered.map(|()| true),
+            Err(_) => Ok(false),
+        }
+    }
+
+    async fn answer(&mut self, sequence: u8) -> std::io::Result<()> {
+        loop {
+            while let Some(&byte) = self.buffer.get(..self.filled).and_then(|bytes| bytes.get(self.read)) {
+                self.read += 1;
+                let packet = self.reader.push(byte).and_then(Result::ok).and_then(|body| Packet::decode(body).ok());
+                if packet.is_some_and(|packet| packet.sequence == sequence) {
+                    return Ok(());
+                }
+            }
+            self.read = 0;
+            self.filled = 0;
+            self.filled = self.port.read(&mut self.buffer).await?;
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! What this computer can do at all: wake up at an instant, and pass bytes through a pseudo-terminal.
+
+use super::table::{Quantiles, Reference, quantiles};
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::fd::OwnedFd;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use rustix::thread::{ClockId, clock_nanosleep_absolute};
+use rustix::time::{Timespec, clock_gettime};
+use std::error::Error;
+use std::fs::{File, OpenOptions};
+use std::io::{ErrorKind, Read, Write};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use thread_priority::unix::{
+    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
+};
+use thread_priority::{ThreadPriority, ThreadPriorityValue};
+
+const PERIOD_NS: i64 = 1_000_000;
+/// The loop's own.
+const PRIORITY: u8 = 45;
+/// A sample's frame.
+const FRAME: usize = 24;
+
+fn nanos(time: Timespec) -> i64 {
+    time.tv_sec * 1_000_000_000 + time.tv_nsec
+}
+
+/// How late a thread wakes up that sleeps to an absolute instant each millisecond; `None` where it is to be preferred to others and that is not granted.
+pub(crate) fn sleeping(length: Duration, preferred: bool) -> Result<Option<Quantiles>, Box<dyn Error>> {
+    // Of its own, because what it is granted is not taken back, and processes inherit it.
+    let slept = std::thread::spawn(move || {
+        let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+        let priority = ThreadPriorityValue::try_from(PRIORITY).map(ThreadPriority::Crossplatform);
+        let granted = priority.is_ok_and(|priority| {
+            preferred && set_thread_priority_and_policy(thread_native_id(), priority, policy).is_ok()
+        });
+        if granted == preferred { sleep_again_and_again(length).map(Some) } else { Ok(None) }
+    });
+    Ok(slept.join().map_err(|_| "the thread that sleeps has panicked")??)
+}
+
+fn sleep_again_and_again(length: Duration) -> std::io::Result<Quantiles> {
+    let now = || clock_gettime(ClockId::Monotonic);
+    let start = nanos(now());
+    let count = length.as_nanos() as i64 / PERIOD_NS;
+    let mut late = Vec::with_capacity(count as usize);
+    for number in 1..=count {
+        let due = start + number * PERIOD_NS;
+        let until = Timespec { tv_sec: due / 1_000_000_000, tv_nsec: due % 1_000_000_000 };
+        clock_nanosleep_absolute(ClockId::Monotonic, &until)?;
+        late.push(Duration::from_nanos((nanos(now()) - due).max(0) as u64));
+    }
+    Ok(quantiles(&mut late))
+}
+
+/// The same by `cyclictest`, where it is installed and may be preferred.
+pub(crate) fn cyclictest(length: Duration) -> Result<Option<Reference>, Box<dyn Error>> {
+    let loops = (length.as_millis()).to_string();
+    let output =
+        Command::new("cyclictest").args(["-q", "-p", "45", "-i", "1000", "-l", &loops, "-h", "100000"]).output();
+    let output = match output {
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            println!("cyclictest is not installed (`ci/install-test-tools` does): its row is left out.\n");
+            return Ok(None);
+        }
+        output => output?,
+    };
+    let mut late = Vec::new();
+    for line in String::from_utf8_lossy(&output.stdout).lines() {
+        let mut words = line.split_whitespace();
+        let (Some(Ok(micros)), Some(Ok(count))) =
+            (words.next().map(str::parse::<u64>), words.next().map(str::parse::<usize>))
+        else {
+            continue;
+        };
+        late.extend(std::iter::repeat_n(Duration::from_micros(micros), count));
+    }
+    if late.is_empty() {
+        println!("cyclictest found nothing: {}\n", String::from_utf8_lossy(&output.stderr).trim());
+        return Ok(None);
+    }
+    Ok(Some(Reference::new("`cyclictest`, SCHED_FIFO: lateness", quantiles(&mut late))))
+}
+
+/// A process that ends with its measurement.
+pub(crate) struct Guarded(pub(crate) Child);
+
+impl Drop for Guarded {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Our end of a pseudo-terminal in raw mode, and the path of the other.
+fn terminal() -> Result<(OwnedFd, OwnedFd, String), Box<dyn Error>> {
+    let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+    grantpt(&ours)?;
+    unlockpt(&ours)?;
+    let path = ptsname(&ours, Vec::new())?.into_string()?;
+    let other = OwnedFd::from(OpenOptions::new().read(true).write(true).open(&path)?);
+    let mut settings = tcgetattr(&other)?;
+    settings.make_raw();
+    tcsetattr(&other, OptionalActions::Now, &settings)?;
+    Ok((ours, other, path))
+}
+
+/// Sends back what comes until the line hangs up.
+pub(crate) fn echo(path: &str) -> std::io::Result<()> {
+    let mut port = OpenOptions::new().read(true).write(true).open(path)?;
+    let mut buffer = [0; 512];
+    loop {
+        match port.read(&mut buffer) {
+            Ok(0) | Err(_) => return Ok(()),
+            Ok(count) => port.write_all(buffer.get(..count).unwrap_or_default())?,
+        }
+    }
+}
+
+/// How long a frame takes to a process that sends it back at once, each millisecond: `read` and `write`, nothing else.
+pub(crate) fn echoing(length: Duration) -> Result<Quantiles, Box<dyn Error>> {
+    let (ours, other, path) = terminal()?;
+    let program = std::env::current_exe()?;
+    let child = Command::new(program).args(["--echo", &path]).stdin(Stdio::null()).spawn()?;
+    let _child = Guarded(child);
+    let mut line = File::from(ours);
+    let frame = [0x55; FRAME];
+    let mut buffer = [0; FRAME];
+    // The first answer says that the other side is up.
+    line.write_all(&frame)?;
+    if poll(&mut [PollFd::new(&line, PollFlags::IN)], Some(&Timespec { tv_sec: 5, tv_nsec: 0 }))? == 0 {
+        return Err("the other side does not come up".into());
+    }
+    line.read_exact(&mut buffer)?;
+    // From here on the line hangs up with the other side.
+    drop(other);
+    let count = length.as_millis() as u32;
+    let mut took = Vec::with_capacity(count as usize);
+    let start = Instant::now();
+    for number in 1..=count {
+        std::thread::sleep((start + Duration::from_millis(number.into())).saturating_duration_since(Instant::now()));
+        let sent = Instant::now();
+        line.write_all(&frame)?;
+        line.read_exact(&mut buffer)?;
+        took.push(sent.elapsed());
+    }
+    Ok(quantiles(&mut took))
+}
