@@ -20,10 +20,9 @@ mod machine;
 mod memory;
 mod post_mortem;
 mod surroundings;
-mod symbols;
 mod target;
 
-pub use fault::{Gap, Place, TargetFault, Trap};
+pub use fault::{Gap, TargetFault, Trap};
 pub use image::ImageError;
 
 use crate::asked::Asked;

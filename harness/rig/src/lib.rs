@@ -32,6 +32,7 @@ pub mod probe;
 pub mod serial;
 pub mod session;
 pub mod spec;
+mod symbols;
 pub mod terminal;
 
 pub use baud::{TooSlow, check_baud, smallest_baud};
@@ -46,4 +47,5 @@ pub use paced::Paced;
 pub use serial::{Serial, SerialError};
 pub use session::{Heard, Reply, RigError, Session};
 pub use spec::{RigSpec, SpecError};
+pub use symbols::Place;
 pub use terminal::Terminal;

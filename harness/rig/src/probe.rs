@@ -8,7 +8,7 @@
 //!
 //! * [`spec`]: which chip and which probe. `choose`: the one probe meant, or why there is none.
 //! * `worker`: a thread that may hang without the bench hanging. `board`: what is done there with probe-rs.
-//! * [`image`]: what an ELF puts where. `symbols`, `unwind`: names and callers of an address.
+//! * [`image`]: what an ELF puts where. `unwind`: callers of an address.
 //! * [`fault`]: a trap, read from the processor. [`link`]: the wire protocol over RTT.
 //!
 //! The serial port of the same board is another rig's; an [`Attached`] can be kept beside it. Nothing here enables a vector catch or stops the chip's
@@ -22,7 +22,6 @@ mod handle;
 pub mod image;
 pub mod link;
 pub mod spec;
-mod symbols;
 mod unwind;
 mod worker;
 
@@ -35,7 +34,6 @@ pub use link::{Ending, RttLink};
 /// What lists probes: `Lister::new` for those on USB.
 pub use probe_rs::probe::list::Lister;
 pub use spec::ProbeSpec;
-pub use symbols::Place;
 pub use unwind::StackedFrame;
 
 use std::sync::Arc;

@@ -1,30 +1,7 @@
 //! What can go wrong on an emulated board, in words for the one who wrote its firmware.
 
+use crate::symbols::Place;
 use std::fmt;
-
-/// A place in the image.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Place {
-    /// Address of the instruction.
-    pub address: u32,
-    /// Function, where the image names one there.
-    pub symbol: Option<String>,
-    /// Source file and line, where the image has them.
-    pub line: Option<String>,
-}
-
-impl fmt::Display for Place {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{:#010x}", self.address)?;
-        if let Some(symbol) = &self.symbol {
-            write!(formatter, " in {symbol}")?;
-        }
-        match &self.line {
-            Some(line) => write!(formatter, " ({line})"),
-            None => Ok(()),
-        }
-    }
-}
 
 /// Why the firmware on an emulated board, or on one behind a debug probe, cannot go on, or may not be believed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -1,13 +1,13 @@
 //! The emulator as a [`Target`]: one image on one board, run from event to event in virtual time.
 
 use super::board::{Bench, INSTRUCTIONS_PER_SECOND};
-use super::fault::{Place, TargetFault};
+use super::fault::TargetFault;
 use super::image::Image;
 use super::memory::{self, Memory, UNKNOWN};
 use super::post_mortem::{self, Handlers};
 use super::surroundings::{Lent, Surroundings};
-use super::symbols::Symbols;
 use super::target::{Heard, Target, Whereabouts};
+use crate::symbols::{Place, Symbols};
 use rigless::emulator::{Exit, Processor, Stop, StopReason};
 use rigless::machine::Board as _;
 use rigless::mcu::Operate as _;

@@ -1,11 +1,11 @@
 //! What is read out of an emulated board when its firmware trapped, reset itself or reached for something that is not there.
 
 use super::board::Bench;
-use super::fault::{Gap, Place, Trap};
+use super::fault::{Gap, Trap};
 use super::image::{FLASH_START, Image};
 use super::memory::Memory;
 use super::surroundings::Surroundings;
-use super::symbols::Symbols;
+use crate::symbols::{Place, Symbols};
 use rigless::device::ResetCause;
 use rigless::emulator::Processor;
 use rigless::session::Session;

@@ -45,6 +45,6 @@ pub(super) trait Target: Send + fmt::Debug {
 /// See [`Target::whereabouts`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Whereabouts {
-    pub(super) place: super::fault::Place,
+    pub(super) place: crate::symbols::Place,
     pub(super) instances: Vec<&'static str>,
 }

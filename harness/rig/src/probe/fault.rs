@@ -5,8 +5,8 @@
 
 use super::error::ProbeError;
 use super::image::Image;
-use super::symbols::Place;
 use super::unwind::{Registers, StackedFrame, unwind};
+use crate::symbols::Place;
 use probe_rs::{Core, MemoryInterface, RegisterId};
 use std::fmt;
 use std::time::Duration;
@@ -60,15 +60,6 @@ pub enum Trap {
     Lockup,
 }
 
-/// One step of a backtrace.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Call {
-    /// Code address.
-    pub address: u32,
-    /// Where that is in the source.
-    pub place: Place,
-}
-
 /// A processor trap with everything that is left of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fault {
@@ -83,7 +74,7 @@ pub struct Fault {
     /// What was stacked on entry, where it was found.
     pub frame: Option<StackedFrame>,
     /// The faulting instruction first, then its callers.
-    pub backtrace: Vec<Call>,
+    pub backtrace: Vec<Place>,
     /// Why the backtrace ends.
     pub end: &'static str,
     /// The watchdog reset the chip while it was read: what follows the status registers is missing.
@@ -117,16 +108,16 @@ impl fmt::Display for Fault {
         if let Some(address) = self.address {
             write!(formatter, ", address {address:#010x}")?;
         }
-        if let Some(call) = self.backtrace.first() {
+        if let Some(place) = self.backtrace.first() {
             let at = if self.frame.is_some() { "at" } else { "in the handler at" };
-            write!(formatter, ", {at} {:#010x} {}", call.address, call.place)?;
+            write!(formatter, ", {at} {place}")?;
         }
         write!(formatter, "; cfsr {:#010x}, hfsr {:#010x}", self.cfsr, self.hfsr)?;
         if let Some(frame) = self.frame {
             write!(formatter, ", stacked pc {:#010x}, lr {:#010x}", frame.pc, frame.lr)?;
         }
-        for call in self.backtrace.iter().skip(1) {
-            write!(formatter, "\n  called from {:#010x} {}", call.address, call.place)?;
+        for place in self.backtrace.iter().skip(1) {
+            write!(formatter, "\n  called from {place}")?;
         }
         if self.reset_meanwhile {
             return formatter.write_str("\n  the watchdog reset the chip while it was read");
@@ -153,19 +144,17 @@ pub(super) fn inspect(core: &mut Core<'_>, image: &Image) -> Result<Option<Fault
         address,
         frame: None,
         backtrace: Vec::new(),
-        end: "the image has no symbols",
+        end: "the stack was not read",
         reset_meanwhile: false,
     };
     core.halt(HALT).map_err(ProbeError::line("halting the processor"))?;
     let registers = read_registers(core)?;
-    if let Some(symbols) = image.symbols() {
-        let unwound = unwind(&symbols, &registers, |address| core.read_word_32(u64::from(address)).ok());
-        let skip = unwound.entry.map_or(0, |(index, _)| index);
-        fault.frame = unwound.entry.map(|(_, frame)| frame);
-        fault.end = unwound.end;
-        let calls = unwound.calls.into_iter().skip(skip);
-        fault.backtrace = calls.map(|address| Call { address, place: symbols.place(u64::from(address)) }).collect();
-    }
+    let symbols = image.symbols();
+    let unwound = unwind(&symbols, &registers, |address| core.read_word_32(u64::from(address)).ok());
+    let skip = unwound.entry.map_or(0, |(index, _)| index);
+    fault.frame = unwound.entry.map(|(_, frame)| frame);
+    fault.end = unwound.end;
+    fault.backtrace = unwound.calls.into_iter().skip(skip).map(|address| symbols.place(address)).collect();
     if trapped(core)? != Some(trap) {
         fault.frame = None;
         fault.backtrace.clear();

@@ -1,7 +1,7 @@
 //! What an ELF puts where.
 
 use super::error::ProbeError;
-use super::symbols::{Place, Symbols};
+use crate::symbols::{Place, Symbols};
 use object::elf::{EM_ARM, FileHeader32, PT_LOAD};
 use object::read::elf::{FileHeader, ProgramHeader};
 use object::{Endianness, Object, ObjectSymbol};
@@ -68,10 +68,10 @@ impl Image {
 
     /// Function and source line of an address, as far as the image tells.
     pub fn place(&self, address: u32) -> Place {
-        self.symbols().map(|symbols| symbols.place(u64::from(address))).unwrap_or_default()
+        self.symbols().place(address)
     }
 
-    pub(super) fn symbols(&self) -> Option<Symbols<'_>> {
-        Symbols::new(&self.elf)
+    pub(super) fn symbols(&self) -> Symbols {
+        Symbols::read(&self.elf)
     }
 }

@@ -3,8 +3,8 @@
 //! Where there is no information, the list ends and says why. The one exception is the innermost frame: it may be a function in assembler that has
 //! stacked nothing, whose caller is then in the link register.
 
-use super::symbols::{Slice, Symbols};
-use addr2line::gimli::{BaseAddresses, CfaRule, DebugFrame, Register, RegisterRule, UnwindContext, UnwindSection};
+use crate::symbols::{Slice, Symbols};
+use gimli::{BaseAddresses, CfaRule, DebugFrame, Register, RegisterRule, UnwindContext, UnwindSection};
 
 /// More frames than that are a loop in the stack.
 const MOST_FRAMES: usize = 64;
@@ -49,7 +49,7 @@ pub(super) struct Unwound {
 }
 
 /// Follows the stack; `read` reads a word of the target's memory.
-pub(super) fn unwind(symbols: &Symbols<'_>, from: &Registers, mut read: impl FnMut(u32) -> Option<u32>) -> Unwound {
+pub(super) fn unwind(symbols: &Symbols, from: &Registers, mut read: impl FnMut(u32) -> Option<u32>) -> Unwound {
     let frames = symbols.frames();
     let mut registers = *from;
     let mut unwound = Unwound { end: "the list of callers was cut", ..Unwound::default() };
@@ -102,7 +102,7 @@ enum Step {
 }
 
 fn step(
-    frames: &DebugFrame<Slice<'_>>,
+    frames: &DebugFrame<Slice>,
     registers: &mut Registers,
     pc: u32,
     read: &mut impl FnMut(u32) -> Option<u32>,
