@@ -69,8 +69,10 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
 /// The clock that the command line means; why it cannot be meant where it cannot.
 fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
     let default = match arguments.rig {
-        RigSpec::Serial { .. } | RigSpec::Probe(_) => Clock::RealTime,
-        RigSpec::Hosted | RigSpec::Emulated(_) | RigSpec::Exec(_) => Clock::Lockstep,
+        RigSpec::Serial { .. } | RigSpec::Probe { port: Some(_), .. } => Clock::RealTime,
+        RigSpec::Hosted | RigSpec::Emulated(_) | RigSpec::Exec(_) | RigSpec::Probe { port: None, .. } => {
+            Clock::Lockstep
+        }
     };
     let pacing = match arguments.pacing {
         Pacing::Bench => platebench_runner::Pacing::Bench,
@@ -82,6 +84,9 @@ fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
             Err("--time-scale and --pacing are for --clock real-time")
         }
         Clock::Lockstep => Ok(platebench_runner::Clock::Lockstep { wire_time: arguments.wire_time }),
+        Clock::RealTime if !arguments.rig.keeps_real_time() => Err(
+            "RTT through a debug probe does not keep real time: use --clock lockstep or name the board's serial port, --rig probe:CHIP,port=PORT[@BAUD]",
+        ),
         Clock::RealTime if arguments.wire_time => {
             Err("--wire-time is for --clock lockstep; in real time every microsecond acts anyway")
         }

@@ -5,6 +5,8 @@ use crate::exec::{Exec, ExecError, Words};
 use crate::hosted::Hosted;
 use crate::link::Link;
 use crate::paced::Paced;
+#[cfg(feature = "probe")]
+use crate::probe::{Lister, Patience, ProbeError, Setup};
 use crate::serial::{DEFAULT_BAUD, Serial, SerialError};
 use crate::spec::RigSpec;
 use std::path::Path;
@@ -15,11 +17,20 @@ pub type AnyLink = Box<dyn Link>;
 /// Why there is no line to a controller.
 #[derive(Debug, thiserror::Error)]
 pub enum ConnectError {
-    /// The kind of rig is known but not built yet.
+    /// Debug probes are not in this build.
     #[error(
-        "rig `{0}` is not in the command line yet, expected hosted, emulated[:ELF], exec:COMMAND or serial:PORT[@BAUD]"
+        "`{0}`: this bench was built without debug probes; `cargo build --release --ignore-rust-version --package platebench-cli --features probe` builds one that has them"
     )]
-    NotYet(RigSpec),
+    NotBuilt(RigSpec),
+    /// The line is too slow and too irregular for real time.
+    #[error(
+        "`{0}`: RTT through a debug probe does not keep real time; use --clock lockstep, or name the board's serial port with ,port=PORT[@BAUD]"
+    )]
+    NotInRealTime(RigSpec),
+    /// The board on a debug probe cannot be worked with.
+    #[cfg(feature = "probe")]
+    #[error(transparent)]
+    Probe(#[from] ProbeError),
     /// The emulated board did not come up.
     #[error(transparent)]
     Emulated(#[from] EmulatedError),
@@ -35,9 +46,12 @@ impl ConnectError {
     /// True where what the user named is at fault, not the rig.
     pub fn is_invalid_input(&self) -> bool {
         match self {
-            Self::NotYet(_)
+            Self::NotBuilt(_)
+            | Self::NotInRealTime(_)
             | Self::Emulated(EmulatedError::Read { .. } | EmulatedError::Image(_))
             | Self::Serial(SerialError::NoTerminal { .. } | SerialError::Settings { .. }) => true,
+            #[cfg(feature = "probe")]
+            Self::Probe(error) => error.is_invalid_input(),
             Self::Exec(error) => match error {
                 ExecError::Quoting(_) | ExecError::Empty(_) | ExecError::NoPlace(_) | ExecError::Start { .. } => true,
                 ExecError::Terminal(_) | ExecError::Ended { .. } | ExecError::Silent { .. } | ExecError::Link(_) => {
@@ -51,7 +65,7 @@ impl ConnectError {
 }
 
 impl RigSpec {
-    /// Whether this kind of rig can be connected to at all. Starts and opens nothing.
+    /// Whether this kind of rig can be connected to at all. Starts nothing and opens no device.
     ///
     /// # Errors
     /// [`ConnectError`], which is the user's doing.
@@ -59,15 +73,15 @@ impl RigSpec {
         match self {
             Self::Hosted | Self::Emulated(_) | Self::Serial { .. } => Ok(()),
             Self::Exec(command) => Ok(Words::of(command).map(drop)?),
-            Self::Probe(_) => Err(ConnectError::NotYet(self.clone())),
+            Self::Probe { .. } => self.check_probe(),
         }
     }
 
     /// Bits per second, where the line has a rate that counts: a pseudo-terminal throttles nothing.
     pub fn baud(&self) -> Option<u32> {
         match self {
-            Self::Serial { baud, .. } => Some(baud.unwrap_or(DEFAULT_BAUD)),
-            Self::Hosted | Self::Emulated(_) | Self::Exec(_) | Self::Probe(_) => None,
+            Self::Serial { baud, .. } | Self::Probe { port: Some(_), baud, .. } => Some(baud.unwrap_or(DEFAULT_BAUD)),
+            Self::Hosted | Self::Emulated(_) | Self::Exec(_) | Self::Probe { port: None, .. } => None,
         }
     }
 
@@ -75,7 +89,7 @@ impl RigSpec {
     pub fn is_plural(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) | Self::Exec(_) => true,
-            Self::Serial { .. } | Self::Probe(_) => false,
+            Self::Serial { .. } | Self::Probe { .. } => false,
         }
     }
 
@@ -83,8 +97,13 @@ impl RigSpec {
     pub fn has_own_clock(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) => false,
-            Self::Exec(_) | Self::Serial { .. } | Self::Probe(_) => true,
+            Self::Exec(_) | Self::Serial { .. } | Self::Probe { .. } => true,
         }
+    }
+
+    /// False where the line is too slow and too irregular for real time: RTT is polled through a probe, some milliseconds for each message.
+    pub fn keeps_real_time(&self) -> bool {
+        !matches!(self, Self::Probe { port: None, .. })
     }
 
     /// A new line to a controller of this kind, in lockstep; each call makes another one.
@@ -97,7 +116,7 @@ impl RigSpec {
             Self::Emulated(_) => Ok(Box::new(self.emulated()?)),
             Self::Exec(command) => Ok(Box::new(Exec::start(command)?)),
             Self::Serial { port, baud } => Ok(Box::new(Serial::open(Path::new(port), baud.unwrap_or(DEFAULT_BAUD))?)),
-            Self::Probe(_) => Err(ConnectError::NotYet(self.clone())),
+            Self::Probe { .. } => self.on_probe(),
         }
     }
 
@@ -109,8 +128,29 @@ impl RigSpec {
         match self {
             Self::Hosted => Ok(Box::new(Paced::new(Hosted::new()))),
             Self::Emulated(_) => Ok(Box::new(Paced::new(self.emulated()?))),
-            Self::Exec(_) | Self::Serial { .. } | Self::Probe(_) => self.connect(),
+            Self::Probe { port: None, .. } => Err(ConnectError::NotInRealTime(self.clone())),
+            Self::Exec(_) | Self::Serial { .. } | Self::Probe { .. } => self.connect(),
         }
+    }
+
+    #[cfg(not(feature = "probe"))]
+    fn check_probe(&self) -> Result<(), ConnectError> {
+        Err(ConnectError::NotBuilt(self.clone()))
+    }
+
+    #[cfg(not(feature = "probe"))]
+    fn on_probe(&self) -> Result<AnyLink, ConnectError> {
+        Err(ConnectError::NotBuilt(self.clone()))
+    }
+
+    #[cfg(feature = "probe")]
+    fn check_probe(&self) -> Result<(), ConnectError> {
+        Ok(Setup::of(self).map(drop)?)
+    }
+
+    #[cfg(feature = "probe")]
+    fn on_probe(&self) -> Result<AnyLink, ConnectError> {
+        Setup::of(self)?.connect(Lister::new, Patience::default())
     }
 
     fn emulated(&self) -> Result<Emulated, EmulatedError> {

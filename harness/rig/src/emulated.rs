@@ -39,7 +39,8 @@ use std::time::{Duration, Instant};
 use target::{Heard, Target};
 
 /// The firmware that comes with the bench, built from `firmware-under-test/stm32f4`.
-const BUILT_IN: &[u8] = include_bytes!("../../../firmware-under-test/images/platebench-stm32f4.elf");
+/// The firmware that came with the bench: an ELF for STM32F405, F407 and F427.
+pub(crate) const BUILT_IN: &[u8] = include_bytes!("../../../firmware-under-test/images/platebench-stm32f4.elf");
 /// What it talks at.
 const BUILT_IN_BAUD: u32 = 1_000_000;
 

@@ -1,17 +1,18 @@
-//! A board on a debug probe: `--rig probe:CHIP[@VID:PID[:SERIAL]]`.
+//! A board on a debug probe: `--rig probe:CHIP[@VID:PID[:SERIAL]][,elf=ELF][,port=PORT[@BAUD]]`.
 //!
 //! ```text
-//!   ProbeSpec ──▶ Attached (probe found, chip checked) ──▶ flash ──▶ restart ──▶ RttLink, or a serial port beside it
+//!   Setup ──▶ Attached (probe found, chip checked) ──▶ flash ──▶ restart ──▶ RttLink, or PortLink: a serial port and the probe beside it
 //!                     │ every call runs on a thread of its own and is waited for within a stated time
 //!                     └──▶ fault(): registers, symbols and backtrace        end(): 0 V, reset, probe released
 //! ```
 //!
+//! * [`setup`]: what was asked for, checked, and from there to a line.
 //! * [`spec`]: which chip and which probe. `choose`: the one probe meant, or why there is none.
 //! * `worker`: a thread that may hang without the bench hanging. `board`: what is done there with probe-rs.
 //! * [`image`]: what an ELF puts where. `unwind`: callers of an address.
-//! * [`fault`]: a trap, read from the processor. [`link`]: the wire protocol over RTT.
+//! * [`fault`]: a trap, read from the processor. [`link`]: the wire protocol over RTT. `port`: over the board's serial port.
 //!
-//! The serial port of the same board is another rig's; an [`Attached`] can be kept beside it. Nothing here enables a vector catch or stops the chip's
+//! Nothing here enables a vector catch or stops the chip's
 //! watchdog: a processor that is stopped at the entry of its fault handler cannot take the drive to 0 V.
 
 mod board;
@@ -21,6 +22,8 @@ pub mod fault;
 mod handle;
 pub mod image;
 pub mod link;
+mod port;
+pub mod setup;
 pub mod spec;
 mod unwind;
 mod worker;
@@ -31,12 +34,13 @@ pub use fault::Fault;
 pub use handle::Attached;
 pub use image::Image;
 pub use link::{Ending, RttLink};
+pub use port::PortLink;
 /// What lists probes: `Lister::new` for those on USB.
 pub use probe_rs::probe::list::Lister;
+pub use setup::Setup;
 pub use spec::ProbeSpec;
 pub use unwind::StackedFrame;
 
-use std::sync::Arc;
 use std::time::Duration;
 
 /// How long the bench waits for what. Nothing is waited for without an end.
@@ -50,7 +54,9 @@ pub struct Patience {
     pub reset: Duration,
     /// The firmware's RTT control block after a reset.
     pub rtt: Duration,
-    /// The answer to one message. Silence beyond it is no error.
+    /// The firmware's first answer on its serial port after a reset.
+    pub introduction: Duration,
+    /// The answer to one message over RTT. Silence beyond it is no error.
     pub exchange: Duration,
     /// Reading registers and stack after a trap.
     pub fault: Duration,
@@ -65,28 +71,10 @@ impl Default for Patience {
             flash: Duration::from_mins(2),
             reset: Duration::from_secs(3),
             rtt: Duration::from_secs(2),
+            introduction: Duration::from_secs(2),
             exchange: Duration::from_millis(100),
             fault: Duration::from_secs(2),
             grace: Duration::from_secs(2),
         }
     }
-}
-
-/// Everything up to a controller that can be talked to over RTT: attach, flash where the image is not there yet, reset, run. The image is checked
-/// before the board is touched.
-///
-/// # Errors
-/// [`ProbeError`]; [`ProbeError::NoRtt`] where the firmware talks over its serial port only.
-pub fn open(
-    spec: &ProbeSpec,
-    elf: &[u8],
-    list: impl FnOnce() -> Lister + Send + 'static,
-    patience: Patience,
-) -> Result<RttLink, ProbeError> {
-    let image = Arc::new(Image::parse(elf)?);
-    image.rtt().ok_or(ProbeError::NoRtt)?;
-    let mut board = Attached::attach(spec, list, patience)?;
-    board.flash(&image)?;
-    board.restart(&image)?;
-    RttLink::open(board, image)
 }

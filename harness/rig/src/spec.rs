@@ -20,14 +20,23 @@ pub enum RigSpec {
         /// Bits per second.
         baud: Option<u32>,
     },
-    /// A board on a debug probe: `CHIP[@VID:PID[:SERIAL]]`, read by `probe::ProbeSpec`.
-    Probe(String),
+    /// A board on a debug probe.
+    Probe {
+        /// `CHIP[@VID:PID[:SERIAL]]`, read by `probe::ProbeSpec`.
+        board: String,
+        /// The firmware that it is to run; the image that came with the bench where none is named.
+        elf: Option<PathBuf>,
+        /// Path of the board's serial port; RTT through the probe where none is named.
+        port: Option<String>,
+        /// Bits per second of that port.
+        baud: Option<u32>,
+    },
 }
 
 /// A rig that was not understood.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{text}`: {problem}, expected hosted, emulated[:ELF], exec:COMMAND, serial:PORT[@BAUD] or probe:CHIP[@VID:PID[:SERIAL]]"
+    "`{text}`: {problem}, expected hosted, emulated[:ELF], exec:COMMAND, serial:PORT[@BAUD] or probe:CHIP[@VID:PID[:SERIAL]][,elf=ELF][,port=PORT[@BAUD]]"
 )]
 pub struct SpecError {
     text: String,
@@ -38,7 +47,8 @@ impl FromStr for RigSpec {
     type Err = SpecError;
 
     fn from_str(text: &str) -> Result<Self, SpecError> {
-        let refuse = |problem| Err(SpecError { text: text.to_owned(), problem });
+        let refused = |problem| SpecError { text: text.to_owned(), problem };
+        let refuse = |problem| Err(refused(problem));
         let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
         match (kind, rest) {
             ("hosted", None) => Ok(Self::Hosted),
@@ -46,21 +56,45 @@ impl FromStr for RigSpec {
             (_, Some("")) => refuse("nothing after the colon"),
             ("emulated", Some(elf)) => Ok(Self::Emulated(Some(elf.into()))),
             ("exec", Some(command)) => Ok(Self::Exec(command.to_owned())),
-            ("probe", Some(chip)) => Ok(Self::Probe(chip.to_owned())),
-            ("serial", Some(rest)) => match rest.rsplit_once('@') {
-                None => Ok(Self::Serial { port: rest.to_owned(), baud: None }),
-                Some((port, baud)) => match baud.parse() {
-                    Ok(baud) if baud > 0 && !port.is_empty() => {
-                        Ok(Self::Serial { port: port.to_owned(), baud: Some(baud) })
-                    }
-                    _ => refuse("no port or no baud rate"),
-                },
-            },
+            ("probe", Some(rest)) => on_probe(rest).map_err(refused),
+            ("serial", Some(rest)) => {
+                let (port, baud) = port_and_baud(rest).map_err(refused)?;
+                Ok(Self::Serial { port, baud })
+            }
             ("exec" | "serial" | "probe", None) => refuse("something is missing after the kind"),
             ("hosted", Some(_)) => refuse("the hosted rig takes nothing"),
             _ => refuse("unknown kind"),
         }
     }
+}
+
+/// `PORT[@BAUD]`.
+fn port_and_baud(text: &str) -> Result<(String, Option<u32>), &'static str> {
+    let (port, baud) = text.rsplit_once('@').map_or((text, None), |(port, baud)| (port, Some(baud)));
+    let baud = baud.map(|baud| baud.parse().ok().filter(|&baud| baud > 0).ok_or(())).transpose();
+    match baud {
+        Ok(baud) if !port.is_empty() => Ok((port.to_owned(), baud)),
+        _ => Err("no port or no baud rate"),
+    }
+}
+
+/// What stands after `probe:`. A path with a comma cannot be written.
+fn on_probe(text: &str) -> Result<RigSpec, &'static str> {
+    let mut parts = text.split(',');
+    let chip = parts.next().filter(|chip| !chip.is_empty()).ok_or("no chip")?;
+    let (mut elf, mut port, mut baud) = (None, None, None);
+    for part in parts {
+        match part.split_once('=') {
+            Some(("elf", path)) if elf.is_none() && !path.is_empty() => elf = Some(path.into()),
+            Some(("port", text)) if port.is_none() => {
+                let (path, rate) = port_and_baud(text)?;
+                (port, baud) = (Some(path), rate);
+            }
+            Some(("elf" | "port", _)) => return Err("elf or port twice, or elf without a file"),
+            _ => return Err("after the comma only elf= and port= can stand"),
+        }
+    }
+    Ok(RigSpec::Probe { board: chip.to_owned(), elf, port, baud })
 }
 
 impl fmt::Display for RigSpec {
@@ -72,7 +106,12 @@ impl fmt::Display for RigSpec {
             Self::Exec(command) => write!(formatter, "exec:{command}"),
             Self::Serial { port, baud: None } => write!(formatter, "serial:{port}"),
             Self::Serial { port, baud: Some(baud) } => write!(formatter, "serial:{port}@{baud}"),
-            Self::Probe(chip) => write!(formatter, "probe:{chip}"),
+            Self::Probe { board, elf, port, baud } => {
+                write!(formatter, "probe:{board}")?;
+                elf.as_ref().map_or(Ok(()), |elf| write!(formatter, ",elf={}", elf.display()))?;
+                port.as_ref().map_or(Ok(()), |port| write!(formatter, ",port={port}"))?;
+                baud.map_or(Ok(()), |baud| write!(formatter, "@{baud}"))
+            }
         }
     }
 }
@@ -92,6 +131,8 @@ mod tests {
             "serial:COM3@921600",
             "probe:STM32F407VG",
             "probe:STM32F407VG@0483:374b:066DFF",
+            "probe:STM32F407VG,port=/dev/ttyACM0",
+            "probe:STM32F427VI@0483:374b,elf=a/b.elf,port=COM3@921600",
         ] {
             assert_eq!(text.parse::<RigSpec>().unwrap().to_string(), text);
         }
@@ -109,6 +150,14 @@ mod tests {
             "serial:p@",
             "serial:p@0",
             "probe",
+            "probe:,port=p",
+            "probe:STM32F407VG,",
+            "probe:STM32F407VG,p",
+            "probe:STM32F407VG,elf=",
+            "probe:STM32F407VG,elf=a,elf=b",
+            "probe:STM32F407VG,port=",
+            "probe:STM32F407VG,port=p@0",
+            "probe:STM32F407VG,port=p,port=q",
             "can:0",
         ] {
             assert!(text.parse::<RigSpec>().is_err(), "{text}");

@@ -55,8 +55,10 @@ impl Symbols {
     pub(crate) fn read(elf: &[u8]) -> Self {
         let file = object::File::parse(elf).ok();
         let file = file.as_ref();
-        let named = file.into_iter().flat_map(|file| file.symbols());
-        let named: Vec<_> = named.filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol))).collect();
+        let named: Vec<_> = match file {
+            Some(file) => file.symbols().filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol))).collect(),
+            None => Vec::new(),
+        };
         let load = |id| Ok::<_, gimli::Error>(section(file, id));
         Self {
             functions: functions(&named),

@@ -9,7 +9,7 @@ use super::{Lister, choose};
 use probe_rs::config::{MemoryRegion, Registry};
 use probe_rs::flashing::DownloadOptions;
 use probe_rs::rtt::{Rtt, ScanRegion, try_attach_to_rtt};
-use probe_rs::{Core, MemoryInterface, Permissions, Session};
+use probe_rs::{Core, MemoryInterface, Permissions, Session, Target};
 use std::time::{Duration, Instant};
 use tracing::{debug, warn};
 
@@ -66,8 +66,8 @@ pub(super) struct Board {
 }
 
 impl Board {
-    /// Finds probe and chip and checks who the chip is.
-    pub(super) fn attach(spec: &ProbeSpec, lister: &Lister) -> Result<(Self, ChipId), ProbeError> {
+    /// The device identity that the chip must have, and how it is worked with. Touches no probe.
+    pub(super) fn describe(spec: &ProbeSpec) -> Result<(u16, Target), ProbeError> {
         let asked = spec.chip.to_ascii_uppercase();
         let is_asked = |starts: &[&str]| starts.iter().any(|start| asked.starts_with(start));
         let (expected, _, _) = *DEVICES
@@ -77,6 +77,12 @@ impl Board {
         let target = Registry::from_builtin_families()
             .get_target_by_name(&asked)
             .map_err(|error| ProbeError::UnknownChip { chip: spec.chip.clone(), cause: super::error::chain(&error) })?;
+        Ok((expected, target))
+    }
+
+    /// Finds probe and chip and checks who the chip is.
+    pub(super) fn attach(spec: &ProbeSpec, lister: &Lister) -> Result<(Self, ChipId), ProbeError> {
+        let (expected, target) = Self::describe(spec)?;
         let (probe, probe_name) = choose::open(spec, lister)?;
         let chip = target.name.clone();
         let no_target =

@@ -6,6 +6,7 @@ use crate::link::LinkError;
 use probe_rs::flashing::FlashError;
 use probe_rs::probe::DebugProbeError;
 use std::error::Error;
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// Why a board on a debug probe cannot be worked with. Messages carry the whole chain of causes, so there is no [`Error::source`] behind them.
@@ -101,6 +102,14 @@ pub enum ProbeError {
         /// What is wrong with it.
         problem: String,
     },
+    /// The file with the firmware cannot be read.
+    #[error("{}: {error}", path.display())]
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// Why not.
+        error: std::io::Error,
+    },
     /// The image does not fit the chip.
     #[error(
         "the image puts {bytes} bytes at {address:#010x}, where {chip} has no flash; which chip was it linked for?"
@@ -128,7 +137,7 @@ pub enum ProbeError {
     },
     /// The firmware has no RTT.
     #[error(
-        "the firmware has no RTT control block (no symbol _SEGGER_RTT); it talks over its serial port: use --rig serial:PORT"
+        "the firmware has no RTT control block (no symbol _SEGGER_RTT); it talks over its serial port: name that port: --rig probe:CHIP,port=PORT[@BAUD]"
     )]
     NoRtt,
     /// The firmware has RTT and did not start it.
@@ -139,6 +148,24 @@ pub enum ProbeError {
         /// How long was waited.
         waited: Duration,
         /// What was found instead.
+        cause: String,
+    },
+    /// The firmware was started, and nothing comes from the serial port.
+    #[error(
+        "the firmware did not introduce itself on {} within {} ms of the reset; is that the board's serial port, at the firmware's baud rate?", port.display(), waited.as_millis()
+    )]
+    NoIntroduction {
+        /// Where it was waited for.
+        port: PathBuf,
+        /// How long.
+        waited: Duration,
+    },
+    /// The serial port went away while the firmware was waited for.
+    #[error("{}: {cause}", port.display())]
+    Port {
+        /// Which one.
+        port: PathBuf,
+        /// What the line says.
         cause: String,
     },
     /// RTT without a channel 0 in both directions.
@@ -181,6 +208,21 @@ pub enum ProbeError {
 }
 
 impl ProbeError {
+    /// True where what the user named is at fault, not the board or the way to it.
+    pub fn is_invalid_input(&self) -> bool {
+        matches!(
+            self,
+            Self::Spec { .. }
+                | Self::UnsupportedChip { .. }
+                | Self::UnknownChip { .. }
+                | Self::SeveralProbes { .. }
+                | Self::Image { .. }
+                | Self::Read { .. }
+                | Self::NotInFlash { .. }
+                | Self::NoRtt
+        )
+    }
+
     /// For `map_err`: a line failure while `doing` something.
     pub(super) fn line(doing: &'static str) -> impl Fn(probe_rs::Error) -> Self {
         move |cause| Self::Line { doing, cause: Box::new(cause) }

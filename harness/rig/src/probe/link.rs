@@ -153,7 +153,7 @@ impl RttLink {
 }
 
 /// The trap, where there is one to be read.
-fn trapped(board: &mut Attached, image: &Arc<Image>) -> Option<ProbeError> {
+pub(super) fn trapped(board: &mut Attached, image: &Arc<Image>) -> Option<ProbeError> {
     match board.fault(image) {
         Ok(fault) => fault.map(|fault| ProbeError::Trapped(Box::new(fault))),
         Err(error) => {

@@ -5,7 +5,7 @@
 use crate::image::{CONTROL_STEP, HANDLER, MAIN_LOOP, PROGRAM, Program};
 use crate::rtt::Rings;
 use platebench_controller::Device;
-use platebench_wire::Identity;
+use platebench_wire::{FaultReport, Identity, Message, Packet};
 use probe_rs::config::Registry;
 use probe_rs::flashing::FlashAlgorithm;
 use std::collections::HashMap;
@@ -39,6 +39,8 @@ pub(crate) struct Chip {
     /// The watchdog resets the chip once the processor is halted.
     pub(crate) watchdog_bites_when_halted: bool,
     pub(crate) device: Device,
+    /// So many pieces of what comes in on the serial port are lost.
+    pub(crate) deaf: u32,
     flash: Vec<u8>,
     ram: Vec<u8>,
     registers: HashMap<u32, u32>,
@@ -59,16 +61,6 @@ impl Chip {
         let target = Registry::from_builtin_families().get_target_by_name(CHIP).unwrap();
         let raw = target.flash_algorithms.iter().find(|algorithm| algorithm.name == "stm32f4xx_1024").unwrap();
         let algorithm = FlashAlgorithm::assemble_from_raw_with_core(raw, "main", &target).unwrap();
-        let name = *b"emulated-board\0\0";
-        let identity = Identity {
-            version: [0, 1, 0],
-            capabilities: 0,
-            laws: 7,
-            build: [9; 8],
-            chip: 0x1007_6413,
-            unique: [7; 12],
-            name,
-        };
         Self {
             idcode: 0x1007_6413,
             resets: 0,
@@ -79,7 +71,8 @@ impl Chip {
             unacknowledged: 0,
             hangs: false,
             watchdog_bites_when_halted: false,
-            device: Device::new(identity),
+            device: device(),
+            deaf: 0,
             flash: vec![0xff; FLASH_BYTES],
             ram: vec![0; RAM_BYTES],
             registers: HashMap::new(),
@@ -231,13 +224,14 @@ impl Chip {
         self.halted = false;
         self.stepped_from = None;
         self.program = None;
+        self.device = device();
         if catch { self.stop(8) } else { self.boot() }
     }
 
     /// What the processor runs is written in flash.
     fn boot(&mut self) {
         self.program = Program::from_word(self.word(PROGRAM));
-        if !matches!(self.program, None | Some(Program::Asleep)) {
+        if matches!(self.program, Some(Program::Controller | Program::Mute | Program::Traps)) {
             Rings::start(self);
         }
     }
@@ -291,7 +285,7 @@ impl Chip {
 
     /// What the firmware does between two looks of the debugger.
     fn live(&mut self) {
-        if self.halted || self.registers.get(&0xe000_ed04).is_some_and(|active| active & 0x1ff != 0) {
+        if !self.executes() {
             return;
         }
         let Some(program @ (Program::Controller | Program::Traps)) = self.program else { return };
@@ -306,6 +300,41 @@ impl Chip {
         let mut said = Vec::new();
         self.device.receive(&heard, now, |frame| said.extend_from_slice(frame));
         Rings::say(self, &said);
+    }
+
+    fn executes(&self) -> bool {
+        let in_a_handler = self.registers.get(&0xe000_ed04).is_some_and(|active| active & 0x1ff != 0);
+        !self.halted && !in_a_handler
+    }
+
+    /// What the firmware says on its serial port to what comes in there.
+    pub(crate) fn serial_port(&mut self, heard: &[u8]) -> Vec<u8> {
+        let program = self.program.filter(|_| self.executes());
+        let Some(program @ (Program::Port | Program::PortTraps | Program::PortReports)) = program else {
+            return Vec::new();
+        };
+        if self.deaf > 0 {
+            self.deaf -= 1;
+            return Vec::new();
+        }
+        let now = self.since.elapsed().as_micros() as u32;
+        let mut said = Vec::new();
+        self.device.receive(heard, now, |frame| said.extend_from_slice(frame));
+        if program != Program::Port && self.device.output().drive_vpp > 0.0 {
+            said.clear();
+            self.trap();
+            if program == Program::PortReports {
+                let report = FaultReport {
+                    code: 1,
+                    pc: CONTROL_STEP + 0x12,
+                    lr: 0x0800_0333,
+                    cfsr: 0x8200,
+                    address: 0x4000_1000,
+                };
+                said.extend_from_slice(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());
+            }
+        }
+        said
     }
 
     /// A data access to `0x4000_1000` that nothing answers, in `control_step`, called from `main_loop`; the handler waits in a loop.
@@ -326,4 +355,16 @@ impl Chip {
         self.core[LR] = 0xffff_fff9;
         self.core[PC] = HANDLER + 8;
     }
+}
+
+fn device() -> Device {
+    Device::new(Identity {
+        version: [0, 1, 0],
+        capabilities: 0,
+        laws: 7,
+        build: [9; 8],
+        chip: 0x1007_6413,
+        unique: [7; 12],
+        name: *b"emulated-board\0\0",
+    })
 }

@@ -23,11 +23,19 @@ pub(crate) enum Program {
     Traps = 3,
     /// A symbol for RTT, and nothing that starts it.
     Asleep = 4,
+    /// The controller crate behind a serial port; no RTT.
+    Port = 5,
+    /// The same, and a trap with the first sample; its handler is too late to say so.
+    PortTraps = 6,
+    /// The same, and the handler reports the trap.
+    PortReports = 7,
 }
 
 impl Program {
     pub(crate) fn from_word(word: u32) -> Option<Self> {
-        [Self::Controller, Self::Mute, Self::Traps, Self::Asleep].into_iter().find(|&program| program as u32 == word)
+        use Program::{Asleep, Controller, Mute, Port, PortReports, PortTraps, Traps};
+        let all = [Controller, Mute, Traps, Asleep, Port, PortTraps, PortReports];
+        all.into_iter().find(|&program| program as u32 == word)
     }
 }
 

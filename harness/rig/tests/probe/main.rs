@@ -10,14 +10,16 @@ mod ends;
 mod finds;
 mod flashes;
 mod image;
+mod ports;
 mod rtt;
+mod setups;
 mod talks;
 mod traps;
 
 use chip::CHIP;
 use emulated::Bench;
 use image::Recipe;
-use platebench_rig::probe::{Attached, Patience, ProbeError, ProbeSpec, RttLink, open};
+use platebench_rig::probe::{Attached, Patience, ProbeError, ProbeSpec, RttLink, Setup};
 use std::time::Duration;
 
 /// Short waits, so that what hangs is seen to end.
@@ -27,6 +29,7 @@ fn patience() -> Patience {
         flash: Duration::from_secs(20),
         reset: Duration::from_secs(2),
         rtt: Duration::from_millis(300),
+        introduction: Duration::from_millis(400),
         exchange: Duration::from_millis(100),
         fault: Duration::from_secs(2),
         grace: Duration::from_millis(300),
@@ -43,5 +46,5 @@ fn attach(bench: &Bench) -> Result<Attached, ProbeError> {
 
 /// A link to a board that runs what `recipe` says.
 fn link(bench: &Bench, recipe: &Recipe) -> Result<RttLink, ProbeError> {
-    open(&spec(), &recipe.elf(), bench.lister(), patience())
+    Setup::new(spec(), &recipe.elf(), None)?.over_rtt(bench.lister(), patience())
 }

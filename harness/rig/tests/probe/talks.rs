@@ -11,7 +11,7 @@ use platebench_wire::{Configure, LawId, Sample, State};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-fn configure() -> Configure {
+pub(crate) fn configure() -> Configure {
     Configure {
         law: LawId::DqPi,
         paced_by_target: false,
@@ -52,7 +52,7 @@ fn firmware_without_rtt_is_sent_to_the_serial_port_before_the_board_is_touched()
     let bench = Bench::new();
     let error = link(&bench, &Recipe { rtt: false, ..Recipe::default() }).unwrap_err();
     assert!(matches!(error, ProbeError::NoRtt));
-    assert!(error.to_string().contains("use --rig serial:PORT"), "{error}");
+    assert!(error.to_string().contains("--rig probe:CHIP,port=PORT"), "{error}");
     assert_eq!(bench.written(), (0, 0));
     assert_eq!(bench.chip().resets, 0);
 }
