@@ -76,13 +76,13 @@ pub(crate) struct Run {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = "scenarios")]
     pub(crate) scenarios: Vec<PathBuf>,
-    /// What the controller runs on: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP
+    /// What the controller runs on: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
     #[arg(long, default_value = "emulated")]
     pub(crate) rig: RigSpec,
     /// Control law of the firmware under test
     #[arg(long, value_name = "NAME", value_parser = clap::builder::PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
     pub(crate) law: Option<String>,
-    /// How time passes for the plate; real-time for serial and probe where not given, else lockstep
+    /// How time passes for the plate; real-time on a serial port where not given, also on one beside a probe, else lockstep
     #[arg(long, value_enum)]
     pub(crate) clock: Option<Clock>,
     /// Plate seconds per wall second: 0.1 makes a line's delay ten times smaller for the plate
