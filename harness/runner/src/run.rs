@@ -155,7 +155,9 @@ pub fn run(
     let run = Run { plan, laws: &laws, folder, connect, cancel, unconfirmed: &unconfirmed };
     let played = play(run, &mut sessions, &mut record, tell);
     // However it ended, what the controllers say of 0 V is in the record.
-    sessions.iter_mut().for_each(|session| end(session, &unconfirmed));
+    for session in &mut sessions {
+        end(session, &unconfirmed);
+    }
     record.safe_confirmed = Some(!unconfirmed.load(Ordering::Relaxed));
     if played.is_ok() {
         record.verdict = Verdict::over(record.scenarios.iter().map(|scenario| scenario.verdict));
