@@ -36,6 +36,7 @@ pub(crate) fn sentence(scenario: &ScenarioRecord) -> Option<String> {
     let counts = [
         ("overruns", count(|timing| timing.overruns)),
         ("missed replies", count(|timing| timing.missed_replies)),
+        ("replies that never came", count(|timing| timing.lost_replies)),
         ("refused frames", count(|timing| timing.refused_frames)),
         ("lost rows", count(|timing| timing.lost_rows)),
     ];

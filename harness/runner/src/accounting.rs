@@ -83,6 +83,7 @@ pub(crate) struct Accounts {
     pub(crate) overruns: u64,
     pub(crate) skipped: u64,
     pub(crate) missed_replies: u64,
+    pub(crate) lost_replies: u64,
     pub(crate) lateness: Spans,
     /// Plate time.
     pub(crate) loop_delay: Spans,
@@ -98,6 +99,7 @@ impl Accounts {
             overruns: 0,
             skipped: 0,
             missed_replies: 0,
+            lost_replies: 0,
             lateness: Spans::new(),
             loop_delay: Spans::new(),
             longest_rig_delay: Duration::ZERO,
@@ -113,6 +115,7 @@ impl Accounts {
             overruns: self.overruns,
             skipped: self.skipped,
             missed_replies: self.missed_replies,
+            lost_replies: self.lost_replies,
             lateness_us: self.lateness.quantiles_us().unwrap_or_default(),
             loop_delay_us: self.loop_delay.quantiles_us(),
             target_clock_ppm: drift.map(|(ppm, _)| ppm),

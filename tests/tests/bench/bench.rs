@@ -57,6 +57,15 @@ impl Drop for Guarded {
     }
 }
 
+/// The number of the process that `parent` has started.
+#[track_caller]
+pub(crate) fn child_of(parent: &Child) -> String {
+    let tasks = fs::read_dir(format!("/proc/{}/task", parent.id())).unwrap();
+    // One that ends meanwhile has no children.
+    let children = tasks.flatten().filter_map(|task| fs::read_to_string(task.path().join("children")).ok());
+    children.collect::<String>().split_whitespace().next().expect("it has a child").to_owned()
+}
+
 /// Sends `child` the signal of that name.
 pub(crate) fn signal(child: &Child, name: &str) {
     let status = Command::new("kill").args([&format!("-{name}"), &child.id().to_string()]).status().unwrap();

@@ -14,6 +14,7 @@ mod exits;
 mod faults;
 mod golden;
 mod layout;
+mod line;
 mod real_time;
 mod rigs;
 mod safe_exit;

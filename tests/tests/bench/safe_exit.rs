@@ -1,11 +1,12 @@
 //! However the bench ends, the plate is at 0 V: seen from the other side, in what the controller wrote down.
 
-use crate::bench::{Workshop, await_that, controller, program, signal, step_scenario};
+use crate::bench::{Workshop, await_that, child_of, controller, program, signal, step_scenario};
+use platebench_verdict::RunRecord;
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 
 /// Periods of 1 ms without a sample after which a controller is at 0 V, and as many again for a machine that is busy with something else.
 const WATCHDOG_US: u64 = 5_000;
@@ -47,6 +48,26 @@ fn a_polite_end_is_confirmed_by_the_controller(#[case] name: &str, #[case] expec
     assert_eq!(lines[stopped]["drive_vpp"], 0.0);
     assert!(lines[stopped..].iter().all(|line| line["drive_vpp"] == 0.0), "{lines:#?}");
     assert_eq!(lines.last().unwrap()["event"], "end");
+    let record = RunRecord::read(&workshop.path().join("run")).unwrap();
+    assert_eq!((record.safe_confirmed, record.complete), (Some(true), false));
+}
+
+#[test]
+fn a_controller_that_answers_no_more_holds_nobody_up_and_is_told_of() {
+    let workshop = Workshop::new();
+    let log = workshop.path().join("controller.log");
+    let mut bench = start(&workshop, &log);
+    await_running(&log);
+    // In one breath, so that the end is asked for before the controller counts as lost.
+    let both = format!("kill -STOP {}; kill -INT {}", child_of(&bench), bench.id());
+    assert!(Command::new("sh").args(["-c", &both]).status().unwrap().success());
+    await_that("the bench waits for an answer that never comes", || bench.try_wait().unwrap().is_some());
+    let output = bench.wait_with_output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    // 5 where the machine was so busy that the silence was noticed first.
+    assert!(matches!(output.status.code(), Some(130 | 5)), "{told}");
+    assert!(told.contains("did not confirm 0 V"), "{told}");
+    assert_eq!(RunRecord::read(&workshop.path().join("run")).unwrap().safe_confirmed, Some(false));
 }
 
 #[test]
@@ -57,6 +78,7 @@ fn a_bench_that_is_killed_leaves_the_controller_s_own_watchdog() {
     await_running(&log);
     bench.kill().unwrap();
     bench.wait().unwrap();
+    assert_eq!(RunRecord::read(&workshop.path().join("run")).unwrap().safe_confirmed, None, "nobody was left to know");
     await_that("the controller never ended", || lines(&log).last().is_some_and(|line| line["event"] == "end"));
     let lines = lines(&log);
     let stopped = lines.iter().find(|line| line["state"] == "fault").expect("the watchdog acted");

@@ -15,6 +15,7 @@ fn timing() -> Timing {
         overruns: 0,
         skipped: 0,
         missed_replies: 0,
+        lost_replies: 0,
         refused_frames: 0,
         lost_rows: 0,
         lateness_us: Quantiles { p50: 4.0, p99: 30.0, p999: 55.0, max: 61.0 },

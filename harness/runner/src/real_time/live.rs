@@ -232,7 +232,8 @@ impl<'a, L: Link> Live<'a, L> {
         self.stage.push_row(micros(lateness), flags);
         let sequence = outcome?;
         if let Some(open) = self.open.get_mut(usize::from(sequence)) {
-            *open = Some(now);
+            // An answer that is 256 samples late would be taken for another one's.
+            self.accounts.lost_replies += u64::from(open.replace(now).is_some());
         }
         self.last_sent = Some(sequence);
         if self.scenario.explains(now) {
@@ -327,6 +328,7 @@ impl<'a, L: Link> Live<'a, L> {
             self.stage.advance_through(self.duration);
             self.stage.push_row(0.0, flags);
         }
+        self.accounts.lost_replies += self.open.iter().flatten().count() as u64;
         let mut timing = self.accounts.timing();
         timing.time_scale = self.pace.time_scale;
         self.pace.pacing.name().clone_into(&mut timing.pacing);

@@ -21,6 +21,9 @@ pub struct Timing {
     pub skipped: u64,
     /// Samples that had no answer when the next control instant came.
     pub missed_replies: u64,
+    /// Of all samples, those that had no answer by the end of the trial.
+    #[serde(default)]
+    pub lost_replies: u64,
     /// Frames that could not be read.
     pub refused_frames: u64,
     /// Rows that found no room on their way out of the loop.
