@@ -157,7 +157,7 @@ impl<'a, L: Link> Live<'a, L> {
             self.stage.push_row(micros(lateness), Flags::OVERRUN);
             return Ok(());
         }
-        self.control(lateness)
+        self.control(lateness, 0)
     }
 
     /// Control instants are when the target's tick arrives; the first one is the start.
@@ -195,7 +195,8 @@ impl<'a, L: Link> Live<'a, L> {
             }
             self.stage.advance_through(instant);
             let lateness = ticks.lateness(heard.at, tick.target_time_us);
-            self.control(lateness)?;
+            // Whether the target skipped them or the line lost them cannot be told from here.
+            self.control(lateness, ticks.missing(tick.target_time_us, self.period))?;
         }
         self.listen_until_the_end(patience)
     }
@@ -204,8 +205,8 @@ impl<'a, L: Link> Live<'a, L> {
         Instant::now() >= self.at(self.duration)
     }
 
-    /// Samples the plate, which has got to the control instant, and sends what is seen.
-    fn control(&mut self, lateness: Duration) -> Result<(), End> {
+    /// Samples the plate, which has got to the control instant, and sends what is seen. Before it were `missing` instants at which nobody controlled.
+    fn control(&mut self, lateness: Duration, missing: u64) -> Result<(), End> {
         let now = self.stage.time();
         if let Some(held) = self.hand.as_mut().and_then(|(hand, seen)| hand.moved(seen)) {
             self.stage.hold(&held);
@@ -224,10 +225,10 @@ impl<'a, L: Link> Live<'a, L> {
         let missed = self.last_sent.is_some_and(|last| self.open.get(usize::from(last)).is_some_and(Option::is_some));
         self.accounts.periods += 1;
         self.accounts.overruns += u64::from(overrun);
-        self.accounts.missed_replies += u64::from(missed);
+        self.accounts.missed_replies += u64::from(missed) + missing;
         self.accounts.lateness.take(lateness);
         self.silent_periods += 1;
-        let also = [(overrun, Flags::OVERRUN), (missed, Flags::LINK_LOST)];
+        let also = [(overrun, Flags::OVERRUN), (missed || missing > 0, Flags::LINK_LOST)];
         let flags = also.into_iter().filter(|(holds, _)| *holds).fold(Flags::CONTROL, |flags, (_, flag)| flags | flag);
         self.stage.push_row(micros(lateness), flags);
         let sequence = outcome?;

@@ -1,11 +1,13 @@
 //! Control instants that a target's own timer makes.
 
+use platebench_plate::Time;
 use std::time::{Duration, Instant};
 
 /// The target's ticks beside their arrivals: the earliest of late is taken for punctual.
 #[derive(Debug, Default)]
 pub(super) struct Ticks {
     first: Option<(Instant, u32)>,
+    last_us: Option<u32>,
     /// Arrival minus the target's time, µs, smallest of this stretch of time and of the one before: clocks drift.
     earliest: [Option<f64>; 2],
     stretch: u64,
@@ -19,7 +21,17 @@ impl Ticks {
         self.first.is_some()
     }
 
-    /// How much later than usual after its own instant this tick was heard.
+    /// How many periods the target let pass since its last tick: instants at which nobody controlled.
+    pub(super) fn missing(&mut self, target_us: u32, period: Time) -> u64 {
+        let last = self.last_us.replace(target_us).unwrap_or(target_us);
+        let since = f64::from(target_us.wrapping_sub(last)) / 1e6;
+        // One that says its last instant again looks an hour away.
+        let periods =
+            if target_us.wrapping_sub(last) > u32::MAX / 2 { 0.0 } else { (since / period.seconds()).round() };
+        (periods as u64).saturating_sub(1)
+    }
+
+    /// How much later than usual after its own instant this tick was heard; where it was earlier, the punctual ones before were late by as much.
     pub(super) fn lateness(&mut self, at: Instant, target_us: u32) -> Duration {
         let (first_at, first_us) = *self.first.get_or_insert((at, target_us));
         let since = at.saturating_duration_since(first_at);
@@ -31,9 +43,9 @@ impl Ticks {
             self.stretch = stretch;
             self.earliest = [None, self.earliest[0]];
         }
-        let earliest = self.earliest.iter().flatten().fold(behind, |least, &other| least.min(other));
+        let earliest = self.earliest.iter().flatten().copied().reduce(f64::min).unwrap_or(behind);
         self.earliest[0] = Some(self.earliest[0].map_or(behind, |least| least.min(behind)));
-        Duration::from_secs_f64((behind - earliest).max(0.0) / 1e6)
+        Duration::from_secs_f64((behind - earliest).abs() / 1e6)
     }
 }
 
@@ -61,5 +73,26 @@ mod tests {
         }
         let lateness = hear(5_000, 400);
         assert!((400..=460).contains(&lateness), "{lateness}");
+    }
+
+    #[test]
+    fn a_first_tick_that_was_late_shows_in_the_second() {
+        let start = Instant::now();
+        let mut ticks = Ticks::default();
+        let mut hear = |number: u32, late_us: u64| {
+            let at = start + Duration::from_micros(u64::from(number) * 1_000 + late_us);
+            ticks.lateness(at, number * 1_000).as_micros()
+        };
+        assert_eq!([hear(0, 900), hear(1, 500), hear(2, 0), hear(3, 0), hear(4, 10)], [0, 400, 500, 0, 10]);
+    }
+
+    #[test]
+    fn periods_without_a_tick_are_counted_across_the_wrap() {
+        let mut ticks = Ticks::default();
+        let period = Time::from_nanos(1_000_000);
+        let start = 0xFFFF_FF00_u32;
+        let mut missing = |target_us: u32| ticks.missing(start.wrapping_add(target_us), period);
+        assert_eq!([0, 1_000, 1_990, 3_000, 7_000, 8_499, 10_000].map(&mut missing), [0, 0, 0, 0, 3, 0, 1]);
+        assert_eq!([9_000, 10_000].map(&mut missing), [0, 0], "never back");
     }
 }

@@ -19,7 +19,7 @@ pub struct Timing {
     pub overruns: u64,
     /// Of these, so late that the next instant had come: the sample was not sent.
     pub skipped: u64,
-    /// Samples that had no answer when the next control instant came.
+    /// Samples that had no answer when the next control instant came; where the target paces, also periods without a tick.
     pub missed_replies: u64,
     /// Of all samples, those that had no answer by the end of the trial.
     #[serde(default)]
