@@ -147,6 +147,12 @@ fn functions(named: &[(String, object::Symbol<'_, '_>)]) -> Vec<Function> {
     };
     let mut functions: Vec<_> = defined.map(function).collect();
     functions.sort_by(|a, b| (a.address, a.end, &a.name).cmp(&(b.address, b.end, &b.name)));
+    reach_up(&mut functions);
+    functions
+}
+
+/// Gives an end to those of `functions`, which are in order, that have none.
+fn reach_up(functions: &mut [Function]) {
     let mut next = None;
     let mut same = None;
     for function in functions.iter_mut().rev() {
@@ -158,7 +164,6 @@ fn functions(named: &[(String, object::Symbol<'_, '_>)]) -> Vec<Function> {
             function.end = next.unwrap_or(function.address + 2);
         }
     }
-    functions
 }
 
 fn section(file: Option<&object::File<'_>>, id: SectionId) -> Slice {
@@ -199,6 +204,14 @@ mod tests {
         assert!(place.line.as_ref().unwrap().contains("symbols.rs:"), "{place}");
         assert_eq!(symbols.place((known.end - 1) as u32).symbol, place.symbol);
         assert_ne!(symbols.place(known.end as u32).symbol, place.symbol);
+    }
+
+    #[test]
+    fn a_function_without_a_size_reaches_up_to_the_next_address() {
+        let function = |(address, end)| Function { address, end, name: String::new() };
+        let mut functions: Vec<_> = [(16, 16), (16, 24), (32, 32), (48, 48)].into_iter().map(function).collect();
+        reach_up(&mut functions);
+        assert_eq!(functions.iter().map(|function| function.end).collect::<Vec<_>>(), [32, 24, 48, 50]);
     }
 
     #[test]
