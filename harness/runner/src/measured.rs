@@ -3,6 +3,7 @@
 //! Lines take time. A demand that the law itself, computed here, meets without the delay and misses with it says nothing about the controller
 //! behind the line: the rig is not fit to decide it.
 
+use crate::real_time::Pacing;
 use crate::trial::{self, Order, Patience};
 use platebench_plate::{Profile, Time};
 use platebench_rig::{Faulty, Hosted, Session};
@@ -81,8 +82,11 @@ pub(crate) fn measured(
 
 /// The typical and the longest loop delay in real time. Where time waits, whoever lets a delay act wants to see what it does.
 fn added_delay(telemetry: &Telemetry) -> Option<(Time, Time)> {
-    let delay = telemetry.timing.as_ref()?.loop_delay_us?;
-    Some((Time::from_ms(delay.p50 / 1e3)?, Time::from_ms(delay.max / 1e3)?))
+    let timing = telemetry.timing.as_ref()?;
+    let delay = timing.loop_delay_us?;
+    // Where the target paces, a plate that is sampled late is no part of the delay, and does the same to the loop.
+    let late = if timing.pacing == Pacing::Target.name() { timing.lateness_us.max } else { 0.0 };
+    Some((Time::from_ms(delay.p50 / 1e3)?, Time::from_ms((delay.max + late) / 1e3)?))
 }
 
 /// Expectations that this trial misses by itself and that a delay could excuse.

@@ -194,9 +194,9 @@ impl<'a, L: Link> Live<'a, L> {
                 break;
             }
             self.stage.advance_through(instant);
-            let lateness = ticks.lateness(heard.at, tick.target_time_us);
-            // Whether the target skipped them or the line lost them cannot be told from here.
-            self.control(lateness, ticks.missing(tick.target_time_us, self.period))?;
+            // Whether the target skipped those that are missing or the line lost them cannot be told from here.
+            let (lateness, missing) = ticks.hear(heard.at, tick.target_time_us, self.period);
+            self.control(lateness, missing)?;
         }
         self.listen_until_the_end(patience)
     }
