@@ -2,6 +2,7 @@
 
 use crate::args::{Emulate, Pacing};
 use crate::exit::Exit;
+use crate::signals::Ended;
 use crate::{output, signals};
 use crossterm::event::{Event, KeyCode, KeyEventKind, poll, read};
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
@@ -74,13 +75,32 @@ pub(crate) fn emulate(arguments: &Emulate) -> Exit {
             ended
         }
     };
+    // However this ends, the terminal is the user's again.
+    let _raw = Raw::enter();
     match signals::until_signal(emulating, &cancel, end) {
-        Ok((exit, None)) => exit,
-        Ok((_, Some(number))) => Exit::Signal(number),
+        Ok(Ended::Done(exit, None)) => exit,
+        Ok(Ended::Done(_, Some(number)) | Ended::GivenUp(number)) => Exit::Signal(number),
         Err(error) => {
             output::error(&error.to_string());
             Exit::Inconclusive
         }
+    }
+}
+
+/// A terminal that gives each key at once.
+struct Raw;
+
+impl Raw {
+    /// `None` where nobody types.
+    fn enter() -> Option<Self> {
+        (stdin().is_terminal() && enable_raw_mode().is_ok()).then_some(Self)
+    }
+}
+
+impl Drop for Raw {
+    fn drop(&mut self) {
+        // Where the terminal is gone there is nothing to give back.
+        let _ = disable_raw_mode();
     }
 }
 
@@ -114,14 +134,21 @@ impl Place {
         }
     }
 
-    fn open(&self) -> Result<AnyLink, String> {
+    /// The line, or how the program ends without it.
+    fn open(&self) -> Result<AnyLink, Exit> {
+        let refused = |error: &dyn std::fmt::Display, exit| {
+            output::error(&error.to_string());
+            exit
+        };
         match self {
             Self::Terminal => {
-                let terminal = Terminal::open().map_err(|error| error.to_string())?;
+                let terminal = Terminal::open().map_err(|error| refused(&error, Exit::Unreachable))?;
                 output::show(&format!("port: {}\n", terminal.path()));
                 Ok(Box::new(terminal))
             }
-            Self::Serial(rig) => rig.connect_in_real_time().map_err(|error| error.to_string()),
+            Self::Serial(rig) => rig.connect_in_real_time().map_err(|error| {
+                refused(&error, if error.is_invalid_input() { Exit::Invalid } else { Exit::Unreachable })
+            }),
         }
     }
 }
@@ -138,17 +165,15 @@ impl Plate {
         let hand = Arc::new(Hand::default());
         let mut link = match port.open() {
             Ok(link) => link,
-            Err(error) => {
-                output::error(&error);
-                return Exit::Unreachable;
-            }
+            Err(exit) => return exit,
         };
-        let keys = stdin().is_terminal().then(|| {
+        if stdin().is_terminal() {
             let held = Held { setpoint_um: self.scenario.setpoint.range().1, ..Held::default() };
             let (hand, cancel) = (Arc::clone(&hand), cancel.clone());
-            thread::spawn(move || watch_keys(held, &hand, &cancel))
-        });
-        output::note("waiting for a controller");
+            // Not waited for: a terminal that hung up keeps it for ever. It ends with the program.
+            thread::spawn(move || watch_keys(held, &hand, &cancel));
+        }
+        note("waiting for a controller");
         while !cancel.is_cancelled() {
             let called = Instant::now();
             let Ok(mut session) = Session::open(Faulty::new(&mut link)) else {
@@ -159,22 +184,22 @@ impl Plate {
                 thread::sleep(CALL_EVERY.saturating_sub(called.elapsed()));
                 continue;
             };
-            output::note(&format!("controller: {}", session.firmware_name()));
+            note(&format!("controller: {}", session.firmware_name()));
             let order = Order { scenario: &self.scenario, law: self.law, index: 0, wire_time: false, own_clock: true };
             loop {
                 match play(&mut session, &order, self.pace, cancel, &hand, show) {
-                    Emulated::Stopped => output::note("\nthe controller has stopped; it is configured anew"),
+                    Emulated::Stopped(reason) => {
+                        let reason = reason.as_deref().unwrap_or("no cause given");
+                        note(&format!("the controller has stopped ({reason}); it is configured anew"));
+                        thread::sleep(CALL_EVERY);
+                    }
                     Emulated::Lost(error) => {
-                        output::note(&format!("\n{error}; waiting for a controller"));
+                        note(&format!("{error}; waiting for a controller"));
                         break;
                     }
                     Emulated::GivenUp => break,
                 }
             }
-        }
-        if let Some(keys) = keys {
-            // It looks at the same switch.
-            let _ = keys.join();
         }
         Exit::Passed
     }
@@ -233,10 +258,7 @@ fn line(row: &Row) -> String {
 
 /// Keys move the hand until the end.
 fn watch_keys(mut held: Held, hand: &Hand, cancel: &Cancel) {
-    if enable_raw_mode().is_err() {
-        return;
-    }
-    output::note(&format!("{KEYS}\r"));
+    note(KEYS);
     while !cancel.is_cancelled() {
         if !poll(CALL_EVERY / 5).unwrap_or(false) {
             continue;
@@ -255,8 +277,11 @@ fn watch_keys(mut held: Held, hand: &Hand, cancel: &Cancel) {
             hand.hold(held);
         }
     }
-    // The terminal is the user's again.
-    let _ = disable_raw_mode();
+}
+
+/// Beside the status line, which has no end of its own; a raw terminal does not go back to the left by itself.
+fn note(text: &str) {
+    output::note(&if stdin().is_terminal() { format!("\r\u{1b}[K{text}\r") } else { text.to_owned() });
 }
 
 /// What a key does; false where it does nothing.

@@ -27,7 +27,8 @@ pub(crate) enum Exit {
 impl Exit {
     /// How a run with this record ends.
     pub(crate) fn of_record(record: &RunRecord) -> Self {
-        if record.lost_a_controller() {
+        let unsafe_end = record.verdict == Verdict::Inconclusive && record.safe_confirmed == Some(false);
+        if record.lost_a_controller() || unsafe_end {
             return Self::Unreachable;
         }
         Self::of_verdict(record.verdict)

@@ -3,7 +3,7 @@
 use crate::args::{Clock, Pacing, Run};
 use crate::exit::Exit;
 use crate::output;
-use crate::signals::Signals;
+use crate::signals::{PATIENCE, Signals};
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
 use platebench_rig::{RigSpec, check_baud};
 use platebench_runner::{Cancel, Event, Pace, Plan, RunError, RunFolder, rejudge};
@@ -11,7 +11,7 @@ use platebench_scenario::{Scenario, find};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
 use std::num::NonZero;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tracing::info;
 
@@ -152,6 +152,7 @@ fn play(plan: Plan, folder: &RunFolder, rig: RigSpec, kind: ProgressKind) -> Res
         };
         let mut progress = Progress::new(kind);
         let mut received = None;
+        let mut asked = None;
         loop {
             let number = tokio::select! {
                 Some(event) = events.recv() => {
@@ -165,10 +166,12 @@ fn play(plan: Plan, folder: &RunFolder, rig: RigSpec, kind: ProgressKind) -> Res
                 }
                 number = signals.next() => number,
             };
-            if received.replace(number).is_some() {
-                // Asked twice: the plate is at 0 V or can no longer be brought there.
+            let first = *asked.get_or_insert_with(Instant::now);
+            // A closing terminal asks twice by itself: nobody is left alone with the drive before it had time to go to 0 V.
+            if first.elapsed() > PATIENCE {
                 return Err((RunError::Cancelled, received));
             }
+            received.get_or_insert(number);
             cancel.cancel();
         }
     });

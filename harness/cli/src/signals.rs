@@ -2,12 +2,23 @@
 
 use platebench_runner::Cancel;
 use std::io;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::signal::unix::{SignalKind, signal};
 
 /// The polite ends: terminal closed, Ctrl-C, asked to end.
 const POLITE: [(SignalKind, u8); 3] =
     [(SignalKind::hangup(), 1), (SignalKind::interrupt(), 2), (SignalKind::terminate(), 15)];
+
+/// How long the work has to come to its end once that was asked for; only then another signal ends the program without it.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(3);
+
+/// What became of the work.
+pub(crate) enum Ended<T> {
+    /// It is done, and this signal had asked for its end.
+    Done(T, Option<u8>),
+    /// This signal was the last that it was given.
+    GivenUp(u8),
+}
 
 /// The next of the signals that ask a program to end.
 pub(crate) struct Signals(Vec<(tokio::signal::unix::Signal, u8)>);
@@ -37,7 +48,7 @@ impl Signals {
 
 /// Does `work` until it is done, a signal asks for the end or `longest` is over; `cancel` then tells it so. What it came to, and the signal.
 ///
-/// A second signal does not wait for it any more.
+/// A signal that comes much later than the first one does not wait for it any more.
 ///
 /// # Errors
 /// What the system says where there are no signals or no threads to be had, and where the work panicked.
@@ -45,12 +56,13 @@ pub(crate) fn until_signal<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
     cancel: &Cancel,
     longest: Option<Duration>,
-) -> io::Result<(T, Option<u8>)> {
+) -> io::Result<Ended<T>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let result = runtime.block_on(async {
         let mut signals = Signals::listen()?;
         let mut working = tokio::task::spawn_blocking(work);
         let mut received = None;
+        let mut asked = None;
         let end = async {
             match longest {
                 Some(longest) => tokio::time::sleep(longest).await,
@@ -61,12 +73,14 @@ pub(crate) fn until_signal<T: Send + 'static>(
         let mut ended = false;
         loop {
             tokio::select! {
-                done = &mut working => return done.map(|done| (done, received)).map_err(io::Error::other),
+                done = &mut working => return done.map(|done| Ended::Done(done, received)).map_err(io::Error::other),
                 () = &mut end, if !ended => ended = true,
                 number = signals.next() => {
-                    if received.replace(number).is_some() {
-                        return Err(io::Error::other("ended twice over"));
+                    let first = *asked.get_or_insert_with(Instant::now);
+                    if first.elapsed() > PATIENCE {
+                        return Ok(Ended::GivenUp(number));
                     }
+                    received.get_or_insert(number);
                 }
             }
             cancel.cancel();

@@ -43,6 +43,7 @@ pub(crate) fn measured(
 ) -> TrialMeasures {
     let mut measures = measure(scenario, index, rows, telemetry);
     let Some((typical, longest)) = added_delay(telemetry) else { return measures };
+    excuse_loop_delay(scenario, &mut measures);
     let missed: Vec<usize> = missed(scenario, &measures).collect();
     if missed.is_empty() {
         return measures;
@@ -87,6 +88,17 @@ fn added_delay(telemetry: &Telemetry) -> Option<(Time, Time)> {
     // Where the target paces, a plate that is sampled late is no part of the delay, and does the same to the loop.
     let late = if timing.pacing == Pacing::Target.name() { timing.lateness_us.max } else { 0.0 };
     Some((Time::from_ms(delay.p50 / 1e3)?, Time::from_ms((delay.max + late) / 1e3)?))
+}
+
+/// In real time the loop delay is that of line and bench as well.
+fn excuse_loop_delay(scenario: &Scenario, measures: &mut TrialMeasures) {
+    let both = scenario.expectations.iter().zip(&measures.measures);
+    for ((expectation, measure), excuse) in both.zip(&mut measures.excuses) {
+        if expectation.metric == Metric::LoopDelay && !holds(expectation, measure) {
+            let reason = "in real time the line and the bench make the loop delay, not the controller alone";
+            *excuse = Some(Excuse { cause: Cause::Rig, reason: reason.to_owned() });
+        }
+    }
 }
 
 /// Expectations that this trial misses by itself and that a delay could excuse.

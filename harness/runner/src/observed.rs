@@ -43,10 +43,13 @@ impl Observed {
     }
 }
 
+/// No sample came for as long as the controller is patient.
+pub(crate) const TIMED_OUT: &str = "no sample for five periods";
+
 /// Why a controller does not run, by its own account.
 pub(crate) const fn stop_reason(command: &Command) -> &'static str {
     match command.cause {
-        StateCause::SampleTimeout => "no sample for five periods",
+        StateCause::SampleTimeout => TIMED_OUT,
         StateCause::LineNoise => "too many refused frames",
         StateCause::NonFinite => "a value that is not finite",
         StateCause::None => "no cause given",

@@ -56,7 +56,7 @@ pub fn emulate<L: Link>(
     match ended {
         None => Emulated::GivenUp,
         Some((_, Some(error))) => Emulated::Lost(error),
-        Some((_, None)) => Emulated::Stopped,
+        Some((telemetry, None)) => Emulated::Stopped(telemetry.stopped),
     }
 }
 
@@ -67,8 +67,8 @@ pub enum Emulated {
     GivenUp,
     /// The controller is no longer there.
     Lost(RigError),
-    /// The controller has stopped and waits to be configured.
-    Stopped,
+    /// The controller has stopped, for this reason by its own account, and waits to be configured.
+    Stopped(Option<String>),
 }
 
 /// The loop on a thread of its own; its rows go to `take`.
@@ -83,10 +83,11 @@ fn drive<L: Link, T>(
     let (queue, consumer) = Queue::new();
     let stage = Stage::new(order.scenario, order.index, queue);
     session.link_mut().arm(&wire_faults(order.scenario, order.index));
-    let begun = session.begin(&pace.of_target(configure(order.scenario, order.law)));
     thread::scope(|scope| {
         let live = scope.spawn(move || {
             let granted = Granted::ask();
+            // Only now: a target that paces itself ticks from its configuration on.
+            let begun = session.begin(&pace.of_target(configure(order.scenario, order.law)));
             let mut live = Live::new(session, order, pace, stage, hand);
             let ended = begun.map_err(End::Lost).and_then(|_| live.play(patience)).err();
             live.finish(ended, &granted)

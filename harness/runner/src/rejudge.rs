@@ -8,7 +8,7 @@ use platebench_scenario::{Diagnostic, Expectation, Scenario, load};
 use platebench_trace::{TraceError, read};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Cause, RecordError};
-use platebench_verdict::{Decision, RunRecord, ScenarioRecord, Telemetry, TrialMeasures, Verdict, judge, sequential};
+use platebench_verdict::{Decision, RunRecord, ScenarioRecord, Telemetry, TrialMeasures, judge, sequential};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -83,8 +83,8 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
         apply(&record.overrides, &mut scenario);
         scenarios.push(judged(folder, &scenario, stored, record.complete)?);
     }
-    record.verdict = Verdict::over(scenarios.iter().map(|scenario| scenario.verdict));
     record.scenarios = scenarios;
+    record.decide();
     Ok(record)
 }
 

@@ -160,7 +160,7 @@ pub fn run(
     }
     record.safe_confirmed = Some(!unconfirmed.load(Ordering::Relaxed));
     if played.is_ok() {
-        record.verdict = Verdict::over(record.scenarios.iter().map(|scenario| scenario.verdict));
+        record.decide();
         record.complete = true;
         record.cost = trend::cost(&record, folder.path());
     }

@@ -374,6 +374,13 @@ impl RunRecord {
         read(folder).map(|Started { started }| started)
     }
 
+    /// The verdict over all scenarios, of what was played to the end. A drive that nobody confirmed to be at 0 V leaves a pass in doubt.
+    pub fn decide(&mut self) {
+        let over = Verdict::over(self.scenarios.iter().map(|scenario| scenario.verdict));
+        let is_unsafe = over == Verdict::Pass && self.safe_confirmed == Some(false);
+        self.verdict = if is_unsafe { Verdict::Inconclusive } else { over };
+    }
+
     /// True where a controller was lost for good and that is not its own doing.
     pub fn lost_a_controller(&self) -> bool {
         let mut trials = self.scenarios.iter().flat_map(|scenario| &scenario.trials);

@@ -6,7 +6,7 @@ use super::ticks::Ticks;
 use crate::accounting::Accounts;
 use crate::configure::configure;
 use crate::fault::reconfigures;
-use crate::observed::stop_reason;
+use crate::observed::{TIMED_OUT, stop_reason};
 use crate::queue::Queue;
 use crate::scheduling::Granted;
 use crate::stage::Stage;
@@ -19,6 +19,8 @@ use platebench_verdict::Telemetry;
 use platebench_wire::{Command, Configure, LawId, Message, State};
 use std::time::{Duration, Instant};
 
+/// Somebody may want the end while the next instant is far away.
+const LOOK_UP: Duration = Duration::from_millis(20);
 /// From here on the thread looks for answers without sleeping: a timer wakes it some tens of microseconds late.
 const SPIN: Duration = Duration::from_micros(80);
 /// A sample that leaves later than this share of the period is an overrun of the bench.
@@ -130,7 +132,7 @@ impl<'a, L: Link> Live<'a, L> {
                 continue;
             }
             // Asleep while there is time, then awake.
-            let until = deadline.checked_sub(SPIN).map_or(now, |until| until.max(now));
+            let until = deadline.checked_sub(SPIN).map_or(now, |until| until.max(now)).min(now + LOOK_UP);
             if let Some(heard) = self.session.listen(until)? {
                 // Commands that came while this thread was not awake for its deadline act after the sample.
                 while self.next_control < self.duration && self.at(self.next_control) <= heard.at {
@@ -164,6 +166,7 @@ impl<'a, L: Link> Live<'a, L> {
     fn play_by_target(&mut self, patience: &impl Patience) -> Result<(), End> {
         let mut ticks = Ticks::default();
         let first = Instant::now() + SILENT_TIME;
+        let mut last_tick = Time::ZERO;
         while !self.is_over() {
             if self.waits_in_vain() {
                 return Ok(());
@@ -172,7 +175,7 @@ impl<'a, L: Link> Live<'a, L> {
                 return Err(End::GivenUp);
             }
             // Where no tick comes any more, somebody has to look at the clock.
-            let until = Instant::now() + self.pace.wall(self.period);
+            let until = Instant::now() + self.pace.wall(self.period).min(LOOK_UP);
             let until = if ticks.any() { until.min(self.at(self.duration)) } else { until };
             let Some(heard) = self.session.listen(until)? else {
                 if Instant::now() >= if ticks.any() { self.last_heard + SILENT_TIME } else { first } {
@@ -194,11 +197,25 @@ impl<'a, L: Link> Live<'a, L> {
                 break;
             }
             self.stage.advance_through(instant);
+            last_tick = instant;
             // Whether the target skipped those that are missing or the line lost them cannot be told from here.
             let (lateness, missing) = ticks.hear(heard.at, tick.target_time_us, self.period);
             self.control(lateness, missing)?;
         }
-        self.listen_until_the_end(patience)
+        self.listen_until_the_end(patience)?;
+        self.note_silence_since(last_tick);
+        Ok(())
+    }
+
+    /// A target that ticks no more controls no more. Whether it has stopped by itself or was not heard cannot be told, unless it says so.
+    fn note_silence_since(&mut self, last_tick: Time) {
+        let periods = (self.duration - last_tick).as_nanos() / self.period.as_nanos().max(1);
+        let said = self.stop_reason.is_some_and(|reason| reason != TIMED_OUT);
+        let missing = periods.saturating_sub(2);
+        if missing > 0 && !said {
+            self.accounts.missed_replies += missing;
+            self.stage.push_row(0.0, Flags::LINK_LOST);
+        }
     }
 
     fn is_over(&self) -> bool {
