@@ -62,6 +62,8 @@ pub(crate) enum Command {
     Compare(Compare),
     /// Golden traces: accept, list, review
     Baseline(Baseline),
+    /// How well the suite catches faulty controllers: kill rate, false-alarm rate
+    Trust(Trust),
 }
 
 /// `platebench run`
@@ -199,6 +201,36 @@ pub(crate) struct Emulate {
     /// End by itself after so many seconds
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
+}
+
+/// `platebench trust`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench trust                          every scenario below scenarios/ but those that show a limit
+  platebench trust --clean 30000 --seed 7 --out /tmp/trust
+  platebench trust scenarios/faults --clean 0
+
+Exit codes: 0 every fault caught for a right reason and no false alarm, 1 otherwise")]
+pub(crate) struct Trust {
+    /// Scenario files, or folders with everything below them
+    #[arg(value_name = "SCENARIO|FOLDER", default_value = "scenarios")]
+    pub(crate) scenarios: Vec<PathBuf>,
+    /// Clean runs: one scenario each, in turn, with a plate and noise of its own
+    #[arg(long, value_name = "N", default_value_t = 3_000)]
+    pub(crate) clean: u32,
+    /// Seed of the first clean run
+    #[arg(long, value_name = "S", default_value_t = 2026)]
+    pub(crate) seed: u64,
+    /// Scenarios that are played at once; as many as there are cores where not given
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(crate) jobs: Option<u16>,
+    /// What standard output shows
+    #[arg(long, value_enum, default_value_t = Format::Human)]
+    pub(crate) format: Format,
+    /// Where trust.json and matrix.md are written
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) out: Option<PathBuf>,
 }
 
 /// `platebench judge`

@@ -12,6 +12,7 @@ mod output;
 mod run;
 mod signals;
 mod stored;
+mod trust;
 
 use args::{Arguments, Command};
 use clap::Parser;
@@ -31,6 +32,7 @@ pub fn main() -> ExitCode {
         Command::Report(report) => stored::report(report),
         Command::Compare(arguments) => compare::compare(arguments),
         Command::Baseline(arguments) => baseline::baseline(arguments),
+        Command::Trust(arguments) => trust::trust(arguments),
     });
     exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");

@@ -6,7 +6,7 @@ use std::fs;
 use toml::Table;
 
 /// Crates from the bottom up. A crate may import only what stands before it.
-const ORDER: [&str; 11] = [
+const ORDER: [&str; 12] = [
     "firmware-under-test/wire",
     "firmware-under-test/controller",
     "firmware-under-test/host",
@@ -16,6 +16,7 @@ const ORDER: [&str; 11] = [
     "harness/verdict",
     "harness/rig",
     "harness/runner",
+    "harness/trust",
     "harness/report",
     "harness/cli",
 ];

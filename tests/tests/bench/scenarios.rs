@@ -16,6 +16,7 @@ fn ends_as_it_says(
     #[files("../scenarios/limits/*.toml")]
     #[files("../scenarios/faults/*.toml")]
     #[files("../scenarios/laws/*.toml")]
+    #[files("../scenarios/guards/*.toml")]
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();
