@@ -220,7 +220,7 @@ pub(crate) struct Trust {
     #[arg(long, value_name = "N", default_value_t = 3_000)]
     pub(crate) clean: u32,
     /// Seed of the first clean run
-    #[arg(long, value_name = "S", default_value_t = 2026)]
+    #[arg(long, value_name = "S", default_value_t = 31_415)]
     pub(crate) seed: u64,
     /// Scenarios that are played at once; as many as there are cores where not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]

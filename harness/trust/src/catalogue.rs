@@ -194,7 +194,7 @@ fn resonances() -> Vec<Entry> {
             "coarse-frequency",
             "excitation from a timer at 84 MHz: whole ticks, steps of 12 Hz",
             RESONANCE,
-            DAY,
+            FIG15,
             || Box::new(OnCommand(|command| command.frequency_mhz = whole_ticks(command.frequency_mhz, 84e6))),
         ),
         entry(
@@ -298,7 +298,7 @@ fn laws() -> Vec<Entry> {
             "no-anti-windup",
             "integral goes on while the amplifier is at its limit",
             DYNAMICS,
-            "guards/out-of-reach.toml",
+            "paper/setpoint-steps.toml",
             || Box::new(Handwritten::without(Missing::AntiWindup)),
         ),
         handwritten(

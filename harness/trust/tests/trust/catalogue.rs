@@ -57,8 +57,8 @@ fn what_fails_without_the_mistake_as_well_catches_nobody() {
 #[test]
 fn a_clean_run_that_fails_is_a_false_alarm() {
     let mut strict = scenario("paper/fig13-closed-loop.toml");
-    // What is left after two periods is 4.2 % of the nominal plate's step, and more or less of others'.
-    strict.expectations[0].band_percent = 4.3;
+    // What is left after two periods is 4.2 % of the nominal plate's step and a ripple, and more or less of others'..
+    strict.expectations[0].band_percent = 4.5;
     let faults = catalogue().into_iter().filter(|entry| entry.name == "setpoint-scale").collect::<Vec<_>>();
     let order = |scenario| Order { scenarios: vec![scenario], faults: faults.clone(), clean: 20, seed: 1, jobs: 2 };
     let report = measure(&order(strict)).unwrap();
