@@ -1,6 +1,7 @@
 //! Every fault is caught by its witness, and what makes no mistake is not.
 
 use crate::suite::{root, scenario};
+use platebench_scenario::Metric;
 use platebench_trust::report::Outcome;
 use platebench_trust::{Entry, Order, Report, catalogue, measure};
 use platebench_verdict::Verdict;
@@ -40,7 +41,7 @@ fn a_controller_without_a_mistake_survives_and_fails_the_suite() {
 #[test]
 fn a_wrong_reason_does_not_count() {
     let fault = catalogue().into_iter().find(|entry| entry.name == "setpoint-scale").unwrap();
-    let fault = Entry { metrics: &[platebench_scenario::Metric::ShutdownTime], ..fault };
+    let fault = Entry { metrics: &[Metric::ShutdownTime], ..fault };
     let report = measured(&["paper/fig13-closed-loop.toml"], vec![fault], 0);
     assert_eq!(report.faults[0].outcome, Outcome::WrongReason);
     assert_eq!((report.kill_rate.seen, report.verdict), (0, Verdict::Fail));
@@ -82,4 +83,17 @@ fn the_documented_matrix_is_that_of_a_rerun() {
     for entry in catalogue() {
         assert!(page.contains(&format!("| {} | {} |", entry.name, entry.mistake)), "{}", entry.name);
     }
+}
+
+#[test]
+fn a_doubt_catches_nobody_and_is_no_false_alarm() {
+    let mut doubtful = scenario("paper/fig13-closed-loop.toml");
+    // One trial of a plate that varies decides no mean.
+    doubtful.trials.spread.gain_percent = 0.3;
+    doubtful.expectations.retain(|expectation| expectation.metric == Metric::StaticError);
+    let faults = catalogue().into_iter().filter(|entry| entry.name == "setpoint-scale").collect();
+    let report = measure(&Order { scenarios: vec![doubtful], faults, clean: 3, seed: 1, jobs: 1 }).unwrap();
+    assert_eq!(report.faults[0].outcome, Outcome::Survived);
+    assert_eq!((report.clean.inconclusive, report.clean.false_alarm_rate.seen), (3, 0));
+    assert!(report.clean.alarms.is_empty(), "{:?}", report.clean.alarms);
 }
