@@ -3,7 +3,7 @@
 //! * [`middleware`]: a link around a controller that makes one mistake; in lockstep it can stand around any rig.
 //! * [`mod@catalogue`]: the mistakes, each with the metrics by which it should be caught.
 //! * `mistakes`: what they do to samples, commands and frames.
-//! * [`play`]: a scenario played and judged in memory.
+//! * [`mod@play`]: a scenario played and judged in memory.
 //! * [`mod@measure`]: kill rate over the catalogue, false alarms over clean runs.
 //! * [`report`], [`shown`]: what came of it, for machines and for people.
 //!
