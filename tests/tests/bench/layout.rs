@@ -6,7 +6,7 @@ use std::fs;
 use toml::Table;
 
 /// Crates from the bottom up. A crate may import only what stands before it.
-const ORDER: [&str; 12] = [
+const ORDER: [&str; 15] = [
     "firmware-under-test/wire",
     "firmware-under-test/controller",
     "firmware-under-test/host",
@@ -17,12 +17,15 @@ const ORDER: [&str; 12] = [
     "harness/rig",
     "harness/runner",
     "harness/trust",
+    "harness/methods",
+    "harness/analysis",
+    "harness/identify",
     "harness/report",
     "harness/cli",
 ];
 
 /// What may be imported, where that is less than everything before.
-const ALLOWED: [(&str, &[&str]); 9] = [
+const ALLOWED: [(&str, &[&str]); 11] = [
     ("firmware-under-test/wire", &[]),
     ("firmware-under-test/controller", &["platebench-wire"]),
     ("firmware-under-test/host", &["platebench-wire", "platebench-controller"]),
@@ -31,6 +34,8 @@ const ALLOWED: [(&str, &[&str]); 9] = [
     ("harness/scenario", &["platebench-plate"]),
     ("harness/verdict", &["platebench-plate", "platebench-trace", "platebench-scenario"]),
     ("harness/rig", &["platebench-wire", "platebench-controller"]),
+    ("harness/methods", &["platebench-plate"]),
+    ("harness/identify", &["platebench-plate", "platebench-trace", "platebench-verdict"]),
     ("harness/report", &["platebench-trace", "platebench-verdict"]),
 ];
 

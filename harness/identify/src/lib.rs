@@ -1,0 +1,1 @@
+//! Plate parameters from recorded responses (section IV of the paper).
