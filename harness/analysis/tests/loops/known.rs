@@ -1,0 +1,146 @@
+//! Figures that were derived by hand or elsewhere.
+
+use crate::{close, plate};
+use platebench_analysis::{
+    AnalysisError, Channel, ClosedLoop, Controller, DelayBoundary, Integral, Pi, Plant, Timing, delay_boundary,
+};
+use platebench_plate::{Conditions, Drive, Tier};
+use rstest::rstest;
+
+const PERIOD: f64 = 1e-3;
+const RESPONSE: f64 = 2e-3;
+
+/// The amplitude's loop alone on the envelope at resonance: equation 13 and nothing else.
+fn amplitude(pi: impl Fn(f64, f64) -> Pi) -> (Plant, Controller) {
+    let plate = plate();
+    let mode = plate.mode(&Conditions::default());
+    let drive = Drive { vpp: mode.drive_for(2.0), omega: mode.omega0 };
+    let channel = Channel { pi: pi(plate.gain, 1.0 / plate.sigma0), error: [-1.0, 0.0] };
+    let controller = Controller { drive: Some(channel), ..Controller::default() };
+    (Plant::around(Tier::Envelope, &mode, &drive), controller)
+}
+
+fn forward(gain: f64, tau: f64) -> Pi {
+    Pi::as_printed(Integral::Forward, gain, tau, RESPONSE, PERIOD)
+}
+
+fn backward(gain: f64, tau: f64) -> Pi {
+    Pi::as_printed(Integral::Backward, gain, tau, RESPONSE, PERIOD)
+}
+
+fn matched(gain: f64, tau: f64) -> Pi {
+    Pi::matched(gain, tau, RESPONSE, PERIOD)
+}
+
+fn closed(pi: fn(f64, f64) -> Pi, delay: f64) -> ClosedLoop {
+    let (plant, controller) = amplitude(pi);
+    ClosedLoop::new(plant, controller, Timing { period: PERIOD, delay }).unwrap()
+}
+
+#[rstest]
+// z² − 1.587z + 0.587 + 0.4125 (2.82z − 1.32) and so on, by hand.
+#[case::forward(forward, 0.0, 0.587)]
+#[case::forward_a_period_late(forward, PERIOD, 1.117)]
+#[case::backward(backward, 0.0, 0.862)]
+#[case::backward_a_period_late(backward, PERIOD, 1.325)]
+// The pole that the controller's zero hides, e^(−1/1.88).
+#[case::matched(matched, 0.0, 0.5875)]
+// z² − z + 0.777
+#[case::matched_a_period_late(matched, PERIOD, 0.8814)]
+fn the_spectral_radius(#[case] pi: fn(f64, f64) -> Pi, #[case] delay: f64, #[case] expected: f64) {
+    close(closed(pi, delay).spectral_radius().unwrap(), expected, 6e-4);
+}
+
+#[rstest]
+#[case::forward(forward, 0.0, 2.834, 0.163, 808.0)]
+#[case::matched(matched, 0.0, 1.998, 0.0, 539.6)]
+#[case::matched_a_period_late(matched, PERIOD, 23.79, 0.727, 762.2)]
+// −0.946 (−0.862)ⁿ leaves the 5 % band after 19 periods.
+#[case::backward(backward, 0.0, 19.05, 0.782, 1237.8)]
+fn a_step(
+    #[case] pi: fn(f64, f64) -> Pi,
+    #[case] delay: f64,
+    #[case] settling_ms: f64,
+    #[case] overshoot: f64,
+    #[case] peak_vpp: f64,
+) {
+    let response = closed(pi, delay).step(2.0, 200);
+    close(response.settling.unwrap() * 1e3, settling_ms, 0.01);
+    close(response.overshoot, overshoot, 1e-3);
+    close(response.peak_drive, peak_vpp, 0.1);
+    assert!(!response.diverged);
+}
+
+#[test]
+fn a_loop_beyond_its_boundary_never_settles() {
+    for pi in [forward, backward] {
+        let response = closed(pi, PERIOD).step(2.0, 400);
+        assert!(response.diverged);
+        assert_eq!(response.settling, None);
+    }
+}
+
+#[rstest]
+#[case::forward(forward, 0.830)]
+#[case::backward(backward, 0.634)]
+#[case::matched(matched, 1.668)]
+fn the_delay_that_a_loop_bears(#[case] pi: fn(f64, f64) -> Pi, #[case] periods: f64) {
+    let (plant, controller) = amplitude(pi);
+    let found = delay_boundary(&plant, &controller, PERIOD, 4.0 * PERIOD).unwrap();
+    close(found.seconds().unwrap() / PERIOD, periods, 1e-3);
+    let short = delay_boundary(&plant, &controller, PERIOD, 0.5 * PERIOD).unwrap();
+    assert_eq!(short, DelayBoundary::Beyond(0.5 * PERIOD));
+}
+
+#[test]
+fn a_delay_of_whole_periods_is_a_shift() {
+    // (1 − p)/(z − 1) · z^(−m): poles of z^(m+1) − z^m + 1 − p and the hidden one; at m = 2 a pair at 1.07.
+    let missing: f64 = 1.0 - (-3.0 * PERIOD / RESPONSE).exp();
+    for whole in [1_u32, 2, 5] {
+        let poles = closed(matched, f64::from(whole) * PERIOD).poles().unwrap();
+        for pole in poles.iter().filter(|pole| pole.norm() > 0.6) {
+            let residue = pole.powu(whole + 1) - pole.powu(whole) + missing;
+            assert!(residue.norm() < 1e-9, "{whole} periods: {pole} leaves {residue}");
+        }
+        assert_eq!(poles.iter().any(|pole| pole.norm() > 1.0), whole > 1);
+    }
+}
+
+#[test]
+fn margins_are_where_the_loop_becomes_unstable() {
+    for pi in [forward, backward, matched] {
+        let margins = closed(pi, 0.3 * PERIOD).margins();
+        let gain = margins.gain.unwrap();
+        for (factor, stable) in [(0.999, true), (1.001, false)] {
+            let (plant, controller) = amplitude(|k, tau| pi(k, tau).scaled(gain * factor));
+            let timing = Timing { period: PERIOD, delay: 0.3 * PERIOD };
+            let radius = ClosedLoop::new(plant, controller, timing).unwrap().spectral_radius().unwrap();
+            assert_eq!(radius < 1.0, stable, "{factor} of {gain}: {radius}");
+        }
+    }
+    // L = 0.777/(z − 1): −0.388 at z = −1; |L| = 1 at 2 sin(θ/2) = 0.777, which leaves 90° − θ/2.
+    let margins = closed(matched, 0.0).margins();
+    close(margins.gain.unwrap(), 2.0 / 0.7769, 1e-3);
+    close(margins.phase_deg.unwrap(), 90.0 - (0.7769_f64 / 2.0).asin().to_degrees(), 1e-2);
+    // Half the sampling frequency is where whole periods turn the phase: what is past its boundary has less than none.
+    let late = closed(forward, PERIOD).margins();
+    assert!(late.gain.unwrap() < 1.0 && late.phase_deg.unwrap() < 0.0, "{late:?}");
+}
+
+#[rstest]
+#[case(0.0, 0.0)]
+#[case(-1e-3, 0.0)]
+#[case(f64::NAN, 0.0)]
+#[case(1e-3, -1e-9)]
+#[case(1e-3, f64::INFINITY)]
+fn what_is_no_timing_is_refused(#[case] period: f64, #[case] delay: f64) {
+    let (plant, controller) = amplitude(matched);
+    let refused = ClosedLoop::new(plant, controller, Timing { period, delay });
+    assert_eq!(refused.unwrap_err(), AnalysisError::NotFinite);
+}
+
+#[test]
+fn a_gain_that_is_no_number_is_refused() {
+    let (plant, controller) = amplitude(|_, tau| matched(0.0, tau));
+    assert!(ClosedLoop::new(plant, controller, Timing { period: PERIOD, delay: 0.0 }).is_err());
+}
