@@ -64,6 +64,8 @@ pub(crate) enum Command {
     Baseline(Baseline),
     /// How well the suite catches faulty controllers: kill rate, false-alarm rate
     Trust(Trust),
+    /// Where loops fail: predicted boundary beside the measured one, margins, maps
+    Stability(crate::stability::Stability),
 }
 
 /// `platebench run`

@@ -11,6 +11,7 @@ mod logging;
 mod output;
 mod run;
 mod signals;
+mod stability;
 mod stored;
 mod trust;
 
@@ -33,6 +34,7 @@ pub fn main() -> ExitCode {
         Command::Compare(arguments) => compare::compare(arguments),
         Command::Baseline(arguments) => baseline::baseline(arguments),
         Command::Trust(arguments) => trust::trust(arguments),
+        Command::Stability(arguments) => stability::stability(arguments),
     });
     exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");
