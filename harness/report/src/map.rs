@@ -101,7 +101,7 @@ impl Panel {
         };
         let mut chart = ChartBuilder::on(area)
             .margin_top(34 * FINE)
-            .margin_right(12 * FINE)
+            .margin_right(16 * FINE)
             .set_label_area_size(LabelAreaPosition::Left, 40 * FINE)
             .set_label_area_size(LabelAreaPosition::Bottom, 40 * FINE)
             .build_cartesian_2d(columns.low..columns.high, rows.low..rows.high)?;
@@ -139,9 +139,9 @@ impl Panel {
         drop(chart);
         let fine = i32::try_from(FINE)?;
         let (width, height) = (i32::try_from(PANEL.0)?, i32::try_from(PANEL.1)?);
-        area.draw_text(&self.title, &text(Ink::Title, HPos::Left, VPos::Center), (40 * fine, 22 * fine))?;
-        area.draw_text("delay", &text(Ink::Text, HPos::Left, VPos::Center), (2 * fine, 22 * fine))?;
-        let end = ((width - 12) * fine, (height - 4) * fine);
+        area.draw_text(&self.title, &text(Ink::Title, HPos::Left, VPos::Center), (76 * fine, 22 * fine))?;
+        area.draw_text("delay, ms", &text(Ink::Text, HPos::Left, VPos::Center), (2 * fine, 22 * fine))?;
+        let end = ((width - 16) * fine, (height - 4) * fine);
         area.draw_text("period, ms", &text(Ink::Text, HPos::Right, VPos::Bottom), end)?;
         Ok(())
     }
@@ -270,11 +270,11 @@ fn dressed(drawn: &str, title: &str, (width, height): (u32, u32)) -> String {
     let mut svg = String::new();
     let (shown_width, shown_height) = (width / FINE, height / FINE);
     // Writing to a string cannot fail.
-    let _ = write!(
+    let _ = writeln!(
         svg,
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"map\" role=\"img\" width=\"{shown_width}\" height=\"{shown_height}\" \
          viewBox=\"0 0 {width} {height}\"><title>{}</title><style>{STYLE}</style>\
-         <rect class=\"f-page\" width=\"{width}\" height=\"{height}\"/>{body}</svg>\n",
+         <rect class=\"f-page\" width=\"{width}\" height=\"{height}\"/>{body}</svg>",
         escaped(title)
     );
     svg

@@ -1,7 +1,9 @@
 //! Predicted boundaries against those of the firmware's own code on the exact plate.
 
 use crate::plate;
-use platebench_analysis::{Bench, Case, Condition, DelayBoundary, delay_boundary, measured};
+use platebench_analysis::{
+    Bench, Case, ClosedLoop, Condition, DelayBoundary, Motion, Timing, delay_boundary, measured,
+};
 use platebench_plate::{Tier, Time};
 use platebench_wire::LawId;
 use rstest::rstest;
@@ -42,6 +44,24 @@ fn the_firmware_is_stable_just_below_the_predicted_boundary_and_not_just_above(
         let motion = bench.clone().motion(Time::from_seconds(factor * boundary).unwrap());
         assert_eq!(motion.is_stable(), stable, "{factor} of {} periods: {motion:?}", boundary / case.period());
     }
+}
+
+#[rstest]
+fn a_motion_grows_or_dies_out_by_the_spectral_radius(
+    #[values(LawId::DqPi, LawId::DqPiEuler, LawId::VoltageOnly, LawId::FrequencyOnly, LawId::Pll, LawId::Deadbeat)]
+    law: LawId,
+    #[values(0.985, 1.015)] share: f64,
+) {
+    let plate = plate();
+    let case = Case::new(&plate, law, Condition::Detuned);
+    let delay = share * predicted(&case).seconds().unwrap();
+    let (plant, controller) = case.linear(Tier::Modal).unwrap();
+    let closed = ClosedLoop::new(plant, controller, Timing { period: case.period(), delay }).unwrap();
+    let radius = closed.spectral_radius().unwrap();
+    let motion = Bench::in_steady_state(&case).unwrap().motion(Time::from_seconds(delay).unwrap());
+    let Motion::Factor(factor) = motion else { panic!("{motion:?}, predicted {radius}") };
+    // What is left of 1 is what tells stable from unstable.
+    assert!((factor - radius).abs() < 0.2 * (radius - 1.0).abs(), "{factor}, predicted {radius}");
 }
 
 #[test]
