@@ -5,6 +5,7 @@ mod agreement;
 mod known;
 mod plants;
 mod surprise;
+mod tables;
 
 use platebench_plate::Plate;
 use platebench_plate::file::RawPlate;
