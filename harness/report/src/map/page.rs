@@ -45,7 +45,7 @@ pub fn page(title: &str, sections: &[Section]) -> Result<String, ReportError> {
                         section {
                             h2 { (section.title) }
                             @if !section.note.is_empty() { p class="lead" { (section.note) } }
-                            @if let Some(table) = &section.table { div class="scroll" { pre { (table) } } }
+                            @if let Some(table) = &section.table { div class="scroll" { pre style="white-space: pre-wrap" { (table) } } }
                             @if let Some(svg) = svg {
                                 div class="scroll" { (PreEscaped(svg)) }
                                 (legend())
