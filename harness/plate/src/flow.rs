@@ -4,10 +4,15 @@
 //!
 //! * **modal**: states `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. U, not W', is continuous when ω steps. Two poles
 //!   `s± = −σ ± j√(ω0² − σ²)` around the steady state `W∞ = (N/m) jV / (ω0² − ω² + 2jσω)`.
+//! * **carrier**: the same W and U; what it adds is the phase of the carrier, which [`crate::Plant`] keeps.
 //! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`: what is left for ω ≈ ω0 once the pole `s−`, some 64 kHz away in
 //!   this frame, is dropped (equations 11 and 18 without their linearisation).
+//! * **linear**: `Wd' = −σWd + bV` and, for the ratio `r = Wq/Wd`, `r' = −σr − Δω`: equations 13 and 19, static gains
+//!   `K1 σ0/σ` and `−1/σ`, both with the time constant 1/σ. The ratio is a state of its own, so that it means something while
+//!   Wd is 0: it starts at 0 and moves with the detuning whether there is a vibration or not.
 
 use crate::mode::{Drive, Mode};
+use crate::tier::Tier;
 use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;
@@ -16,35 +21,13 @@ const J: Complex64 = Complex64::I;
 /// subnormal numbers, which cost many times the time.
 const NEGLIGIBLE: f64 = 1e-150;
 
-/// How much of the plate is modelled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub enum Tier {
-    /// Second order, exact for one mode.
-    #[default]
-    Modal,
-    /// First order: the slow pole alone.
-    Envelope,
-}
-
-impl Tier {
-    /// Every tier.
-    pub const ALL: [Self; 2] = [Self::Modal, Self::Envelope];
-
-    /// The tier's name in scenario files and records.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Modal => "modal",
-            Self::Envelope => "envelope",
-        }
-    }
-}
-
 /// The plate's state in the rotating frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
     /// `W = Wd + jWq`, µm.
     pub w: Complex64,
-    /// `U = W' + jωW`, µm/s; zero and unused in the envelope tier.
+    /// `U = W' + jωW`, µm/s; zero and unused in the envelope tier. The linear tier keeps the ratio Wq/Wd in its real part, a pure
+    /// number, and `w` is `Wd (1 + j Wq/Wd)`.
     pub u: Complex64,
 }
 
@@ -73,8 +56,18 @@ impl State {
 pub struct Flow {
     rest: Complex64,
     slow: Term,
-    /// The fast pole's share and ω; `None` in the envelope tier.
-    fast: Option<(Term, f64)>,
+    beside: Beside,
+}
+
+/// What there is beside the slow pole.
+#[derive(Debug, Clone, Copy)]
+enum Beside {
+    /// Nothing: the envelope.
+    Nothing,
+    /// The fast pole's share, and ω.
+    Fast(Term, f64),
+    /// The linear tier's ratio: where it comes to rest, and how far it is from there. The slow term is that of Wd.
+    Ratio { rest: f64, amplitude: f64 },
 }
 
 /// `amplitude · e^{pole t}` in the rotating frame.
@@ -96,7 +89,8 @@ impl Flow {
     /// `mode` must be resonant (σ < ω0), which a checked plate and scenario guarantee.
     pub fn new(tier: Tier, mode: &Mode, drive: &Drive, state: &State) -> Self {
         match tier {
-            Tier::Modal => Self::modal(mode, drive, state),
+            Tier::Linear => Self::linear(mode, drive, state),
+            Tier::Modal | Tier::Carrier => Self::modal(mode, drive, state),
             Tier::Envelope => Self::envelope(mode, drive, state),
         }
     }
@@ -104,7 +98,17 @@ impl Flow {
     fn envelope(mode: &Mode, drive: &Drive, state: &State) -> Self {
         let pole = Complex64::new(-mode.sigma, mode.omega0 - drive.omega);
         let rest = -mode.envelope_constant * drive.vpp / pole;
-        Self { rest, slow: Term { amplitude: state.w - rest, pole }, fast: None }
+        Self { rest, slow: Term { amplitude: state.w - rest, pole }, beside: Beside::Nothing }
+    }
+
+    fn linear(mode: &Mode, drive: &Drive, state: &State) -> Self {
+        let rest = mode.envelope_constant * drive.vpp / mode.sigma;
+        let ratio = (mode.omega0 - drive.omega) / mode.sigma;
+        Self {
+            rest: Complex64::new(rest, rest * ratio),
+            slow: Term { amplitude: (state.w.re - rest).into(), pole: (-mode.sigma).into() },
+            beside: Beside::Ratio { rest: ratio, amplitude: state.u.re - ratio },
+        }
     }
 
     fn modal(mode: &Mode, drive: &Drive, state: &State) -> Self {
@@ -121,21 +125,26 @@ impl Flow {
         Self {
             rest,
             slow: Term { amplitude: slow, pole: Complex64::new(-sigma, damped - omega) },
-            fast: Some((Term { amplitude: w - slow, pole: Complex64::new(-sigma, -damped - omega) }, omega)),
+            beside: Beside::Fast(Term { amplitude: w - slow, pole: Complex64::new(-sigma, -damped - omega) }, omega),
         }
     }
 
     /// The state `seconds` later.
     pub fn after(&self, seconds: f64) -> State {
-        let slow = self.slow.after(seconds);
-        let state = match &self.fast {
-            None => State { w: self.rest + slow, u: Complex64::ZERO },
-            Some((term, omega)) => {
+        let state = match &self.beside {
+            Beside::Nothing => State { w: self.rest + self.slow.after(seconds), u: Complex64::ZERO },
+            Beside::Fast(term, omega) => {
+                let slow = self.slow.after(seconds);
                 let fast = term.after(seconds);
                 let frame = J * *omega;
                 // The poles of U' in the fixed frame are those of the rotating frame plus jω.
                 let u = frame * self.rest + (self.slow.pole + frame) * slow + (term.pole + frame) * fast;
                 State { w: self.rest + slow + fast, u }
+            }
+            Beside::Ratio { rest, amplitude } => {
+                let left = (self.slow.pole.re * seconds).exp();
+                let (in_phase, ratio) = (self.rest.re + self.slow.amplitude.re * left, rest + amplitude * left);
+                State { w: Complex64::new(in_phase, in_phase * ratio), u: ratio.into() }
             }
         };
         state.flushed()
@@ -144,8 +153,16 @@ impl Flow {
     /// An upper bound, in µm, on how far W gets from where it is now within `seconds`.
     pub fn reach(&self, seconds: f64) -> f64 {
         let slow = self.slow.amplitude.norm() * (self.slow.pole.norm() * seconds).min(2.0);
-        let fast = self.fast.as_ref().map_or(0.0, |(term, _)| 2.0 * term.amplitude.norm());
-        slow + fast
+        match &self.beside {
+            Beside::Nothing => slow,
+            Beside::Fast(term, _) => slow + 2.0 * term.amplitude.norm(),
+            // Δ(r Wd) = r ΔWd + (Wd + ΔWd) Δr, with r, Wd as they are now.
+            Beside::Ratio { rest, amplitude } => {
+                let in_phase = (self.rest.re + self.slow.amplitude.re).abs();
+                let turned = amplitude.abs() * (self.slow.pole.norm() * seconds).min(1.0);
+                slow * (1.0 + (rest + amplitude).abs()) + (in_phase + slow) * turned
+            }
+        }
     }
 
     /// The steady state W∞, µm.

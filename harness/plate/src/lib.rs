@@ -1,5 +1,6 @@
 //! The plant: a plate with one bending mode, seen in the frame that rotates with the excitation.
 //!
+//! * [`tier`]: how much of the plate is modelled.
 //! * [`time`]: instants in whole nanoseconds since the start of a trial.
 //! * [`mod@file`]: the plate file, read once and checked once.
 //! * [`profile`]: setpoint, temperature offset and finger force over time.
@@ -20,13 +21,15 @@ pub mod mode;
 pub mod plant;
 pub mod profile;
 pub mod sensor;
+pub mod tier;
 pub mod time;
 
 pub use file::{Plate, PlateError};
-pub use flow::{Flow, State, Tier};
+pub use flow::{Flow, State};
 pub use mode::{Conditions, Drive, Mode};
 pub use num_complex::Complex64;
 pub use plant::{Crossing, Plant, Scene, Watch};
 pub use profile::{Profile, ProfileError};
 pub use sensor::Sensor;
+pub use tier::Tier;
 pub use time::Time;

@@ -1,9 +1,10 @@
 //! A plate playing its profiles: the only thing that moves a [`State`] through time.
 
 use crate::file::Plate;
-use crate::flow::{Flow, State, Tier};
+use crate::flow::{Flow, State};
 use crate::mode::{Conditions, Drive, Mode};
 use crate::profile::Profile;
+use crate::tier::Tier;
 use crate::time::Time;
 use std::f64::consts::TAU;
 
@@ -190,7 +191,7 @@ impl Plant {
         let span = end - self.time;
         let longest = (12.0 * FREEZING_ERROR / rate).sqrt().max(SHORTEST_SUBSTEP);
         let mut substeps = (span.seconds() / longest).ceil().max(1.0);
-        if self.tier == Tier::Modal {
+        if self.tier.has_both_poles() {
             let turns = (self.mode_at(self.time).omega0 + self.drive.omega) * span.seconds() / TAU;
             while kicks_in_step(turns / substeps) {
                 substeps += 1.0;
