@@ -1,5 +1,6 @@
 //! The plate file: raw as it is written, [`Plate`] as it may be used.
 
+use crate::demodulator::Lockin;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
@@ -76,6 +77,15 @@ pub struct RawSensor {
     /// Standard deviation of white noise on each demodulated component, µm.
     #[serde(default)]
     pub noise_um_rms: f64,
+    /// Carrier periods over which the lock-in demodulator takes its mean; without it W is sensed at once. Carrier tier only, as
+    /// are the three below.
+    pub demodulator_periods: Option<i64>,
+    /// Samples per second of the converter before the demodulator.
+    pub converter_hz: Option<f64>,
+    /// Resolution of the converter, sign included; without it nothing is rounded.
+    pub converter_bits: Option<i64>,
+    /// The largest amplitude that the converter does not clip, µm.
+    pub converter_range_um: Option<f64>,
 }
 
 /// An excitation half as high again still fits into 32 bits of millihertz.
@@ -118,13 +128,20 @@ pub struct Plate {
     pub drive_limit_vpp: f64,
     /// Standard deviation of the noise on each sensed component, µm.
     pub noise_um_rms: f64,
+    /// The sensor's converter and demodulator, for the carrier tier; `None` where W is sensed at once.
+    pub lockin: Option<Lockin>,
 }
 
-fn check(holds: bool, key: &'static str, value: &impl ToString, expected: &'static str) -> Result<(), PlateError> {
+pub(crate) fn check(
+    holds: bool,
+    key: &'static str,
+    value: &impl ToString,
+    expected: &'static str,
+) -> Result<(), PlateError> {
     if holds { Ok(()) } else { Err(PlateError { key, value: value.to_string(), expected }) }
 }
 
-fn positive(key: &'static str, value: f64) -> Result<f64, PlateError> {
+pub(crate) fn positive(key: &'static str, value: f64) -> Result<f64, PlateError> {
     check(value.is_finite() && value > 0.0, key, &value, "a finite number above 0").map(|()| value)
 }
 
@@ -169,6 +186,7 @@ impl RawPlate {
             omega0_per_n: finite("finger.resonance_shift_hz_per_n", self.finger.resonance_shift_hz_per_n)? * TAU,
             drive_limit_vpp: positive("drive.limit_vpp", self.drive.limit_vpp)?,
             noise_um_rms: noise,
+            lockin: Lockin::check(&self.sensor, resonance_hz)?,
         })
     }
 }
@@ -225,6 +243,7 @@ impl Plate {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::demodulator::Resolution;
     use rstest::rstest;
 
     const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
@@ -259,6 +278,57 @@ mod tests {
     fn what_cannot_be_meant_is_refused(#[case] good: &str, #[case] bad: &str, #[case] key: &str) {
         assert!(PAPER.contains(good), "{good}");
         assert_eq!(read(&PAPER.replacen(good, bad, 1)).unwrap_err().key, key);
+    }
+
+    const LOCKIN: &str = "demodulator_periods = 8\nconverter_hz = 1e6\nconverter_bits = 12\nconverter_range_um = 4.0\n";
+
+    fn with_lockin(keys: &str) -> Result<Plate, PlateError> {
+        read(&PAPER.replacen("[sensor]", &format!("[sensor]\n{keys}"), 1))
+    }
+
+    #[test]
+    fn a_sensor_without_electronics_has_none_and_one_with_them_all() {
+        assert_eq!(read(PAPER).unwrap().lockin, None);
+        let resolution = Some(Resolution { bits: 12, range_um: 4.0 });
+        assert_eq!(with_lockin(LOCKIN).unwrap().lockin, Some(Lockin { converter_hz: 1e6, periods: 8, resolution }));
+        let bare = with_lockin("demodulator_periods = 1\nconverter_hz = 1e6").unwrap();
+        assert_eq!(bare.lockin, Some(Lockin { converter_hz: 1e6, periods: 1, resolution: None }));
+    }
+
+    #[rstest]
+    #[case("periods = 8", "periods = 0", "sensor.demodulator_periods")]
+    #[case("periods = 8", "periods = -1", "sensor.demodulator_periods")]
+    #[case("periods = 8", "periods = 10001", "sensor.demodulator_periods")]
+    // 10 000 periods of 32.3076 kHz at 4 MHz are 1.24e6 samples.
+    #[case("periods = 8\nconverter_hz = 1e6", "periods = 10000\nconverter_hz = 4e6", "sensor.demodulator_periods")]
+    #[case("demodulator_periods = 8\n", "", "sensor.converter_hz")]
+    #[case("demodulator_periods = 8\nconverter_hz = 1e6\n", "", "sensor.converter_bits")]
+    #[case("demodulator_periods = 8\nconverter_hz = 1e6\nconverter_bits = 12\n", "", "sensor.converter_range_um")]
+    #[case("converter_hz = 1e6\n", "", "sensor.converter_hz")]
+    #[case("converter_hz = 1e6", "converter_hz = nan", "sensor.converter_hz")]
+    #[case("converter_hz = 1e6", "converter_hz = inf", "sensor.converter_hz")]
+    #[case("converter_hz = 1e6", "converter_hz = 0.0", "sensor.converter_hz")]
+    #[case("converter_hz = 1e6", "converter_hz = 129230.4", "sensor.converter_hz")]
+    #[case("converter_hz = 1e6", "converter_hz = 1.1e9", "sensor.converter_hz")]
+    #[case("bits = 12", "bits = 1", "sensor.converter_bits")]
+    #[case("bits = 12", "bits = 33", "sensor.converter_bits")]
+    #[case("converter_bits = 12\n", "", "sensor.converter_bits")]
+    #[case("range_um = 4.0", "range_um = 0.0", "sensor.converter_range_um")]
+    #[case("range_um = 4.0", "range_um = nan", "sensor.converter_range_um")]
+    #[case("converter_range_um = 4.0\n", "", "sensor.converter_range_um")]
+    fn electronics_that_cannot_be_meant_are_refused(#[case] good: &str, #[case] bad: &str, #[case] key: &str) {
+        assert!(LOCKIN.contains(good), "{good}");
+        assert_eq!(with_lockin(&LOCKIN.replacen(good, bad, 1)).unwrap_err().key, key);
+    }
+
+    #[rstest]
+    #[case("periods = 8\nconverter_hz = 1e6", "periods = 10000\nconverter_hz = 3e6")]
+    #[case("converter_hz = 1e6", "converter_hz = 129230.5")]
+    #[case("bits = 12", "bits = 2")]
+    #[case("bits = 12", "bits = 32")]
+    fn the_last_good_electronics_are_taken(#[case] good: &str, #[case] still_good: &str) {
+        assert!(LOCKIN.contains(good), "{good}");
+        assert!(with_lockin(&LOCKIN.replacen(good, still_good, 1)).is_ok());
     }
 
     #[test]

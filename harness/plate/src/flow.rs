@@ -165,6 +165,21 @@ impl Flow {
         }
     }
 
+    /// W as `rest + Σ amplitude e^{pole t}`, µm and 1/s, in every tier.
+    pub(crate) fn parts(&self) -> (Complex64, [(Complex64, Complex64); 2]) {
+        let slow = (self.slow.amplitude, self.slow.pole);
+        let other = match &self.beside {
+            Beside::Nothing => (Complex64::ZERO, Complex64::ZERO),
+            Beside::Fast(term, _) => (term.amplitude, term.pole),
+            // (Wd∞ + a e)(1 + j (r∞ + c e)) with e = e^{−σt}.
+            Beside::Ratio { rest, amplitude } => {
+                let first = slow.0 * (1.0 + J * rest) + J * *amplitude * self.rest.re;
+                return (self.rest, [(first, slow.1), (slow.0 * J * *amplitude, 2.0 * slow.1)]);
+            }
+        };
+        (self.rest, [slow, other])
+    }
+
     /// The steady state W∞, µm.
     pub fn rest(&self) -> Complex64 {
         self.rest

@@ -7,6 +7,8 @@
 //! * [`mode`]: what a finger and a temperature make of the mode's damping and resonance.
 //! * [`flow`]: exact propagation between two events, per tier.
 //! * [`plant`]: a plate playing its profiles: events in, state out.
+//! * [`phase`]: the carrier's phase.
+//! * [`demodulator`]: the sensor's converter and lock-in demodulator.
 //! * [`sensor`]: what the controller gets to see.
 //!
 //! Symbols and equations are those of Ben Messaoud et al., "Amplitude control of an ultrasonic vibration for a tactile
@@ -15,19 +17,23 @@
 //!
 //! The plate knows no wall clock, no controller and no file of a run.
 
+pub mod demodulator;
 pub mod file;
 pub mod flow;
 pub mod mode;
+pub mod phase;
 pub mod plant;
 pub mod profile;
 pub mod sensor;
 pub mod tier;
 pub mod time;
 
+pub use demodulator::{Demodulator, Lockin, Resolution};
 pub use file::{Plate, PlateError};
 pub use flow::{Flow, State};
 pub use mode::{Conditions, Drive, Mode};
 pub use num_complex::Complex64;
+pub use phase::{Phase, Rate};
 pub use plant::{Crossing, Plant, Scene, Watch};
 pub use profile::{Profile, ProfileError};
 pub use sensor::Sensor;

@@ -1,11 +1,14 @@
 //! A plate playing its profiles: the only thing that moves a [`State`] through time.
 
+use crate::demodulator::Demodulator;
 use crate::file::Plate;
 use crate::flow::{Flow, State};
 use crate::mode::{Conditions, Drive, Mode};
+use crate::phase::{Phase, Rate};
 use crate::profile::Profile;
 use crate::tier::Tier;
 use crate::time::Time;
+use num_complex::Complex64;
 use std::f64::consts::TAU;
 
 /// What freezing a varying mode per substep may cost, as a fraction of the amplitude that the drive would reach at resonance.
@@ -110,12 +113,28 @@ pub struct Plant {
     time: Time,
     state: State,
     drive: Drive,
+    /// θ, and how fast it turns.
+    phase: Phase,
+    rate: Rate,
+    demodulator: Option<Demodulator>,
 }
 
 impl Plant {
-    /// A plate at rest and without drive at the start of `scene`.
+    /// A plate at rest and without drive at the start of `scene`. In the carrier tier its sensor is the plate's demodulator, if it
+    /// has one.
     pub fn new(plate: Plate, scene: Scene, tier: Tier) -> Self {
-        Self { plate, scene, tier, time: Time::ZERO, state: State::default(), drive: Drive::default() }
+        let lockin = plate.lockin.filter(|_| tier == Tier::Carrier);
+        Self {
+            demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
+            plate,
+            scene,
+            tier,
+            time: Time::ZERO,
+            state: State::default(),
+            drive: Drive::default(),
+            phase: Phase::default(),
+            rate: Rate::default(),
+        }
     }
 
     /// Now.
@@ -126,6 +145,21 @@ impl Plant {
     /// The state now.
     pub fn state(&self) -> State {
         self.state
+    }
+
+    /// The carrier's phase θ now, in every tier.
+    pub fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// `y = Re(W e^{jθ})` now, µm: the plate's displacement itself.
+    pub fn waveform(&self) -> f64 {
+        (self.state.w * self.phase.rotation()).re
+    }
+
+    /// W as the sensor's electronics show it now, µm: W itself, or what the demodulator makes of the last carrier periods.
+    pub fn seen(&self) -> Complex64 {
+        self.demodulator.as_ref().map_or(self.state.w, |demodulator| demodulator.read(self.drive.omega))
     }
 
     /// The drive from now on.
@@ -161,8 +195,9 @@ impl Plant {
         };
     }
 
-    /// Actuates: the drive applies from now on. W and U are continuous.
+    /// Actuates: the drive applies from now on. W, U and θ are continuous.
     pub fn set_drive(&mut self, drive: Drive) {
+        self.rate = Rate::of(drive.omega);
         self.drive = drive;
     }
 
@@ -226,6 +261,10 @@ impl Plant {
         {
             new.sort_by_key(|crossing| crossing.time);
         }
+        if let Some(demodulator) = &mut self.demodulator {
+            demodulator.advance(&flow, start, end, self.phase, self.drive.omega);
+        }
+        self.phase = self.phase.after(end - start, self.rate);
         self.state = flow.after(seconds);
         self.time = end;
     }

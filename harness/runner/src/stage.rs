@@ -111,7 +111,7 @@ impl<'a, R: Rows> Stage<'a, R> {
     /// What the controller is given now.
     pub(crate) fn sense(&mut self) -> Sample {
         let now = self.time();
-        let sensed = self.sensor.sense(self.plant.state().w);
+        let sensed = self.sensor.sense(self.plant.seen());
         let sample = Sample {
             time_us: now.wrapping_micros(),
             setpoint_um: self.setpoint_at(now) as f32,

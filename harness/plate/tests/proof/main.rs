@@ -5,8 +5,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
+mod carrier;
 mod crossings;
 mod limits;
+mod linear;
 mod paper;
 mod propagation;
 mod reference;
