@@ -9,6 +9,7 @@
 //! * [`plant`]: a plate playing its profiles: events in, state out.
 //! * [`phase`]: the carrier's phase.
 //! * [`demodulator`]: the sensor's converter and lock-in demodulator.
+//! * [`batch`]: many envelopes at once.
 //! * [`sensor`]: what the controller gets to see.
 //!
 //! Symbols and equations are those of Ben Messaoud et al., "Amplitude control of an ultrasonic vibration for a tactile
@@ -17,6 +18,7 @@
 //!
 //! The plate knows no wall clock, no controller and no file of a run.
 
+pub mod batch;
 pub mod demodulator;
 pub mod file;
 pub mod flow;
@@ -28,6 +30,7 @@ pub mod sensor;
 pub mod tier;
 pub mod time;
 
+pub use batch::Envelopes;
 pub use demodulator::{Demodulator, Lockin, Resolution};
 pub use file::{Plate, PlateError};
 pub use flow::{Flow, State};

@@ -97,7 +97,7 @@ mod tests {
         let mut summed = 0.0_f64;
         while left > 0 {
             // Pieces of 1 ns to 62 ms, without a pattern.
-            piece = (piece.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407));
+            piece = piece.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let span = ((piece >> 38) + 1).min(left);
             phase = phase.after(Time::from_nanos(span), rate);
             summed = (summed + 202_995.3 * span as f64 / 1e9) % TAU;

@@ -209,9 +209,13 @@ impl Plant {
             let substeps = self.substeps(piece_end);
             let (start, span) = (self.time.as_nanos(), (piece_end - self.time).as_nanos());
             for substep in 1..=substeps {
-                // Rounded down, and exact at the last.
-                let nanos = start + (u128::from(span) * u128::from(substep) / u128::from(substeps)) as u64;
-                self.advance_frozen(Time::from_nanos(nanos), watches, crossings);
+                // Rounded down, and exact at the last, which is mostly the only one and needs no division of 128 bits.
+                let end = if substep == substeps {
+                    piece_end
+                } else {
+                    Time::from_nanos(start + (u128::from(span) * u128::from(substep) / u128::from(substeps)) as u64)
+                };
+                self.advance_frozen(end, watches, crossings);
             }
         }
     }

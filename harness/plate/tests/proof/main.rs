@@ -5,6 +5,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
+mod batch;
 mod carrier;
 mod crossings;
 mod limits;

@@ -1,0 +1,116 @@
+//! The steps that are timed and counted: one control period of a plate in each tier, a converter's sample, a period of a batch.
+
+use platebench_plate::file::RawPlate;
+use platebench_plate::{Conditions, Drive, Envelopes, Flow, Lockin, Plant, Plate, Profile, Scene, State, Tier, Time};
+use std::fmt;
+use std::hint::black_box;
+
+const PERIOD: Time = Time::from_nanos(1_000_000);
+/// Plates in a batch: their state stays within the first two caches.
+pub(crate) const PLATES: usize = 1_024;
+
+/// Something that is done again and again.
+pub(crate) struct Step {
+    pub(crate) name: &'static str,
+    /// How many of what a cost is given for one step does: control periods, samples, plate-periods.
+    pub(crate) items: usize,
+    make: fn() -> Box<dyn FnMut()>,
+}
+
+impl Step {
+    pub(crate) fn prepare(&self) -> Box<dyn FnMut()> {
+        (self.make)()
+    }
+}
+
+impl fmt::Display for Step {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.name)
+    }
+}
+
+pub(crate) static STEPS: &[Step] = &[
+    Step { name: "flow-linear", items: 1, make: || flow(Tier::Linear) },
+    Step { name: "flow-envelope", items: 1, make: || flow(Tier::Envelope) },
+    Step { name: "flow-modal", items: 1, make: || flow(Tier::Modal) },
+    Step { name: "plant-envelope", items: 1, make: || plant(Tier::Envelope) },
+    Step { name: "plant-modal", items: 1, make: || plant(Tier::Modal) },
+    // A sample per microsecond.
+    Step { name: "carrier-sample", items: 1_000, make: || plant(Tier::Carrier) },
+    Step { name: "lock-in-read", items: 1, make: read },
+    Step { name: "batch-drive-varies", items: PLATES, make: || batch(false) },
+    Step { name: "batch-all-varies", items: PLATES, make: || batch(true) },
+];
+
+/// Damping and resonance that differ from step to step, so that nothing can be worked out once.
+fn plate() -> Plate {
+    let text = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
+    let lockin = Some(Lockin { converter_hz: 1e6, periods: 8, resolution: None });
+    let raw = toml::from_str::<RawPlate>(text).expect("a plate file of this repository");
+    Plate { lockin, ..raw.check().expect("a plate file of this repository") }
+}
+
+/// A drive that is another in every period, as a controller's is.
+fn drive(plate: &Plate, period: u64) -> Drive {
+    let turn = (period % 64) as f64;
+    Drive { vpp: 200.0 + turn, omega: plate.omega0 + 10.0 * turn }
+}
+
+fn flow(tier: Tier) -> Box<dyn FnMut()> {
+    let plate = plate();
+    let mode = plate.mode(&Conditions::default());
+    let (mut state, mut period) = (State::default(), 0);
+    Box::new(move || {
+        period += 1;
+        let flow = Flow::new(tier, black_box(&mode), &drive(&plate, period), &state);
+        state = black_box(flow.after(black_box(1e-3)));
+    })
+}
+
+fn moving(tier: Tier) -> Plant {
+    let scene = Scene { temperature_offset_k: Profile::constant(3.0), finger_force_n: Profile::constant(0.5) };
+    Plant::new(plate(), scene, tier)
+}
+
+fn plant(tier: Tier) -> Box<dyn FnMut()> {
+    let (mut plant, mut period, mut crossings) = (moving(tier), 0, Vec::new());
+    Box::new(move || {
+        period += 1;
+        plant.set_drive(drive(plant.plate(), period));
+        plant.advance(plant.time() + PERIOD, &[], &mut crossings);
+        black_box(plant.state());
+    })
+}
+
+fn read() -> Box<dyn FnMut()> {
+    let mut plant = moving(Tier::Carrier);
+    plant.set_drive(drive(plant.plate(), 1));
+    plant.advance(PERIOD, &[], &mut Vec::new());
+    Box::new(move || {
+        black_box(black_box(&plant).seen());
+    })
+}
+
+fn batch(modes_vary: bool) -> Box<dyn FnMut()> {
+    let plate = plate();
+    let mode = move |plate: &Plate, number: usize| {
+        let turn = (number % 64) as f64;
+        plate.mode(&Conditions { temperature_offset_k: 0.1 * turn, finger_force_n: 0.02 * turn })
+    };
+    // What may come next, worked out beforehand: the plates cost, not whoever thinks of their parameters.
+    let modes: Vec<_> = (0..PLATES + 64).map(|number| mode(&plate, number)).collect();
+    let drives: Vec<_> = (0..PLATES + 64).map(|number| drive(&plate, number as u64)).collect();
+    let mut batch = Envelopes::new(modes.iter().take(PLATES).copied());
+    let mut period = 0;
+    Box::new(move || {
+        period = (period + 1) % 64;
+        for number in 0..PLATES {
+            batch.set_drive(number, &drives[number + period]);
+            if modes_vary {
+                batch.set_mode(number, &modes[number + period]);
+            }
+        }
+        batch.advance(black_box(1e-3));
+        black_box(&batch);
+    })
+}
