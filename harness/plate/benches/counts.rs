@@ -4,6 +4,8 @@
 //! hundred times and twice as often, in a process each; the difference leaves out start and end. Numbers compare only where compiler,
 //! C library, Valgrind and vector instructions are the same; where they are not, that is said and nothing is judged.
 
+#![allow(clippy::format_push_string, reason = "twenty lines, once")]
+
 mod steps;
 
 use std::collections::BTreeMap;
@@ -106,11 +108,11 @@ fn update() -> Result<(), String> {
         "# Instructions per control period, converter sample or plate-period: written by `ci/counts --update`.\n",
     );
     for (name, value) in surroundings() {
-        text.push_str(&format!("{name} = \"{value}\"\n"));
+        text += &format!("{name} = \"{value}\"\n");
     }
     text.push_str("\n[instructions]\n");
     for (name, count) in measured()? {
-        text.push_str(&format!("{name} = {count:.1}\n"));
+        text += &format!("{name} = {count:.1}\n");
     }
     fs::write(file(), text).map_err(|error| error.to_string())
 }

@@ -244,6 +244,9 @@ impl Plant {
         let plate = &self.plate;
         let [warming, pressing] = [&self.scene.temperature_offset_k, &self.scene.finger_force_n]
             .map(|profile| profile.slope_after(self.time, 1.0 / plate.sigma0));
+        if warming == 0.0 && pressing == 0.0 {
+            return 0.0;
+        }
         let damping = plate.sigma0 * plate.steepest_damping() * pressing;
         damping.hypot(plate.omega0_per_k.abs() * warming + plate.omega0_per_n.abs() * pressing)
     }
@@ -253,7 +256,7 @@ impl Plant {
         let mode = self.mode_at(start.midpoint(end));
         let flow = Flow::new(self.tier, &mode, &self.drive, &self.state);
         let seconds = (end - start).seconds();
-        let reach = flow.reach(seconds);
+        let reach = if watches.is_empty() { 0.0 } else { flow.reach(seconds) };
         let known = crossings.len();
         for watch in watches {
             if watch.distance(&self.state) <= reach {

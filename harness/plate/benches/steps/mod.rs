@@ -1,5 +1,7 @@
 //! The steps that are timed and counted: one control period of a plate in each tier, a converter's sample, a period of a batch.
 
+#![allow(clippy::expect_used, reason = "a plate file that ships with this is whole")]
+
 use platebench_plate::file::RawPlate;
 use platebench_plate::{Conditions, Drive, Envelopes, Flow, Lockin, Plant, Plate, Profile, Scene, State, Tier, Time};
 use std::fmt;

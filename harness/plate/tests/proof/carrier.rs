@@ -251,3 +251,25 @@ fn no_frequency_and_no_interval_makes_the_electronics_show_what_is_no_number(
         assert!(plant.seen().norm() <= 8.0, "{}", plant.seen());
     }
 }
+
+/// A drive that changes every carrier cycle, 31 µs, against the reference.
+#[test]
+fn a_control_period_of_one_carrier_cycle_is_as_exact_as_any() {
+    let plate = with_lockin(1, 1e6, None);
+    let mut plant = Plant::new(plate.clone(), calm(), Tier::Carrier);
+    let mut reference = Carrier::at_rest(plate.omega0);
+    let mode = plant.mode_at(Time::ZERO);
+    let mut random = Random::new(24);
+    let mut worst = 0.0_f64;
+    for _ in 0..300 {
+        let drive = Drive { vpp: random.between(0.0, 800.0), omega: plate.omega0 + random.between(-2e3, 2e3) };
+        plant.set_drive(drive);
+        plant.advance(plant.time() + Time::from_nanos(30_952), &[], &mut Vec::new());
+        reference.advance(30_952e-9, plate.force_constant(), &drive, &|_| (mode.sigma, mode.omega0));
+        worst = worst.max((plant.waveform() - reference.waveform()[0]).abs() / SETPOINT);
+        worst = worst.max((plant.state().w - reference.state().w).norm() / SETPOINT);
+        assert!(plant.seen().is_finite());
+    }
+    println!("300 carrier cycles, a drive each: {worst:.1e}");
+    assert!(worst <= 1e-10, "{worst:e}");
+}
