@@ -13,6 +13,6 @@ fn main() {
 
 #[divan::bench(args = STEPS, sample_count = 200)]
 fn step(bencher: Bencher<'_, '_>, step: &Step) {
-    let mut run = step.prepare();
-    bencher.counter(ItemsCount::new(step.items)).bench_local(move || run());
+    let run = step.prepare();
+    bencher.counter(ItemsCount::new(step.items)).bench_local(run);
 }
