@@ -1,7 +1,9 @@
 //! What can be said on the command line.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use platebench_plate::Tier;
 use platebench_rig::RigSpec;
+use platebench_scenario::model::AUTO;
 use platebench_wire::LawId;
 use std::path::PathBuf;
 
@@ -86,6 +88,10 @@ pub(crate) struct Run {
     /// Control law of the firmware under test
     #[arg(long, value_name = "NAME", value_parser = clap::builder::PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
     pub(crate) law: Option<String>,
+    /// How much of the plate is modelled, instead of what the scenarios say; auto: the cheapest that is good enough for what they expect
+    #[arg(long, value_name = "NAME", value_parser = clap::builder::PossibleValuesParser::new(
+        std::iter::once(AUTO).chain(Tier::ALL.map(Tier::name))))]
+    pub(crate) model: Option<String>,
     /// How time passes for the plate; real-time on a serial port where not given, also on one beside a probe, else lockstep
     #[arg(long, value_enum)]
     pub(crate) clock: Option<Clock>,

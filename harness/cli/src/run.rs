@@ -28,7 +28,7 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
         output::error(&error.to_string());
         return Exit::Invalid;
     }
-    let Ok(scenarios) = scenarios(arguments) else { return Exit::Invalid };
+    let Ok(scenarios) = scenarios(arguments, clock) else { return Exit::Invalid };
     if scenarios.is_empty() {
         output::error("there is nothing to run");
         return Exit::Nothing;
@@ -108,11 +108,16 @@ fn fast_enough(arguments: &Run, clock: platebench_runner::Clock, scenarios: &[Sc
 }
 
 fn overrides(arguments: &Run) -> Overrides {
-    Overrides { law: arguments.law.clone(), trials: arguments.trials, seed: arguments.seed }
+    Overrides {
+        law: arguments.law.clone(),
+        trials: arguments.trials,
+        seed: arguments.seed,
+        model: arguments.model.clone(),
+    }
 }
 
 /// The scenarios that the command line means; every fault of every file has been shown where there are any.
-fn scenarios(arguments: &Run) -> Result<Vec<Scenario>, ()> {
+fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Scenario>, ()> {
     let found = find(&arguments.scenarios).map_err(|faults| faults.iter().for_each(output::diagnostic))?;
     if !found.left_out.is_empty() {
         let names = found.left_out.join(", ");
@@ -122,6 +127,7 @@ fn scenarios(arguments: &Run) -> Result<Vec<Scenario>, ()> {
     let overrides = overrides(arguments);
     for scenario in &mut scenarios {
         rejudge::apply(&overrides, scenario);
+        scenario.choose_model(clock == platebench_runner::Clock::Lockstep { wire_time: false });
     }
     let mut index = 0..;
     scenarios.retain(|_| arguments.shard.zip(index.next()).is_none_or(|(shard, index)| shard.holds(index)));

@@ -11,6 +11,7 @@
 //! * [`demodulator`]: the sensor's converter and lock-in demodulator.
 //! * [`batch`]: many envelopes at once.
 //! * [`sensor`]: what the controller gets to see.
+//! * [`bound`]: how far a tier can be from the exact plate, before anything is played.
 //!
 //! Symbols and equations are those of Ben Messaoud et al., "Amplitude control of an ultrasonic vibration for a tactile
 //! stimulator", IEEE/ASME Transactions on Mechatronics, 2016; derivations stand in `docs/mathematics.md`. Amplitudes are µm and
@@ -19,6 +20,7 @@
 //! The plate knows no wall clock, no controller and no file of a run.
 
 pub mod batch;
+pub mod bound;
 pub mod demodulator;
 pub mod file;
 pub mod flow;
@@ -31,6 +33,7 @@ pub mod tier;
 pub mod time;
 
 pub use batch::Envelopes;
+pub use bound::Beforehand;
 pub use demodulator::{Demodulator, Lockin, Resolution};
 pub use file::{Plate, PlateError};
 pub use flow::{Flow, State};

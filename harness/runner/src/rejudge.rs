@@ -4,10 +4,11 @@ use crate::configure;
 use crate::folder::{FolderError, sha256, trace_file};
 use crate::measured::measured;
 use crate::run::{Done, empty_record};
+use platebench_plate::Tier;
 use platebench_scenario::{Diagnostic, Expectation, Scenario, load};
 use platebench_trace::{TraceError, read};
 use platebench_verdict::judge::trial_record;
-use platebench_verdict::record::{Cause, RecordError};
+use platebench_verdict::record::{Cause, Overrides, RecordError};
 use platebench_verdict::{Decision, RunRecord, ScenarioRecord, Telemetry, TrialMeasures, judge, sequential};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -77,10 +78,13 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
     let mut scenarios = Vec::with_capacity(record.scenarios.len());
     for (number, stored) in record.scenarios.iter().enumerate() {
         let mut scenario = stored_scenario(folder, stored)?;
+        // Whatever would be chosen today, that plate was played.
+        let tier = Tier::from_name(&stored.model).unwrap_or(scenario.tier);
         if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
-            scenario.expectations = other_expectations(path, &scenario)?;
+            scenario.expectations = other_expectations(path, &scenario, tier, &record.overrides)?;
         }
         apply(&record.overrides, &mut scenario);
+        scenario.tier = tier;
         scenarios.push(judged(folder, &scenario, stored, record.complete)?);
     }
     record.scenarios = scenarios;
@@ -89,7 +93,7 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
 }
 
 /// Changes a scenario as the run's command line asked for.
-pub fn apply(overrides: &platebench_verdict::record::Overrides, scenario: &mut Scenario) {
+pub fn apply(overrides: &Overrides, scenario: &mut Scenario) {
     if let Some(law) = &overrides.law {
         scenario.controller.law.clone_from(law);
     }
@@ -100,6 +104,10 @@ pub fn apply(overrides: &platebench_verdict::record::Overrides, scenario: &mut S
     if let Some(seed) = overrides.seed {
         scenario.trials.seed = seed;
     }
+    if let Some(model) = &overrides.model {
+        scenario.model.asked = Tier::from_name(model);
+    }
+    scenario.choose_model(true);
 }
 
 /// Which of the run's scenarios `path` stands for: the only one, or the one with the same file name.
@@ -116,13 +124,24 @@ fn chosen(record: &RunRecord, path: &Path) -> Result<usize, RejudgeError> {
 }
 
 /// The expectations of the scenario at `path`, which must otherwise describe what was played.
-fn other_expectations(path: &Path, played: &Scenario) -> Result<Vec<Expectation>, RejudgeError> {
+fn other_expectations(
+    path: &Path,
+    played: &Scenario,
+    tier: Tier,
+    overrides: &Overrides,
+) -> Result<Vec<Expectation>, RejudgeError> {
     let other = load(path, &played.file)?;
+    let named = other.model.asked.is_none_or(|asked| overrides.model.is_some() || asked == tier);
+    // What is expected now may need a more exact plate than what was expected then; whoever names one knows what he wants.
+    let mut chosen = other.clone();
+    apply(overrides, &mut chosen);
+    let good_enough = chosen.model.asked.is_some() || chosen.tier <= tier;
     let alike = [
         (other.duration == played.duration, "duration_ms"),
         (other.trace_step == played.trace_step, "trace_step_ms"),
         (other.plate == played.plate, "the plate"),
-        (other.tier == played.tier, "model"),
+        (named, "model"),
+        (good_enough, "the model that the expectations need"),
         (other.controller == played.controller, "[controller]"),
         (other.setpoint == played.setpoint && other.scene == played.scene, "[profile]"),
         (other.trials == played.trials, "[trials]"),
@@ -187,6 +206,7 @@ fn judged(
         }
     }
     let mut record = empty_record(scenario, stored.inputs.clone());
+    record.model_choice.clone_from(&stored.model_choice);
     let judgement = judge(scenario, &measures);
     record.verdict = judgement.verdict;
     record.expectations = judgement.expectations;

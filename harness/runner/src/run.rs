@@ -11,7 +11,7 @@ use platebench_rig::{AnyLink, ConnectError, Faulty, RigError};
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::{Row, TraceError, Writer};
 use platebench_verdict::judge::trial_record;
-use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
+use platebench_verdict::record::{Firmware, Host, InputRecord, ModelChoice, Overrides, RigRecord, Tool};
 use platebench_verdict::{Decision, RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, sequential};
 use platebench_wire::{LawId, capabilities};
 use std::cmp::Reverse;
@@ -296,6 +296,11 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
         verdict: Verdict::Inconclusive,
         law: scenario.controller.law.clone(),
         model: scenario.tier.name().to_owned(),
+        model_choice: Some(ModelChoice {
+            asked: scenario.model.asked_name().to_owned(),
+            bound: Some(scenario.model.bound).filter(|bound| bound.is_finite()),
+            budget: scenario.model.budget,
+        }),
         inputs,
         expectations: Vec::new(),
         trials: Vec::new(),

@@ -6,6 +6,7 @@
 //! * [`expect`]: metrics, limits, expectations.
 //! * [`fault`]: what goes wrong on the line, on purpose.
 //! * [`variation`]: what differs from trial to trial.
+//! * [`model`]: which tier of the plate it is played on.
 //! * [`mod@find`]: which files a command line means.
 //!
 //! Nothing is run and nothing is judged here.
@@ -15,6 +16,7 @@ pub mod expect;
 pub mod fault;
 pub mod find;
 pub mod load;
+pub mod model;
 pub mod raw;
 mod scenario;
 pub mod variation;
@@ -24,5 +26,6 @@ pub use expect::{Expectation, Limit, Metric, Over, Window};
 pub use fault::{Direction, Fault, FaultKind};
 pub use find::{Found, find};
 pub use load::load;
+pub use model::Model;
 pub use scenario::{Controller, Gains, Input, Scenario, Trials};
 pub use variation::{Spread, Variation};

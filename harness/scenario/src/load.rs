@@ -2,6 +2,7 @@
 
 use crate::diagnostic::{Diagnostic, suggestion};
 use crate::fault::Fault;
+use crate::model::{AUTO, Model};
 use crate::raw::{RawController, RawScenario, RawSpread, RawTrials};
 use crate::scenario::{Controller, Gains, Input, Scenario, Trials};
 use crate::variation::Spread;
@@ -130,12 +131,14 @@ impl Checker<'_> {
         let play = Play { duration, setpoint: &setpoint, faults: &faults };
         let expectations = (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, play));
         let expectations = expectations.collect::<Result<_, _>>()?;
-        Ok(Scenario {
+        let asked = self.tier(raw.model.as_deref())?;
+        let mut scenario = Scenario {
             file: file.to_owned(),
             title: raw.title,
             source: raw.source,
             tags: raw.tags,
-            tier: self.tier(raw.model.as_deref())?,
+            tier: asked.unwrap_or_default(),
+            model: Model::of(asked),
             expected_exit: self.expected_exit(raw.expected_exit)?,
             expectations,
             faults,
@@ -147,7 +150,9 @@ impl Checker<'_> {
             controller,
             setpoint,
             trials,
-        })
+        };
+        scenario.choose_model(true);
+        Ok(scenario)
     }
 
     fn plate(&self, path: &Path, inputs: &mut Vec<Input>) -> Result<Plate, Diagnostic> {
@@ -245,18 +250,17 @@ impl Checker<'_> {
         Ok(step)
     }
 
-    fn tier(&self, raw: Option<&str>) -> Result<Tier, Diagnostic> {
-        let Some(name) = raw else { return Ok(Tier::default()) };
-        match Tier::ALL.into_iter().find(|tier| tier.name() == name) {
-            Some(tier) => Ok(tier),
-            None => self.refuse(
-                "model",
-                format!(
-                    "unknown model `{name}`, expected one of {}{}",
-                    quoted(Tier::ALL.map(Tier::name)),
-                    suggestion(name, Tier::ALL.map(Tier::name))
-                ),
-            ),
+    /// The tier that is asked for by name; `None` where the bench is to choose.
+    fn tier(&self, raw: Option<&str>) -> Result<Option<Tier>, Diagnostic> {
+        let Some(name) = raw.filter(|name| *name != AUTO) else { return Ok(None) };
+        match Tier::from_name(name) {
+            Some(tier) => Ok(Some(tier)),
+            None => {
+                let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
+                let names = [AUTO, linear, envelope, modal, carrier];
+                let (known, hint) = (quoted(names), suggestion(name, names));
+                self.refuse("model", format!("unknown model `{name}`, expected one of {known}{hint}"))
+            }
         }
     }
 

@@ -23,7 +23,7 @@ pub struct RawScenario {
     /// Largest spacing of trace rows, ms.
     #[serde(default)]
     pub trace_step_ms: Option<f64>,
-    /// Which tier of the plate to run.
+    /// Which tier of the plate to run; `auto` where not given.
     #[serde(default)]
     pub model: Option<String>,
     /// For scenarios that show a limit: the exit code that they must end with.

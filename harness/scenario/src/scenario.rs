@@ -3,6 +3,7 @@
 use crate::diagnostic::Diagnostic;
 use crate::expect::Expectation;
 use crate::fault::Fault;
+use crate::model::Model;
 use crate::variation::{Spread, Variation};
 use platebench_plate::{Plate, Profile, Scene, Tier, Time};
 use std::path::PathBuf;
@@ -33,6 +34,8 @@ pub struct Scenario {
     pub plate: Plate,
     /// How much of it is modelled.
     pub tier: Tier,
+    /// Who chose that, and what is known of its error.
+    pub model: Model,
     /// Length of a trial.
     pub duration: Time,
     /// Largest spacing of trace rows.

@@ -158,6 +158,9 @@ pub struct Overrides {
     pub trials: Option<u32>,
     /// `--seed`
     pub seed: Option<u64>,
+    /// `--model`: the name of a tier or `auto`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
 }
 
 /// The computer that a run was made on.
@@ -184,12 +187,26 @@ pub struct ScenarioRecord {
     pub law: String,
     /// The tier of the plate.
     pub model: String,
+    /// How that was chosen; not there in records of a bench that did not choose.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model_choice: Option<ModelChoice>,
     /// Every file that went into it; the first is the scenario.
     pub inputs: Vec<InputRecord>,
     /// What was expected and what came of it.
     pub expectations: Vec<ExpectationRecord>,
     /// What was played.
     pub trials: Vec<TrialRecord>,
+}
+
+/// How the tier of the plate was chosen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelChoice {
+    /// `auto`, or the tier that was asked for by name.
+    pub asked: String,
+    /// Bound on |ΔW|/setpoint between the tier and the exact plate, known before the run; `null` where there is none.
+    pub bound: Option<f64>,
+    /// What it may be: a tenth of the tightest expectation's tolerance; 0 where no error of W is small enough.
+    pub budget: f64,
 }
 
 /// A file that went into a run.

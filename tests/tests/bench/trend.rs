@@ -72,7 +72,7 @@ fn the_reference_is_what_the_image_takes() {
                     # Written by `ci/cost --update` after the image has changed; a test holds it to the image.\n"
         .to_owned();
     for law in LawId::ALL {
-        let overrides = Overrides { law: Some(law.name().to_owned()), trials: Some(1), seed: None };
+        let overrides = Overrides { law: Some(law.name().to_owned()), trials: Some(1), seed: None, model: None };
         let mut scenarios = scenarios.clone();
         for scenario in &mut scenarios {
             rejudge::apply(&overrides, scenario);

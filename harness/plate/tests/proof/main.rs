@@ -6,6 +6,7 @@
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
 mod batch;
+mod bound;
 mod carrier;
 mod crossings;
 mod limits;

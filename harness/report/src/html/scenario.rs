@@ -35,7 +35,7 @@ pub(super) fn article(
             p.facts {
                 @if let Some(source) = &scenario.source { span { "Source: " (source) } }
                 span { "Law: " (scenario.law) }
-                span { "Plate model: " (scenario.model) }
+                span { "Plate model: " (scenario.model) (chosen(scenario)) }
                 span { (shown::count(scenario.trials.len(), "trial")) }
             }
             @if let Some(sentence) = timing::sentence(scenario) { p { (sentence) } }
@@ -47,6 +47,15 @@ pub(super) fn article(
             }
             (trials(scenario))
         }
+    })
+}
+
+/// Who chose the plate's model, where the bench did, and on what grounds.
+fn chosen(scenario: &ScenarioRecord) -> String {
+    let by_itself = scenario.model_choice.as_ref().filter(|choice| choice.asked == "auto");
+    by_itself.map_or_else(String::new, |choice| match choice.bound {
+        Some(bound) => format!(" (auto: |ΔW| ≤ {bound:.1e} of the setpoint, budget {:.1e})", choice.budget),
+        None => " (auto)".to_owned(),
     })
 }
 

@@ -47,6 +47,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
         verdict: Verdict::over(expectations.iter().map(|expectation| expectation.verdict)),
         law: law.to_owned(),
         model: "modal".to_owned(),
+        model_choice: None,
         inputs: vec![
             input(format!("inputs/{file}"), "3"),
             input("inputs/plates/aluminium-198x138.toml".to_owned(), "a"),

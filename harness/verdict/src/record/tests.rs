@@ -80,7 +80,7 @@ fn record() -> RunRecord {
             }),
         },
         clock: "lockstep".to_owned(),
-        overrides: Overrides { law: None, trials: Some(1), seed: None },
+        overrides: Overrides { law: None, trials: Some(1), seed: None, model: None },
         safe_confirmed: None,
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
         scenarios: vec![ScenarioRecord {
@@ -90,6 +90,7 @@ fn record() -> RunRecord {
             verdict: Verdict::Inconclusive,
             law: "dq-pi".to_owned(),
             model: "modal".to_owned(),
+            model_choice: None,
             inputs: vec![InputRecord { file: "inputs/0.toml".to_owned(), sha256: "00ff".to_owned() }],
             expectations: vec![passed, lost],
             trials: vec![trial],

@@ -1,0 +1,290 @@
+//! The tier that the bench chooses against the exact one: over every scenario there is and over 200 random ones, played by the laws themselves.
+//!
+//! `cargo test -p platebench-runner --test model -- --nocapture` prints what was chosen and how often a cheaper tier would have served.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+use platebench_plate::Tier;
+use platebench_rig::{Faulty, Hosted, Session};
+use platebench_runner::trial::{Order, Patience, play};
+use platebench_scenario::{Metric, Scenario, load};
+use platebench_trace::{Flags, Row};
+use platebench_wire::LawId;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+struct Patient;
+
+impl Patience for Patient {
+    fn is_over(&self) -> bool {
+        false
+    }
+}
+
+fn scenarios() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios")
+}
+
+fn rows(scenario: &Scenario, tier: Tier, index: u32) -> Vec<Row> {
+    let scenario = Scenario { tier, ..scenario.clone() };
+    let law = LawId::from_name(&scenario.controller.law).unwrap();
+    let order = Order { scenario: &scenario, law, index, wire_time: false, own_clock: false };
+    let mut session = Session::open(Faulty::new(Hosted::new())).unwrap();
+    play(&mut session, &order, &Patient).unwrap().rows
+}
+
+/// The rows that an expectation looks at, by their times; those of the whole trial where it says nothing else.
+fn looked_at(scenario: &Scenario, row: &Row) -> bool {
+    scenario.expectations.iter().any(|expectation| match expectation.metric {
+        Metric::StaticError | Metric::Repeatability => {
+            (expectation.window.from.seconds()..=expectation.window.to.seconds()).contains(&row.t_s)
+        }
+        Metric::FinalAmplitude | Metric::QuadratureRatio | Metric::FrequencyError => {
+            row.t_s >= scenario.duration.seconds()
+        }
+        _ => expectation.from.is_none_or(|from| row.t_s >= from.seconds()),
+    })
+}
+
+/// The largest |ΔW| over the rows that both traces have and `looks` takes, relative to the smallest setpoint above 0.
+fn apart(left: &[Row], right: &[Row], looks: &dyn Fn(&Row) -> bool) -> f64 {
+    let positive = left.iter().map(|row| row.setpoint_um).filter(|setpoint| *setpoint > 0.0);
+    let scale = positive.fold(f64::INFINITY, f64::min);
+    let (mut worst, mut at) = (0.0_f64, 0);
+    for row in left.iter().filter(|row| looks(row)) {
+        while right.get(at).is_some_and(|other| other.t_s < row.t_s) {
+            at += 1;
+        }
+        if let Some(other) = right.get(at).filter(|other| other.t_s == row.t_s) {
+            worst = worst.max((row.wd_um - other.wd_um).hypot(row.wq_um - other.wq_um) / scale);
+        }
+    }
+    assert!(left.len() > 10);
+    worst
+}
+
+/// What was found of one scenario.
+struct Found {
+    chosen: Tier,
+    /// Of every tier up to the modal one, cheapest first.
+    errors: Vec<Error>,
+}
+
+/// How far a tier is from the exact one.
+struct Error {
+    tier: Tier,
+    /// Over the rows that the expectations look at.
+    watched: f64,
+    /// Over all rows.
+    anywhere: f64,
+}
+
+impl Error {
+    fn of(&self) -> String {
+        format!("{} {:.1e}", self.tier.name(), self.watched)
+    }
+}
+
+/// Plays a trial of `scenario` on every tier.
+fn examine(scenario: &Scenario) -> Found {
+    let exact = rows(scenario, Tier::Carrier, 0);
+    let errors = [Tier::Linear, Tier::Envelope, Tier::Modal].map(|tier| {
+        let rows = rows(scenario, tier, 0);
+        let watched = apart(&exact, &rows, &|row| looked_at(scenario, row));
+        Error { tier, watched, anywhere: apart(&exact, &rows, &|_| true) }
+    });
+    Found { chosen: scenario.tier, errors: errors.into() }
+}
+
+/// How often which tier was chosen, and how often a cheaper one would have served.
+#[derive(Default)]
+struct Tally {
+    chosen: BTreeMap<Tier, u32>,
+    cheaper_served: BTreeMap<Tier, u32>,
+    /// Scenarios for whose loop no bound on the envelope is claimed.
+    unclaimed: u32,
+    /// The largest share of a bound that was used.
+    closest: f64,
+}
+
+impl Tally {
+    /// A pick must never be wrong: what was measured stays within the budget. Nor must a bound, whether anything was picked on it or not.
+    fn note(&mut self, name: &str, scenario: &Scenario, found: &Found) {
+        let budget = scenario.model.budget;
+        for error in found.errors.iter().filter(|error| error.tier < Tier::Modal) {
+            let (bound, tier) = (scenario.bound(error.tier, true), error.tier.name());
+            assert!(
+                error.anywhere <= bound,
+                "{name}: {tier} is off by {:e} somewhere, bound {bound:e}",
+                error.anywhere
+            );
+            self.closest = self.closest.max(error.anywhere / bound);
+        }
+        let picked = found.errors.iter().find(|error| error.tier == found.chosen).unwrap();
+        if found.chosen < Tier::Modal {
+            assert!(scenario.model.bound <= budget, "{name}: {} is over budget", picked.of());
+            assert!(picked.watched <= budget, "{name}: {}, budget {budget:e}", picked.of());
+        } else {
+            assert_eq!(picked.anywhere, 0.0, "{name}: modal and carrier move alike");
+        }
+        self.unclaimed += u32::from(scenario.bound(Tier::Envelope, true).is_infinite());
+        *self.chosen.entry(found.chosen).or_default() += 1;
+        if found.errors.iter().any(|error| error.tier < found.chosen && error.watched <= budget) {
+            *self.cheaper_served.entry(found.chosen).or_default() += 1;
+        }
+    }
+
+    fn print(&self, what: &str) {
+        let mut line = String::new();
+        for (tier, count) in &self.chosen {
+            let served = self.cheaper_served.get(tier).copied().unwrap_or_default();
+            write!(line, ", {} {count} (a cheaper one would have served: {served})", tier.name()).unwrap();
+        }
+        println!("{what}{line}; no bound claimed: {}; at most {:.2} of a bound is used", self.unclaimed, self.closest);
+    }
+}
+
+#[test]
+fn every_scenario_is_played_on_a_plate_that_is_good_enough() {
+    let mut tally = Tally::default();
+    for folder in ["paper", "laws", "guards", "faults", "limits"] {
+        let mut files: Vec<_> =
+            std::fs::read_dir(scenarios().join(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
+        files.sort();
+        for path in files.iter().filter(|path| path.extension().is_some_and(|ending| ending == "toml")) {
+            let name = format!("{folder}/{}", path.file_name().unwrap().to_string_lossy());
+            let scenario = load(path, &name).unwrap_or_else(|fault| panic!("{fault}"));
+            // A minute of a temperature that creeps says nothing that three seconds of it do not.
+            let duration = scenario.duration.min(platebench_plate::Time::from_ms(3_000.0).unwrap());
+            let found = examine(&Scenario { duration, ..scenario.clone() });
+            let errors: Vec<String> = found.errors.iter().map(Error::of).collect();
+            println!(
+                "{name}: {} for a budget of {:.1e}; {}",
+                found.chosen.name(),
+                scenario.model.budget,
+                errors.join(", ")
+            );
+            tally.note(&name, &scenario, &found);
+        }
+    }
+    tally.print("all scenarios");
+    assert!(tally.chosen.values().sum::<u32>() > 50);
+}
+
+struct Random(ChaCha8Rng);
+
+impl Random {
+    fn unit(&mut self) -> f64 {
+        f64::from(self.0.next_u32()) / f64::from(u32::MAX)
+    }
+
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.unit()
+    }
+
+    fn often(&mut self, share: f64) -> bool {
+        self.unit() < share
+    }
+
+    fn one_of<'a>(&mut self, from: &[&'a str]) -> &'a str {
+        from[self.0.next_u32() as usize % from.len()]
+    }
+}
+
+/// A scenario as somebody might write it, with tolerances from a thousandth of what is measured to as much again.
+fn random_scenario(random: &mut Random) -> String {
+    let law = random.one_of(&[
+        "open-loop",
+        "open-loop",
+        "dq-pi",
+        "dq-pi",
+        "dq-pi-fixed",
+        "dq-pi-fixed",
+        "dq-pi-euler",
+        "voltage-only",
+        "deadbeat",
+        "bang-bang",
+        "pll",
+    ]);
+    let mut text =
+        format!("title = \"random\"\nplate = \"plate.toml\"\nduration_ms = 30.0\n[controller]\nlaw = \"{law}\"\n");
+    writeln!(text, "period_ms = {:?}", (random.between(0.25, 2.0) * 1e3).round() / 1e3).unwrap();
+    if random.often(0.5) {
+        let off = random.between(-90.0, 90.0) * if random.often(0.5) { 0.01 } else { 1.0 };
+        writeln!(text, "start_frequency_hz = {:?}", 32_307.6 + off).unwrap();
+    }
+    if random.often(0.25) {
+        writeln!(text, "loop_delay_ms = {:?}", random.between(0.0, 0.3)).unwrap();
+    }
+    let setpoint = random.between(0.3, 2.2);
+    if random.often(0.4) {
+        let second = setpoint * random.between(0.4, 1.2);
+        writeln!(text, "[profile]\nsetpoint_um = {{ hold = [[0.0, 0.0], [1.0, {setpoint:?}], [15.0, {second:?}]] }}")
+            .unwrap();
+    } else {
+        writeln!(text, "[profile]\nsetpoint_um = {setpoint:?}").unwrap();
+    }
+    match random.0.next_u32() % 6 {
+        0 => writeln!(text, "finger_force_n = {:?}", random.between(0.0, 0.6)).unwrap(),
+        1 => writeln!(text, "finger_force_n = {{ linear = [[5.0, 0.0], [25.0, {:?}]] }}", random.between(0.0, 0.5))
+            .unwrap(),
+        2 => {
+            writeln!(text, "finger_force_n = {{ hold = [[0.0, 0.0], [8.0, {:?}]] }}", random.between(0.0, 0.3)).unwrap()
+        }
+        _ => {}
+    }
+    if random.often(0.3) {
+        writeln!(text, "temperature_offset_k = {:?}", random.between(-2.0, 2.0)).unwrap();
+    }
+    if random.often(0.2) {
+        text += "[trials.spread]\ngain_percent = 2.0\ntime_constant_percent = 2.0\nsensor_gain_percent = 1.0\n";
+    }
+    // Relative, over three decades.
+    let tolerance = 10f64.powf(random.between(-3.0, 0.0));
+    for _ in 0..=random.0.next_u32() % 2 {
+        let (metric, middle) = match random.0.next_u32() % 5 {
+            0 => ("final_amplitude_um", setpoint),
+            1 => ("static_error_percent", 100.0),
+            2 => ("peak_deviation_percent", 100.0),
+            3 => ("overshoot_percent", 100.0),
+            _ => ("settling_time_ms", 5.0),
+        };
+        let (low, high) = (middle * (1.0 - 0.99 * tolerance), middle * (1.0 + 0.99 * tolerance));
+        let window = if metric == "static_error_percent" { "window_ms = [20.0, 30.0]\n" } else { "" };
+        writeln!(text, "[[expect]]\nmetric = \"{metric}\"\n{window}within = [{low:?}, {high:?}]").unwrap();
+    }
+    text
+}
+
+#[test]
+fn two_hundred_random_scenarios_are_played_on_plates_that_are_good_enough() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::copy(scenarios().join("plates/aluminium-198x138.toml"), folder.path().join("plate.toml")).unwrap();
+    let path = folder.path().join("random.toml");
+    let mut random = Random(ChaCha8Rng::seed_from_u64(2016));
+    let mut tally = Tally::default();
+    for number in 0..200 {
+        let text = random_scenario(&mut random);
+        std::fs::write(&path, &text).unwrap();
+        let scenario = load(&path, "random.toml").unwrap_or_else(|fault| panic!("{fault}\n{text}"));
+        let found = examine(&scenario);
+        tally.note(&format!("random scenario {number}\n{text}"), &scenario, &found);
+    }
+    tally.print("200 random scenarios");
+    let chosen = |tier| tally.chosen.get(&tier).copied().unwrap_or_default();
+    assert!(chosen(Tier::Envelope) >= 5 && chosen(Tier::Linear) >= 5, "a pick that is always the dearest is none");
+}
+
+#[test]
+fn no_row_is_without_its_instant() {
+    let scenario = load(&scenarios().join("paper/fig13-closed-loop.toml"), "fig13.toml").unwrap();
+    let [exact, cheap] = [Tier::Modal, Tier::Envelope].map(|tier| rows(&scenario, tier, 0));
+    let controls = |rows: &[Row]| rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).count();
+    assert_eq!(controls(&exact), controls(&cheap));
+    // Closed, at resonance: 4.8e-3 at any time.
+    let error = apart(&exact, &cheap, &|_| true);
+    assert!((4e-3..6e-3).contains(&error), "{error:e}");
+}
