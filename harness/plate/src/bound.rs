@@ -60,11 +60,16 @@ impl Beforehand {
         }
     }
 
-    /// What a sensor that shows W at once leaves out: W moves on with at most its steepest slope until it is shown.
+    /// What a sensor that shows W at once leaves out. P moves on with at most its steepest slope until it is shown, and by as much in 1/2ω passes the
+    /// demodulator at twice the carrier. Of Q nothing passes as itself, and as much at twice the carrier, where it stands still.
     fn demodulator(&self) -> f64 {
+        if self.sensor_latency_s == 0.0 {
+            return self.sensor_error_um;
+        }
         let pole = self.sigma.1.hypot(self.detuning);
         let slope = self.envelope_constant * self.drive_vpp + pole * self.amplitude_um;
-        slope * self.sensor_latency_s + self.sensor_error_um
+        let late = self.sensor_latency_s + 1.0 / (2.0 * self.lowest_damped());
+        slope * late + 3.0 * self.ripple() + self.sensor_error_um
     }
 
     /// Envelope against modal.
@@ -77,12 +82,16 @@ impl Beforehand {
         let scaled = [self.omega0.0, self.omega0.1]
             .map(|omega0| (1.0 - self.reference_omega0 / (omega0 * omega0 - fastest * fastest).max(1.0).sqrt()).abs());
         let scaled = scaled[0].max(scaled[1]) * self.push_um;
-        // The fast pole: where it rests, and what is left of its ripples.
-        let constant = self.envelope_constant * self.reference_omega0 / damped;
-        let ripple = RIPPLE_MARGIN * constant * (self.drive_vpp + self.drive_swing_vpp) / (2.0 * damped);
         // A change of the mode moves P and Q, once each.
         let moved = 2.0 * self.pole_swing / (2.0 * damped) * self.amplitude_um;
-        turned + scaled + ripple + moved
+        turned + scaled + self.ripple() + moved
+    }
+
+    /// Largest |Q|: where the fast pole rests, and what is left of its ripples.
+    fn ripple(&self) -> f64 {
+        let damped = self.lowest_damped();
+        let constant = self.envelope_constant * self.reference_omega0 / damped;
+        RIPPLE_MARGIN * constant * (self.drive_vpp + self.drive_swing_vpp) / (2.0 * damped)
     }
 
     /// Linear against envelope: `Wd(1 + jr)` satisfies the envelope's equation but for `−Δω r Wd + j r Wd'`, and |r| stays below |Δω|/σ.

@@ -120,8 +120,8 @@ impl Scenario {
 }
 
 /// The exact plate, as far as the sensor can see it.
-fn exact(_plate: &Plate) -> Tier {
-    Tier::Modal
+fn exact(plate: &Plate) -> Tier {
+    if plate.lockin.is_some() { Tier::Carrier } else { Tier::Modal }
 }
 
 /// The value that an expectation is about, and how far a result may be from it.

@@ -6,7 +6,7 @@
 
 use crate::scenario::Scenario;
 use platebench_plate::{Beforehand, Profile};
-use std::f64::consts::{SQRT_2, TAU};
+use std::f64::consts::{PI, SQRT_2, TAU};
 
 /// The laws' own design value of the 5 % response time, s.
 const MATCHED_RESPONSE_S: f64 = 1.9e-3;
@@ -154,7 +154,7 @@ pub(super) fn known(scenario: &Scenario) -> Option<Known> {
         let push_um = constant * drive_vpp / sigma.0;
         let drive_swing_vpp = steps_um / plate.gain;
         let beforehand = Beforehand { amplitude_um: push_um, push_um, drive_vpp, drive_swing_vpp, ..beforehand };
-        return Some(Known { beforehand, amplification: 1.0 });
+        return Some(Known { beforehand: sensed(scenario, beforehand)?, amplification: 1.0 });
     }
     let damped = sigma.1.hypot(off);
     let amplitude_um = OVERSHOOT * largest_um / drawn.sensor_gain.0;
@@ -172,7 +172,23 @@ pub(super) fn known(scenario: &Scenario) -> Option<Known> {
     if drive_vpp > plate.drive_limit_vpp || !is_regular(scenario, &loops, &drawn, sigma, off) {
         return None;
     }
-    Some(Known { beforehand, amplification: amplification(scenario, &loops, &drawn, sigma, off)? })
+    Some(Known {
+        beforehand: sensed(scenario, beforehand)?,
+        amplification: amplification(scenario, &loops, &drawn, sigma, off)?,
+    })
+}
+
+/// The same with the sensor's electronics; `None` where they may clip.
+fn sensed(scenario: &Scenario, beforehand: Beforehand) -> Option<Beforehand> {
+    let Some(lockin) = scenario.plate.lockin else { return Some(beforehand) };
+    let omega = beforehand.omega0.0 - beforehand.detuning;
+    let periods = f64::from(lockin.periods);
+    let samples = periods * TAU / (beforehand.omega0.1 + beforehand.detuning) * lockin.converter_hz;
+    let (step_um, range_um) = lockin.resolution.map_or((0.0, f64::INFINITY), |adc| (adc.step_um(), adc.range_um));
+    // The oldest sample counts in part; each is off by half a step at most, and is doubled.
+    let sensor_error_um = PI * periods / (2.0 * samples * samples) * beforehand.amplitude_um + step_um;
+    let known = Beforehand { sensor_latency_s: lockin.latency(omega), sensor_error_um, ..beforehand };
+    (known.amplitude_um <= range_um).then_some(known)
 }
 
 /// True where no decision that a law takes can turn out differently on two plates that are nearly alike.
