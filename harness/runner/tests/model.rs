@@ -5,10 +5,13 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use platebench_plate::Tier;
-use platebench_rig::{Faulty, Hosted, Session};
+use platebench_rig::{Faulty, Hosted, RigSpec, Session};
 use platebench_runner::trial::{Order, Patience, play};
+use platebench_runner::{Cancel, Clock, Plan, RejudgeError, RunFolder, rejudge};
 use platebench_scenario::{Metric, Scenario, load};
 use platebench_trace::{Flags, Row};
+use platebench_verdict::RunRecord;
+use platebench_verdict::record::Overrides;
 use platebench_wire::LawId;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -297,4 +300,82 @@ fn no_row_is_without_its_instant() {
     // Closed, at resonance: 4.8e-3 at any time.
     let error = apart(&exact, &cheap, &|_| true);
     assert!((4e-3..6e-3).contains(&error), "{error:e}");
+}
+
+/// Open loop, and so coarse that the cheapest tier will do: half a percent of bound for ten of tolerance.
+const COARSE: &str = "title = \"coarse\"\nplate = \"plate.toml\"\nduration_ms = 30.0\n[controller]\nlaw = \"open-loop\"\n\
+    [profile]\nsetpoint_um = 2.0\n[[expect]]\nmetric = \"final_amplitude_um\"\nwithin = [1.8, 2.2]\n";
+
+/// Plays [`COARSE`] as a user would with `--model`.
+fn run_coarse(folder: &Path, model: Option<&str>) -> RunRecord {
+    std::fs::copy(scenarios().join("plates/aluminium-198x138.toml"), folder.join("plate.toml")).unwrap();
+    let path = folder.join("coarse.toml");
+    std::fs::write(&path, COARSE).unwrap();
+    let mut scenario = load(&path, "coarse.toml").unwrap_or_else(|fault| panic!("{fault}"));
+    let overrides = Overrides { model: model.map(ToOwned::to_owned), ..Overrides::default() };
+    platebench_runner::rejudge::apply(&overrides, &mut scenario);
+    let plan = Plan {
+        scenarios: vec![scenario],
+        jobs: 1,
+        clock: Clock::Lockstep { wire_time: false },
+        own_clock: false,
+        rig: "hosted".to_owned(),
+        overrides,
+    };
+    let run = RunFolder::create(Some(&folder.join("run"))).unwrap();
+    platebench_runner::run(&plan, &run, &|| RigSpec::Hosted.connect(), &Cancel::default(), &mut |_| {}).unwrap()
+}
+
+#[test]
+fn the_record_says_what_was_chosen_and_why() {
+    for (asked, model) in
+        [(None, "linear"), (Some("auto"), "linear"), (Some("modal"), "modal"), (Some("envelope"), "envelope")]
+    {
+        let folder = tempfile::tempdir().unwrap();
+        let record = run_coarse(folder.path(), asked);
+        assert_eq!(record.scenarios[0].model, model);
+        let choice = record.scenarios[0].model_choice.clone().unwrap();
+        assert_eq!(choice.asked, asked.unwrap_or("auto"));
+        // 0.2 of 2 µm, a tenth of it.
+        assert!((choice.budget - 0.01).abs() < 1e-12, "{choice:?}");
+        assert!(
+            choice.bound.is_some_and(|bound| bound < choice.budget && (bound < 1e-8) == (model == "modal")),
+            "{choice:?}"
+        );
+        // Judged again it is the same run.
+        assert_eq!(rejudge(&folder.path().join("run"), None).unwrap().scenarios[0].model_choice, Some(choice));
+    }
+}
+
+/// Runs of a bench that did not choose are judged on the plate that they were played on.
+#[test]
+fn a_record_from_before_the_choice_is_judged_as_it_was_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let played = run_coarse(folder.path(), Some("modal"));
+    let path = folder.path().join("run/run.json");
+    let mut old: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    assert!(old["scenarios"][0].as_object_mut().unwrap().remove("model_choice").is_some());
+    assert!(old["overrides"].as_object_mut().unwrap().remove("model").is_some());
+    std::fs::write(&path, old.to_string()).unwrap();
+    let judged = rejudge(&folder.path().join("run"), None).unwrap();
+    let (judged, played) = (&judged.scenarios[0], &played.scenarios[0]);
+    assert_eq!((&*judged.model, &judged.model_choice), ("modal", &None));
+    assert_eq!((judged.verdict, &judged.expectations), (played.verdict, &played.expectations));
+}
+
+/// What was good enough for a tenth is not for a thousandth; traces cannot become more exact.
+#[test]
+fn expectations_that_need_a_better_plate_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(run_coarse(folder.path(), None).scenarios[0].model, "linear");
+    let path = folder.path().join("coarse.toml");
+    for (within, good) in [("[1.85, 2.25]", true), ("[1.998, 2.002]", false)] {
+        std::fs::write(&path, COARSE.replace("[1.8, 2.2]", within)).unwrap();
+        let judged = rejudge(&folder.path().join("run"), Some(&path));
+        match judged {
+            Ok(_) => assert!(good, "{within}"),
+            Err(RejudgeError::OtherExperiment { what, .. }) => assert!(!good && what.contains("model"), "{what}"),
+            Err(other) => panic!("{other}"),
+        }
+    }
 }

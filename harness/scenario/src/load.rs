@@ -253,15 +253,13 @@ impl Checker<'_> {
     /// The tier that is asked for by name; `None` where the bench is to choose.
     fn tier(&self, raw: Option<&str>) -> Result<Option<Tier>, Diagnostic> {
         let Some(name) = raw.filter(|name| *name != AUTO) else { return Ok(None) };
-        match Tier::from_name(name) {
-            Some(tier) => Ok(Some(tier)),
-            None => {
-                let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
-                let names = [AUTO, linear, envelope, modal, carrier];
-                let (known, hint) = (quoted(names), suggestion(name, names));
-                self.refuse("model", format!("unknown model `{name}`, expected one of {known}{hint}"))
-            }
+        if let Some(tier) = Tier::from_name(name) {
+            return Ok(Some(tier));
         }
+        let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
+        let names = [AUTO, linear, envelope, modal, carrier];
+        let (known, hint) = (quoted(names), suggestion(name, names));
+        self.refuse("model", format!("unknown model `{name}`, expected one of {known}{hint}"))
     }
 
     fn expected_exit(&self, raw: Option<i64>) -> Result<Option<u8>, Diagnostic> {
