@@ -159,3 +159,6 @@ fn smallest_step(profile: &Profile) -> f64 {
     let smallest = steps.filter(|step| *step > 0.0).fold(f64::INFINITY, f64::min);
     if smallest.is_finite() { smallest } else { 0.0 }
 }
+
+#[cfg(test)]
+mod tests;
