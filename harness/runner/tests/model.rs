@@ -302,6 +302,40 @@ fn no_row_is_without_its_instant() {
     assert!((4e-3..6e-3).contains(&error), "{error:e}");
 }
 
+/// Delays that the matched loops just bear, where a difference between plates is made more of than anywhere else.
+#[test]
+fn a_loop_that_rings_amplifies_no_more_than_it_is_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::copy(scenarios().join("plates/aluminium-198x138.toml"), folder.path().join("plate.toml")).unwrap();
+    let path = folder.path().join("rings.toml");
+    let (mut claimed, mut amplified) = (0, 0.0_f64);
+    for law in ["dq-pi-fixed", "dq-pi-euler", "voltage-only"] {
+        for start_hz in [32_307.6, 32_280.0] {
+            for delay_ms in [0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.9] {
+                let text = COARSE.replace(
+                    "law = \"open-loop\"",
+                    &format!("law = \"{law}\"\nstart_frequency_hz = {start_hz}\nloop_delay_ms = {delay_ms}"),
+                );
+                std::fs::write(&path, text.replace("setpoint_um = 2.0", "setpoint_um = 1.0")).unwrap();
+                let scenario = load(&path, "rings.toml").unwrap_or_else(|fault| panic!("{fault}"));
+                let bound = scenario.bound(Tier::Envelope, true);
+                let [exact, cheap] = [Tier::Modal, Tier::Envelope].map(|tier| rows(&scenario, tier, 0));
+                let error = apart(&exact, &cheap, &|_| true);
+                println!("{law} from {start_hz} Hz, delay {delay_ms} ms: {error:.1e}, bound {bound:.1e}");
+                assert!(error <= bound, "{law} from {start_hz} Hz, delay {delay_ms} ms: {error:e}, bound {bound:e}");
+                if bound.is_finite() {
+                    claimed += 1;
+                    amplified = amplified.max(error / 4.83e-3);
+                }
+            }
+        }
+    }
+    assert!(
+        claimed > 25 && amplified > 2.0,
+        "{claimed} loops claimed, {amplified} times what a loop without delay shows"
+    );
+}
+
 /// Open loop, and so coarse that the cheapest tier will do: half a percent of bound for ten of tolerance.
 const COARSE: &str = "title = \"coarse\"\nplate = \"plate.toml\"\nduration_ms = 30.0\n[controller]\nlaw = \"open-loop\"\n\
     [profile]\nsetpoint_um = 2.0\n[[expect]]\nmetric = \"final_amplitude_um\"\nwithin = [1.8, 2.2]\n";

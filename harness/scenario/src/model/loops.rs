@@ -11,8 +11,8 @@ use std::f64::consts::{PI, SQRT_2, TAU};
 /// The laws' own design value of the 5 % response time, s.
 const MATCHED_RESPONSE_S: f64 = 1.9e-3;
 const PRINTED_RESPONSE_S: f64 = 2.0e-3;
-/// A loop goes beyond its setpoint by less than this before the plate is another one than designed for.
-const OVERSHOOT: f64 = 1.3;
+/// |W| and the drive go beyond the sampled design's step response by less than this: a start off resonance and the fast mode, which it does not know.
+const BEYOND_DESIGN: f64 = 1.2;
 /// What the noise is taken to stay within, in standard deviations.
 const NOISE_SPAN: f64 = 5.0;
 /// `dq-pi` takes a plate for another one from a quarter on; up to here it never does.
@@ -21,8 +21,9 @@ const SAME_PLATE: f64 = 1.1;
 const LARGEST_RATIO: f64 = 1.5;
 /// The frequency loop rests while Wd is below a tenth of the setpoint: up to this ratio of setpoints a step never leads there.
 const LARGEST_STEP: f64 = 8.0;
-/// Periods over which an impulse response is summed.
+/// Periods over which a response is followed, and what has to be left of it then.
 const HORIZON: u32 = 400;
+const AT_REST: f64 = 1e-6;
 
 /// What is known of a scenario.
 #[derive(Debug, Clone, Copy)]
@@ -156,26 +157,29 @@ pub(super) fn known(scenario: &Scenario) -> Option<Known> {
         let beforehand = Beforehand { amplitude_um: push_um, push_um, drive_vpp, drive_swing_vpp, ..beforehand };
         return Some(Known { beforehand: sensed(scenario, beforehand)?, amplification: 1.0 });
     }
+    if !is_regular(scenario, &loops, &drawn, sigma, off) {
+        return None;
+    }
+    let response = response(scenario, &loops, &drawn, sigma)?;
     let damped = sigma.1.hypot(off);
-    let amplitude_um = OVERSHOOT * largest_um / drawn.sensor_gain.0;
+    let amplitude_um = BEYOND_DESIGN * response.peak * largest_um / drawn.sensor_gain.0;
     let holding = |um: f64| um * damped / weakest;
     let jump_um = largest_jump(&scenario.setpoint, period);
     let noise_vpp = NOISE_SPAN * loops.proportional * plate.noise_um_rms;
-    let drive_vpp =
-        noise_vpp + f64::max(holding(amplitude_um), loops.proportional * jump_um + holding(largest_um - jump_um));
-    // A step is answered with Kp at once and given back over the next periods; another plate asks for another drive.
+    let stepped = BEYOND_DESIGN * response.drive_peak * jump_um + holding(largest_um - jump_um);
+    let drive_vpp = noise_vpp + stepped.max(holding(amplitude_um));
+    // Another plate asks for another drive, and the loop goes there with an overshoot of its own.
     let settled = holding(largest_um) - largest_um * sigma.0 / weakest;
-    let drive_swing_vpp = 2.0 * (loops.proportional * steps_um + settled + amplitude_um * pole_swing / weakest)
+    let drive_swing_vpp = BEYOND_DESIGN * response.drive_variation * steps_um
+        + 2.0 * response.peak * (settled + amplitude_um * pole_swing / weakest)
         + 2.0 * noise_vpp / (1.0 - (-sigma.0 * period).exp());
-    let beforehand =
-        Beforehand { amplitude_um, push_um: amplitude_um * damped / sigma.0, drive_vpp, drive_swing_vpp, ..beforehand };
-    if drive_vpp > plate.drive_limit_vpp || !is_regular(scenario, &loops, &drawn, sigma, off) {
+    if drive_vpp > plate.drive_limit_vpp {
         return None;
     }
-    Some(Known {
-        beforehand: sensed(scenario, beforehand)?,
-        amplification: amplification(scenario, &loops, &drawn, sigma, off)?,
-    })
+    let push_um = amplitude_um * damped / sigma.0;
+    let beforehand = Beforehand { amplitude_um, push_um, drive_vpp, drive_swing_vpp, ..beforehand };
+    let amplification = response.sensitivity * of_both_loops(scenario, &loops, off);
+    Some(Known { beforehand: sensed(scenario, beforehand)?, amplification })
 }
 
 /// The same with the sensor's electronics; `None` where they may clip.
@@ -221,44 +225,135 @@ fn largest_jump(setpoint: &Profile, period: f64) -> f64 {
     }
 }
 
-/// What the loop makes of a difference, at any time. A difference e under the same drives enters where the controller looks, so that the loop answers with
-/// its sensitivity: `1 + Σ|w|` over the response w of the plate to an impulse in e. In the d-q frame both loops do that. A start off resonance couples them:
-/// each turns the other's error by Δω Ts.
-fn amplification(scenario: &Scenario, loops: &Loops, drawn: &Drawn, sigma: (f64, f64), off: f64) -> Option<f64> {
+/// What two loops make of a difference beyond what one does. A ratio Wq/Wd that is off turns a larger setpoint by as much, and a start off resonance couples
+/// the loops: each turns the other's error by Δω Ts.
+fn of_both_loops(scenario: &Scenario, loops: &Loops, off: f64) -> f64 {
+    let coupled = (1.0 + off * scenario.controller.period.seconds()).powi(2);
+    let spread = scenario.setpoint.range().1 / super::smallest_setpoint(&scenario.setpoint);
+    if loops.follows_frequency { SQRT_2 * spread * coupled } else { coupled }
+}
+
+/// What the sampled loop does, worst over the plates that trials have.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Response {
+    /// `1 + Σ|w|` over the response w to an impulse in what the controller sees: a difference e under the same drives enters there, and leaves nowhere more
+    /// than this times its largest value.
+    sensitivity: f64,
+    /// Largest |W| after a unit step of the setpoint.
+    peak: f64,
+    /// Highest drive after that step, Vpp per µm.
+    drive_peak: f64,
+    /// Sum of the drive's changes after it, Vpp per µm.
+    drive_variation: f64,
+}
+
+/// `None` where the loop does not come to rest.
+fn response(scenario: &Scenario, loops: &Loops, drawn: &Drawn, sigma: (f64, f64)) -> Option<Response> {
     let period = scenario.controller.period.seconds();
     let delay = scenario.controller.loop_delay.seconds() / period;
     if delay >= 1.0 {
         return None;
     }
-    let mut worst = 0.0_f64;
+    let mut worst = Response { sensitivity: 0.0, peak: 0.0, drive_peak: 0.0, drive_variation: 0.0 };
     for step in 0..=4 {
         let damping = sigma.0 + (sigma.1 - sigma.0) * f64::from(step) / 4.0;
         let gain = scenario.plate.gain * scenario.plate.sigma0 / damping;
         for factor in [drawn.gain.0 * drawn.sensor_gain.0, drawn.gain.1 * drawn.sensor_gain.1] {
-            worst = worst.max(sensitivity(loops, gain * factor, damping * period, delay));
+            let one = response_of(loops, gain * factor, damping * period, delay)?;
+            worst = Response {
+                sensitivity: worst.sensitivity.max(one.sensitivity),
+                peak: worst.peak.max(one.peak),
+                drive_peak: worst.drive_peak.max(one.drive_peak),
+                drive_variation: worst.drive_variation.max(one.drive_variation),
+            };
         }
     }
-    let coupled = (1.0 + off * period).powi(2);
-    let spread = scenario.setpoint.range().1 / super::smallest_setpoint(&scenario.setpoint);
-    let factor = if loops.follows_frequency { SQRT_2 * spread } else { 1.0 };
-    (worst.is_finite()).then_some(worst * coupled * factor)
+    Some(worst)
 }
 
-/// `1 + Σ|w|` of a plate of static `gain` that forgets with e^(−`decay`) per period, `delay` in periods.
-fn sensitivity(loops: &Loops, gain: f64, decay: f64, delay: f64) -> f64 {
+/// Of a plate of static `gain` that forgets with e^(−`decay`) per period, `delay` in periods below 1.
+fn response_of(loops: &Loops, gain: f64, decay: f64, delay: f64) -> Option<Response> {
+    let mut sensitivity = 1.0;
+    let impulse = |instant| if instant == 0 { -1.0 } else { 0.0 };
+    let came_back = play(loops, gain, decay, delay, impulse, |w, _| sensitivity += w.abs());
+    let (mut peak, mut drive_peak, mut drive_variation, mut before) = (1.0_f64, 0.0_f64, 0.0, 0.0);
+    let came_to_rest = play(
+        loops,
+        gain,
+        decay,
+        delay,
+        |_| 1.0,
+        |w, drive: f64| {
+            peak = peak.max(w.abs());
+            drive_peak = drive_peak.max(drive.abs());
+            drive_variation += (drive - before).abs();
+            before = drive;
+        },
+    );
+    let rests = came_back.abs() < AT_REST && (came_to_rest - 1.0).abs() < AT_REST;
+    rests.then_some(Response { sensitivity, peak, drive_peak, drive_variation })
+}
+
+/// Plays the sampled loop from rest on what `asks` adds to its error, and returns the last W; `tell` hears W at the end of each period, and its drive.
+fn play(
+    loops: &Loops,
+    gain: f64,
+    decay: f64,
+    delay: f64,
+    asks: impl Fn(u32) -> f64,
+    mut tell: impl FnMut(f64, f64),
+) -> f64 {
     let pole = (-decay).exp();
     // The last drive acts for the delay, the new one for the rest.
     let rest = (-decay * (1.0 - delay)).exp();
     let (old_share, new_share) = (gain * (rest - pole), gain * (1.0 - rest));
-    let (mut w, mut integral, mut before, mut sum) = (0.0_f64, 0.0, 0.0, 1.0);
+    let (mut w, mut integral, mut before) = (0.0_f64, 0.0, 0.0);
     for instant in 0..HORIZON {
-        let error = -(w + f64::from(u8::from(instant == 0)));
+        let error = asks(instant) - w;
         let drive = loops.proportional * error + integral;
         integral += loops.integral * error;
         w = pole * w + old_share * before + new_share * drive;
         before = drive;
-        sum += w.abs();
+        tell(w, drive);
     }
-    // What has not died out by then is no loop to rely on.
-    if w.abs() < 1e-6 && sum.is_finite() { sum } else { f64::INFINITY }
+    w
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    /// The matched design for a closed-loop pole, on a plate of gain 0.5.
+    fn matched(closed: f64, decay: f64) -> Loops {
+        let open = (-decay).exp();
+        let proportional = (1.0 - closed) / (0.5 * (1.0 - open));
+        Loops { proportional, integral: proportional * (1.0 - open), follows_frequency: false, schedules: false }
+    }
+
+    /// S = (z − 1)/(z − p): 1, and what is left sums to 1 whatever the pole is. The step response is 1 − p^k.
+    #[rstest]
+    fn every_matched_design_doubles_a_difference(
+        #[values(0.05, 0.2, 0.6)] pole: f64,
+        #[values(0.1, 0.53, 2.0)] decay: f64,
+    ) {
+        let found = response_of(&matched(pole, decay), 0.5, decay, 0.0).unwrap();
+        assert!((found.sensitivity - 2.0).abs() < 1e-6, "{found:?}");
+        assert!(
+            (found.peak - 1.0).abs() < 1e-6
+                && (found.drive_peak - matched(pole, decay).proportional.max(2.0)).abs() < 1e-6,
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn a_delay_makes_more_of_it_until_nothing_comes_to_rest() {
+        let design = matched(0.206, 0.532);
+        let found: Vec<_> =
+            [0.0, 0.2, 0.4, 0.6, 0.8].map(|delay| response_of(&design, 0.5, 0.532, delay).unwrap()).into();
+        assert!(found.is_sorted_by(|a, b| a.sensitivity < b.sensitivity && a.peak <= b.peak), "{found:?}");
+        assert!(found[4].sensitivity > 3.5, "{found:?}");
+        // Twice the plate's gain is more than the loop bears with that.
+        assert!(response_of(&design, 1.0, 0.532, 0.8).is_none());
+    }
 }

@@ -71,7 +71,7 @@ const COARSE: &str = "\"final_amplitude_um\"\nwithin = [0.5, 3.5]";
     "law = \"dq-pi\"\nstart_frequency_hz = 32300.0\nfrequency_range_hz = 7.5"
 )]
 fn a_loop_is_claimed_only_where_it_is_known(#[case] known: &str, #[case] unknown: &str) {
-    let bound = |controller| scenario(PLATE, controller, STEP, COARSE).bound(Tier::Envelope, true);
+    let bound = |controller| scenario(PLATE, controller, "setpoint_um = 1.0", COARSE).bound(Tier::Envelope, true);
     assert!(bound(known).is_finite(), "{known}");
     assert!(bound(unknown).is_infinite(), "{unknown}");
 }
