@@ -236,7 +236,8 @@ fn random_scenario(random: &mut Random) -> String {
         1 => writeln!(text, "finger_force_n = {{ linear = [[5.0, 0.0], [25.0, {:?}]] }}", random.between(0.0, 0.5))
             .unwrap(),
         2 => {
-            writeln!(text, "finger_force_n = {{ hold = [[0.0, 0.0], [8.0, {:?}]] }}", random.between(0.0, 0.3)).unwrap()
+            writeln!(text, "finger_force_n = {{ hold = [[0.0, 0.0], [8.0, {:?}]] }}", random.between(0.0, 0.3))
+                .unwrap();
         }
         _ => {}
     }

@@ -34,11 +34,15 @@ fn measured(plate: &Plate, scene: &Scene, tier: Tier, drives: &[Drive]) -> f64 {
     let mut plants = [tier, Tier::Modal].map(|tier| Plant::new(plate.clone(), scene.clone(), tier));
     let mut worst = 0.0_f64;
     for (period, drive) in (0_u64..).zip(drives) {
-        plants.iter_mut().for_each(|plant| plant.set_drive(*drive));
+        for plant in &mut plants {
+            plant.set_drive(*drive);
+        }
         // 3.7 µs apart: some four points per turn of the ripple, at ever other phases.
         for step in (1..=270).map(|step| step * 3_703).chain([1_000_000]) {
             let end = Time::from_nanos(period * 1_000_000 + step.min(1_000_000));
-            plants.iter_mut().for_each(|plant| plant.advance(end, &[], &mut Vec::new()));
+            for plant in &mut plants {
+                plant.advance(end, &[], &mut Vec::new());
+            }
             worst = worst.max((plants[0].state().w - plants[1].state().w).norm());
         }
     }
