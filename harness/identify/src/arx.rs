@@ -1,0 +1,108 @@
+//! ARX models of order one at the control period, the paper's own method (section IV.B, after its reference \[24\]).
+//!
+//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so that `τ = −Ts / ln a` and a static gain is `c / (1 − a)`.
+//!
+//! Least squares take `y[k]` for exact. Noise on it makes `a` too small, whatever the number of samples: τ comes out too short. Instrumental variables
+//! (T. Söderström, P. Stoica, *System Identification*, 1989, chapter 8) put the noise-free response of an auxiliary model, iterated three times, in its
+//! place; they are consistent, and their intervals know that the error `e[k] = v[k+1] − a v[k]` of white noise v on the output is not white.
+
+use crate::estimate::Estimate;
+use nalgebra::{DMatrix, DVector};
+
+/// How an ARX model is fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// As in the paper: biased by noise on the output.
+    LeastSquares,
+    /// Consistent under it.
+    Instruments,
+}
+
+/// A fitted model of order one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Arx {
+    /// τ, s.
+    pub time_constant: Estimate,
+    /// Static gain from each input.
+    pub gains: Vec<Estimate>,
+}
+
+/// Fits outputs `y`, `period` seconds apart, to `inputs`, each as long and constant between samples. `None` where they do not determine a stable first
+/// order: `a` outside 0 to 1, inputs that depend on each other, too few samples.
+pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: Method) -> Option<Arx> {
+    let (rows, width) = (y.len().checked_sub(1)?, inputs.len() + 1);
+    let freedom = rows.checked_sub(width).filter(|&freedom| freedom > 0)? as f64;
+    let with = |states: &[f64]| {
+        DMatrix::from_fn(rows, width, |row, column| match column.checked_sub(1) {
+            None => states.get(row).copied().unwrap_or(0.0),
+            Some(input) => inputs.get(input).and_then(|values| values.get(row)).copied().unwrap_or(0.0),
+        })
+    };
+    let (regressors, target) = (with(y), DVector::from_iterator(rows, y.iter().skip(1).copied()));
+    let mut instruments = regressors.clone();
+    let mut theta = solve(&instruments, &regressors, &target)?;
+    if method == Method::Instruments {
+        for _ in 0..3 {
+            instruments = with(&response(&theta, inputs, y.len())?);
+            theta = solve(&instruments, &regressors, &target)?;
+        }
+    }
+    let a = theta.get(0).copied().filter(|a| (1e-3..0.9999).contains(a))?;
+    let residuals = &target - &regressors * &theta;
+    let power = residuals.norm_squared() / freedom;
+    let inverse = (instruments.transpose() * &regressors).try_inverse()?;
+    let middle = match method {
+        Method::LeastSquares => instruments.transpose() * &instruments * power,
+        Method::Instruments => {
+            // E[e e'] of e = v[k+1] − a v[k]: (1 + a²)σ² on the diagonal, −aσ² beside it.
+            let noise = power / (1.0 + a * a);
+            let mut coloured = &instruments * power;
+            for row in 1..rows {
+                for column in 0..width {
+                    coloured[(row, column)] -= a * noise * instruments[(row - 1, column)];
+                    coloured[(row - 1, column)] -= a * noise * instruments[(row, column)];
+                }
+            }
+            instruments.transpose() * coloured
+        }
+    };
+    let covariance = &inverse * middle * inverse.transpose();
+    let error = |gradient: DVector<f64>| (gradient.transpose() * &covariance * &gradient).sum().max(0.0).sqrt();
+    let gradient = |entries: &[(usize, f64)]| {
+        let mut gradient = DVector::zeros(width);
+        for &(index, value) in entries {
+            gradient[index] = value;
+        }
+        gradient
+    };
+    let slope = period / (a * a.ln().powi(2));
+    let gain = |(index, &c): (usize, &f64)| {
+        let direction = gradient(&[(0, c / (1.0 - a).powi(2)), (index, 1.0 / (1.0 - a))]);
+        Estimate::new(c / (1.0 - a), error(direction), freedom)
+    };
+    Some(Arx {
+        time_constant: Estimate::new(-period / a.ln(), error(gradient(&[(0, slope)])), freedom),
+        gains: theta.iter().enumerate().skip(1).map(gain).collect(),
+    })
+}
+
+fn solve(instruments: &DMatrix<f64>, regressors: &DMatrix<f64>, target: &DVector<f64>) -> Option<DVector<f64>> {
+    let theta = (instruments.transpose() * regressors).lu().solve(&(instruments.transpose() * target))?;
+    theta.iter().all(|value| value.is_finite()).then_some(theta)
+}
+
+/// The model's own response to the inputs, at rest before them.
+fn response(theta: &DVector<f64>, inputs: &[Vec<f64>], length: usize) -> Option<Vec<f64>> {
+    let a = theta.get(0).copied().filter(|a| a.abs() < 1.0)?;
+    let forced = |k: usize| -> f64 {
+        let terms = theta.iter().skip(1).zip(inputs).map(|(c, input)| c * input.get(k).copied().unwrap_or(0.0));
+        terms.sum()
+    };
+    let mut x = forced(0) / (1.0 - a);
+    let mut all = Vec::with_capacity(length);
+    for k in 0..length {
+        all.push(x);
+        x = a * x + forced(k);
+    }
+    Some(all)
+}

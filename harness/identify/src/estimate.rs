@@ -1,0 +1,114 @@
+//! A number with what is not known of it.
+
+use serde::Serialize;
+use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
+
+/// Confidence of every interval here.
+pub const CONFIDENCE: f64 = 0.95;
+
+/// A value with its two-sided interval of 95 %.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Estimate {
+    /// The best value.
+    pub value: f64,
+    /// Its standard error.
+    pub error: f64,
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+impl Estimate {
+    /// A value with a normal error known from `freedom` degrees of freedom.
+    pub fn new(value: f64, error: f64, freedom: f64) -> Self {
+        let reach = quantile(freedom) * error;
+        Self { value, error, low: value - reach, high: value + reach }
+    }
+
+    /// A positive value whose logarithm has a normal error.
+    pub fn of_logarithm(logarithm: f64, error: f64, freedom: f64) -> Self {
+        let reach = quantile(freedom) * error;
+        let value = logarithm.exp();
+        Self { value, error: value * error, low: (logarithm - reach).exp(), high: (logarithm + reach).exp() }
+    }
+
+    /// In another unit.
+    #[must_use]
+    pub fn times(self, factor: f64) -> Self {
+        let (a, b) = (self.low * factor, self.high * factor);
+        Self { value: self.value * factor, error: (self.error * factor).abs(), low: a.min(b), high: a.max(b) }
+    }
+
+    /// True where the interval holds `truth`.
+    pub fn covers(&self, truth: f64) -> bool {
+        (self.low..=self.high).contains(&truth)
+    }
+
+    /// Several estimates as one, of which those of one recording belong to one plate and stand for one.
+    pub fn pooled_by(estimates: &[(String, Self)]) -> Option<Self> {
+        let mut sorted = estimates.to_vec();
+        sorted.sort_by(|a, b| a.0.cmp(&b.0));
+        let groups = sorted.chunk_by(|a, b| a.0 == b.0);
+        let own = |group: &[(String, Self)]| Self::pooled(&group.iter().map(|(_, each)| *each).collect::<Vec<_>>());
+        Self::pooled(&groups.filter_map(own).collect::<Vec<_>>())
+    }
+
+    /// Several estimates as one: their mean. Its error is what their scatter tells, or what each says of itself, whichever is larger.
+    pub fn pooled(estimates: &[Self]) -> Option<Self> {
+        let (first, count) = (*estimates.first()?, estimates.len() as f64);
+        if estimates.len() == 1 {
+            return Some(first);
+        }
+        let mean = estimates.iter().map(|each| each.value).sum::<f64>() / count;
+        let scatter = (estimates.iter().map(|each| (each.value - mean).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
+        let told = estimates.iter().map(|each| each.error * each.error).sum::<f64>().sqrt() / count;
+        Some(Self::new(mean, (scatter / count.sqrt()).max(told), count - 1.0))
+    }
+}
+
+/// Two-sided quantile of Student's t.
+fn quantile(freedom: f64) -> f64 {
+    StudentsT::new(0.0, 1.0, freedom.max(1.0)).map_or(f64::INFINITY, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
+}
+
+/// Whether residuals are white: the test of Ljung and Box.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Whiteness {
+    /// `Q = n(n+2) Σ ρ²/(n−k)` over all lags and both components.
+    pub statistic: f64,
+    /// Degrees of freedom: lags times components.
+    pub freedom: usize,
+    /// How often white residuals are at least this far off.
+    pub p_value: f64,
+}
+
+impl Whiteness {
+    /// Tests components of residuals together, at lags up to 10 or a fifth of their length. (G. M. Ljung, G. E. P. Box, Biometrika 65, 1978. Nothing is
+    /// taken off the degrees of freedom: the residuals are those of a model whose response does not depend on past outputs.) `None` for fewer than ten
+    /// residuals or residuals of zero.
+    pub fn of(components: &[Vec<f64>]) -> Option<Self> {
+        let mut whole = Self { statistic: 0.0, freedom: 0, p_value: 1.0 };
+        for residuals in components {
+            let n = residuals.len() as f64;
+            let mean = residuals.iter().sum::<f64>() / n;
+            let power: f64 = residuals.iter().map(|r| (r - mean).powi(2)).sum();
+            if residuals.len() < 10 || power <= 0.0 {
+                return None;
+            }
+            for lag in 1..=(residuals.len() / 5).min(10) {
+                let late = residuals.iter().skip(lag);
+                let product: f64 = residuals.iter().zip(late).map(|(a, b)| (a - mean) * (b - mean)).sum();
+                whole.statistic += n * (n + 2.0) * (product / power).powi(2) / (n - lag as f64);
+                whole.freedom += 1;
+            }
+        }
+        whole.p_value = ChiSquared::new(whole.freedom as f64).ok()?.sf(whole.statistic);
+        Some(whole)
+    }
+
+    /// True where whiteness is refused at the level of 1 %.
+    pub fn is_refused(&self) -> bool {
+        self.p_value < 0.01
+    }
+}

@@ -1,0 +1,238 @@
+//! All recordings together: the plate.
+
+use crate::estimate::{Estimate, Whiteness};
+use crate::fit::{Fit, direct};
+use crate::recording::{Recording, Unusable};
+use crate::steps::{FrequencyStep, VoltageStep, frequency_steps, voltage_steps};
+use nalgebra::{DMatrix, DVector};
+use platebench_plate::Conditions;
+use serde::Serialize;
+use std::f64::consts::TAU;
+
+/// Errors that are told rather than estimated from few values.
+const MANY: f64 = 1e4;
+
+/// What the direct fit says of a whole recording.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Whole {
+    /// The recording.
+    pub recording: String,
+    /// Samples.
+    pub samples: usize,
+    /// K1 at the lowest force, µm/Vpp.
+    pub gain_um_per_vpp: Estimate,
+    /// τ at the lowest force, s.
+    pub time_constant_s: Estimate,
+    /// Resonance under the first temperature and force, Hz.
+    pub resonance_hz: Estimate,
+    /// First excitation frequency above that resonance, Hz.
+    pub detuning_hz: Estimate,
+    /// Standard deviation of the residuals on each component, µm.
+    pub noise_um: f64,
+    /// The Ljung-Box test of the residuals.
+    pub whiteness: Option<Whiteness>,
+}
+
+/// The plate that the recordings show. What they do not show is `None` or empty.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Identification {
+    /// Table I.
+    pub voltage_steps: Vec<VoltageStep>,
+    /// Table II.
+    pub frequency_steps: Vec<FrequencyStep>,
+    /// Each recording as a whole.
+    pub recordings: Vec<Whole>,
+    /// Recordings that do not determine the parameters.
+    pub undetermined: Vec<String>,
+    /// K1 by direct fits, without a finger, µm/Vpp.
+    pub gain_um_per_vpp: Option<Estimate>,
+    /// τ1 by direct fits, without a finger, s.
+    pub time_constant_s: Option<Estimate>,
+    /// K2 by ARX with instruments, s.
+    pub frequency_gain_s: Option<Estimate>,
+    /// τ2 by ARX with instruments, s.
+    pub frequency_time_constant_s: Option<Estimate>,
+    /// Resonance at the reference temperature, Hz.
+    pub resonance_hz: Option<Estimate>,
+    /// Change of the resonance per kelvin, Hz.
+    pub slope_hz_per_k: Option<Estimate>,
+    /// Per force in N: σ/σ0.
+    pub damping_ratio: Vec<(f64, Estimate)>,
+    /// Change of the resonance per newton, Hz.
+    pub shift_hz_per_n: Option<Estimate>,
+    /// By how much K1 changes from the lowest to the highest drive, percent.
+    pub gain_change_percent: Option<Estimate>,
+    /// Standard deviation of the residuals on each component, µm.
+    pub noise_um: f64,
+    /// Highest drive seen, Vpp.
+    pub highest_vpp: f64,
+}
+
+/// Identifies the plate. `slope_hz_per_k` is what is known of it beforehand; without it the recordings must show it themselves before a step of the
+/// temperature can stand for one of the frequency. Fits come beside, in the order of [`Identification::recordings`].
+///
+/// # Errors
+/// [`Unusable::Undetermined`] where not one recording tells the parameters.
+pub fn identify(recordings: &[Recording], slope_hz_per_k: Option<f64>) -> Result<(Identification, Vec<Fit>), Unusable> {
+    let fitted: Vec<_> = recordings.iter().map(|recording| (recording, direct(recording))).collect();
+    let undetermined = fitted.iter().filter(|(_, fit)| fit.is_err()).map(|(recording, _)| recording.name.clone());
+    let undetermined: Vec<String> = undetermined.collect();
+    let fitted: Vec<(&Recording, Fit)> =
+        fitted.into_iter().filter_map(|(recording, fit)| Some((recording, fit.ok()?))).collect();
+    if fitted.is_empty() {
+        return Err(Unusable::Undetermined);
+    }
+    let pooled = |values: Vec<Estimate>| Estimate::pooled(&values);
+    let lines: Vec<_> = fitted.iter().map(|(_, fit)| warmth(fit)).collect();
+    let slope = pooled(lines.iter().filter_map(|line| line.as_ref()?.1).collect());
+    let known_slope = slope_hz_per_k.map(|hz| hz * TAU).or(slope.map(|slope| slope.value));
+    let reference = |(line, (_, fit)): (&Option<Warmth>, &(&Recording, Fit))| {
+        let (at_reference, own_slope) = (*line)?;
+        let warmer = fit.resonances.first()?.0.temperature_offset_k;
+        match (own_slope, known_slope) {
+            (Some(_), _) => Some(at_reference),
+            (None, slope) if warmer == 0.0 || slope.is_some() => {
+                let shift = slope.unwrap_or(0.0) * warmer;
+                let Estimate { value, error, low, high } = at_reference;
+                Some(Estimate { value: value - shift, error, low: low - shift, high: high - shift })
+            }
+            _ => None,
+        }
+    };
+    let resonance = pooled(lines.iter().zip(&fitted).filter_map(reference).collect());
+    let voltage: Vec<Vec<VoltageStep>> = fitted.iter().map(|(recording, fit)| voltage_steps(recording, fit)).collect();
+    let untouched = |fit: &Fit| fit.time_constants.first().is_some_and(|first| first.0 == 0.0);
+    let free = || fitted.iter().zip(&voltage).filter(|((_, fit), _)| untouched(fit));
+    let mut open: Vec<&Fit> = free().filter(|(_, steps)| !steps.is_empty()).map(|((_, fit), _)| fit).collect();
+    if open.is_empty() {
+        open = free().map(|((_, fit), _)| fit).collect();
+    }
+    let frequency: Vec<FrequencyStep> =
+        fitted.iter().flat_map(|(recording, fit)| frequency_steps(recording, fit, known_slope)).collect();
+    let by_instruments = |index: usize| {
+        let of = |step: &FrequencyStep| Some((step.recording.clone(), *step.instruments?.get(index)?));
+        Estimate::pooled_by(&frequency.iter().filter_map(of).collect::<Vec<_>>())
+    };
+    let squares: f64 = fitted.iter().map(|(_, fit)| fit.noise_um.powi(2)).sum();
+    let highest = fitted.iter().flat_map(|(recording, _)| &recording.inputs).map(|input| input.vpp);
+    let identification = Identification {
+        recordings: fitted.iter().filter_map(|(recording, fit)| whole(recording, fit)).collect(),
+        undetermined,
+        gain_um_per_vpp: pooled(open.iter().map(|fit| fit.gain).collect()),
+        time_constant_s: pooled(open.iter().filter_map(|fit| fit.time_constant()).collect()),
+        frequency_gain_s: by_instruments(0),
+        frequency_time_constant_s: by_instruments(1),
+        resonance_hz: resonance.map(|omega| omega.times(1.0 / TAU)),
+        slope_hz_per_k: slope.map(|omega| omega.times(1.0 / TAU)),
+        damping_ratio: damping(&fitted),
+        shift_hz_per_n: pooled(fitted.iter().filter_map(|(_, fit)| pressed(fit)).collect())
+            .map(|omega| omega.times(1.0 / TAU)),
+        gain_change_percent: pooled(voltage.iter().filter_map(|steps| linearity(steps)).collect()),
+        noise_um: (squares / fitted.len() as f64).sqrt(),
+        highest_vpp: highest.fold(0.0, f64::max),
+        voltage_steps: voltage.into_iter().flatten().collect(),
+        frequency_steps: frequency,
+    };
+    Ok((identification, fitted.into_iter().map(|(_, fit)| fit).collect()))
+}
+
+fn whole(recording: &Recording, fit: &Fit) -> Option<Whole> {
+    let resonance_hz = fit.resonances.first()?.1.times(1.0 / TAU);
+    let excitation_hz = recording.inputs.first()?.omega / TAU;
+    let Estimate { value, error, low, high } = resonance_hz;
+    Some(Whole {
+        recording: recording.name.clone(),
+        samples: recording.outputs.len(),
+        gain_um_per_vpp: fit.gain,
+        time_constant_s: fit.time_constant()?,
+        resonance_hz,
+        detuning_hz: Estimate {
+            value: excitation_hz - value,
+            error,
+            low: excitation_hz - high,
+            high: excitation_hz - low,
+        },
+        noise_um: fit.noise_um,
+        whiteness: fit.whiteness,
+    })
+}
+
+/// Resonance at the reference temperature, rad/s, and its slope, rad/s per K.
+type Warmth = (Estimate, Option<Estimate>);
+
+/// Resonance at the reference temperature and its slope over the temperature, rad/s; at the one temperature that there is, without a slope.
+fn warmth(fit: &Fit) -> Option<Warmth> {
+    let force = fit.time_constants.first()?.0;
+    let untouched = |conditions: &Conditions| conditions.finger_force_n == force;
+    let only = || fit.resonances.iter().find(|(conditions, _)| untouched(conditions)).map(|(_, omega)| (*omega, None));
+    let line = resonance_line(fit, |conditions| untouched(conditions).then_some(conditions.temperature_offset_k));
+    line.map(|(start, slope)| (start, Some(slope))).or_else(only)
+}
+
+/// Change of the resonance per newton, rad/s, at the temperature of the first conditions.
+fn pressed(fit: &Fit) -> Option<Estimate> {
+    let warm = fit.resonances.first()?.0.temperature_offset_k;
+    let line = resonance_line(fit, |conditions| {
+        (conditions.temperature_offset_k == warm).then_some(conditions.finger_force_n)
+    });
+    line.map(|(_, slope)| slope)
+}
+
+/// σ/σ0 over all recordings that begin without a finger, forces rising.
+fn damping(fitted: &[(&Recording, Fit)]) -> Vec<(f64, Estimate)> {
+    let untouched = fitted
+        .iter()
+        .filter(|(_, fit)| fit.damping.len() > 1 && fit.damping.first().is_some_and(|first| first.0 == 0.0));
+    let mut all: Vec<(f64, Estimate)> = untouched.flat_map(|(_, fit)| fit.damping.iter().skip(1).copied()).collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let groups = all.chunk_by(|a, b| a.0 == b.0);
+    let pool = |group: &[(f64, Estimate)]| {
+        let estimates: Vec<Estimate> = group.iter().map(|(_, estimate)| *estimate).collect();
+        Some((group.first()?.0, Estimate::pooled(&estimates)?))
+    };
+    groups.filter_map(pool).collect()
+}
+
+/// By how much K1 changes over the range of drives, percent of its mean; `None` for fewer than three levels.
+fn linearity(steps: &[VoltageStep]) -> Option<Estimate> {
+    let points: Vec<_> = steps.iter().filter_map(|step| Some((step.vpp, step.direct?[0]))).collect();
+    let drives = points.iter().map(|point| point.0);
+    let (low, high) = drives.fold((f64::MAX, 0.0_f64), |(low, high), vpp| (low.min(vpp), high.max(vpp)));
+    let variances = points.iter().map(|point| point.1.error.powi(2).max(f64::MIN_POSITIVE));
+    let covariance = DMatrix::from_diagonal(&DVector::from_iterator(points.len(), variances));
+    let values: Vec<(f64, f64)> = points.iter().map(|point| (point.0, point.1.value)).collect();
+    let (start, slope) = line(&values, &covariance).filter(|_| points.len() > 2)?;
+    let middle = start.value + slope.value * f64::midpoint(low, high);
+    Some(slope.times((high - low) / middle * 100.0))
+}
+
+/// The line through the resonances of a fit that `matters` picks, over what it says of their conditions.
+fn resonance_line(fit: &Fit, matters: impl Fn(&Conditions) -> Option<f64>) -> Option<(Estimate, Estimate)> {
+    let picked = fit.resonances.iter().enumerate();
+    let picked: Vec<(usize, f64, f64)> =
+        picked.filter_map(|(number, (conditions, omega))| Some((number, matters(conditions)?, omega.value))).collect();
+    let points: Vec<(f64, f64)> = picked.iter().map(|(_, x, y)| (*x, *y)).collect();
+    let numbers: Vec<usize> = picked.iter().map(|(number, _, _)| *number).collect();
+    line(&points, &fit.resonance_covariance.select_rows(&numbers).select_columns(&numbers))
+}
+
+/// The line through points by generalised least squares: value at 0, and slope. Where the points stray more than their covariance says, so do the results.
+/// `None` where all stand at one place.
+fn line(points: &[(f64, f64)], covariance: &DMatrix<f64>) -> Option<(Estimate, Estimate)> {
+    let first = points.first()?;
+    if points.iter().all(|point| point.0 == first.0) {
+        return None;
+    }
+    let places = DMatrix::from_fn(points.len(), 2, |row, column| if column == 0 { 1.0 } else { points[row].0 });
+    // What is common to all values would cost digits.
+    let values = DVector::from_iterator(points.len(), points.iter().map(|point| point.1 - first.1));
+    let factor = covariance.clone().cholesky()?;
+    let known = (places.transpose() * factor.solve(&places)).try_inverse()?;
+    let theta = &known * places.transpose() * factor.solve(&values);
+    let misfit = &values - &places * &theta;
+    let squares = misfit.dot(&factor.solve(&misfit));
+    let free = points.len().saturating_sub(2) as f64;
+    let (wider, freedom) = if squares > free && free > 0.0 { ((squares / free).sqrt(), free) } else { (1.0, MANY) };
+    let error = |index: usize| wider * known[(index, index)].max(0.0).sqrt();
+    Some((Estimate::new(first.1 + theta[0], error(0), freedom), Estimate::new(theta[1], error(1), freedom)))
+}

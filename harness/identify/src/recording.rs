@@ -1,0 +1,172 @@
+//! What was recorded: what drove the plate, and what was seen of it.
+//!
+//! Neighbours: [`crate::telemetry`] reads foreign tables, `platebench-trace` our own traces. Nothing is estimated here.
+
+use platebench_plate::{Complex64, Conditions};
+use platebench_trace::{Flags, Row};
+use std::f64::consts::TAU;
+
+/// What acts on the plate from `t` on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Input {
+    /// s
+    pub t: f64,
+    /// Drive, Vpp.
+    pub vpp: f64,
+    /// Excitation frequency ω, rad/s.
+    pub omega: f64,
+    /// What surrounds the plate.
+    pub conditions: Conditions,
+}
+
+/// What a controller saw at `t`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Output {
+    /// s
+    pub t: f64,
+    /// `Wd + jWq`, µm peak to peak.
+    pub w: Complex64,
+}
+
+/// Which columns of a trace are looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Signal {
+    /// What the controller was given, noise and all.
+    Sensed,
+    /// The plate's state, which only an emulated plate shows.
+    True,
+}
+
+/// Why a recording cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Unusable {
+    /// Too few control instants.
+    #[error("{0} samples at control instants, expected at least {FEWEST}")]
+    Short(usize),
+    /// The plate was never driven.
+    #[error("the drive is 0 V throughout, expected a step")]
+    Undriven,
+    /// An instant appears twice, or not in order.
+    #[error("times that do not rise at sample {0}")]
+    Unordered(usize),
+    /// A ramp.
+    #[error("more than {MOST_CONDITIONS} temperatures and forces, expected each to be held for some 10 ms")]
+    Moving,
+    /// The response does not tell the parameters.
+    #[error(
+        "the response does not determine gain, time constant and resonance; expected steps of the drive or the frequency, each held for some 10 ms"
+    )]
+    Undetermined,
+}
+
+/// Fewer samples tell nothing.
+const FEWEST: usize = 8;
+/// More levels of temperature and force are a ramp.
+const MOST_CONDITIONS: usize = 64;
+/// Temperatures within this much of each other, K, are one.
+const SAME_TEMPERATURE_K: f64 = 0.05;
+/// Forces within this much of each other, N, are one.
+const SAME_FORCE_N: f64 = 0.02;
+
+/// A response with what caused it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recording {
+    /// Where it comes from.
+    pub name: String,
+    /// Changes of what acts, in order; the first not after the first output.
+    pub inputs: Vec<Input>,
+    /// Samples, in order.
+    pub outputs: Vec<Output>,
+    /// The different temperatures and forces, in order of their appearance.
+    pub conditions: Vec<Conditions>,
+}
+
+impl Recording {
+    /// Checks and keeps what was recorded; inputs that change nothing are dropped, near temperatures and forces are made one.
+    ///
+    /// # Errors
+    /// [`Unusable`].
+    pub fn new(name: String, inputs: Vec<Input>, outputs: Vec<Output>) -> Result<Self, Unusable> {
+        if outputs.len() < FEWEST {
+            return Err(Unusable::Short(outputs.len()));
+        }
+        if let Some(at) = outputs.windows(2).position(|pair| pair[1].t <= pair[0].t) {
+            return Err(Unusable::Unordered(at + 1));
+        }
+        if inputs.iter().all(|input| input.vpp == 0.0) {
+            return Err(Unusable::Undriven);
+        }
+        let mut conditions: Vec<Conditions> = Vec::new();
+        let mut kept: Vec<Input> = Vec::new();
+        for mut input in inputs {
+            let level = conditions.iter().copied().find(|known| same(known, &input.conditions));
+            input.conditions = level.unwrap_or(input.conditions);
+            if level.is_none() {
+                conditions.push(input.conditions);
+            }
+            if kept.last().is_none_or(|last| Input { t: input.t, ..*last } != input) {
+                kept.push(input);
+            }
+            if conditions.len() > MOST_CONDITIONS {
+                return Err(Unusable::Moving);
+            }
+        }
+        Ok(Self { name, inputs: kept, outputs, conditions })
+    }
+
+    /// A trace: inputs from every row, outputs from rows flagged `control` whose sample arrived.
+    ///
+    /// # Errors
+    /// [`Unusable`].
+    pub fn of_trace(name: String, rows: &[Row], signal: Signal) -> Result<Self, Unusable> {
+        let input = |row: &Row| Input {
+            t: row.t_s,
+            vpp: row.drive_vpp,
+            omega: row.frequency_hz * TAU,
+            conditions: Conditions {
+                temperature_offset_k: row.temperature_offset_k,
+                finger_force_n: row.finger_force_n,
+            },
+        };
+        let seen = |row: &&Row| row.flags.contains(Flags::CONTROL) && !row.flags.contains(Flags::LINK_LOST);
+        let output = |row: &Row| {
+            let (wd, wq) = match signal {
+                Signal::Sensed => (row.sensed_wd_um, row.sensed_wq_um),
+                Signal::True => (row.wd_um, row.wq_um),
+            };
+            Output { t: row.t_s, w: Complex64::new(wd, wq) }
+        };
+        Self::new(name, rows.iter().map(input).collect(), rows.iter().filter(seen).map(output).collect())
+    }
+
+    /// The usual spacing of the outputs: their median, s.
+    pub fn period(&self) -> f64 {
+        let mut spacings: Vec<f64> = self.outputs.windows(2).map(|pair| pair[1].t - pair[0].t).collect();
+        spacings.sort_by(f64::total_cmp);
+        spacings.get(spacings.len() / 2).copied().unwrap_or(0.0)
+    }
+
+    /// What acts from each output's instant on.
+    pub fn acting(&self) -> Vec<Input> {
+        let at = |t: f64| self.inputs.partition_point(|input| input.t <= t).saturating_sub(1);
+        self.outputs.iter().filter_map(|output| self.inputs.get(at(output.t)).copied()).collect()
+    }
+
+    /// The outputs numbered `from..to`, with what acted.
+    ///
+    /// # Errors
+    /// [`Unusable`] where nothing of use is left.
+    pub fn part(&self, from: usize, to: usize) -> Result<Self, Unusable> {
+        let outputs = self.outputs.get(from..to).unwrap_or_default().to_vec();
+        let (Some(first), Some(last)) = (outputs.first(), outputs.last()) else { return Err(Unusable::Short(0)) };
+        let start = self.inputs.partition_point(|input| input.t <= first.t).saturating_sub(1);
+        let end = self.inputs.partition_point(|input| input.t < last.t);
+        Self::new(self.name.clone(), self.inputs.get(start..end).unwrap_or_default().to_vec(), outputs)
+    }
+}
+
+/// True where a plate could not tell one from the other.
+pub(crate) fn same(a: &Conditions, b: &Conditions) -> bool {
+    (a.temperature_offset_k - b.temperature_offset_k).abs() <= SAME_TEMPERATURE_K
+        && (a.finger_force_n - b.finger_force_n).abs() <= SAME_FORCE_N
+}

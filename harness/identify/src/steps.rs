@@ -1,0 +1,196 @@
+//! The steps within a recording, each by every method: the rows of Tables I and II.
+
+use crate::arx::{Arx, Method, arx};
+use crate::estimate::Estimate;
+use crate::fit::{Fit, direct};
+use crate::recording::{Input, Recording};
+use serde::Serialize;
+
+/// A level that is held for fewer samples is no level.
+const FEWEST: usize = 6;
+/// Drives within this share of the largest one are the same.
+const SAME_DRIVE: f64 = 0.01;
+/// A smaller change of the drive, as a share of the largest one, is a loop at work and no step.
+const SMALLEST_STEP: f64 = 0.05;
+/// A first order of Wd alone holds near the resonance only: |τΔω| at most this.
+const NEAR: f64 = 0.1;
+/// Wd is held where it strays by less than this share …
+const HELD: f64 = 0.1;
+/// … and the loop has started up once it has come this near.
+const STARTED: f64 = 0.03;
+/// Detunings within this much of each other, rad/s, are the same.
+const SAME_DETUNING: f64 = 1.0;
+
+/// A step of the drive, open loop: a row of Table I.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct VoltageStep {
+    /// The recording.
+    pub recording: String,
+    /// When, s.
+    pub t: f64,
+    /// From this drive, Vpp.
+    pub from_vpp: f64,
+    /// To this one.
+    pub vpp: f64,
+    /// Mean of Wd over the last third of the step, µm: a point of Fig. 7.
+    pub settled_um: f64,
+    /// K1 in µm/Vpp and τ1 in s, ARX by least squares; `None` where that finds no stable first order.
+    pub least_squares: Option<[Estimate; 2]>,
+    /// The same by instrumental variables.
+    pub instruments: Option<[Estimate; 2]>,
+    /// The same by the direct fit.
+    pub direct: Option<[Estimate; 2]>,
+}
+
+/// A step of the detuning with Wd held: a row of Table II.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FrequencyStep {
+    /// The recording.
+    pub recording: String,
+    /// When, s.
+    pub t: f64,
+    /// Detuning before, rad/s, from where the direct fit of the recording has the resonance.
+    pub from_detuning: f64,
+    /// Detuning after, rad/s.
+    pub detuning: f64,
+    /// How far Wd strays from its mean, percent (Fig. 10).
+    pub wd_percent: f64,
+    /// K2 in s and τ2 in s, ARX by least squares.
+    pub least_squares: Option<[Estimate; 2]>,
+    /// The same by instrumental variables.
+    pub instruments: Option<[Estimate; 2]>,
+    /// τ in s by the direct fit, which has no gain of its own: K2 = τ (equation 19).
+    pub direct: Option<Estimate>,
+}
+
+/// Runs of samples over which `value` stays what it was at their start: first and one past the last.
+fn runs(acting: &[Input], same: impl Fn(&Input, &Input) -> bool) -> Vec<(usize, usize)> {
+    let mut runs: Vec<(usize, usize)> = Vec::new();
+    for (index, input) in acting.iter().enumerate() {
+        match runs.last_mut() {
+            Some(run) if acting.get(run.0).is_some_and(|first| same(first, input)) => run.1 = index + 1,
+            _ => runs.push((index, index + 1)),
+        }
+    }
+    runs
+}
+
+/// The steps of a drive that is constant before and after, upwards from anything, at constant frequency, temperature and force, near the resonance that
+/// `whole` has found in the recording.
+pub fn voltage_steps(recording: &Recording, whole: &Fit) -> Vec<VoltageStep> {
+    let Some(tau) = whole.time_constant() else { return Vec::new() };
+    let is_near = |input: &Input| {
+        let resonance = whole.resonances.iter().find(|(conditions, _)| *conditions == input.conditions);
+        resonance.is_some_and(|(_, omega0)| ((input.omega - omega0.value) * tau.value).abs() <= NEAR)
+    };
+    let acting = recording.acting();
+    let largest = acting.iter().map(|input| input.vpp).fold(0.0, f64::max);
+    let same = |a: &Input, b: &Input| {
+        (a.vpp - b.vpp).abs() <= SAME_DRIVE * largest && a.omega == b.omega && a.conditions == b.conditions
+    };
+    let runs = runs(&acting, same);
+    let mut steps = Vec::new();
+    for (index, &(start, end)) in runs.iter().enumerate() {
+        // The very first level may have begun long before the recording: nothing stepped.
+        let Some(before) = index.checked_sub(1).and_then(|index| runs.get(index)) else { continue };
+        let (Some(from), Some(to)) = (acting.get(before.0), acting.get(start)) else { continue };
+        let alike = from.omega == to.omega && from.conditions == to.conditions;
+        let settled_before = before.1 - before.0 >= FEWEST || from.vpp == 0.0;
+        if !alike
+            || !settled_before
+            || end - start < FEWEST
+            || to.vpp - from.vpp < SMALLEST_STEP * largest
+            || !is_near(to)
+        {
+            continue;
+        }
+        // The sample at the step still shows what was before; so does the one ahead of it.
+        let (first, last) = (start.saturating_sub(1), (end + 1).min(acting.len()));
+        let Ok(part) = recording.part(first, last) else { continue };
+        let wd: Vec<f64> = part.outputs.iter().map(|output| output.w.re).collect();
+        let drive: Vec<f64> = part.acting().iter().map(|input| input.vpp).collect();
+        let by = |method| arx(&wd, std::slice::from_ref(&drive), part.period(), method).and_then(|arx| pair(&arx));
+        let third = wd.len() - wd.len() / 3;
+        let settled = wd.get(third..).unwrap_or_default();
+        steps.push(VoltageStep {
+            recording: recording.name.clone(),
+            t: part.inputs.last().map_or(0.0, |input| input.t),
+            from_vpp: from.vpp,
+            vpp: to.vpp,
+            settled_um: settled.iter().sum::<f64>() / settled.len() as f64,
+            least_squares: by(Method::LeastSquares),
+            instruments: by(Method::Instruments),
+            direct: direct(&part).ok().and_then(|fit| Some([fit.gain, fit.time_constant()?])),
+        });
+    }
+    steps
+}
+
+fn pair(arx: &Arx) -> Option<[Estimate; 2]> {
+    Some([*arx.gains.first()?, arx.time_constant])
+}
+
+/// The steps of the detuning while Wd is held by a loop: `whole` is the recording's direct fit, `slope` the plate's, rad/s per K.
+///
+/// A step of the resonance by `−Δ` is to the plate what a step of the frequency by `+Δ` is: it only knows Δω (equations 11 and 18).
+pub fn frequency_steps(recording: &Recording, whole: &Fit, slope: Option<f64>) -> Vec<FrequencyStep> {
+    let acting = recording.acting();
+    let Some((reference, resonance)) = whole.resonances.first() else { return Vec::new() };
+    let warms = recording.conditions.iter().any(|other| other.temperature_offset_k != reference.temperature_offset_k);
+    let Some(slope) = slope.or((!warms).then_some(0.0)) else { return Vec::new() };
+    let detuning = |input: &Input| {
+        let warmer = input.conditions.temperature_offset_k - reference.temperature_offset_k;
+        input.omega - resonance.value - slope * warmer
+    };
+    let same = |a: &Input, b: &Input| {
+        (detuning(a) - detuning(b)).abs() <= SAME_DETUNING && a.conditions.finger_force_n == b.conditions.finger_force_n
+    };
+    let runs = runs(&acting, same);
+    let mut steps = Vec::new();
+    for pair_of_runs in runs.windows(2) {
+        let &[(mut first, middle), (start, end)] = pair_of_runs else { continue };
+        let (Some(from), Some(to)) = (acting.get(first), acting.get(start)) else { continue };
+        if middle - first < FEWEST
+            || end - start < FEWEST
+            || from.conditions.finger_force_n != to.conditions.finger_force_n
+        {
+            continue;
+        }
+        let wd = |from: usize, to: usize| {
+            recording.outputs.get(from..to).unwrap_or_default().iter().map(|output| output.w.re)
+        };
+        let mean = wd(start, end).sum::<f64>() / (end - start) as f64;
+        // The loop's own start is no step of the frequency.
+        let strays = |value: &f64| (value - mean).abs() / mean.abs();
+        first += wd(first, middle)
+            .collect::<Vec<_>>()
+            .iter()
+            .rposition(|value| strays(value) > STARTED)
+            .map_or(0, |last| last + 1);
+        if middle.saturating_sub(first) < FEWEST || !wd(start, end).all(|value| strays(&value) < HELD) {
+            continue;
+        }
+        let Ok(part) = recording.part(first, (end + 1).min(acting.len())) else { continue };
+        // Where the drive rests, nothing holds Wd.
+        if part.inputs.iter().all(|input| input.vpp == to.vpp) {
+            continue;
+        }
+        let length = end - first;
+        let ratio: Vec<f64> = part.outputs.iter().take(length + 1).map(|output| output.w.im / output.w.re).collect();
+        // The gain of Wq/Wd from Δω is −K2.
+        let input: Vec<f64> = part.acting().iter().map(|input| detuning(from) - detuning(input)).collect();
+        let ones = vec![1.0; input.len()];
+        let by = |method| arx(&ratio, &[input.clone(), ones.clone()], part.period(), method).and_then(|arx| pair(&arx));
+        steps.push(FrequencyStep {
+            recording: recording.name.clone(),
+            t: recording.outputs.get(start).map_or(0.0, |output| output.t),
+            from_detuning: detuning(from),
+            detuning: detuning(to),
+            wd_percent: wd(first, end).map(|value| (value / mean - 1.0).abs() * 100.0).fold(0.0, f64::max),
+            least_squares: by(Method::LeastSquares),
+            instruments: by(Method::Instruments),
+            direct: direct(&part).ok().and_then(|fit| fit.time_constant()),
+        });
+    }
+    steps
+}

@@ -1,0 +1,159 @@
+//! From recordings to a plate: each table, the plate file, and what is not shown.
+
+#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
+
+use platebench_identify::{Input, Named, Output, Recording, Unusable, identify, plate_file, tables};
+use platebench_plate::file::RawPlate;
+use platebench_plate::{Conditions, Drive, Plant, Plate, Profile, Scene, Sensor, Tier, Time};
+use std::f64::consts::TAU;
+
+const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
+
+fn paper() -> Plate {
+    toml::from_str::<RawPlate>(PAPER).unwrap().check().unwrap()
+}
+
+fn held(points: &[(u32, f64)]) -> Profile {
+    Profile::Hold(points.iter().map(|(ms, value)| (Time::from_ms(f64::from(*ms)).unwrap(), *value)).collect())
+}
+
+/// `drive` says Vpp and Hz at a sample, from the millisecond and Wd.
+fn record(name: &str, scene: &Scene, samples: u32, mut drive: impl FnMut(u32, f64) -> (f64, f64)) -> Recording {
+    let mut plant = Plant::new(paper(), scene.clone(), Tier::Modal);
+    let mut sensor = Sensor::new(1.0, 0.004, 7);
+    let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
+    for sample in 0..samples {
+        let time = Time::from_ms(f64::from(sample)).unwrap();
+        plant.advance(time, &[], &mut Vec::new());
+        let w = sensor.sense(plant.state().w);
+        let (vpp, hz) = drive(sample, w.re);
+        plant.set_drive(Drive { vpp, omega: hz * TAU });
+        inputs.push(Input { t: time.seconds(), vpp, omega: hz * TAU, conditions: scene.at(time) });
+        outputs.push(Output { t: time.seconds(), w });
+    }
+    Recording::new(name.to_owned(), inputs, outputs).unwrap()
+}
+
+fn scene(temperature: &[(u32, f64)], force: &[(u32, f64)]) -> Scene {
+    Scene { temperature_offset_k: held(temperature), finger_force_n: held(force) }
+}
+
+const STILL: &[(u32, f64)] = &[(0, 0.0)];
+const RESONANCE: f64 = 32_307.6;
+
+fn voltage() -> Recording {
+    let level =
+        |ms: u32, _| (if ms % 40 < 20 { 0.0 } else { [120.0, 208.0, 312.0, 370.0][(ms / 40) as usize % 4] }, RESONANCE);
+    record("voltage", &scene(STILL, STILL), 160, level)
+}
+
+#[test]
+fn four_levels_are_four_rows_and_linear() {
+    let (found, fits) = identify(&[voltage()], None).unwrap();
+    let drives: Vec<f64> = found.voltage_steps.iter().map(|step| step.vpp).collect();
+    assert_eq!(drives, [120.0, 208.0, 312.0, 370.0]);
+    for step in &found.voltage_steps {
+        for [gain, tau] in [step.least_squares.unwrap(), step.instruments.unwrap(), step.direct.unwrap()] {
+            assert!((gain.value / 0.006_98 - 1.0).abs() < 0.01, "{step:?}");
+            assert!((tau.value / 1.88e-3 - 1.0).abs() < 0.04, "{step:?}");
+        }
+    }
+    assert!(found.gain_change_percent.unwrap().covers(0.0));
+    assert_eq!(fits[0].curve.len(), 160);
+    let text = tables(&found)[0].markdown();
+    for printed in ["7108", "6547", "6620", "7103", "6980", "6844.5"] {
+        assert!(text.contains(printed), "{printed}: {text}");
+    }
+}
+
+/// A law that holds Wd at 2 µm with a frequency that `hz` steps.
+fn holding(hz: impl Fn(u32) -> f64) -> impl FnMut(u32, f64) -> (f64, f64) {
+    let mut integral = 0.0;
+    move |ms, wd| {
+        let error = 2.0 - wd;
+        integral += 75.6 * error;
+        (183.0 * error - 75.6 * error + integral, hz(ms))
+    }
+}
+
+#[test]
+fn steps_of_the_frequency_and_of_the_temperature_tell_the_same() {
+    let step_hz = 77.0 / TAU;
+    let level = |ms: u32| 3.0 - f64::from((ms.max(20) - 20) / 20).min(6.0);
+    let by_frequency = record("frequency", &scene(STILL, STILL), 160, holding(|ms| RESONANCE + step_hz * level(ms)));
+    let warm: Vec<(u32, f64)> = (0..8).map(|k| (k * 20, level(k * 20) * step_hz / 9.638)).collect();
+    let by_temperature = record("temperature", &scene(&warm, STILL), 160, holding(|_| RESONANCE));
+    for recording in [by_frequency, by_temperature] {
+        let (found, _) = identify(std::slice::from_ref(&recording), None).unwrap();
+        assert_eq!(found.frequency_steps.len(), 6, "{}", recording.name);
+        assert!(found.voltage_steps.is_empty(), "a loop at work is no step of the voltage");
+        for step in &found.frequency_steps {
+            assert!((step.detuning - step.from_detuning + 77.0).abs() < 1.0, "{step:?}");
+            let [gain, _] = step.instruments.unwrap();
+            assert!((gain.value / 1.88e-3 - 1.0).abs() < 0.04, "{step:?}");
+            assert!((step.direct.unwrap().value / 1.88e-3 - 1.0).abs() < 0.1, "{step:?}");
+        }
+        // At the resonance, where Wd hardly notices, the paper's ratio of one.
+        let [gain, tau] =
+            found.frequency_steps.iter().find(|step| step.detuning.abs() < 5.0).unwrap().instruments.unwrap();
+        assert!((gain.value / tau.value - 1.0).abs() < 0.08, "{gain:?} {tau:?}");
+    }
+}
+
+#[test]
+fn a_sweep_and_forces_complete_the_plate_file() {
+    let warm = [(0, 0.0), (25, 3.0), (45, 6.0), (65, 9.0)];
+    let constant = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, 32_264.2);
+    let sweep = record("sweep", &scene(&warm, STILL), 90, constant);
+    let pressed = [(0, 0.0), (25, 0.5), (45, 1.5)];
+    let press = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, RESONANCE);
+    let forces = record("forces", &scene(STILL, &pressed), 70, press);
+    let (found, _) = identify(&[voltage(), sweep, forces], None).unwrap();
+    assert!(found.slope_hz_per_k.unwrap().covers(-9.638), "{:?}", found.slope_hz_per_k);
+    assert!((found.slope_hz_per_k.unwrap().value + 9.638).abs() < 0.1);
+    let named = Named {
+        name: "mine \"one\"".to_owned(),
+        source: "a test".to_owned(),
+        reference_temperature_c: 24.0,
+        limit_vpp: None,
+        slope_hz_per_k: None,
+    };
+    let text = plate_file(&found, &named).unwrap();
+    let plate = toml::from_str::<RawPlate>(&text).unwrap().check().unwrap();
+    assert_eq!((plate.name.as_str(), plate.drive_limit_vpp), ("mine \"one\"", 370.0));
+    assert!((plate.gain / 0.006_98 - 1.0).abs() < 3e-3 && (plate.sigma0 * 1.88e-3 - 1.0).abs() < 0.01, "{text}");
+    assert!((plate.omega0 / TAU - RESONANCE).abs() < 0.5 && (plate.noise_um_rms - 0.004).abs() < 5e-4, "{text}");
+    assert!((plate.damping_ratio_at(1.5) - 2.0).abs() < 0.03 && (plate.damping_ratio_at(0.5) - 4.0 / 3.0).abs() < 0.02);
+}
+
+#[test]
+fn what_the_recordings_do_not_show_is_not_made_up() {
+    // At 3 K throughout, without a slope: the resonance at the reference is not known.
+    let level = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, RESONANCE);
+    let warm = record("warm", &scene(&[(0, 3.0)], STILL), 40, level);
+    let named = Named {
+        name: String::new(),
+        source: String::new(),
+        reference_temperature_c: 24.0,
+        limit_vpp: None,
+        slope_hz_per_k: None,
+    };
+    let (found, _) = identify(std::slice::from_ref(&warm), None).unwrap();
+    assert_eq!((found.resonance_hz, plate_file(&found, &named)), (None, None));
+    let (found, _) = identify(&[warm], Some(-9.638)).unwrap();
+    assert!((found.resonance_hz.unwrap().value - RESONANCE).abs() < 0.5);
+    // Settled before it begins: two numbers for three unknowns.
+    let whole = record("settled", &scene(STILL, STILL), 80, |_, _| (300.0, RESONANCE));
+    assert_eq!(identify(&[whole.part(50, 80).unwrap()], None).unwrap_err(), Unusable::Undetermined);
+    let ramp = (0..90).map(|ms| (ms, f64::from(ms) * 0.1)).collect::<Vec<_>>();
+    let inputs: Vec<Input> = ramp
+        .iter()
+        .map(|&(ms, kelvin)| Input {
+            t: f64::from(ms) * 1e-3,
+            vpp: 300.0,
+            omega: RESONANCE * TAU,
+            conditions: Conditions { temperature_offset_k: kelvin, finger_force_n: 0.0 },
+        })
+        .collect();
+    assert_eq!(Recording::new(String::new(), inputs, whole.outputs).unwrap_err(), Unusable::Moving);
+}
