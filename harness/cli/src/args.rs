@@ -68,6 +68,8 @@ pub(crate) enum Command {
     Trust(Trust),
     /// Where loops fail: predicted boundary beside the measured one, margins, maps
     Stability(crate::stability::Stability),
+    /// Plate parameters from recorded steps, beside Tables I and II
+    Identify(crate::identify::Identify),
 }
 
 /// `platebench run`

@@ -7,6 +7,7 @@ mod baseline;
 mod compare;
 mod emulate;
 mod exit;
+mod identify;
 mod logging;
 mod output;
 mod run;
@@ -35,6 +36,7 @@ pub fn main() -> ExitCode {
         Command::Baseline(arguments) => baseline::baseline(arguments),
         Command::Trust(arguments) => trust::trust(arguments),
         Command::Stability(arguments) => stability::stability(arguments),
+        Command::Identify(arguments) => identify::identify(arguments),
     });
     exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");

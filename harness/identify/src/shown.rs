@@ -48,7 +48,7 @@ impl Table {
             format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "))
         };
         let rule = widths.iter().map(|width| format!("|{}", "-".repeat(width + 2))).collect::<Vec<_>>().concat();
-        let body: String = self.rows.iter().map(line).collect();
+        let body = self.rows.iter().map(line).collect::<Vec<_>>().concat();
         let notes = self.notes.iter().map(|note| format!("\n{note}\n")).collect::<Vec<_>>().concat();
         format!("### {}\n\n{}{rule}|\n{body}{notes}", self.title, line(&self.header))
     }
@@ -306,8 +306,8 @@ pub fn plate_file(found: &Identification, named: &Named) -> Option<String> {
     text += &line("time_constant_ms", found.time_constant_s?, 1e3, 5);
     text += &line("gain_um_per_vpp", found.gain_um_per_vpp?, 1.0, 8);
     if !found.damping_ratio.is_empty() {
-        let points: String =
-            found.damping_ratio.iter().map(|(force, ratio)| format!(", [{force:?}, {:.5}]", ratio.value)).collect();
+        let points = found.damping_ratio.iter().map(|(force, ratio)| format!(", [{force:?}, {:.5}]", ratio.value));
+        let points = points.collect::<Vec<_>>().concat();
         let errors = found
             .damping_ratio
             .iter()

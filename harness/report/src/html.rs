@@ -27,7 +27,7 @@ use std::path::Path;
 /// The file's name in a run folder.
 pub const FILE: &str = "report.html";
 
-const STYLE: &str = include_str!("html/style.css");
+pub(crate) const STYLE: &str = include_str!("html/style.css");
 
 /// Writes the run as a page into `folder`, the run's own: traces are looked for there. A trace that is missing is said
 /// to be missing where its plots would have stood.

@@ -6,6 +6,7 @@
 //! * [`traceability`]: `traceability.csv`, from requirement to trace.
 //! * [`comparison`]: a response beside its baseline.
 //! * [`map`]: spectral radius over period and delay, with measured boundaries.
+//! * [`identification`]: tables and fitted curves of a plate.
 //!
 //! Neighbours: `platebench-verdict` decides and owns the record, `platebench-trace` reads what happened. Nothing is
 //! judged here and nothing is measured: a number in a report stands in the record or in a trace. Exit codes are the
@@ -17,6 +18,7 @@ mod cost;
 mod error;
 mod evidence;
 pub mod html;
+pub mod identification;
 pub mod junit;
 pub mod map;
 mod shown;

@@ -13,6 +13,7 @@ mod determinism;
 mod exits;
 mod faults;
 mod golden;
+mod identify;
 mod layout;
 mod line;
 mod real_time;

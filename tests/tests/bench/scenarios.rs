@@ -17,6 +17,7 @@ fn ends_as_it_says(
     #[files("../scenarios/faults/*.toml")]
     #[files("../scenarios/laws/*.toml")]
     #[files("../scenarios/guards/*.toml")]
+    #[files("../scenarios/identify/*.toml")]
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();
