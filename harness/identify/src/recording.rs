@@ -43,6 +43,9 @@ pub enum Unusable {
     /// Too few control instants.
     #[error("{0} samples at control instants, expected at least {FEWEST}")]
     Short(usize),
+    /// More control instants than a fit can take in reasonable time.
+    #[error("{0} samples at control instants, expected at most {MOST}")]
+    Long(usize),
     /// The plate was never driven.
     #[error("the drive is 0 V throughout, expected a step")]
     Undriven,
@@ -61,6 +64,8 @@ pub enum Unusable {
 
 /// Fewer samples tell nothing.
 const FEWEST: usize = 8;
+/// 100 s at 1 kHz.
+const MOST: usize = 100_000;
 /// More levels of temperature and force are a ramp.
 const MOST_CONDITIONS: usize = 64;
 /// Temperatures within this much of each other, K, are one.
@@ -89,6 +94,9 @@ impl Recording {
     pub fn new(name: String, inputs: Vec<Input>, outputs: Vec<Output>) -> Result<Self, Unusable> {
         if outputs.len() < FEWEST {
             return Err(Unusable::Short(outputs.len()));
+        }
+        if outputs.len() > MOST {
+            return Err(Unusable::Long(outputs.len()));
         }
         if let Some(at) = outputs.windows(2).position(|pair| pair[1].t <= pair[0].t) {
             return Err(Unusable::Unordered(at + 1));

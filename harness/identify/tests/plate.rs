@@ -2,9 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
-use platebench_identify::{Input, Named, Output, Recording, Unusable, identify, plate_file, tables};
+use platebench_identify::{Input, Named, Output, Recording, Signal, Unusable, identify, plate_file, tables};
 use platebench_plate::file::RawPlate;
-use platebench_plate::{Conditions, Drive, Plant, Plate, Profile, Scene, Sensor, Tier, Time};
+use platebench_plate::{Complex64, Conditions, Drive, Plant, Plate, Profile, Scene, Sensor, Tier, Time};
+use platebench_trace::{Flags, Row};
 use std::f64::consts::TAU;
 
 const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
@@ -124,6 +125,41 @@ fn a_sweep_and_forces_complete_the_plate_file() {
     assert!((plate.gain / 0.006_98 - 1.0).abs() < 3e-3 && (plate.sigma0 * 1.88e-3 - 1.0).abs() < 0.01, "{text}");
     assert!((plate.omega0 / TAU - RESONANCE).abs() < 0.5 && (plate.noise_um_rms - 0.004).abs() < 5e-4, "{text}");
     assert!((plate.damping_ratio_at(1.5) - 2.0).abs() < 0.03 && (plate.damping_ratio_at(0.5) - 4.0 / 3.0).abs() < 0.02);
+}
+
+#[test]
+fn a_trace_shows_what_the_controller_was_given() {
+    let row = |step: u32| Row {
+        t_s: f64::from(step) * 5e-4,
+        wd_um: 1.0,
+        sensed_wd_um: 1.1,
+        wq_um: -0.5,
+        sensed_wq_um: -0.6,
+        drive_vpp: if step < 7 { 0.0 } else { 300.0 },
+        frequency_hz: RESONANCE,
+        // Every other row is a control instant; the sample of one of them never arrived.
+        flags: match step {
+            8 => Flags::CONTROL | Flags::LINK_LOST,
+            step if step.is_multiple_of(2) => Flags::CONTROL,
+            _ => Flags::empty(),
+        },
+        ..Row::default()
+    };
+    let rows: Vec<Row> = (0..30).map(row).collect();
+    let given = Recording::of_trace(String::new(), &rows, Signal::Sensed).unwrap();
+    let own = Recording::of_trace(String::new(), &rows, Signal::True).unwrap();
+    assert_eq!((given.outputs.len(), own.outputs.len()), (14, 14));
+    assert!(given.outputs.iter().all(|output| (output.w.re, output.w.im) == (1.1, -0.6) && output.t != 4e-3));
+    assert_eq!((own.outputs[3].w.re, own.outputs[3].w.im), (1.0, -0.5));
+    assert_eq!(
+        given.inputs.iter().map(|input| input.t).collect::<Vec<_>>(),
+        [0.0, 3.5e-3],
+        "between control instants, too"
+    );
+    let output = |number: u32| Output { t: f64::from(number), w: Complex64::ZERO };
+    let long = |count: u32| Recording::new(String::new(), given.inputs.clone(), (0..count).map(output).collect());
+    assert!(long(100_000).is_ok());
+    assert_eq!(long(100_001).unwrap_err(), Unusable::Long(100_001));
 }
 
 #[test]
