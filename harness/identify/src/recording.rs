@@ -53,7 +53,9 @@ pub enum Unusable {
     #[error("times that do not rise at sample {0}")]
     Unordered(usize),
     /// A ramp.
-    #[error("more than {MOST_CONDITIONS} temperatures and forces, expected each to be held for some 10 ms")]
+    #[error(
+        "temperature or force moves: more than {MOST_CONDITIONS} levels, or one of fewer than {FEWEST_HELD} samples; expected each to be held for some 10 ms"
+    )]
     Moving,
     /// The response does not tell the parameters.
     #[error(
@@ -68,6 +70,8 @@ const FEWEST: usize = 8;
 const MOST: usize = 100_000;
 /// More levels of temperature and force are a ramp.
 const MOST_CONDITIONS: usize = 64;
+/// A level that is seen less often is passed through and not held.
+const FEWEST_HELD: usize = 5;
 /// Temperatures within this much of each other, K, are one.
 const SAME_TEMPERATURE_K: f64 = 0.05;
 /// Forces within this much of each other, N, are one.
@@ -119,7 +123,11 @@ impl Recording {
                 return Err(Unusable::Moving);
             }
         }
-        Ok(Self { name, inputs: kept, outputs, conditions })
+        let whole = Self { name, inputs: kept, outputs, conditions };
+        let acting = whole.acting();
+        let seen = |level: &Conditions| acting.iter().filter(|input| input.conditions == *level).count();
+        let passing = whole.conditions.iter().any(|level| seen(level) < FEWEST_HELD);
+        if passing { Err(Unusable::Moving) } else { Ok(whole) }
     }
 
     /// A trace: inputs from every row, outputs from rows flagged `control` whose sample arrived.

@@ -181,6 +181,13 @@ fn what_the_recordings_do_not_show_is_not_made_up() {
     // Settled before it begins: two numbers for three unknowns.
     let whole = record("settled", &scene(STILL, STILL), 80, |_, _| (300.0, RESONANCE));
     assert_eq!(identify(&[whole.part(50, 80).unwrap()], None).unwrap_err(), Unusable::Undetermined);
+    let jumping = |held: u32| {
+        let mut inputs = whole.inputs.clone();
+        let warm = Conditions { temperature_offset_k: 1.0, finger_force_n: 0.0 };
+        inputs.push(Input { t: f64::from(80 - held) * 1e-3, conditions: warm, ..inputs[0] });
+        Recording::new(String::new(), inputs, whole.outputs.clone())
+    };
+    assert_eq!((jumping(4).unwrap_err(), jumping(5).is_ok()), (Unusable::Moving, true));
     let ramp = (0..90).map(|ms| (ms, f64::from(ms) * 0.1)).collect::<Vec<_>>();
     let inputs: Vec<Input> = ramp
         .iter()
