@@ -47,12 +47,18 @@ impl Plant {
         let at = steady(tier, mode, drive);
         let j = Complex64::I;
         let poles = match tier {
+            // Without the coupling the detuning turns nothing: both responses decay with σ.
+            Tier::Linear => vec![Pole {
+                value: (-mode.sigma).into(),
+                by_drive: mode.envelope_constant.into(),
+                by_frequency: -j * at.re,
+            }],
             Tier::Envelope => vec![Pole {
                 value: Complex64::new(-mode.sigma, mode.omega0 - drive.omega),
                 by_drive: mode.envelope_constant.into(),
                 by_frequency: -j * at,
             }],
-            Tier::Modal => {
+            Tier::Modal | Tier::Carrier => {
                 let damped = ((mode.omega0 - mode.sigma) * (mode.omega0 + mode.sigma)).sqrt();
                 let [plus, minus] = [damped, -damped].map(|damped| Complex64::new(-mode.sigma, damped));
                 // A push (w, u) on (W, U) is shared as A = (u − s₋w)/(s₊ − s₋), B = w − A.
