@@ -43,7 +43,7 @@ pub struct LimitRow {
     pub source: &'static str,
     /// The same limit in the unit in which it is usually told.
     pub told: String,
-    /// How much the motion grew in 4 000 steps of 99 and 101 % of the limit, as a power of ten.
+    /// How much the motion grew in 4 000 steps of 99 and 101 % of the limit, as a power of ten; none where that is too few to tell.
     pub decades: Option<[f64; 2]>,
 }
 
@@ -166,7 +166,8 @@ fn row<const N: usize, P: Problem<N>>(
     let (told, decades) = match measured {
         Limit::Step(limit) => {
             let run = |share: f64| growth(|x| free_step(method, problem, x, limit * share));
-            (told(limit), Some([0.99, 1.01].map(run)))
+            let slowest = radius(&matrix_of(|x| free_step(method, problem, x, limit * 1.01)));
+            (told(limit), visible(slowest).then(|| [0.99, 1.01].map(run)))
         }
         Limit::Never | Limit::Always => (String::new(), None),
     };
@@ -195,6 +196,11 @@ fn exact(tier: Tier, mode: &Mode) -> LimitRow {
         told: String::new(),
         decades: None,
     }
+}
+
+/// True where a motion that grows by `factor` per step grows enough in [`RUN`] steps to be told from the beat of its components.
+fn visible(factor: f64) -> bool {
+    f64::from(RUN) * factor.log10() > 1.0
 }
 
 /// One step of `method` from `x`, whatever its clock says; the clock's component is 0 afterwards.

@@ -7,11 +7,13 @@
 //! * [`comparison`]: a response beside its baseline.
 //! * [`map`]: spectral radius over period and delay, with measured boundaries.
 //! * [`identification`]: tables and fitted curves of a plate.
+//! * [`chart`]: what the bench measures of itself, drawn.
 //!
 //! Neighbours: `platebench-verdict` decides and owns the record, `platebench-trace` reads what happened. Nothing is
 //! judged here and nothing is measured: a number in a report stands in the record or in a trace. Exit codes are the
 //! command line's.
 
+pub mod chart;
 pub mod comparison;
 pub mod console;
 mod cost;
