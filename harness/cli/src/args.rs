@@ -70,6 +70,8 @@ pub(crate) enum Command {
     Stability(crate::stability::Stability),
     /// Plate parameters from recorded steps, beside Tables I and II
     Identify(crate::identify::Identify),
+    /// Speed against accuracy: plant methods and the bench's own, on one page
+    Chart(crate::chart::Chart),
 }
 
 /// `platebench run`

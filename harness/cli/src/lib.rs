@@ -4,6 +4,7 @@
 
 mod args;
 mod baseline;
+mod chart;
 mod compare;
 mod emulate;
 mod exit;
@@ -37,6 +38,7 @@ pub fn main() -> ExitCode {
         Command::Trust(arguments) => trust::trust(arguments),
         Command::Stability(arguments) => stability::stability(arguments),
         Command::Identify(arguments) => identify::identify(arguments),
+        Command::Chart(arguments) => chart::chart(arguments),
     });
     exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");
