@@ -1,14 +1,16 @@
-//! Work against precision on a step at resonance and on one under a closed loop, without a controller: prints one line per setting.
+//! Work against precision without a controller: a step whose drive and detuning decay as under a closed loop, untouched and while a finger comes down with
+//! 10 N/s. Prints one line per setting.
 
-use platebench_methods::{Course, Effort, Passage, sweep};
+use platebench_methods::{Contender, Course, Effort, Measured, Passage, sweep};
 use platebench_plate::file::RawPlate;
+use platebench_plate::profile::RawProfile;
 use platebench_plate::{Drive, Profile, Scene, Time};
+use std::path::Path;
 use std::time::Duration;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let file = std::env::args().nth(1).ok_or("expected a plate file")?;
     let plate = toml::from_str::<RawPlate>(&std::fs::read_to_string(file)?)?.check()?;
-    let scene = Scene { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) };
     let drives: Vec<(Time, Drive)> = (0..40)
         .map(|period| {
             let share = 0.22_f64.powi(period);
@@ -18,28 +20,27 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             )
         })
         .collect();
-    let end = Time::from_nanos(40_000_000);
-    let course = Course {
-        plate: &plate,
-        scene: &scene,
-        drives: &drives,
-        period: Time::from_nanos(1_000_000),
-        end,
-        setpoint_um: 2.0,
-    };
-    let passage = Passage::new(&course);
-    for measured in sweep(&passage, &Effort { rounds: 5, batch: Duration::from_millis(1), every: 1 }) {
-        let contender = measured.contender;
-        println!(
-            "{:10}{:30}{:?} {:8.1e} {:8.1e} {:12.0} ns/ms {}",
-            contender.problem(),
-            contender.method(),
-            contender,
-            measured.numerical_error,
-            measured.total_error,
-            measured.ns_per_ms,
-            measured.status
-        );
+    let (period, end) = (Time::from_nanos(1_000_000), Time::from_nanos(40_000_000));
+    for finger in ["0.0", "{ linear = [[0.0, 0.0], [100.0, 1.0]] }"] {
+        let finger_force_n = toml::from_str::<Finger>(&format!("force_n = {finger}"))?.force_n.check(Path::new("."))?;
+        let scene = Scene { temperature_offset_k: Profile::constant(0.0), finger_force_n };
+        let course = Course { plate: &plate, scene: &scene, drives: &drives, period, end, setpoint_um: 2.0 };
+        println!("finger force in N: {finger}");
+        for measured in sweep(&Passage::new(&course), &Effort { rounds: 5, batch: Duration::from_millis(1), every: 1 })
+        {
+            let Measured { contender, numerical_error, ns_per_ms, status, .. } = measured;
+            let setting = match contender {
+                Contender::Exact(_) => String::new(),
+                Contender::General(_, _, setting) => format!("{setting:.1e}"),
+            };
+            let (problem, method) = (contender.problem(), contender.method());
+            println!("{problem:9} {method:29} {setting:>8} {numerical_error:8.1e} {ns_per_ms:12.0} ns/ms {status}");
+        }
     }
     Ok(())
+}
+
+#[derive(serde::Deserialize)]
+struct Finger {
+    force_n: RawProfile,
 }

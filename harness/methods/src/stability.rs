@@ -2,7 +2,7 @@
 //!
 //! The free motion of a step is a linear map; its matrix is read off the method itself, by stepping unit vectors, and its spectral radius is found by squaring.
 
-use crate::fixed::Fixed;
+use crate::fixed::Fixed::{self, Euler, Midpoint, RungeKutta4, Verlet};
 use crate::problem::{Carrier, Envelope, Modal, Problem, Situation};
 use platebench_plate::{Conditions, Drive, Flow, Mode, Plate, Tier};
 use std::array::from_fn;
@@ -77,7 +77,6 @@ pub fn limits(plate: &Plate) -> Vec<LimitRow> {
     let circle = "|1 + hλ| = 1: h = 2σ/|λ|²";
     let imaginary = "RK4 on the imaginary axis: h|λ| = 2√2 (Hairer, Wanner: Solving ODEs II, IV.2)";
     let a_stable = "A-stable: no limit (Hairer, Wanner: Solving ODEs II, IV.3)";
-    use Fixed::{Euler, Midpoint, RungeKutta4, Verlet};
     let mut rows = vec![
         row(Euler, "envelope, resonant", &envelope(free, 0.0), euler(free.sigma, 0.0), circle, ms),
         row(Euler, "envelope, 545 rad/s off", &envelope(free, DETUNING), euler(free.sigma, DETUNING), circle, ms),

@@ -13,6 +13,8 @@ use std::time::Duration;
 const LOST: f64 = 2.0;
 /// What the closed form is held against, and what stands in for it where a profile moves the mode.
 const REFERENCE: (Method, f64) = (Method::Adaptive(Adaptive::Dop853), 1e-13);
+/// A passage that takes longer is not measured again.
+const SLOW: Duration = Duration::from_millis(20);
 /// Plates that are set up before the clock runs, at most.
 const MOST_PLANTS: u32 = 4_096;
 
@@ -105,6 +107,8 @@ struct Runner<'a> {
     passage: &'a Passage,
     contender: Contender,
     repeats: u32,
+    /// True where one passage takes longer than [`SLOW`].
+    is_slow: bool,
     costs: Vec<f64>,
     outcome: Outcome,
 }
@@ -142,6 +146,7 @@ impl Runner<'_> {
         self.repeats = 1;
         let once = self.time();
         let simulated = self.passage.seconds() * 1e3;
+        self.is_slow = once * simulated > SLOW.as_nanos() as f64;
         self.repeats = (batch.as_nanos() as f64 / (once * simulated)).ceil().clamp(1.0, f64::from(MOST_PLANTS)) as u32;
     }
 }
@@ -161,12 +166,22 @@ pub fn sweep(passage: &Passage, effort: &Effort) -> Vec<Measured> {
     let mut runners: Vec<Runner<'_>> = exact
         .into_iter()
         .chain(general)
-        .map(|contender| Runner { passage, contender, repeats: 1, costs: Vec::new(), outcome: Outcome::new() })
+        .map(|contender| Runner {
+            passage,
+            contender,
+            repeats: 1,
+            is_slow: false,
+            costs: Vec::new(),
+            outcome: Outcome::new(),
+        })
         .collect();
-    runners.iter_mut().for_each(|runner| runner.calibrate(effort.batch));
+    for runner in &mut runners {
+        runner.calibrate(effort.batch);
+    }
     // In turn, so that whatever else the machine does meets all alike.
-    for _ in 0..effort.rounds.max(1) {
-        for runner in &mut runners {
+    for round in 0..effort.rounds.max(1) {
+        // What takes longer than it may is measured once: a long measurement averages by itself.
+        for runner in runners.iter_mut().filter(|runner| round == 0 || !runner.is_slow) {
             let cost = runner.time();
             runner.costs.push(cost);
         }
@@ -278,7 +293,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;
     let upper = values.get(middle).copied().unwrap_or(f64::NAN);
-    let lower = if values.len() % 2 == 0 { values.get(middle.wrapping_sub(1)).copied() } else { None };
+    let lower = if values.len().is_multiple_of(2) { values.get(middle.wrapping_sub(1)).copied() } else { None };
     lower.map_or(upper, |lower| 0.5 * (lower + upper))
 }
 

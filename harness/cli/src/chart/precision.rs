@@ -153,8 +153,8 @@ const HEADLINE: [&str; 7] = [
     "exact, ns/ms",
     "its error",
     "best crate with an error of at most 1e-9",
-    "exact is faster by",
-    "than the best crate at a tolerance of 1e-9 by",
+    "its cost over exact",
+    "the same at a tolerance of 1e-9",
 ];
 
 /// The closed form beside the best published crate; `None` where no tier has the problem's closed form.
@@ -162,7 +162,10 @@ fn headline(scenario: &Scenario, frame: Frame, measured: &[Measured]) -> Option<
     let problem = frame.name();
     let exact =
         measured.iter().find(|row| matches!(row.contender, Contender::Exact(tier) if tier.name() == problem))?;
-    let times = |peer: &Measured| format!("{:.0}×", peer.ns_per_ms / exact.ns_per_ms);
+    let times = |peer: &Measured| {
+        let ratio = peer.ns_per_ms / exact.ns_per_ms;
+        if ratio < 20.0 { format!("{ratio:.1}×") } else { format!("{ratio:.0}×") }
+    };
     let reached = best_peer(measured, problem, AIM);
     let at_tolerance = measured
         .iter()
@@ -181,7 +184,7 @@ fn headline(scenario: &Scenario, frame: Frame, measured: &[Measured]) -> Option<
         format!("{:.1e}", exact.numerical_error),
         reached.map_or_else(none, described),
         reached.map_or_else(none, times),
-        at_tolerance.map_or_else(none, |peer| format!("{}, which is off by {:.0e}", times(peer), peer.numerical_error)),
+        at_tolerance.map_or_else(none, |peer| format!("{}, off by {:.0e}", times(peer), peer.numerical_error)),
     ])
 }
 

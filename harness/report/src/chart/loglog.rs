@@ -4,6 +4,7 @@ use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::error::Error;
+use std::fmt::Write as _;
 use std::ops::Range;
 
 /// Units of the drawing per CSS pixel at natural size: plotters puts points on whole numbers only.
@@ -11,6 +12,8 @@ const FINE: i32 = 4;
 const SIZE: (i32, i32) = (720 * FINE, 430 * FINE);
 /// Room on the right for the legend.
 const LEGEND: i32 = 236 * FINE;
+/// So many labels stand beside each other without touching.
+const MOST_LABELS: usize = 9;
 /// Colours of series, for light and for dark, from Okabe and Ito's palette for the colour-blind, darkened and lightened.
 const COLOURS: [(&str, &str); 10] = [
     ("#111418", "#f4f6f8"),
@@ -97,7 +100,7 @@ impl LogLog {
             .set_label_area_size(LabelAreaPosition::Left, u32::try_from(70 * FINE)?)
             .set_label_area_size(LabelAreaPosition::Bottom, u32::try_from(56 * FINE)?)
             .build_cartesian_2d((xs.start..right).log_scale(), (ys.start..ys.end).log_scale())?;
-        let many = |range: &Range<f64>| (range.end / range.start).log10().round() as usize + 1;
+        let many = |range: &Range<f64>| ((range.end / range.start).log10().round() as usize + 1).min(MOST_LABELS);
         chart
             .configure_mesh()
             .x_labels(many(&(xs.start..right)))
@@ -163,11 +166,12 @@ impl LogLog {
         let mut dark = String::new();
         for number in 0..self.series.len() {
             let (light, at_night) = COLOURS[number % COLOURS.len()];
-            style += &format!(".s{number}{{stroke:{light}}}.f{number}{{fill:{light}}}");
-            dark += &format!(".s{number}{{stroke:{at_night}}}.f{number}{{fill:{at_night}}}");
+            // Writing into a string does not fail.
+            let _ = write!(style, ".s{number}{{stroke:{light}}}.f{number}{{fill:{light}}}");
+            let _ = write!(dark, ".s{number}{{stroke:{at_night}}}.f{number}{{fill:{at_night}}}");
             classes.push((Role::Series(number), number.to_string()));
         }
-        style += &format!("@media screen and (prefers-color-scheme:dark){{{dark}}}");
+        let _ = write!(style, "@media screen and (prefers-color-scheme:dark){{{dark}}}");
         for (role, class) in classes {
             let RGBColor(red, green, blue) = role.colour();
             let colour = format!("#{red:02X}{green:02X}{blue:02X}");
@@ -236,7 +240,8 @@ fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
 
 /// 10ⁿ.
 fn power(value: f64) -> String {
-    let digits = value.log10().round().to_string();
+    // Through a whole number: there is no −0.
+    let digits = (value.log10().round() as i64).to_string();
     let raised = |digit| match digit {
         '-' => '⁻',
         '1' => '¹',
@@ -296,5 +301,6 @@ mod tests {
         assert_eq!(decades([f64::NAN].into_iter()), 0.1..10.0);
         assert_eq!(power(1e-12), "10⁻¹²");
         assert_eq!(power(1e5), "10⁵");
+        assert_eq!(power(0.999), "10⁰");
     }
 }
