@@ -5,7 +5,7 @@
 //! * [`adaptive`]: the published crates `ode_solvers` and `differential-equations`.
 //! * [`method`]: all of them under one face.
 //! * [`replay`]: a stretch of a trial with its drives, played again through any of them.
-//! * [`sweep`]: work against precision.
+//! * [`mod@sweep`]: work against precision.
 //! * [`stability`]: the largest stable step of each, measured beside what theory says.
 //!
 //! The bench never runs them: nothing but charts and their tests may import this crate.
