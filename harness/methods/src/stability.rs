@@ -121,7 +121,7 @@ pub fn limits(plate: &Plate) -> Vec<LimitRow> {
         row(Midpoint, "modal, resonant", &modal, Limit::Always, a_stable, none),
         row(Midpoint, "carrier, undamped", &carrier(undamped), Limit::Always, a_stable, none),
     ];
-    rows.extend(Tier::ALL.iter().map(|tier| exact(*tier, &free)));
+    rows.extend([Tier::Envelope, Tier::Modal].map(|tier| exact(tier, &free)));
     rows
 }
 
@@ -182,8 +182,8 @@ fn exact(tier: Tier, mode: &Mode) -> LimitRow {
         Modal::pack(&Flow::new(tier, mode, &drive, &Modal::unpack(&x, scale)).after(step), scale)
     };
     let problem = match tier {
-        Tier::Modal => "modal, 545 rad/s off",
-        Tier::Envelope => "envelope, 545 rad/s off",
+        Tier::Linear | Tier::Envelope => "envelope, 545 rad/s off",
+        Tier::Modal | Tier::Carrier => "modal, 545 rad/s off",
     };
     let measured = limit(|seconds| radius(&matrix_of(|x| step(x, seconds))));
     LimitRow {

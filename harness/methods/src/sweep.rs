@@ -225,6 +225,8 @@ impl<'a> Truths<'a> {
             Contender::General(frame, ..) => (runner.outcome.samples, frame, runner.outcome.failure),
         };
         let own = match runner.contender {
+            // No general method solves the decoupled pair; what it is off by is its model.
+            Contender::Exact(Tier::Linear) => &samples,
             // Not against itself.
             Contender::Exact(_) => self.of(frame)[1],
             Contender::General(..) => self.best(frame),
@@ -246,18 +248,21 @@ impl<'a> Truths<'a> {
             contender: runner.contender,
             status,
             numerical_error,
-            model_error: passage.error(self.best(frame), self.best(truth)),
+            model_error: match runner.contender {
+                Contender::Exact(Tier::Linear) => error(self.best(truth)),
+                _ => passage.error(self.best(frame), self.best(truth)),
+            },
             total_error: error(self.best(truth)),
             ns_per_ms: median(runner.costs),
         }
     }
 }
 
-/// The equations that a tier solves.
+/// The equations that a tier solves: of the linear tier those that it simplifies, of the carrier those of its W.
 const fn frame_of(tier: Tier) -> Frame {
     match tier {
-        Tier::Modal => Frame::Modal,
-        Tier::Envelope => Frame::Envelope,
+        Tier::Linear | Tier::Envelope => Frame::Envelope,
+        Tier::Modal | Tier::Carrier => Frame::Modal,
     }
 }
 
