@@ -4,6 +4,7 @@
 //! * [`junit`]: `junit.xml` for continuous integration.
 //! * [`html`]: `report.html`, one file that needs nothing else.
 //! * [`traceability`]: `traceability.csv`, from requirement to trace.
+//! * [`shown`]: limits, values and units in words, the same in every report.
 //! * [`comparison`]: a response beside its baseline.
 //! * [`map`]: spectral radius over period and delay, with measured boundaries.
 //! * [`identification`]: tables and fitted curves of a plate.
@@ -24,6 +25,7 @@ pub mod identification;
 pub mod junit;
 pub mod map;
 mod shown;
+pub mod shown;
 mod timing;
 pub mod traceability;
 

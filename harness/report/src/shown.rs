@@ -56,7 +56,7 @@ pub(crate) fn count(number: usize, one: &str) -> String {
 }
 
 /// A sign that tells verdicts apart without colour.
-pub(crate) const fn sign(verdict: Verdict) -> &'static str {
+pub const fn sign(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Pass => "✓",
         Verdict::Fail => "✗",
@@ -104,7 +104,7 @@ fn trimmed(text: &str) -> &str {
 }
 
 /// The value that decided, with as many digits as it takes to see on which side of its limit it lies.
-pub(crate) fn value(expectation: &ExpectationRecord) -> Option<String> {
+pub fn value(expectation: &ExpectationRecord) -> Option<String> {
     let value = expectation.value?;
     let bounds: Vec<f64> = expectation
         .limit
@@ -122,7 +122,7 @@ pub(crate) fn value(expectation: &ExpectationRecord) -> Option<String> {
 }
 
 /// What the value was held against: `≤ 2`, `≥ 2`, `1 … 2` or `≈ 2`.
-pub(crate) fn limit(expectation: &ExpectationRecord) -> String {
+pub fn limit(expectation: &ExpectationRecord) -> String {
     let said = |value: &Value| match value {
         Value::Array(items) => items
             .iter()
@@ -160,7 +160,7 @@ pub(crate) fn evidence(expectation: &ExpectationRecord) -> Option<String> {
 }
 
 /// The unit that a metric's name ends in; empty where it is a ratio or a count.
-pub(crate) fn unit(metric: &str) -> &'static str {
+pub fn unit(metric: &str) -> &'static str {
     match metric.rsplit_once('_').map(|(_, last)| last) {
         Some("ms") => "ms",
         Some("us") => "µs",

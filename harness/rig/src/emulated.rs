@@ -122,6 +122,11 @@ impl Emulated {
         Self::new(BUILT_IN, Options { baud: Some(BUILT_IN_BAUD), ..Options::default() })
     }
 
+    /// The image of the firmware that came with the bench.
+    pub const fn built_in_image() -> &'static [u8] {
+        BUILT_IN
+    }
+
     /// The firmware in the file `elf`, at whatever baud rate it uses.
     ///
     /// # Errors
