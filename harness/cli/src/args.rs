@@ -72,6 +72,8 @@ pub(crate) enum Command {
     Identify(crate::identify::Identify),
     /// Speed against accuracy: plant methods and the bench's own, on one page
     Chart(crate::chart::Chart),
+    /// A lab acceptance session and its record
+    Accept(crate::accept::Accept),
 }
 
 /// `platebench run`
@@ -151,7 +153,7 @@ fn seconds(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| "expected a number of seconds from 0 to 1e7".to_owned())
 }
 
-fn time_scale(text: &str) -> Result<f64, String> {
+pub(crate) fn time_scale(text: &str) -> Result<f64, String> {
     let scale = text.parse().ok().filter(|scale| (0.001..=10.0).contains(scale));
     scale.ok_or_else(|| "expected a number from 0.001 to 10".to_owned())
 }

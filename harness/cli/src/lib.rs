@@ -2,6 +2,7 @@
 //!
 //! A library only so that the whole-bench tests can start the very same program as a process of their own.
 
+mod accept;
 mod args;
 mod baseline;
 mod chart;
@@ -39,6 +40,7 @@ pub fn main() -> ExitCode {
         Command::Stability(arguments) => stability::stability(arguments),
         Command::Identify(arguments) => identify::identify(arguments),
         Command::Chart(arguments) => chart::chart(arguments),
+        Command::Accept(accept) => accept::accept(accept, arguments.logging.quiet),
     });
     exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");

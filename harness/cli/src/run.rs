@@ -67,7 +67,7 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
 }
 
 /// The clock that the command line means; why it cannot be meant where it cannot.
-fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
+pub(crate) fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
     let default = match arguments.rig {
         RigSpec::Serial { .. } | RigSpec::Probe { port: Some(_), .. } => Clock::RealTime,
         RigSpec::Hosted | RigSpec::Emulated(_) | RigSpec::Exec(_) | RigSpec::Probe { port: None, .. } => {
@@ -98,7 +98,11 @@ fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
 }
 
 /// Whether the line can carry what the scenarios ask for, in real time; in lockstep the plate waits for it.
-fn fast_enough(arguments: &Run, clock: platebench_runner::Clock, scenarios: &[Scenario]) -> Result<(), String> {
+pub(crate) fn fast_enough(
+    arguments: &Run,
+    clock: platebench_runner::Clock,
+    scenarios: &[Scenario],
+) -> Result<(), String> {
     let (platebench_runner::Clock::RealTime(pace), Some(baud)) = (clock, arguments.rig.baud()) else { return Ok(()) };
     for scenario in scenarios {
         let period = Duration::from_nanos(scenario.controller.period.as_nanos());
@@ -186,7 +190,7 @@ fn play(plan: Plan, folder: &RunFolder, rig: RigSpec, kind: ProgressKind) -> Res
     result
 }
 
-fn follow(progress: &mut Progress, event: &Event) {
+pub(crate) fn follow(progress: &mut Progress, event: &Event) {
     match event {
         Event::ScenarioStarted { file, trials } => progress.scenario_started(file, *trials),
         Event::TrialFinished { file, trial } => progress.trial_finished(file, trial.index),

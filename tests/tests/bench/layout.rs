@@ -6,7 +6,7 @@ use std::fs;
 use toml::Table;
 
 /// Crates from the bottom up. A crate may import only what stands before it.
-const ORDER: [&str; 15] = [
+const ORDER: [&str; 16] = [
     "firmware-under-test/wire",
     "firmware-under-test/controller",
     "firmware-under-test/host",
@@ -21,6 +21,7 @@ const ORDER: [&str; 15] = [
     "harness/analysis",
     "harness/identify",
     "harness/report",
+    "harness/acceptance",
     "harness/cli",
 ];
 

@@ -7,6 +7,7 @@
     reason = "a test that cannot go on ends by panicking"
 )]
 
+mod accept;
 mod bench;
 mod closed_loop;
 mod determinism;

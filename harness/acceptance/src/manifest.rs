@@ -1,0 +1,208 @@
+//! `manifest.sha256`: SHA-256 over every file of a record, in the format that `sha256sum -c` accepts.
+//!
+//! The manifest does not list itself nor its signature.
+
+use crate::error::AcceptError;
+use crate::{durable, signature};
+use platebench_runner::folder::sha256;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+/// The manifest's name in a record.
+pub const FILE: &str = "manifest.sha256";
+/// Folders in folders of a record; more is none of ours.
+const DEEPEST: usize = 32;
+
+/// What a record's files are, against what its manifest says.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Difference {
+    /// A file's content is another.
+    #[error("{0}: changed, its SHA-256 is not the one in the manifest")]
+    Changed(String),
+    /// A file is not there.
+    #[error("{0}: missing, the manifest names it")]
+    Missing(String),
+    /// A file that the manifest does not name.
+    #[error("{0}: added, or its line was taken out of the manifest")]
+    Added(String),
+    /// Neither a file nor a folder.
+    #[error("{0}: neither a file nor a folder, a record holds nothing else")]
+    Strange(String),
+    /// A file cannot be read.
+    #[error("{0}: cannot be read: {1}")]
+    Unreadable(String, String),
+    /// A line is none of a manifest.
+    #[error(
+        "{FILE}:{0}: not a line of a manifest, expected 64 hexadecimal digits, two spaces and a file below the record, each once and in order"
+    )]
+    Line(usize),
+}
+
+/// Writes the manifest of everything in `folder`.
+pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
+    let mut found = Found::default();
+    found.below(folder, "", 0);
+    if let Some((name, what)) = found.strange.first_key_value() {
+        return Err(AcceptError::io(&folder.join(name))(io::Error::other(what.to_string())));
+    }
+    let mut text = String::new();
+    for name in &found.files {
+        if name.contains(['\\', '\n', '\r']) {
+            let message = "a file name that sha256sum writes otherwise, expected none with \\ or a line break";
+            return Err(AcceptError::io(&folder.join(name))(io::Error::other(message)));
+        }
+        let path = folder.join(name);
+        let bytes = fs::read(&path).map_err(AcceptError::io(&path))?;
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "{}  {name}", sha256(&bytes));
+    }
+    durable::write(&folder.join(FILE), text.as_bytes())
+}
+
+/// Holds every file in `folder` against the manifest's `text`.
+pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
+    let mut differences = Vec::new();
+    let mut listed: BTreeMap<&str, &str> = BTreeMap::new();
+    let mut last = None;
+    for (number, line) in text.split_inclusive('\n').enumerate() {
+        match entry(line).filter(|(_, name)| last.is_none_or(|last| last < *name)) {
+            Some((hash, name)) => {
+                listed.insert(name, hash);
+                last = Some(name);
+            }
+            None => differences.push(Difference::Line(number + 1)),
+        }
+    }
+    let mut found = Found::default();
+    found.below(folder, "", 0);
+    differences.extend(found.strange.into_values());
+    for name in &found.files {
+        match (listed.get(name.as_str()), fs::read(folder.join(name))) {
+            (None, _) => differences.push(Difference::Added(name.clone())),
+            (Some(_), Err(error)) => differences.push(Difference::Unreadable(name.clone(), error.to_string())),
+            (Some(hash), Ok(bytes)) if sha256(&bytes) != *hash => differences.push(Difference::Changed(name.clone())),
+            (Some(_), Ok(_)) => {}
+        }
+    }
+    let missing = listed.keys().filter(|name| !found.files.contains(**name));
+    differences.extend(missing.map(|name| Difference::Missing((*name).to_owned())));
+    differences
+}
+
+/// Hash and name of a line. A name that leads out of the record is none.
+fn entry(line: &str) -> Option<(&str, &str)> {
+    let (hash, name) = line.strip_suffix('\n')?.split_once("  ")?;
+    let is_hash = hash.len() == 64 && hash.bytes().all(|digit| matches!(digit, b'0'..=b'9' | b'a'..=b'f'));
+    let is_inside = name.split('/').all(|part| !matches!(part, "" | "." | ".."));
+    (is_hash && is_inside).then_some((hash, name))
+}
+
+/// What lies in a record.
+#[derive(Default)]
+struct Found {
+    files: BTreeSet<String>,
+    strange: BTreeMap<String, Difference>,
+}
+
+impl Found {
+    fn below(&mut self, folder: &Path, prefix: &str, depth: usize) {
+        let entries = match fs::read_dir(folder).and_then(Iterator::collect::<io::Result<Vec<_>>>) {
+            Ok(entries) => entries,
+            Err(error) => {
+                let name = if prefix.is_empty() { "." } else { prefix.trim_end_matches('/') };
+                self.strange.insert(name.to_owned(), Difference::Unreadable(name.to_owned(), error.to_string()));
+                return;
+            }
+        };
+        for entry in entries {
+            let Some(last) = entry.file_name().to_str().map(str::to_owned) else {
+                let shown = format!("{prefix}{}", entry.file_name().to_string_lossy());
+                self.strange.insert(shown.clone(), Difference::Strange(shown));
+                continue;
+            };
+            let name = format!("{prefix}{last}");
+            // Links are not followed.
+            match entry.file_type() {
+                Ok(kind) if kind.is_dir() && depth < DEEPEST => {
+                    self.below(&entry.path(), &format!("{name}/"), depth + 1);
+                }
+                Ok(kind) if kind.is_file() => {
+                    if name != FILE && name != signature::FILE {
+                        self.files.insert(name);
+                    }
+                }
+                _ => {
+                    self.strange.insert(name.clone(), Difference::Strange(name));
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on ends by panicking")]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    fn record() -> (tempfile::TempDir, String) {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("b")).unwrap();
+        for (name, content) in [("a.txt", "one"), ("b/c.csv", "two"), ("b-d", "three")] {
+            fs::write(folder.path().join(name), content).unwrap();
+        }
+        write(folder.path()).unwrap();
+        let text = fs::read_to_string(folder.path().join(FILE)).unwrap();
+        (folder, text)
+    }
+
+    #[test]
+    fn what_was_written_holds() {
+        let (folder, text) = record();
+        assert_eq!(text.lines().count(), 3);
+        assert_eq!(check(folder.path(), &text), []);
+        fs::write(folder.path().join(signature::FILE), "not listed").unwrap();
+        assert_eq!(check(folder.path(), &text), []);
+    }
+
+    #[test]
+    fn every_file_that_differs_is_named() {
+        let (folder, text) = record();
+        fs::write(folder.path().join("a.txt"), "onf").unwrap();
+        fs::remove_file(folder.path().join("b/c.csv")).unwrap();
+        fs::write(folder.path().join("b/new"), "").unwrap();
+        std::os::unix::fs::symlink("a.txt", folder.path().join("link")).unwrap();
+        let expected = [
+            Difference::Strange("link".to_owned()),
+            Difference::Changed("a.txt".to_owned()),
+            Difference::Added("b/new".to_owned()),
+            Difference::Missing("b/c.csv".to_owned()),
+        ];
+        assert_eq!(check(folder.path(), &text), expected);
+    }
+
+    #[test]
+    fn a_line_that_is_gone_leaves_its_file_unnamed() {
+        let (folder, text) = record();
+        let fewer: String = text.split_inclusive('\n').filter(|line| !line.ends_with("b-d\n")).collect();
+        assert_eq!(check(folder.path(), &fewer), [Difference::Added("b-d".to_owned())]);
+        let twice = text.clone() + text.lines().next().unwrap() + "\n";
+        assert_eq!(check(folder.path(), &twice), [Difference::Line(4)]);
+    }
+
+    #[rstest]
+    #[case::outside("../a")]
+    #[case::root("/a")]
+    #[case::nothing("")]
+    #[case::here("./a")]
+    fn a_line_may_not_lead_out_of_the_record(#[case] name: &str) {
+        let hash = sha256(b"");
+        assert_eq!(entry(&format!("{hash}  {name}\n")), None);
+        assert_eq!(entry(&format!("{hash}  a/b c\n")), Some((hash.as_str(), "a/b c")));
+        assert_eq!(entry(&format!("{hash}  a")), None, "a line that was cut off");
+        assert_eq!(entry(&format!("{}  a\n", hash.to_uppercase())), None);
+    }
+}

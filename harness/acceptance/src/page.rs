@@ -1,0 +1,232 @@
+//! `record.html`: a session on pages that need nothing else, to read, to print and to sign.
+
+use crate::conduct::STEPS;
+use crate::session::{RequirementRecord, SessionRecord, StepRecord};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use platebench_report::shown;
+use platebench_verdict::Verdict;
+
+/// The page's name in a record.
+pub const FILE: &str = "record.html";
+
+const STYLE: &str = include_str!("page/style.css");
+
+/// The page of a session.
+pub fn page(session: &SessionRecord) -> Markup {
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (session.verdict) " · " (session.title) " " (session.started) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                header {
+                    p.eyebrow { "Acceptance record · " (session.started) }
+                    h1 { (session.title) }
+                    p.lead { (badge(session.verdict)) " " (summary(session)) }
+                }
+                (people(session))
+                (requirements(session))
+                (steps(session))
+                (evidence(session))
+                (environment(session))
+                (signatures(session))
+                footer {
+                    p {
+                        "Every file of this record stands in manifest.sha256. platebench accept verify judges the traces again; "
+                        "sha256sum -c manifest.sha256 checks the files alone."
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn badge(verdict: Verdict) -> Markup {
+    html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (shown::sign(verdict)) } " " (verdict) } }
+}
+
+fn summary(session: &SessionRecord) -> String {
+    let of = |wanted| session.requirements.iter().filter(|requirement| requirement.verdict == wanted).count();
+    let (failed, open) = (of(Verdict::Fail), of(Verdict::Inconclusive));
+    format!("{} of {} requirements hold, {failed} failed, {open} open", of(Verdict::Pass), session.requirements.len())
+}
+
+fn people(session: &SessionRecord) -> Markup {
+    let said = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".to_owned());
+    let firmware = session.firmware.as_ref().map_or_else(
+        || "did not introduce itself".to_owned(),
+        |found| format!("{} {}, build {}", found.firmware.name, found.firmware.version, found.firmware.build),
+    );
+    let board = session.firmware.as_ref().map_or_else(
+        || "unknown".to_owned(),
+        |found| format!("{}; chip {}, number {}", session.rig, found.firmware.chip, found.unique),
+    );
+    let facts = [
+        ("Operator", said(&session.operator)),
+        ("Place", said(&session.place)),
+        ("Board", board),
+        ("Firmware", firmware),
+        ("Begun", session.started.clone()),
+        ("Ended", said(&session.finished)),
+        ("Notes", said(&session.notes)),
+    ];
+    html! {
+        section { dl.facts { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } } }
+    }
+}
+
+fn requirements(session: &SessionRecord) -> Markup {
+    html! {
+        section {
+            h2 { "Requirements" }
+            table {
+                thead { tr { th { "Requirement" } th { "What it says" } th { "Shown by" } th { "Verdict" } } }
+                tbody { @for requirement in &session.requirements {
+                    tr {
+                        th scope="row" { (requirement.id) }
+                        td { (requirement.text) }
+                        td { (shown_by(requirement)) }
+                        td { (badge(requirement.verdict)) }
+                    }
+                } }
+            }
+        }
+    }
+}
+
+fn shown_by(requirement: &RequirementRecord) -> Markup {
+    let open: Vec<_> = requirement.evidence.iter().filter(|evidence| evidence.verdict != Verdict::Pass).collect();
+    html! {
+        @match requirement.evidence.len() {
+            0 => "nothing: no expectation holds it",
+            1 => "1 expectation",
+            count => { (count) " expectations" },
+        }
+        @if !open.is_empty() { ", " (open.len()) " not met" }
+    }
+}
+
+fn steps(session: &SessionRecord) -> Markup {
+    html! {
+        section {
+            h2 { "What was done" }
+            @if !session.resumed.is_empty() {
+                p.notice { "The session was cut off and taken up again: " (session.resumed.join(", ")) "." }
+            }
+            table {
+                thead { tr { th { "Step" } th { "What came of it" } th { "Verdict" } } }
+                tbody { @for step in &session.steps { (step_row(step)) } }
+            }
+        }
+    }
+}
+
+fn step_row(step: &StepRecord) -> Markup {
+    html! {
+        tr {
+            th scope="row" {
+                @if step.run_sha256.is_some() { a href={ (STEPS) "/" (step.id) "/report.html" } { (step.title) } }
+                @else { (step.title) }
+                span.file { (step.id) }
+            }
+            td {
+                @if let Some(answer) = &step.answer {
+                    @match &answer.text { Some(text) => { "“" (text) "”" }, None => "no answer" }
+                    " (" (answer.from.replace('-', " ")) ") "
+                }
+                @if let Some(reason) = &step.reason { (reason) }
+                @if step.lost { strong { " The controller was lost or did not confirm 0 V." } }
+                @if step.attempts.len() > 1 {
+                    span.file {
+                        "begun " (step.attempts.len()) " times: "
+                        @for (number, attempt) in step.attempts.iter().enumerate() {
+                            @if number > 0 { "; " }
+                            (attempt.started)
+                            @if let Some(why) = &attempt.broken_off { ", " (why) }
+                            @else if attempt.ended.is_none() { ", cut off" }
+                        }
+                    }
+                }
+            }
+            td { @if let Some(verdict) = step.verdict { (badge(verdict)) } @else { "–" } }
+        }
+    }
+}
+
+fn evidence(session: &SessionRecord) -> Markup {
+    html! {
+        section {
+            h2 { "Evidence" }
+            table.evidence {
+                thead { tr {
+                    th { "Requirement" } th { "Scenario" } th { "Metric" } th { "Demanded" } th { "Found" } th { "Verdict" }
+                } }
+                tbody { @for requirement in &session.requirements { @for evidence in &requirement.evidence {
+                    tr {
+                        th scope="row" { (requirement.id) }
+                        td { a href={ (STEPS) "/" (evidence.step) "/report.html" } { (evidence.scenario) } }
+                        td { code { (evidence.metric) } @if let Some(reason) = &evidence.reason { span.file { (reason) } } }
+                        td.number { (evidence.demanded) }
+                        td.number { (evidence.found.as_deref().unwrap_or("–")) }
+                        td { (badge(evidence.verdict)) }
+                    }
+                } } }
+            }
+        }
+    }
+}
+
+fn environment(session: &SessionRecord) -> Markup {
+    let bench = &session.bench;
+    let image = session.firmware.as_ref().and_then(|firmware| firmware.image_sha256.clone());
+    let facts = [
+        ("Bench", format!("{} {}, {}, {}", bench.tool.name, bench.tool.version, bench.host.os, bench.host.arch)),
+        ("Rig", session.rig.clone()),
+        (
+            "Clock",
+            format!(
+                "{}, time scale {}, paced by {}",
+                session.clock.name, session.clock.time_scale, session.clock.pacing
+            ),
+        ),
+    ];
+    let mut hashes = vec![("bench program".to_owned(), bench.sha256.clone())];
+    hashes.extend(image.map(|hash| ("firmware image".to_owned(), hash)));
+    hashes.push((session.plan.file.clone(), session.plan.sha256.clone()));
+    hashes.extend(session.inputs.iter().map(|input| (input.file.clone(), input.sha256.clone())));
+    html! {
+        section {
+            h2 { "Environment" }
+            dl.facts { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } }
+            table.hashes {
+                thead { tr { th { "File" } th { "SHA-256" } } }
+                tbody { @for (file, hash) in &hashes { tr { th scope="row" { (file) } td { code { (hash) } } } } }
+            }
+        }
+    }
+}
+
+fn signatures(session: &SessionRecord) -> Markup {
+    html! {
+        section.signatures {
+            h2 { "Signatures" }
+            p {
+                @match &session.signature {
+                    Some(_) => { "manifest.sha256 is signed with an " (session.signature.as_ref().map_or("", |signature| &signature.algorithm)) " key; the public key is in session.json." },
+                    None => "The files of this record carry no electronic signature.",
+                }
+            }
+            div.fields {
+                @for role in ["Operator", "Reviewer"] {
+                    div.field { span.line {} span { (role) ", name" } }
+                    div.field { span.line {} span { "Date, signature" } }
+                }
+                div.field.wide { span.line {} span { "First 16 digits of the manifest's SHA-256, as platebench accept verify shows it" } }
+            }
+        }
+    }
+}

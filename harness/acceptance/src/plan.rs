@@ -1,0 +1,263 @@
+//! The plan of a session: what has to hold, what shows it, what is asked.
+//!
+//! The plan file owns what each requirement says; scenarios name requirements by their identifiers alone.
+
+use platebench_scenario::{Diagnostic, Scenario, find};
+use serde::Deserialize;
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// As many repetitions as the command line takes trials.
+const MOST_REPETITIONS: u32 = 100_000;
+const MOST_CLEAN_RUNS: u32 = 1_000_000;
+
+/// A plan file as serde reads it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawPlan {
+    title: String,
+    #[serde(default = "thirty")]
+    repetitions: u32,
+    #[serde(default)]
+    requirement: Vec<Requirement>,
+    #[serde(default)]
+    scenario: Vec<RawPlanned>,
+    #[serde(default)]
+    ask: Vec<Ask>,
+    #[serde(default)]
+    bench: BenchDemands,
+}
+
+const fn thirty() -> u32 {
+    30
+}
+
+/// What has to hold.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Requirement {
+    /// What scenarios call it.
+    pub id: String,
+    /// What it says.
+    pub text: String,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawPlanned {
+    file: PathBuf,
+    repetitions: Option<u32>,
+}
+
+/// Something that a person is asked.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ask {
+    /// Short name, unique in the plan.
+    pub id: String,
+    /// The question.
+    pub question: String,
+    /// What kind of answer there is.
+    #[serde(default)]
+    pub answer: AnswerKind,
+    /// When it is asked.
+    #[serde(default)]
+    pub when: When,
+}
+
+/// What kind of answer a question has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AnswerKind {
+    /// Yes or no; a session in which nobody said yes never passes.
+    #[default]
+    Confirm,
+    /// A line of text, which is recorded and decides nothing.
+    Text,
+}
+
+/// When something is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum When {
+    /// Before the first scenario; a no stops the session.
+    #[default]
+    Before,
+    /// After the last one; a no leaves the session without a pass.
+    After,
+}
+
+/// What is demanded of the bench itself.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BenchDemands {
+    /// Trials of the first scenario that the bench plays in real time to its own controller, to see how punctual it is.
+    pub timing_trials: u32,
+    /// Clean runs of the plan's scenarios, among which no false alarm may be.
+    pub clean_runs: u32,
+    /// Share of the faulty controllers that the plan's scenarios together have to catch, percent.
+    pub least_kill_rate_percent: f64,
+}
+
+impl Default for BenchDemands {
+    fn default() -> Self {
+        Self { timing_trials: 5, clean_runs: 300, least_kill_rate_percent: 0.0 }
+    }
+}
+
+/// A scenario and how often it is played.
+#[derive(Debug, Clone)]
+pub struct Planned {
+    /// As its file has it.
+    pub scenario: Scenario,
+    /// How often it is played.
+    pub repetitions: u32,
+}
+
+/// A checked plan, with its scenarios.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// The file's content.
+    pub bytes: Vec<u8>,
+    /// One line that says what is accepted.
+    pub title: String,
+    /// What has to hold; at least one.
+    pub requirements: Vec<Requirement>,
+    /// What shows it; at least one.
+    pub scenarios: Vec<Planned>,
+    /// What is asked.
+    pub asks: Vec<Ask>,
+    /// What is demanded of the bench.
+    pub bench: BenchDemands,
+}
+
+impl Plan {
+    /// Reads the plan at `path` and every scenario that it names, relative to the plan.
+    ///
+    /// # Errors
+    /// Every [`Diagnostic`] of the plan, or of its scenarios.
+    pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
+        let bytes =
+            fs::read(path).map_err(|error| vec![Diagnostic::of_file(path, format!("cannot be read: {error}"))])?;
+        let (text, raw) = parse(path, &bytes).map_err(|fault| vec![fault])?;
+        let mut faults = faults(path, &text, &raw);
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut scenarios: Vec<Planned> = Vec::new();
+        for (number, planned) in raw.scenario.iter().enumerate() {
+            let at = |message: String| Diagnostic::at_key(path, &text, &format!("scenario.{number}.file"), message);
+            let file = folder.join(&planned.file);
+            if file.is_dir() {
+                faults.push(at(format!("{} is a folder, expected a scenario file", file.display())));
+                continue;
+            }
+            match find(&[file]) {
+                Ok(found) => {
+                    let repetitions = planned.repetitions.unwrap_or(raw.repetitions);
+                    for scenario in found.scenarios {
+                        if scenarios.iter().any(|other| other.scenario.name() == scenario.name()) {
+                            faults.push(at(format!("`{}` stands in the plan twice", scenario.file)));
+                        }
+                        faults.extend(unknown_requirements(&scenario, &raw.requirement));
+                        scenarios.push(Planned { scenario, repetitions });
+                    }
+                }
+                Err(found) => faults.extend(found),
+            }
+        }
+        if !faults.is_empty() {
+            return Err(faults);
+        }
+        let RawPlan { title, requirement, ask, bench, .. } = raw;
+        Ok(Self { bytes, title, requirements: requirement, scenarios, asks: ask, bench })
+    }
+}
+
+/// The requirements of a stored plan, whose scenarios are elsewhere.
+pub(crate) fn requirements(path: &Path, bytes: &[u8]) -> Result<Vec<Requirement>, Diagnostic> {
+    parse(path, bytes).map(|(_, raw)| raw.requirement)
+}
+
+fn parse(path: &Path, bytes: &[u8]) -> Result<(String, RawPlan), Diagnostic> {
+    let text = String::from_utf8(bytes.to_vec())
+        .map_err(|_| Diagnostic::of_file(path, "not UTF-8, expected a text file in UTF-8"))?;
+    match toml::from_str(&text) {
+        Ok(raw) => Ok((text, raw)),
+        Err(error) => {
+            let message = error.message().trim().replace("unknown field", "unknown key");
+            let message = message.replace("missing field", "missing key");
+            Err(Diagnostic::at_span(path, &text, error.span().unwrap_or(0..0), message))
+        }
+    }
+}
+
+fn faults(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
+    let mut faults = Vec::new();
+    let mut refuse = |key: &str, message: String| faults.push(Diagnostic::at_key(path, text, key, message));
+    if raw.title.trim().is_empty() {
+        refuse("title", "empty, expected a line that says what is accepted".to_owned());
+    }
+    let repetitions = 1..=MOST_REPETITIONS;
+    if !repetitions.contains(&raw.repetitions) {
+        refuse("repetitions", format!("{}, expected 1 to {MOST_REPETITIONS}", raw.repetitions));
+    }
+    if raw.requirement.is_empty() {
+        refuse("requirement", "no [[requirement]], expected at least one".to_owned());
+    }
+    if raw.scenario.is_empty() {
+        refuse("scenario", "no [[scenario]], expected at least one".to_owned());
+    }
+    for (number, planned) in raw.scenario.iter().enumerate() {
+        if let Some(wrong) = planned.repetitions.filter(|wished| !repetitions.contains(wished)) {
+            refuse(&format!("scenario.{number}.repetitions"), format!("{wrong}, expected 1 to {MOST_REPETITIONS}"));
+        }
+    }
+    let mut known = BTreeSet::new();
+    for (number, requirement) in raw.requirement.iter().enumerate() {
+        if requirement.text.trim().is_empty() {
+            refuse(&format!("requirement.{number}.text"), "empty, expected what has to hold".to_owned());
+        }
+        if !is_name(&requirement.id) || !known.insert(&requirement.id) {
+            let message = format!("`{}`, expected letters, digits and -, each identifier once", requirement.id);
+            refuse(&format!("requirement.{number}.id"), message);
+        }
+    }
+    let mut known = BTreeSet::new();
+    for (number, ask) in raw.ask.iter().enumerate() {
+        if ask.question.trim().is_empty() {
+            refuse(&format!("ask.{number}.question"), "empty, expected a question".to_owned());
+        }
+        if !is_name(&ask.id) || !known.insert(&ask.id) {
+            let message = format!("`{}`, expected letters, digits and -, each name once", ask.id);
+            refuse(&format!("ask.{number}.id"), message);
+        }
+    }
+    if !(1..=1_000).contains(&raw.bench.timing_trials) {
+        refuse("bench.timing_trials", format!("{}, expected 1 to 1000", raw.bench.timing_trials));
+    }
+    if !(1..=MOST_CLEAN_RUNS).contains(&raw.bench.clean_runs) {
+        refuse("bench.clean_runs", format!("{}, expected 1 to {MOST_CLEAN_RUNS}", raw.bench.clean_runs));
+    }
+    if !(0.0..=100.0).contains(&raw.bench.least_kill_rate_percent) {
+        refuse("bench.least_kill_rate_percent", format!("{}, expected 0 to 100", raw.bench.least_kill_rate_percent));
+    }
+    faults
+}
+
+fn is_name(text: &str) -> bool {
+    !text.is_empty() && text.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '-')
+}
+
+/// A scenario may not hold what the plan does not say.
+fn unknown_requirements(scenario: &Scenario, known: &[Requirement]) -> Vec<Diagnostic> {
+    let named = scenario.expectations.iter().map(|expectation| expectation.requirement.as_deref()).enumerate();
+    let unknown = named.filter_map(|(number, id)| Some((number, id?)));
+    unknown
+        .filter(|(_, id)| known.iter().all(|requirement| requirement.id != *id))
+        .map(|(number, id)| {
+            let message =
+                format!("the plan does not say what `{id}` is, expected a [[requirement]] with that id in it");
+            scenario.diagnose(&format!("expect.{number}.requirement"), message)
+        })
+        .collect()
+}

@@ -1,0 +1,238 @@
+//! Acceptance sessions: conducted, cut off, taken up again, verified, doctored.
+
+mod doctored;
+mod person;
+
+use crate::bench::{Workshop, call, code, step_scenario};
+use platebench_acceptance::SessionRecord;
+use platebench_verdict::Verdict;
+use rstest::rstest;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// Keys that sign nothing but tests, made by `openssl genpkey -algorithm ed25519`.
+const SECRET: &str = "-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2VwBCIEIIxhdRYx+hXj2J4uYEWp/L8Fo7K5gZFaqCpt7jN5qr9k\n-----END PRIVATE KEY-----\n";
+const PUBLIC: &str = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEAx8MA90OJ1fYXoY4HjZivEfj7KqsGJQSAG5fOL/yrQ7w=\n-----END PUBLIC KEY-----\n";
+const OTHER_PUBLIC: &str = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEAEnx6Xwa9uut71jT8SplWrDfrc+ZeyxUypoIsuavURmU=\n-----END PUBLIC KEY-----\n";
+
+const GOOD: &str = "metric = \"settling_time_ms\"\nat_most = 4.0\nrequirement = \"R-1\"";
+
+fn plan_text(scenarios: &[&str], repetitions: u32) -> String {
+    let scenarios: String = scenarios
+        .iter()
+        .map(|file| format!("[[scenario]]\nfile = \"scenarios/{file}\"\n"))
+        .collect::<Vec<_>>()
+        .concat();
+    format!(
+        "title = \"A tiny acceptance\"\nrepetitions = {repetitions}\n\
+         [[requirement]]\nid = \"R-1\"\ntext = \"It settles.\"\n\
+         [[ask]]\nid = \"safe\"\nquestion = \"Is nobody near the plate?\"\n\
+         {scenarios}[bench]\ntiming_trials = 1\nclean_runs = 2\n"
+    )
+}
+
+/// A workshop with a plan of one scenario, and keys.
+fn workshop() -> Workshop {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step_scenario("aluminium-198x138-noisy", "", "", GOOD));
+    for (name, text) in [
+        ("plan.toml", plan_text(&["s.toml"], 3).as_str()),
+        ("key.pem", SECRET),
+        ("public.pem", PUBLIC),
+        ("other.pem", OTHER_PUBLIC),
+    ] {
+        fs::write(workshop.path().join(name), text).unwrap();
+    }
+    workshop
+}
+
+const SESSION: [&str; 7] = ["accept", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
+
+fn session(workshop: &Workshop, more: &[&str]) -> Output {
+    call(workshop.path(), SESSION.iter().chain(more))
+}
+
+fn record(workshop: &Workshop) -> SessionRecord {
+    SessionRecord::read(&workshop.path().join("record")).unwrap()
+}
+
+#[track_caller]
+fn told(output: &Output) -> String {
+    String::from_utf8_lossy(&[output.stdout.clone(), output.stderr.clone()].concat()).into_owned()
+}
+
+#[track_caller]
+fn expect(output: &Output, exit: i32, words: &[&str]) {
+    let told = told(output);
+    assert_eq!(code(output), exit, "{told}");
+    for word in words {
+        assert!(told.contains(word), "{word:?} is not in: {told}");
+    }
+}
+
+#[test]
+fn a_session_is_sealed_signed_and_verified() {
+    let workshop = workshop();
+    let said = ["--yes", "--sign", "key.pem", "--operator", "A. Tester", "--place", "Lab 2"];
+    expect(&session(&workshop, &said), 0, &["R-1", "pass"]);
+    let made = record(&workshop);
+    assert!(made.complete && made.verdict == Verdict::Pass);
+    assert_eq!((made.operator.as_deref(), made.notes), (Some("A. Tester"), None));
+    assert_eq!(made.requirements[0].evidence.len(), 1);
+    assert_eq!(made.steps[1].answer.as_ref().unwrap().from, "command-line");
+    let folder = workshop.path().join("record");
+    let runs = fs::read_dir(folder.join("steps/05-s/traces/s")).unwrap().count();
+    assert_eq!(runs, 3, "as many trials as the plan's repetitions");
+    let page = fs::read_to_string(folder.join("record.html")).unwrap();
+    assert!(page.contains("It settles.") && page.contains("A. Tester") && page.contains("Reviewer"));
+
+    expect(
+        &call(workshop.path(), ["accept", "verify", "record"]),
+        0,
+        &["which the record itself names", "verdict: pass"],
+    );
+    expect(&call(workshop.path(), ["accept", "verify", "record", "--key", "public.pem"]), 0, &["the given key"]);
+    let other = call(workshop.path(), ["accept", "verify", "record", "--key", "other.pem"]);
+    expect(&other, 1, &["manifest.sha256.sig: wrong"]);
+    expect(
+        &call(workshop.path(), ["accept", "verify", "record", "--key", "plan.toml"]),
+        2,
+        &["plan.toml: no ed25519 key"],
+    );
+    expect(&call(workshop.path(), ["accept", "verify", "scenarios"]), 2, &["no session"]);
+
+    // What `sha256sum` says, where there is one.
+    if let Ok(sums) =
+        Command::new("sha256sum").args(["-c", "--strict", "manifest.sha256"]).current_dir(&folder).output()
+    {
+        assert!(sums.status.success(), "{}", told(&sums));
+    }
+    expect(&session(&workshop, &["--yes"]), 2, &["holds a finished session"]);
+}
+
+#[test]
+fn what_nobody_confirmed_or_nothing_shows_does_not_pass() {
+    let unasked = workshop();
+    expect(&session(&unasked, &[]), 3, &["inconclusive"]);
+    let made = record(&unasked);
+    assert_eq!(made.requirements[0].verdict, Verdict::Pass);
+    assert_eq!(made.steps[1].answer.as_ref().unwrap().from, "not-asked");
+    expect(&call(unasked.path(), ["accept", "verify", "record"]), 0, &["verdict: inconclusive", "not signed"]);
+    expect(
+        &call(unasked.path(), ["accept", "verify", "record", "--key", "public.pem"]),
+        1,
+        &["manifest.sha256.sig: missing"],
+    );
+
+    let unshown = workshop();
+    let plan = plan_text(&["s.toml"], 2) + "[[requirement]]\nid = \"R-2\"\ntext = \"Nobody looks.\"\n";
+    fs::write(unshown.path().join("plan.toml"), plan).unwrap();
+    expect(&session(&unshown, &["--yes"]), 3, &[]);
+    let [first, second] = &record(&unshown).requirements[..] else { panic!("two requirements") };
+    assert_eq!((first.verdict, second.verdict), (Verdict::Pass, Verdict::Inconclusive));
+}
+
+#[test]
+fn one_that_fails_fails_the_session() {
+    let workshop = workshop();
+    let bad = GOOD.replace("4.0", "1.0");
+    workshop.scenario("bad.toml", &step_scenario("aluminium-198x138", "", "", &bad));
+    fs::write(workshop.path().join("plan.toml"), plan_text(&["s.toml", "bad.toml"], 2)).unwrap();
+    expect(&session(&workshop, &["--yes"]), 1, &["fail"]);
+    let made = record(&workshop);
+    let verdicts: Vec<_> = made.requirements[0].evidence.iter().map(|evidence| evidence.verdict).collect();
+    assert_eq!(verdicts, [Verdict::Pass, Verdict::Fail]);
+    expect(&call(workshop.path(), ["accept", "verify", "record"]), 0, &["verdict: fail"]);
+}
+
+#[test]
+fn a_plan_that_asks_too_much_of_the_bench_is_not_passed() {
+    let workshop = workshop();
+    let plan = plan_text(&["s.toml"], 1) + "least_kill_rate_percent = 100.0\n";
+    fs::write(workshop.path().join("plan.toml"), plan).unwrap();
+    expect(&session(&workshop, &["--yes"]), 3, &["inconclusive"]);
+    let trust = record(&workshop).steps[3].trust.clone().unwrap();
+    assert!(0 < trust.caught && trust.caught < trust.faults && trust.clean_runs == 2, "{trust:?}");
+}
+
+#[rstest]
+#[case::unknown_key("title =", "titel =", "plan.toml:1:1")]
+#[case::no_repetition("repetitions = 3", "repetitions = 0", "expected 1 to 100000")]
+#[case::twice("[[ask]]", "[[requirement]]\nid = \"R-1\"\ntext = \"Again.\"\n[[ask]]", "each identifier once")]
+#[case::nothing_said("It settles.", " ", "expected what has to hold")]
+#[case::unsaid("\"R-1\"", "\"R-9\"", "the plan does not say what `R-1` is")]
+#[case::missing("s.toml", "no.toml", "no.toml")]
+#[case::clean_runs("clean_runs = 2", "clean_runs = 0", "expected 1 to 1000000")]
+fn a_wrong_plan_is_pointed_at(#[case] good: &str, #[case] bad: &str, #[case] told: &str) {
+    let workshop = workshop();
+    fs::write(workshop.path().join("plan.toml"), plan_text(&["s.toml"], 3).replace(good, bad)).unwrap();
+    expect(&session(&workshop, &["--yes"]), 2, &[told]);
+    assert!(!workshop.path().join("record").exists());
+}
+
+/// A session that has begun, and whose rig was not to be reached.
+fn begun() -> Workshop {
+    let workshop = workshop();
+    let unreachable = ["accept", "--plan", "plan.toml", "--out", "record", "--yes", "--rig", "exec:false {port}"];
+    expect(&call(workshop.path(), unreachable), 5, &["goes on from here"]);
+    let made = record(&workshop);
+    assert!(!made.complete && made.steps.iter().all(|step| !step.done));
+    assert!(made.steps[0].attempts[0].broken_off.is_some());
+    workshop
+}
+
+fn appended(path: &Path) {
+    fs::write(path, fs::read_to_string(path).unwrap() + "\n# another\n").unwrap();
+}
+
+#[rstest]
+#[case::plan("plan.toml", "the plan is ")]
+#[case::scenario("scenarios/s.toml", "s.toml is ")]
+#[case::plate("scenarios/plates/aluminium-198x138-noisy.toml", "s.toml: aluminium-198x138-noisy.toml is ")]
+fn a_session_does_not_go_on_with_another_input(#[case] file: &str, #[case] told: &str) {
+    let workshop = begun();
+    appended(&workshop.path().join(file));
+    let again = ["accept", "--plan", "plan.toml", "--resume", "record", "--yes", "--rig", "exec:false {port}"];
+    expect(&call(workshop.path(), again), 2, &[told, "never mixes the two"]);
+}
+
+#[test]
+fn a_session_does_not_go_on_with_another_rig_clock_or_bench() {
+    let workshop = begun();
+    let again = ["accept", "--plan", "plan.toml", "--resume", "record", "--yes", "--rig"];
+    expect(&call(workshop.path(), again.iter().chain(&["hosted"])), 2, &["the rig is hosted"]);
+    let real_time = again.iter().chain(&["exec:false {port}", "--clock", "real-time"]);
+    expect(&call(workshop.path(), real_time), 2, &["the clock is real-time"]);
+    let path = workshop.path().join("record/session.json");
+    let text = fs::read_to_string(&path).unwrap();
+    let version = format!("\"version\": \"{}\"", env!("CARGO_PKG_VERSION"));
+    assert!(text.contains(&version));
+    fs::write(&path, text.replace(&version, "\"version\": \"0.0.1\"")).unwrap();
+    expect(&call(workshop.path(), again.iter().chain(&["exec:false {port}"])), 2, &["the bench is "]);
+}
+
+#[test]
+fn only_a_session_s_own_folder_is_written_into() {
+    let workshop = begun();
+    expect(&call(workshop.path(), ["accept", "verify", "record"]), 3, &["not come to its end"]);
+    let elsewhere = ["accept", "--plan", "plan.toml", "--rig", "hosted", "--yes"];
+    let taken = call(workshop.path(), elsewhere.iter().chain(&["--out", "scenarios"]));
+    expect(&taken, 2, &["something else than an acceptance session"]);
+    expect(&call(workshop.path(), elsewhere.iter().chain(&["--resume", "scenarios"])), 2, &["no session"]);
+    assert!(!workshop.path().join("scenarios/session.json").exists());
+}
+
+/// Every file below `folder` is copied to `copy`.
+fn copied(folder: &Path, copy: &Path) {
+    fs::create_dir_all(copy).unwrap();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path: PathBuf = entry.unwrap().path();
+        let target = copy.join(path.file_name().unwrap());
+        if path.is_dir() {
+            copied(&path, &target);
+        } else {
+            fs::copy(&path, &target).unwrap();
+        }
+    }
+}
