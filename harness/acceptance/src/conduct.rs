@@ -339,7 +339,11 @@ impl<'a> Session<'a> {
         let expectations: Vec<_> = record.scenarios.iter().flat_map(|scenario| &scenario.expectations).collect();
         let passed = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Pass).count();
         let trials: usize = record.scenarios.iter().map(|scenario| scenario.trials.len()).sum();
-        step.reason = Some(format!("{passed} of {} expectations met in {trials} trials", expectations.len()));
+        step.reason = Some(format!(
+            "{passed} of {} expectations met in {trials} trial{}",
+            expectations.len(),
+            if trials == 1 { "" } else { "s" }
+        ));
         Ok(())
     }
 
