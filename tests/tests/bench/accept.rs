@@ -3,8 +3,8 @@
 mod doctored;
 mod person;
 
-use crate::bench::{Workshop, call, code, step_scenario};
-use platebench_acceptance::SessionRecord;
+use crate::bench::{Workshop, call, code, root, step_scenario};
+use platebench_acceptance::{Plan, SessionRecord};
 use platebench_verdict::Verdict;
 use rstest::rstest;
 use std::fs;
@@ -235,4 +235,16 @@ fn copied(folder: &Path, copy: &Path) {
             fs::copy(&path, &target).unwrap();
         }
     }
+}
+
+#[test]
+fn the_plan_that_comes_with_the_bench_plays_every_acceptance_scenario_of_the_paper() {
+    let plan = Plan::load(&root().join("scenarios/plans/acceptance.toml")).unwrap();
+    let planned: Vec<_> = plan.scenarios.iter().map(|planned| planned.scenario.file.as_str()).collect();
+    let found = platebench_scenario::find(&[root().join("scenarios/paper")]).unwrap().scenarios;
+    let tagged = found.iter().filter(|scenario| scenario.tags.iter().any(|tag| tag == "acceptance"));
+    assert_eq!(planned, tagged.map(|scenario| scenario.file.as_str()).collect::<Vec<_>>());
+    let named = plan.scenarios.iter().flat_map(|planned| &planned.scenario.expectations);
+    let named: Vec<_> = named.filter_map(|expectation| expectation.requirement.as_deref()).collect();
+    assert!(plan.requirements.iter().all(|requirement| named.contains(&requirement.id.as_str())));
 }

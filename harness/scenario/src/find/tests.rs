@@ -39,6 +39,7 @@ fn folders_are_taken_with_everything_below_and_without_what_is_no_scenario() {
         "a/b/c.toml",
         "a/plates/p.toml",
         "a/baselines/d.toml",
+        "a/plans/d.toml",
         "a/.hidden/e.toml",
         "a/.f.toml",
         "a/notes.md",

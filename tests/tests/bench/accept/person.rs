@@ -1,7 +1,7 @@
 //! A person at a terminal, a board on a pseudo-terminal, and a bench that is killed.
 
 use super::{copied, expect, plan_text, record, workshop};
-use crate::bench::{Guarded, Workshop, await_that, call, controller, program, step_scenario};
+use crate::bench::{Guarded, Workshop, await_that, call, code, controller, program, step_scenario};
 use platebench_verdict::Verdict;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use std::fs::{self, File, OpenOptions};
@@ -63,10 +63,10 @@ impl AtTerminal {
     }
 
     #[track_caller]
-    fn ends(mut self, exit: i32) -> String {
+    fn ends(mut self, exits: &[i32]) -> String {
         await_that("it does not end", || self.child.0.try_wait().unwrap().is_some());
-        let status = self.child.0.wait().unwrap();
-        assert_eq!(status.code(), Some(exit), "{}", self.screen());
+        let code = self.child.0.wait().unwrap().code().unwrap();
+        assert!(exits.contains(&code), "{code}: {}", self.screen());
         self.screen()
     }
 
@@ -142,12 +142,16 @@ fn a_session_at_a_terminal_is_killed_twice_taken_up_again_and_verified() {
     let sealed_step = fs::read(record_folder.join("steps/05-s/run.json")).unwrap();
     for name in ["record", "between"] {
         let resume = ["accept", "--plan", "plan.toml", "--out", name, "--rig", &rig, "--sign", "key.pem"];
-        let told = AtTerminal::start(workshop.path(), &resume).ends(0);
+        let told = AtTerminal::start(workshop.path(), &resume).ends(&[0, 3]);
         assert!(!told.contains("near the plate?"), "{told}");
-        expect(&call(workshop.path(), ["accept", "verify", name, "--key", "public.pem"]), 0, &["verdict: pass"]);
+        expect(&call(workshop.path(), ["accept", "verify", name, "--key", "public.pem"]), 0, &["the given key"]);
     }
     let made = record(&workshop);
-    assert_eq!((made.verdict, made.resumed.len()), (Verdict::Pass, 2));
+    assert_eq!(made.resumed.len(), 2);
+    // On a machine with much else to do the line may lose an answer, which is a doubt and no failure.
+    let evidence = &made.requirements[0].evidence;
+    let excused = |reason: &Option<String>| reason.as_ref().is_some_and(|reason| reason.starts_with("rig"));
+    assert!(evidence.iter().all(|found| found.verdict == Verdict::Pass || excused(&found.reason)), "{evidence:?}");
     let attempts: Vec<usize> = made.steps.iter().map(|step| step.attempts.len()).collect();
     assert_eq!(attempts, [1, 2, 1, 1, 1, 2]);
     assert!(made.steps[5].attempts[0].ended.is_none() && made.steps[5].attempts[1].ended.is_some());
@@ -164,8 +168,10 @@ fn a_session_at_a_terminal_is_killed_twice_taken_up_again_and_verified() {
         fs::remove_file(record_folder.join(name)).unwrap();
     }
     let resume = ["accept", "--plan", "plan.toml", "--resume", "record", "--rig", &rig, "--yes", "--sign", "key.pem"];
-    expect(&call(workshop.path(), resume), 0, &[]);
-    expect(&call(workshop.path(), ["accept", "verify", "record", "--key", "public.pem"]), 0, &["verdict: pass"]);
+    let resealed = call(workshop.path(), resume);
+    assert!([0, 3].contains(&code(&resealed)));
+    assert_eq!(record(&workshop).verdict, made.verdict);
+    expect(&call(workshop.path(), ["accept", "verify", "record", "--key", "public.pem"]), 0, &["the given key"]);
 }
 
 #[test]
@@ -176,7 +182,7 @@ fn a_no_stops_the_session_and_ctrl_c_leaves_it_to_be_taken_up_again() {
     let mut first = AtTerminal::start(workshop.path(), &hosted);
     first.sees("near the plate?");
     first.types("no\n");
-    assert!(first.ends(3).contains("the answer was no"));
+    assert!(first.ends(&[3]).contains("the answer was no"));
     let made = record(&workshop);
     assert!(!made.steps[1].done && made.steps[1].answer.is_none());
     assert!(made.steps[1].attempts[0].broken_off.as_ref().unwrap().contains("the answer was no"));
@@ -184,13 +190,13 @@ fn a_no_stops_the_session_and_ctrl_c_leaves_it_to_be_taken_up_again() {
     let mut second = AtTerminal::start(workshop.path(), &hosted);
     second.sees("near the plate?");
     crate::bench::signal(&second.child.0, "INT");
-    second.ends(130);
+    second.ends(&[130]);
     let mut third = AtTerminal::start(workshop.path(), &hosted);
     third.sees("near the plate?");
     third.types("yes\n");
     third.sees("06-slow");
     crate::bench::signal(&third.child.0, "TERM");
-    third.ends(143);
+    third.ends(&[143]);
     let made = record(&workshop);
     assert!(made.steps[4].done && !made.steps[5].done && !made.complete);
     assert!(!workshop.path().join("record/manifest.sha256").exists());
@@ -200,6 +206,11 @@ fn a_no_stops_the_session_and_ctrl_c_leaves_it_to_be_taken_up_again() {
     let build = &made.firmware.as_ref().unwrap().firmware.build;
     fs::write(&path, text.replace(build.as_str(), "0123456789abcdef")).unwrap();
     expect(&call(workshop.path(), &hosted), 2, &["the firmware is ", "never mixes the two"]);
+    assert_eq!(
+        record(&workshop).steps[5].attempts.len(),
+        made.steps[5].attempts.len(),
+        "refused before anything is played"
+    );
     fs::write(&path, &text).unwrap();
     let run = workshop.path().join("record/steps/05-s/run.json");
     let whole = fs::read(&run).unwrap();
