@@ -2,7 +2,7 @@
 //!
 //! * [`plan`]: the plan file, which owns what each requirement says.
 //! * [`session`]: `session.json`, what is known of a session at any time.
-//! * [`conduct`]: from step to step; what was killed goes on where it was.
+//! * [`mod@conduct`]: from step to step; what was killed goes on where it was.
 //! * `self_test`: the bench's own timing, its repeatability and how well it catches faulty controllers.
 //! * `decide`: from stored runs to a verdict for each requirement.
 //! * [`manifest`], [`signature`]: SHA-256 over every file, and who signed that.
