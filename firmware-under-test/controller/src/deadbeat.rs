@@ -22,6 +22,8 @@
 //!   learnt again, or the drive acts later than thought: a loop delay of up to nine tenths of a period that explains both samples is taken over
 //!   and from then on reckoned with. Where four in a row are missed, the law falls back for twenty periods to its PI loops and raises
 //!   [`flags::PREDICTION_MISSED`].
+//! * **A told delay** is reckoned with from the first drive on, and a first sample that speaks of much damping is then a heavy finger's. A delay told wrong is looked for
+//!   as an untold one is, once a prediction was missed.
 //!
 //! The instructions of a step are bounded. In units of [`crate::envelope`]'s exponential, some 100 multiplications and additions: 1 while holding, at most 14
 //! while steering, 19 with a delay; 100 more in a step that looks for one, which is at most every period of a start that goes wrong.
@@ -58,6 +60,9 @@ const PROBATION: u8 = 20;
 const HEAVIEST_FINGER: f32 = 2.5;
 /// The loop delay is looked for up to this share of the period.
 const LONGEST_DELAY: f32 = 0.9;
+/// A drive that is told to act late may have acted for so short a time that the first sample after a start says little of λ: with less than this share of the
+/// period the next one is waited for. With a third of it 0.5 % of noise becomes 15 % of overshoot.
+const SHORTEST_LOOK: f32 = 0.45;
 /// Steps of the search for the delay.
 const DELAY_ITERATIONS: u32 = 6;
 /// As `dq-pi`'s.
@@ -103,6 +108,8 @@ pub struct Deadbeat {
     mode: Mode,
     /// Sampling to actuation, s, as far as is known.
     delay: f32,
+    /// The delay is the bench's word: the first sample is no reason to doubt it, a missed prediction is.
+    told: bool,
     /// The last two samples, the latest first.
     samples: [Complex; 2],
     /// The last three drives, the latest first.
@@ -137,7 +144,8 @@ impl Deadbeat {
             excitation,
             phase: Phase::Rest,
             mode: envelope.nominal(0.0),
-            delay: 0.0,
+            delay: loops::told_delay_s(configure),
+            told: configure.loop_delay_us > 0,
             samples: [Complex::default(); 2],
             drives: [Drive::default(); 3],
             expected: Complex::default(),
@@ -198,6 +206,7 @@ impl Deadbeat {
                 }
                 Phase::Learning
             }
+            Phase::Learning if self.has_seen_too_little() => Phase::Learning,
             Phase::Learning => {
                 self.learn(w);
                 Phase::Steering(Steering::commanded())
@@ -217,12 +226,17 @@ impl Deadbeat {
         };
     }
 
+    /// True where the first drive of a start has acted for too short a time.
+    fn has_seen_too_little(&self) -> bool {
+        self.told && self.drives[1].vpp == 0.0 && self.period - self.delay < SHORTEST_LOOK * self.period
+    }
+
     /// The first sample after a start. More damping than a heavy finger's is no finger but a drive that acted late.
     fn learn(&mut self, w: Complex) {
         let untouched = self.mode;
         self.mode = self.identified(w);
         let from_rest = self.samples[0].norm() < AT_REST * w.norm();
-        if self.mode.sigma > HEAVIEST_FINGER * self.envelope.sigma && from_rest {
+        if self.mode.sigma > HEAVIEST_FINGER * self.envelope.sigma && from_rest && !self.told {
             // |W| = bV/σ (1 − e^(−σ(T − d)))
             let acted = -libm::logf(1.0 - w.norm() * untouched.sigma / (self.envelope.force * self.drives[0].vpp))
                 / untouched.sigma;

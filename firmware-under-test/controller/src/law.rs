@@ -73,7 +73,7 @@ impl Law {
     /// The law that `configure` asks for, at rest, and the gains that it will use.
     ///
     /// # Errors
-    /// [`Rejection::Value`] where a number is not finite or not positive, or a gain leads to one that is not.
+    /// [`Rejection::Value`] where a number is not finite or not positive, the loop delay is longer than a period, or a gain leads to one that is not.
     pub fn design(configure: &Configure) -> Result<(Self, Gains), Rejection> {
         let positive = [
             configure.gain_um_per_vpp,
@@ -83,6 +83,7 @@ impl Law {
             configure.frequency_slew_hz,
         ];
         let usable = configure.period_us > 0
+            && configure.loop_delay_us <= configure.period_us
             && configure.start_frequency_mhz > 0
             && positive.iter().all(|value| value.is_finite() && *value > 0.0)
             && configure.response_time_s.is_finite()
@@ -127,6 +128,7 @@ pub(crate) mod example {
         paced_by_target: false,
         patience_ms: 0,
         period_us: 1_000,
+        loop_delay_us: 0,
         start_frequency_mhz: 32_307_600,
         gain_um_per_vpp: 0.00698,
         time_constant_s: 1.88e-3,

@@ -36,6 +36,11 @@ pub(crate) fn period_s(configure: &Configure) -> f32 {
     configure.period_us as f32 * 1e-6
 }
 
+/// The loop delay that the law is told of, in s; 0 where it is told nothing.
+pub(crate) fn told_delay_s(configure: &Configure) -> f32 {
+    configure.loop_delay_us as f32 * 1e-6
+}
+
 /// The demanded 5 % response time in s, or the law's `own`.
 pub(crate) fn response_s(configure: &Configure, own: f32) -> f32 {
     if configure.response_time_s > 0.0 { configure.response_time_s } else { own }

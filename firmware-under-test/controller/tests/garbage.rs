@@ -112,6 +112,7 @@ fn message(random: &mut Random) -> Packet {
             paced_by_target: random.below(4) == 0,
             patience_ms: random.below(3) as u16 * 10,
             period_us: 1_000,
+            loop_delay_us: random.below(5) as u32 * 300,
             start_frequency_mhz: 32_307_600,
             gain_um_per_vpp: 0.00698,
             time_constant_s: if random.below(8) == 0 { f32::from_bits(random.next() as u32) } else { 1.88e-3 },
@@ -134,7 +135,7 @@ fn message(random: &mut Random) -> Packet {
 /// A body of any kind and content under a good checksum.
 fn framed_nonsense(random: &mut Random, into: &mut Vec<u8>) {
     let mut body = vec![0x10 | random.below(16) as u8];
-    let length = [1, 2, 6, 18, 20, 50, 54, 64][random.below(8)];
+    let length = [1, 2, 6, 18, 20, 50, 54, 58, 64][random.below(9)];
     random.bytes(&mut body, length - 1);
     into.extend_from_slice(platebench_wire::Encoded::new(&body).unwrap().as_bytes());
 }

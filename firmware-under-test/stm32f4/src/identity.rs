@@ -42,7 +42,7 @@ pub(crate) fn identity(p: &pac::Peripherals) -> Identity {
                 number(env!("CARGO_PKG_VERSION_PATCH")),
             ]
         },
-        capabilities: capabilities::TARGET_PACED | capabilities::MEASURES_COMPUTING,
+        capabilities: capabilities::TARGET_PACED | capabilities::MEASURES_COMPUTING | capabilities::TOLD_DELAY,
         laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
         build,
         // QEMU knows neither, and an access to them traps there.

@@ -8,7 +8,7 @@
 //! |---|---|---|---|
 //! | 1 | [`Message::Hello`] | bench | 2 |
 //! | 2 | [`Identity`] | target | 50 |
-//! | 3 | [`Configure`] | bench | 54 |
+//! | 3 | [`Configure`] | bench | 54, or 58 with a loop delay |
 //! | 4 | [`Configured`] | target | 20 |
 //! | 5 | [`Sample`] | bench | 18 |
 //! | 6 | [`Command`] | target | 18 |
@@ -125,6 +125,8 @@ pub mod capabilities {
     pub const TARGET_PACED: u8 = 1;
     /// The target measures how long a control step takes it: [`Command::compute_us`](super::Command::compute_us).
     pub const MEASURES_COMPUTING: u8 = 2;
+    /// The target reads a configuration with a loop delay in it: [`Configure::loop_delay_us`](super::Configure::loop_delay_us).
+    pub const TOLD_DELAY: u8 = 4;
 }
 
 /// Who the target is.
@@ -182,6 +184,8 @@ pub struct Configure {
     pub patience_ms: u16,
     /// Control period, µs.
     pub period_us: u32,
+    /// Sampling to actuation as far as the bench knows it, µs; zero for unknown or none. Only a target with [`capabilities::TOLD_DELAY`] reads a message that has it.
+    pub loop_delay_us: u32,
     /// Excitation frequency at the start, mHz.
     pub start_frequency_mhz: u32,
     /// Nominal gain K1 of the plate, µm per Vpp.

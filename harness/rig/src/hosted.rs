@@ -32,7 +32,7 @@ fn identity() -> Identity {
             number(env!("CARGO_PKG_VERSION_MINOR")),
             number(env!("CARGO_PKG_VERSION_PATCH")),
         ],
-        capabilities: capabilities::TARGET_PACED,
+        capabilities: capabilities::TARGET_PACED | capabilities::TOLD_DELAY,
         laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
         build: [0; 8],
         chip: 0,

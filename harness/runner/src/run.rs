@@ -140,6 +140,10 @@ pub fn run(
     {
         return Err(RunError::NoPace(first.firmware_name()));
     }
+    for scenario in &plan.scenarios {
+        configure::can_be_told(scenario, first.identity())
+            .map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
+    }
     let inputs = folder.store_inputs(&plan.scenarios)?;
     for scenario in &plan.scenarios {
         folder.prepare(scenario)?;

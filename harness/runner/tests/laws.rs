@@ -26,14 +26,22 @@ struct Response {
 
 /// Plays 60 ms on the paper's plate. `controller` and `profile` are TOML.
 fn play(law: &str, controller: &str, profile: &str) -> Response {
+    play_behind_noise(law, controller, profile, 0.0)
+}
+
+/// The same behind a sensor with `noise_um` of noise on each component, and then from a rest of 3 ms in which the law sees nothing else.
+fn play_behind_noise(law: &str, controller: &str, profile: &str, noise_um: f64) -> Response {
     let folder = tempfile::tempdir().unwrap();
-    fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(PLATE), folder.path().join("plate.toml")).unwrap();
+    let plate = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(PLATE)).unwrap();
+    let noisy = plate.replace("noise_um_rms = 0.0", &format!("noise_um_rms = {noise_um:?}"));
+    fs::write(folder.path().join("plate.toml"), noisy).unwrap();
     let expectations =
         ["settling_time_ms", "overshoot_percent", "static_error_percent", "drive_peak_vpp", "frequency_error_hz"]
             .map(|metric| format!("[[expect]]\nmetric = \"{metric}\"\nat_most = 1e6\n"))
             .concat();
+    let setpoint = if noise_um > 0.0 { "{ hold = [[0.0, 0.0], [3.0, 2.0]] }" } else { "2.0" };
     let text = format!(
-        "title = \"step\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[controller]\nlaw = \"{law}\"\n{controller}\n[profile]\nsetpoint_um = 2.0\n{profile}\n{expectations}"
+        "title = \"step\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[controller]\nlaw = \"{law}\"\n{controller}\n[profile]\nsetpoint_um = {setpoint}\n{profile}\n{expectations}"
     );
     let path = folder.path().join("step.toml");
     fs::write(&path, text).unwrap();
@@ -104,6 +112,66 @@ fn deadbeat_finds_out_how_late_its_drive_acts() {
         assert!(finger.settling_ms.is_some_and(|ms| ms < 3.7), "{delay_ms} ms: {finger:?}");
         assert!(finger.overshoot_percent < 3.0, "{delay_ms} ms: {finger:?}");
     }
+}
+
+/// `dq-pi` sees the plate where its drive will find it, `deadbeat` steers from there: settling in ms for Fig. 13, 14 and 16 at a delay in ms, which both are told.
+#[test]
+fn a_told_delay_costs_its_own_length_and_hardly_more() {
+    // From 0.75 of a period on nothing that the first sample shows is believed, for deadbeat from 0.55 on.
+    let expected = [
+        ("dq-pi", 0.2, [2.2, 2.2, 3.7]),
+        ("dq-pi", 0.5, [2.5, 2.5, 4.0]),
+        ("dq-pi", 0.8, [2.8, 4.9, 5.2]),
+        ("dq-pi", 1.0, [3.0, 5.2, 5.5]),
+        ("deadbeat", 0.2, [1.2, 1.3, 2.0]),
+        ("deadbeat", 0.5, [1.5, 1.6, 2.3]),
+        ("deadbeat", 0.8, [1.8, 3.3, 3.7]),
+        ("deadbeat", 1.0, [2.0, 3.5, 3.9]),
+    ];
+    for (law, delay_ms, at_most) in expected {
+        for ((start, force_n), at_most) in
+            [(AT_RESONANCE, 0.0), (NINE_KELVIN_OFF, 0.0), (NINE_KELVIN_OFF, 2.0)].into_iter().zip(at_most)
+        {
+            let response =
+                paper(law, &format!("{start}\nloop_delay_ms = {delay_ms}\ndesign_delay_ms = {delay_ms}"), force_n);
+            let case = format!("{law} {start} {delay_ms} ms {force_n} N: {response:?}");
+            assert!(response.settling_ms.is_some_and(|ms| ms < at_most), "{case}");
+            assert!(response.overshoot_percent < 7.0 && response.static_error_percent < 0.01, "{case}");
+            let untold = paper(law, &format!("{start}\nloop_delay_ms = {delay_ms}"), force_n);
+            // Told nothing, deadbeat mostly guesses right at 0.5 and 0.8.
+            if force_n == 0.0 && (law == "dq-pi" || delay_ms == 0.2) {
+                assert!(untold.overshoot_percent > response.overshoot_percent + 2.0, "{case} instead of {untold:?}");
+            }
+        }
+    }
+}
+
+/// A drive told to act late shows itself late: what the first sample has of it is less than the noise makes of it.
+#[test]
+fn noise_in_a_short_look_is_not_taken_for_the_plate() {
+    for (law, delay_ms, overshoot_percent, settling_ms) in
+        [("deadbeat", 0.6, 6.0, 3.6), ("deadbeat", 0.8, 6.0, 3.8), ("dq-pi", 0.8, 10.0, 5.5), ("dq-pi", 0.9, 10.0, 5.5)]
+    {
+        for start in [AT_RESONANCE, NINE_KELVIN_OFF] {
+            let controller = format!("{start}\nloop_delay_ms = {delay_ms}\ndesign_delay_ms = {delay_ms}");
+            let response = play_behind_noise(law, &controller, "[trials]\ncount = 40\nseed = 1000", 0.01);
+            assert!(response.overshoot_percent < overshoot_percent, "{law} {controller}: {response:?}");
+            assert!(response.settling_ms.is_some_and(|ms| ms < settling_ms), "{law} {controller}: {response:?}");
+        }
+    }
+}
+
+/// Told 0.5 ms, `dq-pi` still settles at any delay of up to 1.85 ms and at none of 1.9 or 2 ms; told nothing up to 1 ms. The limit cycles of the schedule
+/// make the boundary ragged: the ends that were looked for are a tenth of a period apart.
+#[test]
+fn a_delay_told_too_short_shifts_the_end_of_stability_by_what_was_told() {
+    let settles = |told: f64, delay: f64| {
+        let response = paper("dq-pi", &format!("loop_delay_ms = {delay}\ndesign_delay_ms = {told}"), 0.0);
+        response.settling_ms.is_some()
+    };
+    assert!(settles(0.0, 1.0) && !settles(0.0, 1.5) && !settles(0.0, 1.9));
+    assert!(settles(0.5, 1.0) && settles(0.5, 1.5) && settles(0.5, 1.85) && !settles(0.5, 1.9));
+    assert!(settles(1.0, 0.5) && settles(1.0, 1.5) && settles(1.0, 2.0));
 }
 
 /// Fixed gains need 9 ms under 2 N; the matched ones bear whatever delay the fixed ones bear.

@@ -183,6 +183,14 @@ impl Checker<'_> {
         self.require(loop_delay <= period.times(LONGEST_DELAY_PERIODS), key, || {
             format!("{} ms, expected at most {LONGEST_DELAY_PERIODS} control periods", raw.loop_delay_ms)
         })?;
+        let key = "controller.design_delay_ms";
+        let design_delay = self.span(key, raw.design_delay_ms)?;
+        self.require(design_delay <= period, key, || {
+            format!("{} ms, expected at most one control period of {period}", raw.design_delay_ms)
+        })?;
+        self.require(design_delay.as_nanos().is_multiple_of(1_000), key, || {
+            format!("{} ms, expected whole microseconds: the wire carries no finer delay", raw.design_delay_ms)
+        })?;
         let resonance_hz = plate.omega0 / TAU;
         let key = "controller.start_frequency_hz";
         let start_frequency_hz = self.positive(key, raw.start_frequency_hz.unwrap_or(resonance_hz))?;
@@ -207,6 +215,7 @@ impl Checker<'_> {
             period,
             start_frequency_hz,
             loop_delay,
+            design_delay,
             response_time_ms: optional("controller.response_time_ms", raw.response_time_ms)?,
             frequency_range_hz: range.unwrap_or(DEFAULT_FREQUENCY_RANGE_HZ),
             frequency_slew_hz: slew.unwrap_or(DEFAULT_FREQUENCY_SLEW_HZ),

@@ -57,6 +57,8 @@ pub struct RawController {
     pub start_frequency_hz: Option<f64>,
     /// Sampling to actuation, ms.
     pub loop_delay_ms: f64,
+    /// Loop delay that the law is told of and designs for, ms.
+    pub design_delay_ms: f64,
     /// Design value of the 5 % response time, ms.
     pub response_time_ms: Option<f64>,
     /// The excitation frequency stays within this much of the start frequency, Hz.

@@ -67,6 +67,8 @@ pub struct Controller {
     pub start_frequency_hz: f64,
     /// Sampling to actuation.
     pub loop_delay: Time,
+    /// What the law is told of it, whole microseconds, at most one period; zero for nothing.
+    pub design_delay: Time,
     /// Design value of the 5 % response time, ms; the law's own where not given.
     pub response_time_ms: Option<f64>,
     /// Bound on the excitation frequency around its start, Hz.

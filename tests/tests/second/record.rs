@@ -141,6 +141,7 @@ fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
         patience_ms: 0,
         law,
         period_us: 1_000,
+        loop_delay_us: if one_in(random, 2) { 0 } else { random.next_u32() % 1_000 },
         start_frequency_mhz: 30_000_000 + random.next_u32() % 4_000_000,
         gain_um_per_vpp: uniform(random, 1e-3, 2e-2),
         time_constant_s: uniform(random, 2e-4, 1e-2),

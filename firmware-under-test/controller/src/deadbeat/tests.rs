@@ -241,3 +241,52 @@ fn a_plate_that_obeys_nothing_ends_in_the_fallback() {
     bench.play(2.0, 60);
     assert_eq!(raised(&bench.play(2.0, 10)) & flags::PREDICTION_MISSED, 0);
 }
+
+/// A law that knows its delay steers as if there were none, later by just that: a start is over two periods after its drive began to act, whatever the finger.
+#[test]
+fn a_told_delay_never_overshoots() {
+    for loop_delay_us in [100, 300, 500, 550, 600, 800, 1_000] {
+        let delay = f64::from(loop_delay_us) * 1e-6;
+        // A first sample after less than 0.45 of a period of drive is not looked at.
+        let arrived = if loop_delay_us <= 550 { 3 } else { 4 };
+        for (damping, resonance) in [(1.0, 0.0), (1.0, NINE_KELVIN), (2.0, 0.0), (7.0 / 3.0, NINE_KELVIN)] {
+            let configure = Configure { loop_delay_us, ..DEADBEAT };
+            let mut bench = Bench { delay, ..Bench::new(&configure, damping, resonance) };
+            for setpoint in [2.0, 1.0, 2.0] {
+                let played = bench.play(setpoint, 30);
+                let case = std::format!("{delay} s, σ × {damping}, {resonance} rad/s");
+                if setpoint > 1.5 {
+                    assert!(highest(&played) < 2.04, "{case}: {played:?}");
+                }
+                let on_setpoint = |period: &Period| (period.amplitude - setpoint).abs() < 0.04;
+                assert!(played[arrived..].iter().all(on_setpoint), "{case}: {played:?}");
+                assert_eq!(raised(&played) & flags::PREDICTION_MISSED, 0, "{case}");
+            }
+        }
+    }
+}
+
+/// What is told is where the search begins, not where it ends.
+#[test]
+fn a_delay_told_wrong_is_put_right() {
+    for (loop_delay_us, delay) in [(400, 0.3e-3), (400, 0.5e-3), (200, 0.4e-3)] {
+        let mut bench = Bench { delay, ..Bench::new(&Configure { loop_delay_us, ..DEADBEAT }, 1.0, 0.0) };
+        bench.play(2.0, 30);
+        bench.play(0.0, 30);
+        let second = bench.play(2.0, 30);
+        assert!(highest(&second) < 2.04, "{loop_delay_us} µs told, {delay} s: {second:?}");
+        let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+        assert!((f64::from(law.delay) - delay).abs() < 1e-5, "{loop_delay_us} µs told, {delay} s: {} s", law.delay);
+    }
+}
+
+/// Nothing is taken for a delay where the delay is known.
+#[test]
+fn with_a_told_delay_the_heaviest_finger_costs_no_period() {
+    for damping in [2.6, 3.0, 4.0] {
+        let configure = Configure { drive_limit_vpp: 1500.0, loop_delay_us: 300, ..DEADBEAT };
+        let mut bench = Bench { delay: 0.3e-3, ..Bench::new(&configure, damping, NINE_KELVIN) };
+        let played = bench.play(2.0, 30);
+        assert!(played[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.06), "σ × {damping}: {played:?}");
+    }
+}

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::law::example::CONFIGURE;
-use crate::law::tests::{Bench, NINE_KELVIN, Period};
+use crate::law::tests::{Bench, FORCE, NINE_KELVIN, Period};
 use platebench_wire::LawId;
 use std::vec::Vec;
 
@@ -73,5 +73,52 @@ fn given_gains_stay_as_they_are() {
         Bench::new(&Configure { law: LawId::DqPiFixed, gains: Some(gains), ..CONFIGURE }, 2.0, 0.0).play(2.0, 20);
     for (a, b) in scheduled.iter().zip(&fixed) {
         assert_eq!(a.actuation, b.actuation);
+    }
+}
+
+/// The loops see the plate where their drive will find it: the response is that without delay, later by just the delay.
+#[test]
+fn a_told_delay_only_shifts_the_response() {
+    for loop_delay_us in [100, 500, 900, 1_000] {
+        let delay = f64::from(loop_delay_us) * 1e-6;
+        let configure = Configure { law: LawId::DqPi, loop_delay_us, ..CONFIGURE };
+        let played = Bench { delay, ..Bench::new(&configure, 1.0, 0.0) }.play(2.0, 40);
+        let undelayed = Bench::new(&Configure { loop_delay_us: 0, ..configure }, 1.0, 0.0).play(2.0, 40);
+        for (a, b) in played.iter().zip(&undelayed) {
+            let (a, b) = (a.actuation.drive_vpp, b.actuation.drive_vpp);
+            assert!((a - b).abs() < 0.5, "{delay} s: {a} instead of {b} Vpp");
+        }
+        let untold = Configure { loop_delay_us: 0, ..configure };
+        let rings = Bench { delay, ..Bench::new(&untold, 1.0, 0.0) }.play(2.0, 40);
+        let highest = |played: &[Period]| played.iter().map(|period| period.amplitude).fold(0.0, f64::max);
+        assert!(highest(&played) < 2.001, "{delay} s: {played:?}");
+        assert!(highest(&rings) > if delay < 0.2e-3 { 2.02 } else { 2.3 }, "{delay} s: {rings:?}");
+    }
+}
+
+#[test]
+fn a_told_delay_costs_no_static_error_under_a_finger_or_off_resonance() {
+    for loop_delay_us in [300, 700, 1_000] {
+        for (damping, resonance) in [(2.0, 0.0), (1.0, NINE_KELVIN), (7.0 / 3.0, -NINE_KELVIN)] {
+            let configure = Configure { law: LawId::DqPi, loop_delay_us, ..CONFIGURE };
+            let delay = f64::from(loop_delay_us) * 1e-6;
+            let bench = Bench { delay, force: 0.95 * FORCE, ..Bench::new(&configure, damping, resonance) };
+            let played = { bench }.play(2.0, 120);
+            assert!(played[12..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1), "{delay} s: {played:?}");
+            let last = played[119];
+            assert!((last.amplitude - 2.0).abs() < 2e-4 && last.wq.abs() < 1e-3, "{delay} s: {last:?}");
+        }
+    }
+}
+
+/// Given gains are not touched by what is learnt, but look ahead all the same.
+#[test]
+fn given_gains_look_ahead_too() {
+    let gains = Gains { amplitude_kp: 270.0, amplitude_ki: 1.1e5, frequency_kp: 1000.0, frequency_ki: 4e5 };
+    let configure = Configure { law: LawId::DqPi, gains: Some(gains), loop_delay_us: 600, ..CONFIGURE };
+    let played = Bench { delay: 0.6e-3, ..Bench::new(&configure, 1.0, 0.0) }.play(2.0, 40);
+    let without = Bench::new(&Configure { loop_delay_us: 0, ..configure }, 1.0, 0.0).play(2.0, 40);
+    for (a, b) in played.iter().zip(&without) {
+        assert!((a.actuation.drive_vpp - b.actuation.drive_vpp).abs() < 0.5, "{a:?} instead of {b:?}");
     }
 }

@@ -33,8 +33,8 @@ fn every_law_starts_bounded_and_stops_at_a_setpoint_of_zero() {
 #[test]
 fn every_law_keeps_to_range_slew_and_limit_whatever_it_is_shown() {
     let extremes = [-1e9, -3.0, -1e-3, 0.0, 1e-3, 3.0, 1e9];
-    for id in LawId::ALL {
-        let mut law = law(id);
+    for (id, loop_delay_us) in LawId::ALL.into_iter().flat_map(|id| [(id, 0), (id, 350), (id, 1_000)]) {
+        let mut law = Law::design(&Configure { law: id, loop_delay_us, ..CONFIGURE }).unwrap().0;
         let mut before = 0.0;
         // A fixed walk through all pairs of extremes, with the setpoint switched on and off in between.
         for (number, (wd_um, wq_um)) in
@@ -53,6 +53,15 @@ fn every_law_keeps_to_range_slew_and_limit_whatever_it_is_shown() {
             );
             before = offset;
         }
+    }
+}
+
+#[test]
+fn every_law_takes_a_delay_of_up_to_a_period_and_refuses_a_longer_one() {
+    for id in LawId::ALL {
+        let told = |loop_delay_us| Law::design(&Configure { law: id, loop_delay_us, ..CONFIGURE });
+        assert!(told(1_000).is_ok(), "{}", id.name());
+        assert_eq!(told(1_001).err(), Some(Rejection::Value), "{}", id.name());
     }
 }
 

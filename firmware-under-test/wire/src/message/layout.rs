@@ -9,6 +9,8 @@ use crate::cursor::{Reader, Writer};
 /// Bits of [`Configure`]'s second byte.
 const HAS_GAINS: u8 = 1;
 const PACED_BY_TARGET: u8 = 2;
+/// Four bytes more at the end.
+const HAS_LOOP_DELAY: u8 = 4;
 
 fn whole<T>(field: Option<T>) -> Result<T, MessageError> {
     field.ok_or(MessageError::Length)
@@ -67,7 +69,8 @@ impl Configure {
         writer.u8(self.law as u8);
         let has_gains = if self.gains.is_some() { HAS_GAINS } else { 0 };
         let paced_by_target = if self.paced_by_target { PACED_BY_TARGET } else { 0 };
-        writer.u8(has_gains | paced_by_target);
+        let has_loop_delay = if self.loop_delay_us > 0 { HAS_LOOP_DELAY } else { 0 };
+        writer.u8(has_gains | paced_by_target | has_loop_delay);
         writer.u16(self.patience_ms);
         writer.u32(self.period_us);
         writer.u32(self.start_frequency_mhz);
@@ -78,19 +81,23 @@ impl Configure {
         writer.f32(self.frequency_range_hz);
         writer.f32(self.frequency_slew_hz);
         self.gains.unwrap_or(Gains::NONE).write(writer);
+        if self.loop_delay_us > 0 {
+            writer.u32(self.loop_delay_us);
+        }
     }
 
     pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
         let law = known(LawId::from_number(whole(reader.u8())?))?;
         let bits = whole(reader.u8())?;
-        if bits & !(HAS_GAINS | PACED_BY_TARGET) != 0 {
+        if bits & !(HAS_GAINS | PACED_BY_TARGET | HAS_LOOP_DELAY) != 0 {
             return Err(MessageError::Field);
         }
-        Ok(Self {
+        let without_delay = Self {
             law,
             paced_by_target: bits & PACED_BY_TARGET != 0,
             patience_ms: whole(reader.u16())?,
             period_us: whole(reader.u32())?,
+            loop_delay_us: 0,
             start_frequency_mhz: whole(reader.u32())?,
             gain_um_per_vpp: whole(reader.f32())?,
             time_constant_s: whole(reader.f32())?,
@@ -99,7 +106,12 @@ impl Configure {
             frequency_range_hz: whole(reader.f32())?,
             frequency_slew_hz: whole(reader.f32())?,
             gains: Some(Gains::read(reader)?).filter(|_| bits & HAS_GAINS != 0),
-        })
+        };
+        let loop_delay_us = if bits & HAS_LOOP_DELAY == 0 { 0 } else { whole(reader.u32())? };
+        if bits & HAS_LOOP_DELAY != 0 && loop_delay_us == 0 {
+            return Err(MessageError::Field);
+        }
+        Ok(Self { loop_delay_us, ..without_delay })
     }
 }
 

@@ -7,6 +7,22 @@ use std::vec::Vec;
 
 const GAINS: Gains = Gains { amplitude_kp: 1.0, amplitude_ki: -2.0, frequency_kp: 0.5, frequency_ki: 4.0 };
 
+const CONFIGURE: Configure = Configure {
+    law: LawId::DqPi,
+    paced_by_target: false,
+    patience_ms: 0,
+    period_us: 1000,
+    loop_delay_us: 0,
+    start_frequency_mhz: 32_307_600,
+    gain_um_per_vpp: 0.5,
+    time_constant_s: 0.25,
+    response_time_s: 2.0,
+    drive_limit_vpp: 900.0,
+    frequency_range_hz: 200.0,
+    frequency_slew_hz: 100.0,
+    gains: Some(GAINS),
+};
+
 fn body_of(packet: &Packet) -> Vec<u8> {
     let mut reader = FrameReader::new();
     let frame = packet.encode();
@@ -61,20 +77,7 @@ fn identity_is_fifty_bytes() {
 
 #[test]
 fn configure_is_fifty_four_bytes() {
-    let configure = Configure {
-        law: LawId::DqPi,
-        paced_by_target: false,
-        patience_ms: 0,
-        period_us: 1000,
-        start_frequency_mhz: 32_307_600,
-        gain_um_per_vpp: 0.5,
-        time_constant_s: 0.25,
-        response_time_s: 2.0,
-        drive_limit_vpp: 900.0,
-        frequency_range_hz: 200.0,
-        frequency_slew_hz: 100.0,
-        gains: Some(GAINS),
-    };
+    let configure = CONFIGURE;
     let head =
         "01 01 00 00 e8 03 00 00 90 f9 ec 01 00 00 00 3f 00 00 80 3e 00 00 00 40 00 00 61 44 00 00 48 43 00 00 c8 42";
     let gains = "00 00 80 3f 00 00 00 c0 00 00 00 3f 00 00 80 40";
@@ -97,6 +100,25 @@ fn configure_is_fifty_four_bytes() {
     let neither = head.replacen("01 01 00 00", "01 02 fe ff", 1);
     let configure = Configure { gains: None, ..configure };
     pinned(1, Message::Configure(configure), &std::format!("13 01 {neither} {}", "00 ".repeat(16)));
+}
+
+#[test]
+fn a_loop_delay_makes_configure_four_bytes_longer() {
+    let told = Configure { loop_delay_us: 0x0102_0304, ..CONFIGURE };
+    let Configure { period_us, start_frequency_mhz, .. } = told;
+    let body = body_of(&Packet { sequence: 1, message: Message::Configure(told) });
+    assert_eq!(body.len(), 58);
+    assert_eq!((body[3], &body[54..]), (0b101, &[4, 3, 2, 1][..]));
+    assert_eq!(body[6..14], [period_us.to_le_bytes(), start_frequency_mhz.to_le_bytes()].concat());
+    assert_eq!(Packet::decode(&body).unwrap().message, Message::Configure(told));
+    // Neither bit without bytes, bytes without bit, nor a delay that is none.
+    assert_eq!(Packet::decode(&body[..54]), Err(MessageError::Length));
+    let mut other = body.clone();
+    other[3] = 1;
+    assert_eq!(Packet::decode(&other), Err(MessageError::Length));
+    other[3] = 0b101;
+    other[54..].fill(0);
+    assert_eq!(Packet::decode(&other), Err(MessageError::Field));
 }
 
 #[test]
@@ -163,7 +185,7 @@ fn other_versions_kinds_lengths_and_fields_are_refused() {
     assert_eq!(Packet::decode(&hex("19 00 01 02 03 04 05")), Err(MessageError::Length));
     let configure = hex(&std::format!("13 00 01 03 {}", "00 ".repeat(50)));
     assert!(Packet::decode(&configure).is_ok());
-    let unknown_bit = hex(&std::format!("13 00 01 04 {}", "00 ".repeat(50)));
+    let unknown_bit = hex(&std::format!("13 00 01 08 {}", "00 ".repeat(50)));
     assert_eq!(Packet::decode(&unknown_bit), Err(MessageError::Field));
     assert_eq!(Packet::decode(&[]), Err(MessageError::Length));
     assert_eq!(Packet::decode(&hex("11")), Err(MessageError::Length));

@@ -12,6 +12,7 @@ const CONFIGURE: Configure = Configure {
     patience_ms: 0,
     law: LawId::DqPi,
     period_us: 1_000,
+    loop_delay_us: 0,
     start_frequency_mhz: 32_307_600,
     gain_um_per_vpp: 0.00698,
     time_constant_s: 1.88e-3,

@@ -35,7 +35,9 @@ fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
         frequency_ki: 1e3 * gain(random),
     });
     let response_time_s = [0.0, 2e-3][random.next_u32() as usize % 2];
-    Configure { law, gains, response_time_s, drive_limit_vpp: uniform(random, 100.0, 1_000.0), ..CONFIGURE }
+    let loop_delay_us = [0, 350, 1_000][random.next_u32() as usize % 3];
+    let drive_limit_vpp = uniform(random, 100.0, 1_000.0);
+    Configure { law, gains, response_time_s, drive_limit_vpp, loop_delay_us, ..CONFIGURE }
 }
 
 fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {

@@ -17,6 +17,7 @@ pub(crate) fn configure() -> Configure {
         paced_by_target: false,
         patience_ms: 0,
         period_us: 1_000_000,
+        loop_delay_us: 0,
         start_frequency_mhz: 32_307_600,
         gain_um_per_vpp: 0.006_98,
         time_constant_s: 0.001_88,

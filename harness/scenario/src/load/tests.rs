@@ -22,6 +22,7 @@ law = "dq-pi"
 period_ms = 1.0
 start_frequency_hz = 32220.9
 loop_delay_ms = 0.0
+design_delay_ms = 0.0
 response_time_ms = 1.9
 frequency_range_hz = 250.0
 frequency_slew_hz = 100.0
@@ -258,6 +259,9 @@ fn what_the_trials_come_to_can_be_chosen() {
     ("loop_delay_ms = 0.0", "loop_delay_ms = -0.1"),
     ("loop_delay_ms = 0.0", "loop_delay_ms = 100.000001"),
     ("loop_delay_ms = 0.0", "loop_delay_ms = 60.0"),
+    ("design_delay_ms = 0.0", "design_delay_ms = -0.001"),
+    ("design_delay_ms = 0.0", "design_delay_ms = 0.0005"),
+    ("design_delay_ms = 0.0", "design_delay_ms = 1.001"),
     ("start_frequency_hz = 32220.9", "start_frequency_hz = 0.0"),
     ("start_frequency_hz = 32220.9", "start_frequency_hz = 16153.7"),
     ("start_frequency_hz = 32220.9", "start_frequency_hz = 48461.5"),
@@ -456,6 +460,8 @@ fn a_scenario_that_expects_nothing_is_refused() {
 #[case("period_ms = 1.0", "period_ms = 60.0")]
 #[case("duration_ms = 60.0\ntags = [\"paper\"]\ntrace_step_ms = 0.05", "duration_ms = 1e5\ntrace_step_ms = 0.05")]
 #[case("loop_delay_ms = 0.0", "loop_delay_ms = 59.999999")]
+#[case("design_delay_ms = 0.0", "design_delay_ms = 0.001")]
+#[case("design_delay_ms = 0.0", "design_delay_ms = 1.0")]
 #[case("start_frequency_hz = 32220.9", "start_frequency_hz = 16153.9")]
 #[case("start_frequency_hz = 32220.9", "start_frequency_hz = 48461.3")]
 #[case("frequency_range_hz = 250.0", "frequency_range_hz = 32220.8")]
@@ -551,7 +557,7 @@ fn a_damping_corner_between_the_forces_is_seen() {
     let touch = ("20.0, 0.0", "20.0, 0.25");
     assert!(loaded(&[light, touch]).is_ok());
     let fault = loaded(&[light, touch, ("[60.0, 2.0]", "[60.0, 700.0]")]).err().unwrap();
-    assert_eq!(fault.position(), (27, 55), "{}", shown(&fault));
+    assert_eq!(fault.position(), (28, 55), "{}", shown(&fault));
 }
 
 /// A stretch of the base text that the marked value should be.
