@@ -60,3 +60,22 @@ fn the_table_of_the_default_run() {
         insta::assert_snapshot!(String::from_utf8(output.stdout).unwrap());
     });
 }
+
+/// What a law is said to do it does, whether or not that is what is demanded: of the scenes in which every law is measured, each expectation without a requirement holds.
+#[rstest]
+fn each_law_does_what_is_said_of_it(
+    #[files("../scenarios/laws/drive-*.toml")]
+    #[files("../scenarios/laws/noise-*.toml")]
+    path: PathBuf,
+) {
+    let folder = tempfile::tempdir().unwrap();
+    call(folder.path(), ["run", path.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"]);
+    let record: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(folder.path().join("run/run.json")).unwrap()).unwrap();
+    let scenario = platebench_scenario::load(&path, "s.toml").unwrap();
+    let played = record["scenarios"][0]["expectations"].as_array().unwrap();
+    assert_eq!(played.len(), scenario.expectations.len());
+    for (expected, played) in scenario.expectations.iter().zip(played) {
+        assert!(expected.requirement.is_some() || played["verdict"] == "pass", "{played}");
+    }
+}
