@@ -121,6 +121,7 @@ impl<'a> Case<'a> {
             law: self.law,
             paced_by_target: false,
             patience_ms: 0,
+            loop_delay_us: 0,
             period_us: self.period_us,
             start_frequency_mhz: (self.condition.start(self.plate) / TAU * 1e3).round() as u32,
             gain_um_per_vpp: self.plate.gain as f32,

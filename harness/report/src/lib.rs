@@ -24,7 +24,6 @@ pub mod html;
 pub mod identification;
 pub mod junit;
 pub mod map;
-mod shown;
 pub mod shown;
 mod timing;
 pub mod traceability;

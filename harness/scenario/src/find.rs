@@ -9,9 +9,7 @@ use std::path::{Path, PathBuf};
 
 /// Folders that are only looked into where they are named themselves: they hold other things than scenarios, or scenarios that are played to record a plate
 /// and not to judge a controller.
-const OTHER_FOLDERS: [&str; 3] = ["plates", "baselines", "identify"];
-/// Folders that hold other things than scenarios.
-const OTHER_FOLDERS: [&str; 3] = ["plates", "baselines", "plans"];
+const OTHER_FOLDERS: [&str; 4] = ["plates", "baselines", "plans", "identify"];
 /// A folder with this file is a run's; the scenarios in it are copies.
 const RUN_RECORD: &str = "run.json";
 /// Scenarios are called by their path below a folder of this name.
