@@ -3,7 +3,7 @@
 use platebench_plate::Time;
 use platebench_rig::Reply;
 use platebench_verdict::Telemetry;
-use platebench_wire::{Command, StateCause};
+use platebench_wire::StateCause;
 use std::time::Duration;
 
 /// What the rig tells with each answer.
@@ -43,13 +43,10 @@ impl Observed {
     }
 }
 
-/// No sample came for as long as the controller is patient.
-pub(crate) const TIMED_OUT: &str = "no sample for five periods";
-
 /// Why a controller does not run, by its own account.
-pub(crate) const fn stop_reason(command: &Command) -> &'static str {
-    match command.cause {
-        StateCause::SampleTimeout => TIMED_OUT,
+pub(crate) const fn stop_reason(cause: StateCause) -> &'static str {
+    match cause {
+        StateCause::SampleTimeout => "no sample for five periods",
         StateCause::LineNoise => "too many refused frames",
         StateCause::NonFinite => "a value that is not finite",
         StateCause::None => "no cause given",

@@ -201,7 +201,7 @@ impl<'a, L: Link> Trial<'a, L> {
             self.stopped = None;
         } else {
             self.stopped.get_or_insert(now);
-            self.observed.stopped.get_or_insert_with(|| stop_reason(&command).to_owned());
+            self.observed.stopped.get_or_insert_with(|| stop_reason(command.cause).to_owned());
         }
         // A controller that answers faster than before does not overtake itself.
         let at = self.pending.back().map_or(at, |last| last.at.max(at));

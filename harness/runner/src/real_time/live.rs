@@ -6,7 +6,7 @@ use super::ticks::Ticks;
 use crate::accounting::Accounts;
 use crate::configure::configure;
 use crate::fault::reconfigures;
-use crate::observed::{TIMED_OUT, stop_reason};
+use crate::observed::stop_reason;
 use crate::queue::Queue;
 use crate::scheduling::Granted;
 use crate::stage::Stage;
@@ -16,7 +16,7 @@ use platebench_rig::{Faulty, Heard, Link, RigError, Session};
 use platebench_scenario::Scenario;
 use platebench_trace::Flags;
 use platebench_verdict::Telemetry;
-use platebench_wire::{Command, Configure, LawId, Message, State};
+use platebench_wire::{Command, Configure, LawId, Message, State, StateCause};
 use std::time::{Duration, Instant};
 
 /// Somebody may want the end while the next instant is far away.
@@ -66,7 +66,7 @@ pub(super) struct Live<'a, L: Link> {
     silent_periods: u32,
     /// When the controller said that it does not run, while it does not, and why it first did.
     stopped: Option<Time>,
-    stop_reason: Option<&'static str>,
+    stop_cause: Option<StateCause>,
     accounts: Accounts,
 }
 
@@ -95,7 +95,7 @@ impl<'a, L: Link> Live<'a, L> {
             last_heard: now,
             silent_periods: 0,
             stopped: None,
-            stop_reason: None,
+            stop_cause: None,
             accounts: Accounts::new(),
         }
     }
@@ -210,7 +210,7 @@ impl<'a, L: Link> Live<'a, L> {
     /// A target that ticks no more controls no more. Whether it has stopped by itself or was not heard cannot be told, unless it says so.
     fn note_silence_since(&mut self, last_tick: Time) {
         let periods = (self.duration - last_tick).as_nanos() / self.period.as_nanos().max(1);
-        let said = self.stop_reason.is_some_and(|reason| reason != TIMED_OUT);
+        let said = self.stop_cause.is_some_and(|cause| cause != StateCause::SampleTimeout);
         let missing = periods.saturating_sub(2);
         if missing > 0 && !said {
             self.accounts.missed_replies += missing;
@@ -296,7 +296,7 @@ impl<'a, L: Link> Live<'a, L> {
             self.stopped = None;
         } else {
             self.stopped.get_or_insert(instant);
-            self.stop_reason.get_or_insert(stop_reason(&command));
+            self.stop_cause.get_or_insert(command.cause);
         }
         self.actuate(&command);
     }
@@ -358,7 +358,7 @@ impl<'a, L: Link> Live<'a, L> {
         let faults = self.session.link().counts().map(|(kind, count)| (kind.to_owned(), count)).collect();
         let telemetry = Telemetry {
             faults,
-            stopped: self.stop_reason.map(str::to_owned),
+            stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
             loop_delay_us: timing.loop_delay_us.map(|quantiles| quantiles.max),
             rig_delay_us: timing.loop_delay_us.map(|_| self.accounts.longest_rig_delay.as_secs_f64() * 1e6),
             ended: lost.as_ref().map(ToString::to_string),
