@@ -88,6 +88,7 @@ mod tests {
             reason: None,
             sha256: None,
             telemetry: Telemetry::default(),
+            diverged_at_s: None,
             wall_ms: None,
         };
         let mut scenario = ScenarioRecord {

@@ -250,6 +250,7 @@ fn cut_off(scenario: &Scenario, index: u32) -> TrialMeasures {
         measures: Vec::new(),
         excuses: Vec::new(),
         telemetry: Telemetry::default(),
+        diverged: None,
         cause: Some((Cause::Bench, "the run was cut off before this trial was whole".to_owned())),
     }
 }

@@ -7,6 +7,7 @@ use platebench_plate::plant::Signal;
 use platebench_plate::{Conditions, Crossing, Drive, Plant, Sensor, State, Time, Watch};
 use platebench_scenario::{Metric, Scenario};
 use platebench_trace::{Flags, Row};
+use platebench_verdict::record::NotFinite;
 use platebench_wire::{Command, Sample, State as Mode};
 use std::f64::consts::TAU;
 
@@ -58,6 +59,7 @@ pub(crate) struct Stage<'a, R> {
     frequency_hz: f64,
     sensed: [f64; 2],
     safe: bool,
+    not_finite: Option<NotFinite>,
 }
 
 impl<'a, R: Rows> Stage<'a, R> {
@@ -79,6 +81,7 @@ impl<'a, R: Rows> Stage<'a, R> {
             frequency_hz,
             sensed: [0.0; 2],
             safe: false,
+            not_finite: None,
         }
     }
 
@@ -115,20 +118,31 @@ impl<'a, R: Rows> Stage<'a, R> {
         let sample = Sample {
             time_us: now.wrapping_micros(),
             setpoint_um: self.setpoint_at(now) as f32,
-            wd_um: sensed.re as f32,
-            wq_um: sensed.im as f32,
+            wd_um: on_the_wire(sensed.re),
+            wq_um: on_the_wire(sensed.im),
         };
         self.sensed = [f64::from(sample.wd_um), f64::from(sample.wq_um)];
         sample
     }
 
-    /// The controller's command acts on the plate from now on.
+    /// The controller's command acts on the plate from now on. A drive that is no number is 0 V, and noted: no trace can show it.
     pub(crate) fn actuate(&mut self, command: &Command) {
         self.safe = command.state != Mode::Running;
         let asked = f64::from(command.drive_vpp);
-        let vpp = if asked.is_finite() { asked.clamp(0.0, self.scenario.plate.drive_limit_vpp) } else { 0.0 };
+        let vpp = if asked.is_finite() {
+            asked.clamp(0.0, self.scenario.plate.drive_limit_vpp)
+        } else {
+            let first = NotFinite { at_s: self.time().seconds(), count: 0 };
+            self.not_finite.get_or_insert(first).count += 1;
+            0.0
+        };
         self.frequency_hz = f64::from(command.frequency_mhz) / 1e3;
         self.plant.set_drive(Drive { vpp, omega: TAU * self.frequency_hz });
+    }
+
+    /// The commands so far whose drive was no number.
+    pub(crate) fn not_finite(&self) -> Option<NotFinite> {
+        self.not_finite
     }
 
     /// Nobody drives the plate any more.
@@ -176,8 +190,8 @@ impl<'a, R: Rows> Stage<'a, R> {
     }
 
     /// What the controller was given instead of what was sensed.
-    pub(crate) fn given(&mut self, sensed: [f64; 2]) {
-        self.sensed = sensed;
+    pub(crate) fn given(&mut self, sensed: [f32; 2]) {
+        self.sensed = sensed.map(|value| f64::from(on_the_wire(value.into())));
     }
 
     /// A row for now, or what else happened at the instant of the last one.
@@ -245,6 +259,11 @@ impl<'a, R: Rows> Stage<'a, R> {
             }
         }
     }
+}
+
+/// A sensor that is beyond what the wire carries shows the largest number that it carries.
+fn on_the_wire(value: f64) -> f32 {
+    value.clamp(f32::MIN.into(), f32::MAX.into()) as f32
 }
 
 impl Stage<'_, Vec<Row>> {

@@ -68,7 +68,8 @@ pub fn play<L: Link>(session: &mut Session<Faulty<L>>, order: &Order<'_>, patien
     }
     let ended = trial.lost.as_ref().map(ToString::to_string);
     let faults = trial.session.link().counts().map(|(kind, count)| (kind.to_owned(), count)).collect();
-    let telemetry = Telemetry { ended, faults, ..trial.observed.telemetry() };
+    let not_finite = trial.stage.not_finite();
+    let telemetry = Telemetry { ended, faults, not_finite, ..trial.observed.telemetry() };
     Some(Played { telemetry, rows: trial.stage.into_rows(), lost: trial.lost })
 }
 
@@ -237,7 +238,7 @@ impl<'a, L: Link> Trial<'a, L> {
     /// The trace tells what the controller was given, which faults may have changed.
     fn note_given(&mut self) {
         if let Some(given) = self.session.link().given() {
-            self.stage.given(given.map(f64::from));
+            self.stage.given(given);
         }
     }
 

@@ -10,6 +10,7 @@ mod looks;
 
 pub use looks::{Decision, judge, sequential};
 
+use crate::divergence::{Divergence, divergence};
 use crate::feasibility;
 use crate::metrics::{self, Measure};
 use crate::record::{Cause, ExpectationRecord, Telemetry, TrialRecord, Verdict};
@@ -32,6 +33,8 @@ pub struct TrialMeasures {
     pub excuses: Vec<Option<Excuse>>,
     /// What the rig told beside the trace.
     pub telemetry: Telemetry,
+    /// Whether its loop came to no good end, which is why what it missed was missed.
+    pub diverged: Option<Divergence>,
     /// Whose doing it is that the trial does not count, and what happened.
     pub cause: Option<(Cause, String)>,
 }
@@ -71,6 +74,7 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
             })
             .collect(),
         telemetry: telemetry.clone(),
+        diverged: divergence(scenario, rows, telemetry),
         cause: disturbance(scenario, rows, telemetry),
     }
 }
@@ -130,7 +134,8 @@ pub fn trial_record(scenario: &Scenario, trial: &TrialMeasures, trace: String, w
         by_name.insert(name, json!(shown(metric, measure)));
     }
     let (cause, reason) = trial.cause.clone().unzip();
-    let reason = reason.or_else(|| trial.telemetry.ended.clone());
+    let diverged = || trial.diverged.as_ref().map(ToString::to_string);
+    let reason = reason.or_else(|| trial.telemetry.ended.clone()).or_else(diverged);
     TrialRecord {
         index: trial.index,
         seed: trial.seed,
@@ -140,6 +145,7 @@ pub fn trial_record(scenario: &Scenario, trial: &TrialMeasures, trace: String, w
         telemetry: trial.telemetry.clone(),
         cause,
         reason,
+        diverged_at_s: trial.diverged.as_ref().map(|divergence| divergence.at_s),
         wall_ms,
     }
 }

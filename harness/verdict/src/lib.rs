@@ -1,6 +1,7 @@
 //! From traces to verdicts.
 //!
 //! * [`metrics`]: numbers of one trial, off its trace alone.
+//! * [`divergence`]: whether the loop converged at all.
 //! * [`feasibility`]: whether any controller could have met a demand.
 //! * [`statistics`]: intervals for what only many trials can tell.
 //! * [`mod@judge`]: expectation to verdict.
@@ -10,6 +11,7 @@
 //! The definitions for users stand in `docs/verdicts.md`. A verdict depends on the scenario, the stored traces and
 //! what the rig told beside them, and on nothing else: no clock, no order of execution.
 
+pub mod divergence;
 pub mod feasibility;
 pub mod golden;
 pub mod judge;

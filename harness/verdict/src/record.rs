@@ -300,6 +300,9 @@ pub struct TrialRecord {
     pub cause: Option<Cause>,
     /// What happened, in a sentence.
     pub reason: Option<String>,
+    /// From when on the trial diverged, s; not there where it did not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diverged_at_s: Option<f64>,
     /// Wall-clock time of the trial, ms; `null` where the trial was judged again.
     pub wall_ms: Option<f64>,
 }
@@ -327,6 +330,18 @@ pub struct Telemetry {
     /// Messages that planned faults struck, by the kind of fault.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub faults: BTreeMap<String, u64>,
+    /// Commands whose drive was no number, where there were any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_finite: Option<NotFinite>,
+}
+
+/// Commands whose drive was NaN or infinite: the amplifier gave 0 V instead, so the trace does not show them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct NotFinite {
+    /// When the first of them acted, s.
+    pub at_s: f64,
+    /// How many there were.
+    pub count: u64,
 }
 
 /// Why a record could not be read.

@@ -217,6 +217,7 @@ mod tests {
             telemetry: Telemetry::default(),
             cause: None,
             reason: None,
+            diverged_at_s: None,
             wall_ms: None,
         };
         let rows = two_steps();

@@ -98,6 +98,7 @@ pub(crate) fn trial(file: &str, index: u32, metrics: &[(&str, Value)]) -> TrialR
         reason: None,
         sha256: None,
         telemetry: Telemetry::default(),
+        diverged_at_s: None,
         wall_ms: Some(12.5),
     }
 }

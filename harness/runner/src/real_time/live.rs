@@ -236,7 +236,7 @@ impl<'a, L: Link> Live<'a, L> {
         }
         let outcome = self.session.post(Message::Sample(sample));
         if let Some(given) = self.session.link().given() {
-            self.stage.given(given.map(f64::from));
+            self.stage.given(given);
         }
         let overrun = lateness.as_secs_f64() > OVERRUN_SHARE * self.pace.wall(self.period).as_secs_f64();
         let missed = self.last_sent.is_some_and(|last| self.open.get(usize::from(last)).is_some_and(Option::is_some));
@@ -354,10 +354,12 @@ impl<'a, L: Link> Live<'a, L> {
         timing.memory_locked = granted.memory_locked;
         timing.refused_frames = self.session.refused();
         timing.safe_confirmed = safe_confirmed;
+        let not_finite = self.stage.not_finite();
         timing.lost_rows = self.stage.into_rows().lost();
         let faults = self.session.link().counts().map(|(kind, count)| (kind.to_owned(), count)).collect();
         let telemetry = Telemetry {
             faults,
+            not_finite,
             stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
             loop_delay_us: timing.loop_delay_us.map(|quantiles| quantiles.max),
             rig_delay_us: timing.loop_delay_us.map(|_| self.accounts.longest_rig_delay.as_secs_f64() * 1e6),

@@ -17,6 +17,7 @@ fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
         },
         cause: None,
         reason: None,
+        diverged_at_s: None,
         wall_ms: None,
     };
     ScenarioRecord {

@@ -119,18 +119,22 @@ impl Case<'_> {
             Some(ended) => format!("trial {}: {what}: {ended}", trial.index),
             None => format!("trial {}: {what}", trial.index),
         };
+        let failed = |what: String| match &trial.diverged {
+            Some(diverged) => says(format!("{diverged}: {what}")),
+            None => says(what),
+        };
         let finding = match (measure, span) {
             (Measure::Undefined(what), _) => finding.doubt(Cause::Evidence, says((*what).to_owned())),
-            (Measure::Missing(what), _) => finding.fail(says((*what).to_owned())),
+            (Measure::Missing(what), _) => finding.fail(failed((*what).to_owned())),
             (Measure::Value(_) | Measure::Between(_), None) => finding,
             (Measure::Value(_) | Measure::Between(_), Some(span)) => match held(limit, span) {
                 Held::Whole => finding,
                 Held::None if matches!(measure, Measure::Between(_)) => {
-                    finding.fail(says(format!("{}, expected {limit}", between(span))))
+                    finding.fail(failed(format!("{}, expected {limit}", between(span))))
                 }
                 Held::None => {
                     let value = finding.value.unwrap_or_default();
-                    finding.fail(says(format!("{value:.4}, expected {limit}")))
+                    finding.fail(failed(format!("{value:.4}, expected {limit}")))
                 }
                 Held::Part => {
                     let why = if matches!(measure, Measure::Between(_)) {
@@ -176,13 +180,28 @@ impl Case<'_> {
         let spans = |kept: &dyn Fn(&TrialMeasures) -> bool| -> Vec<[f64; 2]> {
             self.counted().filter(|(trial, _)| kept(trial)).filter_map(|(_, measure)| self.span(measure)).collect()
         };
-        let finding = decide(&spans(&|_| true));
+        let finding = self.name_divergence(decide(&spans(&|_| true)));
         let is_excused = |trial: &TrialMeasures| matches!(trial.excuses.get(self.number), Some(Some(_)));
         let Some((excused, _)) = self.counted().find(|(trial, _)| is_excused(trial)) else { return finding };
         if decide(&spans(&|trial| !is_excused(trial))).verdict == Verdict::Fail {
             finding
         } else {
             self.excuse_failure(finding, excused)
+        }
+    }
+
+    /// Says of a failure over trials that there were some that diverged.
+    fn name_divergence(&self, finding: Finding) -> Finding {
+        let mut diverged = self.counted().filter_map(|(trial, _)| Some((trial.index, trial.diverged.as_ref()?)));
+        match (finding.verdict, diverged.next(), &finding.reason) {
+            (Verdict::Fail, Some((index, first)), Some(reason)) => {
+                let reason = match diverged.count() {
+                    0 => format!("{reason}: trial {index} {first}"),
+                    more => format!("{reason}: trial {index} {first}, and {more} more trials diverged"),
+                };
+                finding.fail(reason)
+            }
+            _ => finding,
         }
     }
 

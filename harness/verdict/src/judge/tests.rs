@@ -61,6 +61,7 @@ fn trial(index: u32, measures: &[Measure]) -> TrialMeasures {
         seed: u64::from(index) + 1,
         measures: measures.to_vec(),
         excuses: vec![None; measures.len()],
+        diverged: None,
         cause: None,
     }
 }
@@ -151,6 +152,49 @@ fn one_bad_trial_among_thirty_fails() {
     let record = judged(&scenario, &never);
     assert_eq!((record.verdict, record.value), (Verdict::Fail, None));
     assert_eq!(record.reason.as_deref(), Some("trial 29: never stays inside the band"));
+}
+
+/// It fails nothing by itself, whatever the statistic, and an excuse or a doubt stands as it did.
+#[test]
+fn a_divergence_is_why_an_expectation_failed() {
+    let diverged = |mut trials: Vec<TrialMeasures>, which: &[usize]| {
+        for &index in which {
+            trials[index].diverged = Some(Divergence { at_s: 0.0125, not_finite: None });
+        }
+        trials
+    };
+    let each = spread("metric = \"settling_time_ms\", at_most = 2.0", 3);
+    assert_eq!(verdict(&each, &diverged(trials(&[1.9; 3]), &[1])), PASS);
+    let reason = |scenario: &Scenario, trials: &[TrialMeasures]| judged(scenario, trials).reason.unwrap();
+    let missed = diverged(trials(&[1.9, 2.1, 1.9]), &[1]);
+    assert_eq!(reason(&each, &missed), "trial 1: diverged at t = 12.5 ms: 2.1000, expected ≤ 2");
+    let mut never = missed;
+    never[1].measures = vec![Measure::Missing("never stays inside the band")];
+    assert_eq!(reason(&each, &never), "trial 1: diverged at t = 12.5 ms: never stays inside the band");
+    never[1].measures = vec![Measure::Undefined("the setpoint never steps")];
+    assert_eq!(reason(&each, &never), "trial 1: the setpoint never steps");
+    never[1].measures = vec![Measure::Value(9.0)];
+    never[1].excuses = vec![Some(Excuse { cause: Cause::Infeasible, reason: "saturated".to_owned() })];
+    assert_eq!(reason(&each, &never), "saturated");
+    let mean = spread("metric = \"static_error_percent\", at_most = 2.0", 4);
+    let values = [30.0, 31.0, 29.0, 30.5];
+    let plain = reason(&mean, &trials(&values));
+    let one = reason(&mean, &diverged(trials(&values), &[2]));
+    assert_eq!(one, format!("{plain}: trial 2 diverged at t = 12.5 ms"));
+    let more = reason(&mean, &diverged(trials(&values), &[1, 2, 3]));
+    assert_eq!(more, format!("{plain}: trial 1 diverged at t = 12.5 ms, and 2 more trials diverged"));
+    assert_eq!(verdict(&mean, &diverged(trials(&[0.1, 0.11, 0.12, 0.1]), &[1, 2, 3])), PASS);
+}
+
+#[test]
+fn a_divergence_is_recorded_with_its_trial() {
+    let scenario = spread("metric = \"settling_time_ms\", at_most = 2.0", 1);
+    let mut trial = trial(0, &[Measure::Missing("never stays inside the band")]);
+    let record = |trial: &TrialMeasures| trial_record(&scenario, trial, "traces/s/000.csv".to_owned(), None);
+    assert!(!serde_json::to_string(&record(&trial)).unwrap().contains("diverged"));
+    trial.diverged = Some(Divergence { at_s: 0.003, not_finite: None });
+    let text = serde_json::to_string(&record(&trial)).unwrap();
+    assert!(text.contains(r#""reason":"diverged at t = 3.0 ms","diverged_at_s":0.003"#), "{text}");
 }
 
 #[test]

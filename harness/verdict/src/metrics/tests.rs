@@ -12,6 +12,7 @@ const TOLD_NOTHING: Telemetry = Telemetry {
     ended: None,
     stopped: None,
     faults: BTreeMap::new(),
+    not_finite: None,
 };
 
 fn ms(value: f64) -> Time {

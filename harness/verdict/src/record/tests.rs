@@ -62,6 +62,7 @@ fn record() -> RunRecord {
         reason: Some("the bench was too late at 3 ms".to_owned()),
         sha256: None,
         telemetry: Telemetry::default(),
+        diverged_at_s: None,
         wall_ms: Some(12.5),
     };
     RunRecord {
