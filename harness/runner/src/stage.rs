@@ -203,6 +203,11 @@ impl<'a, R: Rows> Stage<'a, R> {
     fn push(&mut self, time: Time, state: &State, lateness_us: f64, flags: Flags) {
         let drive = self.plant.drive();
         let conditions = self.plant.conditions_at(time);
+        let resonance_hz = self.plant.mode_at(time).omega0 / TAU;
+        if !state.is_finite() || !resonance_hz.is_finite() {
+            // A plate that cannot be computed is the bench's fault: its trace ends here, and a trace that ends early does not count.
+            return;
+        }
         let saturated = drive.vpp >= self.scenario.plate.drive_limit_vpp * SATURATED_FROM;
         let also = [(saturated, Flags::SATURATED), (self.safe, Flags::SAFE)];
         let row = Row {
@@ -213,7 +218,7 @@ impl<'a, R: Rows> Stage<'a, R> {
             amplitude_um: state.amplitude(),
             drive_vpp: drive.vpp,
             frequency_hz: self.frequency_hz,
-            resonance_hz: self.plant.mode_at(time).omega0 / TAU,
+            resonance_hz,
             temperature_offset_k: conditions.temperature_offset_k,
             finger_force_n: conditions.finger_force_n,
             sensed_wd_um: self.sensed[0],

@@ -4,9 +4,9 @@
 
 use platebench_rig::{Hosted, Link, LinkError};
 use platebench_runner::{Cancel, Clock, Plan, RunFolder, rejudge, run};
-use platebench_scenario::load;
+use platebench_scenario::{Scenario, load};
 use platebench_verdict::record::{NotFinite, Overrides};
-use platebench_verdict::{RunRecord, Verdict};
+use platebench_verdict::{Cause, RunRecord, ScenarioRecord, Verdict};
 use platebench_wire::{FrameReader, Message, Packet};
 use std::fs;
 use std::path::Path;
@@ -63,11 +63,18 @@ fn holds_numbers_only(folder: &Path) {
 }
 
 fn played_with(drive: f32) -> RunRecord {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(FIG13);
+    let (live, again) = played(load(&path, "fig13.toml").unwrap(), drive);
+    assert_eq!(live.scenarios, again);
+    live
+}
+
+/// The record of a run over [`Instead`], and its scenarios as they are judged again.
+fn played(scenario: Scenario, drive: f32) -> (RunRecord, Vec<ScenarioRecord>) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(FIG13);
     let plan = Plan {
-        scenarios: vec![load(&path, "fig13.toml").unwrap()],
+        scenarios: vec![scenario],
         jobs: 1,
         clock: Clock::Lockstep { wire_time: false },
         own_clock: false,
@@ -81,8 +88,8 @@ fn played_with(drive: f32) -> RunRecord {
     };
     let live = run(&plan, &run_folder, &connect, &Cancel::default(), &mut |_| {}).unwrap();
     holds_numbers_only(&out);
-    assert_eq!(live.scenarios, rejudge(&out, None).unwrap().scenarios);
-    live
+    let again = rejudge(&out, None).unwrap().scenarios;
+    (live, again)
 }
 
 #[test]
@@ -95,7 +102,8 @@ fn a_drive_that_is_no_number_is_named_as_the_reason() {
         assert_eq!(trial.diverged_at_s, Some(0.01));
         assert_eq!(record.verdict, Verdict::Fail);
         let reasons: Vec<_> = record.scenarios[0].expectations.iter().filter_map(|it| it.reason.as_deref()).collect();
-        let settling = "trial 0: diverged at t = 10.0 ms: the commanded drive is not a finite number: never stays inside the band";
+        let settling =
+            "trial 0: diverged at t = 10.0 ms: the commanded drive is not a finite number: never stays inside the band";
         assert!(reasons.contains(&settling), "{reasons:#?}");
     }
 }
@@ -108,4 +116,16 @@ fn a_drive_beyond_the_amplifier_is_no_divergence() {
         let trial = &record.scenarios[0].trials[0];
         assert_eq!((record.verdict, trial.telemetry.not_finite, trial.diverged_at_s), (Verdict::Fail, None, None));
     }
+}
+
+/// No file can ask for such a plate; whoever makes one all the same has a trace that ends where it stops being numbers, and a trial that does not count.
+#[test]
+fn a_plate_that_cannot_be_computed_is_the_bench_s_fault() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(FIG13);
+    let mut scenario = load(&path, "fig13.toml").unwrap();
+    scenario.plate.damping_ratio = vec![[0.0, 1e-300]];
+    let (live, _) = played(scenario, 100.0);
+    let trial = &live.scenarios[0].trials[0];
+    assert_eq!((live.verdict, trial.cause), (Verdict::Inconclusive, Some(Cause::Bench)));
+    assert!(trial.reason.as_ref().is_some_and(|reason| reason.starts_with("the trace ends at ")), "{:?}", trial.reason);
 }

@@ -30,6 +30,8 @@ const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
 const LONGEST_FINE_TRACE_MS: f64 = 1_000.0;
 /// A trial is held in memory: some 250 MB at the most.
 const MOST_ROWS: f64 = 2e6;
+/// A plate that rings longer than hours is a mistyped unit; far beyond it rounding loses its damping altogether.
+const HIGHEST_QUALITY: f64 = 1e9;
 const MOST_TRIALS: i64 = 100_000;
 const LARGEST_SPREAD_PERCENT: f64 = 20.0;
 
@@ -87,6 +89,14 @@ impl Checker<'_> {
 
     fn positive(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
         self.require(value.is_finite() && value > 0.0, key, || format!("{value}, expected a finite number above 0"))?;
+        Ok(value)
+    }
+
+    /// What the controller is told is carried in single precision.
+    fn single(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
+        self.require((value as f32).is_finite(), key, || {
+            format!("{value:e}, expected at most 3.4e38: the wire carries single precision")
+        })?;
         Ok(value)
     }
 
@@ -164,6 +174,20 @@ impl Checker<'_> {
         };
         let raw: RawPlate = toml::from_str(&text).map_err(|error| Diagnostic::of_toml(path, &text, &error))?;
         let plate = raw.check().map_err(|error| Diagnostic::at_key(path, &text, error.key, error.to_string()))?;
+        let refuse = |key: &str, message: String| Err(Diagnostic::at_key(path, &text, key, message));
+        let quality = plate.omega0 / (2.0 * plate.sigma0);
+        if quality > HIGHEST_QUALITY {
+            let message = format!("a quality factor of {quality:.3e}, expected at most {HIGHEST_QUALITY:e}");
+            return refuse("mode.time_constant_ms", message);
+        }
+        for (key, value) in [("mode.gain_um_per_vpp", plate.gain), ("drive.limit_vpp", plate.drive_limit_vpp)] {
+            if !(value as f32).is_normal() {
+                return refuse(
+                    key,
+                    format!("{value:e}, expected 1.2e-38 to 3.4e38: the wire carries single precision"),
+                );
+            }
+        }
         inputs.push(Input { path: path.to_owned(), bytes: text.into_bytes() });
         Ok(plate)
     }
@@ -198,7 +222,10 @@ impl Checker<'_> {
         self.require((0.5..=1.5).contains(&share), key, || {
             format!("{start_frequency_hz} Hz, expected within half of the plate's resonance at {resonance_hz:.1} Hz")
         })?;
-        let optional = |key: &str, value: Option<f64>| value.map(|value| self.positive(key, value)).transpose();
+        let optional = |key: &str, value: Option<f64>| {
+            let checked = |value| self.single(key, self.positive(key, value)?);
+            value.map(checked).transpose()
+        };
         let range = optional("controller.frequency_range_hz", raw.frequency_range_hz)?;
         let slew = optional("controller.frequency_slew_hz", raw.frequency_slew_hz)?;
         let key = "controller.frequency_range_hz";
@@ -233,6 +260,7 @@ impl Checker<'_> {
         ] {
             let key = format!("controller.gains.{name}");
             self.require(value.is_finite(), &key, || format!("{value}, expected a finite number"))?;
+            self.single(&key, value)?;
         }
         Ok(Some(Gains {
             amplitude_kp: raw.amplitude_kp,

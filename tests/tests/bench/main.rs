@@ -12,6 +12,7 @@ mod bench;
 mod closed_loop;
 mod determinism;
 mod exits;
+mod extremes;
 mod faults;
 mod golden;
 mod identify;

@@ -1,19 +1,24 @@
 //! What is played: profiles with a pointer to the very number that is wrong, in the scenario or in the CSV file that it names, and a plate that
 //! exists under all of it.
 
-use super::Checker;
+use super::{Checker, HIGHEST_QUALITY};
 use crate::diagnostic::Diagnostic;
 use crate::raw::RawProfiles;
 use crate::scenario::Input;
 use crate::variation::Spread;
 use platebench_plate::profile::{RawProfile, RawShape};
 use platebench_plate::{Conditions, Plate, Profile, ProfileError, Scene};
+use std::f64::consts::TAU;
 use std::fs;
 use std::ops::Range;
 use std::path::Path;
 
 const LARGEST_SETPOINT_UM: f64 = 1_000.0;
 const ABSOLUTE_ZERO_C: f64 = -273.15;
+/// The plate file's bound, under all surroundings: the wire carries the excitation frequency in millihertz.
+const HIGHEST_RESONANCE_HZ: f64 = 2.5e6;
+/// What a plate without a resonance should have instead.
+const EXPECTED: &str = "expected one of at most 2.5e6 Hz with a quality factor from 0.5 to 1e9";
 /// No draw of a trial lies so many deviations off.
 const DEVIATIONS: f64 = 5.0;
 
@@ -168,15 +173,17 @@ impl Checker<'_> {
         let shortest = 1.0 - DEVIATIONS * spread.time_constant_percent / 100.0;
         let worst = Plate { sigma0: plate.sigma0 / shortest.max(0.1), ..plate.clone() };
         let exists = |temperature_offset_k: f64, finger_force_n: f64| {
-            let mode = worst.mode(&Conditions { temperature_offset_k, finger_force_n });
-            mode.is_resonant() && mode.omega0.is_finite()
+            let conditions = Conditions { temperature_offset_k, finger_force_n };
+            let (mode, least) = (worst.mode(&conditions), plate.mode(&conditions).sigma);
+            let quality = mode.omega0 / (2.0 * least);
+            mode.is_resonant() && quality <= HIGHEST_QUALITY && mode.omega0 <= HIGHEST_RESONANCE_HZ * TAU
         };
         self.require_values(
             folder,
             force_key,
             force,
             |value| exists(0.0, value),
-            |value| format!("a force of {value} N leaves the plate without a resonance"),
+            |value| format!("a force of {value} N leaves the plate without a resonance, {EXPECTED}"),
         )?;
         // What lies between two points counts only where the damping has a corner there.
         let (lightest, heaviest) = scene.finger_force_n.range();
@@ -190,7 +197,9 @@ impl Checker<'_> {
             temperature,
             |value| forces.iter().all(|force| exists(value - margin, *force) && exists(value + margin, *force)),
             |value| {
-                format!("{value} K (± {margin} K of spread) and up to {heaviest} N leave the plate without a resonance")
+                format!(
+                    "{value} K (± {margin} K of spread) and up to {heaviest} N leave the plate without a resonance, {EXPECTED}"
+                )
             },
         )
     }

@@ -269,6 +269,8 @@ fn what_the_trials_come_to_can_be_chosen() {
     ("frequency_range_hz = 250.0", "frequency_range_hz = 0.0"),
     ("frequency_range_hz = 250.0", "frequency_range_hz = 32220.9"),
     ("frequency_slew_hz = 100.0", "frequency_slew_hz = inf"),
+    ("response_time_ms = 1.9", "response_time_ms = 1e39"),
+    ("amplitude_kp = 1.0", "amplitude_kp = -1e39"),
     ("amplitude_kp = 1.0", "amplitude_kp = nan"),
     ("amplitude_ki = 2.0", "amplitude_ki = inf"),
     ("frequency_kp = 3.0", "frequency_kp = -inf"),
@@ -657,4 +659,36 @@ fn a_shutdown_has_to_last_until_the_next_configuration_that_is_planned() {
     };
     assert_eq!(window(19.0), (19.0, 20.0));
     assert_eq!(window(20.0), (20.0, 60.0));
+}
+
+/// The last good and the first bad: a quality factor of 1e9, and what single precision carries.
+#[rstest]
+#[case(
+    "time_constant_ms = 1.88",
+    "time_constant_ms = 9.852e6",
+    "time_constant_ms = 9.853e6",
+    "a quality factor of 1.000e9"
+)]
+#[case("gain_um_per_vpp = 0.00698", "gain_um_per_vpp = 3.4e38", "gain_um_per_vpp = 3.5e38", "single precision")]
+#[case("gain_um_per_vpp = 0.00698", "gain_um_per_vpp = 1.2e-38", "gain_um_per_vpp = 1.1e-38", "single precision")]
+#[case("limit_vpp = 900.0", "limit_vpp = 3.4e38", "limit_vpp = 3.5e38", "single precision")]
+#[case("[[0.0, 1.0], [1.5, 2.0]]", "[[0.0, 1e-6], [1.5, 2.0]]", "[[0.0, 1e-7], [1.5, 2.0]]", "without a resonance")]
+#[case(
+    "slope_hz_per_k = -9.638",
+    "slope_hz_per_k = 1.1e5",
+    "slope_hz_per_k = 1.2e5",
+    "without a resonance, expected one of at most 2.5e6 Hz"
+)]
+fn a_plate_that_cannot_be_computed_or_told_is_refused(
+    #[case] plain: &str,
+    #[case] good: &str,
+    #[case] bad: &str,
+    #[case] message: &str,
+) {
+    let with = |other| {
+        loaded(&[(plain, other), ("temperature_k = 4.0", "temperature_k = 0.0"), ("[60.0, 2.0]", "[60.0, 22.0]")])
+    };
+    assert!(with(good).is_ok(), "{}", shown(&with(good).err().unwrap()));
+    let fault = with(bad).err().unwrap();
+    assert!(fault.message.contains(message), "{}", shown(&fault));
 }
