@@ -120,7 +120,9 @@ fn a_loop_is_given_time_after_the_last_event() {
         assert!(found(&rows).is_some(), "{flag:?} at 60 ms");
     }
     let mut at_rest = swinging(120.0);
-    at_rest.iter_mut().for_each(|row| row.setpoint_um = 0.0);
+    for row in &mut at_rest {
+        row.setpoint_um = 0.0;
+    }
     assert_eq!(found(&at_rest), None);
 }
 
@@ -139,7 +141,9 @@ fn a_planned_fault_is_an_event_to_its_end() {
 fn a_drive_thrown_between_its_limits_may_swing_unevenly() {
     let uneven = |keeps: f64, low: f64| {
         let mut rows = rows(120.0, swing(|t_ms| if t_ms < 80.0 { 0.5 } else { 0.5 * keeps }), none);
-        rows.iter_mut().for_each(|row| row.drive_vpp = if row.amplitude_um < 2.0 { 900.0 } else { low });
+        for row in &mut rows {
+            row.drive_vpp = if row.amplitude_um < 2.0 { 900.0 } else { low };
+        }
         rows
     };
     assert!(found(&uneven(0.92, 0.0)).is_some());
