@@ -150,6 +150,7 @@ fn order(arguments: &Session) -> Result<Order, Exit> {
         scenarios: Vec::new(),
         rig: rig.clone(),
         law: None,
+        model: None,
         clock: arguments.clock,
         time_scale: arguments.time_scale,
         pacing: arguments.pacing,
