@@ -128,11 +128,14 @@ impl ClosedLoop {
     /// # Errors
     /// [`AnalysisError::NoConvergence`].
     pub fn poles(&self) -> Result<Vec<Complex64>, AnalysisError> {
-        let mut matrix = self.matrix();
-        balance_parlett_reinsch(&mut matrix);
+        let matrix = self.matrix();
+        let mut balanced = matrix.clone();
+        balance_parlett_reinsch(&mut balanced);
         let limit = ITERATIONS_PER_STATE * matrix.nrows();
-        let schur = Schur::try_new(matrix, f64::EPSILON, limit).ok_or(AnalysisError::NoConvergence)?;
-        Ok(schur.complex_eigenvalues().iter().copied().collect())
+        // The solver's shifts run in circles for a few matrices; the transpose has the same eigenvalues and another way there.
+        let forms = [balanced.clone(), balanced.transpose(), matrix.clone(), matrix.transpose()];
+        let schur = forms.into_iter().find_map(|form| Schur::try_new(form, f64::EPSILON, limit));
+        Ok(schur.ok_or(AnalysisError::NoConvergence)?.complex_eigenvalues().iter().copied().collect())
     }
 
     /// The largest distance of a pole from 0: below 1 the loop is stable.

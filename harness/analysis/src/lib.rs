@@ -8,6 +8,7 @@
 //! * [`case`]: each law of the firmware under test in that form, on a plate in its surroundings.
 //! * [`measured`]: the same boundary by the firmware's own code on the exact plate.
 //! * [`plain`]: PI loops without a firmware around them, where the ratio Wq/Wd shows that it is not linear.
+//! * [`tuning`]: gains for a plate, what they do, what can be met.
 //! * [`mod@study`]: all laws in all surroundings, as a table and as maps; [`shown`]: in words and CSV.
 //!
 //! Amplitudes are µm and voltages Vpp, both peak to peak; times are s, angular frequencies rad/s. Nothing here draws or touches a file.
@@ -22,6 +23,7 @@ pub mod plant;
 pub mod shown;
 pub mod step;
 pub mod study;
+pub mod tuning;
 
 pub use case::{Case, Condition};
 pub use closed_loop::{AnalysisError, ClosedLoop, Timing};

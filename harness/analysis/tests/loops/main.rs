@@ -6,6 +6,7 @@ mod known;
 mod plants;
 mod surprise;
 mod tables;
+mod tuning;
 
 use platebench_plate::Plate;
 use platebench_plate::file::RawPlate;
