@@ -74,6 +74,8 @@ pub(crate) enum Command {
     Chart(crate::chart::Chart),
     /// A lab acceptance session and its record
     Accept(crate::accept::Accept),
+    /// Controller gains for a plate, their margins, what can be met and what cannot
+    Tune(crate::tune::Tune),
 }
 
 /// `platebench run`

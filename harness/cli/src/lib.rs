@@ -12,11 +12,13 @@ mod exit;
 mod identify;
 mod logging;
 mod output;
+mod plate_file;
 mod run;
 mod signals;
 mod stability;
 mod stored;
 mod trust;
+mod tune;
 
 use args::{Arguments, Command};
 use clap::Parser;
@@ -41,6 +43,7 @@ pub fn main() -> ExitCode {
         Command::Identify(arguments) => identify::identify(arguments),
         Command::Chart(arguments) => chart::chart(arguments),
         Command::Accept(accept) => accept::accept(accept, arguments.logging.quiet),
+        Command::Tune(arguments) => tune::tune(arguments),
     });
     exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");

@@ -66,20 +66,24 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
     }
 }
 
-/// The clock that the command line means; why it cannot be meant where it cannot.
-pub(crate) fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
-    let default = match arguments.rig {
+/// The clock of a rig where none is named.
+pub(crate) fn default_clock(rig: &RigSpec) -> Clock {
+    match rig {
         RigSpec::Serial { .. } | RigSpec::Probe { port: Some(_), .. } => Clock::RealTime,
         RigSpec::Hosted | RigSpec::Emulated(_) | RigSpec::Exec(_) | RigSpec::Probe { port: None, .. } => {
             Clock::Lockstep
         }
-    };
+    }
+}
+
+/// The clock that the command line means; why it cannot be meant where it cannot.
+pub(crate) fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
     let pacing = match arguments.pacing {
         Pacing::Bench => platebench_runner::Pacing::Bench,
         Pacing::Target => platebench_runner::Pacing::Target,
     };
     let time_scale = arguments.time_scale;
-    match arguments.clock.unwrap_or(default) {
+    match arguments.clock.unwrap_or(default_clock(&arguments.rig)) {
         Clock::Lockstep if time_scale != 1.0 || arguments.pacing == Pacing::Target => {
             Err("--time-scale and --pacing are for --clock real-time")
         }
@@ -139,7 +143,12 @@ fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Sce
 }
 
 /// Plays the plan on threads of its own while this one listens for signals and tells of progress.
-fn play(plan: Plan, folder: &RunFolder, rig: RigSpec, kind: ProgressKind) -> Result<RunRecord, (RunError, Option<u8>)> {
+pub(crate) fn play(
+    plan: Plan,
+    folder: &RunFolder,
+    rig: RigSpec,
+    kind: ProgressKind,
+) -> Result<RunRecord, (RunError, Option<u8>)> {
     let without_signal = |error: std::io::Error| (RunError::Bench(error.to_string()), None);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(without_signal)?;
     let cancel = Cancel::default();

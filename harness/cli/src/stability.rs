@@ -2,11 +2,11 @@
 
 use crate::exit::Exit;
 use crate::output;
+use crate::plate_file;
 use clap::Args;
 use platebench_analysis::study::Order;
 use platebench_analysis::{AnalysisError, Condition, Integral, PlainLoops, Study, shown, study};
 use platebench_plate::Plate;
-use platebench_plate::file::RawPlate;
 use platebench_report::ReportError;
 use platebench_report::map::{Map, Panel, RigDelay, Section, page};
 use platebench_scenario::Diagnostic;
@@ -92,7 +92,7 @@ pub(crate) fn stability(arguments: &Stability) -> Exit {
 }
 
 fn answer(arguments: &Stability) -> Result<String, StabilityError> {
-    let plate = read_plate(&arguments.plate)?;
+    let plate = plate_file::read(&arguments.plate).map_err(|fault| StabilityError::Plate(Box::new(fault)))?;
     let rig = match (&arguments.run, arguments.measured_delay_us) {
         (Some(run), _) => Some(delay_of_run(run)?),
         (None, Some(delay)) => Some(RigDelay { typical_ms: delay * 1e-3, longest_ms: delay * 1e-3 }),
@@ -127,15 +127,6 @@ fn answer(arguments: &Stability) -> Result<String, StabilityError> {
     }
     // The methods' largest stable steps, rows of method, problem, measured and predicted, belong in front of the loops.
     Ok(format!("{table}\n{surprise}"))
-}
-
-fn read_plate(path: &Path) -> Result<Plate, StabilityError> {
-    let text = fs::read_to_string(path).map_err(|source| StabilityError::File { path: path.to_owned(), source })?;
-    let refused = |diagnostic| StabilityError::Plate(Box::new(diagnostic));
-    let raw: RawPlate = toml::from_str(&text).map_err(|error| {
-        refused(Diagnostic::at_span(path, &text, error.span().unwrap_or_default(), error.message()))
-    })?;
-    raw.check().map_err(|error| refused(Diagnostic::at_key(path, &text, error.key, error.to_string())))
 }
 
 /// The largest median and the longest loop delay of a stored run.

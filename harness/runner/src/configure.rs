@@ -17,7 +17,7 @@ pub(crate) fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
 }
 
 /// What the controller is told before a trial: the nominal plate, never the one that the trial drew.
-pub(crate) fn configure(scenario: &Scenario, law: LawId) -> Configure {
+pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
     let controller = &scenario.controller;
     let plate = &scenario.plate;
     Configure {

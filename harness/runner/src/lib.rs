@@ -26,6 +26,7 @@ mod stage;
 mod trend;
 pub mod trial;
 
+pub use configure::configure;
 pub use event::Event;
 pub use folder::{FolderError, RunFolder};
 pub use real_time::{Hand, Pace, Pacing};

@@ -25,3 +25,4 @@ mod scenarios;
 mod signals;
 mod stored;
 mod trend;
+mod tune;
