@@ -1,6 +1,6 @@
 //! `platebench tune`: predicted beside what the firmware's own law does with the gains, and gains into files.
 
-use crate::bench::{Workshop, call, code, controller, step_scenario};
+use crate::bench::{Workshop, call, code, controller, root, step_scenario};
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
@@ -151,6 +151,56 @@ fn gains_go_to_a_controller_on_a_line_of_its_own_and_it_says_that_it_has_them() 
     assert!(text.contains("took the gains") && text.contains("measured"), "{text}");
 }
 
+/// What the example needs of pyserial, so that the test needs none.
+const SERIAL: &str = r#"
+import os, select, tty
+
+class SerialException(OSError):
+    pass
+
+class Serial:
+    in_waiting = 0
+
+    def __init__(self, path, baud, timeout, write_timeout):
+        self.port = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(self.port)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        os.close(self.port)
+
+    def read(self, count):
+        ready, _, _ = select.select([self.port], [], [], 0.001)
+        return os.read(self.port, 4096) if ready else b""
+
+    def write(self, data):
+        os.write(self.port, data)
+"#;
+
+#[rstest]
+#[case::takes_them("tuple(gains) if bits & 1 else None", 0, "took the gains")]
+#[case::keeps_its_own("None", 2, "other gains are in force")]
+fn a_controller_that_keeps_its_own_gains_is_not_taken_for_one_that_has_them(
+    #[case] gains: &str,
+    #[case] expected: i32,
+    #[case] said: &str,
+) {
+    let workshop = Workshop::new();
+    let example = fs::read_to_string(root().join("docs/examples/controller.py")).unwrap();
+    let used = "tuple(gains) if bits & 1 else None";
+    assert!(example.contains(used));
+    fs::write(workshop.path().join("mine.py"), example.replace(used, gains)).unwrap();
+    fs::write(workshop.path().join("serial.py"), SERIAL).unwrap();
+    let output = tune(&workshop, &["--send", "exec:python3 mine.py {port}", "--out", "run"]);
+    let text = [output.stdout.clone(), output.stderr.clone()].concat();
+    let text = String::from_utf8_lossy(&text);
+    assert_eq!(code(&output), expected, "{text}");
+    assert!(text.contains(said), "{text}");
+    assert_eq!(workshop.path().join("run").exists(), expected == 0);
+}
+
 #[rstest]
 #[case::no_one_there("exec:true {port}", 5)]
 #[case::no_such_port("serial:/dev/no-such-port", 5)]
@@ -201,6 +251,12 @@ fn gains_go_into_a_scenario_and_everything_else_stays(#[case] controller: &str) 
     }
     for comment in text.split('#').skip(1).map(|rest| rest.lines().next().unwrap()) {
         assert!(written.contains(comment), "{comment} is not in\n{written}");
+    }
+    // What is said behind a number stays behind it.
+    for (key, comment) in [("amplitude_kp", "# loud"), ("frequency_kp", "# last")] {
+        let line = text.lines().find(|line| line.contains(key) && line.contains(comment));
+        let stays = written.lines().any(|line| line.contains(key) && line.contains(comment));
+        assert_eq!(stays, line.is_some(), "{written}");
     }
     let told = told(&output);
     let (record, _) = workshop.play(&written);

@@ -246,23 +246,11 @@ fn a_backward_integral_s_gains_are_told_as_the_firmware_s_forward_one() {
 }
 
 #[test]
-fn every_design_s_poles_are_found() {
-    let plate = plate();
-    for response in 1..=12 {
-        // 0.52 ms with 4 ms is one that the solver does not get through the first way.
-        for delay in [0.0, 0.13, 0.25, 0.52, 0.9, 1.0, 1.37, 2.0] {
-            let demand = Demand { delay: delay * 1e-3, response: f64::from(response) * 1e-3, ..demand(&plate) };
-            let design = Design::new(&demand, Reading::Matched, demand.response);
-            let closed = design.closed(&demand, &plate, Tier::Modal, [true; 2]).unwrap();
-            closed.spectral_radius().unwrap_or_else(|error| panic!("{response} ms, {delay} ms: {error}"));
-        }
-    }
-}
-
-#[test]
 fn a_demand_over_a_line_is_tuned_for_to_its_end() {
     let plate = plate();
-    let found = matched(&Demand { delay: 0.52e-3, response: 4e-3, ..demand(&plate) });
+    let demand = Demand { delay: 0.52e-3, response: 4e-3, ..demand(&plate) };
+    // Among the plates drawn is one whose poles the solver does not find the first way.
+    let found = tune(&demand, Reading::Matched, &Spread { samples: 64, ..SPREAD }).unwrap();
     let chosen = found.chosen.unwrap();
     assert!(chosen.plate.settling_ms.unwrap() <= 4.0 && chosen.plate.overshoot_percent <= 4.0);
 }

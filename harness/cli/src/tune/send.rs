@@ -55,7 +55,11 @@ pub(super) fn send(rig: &RigSpec, order: &Order<'_>) -> Result<Verified, Exit> {
     }
     let desk = tempfile::tempdir().map_err(|error| told(&error, Exit::Invalid))?;
     let scenario = scenario(desk.path(), order, real_time).map_err(|error| told(&error, Exit::Invalid))?;
-    let firmware = accept(rig, order, &scenario, real_time).map_err(run_error)?;
+    let (firmware, taken) = accept(rig, order, &scenario, real_time).map_err(run_error)?;
+    if !same(taken, order.gains) {
+        // What it would show says nothing about the gains that were sent.
+        return Err(told(&format!("{firmware} says that other gains are in force: {taken:?}"), Exit::Invalid));
+    }
     let folder = RunFolder::create(order.out).map_err(|error| told(&error, Exit::Invalid))?;
     let clock = if real_time {
         platebench_runner::Clock::RealTime(Pace { time_scale: 1.0, pacing: Pacing::Bench })
@@ -103,22 +107,17 @@ fn scenario(desk: &Path, order: &Order<'_>, real_time: bool) -> Result<Scenario,
     Ok(load(&path, "tune.toml")?)
 }
 
-/// The firmware's name, once it has told that these gains are in force; at 0 V afterwards.
-fn accept(rig: &RigSpec, order: &Order<'_>, scenario: &Scenario, real_time: bool) -> Result<String, RunError> {
+/// Who is there, and the gains that are in force after it was configured; at 0 V afterwards.
+fn accept(rig: &RigSpec, order: &Order<'_>, scenario: &Scenario, real_time: bool) -> Result<(String, Gains), RunError> {
     let link = if real_time { rig.connect_in_real_time() } else { rig.connect() };
     let mut session = Session::open(link?)?;
     let taken = session.begin(&configure(scenario, order.law))?;
     let [major, minor, patch] = session.identity().version;
     let firmware = format!("{} {major}.{minor}.{patch}", session.firmware_name());
-    let safe = session.close();
-    if !same(taken, order.gains) {
-        // It has gains of its own: what it would show says nothing about these.
-        return Err(RunError::Bench(format!("{firmware} says that other gains are in force: {taken:?}")));
-    }
-    if !safe {
+    if !session.close() {
         output::note("the controller did not confirm 0 V after it was configured");
     }
-    Ok(firmware)
+    Ok((firmware, taken))
 }
 
 /// True but for the f32 rounding of an integral gain that was multiplied by the period and divided again.
