@@ -278,6 +278,7 @@ fn gains_go_into_a_scenario_and_everything_else_stays(#[case] controller: &str) 
 #[case::another_plate(("aluminium-198x138.toml", "aluminium-198x138-400vpp.toml"), "mine.toml:3:")]
 #[case::another_period(("law = \"dq-pi\"", "period_ms = 0.5"), "mine.toml:6:")]
 #[case::a_law_without_such_gains(("law = \"dq-pi\"", "law = \"frequency-only\""), "mine.toml:6:")]
+#[case::a_told_delay(("law = \"dq-pi\"", "law = \"dq-pi\"\ndesign_delay_ms = 0.5"), "mine.toml:7:")]
 #[case::no_scenario(("duration_ms", "duration"), "mine.toml:4:1")]
 #[case::no_toml(("[profile]", "[profile"), "mine.toml:8:")]
 fn a_scenario_that_the_gains_are_not_for_is_refused_and_stays(

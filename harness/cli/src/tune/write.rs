@@ -1,6 +1,7 @@
 //! Gains into a scenario file: comments and layout stay, and the file is the old one or the new one, never half of either.
 
 use platebench_analysis::tuning::design::Demand;
+use platebench_plate::Time;
 use platebench_scenario::{Diagnostic, load};
 use platebench_wire::{Gains, LawId};
 use std::fs;
@@ -17,7 +18,7 @@ pub(crate) fn shortest(gain: f32) -> f64 {
 /// Writes `gains` into the scenario at `path`; what was done, in a sentence.
 ///
 /// # Errors
-/// A [`Diagnostic`] where the file is no scenario, is for another plate, period or kind of law, or cannot be replaced. Then it is as it was.
+/// A [`Diagnostic`] where the file is no scenario, is for another plate, period or kind of law, tells the law a delay, or cannot be replaced. Then it is as it was.
 pub(crate) fn write(path: &Path, demand: &Demand<'_>, gains: Gains) -> Result<String, Diagnostic> {
     let refuse = |message: String| Diagnostic::of_file(path, message);
     let named = |error: std::io::Error| refuse(format!("cannot be written: {error}"));
@@ -36,6 +37,10 @@ pub(crate) fn write(path: &Path, demand: &Demand<'_>, gains: Gains) -> Result<St
     if !law.is_some_and(|law| super::LAWS.contains(&law)) {
         let message = format!("`{}` has no gains of equation 24", scenario.controller.law);
         return Err(scenario.diagnose("controller.law", message));
+    }
+    if scenario.controller.design_delay != Time::ZERO {
+        let message = "a law that is told its delay steers with it and is not the loop that was tuned";
+        return Err(scenario.diagnose("controller.design_delay_ms", message));
     }
     let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } = gains;
     let wanted = [amplitude_kp, amplitude_ki, frequency_kp, frequency_ki];
