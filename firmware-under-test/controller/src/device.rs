@@ -84,12 +84,15 @@ impl Device {
                 Message::Command(Command { compute_us: self.compute_us, ..command })
             }
             Message::Safe => Message::Command(self.machine.safe(now_us)),
+            // There is no plate on this side of the line.
+            Message::Setpoint(_)
             // Only a target says these; a line that echoes is no reason to act.
-            Message::Identity(_)
+            | Message::Identity(_)
             | Message::Configured(_)
             | Message::Command(_)
             | Message::Fault(_)
-            | Message::Tick(_) => return None,
+            | Message::Tick(_)
+            | Message::Telemetry(_) => return None,
         };
         Some(Packet { sequence: packet.sequence, message })
     }
@@ -97,7 +100,8 @@ impl Device {
     fn configure(&mut self, configure: &Configure, now_us: u32) -> Configured {
         self.last_sequence = None;
         self.pacer = None;
-        if configure.paced_by_target && !self.identity.can(capabilities::TARGET_PACED) {
+        let cannot_pace = configure.paced_by_target && !self.identity.can(capabilities::TARGET_PACED);
+        if cannot_pace || configure.drives_own_plate {
             return Configured { outcome: Err(self.machine.refuse(Rejection::Value)) };
         }
         let configured = self.machine.configure(configure);

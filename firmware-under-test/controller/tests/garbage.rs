@@ -110,6 +110,7 @@ fn message(random: &mut Random) -> Packet {
         2..=4 => Message::Configure(Configure {
             law: LawId::ALL[random.below(LawId::ALL.len())],
             paced_by_target: random.below(4) == 0,
+            drives_own_plate: false,
             patience_ms: random.below(3) as u16 * 10,
             period_us: 1_000,
             loop_delay_us: random.below(5) as u32 * 300,

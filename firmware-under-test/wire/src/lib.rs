@@ -18,5 +18,5 @@ pub mod message;
 pub use frame::{Encoded, FrameError, FrameReader, MAX_BODY, MAX_ENCODED};
 pub use message::{
     Command, Configure, Configured, FaultReport, Gains, Identity, LawId, Message, MessageError, Packet, Rejection,
-    Sample, State, StateCause, Tick, VERSION, capabilities, flags,
+    Sample, Setpoint, State, StateCause, Telemetry, Tick, VERSION, capabilities, flags,
 };

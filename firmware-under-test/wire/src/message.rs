@@ -15,6 +15,8 @@
 //! | 7 | [`Message::Safe`] | bench | 2 |
 //! | 8 | [`FaultReport`] | target | 20 |
 //! | 9 | [`Tick`] | target | 6 |
+//! | 10 | [`Setpoint`] | bench | 6 |
+//! | 11 | [`Telemetry`] | target | 37 |
 
 use crate::cursor::{Reader, Writer};
 use crate::frame::Encoded;
@@ -27,7 +29,7 @@ pub const VERSION: u8 = 1;
 /// A message with its sequence number: the whole content of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Packet {
-    /// Counts up by one, wrapping, per message of the bench; answers repeat it. Ticks count by themselves.
+    /// Counts up by one, wrapping, per message of the bench; answers repeat it. Ticks and telemetry count by themselves.
     pub sequence: u8,
     /// What is said.
     pub message: Message,
@@ -54,6 +56,10 @@ pub enum Message {
     Fault(FaultReport),
     /// Target: a period of mine begins, sample the plate. Only where the configuration asked for it; numbered by itself.
     Tick(Tick),
+    /// Bench: the amplitude that a target with a plate of its own is to hold from now on. Answered by a `Command`.
+    Setpoint(Setpoint),
+    /// Target: what it did to its own plate in a period. Only where the configuration asked for it; numbered by itself.
+    Telemetry(Telemetry),
 }
 
 /// Control laws by number. The names are those of scenario files and `--law`.
@@ -127,6 +133,8 @@ pub mod capabilities {
     pub const MEASURES_COMPUTING: u8 = 2;
     /// The target reads a configuration with a loop delay in it: [`Configure::loop_delay_us`](super::Configure::loop_delay_us).
     pub const TOLD_DELAY: u8 = 4;
+    /// The target has a plate of its own, with sensor and amplifier, and can be given setpoints: [`Configure::drives_own_plate`](super::Configure::drives_own_plate).
+    pub const OWN_PLATE: u8 = 8;
 }
 
 /// Who the target is.
@@ -180,7 +188,10 @@ pub struct Configure {
     pub law: LawId,
     /// True where the target is to say [`Tick`] at each of its own periods, and the bench answers with a sample; false where the bench's samples pace the control.
     pub paced_by_target: bool,
-    /// Without a sample for this long on the target's own clock the drive goes to 0 V, ms; zero for five periods.
+    /// True where the target is to drive its own plate by its own sensor and timer: the bench sends a [`Setpoint`] instead of samples and hears [`Telemetry`]. Only for
+    /// a target with [`capabilities::OWN_PLATE`].
+    pub drives_own_plate: bool,
+    /// Without a sample, or a setpoint where it drives its own plate, for this long on the target's own clock the drive goes to 0 V, ms; zero for five periods.
     pub patience_ms: u16,
     /// Control period, µs.
     pub period_us: u32,
@@ -316,6 +327,40 @@ pub struct Tick {
     pub target_time_us: u32,
 }
 
+/// What a target with a plate of its own is to do with it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Setpoint {
+    /// Wished amplitude, µm peak to peak.
+    pub setpoint_um: f32,
+}
+
+/// A control period of a target that drives its own plate, as the target itself saw it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Telemetry {
+    /// Number of the period, counted from 0 at the first setpoint after the configuration, wrapping.
+    pub period: u32,
+    /// Instant of sampling on the target's own clock, µs, wrapping.
+    pub target_time_us: u32,
+    /// The setpoint that the control step used, µm.
+    pub setpoint_um: f32,
+    /// In-phase component by the target's own sensor, µm.
+    pub wd_um: f32,
+    /// Quadrature component by the target's own sensor, µm.
+    pub wq_um: f32,
+    /// Drive from this control step on, Vpp.
+    pub drive_vpp: f32,
+    /// Excitation frequency from this control step on, mHz.
+    pub frequency_mhz: u32,
+    /// Normal force of the finger, N, where the target measures it.
+    pub force_n: Option<f32>,
+    /// What the target is doing.
+    pub state: State,
+    /// Why, where it stopped.
+    pub cause: StateCause,
+    /// See [`flags`]; four bits.
+    pub flags: u8,
+}
+
 /// Why a body with a good checksum was refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MessageError {
@@ -341,7 +386,16 @@ impl Message {
             Self::Safe => 7,
             Self::Fault(_) => 8,
             Self::Tick(_) => 9,
+            Self::Setpoint(_) => 10,
+            Self::Telemetry(_) => 11,
         }
+    }
+}
+
+impl Message {
+    /// True for what a target says of its own accord under numbers of its own, which therefore answers nothing.
+    pub const fn counts_by_itself(&self) -> bool {
+        matches!(self, Self::Tick(_) | Self::Telemetry(_))
     }
 }
 
@@ -360,6 +414,8 @@ impl Packet {
             Message::Command(command) => command.write(&mut writer),
             Message::Fault(report) => report.write(&mut writer),
             Message::Tick(tick) => tick.write(&mut writer),
+            Message::Setpoint(setpoint) => setpoint.write(&mut writer),
+            Message::Telemetry(telemetry) => telemetry.write(&mut writer),
         }
         // A writer holds at most MAX_BODY bytes, and such a body always has a frame.
         match Encoded::new(writer.body()) {
@@ -389,6 +445,8 @@ impl Packet {
             7 => Message::Safe,
             8 => Message::Fault(FaultReport::read(&mut reader)?),
             9 => Message::Tick(Tick::read(&mut reader)?),
+            10 => Message::Setpoint(Setpoint::read(&mut reader)?),
+            11 => Message::Telemetry(Telemetry::read(&mut reader)?),
             kind => return Err(MessageError::Kind(kind)),
         };
         if reader.is_at_end() { Ok(Self { sequence, message }) } else { Err(MessageError::Length) }

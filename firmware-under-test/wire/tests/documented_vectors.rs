@@ -17,7 +17,7 @@ fn every_vector_holds_both_ways() {
         .windows(2)
         .filter_map(|pair| Some((bytes(pair[0].strip_prefix("body  ")?), bytes(pair[1].strip_prefix("frame ")?))))
         .collect();
-    assert_eq!(vectors.len(), 12, "one for each kind, a second command and two more configurations");
+    assert_eq!(vectors.len(), 15, "one for each kind, a second command and three more configurations");
     for (body, frame) in vectors {
         assert_eq!(Encoded::new(&body).unwrap().as_bytes(), frame);
         let packet = Packet::decode(&body).unwrap();

@@ -120,6 +120,7 @@ impl<'a> Case<'a> {
         Configure {
             law: self.law,
             paced_by_target: false,
+            drives_own_plate: false,
             patience_ms: 0,
             loop_delay_us: 0,
             period_us: self.period_us,

@@ -27,6 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let configure = Configure {
             law,
             paced_by_target: false,
+            drives_own_plate: false,
             patience_ms: 0,
             period_us: 1_000,
             loop_delay_us: 0,

@@ -15,8 +15,10 @@ impl Asked {
         for &byte in bytes {
             let Some(Ok(body)) = self.reader.push(byte) else { continue };
             if let Ok(Packet { sequence, message }) = Packet::decode(body) {
-                let asks =
-                    matches!(message, Message::Hello | Message::Configure(_) | Message::Sample(_) | Message::Safe);
+                let asks = matches!(
+                    message,
+                    Message::Hello | Message::Configure(_) | Message::Sample(_) | Message::Setpoint(_) | Message::Safe
+                );
                 expected = asks.then_some(sequence).or(expected);
             }
         }
@@ -24,11 +26,11 @@ impl Asked {
     }
 }
 
-/// True where `body` is that of the answer to question `sequence`, or of the last thing that the target will say. Ticks count by themselves.
+/// True where `body` is that of the answer to question `sequence`, or of the last thing that the target will say. Ticks and telemetry count by themselves.
 pub(crate) fn answers(body: &[u8], sequence: u8) -> bool {
     match Packet::decode(body) {
         Ok(Packet { message: Message::Fault(_), .. }) => true,
-        Ok(Packet { message: Message::Tick(_), .. }) | Err(_) => false,
-        Ok(packet) => packet.sequence == sequence,
+        Ok(packet) => packet.sequence == sequence && !packet.message.counts_by_itself(),
+        Err(_) => false,
     }
 }

@@ -150,6 +150,7 @@ mod tests {
     const CONFIGURE: Configure = Configure {
         law: LawId::DqPi,
         paced_by_target: true,
+        drives_own_plate: false,
         patience_ms: 1_000,
         period_us: 1_000,
         loop_delay_us: 0,

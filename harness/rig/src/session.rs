@@ -298,8 +298,7 @@ impl<L: Link> Session<L> {
         let (mut answer, mut said) = (None, self.said.take());
         let news = self.news();
         self.read_packets(|packet| {
-            // Ticks count by themselves.
-            if packet.sequence == sequence && !matches!(packet.message, Message::Tick(_)) {
+            if packet.sequence == sequence && !packet.message.counts_by_itself() {
                 answer = Some((packet.message, delay));
             } else {
                 said = news.of(packet).or(said);

@@ -23,6 +23,7 @@ pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
     Configure {
         law,
         paced_by_target: false,
+        drives_own_plate: false,
         patience_ms: 0,
         period_us: controller.period.wrapping_micros(),
         loop_delay_us: controller.design_delay.wrapping_micros(),

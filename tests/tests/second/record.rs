@@ -138,6 +138,7 @@ fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
     });
     Configure {
         paced_by_target: false,
+        drives_own_plate: false,
         patience_ms: 0,
         law,
         period_us: 1_000,

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::law::example::CONFIGURE;
-use platebench_wire::{Sample, State, StateCause, Tick};
+use platebench_wire::{Sample, Setpoint, State, StateCause, Tick};
 use proptest::prelude::*;
 use std::vec::Vec;
 
@@ -205,6 +205,17 @@ fn a_target_that_cannot_pace_refuses_to() {
     let bad = Configure { paced_by_target: true, time_constant_s: 0.0, ..CONFIGURE };
     say(&mut device, 0, &frame(1, Message::Configure(bad)));
     assert_eq!(device.next_tick_us(), None);
+}
+
+#[test]
+fn a_device_without_a_plate_refuses_to_drive_one_and_heeds_no_setpoints() {
+    let mut device = Device::new(IDENTITY);
+    let own = Configure { drives_own_plate: true, ..CONFIGURE };
+    let refused = Message::Configured(Configured { outcome: Err(Rejection::Value) });
+    assert_eq!(say(&mut device, 0, &frame(1, Message::Configure(own))), [Packet { sequence: 1, message: refused }]);
+    let mut device = configured();
+    assert_eq!(say(&mut device, 0, &frame(2, Message::Setpoint(Setpoint { setpoint_um: 2.0 }))), []);
+    assert_eq!(device.output().drive_vpp, 0.0);
 }
 
 #[test]

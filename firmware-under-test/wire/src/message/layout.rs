@@ -1,8 +1,8 @@
 //! What stands where in a body behind the first two bytes.
 
 use super::{
-    Command, Configure, Configured, FaultReport, Gains, Identity, LawId, MessageError, Rejection, Sample, State,
-    StateCause, Tick,
+    Command, Configure, Configured, FaultReport, Gains, Identity, LawId, MessageError, Rejection, Sample, Setpoint,
+    State, StateCause, Telemetry, Tick,
 };
 use crate::cursor::{Reader, Writer};
 
@@ -11,6 +11,10 @@ const HAS_GAINS: u8 = 1;
 const PACED_BY_TARGET: u8 = 2;
 /// Four bytes more at the end.
 const HAS_LOOP_DELAY: u8 = 4;
+const DRIVES_OWN_PLATE: u8 = 8;
+
+/// Bits of [`Telemetry`]'s last byte.
+const HAS_FORCE: u8 = 1;
 
 fn whole<T>(field: Option<T>) -> Result<T, MessageError> {
     field.ok_or(MessageError::Length)
@@ -70,7 +74,8 @@ impl Configure {
         let has_gains = if self.gains.is_some() { HAS_GAINS } else { 0 };
         let paced_by_target = if self.paced_by_target { PACED_BY_TARGET } else { 0 };
         let has_loop_delay = if self.loop_delay_us > 0 { HAS_LOOP_DELAY } else { 0 };
-        writer.u8(has_gains | paced_by_target | has_loop_delay);
+        let drives_own_plate = if self.drives_own_plate { DRIVES_OWN_PLATE } else { 0 };
+        writer.u8(has_gains | paced_by_target | has_loop_delay | drives_own_plate);
         writer.u16(self.patience_ms);
         writer.u32(self.period_us);
         writer.u32(self.start_frequency_mhz);
@@ -89,12 +94,13 @@ impl Configure {
     pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
         let law = known(LawId::from_number(whole(reader.u8())?))?;
         let bits = whole(reader.u8())?;
-        if bits & !(HAS_GAINS | PACED_BY_TARGET | HAS_LOOP_DELAY) != 0 {
+        if bits & !(HAS_GAINS | PACED_BY_TARGET | HAS_LOOP_DELAY | DRIVES_OWN_PLATE) != 0 {
             return Err(MessageError::Field);
         }
         let without_delay = Self {
             law,
             paced_by_target: bits & PACED_BY_TARGET != 0,
+            drives_own_plate: bits & DRIVES_OWN_PLATE != 0,
             patience_ms: whole(reader.u16())?,
             period_us: whole(reader.u32())?,
             loop_delay_us: 0,
@@ -223,5 +229,59 @@ impl Tick {
 
     pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
         Ok(Self { target_time_us: whole(reader.u32())? })
+    }
+}
+
+impl Setpoint {
+    pub(super) fn write(self, writer: &mut Writer) {
+        writer.f32(self.setpoint_um);
+    }
+
+    pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        Ok(Self { setpoint_um: whole(reader.f32())? })
+    }
+}
+
+impl Telemetry {
+    pub(super) fn write(&self, writer: &mut Writer) {
+        writer.u32(self.period);
+        writer.u32(self.target_time_us);
+        writer.f32(self.setpoint_um);
+        writer.f32(self.wd_um);
+        writer.f32(self.wq_um);
+        writer.f32(self.drive_vpp);
+        writer.u32(self.frequency_mhz);
+        writer.f32(self.force_n.unwrap_or(0.0));
+        writer.u8(self.state as u8);
+        writer.u8((self.cause as u8) << 4 | self.flags & 0x0f);
+        writer.u8(if self.force_n.is_some() { HAS_FORCE } else { 0 });
+    }
+
+    pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let period = whole(reader.u32())?;
+        let target_time_us = whole(reader.u32())?;
+        let [setpoint_um, wd_um, wq_um, drive_vpp] =
+            [whole(reader.f32())?, whole(reader.f32())?, whole(reader.f32())?, whole(reader.f32())?];
+        let frequency_mhz = whole(reader.u32())?;
+        let force_n = whole(reader.f32())?;
+        let state = known(State::from_number(whole(reader.u8())?))?;
+        let stopped = whole(reader.u8())?;
+        let bits = whole(reader.u8())?;
+        if bits & !HAS_FORCE != 0 {
+            return Err(MessageError::Field);
+        }
+        Ok(Self {
+            period,
+            target_time_us,
+            setpoint_um,
+            wd_um,
+            wq_um,
+            drive_vpp,
+            frequency_mhz,
+            force_n: Some(force_n).filter(|_| bits & HAS_FORCE != 0),
+            state,
+            cause: known(StateCause::from_number(stopped >> 4))?,
+            flags: stopped & 0x0f,
+        })
     }
 }

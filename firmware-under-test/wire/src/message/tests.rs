@@ -10,6 +10,7 @@ const GAINS: Gains = Gains { amplitude_kp: 1.0, amplitude_ki: -2.0, frequency_kp
 const CONFIGURE: Configure = Configure {
     law: LawId::DqPi,
     paced_by_target: false,
+    drives_own_plate: false,
     patience_ms: 0,
     period_us: 1000,
     loop_delay_us: 0,
@@ -169,6 +170,56 @@ fn tick_is_six_bytes() {
 }
 
 #[test]
+fn a_target_that_drives_its_own_plate_is_told_so_by_one_bit() {
+    let own = Configure { drives_own_plate: true, patience_ms: 250, ..CONFIGURE };
+    let body = body_of(&Packet { sequence: 1, message: Message::Configure(own) });
+    assert_eq!(body[..6], hex("13 01 01 09 fa 00"));
+    assert_eq!(body[6..], body_of(&Packet { sequence: 1, message: Message::Configure(CONFIGURE) })[6..]);
+    assert_eq!(Packet::decode(&body).unwrap().message, Message::Configure(own));
+}
+
+#[test]
+fn setpoint_is_six_bytes() {
+    pinned(6, Message::Setpoint(Setpoint { setpoint_um: 2.0 }), "1a 06 00 00 00 40");
+}
+
+#[test]
+fn telemetry_is_thirty_seven_bytes() {
+    let telemetry = Telemetry {
+        period: 0x0102_0304,
+        target_time_us: 0x0a0b_0c0d,
+        setpoint_um: 2.0,
+        wd_um: 1.5,
+        wq_um: -0.25,
+        drive_vpp: 400.0,
+        frequency_mhz: 32_307_600,
+        force_n: Some(0.5),
+        state: State::Running,
+        cause: StateCause::None,
+        flags: flags::SATURATED,
+    };
+    let head = "1b 05 04 03 02 01 0d 0c 0b 0a 00 00 00 40 00 00 c0 3f 00 00 80 be 00 00 c8 43 90 f9 ec 01";
+    pinned(5, Message::Telemetry(telemetry), &std::format!("{head} 00 00 00 3f 01 01 01"));
+    // A force of zero is not one that nobody measures.
+    let force = |force_n| Message::Telemetry(Telemetry { force_n, ..telemetry });
+    pinned(5, force(Some(0.0)), &std::format!("{head} 00 00 00 00 01 01 01"));
+    pinned(5, force(None), &std::format!("{head} 00 00 00 00 01 01 00"));
+    let stopped = Telemetry { state: State::Fault, cause: StateCause::NonFinite, flags: 0, ..telemetry };
+    pinned(5, Message::Telemetry(stopped), &std::format!("{head} 00 00 00 3f 02 30 01"));
+    for wrong in ["04 01 01", "01 41 01", "01 01 02", "01 01"] {
+        assert!(Packet::decode(&hex(&std::format!("{head} 00 00 00 3f {wrong}"))).is_err(), "{wrong}");
+    }
+    // At 1 kHz and ten bits a byte: 430 kbaud.
+    assert_eq!(Packet { sequence: 1, message: Message::Telemetry(telemetry) }.encode().as_bytes().len(), 43);
+}
+
+#[test]
+fn what_counts_by_itself_answers_nothing() {
+    assert!(Message::Tick(Tick { target_time_us: 0 }).counts_by_itself());
+    assert!(!Message::Setpoint(Setpoint { setpoint_um: 0.0 }).counts_by_itself() && !Message::Safe.counts_by_itself());
+}
+
+#[test]
 fn the_cyclic_frames_have_twenty_four_bytes_whatever_they_say() {
     for value in [0.0, 1.0, f32::MAX, f32::NAN, f32::from_bits(u32::MAX)] {
         let sample = Sample { time_us: value.to_bits(), setpoint_um: value, wd_um: value, wq_um: value };
@@ -180,12 +231,12 @@ fn the_cyclic_frames_have_twenty_four_bytes_whatever_they_say() {
 fn other_versions_kinds_lengths_and_fields_are_refused() {
     assert_eq!(Packet::decode(&hex("21 00")), Err(MessageError::Version(2)));
     assert_eq!(Packet::decode(&hex("10 00")), Err(MessageError::Kind(0)));
-    assert_eq!(Packet::decode(&hex("1a 00")), Err(MessageError::Kind(10)));
+    assert_eq!(Packet::decode(&hex("1c 00")), Err(MessageError::Kind(12)));
     assert_eq!(Packet::decode(&hex("19 00 01 02 03")), Err(MessageError::Length));
     assert_eq!(Packet::decode(&hex("19 00 01 02 03 04 05")), Err(MessageError::Length));
     let configure = hex(&std::format!("13 00 01 03 {}", "00 ".repeat(50)));
     assert!(Packet::decode(&configure).is_ok());
-    let unknown_bit = hex(&std::format!("13 00 01 08 {}", "00 ".repeat(50)));
+    let unknown_bit = hex(&std::format!("13 00 01 10 {}", "00 ".repeat(50)));
     assert_eq!(Packet::decode(&unknown_bit), Err(MessageError::Field));
     assert_eq!(Packet::decode(&[]), Err(MessageError::Length));
     assert_eq!(Packet::decode(&hex("11")), Err(MessageError::Length));
@@ -209,7 +260,7 @@ fn names_of_laws_come_back() {
 
 proptest! {
     #[test]
-    fn whatever_decodes_encodes_to_the_same_meaning(body in proptest::collection::vec(any::<u8>(), 0..=MAX_BODY), kind in 0x10_u8..0x1b) {
+    fn whatever_decodes_encodes_to_the_same_meaning(body in proptest::collection::vec(any::<u8>(), 0..=MAX_BODY), kind in 0x10_u8..0x1d) {
         let mut body = body;
         if let Some(first) = body.first_mut() {
             *first = kind;

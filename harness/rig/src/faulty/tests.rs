@@ -9,6 +9,7 @@ use std::time::Instant;
 
 const CONFIGURE: Configure = Configure {
     paced_by_target: false,
+    drives_own_plate: false,
     patience_ms: 0,
     law: LawId::DqPi,
     period_us: 1_000,

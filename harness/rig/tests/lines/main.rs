@@ -12,6 +12,7 @@ use std::time::Duration;
 const CONFIGURE: Configure = Configure {
     law: LawId::DqPi,
     paced_by_target: false,
+    drives_own_plate: false,
     patience_ms: 1_000,
     period_us: 1_000,
     loop_delay_us: 0,

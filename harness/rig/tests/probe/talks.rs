@@ -15,6 +15,7 @@ pub(crate) fn configure() -> Configure {
     Configure {
         law: LawId::DqPi,
         paced_by_target: false,
+        drives_own_plate: false,
         patience_ms: 0,
         period_us: 1_000_000,
         loop_delay_us: 0,

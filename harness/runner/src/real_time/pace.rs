@@ -75,6 +75,7 @@ mod tests {
         let configure = Configure {
             law: platebench_wire::LawId::DqPi,
             paced_by_target: false,
+            drives_own_plate: false,
             patience_ms: 0,
             period_us: 1_000,
             loop_delay_us: 0,
