@@ -1,6 +1,6 @@
 //! Traces in files.
 
-use crate::row::{COLUMNS, Row};
+use crate::row::{COLUMNS, Flags, Row, UNKNOWABLE};
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -69,7 +69,7 @@ impl Writer {
     }
 }
 
-/// Reads a whole trace: at least one row, times that do not fall, every number finite.
+/// Reads a whole trace: at least one row, times that do not fall, every number finite. What nobody knows of a real plate is empty in its rows.
 ///
 /// # Errors
 /// [`TraceError`] with the file and the line.
@@ -95,6 +95,10 @@ pub fn read(path: &Path) -> Result<Vec<Row>, TraceError> {
         let row: Row = record.deserialize(None).map_err(|error| refuse(line, error.to_string()))?;
         let numbers = record.iter().zip(COLUMNS).take(COLUMNS.len() - 1);
         for (text, column) in numbers {
+            let may_be_empty = row.flags.contains(Flags::SENSED) && UNKNOWABLE.contains(&column);
+            if text.is_empty() && may_be_empty {
+                continue;
+            }
             if !text.parse::<f64>().is_ok_and(f64::is_finite) {
                 return Err(refuse(line, format!("`{column}` is {text}, expected a finite number")));
             }
@@ -113,7 +117,6 @@ pub fn read(path: &Path) -> Result<Vec<Row>, TraceError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::row::Flags;
     use proptest::prelude::*;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -180,9 +183,29 @@ mod tests {
         assert!(read(Path::new("/no/such/trace.csv")).unwrap_err().to_string().starts_with("/no/such/trace.csv: "));
     }
 
+    #[test]
+    fn what_nobody_knows_is_empty_in_rows_of_a_real_plate_and_nowhere_else() {
+        let row = Row {
+            wd_um: 2.0,
+            resonance_hz: f64::NAN,
+            temperature_offset_k: f64::NAN,
+            finger_force_n: f64::NAN,
+            flags: Flags::CONTROL | Flags::SENSED,
+            ..Row::default()
+        };
+        let (text, rows) = round_trip(&[row, Row { finger_force_n: 0.5, ..row }]);
+        assert!(text.contains("\n0.0,0.0,2.0,0.0,0.0,0.0,0.0,,,,0.0,0.0,0.0,control|sensed\n"), "{text}");
+        assert!(rows[0].resonance_hz.is_nan() && rows[0].temperature_offset_k.is_nan());
+        assert!(rows[0].finger_force_n.is_nan() && rows[1].finger_force_n == 0.5);
+        let header = COLUMNS.join(",");
+        assert!(refusal(&format!("{header}\n0,0,0,0,0,0,0,,0,0,0,0,0,\n")).contains("`resonance_hz` is , expected"));
+        assert!(refusal(&format!("{header}\n0,0,0,,0,0,0,0,0,0,0,0,0,sensed\n")).starts_with(":2: "));
+        assert!(refusal(&format!("{header}\n0,0,0,0,0,0,0,NaN,0,0,0,0,0,sensed\n")).contains("is NaN, expected"));
+    }
+
     proptest! {
         #[test]
-        fn every_double_comes_back(bits in proptest::collection::vec(any::<f64>().prop_filter("finite", |x| x.is_finite()), 12), flags in 0_u8..32) {
+        fn every_double_comes_back(bits in proptest::collection::vec(any::<f64>().prop_filter("finite", |x| x.is_finite()), 12), flags in 0_u8..64) {
             let row = Row {
                 t_s: 0.0, setpoint_um: bits[0], wd_um: bits[1], wq_um: bits[2], amplitude_um: bits[3], drive_vpp: bits[4],
                 frequency_hz: bits[5], resonance_hz: bits[6], temperature_offset_k: bits[7], finger_force_n: bits[8],

@@ -16,15 +16,18 @@ bitflags::bitflags! {
         const LINK_LOST = 1 << 3;
         /// The controller is not running: 0 V.
         const SAFE = 1 << 4;
+        /// Told by a controller that drives a real plate: `wd_um`, `wq_um` and `amplitude_um` are its own sensor's, and what nobody measures is empty.
+        const SENSED = 1 << 5;
     }
 }
 
-const NAMES: [(Flags, &str); 5] = [
+const NAMES: [(Flags, &str); 6] = [
     (Flags::CONTROL, "control"),
     (Flags::SATURATED, "saturated"),
     (Flags::OVERRUN, "overrun"),
     (Flags::LINK_LOST, "link-lost"),
     (Flags::SAFE, "safe"),
+    (Flags::SENSED, "sensed"),
 ];
 
 impl Serialize for Flags {
@@ -41,7 +44,7 @@ impl<'de> Deserialize<'de> for Flags {
             let known = NAMES.iter().find(|(_, known)| *known == name);
             known.map(|(flag, _)| flags | *flag).ok_or_else(|| {
                 serde::de::Error::custom(format!(
-                    "unknown flag `{name}`, expected a |-separated set of control, saturated, overrun, link-lost, safe"
+                    "unknown flag `{name}`, expected a |-separated set of control, saturated, overrun, link-lost, safe, sensed"
                 ))
             })
         })
@@ -65,11 +68,14 @@ pub struct Row {
     pub drive_vpp: f64,
     /// Excitation frequency from here on, Hz.
     pub frequency_hz: f64,
-    /// The plate's true resonance ω0/2π, Hz.
+    /// The plate's true resonance ω0/2π, Hz; NaN, and empty in the file, where nobody knows it.
+    #[serde(with = "perhaps")]
     pub resonance_hz: f64,
-    /// Kelvin above the plate's reference temperature.
+    /// Kelvin above the plate's reference temperature; NaN, and empty in the file, where nobody measures it.
+    #[serde(with = "perhaps")]
     pub temperature_offset_k: f64,
-    /// Normal force of the finger, N.
+    /// Normal force of the finger, N; NaN, and empty in the file, where nobody measures it.
+    #[serde(with = "perhaps")]
     pub finger_force_n: f64,
     /// In-phase component that the controller was last given, µm.
     pub sensed_wd_um: f64,
@@ -80,6 +86,23 @@ pub struct Row {
     /// See [`Flags`].
     pub flags: Flags,
 }
+
+/// A number that may be unknown: NaN here, an empty field in the file.
+mod perhaps {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "the form that serde calls")]
+    pub(super) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+        Some(*value).filter(|value| !value.is_nan()).serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+        Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
+    }
+}
+
+/// Columns that may be empty in a row flagged `sensed`.
+pub(crate) const UNKNOWABLE: [&str; 3] = ["resonance_hz", "temperature_offset_k", "finger_force_n"];
 
 /// The columns of a trace, in order.
 pub const COLUMNS: [&str; 14] = [
