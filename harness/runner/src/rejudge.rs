@@ -252,5 +252,6 @@ fn cut_off(scenario: &Scenario, index: u32) -> TrialMeasures {
         telemetry: Telemetry::default(),
         diverged: None,
         cause: Some((Cause::Bench, "the run was cut off before this trial was whole".to_owned())),
+        sensed: false,
     }
 }

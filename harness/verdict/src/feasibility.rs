@@ -12,16 +12,7 @@ use platebench_trace::{Flags, Row};
 
 /// Why the demand could not be met in this trial by any controller; `None` where it could. Only a trial whose drive was at its limit is excused.
 pub fn excuse(scenario: &Scenario, expectation: &Expectation, plant: &Plant, rows: &[Row]) -> Option<String> {
-    let bound_by_drive = matches!(
-        expectation.metric,
-        Metric::SettlingTime
-            | Metric::RecoveryTime
-            | Metric::PeakDeviation
-            | Metric::StaticError
-            | Metric::Repeatability
-            | Metric::FinalAmplitude
-    );
-    if !bound_by_drive || matches!(expectation.signal, "wq_um" | "sensed_wq_um") {
+    if !is_bound_by_drive(expectation.metric) || matches!(expectation.signal, "wq_um" | "sensed_wq_um") {
         return None;
     }
     let limit = scenario.plate.drive_limit_vpp;
@@ -57,6 +48,19 @@ pub fn excuse(scenario: &Scenario, expectation: &Expectation, plant: &Plant, row
     } else {
         format!("from 0 to {limit:.0} Vpp no controller does better than {at_best}")
     })
+}
+
+/// True for what a drive that is at its limit can spoil.
+pub(crate) const fn is_bound_by_drive(metric: Metric) -> bool {
+    matches!(
+        metric,
+        Metric::SettlingTime
+            | Metric::RecoveryTime
+            | Metric::PeakDeviation
+            | Metric::StaticError
+            | Metric::Repeatability
+            | Metric::FinalAmplitude
+    )
 }
 
 /// What rounding may take from a mean that is on the setpoint.

@@ -13,6 +13,7 @@ pub use looks::{Decision, judge, sequential};
 use crate::divergence::{Divergence, divergence};
 use crate::feasibility;
 use crate::metrics::{self, Measure};
+use crate::real_plate;
 use crate::record::{Cause, ExpectationRecord, Telemetry, TrialRecord, Verdict};
 use platebench_plate::Time;
 use platebench_scenario::{Metric, Scenario};
@@ -37,6 +38,8 @@ pub struct TrialMeasures {
     pub diverged: Option<Divergence>,
     /// Whose doing it is that the trial does not count, and what happened.
     pub cause: Option<(Cause, String)>,
+    /// True where the plate was a real one, seen by its own controller's sensor alone.
+    pub sensed: bool,
 }
 
 /// Why a missed expectation is not the controller's doing.
@@ -62,6 +65,7 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
     let variation = scenario.variation(index);
     let plant = variation.plant(scenario);
     let expectations = &scenario.expectations;
+    let sensed = rows.iter().any(|row| row.flags.contains(Flags::SENSED));
     TrialMeasures {
         index,
         seed: variation.seed,
@@ -69,13 +73,21 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
         excuses: expectations
             .iter()
             .map(|expectation| {
+                if sensed {
+                    return real_plate::excuse(expectation, rows);
+                }
                 let reason = feasibility::excuse(scenario, expectation, &plant, rows)?;
                 Some(Excuse { cause: Cause::Infeasible, reason: format!("saturated: {reason}") })
             })
             .collect(),
         telemetry: telemetry.clone(),
         diverged: divergence(scenario, rows, telemetry),
-        cause: disturbance(scenario, rows, telemetry),
+        cause: if sensed {
+            real_plate::disturbance(scenario, rows, telemetry.real_plate.as_ref())
+        } else {
+            disturbance(scenario, rows, telemetry)
+        },
+        sensed,
     }
 }
 

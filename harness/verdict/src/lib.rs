@@ -5,6 +5,7 @@
 //! * [`feasibility`]: whether any controller could have met a demand.
 //! * [`statistics`]: intervals for what only many trials can tell.
 //! * [`mod@judge`]: expectation to verdict.
+//! * [`real_plate`]: what a trial on a real plate is worth, of which nobody knows more than its controller tells.
 //! * [`tube`], [`golden`]: whether a response still looks as it did when it was accepted.
 //! * [`record`]: what a run leaves behind in `run.json`.
 //!
@@ -16,6 +17,7 @@ pub mod feasibility;
 pub mod golden;
 pub mod judge;
 pub mod metrics;
+pub mod real_plate;
 pub mod record;
 pub mod statistics;
 pub mod tube;

@@ -42,7 +42,11 @@ pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -
     if last.flags.contains(Flags::SAFE) && !(is_of_the_line && telemetry.ended.is_none()) {
         return Measure::Missing("ends with the controller not running");
     }
-    let signal = Signal::named(expectation.signal);
+    let sensed = last.flags.contains(Flags::SENSED);
+    if let Some(why) = unobservable(expectation.metric).filter(|_| sensed) {
+        return Measure::Undefined(why);
+    }
+    let signal = Signal::named(expectation.signal, sensed);
     match expectation.metric {
         Metric::SettlingTime => settling_time(expectation, signal, rows),
         Metric::RecoveryTime => recovery_time(expectation, signal, rows),
@@ -70,6 +74,28 @@ pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -
     }
 }
 
+/// Why a metric cannot be had of a real plate, of which there is nothing but what its own controller tells.
+const fn unobservable(metric: Metric) -> Option<&'static str> {
+    match metric {
+        Metric::FrequencyError => Some("the true resonance of a real plate is not known"),
+        Metric::RecoveryTime => Some("the instant at which a person's hand disturbs a real plate is not known"),
+        Metric::Overruns | Metric::MissedReplies | Metric::LoopDelay => {
+            Some("the bench is not in the loop of a real plate")
+        }
+        Metric::InstructionsPerStep => Some("a controller that drives a real plate does not tell its instructions"),
+        Metric::SettlingTime
+        | Metric::StaticError
+        | Metric::Repeatability
+        | Metric::Overshoot
+        | Metric::PeakDeviation
+        | Metric::QuadratureRatio
+        | Metric::FinalAmplitude
+        | Metric::DrivePeak
+        | Metric::Saturated
+        | Metric::ShutdownTime => None,
+    }
+}
+
 fn count(rows: &[Row], flags: Flags) -> Measure {
     Measure::Value(rows.iter().filter(|row| row.flags.contains(flags)).count() as f64)
 }
@@ -87,9 +113,9 @@ struct Signal {
 }
 
 impl Signal {
-    fn named(name: &str) -> Self {
+    fn named(name: &str, sensed: bool) -> Self {
         let column = Column::ALL.into_iter().find(|column| column.name() == name).unwrap_or(Column::Amplitude);
-        Self { column, held: matches!(column, Column::SensedWd | Column::SensedWq) }
+        Self { column, held: sensed || matches!(column, Column::SensedWd | Column::SensedWq) }
     }
 
     fn of(self, row: &Row) -> f64 {
@@ -194,7 +220,12 @@ fn last_entry_of_samples(expectation: &Expectation, signal: Signal, rows: &[Row]
 /// A time after `from` in ms.
 fn since(from: f64, entry: [f64; 2]) -> Measure {
     let [first, last] = entry.map(|t_s| (t_s - from) * 1e3);
-    if first == last { Measure::Value(last) } else { Measure::Between([first, last]) }
+    if first == last { Measure::Value(last) } else { between([first, last]) }
+}
+
+/// Samples are stamped to the microsecond, so that picoseconds are rounding and must not decide.
+fn between(ends_ms: [f64; 2]) -> Measure {
+    Measure::Between(ends_ms.map(|ms| (ms * 1e9).round() / 1e9))
 }
 
 fn settling_time(expectation: &Expectation, signal: Signal, rows: &[Row]) -> Measure {
@@ -244,6 +275,10 @@ fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {
     match rows.get(ran + 1) {
         None => Measure::Missing("does not come to rest at 0 V"),
         Some(stopped) if stopped.t_s < from => Measure::Missing("stopped before"),
+        Some(stopped) if stopped.flags.contains(Flags::SENSED) => {
+            let last = rows.get(ran).map_or(from, |row| row.t_s).max(from);
+            between([last, stopped.t_s].map(|t_s| (t_s - from) * 1e3))
+        }
         Some(stopped) => Measure::Value((stopped.t_s - from) * 1e3),
     }
 }

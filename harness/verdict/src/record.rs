@@ -1,7 +1,9 @@
 //! What a run leaves behind: `run.json`.
 
+mod real_plate;
 mod timing;
 
+pub use real_plate::{Asked, RealPlate};
 pub use timing::{Quantiles, Timing};
 
 mod cost;
@@ -101,7 +103,7 @@ pub struct RunRecord {
     pub started: String,
     /// What the controller ran on.
     pub rig: RigRecord,
-    /// `lockstep` or `real-time`.
+    /// `lockstep`, `real-time`, or `real-plate` where the controller drove a plate of its own.
     pub clock: String,
     /// Options of the command line that changed the scenarios.
     pub overrides: Overrides,
@@ -270,6 +272,9 @@ pub struct Evidence {
     /// All that in a sentence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub says: Option<String>,
+    /// Whose observation the number is, where it is not the plate's true motion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub observed: Option<String>,
 }
 
 impl Evidence {
@@ -324,6 +329,9 @@ pub struct Telemetry {
     /// How punctual everything was, in real time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timing: Option<Timing>,
+    /// What was heard and done, where the controller drove a plate of its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub real_plate: Option<RealPlate>,
     /// Why the controller stopped, in its own words, where it said that it did; the first time counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stopped: Option<String>,

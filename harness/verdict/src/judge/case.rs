@@ -17,6 +17,9 @@ const BENCH_ERROR_PERCENT: f64 = 2e-4;
 /// A deviation agrees with a value where its interval also tells the value from one so many times smaller or larger.
 const DISTINCT: f64 = 2.0;
 
+/// Of a real plate nobody sees more than this.
+const SENSED: &str = "by the controller's own sensor, at its control instants";
+
 /// One expectation over the trials of a look.
 pub(super) struct Case<'a> {
     pub(super) scenario: &'a Scenario,
@@ -41,6 +44,9 @@ impl Case<'_> {
             Over::Quantile(share) => self.over_trials("quantile", |spans| self.quantile(spans, share)),
             Over::Each => self.each(),
         });
+        if self.trials.iter().any(|trial| trial.sensed) {
+            finding.evidence.observed = Some(SENSED.to_owned());
+        }
         if self.look.of > 1 {
             finding.evidence.look = Some([self.look.number, self.look.of]);
         }
@@ -215,7 +221,10 @@ impl Case<'_> {
 
     /// True where nothing was left to chance, and nothing came of it.
     fn is_certain(&self, spans: &[[f64; 2]]) -> bool {
-        self.scenario.is_deterministic() && spans.windows(2).all(|pair| matches!(pair, [one, other] if one == other))
+        let is_real = self.trials.iter().any(|trial| trial.sensed);
+        !is_real
+            && self.scenario.is_deterministic()
+            && spans.windows(2).all(|pair| matches!(pair, [one, other] if one == other))
     }
 
     /// Each trial must meet the limit: the worst one decides.

@@ -63,6 +63,7 @@ fn trial(index: u32, measures: &[Measure]) -> TrialMeasures {
         excuses: vec![None; measures.len()],
         diverged: None,
         cause: None,
+        sensed: false,
     }
 }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 const TOLD_NOTHING: Telemetry = Telemetry {
     timing: None,
+    real_plate: None,
     loop_delay_us: None,
     rig_delay_us: None,
     instructions_mean: None,
@@ -505,4 +506,49 @@ fn control_instants_without_an_answer_are_missed_replies() {
     rows[5].flags |= Flags::LINK_LOST;
     rows[5].flags -= Flags::CONTROL;
     assert_eq!(value(&expect(Metric::MissedReplies), &rows), 1.0);
+}
+
+/// The same rows as a controller tells them that drives a real plate.
+fn told(rows: &[Row]) -> Vec<Row> {
+    let told = |row: &Row| Row {
+        sensed_wd_um: row.wd_um,
+        resonance_hz: f64::NAN,
+        temperature_offset_k: f64::NAN,
+        finger_force_n: f64::NAN,
+        flags: row.flags | Flags::CONTROL | Flags::SENSED,
+        ..*row
+    };
+    rows.iter().map(told).collect()
+}
+
+#[test]
+fn a_time_off_a_real_plate_is_the_interval_that_its_samples_leave() {
+    let step = |t: f64| if t < 1.0 { 0.0 } else { 2.0 };
+    // Inside from the sample at 3 ms on: somewhere after 2 ms.
+    let rows = told(&sampled(grid(1.0, 60.0), step, |t| if t < 3.0 { 0.0 } else { 1.95 }));
+    let measured = measure(&expect(Metric::SettlingTime), &rows, &TOLD_NOTHING);
+    assert_eq!(measured, Measure::Between([1.0, 2.0]));
+    // Stamps of a clock in µs, far from zero, where a difference of doubles is not the decimal one.
+    let late: Vec<Row> = rows.iter().map(|row| Row { t_s: (row.t_s * 1e6 + 43_000.0) / 1e6, ..*row }).collect();
+    assert_eq!(measure(&expect(Metric::SettlingTime), &late, &TOLD_NOTHING), Measure::Between([1.0, 2.0]));
+}
+
+#[test]
+fn what_nobody_can_see_of_a_real_plate_has_no_number() {
+    let rows = told(&sampled(grid(1.0, 60.0), |_| 2.0, |_| 2.0));
+    for metric in Metric::ALL {
+        let unknown = matches!(measure(&expect(metric), &rows, &TOLD_NOTHING), Measure::Undefined(_));
+        let expected = matches!(
+            metric,
+            Metric::FrequencyError
+                | Metric::RecoveryTime
+                | Metric::Overruns
+                | Metric::MissedReplies
+                | Metric::LoopDelay
+                | Metric::InstructionsPerStep
+                // These rows have no Wd.
+                | Metric::QuadratureRatio
+        );
+        assert_eq!(unknown, expected, "{metric}");
+    }
 }

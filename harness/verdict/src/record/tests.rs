@@ -38,6 +38,7 @@ fn record() -> RunRecord {
             power: Some(0.99),
             look: Some([2, 4]),
             says: Some("30 trials without a failure".to_owned()),
+            observed: None,
         },
     };
     let lost = ExpectationRecord {
