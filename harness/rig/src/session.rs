@@ -26,6 +26,9 @@ pub enum RigError {
     /// The rig knows virtual time alone.
     #[error("this rig cannot be used in real time")]
     NotLive,
+    /// The target has forgotten its configuration in the middle of a trial.
+    #[error("the controller was restarted in the middle of a trial")]
+    Restarted,
     /// The target refused its configuration.
     #[error("the controller refused its configuration: {}", match .0 {
         Rejection::Value => "a value that it cannot work with",

@@ -2,6 +2,7 @@
 //!
 //! * [`trial`]: one trial in lockstep: plate state → sample → controller → drive → plate → row.
 //! * [`real_time`]: the same with a clock that does not wait.
+//! * [`real_plate`]: the same on a plate that the controller drives itself.
 //! * [`mod@run`]: all trials of all scenarios, over several workers, in an order that no result depends on.
 //! * [`folder`]: the run folder: inputs, traces, record.
 //! * [`mod@rejudge`]: a stored run, judged again without a rig.
@@ -18,6 +19,7 @@ pub mod folder;
 mod measured;
 mod observed;
 mod queue;
+pub mod real_plate;
 pub mod real_time;
 pub mod rejudge;
 pub mod run;
@@ -29,8 +31,9 @@ pub mod trial;
 pub use configure::configure;
 pub use event::Event;
 pub use folder::{FolderError, RunFolder};
+pub use real_plate::{Answer, Nobody, Person};
 pub use real_time::{Hand, Pace, Pacing};
 pub use rejudge::{RejudgeError, rejudge};
-pub use run::{Cancel, Clock, Plan, RunError, run};
+pub use run::{Cancel, Clock, Plan, RunError, run, run_attended};
 pub use stage::Held;
 pub use trend::inputs_digest;

@@ -4,6 +4,7 @@ use crate::configure;
 use crate::event::Event;
 use crate::folder::{FolderError, RunFolder, hexadecimal, sha256, trace_file};
 use crate::measured::{delay_budget, measured};
+use crate::real_plate::{self, Nobody, Person};
 use crate::real_time::{self, Pace, Pacing};
 use crate::trend;
 use crate::trial::{self, Order, Patience};
@@ -58,6 +59,8 @@ pub enum Clock {
     },
     /// It does not wait.
     RealTime(Pace),
+    /// There is no plate here: the controller drives a real one, by its own clock.
+    OwnPlate,
 }
 
 impl Clock {
@@ -66,6 +69,7 @@ impl Clock {
         match self {
             Self::Lockstep { .. } => "lockstep",
             Self::RealTime(_) => "real-time",
+            Self::OwnPlate => "real-plate",
         }
     }
 }
@@ -107,6 +111,9 @@ pub enum RunError {
     /// The controller has no timer of its own to pace the plate by.
     #[error("{0} does not say that it can pace itself, expected --pacing bench")]
     NoPace(String),
+    /// The controller has no plate of its own.
+    #[error("{0} does not say that it drives a plate of its own, expected --plate-mode emulated")]
+    NoPlate(String),
     /// The run folder cannot be written.
     #[error(transparent)]
     Folder(#[from] FolderError),
@@ -132,6 +139,21 @@ pub fn run(
     cancel: &Cancel,
     tell: &mut dyn FnMut(Event),
 ) -> Result<RunRecord, RunError> {
+    run_attended(plan, folder, connect, cancel, &Nobody, tell)
+}
+
+/// As [`run`], with somebody at the plate where that is a real one.
+///
+/// # Errors
+/// [`RunError`]; what was whole by then can still be judged and reported.
+pub fn run_attended(
+    plan: &Plan,
+    folder: &RunFolder,
+    connect: &Connect<'_>,
+    cancel: &Cancel,
+    person: &dyn Person,
+    tell: &mut dyn FnMut(Event),
+) -> Result<RunRecord, RunError> {
     let laws = plan.scenarios.iter().map(configure::law).collect::<Result<Vec<_>, _>>();
     let laws = laws.map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
     let first = Session::open(Faulty::new(connect()?))?;
@@ -139,6 +161,15 @@ pub fn run(
         && !first.identity().can(capabilities::TARGET_PACED)
     {
         return Err(RunError::NoPace(first.firmware_name()));
+    }
+    if plan.clock == Clock::OwnPlate {
+        if !first.identity().can(capabilities::OWN_PLATE) {
+            return Err(RunError::NoPlate(first.firmware_name()));
+        }
+        if let Some(harmed) = plan.scenarios.iter().find(|scenario| !scenario.faults.is_empty()) {
+            let what = "faults are for an emulated plate; a real one can break, expected no [[fault]]";
+            return Err(RunError::Scenario(Box::new(harmed.diagnose("fault", what))));
+        }
     }
     for scenario in &plan.scenarios {
         configure::can_be_told(scenario, first.identity())
@@ -156,7 +187,7 @@ pub fn run(
         *session = Some(first);
     }
     let unconfirmed = AtomicBool::new(false);
-    let run = Run { plan, laws: &laws, folder, connect, cancel, unconfirmed: &unconfirmed };
+    let run = Run { plan, laws: &laws, folder, connect, cancel, person, unconfirmed: &unconfirmed };
     let played = play(run, &mut sessions, &mut record, tell);
     // However it ended, what the controllers say of 0 V is in the record.
     for session in &mut sessions {
@@ -194,6 +225,7 @@ struct Run<'a> {
     folder: &'a RunFolder,
     connect: &'a Connect<'a>,
     cancel: &'a Cancel,
+    person: &'a dyn Person,
     /// Set where a controller was let go that did not confirm 0 V.
     unconfirmed: &'a AtomicBool,
 }
@@ -384,6 +416,7 @@ impl Work<'_> {
         let played = match self.run.plan.clock {
             Clock::Lockstep { .. } => trial::play(open, &order, self.run.cancel),
             Clock::RealTime(pace) => real_time::play(open, &order, pace, self.run.cancel),
+            Clock::OwnPlate => real_plate::play(open, &order, self.run.person, self.run.cancel)?,
         };
         let Some(mut played) = played else { return Ok(None) };
         if let Some(timing) = &mut played.telemetry.timing {

@@ -271,6 +271,7 @@ pub(crate) fn is_the_controllers_doing(error: &RigError) -> bool {
         RigError::Link(LinkError::Disconnected(_))
         | RigError::NoAnswer { .. }
         | RigError::Refused(_)
+        | RigError::Restarted
         | RigError::NotLive => false,
     }
 }

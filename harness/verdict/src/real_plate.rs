@@ -56,6 +56,10 @@ pub(crate) fn disturbance(scenario: &Scenario, rows: &[Row], told: Option<&RealP
             let lost = told.map_or(0, |told| told.lost_rows);
             (lost > 0).then(|| (Cause::Bench, format!("{lost} rows were lost on their way out of the loop")))
         })
+        .or_else(|| {
+            let late = rows.iter().find(|row| row.flags.contains(Flags::OVERRUN))?;
+            Some((Cause::Bench, format!("the bench was too late with a setpoint at {} ms", shown_ms(late.t_s))))
+        })
         .or_else(|| silence(scenario, rows).or_else(|| other_setpoint(scenario, rows)).map(|what| (Cause::Rig, what)))
 }
 

@@ -86,6 +86,9 @@ fn what_was_not_heard_leaves_a_trial_undecided() {
     let mut deaf = whole.clone();
     deaf[250].flags |= Flags::LINK_LOST;
     assert_eq!(told(&deaf), "a setpoint was not acknowledged by 250 ms");
+    let mut tardy = whole.clone();
+    tardy[250].flags |= Flags::OVERRUN;
+    assert_eq!(super::disturbance(&scenario, &tardy, None).map(|(cause, _)| cause), Some(Cause::Bench));
     // Jitter of a timer is no gap.
     let mut late = whole.clone();
     late[300].t_s += 4e-4;
