@@ -350,7 +350,7 @@ impl<'a> Session<'a> {
     fn connect(&self) -> Result<platebench_rig::AnyLink, platebench_rig::ConnectError> {
         match self.order.clock {
             Clock::Lockstep { .. } => self.order.rig.connect(),
-            Clock::RealTime(_) => self.order.rig.connect_in_real_time(),
+            Clock::RealTime(_) | Clock::OwnPlate => self.order.rig.connect_in_real_time(),
         }
     }
 
@@ -555,6 +555,7 @@ fn first_record(order: &Order) -> Result<SessionRecord, AcceptError> {
         Clock::Lockstep { .. } => {
             ClockRecord { name: clock.name().to_owned(), time_scale: 1.0, pacing: "bench".to_owned() }
         }
+        Clock::OwnPlate => ClockRecord { name: clock.name().to_owned(), time_scale: 1.0, pacing: "target".to_owned() },
         Clock::RealTime(pace) => ClockRecord {
             name: clock.name().to_owned(),
             time_scale: pace.time_scale,

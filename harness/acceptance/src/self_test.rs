@@ -78,7 +78,7 @@ fn play(
     };
     let connect = || match clock {
         Clock::Lockstep { .. } => rig.connect(),
-        Clock::RealTime(_) => rig.connect_in_real_time(),
+        Clock::RealTime(_) | Clock::OwnPlate => rig.connect_in_real_time(),
     };
     let folder = RunFolder::create(Some(folder)).map_err(platebench_runner::RunError::from)?;
     Ok(run(&plan, &folder, &connect, cancel, &mut |event| desk.event(&event))?)

@@ -154,6 +154,8 @@ fn order(arguments: &Session) -> Result<Order, Exit> {
         clock: arguments.clock,
         time_scale: arguments.time_scale,
         pacing: arguments.pacing,
+        plate_mode: crate::args::PlateMode::Emulated,
+        yes: true,
         wire_time: false,
         out: None,
         trials: None,

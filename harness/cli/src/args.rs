@@ -112,6 +112,12 @@ pub(crate) struct Run {
     /// Let the time that an emulated line and controller take act on the plate as loop delay
     #[arg(long)]
     pub(crate) wire_time: bool,
+    /// Whose plate it is
+    #[arg(long, value_enum, default_value_t = PlateMode::Emulated, value_name = "MODE")]
+    pub(crate) plate_mode: PlateMode,
+    /// Ask nobody: with --plate-mode real, what needs a person stays undecided
+    #[arg(long)]
+    pub(crate) yes: bool,
     /// The run folder; a new one below runs/ where not given
     #[arg(long, value_name = "FOLDER")]
     pub(crate) out: Option<PathBuf>,
@@ -139,6 +145,15 @@ pub(crate) enum Clock {
     Lockstep,
     /// Every microsecond acts
     RealTime,
+}
+
+/// `--plate-mode`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PlateMode {
+    /// The bench's, computed
+    Emulated,
+    /// The controller's own, with sensor and amplifier; the bench sends setpoints and asks a person for finger and heat
+    Real,
 }
 
 /// `--pacing`

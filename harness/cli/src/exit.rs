@@ -51,6 +51,7 @@ impl Exit {
             | RunError::Folder(_)
             | RunError::Trace(_)
             | RunError::NoPace(_)
+            | RunError::NoPlate(_)
             | RunError::Rig(RigError::Refused(_)) => Self::Invalid,
             RunError::Connect(error) if error.is_invalid_input() => Self::Invalid,
             RunError::Connect(_) | RunError::Rig(_) => Self::Unreachable,

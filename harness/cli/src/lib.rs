@@ -7,6 +7,7 @@ mod args;
 mod baseline;
 mod chart;
 mod compare;
+mod desk;
 mod emulate;
 mod exit;
 mod identify;

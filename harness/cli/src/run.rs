@@ -1,6 +1,7 @@
 //! `platebench run`: find, play, judge, report.
 
-use crate::args::{Clock, Pacing, Run};
+use crate::args::{Clock, Pacing, PlateMode, Run};
+use crate::desk::Desk;
 use crate::exit::Exit;
 use crate::output;
 use crate::signals::{PATIENCE, Signals};
@@ -45,19 +46,29 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
         }
     };
     // One line is driven by one; and in real time nothing may compete with it.
-    let alone = matches!(clock, platebench_runner::Clock::RealTime(_)) || !arguments.rig.is_plural();
-    let most = if alone { 1 } else { std::thread::available_parallelism().map_or(1, NonZero::get) };
+    let waits = matches!(clock, platebench_runner::Clock::Lockstep { .. });
+    let most = if !waits || !arguments.rig.is_plural() {
+        1
+    } else {
+        std::thread::available_parallelism().map_or(1, NonZero::get)
+    };
+    let is_real = clock == platebench_runner::Clock::OwnPlate;
     let plan = Plan {
         scenarios,
-        jobs: if arguments.rig.is_plural() { arguments.jobs.map_or(most, usize::from) } else { 1 },
+        jobs: if arguments.rig.is_plural() && !is_real { arguments.jobs.map_or(most, usize::from) } else { 1 },
         clock,
         own_clock: arguments.rig.has_own_clock(),
         rig: arguments.rig.to_string(),
         overrides: overrides(arguments),
     };
     info!(folder = %folder.path().display(), scenarios = plan.scenarios.len(), jobs = plan.jobs, "run starts");
-    let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };
-    match play(plan, &folder, arguments.rig.clone(), kind) {
+    // Prompts and a bar of force have the terminal for themselves.
+    let kind = match ProgressKind::detect() {
+        _ if quiet => ProgressKind::Quiet,
+        ProgressKind::Bars if is_real => ProgressKind::Lines,
+        kind => kind,
+    };
+    match play(plan, &folder, arguments.rig.clone(), kind, Desk::new(is_real && !arguments.yes)) {
         Ok(record) => finish(&record, &folder, arguments),
         Err((error, signal)) => {
             explain(&error, &folder);
@@ -84,6 +95,10 @@ pub(crate) fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'stati
     };
     let time_scale = arguments.time_scale;
     match arguments.clock.unwrap_or(default_clock(&arguments.rig)) {
+    if arguments.plate_mode == PlateMode::Real {
+        return real_plate(arguments);
+    }
+    match arguments.clock.unwrap_or(default) {
         Clock::Lockstep if time_scale != 1.0 || arguments.pacing == Pacing::Target => {
             Err("--time-scale and --pacing are for --clock real-time")
         }
@@ -101,16 +116,39 @@ pub(crate) fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'stati
     }
 }
 
+/// A real plate has one clock, the controller's.
+fn real_plate(arguments: &Run) -> Result<platebench_runner::Clock, &'static str> {
+    if !matches!(arguments.rig, RigSpec::Serial { .. } | RigSpec::Exec(_)) {
+        return Err(
+            "--plate-mode real is for a controller with a plate of its own: --rig serial:PORT[@BAUD] or exec:COMMAND",
+        );
+    }
+    let asks_for_another =
+        arguments.clock == Some(Clock::Lockstep) || arguments.time_scale != 1.0 || arguments.wire_time;
+    if asks_for_another || arguments.pacing == Pacing::Target {
+        return Err(
+            "--plate-mode real has the controller's own clock: --clock lockstep, --time-scale, --pacing and --wire-time are for an emulated plate",
+        );
+    }
+    Ok(platebench_runner::Clock::OwnPlate)
+}
+
 /// Whether the line can carry what the scenarios ask for, in real time; in lockstep the plate waits for it.
 pub(crate) fn fast_enough(
     arguments: &Run,
     clock: platebench_runner::Clock,
     scenarios: &[Scenario],
 ) -> Result<(), String> {
-    let (platebench_runner::Clock::RealTime(pace), Some(baud)) = (clock, arguments.rig.baud()) else { return Ok(()) };
+    let Some(baud) = arguments.rig.baud() else { return Ok(()) };
+    let time_scale = match clock {
+        platebench_runner::Clock::Lockstep { .. } => return Ok(()),
+        platebench_runner::Clock::RealTime(pace) => pace.time_scale,
+        // Telemetry takes 43 bytes a period, a sample and its command 48.
+        platebench_runner::Clock::OwnPlate => 1.0,
+    };
     for scenario in scenarios {
         let period = Duration::from_nanos(scenario.controller.period.as_nanos());
-        check_baud(baud, period, pace.time_scale).map_err(|error| format!("{}: {error}", scenario.file))?;
+        check_baud(baud, period, time_scale).map_err(|error| format!("{}: {error}", scenario.file))?;
     }
     Ok(())
 }
@@ -144,10 +182,12 @@ fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Sce
 
 /// Plays the plan on threads of its own while this one listens for signals and tells of progress.
 pub(crate) fn play(
+fn play(
     plan: Plan,
     folder: &RunFolder,
     rig: RigSpec,
     kind: ProgressKind,
+    desk: Desk,
 ) -> Result<RunRecord, (RunError, Option<u8>)> {
     let without_signal = |error: std::io::Error| (RunError::Bench(error.to_string()), None);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(without_signal)?;
@@ -164,9 +204,11 @@ pub(crate) fn play(
                 };
                 let connect = || match plan.clock {
                     platebench_runner::Clock::Lockstep { .. } => rig.connect(),
-                    platebench_runner::Clock::RealTime(_) => rig.connect_in_real_time(),
+                    platebench_runner::Clock::RealTime(_) | platebench_runner::Clock::OwnPlate => {
+                        rig.connect_in_real_time()
+                    }
                 };
-                platebench_runner::run(&plan, &folder, &connect, &cancel, &mut tell)
+                platebench_runner::run_attended(&plan, &folder, &connect, &cancel, &desk, &mut tell)
             })
         };
         let mut progress = Progress::new(kind);

@@ -18,6 +18,7 @@ mod golden;
 mod identify;
 mod layout;
 mod line;
+mod real_plate;
 mod real_time;
 mod rigs;
 mod safe_exit;

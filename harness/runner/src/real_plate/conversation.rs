@@ -53,6 +53,14 @@ pub(super) struct Heard {
     pub(super) real_plate: RealPlate,
 }
 
+/// A setpoint on its way.
+#[derive(Clone, Copy)]
+struct Open {
+    sent: Instant,
+    /// How far the controller had told by then.
+    told: Time,
+}
+
 pub(super) struct Conversation<'a, L: Link> {
     session: &'a mut Session<Faulty<L>>,
     scenario: &'a Scenario,
@@ -64,8 +72,8 @@ pub(super) struct Conversation<'a, L: Link> {
     last_told: Instant,
     /// The setpoint that was sent last, and when.
     sent: Option<(f32, Instant)>,
-    /// By sequence number: when the setpoints left that are not acknowledged yet.
-    open: [Option<Instant>; 256],
+    /// By sequence number: the setpoints that are not acknowledged yet.
+    open: [Option<Open>; 256],
     acknowledged: Spans,
     setpoints: u64,
     unacknowledged: u64,
@@ -128,13 +136,15 @@ impl<'a, L: Link> Conversation<'a, L> {
             let now = Instant::now();
             self.note_unacknowledged(now);
             self.speak(now)?;
-            if let Some(heard) = self.session.listen(self.next_instant(now))? {
+            let heard = self.session.listen(self.next_instant(now))?;
+            if let Some(heard) = &heard {
                 self.hear(heard.sequence, &heard.message, heard.at)?;
             }
             if self.rows.time().is_some_and(|time| time >= self.scenario.duration) {
                 return Ok(());
             }
-            if self.last_told.elapsed() > SILENT {
+            // What has not been read yet is no silence.
+            if heard.is_none() && self.last_told.elapsed() > SILENT {
                 // One that has stopped may have nothing more to tell.
                 let silent = RigError::NoAnswer { expected: "telemetry" };
                 return if self.stopped.is_some() { Ok(()) } else { Err(silent.into()) };
@@ -171,14 +181,20 @@ impl<'a, L: Link> Conversation<'a, L> {
         self.setpoints += 1;
         self.sent = Some((setpoint_um, now));
         if let Some(open) = self.open.get_mut(usize::from(sequence)) {
-            *open = Some(now);
+            *open = Some(Open { sent: now, told: self.rows.time().unwrap_or(Time::ZERO) });
         }
         Ok(())
     }
 
+    /// An acknowledgement comes before the telemetry that is said after it: where that was heard, it is no late bench that has not read it yet.
     fn note_unacknowledged(&mut self, now: Instant) {
+        let within = Time::from_nanos(ACKNOWLEDGED_WITHIN.as_nanos() as u64);
+        let told = self.rows.time().unwrap_or(Time::ZERO);
+        let is_missed = |open: &mut Open| {
+            now.saturating_duration_since(open.sent) > ACKNOWLEDGED_WITHIN && told.since(open.told) > within
+        };
         for open in &mut self.open {
-            if open.take_if(|sent| now.saturating_duration_since(*sent) > ACKNOWLEDGED_WITHIN).is_some() {
+            if open.take_if(is_missed).is_some() {
                 self.unacknowledged += 1;
                 self.flags |= Flags::LINK_LOST;
             }
@@ -205,7 +221,7 @@ impl<'a, L: Link> Conversation<'a, L> {
     fn acknowledge(&mut self, sequence: u8, command: &Command, at: Instant) -> Result<(), End> {
         let sent = self.open.get_mut(usize::from(sequence)).and_then(Option::take);
         if let Some(sent) = sent {
-            self.acknowledged.take(at.saturating_duration_since(sent));
+            self.acknowledged.take(at.saturating_duration_since(sent.sent));
         }
         match command.state {
             // It was configured: a board that knows nothing of that was restarted.

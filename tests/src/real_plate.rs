@@ -1,0 +1,304 @@
+//! A board with a plate of its own, for tests of `--plate-mode real`: plate, sensor, amplifier and controller in one program behind a serial line, as a laboratory has them.
+//!
+//! `real-plate-under-test PORT [KEY=VALUE]...`; its timer is virtual and never late: periods that the computer missed are made up for, so that a busy machine leaves no gap.
+//! The plate is the paper's. What goes wrong on purpose, with periods of a trial counted from 0:
+//!
+//! | key | |
+//! |---|---|
+//! | `surroundings=FILE` | force in N and kelvin above reference, read again and again: what a hand does to the plate |
+//! | `log=FILE` | every change of state, as `PERIOD STATE DRIVE` |
+//! | `force=no` | the board does not measure it |
+//! | `capability=no` | it does not say that it has a plate |
+//! | `skip=N` | the telemetry of this period is lost |
+//! | `mute=N` | from this period on there is none |
+//! | `deaf=N` | from this period on setpoints are heeded and not acknowledged |
+//! | `reset=N` | the board restarts |
+//! | `trap=N` | the processor traps |
+//! | `stop=N` | the board stops by itself |
+//! | `hold=UM` | this setpoint is held, whatever is asked for |
+
+use platebench_controller::Machine;
+use platebench_plate::file::RawPlate;
+use platebench_plate::{Complex64, Conditions, Drive, Plant, Plate, Profile, Scene, Tier, Time};
+use platebench_wire::{
+    Command, Configure, Configured, FaultReport, FrameReader, Identity, LawId, Message, Packet, Rejection, Sample,
+    State, Telemetry, capabilities,
+};
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::f64::consts::TAU;
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read, Write};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, channel, sync_channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Frames that wait for the line at most.
+const WAITING: usize = 256;
+const PLATE: &str = include_str!("../../scenarios/plates/aluminium-198x138.toml");
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut words = std::env::args().skip(1);
+    let port = words.next().ok_or("expected PORT [KEY=VALUE]...")?;
+    let wishes = words
+        .map(|word| word.split_once('=').map(|(key, value)| (key.to_owned(), value.to_owned())))
+        .collect::<Option<BTreeMap<_, _>>>()
+        .ok_or("expected KEY=VALUE")?;
+    let line = OpenOptions::new().read(true).write(true).open(port)?;
+    let bytes = listen(line.try_clone()?);
+    Board::new(transmit(line), wishes)?.run(&bytes)
+}
+
+/// What the line brings, until it hangs up.
+fn listen(mut line: File) -> Receiver<Vec<u8>> {
+    let (sender, receiver) = channel();
+    thread::spawn(move || {
+        let mut buffer = [0; 512];
+        while let Ok(count @ 1..) = line.read(&mut buffer) {
+            if sender.send(buffer.get(..count).unwrap_or_default().to_vec()).is_err() {
+                break;
+            }
+        }
+    });
+    receiver
+}
+
+/// What is to be said; a line that takes no more loses the rest, as a UART would.
+fn transmit(mut line: File) -> SyncSender<Vec<u8>> {
+    let (sender, frames) = sync_channel::<Vec<u8>>(WAITING);
+    thread::spawn(move || {
+        for frame in frames {
+            if line.write_all(&frame).is_err() {
+                break;
+            }
+        }
+    });
+    sender
+}
+
+struct Board {
+    line: SyncSender<Vec<u8>>,
+    wishes: BTreeMap<String, String>,
+    log: Option<File>,
+    reader: FrameReader,
+    plate: Plate,
+    machine: Machine,
+    trial: Option<Trial>,
+    number: u8,
+    last_state: Option<State>,
+}
+
+/// A plate that is driven, from its first setpoint on.
+struct Trial {
+    configure: Configure,
+    plant: Plant,
+    started: Option<Instant>,
+    setpoint_um: f32,
+    last_setpoint: Instant,
+    last_sequence: u8,
+    period: u32,
+}
+
+impl Board {
+    fn new(line: SyncSender<Vec<u8>>, wishes: BTreeMap<String, String>) -> Result<Self, Box<dyn Error>> {
+        let plate = toml::from_str::<RawPlate>(PLATE)?.check()?;
+        let log = wishes.get("log").map(File::create).transpose()?;
+        Ok(Self {
+            line,
+            wishes,
+            log,
+            reader: FrameReader::new(),
+            plate,
+            machine: Machine::new(),
+            trial: None,
+            number: 0,
+            last_state: None,
+        })
+    }
+
+    fn run(mut self, bytes: &Receiver<Vec<u8>>) -> Result<(), Box<dyn Error>> {
+        loop {
+            let patience = self
+                .next_period()
+                .map_or(Duration::from_millis(50), |next| next.saturating_duration_since(Instant::now()));
+            match bytes.recv_timeout(patience) {
+                Ok(bytes) => self.hear(&bytes)?,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            }
+            while self.next_period().is_some_and(|next| next <= Instant::now()) {
+                self.step()?;
+            }
+        }
+    }
+
+    /// The number behind `key`.
+    fn wish<T: std::str::FromStr>(&self, key: &str) -> Option<T> {
+        self.wishes.get(key).and_then(|value| value.parse().ok())
+    }
+
+    fn is_from(&self, key: &str, period: u32) -> bool {
+        self.wish::<u32>(key).is_some_and(|from| period >= from)
+    }
+
+    fn next_period(&self) -> Option<Instant> {
+        let trial = self.trial.as_ref()?;
+        let period = Duration::from_micros(trial.configure.period_us.into());
+        trial.started.map(|started| started + period * trial.period)
+    }
+
+    fn say(&self, sequence: u8, message: Message) {
+        let _ = self.line.try_send(Packet { sequence, message }.encode().as_bytes().to_vec());
+    }
+
+    fn note(&mut self, period: u32) -> Result<(), Box<dyn Error>> {
+        let output = *self.machine.output();
+        if self.last_state.replace(output.state) != Some(output.state)
+            && let Some(log) = &mut self.log
+        {
+            writeln!(log, "{period} {:?} {}", output.state, output.drive_vpp)?;
+        }
+        Ok(())
+    }
+
+    fn hear(&mut self, bytes: &[u8]) -> Result<(), Box<dyn Error>> {
+        for &byte in bytes {
+            let body = self.reader.push(byte).and_then(Result::ok).map(<[u8]>::to_vec);
+            let Some(Ok(Packet { sequence, message })) = body.map(|body| Packet::decode(&body)) else { continue };
+            let period = self.trial.as_ref().map_or(0, |trial| trial.period);
+            let answer = match message {
+                Message::Hello => Some(Message::Identity(self.identity())),
+                Message::Configure(configure) => Some(Message::Configured(self.configure(&configure))),
+                Message::Setpoint(setpoint) => {
+                    let heeded = self.heed(sequence, setpoint.setpoint_um);
+                    Some(Message::Command(heeded)).filter(|_| !self.is_from("deaf", period))
+                }
+                Message::Safe => {
+                    self.trial = None;
+                    Some(Message::Command(self.machine.safe(0)))
+                }
+                _ => None,
+            };
+            self.note(period)?;
+            if let Some(answer) = answer {
+                self.say(sequence, answer);
+            }
+        }
+        Ok(())
+    }
+
+    fn identity(&self) -> Identity {
+        let has_plate = self.wishes.get("capability").is_none_or(|value| value != "no");
+        Identity {
+            version: [0, 1, 0],
+            capabilities: capabilities::TOLD_DELAY | if has_plate { capabilities::OWN_PLATE } else { 0 },
+            laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
+            build: [0; 8],
+            chip: 0,
+            unique: [0; 12],
+            name: *b"real-plate\0\0\0\0\0\0",
+        }
+    }
+
+    fn configure(&mut self, configure: &Configure) -> Configured {
+        self.trial = None;
+        if !configure.drives_own_plate {
+            return Configured { outcome: Err(Rejection::Value) };
+        }
+        let configured = self.machine.configure(&Configure { drives_own_plate: false, ..*configure });
+        let scene = Scene { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) };
+        self.trial = configured.outcome.is_ok().then(|| Trial {
+            configure: *configure,
+            plant: Plant::new(self.plate.clone(), scene, Tier::Envelope),
+            started: None,
+            setpoint_um: 0.0,
+            last_setpoint: Instant::now(),
+            last_sequence: 0,
+            period: 0,
+        });
+        configured
+    }
+
+    fn heed(&mut self, sequence: u8, setpoint_um: f32) -> Command {
+        let held = self.wish("hold").unwrap_or(setpoint_um);
+        let Some(trial) = &mut self.trial else { return *self.machine.output() };
+        trial.setpoint_um = held;
+        trial.last_setpoint = Instant::now();
+        trial.last_sequence = sequence;
+        let starts = trial.started.is_none();
+        trial.started.get_or_insert_with(Instant::now);
+        let output = *self.machine.output();
+        // It runs from its first control step on, which begins now.
+        if starts { Command { state: State::Running, ..output } } else { output }
+    }
+
+    /// Force in N and kelvin above the reference, as the hand at the plate has it.
+    fn surroundings(&self) -> Conditions {
+        let text = self.wishes.get("surroundings").and_then(|file| fs::read_to_string(file).ok()).unwrap_or_default();
+        let mut numbers = text.split_whitespace().map(|word| word.parse().unwrap_or(0.0));
+        let mut next = || numbers.next().unwrap_or(0.0);
+        Conditions { finger_force_n: next(), temperature_offset_k: next() }
+    }
+
+    /// A control period of the board's own timer.
+    fn step(&mut self) -> Result<(), Box<dyn Error>> {
+        let Some(mut trial) = self.trial.take() else { return Ok(()) };
+        let period = trial.period;
+        trial.period += 1;
+        if self.wish("reset") == Some(period) {
+            self.machine = Machine::new();
+            return self.note(period);
+        }
+        if self.wish("trap") == Some(period) {
+            self.machine = Machine::new();
+            let report = FaultReport { code: 2, pc: 0x0800_1234, lr: 0, cfsr: 0, address: 0 };
+            self.note(period)?;
+            self.say(0, Message::Fault(report));
+            return Ok(());
+        }
+        let conditions = self.surroundings();
+        if period.is_multiple_of(10) {
+            trial.plant.hold(conditions);
+        }
+        let now_us = period.wrapping_mul(trial.configure.period_us);
+        trial.plant.advance(Time::from_nanos(u64::from(now_us) * 1_000), &[], &mut Vec::new());
+        let Complex64 { re, im } = trial.plant.state().w;
+        let patience = Duration::from_millis(trial.configure.patience_ms.into());
+        let sample = Sample { time_us: now_us, setpoint_um: trial.setpoint_um, wd_um: re as f32, wq_um: im as f32 };
+        if self.wish("stop") == Some(period) {
+            self.machine.sample(&Sample { wd_um: f32::NAN, ..sample }, now_us);
+        } else if trial.last_setpoint.elapsed() >= patience {
+            // No setpoint for as long as that is, for the machine, no sample.
+            if let Some(command) = self.machine.tick(now_us.wrapping_add(u32::MAX / 2)) {
+                self.say(trial.last_sequence, Message::Command(command));
+            }
+        } else {
+            self.machine.sample(&sample, now_us);
+        }
+        let output = *self.machine.output();
+        let omega = TAU * f64::from(output.frequency_mhz) / 1e3;
+        trial.plant.set_drive(Drive { vpp: output.drive_vpp.into(), omega });
+        let measures_force = self.wishes.get("force").is_none_or(|value| value != "no");
+        let telemetry = Telemetry {
+            period,
+            target_time_us: now_us.wrapping_add(123),
+            setpoint_um: trial.setpoint_um,
+            wd_um: re as f32,
+            wq_um: im as f32,
+            drive_vpp: output.drive_vpp,
+            frequency_mhz: output.frequency_mhz,
+            force_n: measures_force.then_some(conditions.finger_force_n as f32),
+            state: output.state,
+            cause: output.cause,
+            flags: output.flags,
+        };
+        self.trial = Some(trial);
+        self.note(period)?;
+        self.number = self.number.wrapping_add(1);
+        if self.wish("skip") == Some(period) || self.is_from("mute", period) {
+            return Ok(());
+        }
+        self.say(self.number, Message::Telemetry(telemetry));
+        Ok(())
+    }
+}
