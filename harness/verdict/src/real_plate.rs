@@ -107,7 +107,12 @@ fn other_setpoint(scenario: &Scenario, rows: &[Row]) -> Option<String> {
     let other = rows.iter().filter(|row| !row.flags.contains(Flags::SAFE)).find(|row| {
         let [low, high] = asked(row);
         let margin = SETPOINT_TOLERANCE * high.abs().max(low.abs());
-        !(low - margin..=high + margin).contains(&row.setpoint_um)
+        let is_one = |value: f64| (value - row.setpoint_um).abs() <= margin;
+        match &scenario.setpoint {
+            // There is nothing between two levels.
+            Profile::Hold(_) => !values_around(&scenario.setpoint, row.t_s, SETPOINT_WITHIN).into_iter().any(is_one),
+            _ => !(low - margin..=high + margin).contains(&row.setpoint_um),
+        }
     })?;
     let (held, at, [low, high]) = (other.setpoint_um, shown_ms(other.t_s), asked(other));
     let wished = if low == high { format!("{low}") } else { format!("{low} to {high}") };
@@ -149,11 +154,16 @@ fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
         let (low, high) = profile.range();
         return [low, high];
     }
-    let Some(time) = Time::from_seconds(t_s) else { return [f64::NEG_INFINITY, f64::INFINITY] };
+    let values = values_around(profile, t_s, within).into_iter();
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
+}
+
+/// The values at the points of `profile` up to `within` before and after `t_s`, and at both ends.
+fn values_around(profile: &Profile, t_s: f64, within: Time) -> Vec<f64> {
+    let time = Time::from_seconds(t_s).unwrap_or(Time::ZERO);
     let (from, to) = (time.since(within), time + within);
     let points = std::iter::successors(profile.next_point_after(from), |point| profile.next_point_after(*point));
-    let values = points.take_while(|point| *point < to).chain([from, to]).map(|time| profile.at(time));
-    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
+    points.take_while(|point| *point < to).chain([from, to]).map(|time| profile.at(time)).collect()
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use std::process::{Output, Stdio};
 const ATTEMPTS: u32 = 5;
 
 const EXPECT: &str = "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 3.0\n\
-    [[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\nwindow_ms = 50.0\n";
+    [[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\nwindow_ms = 50.0\nover = \"each\"\n";
 const STEP: &str = "setpoint_um = { hold = [[0.0, 0.0], [100.0, 2.0]] }";
 
 /// `--rig` for the board with a plate of its own.
@@ -171,7 +171,7 @@ fn a_controller_without_a_plate_and_a_scenario_with_faults_are_refused() {
 /// Under a finger of 1 N and 2 K above the reference.
 const TOUCHED: &str =
     "setpoint_um = { hold = [[0.0, 0.0], [100.0, 1.0]] }\nfinger_force_n = 1.0\ntemperature_offset_k = 2.0";
-const HOLDS: &str = "[[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\nwindow_ms = 50.0\n";
+const HOLDS: &str = "[[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\nwindow_ms = 50.0\nover = \"each\"\n";
 
 #[rstest]
 #[case::not_asked(&["--yes"])]

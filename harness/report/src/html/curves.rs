@@ -119,6 +119,8 @@ pub(crate) fn line(rows: &[Row], signal: Signal, window: Window, limit: usize) -
         points.push(point);
     }
     points.extend(edge(window.to_ms).or(end));
+    // Of a real plate not everything is known.
+    points.retain(|(_, value)| value.is_finite());
     points.dedup();
     thin(&points, window, limit)
 }

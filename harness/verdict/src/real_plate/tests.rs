@@ -108,6 +108,10 @@ fn a_controller_that_holds_another_setpoint_does_not_count() {
     other[399].setpoint_um = 1.0;
     let (_, what) = cause(&scenario, &other).unwrap();
     assert_eq!(what, "the controller held a setpoint of 1 µm at 399 ms, it was sent 2");
+    // Nothing between two levels, not even while either may still hold.
+    let mut between = rows(212.0, 400);
+    between[205].setpoint_um = 1.0;
+    assert!(cause(&scenario, &between).is_some());
     // The last instant at which the old one may still hold, and the first at which it may not.
     let held_until = |last: usize| {
         let mut rows = rows(212.0, 400);
