@@ -94,11 +94,10 @@ pub(crate) fn clock(arguments: &Run) -> Result<platebench_runner::Clock, &'stati
         Pacing::Target => platebench_runner::Pacing::Target,
     };
     let time_scale = arguments.time_scale;
-    match arguments.clock.unwrap_or(default_clock(&arguments.rig)) {
     if arguments.plate_mode == PlateMode::Real {
         return real_plate(arguments);
     }
-    match arguments.clock.unwrap_or(default) {
+    match arguments.clock.unwrap_or(default_clock(&arguments.rig)) {
         Clock::Lockstep if time_scale != 1.0 || arguments.pacing == Pacing::Target => {
             Err("--time-scale and --pacing are for --clock real-time")
         }
@@ -182,7 +181,6 @@ fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Sce
 
 /// Plays the plan on threads of its own while this one listens for signals and tells of progress.
 pub(crate) fn play(
-fn play(
     plan: Plan,
     folder: &RunFolder,
     rig: RigSpec,
