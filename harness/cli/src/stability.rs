@@ -1,4 +1,6 @@
-//! `platebench stability`: where loops fail, predicted and measured.
+//! `platebench stability`: where methods and loops fail, predicted and measured.
+
+mod methods;
 
 use crate::exit::Exit;
 use crate::output;
@@ -6,6 +8,7 @@ use crate::plate_file;
 use clap::Args;
 use platebench_analysis::study::Order;
 use platebench_analysis::{AnalysisError, Condition, Integral, PlainLoops, Study, shown, study};
+use platebench_methods::stability::{limits, to_csv};
 use platebench_plate::Plate;
 use platebench_report::ReportError;
 use platebench_report::map::{Map, Panel, RigDelay, Section, page};
@@ -27,7 +30,7 @@ const HIGHEST_DELAY_US: f64 = 12e3;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench stability                                   every law, resonant, detuned and under a finger
+  platebench stability                                   methods' steps; every law, resonant, detuned and under a finger
   platebench stability --out /tmp/stability              the same with CSV, a map per law and a page
   platebench stability --law dq-pi --law deadbeat        two laws
   platebench stability --run runs/night --out /tmp/maps  with the loop delay that a run measured drawn into the maps")]
@@ -109,6 +112,8 @@ fn answer(arguments: &Stability) -> Result<String, StabilityError> {
         plate,
     };
     let done = study(&order)?;
+    let steps = limits(&order.plate);
+    let of_methods = methods::table(&steps);
     let table = shown::table(&done, delay);
     let surprise = surprise(&order.plate)?;
     if let Some(folder) = &arguments.out {
@@ -117,16 +122,17 @@ fn answer(arguments: &Stability) -> Result<String, StabilityError> {
             fs::write(&path, text).map_err(|source| StabilityError::File { path, source })
         };
         fs::create_dir_all(folder).map_err(|source| StabilityError::File { path: folder.clone(), source })?;
+        text("methods.csv", to_csv(&steps))?;
         text("boundaries.csv", shown::boundaries_csv(&done))?;
         text("maps.csv", shown::maps_csv(&done))?;
         let maps: Vec<(LawId, Map)> = order.laws.iter().filter_map(|&law| Some((law, map(&done, law, rig)?))).collect();
         for (law, map) in &maps {
             text(&format!("{}.svg", law.name()), map.svg()?)?;
         }
-        text("stability.html", page("Where loops fail", &sections(&table, &surprise, maps))?)?;
+        let sections = sections(&of_methods, &table, &surprise, maps);
+        text("stability.html", page("Where methods and loops fail", &sections)?)?;
     }
-    // The methods' largest stable steps, rows of method, problem, measured and predicted, belong in front of the loops.
-    Ok(format!("{table}\n{surprise}"))
+    Ok(format!("{of_methods}\n{table}\n{surprise}"))
 }
 
 /// The largest median and the longest loop delay of a stored run.
@@ -179,14 +185,16 @@ fn map(study: &Study, law: LawId, rig: Option<RigDelay>) -> Option<Map> {
     (!maps.is_empty()).then(|| Map { title, panels: panels.collect(), columns, rig })
 }
 
-fn sections(table: &str, surprise: &str, maps: Vec<(LawId, Map)>) -> Vec<Section> {
+fn sections(of_methods: &str, table: &str, surprise: &str, maps: Vec<(LawId, Map)>) -> Vec<Section> {
     let text = |title: &str, text: &str| Section {
         title: title.to_owned(),
         note: String::new(),
         table: Some(text.to_owned()),
         map: None,
     };
-    let mut sections = vec![text("Boundaries and margins", table), text("A known surprise", surprise)];
+    let mut steps = text("The largest stable step of a method", of_methods);
+    methods::NOTE.clone_into(&mut steps.note);
+    let mut sections = vec![steps, text("Boundaries and margins", table), text("A known surprise", surprise)];
     sections.extend(maps.into_iter().map(|(law, map)| Section {
         title: law.name().to_owned(),
         note: shown::note(law).unwrap_or_default().to_owned(),
@@ -195,3 +203,6 @@ fn sections(table: &str, surprise: &str, maps: Vec<(LawId, Map)>) -> Vec<Section
     }));
     sections
 }
+
+#[cfg(test)]
+mod tests;

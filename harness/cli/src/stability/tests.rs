@@ -1,0 +1,48 @@
+//! The command from its arguments to its files; what the loops come to is held where they are analysed.
+
+use super::*;
+use platebench_methods::Limit;
+
+fn arguments(out: Option<&Path>) -> Stability {
+    Stability {
+        out: out.map(Path::to_owned),
+        laws: vec!["open-loop".to_owned()],
+        plate: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/plates/aluminium-198x138.toml"),
+        measured_delay_us: None,
+        run: None,
+        jobs: Some(1),
+    }
+}
+
+/// What stands in the table and in the file is what the methods themselves do; where it is not what theory says, somebody has to see it.
+#[test]
+fn the_largest_steps_of_methods_stand_beside_theory_everywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("new");
+    let text = answer(&arguments(Some(&out))).unwrap();
+    let row = |method: &str, problem: &str| {
+        let found = text.lines().find(|line| line.starts_with(method) && line.contains(problem));
+        found.unwrap_or_else(|| panic!("{method}, {problem}: {text}")).to_owned()
+    };
+    let euler = row("explicit Euler", "envelope, 545 rad/s off");
+    assert!(euler.contains("1.834 ms   1.834 ms") && euler.contains("  0.00 %"), "{euler}");
+    assert!(
+        row("RK4", "modal").contains("6.974 µs   6.967 µs      0.10 %")
+            && row("RK4", "modal").contains("h·2ω0 = 2.831"),
+        "{text}"
+    );
+    assert!(row("Störmer-Verlet", "carrier").contains("3.142 points per period"), "{text}");
+    assert!(row("exact", "modal").contains("no limit   no limit"), "{text}");
+    assert!(text.find("Methods").unwrap() < text.find("Loops").unwrap(), "{text}");
+    let rows = limits(&read_plate(&arguments(None).plate).unwrap());
+    let csv = fs::read_to_string(out.join("methods.csv")).unwrap();
+    assert_eq!(csv.lines().count(), 1 + rows.len());
+    for row in &rows {
+        assert!(row.deviation().is_none_or(|share| share.abs() < 0.02), "{row:?}");
+        assert_eq!(matches!(row.measured, Limit::Step(_)), matches!(row.predicted, Limit::Step(_)), "{row:?}");
+        assert!(csv.contains(&row.problem), "{row:?}");
+    }
+    let page = fs::read_to_string(out.join("stability.html")).unwrap();
+    assert!(page.find("The largest stable step").unwrap() < page.find("Boundaries and margins").unwrap());
+    assert!(page.contains("3.142 points per period"), "{}", page.len());
+}
