@@ -7,6 +7,7 @@
 //! * [`folder`]: the run folder: inputs, traces, record.
 //! * [`mod@rejudge`]: a stored run, judged again without a rig.
 //! * `trend`: what a control step costs, beside earlier runs.
+//! * [`fidelity`]: how far each tier of the plate is from the exact one, measured.
 //! * [`event`]: what a run says while it goes on.
 //!
 //! What is shown of a run belongs to `platebench-report`; exit codes belong to the command line.
@@ -15,6 +16,7 @@ mod accounting;
 mod configure;
 pub mod event;
 mod fault;
+pub mod fidelity;
 pub mod folder;
 mod measured;
 mod observed;

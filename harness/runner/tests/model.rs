@@ -5,14 +5,14 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use platebench_plate::Tier;
-use platebench_rig::{Faulty, Hosted, RigSpec, Session};
-use platebench_runner::trial::{Order, Patience, play};
+use platebench_rig::RigSpec;
+use platebench_runner::fidelity::{self, TierError};
+use platebench_runner::trial::Patience;
 use platebench_runner::{Cancel, Clock, Plan, RejudgeError, RunFolder, rejudge};
-use platebench_scenario::{Metric, Scenario, load};
+use platebench_scenario::{Scenario, load};
 use platebench_trace::{Flags, Row};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
-use platebench_wire::LawId;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::collections::BTreeMap;
@@ -31,75 +31,34 @@ fn scenarios() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios")
 }
 
-fn rows(scenario: &Scenario, tier: Tier, index: u32) -> Vec<Row> {
-    let scenario = Scenario { tier, ..scenario.clone() };
-    let law = LawId::from_name(&scenario.controller.law).unwrap();
-    let order = Order { scenario: &scenario, law, index, wire_time: false, own_clock: false };
-    let mut session = Session::open(Faulty::new(Hosted::new())).unwrap();
-    play(&mut session, &order, &Patient).unwrap().rows
+fn rows(scenario: &Scenario, tier: Tier) -> Vec<Row> {
+    fidelity::rows(scenario, tier, &Patient).unwrap()
 }
 
-/// The rows that an expectation looks at, by their times; those of the whole trial where it says nothing else.
-fn looked_at(scenario: &Scenario, row: &Row) -> bool {
-    scenario.expectations.iter().any(|expectation| match expectation.metric {
-        Metric::StaticError | Metric::Repeatability => {
-            (expectation.window.from.seconds()..=expectation.window.to.seconds()).contains(&row.t_s)
-        }
-        Metric::FinalAmplitude | Metric::QuadratureRatio | Metric::FrequencyError => {
-            row.t_s >= scenario.duration.seconds()
-        }
-        _ => expectation.from.is_none_or(|from| row.t_s >= from.seconds()),
-    })
-}
-
-/// The largest |ΔW| over the rows that both traces have and `looks` takes, relative to the smallest setpoint above 0.
-fn apart(left: &[Row], right: &[Row], looks: &dyn Fn(&Row) -> bool) -> f64 {
-    let positive = left.iter().map(|row| row.setpoint_um).filter(|setpoint| *setpoint > 0.0);
-    let scale = positive.fold(f64::INFINITY, f64::min);
-    let (mut worst, mut at) = (0.0_f64, 0);
-    for row in left.iter().filter(|row| looks(row)) {
-        while right.get(at).is_some_and(|other| other.t_s < row.t_s) {
-            at += 1;
-        }
-        if let Some(other) = right.get(at).filter(|other| other.t_s == row.t_s) {
-            worst = worst.max((row.wd_um - other.wd_um).hypot(row.wq_um - other.wq_um) / scale);
-        }
-    }
-    assert!(left.len() > 10);
-    worst
+/// The largest |ΔW| over all rows that both traces have, relative to the smallest setpoint above 0.
+fn apart(left: &[Row], right: &[Row]) -> f64 {
+    let (error, compared) = fidelity::apart(left, right, &|_| true);
+    assert!(compared > 10);
+    error
 }
 
 /// What was found of one scenario.
 struct Found {
     chosen: Tier,
     /// Of every tier, cheapest first.
-    errors: Vec<Error>,
+    errors: Vec<TierError>,
 }
 
-/// How far a tier is from the exact one.
-struct Error {
-    tier: Tier,
-    /// Over the rows that the expectations look at.
-    watched: f64,
-    /// Over all rows.
-    anywhere: f64,
-}
-
-impl Error {
-    fn of(&self) -> String {
-        format!("{} {:.1e}", self.tier.name(), self.watched)
-    }
+/// Tier and error where it is looked at.
+fn told(error: &TierError) -> String {
+    format!("{} {:.1e}", error.tier.name(), error.watched)
 }
 
 /// Plays a trial of `scenario` on every tier.
 fn examine(scenario: &Scenario) -> Found {
-    let exact = rows(scenario, Tier::Carrier, 0);
-    let errors = Tier::ALL.map(|tier| {
-        let rows = rows(scenario, tier, 0);
-        let watched = apart(&exact, &rows, &|row| looked_at(scenario, row));
-        Error { tier, watched, anywhere: apart(&exact, &rows, &|_| true) }
-    });
-    Found { chosen: scenario.tier, errors: errors.into() }
+    let errors = fidelity::tier_errors(scenario, &Patient).unwrap();
+    assert!(errors.iter().all(|error| error.compared > 10), "{errors:?}");
+    Found { chosen: scenario.tier, errors }
 }
 
 /// How often which tier was chosen, and how often a cheaper one would have served.
@@ -129,8 +88,8 @@ impl Tally {
         }
         let picked = found.errors.iter().find(|error| error.tier == found.chosen).unwrap();
         if found.chosen < exact {
-            assert!(scenario.model.bound <= budget, "{name}: {} is over budget", picked.of());
-            assert!(picked.watched <= budget, "{name}: {}, budget {budget:e}", picked.of());
+            assert!(scenario.model.bound <= budget, "{name}: {} is over budget", told(picked));
+            assert!(picked.watched <= budget, "{name}: {}, budget {budget:e}", told(picked));
         } else {
             assert_eq!(picked.anywhere, 0.0, "{name}: the exact tiers move alike");
         }
@@ -164,7 +123,7 @@ fn every_scenario_is_played_on_a_plate_that_is_good_enough() {
             // A minute of a temperature that creeps says nothing that three seconds of it do not.
             let duration = scenario.duration.min(platebench_plate::Time::from_ms(3_000.0).unwrap());
             let found = examine(&Scenario { duration, ..scenario.clone() });
-            let errors: Vec<String> = found.errors.iter().map(Error::of).collect();
+            let errors: Vec<String> = found.errors.iter().map(told).collect();
             println!(
                 "{name}: {} for a budget of {:.1e}; {}",
                 found.chosen.name(),
@@ -295,11 +254,11 @@ fn two_hundred_random_scenarios_are_played_on_plates_that_are_good_enough() {
 #[test]
 fn no_row_is_without_its_instant() {
     let scenario = load(&scenarios().join("paper/fig13-closed-loop.toml"), "fig13.toml").unwrap();
-    let [exact, cheap] = [Tier::Modal, Tier::Envelope].map(|tier| rows(&scenario, tier, 0));
+    let [exact, cheap] = [Tier::Modal, Tier::Envelope].map(|tier| rows(&scenario, tier));
     let controls = |rows: &[Row]| rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).count();
     assert_eq!(controls(&exact), controls(&cheap));
     // Closed, at resonance: 4.8e-3 at any time.
-    let error = apart(&exact, &cheap, &|_| true);
+    let error = apart(&exact, &cheap);
     assert!((4e-3..6e-3).contains(&error), "{error:e}");
 }
 
@@ -320,8 +279,8 @@ fn a_loop_that_rings_amplifies_no_more_than_it_is_allowed() {
                 std::fs::write(&path, text.replace("setpoint_um = 2.0", "setpoint_um = 1.0")).unwrap();
                 let scenario = load(&path, "rings.toml").unwrap_or_else(|fault| panic!("{fault}"));
                 let bound = scenario.bound(Tier::Envelope, true);
-                let [exact, cheap] = [Tier::Modal, Tier::Envelope].map(|tier| rows(&scenario, tier, 0));
-                let error = apart(&exact, &cheap, &|_| true);
+                let [exact, cheap] = [Tier::Modal, Tier::Envelope].map(|tier| rows(&scenario, tier));
+                let error = apart(&exact, &cheap);
                 println!("{law} from {start_hz} Hz, delay {delay_ms} ms: {error:.1e}, bound {bound:.1e}");
                 assert!(error <= bound, "{law} from {start_hz} Hz, delay {delay_ms} ms: {error:e}, bound {bound:e}");
                 if bound.is_finite() {
