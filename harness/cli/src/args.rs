@@ -66,7 +66,7 @@ pub(crate) enum Command {
     Baseline(Baseline),
     /// How well the suite catches faulty controllers: kill rate, false-alarm rate
     Trust(Trust),
-    /// Where loops fail: predicted boundary beside the measured one, margins, maps
+    /// Where methods and loops fail: predicted limit beside the measured one, margins, maps
     Stability(crate::stability::Stability),
     /// Plate parameters from recorded steps, beside Tables I and II
     Identify(crate::identify::Identify),

@@ -1,8 +1,14 @@
 //! `platebench chart`: speed against accuracy, measured here and now and put onto one page.
 //!
 //! Each chart is a module of its own that returns blocks of the page and writes its files; [`Folder`] is where they go.
+//!
+//! * `precision`: integration methods, error against cost.
+//! * `scenes`: scenarios, the cheapest tier that is good enough: chosen and measured.
+//! * `laws`: control laws, response time against static error and repeatability.
 
+mod laws;
 mod precision;
+mod scenes;
 
 use crate::exit::Exit;
 use crate::output;
@@ -10,38 +16,56 @@ use clap::Args;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_report::ReportError;
-use platebench_report::chart::Page;
-use platebench_scenario::find;
+use platebench_report::chart::{Block, Page};
+use platebench_scenario::{Diagnostic, Scenario, find};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Played where no scenario is named: a step at resonance, one detuned by 545 rad/s, that under 2 N, and a finger that comes down.
+/// Below the folder of scenes; played where no scenario is named: a step at resonance, one detuned by 545 rad/s, that under 2 N, and a finger that comes down.
 const DEFAULT: [&str; 4] = [
-    "scenarios/paper/fig13-closed-loop.toml",
-    "scenarios/paper/fig14-closed-loop.toml",
-    "scenarios/paper/fig16-closed-loop.toml",
-    "scenarios/paper/force-ramp.toml",
+    "paper/fig13-closed-loop.toml",
+    "paper/fig14-closed-loop.toml",
+    "paper/fig16-closed-loop.toml",
+    "paper/force-ramp.toml",
 ];
 
 /// `platebench chart`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench chart                                        four of the paper's scenarios
+  platebench chart                                        methods on four of the paper's scenarios, plates for all, laws
   platebench chart scenarios/paper/setpoint-steps.toml --out /tmp/charts
+  platebench chart --only laws                            control laws side by side, and their table as laws.md
 
-Exit codes: 0 drawn, 2 wrong usage or invalid input, 5 a scenario could not be played")]
+Exit codes: 0 drawn, 2 wrong usage or invalid input, 4 there was nothing to run, 5 a scenario could not be played")]
 pub(crate) struct Chart {
-    /// Scenario files, or folders with everything below them
-    #[arg(value_name = "SCENARIO|FOLDER", default_values = DEFAULT)]
+    /// Scenario files, or folders with everything below them, for methods and scenes; where not given four of the paper's for methods, all of a default run for scenes
+    #[arg(value_name = "SCENARIO|FOLDER")]
     pub(crate) scenarios: Vec<PathBuf>,
     /// Where charts.html, the drawings and the figures go; a new folder below charts/ where not given
     #[arg(long, value_name = "FOLDER")]
     pub(crate) out: Option<PathBuf>,
-    /// A quarter of the settings, measured once, over 5 ms: for a first look
+    /// A quarter of the settings, measured once, over 5 ms, and 4 trials behind noise: for a first look
     #[arg(long)]
     pub(crate) quick: bool,
+    /// This chart alone; may be repeated
+    #[arg(long, value_name = "CHART", value_enum)]
+    pub(crate) only: Vec<Which>,
+    /// The folder with paper/ and laws/, from which scenes come that are not named
+    #[arg(long, value_name = "FOLDER", default_value = "scenarios")]
+    pub(crate) scenes: PathBuf,
+}
+
+/// The charts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Which {
+    /// Integration methods: error against cost
+    Methods,
+    /// Scenarios: the cheapest plate that is good enough
+    Scenes,
+    /// Control laws: response time against static error and repeatability
+    Laws,
 }
 
 /// Why there is no chart.
@@ -49,6 +73,10 @@ pub(crate) struct Chart {
 pub(crate) enum ChartError {
     #[error("{file}: {why}")]
     NotPlayed { file: String, why: String },
+    #[error("scenarios cannot be meant")]
+    Scenarios(Vec<Diagnostic>),
+    #[error("there is nothing to run")]
+    Nothing,
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("{}: {source}", path.display())]
@@ -74,48 +102,89 @@ impl Folder {
     }
 }
 
+/// What a chart adds to the page, and to the console.
+pub(crate) struct Charted {
+    pub(crate) blocks: Vec<Block>,
+    pub(crate) summary: String,
+}
+
 /// Measures, draws and says what came of it.
 pub(crate) fn chart(arguments: &Chart) -> Exit {
-    let found = match find(&arguments.scenarios) {
-        Ok(found) => found,
-        Err(faults) => {
-            faults.iter().for_each(output::diagnostic);
-            return Exit::Invalid;
-        }
-    };
-    if found.scenarios.is_empty() {
-        output::error("there is nothing to run");
-        return Exit::Nothing;
-    }
-    let drawn = Folder::create(arguments.out.as_deref()).and_then(|folder| {
-        let precision = precision::chart(&found.scenarios, arguments.quick, &folder)?;
-        let page = Page {
-            title: "Speed against accuracy".to_owned(),
-            lead: format!(
-                "platebench {} on {} {}",
-                env!("CARGO_PKG_VERSION"),
-                std::env::consts::OS,
-                std::env::consts::ARCH
-            ),
-            blocks: precision.blocks,
-        };
-        page.write(&folder.0)?;
-        Ok((precision.summary, folder.0.join(Page::FILE)))
-    });
-    match drawn {
+    match drawn(arguments) {
         Ok((summary, page)) => {
             output::show(&summary);
             output::note(&format!("page: {}", page.display()));
             Exit::Passed
         }
         Err(error) => {
-            output::error(&error.to_string());
+            match &error {
+                ChartError::Scenarios(faults) => faults.iter().for_each(output::diagnostic),
+                other => output::error(&other.to_string()),
+            }
             match error {
                 ChartError::NotPlayed { .. } => Exit::Unreachable,
-                ChartError::Report(_) | ChartError::Io { .. } => Exit::Invalid,
+                ChartError::Nothing => Exit::Nothing,
+                ChartError::Scenarios(_) | ChartError::Report(_) | ChartError::Io { .. } => Exit::Invalid,
             }
         }
     }
+}
+
+/// The charts that were asked for, on the console and on a page.
+fn drawn(arguments: &Chart) -> Result<(String, PathBuf), ChartError> {
+    let asked = |which| arguments.only.is_empty() || arguments.only.contains(&which);
+    // Everything is read before anything is written or played.
+    let of_methods = DEFAULT.map(|file| arguments.scenes.join(file));
+    let of_methods = asked(Which::Methods).then(|| found(arguments, &of_methods)).transpose()?;
+    let of_scenes =
+        asked(Which::Scenes).then(|| found(arguments, std::slice::from_ref(&arguments.scenes))).transpose()?;
+    let of_laws = asked(Which::Laws).then(|| laws::scenes(&arguments.scenes, arguments.quick)).transpose()?;
+    let folder = Folder::create(arguments.out.as_deref())?;
+    let mut charts = Vec::new();
+    if let Some(scenarios) = of_methods {
+        charts.push(("Methods: error against cost", precision::chart(&scenarios, arguments.quick, &folder)?));
+    }
+    if let Some(scenarios) = of_scenes {
+        charts.push(("Scenes: the cheapest plate that is good enough", scenes::chart(&scenarios, &folder)?));
+    }
+    if let Some(scenes) = of_laws {
+        charts.push(("Control laws: speed and accuracy of what is under test", laws::chart(&scenes, &folder)?));
+    }
+    let (mut summary, mut blocks) = (String::new(), Vec::new());
+    for (title, chart) in charts {
+        summary += &format!("{title}\n\n{}\n", chart.summary);
+        blocks.push(Block::Heading(title.to_owned()));
+        blocks.extend(chart.blocks);
+    }
+    let page = Page {
+        title: "Speed against accuracy".to_owned(),
+        lead: format!(
+            "platebench {} on {} {}",
+            env!("CARGO_PKG_VERSION"),
+            std::env::consts::OS,
+            std::env::consts::ARCH
+        ),
+        blocks,
+    };
+    page.write(&folder.0)?;
+    Ok((summary, folder.0.join(Page::FILE)))
+}
+
+/// The scenarios that the command line names; those of `default` where it names none.
+fn found(arguments: &Chart, default: &[PathBuf]) -> Result<Vec<Scenario>, ChartError> {
+    let named = if arguments.scenarios.is_empty() { default } else { &arguments.scenarios };
+    let found = find(named).map_err(ChartError::Scenarios)?;
+    if found.scenarios.is_empty() { Err(ChartError::Nothing) } else { Ok(found.scenarios) }
+}
+
+/// A field of CSV that may hold commas.
+fn quoted(text: &str) -> String {
+    format!("\"{}\"", text.replace('"', "\"\""))
+}
+
+/// `1 scenario`, `2 scenarios`.
+fn counted(count: usize, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 
 #[cfg(test)]

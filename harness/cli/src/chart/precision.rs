@@ -2,7 +2,7 @@
 //!
 //! The drives come from the scenario, played once to the hosted controller; then every method gets the same ones.
 
-use super::{ChartError, Folder};
+use super::{ChartError, Charted, Folder, quoted};
 use platebench_methods::sweep::best_peer;
 use platebench_methods::{Contender, Course, Effort, Frame, Measured, Method, Passage, Status, sweep};
 use platebench_plate::{Drive, Time};
@@ -24,12 +24,6 @@ const AIM: f64 = 1e-9;
 /// The figures' file.
 const FILE: &str = "precision.csv";
 const HEADER: &str = "scenario,problem,method,setting_kind,setting,status,numerical_error,model_error,total_error,ns_per_simulated_ms,ratio_to_best_peer\n";
-
-/// What the chart adds to the page, and to the console.
-pub(crate) struct Charted {
-    pub(crate) blocks: Vec<Block>,
-    pub(crate) summary: String,
-}
 
 /// Measures every scenario and draws it.
 pub(crate) fn chart(scenarios: &[Scenario], is_quick: bool, folder: &Folder) -> Result<Charted, ChartError> {
@@ -114,7 +108,6 @@ fn passage(scenario: &Scenario, window: Time) -> Result<Passage, ChartError> {
 }
 
 fn write_csv(csv: &mut String, scenario: &Scenario, measured: &[Measured]) {
-    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
     let number = |value: f64| if value.is_finite() { format!("{value:e}") } else { String::new() };
     for row in measured {
         let contender = &row.contender;
