@@ -152,7 +152,7 @@ fn drawn(arguments: &Chart) -> Result<(String, PathBuf), ChartError> {
     }
     let (mut summary, mut blocks) = (String::new(), Vec::new());
     for (title, chart) in charts {
-        summary += &format!("{title}\n\n{}\n", chart.summary);
+        summary.extend([title, "\n\n", &chart.summary, "\n"]);
         blocks.push(Block::Heading(title.to_owned()));
         blocks.extend(chart.blocks);
     }

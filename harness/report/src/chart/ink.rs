@@ -31,6 +31,14 @@ text{font:48px system-ui,'Segoe UI',Roboto,'DejaVu Sans',sans-serif;fill:#4a525b
 @media screen and (prefers-color-scheme:dark){svg{background:#1a1e23}text,.k{fill:#a7b0ba}.t{fill:#f4f6f8}.g{stroke:#2e343b}.a,.m{stroke:#8b949e}}
 ";
 
+/// More things than this are not drawn to scale any more.
+const MOST: i32 = 20_000;
+
+/// A number of things, as a factor of a length.
+pub(super) fn many(count: usize) -> i32 {
+    i32::try_from(count).map_or(MOST, |count| count.min(MOST))
+}
+
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 pub(super) type Drawn<T> = Result<T, Box<dyn Error + Send + Sync>>;
 

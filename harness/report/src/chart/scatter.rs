@@ -1,6 +1,6 @@
 //! Points by colour and shape in panels above each other, with limit lines: two logarithmic axes, the left to right one shared.
 
-use super::ink::{Area, Drawn, FINE, Role, classed, decades, power, text};
+use super::ink::{Area, Drawn, FINE, Role, classed, decades, many, power, text};
 use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
@@ -97,7 +97,7 @@ impl Scatter {
 
     /// CSS pixels.
     fn size(&self) -> (i32, i32) {
-        (WIDTH, TITLE + (ABOVE + PLOT + BELOW) * self.panels.len() as i32)
+        (WIDTH, TITLE + (ABOVE + PLOT + BELOW) * many(self.panels.len()))
     }
 
     fn draw(&self, svg: &mut String) -> Drawn<()> {
@@ -130,12 +130,12 @@ impl Scatter {
             .set_label_area_size(LabelAreaPosition::Left, u32::try_from(LEFT * FINE)?)
             .set_label_area_size(LabelAreaPosition::Bottom, u32::try_from(BELOW * FINE)?)
             .build_cartesian_2d((xs.start..right).log_scale(), (ys.start..ys.end).log_scale())?;
-        let many = |range: &Range<f64>| (range.end / range.start).log10().round() as usize + 1;
+        let labels = (ys.end / ys.start).log10().round() as usize + 1;
         chart
             .configure_mesh()
             .disable_x_mesh()
             .x_labels(0)
-            .y_labels(many(&ys))
+            .y_labels(labels)
             .x_label_formatter(&|_| String::new())
             .y_label_formatter(&|value| power(*value))
             .label_style(text(Role::Text, HPos::Center))
@@ -161,7 +161,7 @@ impl Scatter {
         across.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (number, (x, name)) in across.iter().enumerate() {
             chart.draw_series([PathElement::new([(*x, ys.start), (*x, ys.end)], Role::Mark.colour())])?;
-            let height = ABOVE - 10 - 16 * (number % 3) as i32;
+            let height = ABOVE - 10 - 16 * many(number % 3);
             area.draw_text(name, &text(Role::Text, HPos::Left), ((column(*x) - 3) * FINE, height * FINE))?;
         }
         for (y, name) in panel.up.iter().filter(|(y, _)| ys.contains(y)) {
@@ -184,7 +184,7 @@ impl Scatter {
     /// Colours, beside the first panel.
     fn legend(&self, area: &Area<'_>) -> Drawn<()> {
         for (number, name) in self.colours.iter().enumerate() {
-            let (column, line) = ((number % 2) as i32, (number / 2) as i32);
+            let (column, line) = (many(number % 2), many(number / 2));
             let (x, y) = (WIDTH - RIGHT + 24 + 150 * column, ABOVE - 62 + LINE * line);
             area.draw(&shape(0, (x * FINE, y * FINE), Role::Series(number)))?;
             area.draw_text(name, &text(Role::Text, HPos::Left), ((x + 12) * FINE, y * FINE))?;
@@ -195,7 +195,7 @@ impl Scatter {
     /// Shapes, and what stands at the right edge by name, beside their panel.
     fn words(&self, panel: &Panel, area: &Area<'_>) -> Drawn<()> {
         let x = WIDTH - RIGHT + 24;
-        let mut y = ABOVE - 62 + LINE * (self.colours.len().div_ceil(2) as i32 + 1);
+        let mut y = ABOVE - 62 + LINE * (many(self.colours.len().div_ceil(2)) + 1);
         for (number, name) in panel.shapes.iter().enumerate() {
             area.draw(&shape(number, (x * FINE, y * FINE), Role::Shape))?;
             area.draw_text(name, &text(Role::Text, HPos::Left), ((x + 12) * FINE, y * FINE))?;
@@ -214,7 +214,7 @@ impl Scatter {
             y += LINE - 2;
             area.draw_text(name, &text(Role::Text, HPos::Left), ((x + 12) * FINE, y * FINE))?;
             for (number, own) in shapes.into_iter().enumerate() {
-                let at = ((x + 130 + 18 * number as i32) * FINE, y * FINE);
+                let at = ((x + 130 + 18 * many(number)) * FINE, y * FINE);
                 area.draw(&shape(own, at, Role::Series(colour)))?;
             }
         }

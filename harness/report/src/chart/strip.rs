@@ -1,6 +1,6 @@
 //! A line of marks for each of many things, on one logarithmic axis: what was found, what was chosen, what was allowed.
 
-use super::ink::{Drawn, FINE, Role, classed, decades, power, text};
+use super::ink::{Drawn, FINE, Role, classed, decades, many, power, text};
 use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
@@ -63,7 +63,7 @@ impl Strip {
 
     /// CSS pixels.
     fn size(&self) -> (i32, i32) {
-        (WIDTH, ABOVE + LINE * self.rows.len() as i32 + BELOW)
+        (WIDTH, ABOVE + LINE * many(self.rows.len()) + BELOW)
     }
 
     fn draw(&self, svg: &mut String) -> Drawn<()> {
@@ -79,7 +79,7 @@ impl Strip {
             let from_left = if value > 0.0 { (value.max(self.least) / left).log10() } else { 0.5 };
             LEFT + (from_left / span * f64::from(WIDTH - LEFT - RIGHT)).round() as i32
         };
-        let foot = ABOVE + LINE * self.rows.len() as i32;
+        let foot = ABOVE + LINE * many(self.rows.len());
         for decade in 0..=(span.round() as i32) {
             let x = column(left * 10.0_f64.powi(decade)) * FINE;
             let ends = [(x, (ABOVE - 6) * FINE), (x, foot * FINE)];
@@ -91,7 +91,7 @@ impl Strip {
         }
         root.draw_text("0", &text(Role::Text, HPos::Center), (column(0.0) * FINE, (foot + 14) * FINE))?;
         for (number, row) in self.rows.iter().enumerate() {
-            let y = (ABOVE + LINE * number as i32 + LINE / 2) * FINE;
+            let y = (ABOVE + LINE * many(number) + LINE / 2) * FINE;
             root.draw_text(&row.name, &text(Role::Text, HPos::Right), ((LEFT - 8) * FINE, y))?;
             if !row.remark.is_empty() {
                 let at = ((WIDTH - RIGHT + 8) * FINE, y);
@@ -108,7 +108,7 @@ impl Strip {
             // The first on top and smallest, so that all are seen where they fall together.
             for (colour, value) in row.found.iter().filter(|(_, value)| value.is_finite()).rev() {
                 let (at, ink) = ((column(*value) * FINE, y), Role::Series(*colour).colour());
-                root.draw(&Circle::new(at, (5 + 2 * *colour as i32) * FINE / 2, ink.filled()))?;
+                root.draw(&Circle::new(at, (5 + 2 * many(*colour)) * FINE / 2, ink.filled()))?;
                 if *colour == row.chosen {
                     root.draw(&Circle::new(at, 7 * FINE, ink))?;
                 }
