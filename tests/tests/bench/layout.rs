@@ -6,7 +6,7 @@ use std::fs;
 use toml::Table;
 
 /// Crates from the bottom up. A crate may import only what stands before it.
-const ORDER: [&str; 16] = [
+const ORDER: [&str; 17] = [
     "firmware-under-test/wire",
     "firmware-under-test/controller",
     "firmware-under-test/host",
@@ -22,6 +22,7 @@ const ORDER: [&str; 16] = [
     "harness/identify",
     "harness/report",
     "harness/acceptance",
+    "harness/native-tests",
     "harness/cli",
 ];
 

@@ -1,0 +1,190 @@
+//! A suite, started as Cargo and nextest start it.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot go on ends by panicking"
+)]
+
+use rstest::rstest;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use tempfile::TempDir;
+
+/// A project with a plate and scenarios of its own.
+struct Project(TempDir);
+
+impl Project {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let plates = folder.path().join("scenarios/plates");
+        fs::create_dir_all(&plates).unwrap();
+        fs::create_dir_all(folder.path().join("scenarios/limits")).unwrap();
+        let plate = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/plates/aluminium-198x138.toml");
+        let text = fs::read_to_string(plate).unwrap();
+        fs::write(plates.join("weak.toml"), text.replace("limit_vpp = 900.0", "limit_vpp = 400.0")).unwrap();
+        fs::write(plates.join("plate.toml"), text).unwrap();
+        Self(folder)
+    }
+
+    fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    /// Where the run of a scenario is.
+    fn run(&self, name: &str) -> PathBuf {
+        self.path().join("out").join(name)
+    }
+
+    /// A step to 2 µm that has to settle within so many ms.
+    fn scenario(&self, name: &str, first: &str, at_most: f64) {
+        let plate =
+            self.path().join("scenarios/plates").join(if first.contains("weak") { "weak.toml" } else { "plate.toml" });
+        let text = format!(
+            "{first}\ntitle = \"step\"\nplate = \"{}\"\nduration_ms = 30.0\n[profile]\nsetpoint_um = 2.0\nfinger_force_n = 2.0\n\
+             [[expect]]\nmetric = \"settling_time_ms\"\nat_most = {at_most}\n",
+            plate.display()
+        );
+        fs::write(self.path().join("scenarios").join(name), text).unwrap();
+    }
+
+    fn start(&self, arguments: &[&str], rig: Option<&str>) -> Output {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_suite-under-test"));
+        command.env("SUITE", "scenarios").env("OUT", "out").env_remove("PLATEBENCH_RIG").current_dir(self.path());
+        command.args(arguments).envs(rig.map(|rig| ("PLATEBENCH_RIG", rig))).output().unwrap()
+    }
+
+    /// The exit code and everything that was said.
+    fn said(&self, arguments: &[&str]) -> (i32, String) {
+        told(&self.start(arguments, None))
+    }
+}
+
+fn told(output: &Output) -> (i32, String) {
+    let text = [&output.stdout[..], &output.stderr[..]].map(String::from_utf8_lossy).concat();
+    (output.status.code().expect("not ended by a signal"), text)
+}
+
+fn mixed() -> Project {
+    let project = Project::new();
+    project.scenario("good.toml", "", 20.0);
+    project.scenario("slow.toml", "", 0.5);
+    project.scenario("limits/slow.toml", "expected_exit = 1", 0.5);
+    project
+}
+
+/// The two lists that nextest asks a test program for.
+#[test]
+fn is_listed_as_nextest_asks() {
+    let project = mixed();
+    let list = |arguments: &[&str]| project.said(arguments);
+    assert_eq!(list(&["--list", "--format", "terse"]), (0, "good: test\nlimits/slow: test\nslow: test\n".to_owned()));
+    assert_eq!(list(&["--list", "--format", "terse", "--ignored"]), (0, "limits/slow: test\n".to_owned()));
+    assert!(!project.path().join("out").exists(), "a list plays nothing");
+}
+
+/// And how it starts one of them.
+#[test]
+fn one_is_played_by_its_exact_name() {
+    let project = mixed();
+    let (code, said) = project.said(&["good", "--exact", "--nocapture"]);
+    assert_eq!(code, 0, "{said}");
+    assert!(said.contains("1 passed; 0 failed; 0 ignored; 0 measured; 2 filtered out"), "{said}");
+    for file in ["run.json", "junit.xml", "report.html", "traceability.csv", "traces/good/000.csv"] {
+        assert!(project.run("good").join(file).exists(), "{file}");
+    }
+    assert!(!project.run("slow").exists());
+}
+
+#[test]
+fn what_fails_says_what_and_where() {
+    let project = mixed();
+    let (code, said) = project.said(&[]);
+    assert_eq!(code, 101, "{said}");
+    assert!(said.contains("1 passed; 1 failed; 1 ignored"), "{said}");
+    assert!(said.contains("it ends with a failure (exit code 1), expected a pass (exit code 0)"), "{said}");
+    assert!(said.contains("settling_time_ms") && said.contains("run folder: out/slow"), "{said}");
+    assert!(project.run("slow/report.html").exists());
+}
+
+/// What is not decided is not green: 2 N under 400 Vpp is more than any controller can do.
+#[test]
+fn what_is_inconclusive_does_not_pass() {
+    let project = Project::new();
+    project.scenario("weak.toml", "# weak", 2.0);
+    let (code, said) = project.said(&[]);
+    assert_eq!(code, 101, "{said}");
+    assert!(
+        said.contains("it ends with an inconclusive verdict (exit code 3)") && said.contains("infeasible"),
+        "{said}"
+    );
+}
+
+/// A scenario that shows a limit has to end as it says; it is ignored where its folder was not named.
+#[test]
+fn a_limit_is_played_where_asked_for_and_held_to_its_word() {
+    let project = mixed();
+    let (code, said) = project.said(&["--ignored"]);
+    assert_eq!(code, 0, "{said}");
+    assert!(project.run("limits/slow/run.json").exists(), "it keeps its name");
+    project.scenario("limits/slow.toml", "expected_exit = 1", 20.0);
+    let (code, said) = project.said(&["--include-ignored", "limits"]);
+    assert_eq!(code, 101);
+    assert!(said.contains("it ends with a pass (exit code 0), expected a failure (exit code 1)"), "{said}");
+    project.scenario("limits/slow.toml", "expected_exit = 3", 0.5);
+    assert_eq!(project.said(&["--include-ignored", "limits"]).0, 101);
+}
+
+/// A filter must not hide that a file cannot be read, and neither may a list.
+#[rstest]
+#[case(&["good", "--exact"])]
+#[case(&["--list", "--format", "terse"])]
+fn a_broken_scenario_leaves_no_suite(#[case] arguments: &[&str]) {
+    let project = mixed();
+    project.scenario("broken.toml", "titel = \"step\"", 2.0);
+    project.scenario("limits/slow.toml", "expected_exit = 9", 2.0);
+    let (code, said) = project.said(arguments);
+    assert_eq!(code, 2, "{said}");
+    assert!(said.contains("broken.toml:1") && said.contains("unknown key `titel`"), "{said}");
+    assert!(said.contains("limits/slow.toml:1"), "{said}");
+    assert!(!project.path().join("out").exists());
+}
+
+#[test]
+fn an_empty_folder_is_not_green() {
+    let project = Project::new();
+    let (code, said) = project.said(&[]);
+    assert_eq!((code, &*said), (4, "error: there is nothing to run below scenarios\n"));
+}
+
+#[rstest]
+#[case("hosted", 0, "1 passed")]
+#[case("robot", 2, "robot")]
+#[case("exec:", 2, "error: ")]
+#[case("serial:/dev/not-there", 101, "/dev/not-there")]
+fn the_environment_names_another_rig(#[case] rig: &str, #[case] code: i32, #[case] says: &str) {
+    let project = mixed();
+    let (ended, said) = told(&project.start(&["good", "--exact"], Some(rig)));
+    assert_eq!(ended, code, "{said}");
+    assert!(said.contains(says), "{said}");
+}
+
+#[test]
+fn a_run_takes_the_place_of_the_one_before_and_of_nothing_else() {
+    let project = mixed();
+    assert_eq!(project.said(&["good", "--exact"]).0, 0);
+    fs::write(project.run("good/left-over"), "").unwrap();
+    assert_eq!(project.said(&["good", "--exact"]).0, 0);
+    assert!(!project.run("good/left-over").exists());
+    assert!(project.run("good/run.json").exists());
+    // No run: somebody's own folder.
+    fs::remove_file(project.run("good/run.json")).unwrap();
+    let (code, said) = project.said(&["good", "--exact"]);
+    assert_eq!(code, 101, "{said}");
+    assert!(said.contains("out/good: "), "{said}");
+    assert!(project.run("good/report.html").exists());
+    let left = fs::read_dir(project.path().join("out")).unwrap().count();
+    assert_eq!(left, 1, "nothing half played is left behind");
+}
