@@ -22,9 +22,14 @@ mod trust;
 mod tune;
 
 use args::{Arguments, Command};
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use exit::Exit;
 use std::process::ExitCode;
+
+/// What can be said on the command line, for what is written down about it: the reference and what the documentation tells people to type.
+pub fn command() -> clap::Command {
+    Arguments::command()
+}
 
 /// The program: reads the process's arguments, does what they say and tells how it ended.
 pub fn main() -> ExitCode {

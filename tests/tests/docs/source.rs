@@ -1,0 +1,83 @@
+//! Attributes and types of Rust source, in words.
+
+use syn::{Attribute, Expr, GenericArgument, Lit, Meta, PathArguments, Type};
+
+/// The documentation comment, in one line.
+pub(crate) fn doc(attributes: &[Attribute]) -> String {
+    let lines = attributes.iter().filter_map(|attribute| match &attribute.meta {
+        Meta::NameValue(pair) if pair.path.is_ident("doc") => match &pair.value {
+            Expr::Lit(literal) => match &literal.lit {
+                Lit::Str(text) => Some(text.value().trim().to_owned()),
+                _ => None,
+            },
+            _ => None,
+        },
+        _ => None,
+    });
+    lines.collect::<Vec<_>>().join(" ").trim().to_owned()
+}
+
+/// True where serde fills in what is left out.
+pub(crate) fn has_default(attributes: &[Attribute]) -> bool {
+    let mut found = false;
+    for attribute in attributes.iter().filter(|attribute| attribute.path().is_ident("serde")) {
+        // What follows the key, such as the name of a function, is read over.
+        let _ = attribute.parse_nested_meta(|meta| {
+            found |= meta.path.is_ident("default");
+            if meta.input.peek(syn::Token![=]) {
+                meta.value()?.parse::<Expr>()?;
+            }
+            Ok(())
+        });
+    }
+    found
+}
+
+/// What a key holds.
+#[derive(Default)]
+pub(crate) struct Value {
+    pub(crate) name: String,
+    pub(crate) optional: bool,
+    pub(crate) list: bool,
+    pair: bool,
+}
+
+impl Value {
+    pub(crate) fn words(&self) -> String {
+        let word = match &*self.name {
+            "f64" => "number",
+            "i64" | "u32" => "whole number",
+            "String" | "PathBuf" => "text",
+            "bool" => "true or false",
+            "RawProfile" => "number or profile",
+            "RawWindow" => "number or [number, number]",
+            "AnswerKind" => "`confirm` or `text`",
+            "When" => "`before` or `after`",
+            other => panic!("what is a `{other}` called in a file?"),
+        };
+        let word = if self.pair { format!("[{word}, {word}]") } else { word.to_owned() };
+        if self.list { format!("list of {word}") } else { word }
+    }
+}
+
+pub(crate) fn type_words(of: &Type) -> Value {
+    match of {
+        Type::Array(array) => Value { pair: true, ..type_words(&array.elem) },
+        Type::Path(path) => {
+            let last = path.path.segments.last().unwrap();
+            let inner = match &last.arguments {
+                PathArguments::AngleBracketed(arguments) => match arguments.args.first() {
+                    Some(GenericArgument::Type(inner)) => Some(type_words(inner)),
+                    _ => None,
+                },
+                _ => None,
+            };
+            match (inner, &*last.ident.to_string()) {
+                (Some(inner), "Option") => Value { optional: true, ..inner },
+                (Some(inner), "Vec") => Value { list: true, ..inner },
+                (_, name) => Value { name: name.to_owned(), ..Value::default() },
+            }
+        }
+        _ => panic!("a key has a type that has no words yet"),
+    }
+}
