@@ -16,15 +16,21 @@ const MOST_CLEAN_RUNS: u32 = 1_000_000;
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawPlan {
+    /// One line that says what is accepted.
     title: String,
+    /// Trials of each scenario, in the place of its own count.
     #[serde(default = "thirty")]
     repetitions: u32,
+    /// What has to hold; at least one.
     #[serde(default)]
     requirement: Vec<Requirement>,
+    /// What shows it; at least one.
     #[serde(default)]
     scenario: Vec<RawPlanned>,
+    /// What a person is asked.
     #[serde(default)]
     ask: Vec<Ask>,
+    /// What is demanded of the bench itself.
     #[serde(default)]
     bench: BenchDemands,
 }
@@ -46,7 +52,9 @@ pub struct Requirement {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawPlanned {
+    /// Scenario file, relative to the plan.
     file: PathBuf,
+    /// Its trials, where they differ from the plan's.
     repetitions: Option<u32>,
 }
 

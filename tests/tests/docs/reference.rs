@@ -112,6 +112,7 @@ fn keys(types: &BTreeMap<String, ItemStruct>, name: &str, path: &str, page: &mut
         let value = type_words(&field.ty);
         let optional = all_optional || value.optional || has_default(&field.attrs);
         let told = doc(&field.attrs).replace('|', "\\|");
+        assert!(!told.is_empty(), "nothing is said of `{key}` in {name}");
         let shown = if types.contains_key(&value.name) { "table".to_owned() } else { value.words() };
         let shown = if value.list && shown == "table" { "tables".to_owned() } else { shown };
         writeln!(page, "| `{key}` | {shown} | {} | {told} |", if optional { "" } else { "required" }).unwrap();

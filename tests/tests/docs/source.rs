@@ -53,7 +53,7 @@ impl Value {
             "RawWindow" => "number or [number, number]",
             "AnswerKind" => "`confirm` or `text`",
             "When" => "`before` or `after`",
-            other => panic!("what is a `{other}` called in a file?"),
+            _ => "value",
         };
         let word = if self.pair { format!("[{word}, {word}]") } else { word.to_owned() };
         if self.list { format!("list of {word}") } else { word }
