@@ -51,8 +51,12 @@ impl Project {
     }
 
     fn start(&self, arguments: &[&str], rig: Option<&str>) -> Output {
+        self.start_in("scenarios", arguments, rig)
+    }
+
+    fn start_in(&self, folder: &str, arguments: &[&str], rig: Option<&str>) -> Output {
         let mut command = Command::new(env!("CARGO_BIN_EXE_suite-under-test"));
-        command.env("SUITE", "scenarios").env("OUT", "out").env_remove("PLATEBENCH_RIG").current_dir(self.path());
+        command.env("SUITE", folder).env("OUT", "out").env_remove("PLATEBENCH_RIG").current_dir(self.path());
         command.args(arguments).envs(rig.map(|rig| ("PLATEBENCH_RIG", rig))).output().unwrap()
     }
 
@@ -135,6 +139,24 @@ fn a_limit_is_played_where_asked_for_and_held_to_its_word() {
     assert!(said.contains("it ends with a pass (exit code 0), expected a failure (exit code 1)"), "{said}");
     project.scenario("limits/slow.toml", "expected_exit = 3", 0.5);
     assert_eq!(project.said(&["--include-ignored", "limits"]).0, 101);
+}
+
+/// Names are paths below the folder that the suite names, whatever that is called.
+#[test]
+fn a_limit_keeps_its_name_in_a_folder_of_any_name() {
+    let project = mixed();
+    fs::rename(project.path().join("scenarios/plates"), project.path().join("plates")).unwrap();
+    fs::rename(project.path().join("scenarios"), project.path().join("checks")).unwrap();
+    for file in ["good.toml", "slow.toml", "limits/slow.toml"] {
+        let path = project.path().join("checks").join(file);
+        let text = fs::read_to_string(&path).unwrap();
+        fs::write(path, text.replace("/scenarios/plates", "/plates")).unwrap();
+    }
+    let list = ["--list", "--format", "terse", "--ignored"];
+    assert_eq!(told(&project.start_in("checks", &list, None)), (0, "limits/slow: test\n".to_owned()));
+    let (code, said) = told(&project.start_in("checks", &["--ignored"], None));
+    assert_eq!(code, 0, "{said}");
+    assert!(project.run("limits/slow/run.json").exists());
 }
 
 /// A filter must not hide that a file cannot be read, and neither may a list.
