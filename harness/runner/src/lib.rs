@@ -9,6 +9,7 @@
 //! * `trend`: what a control step costs, beside earlier runs.
 //! * [`fidelity`]: how far each tier of the plate is from the exact one, measured.
 //! * [`event`]: what a run says while it goes on.
+//! * [`mod@watch`]: whoever looks on meanwhile.
 //!
 //! What is shown of a run belongs to `platebench-report`; exit codes belong to the command line.
 
@@ -29,6 +30,7 @@ mod scheduling;
 mod stage;
 mod trend;
 pub mod trial;
+pub mod watch;
 
 pub use configure::configure;
 pub use event::Event;
@@ -36,6 +38,7 @@ pub use folder::{FolderError, RunFolder};
 pub use real_plate::{Answer, Nobody, Person};
 pub use real_time::{Hand, Pace, Pacing};
 pub use rejudge::{RejudgeError, rejudge};
-pub use run::{Cancel, Clock, Plan, RunError, run, run_attended};
+pub use run::{Cancel, Clock, Plan, RunError, run, run_attended, run_watched};
 pub use stage::Held;
 pub use trend::inputs_digest;
+pub use watch::{Viewer, Watch};

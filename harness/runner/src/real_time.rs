@@ -21,6 +21,7 @@ use crate::queue::{Queue, collect};
 use crate::scheduling::Granted;
 use crate::stage::{Stage, expected_rows};
 use crate::trial::{Order, Patience, Played};
+use crate::watch::Tap;
 use live::{End, Live};
 use platebench_rig::{Faulty, Link, RigError, Session};
 use platebench_trace::Row;
@@ -37,22 +38,34 @@ pub fn play<L: Link>(
     pace: Pace,
     patience: &(impl Patience + Sync),
 ) -> Option<Played> {
-    let (rows, ended) =
-        drive(session, order, pace, patience, None, |rows| collect(rows, expected_rows(order.scenario)));
+    play_watched(session, order, pace, patience, None)
+}
+
+/// As [`play`], while somebody may look on.
+pub fn play_watched<L: Link>(
+    session: &mut Session<Faulty<L>>,
+    order: &Order<'_>,
+    pace: Pace,
+    patience: &(impl Patience + Sync),
+    tap: Option<&mut Tap>,
+) -> Option<Played> {
+    let rows = |rows| collect(rows, expected_rows(order.scenario));
+    let (rows, ended) = drive(session, order, pace, patience, None, tap, rows);
     ended.map(|(telemetry, lost)| Played { rows, telemetry, lost })
 }
 
 /// Plays the plate to whatever controller is there until `patience` is over or the controller is gone; `hand` takes over from the scenario's
-/// profiles once it is used, and `show` is given the rows. Returns why nobody drives the plate any more.
+/// profiles once it is used, and `show` is given the rows; so is whoever looks on. Returns why nobody drives the plate any more.
 pub fn emulate<L: Link>(
     session: &mut Session<Faulty<L>>,
     order: &Order<'_>,
     pace: Pace,
     patience: &(impl Patience + Sync),
     hand: &Hand,
+    tap: Option<&mut Tap>,
     show: impl FnOnce(Consumer<Row>),
 ) -> Emulated {
-    let ((), ended) = drive(session, order, pace, patience, Some(hand), show);
+    let ((), ended) = drive(session, order, pace, patience, Some(hand), tap, show);
     match ended {
         None => Emulated::GivenUp,
         Some((_, Some(error))) => Emulated::Lost(error),
@@ -78,10 +91,11 @@ fn drive<L: Link, T>(
     pace: Pace,
     patience: &(impl Patience + Sync),
     hand: Option<&Hand>,
+    tap: Option<&mut Tap>,
     take: impl FnOnce(Consumer<Row>) -> T,
 ) -> (T, Option<(Telemetry, Option<RigError>)>) {
     let (queue, consumer) = Queue::new();
-    let stage = Stage::new(order.scenario, order.index, queue);
+    let stage = Stage::new(order.scenario, order.index, queue, tap);
     session.link_mut().arm(&wire_faults(order.scenario, order.index));
     thread::scope(|scope| {
         let live = scope.spawn(move || {

@@ -8,6 +8,7 @@ use crate::real_plate::{self, Nobody, Person};
 use crate::real_time::{self, Pace, Pacing};
 use crate::trend;
 use crate::trial::{self, Order, Patience};
+use crate::watch::Watch;
 use platebench_rig::{AnyLink, ConnectError, Faulty, RigError};
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::{Row, TraceError, Writer};
@@ -147,12 +148,17 @@ pub fn run(
 /// # Errors
 /// [`RunError`]; what was whole by then can still be judged and reported.
 pub fn run_attended(
+    run_watched(plan, folder, connect, cancel, tell, &Watch::default())
+/// As [`run()`], while somebody looks on: of trials that go on at once at one of them.
+/// As for [`run()`].
+pub fn run_watched(
     plan: &Plan,
     folder: &RunFolder,
     connect: &Connect<'_>,
     cancel: &Cancel,
     person: &dyn Person,
     tell: &mut dyn FnMut(Event),
+    watch: &Watch,
 ) -> Result<RunRecord, RunError> {
     let laws = plan.scenarios.iter().map(configure::law).collect::<Result<Vec<_>, _>>();
     let laws = laws.map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
@@ -188,6 +194,7 @@ pub fn run_attended(
     }
     let unconfirmed = AtomicBool::new(false);
     let run = Run { plan, laws: &laws, folder, connect, cancel, person, unconfirmed: &unconfirmed };
+    let run = Run { plan, laws: &laws, folder, connect, cancel, watch, unconfirmed: &unconfirmed };
     let played = play(run, &mut sessions, &mut record, tell);
     // However it ended, what the controllers say of 0 V is in the record.
     for session in &mut sessions {
@@ -226,6 +233,7 @@ struct Run<'a> {
     connect: &'a Connect<'a>,
     cancel: &'a Cancel,
     person: &'a dyn Person,
+    watch: &'a Watch,
     /// Set where a controller was let go that did not confirm 0 V.
     unconfirmed: &'a AtomicBool,
 }
@@ -413,11 +421,15 @@ impl Work<'_> {
         };
         let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
         let order = Order { scenario, law, index: task.index, wire_time, own_clock: self.run.plan.own_clock };
+        let mut lent = self.run.watch.lend(task.scenario, task.index);
         let played = match self.run.plan.clock {
             Clock::Lockstep { .. } => trial::play(open, &order, self.run.cancel),
             Clock::RealTime(pace) => real_time::play(open, &order, pace, self.run.cancel),
             Clock::OwnPlate => real_plate::play(open, &order, self.run.person, self.run.cancel)?,
+            Clock::Lockstep { .. } => trial::play_watched(open, &order, self.run.cancel, lent.tap()),
+            Clock::RealTime(pace) => real_time::play_watched(open, &order, pace, self.run.cancel, lent.tap()),
         };
+        drop(lent);
         let Some(mut played) = played else { return Ok(None) };
         if let Some(timing) = &mut played.telemetry.timing {
             timing.loop_delay_budget_us = delay_budget(scenario, law).map(|budget| budget.seconds() * 1e6);

@@ -3,6 +3,7 @@
 //! Between events nothing changes, so that nothing is smeared over a step; where a profile varies the plant cuts the interval itself.
 
 use crate::configure::start_frequency_mhz;
+use crate::watch::Tap;
 use platebench_plate::plant::Signal;
 use platebench_plate::{Conditions, Crossing, Drive, Plant, Sensor, State, Time, Watch};
 use platebench_scenario::{Metric, Scenario};
@@ -48,6 +49,8 @@ pub(crate) struct Stage<'a, R> {
     plant: Plant,
     sensor: Sensor,
     rows: R,
+    /// Whoever looks on gets the same rows, as far as there is room.
+    tap: Option<&'a mut Tap>,
     /// The last row, until time has moved on: further events of its instant are put into it.
     held: Option<Row>,
     crossings: Vec<Crossing>,
@@ -63,7 +66,7 @@ pub(crate) struct Stage<'a, R> {
 }
 
 impl<'a, R: Rows> Stage<'a, R> {
-    pub(crate) fn new(scenario: &'a Scenario, index: u32, rows: R) -> Self {
+    pub(crate) fn new(scenario: &'a Scenario, index: u32, rows: R, tap: Option<&'a mut Tap>) -> Self {
         let variation = scenario.variation(index);
         let mut plant = variation.plant(scenario);
         let frequency_hz = f64::from(start_frequency_mhz(scenario)) / 1e3;
@@ -73,6 +76,7 @@ impl<'a, R: Rows> Stage<'a, R> {
             plant,
             sensor: variation.sensor(scenario),
             rows,
+            tap,
             held: None,
             crossings: Vec::with_capacity(64),
             watches: Vec::with_capacity(scenario.expectations.len()),
@@ -95,7 +99,7 @@ impl<'a, R: Rows> Stage<'a, R> {
 
     pub(crate) fn into_rows(mut self) -> R {
         if let Some(last) = self.held.take() {
-            self.rows.push(last);
+            self.give(last);
         }
         self.rows
     }
@@ -234,9 +238,25 @@ impl<'a, R: Rows> Stage<'a, R> {
             }
             held => {
                 if let Some(last) = held.replace(row) {
-                    self.rows.push(last);
+                    self.give(last);
                 }
             }
+        }
+    }
+
+    /// A row that nothing is added to any more.
+    fn give(&mut self, row: Row) {
+        if let Some(tap) = &mut self.tap {
+            tap.push(&row);
+        }
+        self.rows.push(row);
+    }
+
+    /// Tells whoever looks on of samples without an answer, and how many frames could not be read so far.
+    pub(crate) fn tell(&mut self, missed: u64, refused: u64) {
+        if let Some(tap) = &mut self.tap {
+            tap.miss(missed);
+            tap.refused(refused);
         }
     }
 

@@ -6,6 +6,7 @@ use crate::configure::configure;
 use crate::fault::{reconfigures, wire_faults};
 use crate::observed::{Observed, stop_reason};
 use crate::stage::{Stage, expected_rows};
+use crate::watch::Tap;
 use platebench_plate::Time;
 use platebench_rig::{Faulty, Link, LinkError, RigError, Session};
 use platebench_scenario::Scenario;
@@ -54,8 +55,18 @@ pub trait Patience {
 
 /// Plays a trial. `None` where it was given up.
 pub fn play<L: Link>(session: &mut Session<Faulty<L>>, order: &Order<'_>, patience: &impl Patience) -> Option<Played> {
+    play_watched(session, order, patience, None)
+}
+
+/// As [`play`], while somebody may look on.
+pub fn play_watched<L: Link>(
+    session: &mut Session<Faulty<L>>,
+    order: &Order<'_>,
+    patience: &impl Patience,
+    tap: Option<&mut Tap>,
+) -> Option<Played> {
     session.link_mut().arm(&wire_faults(order.scenario, order.index));
-    let mut trial = Trial::new(session, order);
+    let mut trial = Trial::new(session, order, tap);
     let configure = trial.configure();
     if let Err(error) = trial.session.begin(&configure) {
         trial.lose(error);
@@ -100,7 +111,7 @@ struct Trial<'a, L: Link> {
 }
 
 impl<'a, L: Link> Trial<'a, L> {
-    fn new(session: &'a mut Session<Faulty<L>>, order: &Order<'a>) -> Self {
+    fn new(session: &'a mut Session<Faulty<L>>, order: &Order<'a>, tap: Option<&'a mut Tap>) -> Self {
         let Order { scenario, index, law, .. } = *order;
         Self {
             session,
@@ -109,7 +120,7 @@ impl<'a, L: Link> Trial<'a, L> {
             wire_time: order.wire_time,
             own_clock: order.own_clock,
             observed: Observed::default(),
-            stage: Stage::new(scenario, index, Vec::with_capacity(expected_rows(scenario))),
+            stage: Stage::new(scenario, index, Vec::with_capacity(expected_rows(scenario)), tap),
             next_control: Time::ZERO,
             pending: VecDeque::new(),
             misses: 0,
@@ -158,6 +169,7 @@ impl<'a, L: Link> Trial<'a, L> {
         let sample = self.stage.sense();
         let answer = self.session.sample(duration(now), &sample);
         self.note_given();
+        self.stage.tell(0, self.session.refused());
         match answer {
             Ok(Some(reply)) => {
                 self.misses = 0;
@@ -213,6 +225,7 @@ impl<'a, L: Link> Trial<'a, L> {
     fn note_miss(&mut self) {
         let Some((sampled, index)) = self.unanswered.take() else { return };
         self.stage.flag(index, Flags::LINK_LOST);
+        self.stage.tell(1, self.session.refused());
         // A line that is planned to come back is waited for.
         if self.scenario.explains(sampled) {
             return;

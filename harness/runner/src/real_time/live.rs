@@ -214,6 +214,7 @@ impl<'a, L: Link> Live<'a, L> {
         let missing = periods.saturating_sub(2);
         if missing > 0 && !said {
             self.accounts.missed_replies += missing;
+            self.stage.tell(missing, self.session.refused());
             self.stage.push_row(0.0, Flags::LINK_LOST);
         }
     }
@@ -242,7 +243,9 @@ impl<'a, L: Link> Live<'a, L> {
         let missed = self.last_sent.is_some_and(|last| self.open.get(usize::from(last)).is_some_and(Option::is_some));
         self.accounts.periods += 1;
         self.accounts.overruns += u64::from(overrun);
-        self.accounts.missed_replies += u64::from(missed) + missing;
+        let misses = u64::from(missed) + missing;
+        self.accounts.missed_replies += misses;
+        self.stage.tell(misses, self.session.refused());
         self.accounts.lateness.take(lateness);
         self.silent_periods += 1;
         let also = [(overrun, Flags::OVERRUN), (missed || missing > 0, Flags::LINK_LOST)];
@@ -347,6 +350,7 @@ impl<'a, L: Link> Live<'a, L> {
             self.stage.push_row(0.0, flags);
         }
         self.accounts.lost_replies += self.open.iter().flatten().count() as u64;
+        self.stage.tell(0, self.session.refused());
         let mut timing = self.accounts.timing();
         timing.time_scale = self.pace.time_scale;
         self.pace.pacing.name().clone_into(&mut timing.pacing);

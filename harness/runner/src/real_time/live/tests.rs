@@ -1,6 +1,7 @@
 use super::*;
 use crate::fault::wire_faults;
 use crate::queue::collect;
+use crate::watch::Watch;
 use allocation_counter::{AllocationInfo, measure, opt_out};
 use platebench_rig::{Hosted, LinkError, Paced, Serial, Terminal};
 use platebench_scenario::load;
@@ -41,14 +42,16 @@ fn scenario(name: &str) -> Scenario {
     load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
 }
 
-/// What the loop's thread allocates from its first control instant to the last, and in how many periods.
+/// What the loop's thread allocates from its first control instant to the last while somebody looks on, and in how many periods.
 fn allocated<L: Link>(scenario: &Scenario, session: &mut Session<Faulty<L>>, pacing: Pacing) -> (AllocationInfo, u64) {
+    let (watch, mut viewer) = Watch::new();
+    let mut lent = watch.lend(0, 0);
     let law = crate::configure::law(scenario).unwrap();
     let order = Order { scenario, law, index: 0, wire_time: false, own_clock: true };
     let pace = Pace { time_scale: 1.0, pacing };
     let (queue, consumer) = Queue::new();
     let collector = thread::spawn(|| collect(consumer, 0));
-    let stage = Stage::new(scenario, 0, queue);
+    let stage = Stage::new(scenario, 0, queue, lent.tap());
     session.link_mut().arm(&wire_faults(scenario, 0));
     session.begin(&pace.of_target(configure(scenario, law))).unwrap();
     let mut live = Live::new(session, &order, pace, stage, None);
@@ -57,7 +60,10 @@ fn allocated<L: Link>(scenario: &Scenario, session: &mut Session<Faulty<L>>, pac
     assert!(outcome.is_ok(), "it came to its end");
     let periods = live.accounts.periods;
     drop(live);
-    assert!(collector.join().unwrap().len() as u64 > periods);
+    let rows = collector.join().unwrap();
+    assert!(rows.len() as u64 > periods);
+    let seen = std::iter::from_fn(|| viewer.take()).map(|sight| sight.row).collect::<Vec<_>>();
+    assert!(!seen.is_empty() && rows.starts_with(&seen), "whoever looks on gets the rows of the record");
     (allocated, periods)
 }
 
