@@ -16,6 +16,7 @@ const ORDER: [&str; 17] = [
     "harness/verdict",
     "harness/rig",
     "harness/runner",
+    "harness/live",
     "harness/trust",
     "harness/methods",
     "harness/analysis",

@@ -1,0 +1,58 @@
+//! A bench that panics gives the terminal back too.
+
+use platebench_live::{Subject, View};
+use platebench_runner::Watch;
+use rustix::fs::{Mode, OFlags, open};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{Winsize, tcgetattr, tcsetwinsize};
+use std::fs::File;
+use std::io::Read;
+use std::process::{Command, Stdio};
+use std::thread;
+
+const MESSAGE: &str = "the bench comes to grief";
+
+/// Not a test: what the test below starts as a process in a terminal.
+#[test]
+#[ignore = "started by the other one"]
+fn grief() {
+    let subject =
+        Subject { command: "run", place: String::new(), lockstep: true, jobs: 1, keys: "", shows: Vec::new() };
+    let (_watch, viewer) = Watch::new();
+    let _view = View::open(subject, viewer).unwrap();
+    panic!("{MESSAGE}");
+}
+
+#[test]
+fn a_panic_gives_the_terminal_back_and_is_told_afterwards() {
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+    grantpt(&master).unwrap();
+    unlockpt(&master).unwrap();
+    let path = ptsname(&master, Vec::new()).unwrap();
+    let line = File::from(open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty()).unwrap());
+    tcsetwinsize(&line, Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 }).unwrap();
+    let before = tcgetattr(&line).unwrap();
+    let end = || Stdio::from(line.try_clone().unwrap());
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command.args(["--exact", "grief", "--ignored", "--nocapture"]).env("TERM", "xterm-256color");
+    let mut child = command.stdin(Stdio::null()).stdout(end()).stderr(end()).spawn().unwrap();
+    // The command holds ends of its own.
+    drop(command);
+    let mut output = File::from(master);
+    let reader = thread::spawn(move || {
+        let (mut all, mut bytes) = (Vec::new(), [0; 4096]);
+        while let Ok(count @ 1..) = output.read(&mut bytes) {
+            all.extend_from_slice(&bytes[..count]);
+        }
+        String::from_utf8_lossy(&all).into_owned()
+    });
+    assert!(!child.wait().unwrap().success());
+    let after = tcgetattr(&line).unwrap();
+    drop(line);
+    let said = reader.join().unwrap();
+    let at = |text: &str| said.find(text).unwrap_or_else(|| panic!("{text:?} is not in {said:?}"));
+    let [entered, left, told] = ["\u{1b}[?1049h", "\u{1b}[?1049l", MESSAGE].map(at);
+    assert!(entered < left && left < told, "{said:?}");
+    assert!(at("nothing") < left, "{said:?}");
+    assert_eq!((after.local_modes, after.input_modes), (before.local_modes, before.input_modes));
+}
