@@ -22,7 +22,7 @@ use jiff::Timestamp;
 use platebench_report::{html, traceability};
 use platebench_rig::{Emulated, RigSpec};
 use platebench_runner::folder::{hexadecimal, sha256};
-use platebench_runner::{Cancel, Clock, Event, Pacing, RunError, RunFolder, rejudge, run};
+use platebench_runner::{Cancel, Clock, Event, Pacing, RunError, RunFolder, Watch, rejudge, run_watched};
 use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, Tool};
 use platebench_verdict::{RunRecord, Verdict, record};
 use std::fs::{self, File, TryLockError};
@@ -97,6 +97,10 @@ pub trait Desk {
     fn ended(&mut self, step: &StepRecord);
     /// Something happened in a run.
     fn event(&mut self, event: &Event);
+    /// A scenario is about to be played: who looks on, nobody where this is not told.
+    fn watch(&mut self, _plan: &platebench_runner::Plan) -> Watch {
+        Watch::default()
+    }
 }
 
 /// What a step does.
@@ -324,7 +328,9 @@ impl<'a> Session<'a> {
             overrides,
         };
         let run_folder = RunFolder::create(Some(folder)).map_err(RunError::from)?;
-        let record = run(&plan, &run_folder, &|| self.connect(), cancel, &mut |event| desk.event(&event))?;
+        let watch = desk.watch(&plan);
+        let record =
+            run_watched(&plan, &run_folder, &|| self.connect(), cancel, &mut |event| desk.event(&event), &watch)?;
         let played = record.rig.firmware.as_ref();
         if let (Some(played), Some(known)) = (played, &self.record.firmware)
             && *played != known.firmware

@@ -4,6 +4,7 @@ mod desk;
 
 use crate::args::{Clock, Format, Pacing, Run};
 use crate::exit::Exit;
+use crate::live::Shown;
 use crate::output;
 use crate::run::{clock, fast_enough};
 use crate::signals::{Ended, until_signal};
@@ -91,6 +92,9 @@ struct Session {
     /// Ask nothing: the answer to everything that is to be confirmed is yes
     #[arg(long)]
     yes: bool,
+    /// Show in the terminal what passes while a scenario is played; without a terminal nothing is shown
+    #[arg(long)]
+    live: bool,
     /// Sign the record with this ed25519 key, PKCS #8 in PEM
     #[arg(long, value_name = "KEYFILE")]
     sign: Option<PathBuf>,
@@ -112,9 +116,12 @@ fn session(arguments: &Session, quiet: bool) -> Exit {
     let folder = order.out.clone();
     let cancel = Cancel::default();
     let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };
-    let mut desk = Terminal::new(kind, arguments.yes, cancel.clone());
+    let shown = Shown::new(arguments.live);
+    let mut desk = Terminal::new(kind, arguments.yes, cancel.clone(), shown.clone());
     let asked_to_end = cancel.clone();
     let ended = until_signal(move || conduct(&order, &mut desk, &asked_to_end), &cancel, None);
+    // Also where the session itself is not waited for any more.
+    shown.close();
     let (result, signal) = match ended {
         Ok(Ended::Done(result, signal)) => (result, signal),
         Ok(Ended::GivenUp(signal)) => (Err(AcceptError::Cancelled), Some(signal)),
@@ -162,6 +169,7 @@ fn order(arguments: &Session) -> Result<Order, Exit> {
         seed: None,
         jobs: None,
         shard: None,
+        live: false,
         format: Format::Human,
     };
     let clock = clock(&like_a_run).map_err(invalid)?;

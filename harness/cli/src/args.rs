@@ -133,6 +133,9 @@ pub(crate) struct Run {
     /// Play the K-th of N parts of the scenarios
     #[arg(long, value_name = "K/N")]
     pub(crate) shard: Option<Shard>,
+    /// Show in the terminal what passes while it does; without a terminal nothing is shown
+    #[arg(long)]
+    pub(crate) live: bool,
     /// What standard output shows
     #[arg(long, value_enum, default_value_t = Format::Human)]
     pub(crate) format: Format,
@@ -232,6 +235,9 @@ pub(crate) struct Emulate {
     /// End by itself after so many seconds
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
+    /// Show in the terminal what passes while it does; without a terminal nothing is shown
+    #[arg(long)]
+    pub(crate) live: bool,
 }
 
 /// `platebench trust`

@@ -3,14 +3,14 @@
 use crate::args::{Emulate, Pacing};
 use crate::exit::Exit;
 use crate::signals::Ended;
-use crate::{output, signals};
-use crossterm::event::{Event, KeyCode, KeyEventKind, poll, read};
+use crate::{live, output, signals};
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
+use platebench_live::{INTERRUPT, Show, Subject, Teller, Told, View, watch_keys};
 use platebench_plate::Time;
 use platebench_rig::{AnyLink, Faulty, RigSpec, Session, Terminal};
 use platebench_runner::real_time::{Consumer, Emulated, emulate as play};
 use platebench_runner::trial::Order;
-use platebench_runner::{Cancel, Hand, Held, Pace};
+use platebench_runner::{Cancel, Hand, Held, Pace, Watch};
 use platebench_scenario::{Scenario, load};
 use platebench_trace::{Flags, Row};
 use platebench_wire::LawId;
@@ -26,6 +26,7 @@ const SHOW_EVERY: [Duration; 2] = [Duration::from_millis(200), Duration::from_se
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// 100 days: whoever is at the plate ends it, not the scenario.
 const ENDLESS: Time = Time::from_nanos(100 * 24 * 3_600_000_000_000);
+const LIVE_KEYS: &str = "f/F finger  t/T plate  s/S setpoint  r release, cool down  q quit, plate at 0 V";
 const KEYS: &str =
     "keys: f/F finger -/+ 0.25 N, t/T plate -/+ 1 K, s/S setpoint -/+ 0.1 µm, r release and cool down, q quit";
 
@@ -63,7 +64,17 @@ pub(crate) fn emulate(arguments: &Emulate) -> Exit {
         output::error(&error.to_string());
         return Exit::Invalid;
     }
-    let plate = Plate { scenario: endless(scenario), law, pace };
+    let subject = Subject {
+        command: "emulate",
+        place: arguments.port.clone(),
+        lockstep: false,
+        jobs: 1,
+        keys: LIVE_KEYS,
+        shows: vec![Show::of(&scenario).endless()],
+    };
+    let (view, watch) = if arguments.live { live::open(subject) } else { Default::default() };
+    let teller = view.as_ref().map(View::teller);
+    let plate = Plate { scenario: endless(scenario), law, pace, teller, watch };
     let cancel = Cancel::default();
     let end = arguments.seconds.map(Duration::from_secs_f64);
     let emulating = {
@@ -76,8 +87,10 @@ pub(crate) fn emulate(arguments: &Emulate) -> Exit {
         }
     };
     // However this ends, the terminal is the user's again.
-    let _raw = Raw::enter();
-    match signals::until_signal(emulating, &cancel, end) {
+    let raw = view.is_none().then(Raw::enter);
+    let ended = signals::until_signal(emulating, &cancel, end);
+    drop((view, raw));
+    match ended {
         Ok(Ended::Done(exit, None)) => exit,
         Ok(Ended::Done(_, Some(number)) | Ended::GivenUp(number)) => Exit::Signal(number),
         Err(error) => {
@@ -135,7 +148,7 @@ impl Place {
     }
 
     /// The line, or how the program ends without it.
-    fn open(&self) -> Result<AnyLink, Exit> {
+    fn open(&self, teller: Option<&Teller>) -> Result<AnyLink, Exit> {
         let refused = |error: &dyn std::fmt::Display, exit| {
             output::error(&error.to_string());
             exit
@@ -143,7 +156,10 @@ impl Place {
         match self {
             Self::Terminal => {
                 let terminal = Terminal::open().map_err(|error| refused(&error, Exit::Unreachable))?;
-                output::show(&format!("port: {}\n", terminal.path()));
+                match teller {
+                    Some(teller) => teller.tell(Told::Place(terminal.path().to_owned())),
+                    None => output::show(&format!("port: {}\n", terminal.path())),
+                }
                 Ok(Box::new(terminal))
             }
             Self::Serial(rig) => rig.connect_in_real_time().map_err(|error| {
@@ -157,13 +173,16 @@ struct Plate {
     scenario: Scenario,
     law: LawId,
     pace: Pace,
+    /// The live view, where there is one.
+    teller: Option<Teller>,
+    watch: Watch,
 }
 
 impl Plate {
     /// One controller after the other, until the end is asked for.
     fn serve(&self, port: &Place, cancel: &Cancel) -> Exit {
         let hand = Arc::new(Hand::default());
-        let mut link = match port.open() {
+        let mut link = match port.open(self.teller.as_ref()) {
             Ok(link) => link,
             Err(exit) => return exit,
         };
@@ -171,7 +190,10 @@ impl Plate {
             let held = Held { setpoint_um: self.scenario.setpoint.range().1, ..Held::default() };
             let (hand, cancel) = (Arc::clone(&hand), cancel.clone());
             // Not waited for: a terminal that hung up keeps it for ever. It ends with the program.
-            thread::spawn(move || watch_keys(held, &hand, &cancel));
+            if self.teller.is_none() {
+                note(KEYS);
+            }
+            thread::spawn(move || take_keys(held, &hand, &cancel));
         }
         note("waiting for a controller");
         while !cancel.is_cancelled() {
@@ -187,7 +209,10 @@ impl Plate {
             note(&format!("controller: {}", session.firmware_name()));
             let order = Order { scenario: &self.scenario, law: self.law, index: 0, wire_time: false, own_clock: true };
             loop {
-                match play(&mut session, &order, self.pace, cancel, &hand, show) {
+                let mut lent = self.watch.lend(0, 0);
+                // Whoever looks on has a queue of its own.
+                let take = if self.teller.is_some() { ignore } else { show };
+                match play(&mut session, &order, self.pace, cancel, &hand, lent.tap(), take) {
                     Emulated::Stopped(reason) => {
                         let reason = reason.as_deref().unwrap_or("no cause given");
                         note(&format!("the controller has stopped ({reason}); it is configured anew"));
@@ -256,27 +281,25 @@ fn line(row: &Row) -> String {
     )
 }
 
-/// Keys move the hand until the end.
-fn watch_keys(mut held: Held, hand: &Hand, cancel: &Cancel) {
-    note(KEYS);
-    while !cancel.is_cancelled() {
-        if !poll(CALL_EVERY / 5).unwrap_or(false) {
-            continue;
-        }
-        let Ok(Event::Key(key)) = read() else { continue };
-        if key.kind == KeyEventKind::Release {
-            continue;
-        }
-        let interrupt =
-            key.code == KeyCode::Char('c') && key.modifiers.contains(crossterm::event::KeyModifiers::CONTROL);
-        if interrupt || key.code == KeyCode::Char('q') {
-            cancel.cancel();
-        } else if let KeyCode::Char(letter) = key.code
-            && turned(&mut held, letter)
-        {
-            hand.hold(held);
-        }
+/// Takes rows that are shown otherwise.
+fn ignore(mut rows: Consumer<Row>) {
+    while !rows.is_abandoned() {
+        while rows.pop().is_ok() {}
+        thread::sleep(LOOK_EVERY);
     }
+}
+
+/// Keys move the hand until the end.
+fn take_keys(mut held: Held, hand: &Hand, cancel: &Cancel) {
+    watch_keys(
+        || cancel.is_cancelled(),
+        |key| match key {
+            // In a raw terminal Ctrl-C is a key.
+            'q' | INTERRUPT => cancel.cancel(),
+            letter if turned(&mut held, letter) => hand.hold(held),
+            _ => {}
+        },
+    );
 }
 
 /// Beside the status line, which has no end of its own; a raw terminal does not go back to the left by itself.

@@ -11,6 +11,7 @@ mod desk;
 mod emulate;
 mod exit;
 mod identify;
+mod live;
 mod logging;
 mod output;
 mod plate_file;

@@ -3,11 +3,12 @@
 use crate::args::{Clock, Pacing, PlateMode, Run};
 use crate::desk::Desk;
 use crate::exit::Exit;
-use crate::output;
 use crate::signals::{PATIENCE, Signals};
+use crate::{live, output};
+use platebench_live::{Told, View};
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
 use platebench_rig::{RigSpec, check_baud};
-use platebench_runner::{Cancel, Event, Pace, Plan, RunError, RunFolder, rejudge};
+use platebench_runner::{Cancel, Event, Pace, Plan, RunError, RunFolder, Watch, rejudge};
 use platebench_scenario::{Scenario, find};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
@@ -69,6 +70,16 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
         kind => kind,
     };
     match play(plan, &folder, arguments.rig.clone(), kind, Desk::new(is_real && !arguments.yes)) {
+    let looks = arguments.live.then(|| live::open(live::subject("run", live::KEYS, &plan)));
+    let (view, watch) = looks.unwrap_or_default();
+    let kind = if quiet || view.is_some() { ProgressKind::Quiet } else { ProgressKind::detect() };
+    if let Some(view) = &view {
+        view.quit_on_q();
+    }
+    let played = play(plan, &folder, arguments.rig.clone(), kind, view.as_ref(), watch);
+    // What is said from here on is for the terminal as it was.
+    drop(view);
+    match played {
         Ok(record) => finish(&record, &folder, arguments),
         Err((error, signal)) => {
             explain(&error, &folder);
@@ -181,11 +192,14 @@ fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Sce
 
 /// Plays the plan on threads of its own while this one listens for signals and tells of progress.
 pub(crate) fn play(
+fn play(
     plan: Plan,
     folder: &RunFolder,
     rig: RigSpec,
     kind: ProgressKind,
     desk: Desk,
+    view: Option<&View>,
+    watch: Watch,
 ) -> Result<RunRecord, (RunError, Option<u8>)> {
     let without_signal = |error: std::io::Error| (RunError::Bench(error.to_string()), None);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(without_signal)?;
@@ -207,6 +221,7 @@ pub(crate) fn play(
                     }
                 };
                 platebench_runner::run_attended(&plan, &folder, &connect, &cancel, &desk, &mut tell)
+                platebench_runner::run_watched(&plan, &folder, &connect, &cancel, &mut tell, &watch)
             })
         };
         let mut progress = Progress::new(kind);
@@ -216,6 +231,9 @@ pub(crate) fn play(
             let number = tokio::select! {
                 Some(event) = events.recv() => {
                     follow(&mut progress, &event);
+                    if let (Some(view), Some(news)) = (view, Told::of(&event)) {
+                        view.tell(news);
+                    }
                     continue;
                 }
                 ended = &mut playing => {

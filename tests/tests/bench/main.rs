@@ -19,6 +19,7 @@ mod identify;
 mod layout;
 mod line;
 mod real_plate;
+mod live;
 mod real_time;
 mod rigs;
 mod safe_exit;

@@ -21,7 +21,7 @@ const EXPECT: &str =
     "metric = \"settling_time_ms\"\nat_most = 2.0\n[[expect]]\nmetric = \"static_error_percent\"\nat_most = 0.1";
 
 /// Every trace of a run by its path.
-fn traces(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+pub(crate) fn traces(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut open = vec![folder.join("traces")];
     while let Some(below) = open.pop() {

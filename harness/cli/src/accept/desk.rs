@@ -1,11 +1,12 @@
 //! The person at the terminal, where there is one.
 
+use crate::live::Shown;
 use crate::run::follow;
 use platebench_acceptance::plan::AnswerKind;
 use platebench_acceptance::session::StepRecord;
 use platebench_acceptance::{Answer, Desk, Question};
 use platebench_report::{Progress, ProgressKind};
-use platebench_runner::{Cancel, Event};
+use platebench_runner::{Cancel, Event, Plan, Watch};
 use std::io::{IsTerminal, Write, stderr, stdin};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
@@ -22,10 +23,11 @@ pub(crate) struct Terminal {
     /// What is typed, line by line; only where a person can type.
     lines: Option<Receiver<String>>,
     cancel: Cancel,
+    shown: Shown,
 }
 
 impl Terminal {
-    pub(crate) fn new(kind: ProgressKind, yes: bool, cancel: Cancel) -> Self {
+    pub(crate) fn new(kind: ProgressKind, yes: bool, cancel: Cancel, shown: Shown) -> Self {
         let lines = (!yes && stdin().is_terminal()).then(|| {
             let (sender, lines) = channel();
             // It waits for the next line for as long as the program lives.
@@ -39,7 +41,7 @@ impl Terminal {
             });
             lines
         });
-        Self { kind, progress: None, yes, lines, cancel }
+        Self { kind, progress: None, yes, lines, cancel, shown }
     }
 
     /// The next line; `None` where the session was ended, or nobody types any more.
@@ -93,6 +95,7 @@ impl Desk for Terminal {
     }
 
     fn ended(&mut self, step: &StepRecord) {
+        self.shown.close();
         if let Some(mut progress) = self.progress.take() {
             progress.finish();
         }
@@ -101,7 +104,15 @@ impl Desk for Terminal {
         self.say(&format!("{}  {verdict}{reason}\n", step.id));
     }
 
+    fn watch(&mut self, plan: &Plan) -> Watch {
+        let Some(watch) = self.shown.open(plan) else { return Watch::default() };
+        // The picture shows how far it is.
+        self.progress = None;
+        watch
+    }
+
     fn event(&mut self, event: &Event) {
+        self.shown.tell(event);
         if let Some(progress) = &mut self.progress {
             follow(progress, event);
         }
