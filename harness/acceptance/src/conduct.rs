@@ -22,7 +22,9 @@ use jiff::Timestamp;
 use platebench_report::{html, traceability};
 use platebench_rig::{Emulated, RigSpec};
 use platebench_runner::folder::{hexadecimal, sha256};
-use platebench_runner::{Cancel, Clock, Event, Pacing, RunError, RunFolder, Watch, rejudge, run_watched};
+use platebench_runner::{
+    Cancel, Clock, Company, Event, Nobody, Pacing, RunError, RunFolder, Watch, rejudge, run_in_company,
+};
 use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, Tool};
 use platebench_verdict::{RunRecord, Verdict, record};
 use std::fs::{self, File, TryLockError};
@@ -329,8 +331,9 @@ impl<'a> Session<'a> {
         };
         let run_folder = RunFolder::create(Some(folder)).map_err(RunError::from)?;
         let watch = desk.watch(&plan);
+        let company = Company { person: &Nobody, watch: &watch };
         let record =
-            run_watched(&plan, &run_folder, &|| self.connect(), cancel, &mut |event| desk.event(&event), &watch)?;
+            run_in_company(&plan, &run_folder, &|| self.connect(), cancel, company, &mut |event| desk.event(&event))?;
         let played = record.rig.firmware.as_ref();
         if let (Some(played), Some(known)) = (played, &self.record.firmware)
             && *played != known.firmware

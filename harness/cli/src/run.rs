@@ -8,7 +8,7 @@ use crate::{live, output};
 use platebench_live::{Told, View};
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
 use platebench_rig::{RigSpec, check_baud};
-use platebench_runner::{Cancel, Event, Pace, Plan, RunError, RunFolder, Watch, rejudge};
+use platebench_runner::{Cancel, Company, Event, Pace, Plan, RunError, RunFolder, Watch, rejudge};
 use platebench_scenario::{Scenario, find};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
@@ -69,14 +69,17 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
         ProgressKind::Bars if is_real => ProgressKind::Lines,
         kind => kind,
     };
-    match play(plan, &folder, arguments.rig.clone(), kind, Desk::new(is_real && !arguments.yes)) {
-    let looks = arguments.live.then(|| live::open(live::subject("run", live::KEYS, &plan)));
+    if arguments.live && is_real {
+        output::note("no live view: what is asked of the person at the plate has the terminal for itself");
+    }
+    let looks = (arguments.live && !is_real).then(|| live::open(live::subject("run", live::KEYS, &plan)));
     let (view, watch) = looks.unwrap_or_default();
-    let kind = if quiet || view.is_some() { ProgressKind::Quiet } else { ProgressKind::detect() };
+    let kind = if view.is_some() { ProgressKind::Quiet } else { kind };
     if let Some(view) = &view {
         view.quit_on_q();
     }
-    let played = play(plan, &folder, arguments.rig.clone(), kind, view.as_ref(), watch);
+    let around = Around { desk: Desk::new(is_real && !arguments.yes), view: view.as_ref(), watch };
+    let played = play(plan, &folder, arguments.rig.clone(), kind, around);
     // What is said from here on is for the terminal as it was.
     drop(view);
     match played {
@@ -190,17 +193,29 @@ fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Sce
     Ok(scenarios)
 }
 
+/// Who is there while a run is played, and what they look at.
+pub(crate) struct Around<'a> {
+    pub(crate) desk: Desk,
+    pub(crate) view: Option<&'a View>,
+    pub(crate) watch: Watch,
+}
+
+impl Around<'_> {
+    /// Nobody.
+    pub(crate) fn nobody() -> Self {
+        Self { desk: Desk::new(false), view: None, watch: Watch::default() }
+    }
+}
+
 /// Plays the plan on threads of its own while this one listens for signals and tells of progress.
 pub(crate) fn play(
-fn play(
     plan: Plan,
     folder: &RunFolder,
     rig: RigSpec,
     kind: ProgressKind,
-    desk: Desk,
-    view: Option<&View>,
-    watch: Watch,
+    around: Around<'_>,
 ) -> Result<RunRecord, (RunError, Option<u8>)> {
+    let Around { desk, view, watch } = around;
     let without_signal = |error: std::io::Error| (RunError::Bench(error.to_string()), None);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(without_signal)?;
     let cancel = Cancel::default();
@@ -220,8 +235,8 @@ fn play(
                         rig.connect_in_real_time()
                     }
                 };
-                platebench_runner::run_attended(&plan, &folder, &connect, &cancel, &desk, &mut tell)
-                platebench_runner::run_watched(&plan, &folder, &connect, &cancel, &mut tell, &watch)
+                let company = Company { person: &desk, watch: &watch };
+                platebench_runner::run_in_company(&plan, &folder, &connect, &cancel, company, &mut tell)
             })
         };
         let mut progress = Progress::new(kind);

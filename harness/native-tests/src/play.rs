@@ -103,7 +103,7 @@ impl Stage {
         let run = RunFolder::create(Some(folder))?;
         let connect = || match self.clock {
             Clock::Lockstep { .. } => self.rig.connect(),
-            Clock::RealTime(_) => self.rig.connect_in_real_time(),
+            Clock::RealTime(_) | Clock::OwnPlate => self.rig.connect_in_real_time(),
         };
         let record = platebench_runner::run(plan, &run, &connect, &Cancel::default(), &mut |_| {})?;
         junit::write(&record, &folder.join(junit::FILE))?;

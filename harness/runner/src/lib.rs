@@ -38,7 +38,7 @@ pub use folder::{FolderError, RunFolder};
 pub use real_plate::{Answer, Nobody, Person};
 pub use real_time::{Hand, Pace, Pacing};
 pub use rejudge::{RejudgeError, rejudge};
-pub use run::{Cancel, Clock, Plan, RunError, run, run_attended, run_watched};
+pub use run::{Cancel, Clock, Company, Plan, RunError, run, run_in_company};
 pub use stage::Held;
 pub use trend::inputs_digest;
 pub use watch::{Viewer, Watch};

@@ -140,25 +140,30 @@ pub fn run(
     cancel: &Cancel,
     tell: &mut dyn FnMut(Event),
 ) -> Result<RunRecord, RunError> {
-    run_attended(plan, folder, connect, cancel, &Nobody, tell)
+    let company = Company { person: &Nobody, watch: &Watch::default() };
+    run_in_company(plan, folder, connect, cancel, company, tell)
 }
 
-/// As [`run`], with somebody at the plate where that is a real one.
+/// Who is there while a run goes on.
+#[derive(Clone, Copy)]
+pub struct Company<'a> {
+    /// Somebody at the plate, where that is a real one.
+    pub person: &'a dyn Person,
+    /// Somebody who looks on: of trials that go on at once at one of them.
+    pub watch: &'a Watch,
+}
+
+/// As [`run()`], in company.
 ///
 /// # Errors
-/// [`RunError`]; what was whole by then can still be judged and reported.
-pub fn run_attended(
-    run_watched(plan, folder, connect, cancel, tell, &Watch::default())
-/// As [`run()`], while somebody looks on: of trials that go on at once at one of them.
 /// As for [`run()`].
-pub fn run_watched(
+pub fn run_in_company(
     plan: &Plan,
     folder: &RunFolder,
     connect: &Connect<'_>,
     cancel: &Cancel,
-    person: &dyn Person,
+    company: Company<'_>,
     tell: &mut dyn FnMut(Event),
-    watch: &Watch,
 ) -> Result<RunRecord, RunError> {
     let laws = plan.scenarios.iter().map(configure::law).collect::<Result<Vec<_>, _>>();
     let laws = laws.map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
@@ -193,8 +198,7 @@ pub fn run_watched(
         *session = Some(first);
     }
     let unconfirmed = AtomicBool::new(false);
-    let run = Run { plan, laws: &laws, folder, connect, cancel, person, unconfirmed: &unconfirmed };
-    let run = Run { plan, laws: &laws, folder, connect, cancel, watch, unconfirmed: &unconfirmed };
+    let run = Run { plan, laws: &laws, folder, connect, cancel, company, unconfirmed: &unconfirmed };
     let played = play(run, &mut sessions, &mut record, tell);
     // However it ended, what the controllers say of 0 V is in the record.
     for session in &mut sessions {
@@ -232,8 +236,7 @@ struct Run<'a> {
     folder: &'a RunFolder,
     connect: &'a Connect<'a>,
     cancel: &'a Cancel,
-    person: &'a dyn Person,
-    watch: &'a Watch,
+    company: Company<'a>,
     /// Set where a controller was let go that did not confirm 0 V.
     unconfirmed: &'a AtomicBool,
 }
@@ -421,11 +424,9 @@ impl Work<'_> {
         };
         let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
         let order = Order { scenario, law, index: task.index, wire_time, own_clock: self.run.plan.own_clock };
-        let mut lent = self.run.watch.lend(task.scenario, task.index);
+        let mut lent = self.run.company.watch.lend(task.scenario, task.index);
         let played = match self.run.plan.clock {
-            Clock::Lockstep { .. } => trial::play(open, &order, self.run.cancel),
-            Clock::RealTime(pace) => real_time::play(open, &order, pace, self.run.cancel),
-            Clock::OwnPlate => real_plate::play(open, &order, self.run.person, self.run.cancel)?,
+            Clock::OwnPlate => real_plate::play(open, &order, self.run.company.person, self.run.cancel)?,
             Clock::Lockstep { .. } => trial::play_watched(open, &order, self.run.cancel, lent.tap()),
             Clock::RealTime(pace) => real_time::play_watched(open, &order, pace, self.run.cancel, lent.tap()),
         };

@@ -4,7 +4,7 @@
 
 use platebench_rig::RigSpec;
 use platebench_runner::watch::{Counts, Sight};
-use platebench_runner::{Cancel, Clock, Pace, Pacing, Plan, RunFolder, Viewer, Watch, run_watched};
+use platebench_runner::{Cancel, Clock, Company, Pace, Pacing, Plan, RunFolder, Viewer, Watch, run_in_company};
 use platebench_scenario::{Direction, Scenario, load};
 use platebench_trace::{Flags, Row, read};
 use platebench_verdict::RunRecord;
@@ -36,7 +36,8 @@ fn played(plan: &Plan, watch: &Watch) -> (RunRecord, Vec<Vec<u8>>) {
         Clock::Lockstep { .. } => RigSpec::Hosted.connect(),
         Clock::RealTime(_) => RigSpec::Hosted.connect_in_real_time(),
     };
-    let record = run_watched(plan, &folder, &connect, &Cancel::default(), &mut |_| {}, watch).unwrap();
+    let company = Company { person: &Nobody, watch };
+    let record = run_in_company(plan, &folder, &connect, &Cancel::default(), company, &mut |_| {}).unwrap();
     let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials);
     let traces = trials.map(|trial| fs::read(folder.path().join(&trial.trace)).unwrap()).collect();
     (record, traces)

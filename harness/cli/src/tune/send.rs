@@ -1,10 +1,9 @@
 //! Gains to a rig: who is there, whether it takes them, and one step that shows what they do.
 
 use crate::args::Clock;
-use crate::desk::Desk;
 use crate::exit::Exit;
 use crate::output;
-use crate::run::{default_clock, play};
+use crate::run::{Around, default_clock, play};
 use crate::tune::write::shortest;
 use platebench_analysis::tuning::design::Demand;
 use platebench_report::ProgressKind;
@@ -75,7 +74,7 @@ pub(super) fn send(rig: &RigSpec, order: &Order<'_>) -> Result<Verified, Exit> {
         rig: rig.to_string(),
         overrides: Overrides::default(),
     };
-    let record = play(plan, &folder, rig.clone(), ProgressKind::Quiet, Desk::new(false))
+    let record = play(plan, &folder, rig.clone(), ProgressKind::Quiet, Around::nobody())
         .map_err(|(error, signal)| signal.map_or_else(|| run_error(error), Exit::Signal))?;
     Ok(verified(rig, firmware, folder.path().to_owned(), &record))
 }
