@@ -120,6 +120,7 @@ fn prepare(scenario: &Scenario, person: &dyn Person, patience: &impl Patience) -
             thread::sleep(NAP);
         }
     }
+    person.cue("the trial runs", 0);
     Some(prepared)
 }
 

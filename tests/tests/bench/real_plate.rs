@@ -223,8 +223,11 @@ fn a_person_warms_and_presses_and_the_force_is_measured() {
     scenario(&workshop, 300.0, TOUCHED, HOLDS);
     for attempt in 1..=ATTEMPTS {
         let (code, record, said) = attended(&workshop, "", |prompt, surroundings| {
-            let state = if prompt.contains("1 N") { "1.1 2" } else { "0 2" };
-            fs::write(surroundings, state).unwrap();
+            if prompt.contains("26 °C") {
+                fs::write(surroundings, "0 2").unwrap();
+            } else if prompt.contains("1 N") {
+                fs::write(surroundings, "1.1 2").unwrap();
+            }
         });
         if trial(&record).cause.is_some() && attempt < ATTEMPTS {
             continue;

@@ -18,8 +18,8 @@ struct Cue {
 /// What is still to be said, in order.
 #[derive(Debug)]
 pub(super) struct Cues {
-    cues: Vec<Cue>,
-    /// Seconds before the instant, of the cue that is next.
+    whole: Vec<Cue>,
+    /// When each is said, with the seconds that are left then and its number.
     said: Vec<(Time, u32, usize)>,
     next: usize,
 }
@@ -66,7 +66,7 @@ impl Cues {
             said.extend(instants.into_iter().filter_map(|(at, left)| Some((Time::from_nanos(at?), left, number))));
         }
         said.sort_by_key(|(at, left, _)| (*at, *left));
-        Self { cues, said, next: 0 }
+        Self { whole: cues, said, next: 0 }
     }
 
     /// The next thing to be said by `now`, with the seconds that are left for it.
@@ -76,7 +76,7 @@ impl Cues {
             return None;
         }
         self.next += 1;
-        self.cues.get(number).map(|cue| (cue.what.as_str(), left))
+        self.whole.get(number).map(|cue| (cue.what.as_str(), left))
     }
 }
 
