@@ -4,7 +4,7 @@
 
 use platebench_rig::RigSpec;
 use platebench_runner::watch::{Counts, Sight};
-use platebench_runner::{Cancel, Clock, Company, Pace, Pacing, Plan, RunFolder, Viewer, Watch, run_in_company};
+use platebench_runner::{Cancel, Clock, Company, Nobody, Pace, Pacing, Plan, RunFolder, Viewer, Watch, run_in_company};
 use platebench_scenario::{Direction, Scenario, load};
 use platebench_trace::{Flags, Row, read};
 use platebench_verdict::RunRecord;

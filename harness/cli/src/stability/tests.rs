@@ -34,7 +34,7 @@ fn the_largest_steps_of_methods_stand_beside_theory_everywhere() {
     assert!(row("Störmer-Verlet", "carrier").contains("3.142 points per period"), "{text}");
     assert!(row("exact", "modal").contains("no limit   no limit"), "{text}");
     assert!(text.find("Methods").unwrap() < text.find("Loops").unwrap(), "{text}");
-    let rows = limits(&read_plate(&arguments(None).plate).unwrap());
+    let rows = limits(&crate::plate_file::read(&arguments(None).plate).unwrap());
     let csv = fs::read_to_string(out.join("methods.csv")).unwrap();
     assert_eq!(csv.lines().count(), 1 + rows.len());
     for row in &rows {
