@@ -59,7 +59,7 @@ pub(crate) fn open_loop_of(record: &RunRecord, scenario: &ScenarioRecord) -> Opt
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_verdict::{Evidence, ExpectationRecord, Telemetry};
+    use platebench_verdict::{Definition, Evidence, ExpectationRecord, Telemetry};
     use serde_json::{Map, json};
 
     #[test]
@@ -76,6 +76,7 @@ mod tests {
             reason: None,
             paper: None,
             requirement: None,
+            definition: Definition::default(),
             evidence: Evidence::default(),
         };
         let metrics = |value: f64| Map::from_iter([("static_error_percent".to_owned(), json!(value))]);

@@ -175,7 +175,7 @@ pub fn unit(metric: &str) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_verdict::Evidence;
+    use platebench_verdict::{Definition, Evidence};
     use rstest::rstest;
 
     #[rstest]
@@ -206,6 +206,7 @@ mod tests {
             reason: None,
             paper: None,
             requirement: None,
+            definition: Definition::default(),
             evidence: Evidence::default(),
         };
         assert_eq!(value(&expectation).unwrap(), "2.00004");

@@ -8,6 +8,7 @@ pub use timing::{Quantiles, Timing};
 
 mod cost;
 pub use cost::{Cost, CostChange, CostTrend, EarlierCost};
+use platebench_scenario::Expectation;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -245,9 +246,39 @@ pub struct ExpectationRecord {
     pub paper: Option<f64>,
     /// Identifier of a requirement.
     pub requirement: Option<String>,
+    /// What the metric was measured by, as far as the metric has it; empty in records of a bench that did not say.
+    #[serde(flatten)]
+    pub definition: Definition,
     /// What else the trials show.
     #[serde(default, skip_serializing_if = "Evidence::is_empty")]
     pub evidence: Evidence,
+}
+
+/// The choices of the scenario that are part of a metric's definition. Only what applies is there.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Definition {
+    /// Instant from which on was looked, ms; not there where the scenario names none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from_ms: Option<f64>,
+    /// Half width of the band around the setpoint, percent of the setpoint.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub band_percent: Option<f64>,
+    /// Column of the trace that was looked at.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub signal: Option<String>,
+}
+
+impl Definition {
+    /// What of `expectation` belongs to its metric's definition.
+    pub fn of(expectation: &Expectation) -> Self {
+        let metric = expectation.metric;
+        Self {
+            from_ms: expectation.from.filter(|_| metric.has_from()).map(|from| from.ms()),
+            band_percent: metric.has_band().then_some(expectation.band_percent),
+            signal: metric.has_signal().then(|| expectation.signal.to_owned()),
+        }
+    }
 }
 
 /// What trials show beside the verdict, and how it was found. Only what applies is there.

@@ -5,7 +5,7 @@ use platebench_verdict::record::{
     Cost, CostTrend, EarlierCost, FORMAT, Firmware, Host, InputRecord, Overrides, RigRecord, Tool,
 };
 use platebench_verdict::{
-    Cause, Evidence, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict,
+    Cause, Definition, Evidence, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict,
 };
 use serde_json::{Map, Value, json};
 use std::fs;
@@ -71,6 +71,7 @@ pub(crate) fn passed(metric: &str, limit: (&str, Value), value: f64) -> Expectat
         reason: None,
         paper: None,
         requirement: None,
+        definition: Definition::default(),
         evidence: Evidence::default(),
     }
 }

@@ -3,7 +3,7 @@
 use super::TrialMeasures;
 use super::finding::{Finding, Held, badness, between, held, limit_record, percent};
 use crate::metrics::Measure;
-use crate::record::{Cause, Evidence, ExpectationRecord, Verdict};
+use crate::record::{Cause, Definition, Evidence, ExpectationRecord, Verdict};
 use crate::statistics::equivalence::widened;
 use crate::statistics::proportion::clopper_pearson;
 use crate::statistics::quantile::{fewest_for_bound, quantile_bounds};
@@ -63,6 +63,7 @@ impl Case<'_> {
             reason: finding.reason,
             paper: self.expectation.paper,
             requirement: self.expectation.requirement.clone(),
+            definition: Definition::of(self.expectation),
             evidence: finding.evidence,
         }
     }

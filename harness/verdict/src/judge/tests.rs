@@ -705,3 +705,17 @@ fn a_controller_on_the_limit_passes_in_one_run_of_twenty() {
     let agreeing = pass_rate("metric = \"repeatability_percent\", about = 1.3", 30, |z| 100.0 + 1.3 * z);
     assert!((agreeing - 0.95).abs() < 0.015, "{agreeing}");
 }
+
+#[rstest]
+#[case("metric = \"settling_time_ms\", at_most = 2.0", (None, Some(5.0), Some("amplitude_um")))]
+#[case("metric = \"settling_time_ms\", at_most = 2.0, from_ms = 20.0, band_percent = 1.0, signal = \"wd_um\"", (Some(20.0), Some(1.0), Some("wd_um")))]
+#[case("metric = \"overshoot_percent\", at_most = 2.0, from_ms = 3.0", (Some(3.0), None, Some("amplitude_um")))]
+#[case("metric = \"drive_peak_vpp\", at_most = 900.0", (None, None, None))]
+fn what_a_metric_was_measured_by_is_recorded(
+    #[case] expect: &str,
+    #[case] expected: (Option<f64>, Option<f64>, Option<&str>),
+) {
+    let scenario = Build { expect: &[expect], ..ONE }.scenario();
+    let found = judged(&scenario, &trials(&[1.0])).definition;
+    assert_eq!((found.from_ms, found.band_percent, found.signal.as_deref()), expected);
+}

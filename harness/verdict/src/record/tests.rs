@@ -31,6 +31,11 @@ fn record() -> RunRecord {
         reason: None,
         paper: Some(2.0),
         requirement: Some("ACC-1".to_owned()),
+        definition: Definition {
+            from_ms: Some(20.0),
+            band_percent: Some(1.0),
+            signal: Some("amplitude_um".to_owned()),
+        },
         evidence: Evidence {
             method: Some("clopper-pearson".to_owned()),
             failure_rate: Some([0.0, 0.095]),
@@ -51,6 +56,7 @@ fn record() -> RunRecord {
         limit: map(&json!({ "within": [1.0, 2.0] })),
         paper: None,
         requirement: None,
+        definition: Definition::default(),
         evidence: Evidence::default(),
         ..passed.clone()
     };
