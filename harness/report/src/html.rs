@@ -1,31 +1,47 @@
-//! `report.html`: a run on one page that needs nothing else: no script, no font, no picture from elsewhere.
+//! `report.html`: a run on one page that needs nothing else: no font, no picture, no script from elsewhere. Without scripts everything can be read; with them
+//! the plots move.
 //!
-//! * `bundle`, `curves`: traces to what can be shown of them.
+//! * `bundle`, `curves`, `grid`, `golden`, `resolution`: traces to what can be shown of them.
 //! * `figure`, `plot`: curves to drawings.
-//! * `summary`, `scenario`, `cost`, `environment`: the page's parts.
+//! * `interactive`, `pack`, `script`: curves to plots.
+//! * `summary`, `against`, `scenario`, `cost`, `environment`: the page's parts.
 //!
 //! Neighbours: the record is shown as it is. What did not pass comes first.
 
+mod against;
 mod bundle;
 mod cost;
 pub(crate) mod curves;
 mod environment;
 mod figure;
+mod golden;
+mod grid;
+mod interactive;
+mod pack;
 pub(crate) mod plot;
+mod resolution;
 mod scenario;
+mod script;
 mod summary;
 
 use crate::error::ReportError;
 use crate::evidence;
-use bundle::Bundle;
+use crate::history::History;
+use against::Other;
+use bundle::{Bundle, TRIALS};
 use figure::Behind;
+use golden::Curves;
+use interactive::Beside;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
+use resolution::Resolution;
 use std::fs;
 use std::path::Path;
 
 /// The file's name in a run folder.
 pub const FILE: &str = "report.html";
+/// The file's name where two runs stand side by side.
+pub const COMPARISON_FILE: &str = "comparison.html";
 
 pub(crate) const STYLE: &str = include_str!("html/style.css");
 
@@ -35,44 +51,143 @@ pub(crate) const STYLE: &str = include_str!("html/style.css");
 /// # Errors
 /// [`ReportError`] where the file cannot be written.
 pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
-    let page = page(record, folder)?.into_string();
-    let path = folder.join(FILE);
-    fs::write(&path, page).map_err(ReportError::io(&path))
+    Page::new(record, folder).write(&folder.join(FILE))
 }
 
-fn page(record: &RunRecord, folder: &Path) -> Result<Markup, ReportError> {
-    let bundles: Vec<Bundle> = record.scenarios.iter().map(|scenario| Bundle::read(scenario, folder)).collect();
-    let mut articles = Vec::new();
-    for (index, shown) in in_order(record) {
-        let Some(own) = bundles.get(index) else { continue };
-        let behind = evidence::open_loop_of(record, shown)
-            .and_then(|other| Some(Behind { scenario: record.scenarios.get(other)?, bundle: bundles.get(other)? }));
-        articles.push(scenario::article(index, shown, own, behind)?);
+/// A run as a page, and what stands beside it there.
+#[derive(Debug, Clone)]
+pub struct Page<'a> {
+    record: &'a RunRecord,
+    folder: &'a Path,
+    baselines: Option<&'a Path>,
+    other: Option<(&'a RunRecord, &'a Path)>,
+    history: History,
+}
+
+impl<'a> Page<'a> {
+    /// The run alone; its traces are looked for in `folder`.
+    pub fn new(record: &'a RunRecord, folder: &'a Path) -> Self {
+        Self { record, folder, baselines: None, other: None, history: History::default() }
     }
-    Ok(html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (record.verdict) " · " (record.tool.name) " " (record.started) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                header { (summary::head(record)) }
-                main {
-                    (summary::open_points(record))
-                    (summary::scenarios(record))
-                    (summary::requirements(record))
-                    @for article in &articles { (article) }
-                    (cost::section(record))
-                    (environment::section(record))
-                }
-                footer { p { (record.tool.name) " " (record.tool.version) } }
-            }
+
+    /// With the golden traces in this folder and their tubes.
+    #[must_use]
+    pub fn with_baselines(self, folder: &'a Path) -> Self {
+        Self { baselines: Some(folder), ..self }
+    }
+
+    /// With what the runs in folders beside this one's say of what did not pass: since when.
+    #[must_use]
+    pub fn with_earlier_runs(self) -> Self {
+        Self { history: History::beside(self.folder, self.record), ..self }
+    }
+
+    /// With another run side by side.
+    #[must_use]
+    pub fn against(self, record: &'a RunRecord, folder: &'a Path) -> Self {
+        Self { other: Some((record, folder)), ..self }
+    }
+
+    /// Writes the page. What is missing, a trace or a baseline that cannot be read, is said where it would have stood.
+    ///
+    /// # Errors
+    /// [`ReportError`] where the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), ReportError> {
+        fs::write(path, self.markup()?.into_string()).map_err(ReportError::io(path))
+    }
+
+    fn other(&self) -> Option<Other<'a>> {
+        let (record, folder) = self.other?;
+        let name = folder.file_name().and_then(|name| name.to_str()).unwrap_or("the other run");
+        Some(Other { name, record })
+    }
+
+    fn articles(&self) -> Result<Vec<Markup>, ReportError> {
+        let record = self.record;
+        let most = record.scenarios.iter().map(|scenario| scenario.trials.len()).max().unwrap_or(0).min(TRIALS);
+        let resolution = Resolution::of(record.scenarios.len(), most);
+        let read = |scenario| Bundle::read(scenario, self.folder, resolution);
+        let bundles: Vec<Bundle> = record.scenarios.iter().map(read).collect();
+        let mut articles = Vec::new();
+        for (place, (index, shown)) in in_order(record).into_iter().enumerate() {
+            let Some(own) = bundles.get(index) else { continue };
+            let beyond = self.of_other_run(shown, own, resolution);
+            let open_loop = evidence::open_loop_of(record, shown).and_then(|other| {
+                let text = format!("open loop ({})", record.scenarios.get(other)?.file);
+                Some(Behind { text, bundle: bundles.get(other)? })
+            });
+            let behind = match &beyond {
+                Some((text, bundle)) => Some(Behind { text: text.clone(), bundle }),
+                None => open_loop,
+            };
+            let golden = self.baselines.map(|folder| Curves::read(folder, &shown.file, &own.grid));
+            let (golden, damaged) = match golden {
+                Some(Ok(golden)) => (golden, None),
+                Some(Err(error)) => (None, Some(error.to_string())),
+                None => (None, None),
+            };
+            let aligned =
+                behind.as_ref().and_then(|behind| Some((behind.text.clone(), behind.bundle.first_on(&own.grid)?)));
+            let beside = Beside {
+                golden: golden.as_ref(),
+                other: aligned.as_ref().map(|(text, sampled)| (text.clone(), sampled)),
+            };
+            let curves = interactive::scenario(own, &beside, &shown.title, resolution.overlaid);
+            let parts = scenario::Parts {
+                bundle: own,
+                behind: behind.as_ref(),
+                curves,
+                damaged,
+                points: resolution.points,
+                all: place < resolution.full,
+            };
+            articles.push(scenario::article(index, shown, &parts)?);
         }
-    })
+        Ok(articles)
+    }
+
+    /// The same scenario in the other run.
+    fn of_other_run(&self, shown: &ScenarioRecord, own: &Bundle, resolution: Resolution) -> Option<(String, Bundle)> {
+        let (other, (_, folder)) = (self.other()?, self.other?);
+        let scenario = other.scenario(&shown.file)?;
+        let first =
+            scenario.trials.iter().find(|trial| trial.index == own.first).or_else(|| scenario.trials.first())?;
+        let only = ScenarioRecord { trials: vec![first.clone()], ..scenario.clone() };
+        let bundle = Bundle::read(&only, folder, resolution);
+        Some((format!("trial {} of {}", first.index, other.name), bundle))
+    }
+
+    fn markup(&self) -> Result<Markup, ReportError> {
+        let record = self.record;
+        let articles = self.articles()?;
+        Ok(html! {
+            (DOCTYPE)
+            html lang="en" {
+                head {
+                    meta charset="utf-8";
+                    meta name="viewport" content="width=device-width, initial-scale=1";
+                    meta name="color-scheme" content="light dark";
+                    title { (record.verdict) " · " (record.tool.name) " " (record.started) }
+                    style { (PreEscaped(STYLE)) }
+                    (script::head())
+                }
+                body {
+                    header { (summary::head(record)) }
+                    main {
+                        (summary::open_points(record, &self.history))
+                        @if let Some(other) = self.other() { (against::section(record, other)) }
+                        (summary::scenarios(record))
+                        (summary::requirements(record))
+                        @for article in &articles { (article) }
+                        (cost::section(record))
+                        (environment::section(record))
+                    }
+                    footer { p { (record.tool.name) " " (record.tool.version) ". Plots: uPlot." } }
+                    (script::end())
+                }
+            }
+        })
+    }
 }
 
 /// Scenarios with their number in the record: failed, inconclusive, passed, each as they were played.

@@ -20,6 +20,7 @@ pub mod console;
 mod cost;
 mod error;
 mod evidence;
+mod history;
 pub mod html;
 pub mod identification;
 pub mod junit;

@@ -24,4 +24,6 @@ pub mod tube;
 
 pub use judge::{Decision, Judgement, TrialMeasures, judge, measure, sequential};
 pub use metrics::Measure;
-pub use record::{Cause, Definition, Evidence, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};
+pub use record::{
+    Cause, Definition, Evidence, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict,
+};

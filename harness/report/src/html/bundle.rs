@@ -3,20 +3,24 @@
 //! Neighbours: `curves` reduces, `figure` draws. What cannot be read is named, in words that fit into the report; it
 //! is no error.
 
-use super::curves::{self, Envelope, POINTS, Point, Signal, Window};
+use super::curves::{self, Envelope, Point, Signal, Window};
+use super::grid::Grid;
+use super::resolution::Resolution;
 use crate::evidence;
-use platebench_trace::{Row, TraceError};
-use platebench_verdict::{ScenarioRecord, TrialRecord, Verdict};
+use platebench_trace::{Flags, Row, TraceError};
+use platebench_verdict::{Definition, ScenarioRecord, TrialRecord, Verdict};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Trials whose traces are read; of more, also the one that decided a verdict.
-const TRIALS: usize = 30;
+pub(crate) const TRIALS: usize = 30;
 /// Points that are kept of a line that another scenario is shown against, in whatever window that takes.
 const OVERLAY_POINTS: usize = 4_000;
-/// Half width of the band that is drawn around the setpoint.
-pub(crate) const BAND: f64 = 0.05;
+/// Half width of the band in records that do not tell it, percent of the setpoint: what scenarios have unless they say otherwise.
+const BAND_PERCENT: f64 = 5.0;
+/// More instants of overruns are not marked.
+const OVERRUNS: usize = 200;
 
 /// What the figures of a scenario are made from.
 #[derive(Debug, Clone, Default)]
@@ -37,6 +41,58 @@ pub(crate) struct Bundle {
     pub(crate) missing: Vec<String>,
     /// |W| of the first trial.
     pub(crate) amplitude: Vec<Point>,
+    /// The band around the setpoint, and where it is looked at.
+    pub(crate) band: Band,
+    /// Instants of the interactive curves.
+    pub(crate) grid: Grid,
+    /// The trials there, in the order in which they were read.
+    pub(crate) sampled: Vec<Sampled>,
+    /// Where no sample of any trial was answered.
+    pub(crate) lost: Vec<Window>,
+    /// For which instants the bench was too late, over all trials, ms.
+    pub(crate) overruns: Vec<f64>,
+}
+
+/// A trial at the instants of the grid.
+#[derive(Debug, Clone)]
+pub(crate) struct Sampled {
+    pub(crate) index: u32,
+    /// With every peak.
+    pub(crate) lines: BTreeMap<Signal, Vec<Option<f64>>>,
+    /// At the very instants.
+    pub(crate) at: BTreeMap<Signal, Vec<Option<f64>>>,
+}
+
+/// A band around the setpoint.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Band {
+    /// Half width, percent of the setpoint.
+    pub(crate) percent: f64,
+    /// True where it is held around a component of the vibration instead of |W|.
+    pub(crate) of_components: bool,
+}
+
+impl Default for Band {
+    fn default() -> Self {
+        Self { percent: BAND_PERCENT, of_components: false }
+    }
+}
+
+impl Band {
+    /// The edge on that side of a setpoint, 1 above and -1 below.
+    pub(crate) fn edge(self, setpoint: f64, side: f64) -> f64 {
+        setpoint + side * setpoint.abs() * self.percent / 100.0
+    }
+}
+
+/// The number of the expectation whose band and settling time are drawn: of those with a settling time the first that did not pass, or else the first; without
+/// one, the first that has a band.
+fn settling_expectation(scenario: &ScenarioRecord) -> Option<usize> {
+    let all = || scenario.expectations.iter().enumerate();
+    let settling = || all().filter(|(_, found)| found.metric == "settling_time_ms");
+    let not_passed = settling().find(|(_, found)| found.verdict != Verdict::Pass);
+    let banded = all().find(|(_, found)| found.definition.band_percent.is_some());
+    not_passed.or_else(|| settling().next()).or(banded).map(|(index, _)| index)
 }
 
 /// Whether a trial settles.
@@ -74,29 +130,30 @@ pub(crate) struct Strand {
 }
 
 impl View {
-    fn new(window: Window) -> Self {
-        let strand = |signal| Strand { first: vec![], exhibit: vec![], envelope: Envelope::new(window, signal) };
+    fn new(window: Window, resolution: Resolution) -> Self {
+        let envelope = |signal| Envelope::new(window, signal, resolution.buckets);
+        let strand = |signal| Strand { first: vec![], exhibit: vec![], envelope: envelope(signal) };
         let strands = Signal::ALL.into_iter().map(|signal| (signal, strand(signal))).collect();
         Self { window, strands, saturated: Vec::new() }
     }
 
-    fn take(&mut self, rows: &[Row], is_first: bool, is_exhibit: bool) {
+    fn take(&mut self, rows: &[Row], is_first: bool, is_exhibit: bool, points: usize) {
         for (&signal, strand) in &mut self.strands {
             if is_first {
-                strand.first = curves::line(rows, signal, self.window, POINTS);
+                strand.first = curves::line(rows, signal, self.window, points);
             } else if is_exhibit {
-                strand.exhibit = curves::line(rows, signal, self.window, POINTS);
+                strand.exhibit = curves::line(rows, signal, self.window, points);
             }
             strand.envelope.widen(rows, signal);
         }
-        let spans = curves::saturated(rows, self.window);
+        let spans = curves::flagged(rows, self.window, Flags::SATURATED);
         self.saturated = curves::merged(std::mem::take(&mut self.saturated).into_iter().chain(spans).collect());
     }
 }
 
 impl Bundle {
     /// Reads the traces of `scenario` below the run's `folder`.
-    pub(crate) fn read(scenario: &ScenarioRecord, folder: &Path) -> Self {
+    pub(crate) fn read(scenario: &ScenarioRecord, folder: &Path, resolution: Resolution) -> Self {
         let mut bundle = Self::default();
         let exhibit = exhibit(scenario);
         for (position, trial) in scenario.trials.iter().enumerate() {
@@ -105,7 +162,7 @@ impl Bundle {
                 continue;
             }
             match platebench_trace::read(&folder.join(&trial.trace)) {
-                Ok(rows) => bundle.take(scenario, trial, &rows, is_exhibit),
+                Ok(rows) => bundle.take(scenario, trial, &rows, is_exhibit, resolution),
                 Err(error) => bundle.missing.push(format!("{}: {}", trial.trace, reason(&error))),
             }
         }
@@ -113,19 +170,61 @@ impl Bundle {
         bundle
     }
 
-    fn take(&mut self, scenario: &ScenarioRecord, trial: &TrialRecord, rows: &[Row], is_exhibit: bool) {
+    /// The first trial at the instants of another scenario's grid.
+    pub(crate) fn first_on(&self, grid: &Grid) -> Option<Sampled> {
+        let first = self.sampled.first()?;
+        let onto = |line: &Vec<Option<f64>>| {
+            let known = self.grid.t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
+            let known: Vec<Point> = known.collect();
+            grid.t_ms.iter().map(|t_ms| curves::between_points(&known, *t_ms)).collect()
+        };
+        let lines: BTreeMap<Signal, _> = first.lines.iter().map(|(signal, line)| (*signal, onto(line))).collect();
+        Some(Sampled { index: first.index, lines, at: BTreeMap::new() })
+    }
+
+    fn take(
+        &mut self,
+        scenario: &ScenarioRecord,
+        trial: &TrialRecord,
+        rows: &[Row],
+        is_exhibit: bool,
+        resolution: Resolution,
+    ) {
         let is_first = self.views.is_empty();
         if is_first {
             self.first = trial.index;
             let steps = curves::steps_ms(rows);
-            self.settling = settling(trial, &steps, rows);
+            let expected = settling_expectation(scenario);
+            let definition = expected.and_then(|index| Some(&scenario.expectations.get(index)?.definition));
+            let definition = definition.cloned().unwrap_or_default();
+            self.band = Band {
+                percent: definition.band_percent.unwrap_or(BAND_PERCENT),
+                of_components: definition.signal.as_ref().is_some_and(|signal| signal != "amplitude_um"),
+            };
+            let key = expected.map_or_else(|| SETTLING.to_owned(), |index| evidence::key(scenario, index));
+            self.settling = if key.starts_with(SETTLING) {
+                settling(trial, &key, &definition, &steps, rows)
+            } else {
+                Settling::Unknown
+            };
             let whole = whole(rows);
-            self.views = response(scenario, self.settling, whole).into_iter().chain([whole]).map(View::new).collect();
+            let response = response(scenario, self.settling, whole);
+            self.grid = Grid::new(rows, whole, response, resolution.instants);
+            self.views = response.into_iter().chain([whole]).map(|window| View::new(window, resolution)).collect();
             self.amplitude = curves::line(rows, Signal::Amplitude, whole, OVERLAY_POINTS);
         }
         for view in &mut self.views {
-            view.take(rows, is_first, is_exhibit);
+            view.take(rows, is_first, is_exhibit, resolution.points);
         }
+        let window = Window { from_ms: f64::NEG_INFINITY, to_ms: f64::INFINITY };
+        let lost = curves::flagged(rows, window, Flags::LINK_LOST);
+        self.lost = curves::merged(std::mem::take(&mut self.lost).into_iter().chain(lost).collect());
+        self.overruns.extend(curves::overruns(rows).take(OVERRUNS.saturating_sub(self.overruns.len())));
+        let grid = &self.grid;
+        let sampled = |of: fn(&Grid, &[Row], Signal) -> Vec<Option<f64>>| {
+            Signal::ALL.into_iter().map(|signal| (signal, of(grid, rows, signal))).collect()
+        };
+        self.sampled.push(Sampled { index: trial.index, lines: sampled(Grid::line), at: sampled(Grid::at) });
         self.shown += 1;
     }
 }
@@ -161,21 +260,30 @@ fn response(scenario: &ScenarioRecord, settling: Settling, whole: Window) -> Opt
     (after_ms > 0.0 && window.span_ms() * 3.0 < whole.span_ms()).then_some(window)
 }
 
-/// Whether the trial settles, and when. Of several setpoint steps it is the one after which the amplitude crosses the
-/// band's edge at that time; the record does not say which was meant.
-fn settling(trial: &TrialRecord, steps: &[f64], rows: &[Row]) -> Settling {
-    let after_ms = match trial.metrics.get("settling_time_ms") {
+const SETTLING: &str = "settling_time_ms";
+
+/// Whether the trial settles, and when, by the number under `key`. It counts from the last setpoint step up to the instant that the expectation names, or from
+/// the first. Records that do not tell their band do not tell that instant either: of several steps it is then the one after which the amplitude crosses
+/// the band's edge at that time.
+fn settling(trial: &TrialRecord, key: &str, definition: &Definition, steps: &[f64], rows: &[Row]) -> Settling {
+    let after_ms = match trial.metrics.get(key) {
         None => return Settling::Unknown,
         Some(Value::Number(number)) => number.as_f64().unwrap_or(0.0),
         Some(_) => return Settling::Never,
     };
-    let distance = |step_ms: f64| {
-        let at = |signal| curves::value_at(rows, signal, step_ms + after_ms);
-        let (amplitude, setpoint) = (at(Signal::Amplitude), at(Signal::Setpoint));
-        let off = amplitude.zip(setpoint).map(|(w, wished)| (((w - wished) / wished).abs() - BAND).abs());
-        off.filter(|off| off.is_finite()).unwrap_or(f64::MAX)
+    let step = if definition.band_percent.is_some() {
+        let passed = definition.from_ms.map_or(1, |from_ms| steps.partition_point(|step_ms| *step_ms <= from_ms));
+        steps.get(passed.saturating_sub(1)).copied()
+    } else {
+        let distance = |step_ms: f64| {
+            let at = |signal| curves::value_at(rows, signal, step_ms + after_ms);
+            let (amplitude, setpoint) = (at(Signal::Amplitude), at(Signal::Setpoint));
+            let off = amplitude.zip(setpoint);
+            let off = off.map(|(w, wished)| (((w - wished) / wished).abs() - BAND_PERCENT / 100.0).abs());
+            off.filter(|off| off.is_finite()).unwrap_or(f64::MAX)
+        };
+        steps.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
     };
-    let step = steps.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
     step.map_or(Settling::Unknown, |step_ms| Settling::At { instant_ms: step_ms + after_ms, after_ms })
 }
 
@@ -205,7 +313,7 @@ mod tests {
         (0..2_000).map(row).collect()
     }
 
-    fn marked(settling_ms: Value) -> Settling {
+    fn marked(settling_ms: Value, definition: &Definition) -> Settling {
         let metrics = Map::from_iter([("settling_time_ms".to_owned(), settling_ms)]);
         let trace = "traces/a/000.csv".to_owned();
         let trial = TrialRecord {
@@ -221,18 +329,33 @@ mod tests {
             wall_ms: None,
         };
         let rows = two_steps();
-        settling(&trial, &curves::steps_ms(&rows), &rows)
+        settling(&trial, SETTLING, definition, &curves::steps_ms(&rows), &rows)
+    }
+
+    fn instant(settling: Settling) -> f64 {
+        match settling {
+            Settling::At { instant_ms, .. } => instant_ms,
+            other => panic!("{other:?}"),
+        }
     }
 
     #[test]
     fn of_two_steps_the_one_that_the_number_fits_is_marked() {
-        let instant = |settling| match settling {
-            Settling::At { instant_ms, .. } => instant_ms,
-            other => panic!("{other:?}"),
-        };
+        let marked = |value| marked(value, &Definition::default());
         // 1 µm less 5 % after ln 20; 2 µm less 5 %, coming from 1 µm, after ln 10.
         assert!((instant(marked(json!(20.0_f64.ln()))) - (1.0 + 20.0_f64.ln())).abs() < 1e-9);
         assert!((instant(marked(json!(10.0_f64.ln()))) - (11.0 + 10.0_f64.ln())).abs() < 1e-9);
         assert_eq!(marked(Value::Null), Settling::Never);
+    }
+
+    #[test]
+    fn the_step_that_the_record_names_is_taken() {
+        let after = |from_ms| {
+            let definition = Definition { from_ms, band_percent: Some(1.0), signal: None };
+            instant(marked(json!(3.0), &definition))
+        };
+        // The steps stand in the rows at 1 ms and at 11 ms.
+        assert_eq!([after(None), after(Some(0.5)), after(Some(10.99))], [4.0, 4.0, 4.0]);
+        assert_eq!([after(Some(11.0)), after(Some(30.0))], [14.0, 14.0]);
     }
 }

@@ -28,7 +28,7 @@ pub(super) fn section(record: &RunRecord) -> Markup {
 
 fn earlier(trends: &[CostTrend]) -> Markup {
     html! {
-        div.scroll role="region" aria-labelledby="cost" tabindex="0" {
+        div.scroll role="group" aria-labelledby="cost" tabindex="0" {
             table.contents {
                 thead { tr {
                     th scope="col" { "Earlier run" }

@@ -9,11 +9,6 @@ use platebench_verdict::metrics::setpoint_steps;
 /// Milliseconds and a value.
 pub(crate) type Point = (f64, f64);
 
-/// Points per line, at most; more than there are pixels for.
-pub(crate) const POINTS: usize = 400;
-/// Stretches of time into which an envelope is cut.
-const BUCKETS: usize = 200;
-
 /// What is plotted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Signal {
@@ -56,7 +51,7 @@ impl Signal {
     }
 
     /// What is applied stays until the next row; the plate moves on between rows.
-    fn is_held(self) -> bool {
+    pub(crate) fn is_held(self) -> bool {
         matches!(self, Self::Setpoint | Self::Drive | Self::Frequency)
     }
 }
@@ -73,9 +68,9 @@ impl Window {
         self.to_ms - self.from_ms
     }
 
-    /// The edges of bucket `number`.
-    fn bucket(self, number: usize) -> (f64, f64) {
-        let edge = |number: usize| self.from_ms + self.span_ms() * number as f64 / BUCKETS as f64;
+    /// The edges of bucket `number` of `buckets`.
+    fn bucket(self, number: usize, buckets: usize) -> (f64, f64) {
+        let edge = |number: usize| self.from_ms + self.span_ms() * number as f64 / buckets as f64;
         (edge(number), edge(number + 1))
     }
 }
@@ -91,6 +86,11 @@ fn between(rows: &[Row], from_ms: f64, to_ms: f64) -> &[Row] {
     rows.get(start..end).unwrap_or_default()
 }
 
+/// The signal at the rows after `from_ms` up to `to_ms`, inclusive.
+pub(crate) fn points_between(rows: &[Row], signal: Signal, from_ms: f64, to_ms: f64) -> impl Iterator<Item = Point> {
+    between(rows, from_ms, to_ms).iter().map(move |row| (ms(row), signal.of(row)))
+}
+
 /// The signal at an instant; `None` before the first row and after the last.
 pub(crate) fn value_at(rows: &[Row], signal: Signal, at_ms: f64) -> Option<f64> {
     let next = rows.partition_point(|row| ms(row) <= at_ms);
@@ -101,6 +101,14 @@ pub(crate) fn value_at(rows: &[Row], signal: Signal, at_ms: f64) -> Option<f64> 
     }
     let share = (at_ms - ms(before)) / (ms(after) - ms(before));
     Some(signal.of(before) + (signal.of(after) - signal.of(before)) * share)
+}
+
+/// A line at an instant; `None` before its first point and after its last.
+pub(crate) fn between_points(points: &[Point], at_ms: f64) -> Option<f64> {
+    let next = points.partition_point(|point| point.0 <= at_ms);
+    let (before, after) = (points.get(next.checked_sub(1)?)?, points.get(next));
+    let Some(after) = after else { return (before.0 == at_ms).then_some(before.1) };
+    Some(before.1 + (after.1 - before.1) * (at_ms - before.0) / (after.0 - before.0))
 }
 
 /// The signal in the window as a line of at most some `limit` points.
@@ -156,14 +164,16 @@ pub(crate) struct Envelope {
 }
 
 impl Envelope {
-    pub(crate) fn new(window: Window, signal: Signal) -> Self {
-        Self { window, held: signal.is_held(), range: vec![None; BUCKETS], trials: 0, differs: false }
+    /// Over `buckets` stretches of `window`.
+    pub(crate) fn new(window: Window, signal: Signal, buckets: usize) -> Self {
+        Self { window, held: signal.is_held(), range: vec![None; buckets], trials: 0, differs: false }
     }
 
     /// Takes a trial in.
     pub(crate) fn widen(&mut self, rows: &[Row], signal: Signal) {
+        let buckets = self.range.len();
         for (number, range) in self.range.iter_mut().enumerate() {
-            let (from_ms, to_ms) = self.window.bucket(number);
+            let (from_ms, to_ms) = self.window.bucket(number, buckets);
             let edges = [value_at(rows, signal, from_ms), value_at(rows, signal, to_ms)];
             let inside = between(rows, from_ms, to_ms).iter().map(|row| signal.of(row));
             for value in edges.into_iter().flatten().chain(inside) {
@@ -184,7 +194,7 @@ impl Envelope {
         }
         let mut edges = [Vec::new(), Vec::new()];
         for (number, (low, high)) in self.range.iter().enumerate().filter_map(|(n, range)| Some((n, (*range)?))) {
-            let (from_ms, to_ms) = self.window.bucket(number);
+            let (from_ms, to_ms) = self.window.bucket(number, self.range.len());
             for (edge, value) in edges.iter_mut().zip([high, low]) {
                 if self.held {
                     edge.extend([(from_ms, value), (to_ms, value)]);
@@ -197,17 +207,22 @@ impl Envelope {
     }
 }
 
-/// The stretches in which the drive is at the amplifier's limit.
-pub(crate) fn saturated(rows: &[Row], window: Window) -> Vec<Window> {
+/// The stretches in which one of `flags` is set: the drive at the amplifier's limit, the link lost.
+pub(crate) fn flagged(rows: &[Row], window: Window, flags: Flags) -> Vec<Window> {
     let mut spans: Vec<Window> = Vec::new();
     for pair in rows.windows(2) {
         let [row, next] = pair else { continue };
         let (from_ms, to_ms) = (ms(row).max(window.from_ms), ms(next).min(window.to_ms));
-        if row.flags.contains(Flags::SATURATED) && from_ms < to_ms {
+        if row.flags.intersects(flags) && from_ms < to_ms {
             spans.push(Window { from_ms, to_ms });
         }
     }
     merged(spans)
+}
+
+/// The instants for which the bench was too late.
+pub(crate) fn overruns(rows: &[Row]) -> impl Iterator<Item = f64> {
+    rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN)).map(ms)
 }
 
 /// Stretches that touch or overlap as one.
@@ -243,6 +258,8 @@ mod tests {
         values.iter().map(row).collect()
     }
 
+    const POINTS: usize = 400;
+    const BUCKETS: usize = 200;
     const ALL: Window = Window { from_ms: 0.0, to_ms: 4.0 };
 
     #[test]
@@ -270,7 +287,7 @@ mod tests {
     fn an_envelope_holds_every_trial_and_equal_trials_have_none() {
         let low = rows(&[(0.0, 1.0), (4.0, 1.0)]);
         let high = rows(&[(0.0, 1.0), (1.0, 3.0), (1.01, 1.0), (4.0, 1.0)]);
-        let mut envelope = Envelope::new(ALL, Signal::Amplitude);
+        let mut envelope = Envelope::new(ALL, Signal::Amplitude, BUCKETS);
         envelope.widen(&low, Signal::Amplitude);
         envelope.widen(&low, Signal::Amplitude);
         assert!(envelope.edges().is_none());
@@ -295,6 +312,6 @@ mod tests {
         let mut rows = rows(&[(0.0, 1.0), (1.0, 1.0), (2.0, 1.0), (3.0, 1.0)]);
         rows[1].flags = Flags::SATURATED | Flags::CONTROL;
         rows[2].flags = Flags::SATURATED;
-        assert_eq!(saturated(&rows, ALL), [Window { from_ms: 1.0, to_ms: 3.0 }]);
+        assert_eq!(flagged(&rows, ALL, Flags::SATURATED), [Window { from_ms: 1.0, to_ms: 3.0 }]);
     }
 }

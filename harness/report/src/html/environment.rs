@@ -39,7 +39,7 @@ pub(super) fn section(record: &RunRecord) -> Markup {
             dl { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } }
             @if !inputs.is_empty() {
                 h3 id="inputs" { "Inputs" }
-                div.scroll role="region" aria-labelledby="inputs" tabindex="0" {
+                div.scroll role="group" aria-labelledby="inputs" tabindex="0" {
                     table.inputs {
                         thead { tr { th scope="col" { "File" } th scope="col" { "SHA-256" } } }
                         tbody { @for (file, sha256) in &inputs {

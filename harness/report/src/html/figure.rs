@@ -2,11 +2,10 @@
 //!
 //! Neighbours: `bundle` holds the curves, `plot` draws them, `scenario` puts figures onto the page.
 
-use super::bundle::{BAND, Bundle, Settling, Strand, View};
-use super::curves::{self, POINTS, Point, Signal};
+use super::bundle::{Bundle, Settling, Strand, View};
+use super::curves::{self, Point, Signal};
 use super::plot::{Chart, Ink, Mark};
 use crate::shown;
-use platebench_verdict::ScenarioRecord;
 
 /// A drawing with its words.
 #[derive(Debug, Clone)]
@@ -24,32 +23,47 @@ pub(crate) struct Key {
     pub(crate) text: String,
 }
 
-/// Another scenario whose response is shown behind.
-#[derive(Debug, Clone, Copy)]
+/// Another response that is shown behind: of the open loop, or of another run.
+#[derive(Debug, Clone)]
 pub(crate) struct Behind<'a> {
-    pub(crate) scenario: &'a ScenarioRecord,
+    /// What it is.
+    pub(crate) text: String,
     pub(crate) bundle: &'a Bundle,
 }
 
-/// The figures of a scenario in groups, each with its heading.
-pub(crate) fn figures(bundle: &Bundle, behind: Option<Behind<'_>>) -> Vec<(&'static str, Vec<Figure>)> {
+const RESPONSE: &str = "Response to the setpoint step";
+const WHOLE: &str = "Whole trial";
+
+/// The figures of a scenario in groups, each with its heading; `all` of them, or those of |W| and drive where the response is.
+pub(crate) fn figures(
+    bundle: &Bundle,
+    behind: Option<&Behind<'_>>,
+    points: usize,
+    all: bool,
+) -> Vec<(&'static str, Vec<Figure>)> {
     let Some((whole, before)) = bundle.views.split_last() else { return Vec::new() };
-    let maker = |view| Maker { bundle, view, behind };
+    let maker = |view| Maker { bundle, view, behind, points };
+    if !all {
+        let short = maker(before.first().unwrap_or(whole));
+        let heading = if before.is_empty() { WHOLE } else { RESPONSE };
+        return vec![(heading, vec![short.amplitude(), short.drive()])];
+    }
     let response = before.iter().map(|view| {
         let maker = maker(view);
-        ("Response to the setpoint step", vec![maker.amplitude(), maker.drive()])
+        (RESPONSE, vec![maker.amplitude(), maker.drive()])
     });
-    let all = maker(whole);
-    let mut figures = vec![all.amplitude(), all.components(), all.drive(), all.frequency()];
-    figures.extend(all.profile(Signal::Force, "Finger force", "N"));
-    figures.extend(all.profile(Signal::Temperature, "Temperature above the reference", "K"));
-    response.chain([("Whole trial", figures)]).collect()
+    let maker = maker(whole);
+    let mut figures = vec![maker.amplitude(), maker.components(), maker.drive(), maker.frequency()];
+    figures.extend(maker.profile(Signal::Force, "Finger force", "N"));
+    figures.extend(maker.profile(Signal::Temperature, "Temperature above the reference", "K"));
+    response.chain([(WHOLE, figures)]).collect()
 }
 
 struct Maker<'a> {
     bundle: &'a Bundle,
     view: &'a View,
-    behind: Option<Behind<'a>>,
+    behind: Option<&'a Behind<'a>>,
+    points: usize,
 }
 
 /// A figure in the making.
@@ -123,9 +137,10 @@ impl Maker<'_> {
 
     fn setpoint(&self, draft: &mut Draft, with_band: bool) {
         let setpoint = self.first(Signal::Setpoint);
-        let edge = |sign: f64| setpoint.iter().map(|&(t, value)| (t, value * (1.0 + sign * BAND))).collect();
+        let band = self.bundle.band;
+        let edge = |side: f64| setpoint.iter().map(|&(t, value)| (t, band.edge(value, side))).collect();
         if with_band && setpoint.iter().any(|point| point.1 != 0.0) {
-            draft.area(Ink::Band, [edge(1.0), edge(-1.0)], format!("{} % band", shown::number(BAND * 100.0)));
+            draft.area(Ink::Band, [edge(1.0), edge(-1.0)], format!("{} % band", shown::number(band.percent)));
         }
         draft.line(Ink::Setpoint, setpoint, "setpoint".to_owned());
     }
@@ -138,16 +153,12 @@ impl Maker<'_> {
 
     fn amplitude(&self) -> Figure {
         let mut draft = Draft::new();
-        self.setpoint(&mut draft, true);
+        self.setpoint(&mut draft, !self.bundle.band.of_components);
         if let Some(behind) = self.behind {
             let window = self.view.window;
             let inside = |point: &&Point| (window.from_ms..=window.to_ms).contains(&point.0);
             let points: Vec<Point> = behind.bundle.amplitude.iter().filter(inside).copied().collect();
-            draft.line(
-                Ink::Other,
-                curves::thin(&points, window, POINTS),
-                format!("open loop ({})", behind.scenario.file),
-            );
+            draft.line(Ink::Other, curves::thin(&points, window, self.points), behind.text.clone());
         }
         self.trials(&mut draft, Signal::Amplitude);
         let range = draft.axis(0.1, true);
@@ -173,7 +184,7 @@ impl Maker<'_> {
 
     fn components(&self) -> Figure {
         let mut draft = Draft::new();
-        self.setpoint(&mut draft, false);
+        self.setpoint(&mut draft, self.bundle.band.of_components);
         for (signal, ink, spread, name) in [
             (Signal::InPhase, Ink::First, Ink::Spread, "in-phase Wd"),
             (Signal::Quadrature, Ink::Second, Ink::SecondSpread, "quadrature Wq"),

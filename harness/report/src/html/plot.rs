@@ -30,10 +30,17 @@ pub(crate) enum Ink {
     SecondSpread,
     Saturated,
     Settling,
+    Golden,
+    Tube,
+    Trial,
+    Median,
+    Resonance,
+    Overrun,
+    Lost,
 }
 
 impl Ink {
-    const ALL: [Self; 13] = [
+    const ALL: [Self; 20] = [
         Self::Text,
         Self::Grid,
         Self::Axis,
@@ -47,6 +54,13 @@ impl Ink {
         Self::SecondSpread,
         Self::Saturated,
         Self::Settling,
+        Self::Golden,
+        Self::Tube,
+        Self::Trial,
+        Self::Median,
+        Self::Resonance,
+        Self::Overrun,
+        Self::Lost,
     ];
 
     /// The class, with `s-` before it for a stroke and `f-` for a filling.
@@ -65,6 +79,13 @@ impl Ink {
             Self::SecondSpread => "second-spread",
             Self::Saturated => "saturated",
             Self::Settling => "settling",
+            Self::Golden => "golden",
+            Self::Tube => "tube",
+            Self::Trial => "trial",
+            Self::Median => "median",
+            Self::Resonance => "resonance",
+            Self::Overrun => "overrun",
+            Self::Lost => "lost",
         }
     }
 
@@ -177,7 +198,7 @@ fn tick(value: f64, decimals: usize) -> String {
     if text == "-0" { "0".to_owned() } else { text.replace('-', "−") }
 }
 
-/// The drawing without its outer element and with classes instead of colours.
+/// The drawing without its outer element, with classes instead of colours, and in few characters.
 fn classed(svg: &str) -> String {
     let body = svg.split_once('>').map_or(svg, |(_, rest)| rest).trim_end().trim_end_matches("</svg>");
     let mut body = body.replace("opacity=\"1\" ", "").replace("stroke-width=\"1\" ", "").replace(" \"/>", "\"/>");
@@ -188,7 +209,47 @@ fn classed(svg: &str) -> String {
             body = body.replace(&colour, &format!("class=\"{prefix}-{}\"", ink.name()));
         }
     }
-    body
+    body.lines().map(|line| short(line.trim())).collect()
+}
+
+/// An element of a drawing: lines and areas as paths of differences, texts without the font that the style sheet gives them.
+fn short(element: &str) -> String {
+    let outline = element.strip_prefix("<polyline fill=\"none\" ").or_else(|| element.strip_prefix("<polygon "));
+    if let Some((before, points)) = outline.and_then(|outline| outline.split_once("points=\""))
+        && let Some((points, _)) = points.split_once('"')
+    {
+        return format!("<path {before}d=\"{}\"/>", differences(points));
+    }
+    match element.split_once(" font-family=").and_then(|(before, rest)| Some((before, rest.split_once(" class=")?.1))) {
+        Some((before, rest)) => format!("{before} class={rest}"),
+        None => element.to_owned(),
+    }
+}
+
+/// `x,y x,y` as the data of a path.
+fn differences(points: &str) -> String {
+    let mut before = (0, 0);
+    let mut data = String::new();
+    let pairs = points.split_whitespace().filter_map(|pair| {
+        let (x, y) = pair.split_once(',')?;
+        Some((x.parse::<i64>().ok()?, y.parse::<i64>().ok()?))
+    });
+    for (number, (x, y)) in pairs.enumerate() {
+        let step = (x - before.0, y - before.1);
+        match number {
+            0 => data.push('m'),
+            1 => data.push('l'),
+            _ if step.0 < 0 => {}
+            _ => data.push(' '),
+        }
+        data.push_str(&step.0.to_string());
+        if step.1 >= 0 {
+            data.push(' ');
+        }
+        data.push_str(&step.1.to_string());
+        before = (x, y);
+    }
+    data
 }
 
 #[cfg(test)]
@@ -203,6 +264,14 @@ mod tests {
     #[case(32_307.5, 3.0, "32307.5")]
     fn ticks_are_short(#[case] value: f64, #[case] span: f64, #[case] expected: &str) {
         assert_eq!(tick(value, decimals(span).max(1)), expected);
+    }
+
+    #[rstest]
+    #[case("264,1023 295,1023 295,187 290,190", "m264 1023l31 0 0-836-5 3")]
+    #[case("7,8", "m7 8")]
+    #[case("", "")]
+    fn points_become_differences(#[case] points: &str, #[case] expected: &str) {
+        assert_eq!(differences(points), expected);
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use super::bundle::Bundle;
 use super::figure::{Behind, Figure, Key, figures};
 use super::plot::SIZE;
-use super::{anchor, badge};
+use super::{anchor, badge, script};
 use crate::error::ReportError;
 use crate::{evidence, shown, timing};
 use maud::{Markup, PreEscaped, html};
@@ -15,15 +15,24 @@ use serde_json::Value;
 /// How many unreadable traces are named one by one.
 const NAMED: usize = 5;
 
+/// What a scenario is shown with.
+pub(super) struct Parts<'a> {
+    pub(super) bundle: &'a Bundle,
+    pub(super) behind: Option<&'a Behind<'a>>,
+    /// For the script.
+    pub(super) curves: Option<Value>,
+    /// Why its baseline cannot be shown.
+    pub(super) damaged: Option<String>,
+    /// Points of a line in a drawing.
+    pub(super) points: usize,
+    /// Whether it has all drawings.
+    pub(super) all: bool,
+}
+
 /// The scenario with number `index` of the record.
-pub(super) fn article(
-    index: usize,
-    scenario: &ScenarioRecord,
-    bundle: &Bundle,
-    behind: Option<Behind<'_>>,
-) -> Result<Markup, ReportError> {
+pub(super) fn article(index: usize, scenario: &ScenarioRecord, parts: &Parts<'_>) -> Result<Markup, ReportError> {
     let mut groups = Vec::new();
-    for (heading, figures) in figures(bundle, behind) {
+    for (heading, figures) in figures(parts.bundle, parts.behind, parts.points, parts.all) {
         let drawn: Vec<Markup> = figures.iter().map(drawing).collect::<Result<_, _>>()?;
         groups.push((heading, drawn));
     }
@@ -40,11 +49,16 @@ pub(super) fn article(
             }
             @if let Some(sentence) = timing::sentence(scenario) { p { (sentence) } }
             (expectations(&id, scenario))
-            (missing(bundle))
-            @for (heading, drawn) in &groups {
-                h3 { (heading) }
-                div.figures { @for figure in drawn { (figure) } }
+            (missing(parts.bundle))
+            @if let Some(reason) = &parts.damaged { p.notice { "The baseline cannot be shown: " (reason) } }
+            div.drawings {
+                @for (heading, drawn) in &groups {
+                    h3 { (heading) }
+                    div.figures { @for figure in drawn { (figure) } }
+                }
+                @if !parts.all && !groups.is_empty() { p.facts { "The other signals are among the plots, which need scripts, and in the traces." } }
             }
+            @if let Some(curves) = &parts.curves { (script::data(curves)) }
             (trials(scenario))
         }
     })
@@ -108,7 +122,7 @@ fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
         h3 id={ (id) "-expectations" } { "Expectations" }
         @if scenario.expectations.is_empty() { p.notice { "Nothing was judged." } }
         @else {
-            div.scroll role="region" aria-labelledby={ (id) "-expectations" } tabindex="0" {
+            div.scroll role="group" aria-labelledby={ (id) "-expectations" } tabindex="0" {
                 table.expectations {
                     thead { tr {
                         th scope="col" { "Metric" }
@@ -178,7 +192,7 @@ fn trials(scenario: &ScenarioRecord) -> Markup {
         @if !scenario.trials.is_empty() {
             details {
                 summary { (shown::count(scenario.trials.len(), "trial")) " in numbers" }
-                div.scroll role="region" aria-label="Trials" tabindex="0" {
+                div.scroll role="group" aria-label="Trials" tabindex="0" {
                     table.trials {
                         thead { tr {
                             th.number scope="col" { "Trial" }

@@ -3,6 +3,7 @@
 //! Neighbours: `html` puts it on top; everything here links to the scenarios below.
 
 use super::{anchor, badge, in_order};
+use crate::history::History;
 use crate::{evidence, shown, traceability};
 use maud::{Markup, html};
 use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
@@ -38,22 +39,22 @@ pub(super) fn head(record: &RunRecord) -> Markup {
     }
 }
 
-/// Everything that did not pass, with its reason and its trace.
-pub(super) fn open_points(record: &RunRecord) -> Markup {
+/// Everything that did not pass, with its reason, since when, and its trace.
+pub(super) fn open_points(record: &RunRecord, history: &History) -> Markup {
     let open = evidence::open_points(record);
     html! {
         @if !open.is_empty() {
             section aria-labelledby="open" {
                 h2 id="open" { "What did not pass" }
                 ol.open {
-                    @for (scenario, index) in open { (open_point(record, scenario, index)) }
+                    @for (scenario, index) in open { (open_point(record, scenario, index, history)) }
                 }
             }
         }
     }
 }
 
-fn open_point(record: &RunRecord, scenario: &ScenarioRecord, index: usize) -> Markup {
+fn open_point(record: &RunRecord, scenario: &ScenarioRecord, index: usize, history: &History) -> Markup {
     let place = record.scenarios.iter().position(|other| std::ptr::eq(other, scenario)).unwrap_or(0);
     let Some(expectation) = scenario.expectations.get(index) else { return Markup::default() };
     let unit = shown::unit(&expectation.metric);
@@ -70,6 +71,9 @@ fn open_point(record: &RunRecord, scenario: &ScenarioRecord, index: usize) -> Ma
                 span.number { (shown::limit(expectation)) " " (unit) }
                 @if let Some(reason) = &expectation.reason { span.reason { (reason) } }
             }
+            @if let Some(since) = history.since(record, &scenario.file, &evidence::key(scenario, index)) {
+                p.since { (since) }
+            }
             p.where {
                 (scenario.file)
                 @if let Some(trial) = evidence::trial(scenario, index) { " · " (trial.trace) }
@@ -85,7 +89,7 @@ pub(super) fn scenarios(record: &RunRecord) -> Markup {
             h2 id="scenarios" { "Scenarios" }
             @if record.scenarios.is_empty() { p.notice { "There was nothing to run." } }
             @else {
-                div.scroll role="region" aria-labelledby="scenarios" tabindex="0" {
+                div.scroll role="group" aria-labelledby="scenarios" tabindex="0" {
                     table.contents {
                         thead { tr {
                             th scope="col" { "Scenario" }
@@ -126,7 +130,7 @@ pub(super) fn requirements(record: &RunRecord) -> Markup {
             section aria-labelledby="requirements" {
                 h2 id="requirements" { "Requirements" }
                 p { (links.len()) " of " (shown::count(all, "expectation")) " hold a requirement; the same is in " code { (traceability::FILE) } "." }
-                div.scroll role="region" aria-labelledby="requirements" tabindex="0" {
+                div.scroll role="group" aria-labelledby="requirements" tabindex="0" {
                     table.contents {
                         thead { tr {
                             th scope="col" { "Requirement" }

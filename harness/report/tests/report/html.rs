@@ -2,7 +2,8 @@
 
 use crate::made::{self, Response};
 use platebench_report::html;
-use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
+use platebench_verdict::golden::{Accepted, Build, Features, Golden};
+use platebench_verdict::{Definition, RunRecord, ScenarioRecord, Verdict};
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::fs;
@@ -30,12 +31,31 @@ fn part(page: &str, index: usize) -> &str {
     page[start..].split("</section>").next().unwrap()
 }
 
+/// The page without these elements and what they hold.
+fn without(page: &str, element: &str) -> String {
+    let (start, end) = (format!("<{element}"), format!("</{element}>"));
+    let mut parts = page.split(&start);
+    let first = parts.next().unwrap().to_owned();
+    parts.fold(first, |kept, part| kept + part.split_once(&end).unwrap().1)
+}
+
+/// What the scripts of the scenarios draw, in the order of the page.
+fn curves(page: &str) -> Vec<Value> {
+    let parts = page.split("<script class=\"curves\" type=\"application/json\">").skip(1);
+    parts.map(|part| serde_json::from_str(part.split_once("</script>").unwrap().0).unwrap()).collect()
+}
+
+/// The texts of the keys of a scenario's panel.
+fn keys(curves: &Value, panel: usize) -> Vec<String> {
+    let groups = curves["panels"][panel]["groups"].as_array().unwrap().iter();
+    groups.map(|group| group["text"].as_str().unwrap().to_owned()).collect()
+}
+
 /// The elements of a page in order; panics where one is closed that is not open.
 fn balanced(page: &str) {
     const VOID: [&str; 3] = ["meta", "!DOCTYPE", "br"];
     let mut open: Vec<&str> = Vec::new();
-    let page = page.split_once("<style>").unwrap();
-    let page = page.1.split_once("</style>").unwrap().1;
+    let page = without(&without(page, "style"), "script");
     for tag in page.split('<').skip(1) {
         let (tag, _) = tag.split_once('>').unwrap();
         if tag.ends_with('/') {
@@ -87,17 +107,25 @@ fn what_failed_comes_before_what_passed() {
 }
 
 #[test]
-fn it_needs_nothing_else_and_runs_nothing() {
+fn it_needs_nothing_else_and_no_title_ends_its_data() {
+    const TITLE: &str = "</script><script>alert(1)</script> & \"more\" ' <!--";
     let folder = tempfile::tempdir().unwrap();
     let (mut closed, open) = (closed(), open());
     made::play(&mut closed, folder.path(), 2, Response::default(), 0.01);
-    closed.title = "<script>alert(1)</script> & \"more\"".to_owned();
+    closed.title = TITLE.to_owned();
     let page = written(&made::run(vec![closed, open]), folder.path());
-    assert!(page.contains("&lt;script&gt;alert(1)&lt;/script&gt; &amp;"));
-    for foreign in ["<script", "src=", "http:", "https:", "@import", "url(", "<link"] {
-        assert!(!page.contains(foreign), "{foreign}");
+    assert!(page.contains("&lt;/script&gt;&lt;script&gt;alert(1)&lt;/script&gt; &amp;"));
+    // The data of one scenario, the library, the script.
+    assert_eq!(page.matches("<script").count(), 3);
+    assert_eq!(page.matches("</script>").count(), 3);
+    assert_eq!(curves(&page)[0]["title"], TITLE);
+    let own = without(&page, "script");
+    for foreign in ["src=", "http:", "https:", "@import", "url(", "<link"] {
+        assert!(!own.contains(foreign), "{foreign}");
     }
+    assert!(!page.contains(" src=") && page.contains("default-src 'none'"));
     assert!(page.starts_with("<!DOCTYPE html><html lang=\"en\">"));
+    assert!(page.contains("Copyright (c) 2022 Leon Sorokin"), "the library's licence asks for that");
     balanced(&page);
 }
 
@@ -132,7 +160,7 @@ fn settling_is_marked_where_it_happens() {
     assert!(closed_part.contains("settled after 1.948 ms"), "{closed_part}");
     // 0 ms to 10 ms are spread over x = 264 to 2184; the step is at 1 ms.
     let mark = closed_part.split("class=\"s-settling\"").nth(1).unwrap().split('"').nth(1).unwrap();
-    let x: f64 = mark.split(',').next().unwrap().parse().unwrap();
+    let x: f64 = mark.strip_prefix('m').unwrap().split(' ').next().unwrap().parse().unwrap();
     let expected = 264.0 + (1.0 + settling) / 10.0 * (2184.0 - 264.0);
     assert!((x - expected).abs() < 2.0, "{x}, expected {expected}");
 
@@ -165,9 +193,9 @@ fn the_open_loop_stands_behind_the_closed_loop_only() {
     let legend = "open loop (paper/fig13-open-loop.toml)";
     assert!(part(&page, 0).contains(legend));
     // Once in the response, once in the whole trial; the frequency's figure draws the resonance with it.
-    assert_eq!(part(&page, 0).matches("class=\"s-other\" points").count(), 3);
+    assert_eq!(part(&page, 0).matches("class=\"s-other\" d=").count(), 3);
     assert!(!part(&page, 1).contains(legend) && !part(&page, 2).contains(legend));
-    assert_eq!(part(&page, 2).matches("class=\"s-other\" points").count(), 1);
+    assert_eq!(part(&page, 2).matches("class=\"s-other\" d=").count(), 1);
 }
 
 #[test]
@@ -181,7 +209,7 @@ fn the_trial_that_decided_stands_out() {
     assert!(open.contains("trial 35, decided settling_time_ms") && open.contains("class=\"s-exhibit\""), "beyond 30");
     assert!(open.contains("range of 31 trials"));
     // In |W| and in the drive; its frequency is that of the first trial and would only hide it.
-    assert_eq!(open.matches("class=\"s-exhibit\" points").count(), 2);
+    assert_eq!(open.matches("class=\"s-exhibit\" d=").count(), 2);
 }
 
 #[rstest]
@@ -212,18 +240,137 @@ fn saturation_is_shaded() {
     assert!(!page.contains("class=\"f-saturated\""));
 }
 
-#[test]
-fn ten_scenarios_of_thirty_trials_stay_below_five_megabytes() {
+#[rstest]
+#[case::ten(10)]
+#[case::forty(40)]
+#[case::hundred(100)]
+fn a_run_of_thirty_trials_each_stays_below_five_megabytes(#[case] count: usize) {
     let folder = tempfile::tempdir().unwrap();
-    let scenarios = (0..10).map(|number| {
-        let mut scenario = ScenarioRecord { file: format!("paper/s{number}-closed-loop.toml"), ..closed() };
-        let response = Response { force_n: 2.0, temperature_k: 9.0, detuned_hz: 87.0, ..Response::default() };
-        made::play(&mut scenario, folder.path(), 30, response, 0.02);
-        scenario
-    });
-    let page = written(&made::run(scenarios.collect()), folder.path());
+    let mut played = closed();
+    let response = Response { force_n: 2.0, temperature_k: 9.0, detuned_hz: 87.0, step_ms: 0.1, ..Response::default() };
+    made::play(&mut played, folder.path(), 30, response, 0.02);
+    // All play the same traces: what is drawn counts, not what is read.
+    let of = |number: usize| ScenarioRecord { file: format!("paper/s{number}-closed-loop.toml"), ..played.clone() };
+    let page = written(&made::run((0..count).map(of).collect()), folder.path());
+    let curves = curves(&page);
+    assert_eq!(curves.len(), count);
+    assert!(keys(&curves[0], 0).contains(&"5 % to 95 % of 30 trials".to_owned()));
     assert!(page.contains("range of 30 trials"));
-    assert!(page.len() < 5_000_000, "{} bytes", page.len());
+    let (drawn, packed) = (page.matches("<svg").count(), curves.iter().map(|one| one.to_string().len()).sum::<usize>());
+    assert!(page.len() < 5_000_000, "{} bytes, {packed} of them curves, {drawn} drawings", page.len());
+}
+
+#[test]
+fn the_band_of_the_expectation_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut closed = closed();
+    closed.expectations[0].definition =
+        Definition { from_ms: None, band_percent: Some(1.0), signal: Some("amplitude_um".to_owned()) };
+    made::play(&mut closed, folder.path(), 1, Response::default(), 0.0);
+    let page = written(&made::run(vec![closed.clone()]), folder.path());
+    assert!(page.contains("1 % band") && !page.contains("5 % band"));
+    assert!(keys(&curves(&page)[0], 0).contains(&"1 % band".to_owned()));
+    // Around the component that was looked at, instead of |W|.
+    closed.expectations[0].definition.signal = Some("wd_um".to_owned());
+    let page = written(&made::run(vec![closed]), folder.path());
+    let curves = curves(&page);
+    assert!(
+        !keys(&curves[0], 0).contains(&"1 % band".to_owned()) && keys(&curves[0], 3).contains(&"1 % band".to_owned())
+    );
+}
+
+#[test]
+fn a_golden_trace_stands_in_its_tube() {
+    let (folder, baselines) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut closed = closed();
+    made::play(&mut closed, folder.path(), 2, Response::default(), 0.01);
+    let rows = platebench_trace::read(&folder.path().join(&closed.trials[0].trace)).unwrap();
+    let accepted = Accepted {
+        scenario: closed.file.clone(),
+        law: "dq-pi".to_owned(),
+        build: Build { rig: "hosted".to_owned(), firmware: "dq-pi 0.1.0".to_owned(), id: "5f3a9c01".to_owned() },
+        features: Features::of(&rows),
+        learned: None,
+        golden: Golden::of_rows(&rows).unwrap(),
+    };
+    accepted.write(baselines.path()).unwrap();
+    let record = made::run(vec![closed, open()]);
+    let path = folder.path().join(html::FILE);
+    html::Page::new(&record, folder.path()).with_baselines(baselines.path()).write(&path).unwrap();
+    let page = fs::read_to_string(&path).unwrap();
+    for panel in 0..3 {
+        let keys = keys(&curves(&page)[0], panel);
+        assert!(keys.contains(&"golden trace (dq-pi)".to_owned()), "{panel}: {keys:?}");
+        assert!(keys.contains(&"tolerance tube of the golden trace (dq-pi)".to_owned()), "{panel}: {keys:?}");
+    }
+    fs::write(baselines.path().join("paper/fig13-closed-loop.toml"), "no baseline").unwrap();
+    html::Page::new(&record, folder.path()).with_baselines(baselines.path()).write(&path).unwrap();
+    assert!(fs::read_to_string(&path).unwrap().contains("The baseline cannot be shown: "));
+}
+
+#[test]
+fn two_runs_stand_side_by_side() {
+    let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (mut now, mut then) = (closed(), closed());
+    then.expectations[0].value = Some(1.5);
+    now = ScenarioRecord { expectations: vec![made::failed(now.expectations.remove(0), "too slow")], ..now };
+    made::play(&mut now, here.path(), 2, Response::default(), 0.01);
+    made::play(&mut then, there.path(), 2, Response { time_constant_ms: 0.5, ..Response::default() }, 0.01);
+    let (now, then) = (made::run(vec![now]), made::run(vec![then, open()]));
+    let path = here.path().join(html::COMPARISON_FILE);
+    html::Page::new(&now, here.path()).against(&then, there.path()).write(&path).unwrap();
+    let page = fs::read_to_string(&path).unwrap();
+    balanced(&page);
+    let table = page.split("id=\"against\"").nth(1).unwrap().split("</section>").next().unwrap();
+    assert!(table.contains("2 verdicts differ"), "{table}");
+    assert!(table.contains("+0.449 (+29.9 %)") || table.contains("+0.449 (+30 %)"), "{table}");
+    assert!(table.contains("paper/fig13-open-loop.toml") && table.contains("not played"), "{table}");
+    let name = there.path().file_name().unwrap().to_str().unwrap();
+    assert!(keys(&curves(&page)[0], 0).contains(&format!("trial 0 of {name}")));
+    assert_eq!(part(&page, 0).matches(&format!("trial 0 of {name}")).count() > 1, true, "also without scripts");
+}
+
+#[test]
+fn since_when_something_fails_is_said() {
+    let runs = tempfile::tempdir().unwrap();
+    let write = |name: &str, started: &str, passes: bool, rig: &str| {
+        let mut scenario = open();
+        if passes {
+            scenario.expectations[0].verdict = Verdict::Pass;
+        }
+        let mut record = made::run(vec![scenario]);
+        (record.started, record.rig.name) = (started.to_owned(), rig.to_owned());
+        let folder = runs.path().join(name);
+        fs::create_dir_all(&folder).unwrap();
+        record.write(&folder).unwrap();
+        (record, folder)
+    };
+    let said = |(record, folder): &(RunRecord, std::path::PathBuf)| {
+        let path = folder.join(html::FILE);
+        html::Page::new(record, folder).with_earlier_runs().write(&path).unwrap();
+        let page = fs::read_to_string(&path).unwrap();
+        page.split_once("<p class=\"since\">").map(|(_, rest)| rest.split_once("</p>").unwrap().0.to_owned())
+    };
+    let now = write("now", "2026-03-05T00:00:00Z", false, "hosted");
+    assert_eq!(said(&now), None, "nobody knows");
+    write("later", "2026-03-06T00:00:00Z", true, "hosted");
+    write("elsewhere", "2026-03-04T12:00:00Z", true, "serial:/dev/x");
+    assert_eq!(said(&now), None, "a later run and another rig do not count");
+    write("d", "2026-03-04T00:00:00Z", false, "hosted");
+    assert!(said(&now).unwrap().starts_with("Since d (2026-03-04T00:00:00Z) or before"));
+    write("c", "2026-03-03T00:00:00Z", false, "hosted");
+    write("b", "2026-03-02T00:00:00Z", true, "hosted");
+    write("a", "2026-03-01T00:00:00Z", false, "hosted");
+    let text = said(&now).unwrap();
+    assert!(text.starts_with("Since c (2026-03-03T00:00:00Z), 2 runs ago. It last passed in b (2026-03-02"), "{text}");
+    write("d", "2026-03-04T00:00:00Z", true, "hosted");
+    assert!(
+        said(&now)
+            .unwrap()
+            .starts_with("New in this run. It last passed in d (2026-03-04T00:00:00Z), with the same build")
+    );
+    fs::write(runs.path().join("c/run.json"), "damaged").unwrap();
+    assert!(said(&now).is_some());
 }
 
 #[test]
@@ -238,7 +385,7 @@ fn a_minute_at_full_resolution_is_thinned() {
         0.0,
     );
     let page = written(&made::run(vec![closed]), folder.path());
-    assert!(page.len() < 200_000, "{} bytes", page.len());
+    assert!(page.len() < 300_000, "{} bytes", page.len());
 }
 
 #[test]

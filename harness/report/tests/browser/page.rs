@@ -1,0 +1,168 @@
+//! What the page does.
+
+use crate::driver::{Browser, Look};
+use crate::made;
+use platebench_report::html;
+use rstest::rstest;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use tempfile::TempDir;
+
+const DESK: Look = Look { width: 1280, height: 900, dark: false, scripts: true };
+const PHONE: Look = Look { width: 390, height: 844, ..DESK };
+const TITLE: &str = "</script><b>\"A\" & 'B'</b>";
+/// True when the plots of the first scenario stand.
+const READY: &str = "document.querySelector('.plots').dataset.ready === 'true'";
+/// From when to when the plots of the first scenario go.
+const RANGE: &str = "(({from, to}) => [+from, +to])(document.querySelector('.tools').dataset)";
+
+/// A run with everything in it, as a page.
+fn page(folder: &Path) -> PathBuf {
+    let mut record = made::varied(folder);
+    record.scenarios[2].title = TITLE.to_owned();
+    record.cost = made::costs();
+    let path = folder.join(html::FILE);
+    html::write(&record, folder).unwrap();
+    path
+}
+
+fn opened(look: Look) -> Option<(Browser, TempDir)> {
+    let browser = Browser::start_or_say_why_not(look)?;
+    let folder = TempDir::new().unwrap();
+    browser.open(&page(folder.path()));
+    Some((browser, folder))
+}
+
+fn quiet(browser: &Browser) {
+    assert_eq!(browser.complaints(), Vec::<Value>::new());
+}
+
+fn range(browser: &Browser) -> [f64; 2] {
+    serde_json::from_value(browser.value(RANGE)).unwrap()
+}
+
+/// Left edge, upper edge, width and height of an element in the window.
+fn place(browser: &Browser, selector: &str) -> [f64; 4] {
+    let expression = format!(
+        "(() => {{ const found = document.querySelector({}); found.scrollIntoView({{ block: 'center', behavior: 'instant' }}); \
+         const {{ left, top, width, height }} = found.getBoundingClientRect(); return [left, top, width, height]; }})()",
+        json!(selector)
+    );
+    serde_json::from_value(browser.value(&expression)).unwrap()
+}
+
+#[test]
+fn plots_zoom_move_and_are_switched_and_nobody_complains() {
+    let Some((browser, _folder)) = opened(DESK) else { return };
+    let first = browser.value("document.querySelector('.scenario').className");
+    assert_eq!(first, "scenario fail moving", "what failed comes first");
+    place(&browser, ".plots");
+    browser.wait_for(READY);
+    assert_eq!(browser.value("getComputedStyle(document.querySelector('.drawings')).display"), "none");
+    let titles =
+        browser.value("[...document.querySelectorAll('.scenario h2')].map((title) => title.textContent).join()");
+    assert!(titles.as_str().unwrap().contains(TITLE), "{titles}");
+    assert_eq!(browser.value("document.querySelectorAll('.scenario h2 b').length"), 0);
+
+    // The response first; then by buttons, by dragging over a stretch, by a double click and by keys.
+    let start = range(&browser);
+    browser.value("document.querySelector('[aria-label=\"Zoom in\"]').click()");
+    let closer = range(&browser);
+    assert!((closer[1] - closer[0] - (start[1] - start[0]) / 2.0).abs() < 1e-9, "{start:?} {closer:?}");
+    browser.value("[...document.querySelectorAll('.tools button')].find((button) => button.textContent === 'Whole trial').click()");
+    assert_eq!(range(&browser), [0.0, 60.0], "the whole trial");
+    let [left, top, width, height] = place(&browser, ".canvas .u-over");
+    let at = |share: f64| (left + share * width, top + height / 2.0);
+    browser.drag(at(0.25), at(0.5));
+    let dragged = range(&browser);
+    assert!((dragged[0] - 15.0).abs() < 0.3 && (dragged[1] - 30.0).abs() < 0.3, "{dragged:?}");
+    let press = |key: &str| {
+        browser.value(&format!(
+            "document.querySelector('.canvas').dispatchEvent(new KeyboardEvent('keydown', {{ key: '{key}', bubbles: true }}))"
+        ))
+    };
+    press("ArrowRight");
+    let moved = range(&browser);
+    assert!(moved[0] > dragged[0] + 1.0 && (moved[1] - moved[0] - dragged[1] + dragged[0]).abs() < 1e-9, "{moved:?}");
+    press("0");
+    assert_eq!(range(&browser), [0.0, 60.0]);
+    for _ in 0..40 {
+        press("+");
+        press("ArrowLeft");
+    }
+    let deep = range(&browser);
+    assert!(deep[0] >= 0.0 && deep[1] <= 60.0 && deep[1] > deep[0], "{deep:?}");
+    press("0");
+
+    // The cursor reads values off: the first trial of the open loop has settled at some 2 µm.
+    browser.point(at(0.9));
+    let value = "[...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('trial 0')).querySelector('.value').textContent";
+    browser.wait_for(&format!("{value} !== ''"));
+    let shown: f64 = browser.value(value).as_str().unwrap().parse().unwrap();
+    assert!((shown - 2.0).abs() < 0.06, "{shown}");
+
+    // A signal off and on again.
+    let pixels = "document.querySelector('.canvas canvas').toDataURL()";
+    browser.point((1.0, 1.0));
+    let key = "[...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('trial 0'))";
+    let frame = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))";
+    browser.value(frame);
+    let on = browser.value(pixels);
+    browser.value(&format!("{key}.click()"));
+    browser.value(frame);
+    let off = browser.value(pixels);
+    assert_eq!(browser.value(&format!("{key}.getAttribute('aria-pressed')")), "false");
+    assert_ne!(on, off);
+    browser.value(&format!("{key}.click()"));
+    browser.value(frame);
+    assert_eq!(browser.value(pixels), on);
+
+    assert_eq!(browser.value("performance.getEntriesByType('resource').length"), 0, "nothing is fetched");
+    quiet(&browser);
+}
+
+#[test]
+fn without_scripts_everything_is_drawn() {
+    let Some((browser, _folder)) = opened(Look { scripts: false, ..DESK }) else { return };
+    assert_eq!(browser.value("document.querySelectorAll('.plots, .moving').length"), 0, "no script ran");
+    let sizes =
+        "[...document.querySelectorAll('.drawings figure > svg')].map((svg) => svg.getBoundingClientRect().width)";
+    let sizes: Vec<f64> = serde_json::from_value(browser.value(sizes)).unwrap();
+    assert!(sizes.len() >= 12 && sizes.iter().all(|width| *width > 200.0), "{sizes:?}");
+    place(&browser, ".drawings");
+    browser.picture("no-scripts");
+    quiet(&browser);
+}
+
+#[rstest]
+#[case::phone_light(PHONE, "phone-light")]
+#[case::phone_dark(Look { dark: true, ..PHONE }, "phone-dark")]
+#[case::desk_light(DESK, "desk-light")]
+#[case::desk_dark(Look { dark: true, ..DESK }, "desk-dark")]
+fn nobody_is_shut_out(#[case] look: Look, #[case] name: &str) {
+    let Some((browser, _folder)) = opened(look) else { return };
+    browser.picture(&format!("{name}-top"));
+    for number in 0..3 {
+        let plots = format!("document.querySelectorAll('.plots')[{number}]");
+        browser.value(&format!("{plots}.scrollIntoView({{ block: 'start', behavior: 'instant' }})"));
+        browser.wait_for(&format!("{plots}.dataset.ready === 'true'"));
+        browser.value("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))");
+        browser.picture(&format!("{name}-{number}"));
+    }
+    assert_eq!(browser.value("document.documentElement.scrollWidth <= innerWidth"), true, "nothing sticks out");
+    browser.value(&format!("{};true", axe()));
+    let found = browser.value(
+        "axe.run().then(({ violations }) => violations.map(({ id, help, nodes }) => \
+         `${id}: ${help}: ` + nodes.slice(0, 3).map(({ html, failureSummary }) => html.slice(0, 200) + failureSummary).join(' | ')))",
+    );
+    assert_eq!(found, json!([]), "{found:#}");
+    quiet(&browser);
+}
+
+/// axe-core, unpacked.
+fn axe() -> String {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/browser/axe/axe.min.js.gz");
+    let unpacked = Command::new("gzip").args(["-dc", file]).output().unwrap();
+    String::from_utf8(unpacked.stdout).unwrap()
+}
