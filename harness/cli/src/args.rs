@@ -285,9 +285,19 @@ pub(crate) struct Judge {
 
 /// `platebench report`
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench report runs/tonight                            runs/tonight/report.html
+  platebench report runs/tonight --against runs/yesterday   runs/tonight/comparison.html, both runs side by side")]
 pub(crate) struct Report {
     /// The run folder
     pub(crate) run: PathBuf,
+    /// Another run to show side by side, in comparison.html
+    #[arg(long, value_name = "RUN")]
+    pub(crate) against: Option<PathBuf>,
+    /// Where baselines are
+    #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+    pub(crate) baselines: PathBuf,
 }
 
 /// `platebench compare`
@@ -317,7 +327,7 @@ pub(crate) struct Compare {
     pub(crate) format: Format,
 }
 
-const BASELINES: &str = "scenarios/baselines";
+pub(crate) const BASELINES: &str = "scenarios/baselines";
 
 /// `platebench baseline`
 #[derive(Debug, Args)]

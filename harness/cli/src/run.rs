@@ -1,6 +1,6 @@
 //! `platebench run`: find, play, judge, report.
 
-use crate::args::{Clock, Pacing, PlateMode, Run};
+use crate::args::{BASELINES, Clock, Pacing, PlateMode, Run};
 use crate::desk::Desk;
 use crate::exit::Exit;
 use crate::signals::{PATIENCE, Signals};
@@ -13,6 +13,7 @@ use platebench_scenario::{Scenario, find};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
 use std::num::NonZero;
+use std::path::Path;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tracing::info;
@@ -282,7 +283,10 @@ pub(crate) fn follow(progress: &mut Progress, event: &Event) {
 
 fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run) -> Exit {
     let written = junit::write(record, &folder.path().join(junit::FILE))
-        .and_then(|()| html::write(record, folder.path()))
+        .and_then(|()| {
+            let page = html::Page::new(record, folder.path()).with_baselines(Path::new(BASELINES)).with_earlier_runs();
+            page.write(&folder.path().join(html::FILE))
+        })
         .and_then(|()| traceability::write(record, folder.path()));
     output::record(record, arguments.format);
     output::note(&format!("run folder: {}", folder.path().display()));

@@ -3,9 +3,11 @@
 use crate::args::{Judge, Report};
 use crate::exit::Exit;
 use crate::output;
-use platebench_report::{html, traceability};
+use platebench_report::html::{self, Page};
+use platebench_report::traceability;
 use platebench_runner::{RejudgeError, rejudge};
 use platebench_verdict::RunRecord;
+use std::path::Path;
 
 /// Judges the traces of a stored run again.
 pub(crate) fn judge(arguments: &Judge) -> Exit {
@@ -37,22 +39,26 @@ fn compare_with_stored(arguments: &Judge, again: &RunRecord) {
     }
 }
 
-/// Renders the report of a stored run.
+/// Renders the report of a stored run, or of two side by side.
 pub(crate) fn report(arguments: &Report) -> Exit {
-    let record = match RunRecord::read(&arguments.run) {
-        Ok(record) if record.complete => Ok(record),
-        // A run that was cut off has traces that nobody has judged yet.
-        Ok(_) => rejudge(&arguments.run, None),
-        Err(error) => Err(error.into()),
+    let both = || {
+        let record = whole(&arguments.run)?;
+        let other = arguments.against.as_deref().map(|folder| whole(folder).map(|other| (folder, other)));
+        Ok((record, other.transpose()?))
     };
-    let record = match record {
-        Ok(record) => record,
+    let (record, other) = match both() {
+        Ok(records) => records,
         Err(error) => return explain(&error),
     };
-    let written = html::write(&record, &arguments.run).and_then(|()| traceability::write(&record, &arguments.run));
-    match written {
+    let page = Page::new(&record, &arguments.run).with_baselines(&arguments.baselines).with_earlier_runs();
+    let (page, name) = match &other {
+        Some((folder, other)) => (page.against(other, folder), html::COMPARISON_FILE),
+        None => (page, html::FILE),
+    };
+    let path = arguments.run.join(name);
+    match page.write(&path).and_then(|()| traceability::write(&record, &arguments.run)) {
         Ok(()) => {
-            output::show(&format!("{}\n", arguments.run.join("report.html").display()));
+            output::show(&format!("{}\n", path.display()));
             Exit::Passed
         }
         Err(error) => {
@@ -60,6 +66,12 @@ pub(crate) fn report(arguments: &Report) -> Exit {
             Exit::Invalid
         }
     }
+}
+
+/// The record in `folder`. A run that was cut off has traces that nobody has judged yet.
+fn whole(folder: &Path) -> Result<RunRecord, RejudgeError> {
+    let record = RunRecord::read(folder)?;
+    if record.complete { Ok(record) } else { rejudge(folder, None) }
 }
 
 fn explain(error: &RejudgeError) -> Exit {

@@ -102,6 +102,32 @@ fn a_run_that_was_cut_off_can_be_judged_and_reported() {
 }
 
 #[test]
+fn two_runs_stand_side_by_side_and_the_report_says_since_when_something_fails() {
+    let workshop = Workshop::new();
+    workshop.scenario(
+        "s.toml",
+        &step_scenario("aluminium-198x138", "", "", "metric = \"settling_time_ms\"\nat_most = 0.1"),
+    );
+    for out in ["runs/one", "runs/two"] {
+        assert_eq!(code(&call(workshop.path(), ["run", "--rig", "hosted", "--out", out])), 1);
+    }
+    // Two runs may start in the same second.
+    let one = workshop.path().join("runs/one");
+    let mut record = RunRecord::read(&one).unwrap();
+    record.started = "2020-01-01T00:00:00Z".to_owned();
+    record.write(&one).unwrap();
+    assert_eq!(code(&call(workshop.path(), ["report", "runs/two"])), 0);
+    let two = workshop.path().join("runs/two");
+    assert!(
+        fs::read_to_string(two.join("report.html")).unwrap().contains("Since one (2020-01-01T00:00:00Z) or before")
+    );
+    assert_eq!(code(&call(workshop.path(), ["report", "runs/two", "--against", "runs/one"])), 0);
+    let page = fs::read_to_string(two.join("comparison.html")).unwrap();
+    assert!(page.contains("Beside the run of 2020-01-01T00:00:00Z") && page.contains("No verdict differs."));
+    assert_eq!(code(&call(workshop.path(), ["report", "runs/two", "--against", "runs/nowhere"])), 2);
+}
+
+#[test]
 fn other_expectations_can_be_held_against_stored_traces() {
     let workshop = Workshop::new();
     workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));

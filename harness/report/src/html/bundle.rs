@@ -173,12 +173,13 @@ impl Bundle {
     /// The first trial at the instants of another scenario's grid.
     pub(crate) fn first_on(&self, grid: &Grid) -> Option<Sampled> {
         let first = self.sampled.first()?;
-        let onto = |line: &Vec<Option<f64>>| {
+        let onto = |signal: Signal, line: &Vec<Option<f64>>| {
             let known = self.grid.t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
             let known: Vec<Point> = known.collect();
-            grid.t_ms.iter().map(|t_ms| curves::between_points(&known, *t_ms)).collect()
+            grid.t_ms.iter().map(|t_ms| curves::on_line(&known, signal, *t_ms)).collect()
         };
-        let lines: BTreeMap<Signal, _> = first.lines.iter().map(|(signal, line)| (*signal, onto(line))).collect();
+        let lines: BTreeMap<Signal, _> =
+            first.lines.iter().map(|(signal, line)| (*signal, onto(*signal, line))).collect();
         Some(Sampled { index: first.index, lines, at: BTreeMap::new() })
     }
 

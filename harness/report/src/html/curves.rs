@@ -103,11 +103,14 @@ pub(crate) fn value_at(rows: &[Row], signal: Signal, at_ms: f64) -> Option<f64> 
     Some(signal.of(before) + (signal.of(after) - signal.of(before)) * share)
 }
 
-/// A line at an instant; `None` before its first point and after its last.
-pub(crate) fn between_points(points: &[Point], at_ms: f64) -> Option<f64> {
+/// A line of the signal at an instant; `None` before its first point and after its last.
+pub(crate) fn on_line(points: &[Point], signal: Signal, at_ms: f64) -> Option<f64> {
     let next = points.partition_point(|point| point.0 <= at_ms);
     let (before, after) = (points.get(next.checked_sub(1)?)?, points.get(next));
     let Some(after) = after else { return (before.0 == at_ms).then_some(before.1) };
+    if signal.is_held() {
+        return Some(before.1);
+    }
     Some(before.1 + (after.1 - before.1) * (at_ms - before.0) / (after.0 - before.0))
 }
 
@@ -271,6 +274,14 @@ mod tests {
         assert_eq!(line(&rows, Signal::Drive, ALL, POINTS), [(0.0, 0.0), (2.0, 0.0), (2.0, 4.0), (4.0, 4.0)]);
         let middle = Window { from_ms: 1.0, to_ms: 3.0 };
         assert_eq!(line(&rows, Signal::Amplitude, middle, POINTS), [(1.0, 2.0), (2.0, 4.0), (3.0, 4.0)]);
+    }
+
+    #[test]
+    fn a_line_of_points_runs_as_its_signal_does() {
+        let points = [(0.0, 0.0), (2.0, 4.0)];
+        let at = |signal, at_ms| on_line(&points, signal, at_ms);
+        assert_eq!((at(Signal::Amplitude, 1.0), at(Signal::Drive, 1.0)), (Some(2.0), Some(0.0)));
+        assert_eq!((at(Signal::Drive, 2.0), at(Signal::Drive, 2.1), at(Signal::Drive, -0.1)), (Some(4.0), None, None));
     }
 
     #[test]

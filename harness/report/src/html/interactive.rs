@@ -177,7 +177,7 @@ impl Maker<'_> {
                 .filter(|line| *line != first)
                 .collect();
             if !others.is_empty() {
-                let group = panel.group(Ink::Trial, false, &format!("{} more", shown::count(others.len(), "trial")));
+                let group = panel.group(Ink::Trial, false, &shown::count(others.len(), "more trial"));
                 for line in others {
                     panel.series(group, signal, line, "trial");
                 }

@@ -184,11 +184,12 @@
         ticks: { stroke: () => colour(this.section, "--hair"), width: 1 }, font: "12px system-ui, sans-serif", ...extra,
       });
       const numbers = (plot, splits) => splits.map((value) => value == null ? "" : String(+value.toPrecision(9)).replace("-", "−"));
-      const wide = (plot, texts) => 18 + 7.5 * Math.max(4, ...(texts ?? []).map((text) => text.length));
+      const times = (plot, splits) => numbers(plot, splits).map((text, place) => place === splits.length - 1 ? text + " ms" : text);
+      const wide = (plot, texts) => 18 + 7.5 * Math.max(8, ...(texts ?? []).map((text) => text.length));
       const options = {
-        ...this.size(host), legend: { show: false }, padding: [8, 12, 0, 0],
+        ...this.size(host), legend: { show: false }, padding: [8, 24, 0, 0],
         scales: { x: { time: false, range: () => [this.from, this.to] }, y: { range: (plot, low, high) => this.range(panel, low, high) } },
-        axes: [axis({ values: numbers, size: 28 }), axis({ values: numbers, size: wide })],
+        axes: [axis({ values: times, size: 28 }), axis({ values: numbers, size: wide })],
         series: [{}, ...series],
         bands: panel.bands.map(([upper, lower, group]) => ({ series: [upper + 1, lower + 1], fill: paint(group) })),
         cursor: {
@@ -211,7 +212,7 @@
       const whole = this.from <= this.first && this.to >= this.last;
       // Zoomed in, the curve is what is looked at, not its distance from zero.
       if (panel.zero && whole) { low = Math.min(low, 0); high = Math.max(high, 0); }
-      const span = Math.max(high - low, whole ? panel.least : panel.least / 100);
+      const span = Math.max(high - low, panel.least * (this.to - this.from) / (this.last - this.first));
       const air = panel.zero && whole ? 0 : (span - (high - low)) / 2;
       return [panel.zero && whole && low === 0 ? 0 : low - air - 0.06 * span, low - air + 1.08 * span];
     }

@@ -133,7 +133,8 @@ impl Browser {
         browser
     }
 
-    fn development(&self, command: &str, parameters: &Value) -> Value {
+    /// A command of the browser's own protocol.
+    pub(crate) fn development(&self, command: &str, parameters: &Value) -> Value {
         self.post("goog/cdp/execute", &json!({ "cmd": command, "params": parameters }))
     }
 

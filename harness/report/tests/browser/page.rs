@@ -3,6 +3,8 @@
 use crate::driver::{Browser, Look};
 use crate::made;
 use platebench_report::html;
+use platebench_verdict::Verdict;
+use platebench_verdict::golden::{Accepted, Build, Features, Golden};
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -17,13 +19,28 @@ const READY: &str = "document.querySelector('.plots').dataset.ready === 'true'";
 /// From when to when the plots of the first scenario go.
 const RANGE: &str = "(({from, to}) => [+from, +to])(document.querySelector('.tools').dataset)";
 
-/// A run with everything in it, as a page.
+/// A run with everything in it, as a page: a hostile title, costs, a golden trace, another run beside it.
 fn page(folder: &Path) -> PathBuf {
     let mut record = made::varied(folder);
     record.scenarios[2].title = TITLE.to_owned();
     record.cost = made::costs();
+    let (other_folder, baselines) = (folder.join("other"), folder.join("baselines"));
+    let mut other = made::varied(&other_folder);
+    other.scenarios[1].expectations[0].verdict = Verdict::Pass;
+    let closed = &record.scenarios[0];
+    let rows = platebench_trace::read(&folder.join(&closed.trials[0].trace)).unwrap();
+    let accepted = Accepted {
+        scenario: closed.file.clone(),
+        law: closed.law.clone(),
+        build: Build { rig: "hosted".to_owned(), firmware: "dq-pi 0.1.0".to_owned(), id: "5f3a9c01".to_owned() },
+        features: Features::of(&rows),
+        learned: None,
+        golden: Golden::of_rows(&rows).unwrap(),
+    };
+    accepted.write(&baselines).unwrap();
     let path = folder.join(html::FILE);
-    html::write(&record, folder).unwrap();
+    let page = html::Page::new(&record, folder).with_baselines(&baselines).against(&other, &other_folder);
+    page.write(&path).unwrap();
     path
 }
 
@@ -118,6 +135,11 @@ fn plots_zoom_move_and_are_switched_and_nobody_complains() {
     browser.value(frame);
     assert_eq!(browser.value(pixels), on);
 
+    // Paper shows the drawings.
+    browser.development("Emulation.setEmulatedMedia", &json!({ "media": "print" }));
+    let shown = "['.plots', '.drawings'].map((part) => getComputedStyle(document.querySelector(part)).display)";
+    assert_eq!(browser.value(shown), json!(["none", "block"]));
+
     assert_eq!(browser.value("performance.getEntriesByType('resource').length"), 0, "nothing is fetched");
     quiet(&browser);
 }
@@ -158,6 +180,34 @@ fn nobody_is_shut_out(#[case] look: Look, #[case] name: &str) {
     );
     assert_eq!(found, json!([]), "{found:#}");
     quiet(&browser);
+}
+
+#[test]
+fn where_the_library_fails_the_drawings_come_back() {
+    let Some(browser) = Browser::start_or_say_why_not(DESK) else { return };
+    let folder = TempDir::new().unwrap();
+    let path = page(folder.path());
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replace("new uPlot(options", "new Missing(options")).unwrap();
+    browser.open(&path);
+    place(&browser, ".plots");
+    browser.wait_for("document.querySelector('.scenario .plots') === null");
+    assert_eq!(browser.value("getComputedStyle(document.querySelector('.drawings')).display"), "block");
+    assert!(!browser.complaints().is_empty(), "and the console says why");
+}
+
+/// The picture of a report in the documentation: see docs/report.md.
+#[test]
+#[ignore = "makes a picture of REPORT_PAGE for people"]
+fn picture() {
+    let page = PathBuf::from(std::env::var_os("REPORT_PAGE").expect("REPORT_PAGE names a report"));
+    let look = Look { width: 1100, height: 1900, ..DESK };
+    let browser = Browser::start_or_say_why_not(look).unwrap();
+    browser.open(&page.canonicalize().unwrap());
+    browser.value("document.querySelector('.scenario').scrollIntoView({ block: 'start', behavior: 'instant' })");
+    browser.wait_for(READY);
+    browser.value("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))");
+    browser.picture("report");
 }
 
 /// axe-core, unpacked.

@@ -2,6 +2,7 @@
 
 use crate::made::{self, Response};
 use platebench_report::html;
+use platebench_trace::{Flags, Writer};
 use platebench_verdict::golden::{Accepted, Build, Features, Golden};
 use platebench_verdict::{Definition, RunRecord, ScenarioRecord, Verdict};
 use rstest::rstest;
@@ -277,6 +278,33 @@ fn the_band_of_the_expectation_is_drawn() {
     assert!(
         !keys(&curves[0], 0).contains(&"1 % band".to_owned()) && keys(&curves[0], 3).contains(&"1 % band".to_owned())
     );
+}
+
+#[test]
+fn overruns_and_lost_links_are_marked_where_they_happened() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut closed = closed();
+    made::play(&mut closed, folder.path(), 2, Response::default(), 0.0);
+    let clean = curves(&written(&made::run(vec![closed.clone()]), folder.path()));
+    assert!(!keys(&clean[0], 1).iter().any(|key| key.contains("overrun") || key.contains("lost")));
+    // In the second trial, whose curves are those of the first.
+    let path = folder.path().join(&closed.trials[1].trace);
+    let mut rows = platebench_trace::read(&path).unwrap();
+    rows[400].flags |= Flags::OVERRUN;
+    for row in &mut rows[600..620] {
+        row.flags |= Flags::LINK_LOST;
+    }
+    let mut writer = Writer::create(&path).unwrap();
+    for row in &rows {
+        writer.write(row).unwrap();
+    }
+    writer.finish().unwrap();
+    let found = curves(&written(&made::run(vec![closed]), folder.path()));
+    let drive = &found[0]["panels"][1];
+    let keys = keys(&found[0], 1);
+    let at = |text: &str| keys.iter().position(|key| key == text).unwrap_or_else(|| panic!("{text}: {keys:?}"));
+    assert_eq!(drive["marks"], json!([[at("overrun of the bench (1)"), rows[400].t_s * 1e3]]));
+    assert_eq!(drive["spans"], json!([[at("link lost"), rows[600].t_s * 1e3, rows[620].t_s * 1e3]]));
 }
 
 #[test]
