@@ -8,6 +8,7 @@ pub use timing::{Quantiles, Timing};
 
 mod cost;
 pub use cost::{Cost, CostChange, CostTrend, EarlierCost};
+use platebench_plate::Time;
 use platebench_scenario::Expectation;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -274,7 +275,7 @@ impl Definition {
     pub fn of(expectation: &Expectation) -> Self {
         let metric = expectation.metric;
         Self {
-            from_ms: expectation.from.filter(|_| metric.has_from()).map(|from| from.ms()),
+            from_ms: expectation.from.filter(|_| metric.has_from()).map(Time::ms),
             band_percent: metric.has_band().then_some(expectation.band_percent),
             signal: metric.has_signal().then(|| expectation.signal.to_owned()),
         }

@@ -1,4 +1,4 @@
-//! A headless Chromium behind its driver, spoken to by the WebDriver protocol (<https://www.w3.org/TR/webdriver2/>). Nothing waits without an end, and driver and
+//! A headless Chromium behind its driver, spoken to by the `WebDriver` protocol (<https://www.w3.org/TR/webdriver2/>). Nothing waits without an end, and driver and
 //! browser die with their owner: the kernel ends the driver with the thread that started it, and the browser ends when its pipe to the driver closes.
 
 use serde_json::{Value, json};
@@ -16,7 +16,7 @@ const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
 static SAID: Once = Once::new();
 
 /// Generous: a busy machine starts programs slowly.
-const ANSWERS_WITHIN: Duration = Duration::from_secs(60);
+const ANSWERS_WITHIN: Duration = Duration::from_mins(1);
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// How the page is looked at.

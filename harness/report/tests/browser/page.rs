@@ -22,7 +22,7 @@ const RANGE: &str = "(({from, to}) => [+from, +to])(document.querySelector('.too
 /// A run with everything in it, as a page: a hostile title, costs, a golden trace, another run beside it.
 fn page(folder: &Path) -> PathBuf {
     let mut record = made::varied(folder);
-    record.scenarios[2].title = TITLE.to_owned();
+    TITLE.clone_into(&mut record.scenarios[2].title);
     record.cost = made::costs();
     let (other_folder, baselines) = (folder.join("other"), folder.join("baselines"));
     let mut other = made::varied(&other_folder);
@@ -191,7 +191,7 @@ fn where_the_library_fails_the_drawings_come_back() {
     std::fs::write(&path, text.replace("new uPlot(options", "new Missing(options")).unwrap();
     browser.open(&path);
     place(&browser, ".plots");
-    browser.wait_for("document.querySelector('.scenario .plots') === null");
+    browser.wait_for("!document.querySelector('.scenario').classList.contains('moving')");
     assert_eq!(browser.value("getComputedStyle(document.querySelector('.drawings')).display"), "block");
     assert!(!browser.complaints().is_empty(), "and the console says why");
 }
