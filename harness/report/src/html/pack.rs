@@ -62,7 +62,7 @@ mod tests {
                 values.push(None);
                 continue;
             }
-            let digit = DIGITS.iter().position(|known| *known == digit).unwrap() as i64;
+            let digit = i64::try_from(DIGITS.iter().position(|known| *known == digit).unwrap()).unwrap();
             rest |= (digit & 31) << shift;
             shift += 5;
             if digit & 32 == 0 {

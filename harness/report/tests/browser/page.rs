@@ -84,8 +84,14 @@ fn plots_zoom_move_and_are_switched_and_nobody_complains() {
 
     // The response first; then by buttons, by dragging over a stretch, by a double click and by keys.
     let start = range(&browser);
+    let pixels = "document.querySelector('.canvas canvas').toDataURL()";
+    let frame = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))";
+    browser.value(frame);
+    let far = browser.value(pixels);
     browser.value("document.querySelector('[aria-label=\"Zoom in\"]').click()");
     let closer = range(&browser);
+    browser.value(frame);
+    assert_ne!(browser.value(pixels), far, "the picture follows");
     assert!((closer[1] - closer[0] - (start[1] - start[0]) / 2.0).abs() < 1e-9, "{start:?} {closer:?}");
     browser.value("[...document.querySelectorAll('.tools button')].find((button) => button.textContent === 'Whole trial').click()");
     assert_eq!(range(&browser), [0.0, 60.0], "the whole trial");
@@ -120,10 +126,8 @@ fn plots_zoom_move_and_are_switched_and_nobody_complains() {
     assert!((shown - 2.0).abs() < 0.06, "{shown}");
 
     // A signal off and on again.
-    let pixels = "document.querySelector('.canvas canvas').toDataURL()";
     browser.point((1.0, 1.0));
     let key = "[...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('trial 0'))";
-    let frame = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))";
     browser.value(frame);
     let on = browser.value(pixels);
     browser.value(&format!("{key}.click()"));

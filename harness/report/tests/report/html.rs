@@ -344,7 +344,8 @@ fn two_runs_stand_side_by_side() {
     now = ScenarioRecord { expectations: vec![made::failed(now.expectations.remove(0), "too slow")], ..now };
     made::play(&mut now, here.path(), 2, Response::default(), 0.01);
     made::play(&mut then, there.path(), 2, Response { time_constant_ms: 0.5, ..Response::default() }, 0.01);
-    let (now, then) = (made::run(vec![now]), made::run(vec![then, open()]));
+    let same = ScenarioRecord { file: "a.toml".to_owned(), ..closed() };
+    let (now, then) = (made::run(vec![same.clone(), now]), made::run(vec![same, then, open()]));
     let path = here.path().join(html::COMPARISON_FILE);
     html::Page::new(&now, here.path()).against(&then, there.path()).write(&path).unwrap();
     let page = fs::read_to_string(&path).unwrap();
@@ -353,9 +354,11 @@ fn two_runs_stand_side_by_side() {
     assert!(table.contains("2 verdicts differ"), "{table}");
     assert!(table.contains("+0.449 (+29.9 %)") || table.contains("+0.449 (+30 %)"), "{table}");
     assert!(table.contains("paper/fig13-open-loop.toml") && table.contains("not played"), "{table}");
+    let place = |file: &str| table.find(file).unwrap();
+    assert!(place("fig13-closed-loop.toml") < place("a.toml"), "what changed comes first");
     let name = there.path().file_name().unwrap().to_str().unwrap();
     assert!(keys(&curves(&page)[0], 0).contains(&format!("trial 0 of {name}")));
-    assert!(part(&page, 0).matches(&format!("trial 0 of {name}")).count() > 1, "also without scripts");
+    assert!(part(&page, 1).matches(&format!("trial 0 of {name}")).count() > 1, "also without scripts");
 }
 
 #[test]
