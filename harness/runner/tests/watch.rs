@@ -34,7 +34,7 @@ fn played(plan: &Plan, watch: &Watch) -> (RunRecord, Vec<Vec<u8>>) {
     let folder = RunFolder::create(Some(&out.path().join("run"))).unwrap();
     let connect = || match plan.clock {
         Clock::Lockstep { .. } => RigSpec::Hosted.connect(),
-        Clock::RealTime(_) => RigSpec::Hosted.connect_in_real_time(),
+        Clock::RealTime(_) | Clock::OwnPlate => RigSpec::Hosted.connect_in_real_time(),
     };
     let company = Company { person: &Nobody, watch };
     let record = run_in_company(plan, &folder, &connect, &Cancel::default(), company, &mut |_| {}).unwrap();
