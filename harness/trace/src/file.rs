@@ -70,6 +70,89 @@ impl Writer {
 }
 
 /// Reads a whole trace: at least one row, times that do not fall, every number finite. What nobody knows of a real plate is empty in its rows.
+/// The rows of a trace, one after the other, each checked as it is read: memory does not grow with the trace.
+///
+/// A trace without rows gives one error. After an error there is nothing more to come.
+#[derive(Debug)]
+pub struct Rows {
+    reader: csv::Reader<File>,
+    record: csv::StringRecord,
+    path: PathBuf,
+    /// Time of the row before, s; none before the first.
+    before: Option<f64>,
+    over: bool,
+}
+
+impl Rows {
+    /// Opens the trace at `path`.
+    ///
+    /// # Errors
+    /// [`TraceError`] where the file cannot be opened or its columns are not those of a trace.
+    pub fn open(path: &Path) -> Result<Self, TraceError> {
+        let file = File::open(path).map_err(|source| TraceError::Io { path: path.to_owned(), source })?;
+        let reader = csv::Reader::from_reader(file);
+        let mut rows =
+            Self { reader, record: csv::StringRecord::new(), path: path.to_owned(), before: None, over: false };
+        let header = rows.reader.headers().cloned().map_err(|error| rows.refused(&error))?;
+        if header.iter().ne(COLUMNS) {
+            let found = header.iter().collect::<Vec<_>>().join(",");
+            return Err(rows.refuse(1, format!("columns `{found}`, expected `{}`", COLUMNS.join(","))));
+        }
+        Ok(rows)
+    }
+
+    fn refuse(&self, line: u64, message: String) -> TraceError {
+        TraceError::Content { path: self.path.clone(), line, message }
+    }
+
+    fn refused(&self, error: &csv::Error) -> TraceError {
+        match error.kind() {
+            csv::ErrorKind::Io(io_error) => {
+                TraceError::Io { path: self.path.clone(), source: io::Error::new(io_error.kind(), error.to_string()) }
+            }
+            _ => self.refuse(error.position().map_or(1, csv::Position::line), error.to_string()),
+        }
+    }
+
+    fn read_row(&mut self) -> Result<Option<Row>, TraceError> {
+        if !self.reader.read_record(&mut self.record).map_err(|error| self.refused(&error))? {
+            return if self.before.is_some() {
+                Ok(None)
+            } else {
+                Err(self.refuse(2, "no rows, expected at least one".to_owned()))
+            };
+        }
+        let line = self.record.position().map_or(0, csv::Position::line);
+        let row: Row = self.record.deserialize(None).map_err(|error| self.refuse(line, error.to_string()))?;
+        let numbers = self.record.iter().zip(COLUMNS).take(COLUMNS.len() - 1);
+        for (text, column) in numbers {
+            if !text.parse::<f64>().is_ok_and(f64::is_finite) {
+                return Err(self.refuse(line, format!("`{column}` is {text}, expected a finite number")));
+            }
+        }
+        if self.before.is_some_and(|before| before > row.t_s) {
+            let message = format!("`t_s` is {}, expected a time that is not before the row above", row.t_s);
+            return Err(self.refuse(line, message));
+        }
+        self.before = Some(row.t_s);
+        Ok(Some(row))
+    }
+}
+
+impl Iterator for Rows {
+    type Item = Result<Row, TraceError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.over {
+            return None;
+        }
+        let row = self.read_row().transpose();
+        self.over = !matches!(row, Some(Ok(_)));
+        row
+    }
+}
+
+/// Reads a whole trace: at least one row, times that do not fall, every number finite.
 ///
 /// # Errors
 /// [`TraceError`] with the file and the line.
@@ -112,6 +195,7 @@ pub fn read(path: &Path) -> Result<Vec<Row>, TraceError> {
         rows.push(row);
     }
     if rows.is_empty() { Err(refuse(2, "no rows, expected at least one".to_owned())) } else { Ok(rows) }
+    Rows::open(path)?.collect()
 }
 
 #[cfg(test)]

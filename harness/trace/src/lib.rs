@@ -8,5 +8,5 @@
 mod file;
 mod row;
 
-pub use file::{TraceError, Writer, read};
+pub use file::{Rows, TraceError, Writer, read};
 pub use row::{COLUMNS, Column, Flags, Row};
