@@ -7,6 +7,7 @@ use toml::Table;
 
 /// Crates from the bottom up. A crate may import only what stands before it.
 const ORDER: [&str; 18] = [
+const ORDER: [&str; 17] = [
     "firmware-under-test/wire",
     "firmware-under-test/controller",
     "firmware-under-test/host",
@@ -22,13 +23,14 @@ const ORDER: [&str; 18] = [
     "harness/analysis",
     "harness/identify",
     "harness/report",
+    "harness/export",
     "harness/acceptance",
     "harness/native-tests",
     "harness/cli",
 ];
 
 /// What may be imported, where that is less than everything before.
-const ALLOWED: [(&str, &[&str]); 11] = [
+const ALLOWED: [(&str, &[&str]); 12] = [
     ("firmware-under-test/wire", &[]),
     ("firmware-under-test/controller", &["platebench-wire"]),
     ("firmware-under-test/host", &["platebench-wire", "platebench-controller"]),
@@ -40,6 +42,7 @@ const ALLOWED: [(&str, &[&str]); 11] = [
     ("harness/methods", &["platebench-plate"]),
     ("harness/identify", &["platebench-plate", "platebench-trace", "platebench-verdict"]),
     ("harness/report", &["platebench-trace", "platebench-verdict"]),
+    ("harness/export", &["platebench-trace", "platebench-verdict"]),
 ];
 
 fn manifest(folder: &str) -> Table {

@@ -1,0 +1,89 @@
+//! What every format holds of a row: names, units, meanings.
+//!
+//! Names are those of the trace. Its flags are a column each, because that is what other programs can filter by.
+
+use platebench_trace::{Flags, Row};
+
+/// A number of a row.
+#[derive(Debug, Clone, Copy)]
+pub struct Number {
+    /// The column's name in the trace.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// What it is, in a sentence without an end.
+    pub meaning: &'static str,
+    /// Its value.
+    pub of: fn(&Row) -> f64,
+}
+
+/// A flag of a row.
+#[derive(Debug, Clone, Copy)]
+pub struct Mark {
+    /// The flag's name in the trace, with `_` instead of `-`.
+    pub name: &'static str,
+    /// What it says where it is set.
+    pub meaning: &'static str,
+    /// The flag.
+    pub flag: Flags,
+}
+
+macro_rules! number {
+    ($field:ident, $unit:literal, $meaning:literal) => {
+        Number { name: stringify!($field), unit: $unit, meaning: $meaning, of: |row| row.$field }
+    };
+}
+
+/// The numbers of a row, time first. Amplitudes and voltages are peak to peak.
+pub const NUMBERS: [Number; 13] = [
+    number!(t_s, "s", "time since the start of the trial"),
+    number!(setpoint_um, "µm", "wished amplitude"),
+    number!(wd_um, "µm", "in-phase component Wd of the plate's vibration"),
+    number!(wq_um, "µm", "quadrature component Wq of the plate's vibration"),
+    number!(amplitude_um, "µm", "amplitude |W| of the plate's vibration"),
+    number!(drive_vpp, "V", "drive from here on, peak to peak"),
+    number!(frequency_hz, "Hz", "excitation frequency from here on"),
+    number!(resonance_hz, "Hz", "the plate's true resonance frequency"),
+    number!(temperature_offset_k, "K", "temperature above the plate's reference"),
+    number!(finger_force_n, "N", "normal force of the finger"),
+    number!(sensed_wd_um, "µm", "in-phase component that the controller was last given"),
+    number!(sensed_wq_um, "µm", "quadrature component that the controller was last given"),
+    number!(lateness_us, "µs", "how late the bench was at this instant"),
+];
+
+/// The flags of a row.
+pub const MARKS: [Mark; 5] = [
+    Mark { name: "control", meaning: "control instant: the controller was given this state", flag: Flags::CONTROL },
+    Mark { name: "saturated", meaning: "the drive is at the amplifier's limit", flag: Flags::SATURATED },
+    Mark { name: "overrun", meaning: "the bench was too late for this instant", flag: Flags::OVERRUN },
+    Mark { name: "link_lost", meaning: "no answer came, the last drive is held", flag: Flags::LINK_LOST },
+    Mark { name: "safe", meaning: "the controller is not running: 0 V", flag: Flags::SAFE },
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_trace::COLUMNS;
+
+    #[test]
+    fn nothing_of_a_trace_is_left_out() {
+        let names: Vec<_> = NUMBERS.iter().map(|number| number.name).chain(["flags"]).collect();
+        assert_eq!(names, COLUMNS);
+        let all = MARKS.iter().fold(Flags::empty(), |all, mark| all | mark.flag);
+        assert_eq!((all, MARKS.len()), (Flags::all(), Flags::all().iter().count()));
+    }
+
+    #[test]
+    fn a_name_ends_in_its_unit() {
+        for Number { name, unit, .. } in NUMBERS {
+            let said = match name.rsplit_once('_').unwrap().1 {
+                "um" => "µm",
+                "us" => "µs",
+                "vpp" => "V",
+                "hz" => "Hz",
+                other => &other.to_uppercase(),
+            };
+            assert!(unit == said || unit.to_uppercase() == said, "{name} in {unit}");
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Parquet: a table for each scenario, with the trials below each other.
+//!
+//! Units stand in the file's key-value metadata as `unit.<column>`, meanings as `meaning.<column>`, beside what is said
+//! of the scenario. A row group holds at most [`GROUP`] rows, which is all that is ever in memory.
+
+use crate::columns::{MARKS, NUMBERS};
+use crate::error::ExportError;
+use crate::source::Source;
+use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
+use parquet::data_type::{BoolType, ByteArray, ByteArrayType, DoubleType, Int32Type, Int64Type};
+use parquet::errors::ParquetError;
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::WriterProperties;
+use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
+use parquet::schema::types::{Type, TypePtr};
+use platebench_trace::Row;
+use std::fs::File;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Rows of a row group: some 8 MB of numbers.
+const GROUP: usize = 65_536;
+
+/// Writes the scenario's table.
+pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), ExportError> {
+    let refused = ExportError::format::<ParquetError>(path);
+    let facts = source.facts().into_iter().map(|(name, value)| (name.to_owned(), value));
+    let units = NUMBERS.iter().map(|number| (format!("unit.{}", number.name), number.unit.to_owned()));
+    let meanings = NUMBERS.iter().map(|number| (number.name, number.meaning));
+    let meanings = meanings.chain(MARKS.iter().map(|mark| (mark.name, mark.meaning)));
+    let meanings = meanings.map(|(name, meaning)| (format!("meaning.{name}"), meaning.to_owned()));
+    let metadata = facts.chain(units).chain(meanings).map(|(key, value)| KeyValue::new(key, value)).collect();
+    let properties = WriterProperties::builder()
+        .set_compression(Compression::SNAPPY)
+        .set_created_by(format!("{} {}", source.run.tool.name, source.run.tool.version))
+        .set_key_value_metadata(Some(metadata))
+        .build();
+    let schema = schema().map_err(&refused)?;
+    let mut writer = SerializedFileWriter::new(file, schema, Arc::new(properties)).map_err(&refused)?;
+    let mut block = Block::default();
+    for trial in &source.trials {
+        for row in trial.rows()? {
+            block.push(trial.index, trial.seed, row?);
+            if block.rows.len() == GROUP {
+                block.write(source.name, &mut writer).map_err(&refused)?;
+            }
+        }
+    }
+    if !block.rows.is_empty() {
+        block.write(source.name, &mut writer).map_err(&refused)?;
+    }
+    writer.close().map_err(&refused)?;
+    Ok(())
+}
+
+fn schema() -> Result<TypePtr, ParquetError> {
+    let column = |name: &str, physical, logical| {
+        let column = Type::primitive_type_builder(name, physical).with_repetition(Repetition::REQUIRED);
+        column.with_logical_type(logical).build().map(Arc::new)
+    };
+    let unsigned = |bit_width| Some(LogicalType::integer(bit_width, false));
+    let mut fields = vec![
+        column("scenario", Physical::BYTE_ARRAY, Some(LogicalType::String))?,
+        column("trial", Physical::INT32, unsigned(32))?,
+        column("seed", Physical::INT64, unsigned(64))?,
+    ];
+    for number in NUMBERS {
+        fields.push(column(number.name, Physical::DOUBLE, None)?);
+    }
+    for mark in MARKS {
+        fields.push(column(mark.name, Physical::BOOLEAN, None)?);
+    }
+    Type::group_type_builder("trace").with_fields(fields).build().map(Arc::new)
+}
+
+/// Rows that go into a row group together.
+#[derive(Default)]
+struct Block {
+    trials: Vec<i32>,
+    seeds: Vec<i64>,
+    rows: Vec<Row>,
+}
+
+impl Block {
+    fn push(&mut self, trial: u32, seed: u64, row: Row) {
+        // Parquet keeps unsigned numbers in the bits of signed ones.
+        self.trials.push(trial.cast_signed());
+        self.seeds.push(seed.cast_signed());
+        self.rows.push(row);
+    }
+
+    /// Writes a row group and is empty again.
+    fn write(&mut self, scenario: &str, writer: &mut SerializedFileWriter<File>) -> Result<(), ParquetError> {
+        let mut group = writer.next_row_group()?;
+        let names = vec![ByteArray::from(scenario); self.rows.len()];
+        column::<ByteArrayType>(&mut group, &names)?;
+        column::<Int32Type>(&mut group, &self.trials)?;
+        column::<Int64Type>(&mut group, &self.seeds)?;
+        for number in NUMBERS {
+            column::<DoubleType>(&mut group, &self.rows.iter().map(number.of).collect::<Vec<_>>())?;
+        }
+        for mark in MARKS {
+            let set: Vec<bool> = self.rows.iter().map(|row| row.flags.contains(mark.flag)).collect();
+            column::<BoolType>(&mut group, &set)?;
+        }
+        group.close()?;
+        self.trials.clear();
+        self.seeds.clear();
+        self.rows.clear();
+        Ok(())
+    }
+}
+
+/// Writes the next column of a row group.
+fn column<T: parquet::data_type::DataType>(
+    group: &mut SerializedRowGroupWriter<'_, File>,
+    values: &[T::T],
+) -> Result<(), ParquetError> {
+    let Some(mut column) = group.next_column()? else {
+        return Err(ParquetError::General("more columns than the schema has".to_owned()));
+    };
+    column.typed::<T>().write_batch(values, None, None)?;
+    column.close()
+}

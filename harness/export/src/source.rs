@@ -1,0 +1,110 @@
+//! One scenario of a run as every format sees it: its trials' traces, and what is said of all of them.
+
+use crate::error::ExportError;
+use platebench_trace::{Row, Rows};
+use platebench_verdict::record::FILE;
+use platebench_verdict::{RunRecord, ScenarioRecord};
+use std::path::{Component, Path, PathBuf};
+
+/// A trial whose trace is whole.
+#[derive(Debug)]
+pub(crate) struct Trial {
+    pub(crate) index: u32,
+    pub(crate) seed: u64,
+    trace: PathBuf,
+}
+
+impl Trial {
+    /// Its rows, one after the other.
+    pub(crate) fn rows(&self) -> Result<impl Iterator<Item = Result<Row, ExportError>>, ExportError> {
+        Ok(Rows::open(&self.trace)?.map(|row| row.map_err(ExportError::from)))
+    }
+}
+
+/// A scenario with at least one whole trial.
+#[derive(Debug)]
+pub(crate) struct Source<'a> {
+    pub(crate) run: &'a RunRecord,
+    pub(crate) scenario: &'a ScenarioRecord,
+    /// The scenario's file without its ending: `paper/fig13-closed-loop`.
+    pub(crate) name: &'a str,
+    /// When the run started, ns since 1970 UTC.
+    pub(crate) started_ns: u64,
+    pub(crate) trials: Vec<Trial>,
+}
+
+impl<'a> Source<'a> {
+    /// The scenario of the run in `folder`, and how many of its trials have no trace because they were cut off.
+    pub(crate) fn of(
+        run: &'a RunRecord,
+        scenario: &'a ScenarioRecord,
+        folder: &Path,
+        started_ns: u64,
+    ) -> Result<(Self, usize), ExportError> {
+        let outside = |named: &str| ExportError::Outside { record: folder.join(FILE), named: named.to_owned() };
+        let name = scenario.file.strip_suffix(".toml").unwrap_or(&scenario.file);
+        if !is_below(name) {
+            return Err(outside(&scenario.file));
+        }
+        let mut trials = Vec::with_capacity(scenario.trials.len());
+        let mut cut_off = 0;
+        for trial in &scenario.trials {
+            if !is_below(&trial.trace) {
+                return Err(outside(&trial.trace));
+            }
+            let trace = folder.join(&trial.trace);
+            // A trial without a hash was cut off; one with a hash and without a file is an error, told where it is read.
+            if trial.sha256.is_none() && !trace.exists() {
+                cut_off += 1;
+            } else {
+                trials.push(Trial { index: trial.index, seed: trial.seed, trace });
+            }
+        }
+        Ok((Self { run, scenario, name, started_ns, trials }, cut_off))
+    }
+
+    /// What holds for every row, by name. Names are the same in every format.
+    pub(crate) fn facts(&self) -> Vec<(&'static str, String)> {
+        let (run, scenario) = (self.run, self.scenario);
+        let firmware = run.rig.firmware.as_ref().map(|firmware| format!("{} {}", firmware.name, firmware.version));
+        let inputs: Vec<_> =
+            scenario.inputs.iter().map(|input| format!("{} sha256:{}", input.file, input.sha256)).collect();
+        let facts = [
+            ("scenario", Some(self.name.to_owned())),
+            ("title", Some(scenario.title.clone())),
+            ("source", scenario.source.clone()),
+            ("law", Some(scenario.law.clone())),
+            ("model", Some(scenario.model.clone())),
+            ("verdict", Some(scenario.verdict.name().to_owned())),
+            ("trials", Some(self.trials.len().to_string())),
+            ("rig", Some(run.rig.name.clone())),
+            ("firmware", firmware),
+            ("clock", Some(run.clock.clone())),
+            ("started", Some(run.started.clone())),
+            ("complete", Some(run.complete.to_string())),
+            ("inputs", Some(inputs.join(", "))),
+            ("tool", Some(format!("{} {}", run.tool.name, run.tool.version))),
+        ];
+        facts.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
+    }
+}
+
+/// True for a relative path that does not leave where it starts.
+fn is_below(path: &str) -> bool {
+    !path.is_empty() && Path::new(path).components().all(|part| matches!(part, Component::Normal(_)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_name_leads_out_of_the_folder() {
+        for inside in ["a", "paper/fig13", "a/b/c.csv"] {
+            assert!(is_below(inside), "{inside}");
+        }
+        for outside in ["", "/etc/passwd", "../a", "a/../../b", "./a/.."] {
+            assert!(!is_below(outside), "{outside}");
+        }
+    }
+}
