@@ -49,6 +49,31 @@ pub(crate) fn open_points(record: &RunRecord) -> Vec<(&ScenarioRecord, usize)> {
     of(Verdict::Fail).chain(of(Verdict::Inconclusive)).collect()
 }
 
+/// Why the run as a whole did not pass, where none of its scenarios says so.
+pub(crate) fn doubt(record: &RunRecord) -> Option<&'static str> {
+    if !record.complete {
+        Some("the run was not finished")
+    } else if record.scenarios.is_empty() {
+        Some("there was nothing to run")
+    } else if record.verdict != Verdict::Pass && record.scenarios.iter().all(|found| found.verdict == Verdict::Pass) {
+        Some("the run did not pass")
+    } else {
+        None
+    }
+}
+
+/// Why a scenario did not pass, where none of its expectations says so.
+pub(crate) fn doubt_of(scenario: &ScenarioRecord) -> Option<&'static str> {
+    let carried = scenario.expectations.iter().any(|expectation| expectation.verdict != Verdict::Pass);
+    if scenario.verdict == Verdict::Pass || carried {
+        None
+    } else if scenario.expectations.is_empty() {
+        Some("nothing was judged")
+    } else {
+        Some("the scenario did not pass")
+    }
+}
+
 /// The scenario `X-open-loop` that belongs to the scenario `X-closed-loop`.
 pub(crate) fn open_loop_of(record: &RunRecord, scenario: &ScenarioRecord) -> Option<usize> {
     let bare = |file: &str| file.strip_suffix(".toml").unwrap_or(file).to_owned();

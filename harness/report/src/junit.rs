@@ -7,6 +7,10 @@
 //! a run or a scenario that did not pass although every expectation in it did (it was cut short, or there was nothing
 //! to judge) holds one more case with an error.
 //!
+//! The file keeps to the schema that Jenkins' readers check (`tests/report/junit-10.xsd`, itself Surefire's and more).
+//! That knows properties of a suite only, so requirements stand there, as `requirement.<metric>`; what else there is to
+//! know of a case stands in its `system-out`, a line each, which is what readers show beside it.
+//!
 //! Neighbours: the record is read, `quick-junit` writes. Times are those of the record, so that equal records give
 //! equal files.
 
@@ -27,21 +31,14 @@ pub const FILE: &str = "junit.xml";
 /// [`ReportError`] where the file cannot be written.
 pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     let text = report(record).to_string().map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
-    fs::write(path, text).map_err(ReportError::io(path))
+    // The schema has no such attribute for all suites together, and nothing is ever skipped.
+    fs::write(path, text.replacen(" skipped=\"0\"", "", 1)).map_err(ReportError::io(path))
 }
 
 fn report(record: &RunRecord) -> Report {
     let mut report = Report::new(record.tool.name.as_str());
     report.add_test_suites(record.scenarios.iter().map(suite));
-    let doubt = if !record.complete {
-        "the run was not finished"
-    } else if record.scenarios.is_empty() {
-        "there was nothing to run"
-    } else if record.verdict != Verdict::Pass && record.scenarios.iter().all(|found| found.verdict == Verdict::Pass) {
-        "the run did not pass"
-    } else {
-        return report;
-    };
+    let Some(doubt) = evidence::doubt(record) else { return report };
     let mut suite = TestSuite::new("run");
     suite.add_test_case(doubtful("the whole run", "run", doubt));
     report.add_test_suite(suite);
@@ -59,14 +56,18 @@ fn suite(scenario: &ScenarioRecord) -> TestSuite {
     if let Some(source) = &scenario.source {
         suite.add_property(("source", source.as_str()));
     }
+    for (index, expectation) in scenario.expectations.iter().enumerate() {
+        if let Some(requirement) = &expectation.requirement {
+            let name = format!("requirement.{}", evidence::key(scenario, index));
+            suite.add_property((name.as_str(), requirement.as_str()));
+        }
+    }
     let wall: Option<f64> = scenario.trials.iter().map(|trial| trial.wall_ms).sum();
     if let Some(time) = wall.and_then(|ms| Duration::try_from_secs_f64(ms / 1e3).ok()) {
         suite.set_time(time);
     }
     suite.add_test_cases((0..scenario.expectations.len()).filter_map(|index| case(scenario, index)));
-    let carried = scenario.expectations.iter().any(|expectation| expectation.verdict != Verdict::Pass);
-    if scenario.verdict != Verdict::Pass && !carried {
-        let what = if scenario.expectations.is_empty() { "nothing was judged" } else { "the scenario did not pass" };
+    if let Some(what) = evidence::doubt_of(scenario) {
         suite.add_test_case(doubtful("the whole scenario", &scenario.file, what));
     }
     suite
@@ -112,6 +113,7 @@ fn case(scenario: &ScenarioRecord, index: usize) -> Option<TestCase> {
         ("seed", trial.map(|trial| trial.seed.to_string())),
         ("trace", trial.map(|trial| trial.trace.clone())),
     ];
-    case.add_properties(properties.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))));
+    let lines = properties.into_iter().filter_map(|(name, value)| Some(format!("{name}: {}\n", value?)));
+    case.set_system_out(lines.collect::<String>());
     Some(case)
 }

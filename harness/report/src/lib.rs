@@ -2,6 +2,7 @@
 //!
 //! * [`console`]: tables for a terminal, and progress while a run goes on.
 //! * [`junit`]: `junit.xml` for continuous integration.
+//! * [`tap`], [`markdown`], [`annotations`], [`events`]: the same for other readers, docs/formats.md describes each.
 //! * [`html`]: `report.html`, one file that needs nothing else.
 //! * [`traceability`]: `traceability.csv`, from requirement to trace.
 //! * [`shown`]: limits, values and units in words, the same in every report.
@@ -14,18 +15,22 @@
 //! judged here and nothing is measured: a number in a report stands in the record or in a trace. Exit codes are the
 //! command line's.
 
+pub mod annotations;
 pub mod chart;
 pub mod comparison;
 pub mod console;
 mod cost;
 mod error;
+pub mod events;
 mod evidence;
 mod history;
 pub mod html;
 pub mod identification;
 pub mod junit;
 pub mod map;
+pub mod markdown;
 pub mod shown;
+pub mod tap;
 mod timing;
 pub mod traceability;
 

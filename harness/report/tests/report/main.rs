@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
 mod console;
+mod formats;
 mod html;
 mod junit;
 mod look;

@@ -1,0 +1,142 @@
+//! TAP, Markdown, annotations and lines of JSON.
+
+use crate::made;
+use platebench_report::annotations::{self, Place};
+use platebench_report::events::Events;
+use platebench_report::{markdown, tap};
+use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
+use serde_json::Value;
+use std::io::{self, Write};
+use std::sync::{Arc, Mutex};
+
+/// A run that was cut short before its first scenario was judged.
+fn cut_short() -> RunRecord {
+    let mut record = made::mixed();
+    record.complete = false;
+    record.verdict = Verdict::Inconclusive;
+    record.scenarios.truncate(1);
+    record.scenarios[0].expectations.clear();
+    record.scenarios[0].verdict = Verdict::Inconclusive;
+    record
+}
+
+#[test]
+fn tap_is_what_it_was() {
+    insta::assert_snapshot!("tap", tap::text(&made::mixed()));
+    insta::assert_snapshot!("tap-cut-short", tap::text(&cut_short()));
+}
+
+/// Every level: a plan, and as many points as it says.
+#[test]
+fn tap_counts_its_points_and_passes_only_what_passed() {
+    for record in [made::mixed(), cut_short(), made::run(Vec::new())] {
+        let text = tap::text(&record);
+        let mut plans = 0;
+        for indent in ["", "    "] {
+            let mut expected = 0;
+            let lines = text.lines().filter_map(|line| line.strip_prefix(indent)).filter(|line| !line.starts_with(' '));
+            for line in lines {
+                if let Some(points) = line.strip_prefix("1..") {
+                    assert_eq!(expected, 0, "{text}");
+                    expected = points.parse::<usize>().unwrap();
+                    plans += 1;
+                } else if line.starts_with("ok ") || line.starts_with("not ok ") {
+                    expected -= 1;
+                }
+            }
+            assert_eq!(expected, 0, "{text}");
+        }
+        assert_eq!(plans, 1 + record.scenarios.len());
+        assert!(!text.contains("# SKIP") && !text.contains("# TODO"));
+        let passed = record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
+        let passed = passed.filter(|expectation| expectation.verdict == Verdict::Pass).count();
+        assert_eq!(text.lines().filter(|line| line.starts_with("    ok ")).count(), passed);
+    }
+    assert!(tap::text(&cut_short()).ends_with("Bail out! the run was not finished\n"));
+}
+
+#[test]
+fn the_summary_is_what_it_was() {
+    insta::assert_snapshot!("summary", markdown::page(&made::mixed()));
+    insta::assert_snapshot!("summary-cut-short", markdown::page(&cut_short()));
+}
+
+#[test]
+fn a_summary_stays_below_what_is_refused() {
+    let mut record = made::mixed();
+    let many = std::iter::repeat_with(|| record.scenarios[1].clone()).take(2_000).collect();
+    record.scenarios = many;
+    for expectation in record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.expectations) {
+        expectation.reason = Some("µ|".repeat(10_000));
+    }
+    let page = markdown::page(&record);
+    assert!(page.len() < 1 << 20, "{}", page.len());
+    assert!(page.contains("… and 1800 more."));
+}
+
+#[test]
+fn a_summary_is_appended_or_replaces() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("summary.md");
+    let page = markdown::page(&made::mixed());
+    markdown::append(&made::mixed(), &path).unwrap();
+    markdown::append(&made::mixed(), &path).unwrap();
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), format!("{page}\n{page}\n"));
+    markdown::write(&made::mixed(), &path).unwrap();
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), page);
+}
+
+#[test]
+fn annotations_point_at_what_expected_it() {
+    let place = |scenario: &ScenarioRecord, index: Option<usize>| {
+        Some(Place { file: format!("scenarios/{}", scenario.file), line: index.map_or(1, |index| 10 + index) })
+    };
+    insta::assert_snapshot!("annotations", annotations::commands(&made::mixed(), &place));
+    insta::assert_snapshot!("annotations-cut-short", annotations::commands(&cut_short(), &|_, _| None));
+    let mut passed = made::mixed();
+    passed.scenarios.truncate(1);
+    passed.verdict = Verdict::Pass;
+    assert_eq!(annotations::commands(&passed, &place), "");
+}
+
+/// What was written, and how much of it at each flush.
+#[derive(Clone, Default)]
+struct Heard(Arc<Mutex<(Vec<u8>, Vec<usize>)>>);
+
+impl Write for Heard {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap().0.extend(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        let mut heard = self.0.lock().unwrap();
+        let length = heard.0.len();
+        heard.1.push(length);
+        Ok(())
+    }
+}
+
+#[test]
+fn events_are_a_line_each_and_written_at_once() {
+    let record = made::mixed();
+    let heard = Heard::default();
+    let mut events = Events::new(heard.clone());
+    let scenario = &record.scenarios[0];
+    events.run_started("runs/x", "hosted", "lockstep", &[(scenario.file.clone(), 1)]);
+    events.scenario_started(&scenario.file, 1);
+    events.trial_finished(&scenario.file, &scenario.trials[0]);
+    events.scenario_finished(scenario);
+    events.run_finished(Some(&record), None, 1);
+    events.run_finished(None, Some("nothing to run"), 4);
+    let (bytes, flushes) = heard.0.lock().unwrap().clone();
+    let text = String::from_utf8(bytes).unwrap();
+    let ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at + 1).collect();
+    assert_eq!(ends, flushes);
+    let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 6);
+    assert_eq!(lines[2]["trial"], serde_json::to_value(&scenario.trials[0]).unwrap());
+    assert_eq!(lines[3]["expectations"], serde_json::to_value(&scenario.expectations).unwrap());
+    insta::assert_snapshot!("events-last-lines", text.lines().skip(4).collect::<Vec<_>>().join("\n"));
+    insta::assert_snapshot!("events-first-lines", text.lines().take(2).collect::<Vec<_>>().join("\n"));
+}
