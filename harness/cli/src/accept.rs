@@ -171,6 +171,7 @@ fn order(arguments: &Session) -> Result<Order, Exit> {
         shard: None,
         live: false,
         format: Format::Human,
+        told: crate::told::Told::default(),
     };
     let clock = clock(&like_a_run).map_err(invalid)?;
     let plan = Plan::load(&arguments.plan).map_err(|faults| {

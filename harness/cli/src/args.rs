@@ -76,6 +76,8 @@ pub(crate) enum Command {
     Accept(crate::accept::Accept),
     /// Controller gains for a plate, their margins, what can be met and what cannot
     Tune(crate::tune::Tune),
+    /// The traces of a stored run as Parquet, MDF4, MCAP or CSV
+    Export(crate::export::Export),
 }
 
 /// `platebench run`
@@ -137,8 +139,11 @@ pub(crate) struct Run {
     #[arg(long)]
     pub(crate) live: bool,
     /// What standard output shows
+    /// What standard output shows; json: what happens, a JSON object a line, the last of them the verdict
     #[arg(long, value_enum, default_value_t = Format::Human)]
     pub(crate) format: Format,
+    #[command(flatten)]
+    pub(crate) told: crate::told::Told,
 }
 
 /// `--clock`
@@ -183,7 +188,7 @@ pub(crate) fn time_scale(text: &str) -> Result<f64, String> {
 pub(crate) enum Format {
     /// A table
     Human,
-    /// The run record
+    /// What programs read
     Json,
 }
 

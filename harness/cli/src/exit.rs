@@ -43,6 +43,19 @@ impl Exit {
         }
     }
 
+    /// The number that the process ends with.
+    pub(crate) const fn code(self) -> u8 {
+        match self {
+            Self::Passed => 0,
+            Self::Failed => 1,
+            Self::Invalid => 2,
+            Self::Inconclusive => 3,
+            Self::Nothing => 4,
+            Self::Unreachable => 5,
+            Self::Signal(number) => 128 + number,
+        }
+    }
+
     /// How a run without a record ends.
     pub(crate) fn of_error(error: &RunError) -> Self {
         match error {
@@ -62,14 +75,6 @@ impl Exit {
 
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {
-        Self::from(match exit {
-            Exit::Passed => 0,
-            Exit::Failed => 1,
-            Exit::Invalid => 2,
-            Exit::Inconclusive => 3,
-            Exit::Nothing => 4,
-            Exit::Unreachable => 5,
-            Exit::Signal(number) => 128 + number,
-        })
+        Self::from(exit.code())
     }
 }

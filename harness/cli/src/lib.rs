@@ -10,6 +10,7 @@ mod compare;
 mod desk;
 mod emulate;
 mod exit;
+mod export;
 mod identify;
 mod live;
 mod logging;
@@ -19,6 +20,7 @@ mod run;
 mod signals;
 mod stability;
 mod stored;
+mod told;
 mod trust;
 mod tune;
 
@@ -51,6 +53,7 @@ pub fn main() -> ExitCode {
         Command::Chart(arguments) => chart::chart(arguments),
         Command::Accept(accept) => accept::accept(accept, arguments.logging.quiet),
         Command::Tune(arguments) => tune::tune(arguments),
+        Command::Export(arguments) => export::export(arguments),
     });
     exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");

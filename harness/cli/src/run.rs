@@ -1,17 +1,20 @@
 //! `platebench run`: find, play, judge, report.
 
-use crate::args::{BASELINES, Clock, Pacing, PlateMode, Run};
+use crate::args::{BASELINES, Clock, Format, Pacing, PlateMode, Run};
 use crate::desk::Desk;
 use crate::exit::Exit;
 use crate::signals::{PATIENCE, Signals};
 use crate::{live, output};
 use platebench_live::{Told, View};
+use crate::told::{self, Places};
+use platebench_report::events::Events;
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
 use platebench_rig::{RigSpec, check_baud};
 use platebench_runner::{Cancel, Company, Event, Pace, Plan, RunError, RunFolder, Watch, rejudge};
 use platebench_scenario::{Scenario, find};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
+use std::io::stdout;
 use std::num::NonZero;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -20,31 +23,46 @@ use tracing::info;
 
 /// Plays scenarios and judges them.
 pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
+    let mut events = (arguments.format == Format::Json).then(|| Events::new(stdout()));
+    let ended = played(arguments, quiet, &mut events);
+    let (exit, record) = match ended {
+        Ok((exit, record)) => (exit, Some(record)),
+        Err(exit) => (exit, None),
+    };
+    if let Some(events) = &mut events {
+        let error = record.is_none().then(|| told::ended(exit));
+        events.run_finished(record.as_ref(), error, exit.code());
+    }
+    exit
+}
+
+/// How the run ended, with its record where it came to one.
+fn played(arguments: &Run, quiet: bool, events: &mut Option<Events>) -> Result<(Exit, RunRecord), Exit> {
     let clock = match clock(arguments) {
         Ok(clock) => clock,
         Err(what) => {
             output::error(what);
-            return Exit::Invalid;
+            return Err(Exit::Invalid);
         }
     };
     if let Err(error) = arguments.rig.check() {
         output::error(&error.to_string());
-        return Exit::Invalid;
+        return Err(Exit::Invalid);
     }
-    let Ok(scenarios) = scenarios(arguments, clock) else { return Exit::Invalid };
+    let Ok(scenarios) = scenarios(arguments, clock) else { return Err(Exit::Invalid) };
     if scenarios.is_empty() {
         output::error("there is nothing to run");
-        return Exit::Nothing;
+        return Err(Exit::Nothing);
     }
     if let Err(error) = fast_enough(arguments, clock, &scenarios) {
         output::error(&error);
-        return Exit::Invalid;
+        return Err(Exit::Invalid);
     }
     let folder = match RunFolder::create(arguments.out.as_deref()) {
         Ok(folder) => folder,
         Err(error) => {
             output::error(&error.to_string());
-            return Exit::Invalid;
+            return Err(Exit::Invalid);
         }
     };
     // One line is driven by one; and in real time nothing may compete with it.
@@ -85,9 +103,17 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
     drop(view);
     match played {
         Ok(record) => finish(&record, &folder, arguments),
+    let places = Places::of_scenarios(&plan.scenarios);
+    if let Some(events) = events {
+        let trials = |scenario: &Scenario| (scenario.file.clone(), scenario.trials.count);
+        let scenarios: Vec<_> = plan.scenarios.iter().map(trials).collect();
+        events.run_started(&folder.path().display().to_string(), &plan.rig, plan.clock.name(), &scenarios);
+    let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };
+    match play(plan, &folder, arguments.rig.clone(), kind, events) {
+        Ok(record) => Ok((finish(&record, &folder, arguments, &places), record)),
         Err((error, signal)) => {
             explain(&error, &folder);
-            signal.map_or_else(|| Exit::of_error(&error), Exit::Signal)
+            Err(signal.map_or_else(|| Exit::of_error(&error), Exit::Signal))
         }
     }
 }
@@ -210,6 +236,7 @@ impl Around<'_> {
 
 /// Plays the plan on threads of its own while this one listens for signals and tells of progress.
 pub(crate) fn play(
+fn play(
     plan: Plan,
     folder: &RunFolder,
     rig: RigSpec,
@@ -217,6 +244,7 @@ pub(crate) fn play(
     around: Around<'_>,
 ) -> Result<RunRecord, (RunError, Option<u8>)> {
     let Around { desk, view, watch } = around;
+    told: &mut Option<Events>,
     let without_signal = |error: std::io::Error| (RunError::Bench(error.to_string()), None);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(without_signal)?;
     let cancel = Cancel::default();
@@ -249,10 +277,19 @@ pub(crate) fn play(
                     follow(&mut progress, &event);
                     if let (Some(view), Some(news)) = (view, Told::of(&event)) {
                         view.tell(news);
+                    if let Some(told) = told {
+                        tell(told, &event);
                     }
                     continue;
                 }
                 ended = &mut playing => {
+                    // What was said before the end may not have been heard yet.
+                    while let Ok(event) = events.try_recv() {
+                        follow(&mut progress, &event);
+                        if let Some(told) = told {
+                            tell(told, &event);
+                        }
+                    }
                     progress.finish();
                     let ended = ended.unwrap_or_else(|error| Err(RunError::Bench(error.to_string())));
                     return ended.map_err(|error| (error, received));
@@ -281,7 +318,15 @@ pub(crate) fn follow(progress: &mut Progress, event: &Event) {
     }
 }
 
-fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run) -> Exit {
+fn tell(events: &mut Events, event: &Event) {
+    match event {
+        Event::ScenarioStarted { file, trials } => events.scenario_started(file, *trials),
+        Event::TrialFinished { file, trial } => events.trial_finished(file, trial),
+        Event::ScenarioFinished(record) => events.scenario_finished(record),
+    }
+}
+
+fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run, places: &Places) -> Exit {
     let written = junit::write(record, &folder.path().join(junit::FILE))
         .and_then(|()| {
             let page = html::Page::new(record, folder.path()).with_baselines(Path::new(BASELINES)).with_earlier_runs();
@@ -289,6 +334,12 @@ fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run) -> Exit {
         })
         .and_then(|()| traceability::write(record, folder.path()));
     output::record(record, arguments.format);
+        .and_then(|()| html::write(record, folder.path()))
+        .and_then(|()| traceability::write(record, folder.path()))
+        .and_then(|()| arguments.told.tell(record, places));
+    if arguments.format == Format::Human {
+        output::record(record, arguments.format);
+    }
     output::note(&format!("run folder: {}", folder.path().display()));
     warn_of_drive(record);
     match written {

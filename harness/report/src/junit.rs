@@ -7,9 +7,9 @@
 //! a run or a scenario that did not pass although every expectation in it did (it was cut short, or there was nothing
 //! to judge) holds one more case with an error.
 //!
-//! The file keeps to the schema that Jenkins' readers check (`tests/report/junit-10.xsd`, itself Surefire's and more).
-//! That knows properties of a suite only, so requirements stand there, as `requirement.<metric>`; what else there is to
-//! know of a case stands in its `system-out`, a line each, which is what readers show beside it.
+//! The file keeps to the schema that Jenkins' xunit plugin checks (`tests/report/junit-10.xsd`). That knows properties
+//! of a suite only, so requirements stand there, as `requirement.<metric>`; what else there is to know of a case stands
+//! in its `system-out`, a line each, which is what readers show beside it.
 //!
 //! Neighbours: the record is read, `quick-junit` writes. Times are those of the record, so that equal records give
 //! equal files.

@@ -21,7 +21,11 @@ pub(crate) fn root() -> PathBuf {
 /// The program, in a folder where a run may leave its traces.
 pub(crate) fn program(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_platebench-under-test"));
-    command.current_dir(folder).env_remove("PLATEBENCH_LOG");
+    command.current_dir(folder);
+    // What surrounds the tests is not what they test.
+    for variable in ["PLATEBENCH_LOG", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "GITHUB_WORKSPACE"] {
+        command.env_remove(variable);
+    }
     command
 }
 

@@ -118,19 +118,6 @@ fn a_reader_who_goes_away_is_no_error() {
 }
 
 #[test]
-fn the_result_can_be_had_as_json() {
-    let workshop = Workshop::new();
-    workshop.scenario("s.toml", &step(GOOD));
-    let output = call(workshop.path(), ["run", "--format", "json", "--out", "run"]);
-    let shown: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    let stored: serde_json::Value =
-        serde_json::from_slice(&fs::read(workshop.path().join("run/run.json")).unwrap()).unwrap();
-    assert_eq!(shown, stored);
-    assert_eq!(shown["scenarios"][0]["trials"][0]["trace"], "traces/s/000.csv");
-    assert_eq!(shown["scenarios"][0]["verdict"], "pass");
-}
-
-#[test]
 fn the_log_follows_its_switches() {
     let workshop = Workshop::new();
     workshop.scenario("s.toml", &step(GOOD));

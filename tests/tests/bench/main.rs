@@ -14,6 +14,7 @@ mod determinism;
 mod exits;
 mod extremes;
 mod faults;
+mod formats;
 mod golden;
 mod identify;
 mod layout;

@@ -1,0 +1,169 @@
+//! What a run tells other programs, and what is exported of it.
+
+use crate::bench::{Workshop, call, code, program, step_scenario};
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+
+const GOOD: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
+const BAD: &str = "metric = \"settling_time_ms\"\nat_most = 0.5\nrequirement = \"ACC-1\"";
+
+fn step(expect: &str) -> String {
+    step_scenario("aluminium-198x138", "", "", expect)
+}
+
+fn lines(output: &Output) -> Vec<Value> {
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
+    text.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))).collect()
+}
+
+fn events(lines: &[Value]) -> Vec<&str> {
+    lines.iter().map(|line| line["event"].as_str().unwrap()).collect()
+}
+
+fn stored(folder: &Path) -> Value {
+    serde_json::from_slice(&fs::read(folder.join("run/run.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn a_run_is_told_line_by_line_and_the_last_is_the_verdict() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step(GOOD));
+    let run = ["run", "--rig", "hosted", "--trials", "2", "--jobs", "1", "--format", "json", "--out", "run"];
+    let output = call(workshop.path(), run);
+    assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
+    let lines = lines(&output);
+    assert_eq!(
+        events(&lines),
+        ["run-started", "scenario-started", "trial-finished", "trial-finished", "scenario-finished", "run-finished"]
+    );
+    let record = stored(workshop.path());
+    let scenario = &record["scenarios"][0];
+    assert_eq!(lines[0]["folder"], "run");
+    assert_eq!(lines[0]["scenarios"], serde_json::json!([{"scenario": "s.toml", "trials": 2}]));
+    assert_eq!(lines[2]["trial"], scenario["trials"][0]);
+    assert_eq!(lines[3]["trial"], scenario["trials"][1]);
+    assert_eq!(lines[4]["expectations"], scenario["expectations"]);
+    assert_eq!((&lines[5]["verdict"], &lines[5]["exit_code"]), (&record["verdict"], &Value::from(0)));
+}
+
+#[test]
+fn the_last_line_is_there_however_a_run_ends() {
+    for (text, rig, expected) in [
+        (step(BAD), "hosted", 1),
+        ("title = 3".to_owned(), "hosted", 2),
+        (step(GOOD), "exec:true {port}", 5),
+        (String::new(), "hosted", 4),
+    ] {
+        let workshop = Workshop::new();
+        if !text.is_empty() {
+            workshop.scenario("s.toml", &text);
+        }
+        let output = call(workshop.path(), ["run", "--rig", rig, "--format", "json", "--out", "run"]);
+        assert_eq!(code(&output), expected, "{}", String::from_utf8_lossy(&output.stderr));
+        let lines = lines(&output);
+        let last = lines.last().unwrap();
+        assert_eq!((&last["event"], &last["exit_code"]), (&Value::from("run-finished"), &Value::from(expected)));
+        assert_eq!(last["error"].is_null(), expected == 1, "{last}");
+        assert_ne!(last["verdict"], "pass");
+    }
+}
+
+#[test]
+fn github_is_told_where_the_expectation_stands() {
+    let workshop = Workshop::new();
+    let text = format!("{}\n[[expect]]\n{BAD}\n", step(GOOD));
+    workshop.scenario("s.toml", &text);
+    let line = text.lines().position(|line| line == "at_most = 0.5").unwrap();
+    let expected = format!("::error file=scenarios/s.toml,line={line},title=s.toml%3A fail::settling_time_ms[2] ≤ 0.5");
+    let run = |out: &str, more: &[&str], on_github: Option<&str>| {
+        let mut command = program(workshop.path());
+        command.args(["run", "--rig", "hosted", "--out", out]).args(more).env("GITHUB_STEP_SUMMARY", "step.md");
+        if let Some(value) = on_github {
+            command.env("GITHUB_ACTIONS", value);
+        }
+        let output = command.output().unwrap();
+        assert_eq!(code(&output), 1);
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        (told.lines().any(|line| line.starts_with(&expected)), workshop.path().join("step.md").exists())
+    };
+    assert_eq!(run("a", &[], None), (false, false));
+    assert_eq!(run("b", &[], Some("false")), (false, false));
+    assert_eq!(run("c", &["--github", "off"], Some("true")), (false, false));
+    assert_eq!(run("d", &[], Some("true")), (true, true));
+    fs::remove_file(workshop.path().join("step.md")).unwrap();
+    assert_eq!(run("e", &["--github", "on"], None), (true, true));
+}
+
+#[test]
+fn summary_and_tap_are_files() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step(BAD));
+    let output = call(
+        workshop.path(),
+        ["run", "--rig", "hosted", "--out", "run", "--summary", "summary.md", "--tap", "run.tap"],
+    );
+    assert_eq!(code(&output), 1);
+    let summary = fs::read_to_string(workshop.path().join("summary.md")).unwrap();
+    assert!(summary.starts_with("## ✗ platebench: fail\n") && summary.contains("ACC-1"), "{summary}");
+    let tap = fs::read_to_string(workshop.path().join("run.tap")).unwrap();
+    assert!(tap.starts_with("TAP version 14\n1..1\n") && tap.ends_with("\nnot ok 1 - s.toml\n"), "{tap}");
+    let output = call(workshop.path(), ["run", "--rig", "hosted", "--out", "again", "--tap", "no/such/folder"]);
+    assert_eq!(code(&output), 2);
+}
+
+/// A file that is not there, one that is in the way, a scenario that nobody knows.
+#[test]
+fn a_run_is_exported_once() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step(GOOD));
+    assert_eq!(code(&call(workshop.path(), ["run", "--rig", "hosted", "--out", "run"])), 0);
+    for (format, file) in [("parquet", "s.parquet"), ("mf4", "s.mf4"), ("csv", "traces.csv"), ("mcap", "s.mcap")] {
+        let export = ["export", "run", "--format", format];
+        let output = call(workshop.path(), export);
+        assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
+        let written = workshop.path().join("run/export").join(file);
+        assert!(String::from_utf8_lossy(&output.stdout).starts_with(&format!("run/export/{file}\n")));
+        let before = fs::read(&written).unwrap();
+        assert_eq!(code(&call(workshop.path(), export)), 2);
+        assert_eq!(fs::read(&written).unwrap(), before);
+    }
+    for wrong in [&["export", "run", "--format", "csv", "t"][..], &["export", "nothing", "--format", "csv"]] {
+        assert_eq!(code(&call(workshop.path(), wrong)), 2, "{wrong:?}");
+    }
+    let trace = workshop.path().join("run/traces/s/000.csv");
+    let broken = fs::read_to_string(&trace).unwrap().replacen("\n0.0,", "\nx,", 1);
+    fs::write(&trace, broken).unwrap();
+    let output = call(workshop.path(), ["export", "run", "--format", "parquet", "--out", "other"]);
+    assert_eq!(code(&output), 2);
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains("run/traces/s/000.csv:2: "), "{told}");
+}
+
+/// A run that was killed: the record names no trial, one trace is whole and the next is not.
+#[test]
+fn what_was_whole_of_a_killed_run_is_exported() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step(GOOD));
+    let run = ["run", "--rig", "hosted", "--trials", "2", "--out", "run"];
+    assert_eq!(code(&call(workshop.path(), run)), 0);
+    let mut record = stored(workshop.path());
+    record["complete"] = Value::from(false);
+    record["scenarios"][0]["trials"] = Value::Array(Vec::new());
+    record["scenarios"][0]["expectations"] = Value::Array(Vec::new());
+    fs::write(workshop.path().join("run/run.json"), record.to_string()).unwrap();
+    let traces = workshop.path().join("run/traces/s");
+    fs::rename(traces.join("001.csv"), traces.join("001.csv.part")).unwrap();
+    let output = call(workshop.path(), ["export", "run", "--format", "csv"]);
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(code(&output), 0, "{told}");
+    assert!(told.contains("the run was cut off; exported is what was whole by then"), "{told}");
+    let table = fs::read_to_string(workshop.path().join("run/export/traces.csv")).unwrap();
+    let rows = fs::read_to_string(traces.join("000.csv")).unwrap().lines().count();
+    assert_eq!(table.lines().count(), rows);
+    assert!(table.lines().skip(1).all(|line| line.starts_with("s,0,")));
+    fs::remove_file(traces.join("000.csv")).unwrap();
+    let output = call(workshop.path(), ["export", "run", "--format", "csv", "--out", "other"]);
+    assert_eq!(code(&output), 4, "{}", String::from_utf8_lossy(&output.stderr));
+}
