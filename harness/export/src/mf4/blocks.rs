@@ -46,7 +46,7 @@ pub(super) struct Channel {
 
 /// A group that is being written.
 pub(super) struct Group {
-    channel_group: u64,
+    channels: u64,
     data: u64,
     records: u64,
     record_bytes: u64,
@@ -122,7 +122,7 @@ impl Blocks {
         self.next_group = group + HEAD;
         let data = self.block(*b"DT", &[], &[])?;
         self.link(group, 2, data)?;
-        Ok(Group { channel_group, data, records: 0, record_bytes: record_bytes.into() })
+        Ok(Group { channels: channel_group, data, records: 0, record_bytes: record_bytes.into() })
     }
 
     fn channel(&mut self, channel: Channel, next: u64) -> io::Result<u64> {
@@ -151,7 +151,7 @@ impl Blocks {
     pub(super) fn end_group(&mut self, group: &Group) -> io::Result<()> {
         self.number_at(group.data + LINK, HEAD + group.records * group.record_bytes)?;
         // The cycle count stands after the channel group's six links and its record identifier.
-        self.number_at(group.channel_group + HEAD + 6 * LINK + 8, group.records)
+        self.number_at(group.channels + HEAD + 6 * LINK + 8, group.records)
     }
 
     /// Hands everything to the system.
