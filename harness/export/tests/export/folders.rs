@@ -1,6 +1,7 @@
 //! Files and names: what is made, what is refused, and that nothing is lost.
 
 use crate::made::{self, Made};
+use parquet::file::metadata::RowGroupMetaData;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use platebench_export::{ExportError, Exported, Format, export};
 use std::fs::{self, File};
@@ -157,7 +158,7 @@ fn long_trials_go_into_row_groups_that_fit_into_memory() {
         made.record.scenarios[0].trials = vec![long];
         let file = exported(&made, &[], Format::Parquet).unwrap().files.pop().unwrap();
         let reader = SerializedFileReader::new(File::open(file).unwrap()).unwrap();
-        let found: Vec<_> = reader.metadata().row_groups().iter().map(|group| group.num_rows()).collect();
+        let found: Vec<_> = reader.metadata().row_groups().iter().map(RowGroupMetaData::num_rows).collect();
         assert_eq!(found, groups);
     }
 }

@@ -1,4 +1,4 @@
-//! What DuckDB, asammdf and the MCAP library of Python find in an exported file.
+//! What `DuckDB`, asammdf and the MCAP library of Python find in an exported file.
 
 use crate::made::{self, Made};
 use platebench_export::columns::{MARKS, NUMBERS};

@@ -3,7 +3,7 @@
 //! `foreign` asks those (`ci/install-test-tools`; where they are missing the tests say so and pass, unless
 //! `PLATEBENCH_REQUIRE_ALL=1` asks for all of them); `folders` is about files and names; `made` holds the runs.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a helper that cannot set up its case has failed the case")]
 
 mod folders;
 mod foreign;
