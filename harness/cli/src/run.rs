@@ -4,9 +4,9 @@ use crate::args::{BASELINES, Clock, Format, Pacing, PlateMode, Run};
 use crate::desk::Desk;
 use crate::exit::Exit;
 use crate::signals::{PATIENCE, Signals};
+use crate::told::{self, Places};
 use crate::{live, output};
 use platebench_live::{Told, View};
-use crate::told::{self, Places};
 use platebench_report::events::Events;
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
 use platebench_rig::{RigSpec, check_baud};
@@ -97,19 +97,18 @@ fn played(arguments: &Run, quiet: bool, events: &mut Option<Events>) -> Result<(
     if let Some(view) = &view {
         view.quit_on_q();
     }
-    let around = Around { desk: Desk::new(is_real && !arguments.yes), view: view.as_ref(), watch };
-    let played = play(plan, &folder, arguments.rig.clone(), kind, around);
-    // What is said from here on is for the terminal as it was.
-    drop(view);
-    match played {
-        Ok(record) => finish(&record, &folder, arguments),
     let places = Places::of_scenarios(&plan.scenarios);
     if let Some(events) = events {
         let trials = |scenario: &Scenario| (scenario.file.clone(), scenario.trials.count);
         let scenarios: Vec<_> = plan.scenarios.iter().map(trials).collect();
         events.run_started(&folder.path().display().to_string(), &plan.rig, plan.clock.name(), &scenarios);
-    let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };
-    match play(plan, &folder, arguments.rig.clone(), kind, events) {
+    }
+    let around =
+        Around { desk: Desk::new(is_real && !arguments.yes), view: view.as_ref(), watch, events: events.as_mut() };
+    let played = play(plan, &folder, arguments.rig.clone(), kind, around);
+    // What is said from here on is for the terminal as it was.
+    drop(view);
+    match played {
         Ok(record) => Ok((finish(&record, &folder, arguments, &places), record)),
         Err((error, signal)) => {
             explain(&error, &folder);
@@ -220,31 +219,40 @@ fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Sce
     Ok(scenarios)
 }
 
-/// Who is there while a run is played, and what they look at.
+/// Who is there while a run is played, what they look at and what they are told.
 pub(crate) struct Around<'a> {
     pub(crate) desk: Desk,
     pub(crate) view: Option<&'a View>,
     pub(crate) watch: Watch,
+    pub(crate) events: Option<&'a mut Events>,
 }
 
 impl Around<'_> {
     /// Nobody.
     pub(crate) fn nobody() -> Self {
-        Self { desk: Desk::new(false), view: None, watch: Watch::default() }
+        Self { desk: Desk::new(false), view: None, watch: Watch::default(), events: None }
+    }
+
+    fn hear(&mut self, event: &Event) {
+        if let (Some(view), Some(news)) = (self.view, Told::of(event)) {
+            view.tell(news);
+        }
+        if let Some(events) = &mut self.events {
+            tell(events, event);
+        }
     }
 }
 
 /// Plays the plan on threads of its own while this one listens for signals and tells of progress.
 pub(crate) fn play(
-fn play(
     plan: Plan,
     folder: &RunFolder,
     rig: RigSpec,
     kind: ProgressKind,
-    around: Around<'_>,
+    mut around: Around<'_>,
 ) -> Result<RunRecord, (RunError, Option<u8>)> {
-    let Around { desk, view, watch } = around;
-    told: &mut Option<Events>,
+    let desk = std::mem::replace(&mut around.desk, Desk::new(false));
+    let watch = std::mem::take(&mut around.watch);
     let without_signal = |error: std::io::Error| (RunError::Bench(error.to_string()), None);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(without_signal)?;
     let cancel = Cancel::default();
@@ -275,20 +283,14 @@ fn play(
             let number = tokio::select! {
                 Some(event) = events.recv() => {
                     follow(&mut progress, &event);
-                    if let (Some(view), Some(news)) = (view, Told::of(&event)) {
-                        view.tell(news);
-                    if let Some(told) = told {
-                        tell(told, &event);
-                    }
+                    around.hear(&event);
                     continue;
                 }
                 ended = &mut playing => {
                     // What was said before the end may not have been heard yet.
                     while let Ok(event) = events.try_recv() {
                         follow(&mut progress, &event);
-                        if let Some(told) = told {
-                            tell(told, &event);
-                        }
+                        around.hear(&event);
                     }
                     progress.finish();
                     let ended = ended.unwrap_or_else(|error| Err(RunError::Bench(error.to_string())));
@@ -332,9 +334,6 @@ fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run, places: &Plac
             let page = html::Page::new(record, folder.path()).with_baselines(Path::new(BASELINES)).with_earlier_runs();
             page.write(&folder.path().join(html::FILE))
         })
-        .and_then(|()| traceability::write(record, folder.path()));
-    output::record(record, arguments.format);
-        .and_then(|()| html::write(record, folder.path()))
         .and_then(|()| traceability::write(record, folder.path()))
         .and_then(|()| arguments.told.tell(record, places));
     if arguments.format == Format::Human {

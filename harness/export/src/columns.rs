@@ -52,12 +52,17 @@ pub const NUMBERS: [Number; 13] = [
 ];
 
 /// The flags of a row.
-pub const MARKS: [Mark; 5] = [
+pub const MARKS: [Mark; 6] = [
     Mark { name: "control", meaning: "control instant: the controller was given this state", flag: Flags::CONTROL },
     Mark { name: "saturated", meaning: "the drive is at the amplifier's limit", flag: Flags::SATURATED },
     Mark { name: "overrun", meaning: "the bench was too late for this instant", flag: Flags::OVERRUN },
     Mark { name: "link_lost", meaning: "no answer came, the last drive is held", flag: Flags::LINK_LOST },
     Mark { name: "safe", meaning: "the controller is not running: 0 V", flag: Flags::SAFE },
+    Mark {
+        name: "sensed",
+        meaning: "told by a controller that drives a plate of its own: motion is its sensor's, what nobody knows is not a number",
+        flag: Flags::SENSED,
+    },
 ];
 
 #[cfg(test)]
