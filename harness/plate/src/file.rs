@@ -1,11 +1,12 @@
 //! The plate file: raw as it is written, [`Plate`] as it may be used.
 
 use crate::demodulator::Lockin;
+use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
 /// The plate file as serde reads it; every key that it may have, none of them checked yet.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawPlate {
     /// What the plate is.
@@ -25,27 +26,32 @@ pub struct RawPlate {
 }
 
 /// `[mode]`
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawMode {
     /// Resonance at the reference temperature, Hz.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = HIGHEST_RESONANCE_HZ))]
     pub resonance_hz: f64,
     /// Temperature from which offsets are counted, °C.
+    #[schemars(extend("exclusiveMinimum" = -273.15))]
     pub reference_temperature_c: f64,
     /// Change of the resonance per kelvin, Hz.
     pub resonance_slope_hz_per_k: f64,
     /// τ = 1/σ untouched, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub time_constant_ms: f64,
     /// K1 at resonance, untouched, µm/Vpp.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub gain_um_per_vpp: f64,
 }
 
 /// `[finger]`
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawFinger {
     /// Points [force N, σ/σ0]; linear between, the last segment extended.
     #[serde(default = "undamped")]
+    #[schemars(length(min = 1))]
     pub damping_ratio: Vec<[f64; 2]>,
     /// Change of the resonance per newton, Hz.
     #[serde(default)]
@@ -63,28 +69,40 @@ fn undamped() -> Vec<[f64; 2]> {
 }
 
 /// `[drive]`
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawDrive {
     /// Highest drive the amplifier gives, Vpp.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_vpp: f64,
 }
 
 /// `[sensor]`
-#[derive(Debug, Clone, Default, Deserialize)]
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(extend("dependentRequired" = {
+    "demodulator_periods": ["converter_hz"],
+    "converter_hz": ["demodulator_periods"],
+    "converter_bits": ["demodulator_periods", "converter_range_um"],
+    "converter_range_um": ["demodulator_periods", "converter_bits"],
+}))]
 pub struct RawSensor {
     /// Standard deviation of white noise on each demodulated component, µm.
     #[serde(default)]
+    #[schemars(range(min = 0.0))]
     pub noise_um_rms: f64,
     /// Carrier periods over which the lock-in demodulator takes its mean; without it W is sensed at once. Carrier tier only, as
     /// are the three below.
+    #[schemars(range(min = 1, max = 10_000))]
     pub demodulator_periods: Option<i64>,
     /// Samples per second of the converter before the demodulator.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e9))]
     pub converter_hz: Option<f64>,
     /// Resolution of the converter, sign included; without it nothing is rounded.
+    #[schemars(range(min = 2, max = 32))]
     pub converter_bits: Option<i64>,
     /// The largest amplitude that the converter does not clip, µm.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub converter_range_um: Option<f64>,
 }
 

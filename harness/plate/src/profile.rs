@@ -1,12 +1,13 @@
 //! Setpoint, temperature offset or finger force over time: raw as a scenario writes it, [`Profile`] as a plant plays it.
 
 use crate::time::Time;
+use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
 /// A profile as a scenario writes it.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected a number or one of { hold = [[t_ms, value], …] }, { linear = [[t_ms, value], …] }, \
@@ -20,13 +21,13 @@ pub enum RawProfile {
 }
 
 /// The shapes that a profile may have.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum RawShape {
     /// Points [`t_ms`, value]; each value is held until the next point.
-    Hold(Vec<[f64; 2]>),
+    Hold(#[schemars(length(min = 1))] Vec<[f64; 2]>),
     /// Points [`t_ms`, value]; straight lines between, constant before the first and after the last.
-    Linear(Vec<[f64; 2]>),
+    Linear(#[schemars(length(min = 1))] Vec<[f64; 2]>),
     /// A sine wave.
     Sine(RawSine),
     /// Points from a file with the columns `t_ms` and `value`, read as `linear`.
@@ -34,12 +35,17 @@ pub enum RawShape {
 }
 
 /// `mean + amplitude · sin(2π frequency_hz t + phase_deg)`
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSine {
+    /// The value around which it swings.
     mean: f64,
+    /// Half of the swing.
     amplitude: f64,
+    /// Swings per second of plate time.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     frequency_hz: f64,
+    /// Phase at the start, degrees.
     #[serde(default)]
     phase_deg: f64,
 }

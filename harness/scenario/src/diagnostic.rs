@@ -46,7 +46,8 @@ impl Diagnostic {
         Self::at_span(path, source, span_of_key(source, key), message)
     }
 
-    pub(crate) fn of_toml(path: &Path, source: &str, error: &toml::de::Error) -> Self {
+    /// What the reader of TOML says of `source`, in the words of a TOML file and with what may have been meant.
+    pub fn of_toml(path: &Path, source: &str, error: &toml::de::Error) -> Self {
         let span = error.span().unwrap_or(0..0);
         let mut message = error.message().trim().to_owned();
         for (serde, ours) in SERDE_WORDS {
@@ -98,13 +99,46 @@ impl fmt::Display for Diagnostic {
 
 impl std::error::Error for Diagnostic {}
 
-/// `; did you mean …?` where one of `known` is close to `name`.
-pub(crate) fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+/// `; did you mean …?` where one of `known` is close to `name`, or is the same quantity in another unit.
+pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     const CLOSE: f64 = 0.85;
+    let known: Vec<_> = known.into_iter().collect();
+    let quantity = |name: &'a str| name.rsplit_once('_').filter(|(_, unit)| UNITS.contains(unit));
+    let same = known.iter().filter_map(|known| Some((known, quantity(known)?)));
+    let mut same = same.filter(|(known, (quantity, _))| {
+        let unit = name.strip_prefix(quantity).map(|rest| rest.strip_prefix('_').unwrap_or(rest));
+        unit.is_some_and(|unit| unit.is_empty() || OTHER_UNITS.contains(&unit) || UNITS.contains(&unit))
+            && name != **known
+    });
+    if let (Some((known, (_, unit))), None) = (same.next(), same.next()) {
+        return format!("; did you mean `{known}`, in {}?", spoken(unit));
+    }
     let rated = known.into_iter().map(|known| (strsim::jaro_winkler(name, known), known));
     match rated.filter(|(closeness, _)| *closeness >= CLOSE).max_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((_, known)) => format!("; did you mean `{known}`?"),
         None => String::new(),
+    }
+}
+
+/// Units at the end of our keys.
+const UNITS: [&str; 9] = ["ms", "us", "um", "hz", "k", "c", "n", "vpp", "percent"];
+/// Units that somebody else would have put there.
+const OTHER_UNITS: [&str; 24] = [
+    "s", "sec", "seconds", "min", "ns", "m", "mm", "nm", "micron", "khz", "mhz", "rad", "mn", "newton", "v", "mv",
+    "volt", "volts", "kelvin", "celsius", "degc", "pct", "ratio", "rms",
+];
+
+fn spoken(unit: &str) -> &str {
+    match unit {
+        "us" => "µs",
+        "um" => "µm",
+        "hz" => "Hz",
+        "k" => "K",
+        "c" => "°C",
+        "n" => "N",
+        "vpp" => "Vpp",
+        "percent" => "%",
+        other => other,
     }
 }
 

@@ -1,7 +1,7 @@
 //! Which scenario files a command line means.
 
 use crate::diagnostic::Diagnostic;
-use crate::load::load;
+use crate::load::examine;
 use crate::scenario::Scenario;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 /// Folders that are only looked into where they are named themselves: they hold other things than scenarios, or scenarios that are played to record a plate
 /// and not to judge a controller.
 const OTHER_FOLDERS: [&str; 4] = ["plates", "baselines", "plans", "identify"];
+/// Folders without anything that people write.
+const WRITTEN_BY_THE_BENCH: [&str; 1] = ["baselines"];
 /// A folder with this file is a run's; the scenarios in it are copies.
 const RUN_RECORD: &str = "run.json";
 /// Scenarios are called by their path below a folder of this name.
@@ -35,7 +37,7 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
     // By canonical path: a file that is named twice is played once.
     let mut files: BTreeMap<PathBuf, (PathBuf, String, bool)> = BTreeMap::new();
     for argument in arguments {
-        for path in files_below(argument, &mut BTreeSet::new(), &mut faults) {
+        for path in files_below(argument, &OTHER_FOLDERS, &mut BTreeSet::new(), &mut faults) {
             let own = path == *argument || path.parent() == Some(argument.as_path());
             let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
             let name = name_of(&canonical, argument);
@@ -45,10 +47,10 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
     }
     let mut found = Found { scenarios: Vec::new(), left_out: Vec::new() };
     for (path, name, own) in files.into_values() {
-        match load(&path, &name) {
+        match examine(&path, &name) {
             Ok(scenario) if scenario.expected_exit.is_some() && !own => found.left_out.push(name),
             Ok(scenario) => found.scenarios.push(scenario),
-            Err(fault) => faults.push(fault),
+            Err(found) => faults.extend(found),
         }
     }
     found.scenarios.sort_by(|a, b| a.file.cmp(&b.file));
@@ -64,8 +66,28 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
     if faults.is_empty() { Ok(found) } else { Err(faults) }
 }
 
-/// `visited` are the folders already looked into: a link may lead back to one.
-fn files_below(argument: &Path, visited: &mut BTreeSet<PathBuf>, faults: &mut Vec<Diagnostic>) -> Vec<PathBuf> {
+/// Every TOML file that `arguments` name or that stands below a folder that they name, scenario or not, with the name that it has in records; baselines and
+/// what lies in run folders are left out. And the folders that cannot be read.
+pub fn every_file(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
+    let mut faults = Vec::new();
+    let mut files = BTreeMap::new();
+    for argument in arguments {
+        for path in files_below(argument, &WRITTEN_BY_THE_BENCH, &mut BTreeSet::new(), &mut faults) {
+            let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
+            let name = name_of(&canonical, argument);
+            files.entry(canonical).or_insert((path, name));
+        }
+    }
+    (files.into_values().collect(), faults)
+}
+
+/// `others` are the folders that are not looked into, `visited` are the folders already looked into: a link may lead back to one.
+fn files_below(
+    argument: &Path,
+    others: &[&str],
+    visited: &mut BTreeSet<PathBuf>,
+    faults: &mut Vec<Diagnostic>,
+) -> Vec<PathBuf> {
     if !argument.is_dir() {
         return vec![argument.to_owned()];
     }
@@ -83,9 +105,9 @@ fn files_below(argument: &Path, visited: &mut BTreeSet<PathBuf>, faults: &mut Ve
     for path in entries.into_iter().map(|entry| entry.path()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         if path.is_dir() {
-            let is_other = OTHER_FOLDERS.contains(&&*name) || path.join(RUN_RECORD).exists();
+            let is_other = others.contains(&&*name) || path.join(RUN_RECORD).exists();
             if !is_other && !name.starts_with('.') {
-                files.extend(files_below(&path, visited, faults));
+                files.extend(files_below(&path, others, visited, faults));
             }
         } else if path.extension().is_some_and(|extension| extension == "toml") && !name.starts_with('.') {
             files.push(path);

@@ -2,6 +2,7 @@
 //!
 //! * [`raw`]: the file as serde reads it; every key it may have.
 //! * [`mod@load`]: raw to [`Scenario`], which cannot hold a wrong value; every rule that a file can break.
+//! * [`mod@schema`]: the same as JSON Schema, for editors.
 //! * [`diagnostic`]: where a file is wrong and what was expected.
 //! * [`expect`]: metrics, limits, expectations.
 //! * [`fault`]: what goes wrong on the line, on purpose.
@@ -17,15 +18,18 @@ pub mod fault;
 pub mod find;
 pub mod load;
 pub mod model;
+mod parse;
 pub mod raw;
 mod scenario;
+pub mod schema;
 pub mod variation;
 
-pub use diagnostic::Diagnostic;
+pub use diagnostic::{Diagnostic, suggestion};
 pub use expect::{Expectation, Limit, Metric, Over, Window};
 pub use fault::{Direction, Fault, FaultKind};
-pub use find::{Found, find};
-pub use load::load;
+pub use find::{Found, every_file, find};
+pub use load::{examine, load};
 pub use model::Model;
+pub use parse::parse;
 pub use scenario::{Controller, Gains, Input, Scenario, Trials};
 pub use variation::{Spread, Variation};

@@ -3,6 +3,7 @@
 use crate::diagnostic::{Diagnostic, suggestion};
 use crate::fault::Fault;
 use crate::model::{AUTO, Model};
+use crate::parse::parse;
 use crate::raw::{RawController, RawScenario, RawSpread, RawTrials};
 use crate::scenario::{Controller, Gains, Input, Scenario, Trials};
 use crate::variation::Spread;
@@ -19,7 +20,7 @@ mod profile;
 
 const DEFAULT_LAW: &str = "dq-pi";
 const DEFAULT_PERIOD_MS: f64 = 1.0;
-const LONGEST_PERIOD_MS: f64 = 1_000.0;
+pub(crate) const LONGEST_PERIOD_MS: f64 = 1_000.0;
 const LONGEST_DELAY_PERIODS: u64 = 100;
 /// The day's temperature moves the paper's plate by 87 Hz; more than twice that is not a plate any more but another mode.
 const DEFAULT_FREQUENCY_RANGE_HZ: f64 = 250.0;
@@ -32,17 +33,51 @@ const LONGEST_FINE_TRACE_MS: f64 = 1_000.0;
 const MOST_ROWS: f64 = 2e6;
 /// A plate that rings longer than hours is a mistyped unit; far beyond it rounding loses its damping altogether.
 const HIGHEST_QUALITY: f64 = 1e9;
-const MOST_TRIALS: i64 = 100_000;
-const LARGEST_SPREAD_PERCENT: f64 = 20.0;
+pub(crate) const MOST_TRIALS: i64 = 100_000;
+pub(crate) const LARGEST_SPREAD_PERCENT: f64 = 20.0;
 
 /// Reads and checks the scenario at `path`, which will be called `file` in records.
 ///
 /// # Errors
 /// The first [`Diagnostic`] of the scenario, its plate or one of its profile files.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
-    let text = read(path)?;
-    let raw: RawScenario = toml::from_str(&text).map_err(|error| Diagnostic::of_toml(path, &text, &error))?;
-    Checker { path, text: &text }.scenario(raw, file)
+    examine(path, file).map_err(|faults| {
+        faults.into_iter().next().unwrap_or_else(|| Diagnostic::of_file(path, "refused without a reason"))
+    })
+}
+
+/// The same, with all that is wrong and not only the first: of a text that cannot be read every key, else every key that does not depend on a wrong one, and
+/// the first of each `[[fault]]` and each `[[expect]]`.
+///
+/// # Errors
+/// At least one [`Diagnostic`].
+pub fn examine(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
+    let text = read(path).map_err(|fault| vec![fault])?;
+    let raw: RawScenario = parse(path, &text)?;
+    let mut faults = Faults::default();
+    match (Checker { path, text: &text }.scenario(raw, file, &mut faults), faults.0) {
+        (Some(scenario), faults) if faults.is_empty() => Ok(scenario),
+        (_, faults) => Err(faults),
+    }
+}
+
+/// Reads and checks the plate file at `path`.
+///
+/// # Errors
+/// All that is wrong with its keys, else the first value that cannot be meant.
+pub fn plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
+    plate_of(path, &read(path).map_err(|fault| vec![fault])?)
+}
+
+/// What is wrong so far.
+#[derive(Debug, Default)]
+struct Faults(Vec<Diagnostic>);
+
+impl Faults {
+    /// What there is, where there is something; else why not is kept.
+    fn keep<T>(&mut self, result: Result<T, Diagnostic>) -> Option<T> {
+        result.map_err(|fault| self.0.push(fault)).ok()
+    }
 }
 
 fn read(path: &Path) -> Result<String, Diagnostic> {
@@ -107,14 +142,75 @@ impl Checker<'_> {
         }
     }
 
-    fn scenario(&self, raw: RawScenario, file: &str) -> Result<Scenario, Diagnostic> {
+    /// `None` where something is wrong, and what that is in `faults`.
+    fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Faults) -> Option<Scenario> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         let one_line = !raw.title.trim().is_empty() && !raw.title.contains(char::is_control);
-        self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title))?;
+        faults.keep(self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title)));
         let mut inputs = vec![Input { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
-        let plate = self.plate(&folder.join(&raw.plate), &mut inputs)?;
-        let controller = self.controller(&raw.controller, &plate)?;
-        let duration = self.span("duration_ms", self.positive("duration_ms", raw.duration_ms)?)?;
+        let plate = self.plate(&folder.join(&raw.plate), &mut inputs, faults);
+        let controller = self.controller(&raw.controller, plate.as_ref(), faults);
+        let positive = self.positive("duration_ms", raw.duration_ms);
+        let duration = faults.keep(positive.and_then(|ms| self.span("duration_ms", ms)));
+        let timing = controller.as_ref().zip(duration);
+        let trace_step = timing.and_then(|(controller, duration)| faults.keep(self.timing(&raw, controller, duration)));
+        let mut profile = |key: &str, raw: &RawProfile| faults.keep(self.profile(folder, key, raw, &mut inputs));
+        let setpoint = profile("profile.setpoint_um", &raw.profile.setpoint_um);
+        let temperature_offset_k = profile("profile.temperature_offset_k", &raw.profile.temperature_offset_k);
+        let finger_force_n = profile("profile.finger_force_n", &raw.profile.finger_force_n);
+        let trials = faults.keep(self.trials(&raw.trials));
+        if let Some(setpoint) = &setpoint {
+            faults.keep(self.setpoints(folder, &raw.profile, setpoint));
+        }
+        let scene = temperature_offset_k.zip(finger_force_n);
+        let scene = scene.map(|(temperature_offset_k, finger_force_n)| Scene { temperature_offset_k, finger_force_n });
+        if let (Some(plate), Some(scene), Some(trials)) = (&plate, &scene, &trials) {
+            faults.keep(self.surroundings(folder, &raw.profile, plate, scene, &trials.spread));
+        }
+        faults.keep(self.require(!raw.expect.is_empty(), "expect", || {
+            "no [[expect]], expected at least one: a scenario that expects nothing cannot fail".to_owned()
+        }));
+        let asked = faults.keep(self.tier(raw.model.as_deref()));
+        let expected_exit = faults.keep(self.expected_exit(raw.expected_exit));
+        let (Some(controller), Some(duration), Some(setpoint)) = (controller, duration, setpoint) else { return None };
+        let count = faults.0.len();
+        let struck = (0..).zip(&raw.fault);
+        let struck = struck.map(|(index, fault)| self.fault(index, fault, duration, controller.period));
+        let struck: Vec<_> = struck.collect::<Vec<_>>().into_iter().filter_map(|fault| faults.keep(fault)).collect();
+        let play = Play { duration, setpoint: &setpoint, faults: &struck };
+        let expected = (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, play));
+        let expected: Vec<_> = expected.filter_map(|expectation| faults.keep(expectation)).collect();
+        if faults.0.len() > count {
+            return None;
+        }
+        let asked = asked?;
+        let mut scenario = Scenario {
+            file: file.to_owned(),
+            title: raw.title,
+            source: raw.source,
+            tags: raw.tags,
+            tier: asked.unwrap_or_default(),
+            model: Model::of(asked),
+            expected_exit: expected_exit?,
+            expectations: expected,
+            faults: struck,
+            scene: scene?,
+            inputs,
+            plate: plate?,
+            duration,
+            trace_step: trace_step?,
+            controller,
+            setpoint,
+            trials: trials?,
+        };
+        if faults.0.is_empty() {
+            scenario.choose_model(true);
+        }
+        Some(scenario)
+    }
+
+    /// What ties the trial's length to the controller's timing; the spacing of rows.
+    fn timing(&self, raw: &RawScenario, controller: &Controller, duration: Time) -> Result<Time, Diagnostic> {
         self.require(duration >= controller.period, "duration_ms", || {
             format!("{} ms, expected at least one control period of {}", raw.duration_ms, controller.period)
         })?;
@@ -124,75 +220,66 @@ impl Checker<'_> {
                 controller.loop_delay
             )
         })?;
-        let trace_step = self.trace_step(raw.trace_step_ms, duration, controller.period)?;
-        let mut profile = |key: &str, raw: &RawProfile| self.profile(folder, key, raw, &mut inputs);
-        let setpoint = profile("profile.setpoint_um", &raw.profile.setpoint_um)?;
-        let temperature = profile("profile.temperature_offset_k", &raw.profile.temperature_offset_k)?;
-        let force = profile("profile.finger_force_n", &raw.profile.finger_force_n)?;
-        let trials = self.trials(&raw.trials)?;
-        let scene = Scene { temperature_offset_k: temperature, finger_force_n: force };
-        self.setpoints(folder, &raw.profile, &setpoint)?;
-        self.surroundings(folder, &raw.profile, &plate, &scene, &trials.spread)?;
-        self.require(!raw.expect.is_empty(), "expect", || {
-            "no [[expect]], expected at least one: a scenario that expects nothing cannot fail".to_owned()
-        })?;
-        let faults = (0..).zip(&raw.fault).map(|(index, fault)| self.fault(index, fault, duration, controller.period));
-        let faults = faults.collect::<Result<Vec<_>, _>>()?;
-        let play = Play { duration, setpoint: &setpoint, faults: &faults };
-        let expectations = (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, play));
-        let expectations = expectations.collect::<Result<_, _>>()?;
-        let asked = self.tier(raw.model.as_deref())?;
-        let mut scenario = Scenario {
-            file: file.to_owned(),
-            title: raw.title,
-            source: raw.source,
-            tags: raw.tags,
-            tier: asked.unwrap_or_default(),
-            model: Model::of(asked),
-            expected_exit: self.expected_exit(raw.expected_exit)?,
-            expectations,
-            faults,
-            scene,
-            inputs,
-            plate,
-            duration,
-            trace_step,
-            controller,
-            setpoint,
-            trials,
-        };
-        scenario.choose_model(true);
-        Ok(scenario)
+        self.trace_step(raw.trace_step_ms, duration, controller.period)
     }
 
-    fn plate(&self, path: &Path, inputs: &mut Vec<Input>) -> Result<Plate, Diagnostic> {
+    fn plate(&self, path: &Path, inputs: &mut Vec<Input>, faults: &mut Faults) -> Option<Plate> {
         let text = match fs::read(path) {
-            Ok(bytes) => text_of(path, bytes)?,
+            Ok(bytes) => faults.keep(text_of(path, bytes))?,
             Err(error) => {
-                return self.refuse("plate", format!("plate file {} cannot be read: {error}", path.display()));
+                let message = format!("plate file {} cannot be read: {error}", path.display());
+                return faults.keep(self.refuse("plate", message));
             }
         };
-        let raw: RawPlate = toml::from_str(&text).map_err(|error| Diagnostic::of_toml(path, &text, &error))?;
-        let plate = raw.check().map_err(|error| Diagnostic::at_key(path, &text, error.key, error.to_string()))?;
-        let refuse = |key: &str, message: String| Err(Diagnostic::at_key(path, &text, key, message));
-        let quality = plate.omega0 / (2.0 * plate.sigma0);
-        if quality > HIGHEST_QUALITY {
-            let message = format!("a quality factor of {quality:.3e}, expected at most {HIGHEST_QUALITY:e}");
-            return refuse("mode.time_constant_ms", message);
-        }
-        for (key, value) in [("mode.gain_um_per_vpp", plate.gain), ("drive.limit_vpp", plate.drive_limit_vpp)] {
-            if !(value as f32).is_normal() {
-                return refuse(
-                    key,
-                    format!("{value:e}, expected 1.2e-38 to 3.4e38: the wire carries single precision"),
-                );
-            }
-        }
+        let plate = plate_of(path, &text).map_err(|found| faults.0.extend(found)).ok()?;
         inputs.push(Input { path: path.to_owned(), bytes: text.into_bytes() });
-        Ok(plate)
+        Some(plate)
     }
 
-    fn controller(&self, raw: &RawController, plate: &Plate) -> Result<Controller, Diagnostic> {
+    fn controller(&self, raw: &RawController, plate: Option<&Plate>, faults: &mut Faults) -> Option<Controller> {
+        let period = faults.keep(self.period(raw));
+        let delays = period.and_then(|period| {
+            let loop_delay = faults.keep(self.loop_delay(raw, period));
+            loop_delay.zip(faults.keep(self.design_delay(raw, period)))
+        });
+        let start_frequency_hz = plate.and_then(|plate| faults.keep(self.start_frequency(raw, plate)));
+        let mut optional = |key: &str, value: Option<f64>| {
+            let checked = |value| self.single(key, self.positive(key, value)?);
+            faults.keep(value.map(checked).transpose())
+        };
+        let range = optional("controller.frequency_range_hz", raw.frequency_range_hz);
+        let slew = optional("controller.frequency_slew_hz", raw.frequency_slew_hz);
+        let key = "controller.frequency_range_hz";
+        if let (Some(Some(range)), Some(start_frequency_hz)) = (range, start_frequency_hz) {
+            faults.keep(self.require(range < start_frequency_hz, key, || {
+                format!("{range} Hz, expected less than the start frequency of {start_frequency_hz:.1} Hz")
+            }));
+        }
+        let law = raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned());
+        faults.keep(
+            self.require(!law.trim().is_empty(), "controller.law", || {
+                "an empty name, expected a control law".to_owned()
+            }),
+        );
+        let key = "controller.response_time_ms";
+        let checked = |value| self.single(key, self.positive(key, value)?);
+        let response_time_ms = faults.keep(raw.response_time_ms.map(checked).transpose());
+        let gains = faults.keep(self.gains(raw));
+        let (loop_delay, design_delay) = delays?;
+        Some(Controller {
+            law,
+            period: period?,
+            start_frequency_hz: start_frequency_hz?,
+            loop_delay,
+            design_delay,
+            response_time_ms: response_time_ms?,
+            frequency_range_hz: range?.unwrap_or(DEFAULT_FREQUENCY_RANGE_HZ),
+            frequency_slew_hz: slew?.unwrap_or(DEFAULT_FREQUENCY_SLEW_HZ),
+            gains: gains?,
+        })
+    }
+
+    fn period(&self, raw: &RawController) -> Result<Time, Diagnostic> {
         let period_ms = raw.period_ms.unwrap_or(DEFAULT_PERIOD_MS);
         let key = "controller.period_ms";
         let period = self.span(key, self.positive(key, period_ms)?)?;
@@ -202,11 +289,19 @@ impl Checker<'_> {
         self.require(period.as_nanos() > 0 && period.as_nanos().is_multiple_of(1_000), key, || {
             format!("{period_ms} ms, expected whole microseconds: the wire carries no finer period")
         })?;
+        Ok(period)
+    }
+
+    fn loop_delay(&self, raw: &RawController, period: Time) -> Result<Time, Diagnostic> {
         let key = "controller.loop_delay_ms";
         let loop_delay = self.span(key, raw.loop_delay_ms)?;
         self.require(loop_delay <= period.times(LONGEST_DELAY_PERIODS), key, || {
             format!("{} ms, expected at most {LONGEST_DELAY_PERIODS} control periods", raw.loop_delay_ms)
         })?;
+        Ok(loop_delay)
+    }
+
+    fn design_delay(&self, raw: &RawController, period: Time) -> Result<Time, Diagnostic> {
         let key = "controller.design_delay_ms";
         let design_delay = self.span(key, raw.design_delay_ms)?;
         self.require(design_delay <= period, key, || {
@@ -215,6 +310,10 @@ impl Checker<'_> {
         self.require(design_delay.as_nanos().is_multiple_of(1_000), key, || {
             format!("{} ms, expected whole microseconds: the wire carries no finer delay", raw.design_delay_ms)
         })?;
+        Ok(design_delay)
+    }
+
+    fn start_frequency(&self, raw: &RawController, plate: &Plate) -> Result<f64, Diagnostic> {
         let resonance_hz = plate.omega0 / TAU;
         let key = "controller.start_frequency_hz";
         let start_frequency_hz = self.positive(key, raw.start_frequency_hz.unwrap_or(resonance_hz))?;
@@ -222,32 +321,7 @@ impl Checker<'_> {
         self.require((0.5..=1.5).contains(&share), key, || {
             format!("{start_frequency_hz} Hz, expected within half of the plate's resonance at {resonance_hz:.1} Hz")
         })?;
-        let optional = |key: &str, value: Option<f64>| {
-            let checked = |value| self.single(key, self.positive(key, value)?);
-            value.map(checked).transpose()
-        };
-        let range = optional("controller.frequency_range_hz", raw.frequency_range_hz)?;
-        let slew = optional("controller.frequency_slew_hz", raw.frequency_slew_hz)?;
-        let key = "controller.frequency_range_hz";
-        self.require(range.is_none_or(|range| range < start_frequency_hz), key, || {
-            format!(
-                "{} Hz, expected less than the start frequency of {start_frequency_hz:.1} Hz",
-                range.unwrap_or_default()
-            )
-        })?;
-        let law = raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned());
-        self.require(!law.trim().is_empty(), "controller.law", || "an empty name, expected a control law".to_owned())?;
-        Ok(Controller {
-            law,
-            period,
-            start_frequency_hz,
-            loop_delay,
-            design_delay,
-            response_time_ms: optional("controller.response_time_ms", raw.response_time_ms)?,
-            frequency_range_hz: range.unwrap_or(DEFAULT_FREQUENCY_RANGE_HZ),
-            frequency_slew_hz: slew.unwrap_or(DEFAULT_FREQUENCY_SLEW_HZ),
-            gains: self.gains(raw)?,
-        })
+        Ok(start_frequency_hz)
     }
 
     fn gains(&self, raw: &RawController) -> Result<Option<Gains>, Diagnostic> {
@@ -349,6 +423,25 @@ impl Checker<'_> {
             temperature_k: raw.temperature_k,
         })
     }
+}
+
+/// Checks the plate file with this text.
+fn plate_of(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
+    let raw: RawPlate = parse(path, text)?;
+    let refuse = |key: &str, message: String| vec![Diagnostic::at_key(path, text, key, message)];
+    let plate = raw.check().map_err(|error| refuse(error.key, error.to_string()))?;
+    let quality = plate.omega0 / (2.0 * plate.sigma0);
+    if quality > HIGHEST_QUALITY {
+        let message = format!("a quality factor of {quality:.3e}, expected at most {HIGHEST_QUALITY:e}");
+        return Err(refuse("mode.time_constant_ms", message));
+    }
+    for (key, value) in [("mode.gain_um_per_vpp", plate.gain), ("drive.limit_vpp", plate.drive_limit_vpp)] {
+        if !(value as f32).is_normal() {
+            let message = format!("{value:e}, expected 1.2e-38 to 3.4e38: the wire carries single precision");
+            return Err(refuse(key, message));
+        }
+    }
+    Ok(plate)
 }
 
 fn quoted<const N: usize>(names: [&str; N]) -> String {

@@ -140,6 +140,29 @@ fn shown(fault: &Diagnostic) -> String {
     fault.render(false).lines().map(str::trim_end).collect::<Vec<_>>().join("\n")
 }
 
+/// Whether the schema of the faulty file refuses it.
+fn schema_refuses(fault: &Diagnostic, good: &str, bad: &str) -> bool {
+    let folder = folder(&[(good, bad)]);
+    let schema = match fault.path.to_str().unwrap() {
+        "s.toml" => crate::schema::scenario(),
+        "plates/plate.toml" => crate::schema::plate(),
+        _ => return false,
+    };
+    let text = std::fs::read_to_string(folder.path().join(&fault.path)).unwrap();
+    // What is no TOML an editor sees without a schema.
+    let Ok(document) = toml::from_str::<toml::Table>(&text) else { return true };
+    let refused = !jsonschema::is_valid(schema.as_value(), &serde_json::to_value(document).unwrap());
+    let structural =
+        ["unknown key", "missing key", "invalid type", "invalid length", "unknown metric", "unknown signal"];
+    let structural = structural.iter().any(|kind| fault.message.starts_with(kind));
+    assert!(
+        refused || !structural || fault.message.contains("(floating"),
+        "the schema takes `{bad}`: {}",
+        fault.message
+    );
+    refused
+}
+
 /// One readable table of everything that a group of files is told.
 fn table(cases: &[(&str, &str)]) -> String {
     let mut table = String::new();
@@ -147,7 +170,9 @@ fn table(cases: &[(&str, &str)]) -> String {
         let fault = with(good, bad).err().unwrap_or_else(|| panic!("`{bad}` was taken"));
         let (line, column) = fault.position();
         let heading = if bad.is_empty() { format!("without {good}") } else { (*bad).to_owned() };
-        write!(table, "## {}\n{line}:{column}\n{}\n\n", heading.trim().replace('\n', " ⏎ "), shown(&fault)).unwrap();
+        let seen = if schema_refuses(&fault, good, bad) { "refuses it, too" } else { "does not see it" };
+        let heading = heading.trim().replace('\n', " ⏎ ");
+        write!(table, "## {heading}\n{line}:{column}\n{}\nthe schema {seen}\n\n", shown(&fault)).unwrap();
     }
     table
 }
@@ -510,6 +535,12 @@ fn a_scenario_that_expects_nothing_is_refused() {
 fn the_last_good_value_is_taken(#[case] good: &str, #[case] last_good: &str) {
     if let Err(fault) = with(good, last_good) {
         panic!("{}", shown(&fault));
+    }
+    let folder = folder(&[(good, last_good)]);
+    let text = std::fs::read_to_string(folder.path().join("s.toml")).unwrap();
+    let document = serde_json::to_value(toml::from_str::<toml::Table>(&text).unwrap()).unwrap();
+    if let Err(fault) = jsonschema::validate(crate::schema::scenario().as_value(), &document) {
+        panic!("the schema refuses what is good: {fault}");
     }
 }
 

@@ -1,0 +1,80 @@
+//! TOML to a raw type, with every key that is wrong and not only the first.
+
+use crate::diagnostic::Diagnostic;
+use serde::de::DeserializeOwned;
+use std::ops::Range;
+use std::path::Path;
+use toml::Spanned;
+use toml::de::{DeArray, DeTable, DeValue, Deserializer};
+
+/// Reads `text`, the content of the file at `path`.
+///
+/// # Errors
+/// Every fault of its syntax; where there is none, every unknown key and every value of a wrong kind, in the order of the file, then every missing key.
+pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
+    let (document, errors) = DeTable::parse_recoverable(text);
+    let mut faults: Vec<_> = errors.iter().map(|error| Diagnostic::of_toml(path, text, error)).collect();
+    if !faults.is_empty() {
+        return Err(faults);
+    }
+    // serde stops at the first fault: it is taken out and the rest read again, until nothing is wrong or nothing can be taken out.
+    let mut rest = document;
+    let mut holes: Vec<Range<usize>> = Vec::new();
+    loop {
+        let error = match T::deserialize(Deserializer::from(rest.clone())) {
+            Ok(raw) if faults.is_empty() => return Ok(raw),
+            Ok(_) => break,
+            Err(error) => error,
+        };
+        let span = error.span().unwrap_or(0..0);
+        // What was taken out is missing now, and that is no fault of the file.
+        let is_hole = error.message().starts_with("missing field") && holes.contains(&span);
+        if !is_hole {
+            faults.push(Diagnostic::of_toml(path, text, &error));
+        }
+        let own = rest.span();
+        if !take_out(rest.get_mut(), &own, &span, &mut holes) {
+            break;
+        }
+    }
+    // Why a key is missing may stand further down, where it is written otherwise.
+    faults.sort_by_key(|fault| (fault.message.starts_with("missing key"), fault.position()));
+    Err(faults)
+}
+
+/// Takes out of `table`, which stands at `own`, whatever is meant by `span`; true where there was something.
+fn take_out(table: &mut DeTable<'_>, own: &Range<usize>, span: &Range<usize>, holes: &mut Vec<Range<usize>>) -> bool {
+    let meant = table.iter().find(|(key, value)| key.span() == *span || is_meant(value, span));
+    if let Some(key) = meant.map(|(key, _)| key.get_ref().clone()) {
+        holes.push(own.clone());
+        return table.remove(&*key).is_some();
+    }
+    table.iter_mut().any(|(_, value)| take_out_of_value(value, span, holes))
+}
+
+fn take_out_of_value(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>, holes: &mut Vec<Range<usize>>) -> bool {
+    let own = value.span();
+    match value.get_mut() {
+        DeValue::Table(table) => take_out(table, &own, span, holes),
+        DeValue::Array(elements) if elements.iter().any(|element| element.span() == *span) => {
+            let all = std::mem::replace(elements, DeArray::new());
+            *elements = all.into_iter().filter(|element| element.span() != *span).collect();
+            true
+        }
+        DeValue::Array(elements) => elements.iter_mut().any(|element| take_out_of_value(element, span, holes)),
+        _ => false,
+    }
+}
+
+/// A list of numbers without one of them would be another list: it is meant as a whole. A list of tables stands where its first one stands.
+fn is_meant(value: &Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
+    let own = value.span();
+    match value.get_ref() {
+        DeValue::Array(elements) if elements.iter().any(|element| element.get_ref().is_table()) => false,
+        DeValue::Array(_) => own.start <= span.start && span.end <= own.end,
+        _ => own == *span,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,87 @@
+use super::{plate, scenario};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn tomls(folder: &Path, into: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            tomls(&path, into);
+        } else if path.extension().is_some_and(|extension| extension == "toml") {
+            into.push(path);
+        }
+    }
+}
+
+#[test]
+fn every_scenario_and_plate_of_the_project_is_good() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
+    let mut files = Vec::new();
+    tomls(&root, &mut files);
+    let validator = |schema: schemars::Schema| jsonschema::validator_for(schema.as_value()).unwrap();
+    let (scenario, plate) = (validator(scenario()), validator(plate()));
+    let mut counted = [0; 2];
+    for file in files {
+        let folder = file.strip_prefix(&root).unwrap().iter().next().unwrap().to_str().unwrap().to_owned();
+        let (validator, count) = match folder.as_str() {
+            "plans" | "baselines" => continue,
+            "plates" => (&plate, &mut counted[1]),
+            _ => (&scenario, &mut counted[0]),
+        };
+        let document: toml::Table = fs::read_to_string(&file).unwrap().parse().unwrap();
+        if let Err(fault) = validator.validate(&serde_json::to_value(document).unwrap()) {
+            panic!("{}: {fault}", file.display());
+        }
+        *count += 1;
+    }
+    assert!(counted[0] > 100 && counted[1] > 5, "{counted:?}");
+}
+
+/// What an editor shows beside a key.
+#[test]
+fn every_key_has_a_description() {
+    for schema in [scenario(), plate()] {
+        let value = schema.as_value();
+        let tables = value["$defs"].as_object().unwrap().values().chain([value]);
+        for (key, about) in tables.filter_map(|table| table["properties"].as_object()).flatten() {
+            assert!(about["description"].is_string(), "{key}");
+        }
+    }
+}
+
+/// Plans and settings are read further up; what their committed schemas take is held here, where the validator is, and that they are those of the code there.
+fn takes(schema: &str, text: &str) -> bool {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/schema").join(schema);
+    let schema: serde_json::Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
+    jsonschema::is_valid(&schema, &serde_json::to_value(text.parse::<toml::Table>().unwrap()).unwrap())
+}
+
+#[test]
+fn the_project_s_plan_is_good_and_a_broken_one_is_not() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/plans/acceptance.toml");
+    let plan = fs::read_to_string(path).unwrap();
+    assert!(takes("plan.json", &plan));
+    assert!(takes("plan.json", &plan.replacen("repetitions = 30", "repetitions = 100000", 1)));
+    for (good, bad) in [
+        ("title = ", "titel = "),
+        ("repetitions = 30", "repetitions = 0"),
+        ("repetitions = 30", "repetitions = 100001"),
+        ("id = \"ACC-1\"", "id = \"ACC 1\""),
+        ("when = \"after\"", "when = \"later\""),
+        ("file = \"../paper/fig13-closed-loop.toml\"", "files = \"../paper/fig13-closed-loop.toml\""),
+        ("least_kill_rate_percent = 70.0", "least_kill_rate_percent = 100.1"),
+    ] {
+        assert!(plan.contains(good), "{good}");
+        assert!(!takes("plan.json", &plan.replacen(good, bad, 1)), "{bad}");
+    }
+}
+
+#[test]
+fn settings_are_held_to_their_keys() {
+    assert!(takes("config.json", "rig = \"hosted\"\njobs = 1024\nscenarios = [\"a\"]\n[run]\ntime_scale = 0.001"));
+    for bad in
+        ["rigs = \"hosted\"", "jobs = 0", "jobs = 1025", "format = \"xml\"", "[run]\ntime_scale = 0.0009", "[runs]"]
+    {
+        assert!(!takes("config.json", bad), "{bad}");
+    }
+}
