@@ -2,7 +2,8 @@
 //!
 //! The plan file owns what each requirement says; scenarios name requirements by their identifiers alone.
 
-use platebench_scenario::{Diagnostic, Scenario, find};
+use platebench_scenario::{Diagnostic, Scenario, find, schema};
+use schemars::{JsonSchema, Schema};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::fs;
@@ -13,19 +14,27 @@ const MOST_REPETITIONS: u32 = 100_000;
 const MOST_CLEAN_RUNS: u32 = 1_000_000;
 
 /// A plan file as serde reads it.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(extend("required" = ["title", "requirement", "scenario"]))]
 struct RawPlan {
     /// One line that says what is accepted.
     title: String,
     /// Trials of each scenario, in the place of its own count.
+    #[schemars(length(min = 1))]
+    /// How often each scenario is played that does not say otherwise.
     #[serde(default = "thirty")]
+    #[schemars(range(min = 1, max = MOST_REPETITIONS))]
     repetitions: u32,
     /// What has to hold; at least one.
+    /// What has to hold.
     #[serde(default)]
+    #[schemars(length(min = 1))]
     requirement: Vec<Requirement>,
     /// What shows it; at least one.
+    /// What shows it.
     #[serde(default)]
+    #[schemars(length(min = 1))]
     scenario: Vec<RawPlanned>,
     /// What a person is asked.
     #[serde(default)]
@@ -40,31 +49,38 @@ const fn thirty() -> u32 {
 }
 
 /// What has to hold.
-#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Requirement {
     /// What scenarios call it.
+    #[schemars(regex(pattern = "^[A-Za-z0-9-]+$"))]
     pub id: String,
     /// What it says.
+    #[schemars(length(min = 1))]
     pub text: String,
 }
 
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct RawPlanned {
     /// Scenario file, relative to the plan.
     file: PathBuf,
     /// Its trials, where they differ from the plan's.
+    /// The scenario file, relative to the plan.
+    /// How often it is played.
+    #[schemars(range(min = 1, max = MOST_REPETITIONS))]
     repetitions: Option<u32>,
 }
 
 /// Something that a person is asked.
-#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Ask {
     /// Short name, unique in the plan.
+    #[schemars(regex(pattern = "^[A-Za-z0-9-]+$"))]
     pub id: String,
     /// The question.
+    #[schemars(length(min = 1))]
     pub question: String,
     /// What kind of answer there is.
     #[serde(default)]
@@ -75,7 +91,7 @@ pub struct Ask {
 }
 
 /// What kind of answer a question has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AnswerKind {
     /// Yes or no; a session in which nobody said yes never passes.
@@ -86,7 +102,7 @@ pub enum AnswerKind {
 }
 
 /// When something is asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum When {
     /// Before the first scenario; a no stops the session.
@@ -97,14 +113,17 @@ pub enum When {
 }
 
 /// What is demanded of the bench itself.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BenchDemands {
     /// Trials of the first scenario that the bench plays in real time to its own controller, to see how punctual it is.
+    #[schemars(range(min = 1, max = 1_000))]
     pub timing_trials: u32,
     /// Clean runs of the plan's scenarios, among which no false alarm may be.
+    #[schemars(range(min = 1, max = MOST_CLEAN_RUNS))]
     pub clean_runs: u32,
     /// Share of the faulty controllers that the plan's scenarios together have to catch, percent.
+    #[schemars(range(min = 0.0, max = 100.0))]
     pub least_kill_rate_percent: f64,
 }
 
@@ -148,7 +167,7 @@ impl Plan {
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let bytes =
             fs::read(path).map_err(|error| vec![Diagnostic::of_file(path, format!("cannot be read: {error}"))])?;
-        let (text, raw) = parse(path, &bytes).map_err(|fault| vec![fault])?;
+        let (text, raw) = parse(path, &bytes)?;
         let mut faults = faults(path, &text, &raw);
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut scenarios: Vec<Planned> = Vec::new();
@@ -182,21 +201,20 @@ impl Plan {
 }
 
 /// The requirements of a stored plan, whose scenarios are elsewhere.
-pub(crate) fn requirements(path: &Path, bytes: &[u8]) -> Result<Vec<Requirement>, Diagnostic> {
+pub(crate) fn requirements(path: &Path, bytes: &[u8]) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
     parse(path, bytes).map(|(_, raw)| raw.requirement)
 }
 
-fn parse(path: &Path, bytes: &[u8]) -> Result<(String, RawPlan), Diagnostic> {
+fn parse(path: &Path, bytes: &[u8]) -> Result<(String, RawPlan), Vec<Diagnostic>> {
     let text = String::from_utf8(bytes.to_vec())
-        .map_err(|_| Diagnostic::of_file(path, "not UTF-8, expected a text file in UTF-8"))?;
-    match toml::from_str(&text) {
-        Ok(raw) => Ok((text, raw)),
-        Err(error) => {
-            let message = error.message().trim().replace("unknown field", "unknown key");
-            let message = message.replace("missing field", "missing key");
-            Err(Diagnostic::at_span(path, &text, error.span().unwrap_or(0..0), message))
-        }
-    }
+        .map_err(|_| vec![Diagnostic::of_file(path, "not UTF-8, expected a text file in UTF-8")])?;
+    let raw = platebench_scenario::parse(path, &text)?;
+    Ok((text, raw))
+}
+
+/// The schema of plan files.
+pub fn plan_schema() -> Schema {
+    schema::of::<RawPlan>("platebench acceptance plan")
 }
 
 fn faults(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {

@@ -1,18 +1,19 @@
 //! A scenario's controller in the words of the wire.
 
 use platebench_plate::Time;
-use platebench_scenario::{Diagnostic, Scenario};
+use platebench_scenario::{Diagnostic, Scenario, suggestion};
 use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};
 
 /// The law that a scenario asks for.
 ///
 /// # Errors
 /// A [`Diagnostic`] at the law's name where there is no such law.
-pub(crate) fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
+pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
     let name = &scenario.controller.law;
     LawId::from_name(name).ok_or_else(|| {
         let known = LawId::ALL.map(|law| format!("`{}`", law.name())).join(", ");
-        scenario.diagnose("controller.law", format!("unknown law `{name}`, expected one of {known}"))
+        let hint = suggestion(name, LawId::ALL.map(LawId::name));
+        scenario.diagnose("controller.law", format!("unknown law `{name}`, expected one of {known}{hint}"))
     })
 }
 

@@ -57,6 +57,14 @@ impl RunFolder {
         Ok(Self { path, started })
     }
 
+    /// A new folder below `runs`, under the time and a short id that nobody else has.
+    ///
+    /// # Errors
+    /// [`FolderError::Io`] where it cannot be made.
+    pub fn create_below(runs: &Path) -> Result<Self, FolderError> {
+        Self::create(Some(&runs.join(new_name(Timestamp::now()))))
+    }
+
     /// Where it is.
     pub fn path(&self) -> &Path {
         &self.path

@@ -33,6 +33,7 @@ pub mod trial;
 pub mod watch;
 
 pub use configure::configure;
+pub use configure::law;
 pub use event::Event;
 pub use folder::{FolderError, RunFolder};
 pub use real_plate::{Answer, Nobody, Person};
