@@ -165,6 +165,8 @@ fn order(arguments: &Session) -> Result<Order, Exit> {
         yes: true,
         wire_time: false,
         out: None,
+        runs: PathBuf::new(),
+        watch: false,
         trials: None,
         seed: None,
         jobs: None,

@@ -8,6 +8,14 @@ use platebench_wire::LawId;
 use std::path::PathBuf;
 
 const EXIT_CODES: &str = "\
+Examples:
+  platebench new first-step             a commented scenario
+  platebench check                      what is wrong with scenarios, without playing them
+  platebench run --rig hosted           every scenario below scenarios/
+  platebench COMMAND --help             examples for each command
+
+Options may also stand in the environment (PLATEBENCH_RIG, ...) and in platebench.toml: docs/configuration.md.
+
 Exit codes:
   0  everything passed
   1  something failed
@@ -78,6 +86,16 @@ pub(crate) enum Command {
     Tune(crate::tune::Tune),
     /// The traces of a stored run as Parquet, MDF4, MCAP or CSV
     Export(crate::export::Export),
+    /// Write a commented scenario to start from
+    New(crate::new::New),
+    /// Say all that is wrong with scenarios, plates and plans, without playing them
+    Check(crate::check::Check),
+    /// JSON Schema of the files that people write, for editors
+    Schema(crate::schema::Schema),
+    /// What a shell completes
+    Completions(crate::completions::Completions),
+    /// Manual pages
+    Man(crate::man::Man),
 }
 
 /// `platebench run`
@@ -87,7 +105,8 @@ Examples:
   platebench run                                        every scenario below scenarios/ but those that show a limit
   platebench run scenarios/limits/one-period-delay.toml one scenario
   platebench run scenarios/paper --law dq-pi-euler      another law of the firmware
-  platebench run --trials 300 --seed 7 --out /tmp/night")]
+  platebench run --trials 300 --seed 7 --out /tmp/night
+  platebench run scenarios/paper --watch                what is changed is played again")]
 pub(crate) struct Run {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = "scenarios")]
@@ -121,8 +140,15 @@ pub(crate) struct Run {
     #[arg(long)]
     pub(crate) yes: bool,
     /// The run folder; a new one below runs/ where not given
+    /// The run folder; a new one where not given
     #[arg(long, value_name = "FOLDER")]
     pub(crate) out: Option<PathBuf>,
+    /// Below which folder new run folders are made
+    #[arg(long, value_name = "FOLDER", default_value = "runs")]
+    pub(crate) runs: PathBuf,
+    /// Play what is changed again, until Ctrl-C: scenarios whose file, plate or profile is another one
+    #[arg(long)]
+    pub(crate) watch: bool,
     /// Trials of each scenario
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(crate) trials: Option<u32>,
@@ -277,6 +303,10 @@ pub(crate) struct Trust {
 
 /// `platebench judge`
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench judge runs/tonight
+  platebench judge runs/tonight --scenario scenarios/paper/fig13-closed-loop.toml    as if that had been expected")]
 pub(crate) struct Judge {
     /// The run folder
     pub(crate) run: PathBuf,
@@ -294,6 +324,7 @@ pub(crate) struct Judge {
 Examples:
   platebench report runs/tonight                            runs/tonight/report.html
   platebench report runs/tonight --against runs/yesterday   runs/tonight/comparison.html, both runs side by side")]
+  platebench report runs/tonight    says where report.html is")]
 pub(crate) struct Report {
     /// The run folder
     pub(crate) run: PathBuf,
@@ -336,6 +367,11 @@ pub(crate) const BASELINES: &str = "scenarios/baselines";
 
 /// `platebench baseline`
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench baseline diff runs/tonight
+  platebench baseline accept runs/tonight
+  platebench baseline list")]
 pub(crate) struct Baseline {
     #[command(subcommand)]
     pub(crate) action: BaselineAction,
@@ -391,6 +427,15 @@ mod tests {
     #[test]
     fn the_definition_is_consistent() {
         Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_shows_examples() {
+        for command in Arguments::command().get_subcommands() {
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let call = format!("platebench {}", command.get_name());
+            assert!(help.starts_with("Examples:\n") && help.contains(&call), "{}: {help}", command.get_name());
+        }
     }
 
     #[test]

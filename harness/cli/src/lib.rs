@@ -6,17 +6,23 @@ mod accept;
 mod args;
 mod baseline;
 mod chart;
+mod check;
 mod compare;
 mod desk;
+mod completions;
+mod config;
 mod emulate;
 mod exit;
 mod export;
 mod identify;
 mod live;
 mod logging;
+mod man;
+mod new;
 mod output;
 mod plate_file;
 mod run;
+mod schema;
 mod signals;
 mod stability;
 mod stored;
@@ -26,6 +32,8 @@ mod tune;
 
 use args::{Arguments, Command};
 use clap::{CommandFactory, Parser};
+mod watch;
+use args::Command;
 use exit::Exit;
 use std::process::ExitCode;
 
@@ -37,8 +45,14 @@ pub fn command() -> clap::Command {
 /// The program: reads the process's arguments, does what they say and tells how it ended.
 pub fn main() -> ExitCode {
     std::panic::set_hook(Box::new(|panic| tracing::error!("{panic}")));
-    let arguments = Arguments::parse();
+    let (arguments, config) = match config::arguments() {
+        Ok(found) => found,
+        Err(exit) => return exit.into(),
+    };
     logging::start(&arguments.logging);
+    if let Some(path) = config {
+        tracing::info!(path = %path.display(), "settings");
+    }
     // A panic is a fault of the bench: nothing was shown, so nothing passes and nothing fails.
     let exit = std::panic::catch_unwind(|| match &arguments.command {
         Command::Run(run) => run::run(run, arguments.logging.quiet),
@@ -54,6 +68,11 @@ pub fn main() -> ExitCode {
         Command::Accept(accept) => accept::accept(accept, arguments.logging.quiet),
         Command::Tune(arguments) => tune::tune(arguments),
         Command::Export(arguments) => export::export(arguments),
+        Command::New(arguments) => new::new(arguments),
+        Command::Check(arguments) => check::check(arguments),
+        Command::Schema(arguments) => schema::schema(arguments),
+        Command::Completions(arguments) => completions::completions(arguments),
+        Command::Man(arguments) => man::man(arguments),
     });
     exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");

@@ -8,6 +8,7 @@ use crate::told::{self, Places};
 use crate::{live, output};
 use platebench_live::{Told, View};
 use platebench_report::events::Events;
+use crate::watch::watch;
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
 use platebench_rig::{RigSpec, check_baud};
 use platebench_runner::{Cancel, Company, Event, Pace, Plan, RunError, RunFolder, Watch, rejudge};
@@ -50,15 +51,33 @@ fn played(arguments: &Run, quiet: bool, events: &mut Option<Events>) -> Result<(
         return Err(Exit::Invalid);
     }
     let Ok(scenarios) = scenarios(arguments, clock) else { return Err(Exit::Invalid) };
+    if arguments.watch {
+        return watch(arguments, clock, quiet);
+    }
+    let Ok(scenarios) = scenarios(arguments, clock) else { return Exit::Invalid };
     if scenarios.is_empty() {
         output::error("there is nothing to run");
         return Err(Exit::Nothing);
     }
+    play_all(arguments, clock, scenarios, quiet)
+}
+
+/// Plays these scenarios into a new run folder, shows what came of it and says how it ended.
+pub(crate) fn play_all(
+    arguments: &Run,
+    clock: platebench_runner::Clock,
+    scenarios: Vec<Scenario>,
+    quiet: bool,
+) -> Exit {
     if let Err(error) = fast_enough(arguments, clock, &scenarios) {
         output::error(&error);
         return Err(Exit::Invalid);
     }
-    let folder = match RunFolder::create(arguments.out.as_deref()) {
+    let folder = match &arguments.out {
+        Some(folder) => RunFolder::create(Some(folder)),
+        None => RunFolder::create_below(&arguments.runs),
+    };
+    let folder = match folder {
         Ok(folder) => folder,
         Err(error) => {
             output::error(&error.to_string());
@@ -208,7 +227,15 @@ fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Sce
         let names = found.left_out.join(", ");
         output::note(&format!("left out, because they show a limit and were not named: {names}"));
     }
-    let mut scenarios = found.scenarios;
+    Ok(prepared(found.scenarios, arguments, clock))
+}
+
+/// The scenarios of this command line's shard, as they are played by it.
+pub(crate) fn prepared(
+    mut scenarios: Vec<Scenario>,
+    arguments: &Run,
+    clock: platebench_runner::Clock,
+) -> Vec<Scenario> {
     let overrides = overrides(arguments);
     for scenario in &mut scenarios {
         rejudge::apply(&overrides, scenario);
@@ -216,7 +243,7 @@ fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Sce
     }
     let mut index = 0..;
     scenarios.retain(|_| arguments.shard.zip(index.next()).is_none_or(|(shard, index)| shard.holds(index)));
-    Ok(scenarios)
+    scenarios
 }
 
 /// Who is there while a run is played, what they look at and what they are told.

@@ -8,6 +8,7 @@
 )]
 
 mod accept;
+mod authoring;
 mod bench;
 mod closed_loop;
 mod determinism;

@@ -1,0 +1,91 @@
+use super::{NewError, PLATE, PLATE_FILE, written};
+use platebench_scenario::examine;
+use platebench_wire::LawId;
+use rstest::rstest;
+use std::fs;
+use tempfile::tempdir;
+
+#[test]
+fn what_is_written_can_be_read_for_every_law() {
+    for law in LawId::ALL.map(LawId::name) {
+        let folder = tempdir().unwrap();
+        let files = written(folder.path(), "mine", law).unwrap();
+        assert_eq!(files, [folder.path().join("mine.toml"), folder.path().join(PLATE_FILE)]);
+        let scenario = examine(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{law}: {faults:?}"));
+        assert_eq!((scenario.controller.law.as_str(), scenario.title.as_str()), (law, "mine"));
+    }
+}
+
+/// Each line that a hash takes out can be put in by taking it away.
+#[test]
+fn what_is_commented_out_can_be_read_as_well() {
+    let folder = tempdir().unwrap();
+    let files = written(folder.path(), "mine", "dq-pi").unwrap();
+    let is_key = |line: &str| {
+        let key = line.strip_prefix("# ").filter(|line| line.starts_with(char::is_lowercase));
+        line.starts_with("# [") || key.is_some_and(|line| line.contains(" = "))
+    };
+    let text = fs::read_to_string(&files[0]).unwrap();
+    let whole: Vec<_> = text.lines().map(|line| if is_key(line) { &line[2..] } else { line }).collect();
+    assert!(whole.len() > 30 && whole.contains(&"[trials.spread]") && whole.contains(&"kind = \"drop\""));
+    fs::write(&files[0], whole.join("\n")).unwrap();
+    let scenario = examine(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
+    assert_eq!((scenario.trials.count, scenario.faults.len()), (30, 1));
+}
+
+#[test]
+fn nothing_is_ever_overwritten() {
+    let folder = tempdir().unwrap();
+    fs::create_dir(folder.path().join("plates")).unwrap();
+    fs::write(folder.path().join(PLATE_FILE), "mine").unwrap();
+    fs::write(folder.path().join("taken.toml"), "mine, too").unwrap();
+    assert!(
+        matches!(written(folder.path(), "taken", "dq-pi"), Err(NewError::Taken(path)) if path.ends_with("taken.toml"))
+    );
+    assert_eq!(fs::read_to_string(folder.path().join("taken.toml")).unwrap(), "mine, too");
+    assert_eq!(written(folder.path(), "free", "dq-pi").unwrap(), [folder.path().join("free.toml")]);
+    assert_eq!(fs::read_to_string(folder.path().join(PLATE_FILE)).unwrap(), "mine");
+}
+
+#[rstest]
+#[case("a", "scenarios/a.toml", "plates/")]
+#[case("a.toml", "scenarios/a.toml", "plates/")]
+#[case("scenarios/deep/er/a b", "scenarios/deep/er/a b.toml", "../../plates/")]
+#[case("scenarios/deep/er/est/one/a", "scenarios/deep/er/est/one/a.toml", "plates/")]
+fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] file: &str, #[case] plate: &str) {
+    let folder = tempdir().unwrap();
+    for (path, text) in [(PLATE_FILE, PLATE), ("schema/scenario.json", "{}")] {
+        let path = folder.path().join("scenarios").join(path);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    }
+    let files = written(folder.path(), name, "dq-pi").unwrap();
+    assert_eq!(files[0], folder.path().join(file));
+    let text = fs::read_to_string(&files[0]).unwrap();
+    assert!(text.contains(&format!("plate = \"{plate}aluminium")), "{text}");
+    assert_eq!(
+        text.starts_with(&format!("#:schema {}schema/scenario.json\n", plate.trim_end_matches("plates/"))),
+        files.len() == 1
+    );
+    assert!(examine(&files[0], "a.toml").is_ok());
+}
+
+#[rstest]
+#[case("")]
+#[case("folder/")]
+#[case("..")]
+#[case(".toml")]
+#[case("two\nlines")]
+fn what_is_no_name_is_refused(#[case] name: &str) {
+    let folder = tempdir().unwrap();
+    assert!(matches!(written(folder.path(), name, "dq-pi"), Err(NewError::Name(_))));
+    assert_eq!(fs::read_dir(folder.path()).map(Iterator::count).unwrap_or_default(), 0);
+}
+
+#[test]
+fn a_name_with_quotes_is_a_title() {
+    let folder = tempdir().unwrap();
+    let files = written(folder.path(), "a \"b\" \\c", "dq-pi").unwrap();
+    let scenario = examine(&files[0], "a.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
+    assert_eq!(scenario.title, "a \"b\" \\c");
+}
