@@ -67,6 +67,9 @@ fn written(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, NewErro
     let path = path_of(folder, name)?;
     let home = path.parent().unwrap_or(Path::new("")).to_owned();
     let title = path.file_stem().unwrap_or_default().to_string_lossy().replace(['-', '_'], " ");
+    // The way up from a folder that is not there leads nowhere.
+    fs::create_dir_all(if home.as_os_str().is_empty() { Path::new(".") } else { &home })
+        .map_err(|source| NewError::Io { path: home.clone(), source })?;
     // The nearest plate upwards, by how it is called from there.
     let ups = (0..FOLDERS_UP).map(|count| "../".repeat(count));
     let up = ups.clone().find(|up| home.join(up).join(PLATE_FILE).is_file());
