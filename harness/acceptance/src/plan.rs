@@ -19,20 +19,17 @@ const MOST_CLEAN_RUNS: u32 = 1_000_000;
 #[schemars(extend("required" = ["title", "requirement", "scenario"]))]
 struct RawPlan {
     /// One line that says what is accepted.
+    #[schemars(length(min = 1))]
     title: String,
     /// Trials of each scenario, in the place of its own count.
-    #[schemars(length(min = 1))]
-    /// How often each scenario is played that does not say otherwise.
     #[serde(default = "thirty")]
     #[schemars(range(min = 1, max = MOST_REPETITIONS))]
     repetitions: u32,
     /// What has to hold; at least one.
-    /// What has to hold.
     #[serde(default)]
     #[schemars(length(min = 1))]
     requirement: Vec<Requirement>,
     /// What shows it; at least one.
-    /// What shows it.
     #[serde(default)]
     #[schemars(length(min = 1))]
     scenario: Vec<RawPlanned>,
@@ -66,8 +63,6 @@ struct RawPlanned {
     /// Scenario file, relative to the plan.
     file: PathBuf,
     /// Its trials, where they differ from the plan's.
-    /// The scenario file, relative to the plan.
-    /// How often it is played.
     #[schemars(range(min = 1, max = MOST_REPETITIONS))]
     repetitions: Option<u32>,
 }

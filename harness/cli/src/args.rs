@@ -139,7 +139,6 @@ pub(crate) struct Run {
     /// Ask nobody: with --plate-mode real, what needs a person stays undecided
     #[arg(long)]
     pub(crate) yes: bool,
-    /// The run folder; a new one below runs/ where not given
     /// The run folder; a new one where not given
     #[arg(long, value_name = "FOLDER")]
     pub(crate) out: Option<PathBuf>,
@@ -324,7 +323,6 @@ pub(crate) struct Judge {
 Examples:
   platebench report runs/tonight                            runs/tonight/report.html
   platebench report runs/tonight --against runs/yesterday   runs/tonight/comparison.html, both runs side by side")]
-  platebench report runs/tonight    says where report.html is")]
 pub(crate) struct Report {
     /// The run folder
     pub(crate) run: PathBuf,

@@ -8,9 +8,9 @@ mod baseline;
 mod chart;
 mod check;
 mod compare;
-mod desk;
 mod completions;
 mod config;
+mod desk;
 mod emulate;
 mod exit;
 mod export;
@@ -29,11 +29,10 @@ mod stored;
 mod told;
 mod trust;
 mod tune;
+mod watch;
 
 use args::{Arguments, Command};
-use clap::{CommandFactory, Parser};
-mod watch;
-use args::Command;
+use clap::CommandFactory;
 use exit::Exit;
 use std::process::ExitCode;
 

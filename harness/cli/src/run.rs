@@ -5,10 +5,10 @@ use crate::desk::Desk;
 use crate::exit::Exit;
 use crate::signals::{PATIENCE, Signals};
 use crate::told::{self, Places};
+use crate::watch::watch;
 use crate::{live, output};
 use platebench_live::{Told, View};
 use platebench_report::events::Events;
-use crate::watch::watch;
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
 use platebench_rig::{RigSpec, check_baud};
 use platebench_runner::{Cancel, Company, Event, Pace, Plan, RunError, RunFolder, Watch, rejudge};
@@ -24,9 +24,48 @@ use tracing::info;
 
 /// Plays scenarios and judges them.
 pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
+    let clock = checked(arguments);
+    if let (true, Ok(clock)) = (arguments.watch, clock) {
+        return watch(arguments, clock, quiet);
+    }
+    telling(arguments, |events| {
+        let clock = clock?;
+        let scenarios = scenarios(arguments, clock).map_err(|()| Exit::Invalid)?;
+        if scenarios.is_empty() {
+            output::error("there is nothing to run");
+            return Err(Exit::Nothing);
+        }
+        played(arguments, clock, scenarios, quiet, events)
+    })
+}
+
+/// Plays these scenarios into a new run folder, shows what came of it and says how it ended.
+pub(crate) fn play_all(
+    arguments: &Run,
+    clock: platebench_runner::Clock,
+    scenarios: Vec<Scenario>,
+    quiet: bool,
+) -> Exit {
+    telling(arguments, |events| played(arguments, clock, scenarios, quiet, events))
+}
+
+/// The clock, where clock and rig go together; why not has been shown.
+fn checked(arguments: &Run) -> Result<platebench_runner::Clock, Exit> {
+    let clock = clock(arguments).map_err(|what| {
+        output::error(what);
+        Exit::Invalid
+    })?;
+    arguments.rig.check().map_err(|error| {
+        output::error(&error.to_string());
+        Exit::Invalid
+    })?;
+    Ok(clock)
+}
+
+/// Tells programs that listen what `play` plays, and in any case how it ended.
+fn telling(arguments: &Run, play: impl FnOnce(&mut Option<Events>) -> Result<(Exit, RunRecord), Exit>) -> Exit {
     let mut events = (arguments.format == Format::Json).then(|| Events::new(stdout()));
-    let ended = played(arguments, quiet, &mut events);
-    let (exit, record) = match ended {
+    let (exit, record) = match play(&mut events) {
         Ok((exit, record)) => (exit, Some(record)),
         Err(exit) => (exit, None),
     };
@@ -38,37 +77,13 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
 }
 
 /// How the run ended, with its record where it came to one.
-fn played(arguments: &Run, quiet: bool, events: &mut Option<Events>) -> Result<(Exit, RunRecord), Exit> {
-    let clock = match clock(arguments) {
-        Ok(clock) => clock,
-        Err(what) => {
-            output::error(what);
-            return Err(Exit::Invalid);
-        }
-    };
-    if let Err(error) = arguments.rig.check() {
-        output::error(&error.to_string());
-        return Err(Exit::Invalid);
-    }
-    let Ok(scenarios) = scenarios(arguments, clock) else { return Err(Exit::Invalid) };
-    if arguments.watch {
-        return watch(arguments, clock, quiet);
-    }
-    let Ok(scenarios) = scenarios(arguments, clock) else { return Exit::Invalid };
-    if scenarios.is_empty() {
-        output::error("there is nothing to run");
-        return Err(Exit::Nothing);
-    }
-    play_all(arguments, clock, scenarios, quiet)
-}
-
-/// Plays these scenarios into a new run folder, shows what came of it and says how it ended.
-pub(crate) fn play_all(
+fn played(
     arguments: &Run,
     clock: platebench_runner::Clock,
     scenarios: Vec<Scenario>,
     quiet: bool,
-) -> Exit {
+    events: &mut Option<Events>,
+) -> Result<(Exit, RunRecord), Exit> {
     if let Err(error) = fast_enough(arguments, clock, &scenarios) {
         output::error(&error);
         return Err(Exit::Invalid);
