@@ -107,6 +107,7 @@ Examples:
   platebench run scenarios/paper --law dq-pi-euler      another law of the firmware
   platebench run --trials 300 --seed 7 --out /tmp/night
   platebench run scenarios/paper --watch                what is changed is played again")]
+#[expect(clippy::struct_excessive_bools, reason = "each is a flag of its own on the command line")]
 pub(crate) struct Run {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = "scenarios")]

@@ -93,8 +93,13 @@ const fn setting(
     Setting { id, variable: Some(variable), key, commands, is_path: false }
 }
 
-const fn path(setting: Setting) -> Setting {
-    Setting { is_path: true, ..setting }
+const fn path(
+    id: &'static str,
+    variable: &'static str,
+    key: &'static str,
+    commands: &'static [&'static str],
+) -> Setting {
+    Setting { id, variable: Some(variable), key, commands, is_path: true }
 }
 
 const RUN: &[&str] = &["run"];
@@ -104,10 +109,10 @@ const SETTINGS: [Setting; 14] = [
     setting("rig", "PLATEBENCH_RIG", "rig", &[]),
     setting("jobs", "PLATEBENCH_JOBS", "jobs", &[]),
     setting("format", "PLATEBENCH_FORMAT", "format", &[]),
-    path(setting("baselines", "PLATEBENCH_BASELINES", "baselines", &[])),
+    path("baselines", "PLATEBENCH_BASELINES", "baselines", &[]),
     Setting { id: "scenarios", variable: None, key: "scenarios", commands: &["run", "trust", "check"], is_path: true },
-    path(setting("runs", "PLATEBENCH_RUNS", "runs", RUN)),
-    path(setting("out", "PLATEBENCH_OUT", "out", RUN)),
+    path("runs", "PLATEBENCH_RUNS", "runs", RUN),
+    path("out", "PLATEBENCH_OUT", "out", RUN),
     setting("law", "PLATEBENCH_LAW", "run.law", RUN),
     setting("model", "PLATEBENCH_MODEL", "run.model", RUN),
     setting("clock", "PLATEBENCH_CLOCK", "run.clock", RUN),

@@ -51,7 +51,9 @@ pub(crate) fn new(arguments: &New) -> Exit {
     match written(Path::new(""), &arguments.name, &arguments.law) {
         Ok(files) => {
             let [scenario, ..] = &files[..] else { return Exit::Passed };
-            files.iter().for_each(|file| output::show(&format!("{}\n", file.display())));
+            for file in &files {
+                output::show(&format!("{}\n", file.display()));
+            }
             output::note(&format!("next: platebench run {}", scenario.display()));
             Exit::Passed
         }
@@ -98,7 +100,11 @@ fn path_of(folder: &Path, name: &str) -> Result<PathBuf, NewError> {
     if name.contains(char::is_control) || name.ends_with('/') || stem.trim_end_matches(".toml").trim().is_empty() {
         return Err(wrong());
     }
-    let file = if stem.ends_with(".toml") { name.to_owned() } else { format!("{name}.toml") };
+    let file = if Path::new(name).extension().is_some_and(|ending| ending == "toml") {
+        name.to_owned()
+    } else {
+        format!("{name}.toml")
+    };
     let bare = Path::new(&file).components().count() == 1;
     let scenarios = folder.join(SCENARIOS);
     Ok(if bare && scenarios.is_dir() { scenarios.join(file) } else { folder.join(file) })

@@ -22,7 +22,7 @@ pub(crate) struct Told {
     /// The result as TAP 14, written to FILE
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
-    /// Annotations on GitHub Actions and the summary of its step: auto where GITHUB_ACTIONS is true
+    /// Annotations on GitHub Actions and the summary of its step: auto where `GITHUB_ACTIONS` is true
     #[arg(long, value_enum, default_value_t, value_name = "WHEN")]
     github: Github,
 }
