@@ -8,6 +8,7 @@ use crate::told::{self, Places};
 use crate::watch::watch;
 use crate::{live, output};
 use platebench_live::{Told, View};
+use platebench_plate::Tier;
 use platebench_report::events::Events;
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
 use platebench_rig::{RigSpec, check_baud};
@@ -383,6 +384,7 @@ fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run, places: &Plac
     }
     output::note(&format!("run folder: {}", folder.path().display()));
     warn_of_drive(record);
+    warn_of_models(record);
     match written {
         Ok(()) => Exit::of_record(record),
         Err(error) => {
@@ -408,5 +410,21 @@ fn explain(error: &RunError, folder: &RunFolder) {
 fn warn_of_drive(record: &RunRecord) {
     if record.safe_confirmed == Some(false) {
         output::error("the controller did not confirm 0 V at its end: see to the amplifier before you touch the plate");
+    }
+}
+
+/// A plate that was named and may be further off than the expectations bear has decided nothing for sure.
+fn warn_of_models(record: &RunRecord) {
+    for scenario in &record.scenarios {
+        let Some(choice) = scenario.model_choice.as_ref().filter(|choice| choice.asked != "auto") else { continue };
+        let exact = Tier::from_name(&scenario.model).is_none_or(Tier::has_both_poles);
+        if !exact && choice.bound.is_none_or(|bound| bound > choice.budget) {
+            let bound =
+                choice.bound.map_or_else(|| "nobody knows how much".to_owned(), |bound| format!("up to {bound:.1e}"));
+            let (file, model, budget) = (&scenario.file, &scenario.model, choice.budget);
+            output::note(&format!(
+                "{file}: the plate `{model}` that was asked for may be off by {bound} of the setpoint, where what is expected bears {budget:.1e}"
+            ));
+        }
     }
 }

@@ -94,24 +94,24 @@ fn an_extreme_run_leaves_numbers_only(#[case] (from, to): (&str, &str), #[case] 
 #[case::no_damping(
     "time_constant_ms = 1.88",
     "time_constant_ms = inf",
-    "plates/plate.toml:8:20",
+    "plates/plate.toml:9:20",
     "expected a finite number above 0"
 )]
 #[case::negative_damping(
     "time_constant_ms = 1.88",
     "time_constant_ms = -1.88",
-    "plates/plate.toml:8:20",
+    "plates/plate.toml:9:20",
     "expected a finite number above 0"
 )]
 #[case::next_to_no_damping(
     "time_constant_ms = 1.88",
     "time_constant_ms = 1e300",
-    "plates/plate.toml:8:20",
+    "plates/plate.toml:9:20",
     "a quality factor of "
 )]
-#[case::a_finger_that_undamps("[1.5, 2.0]", "[1.5, 0.0]", "plates/plate.toml:12:17", "expected ratios above 0")]
-#[case::a_finger_that_drives("[0.0, 1.0]", "[0.0, -1.0]", "plates/plate.toml:12:17", "expected ratios above 0")]
-#[case::a_gain_beyond_the_wire("0.00698", "1e60", "plates/plate.toml:9:19", "single precision")]
+#[case::a_finger_that_undamps("[1.5, 2.0]", "[1.5, 0.0]", "plates/plate.toml:13:17", "expected ratios above 0")]
+#[case::a_finger_that_drives("[0.0, 1.0]", "[0.0, -1.0]", "plates/plate.toml:13:17", "expected ratios above 0")]
+#[case::a_gain_beyond_the_wire("0.00698", "1e60", "plates/plate.toml:10:19", "single precision")]
 fn an_impossible_plate_is_refused_where_it_stands(
     #[case] from: &str,
     #[case] to: &str,

@@ -67,9 +67,9 @@ fn wire_and_computing_time_act_only_where_they_are_asked_to() {
     // 24 bytes each way at 1 Mbaud are 480 µs; the idle line that ends a frame and the control step come on top.
     let delay = telemetry(&wired).loop_delay_us.unwrap();
     assert!((480.0..560.0).contains(&delay), "{delay} µs");
-    // Other samples take other branches, some instructions apart.
+    // Other samples take other branches: 36 instructions apart, at 168 MHz.
     let without = telemetry(&transparent).rig_delay_us.unwrap();
-    assert!((without - telemetry(&wired).rig_delay_us.unwrap()).abs() < 0.1, "{without} µs");
+    assert!((without - telemetry(&wired).rig_delay_us.unwrap()).abs() < 0.25, "{without} µs");
     assert!(wired.scenarios[0].expectations[0].value.unwrap() > 4.0);
 }
 

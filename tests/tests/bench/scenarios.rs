@@ -45,7 +45,7 @@ fn the_folder_of_limits_is_no_part_of_the_default_run() {
         call(folder.path(), ["run", root().join("scenarios").to_str().unwrap(), "--out", "run", "--trials", "2"]);
     let record = fs::read_to_string(folder.path().join("run/run.json")).unwrap();
     assert!(record.contains("paper/fig16-closed-loop.toml"));
-    assert!(!record.contains("limits/"), "{}", String::from_utf8_lossy(&output.stdout));
+    assert!(!record.contains("\"file\": \"limits/"), "{}", String::from_utf8_lossy(&output.stdout));
 }
 
 #[test]
