@@ -1,7 +1,7 @@
 //! A run on one page of Markdown: verdict, what to look at, every scenario in a line. For summaries of continuous
 //! integration, comments and mails.
 //!
-//! At most [`MOST`] open points and scenarios are listed, and how many are not is said: GitHub refuses a summary above
+//! At most `MOST` open points and scenarios are listed, and how many are not is said: GitHub refuses a summary above
 //! 1 MiB as a whole.
 
 use crate::error::ReportError;

@@ -1,7 +1,7 @@
 //! JSON Schema of the input files, derived from what serde reads: keys, kinds, bounds and descriptions have one source.
 //!
 //! A schema refuses what can be seen without arithmetic: unknown and missing keys, wrong kinds, names that are none, numbers beyond fixed bounds, options
-//! that mean nothing to a metric or a fault. What depends on other values, such as a window that ends after the trial, only [`crate::load`] sees.
+//! that mean nothing to a metric or a fault. What depends on other values, such as a window that ends after the trial, only [`crate::load()`] sees.
 
 use crate::expect::{Metric, Over, SIGNALS};
 use crate::fault::{Direction, FaultKind};
