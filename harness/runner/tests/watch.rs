@@ -67,7 +67,8 @@ fn traces_are_the_same_bytes_whether_somebody_looks_is_stuck_or_is_gone() {
         let (stalled, viewer) = Watch::new();
         assert!(played(&plan, &stalled).1 == alone, "{jobs} at once, a viewer that never looks");
         let counts = viewer.counts();
-        assert!(counts.dropped > 0 && counts.rows > counts.dropped, "{counts:?}");
+        // One trial is looked at at a time: of several at once so few that the queue may hold them all.
+        assert!(counts.rows > counts.dropped && (counts.dropped > 0 || jobs > 1), "{counts:?}");
 
         let (looking, mut viewer) = Watch::new();
         let over = AtomicBool::new(false);
