@@ -15,6 +15,7 @@
 
 mod accounting;
 mod configure;
+mod end;
 pub mod event;
 mod fault;
 pub mod fidelity;

@@ -10,9 +10,10 @@ mod rows;
 
 pub use person::{Answer, Nobody, Person};
 
+use crate::end::End;
 use crate::queue::Queue;
 use crate::trial::{Order, Patience, Played};
-use conversation::{Conversation, End, Heard};
+use conversation::{Conversation, Heard};
 use cues::Cues;
 use platebench_plate::Time;
 use platebench_rig::{Faulty, Link, RigError, Session};

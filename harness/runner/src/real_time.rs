@@ -16,13 +16,14 @@ pub use pace::{Pace, Pacing};
 pub use rtrb::Consumer;
 
 use crate::configure::configure;
+use crate::end::End;
 use crate::fault::wire_faults;
 use crate::queue::{Queue, collect};
 use crate::scheduling::Granted;
 use crate::stage::{Stage, expected_rows};
 use crate::trial::{Order, Patience, Played};
 use crate::watch::Tap;
-use live::{End, Live};
+use live::Live;
 use platebench_rig::{Faulty, Link, RigError, Session};
 use platebench_trace::Row;
 use platebench_verdict::Telemetry;

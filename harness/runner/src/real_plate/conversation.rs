@@ -6,6 +6,7 @@
 use super::rows::{Rows, Told};
 use crate::accounting::Spans;
 use crate::configure::configure;
+use crate::end::End;
 use crate::observed::stop_reason;
 use crate::queue::Queue;
 use crate::stage::Rows as _;
@@ -30,20 +31,6 @@ const ACKNOWLEDGED_WITHIN: Duration = Duration::from_millis(100);
 const SILENT: Duration = Duration::from_millis(500);
 /// Somebody may want the end.
 const LOOK_UP: Duration = Duration::from_millis(20);
-
-/// Why a trial did not come to its end.
-pub(super) enum End {
-    /// Somebody asked for it.
-    GivenUp,
-    /// The controller is no longer there.
-    Lost(RigError),
-}
-
-impl From<RigError> for End {
-    fn from(error: RigError) -> Self {
-        Self::Lost(error)
-    }
-}
 
 /// What came of a conversation.
 pub(super) struct Heard {

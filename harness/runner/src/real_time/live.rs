@@ -5,6 +5,7 @@ use super::pace::{Pace, Pacing};
 use super::ticks::Ticks;
 use crate::accounting::Accounts;
 use crate::configure::configure;
+use crate::end::End;
 use crate::fault::reconfigures;
 use crate::observed::stop_reason;
 use crate::queue::Queue;
@@ -31,20 +32,6 @@ const SILENT_PERIODS: u32 = 20;
 const SILENT_TIME: Duration = Duration::from_millis(250);
 /// Between the configuration and the first control instant.
 const LEAD: Duration = Duration::from_millis(2);
-
-/// Why a trial did not come to its end.
-pub(super) enum End {
-    /// Somebody asked for it.
-    GivenUp,
-    /// The controller is no longer there.
-    Lost(RigError),
-}
-
-impl From<RigError> for End {
-    fn from(error: RigError) -> Self {
-        Self::Lost(error)
-    }
-}
 
 pub(super) struct Live<'a, L: Link> {
     session: &'a mut Session<Faulty<L>>,
