@@ -13,8 +13,17 @@ pub struct Number {
     pub unit: &'static str,
     /// What it is, in a sentence without an end.
     pub meaning: &'static str,
-    /// Its value.
+    /// Its value; NaN where nobody knows it.
     pub of: fn(&Row) -> f64,
+    /// True where a real plate's trace may not know it.
+    pub can_be_unknown: bool,
+}
+
+impl Number {
+    /// Its value where somebody knows it.
+    pub fn known(&self, row: &Row) -> Option<f64> {
+        Some((self.of)(row)).filter(|value| !value.is_nan())
+    }
 }
 
 /// A flag of a row.
@@ -30,7 +39,16 @@ pub struct Mark {
 
 macro_rules! number {
     ($field:ident, $unit:literal, $meaning:literal) => {
-        Number { name: stringify!($field), unit: $unit, meaning: $meaning, of: |row| row.$field }
+        number!($field, $unit, $meaning, false)
+    };
+    ($field:ident, $unit:literal, $meaning:literal, $can_be_unknown:literal) => {
+        Number {
+            name: stringify!($field),
+            unit: $unit,
+            meaning: $meaning,
+            of: |row| row.$field,
+            can_be_unknown: $can_be_unknown,
+        }
     };
 }
 
@@ -43,9 +61,9 @@ pub const NUMBERS: [Number; 13] = [
     number!(amplitude_um, "µm", "amplitude |W| of the plate's vibration"),
     number!(drive_vpp, "V", "drive from here on, peak to peak"),
     number!(frequency_hz, "Hz", "excitation frequency from here on"),
-    number!(resonance_hz, "Hz", "the plate's true resonance frequency"),
-    number!(temperature_offset_k, "K", "temperature above the plate's reference"),
-    number!(finger_force_n, "N", "normal force of the finger"),
+    number!(resonance_hz, "Hz", "the plate's true resonance frequency", true),
+    number!(temperature_offset_k, "K", "temperature above the plate's reference", true),
+    number!(finger_force_n, "N", "normal force of the finger", true),
     number!(sensed_wd_um, "µm", "in-phase component that the controller was last given"),
     number!(sensed_wq_um, "µm", "quadrature component that the controller was last given"),
     number!(lateness_us, "µs", "how late the bench was at this instant"),
@@ -60,7 +78,7 @@ pub const MARKS: [Mark; 6] = [
     Mark { name: "safe", meaning: "the controller is not running: 0 V", flag: Flags::SAFE },
     Mark {
         name: "sensed",
-        meaning: "told by a controller that drives a plate of its own: motion is its sensor's, what nobody knows is not a number",
+        meaning: "told by a controller that drives a plate of its own: motion is its sensor's, what nobody knows is missing",
         flag: Flags::SENSED,
     },
 ];
@@ -68,12 +86,15 @@ pub const MARKS: [Mark; 6] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_trace::COLUMNS;
+    use platebench_trace::{COLUMNS, UNKNOWABLE};
 
     #[test]
     fn nothing_of_a_trace_is_left_out() {
         let names: Vec<_> = NUMBERS.iter().map(|number| number.name).chain(["flags"]).collect();
         assert_eq!(names, COLUMNS);
+        let unknowable: Vec<_> =
+            NUMBERS.iter().filter(|number| number.can_be_unknown).map(|number| number.name).collect();
+        assert_eq!(unknowable, UNKNOWABLE);
         let all = MARKS.iter().fold(Flags::empty(), |all, mark| all | mark.flag);
         assert_eq!((all, MARKS.len()), (Flags::all(), Flags::all().iter().count()));
     }

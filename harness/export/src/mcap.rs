@@ -36,7 +36,7 @@ pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), 
         let channel_id = writer.add_channel(schema, &topic, "json", &about).map_err(&refused)?;
         for (sequence, row) in (0_u32..).zip(trial.rows()?) {
             let row = row?;
-            let numbers = NUMBERS.iter().map(|number| (number.name.to_owned(), Value::from((number.of)(&row))));
+            let numbers = NUMBERS.iter().map(|number| (number.name.to_owned(), json!(number.known(&row))));
             let marks = MARKS.iter().map(|mark| (mark.name.to_owned(), Value::from(row.flags.contains(mark.flag))));
             let message: Map<String, Value> = numbers.chain(marks).collect();
             text.clear();
@@ -55,7 +55,8 @@ pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), 
 fn schema() -> Value {
     let numbers = NUMBERS.iter().map(|number| {
         let description = format!("{}, {}", number.meaning, number.unit);
-        (number.name.to_owned(), json!({"type": "number", "description": description, "unit": number.unit}))
+        let kind = if number.can_be_unknown { json!(["number", "null"]) } else { json!("number") };
+        (number.name.to_owned(), json!({"type": kind, "description": description, "unit": number.unit}))
     });
     let marks =
         MARKS.iter().map(|mark| (mark.name.to_owned(), json!({"type": "boolean", "description": mark.meaning})));

@@ -54,10 +54,11 @@ pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), 
 }
 
 fn schema() -> Result<TypePtr, ParquetError> {
-    let column = |name: &str, physical, logical| {
-        let column = Type::primitive_type_builder(name, physical).with_repetition(Repetition::REQUIRED);
+    let repeated = |name: &str, physical, logical, repetition| {
+        let column = Type::primitive_type_builder(name, physical).with_repetition(repetition);
         column.with_logical_type(logical).build().map(Arc::new)
     };
+    let column = |name: &str, physical, logical| repeated(name, physical, logical, Repetition::REQUIRED);
     let unsigned = |bit_width| Some(LogicalType::integer(bit_width, false));
     let mut fields = vec![
         column("scenario", Physical::BYTE_ARRAY, Some(LogicalType::String))?,
@@ -65,7 +66,8 @@ fn schema() -> Result<TypePtr, ParquetError> {
         column("seed", Physical::INT64, unsigned(64))?,
     ];
     for number in NUMBERS {
-        fields.push(column(number.name, Physical::DOUBLE, None)?);
+        let repetition = if number.can_be_unknown { Repetition::OPTIONAL } else { Repetition::REQUIRED };
+        fields.push(repeated(number.name, Physical::DOUBLE, None, repetition)?);
     }
     for mark in MARKS {
         fields.push(column(mark.name, Physical::BOOLEAN, None)?);
@@ -93,15 +95,22 @@ impl Block {
     fn write(&mut self, scenario: &str, writer: &mut SerializedFileWriter<File>) -> Result<(), ParquetError> {
         let mut group = writer.next_row_group()?;
         let names = vec![ByteArray::from(scenario); self.rows.len()];
-        column::<ByteArrayType>(&mut group, &names)?;
-        column::<Int32Type>(&mut group, &self.trials)?;
-        column::<Int64Type>(&mut group, &self.seeds)?;
+        column::<ByteArrayType>(&mut group, &names, None)?;
+        column::<Int32Type>(&mut group, &self.trials, None)?;
+        column::<Int64Type>(&mut group, &self.seeds, None)?;
         for number in NUMBERS {
-            column::<DoubleType>(&mut group, &self.rows.iter().map(number.of).collect::<Vec<_>>())?;
+            if number.can_be_unknown {
+                let values: Vec<_> = self.rows.iter().map(|row| number.known(row)).collect();
+                let levels: Vec<_> = values.iter().map(|value| i16::from(value.is_some())).collect();
+                let known: Vec<_> = values.into_iter().flatten().collect();
+                column::<DoubleType>(&mut group, &known, Some(&levels))?;
+            } else {
+                column::<DoubleType>(&mut group, &self.rows.iter().map(number.of).collect::<Vec<_>>(), None)?;
+            }
         }
         for mark in MARKS {
             let set: Vec<bool> = self.rows.iter().map(|row| row.flags.contains(mark.flag)).collect();
-            column::<BoolType>(&mut group, &set)?;
+            column::<BoolType>(&mut group, &set, None)?;
         }
         group.close()?;
         self.trials.clear();
@@ -111,14 +120,15 @@ impl Block {
     }
 }
 
-/// Writes the next column of a row group.
+/// Writes the next column of a row group. `levels` are 1 where a row has a value and 0 where not; every row has one where there are none.
 fn column<T: parquet::data_type::DataType>(
     group: &mut SerializedRowGroupWriter<'_, File>,
     values: &[T::T],
+    levels: Option<&[i16]>,
 ) -> Result<(), ParquetError> {
     let Some(mut column) = group.next_column()? else {
         return Err(ParquetError::General("more columns than the schema has".to_owned()));
     };
-    column.typed::<T>().write_batch(values, None, None)?;
+    column.typed::<T>().write_batch(values, levels, None)?;
     column.close()
 }

@@ -20,13 +20,13 @@ pub(crate) fn description_of(path: &Path) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// One row. Numbers are written in the shortest form that parses back to the same double.
+/// One row. Numbers are written in the shortest form that parses back to the same double; what nobody knows is empty.
 #[derive(Serialize)]
 struct Line<'a> {
     scenario: &'a str,
     trial: u32,
     seed: u64,
-    numbers: [f64; NUMBERS.len()],
+    numbers: [Option<f64>; NUMBERS.len()],
     marks: [bool; MARKS.len()],
 }
 
@@ -51,7 +51,7 @@ pub(crate) fn write(sources: &[Source<'_>], file: File, path: &Path) -> Result<(
                     scenario: source.name,
                     trial: trial.index,
                     seed: trial.seed,
-                    numbers: NUMBERS.map(|number| (number.of)(&row)),
+                    numbers: NUMBERS.map(|number| number.known(&row)),
                     marks: MARKS.map(|mark| row.flags.contains(mark.flag)),
                 };
                 table.serialize(line).map_err(&refused)?;

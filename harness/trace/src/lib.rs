@@ -9,4 +9,4 @@ mod file;
 mod row;
 
 pub use file::{Rows, TraceError, Writer, read};
-pub use row::{COLUMNS, Column, Flags, Row};
+pub use row::{COLUMNS, Column, Flags, Row, UNKNOWABLE};

@@ -102,7 +102,7 @@ mod perhaps {
 }
 
 /// Columns that may be empty in a row flagged `sensed`.
-pub(crate) const UNKNOWABLE: [&str; 3] = ["resonance_hz", "temperature_offset_k", "finger_force_n"];
+pub const UNKNOWABLE: [&str; 3] = ["resonance_hz", "temperature_offset_k", "finger_force_n"];
 
 /// The columns of a trace, in order.
 pub const COLUMNS: [&str; 14] = [

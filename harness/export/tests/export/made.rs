@@ -17,11 +17,11 @@ pub(crate) struct Made {
 /// Numbers that a format could bend: signs of zero, the smallest and the largest, what decimal cannot hold.
 const HARD: [f64; 8] = [0.0, -0.0, 0.1, -1.0 / 3.0, f64::MIN_POSITIVE, 5e-324, f64::MAX, -32_307.612_345_678_9];
 
-/// Rows that differ in every column.
+/// Rows that differ in every column; one in five does not know all of them.
 pub(crate) fn rows(count: usize, salt: usize) -> Vec<Row> {
     let row = |index: usize| {
         let hard = |column: usize| HARD[(index + column + salt) % HARD.len()];
-        Row {
+        let mut row = Row {
             t_s: index as f64 * 0.000_05,
             setpoint_um: hard(0),
             wd_um: hard(1),
@@ -36,7 +36,13 @@ pub(crate) fn rows(count: usize, salt: usize) -> Vec<Row> {
             sensed_wq_um: -(index as f64) / 13.0,
             lateness_us: salt as f64 / 3.0,
             flags: Flags::from_bits_truncate((index + salt) as u8),
+        };
+        if index % 5 == 4 {
+            // A real plate's.
+            row.flags |= Flags::SENSED;
+            (row.resonance_hz, row.temperature_offset_k, row.finger_force_n) = (f64::NAN, f64::NAN, f64::NAN);
         }
+        row
     };
     (0..count).map(row).collect()
 }

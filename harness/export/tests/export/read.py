@@ -1,6 +1,6 @@
 """Reads an exported file with a library that is not the bench's and prints what is in it, as JSON.
 
-Doubles are printed as their 64 bits in hexadecimal, so that equal means equal.
+Doubles are printed as their 64 bits in hexadecimal, so that equal means equal; a missing one is null.
 """
 
 import json
@@ -9,7 +9,7 @@ import sys
 
 
 def bits(values):
-    return [struct.pack(">d", float(value)).hex() for value in values]
+    return [None if value is None else struct.pack(">d", float(value)).hex() for value in values]
 
 
 def parquet(path):
