@@ -3,13 +3,8 @@
 //! Neighbours: `html` shows it. Records are read, traces are not; a folder without a readable record is left out.
 
 use crate::evidence;
-use platebench_verdict::record::FILE;
 use platebench_verdict::{RunRecord, Verdict};
-use std::fs;
-use std::path::{Path, PathBuf};
-
-/// More earlier runs than these are not read.
-const NEWEST: usize = 20;
+use std::path::Path;
 
 /// Runs that started before, the newest first, each with its folder's name.
 #[derive(Debug, Clone, Default)]
@@ -20,23 +15,9 @@ pub(crate) struct History {
 impl History {
     /// The runs in folders beside `folder`, on the same kind of rig.
     pub(crate) fn beside(folder: &Path, record: &RunRecord) -> Self {
-        let Ok(own) = fs::canonicalize(folder) else { return Self::default() };
-        let Some(entries) = own.parent().and_then(|parent| fs::read_dir(parent).ok()) else { return Self::default() };
-        let mut found: Vec<(String, PathBuf)> = entries
-            .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-            .filter(|path| *path != own && path.join(FILE).is_file())
-            .filter_map(|path| Some((RunRecord::read_started(&path).ok()?, path)))
-            // RFC 3339 in UTC: the order of the texts is that of time.
-            .filter(|(started, _)| *started < record.started)
-            .collect();
-        found.sort_by(|a, b| b.cmp(a));
-        found.truncate(NEWEST);
-        let kind = |record: &RunRecord| record.rig.name.split(':').next().unwrap_or_default().to_owned();
-        let read = |(_, path): (String, PathBuf)| {
-            let earlier = RunRecord::read(&path).ok().filter(|earlier| kind(earlier) == kind(record))?;
-            Some((path.file_name()?.to_string_lossy().into_owned(), earlier))
-        };
-        Self { runs: found.into_iter().filter_map(read).collect() }
+        let mut runs = record.earlier(folder, |_, _| ());
+        runs.retain(|(_, earlier)| earlier.rig.kind() == record.rig.kind());
+        Self { runs }
     }
 
     /// In a sentence, since when the expectation under `key` of the scenario in `file` has not passed; `None` where no earlier run knows it.

@@ -4,16 +4,13 @@
 //! for byte, seed. Runs of another kind of rig and of a firmware with another name are left out, and so are folders that hold no readable record.
 
 use crate::folder::sha256;
-use platebench_verdict::record::{Cost, CostTrend, EarlierCost, RigRecord};
+use platebench_verdict::record::{Cost, CostTrend, EarlierCost, RecordError, RigRecord};
 use platebench_verdict::{RunRecord, ScenarioRecord};
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use tracing::{info, warn};
 
-/// More than these are not read.
-const NEWEST: usize = 20;
 /// What the image that comes with the bench takes; `ci/cost --update` writes it.
 const REFERENCE: &str = include_str!("../../../firmware-under-test/images/cost.toml");
 const EMULATED: &str = "emulated";
@@ -51,8 +48,11 @@ pub(crate) fn cost(record: &RunRecord, folder: &Path) -> Vec<CostTrend> {
     if here.is_empty() {
         return Vec::new();
     }
-    let comparable = earlier_runs(folder).into_iter().filter(|(_, earlier)| comparable(&record.rig, &earlier.rig));
-    beside(record, &here, comparable.map(known).collect(), reference())
+    let left_out =
+        |path: &Path, error: &RecordError| info!(run = %path.display(), %error, "earlier run left out of the trend");
+    let mut earlier = record.earlier(folder, left_out);
+    earlier.retain(|(_, earlier)| comparable(&record.rig, &earlier.rig));
+    beside(record, &here, earlier.into_iter().map(known).collect(), reference())
 }
 
 fn beside(
@@ -62,7 +62,7 @@ fn beside(
     reference: Option<Reference>,
 ) -> Vec<CostTrend> {
     let for_this =
-        |reference: &Reference| kind(&record.rig) == EMULATED && name(&record.rig) == Some(&reference.firmware);
+        |reference: &Reference| record.rig.kind() == EMULATED && name(&record.rig) == Some(&reference.firmware);
     earlier.extend(reference.filter(for_this).map(of_reference));
     let mut laws: Vec<&str> = Vec::new();
     for scenario in &record.scenarios {
@@ -118,11 +118,6 @@ fn costs(record: &RunRecord) -> Costs {
     record.scenarios.iter().flat_map(of_scenario).collect()
 }
 
-/// The kind of rig, without which one of its kind it was.
-fn kind(rig: &RigRecord) -> &str {
-    rig.name.split(':').next().unwrap_or_default()
-}
-
 fn name(rig: &RigRecord) -> Option<&String> {
     rig.firmware.as_ref().map(|firmware| &firmware.name)
 }
@@ -132,7 +127,7 @@ fn build(rig: &RigRecord) -> String {
 }
 
 fn comparable(one: &RigRecord, other: &RigRecord) -> bool {
-    kind(one) == kind(other) && name(one) == name(other)
+    one.kind() == other.kind() && name(one) == name(other)
 }
 
 fn known((run, record): (String, RunRecord)) -> (EarlierRun, Costs) {
@@ -152,36 +147,6 @@ fn of_reference(reference: Reference) -> (EarlierRun, Costs) {
         .into_iter()
         .map(|trial| ((trial.law, trial.inputs, trial.seed), Cost { mean: trial.mean, worst: trial.worst }));
     (EarlierRun { run: None, started: None, build: reference.build }, costs.collect())
-}
-
-/// The newest runs beside `folder`, the newest first, by the name of their folder.
-fn earlier_runs(folder: &Path) -> Vec<(String, RunRecord)> {
-    let Ok(own) = fs::canonicalize(folder) else { return Vec::new() };
-    let Some(entries) = own.parent().and_then(|parent| fs::read_dir(parent).ok()) else { return Vec::new() };
-    let left_out = |path: &Path, error: &dyn std::fmt::Display| {
-        info!(run = %path.display(), %error, "earlier run left out of the trend");
-    };
-    let mut found: Vec<(String, PathBuf)> = entries
-        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-        .filter(|path| *path != own && path.join(platebench_verdict::record::FILE).is_file())
-        .filter_map(|path| match RunRecord::read_started(&path) {
-            Ok(started) => Some((started, path)),
-            Err(error) => {
-                left_out(&path, &error);
-                None
-            }
-        })
-        .collect();
-    found.sort_by(|a, b| b.cmp(a));
-    found.truncate(NEWEST);
-    let read = |(_, path): (String, PathBuf)| match RunRecord::read(&path) {
-        Ok(record) => Some((path.file_name()?.to_string_lossy().into_owned(), record)),
-        Err(error) => {
-            left_out(&path, &error);
-            None
-        }
-    };
-    found.into_iter().filter_map(read).collect()
 }
 
 #[cfg(test)]

@@ -1,94 +1,25 @@
 //! What a run leaves behind: `run.json`.
 
+mod cost;
+mod outcome;
 mod real_plate;
+mod store;
 mod timing;
 
+pub use cost::{Cost, CostChange, CostTrend, EarlierCost};
+pub use outcome::{Cause, Verdict};
 pub use real_plate::{Asked, RealPlate};
+pub use store::{FILE, RecordError};
 pub use timing::{Quantiles, Timing};
 
-mod cost;
-pub use cost::{Cost, CostChange, CostTrend, EarlierCost};
 use platebench_plate::Time;
 use platebench_scenario::Expectation;
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
-use std::fmt;
-use std::fs;
-use std::io;
-use std::path::Path;
 
 /// Version of the format; readers refuse others.
 pub const FORMAT: u32 = 1;
-/// The record's name in a run folder.
-pub const FILE: &str = "run.json";
-
-/// How something ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Verdict {
-    /// Demonstrated.
-    Pass,
-    /// Refuted.
-    Fail,
-    /// Neither; the cause is beside it.
-    Inconclusive,
-}
-
-impl Verdict {
-    /// The verdict over several: one failure fails all, and one doubt remains a doubt. Nothing at all is a doubt.
-    pub fn over(verdicts: impl IntoIterator<Item = Self>) -> Self {
-        verdicts
-            .into_iter()
-            .reduce(|a, b| match (a, b) {
-                (Self::Fail, _) | (_, Self::Fail) => Self::Fail,
-                (Self::Pass, Self::Pass) => Self::Pass,
-                _ => Self::Inconclusive,
-            })
-            .unwrap_or(Self::Inconclusive)
-    }
-
-    /// The verdict in a word.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Pass => "pass",
-            Self::Fail => "fail",
-            Self::Inconclusive => "inconclusive",
-        }
-    }
-}
-
-impl fmt::Display for Verdict {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.pad(self.name())
-    }
-}
-
-/// Whose doing it is that there is no verdict.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Cause {
-    /// The link to the controller, or a delay that it adds.
-    Rig,
-    /// The bench itself was too late or lost a row.
-    Bench,
-    /// No controller could have met the demand.
-    Infeasible,
-    /// Too few trials for the stated confidence.
-    Evidence,
-}
-
-impl fmt::Display for Cause {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::Rig => "rig",
-            Self::Bench => "bench",
-            Self::Infeasible => "infeasible",
-            Self::Evidence => "evidence",
-        })
-    }
-}
 
 /// A whole run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -138,6 +69,13 @@ pub struct RigRecord {
     /// The firmware as it introduced itself; empty where it never did.
     #[serde(default)]
     pub firmware: Option<Firmware>,
+}
+
+impl RigRecord {
+    /// The kind of rig, without which one of its kind it was.
+    pub fn kind(&self) -> &str {
+        self.name.split(':').next().unwrap_or_default()
+    }
 }
 
 /// The firmware as it introduced itself.
@@ -384,68 +322,7 @@ pub struct NotFinite {
     pub count: u64,
 }
 
-/// Why a record could not be read.
-#[derive(Debug, thiserror::Error)]
-pub enum RecordError {
-    /// The file is not there or cannot be read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: String,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The file is not a run record.
-    #[error("{path}:{}:{}: {source}", source.line(), source.column())]
-    Content {
-        /// The file.
-        path: String,
-        /// What the parser says.
-        source: serde_json::Error,
-    },
-    /// Another version of the format.
-    #[error("{path}: format {found}, expected {FORMAT}")]
-    Format {
-        /// The file.
-        path: String,
-        /// What it says it is.
-        found: u32,
-    },
-}
-
 impl RunRecord {
-    /// Writes the record into `folder`, replacing an earlier one as a whole.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn write(&self, folder: &Path) -> io::Result<()> {
-        let mut text = serde_json::to_string_pretty(self)?;
-        text.push('\n');
-        let provisional = folder.join("run.json.part");
-        fs::write(&provisional, text)?;
-        fs::rename(&provisional, folder.join(FILE))
-    }
-
-    /// Reads the record of the run in `folder`.
-    ///
-    /// # Errors
-    /// [`RecordError`] where there is none of this format.
-    pub fn read(folder: &Path) -> Result<Self, RecordError> {
-        read(folder)
-    }
-
-    /// When the run in `folder` started, without looking at the rest of its record.
-    ///
-    /// # Errors
-    /// [`RecordError`] where there is no record of this format.
-    pub fn read_started(folder: &Path) -> Result<String, RecordError> {
-        #[derive(Deserialize)]
-        struct Started {
-            started: String,
-        }
-        read(folder).map(|Started { started }| started)
-    }
-
     /// The verdict over all scenarios, of what was played to the end. A drive that nobody confirmed to be at 0 V leaves a pass in doubt.
     pub fn decide(&mut self) {
         let over = Verdict::over(self.scenarios.iter().map(|scenario| scenario.verdict));
@@ -458,22 +335,6 @@ impl RunRecord {
         let mut trials = self.scenarios.iter().flat_map(|scenario| &scenario.trials);
         trials.any(|trial| trial.cause == Some(Cause::Rig) && trial.telemetry.ended.is_some())
     }
-}
-
-fn read<T: DeserializeOwned>(folder: &Path) -> Result<T, RecordError> {
-    #[derive(Deserialize)]
-    struct Head {
-        format: u32,
-    }
-    let path = folder.join(FILE);
-    let shown = path.display().to_string();
-    let text = fs::read_to_string(&path).map_err(|source| RecordError::Io { path: shown.clone(), source })?;
-    let content = |source| RecordError::Content { path: shown.clone(), source };
-    let head: Head = serde_json::from_str(&text).map_err(content)?;
-    if head.format != FORMAT {
-        return Err(RecordError::Format { path: shown, found: head.format });
-    }
-    serde_json::from_str(&text).map_err(content)
 }
 
 #[cfg(test)]

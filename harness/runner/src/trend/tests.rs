@@ -1,6 +1,8 @@
 use super::*;
 use platebench_verdict::record::{FILE, FORMAT, Firmware, Host, InputRecord, Overrides, Tool};
 use platebench_verdict::{Telemetry, TrialRecord, Verdict};
+use std::fs;
+use std::path::PathBuf;
 use tempfile::TempDir;
 
 fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
@@ -141,7 +143,7 @@ fn no_more_than_the_twenty_newest_are_read() {
     let named: Vec<_> = names.iter().map(String::as_str).zip(earlier).collect();
     let trends = Runs::new(&named).cost(&record("new", 30, vec![scenario("dq-pi", "1", &[1e3])]));
     let started: Vec<_> = trends[0].earlier.iter().filter_map(|earlier| earlier.started.clone()).collect();
-    assert_eq!(started.len(), NEWEST);
+    assert_eq!(started.len(), 20);
     assert_eq!((started[0].as_str(), started[19].as_str()), ("2026-01-01T00:00:21Z", "2026-01-01T00:00:02Z"));
 }
 
