@@ -14,6 +14,7 @@ mod cost;
 pub(crate) mod curves;
 mod environment;
 mod figure;
+pub(crate) mod frame;
 mod golden;
 mod grid;
 mod interactive;
@@ -30,9 +31,10 @@ use crate::history::History;
 use against::Other;
 use bundle::{Bundle, TRIALS};
 use figure::Behind;
+use frame::frame;
 use golden::Curves;
 use interactive::Beside;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
 use resolution::Resolution;
 use std::fs;
@@ -43,7 +45,7 @@ pub const FILE: &str = "report.html";
 /// The file's name where two runs stand side by side.
 pub const COMPARISON_FILE: &str = "comparison.html";
 
-pub(crate) const STYLE: &str = include_str!("html/style.css");
+const STYLE: &str = include_str!("html/style.css");
 
 /// Writes the run as a page into `folder`, the run's own: traces are looked for there. A trace that is missing is said
 /// to be missing where its plots would have stood.
@@ -160,33 +162,22 @@ impl<'a> Page<'a> {
     fn markup(&self) -> Result<Markup, ReportError> {
         let record = self.record;
         let articles = self.articles()?;
-        Ok(html! {
-            (DOCTYPE)
-            html lang="en" {
-                head {
-                    meta charset="utf-8";
-                    meta name="viewport" content="width=device-width, initial-scale=1";
-                    meta name="color-scheme" content="light dark";
-                    title { (record.verdict) " · " (record.tool.name) " " (record.started) }
-                    style { (PreEscaped(STYLE)) }
-                    (script::head())
-                }
-                body {
-                    header { (summary::head(record)) }
-                    main {
-                        (summary::open_points(record, &self.history))
-                        @if let Some(other) = self.other() { (against::section(record, other)) }
-                        (summary::scenarios(record))
-                        (summary::requirements(record))
-                        @for article in &articles { (article) }
-                        (cost::section(record))
-                        (environment::section(record))
-                    }
-                    footer { p { (record.tool.name) " " (record.tool.version) ". Plots: uPlot." } }
-                    (script::end())
-                }
+        let title = format!("{} · {} {}", record.verdict, record.tool.name, record.started);
+        let body = html! {
+            header { (summary::head(record)) }
+            main {
+                (summary::open_points(record, &self.history))
+                @if let Some(other) = self.other() { (against::section(record, other)) }
+                (summary::scenarios(record))
+                (summary::requirements(record))
+                @for article in &articles { (article) }
+                (cost::section(record))
+                (environment::section(record))
             }
-        })
+            footer { p { (record.tool.name) " " (record.tool.version) ". Plots: uPlot." } }
+            (script::end())
+        };
+        Ok(frame(&title, &script::head(), &body))
     }
 }
 

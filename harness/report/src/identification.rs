@@ -3,10 +3,10 @@
 //! Neighbours: the command line brings tables and curves from `platebench-identify`, `html::plot` draws. Nothing here knows a parameter.
 
 use crate::error::ReportError;
-use crate::html::STYLE;
 use crate::html::curves::{Point, Window};
+use crate::html::frame::titled;
 use crate::html::plot::{Chart, Ink, SIZE};
-use maud::{DOCTYPE, PreEscaped, html};
+use maud::{PreEscaped, html};
 
 /// Points of a curve beyond which a drawing shows no more.
 const POINTS: usize = 2_000;
@@ -44,47 +44,32 @@ pub struct Curves {
 pub fn page(title: &str, tables: &[Table], curves: &[Curves]) -> Result<String, ReportError> {
     let drawings: Vec<String> = curves.iter().map(drawing).collect::<Result<_, _>>()?;
     let (width, height) = SIZE;
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (title) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                header { h1 { (title) } }
-                main {
-                    @for table in tables {
-                        section {
-                            h2 { (table.title) }
-                            div style="overflow-x:auto" {
-                                table {
-                                    thead { tr { @for cell in &table.header { th scope="col" { (cell) } } } }
-                                    tbody { @for row in &table.rows { tr { @for cell in row { td { (cell) } } } } }
-                                }
-                            }
-                            @for note in &table.notes { p { (note) } }
-                        }
+    let main = html! {
+        @for table in tables {
+            section {
+                h2 { (table.title) }
+                div style="overflow-x:auto" {
+                    table {
+                        thead { tr { @for cell in &table.header { th scope="col" { (cell) } } } }
+                        tbody { @for row in &table.rows { tr { @for cell in row { td { (cell) } } } } }
                     }
-                    section {
-                        h2 { "Seen and fitted" }
-                        div class="figures" {
-                            @for (curve, drawing) in curves.iter().zip(&drawings) {
-                                figure {
-                                    figcaption { (curve.title) ": seen behind, the fitted response in front" }
-                                    svg viewBox={ "0 0 " (width) " " (height) } role="img" aria-label=(curve.title) { (PreEscaped(drawing)) }
-                                }
-                            }
-                        }
+                }
+                @for note in &table.notes { p { (note) } }
+            }
+        }
+        section {
+            h2 { "Seen and fitted" }
+            div class="figures" {
+                @for (curve, drawing) in curves.iter().zip(&drawings) {
+                    figure {
+                        figcaption { (curve.title) ": seen behind, the fitted response in front" }
+                        svg viewBox={ "0 0 " (width) " " (height) } role="img" aria-label=(curve.title) { (PreEscaped(drawing)) }
                     }
                 }
             }
         }
     };
-    Ok(page.into_string())
+    Ok(titled(title, None, &html! {}, &main).into_string())
 }
 
 fn drawing(curves: &Curves) -> Result<String, ReportError> {

@@ -1,5 +1,6 @@
 //! What all charts are drawn with: roles instead of colours, so that one file serves light and dark; logarithmic axes.
 
+use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::error::Error;
@@ -42,8 +43,30 @@ pub(super) fn many(count: usize) -> i32 {
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 pub(super) type Drawn<T> = Result<T, Box<dyn Error + Send + Sync>>;
 
+/// What `draw` draws on an area of so many units, as an SVG document under `title` with so many series.
+///
+/// # Errors
+/// [`ReportError::Plot`] where it cannot be drawn.
+pub(super) fn document(
+    title: &str,
+    (width, height): (i32, i32),
+    series: usize,
+    draw: impl FnOnce(&Area<'_>) -> Drawn<()>,
+) -> Result<String, ReportError> {
+    let mut svg = String::new();
+    let drawn = || {
+        let root =
+            SVGBackend::with_string(&mut svg, (u32::try_from(width)?, u32::try_from(height)?)).into_drawing_area();
+        draw(&root)?;
+        root.present()?;
+        Ok(())
+    };
+    drawn().map_err(|source| ReportError::Plot { title: title.to_owned(), source })?;
+    Ok(classed(&svg, title, (width, height), series))
+}
+
 /// The document with a style sheet of its own and classes instead of colours.
-pub(super) fn classed(svg: &str, title: &str, (width, height): (i32, i32), series: usize) -> String {
+fn classed(svg: &str, title: &str, (width, height): (i32, i32), series: usize) -> String {
     let body = svg.split_once('>').map_or(svg, |(_, rest)| rest);
     let mut body = body.replace("opacity=\"1\" ", "").replace("stroke-width=\"1\" ", "").replace(" \"/>", "\"/>");
     let mut style = STYLE.to_owned();

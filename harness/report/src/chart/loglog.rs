@@ -1,6 +1,6 @@
 //! A log-log drawing that stands alone: its own colours for light and dark, its own legend.
 
-use super::ink::{Area, Drawn, FINE, Role, classed, decades, power, text};
+use super::ink::{Area, Drawn, FINE, Role, decades, document, power, text};
 use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
@@ -47,14 +47,10 @@ impl LogLog {
     /// # Errors
     /// [`ReportError::Plot`] where it cannot be drawn.
     pub fn svg(&self) -> Result<String, ReportError> {
-        let mut svg = String::new();
-        self.draw(&mut svg).map_err(|source| ReportError::Plot { title: self.title.clone(), source })?;
-        Ok(classed(&svg, &self.title, SIZE, self.series.len()))
+        document(&self.title, SIZE, self.series.len(), |root| self.draw(root))
     }
 
-    fn draw(&self, svg: &mut String) -> Drawn<()> {
-        let (width, height) = (u32::try_from(SIZE.0)?, u32::try_from(SIZE.1)?);
-        let root = SVGBackend::with_string(svg, (width, height)).into_drawing_area();
+    fn draw(&self, root: &Area<'_>) -> Drawn<()> {
         let marked = self.mark.iter().map(|(x, _)| *x);
         let xs = decades(self.series.iter().flat_map(|series| series.points.iter().map(|point| point.0)).chain(marked));
         let costs = |series: &Series| {
@@ -65,7 +61,7 @@ impl LogLog {
         let has_failed = self.series.iter().any(|series| !series.failed.is_empty());
         let edge = xs.end * 10.0_f64.sqrt();
         let right = if has_failed { xs.end * 10.0 } else { xs.end };
-        let mut chart = ChartBuilder::on(&root)
+        let mut chart = ChartBuilder::on(root)
             .margin_top(u32::try_from(60 * FINE)?)
             .margin_right(u32::try_from(LEGEND)?)
             .set_label_area_size(LabelAreaPosition::Left, u32::try_from(70 * FINE)?)
@@ -95,9 +91,7 @@ impl LogLog {
             chart.draw_series(series.failed.iter().map(|y| Cross::new((edge, *y), 5 * FINE, colour)))?;
         }
         drop(chart);
-        self.words(&root, has_failed)?;
-        root.present()?;
-        Ok(())
+        self.words(root, has_failed)
     }
 
     fn words(&self, root: &Area<'_>, has_failed: bool) -> Drawn<()> {

@@ -1,11 +1,11 @@
 //! `charts.html`: drawings, tables and a few words on one page that needs nothing else.
 
 use crate::error::ReportError;
-use maud::{DOCTYPE, PreEscaped, html};
+use crate::html::frame::titled;
+use maud::{PreEscaped, html};
 use std::fs;
 use std::path::Path;
 
-const STYLE: &str = include_str!("../html/style.css");
 /// A drawing on this page is a picture and keeps its own style sheet to itself.
 const OWN_STYLE: &str = "figure{margin:1.5rem 0}figure>img{max-width:100%;height:auto;border:1px solid var(--hair);border-radius:.5rem}p{max-width:70ch;margin:.6rem 0}";
 
@@ -58,36 +58,21 @@ impl Page {
     }
 
     fn html(&self) -> String {
-        html! {
-            (DOCTYPE)
-            html lang="en" {
-                head {
-                    meta charset="utf-8";
-                    meta name="viewport" content="width=device-width, initial-scale=1";
-                    meta name="color-scheme" content="light dark";
-                    title { (self.title) }
-                    style { (PreEscaped(STYLE)) (PreEscaped(OWN_STYLE)) }
-                }
-                body {
-                    header { h1 { (self.title) } p.lead { (self.lead) } }
-                    main {
-                        @for block in &self.blocks {
-                            @match block {
-                                Block::Heading(text) => h2 { (text) },
-                                Block::Text(text) => p { (text) },
-                                Block::Drawing(svg, text) => figure {
-                                    img src=(format!("data:image/svg+xml,{}", percent(svg))) alt=(text);
-                                    figcaption { (text) }
-                                },
-                                Block::Table(table) => (table.html()),
-                                Block::File(name) => p { a href=(name) { code { (name) } } },
-                            }
-                        }
-                    }
+        let main = html! {
+            @for block in &self.blocks {
+                @match block {
+                    Block::Heading(text) => h2 { (text) },
+                    Block::Text(text) => p { (text) },
+                    Block::Drawing(svg, text) => figure {
+                        img src=(format!("data:image/svg+xml,{}", percent(svg))) alt=(text);
+                        figcaption { (text) }
+                    },
+                    Block::Table(table) => (table.html()),
+                    Block::File(name) => p { a href=(name) { code { (name) } } },
                 }
             }
-        }
-        .into_string()
+        };
+        titled(&self.title, Some(&self.lead), &html! { style { (PreEscaped(OWN_STYLE)) } }, &main).into_string()
     }
 }
 

@@ -1,6 +1,6 @@
 //! Points by colour and shape in panels above each other, with limit lines: two logarithmic axes, the left to right one shared.
 
-use super::ink::{Area, Drawn, FINE, Role, classed, decades, many, power, text};
+use super::ink::{Area, Drawn, FINE, Role, decades, document, many, power, text};
 use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
@@ -89,10 +89,8 @@ impl Scatter {
     /// # Errors
     /// [`ReportError::Plot`] where it cannot be drawn.
     pub fn svg(&self) -> Result<String, ReportError> {
-        let mut svg = String::new();
-        self.draw(&mut svg).map_err(|source| ReportError::Plot { title: self.title.clone(), source })?;
         let (width, height) = self.size();
-        Ok(classed(&svg, &self.title, (width * FINE, height * FINE), self.colours.len()))
+        document(&self.title, (width * FINE, height * FINE), self.colours.len(), |root| self.draw(root))
     }
 
     /// CSS pixels.
@@ -100,10 +98,7 @@ impl Scatter {
         (WIDTH, TITLE + (ABOVE + PLOT + BELOW) * many(self.panels.len()))
     }
 
-    fn draw(&self, svg: &mut String) -> Drawn<()> {
-        let (width, height) = self.size();
-        let root = SVGBackend::with_string(svg, (u32::try_from(width * FINE)?, u32::try_from(height * FINE)?));
-        let root = root.into_drawing_area();
+    fn draw(&self, root: &Area<'_>) -> Drawn<()> {
         root.draw_text(&self.title, &text(Role::Title, HPos::Left), (14 * FINE, 20 * FINE))?;
         let points = || self.panels.iter().flat_map(|panel| &panel.points);
         let limits = self.panels.iter().flat_map(|panel| panel.across.iter().map(|(x, _)| *x));
@@ -115,7 +110,6 @@ impl Scatter {
                 self.legend(&area)?;
             }
         }
-        root.present()?;
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! A line of marks for each of many things, on one logarithmic axis: what was found, what was chosen, what was allowed.
 
-use super::ink::{Drawn, FINE, Role, classed, decades, many, power, text};
+use super::ink::{Area, Drawn, FINE, Role, decades, document, many, power, text};
 use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
@@ -55,10 +55,8 @@ impl Strip {
     /// # Errors
     /// [`ReportError::Plot`] where it cannot be drawn.
     pub fn svg(&self) -> Result<String, ReportError> {
-        let mut svg = String::new();
-        self.draw(&mut svg).map_err(|source| ReportError::Plot { title: self.title.clone(), source })?;
         let (width, height) = self.size();
-        Ok(classed(&svg, &self.title, (width * FINE, height * FINE), self.colours.len()))
+        document(&self.title, (width * FINE, height * FINE), self.colours.len(), |root| self.draw(root))
     }
 
     /// CSS pixels.
@@ -66,10 +64,7 @@ impl Strip {
         (WIDTH, ABOVE + LINE * many(self.rows.len()) + BELOW)
     }
 
-    fn draw(&self, svg: &mut String) -> Drawn<()> {
-        let (width, height) = self.size();
-        let root = SVGBackend::with_string(svg, (u32::try_from(width * FINE)?, u32::try_from(height * FINE)?));
-        let root = root.into_drawing_area();
+    fn draw(&self, root: &Area<'_>) -> Drawn<()> {
         let found = self.rows.iter().flat_map(|row| row.found.iter().map(|(_, value)| *value));
         let told = found.chain(self.rows.iter().filter_map(|row| row.allowed)).filter(|value| *value > 0.0);
         let xs = decades(told.map(|value| value.max(self.least)));
@@ -129,7 +124,6 @@ impl Strip {
         let stroke = [((x - 1) * FINE, 37 * FINE), ((x + 1) * FINE, 51 * FINE)];
         root.draw(&Rectangle::new(stroke, Role::Shape.colour().filled()))?;
         root.draw_text(&self.allowed_label, &text(Role::Text, HPos::Left), ((x + 10) * FINE, 44 * FINE))?;
-        root.present()?;
         Ok(())
     }
 }

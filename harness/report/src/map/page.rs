@@ -2,10 +2,8 @@
 
 use super::{EDGES, Map};
 use crate::error::ReportError;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
-
-/// The page's own style: that of a run's report.
-const STYLE: &str = include_str!("../html/style.css");
+use crate::html::frame::titled;
+use maud::{Markup, PreEscaped, html};
 
 /// A part of the page.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,35 +26,20 @@ pub fn page(title: &str, sections: &[Section]) -> Result<String, ReportError> {
     let drawn = |section: &Section| section.map.as_ref().map(Map::svg).transpose();
     let parts: Vec<(&Section, Option<String>)> =
         sections.iter().map(|section| Ok((section, drawn(section)?))).collect::<Result<_, ReportError>>()?;
-    let markup = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (title) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                header { h1 { (title) } }
-                main {
-                    @for (section, svg) in &parts {
-                        section {
-                            h2 { (section.title) }
-                            @if !section.note.is_empty() { p class="lead" { (section.note) } }
-                            @if let Some(table) = &section.table { div class="scroll" { pre style="white-space: pre-wrap" { (table) } } }
-                            @if let Some(svg) = svg {
-                                div class="scroll" { (PreEscaped(svg)) }
-                                (legend())
-                            }
-                        }
-                    }
+    let main = html! {
+        @for (section, svg) in &parts {
+            section {
+                h2 { (section.title) }
+                @if !section.note.is_empty() { p class="lead" { (section.note) } }
+                @if let Some(table) = &section.table { div class="scroll" { pre style="white-space: pre-wrap" { (table) } } }
+                @if let Some(svg) = svg {
+                    div class="scroll" { (PreEscaped(svg)) }
+                    (legend())
                 }
             }
         }
     };
-    Ok(markup.into_string())
+    Ok(titled(title, None, &html! {}, &main).into_string())
 }
 
 /// Which colour is which spectral radius.
