@@ -7,103 +7,33 @@
 //!
 //! What has been begun and not ended when the session is cut off is done again as a whole; what has ended is never done again, whatever came of it.
 
+use crate::basis::{
+    changed, evidence_is_there, first_record, image_sha256, run_sha256, same_firmware, shown_firmware, unchanged,
+};
 use crate::decide::decide;
 use crate::durable;
 use crate::error::AcceptError;
+use crate::order::{Answer, Desk, Order, Question};
 use crate::plan::{AnswerKind, Ask, Plan, Planned, When};
 use crate::self_test;
 use crate::session::{
-    AnswerRecord, Attempt, BenchRecord, ClockRecord, FILE, FORMAT, FirmwareRecord, SessionRecord, SignatureRecord,
-    StepKind, StepRecord,
+    AnswerRecord, Attempt, FILE, FirmwareRecord, SessionRecord, SignatureRecord, StepKind, StepRecord,
 };
-use crate::signature::SecretKey;
 use crate::{manifest, page, signature};
 use jiff::Timestamp;
 use platebench_report::{html, traceability};
-use platebench_rig::{Emulated, RigSpec};
-use platebench_runner::folder::{hexadecimal, sha256};
-use platebench_runner::{
-    Cancel, Clock, Company, Event, Nobody, Pacing, RunError, RunFolder, Watch, rejudge, run_in_company,
-};
-use platebench_verdict::record::{Firmware, Host, InputRecord, Overrides, Tool};
-use platebench_verdict::{RunRecord, Verdict, record};
+use platebench_runner::folder::hexadecimal;
+use platebench_runner::{Cancel, Clock, Company, Nobody, RunError, RunFolder, rejudge, run_in_company};
+use platebench_verdict::record::{Firmware, Overrides};
+use platebench_verdict::{RunRecord, Verdict};
 use std::fs::{self, File, TryLockError};
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use tracing::info;
 
 /// The copy of the plan in a record.
 pub(crate) const PLAN: &str = "plan.toml";
 /// The folder of the steps' own folders.
 pub(crate) const STEPS: &str = "steps";
-
-/// What is to be done.
-#[derive(Debug, Clone)]
-pub struct Order {
-    /// The plan.
-    pub plan: Plan,
-    /// What the controller runs on.
-    pub rig: RigSpec,
-    /// How time passes for the plate.
-    pub clock: Clock,
-    /// Trials at once.
-    pub jobs: usize,
-    /// The record's folder.
-    pub out: PathBuf,
-    /// True where there has to be a session to go on with.
-    pub resume: bool,
-    /// What was said of the session already.
-    pub who: Who,
-    /// What the record is signed with.
-    pub key: Option<SecretKey>,
-}
-
-/// Who, where, and what else there is to say.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Who {
-    /// Who does it.
-    pub operator: Option<String>,
-    /// Where.
-    pub place: Option<String>,
-    /// What else there is to say.
-    pub notes: Option<String>,
-}
-
-/// A question to the person.
-#[derive(Debug, Clone, Copy)]
-pub struct Question<'a> {
-    /// What is asked.
-    pub text: &'a str,
-    /// What kind of answer there is.
-    pub kind: AnswerKind,
-}
-
-/// What became of a question.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Answer {
-    /// A person said so: `yes`, `no` or a text.
-    Terminal(String),
-    /// The command line said so beforehand.
-    CommandLine(String),
-    /// There was nobody to ask.
-    NotAsked,
-}
-
-/// Whom a session talks to.
-pub trait Desk {
-    /// Asks, and waits for the answer until the session is ended.
-    fn ask(&mut self, question: &Question<'_>) -> Answer;
-    /// A step begins.
-    fn begun(&mut self, step: &StepRecord);
-    /// A step has ended.
-    fn ended(&mut self, step: &StepRecord);
-    /// Something happened in a run.
-    fn event(&mut self, event: &Event);
-    /// A scenario is about to be played: who looks on, nobody where this is not told.
-    fn watch(&mut self, _plan: &platebench_runner::Plan) -> Watch {
-        Watch::default()
-    }
-}
 
 /// What a step does.
 #[derive(Debug, Clone, Copy)]
@@ -128,7 +58,7 @@ pub fn conduct(order: &Order, desk: &mut dyn Desk, cancel: &Cancel) -> Result<Se
     }
     let is_open = session.record.steps.iter().any(|step| !step.done);
     if is_open && session.record.firmware.is_some() {
-        session.same_firmware(&session.introduced()?)?;
+        same_firmware(session.record.firmware.as_ref(), &session.introduced()?)?;
     }
     for (index, task) in tasks.iter().enumerate() {
         if session.record.steps.get(index).is_some_and(|step| step.done) {
@@ -153,7 +83,8 @@ fn tasks(plan: &Plan) -> Vec<Task<'_>> {
     tasks
 }
 
-fn step_records(plan: &Plan) -> Vec<StepRecord> {
+/// The steps of a plan, none of them begun.
+pub(crate) fn step_records(plan: &Plan) -> Vec<StepRecord> {
     let described = |task: &Task<'_>| match task {
         Task::Identity => ("identity".to_owned(), "Board and firmware".to_owned(), StepKind::Identity),
         Task::Ask(ask) => (format!("ask-{}", ask.id), ask.question.clone(), StepKind::Ask),
@@ -177,7 +108,7 @@ fn step_records(plan: &Plan) -> Vec<StepRecord> {
         .collect()
 }
 
-fn now() -> String {
+pub(crate) fn now() -> String {
     Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
@@ -383,19 +314,6 @@ impl<'a> Session<'a> {
         })
     }
 
-    fn same_firmware(&self, found: &FirmwareRecord) -> Result<(), AcceptError> {
-        match &self.record.firmware {
-            Some(then) if then != found => {
-                let shown = |record: &FirmwareRecord| {
-                    let image = record.image_sha256.as_deref().unwrap_or("none");
-                    format!("{}, number {}, image {image}", shown_firmware(&record.firmware), record.unique)
-                };
-                Err(changed("the firmware", &shown(then), &shown(found)))
-            }
-            _ => Ok(()),
-        }
-    }
-
     /// Judges the session and seals its record.
     fn close(mut self) -> Result<SessionRecord, AcceptError> {
         let folder = &self.order.out;
@@ -469,63 +387,6 @@ fn is_finished(folder: &Path, record: &SessionRecord) -> bool {
     record.complete && is_there(manifest::FILE) && (record.signature.is_none() || is_there(signature::FILE))
 }
 
-fn changed(what: &str, then: &str, now: &str) -> AcceptError {
-    AcceptError::Changed { what: what.to_owned(), then: then.to_owned(), now: now.to_owned() }
-}
-
-fn shown_firmware(firmware: &Firmware) -> String {
-    let Firmware { name, version, build, chip } = firmware;
-    format!("{name} {version}, build {build}, chip {chip}")
-}
-
-/// Refuses to go on with anything else than what the session was begun with.
-fn unchanged(then: &SessionRecord, now: &SessionRecord) -> Result<(), AcceptError> {
-    let bench = |record: &SessionRecord| format!("{} {}", record.bench.tool.version, record.bench.sha256);
-    let clock = |record: &SessionRecord| {
-        let ClockRecord { name, time_scale, pacing } = &record.clock;
-        format!("{name}, time scale {time_scale}, paced by {pacing}")
-    };
-    let pairs = [
-        ("the bench", bench(then), bench(now)),
-        ("the plan", then.plan.sha256.clone(), now.plan.sha256.clone()),
-        ("the rig", then.rig.clone(), now.rig.clone()),
-        ("the clock", clock(then), clock(now)),
-    ];
-    for (what, then, now) in &pairs {
-        if then != now {
-            return Err(changed(what, then, now));
-        }
-    }
-    let names = |record: &SessionRecord| record.inputs.iter().map(|input| input.file.clone()).collect::<Vec<_>>();
-    if names(then) != names(now) {
-        return Err(changed("the list of scenarios and plates", &names(then).join(", "), &names(now).join(", ")));
-    }
-    for (then, now) in then.inputs.iter().zip(&now.inputs) {
-        if then.sha256 != now.sha256 {
-            return Err(changed(&then.file, &then.sha256, &now.sha256));
-        }
-    }
-    Ok(())
-}
-
-/// What steps that are done left has to be what they left.
-fn evidence_is_there(folder: &Path, record: &SessionRecord) -> Result<(), AcceptError> {
-    for step in record.steps.iter().filter(|step| step.done) {
-        if let Some(then) = &step.run_sha256 {
-            let now = run_sha256(&folder.join(STEPS).join(&step.id))?;
-            if now != *then {
-                return Err(changed(&format!("{STEPS}/{}/{}", step.id, record::FILE), then, &now));
-            }
-        }
-    }
-    Ok(())
-}
-
-fn run_sha256(folder: &Path) -> Result<String, AcceptError> {
-    let path = folder.join(record::FILE);
-    fs::read(&path).map(|bytes| sha256(&bytes)).map_err(AcceptError::io(&path))
-}
-
 /// The runs of the scenario steps, as they are stored.
 fn runs(folder: &Path, steps: &[StepRecord]) -> Result<Vec<(String, RunRecord)>, AcceptError> {
     let played = steps.iter().filter(|step| step.kind == StepKind::Scenario && step.done);
@@ -536,72 +397,4 @@ fn runs(folder: &Path, steps: &[StepRecord]) -> Result<Vec<(String, RunRecord)>,
             Ok((step.id.clone(), run))
         })
         .collect()
-}
-
-/// SHA-256 of the image that the bench loads onto this rig; `None` where the rig brings its own.
-fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError> {
-    match rig {
-        RigSpec::Emulated(None) | RigSpec::Probe { elf: None, .. } => Ok(Some(sha256(Emulated::built_in_image()))),
-        RigSpec::Emulated(Some(elf)) | RigSpec::Probe { elf: Some(elf), .. } => {
-            fs::read(elf).map(|bytes| Some(sha256(&bytes))).map_err(AcceptError::io(elf))
-        }
-        RigSpec::Hosted | RigSpec::Exec(_) | RigSpec::Serial { .. } => Ok(None),
-    }
-}
-
-/// What is known of a session before anything is done.
-fn first_record(order: &Order) -> Result<SessionRecord, AcceptError> {
-    let Order { plan, rig, clock, who, .. } = order;
-    let inputs = plan.scenarios.iter().flat_map(|planned| {
-        let scenario = &planned.scenario;
-        scenario.inputs.iter().enumerate().map(move |(number, input)| {
-            let name = input.path.file_name().unwrap_or_default().to_string_lossy();
-            let file = if number == 0 { scenario.file.clone() } else { format!("{}: {name}", scenario.file) };
-            InputRecord { file, sha256: sha256(&input.bytes) }
-        })
-    });
-    let clock = match clock {
-        Clock::Lockstep { .. } => {
-            ClockRecord { name: clock.name().to_owned(), time_scale: 1.0, pacing: "bench".to_owned() }
-        }
-        Clock::OwnPlate => ClockRecord { name: clock.name().to_owned(), time_scale: 1.0, pacing: "target".to_owned() },
-        Clock::RealTime(pace) => ClockRecord {
-            name: clock.name().to_owned(),
-            time_scale: pace.time_scale,
-            pacing: if pace.pacing == Pacing::Target { "target" } else { "bench" }.to_owned(),
-        },
-    };
-    Ok(SessionRecord {
-        format: FORMAT,
-        verdict: Verdict::Inconclusive,
-        complete: false,
-        title: plan.title.clone(),
-        operator: who.operator.clone(),
-        place: who.place.clone(),
-        notes: who.notes.clone(),
-        started: now(),
-        finished: None,
-        resumed: Vec::new(),
-        bench: bench_record()?,
-        rig: rig.to_string(),
-        clock,
-        firmware: None,
-        plan: InputRecord { file: PLAN.to_owned(), sha256: sha256(&plan.bytes) },
-        inputs: inputs.collect(),
-        steps: step_records(plan),
-        requirements: Vec::new(),
-        signature: None,
-    })
-}
-
-fn bench_record() -> Result<BenchRecord, AcceptError> {
-    let unknown = |source: io::Error| AcceptError::Io { path: PathBuf::from("the bench's own program"), source };
-    // Also where the file was replaced meanwhile, it is the running program that counts.
-    let running = fs::read("/proc/self/exe").or_else(|_| std::env::current_exe().and_then(fs::read));
-    let program = running.map_err(unknown)?;
-    Ok(BenchRecord {
-        tool: Tool { name: "platebench".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
-        sha256: sha256(&program),
-        host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
-    })
 }

@@ -1,8 +1,8 @@
 //! The bench under test: is it punctual, does it repeat itself, does it catch what it should.
 
-use crate::conduct::Desk;
 use crate::durable;
 use crate::error::AcceptError;
+use crate::order::Desk;
 use crate::plan::Plan;
 use crate::session::{SelfTestRecord, StepRecord, TrustRecord};
 use platebench_rig::RigSpec;
