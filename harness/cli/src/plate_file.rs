@@ -14,3 +14,9 @@ pub(crate) fn read(path: &Path) -> Result<Plate, Diagnostic> {
         .map_err(|error| Diagnostic::at_span(path, &text, error.span().unwrap_or_default(), error.message()))?;
     raw.check().map_err(|error| Diagnostic::at_key(path, &text, error.key, error.to_string()))
 }
+
+/// What is wrong at `key` of a file that was read.
+pub(crate) fn fault(path: &Path, key: &str, message: String) -> Diagnostic {
+    let text = fs::read_to_string(path).unwrap_or_default();
+    Diagnostic::at_key(path, &text, key, message)
+}

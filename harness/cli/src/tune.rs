@@ -12,8 +12,9 @@ use clap::builder::PossibleValuesParser;
 use platebench_analysis::tuning::design::{Demand, Reading};
 use platebench_analysis::tuning::spread::Spread;
 use platebench_analysis::tuning::{Figures, Tuning, shown, tune as find};
-use platebench_plate::{Plate, Tier};
+use platebench_plate::{Plate, Tier, Uncertainty};
 use platebench_rig::RigSpec;
+use platebench_scenario::Diagnostic;
 use platebench_wire::{Gains, LawId};
 use send::Verified;
 use serde_json::{Value, json};
@@ -27,6 +28,8 @@ const SHORTEST_PERIOD_US: f64 = 20.0;
 const LONGEST_RESPONSE_PERIODS: f64 = 1_000.0;
 const LONGEST_DELAY_PERIODS: f64 = 20.0;
 const LARGEST_SPREAD: f64 = 50.0;
+/// By how much K1 and τ of Tables I and II stray, percent.
+const PAPER_SPREAD: Uncertainty = Uncertainty { gain_percent: Some(5.0), time_constant_percent: Some(6.0) };
 
 /// `platebench tune`
 #[derive(Debug, Args)]
@@ -64,12 +67,12 @@ pub(crate) struct Tune {
     /// Phase margin that both loops are to have, degrees
     #[arg(long, value_name = "X", default_value_t = 45.0, value_parser = phase_margin)]
     phase_margin_deg: f64,
-    /// How far K1 may be from the plate file's, percent to either side
-    #[arg(long, value_name = "X", default_value_t = 5.0, value_parser = percent)]
-    gain_spread_percent: f64,
-    /// How far the time constant may be from the plate file's, percent to either side
-    #[arg(long, value_name = "X", default_value_t = 6.0, value_parser = percent)]
-    time_constant_spread_percent: f64,
+    /// How far K1 may be from the plate file's, percent to either side; its [uncertainty] where not given, 5 where it has none
+    #[arg(long, value_name = "X", value_parser = percent)]
+    gain_spread_percent: Option<f64>,
+    /// How far the time constant may be from the plate file's, percent to either side; its [uncertainty] where not given, 6 where it has none
+    #[arg(long, value_name = "X", value_parser = percent)]
+    time_constant_spread_percent: Option<f64>,
     /// Plates that are drawn from between the corners of the spread
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(..=10_000))]
     samples: u32,
@@ -161,6 +164,31 @@ impl Tune {
         }
     }
 
+    /// How far other plates are from this one: what the command line says, else the plate file, else the paper.
+    fn spread(&self, plate: &Plate) -> Result<Spread, Diagnostic> {
+        let chosen = |said: Option<f64>, key: &str, of: fn(&Uncertainty) -> Option<f64>| match (
+            said,
+            of(&plate.uncertainty),
+        ) {
+            (None, Some(known)) if known > LARGEST_SPREAD => Err(plate_file::fault(
+                &self.plate,
+                &format!("uncertainty.{key}"),
+                format!(
+                    "`uncertainty.{key}` is {known}, expected at most {LARGEST_SPREAD}: identify the plate better, or name a spread on the command line"
+                ),
+            )),
+            (said, known) => Ok(said.or(known).or(of(&PAPER_SPREAD)).unwrap_or_default()),
+        };
+        Ok(Spread {
+            gain_percent: chosen(self.gain_spread_percent, "gain_percent", |of| of.gain_percent)?,
+            time_constant_percent: chosen(self.time_constant_spread_percent, "time_constant_percent", |of| {
+                of.time_constant_percent
+            })?,
+            samples: self.samples,
+            seed: self.seed,
+        })
+    }
+
     fn law(&self) -> LawId {
         LawId::from_name(&self.law).unwrap_or(LawId::DqPi)
     }
@@ -188,11 +216,12 @@ pub(crate) fn tune(arguments: &Tune) -> Exit {
     }
     let law = arguments.law();
     let reading = if law == LawId::DqPiEuler { Reading::Forward } else { Reading::Matched };
-    let spread = Spread {
-        gain_percent: arguments.gain_spread_percent,
-        time_constant_percent: arguments.time_constant_spread_percent,
-        samples: arguments.samples,
-        seed: arguments.seed,
+    let spread = match arguments.spread(&plate) {
+        Ok(spread) => spread,
+        Err(fault) => {
+            output::diagnostic(&fault);
+            return Exit::Invalid;
+        }
     };
     let tuning = match find(&demand, reading, &spread) {
         Ok(tuning) => tuning,

@@ -287,7 +287,7 @@ pub struct Named {
     pub slope_hz_per_k: Option<f64>,
 }
 
-/// The plate file, uncertainty as comments; `None` where gain, time constant or resonance are not known.
+/// The plate file, intervals as comments and those of gain and time constant as its `[uncertainty]`; `None` where gain, time constant or resonance are not known.
 pub fn plate_file(found: &Identification, named: &Named) -> Option<String> {
     let line = |key: &str, estimate: Estimate, factor: f64, decimals: usize| {
         let Estimate { value, low, high, .. } = estimate.times(factor);
@@ -320,5 +320,16 @@ pub fn plate_file(found: &Identification, named: &Named) -> Option<String> {
         named.limit_vpp.map_or((found.highest_vpp, "    # the highest drive seen"), |limit| (limit, ""));
     let _ = writeln!(text, "\n[drive]\nlimit_vpp = {limit:?}{comment}");
     let _ = writeln!(text, "\n[sensor]\nnoise_um_rms = {:.6}    # of the residuals", found.noise_um);
+    let _ = writeln!(
+        text,
+        "\n[uncertainty]\ngain_percent = {:.2}\ntime_constant_percent = {:.2}",
+        reach_percent(found.gain_um_per_vpp?),
+        reach_percent(found.time_constant_s?)
+    );
     Some(text)
+}
+
+/// The longer arm of an interval, percent of the value, rounded up to what is written.
+fn reach_percent(Estimate { value, low, high, .. }: Estimate) -> f64 {
+    ((high - value).max(value - low) / value * 1e4).ceil() / 100.0
 }

@@ -125,6 +125,23 @@ fn a_sweep_and_forces_complete_the_plate_file() {
     assert!((plate.gain / 0.006_98 - 1.0).abs() < 3e-3 && (plate.sigma0 * 1.88e-3 - 1.0).abs() < 0.01, "{text}");
     assert!((plate.omega0 / TAU - RESONANCE).abs() < 0.5 && (plate.noise_um_rms - 0.004).abs() < 5e-4, "{text}");
     assert!((plate.damping_ratio_at(1.5) - 2.0).abs() < 0.03 && (plate.damping_ratio_at(0.5) - 4.0 / 3.0).abs() < 0.02);
+    // The whole interval, and hardly more.
+    let told = [
+        (found.gain_um_per_vpp.unwrap(), plate.uncertainty.gain_percent.unwrap()),
+        (found.time_constant_s.unwrap(), plate.uncertainty.time_constant_percent.unwrap()),
+    ];
+    for (estimate, percent) in told {
+        let reach = estimate.value * percent / 100.0;
+        assert!(
+            estimate.low >= estimate.value - reach && estimate.high <= estimate.value + reach,
+            "{estimate:?} {percent}"
+        );
+        let hair = estimate.value * 0.011 / 100.0;
+        assert!(
+            estimate.low < estimate.value - reach + hair || estimate.high > estimate.value + reach - hair,
+            "{estimate:?} {percent}"
+        );
+    }
 }
 
 #[test]

@@ -23,6 +23,9 @@ pub struct RawPlate {
     /// The sensor; without noise if left out.
     #[serde(default)]
     pub sensor: RawSensor,
+    /// How well the numbers are known; nothing is said if left out.
+    #[serde(default)]
+    pub uncertainty: RawUncertainty,
 }
 
 /// `[mode]`
@@ -106,6 +109,18 @@ pub struct RawSensor {
     pub converter_range_um: Option<f64>,
 }
 
+/// `[uncertainty]`
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawUncertainty {
+    /// How far K1 may be from the file's at 95 %, percent to either side.
+    #[schemars(range(min = 0.0))]
+    pub gain_percent: Option<f64>,
+    /// How far τ may be from the file's at 95 %, percent to either side.
+    #[schemars(range(min = 0.0))]
+    pub time_constant_percent: Option<f64>,
+}
+
 /// An excitation half as high again still fits into 32 bits of millihertz.
 const HIGHEST_RESONANCE_HZ: f64 = 2.5e6;
 
@@ -148,6 +163,17 @@ pub struct Plate {
     pub noise_um_rms: f64,
     /// The sensor's converter and demodulator, for the carrier tier; `None` where W is sensed at once.
     pub lockin: Option<Lockin>,
+    /// How well the numbers are known.
+    pub uncertainty: Uncertainty,
+}
+
+/// How far a plate may be from its file at 95 %, percent to either side; `None` where nothing is said.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Uncertainty {
+    /// Of the gain K1.
+    pub gain_percent: Option<f64>,
+    /// Of the time constant τ.
+    pub time_constant_percent: Option<f64>,
 }
 
 pub(crate) fn check(
@@ -161,6 +187,17 @@ pub(crate) fn check(
 
 pub(crate) fn positive(key: &'static str, value: f64) -> Result<f64, PlateError> {
     check(value.is_finite() && value > 0.0, key, &value, "a finite number above 0").map(|()| value)
+}
+
+fn uncertainty(raw: &RawUncertainty) -> Result<Uncertainty, PlateError> {
+    let checked = |key, value: Option<f64>| {
+        let holds = value.is_none_or(|value| value.is_finite() && value >= 0.0);
+        check(holds, key, &value.unwrap_or_default(), "a finite number, 0 or more").map(|()| value)
+    };
+    Ok(Uncertainty {
+        gain_percent: checked("uncertainty.gain_percent", raw.gain_percent)?,
+        time_constant_percent: checked("uncertainty.time_constant_percent", raw.time_constant_percent)?,
+    })
 }
 
 fn finite(key: &'static str, value: f64) -> Result<f64, PlateError> {
@@ -205,6 +242,7 @@ impl RawPlate {
             drive_limit_vpp: positive("drive.limit_vpp", self.drive.limit_vpp)?,
             noise_um_rms: noise,
             lockin: Lockin::check(&self.sensor, resonance_hz)?,
+            uncertainty: uncertainty(&self.uncertainty)?,
         })
     }
 }
@@ -292,6 +330,8 @@ mod tests {
     #[case("reference_temperature_c = 24.0", "reference_temperature_c = -274.0", "mode.reference_temperature_c")]
     #[case("limit_vpp = 900.0", "limit_vpp = 0.0", "drive.limit_vpp")]
     #[case("noise_um_rms = 0.0", "noise_um_rms = -0.1", "sensor.noise_um_rms")]
+    #[case("[sensor]", "[uncertainty]\ngain_percent = -0.1\n[sensor]", "uncertainty.gain_percent")]
+    #[case("[sensor]", "[uncertainty]\ntime_constant_percent = inf\n[sensor]", "uncertainty.time_constant_percent")]
     #[case("[1.5, 2.0]", "[1.5, -2.0]", "finger.damping_ratio")]
     #[case("[1.5, 2.0]", "[1.5, 0.5]", "finger.damping_ratio")]
     #[case("[1.5, 2.0]", "[0.0, 2.0]", "finger.damping_ratio")]

@@ -35,7 +35,7 @@ pub mod time;
 pub use batch::Envelopes;
 pub use bound::Beforehand;
 pub use demodulator::{Demodulator, Lockin, Resolution};
-pub use file::{Plate, PlateError};
+pub use file::{Plate, PlateError, Uncertainty};
 pub use flow::{Flow, State};
 pub use mode::{Conditions, Drive, Mode};
 pub use num_complex::Complex64;

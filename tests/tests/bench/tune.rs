@@ -349,3 +349,42 @@ fn a_plate_file_s_fault_is_pointed_at() {
         assert!(said.contains(&format!("aluminium-198x138.toml:{line}:")), "{said}");
     }
 }
+
+#[rstest]
+#[case::nothing_said("", &[], 5.0, 6.0)]
+#[case::the_file_says("gain_percent = 1.7\ntime_constant_percent = 0.0\n", &[], 1.7, 0.0)]
+#[case::one_of_them("time_constant_percent = 50.0\n", &[], 5.0, 50.0)]
+#[case::the_command_line_counts("gain_percent = 90.0\n", &["--gain-spread-percent", "3"], 3.0, 6.0)]
+fn the_spread_is_what_the_plate_file_knows_of_itself(
+    #[case] keys: &str,
+    #[case] arguments: &[&str],
+    #[case] gain: f64,
+    #[case] time_constant: f64,
+) {
+    let workshop = Workshop::new();
+    know(&workshop, keys);
+    let told = told(&tune(&workshop, &[&["--format", "json"], arguments].concat()));
+    assert_eq!(
+        (number(&told, "/spread/gain_percent"), number(&told, "/spread/time_constant_percent")),
+        (gain, time_constant)
+    );
+}
+
+#[test]
+fn a_plate_that_is_hardly_known_is_not_tuned_for_without_a_word() {
+    let workshop = Workshop::new();
+    know(&workshop, "gain_percent = 50.01\n");
+    let output = tune(&workshop, &[]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(code(&output), 2, "{said}");
+    let text = fs::read_to_string(workshop.path().join(PLATE)).unwrap();
+    let line = text.lines().position(|line| line.starts_with("gain_percent")).unwrap() + 1;
+    assert!(said.contains(&format!("aluminium-198x138.toml:{line}:")) && said.contains("at most 50"), "{said}");
+}
+
+/// Lets the plate file say how well it is known.
+fn know(workshop: &Workshop, keys: &str) {
+    let path = workshop.path().join(PLATE);
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, format!("{text}\n[uncertainty]\n{keys}")).unwrap();
+}
