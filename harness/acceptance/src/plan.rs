@@ -2,11 +2,10 @@
 //!
 //! The plan file owns what each requirement says; scenarios name requirements by their identifiers alone.
 
-use platebench_scenario::{Diagnostic, Scenario, find, schema};
+use platebench_scenario::{Diagnostic, Scenario, find, input, schema};
 use schemars::{JsonSchema, Schema};
 use serde::Deserialize;
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// As many repetitions as the command line takes trials.
@@ -161,7 +160,7 @@ impl Plan {
     /// Every [`Diagnostic`] of the plan, or of its scenarios.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let bytes =
-            fs::read(path).map_err(|error| vec![Diagnostic::of_file(path, format!("cannot be read: {error}"))])?;
+            input::read(path).map_err(|error| vec![Diagnostic::of_file(path, format!("cannot be read: {error}"))])?;
         let (text, raw) = parse(path, &bytes)?;
         let mut faults = faults(path, &text, &raw);
         let folder = path.parent().unwrap_or(Path::new(""));

@@ -6,9 +6,8 @@ use crate::output;
 use clap::Args;
 use platebench_acceptance::Plan;
 use platebench_runner::law;
-use platebench_scenario::{Diagnostic, every_file, examine, load};
+use platebench_scenario::{Diagnostic, every_file, examine, input, load};
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
 
@@ -43,7 +42,7 @@ impl Kind {
         if path.file_name().is_some_and(|name| name == config::FILE) {
             return Self::Config;
         }
-        let text = fs::read_to_string(path).unwrap_or_default();
+        let text = input::read(path).map(|content| String::from_utf8_lossy(&content).into_owned()).unwrap_or_default();
         let (document, _) = DeTable::parse_recoverable(&text);
         let has = |key: &str| document.get_ref().contains_key(key);
         let is_played = has("profile") || has("expect") || has("controller");

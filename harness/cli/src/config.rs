@@ -7,10 +7,9 @@ use crate::args::{Arguments, Command as Chosen};
 use crate::exit::Exit;
 use crate::output;
 use clap::{Command, CommandFactory, FromArgMatches};
-use platebench_scenario::{Diagnostic, parse};
+use platebench_scenario::{Diagnostic, input, parse};
 use schemars::JsonSchema;
 use serde::Deserialize;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The file's name. The first one is taken that is found upwards from the working directory.
@@ -147,8 +146,10 @@ impl Config {
     /// # Errors
     /// Every [`Diagnostic`] of it.
     pub(crate) fn read(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let text = fs::read_to_string(path)
-            .map_err(|error| vec![Diagnostic::of_file(path, format!("cannot be read: {error}"))])?;
+        let refused = |why: String| vec![Diagnostic::of_file(path, why)];
+        let content = input::read(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
+        let text =
+            String::from_utf8(content).map_err(|_| refused("not UTF-8, expected a text file in UTF-8".to_owned()))?;
         parse::<RawConfig>(path, &text)?;
         let document: toml::Table = parse(path, &text)?;
         let folder = path.parent().unwrap_or(Path::new(""));

@@ -5,6 +5,7 @@
 //! * [`mod@file`]: the plate file, read once and checked once.
 //! * [`profile`]: setpoint, temperature offset and finger force over time.
 //! * [`mode`]: what a finger and a temperature make of the mode's damping and resonance.
+//! * [`input`]: files that people hand in.
 //! * [`flow`]: exact propagation between two events, per tier.
 //! * [`plant`]: a plate playing its profiles: events in, state out.
 //! * [`phase`]: the carrier's phase.
@@ -24,6 +25,7 @@ pub mod bound;
 pub mod demodulator;
 pub mod file;
 pub mod flow;
+pub mod input;
 pub mod mode;
 pub mod phase;
 pub mod plant;

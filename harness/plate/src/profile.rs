@@ -1,5 +1,6 @@
 //! Setpoint, temperature offset or finger force over time: raw as a scenario writes it, [`Profile`] as a plant plays it.
 
+use crate::input;
 use crate::time::Time;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -170,8 +171,8 @@ fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, ProfileError> {
         value: f64,
     }
     let with_path = |source| ProfileError::Csv { path: path.to_owned(), source };
-    let mut reader =
-        csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path).map_err(with_path)?;
+    let content = input::read(path).map_err(|error| with_path(error.into()))?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(&content[..]);
     reader.deserialize::<Row>().map(|row| row.map(|row| [row.t_ms, row.value]).map_err(with_path)).collect()
 }
 

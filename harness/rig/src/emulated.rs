@@ -32,6 +32,7 @@ use machine::{Machine, Setup};
 use platebench_wire::{FrameReader, MAX_ENCODED, Message, Packet};
 use std::any::Any;
 use std::fs;
+use std::io;
 use std::panic::{self, AssertUnwindSafe};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -132,7 +133,7 @@ impl Emulated {
     /// # Errors
     /// [`EmulatedError`] where the file is no firmware for this board, or the firmware does not come up.
     pub fn open(elf: &Path) -> Result<Self, EmulatedError> {
-        let content = fs::read(elf).map_err(|error| EmulatedError::Read { path: elf.to_owned(), error })?;
+        let content = read_elf(elf).map_err(|error| EmulatedError::Read { path: elf.to_owned(), error })?;
         Self::new(&content, Options::default())
     }
 
@@ -347,9 +348,25 @@ impl Link for Emulated {
     }
 }
 
+/// The content of the file `elf`. A pipe or a device may never begin or never end: it is not opened.
+pub(crate) fn read_elf(elf: &Path) -> io::Result<Vec<u8>> {
+    let kind = fs::metadata(elf)?.file_type();
+    if !kind.is_file() && !kind.is_dir() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is a pipe or a device, expected an ELF file"));
+    }
+    fs::read(elf)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_device_is_no_firmware() {
+        let error = read_elf(Path::new("/dev/zero")).unwrap_err().to_string();
+        assert_eq!(error, "it is a pipe or a device, expected an ELF file");
+        assert_eq!(read_elf(Path::new("/")).unwrap_err().kind(), io::ErrorKind::IsADirectory);
+    }
 
     #[test]
     fn a_panic_of_the_emulator_is_an_error() {

@@ -31,5 +31,6 @@ pub use find::{Found, every_file, find};
 pub use load::{examine, load};
 pub use model::Model;
 pub use parse::parse;
+pub use platebench_plate::input;
 pub use scenario::{Controller, Gains, Input, Scenario, Trials};
 pub use variation::{Spread, Variation};

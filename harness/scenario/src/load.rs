@@ -8,10 +8,10 @@ use crate::raw::{RawController, RawScenario, RawSpread, RawTrials};
 use crate::scenario::{Controller, Gains, Input, Scenario, Trials};
 use crate::variation::Spread;
 use platebench_plate::file::RawPlate;
+use platebench_plate::input;
 use platebench_plate::profile::RawProfile;
 use platebench_plate::{Plate, Profile, Scene, Tier, Time};
 use std::f64::consts::TAU;
-use std::fs;
 use std::path::Path;
 
 mod expectation;
@@ -81,7 +81,7 @@ impl Faults {
 }
 
 fn read(path: &Path) -> Result<String, Diagnostic> {
-    let bytes = fs::read(path).map_err(|error| Diagnostic::of_file(path, format!("cannot be read: {error}")))?;
+    let bytes = input::read(path).map_err(|error| Diagnostic::of_file(path, format!("cannot be read: {error}")))?;
     text_of(path, bytes)
 }
 
@@ -224,7 +224,7 @@ impl Checker<'_> {
     }
 
     fn plate(&self, path: &Path, inputs: &mut Vec<Input>, faults: &mut Faults) -> Option<Plate> {
-        let text = match fs::read(path) {
+        let text = match input::read(path) {
             Ok(bytes) => faults.keep(text_of(path, bytes))?,
             Err(error) => {
                 let message = format!("plate file {} cannot be read: {error}", path.display());

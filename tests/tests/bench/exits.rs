@@ -1,9 +1,10 @@
 //! Exit codes, and what is said beside them.
 
-use crate::bench::{Workshop, call, code, program, root, step_scenario};
+use crate::bench::{Guarded, Workshop, await_that, call, code, program, root, step_scenario};
 use rstest::rstest;
 use std::fs;
-use std::process::Stdio;
+use std::io::Read;
+use std::process::{Command, Stdio};
 
 const GOOD: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
 const BAD: &str = "metric = \"settling_time_ms\"\nat_most = 1.9";
@@ -32,6 +33,38 @@ fn one_failure_outweighs_a_doubt() {
     workshop.scenario("b.toml", &step(BAD));
     workshop.scenario("c.toml", &step(GOOD));
     assert_eq!(code(&call(workshop.path(), ["run"])), 1);
+}
+
+/// Nobody writes into the pipe: whoever opens it waits for ever.
+#[rstest]
+#[case::scenario(&["run", "pipe.toml", "--rig", "hosted"])]
+#[case::folder(&["run", "folder", "--rig", "hosted"])]
+#[case::plate(&["run", "plate.toml", "--rig", "hosted"])]
+#[case::profile(&["run", "profile.toml", "--rig", "hosted"])]
+#[case::check(&["check", "pipe.toml"])]
+#[case::tune(&["tune", "--plate", "pipe.toml"])]
+#[case::firmware(&["run", "good.toml", "--rig", "emulated:pipe.toml"])]
+#[case::plan(&["accept", "--rig", "hosted", "--plan", "pipe.toml"])]
+fn a_pipe_is_no_input_and_is_not_waited_for(#[case] arguments: &[&str]) {
+    let workshop = Workshop::new();
+    let at = |name: &str| workshop.path().join(name);
+    let good = step(GOOD).replace("plates/", "scenarios/plates/");
+    fs::write(at("good.toml"), &good).unwrap();
+    fs::write(at("plate.toml"), good.replace("scenarios/plates/aluminium-198x138.toml", "pipe.toml")).unwrap();
+    fs::write(at("profile.toml"), good.replace("setpoint_um = 2.0", "setpoint_um = { csv = \"pipe.toml\" }")).unwrap();
+    fs::create_dir(at("folder")).unwrap();
+    for pipe in ["pipe.toml", "folder/pipe.toml"] {
+        assert!(Command::new("mkfifo").arg(at(pipe)).status().unwrap().success());
+    }
+    let mut bench = program(workshop.path());
+    let bench =
+        bench.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut bench = Guarded(bench);
+    await_that("a pipe is waited for", || bench.0.try_wait().unwrap().is_some());
+    let mut told = String::new();
+    bench.0.stderr.take().unwrap().read_to_string(&mut told).unwrap();
+    assert_eq!(bench.0.wait().unwrap().code(), Some(2), "{told}");
+    assert!(told.contains("pipe.toml") && told.contains("it is a pipe or a device, expected"), "{told}");
 }
 
 #[test]

@@ -9,10 +9,9 @@ use super::port::PortLink;
 use super::spec::ProbeSpec;
 use super::{Lister, Patience};
 use crate::connect::{AnyLink, ConnectError};
-use crate::emulated::BUILT_IN;
+use crate::emulated::{BUILT_IN, read_elf};
 use crate::serial::{DEFAULT_BAUD, Serial};
 use crate::spec::RigSpec;
-use std::fs;
 use std::path::PathBuf;
 use std::sync::Arc;
 use tracing::info;
@@ -54,7 +53,7 @@ impl Setup {
         match elf {
             None => Self::new(board.parse()?, BUILT_IN, port),
             Some(path) => {
-                let elf = fs::read(path).map_err(|error| ProbeError::Read { path: path.clone(), error })?;
+                let elf = read_elf(path).map_err(|error| ProbeError::Read { path: path.clone(), error })?;
                 Self::new(board.parse()?, &elf, port)
             }
         }

@@ -6,10 +6,10 @@ use crate::diagnostic::Diagnostic;
 use crate::raw::RawProfiles;
 use crate::scenario::Input;
 use crate::variation::Spread;
+use platebench_plate::input;
 use platebench_plate::profile::{RawProfile, RawShape};
 use platebench_plate::{Conditions, Plate, Profile, ProfileError, Scene};
 use std::f64::consts::TAU;
-use std::fs;
 use std::ops::Range;
 use std::path::Path;
 
@@ -40,7 +40,7 @@ impl Checker<'_> {
         let profile = raw.check(folder).map_err(|error| self.profile_fault(folder, key, raw, &error))?;
         if let Some(path) = raw.file(folder) {
             let bytes =
-                fs::read(&path).map_err(|error| Diagnostic::of_file(&path, format!("cannot be read: {error}")))?;
+                input::read(&path).map_err(|error| Diagnostic::of_file(&path, format!("cannot be read: {error}")))?;
             inputs.push(Input { path, bytes });
         }
         Ok(profile)
@@ -57,7 +57,7 @@ impl Checker<'_> {
     }
 
     fn csv_fault(&self, key: &str, path: &Path, error: &csv::Error) -> Diagnostic {
-        let text = fs::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+        let text = input::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
         match (error.kind(), text) {
             (csv::ErrorKind::Deserialize { pos: Some(position), err }, Ok(text)) => {
                 let line = record_span(&text, position.record());
@@ -106,7 +106,9 @@ impl Checker<'_> {
             RawProfile::Shape(RawShape::Sine(_)) => format!("{key}.sine"),
             RawProfile::Shape(RawShape::Csv(file)) => {
                 let path = folder.join(file);
-                let Ok(text) = fs::read_to_string(&path) else { return Diagnostic::of_file(&path, message) };
+                let Ok(Ok(text)) = input::read(&path).map(String::from_utf8) else {
+                    return Diagnostic::of_file(&path, message);
+                };
                 let span = csv_point(&text, index, part);
                 return Diagnostic::at_span(&path, &text, span, message);
             }
