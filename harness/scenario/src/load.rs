@@ -3,7 +3,7 @@
 use crate::diagnostic::{Diagnostic, suggestion};
 use crate::fault::Fault;
 use crate::model::{AUTO, Model};
-use crate::parse::parse;
+use crate::parse::{MOST_FAULTS, parse, with_rest};
 use crate::raw::{RawController, RawScenario, RawSpread, RawTrials};
 use crate::scenario::{Controller, Gains, Input, Scenario, Trials};
 use crate::variation::Spread;
@@ -57,7 +57,7 @@ pub fn examine(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
     let mut faults = Faults::default();
     match (Checker { path, text: &text }.scenario(raw, file, &mut faults), faults.0) {
         (Some(scenario), faults) if faults.is_empty() => Ok(scenario),
-        (_, faults) => Err(faults),
+        (_, faults) => Err(with_rest(path, faults)),
     }
 }
 
@@ -77,6 +77,17 @@ impl Faults {
     /// What there is, where there is something; else why not is kept.
     fn keep<T>(&mut self, result: Result<T, Diagnostic>) -> Option<T> {
         result.map_err(|fault| self.0.push(fault)).ok()
+    }
+
+    /// Those that there are. Once more is wrong than is told, the rest is not looked at.
+    fn keep_each<T>(&mut self, results: &mut dyn Iterator<Item = Result<T, Diagnostic>>) -> Vec<T> {
+        let mut kept = Vec::new();
+        while self.0.len() < MOST_FAULTS
+            && let Some(result) = results.next()
+        {
+            kept.extend(self.keep(result));
+        }
+        kept
     }
 }
 
@@ -175,11 +186,11 @@ impl Checker<'_> {
         let (Some(controller), Some(duration), Some(setpoint)) = (controller, duration, setpoint) else { return None };
         let count = faults.0.len();
         let struck = (0..).zip(&raw.fault);
-        let struck = struck.map(|(index, fault)| self.fault(index, fault, duration, controller.period));
-        let struck: Vec<_> = struck.collect::<Vec<_>>().into_iter().filter_map(|fault| faults.keep(fault)).collect();
+        let mut struck = struck.map(|(index, fault)| self.fault(index, fault, duration, controller.period));
+        let struck = faults.keep_each(&mut struck);
         let play = Play { duration, setpoint: &setpoint, faults: &struck };
-        let expected = (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, play));
-        let expected: Vec<_> = expected.filter_map(|expectation| faults.keep(expectation)).collect();
+        let mut expected = (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, play));
+        let expected = faults.keep_each(&mut expected);
         if faults.0.len() > count {
             return None;
         }

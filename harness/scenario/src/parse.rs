@@ -7,15 +7,19 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 
+/// Faults of a file that are told: nobody mends more at once, and each costs another look at the whole file.
+pub(crate) const MOST_FAULTS: usize = 50;
+
 /// Reads `text`, the content of the file at `path`.
 ///
 /// # Errors
 /// Every fault of its syntax; where there is none, every unknown key and every value of a wrong kind, in the order of the file, then every missing key.
 pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
     let (document, errors) = DeTable::parse_recoverable(text);
-    let mut faults: Vec<_> = errors.iter().map(|error| Diagnostic::of_toml(path, text, error)).collect();
+    let mut faults: Vec<_> =
+        errors.iter().take(MOST_FAULTS).map(|error| Diagnostic::of_toml(path, text, error)).collect();
     if !faults.is_empty() {
-        return Err(faults);
+        return Err(with_rest(path, faults));
     }
     // serde stops at the first fault: it is taken out and the rest read again, until nothing is wrong or nothing can be taken out.
     let mut rest = document;
@@ -33,13 +37,21 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
             faults.push(Diagnostic::of_toml(path, text, &error));
         }
         let own = rest.span();
-        if !take_out(rest.get_mut(), &own, &span, &mut holes) {
+        if faults.len() >= MOST_FAULTS || !take_out(rest.get_mut(), &own, &span, &mut holes) {
             break;
         }
     }
     // Why a key is missing may stand further down, where it is written otherwise.
     faults.sort_by_key(|fault| (fault.message.starts_with("missing key"), fault.position()));
-    Err(faults)
+    Err(with_rest(path, faults))
+}
+
+/// Says of as many faults as are told that there may be more.
+pub(crate) fn with_rest(path: &Path, mut faults: Vec<Diagnostic>) -> Vec<Diagnostic> {
+    if faults.len() >= MOST_FAULTS {
+        faults.push(Diagnostic::of_file(path, format!("only the first {MOST_FAULTS} faults are told")));
+    }
+    faults
 }
 
 /// Takes out of `table`, which stands at `own`, whatever is meant by `span`; true where there was something.

@@ -472,6 +472,17 @@ fn a_window_needs_a_resting_setpoint_whatever_its_shape() {
 }
 
 #[test]
+fn so_many_expectations_are_pointed_at_and_no_more() {
+    let folder = folder(&[]);
+    let wrong = "[[expect]]\nmetric = \"unknown\"\n".repeat(5_000);
+    let path = folder.path().join("s.toml");
+    std::fs::write(&path, format!("{BASE}\n{wrong}")).unwrap();
+    let faults = examine(&path, "s.toml").unwrap_err();
+    assert_eq!(faults.len(), MOST_FAULTS + 1);
+    assert!(faults.last().unwrap().message.starts_with("only the first"));
+}
+
+#[test]
 fn a_scenario_that_expects_nothing_is_refused() {
     let folder = folder(&[]);
     let path = folder.path().join("s.toml");

@@ -1,3 +1,4 @@
+use super::MOST_FAULTS;
 use crate::diagnostic::Diagnostic;
 use crate::raw::RawScenario;
 use rstest::rstest;
@@ -39,6 +40,19 @@ fn all_that_is_wrong_is_told(#[case] changes: &[(&str, &str)], #[case] places: &
 fn what_is_no_toml_is_told_with_all_its_places() {
     let told = told("title = \nplate = plate\n");
     assert!(told.len() >= 2 && told[0].starts_with("s.toml:1:") && told[1].starts_with("s.toml:2:"), "{told:#?}");
+}
+
+/// Each fault is found by reading all again: a file of nothing else would be looked at for hours.
+#[test]
+fn so_many_faults_are_told_and_no_more() {
+    for (wrong, expected) in
+        [(MOST_FAULTS - 1, MOST_FAULTS - 1), (MOST_FAULTS, MOST_FAULTS + 1), (20_000, MOST_FAULTS + 1)]
+    {
+        let keys = (0..wrong).fold(String::new(), |keys, number| keys + &format!("unknown{number} = 1\n"));
+        let told = told(&format!("{keys}{BASE}"));
+        assert_eq!(told.len(), expected, "of {wrong}");
+        assert_eq!(told.iter().any(|line| line == "s.toml: only the first 50 faults are told"), expected > MOST_FAULTS);
+    }
 }
 
 /// A unit in a key's name is easily another one.
