@@ -123,6 +123,14 @@ impl RawProfile {
         }
     }
 
+    /// The name of that file, as it is written.
+    pub fn named_file(&mut self) -> Option<&mut PathBuf> {
+        match self {
+            Self::Shape(RawShape::Csv(path)) => Some(path),
+            _ => None,
+        }
+    }
+
     /// Checks the profile; files are looked for in `folder`.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use crate::folder::{FolderError, sha256, trace_file};
 use crate::measured::measured;
 use crate::run::{Done, empty_record};
 use platebench_plate::Tier;
-use platebench_scenario::{Diagnostic, Expectation, Scenario, load};
+use platebench_scenario::{Diagnostic, Expectation, Scenario, load, load_copies};
 use platebench_trace::{TraceError, read};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Cause, Overrides, RecordError};
@@ -154,18 +154,18 @@ fn other_expectations(
 }
 
 fn stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, RejudgeError> {
-    let Some(input) = stored.inputs.first() else {
+    if stored.inputs.is_empty() {
         let message = format!("the record of {} names no inputs", stored.file);
         return Err(Diagnostic::of_file(&folder.join(platebench_verdict::record::FILE), message).into());
-    };
-    let scenario = load(&folder.join(&input.file), &stored.file)?;
+    }
+    let copies: Vec<_> = stored.inputs.iter().map(|input| folder.join(&input.file)).collect();
+    let scenario = load_copies(&copies, &stored.file)?;
     if scenario.inputs.len() != stored.inputs.len() {
         let message = format!("the record of {} does not name all inputs", stored.file);
         return Err(Diagnostic::of_file(&folder.join(platebench_verdict::record::FILE), message).into());
     }
-    // What was just read, which for a plate named by an absolute path is not the copy in the run folder.
-    for (now, then) in scenario.inputs.iter().zip(&stored.inputs) {
-        unchanged(&now.path, &now.bytes, &then.sha256)?;
+    for ((now, then), copy) in scenario.inputs.iter().zip(&stored.inputs).zip(&copies) {
+        unchanged(copy, &now.bytes, &then.sha256)?;
     }
     Ok(scenario)
 }

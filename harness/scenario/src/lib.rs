@@ -28,7 +28,7 @@ pub use diagnostic::{Diagnostic, suggestion};
 pub use expect::{Expectation, Limit, Metric, Over, Window};
 pub use fault::{Direction, Fault, FaultKind};
 pub use find::{Found, every_file, find};
-pub use load::{examine, load};
+pub use load::{examine, load, load_copies};
 pub use model::Model;
 pub use parse::parse;
 pub use platebench_plate::input;

@@ -12,7 +12,7 @@ use platebench_plate::input;
 use platebench_plate::profile::RawProfile;
 use platebench_plate::{Plate, Profile, Scene, Tier, Time};
 use std::f64::consts::TAU;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 mod expectation;
 mod fault;
@@ -41,9 +41,7 @@ pub(crate) const LARGEST_SPREAD_PERCENT: f64 = 20.0;
 /// # Errors
 /// The first [`Diagnostic`] of the scenario, its plate or one of its profile files.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
-    examine(path, file).map_err(|faults| {
-        faults.into_iter().next().unwrap_or_else(|| Diagnostic::of_file(path, "refused without a reason"))
-    })
+    examine(path, file).map_err(|faults| first(path, faults))
 }
 
 /// The same, with all that is wrong and not only the first: of a text that cannot be read every key, else every key that does not depend on a wrong one, and
@@ -52,8 +50,30 @@ pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
 /// # Errors
 /// At least one [`Diagnostic`].
 pub fn examine(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
+    examined(path, file, &[])
+}
+
+/// Reads and checks the scenario whose inputs were copied to `copies`, in the order of [`Scenario::inputs`], wherever its plate and its profiles were when it was written.
+///
+/// # Errors
+/// As for [`load()`].
+pub fn load_copies(copies: &[PathBuf], file: &str) -> Result<Scenario, Diagnostic> {
+    let [path, named @ ..] = copies else { return Err(Diagnostic::of_file(Path::new(file), "has no copy")) };
+    examined(path, file, named).map_err(|faults| first(path, faults))
+}
+
+fn first(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {
+    faults.into_iter().next().unwrap_or_else(|| Diagnostic::of_file(path, "refused without a reason"))
+}
+
+/// What the scenario names is read from `copies`, in the order in which it names it, as long as there are any.
+fn examined(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec<Diagnostic>> {
     let text = read(path).map_err(|fault| vec![fault])?;
-    let raw: RawScenario = parse(path, &text)?;
+    let mut raw: RawScenario = parse(path, &text)?;
+    for (named, copy) in raw.files().zip(copies) {
+        // A name is relative to the scenario; an absolute one is not.
+        *named = std::path::absolute(copy).unwrap_or_else(|_| copy.clone());
+    }
     let mut faults = Faults::default();
     match (Checker { path, text: &text }.scenario(raw, file, &mut faults), faults.0) {
         (Some(scenario), faults) if faults.is_empty() => Ok(scenario),

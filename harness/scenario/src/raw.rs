@@ -53,6 +53,15 @@ pub struct RawScenario {
     pub expect: Vec<RawExpectation>,
 }
 
+impl RawScenario {
+    /// The files that it names, in the order in which they are read.
+    pub(crate) fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        let RawProfiles { setpoint_um, temperature_offset_k, finger_force_n } = &mut self.profile;
+        let profiles = [setpoint_um, temperature_offset_k, finger_force_n].into_iter();
+        std::iter::once(&mut self.plate).chain(profiles.filter_map(RawProfile::named_file))
+    }
+}
+
 /// `[controller]`
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]

@@ -205,7 +205,7 @@ fn scenarios_inside_a_run_folder_are_not_played_again() {
 }
 
 #[test]
-fn a_plate_outside_the_run_folder_that_has_changed_is_refused() {
+fn a_plate_that_is_named_by_an_absolute_path_is_judged_by_its_copy() {
     let workshop = Workshop::new();
     let plate = workshop.path().join("elsewhere.toml");
     let text = fs::read_to_string(workshop.path().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
@@ -215,9 +215,34 @@ fn a_plate_outside_the_run_folder_that_has_changed_is_refused() {
     workshop.scenario("s.toml", &absolute);
     assert_eq!(code(&call(workshop.path(), ["run", "--rig", "hosted", "--out", "run"])), 0);
     assert_eq!(code(&call(workshop.path(), ["judge", "run"])), 0);
+    // What the laboratory does with the original afterwards is nothing to a run that was played.
     fs::write(&plate, text.replace("limit_vpp = 900.0", "limit_vpp = 500.0")).unwrap();
+    assert_eq!(code(&call(workshop.path(), ["judge", "run"])), 0);
+    fs::remove_file(&plate).unwrap();
+    assert_eq!(code(&call(workshop.path(), ["judge", "run"])), 0);
+    let copy = workshop.path().join("run/inputs/elsewhere.toml");
+    fs::write(&copy, text.replace("limit_vpp = 900.0", "limit_vpp = 500.0")).unwrap();
     let output = call(workshop.path(), ["judge", "run"]);
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(code(&output), 2, "{told}");
     assert!(told.contains("elsewhere.toml") && told.contains("SHA-256"), "{told}");
+}
+
+#[test]
+fn a_scenario_that_reaches_its_files_through_a_linked_folder_can_be_judged() {
+    let workshop = Workshop::new();
+    let text = step_scenario("aluminium-198x138", "", "", GOOD)
+        .replace("plates/", "../plates/")
+        .replace("setpoint_um = 2.0", "setpoint_um = { csv = \"../setpoint.csv\" }");
+    let at = |name: &str| workshop.path().join(name);
+    fs::create_dir_all(at("elsewhere/deep")).unwrap();
+    fs::write(at("elsewhere/deep/s.toml"), text).unwrap();
+    fs::write(at("elsewhere/setpoint.csv"), "t_ms,value\n0,2\n").unwrap();
+    // The name above a link is not the name above what it leads to, and both lead to the same.
+    std::os::unix::fs::symlink(at("scenarios/plates"), at("elsewhere/plates")).unwrap();
+    std::os::unix::fs::symlink(at("elsewhere/deep"), at("scenarios/linked")).unwrap();
+    let run = call(workshop.path(), ["run", "scenarios/linked/s.toml", "--rig", "hosted", "--out", "run"]);
+    assert_eq!(code(&run), 0, "{}", String::from_utf8_lossy(&run.stderr));
+    let judged = call(workshop.path(), ["judge", "run"]);
+    assert_eq!(code(&judged), 0, "{}", String::from_utf8_lossy(&judged.stderr));
 }
