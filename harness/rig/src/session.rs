@@ -147,10 +147,11 @@ impl<L: Link> Session<L> {
         &self.identity
     }
 
-    /// The firmware's name.
+    /// The firmware's name, which is printable ASCII; what is not, a terminal might take for an order, is replaced.
     pub fn firmware_name(&self) -> String {
         let name = self.identity.name.split(|&byte| byte == 0).next().unwrap_or_default();
-        String::from_utf8_lossy(name).into_owned()
+        let printable = |&byte: &u8| matches!(byte, b' '..=b'~');
+        name.iter().map(|byte| if printable(byte) { char::from(*byte) } else { char::REPLACEMENT_CHARACTER }).collect()
     }
 
     /// Starts a trial: time zero, 0 V, the design that `configure` asks for. A target that can be restarted is, so that no trial depends on those before it.

@@ -99,6 +99,13 @@ fn the_hosted_device_introduces_itself_and_controls() {
 }
 
 #[test]
+fn a_name_gives_no_orders_to_a_terminal() {
+    let mut bench = bench();
+    bench.session.identity.name = *b"\x1b[31m a~\n\x7f\xff\0\x07xyz";
+    assert_eq!(bench.session.firmware_name(), "\u{fffd}[31m a~\u{fffd}\u{fffd}\u{fffd}");
+}
+
+#[test]
 fn silence_corruption_and_old_answers_are_no_answer() {
     for fault in [Fault::Silent, Fault::FlipAnswer, Fault::OldAnswers] {
         let mut bench = bench();
