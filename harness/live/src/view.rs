@@ -6,6 +6,7 @@ use crate::scope::Scope;
 use crate::screen::Screen;
 use crate::subject::Subject;
 use crossterm::event::{Event, KeyCode, KeyEventKind, KeyModifiers, poll, read};
+use crossterm::terminal::size;
 use platebench_runner::{Event as RunEvent, Viewer};
 use platebench_verdict::Verdict;
 use ratatui::Terminal;
@@ -28,6 +29,8 @@ const MOST: usize = 1 << 15;
 const FRAME: usize = 1 << 16;
 /// How long the last picture may take; a terminal that takes nothing holds nobody up for longer.
 const LAST: Duration = Duration::from_millis(500);
+/// Cells of the largest terminal that is drawn on, some hundred times what fits on a screen: a picture is held in memory twice.
+const MOST_CELLS: u32 = 1 << 20;
 /// Lines of standard error that a picture has room for.
 const LINES: usize = 64;
 /// How often whoever waits for a key looks whether it is over.
@@ -42,6 +45,14 @@ pub enum NoView {
     /// It has no cursor to be moved.
     #[error("the terminal is a dumb one (TERM=dumb)")]
     Dumb,
+    /// No picture of that size can be made.
+    #[error("the terminal says that it has {columns} columns and {rows} rows")]
+    Size {
+        /// Its width.
+        columns: u16,
+        /// Its height.
+        rows: u16,
+    },
     /// Somebody else has the terminal.
     #[error("the program is not in the foreground of its terminal")]
     Background,
@@ -97,6 +108,11 @@ impl View {
     /// # Errors
     /// [`NoView`]; the terminal is then untouched.
     pub fn open(subject: Subject, viewer: Viewer) -> Result<Self, NoView> {
+        if let Ok((columns, rows)) = size()
+            && !can_be_drawn(columns, rows)
+        {
+            return Err(NoView::Size { columns, rows });
+        }
         let screen = Screen::enter()?;
         let diverted = Diverted::begin()?;
         let over = Arc::new(AtomicBool::new(false));
@@ -206,7 +222,9 @@ impl Onlooker {
                 if let Some(kept) = &self.kept {
                     self.scope.messages = kept.lock().unwrap_or_else(PoisonError::into_inner).last(LINES);
                 }
-                terminal.draw(|frame| draw(frame, &self.scope))?;
+                if terminal.size().is_ok_and(|size| can_be_drawn(size.width, size.height)) {
+                    terminal.draw(|frame| draw(frame, &self.scope))?;
+                }
                 drawn = Some(Instant::now());
             }
             if is_over {
@@ -214,6 +232,11 @@ impl Onlooker {
             }
         }
     }
+}
+
+/// False for a size that nobody's terminal has: it can be set to anything.
+fn can_be_drawn(columns: u16, rows: u16) -> bool {
+    u32::from(columns) * u32::from(rows) <= MOST_CELLS
 }
 
 /// What [`watch_keys`] gives for Ctrl-C where that is a key: in a raw terminal. In the view's it is a signal.
@@ -238,5 +261,16 @@ pub fn watch_keys(is_over: impl Fn() -> bool, mut typed: impl FnMut(char)) {
             let is_interrupt = letter == 'c' && key.modifiers.contains(KeyModifiers::CONTROL);
             typed(if is_interrupt { INTERRUPT } else { letter });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_size_that_nobody_s_terminal_has_is_not_drawn() {
+        assert!(can_be_drawn(0, 0) && can_be_drawn(1024, 1024));
+        assert!(!can_be_drawn(1025, 1024) && !can_be_drawn(u16::MAX, u16::MAX));
     }
 }
