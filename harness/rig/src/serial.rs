@@ -85,6 +85,8 @@ fn check_free(path: &Path) -> Result<(), SerialError> {
     let port = || path.to_owned();
     let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| match error {
+        // A folder is one of the things that are none.
+        Errno::ISDIR => SerialError::NoTerminal { port: port() },
         Errno::BUSY => SerialError::InUse { port: port(), holder: lock::holder_of(path).unwrap_or_default() },
         error => SerialError::Open { port: port(), error: error.into() },
     })?;

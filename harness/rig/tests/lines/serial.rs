@@ -111,6 +111,8 @@ fn what_is_no_port_is_said() {
     assert!(matches!(absent, SerialError::Open { .. }), "{absent}");
     let null = Serial::open(Path::new("/dev/null"), 9_600).unwrap_err();
     assert_eq!(null.to_string(), "/dev/null is not a serial port");
+    let folder = Serial::open(Path::new("/dev"), 9_600).unwrap_err();
+    assert_eq!(folder.to_string(), "/dev is not a serial port");
     let error = |text: &str| text.parse::<RigSpec>().unwrap().connect().err().unwrap();
     assert!(!error("serial:/dev/there-is-no-port").is_invalid_input(), "unplugged is not mistyped");
     assert!(error("serial:/dev/null@9600").is_invalid_input());
