@@ -23,7 +23,7 @@ Exit codes:
   3  nothing failed but something is inconclusive
   4  there was nothing to run
   5  the rig could not be reached or was lost
-  129, 130, 143  ended by a closed terminal, Ctrl-C or SIGTERM, with the plate at 0 V";
+  129, 130, 131, 143  ended by a closed terminal, Ctrl-C, Ctrl-\\ or SIGTERM, with the plate at 0 V";
 
 /// A hardware-in-the-loop bench for controllers of an ultrasonic tactile plate.
 #[derive(Debug, Parser)]

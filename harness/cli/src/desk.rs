@@ -3,6 +3,7 @@
 //! On a terminal the force is a live bar; elsewhere every prompt is a line, and every answer a line as well: an empty one for done, `n` for not done. Without anybody there
 //! (`--yes`, or a standard input that has ended) what needs a person stays undecided.
 
+use crate::guard::Log;
 use crate::output;
 use platebench_plate::Time;
 use platebench_runner::{Answer, Person};
@@ -49,7 +50,7 @@ impl Desk {
     fn leave_bar(&self, state: &mut State) {
         if self.shows_bar && state.drawn.take().is_some() {
             // Nobody is left to tell.
-            let _ = write!(stderr().lock(), "\r\x1b[K");
+            let _ = write!(Log, "\r\x1b[K");
         }
     }
 }
@@ -108,7 +109,7 @@ impl Person for Desk {
         }
         state.drawn = Some(Instant::now());
         let text = bar(wished_n, force_n);
-        let _ = write!(stderr().lock(), "\r\x1b[K{:6.1} s  {text}  {}", now.seconds(), state.cue);
+        let _ = write!(Log, "\r\x1b[K{:6.1} s  {text}  {}", now.seconds(), state.cue);
     }
 
     fn rest(&self) {

@@ -14,6 +14,7 @@ mod desk;
 mod emulate;
 mod exit;
 mod export;
+mod guard;
 mod identify;
 mod live;
 mod logging;

@@ -3,6 +3,7 @@
 use crate::args::{BASELINES, Clock, Format, Pacing, PlateMode, Run};
 use crate::desk::Desk;
 use crate::exit::Exit;
+use crate::guard::Busy;
 use crate::signals::{PATIENCE, Signals};
 use crate::told::{self, Places};
 use crate::watch::watch;
@@ -21,7 +22,12 @@ use std::num::NonZero;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
+use tokio::sync::mpsc::error::TrySendError;
 use tracing::info;
+
+/// Whoever follows a run that is to end has so long for what it was told.
+const HEARD_WITHIN: Duration = Duration::from_secs(1);
+const ASK_AGAIN: Duration = Duration::from_millis(1);
 
 /// Plays scenarios and judges them.
 pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
@@ -302,13 +308,13 @@ pub(crate) fn play(
     let result = runtime.block_on(async {
         let mut signals = Signals::listen().map_err(without_signal)?;
         let (teller, mut events) = mpsc::channel::<Event>(64);
+        let busy = Busy::begin(&cancel);
         let mut playing = {
             let (folder, cancel) = (folder.clone(), cancel.clone());
             tokio::task::spawn_blocking(move || {
-                let mut tell = |event| {
-                    // Nobody listens any more once the run was given up.
-                    let _ = teller.blocking_send(event);
-                };
+                let _busy = busy;
+                let mut asked = None;
+                let mut tell = |event| send(&teller, event, &cancel, &mut asked);
                 let connect = || match plan.clock {
                     platebench_runner::Clock::Lockstep { .. } => rig.connect(),
                     platebench_runner::Clock::RealTime(_) | platebench_runner::Clock::OwnPlate => {
@@ -353,6 +359,17 @@ pub(crate) fn play(
     // A trial that does not come back is not waited for.
     runtime.shutdown_background();
     result
+}
+
+/// Tells `event`; where nobody listens any more, or does not come to it once the end was asked for, which was seen at `asked`, it is not told.
+fn send(teller: &mpsc::Sender<Event>, mut event: Event, cancel: &Cancel, asked: &mut Option<Instant>) {
+    while let Err(TrySendError::Full(back)) = teller.try_send(event) {
+        if cancel.is_cancelled() && asked.get_or_insert_with(Instant::now).elapsed() > HEARD_WITHIN {
+            return;
+        }
+        event = back;
+        std::thread::sleep(ASK_AGAIN);
+    }
 }
 
 pub(crate) fn follow(progress: &mut Progress, event: &Event) {

@@ -1,13 +1,16 @@
 //! Work on a thread of its own, while this one listens for signals.
 
+use crate::guard::Busy;
 use platebench_runner::Cancel;
 use std::io;
 use std::time::{Duration, Instant};
 use tokio::signal::unix::{SignalKind, signal};
 
-/// The polite ends: terminal closed, Ctrl-C, asked to end.
-const POLITE: [(SignalKind, u8); 3] =
-    [(SignalKind::hangup(), 1), (SignalKind::interrupt(), 2), (SignalKind::terminate(), 15)];
+/// The polite ends: terminal closed, Ctrl-C, Ctrl-\, asked to end.
+const POLITE: [u8; 4] = [1, 2, 3, 15];
+const HANG_UP: u8 = 1;
+/// A file that grew beyond what is allowed (`ulimit -f`): listened for, so that the write fails instead of the program.
+const FILE_SIZE: u8 = 25;
 
 /// How long the work has to come to its end once that was asked for; only then another signal ends the program without it.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(3);
@@ -29,7 +32,13 @@ impl Signals {
     /// # Errors
     /// What the system says.
     pub(crate) fn listen() -> io::Result<Self> {
-        POLITE.into_iter().map(|(kind, number)| Ok((signal(kind)?, number))).collect::<io::Result<_>>().map(Self)
+        let listened = |number: u8| Ok((signal(SignalKind::from_raw(number.into()))?, number));
+        // Whoever started the program with `nohup` wants it to outlive the terminal.
+        let wanted = POLITE.into_iter().filter(|number| *number != HANG_UP || !is_ignored(HANG_UP));
+        let listens = wanted.map(listened).collect::<io::Result<_>>().map(Self)?;
+        // It is never asked for: that somebody listens is enough.
+        let _ = signal(SignalKind::from_raw(FILE_SIZE.into()))?;
+        Ok(listens)
     }
 
     /// The number of the next one.
@@ -46,6 +55,14 @@ impl Signals {
     }
 }
 
+/// True where whoever started the program has it ignore the signal.
+fn is_ignored(number: u8) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask >> (number - 1) & 1 == 1
+}
+
 /// Does `work` until it is done, a signal asks for the end or `longest` is over; `cancel` then tells it so. What it came to, and the signal.
 ///
 /// A signal that comes much later than the first one does not wait for it any more.
@@ -60,7 +77,11 @@ pub(crate) fn until_signal<T: Send + 'static>(
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let result = runtime.block_on(async {
         let mut signals = Signals::listen()?;
-        let mut working = tokio::task::spawn_blocking(work);
+        let busy = Busy::begin(cancel);
+        let mut working = tokio::task::spawn_blocking(move || {
+            let _busy = busy;
+            work()
+        });
         let mut received = None;
         let mut asked = None;
         let end = async {

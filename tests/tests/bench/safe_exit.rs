@@ -34,6 +34,7 @@ fn await_running(log: &Path) {
 #[rstest]
 #[case::hang_up("HUP", 129)]
 #[case::interrupt("INT", 130)]
+#[case::quit("QUIT", 131)]
 #[case::terminate("TERM", 143)]
 fn a_polite_end_is_confirmed_by_the_controller(#[case] name: &str, #[case] expected: i32) {
     let workshop = Workshop::new();

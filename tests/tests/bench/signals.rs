@@ -1,11 +1,11 @@
 //! Runs that are ended from outside.
 
-use crate::bench::{Workshop, await_that, call, code, program, signal, step_scenario};
+use crate::bench::{Guarded, Workshop, await_that, call, code, program, signal, step_scenario};
 use platebench_verdict::RunRecord;
 use rstest::rstest;
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 
 /// Far more trials than can be played while the test looks on.
 fn endless() -> String {
@@ -20,18 +20,21 @@ fn start(workshop: &Workshop) -> Child {
     command.args(["run", "--out", "run"]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
+/// How many trials are whole.
+fn traces(folder: &Path) -> usize {
+    let entries = fs::read_dir(folder.join("run/traces/s")).into_iter().flatten().flatten();
+    entries.filter(|entry| entry.path().extension().is_some_and(|extension| extension == "csv")).count()
+}
+
 /// Waits until some trials are whole.
 fn await_traces(folder: &Path) {
-    let whole = || {
-        let entries = fs::read_dir(folder.join("run/traces/s")).into_iter().flatten().flatten();
-        entries.filter(|entry| entry.path().extension().is_some_and(|extension| extension == "csv")).count()
-    };
-    await_that("no trial became whole", || whole() >= 3);
+    await_that("no trial became whole", || traces(folder) >= 3);
 }
 
 #[rstest]
 #[case::hang_up("HUP", 129)]
 #[case::interrupt("INT", 130)]
+#[case::quit("QUIT", 131)]
 #[case::terminate("TERM", 143)]
 fn a_polite_end_is_told_in_the_exit_code(#[case] name: &str, #[case] expected: i32) {
     let workshop = Workshop::new();
@@ -42,6 +45,49 @@ fn a_polite_end_is_told_in_the_exit_code(#[case] name: &str, #[case] expected: i
     assert_eq!(code(&output), expected, "{}", String::from_utf8_lossy(&output.stderr));
     assert!(String::from_utf8_lossy(&output.stderr).contains("ended early"));
     assert!(!RunRecord::read(&workshop.path().join("run")).unwrap().complete);
+}
+
+#[test]
+fn a_run_under_nohup_outlives_its_terminal() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &endless());
+    let bench = program(workshop.path());
+    let mut shell = Command::new("sh");
+    shell.current_dir(workshop.path()).args(["-c", "trap '' HUP; exec \"$0\" run --rig hosted --out run"]);
+    let shell = shell.arg(bench.get_program()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    await_traces(workshop.path());
+    signal(&shell, "HUP");
+    let then = traces(workshop.path());
+    await_that("it went with its terminal", || traces(workshop.path()) >= then + 3);
+    signal(&shell, "TERM");
+    assert_eq!(code(&shell.wait_with_output().unwrap()), 143);
+}
+
+#[test]
+fn a_reader_that_takes_nothing_keeps_nobody_from_ending() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &endless());
+    let mut bench = program(workshop.path());
+    bench.args(["run", "--rig", "hosted", "--format", "json", "--out", "run"]).env("PLATEBENCH_LOG", "trace");
+    let mut bench = Guarded(bench.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
+    // A trial is told in some 500 bytes, and a pipe takes 64 KiB.
+    await_that("too few trials became whole", || traces(workshop.path()) >= 400);
+    signal(&bench.0, "TERM");
+    await_that("it waits for a reader", || bench.0.try_wait().unwrap().is_some());
+    assert_eq!(bench.0.wait().unwrap().code(), Some(143));
+    assert_eq!(RunRecord::read(&workshop.path().join("run")).unwrap().safe_confirmed, Some(true));
+}
+
+#[test]
+fn a_limit_on_file_sizes_is_an_error_and_not_a_death() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &endless());
+    let mut shell = Command::new("sh");
+    shell.current_dir(workshop.path()).args(["-c", "ulimit -f 20; exec \"$0\" run --rig hosted --out run"]);
+    let output = shell.arg(program(workshop.path()).get_program()).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(code(&output), 2, "{told}");
+    assert!(told.contains("File too large"), "{told}");
 }
 
 #[test]
