@@ -74,9 +74,9 @@ pub fn main() -> ExitCode {
         Command::Completions(arguments) => completions::completions(arguments),
         Command::Man(arguments) => man::man(arguments),
     });
-    exit.unwrap_or_else(|_| {
+    let exit = exit.unwrap_or_else(|_| {
         output::error("the bench has a fault of its own, please report it; -v shows more");
         Exit::Inconclusive
-    })
-    .into()
+    });
+    output::ended(exit).into()
 }

@@ -17,7 +17,6 @@ use platebench_runner::{Cancel, Company, Event, Pace, Plan, RunError, RunFolder,
 use platebench_scenario::{Scenario, find};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
-use std::io::stdout;
 use std::num::NonZero;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -71,7 +70,7 @@ fn checked(arguments: &Run) -> Result<platebench_runner::Clock, Exit> {
 
 /// Tells programs that listen what `play` plays, and in any case how it ended.
 fn telling(arguments: &Run, play: impl FnOnce(&mut Option<Events>) -> Result<(Exit, RunRecord), Exit>) -> Exit {
-    let mut events = (arguments.format == Format::Json).then(|| Events::new(stdout()));
+    let mut events = (arguments.format == Format::Json).then(|| Events::new(output::Shown));
     let (exit, record) = match play(&mut events) {
         Ok((exit, record)) => (exit, Some(record)),
         Err(exit) => (exit, None),

@@ -67,6 +67,20 @@ fn a_pipe_is_no_input_and_is_not_waited_for(#[case] arguments: &[&str]) {
     assert!(told.contains("pipe.toml") && told.contains("it is a pipe or a device, expected"), "{told}");
 }
 
+#[rstest]
+#[case::table(&["run", "--rig", "hosted"])]
+#[case::lines(&["run", "--rig", "hosted", "--format", "json"])]
+#[case::schema(&["schema", "scenario"])]
+fn a_result_that_could_not_be_written_is_no_success(#[case] arguments: &[&str]) {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step(GOOD));
+    let full = fs::File::create("/dev/full").unwrap();
+    let output = program(workshop.path()).args(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(code(&output), 2, "{told}");
+    assert!(told.contains("standard output is not whole: No space left"), "{told}");
+}
+
 #[test]
 fn invalid_input_outweighs_everything_and_runs_nothing() {
     let workshop = Workshop::new();
