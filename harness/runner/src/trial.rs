@@ -12,14 +12,16 @@ use platebench_rig::{Faulty, Link, LinkError, RigError, Session};
 use platebench_scenario::Scenario;
 use platebench_trace::{Flags, Row};
 use platebench_verdict::Telemetry;
-use platebench_wire::{Command, Configure, LawId, State as Mode};
+use platebench_wire::{Command, Configure, LawId, State as Mode, StateCause};
 use std::collections::VecDeque;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// After this many periods without any answer the controller is taken to be gone: time for its own time-out, which takes five, and for more than one repeat.
 const MISSES_UNTIL_LOST: u32 = 20;
 /// A controller with a clock of its own gets its samples whenever the bench comes to it; after this long without one the bench is gone.
 const OWN_CLOCK_PATIENCE_MS: u16 = 1_000;
+/// A controller that stopped for want of a sample was left alone by the bench where that was away for so much of its patience.
+const AWAY: Duration = Duration::from_millis(OWN_CLOCK_PATIENCE_MS as u64 / 2);
 
 /// What is to be played.
 #[derive(Debug, Clone, Copy)]
@@ -107,6 +109,8 @@ struct Trial<'a, L: Link> {
     unanswered: Option<(Time, usize)>,
     /// When the controller said that it does not run, while it does not.
     stopped: Option<Time>,
+    /// When the last sample left, on the wall.
+    turned: Instant,
     lost: Option<RigError>,
 }
 
@@ -126,6 +130,7 @@ impl<'a, L: Link> Trial<'a, L> {
             misses: 0,
             unanswered: None,
             stopped: None,
+            turned: Instant::now(),
             lost: None,
         }
     }
@@ -167,11 +172,17 @@ impl<'a, L: Link> Trial<'a, L> {
 
     fn control(&mut self, now: Time) -> Flags {
         let sample = self.stage.sense();
+        // From sample to sample, as the controller counts.
+        let was_away = self.own_clock && self.turned.elapsed() >= AWAY;
+        self.turned = Instant::now();
         let answer = self.session.sample(duration(now), &sample);
         self.note_given();
         self.stage.tell(0, self.session.refused());
+        let mut flags = Flags::CONTROL;
         match answer {
             Ok(Some(reply)) => {
+                // A computer that stood still for a while leaves a controller that did as it was told.
+                flags.set(Flags::OVERRUN, was_away && reply.command.cause == StateCause::SampleTimeout);
                 self.misses = 0;
                 let rig_delay = Time::from_nanos(reply.delay.as_nanos() as u64);
                 let acting = if self.wire_time { rig_delay } else { Time::ZERO };
@@ -186,7 +197,7 @@ impl<'a, L: Link> Trial<'a, L> {
             }
             Err(error) => self.lose(error),
         }
-        Flags::CONTROL
+        flags
     }
 
     /// What the controller says late or of its own accord acts from when it is heard.

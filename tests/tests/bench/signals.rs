@@ -1,11 +1,13 @@
 //! Runs that are ended from outside.
 
-use crate::bench::{Guarded, Workshop, await_that, call, code, program, signal, step_scenario};
-use platebench_verdict::RunRecord;
+use crate::bench::{Guarded, Workshop, await_that, call, code, controller, program, signal, step_scenario};
+use platebench_verdict::{Cause, RunRecord};
 use rstest::rstest;
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::Duration;
 
 /// Far more trials than can be played while the test looks on.
 fn endless() -> String {
@@ -88,6 +90,29 @@ fn a_limit_on_file_sizes_is_an_error_and_not_a_death() {
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(code(&output), 2, "{told}");
     assert!(told.contains("File too large"), "{told}");
+}
+
+/// Longer than a controller with a clock of its own has patience.
+const AWAY: Duration = Duration::from_millis(1_500);
+
+#[test]
+fn a_bench_that_was_stopped_for_a_while_is_not_the_controller_s_failure() {
+    let workshop = Workshop::new();
+    let log = workshop.path().join("controller.log");
+    let text = step_scenario("aluminium-198x138", "", "", "metric = \"overshoot_percent\"\nat_most = 100.0");
+    workshop.scenario("s.toml", &text.replace("duration_ms = 60.0", "duration_ms = 60000.0"));
+    let mut bench = program(workshop.path());
+    bench.args(["run", "--clock", "lockstep", "--out", "run", "--rig", &controller(Some(&log))]);
+    let bench = bench.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    await_that("the controller never ran", || fs::read_to_string(&log).unwrap_or_default().contains("\"running\""));
+    signal(&bench, "STOP");
+    sleep(AWAY);
+    signal(&bench, "CONT");
+    let output = bench.wait_with_output().unwrap();
+    assert_eq!(code(&output), 3, "{}", String::from_utf8_lossy(&output.stderr));
+    let record = RunRecord::read(&workshop.path().join("run")).unwrap();
+    let trial = &record.scenarios[0].trials[0];
+    assert_eq!(trial.cause, Some(Cause::Bench), "{:?}", trial.reason);
 }
 
 #[test]
