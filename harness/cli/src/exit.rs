@@ -67,7 +67,7 @@ impl Exit {
             | RunError::NoPlate(_)
             | RunError::Rig(RigError::Refused(_)) => Self::Invalid,
             RunError::Connect(error) if error.is_invalid_input() => Self::Invalid,
-            RunError::Connect(_) | RunError::Rig(_) => Self::Unreachable,
+            RunError::Connect(_) | RunError::Rig(_) | RunError::OtherController { .. } => Self::Unreachable,
             RunError::Bench(_) | RunError::Cancelled => Self::Inconclusive,
         }
     }

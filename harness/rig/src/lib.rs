@@ -45,7 +45,7 @@ pub use link::{Line, Link, LinkError};
 pub use lock::Holder;
 pub use paced::Paced;
 pub use serial::{Serial, SerialError};
-pub use session::{Heard, Reply, RigError, Session};
+pub use session::{Heard, Reply, RigError, Session, printable_name};
 pub use spec::{RigSpec, SpecError};
 pub use symbols::Place;
 pub use terminal::Terminal;

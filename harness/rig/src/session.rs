@@ -147,11 +147,9 @@ impl<L: Link> Session<L> {
         &self.identity
     }
 
-    /// The firmware's name, which is printable ASCII; what is not, a terminal might take for an order, is replaced.
+    /// The firmware's name, as [`printable_name`] has it.
     pub fn firmware_name(&self) -> String {
-        let name = self.identity.name.split(|&byte| byte == 0).next().unwrap_or_default();
-        let printable = |&byte: &u8| matches!(byte, b' '..=b'~');
-        name.iter().map(|byte| if printable(byte) { char::from(*byte) } else { char::REPLACEMENT_CHARACTER }).collect()
+        printable_name(&self.identity)
     }
 
     /// Starts a trial: time zero, 0 V, the design that `configure` asks for. A target that can be restarted is, so that no trial depends on those before it.
@@ -352,6 +350,13 @@ impl<L: Link> Session<L> {
             self.read = 0;
         }
     }
+}
+
+/// The firmware's name, which is printable ASCII; what is not, a terminal might take for an order, is replaced.
+pub fn printable_name(identity: &Identity) -> String {
+    let name = identity.name.split(|&byte| byte == 0).next().unwrap_or_default();
+    let printable = |&byte: &u8| matches!(byte, b' '..=b'~');
+    name.iter().map(|byte| if printable(byte) { char::from(*byte) } else { char::REPLACEMENT_CHARACTER }).collect()
 }
 
 /// Tells commands that are still to be heard from those that came too late to matter.

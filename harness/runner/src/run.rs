@@ -15,7 +15,7 @@ use platebench_trace::{Row, TraceError, Writer};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Firmware, Host, InputRecord, ModelChoice, Overrides, RigRecord, Tool};
 use platebench_verdict::{Decision, RunRecord, ScenarioRecord, TrialMeasures, TrialRecord, Verdict, judge, sequential};
-use platebench_wire::{LawId, capabilities};
+use platebench_wire::{Identity, LawId, capabilities};
 use std::cmp::Reverse;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -109,6 +109,14 @@ pub enum RunError {
     /// The controller does not answer.
     #[error(transparent)]
     Rig(#[from] RigError),
+    /// The record names one controller.
+    #[error("{found} answers now, the run began with {expected}: expected the same controller until its end")]
+    OtherController {
+        /// Who answers.
+        found: String,
+        /// Who is in the record.
+        expected: String,
+    },
     /// The controller has no timer of its own to pace the plate by.
     #[error("{0} does not say that it can pace itself, expected --pacing bench")]
     NoPace(String),
@@ -191,6 +199,7 @@ pub fn run_in_company(
         folder.prepare(scenario)?;
     }
     let mut record = first_record(plan, folder, &first, &inputs);
+    let identity = *first.identity();
     write(&record, folder)?;
     // The controller that introduced itself is the first worker's; the others find their own.
     let mut sessions: Vec<Option<Session>> = (0..plan.jobs.max(1)).map(|_| None).collect();
@@ -198,7 +207,7 @@ pub fn run_in_company(
         *session = Some(first);
     }
     let unconfirmed = AtomicBool::new(false);
-    let run = Run { plan, laws: &laws, folder, connect, cancel, company, unconfirmed: &unconfirmed };
+    let run = Run { plan, laws: &laws, folder, connect, identity, cancel, company, unconfirmed: &unconfirmed };
     let played = play(run, &mut sessions, &mut record, tell);
     // However it ended, what the controllers say of 0 V is in the record.
     for session in &mut sessions {
@@ -235,6 +244,8 @@ struct Run<'a> {
     laws: &'a [LawId],
     folder: &'a RunFolder,
     connect: &'a Connect<'a>,
+    /// Who is in the record.
+    identity: Identity,
     cancel: &'a Cancel,
     company: Company<'a>,
     /// Set where a controller was let go that did not confirm 0 V.
@@ -420,7 +431,14 @@ impl Work<'_> {
         let started = Instant::now();
         let open = match session {
             Some(open) => open,
-            None => session.insert(Session::open(Faulty::new((self.run.connect)()?))?),
+            None => {
+                let open = session.insert(Session::open(Faulty::new((self.run.connect)()?))?);
+                let (found, expected) = (open.identity(), &self.run.identity);
+                if found != expected {
+                    return Err(RunError::OtherController { found: who(found), expected: who(expected) });
+                }
+                open
+            }
         };
         let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
         let order = Order { scenario, law, index: task.index, wire_time, own_clock: self.run.plan.own_clock };
@@ -465,6 +483,13 @@ fn write_trace(path: &Path, rows: &[Row]) -> Result<(), TraceError> {
 fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     text.unwrap_or("no message").to_owned()
+}
+
+/// A controller by what tells it from others.
+fn who(identity: &Identity) -> String {
+    let [major, minor, patch] = identity.version;
+    let [build, unique] = [&identity.build[..], &identity.unique[..]].map(hexadecimal);
+    format!("{} {major}.{minor}.{patch}, build {build}, number {unique}", platebench_rig::printable_name(identity))
 }
 
 fn first_record(plan: &Plan, folder: &RunFolder, session: &Session, inputs: &[Vec<InputRecord>]) -> RunRecord {

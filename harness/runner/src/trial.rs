@@ -180,6 +180,8 @@ impl<'a, L: Link> Trial<'a, L> {
         self.stage.tell(0, self.session.refused());
         let mut flags = Flags::CONTROL;
         match answer {
+            // Idle after its configuration: it has forgotten it.
+            Ok(Some(reply)) if reply.command.state == Mode::Idle => self.lose(RigError::Restarted),
             Ok(Some(reply)) => {
                 // A computer that stood still for a while leaves a controller that did as it was told.
                 flags.set(Flags::OVERRUN, was_away && reply.command.cause == StateCause::SampleTimeout);

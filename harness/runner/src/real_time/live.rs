@@ -125,7 +125,7 @@ impl<'a, L: Link> Live<'a, L> {
                 while self.next_control < self.duration && self.at(self.next_control) <= heard.at {
                     self.control_at_deadline(heard.at)?;
                 }
-                self.hear(&heard);
+                self.hear(&heard)?;
             }
         }
         self.listen_until_the_end(patience)
@@ -171,7 +171,7 @@ impl<'a, L: Link> Live<'a, L> {
                 continue;
             };
             let Message::Tick(tick) = heard.message else {
-                self.hear(&heard);
+                self.hear(&heard)?;
                 continue;
             };
             if !ticks.any() {
@@ -263,14 +263,18 @@ impl<'a, L: Link> Live<'a, L> {
         is_over.then(|| self.pace.of_target(configure(self.scenario, self.law)))
     }
 
-    fn hear(&mut self, heard: &Heard) {
-        let Message::Command(command) = heard.message else { return };
+    fn hear(&mut self, heard: &Heard) -> Result<(), End> {
+        let Message::Command(command) = heard.message else { return Ok(()) };
         self.last_heard = heard.at;
         self.silent_periods = 0;
         let sampled = self.open.get_mut(usize::from(heard.sequence)).and_then(Option::take);
         // What was answered already is a frame that the line doubled, unless the controller says that it has stopped.
         if sampled.is_none() && command.state == State::Running {
-            return;
+            return Ok(());
+        }
+        // Idle after its configuration: it has forgotten it.
+        if sampled.is_some() && command.state == State::Idle {
+            return Err(RigError::Restarted.into());
         }
         let instant = self.since_start(heard.at).min(self.duration);
         self.stage.advance_through(instant);
@@ -289,6 +293,7 @@ impl<'a, L: Link> Live<'a, L> {
             self.stop_cause.get_or_insert(command.cause);
         }
         self.actuate(&command);
+        Ok(())
     }
 
     /// True where somebody waits for the controller to go on, and it does not.
@@ -312,7 +317,7 @@ impl<'a, L: Link> Live<'a, L> {
             }
             let soon = Instant::now() + Duration::from_millis(50);
             if let Some(heard) = self.session.listen(soon.min(end))? {
-                self.hear(&heard);
+                self.hear(&heard)?;
             }
         }
         self.stage.advance_through(self.duration);
