@@ -215,8 +215,8 @@ pub fn run_in_company(
     }
     record.safe_confirmed = Some(!unconfirmed.load(Ordering::Relaxed));
     if played.is_ok() {
-        record.decide();
         record.complete = true;
+        record.decide();
         record.cost = trend::cost(&record, folder.path());
     }
     let written = write(&record, folder);

@@ -323,11 +323,11 @@ pub struct NotFinite {
 }
 
 impl RunRecord {
-    /// The verdict over all scenarios, of what was played to the end. A drive that nobody confirmed to be at 0 V leaves a pass in doubt.
+    /// The verdict over all scenarios. A run that did not come to its end, or a drive that nobody confirmed to be at 0 V, leaves a pass in doubt.
     pub fn decide(&mut self) {
         let over = Verdict::over(self.scenarios.iter().map(|scenario| scenario.verdict));
-        let is_unsafe = over == Verdict::Pass && self.safe_confirmed == Some(false);
-        self.verdict = if is_unsafe { Verdict::Inconclusive } else { over };
+        let is_doubtful = !self.complete || self.safe_confirmed == Some(false);
+        self.verdict = if over == Verdict::Pass && is_doubtful { Verdict::Inconclusive } else { over };
     }
 
     /// True where a controller was lost for good and that is not its own doing.

@@ -101,6 +101,22 @@ fn a_run_that_was_cut_off_can_be_judged_and_reported() {
     assert!(fs::read_to_string(run.join("report.html")).unwrap().contains("inconclusive"));
 }
 
+/// All trials are whole and good, but nobody has seen the end: not a pass, wherever it is read.
+#[test]
+fn a_run_that_was_killed_after_its_last_trial_is_no_pass() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    call(workshop.path(), ["run", "--rig", "hosted", "--out", "run"]);
+    let run = workshop.path().join("run");
+    let mut record = RunRecord::read(&run).unwrap();
+    (record.complete, record.safe_confirmed) = (false, None);
+    record.write(&run).unwrap();
+    let output = call(workshop.path(), ["judge", "run"]);
+    let told = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(code(&output), 3, "{told}");
+    assert!(told.contains("the run was not finished") && told.contains("? inconclusive"), "{told}");
+}
+
 #[test]
 fn two_runs_stand_side_by_side_and_the_report_says_since_when_something_fails() {
     let workshop = Workshop::new();

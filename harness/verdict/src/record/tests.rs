@@ -131,6 +131,22 @@ fn a_record_comes_back_as_it_was_and_leaves_nothing_beside_it() {
 }
 
 #[test]
+fn only_a_run_that_came_to_its_end_at_0_v_passes() {
+    let verdict = |complete, safe_confirmed, of_scenario| {
+        let mut record = RunRecord { complete, safe_confirmed, ..record() };
+        record.scenarios.iter_mut().for_each(|scenario| scenario.verdict = of_scenario);
+        record.decide();
+        record.verdict
+    };
+    assert_eq!(verdict(true, Some(true), Verdict::Pass), Verdict::Pass);
+    // Records of a bench that did not ask.
+    assert_eq!(verdict(true, None, Verdict::Pass), Verdict::Pass);
+    assert_eq!(verdict(true, Some(false), Verdict::Pass), Verdict::Inconclusive);
+    assert_eq!(verdict(false, None, Verdict::Pass), Verdict::Inconclusive);
+    assert_eq!(verdict(false, None, Verdict::Fail), Verdict::Fail);
+}
+
+#[test]
 fn a_controller_is_lost_where_a_trial_ended_for_the_sake_of_its_rig() {
     let lost = |cause, ended: Option<&str>| {
         let mut record = record();
