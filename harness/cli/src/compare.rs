@@ -4,6 +4,8 @@ use crate::args::{Compare, Format};
 use crate::exit::Exit;
 use crate::output;
 use platebench_report::comparison;
+use platebench_runner::RejudgeError;
+use platebench_runner::rejudge::rows_of;
 use platebench_trace::{Row, TraceError, read};
 use platebench_verdict::golden::{Accepted, BaselineError, Comparison, Golden};
 use platebench_verdict::record::{FILE, RecordError};
@@ -24,6 +26,8 @@ pub(crate) enum CompareError {
     Record(#[from] RecordError),
     #[error(transparent)]
     Trace(#[from] TraceError),
+    #[error(transparent)]
+    Stored(#[from] RejudgeError),
     #[error(transparent)]
     Baseline(#[from] BaselineError),
     #[error("{}: a trace outside a run folder belongs to no scenario, expected --against FILE.toml of a baseline", .0.display())]
@@ -264,7 +268,7 @@ pub(crate) fn trials_of(folder: &Path, scenario: &ScenarioRecord) -> Result<Play
             let what = trial.reason.as_deref().unwrap_or("it was disturbed");
             played.disturbed.push(format!("trial {} does not count ({cause}): {what}", trial.index));
         } else {
-            played.trials.push((trial.index, read(&folder.join(&trial.trace))?));
+            played.trials.push((trial.index, rows_of(folder, trial)?));
         }
     }
     Ok(played)

@@ -6,10 +6,12 @@ use crate::measured::measured;
 use crate::run::{Done, empty_record};
 use platebench_plate::Tier;
 use platebench_scenario::{Diagnostic, Expectation, Scenario, load, load_copies};
-use platebench_trace::{TraceError, read};
+use platebench_trace::{Row, TraceError, read};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::record::{Cause, Overrides, RecordError};
-use platebench_verdict::{Decision, RunRecord, ScenarioRecord, Telemetry, TrialMeasures, judge, sequential};
+use platebench_verdict::{
+    Decision, RunRecord, ScenarioRecord, Telemetry, TrialMeasures, TrialRecord, judge, sequential,
+};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -179,6 +181,19 @@ fn unchanged(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeErr
     Err(RejudgeError::Changed { path: path.to_owned(), found, expected: expected.to_owned() })
 }
 
+/// The rows of a trial of the run in `folder`, where its trace is still the one that was recorded.
+///
+/// # Errors
+/// [`RejudgeError`] where it is another, or none.
+pub fn rows_of(folder: &Path, trial: &TrialRecord) -> Result<Vec<Row>, RejudgeError> {
+    let path = folder.join(&trial.trace);
+    if let Some(expected) = trial.sha256.as_deref() {
+        let bytes = fs::read(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
+        unchanged(&path, &bytes, expected)?;
+    }
+    Ok(read(&path)?)
+}
+
 /// Judges the trials up to the look that decides; the same one as live, since the trials are the same.
 fn judged(
     folder: &Path,
@@ -227,13 +242,13 @@ fn judged_trial(
         return Ok(None);
     }
     let then = stored.trials.iter().find(|then| then.index == index);
-    if let Some(expected) = then.and_then(|then| then.sha256.as_deref()) {
-        let bytes = fs::read(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
-        unchanged(&path, &bytes, expected)?;
-    }
+    let rows = match then {
+        Some(then) => rows_of(folder, then)?,
+        None => read(&path)?,
+    };
     let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
     let law = configure::law(scenario)?;
-    let measures = measured(scenario, law, index, &read(&path)?, &telemetry);
+    let measures = measured(scenario, law, index, &rows, &telemetry);
     let mut record = trial_record(scenario, &measures, trace, None);
     if let Some(then) = then {
         record.sha256.clone_from(&then.sha256);

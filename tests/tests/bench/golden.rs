@@ -221,3 +221,18 @@ fn json_says_the_same() {
     let shown: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((&shown[0]["scenario"], &shown[0]["verdict"]), (&"s.toml".into(), &"pass".into()));
 }
+
+/// What is accepted, and what is compared, is what the run was judged by.
+#[test]
+fn a_doctored_trace_is_neither_accepted_nor_compared() {
+    let workshop = step_run("", "aluminium-198x138");
+    assert_eq!(code(&call(workshop.path(), ["baseline", "accept", "run"])), 0);
+    let trace = workshop.path().join("run/traces/s/000.csv");
+    let text = fs::read_to_string(&trace).unwrap();
+    fs::write(&trace, text.replacen("control", "", 1)).unwrap();
+    for command in [&["baseline", "accept", "run"][..], &["compare", "run", "--against", "baseline"]] {
+        let output = call(workshop.path(), command);
+        assert_eq!(code(&output), 2, "{}", told(&output));
+        assert!(told(&output).contains("000.csv: SHA-256"), "{}", told(&output));
+    }
+}
