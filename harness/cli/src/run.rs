@@ -36,7 +36,7 @@ pub(crate) fn run(arguments: &Run, quiet: bool) -> Exit {
     }
     telling(arguments, |events| {
         let clock = clock?;
-        let scenarios = scenarios(arguments, clock).map_err(|()| Exit::Invalid)?;
+        let scenarios = scenarios(arguments, clock)?;
         if scenarios.is_empty() {
             output::error("there is nothing to run");
             return Err(Exit::Nothing);
@@ -241,9 +241,17 @@ fn overrides(arguments: &Run) -> Overrides {
     }
 }
 
-/// The scenarios that the command line means; every fault of every file has been shown where there are any.
-fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Scenario>, ()> {
-    let found = find(&arguments.scenarios).map_err(|faults| faults.iter().for_each(output::diagnostic))?;
+/// The scenarios that the command line means; every fault of every file, and every folder that was named for nothing, has been shown where there are any.
+fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Scenario>, Exit> {
+    let found = find(&arguments.scenarios).map_err(|faults| {
+        faults.iter().for_each(output::diagnostic);
+        Exit::Invalid
+    })?;
+    if !found.scenarios.is_empty() && !found.empty.is_empty() {
+        let named = found.empty.iter();
+        named.for_each(|folder| output::error(&format!("{}: there is nothing to run below it", folder.display())));
+        return Err(Exit::Nothing);
+    }
     if !found.left_out.is_empty() {
         let names = found.left_out.join(", ");
         output::note(&format!("left out, because they show a limit and were not named: {names}"));

@@ -24,6 +24,8 @@ pub struct Found {
     pub scenarios: Vec<Scenario>,
     /// Scenarios that show a limit and were left out because neither they nor their own folder were named.
     pub left_out: Vec<String>,
+    /// Folders that were named and hold no scenario file: whoever named them meant something else.
+    pub empty: Vec<PathBuf>,
 }
 
 /// Loads every scenario that `arguments` name: files as they are, folders with everything below them.
@@ -36,8 +38,13 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
     let mut faults = Vec::new();
     // By canonical path: a file that is named twice is played once.
     let mut files: BTreeMap<PathBuf, (PathBuf, String, bool)> = BTreeMap::new();
+    let mut empty = Vec::new();
     for argument in arguments {
-        for path in files_below(argument, &OTHER_FOLDERS, &mut BTreeSet::new(), &mut faults) {
+        let below = files_below(argument, &OTHER_FOLDERS, &mut BTreeSet::new(), &mut faults);
+        if below.is_empty() {
+            empty.push(argument.clone());
+        }
+        for path in below {
             let own = path == *argument || path.parent() == Some(argument.as_path());
             let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
             let name = name_of(&canonical, argument);
@@ -45,7 +52,7 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
             entry.2 |= own;
         }
     }
-    let mut found = Found { scenarios: Vec::new(), left_out: Vec::new() };
+    let mut found = Found { scenarios: Vec::new(), left_out: Vec::new(), empty };
     for (path, name, own) in files.into_values() {
         match examine(&path, &name) {
             Ok(scenario) if scenario.expected_exit.is_some() && !own => found.left_out.push(name),
@@ -109,7 +116,11 @@ fn files_below(
             if !is_other && !name.starts_with('.') {
                 files.extend(files_below(&path, others, visited, faults));
             }
-        } else if path.extension().is_some_and(|extension| extension == "toml") && !name.starts_with('.') {
+        } else if name.starts_with('.') {
+            // Hidden, as editors leave them.
+        } else if path.is_symlink() && !path.exists() {
+            faults.push(Diagnostic::of_file(&path, "a link that leads nowhere: nobody knows what is not played"));
+        } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
             files.push(path);
         }
     }

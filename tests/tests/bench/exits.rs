@@ -132,6 +132,19 @@ fn nothing_to_run_is_no_pass() {
     assert_eq!(code(&call(workshop.path(), ["run", "--shard", "2/2"])), 4);
 }
 
+/// Whoever names a folder expects something of it: what the others hold is no answer.
+#[test]
+fn a_folder_that_was_named_for_nothing_is_no_pass() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step(GOOD));
+    fs::create_dir(workshop.path().join("more")).unwrap();
+    let output = call(workshop.path(), ["run", "scenarios", "more", "--out", "run"]);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(code(&output), 4, "{told}");
+    assert!(told.contains("more: there is nothing to run below it"), "{told}");
+    assert!(!workshop.path().join("run").exists(), "and nothing is played");
+}
+
 #[test]
 fn a_run_folder_is_not_written_over() {
     let workshop = Workshop::new();

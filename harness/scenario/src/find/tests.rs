@@ -56,6 +56,36 @@ fn nothing_is_found_in_an_empty_folder() {
 }
 
 #[test]
+fn a_folder_that_was_named_for_nothing_is_told() {
+    let folder = tree(&["a/x.toml", "limits/limit.toml", "b/plates/p.toml"]);
+    let empty = |arguments: &[&str]| {
+        let arguments: Vec<_> = arguments.iter().map(|argument| folder.path().join(argument)).collect();
+        let empty = find(&arguments).unwrap().empty;
+        empty.iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(empty(&["a", "b", "limits"]), ["b"]);
+    assert!(empty(&["a", "a/x.toml", "limits"]).is_empty());
+}
+
+#[test]
+fn a_scenario_is_found_however_its_name_is_written() {
+    let folder = tree(&["a/x.TOML", "a/y.Toml"]);
+    assert_eq!(names(&folder, &["a"]).0, ["x.TOML", "y.Toml"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_link_that_leads_nowhere_is_told() {
+    let folder = tree(&["a/x.toml"]);
+    for name in ["vendor", ".hidden"] {
+        std::os::unix::fs::symlink(folder.path().join("gone"), folder.path().join("a").join(name)).unwrap();
+    }
+    let told = faults(&folder, &["a"]);
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert!(told[0].starts_with("a/vendor: a link that leads nowhere"), "{told:?}");
+}
+
+#[test]
 fn what_is_named_twice_is_played_once() {
     let folder = tree(&["a/x.toml", "a/y.toml"]);
     assert_eq!(names(&folder, &["a", "a/x.toml", "a/../a/x.toml", "a"]).0, ["x.toml", "y.toml"]);
