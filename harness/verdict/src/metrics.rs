@@ -272,6 +272,10 @@ fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {
     let Some(ran) = rows.iter().rposition(|row| !has_stopped(row)) else {
         return Measure::Missing("never ran");
     };
+    let before = rows.get(..=ran).unwrap_or_default();
+    if before.iter().any(|row| row.setpoint_um > 0.0) && before.iter().all(|row| row.drive_vpp == 0.0) {
+        return Measure::Missing("never drove");
+    }
     match rows.get(ran + 1) {
         None => Measure::Missing("does not come to rest at 0 V"),
         Some(stopped) if stopped.t_s < from => Measure::Missing("stopped before"),

@@ -494,6 +494,11 @@ fn what_is_no_shutdown_has_no_time() {
     };
     assert_eq!(missing(&with(|row| row.flags = Flags::empty()), &TOLD_NOTHING), "does not come to rest at 0 V");
     assert_eq!(missing(&with(|row| row.drive_vpp = 1.0), &TOLD_NOTHING), "does not come to rest at 0 V");
+    // Whoever never drove has nothing to take back.
+    let idle = stopped.iter().map(|row| Row { drive_vpp: 0.0, ..*row }).collect::<Vec<_>>();
+    assert_eq!(missing(&idle, &TOLD_NOTHING), "never drove");
+    let unasked = idle.iter().map(|row| Row { setpoint_um: 0.0, ..*row }).collect::<Vec<_>>();
+    assert!(matches!(measure(&shutdown(60.0), &unasked, &TOLD_NOTHING), Measure::Value(_)));
     let trapped = Telemetry { ended: Some("trapped".to_owned()), ..TOLD_NOTHING };
     assert_eq!(missing(&stopped, &trapped), "ends with the controller not running");
 }
