@@ -89,6 +89,9 @@ pub struct Session<L: Link> {
     /// True once 0 V has been asked for at its end.
     closed: bool,
     refused: u64,
+    /// By sequence number: drive (as bits, so that what is no number equals itself) and frequency that the sample of that number was answered with.
+    answers: [Option<(u32, u32)>; 256],
+    contradictions: u64,
 }
 
 impl<L: Link> Session<L> {
@@ -120,6 +123,8 @@ impl<L: Link> Session<L> {
             introduced: false,
             closed: false,
             refused: 0,
+            answers: [None; 256],
+            contradictions: 0,
         };
         match session.ask(Message::Hello)? {
             Some((Message::Identity(identity), _)) => {
@@ -165,6 +170,8 @@ impl<L: Link> Session<L> {
         }
         let gains = self.configure(Duration::ZERO, configure)?;
         self.refused = 0;
+        self.answers = [None; 256];
+        self.contradictions = 0;
         Ok(gains)
     }
 
@@ -255,11 +262,9 @@ impl<L: Link> Session<L> {
     /// # Errors
     /// [`RigError`] where the line is dead or knows virtual time alone.
     pub fn post(&mut self, message: Message) -> Result<u8, RigError> {
-        let sequence = self.sequence.wrapping_add(1);
-        let frame = Packet { sequence, message }.encode();
+        let frame = Packet { sequence: self.sequence.wrapping_add(1), message }.encode();
         self.link.line().ok_or(RigError::NotLive)?.send(frame.as_bytes())?;
-        self.sequence = sequence;
-        Ok(sequence)
+        Ok(self.next_sequence())
     }
 
     /// Waits for the next thing that the target says, at most until `until`; one packet a call, those that came with it are kept for the next calls.
@@ -290,10 +295,33 @@ impl<L: Link> Session<L> {
         self.refused
     }
 
+    /// Commands since [`Session::begin`] that wanted another drive or frequency than an earlier one did in answer to the same sample. A frame that the line
+    /// doubled wants the same, and a controller that stopped takes its last command back: neither is one.
+    pub fn contradictions(&self) -> u64 {
+        self.contradictions
+    }
+
+    fn note_answer(&mut self, sequence: u8, command: &Command) {
+        let Some(answer) = self.answers.get_mut(usize::from(sequence)).filter(|_| command.state == State::Running)
+        else {
+            return;
+        };
+        let wanted = (command.drive_vpp.to_bits(), command.frequency_mhz);
+        self.contradictions += u64::from(answer.replace(wanted).is_some_and(|before| before != wanted));
+    }
+
+    /// The number of the next message, which nothing has answered yet.
+    fn next_sequence(&mut self) -> u8 {
+        self.sequence = self.sequence.wrapping_add(1);
+        if let Some(answer) = self.answers.get_mut(usize::from(self.sequence)) {
+            *answer = None;
+        }
+        self.sequence
+    }
+
     /// Sends `message` and returns the answer that carries its number.
     fn ask(&mut self, message: Message) -> Result<Option<(Message, Duration)>, RigError> {
-        self.sequence = self.sequence.wrapping_add(1);
-        let sequence = self.sequence;
+        let sequence = self.next_sequence();
         self.forget_read();
         let frame = Packet { sequence, message }.encode();
         let delay = self.link.exchange(self.now, frame.as_bytes(), &mut self.bytes)?;
@@ -336,7 +364,12 @@ impl<L: Link> Session<L> {
             let Some(frame) = self.reader.push(byte) else { continue };
             match frame.ok().and_then(|body| Packet::decode(body).ok()) {
                 Some(Packet { message: Message::Fault(report), .. }) => return Err(RigError::Trapped(report)),
-                Some(packet) => return Ok(Some(packet)),
+                Some(packet) => {
+                    if let Message::Command(command) = &packet.message {
+                        self.note_answer(packet.sequence, command);
+                    }
+                    return Ok(Some(packet));
+                }
                 None => self.refused += 1,
             }
         }

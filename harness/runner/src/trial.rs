@@ -82,7 +82,9 @@ pub fn play_watched<L: Link>(
     let ended = trial.lost.as_ref().map(ToString::to_string);
     let faults = trial.session.link().counts().map(|(kind, count)| (kind.to_owned(), count)).collect();
     let not_finite = trial.stage.not_finite();
-    let telemetry = Telemetry { ended, faults, not_finite, ..trial.observed.telemetry() };
+    let contradictions = trial.session.contradictions();
+    let told = trial.observed.telemetry();
+    let telemetry = Telemetry { ended, faults, not_finite, contradictions, ..told };
     Some(Played { telemetry, rows: trial.stage.into_rows(), lost: trial.lost })
 }
 

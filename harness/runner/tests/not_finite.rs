@@ -64,13 +64,13 @@ fn holds_numbers_only(folder: &Path) {
 
 fn played_with(drive: f32) -> RunRecord {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(FIG13);
-    let (live, again) = played(load(&path, "fig13.toml").unwrap(), drive);
+    let (live, again) = played(load(&path, "fig13.toml").unwrap(), drive, 10);
     assert_eq!(live.scenarios, again);
     live
 }
 
 /// The record of a run over [`Instead`], and its scenarios as they are judged again.
-fn played(scenario: Scenario, drive: f32) -> (RunRecord, Vec<ScenarioRecord>) {
+fn played(scenario: Scenario, drive: f32, from_ms: u64) -> (RunRecord, Vec<ScenarioRecord>) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let plan = Plan {
@@ -83,7 +83,7 @@ fn played(scenario: Scenario, drive: f32) -> (RunRecord, Vec<ScenarioRecord>) {
     };
     let run_folder = RunFolder::create(Some(&out)).unwrap();
     let connect = || {
-        let link = Instead { inner: Hosted::new(), drive, from: Duration::from_millis(10) };
+        let link = Instead { inner: Hosted::new(), drive, from: Duration::from_millis(from_ms) };
         Ok(Box::new(link) as Box<dyn Link>)
     };
     let live = run(&plan, &run_folder, &connect, &Cancel::default(), &mut |_| {}).unwrap();
@@ -118,13 +118,25 @@ fn a_drive_beyond_the_amplifier_is_no_divergence() {
     }
 }
 
+/// It says that it has stopped, and the plate rests: because the bench gave 0 V for what was no drive.
+#[test]
+fn a_stop_at_a_drive_that_is_no_number_is_none() {
+    let storm = || {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/faults/noise-storm.toml");
+        load(&path, "noise-storm.toml").unwrap()
+    };
+    // It stops at 41 ms.
+    let verdict = |drive| played(storm(), drive, 42).0.verdict;
+    assert_eq!([verdict(0.0), verdict(f32::NAN)], [Verdict::Pass, Verdict::Fail]);
+}
+
 /// No file can ask for such a plate; whoever makes one all the same has a trace that ends where it stops being numbers, and a trial that does not count.
 #[test]
 fn a_plate_that_cannot_be_computed_is_the_bench_s_fault() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(FIG13);
     let mut scenario = load(&path, "fig13.toml").unwrap();
     scenario.plate.damping_ratio = vec![[0.0, 1e-300]];
-    let (live, _) = played(scenario, 100.0);
+    let (live, _) = played(scenario, 100.0, 10);
     let trial = &live.scenarios[0].trials[0];
     assert_eq!((live.verdict, trial.cause), (Verdict::Inconclusive, Some(Cause::Bench)));
     assert!(trial.reason.as_ref().is_some_and(|reason| reason.starts_with("the trace ends at ")), "{:?}", trial.reason);

@@ -33,8 +33,26 @@ impl Measure {
     }
 }
 
-/// The metric of `expectation` in a trial. [`Metric::Repeatability`] gives the trial's contribution: its window mean over the setpoint, in percent.
+/// The metric of `expectation` in a trial, where the controller's commands left no doubt of what it wanted. [`Metric::Repeatability`] gives the trial's contribution: its window mean over the setpoint, in percent.
 pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
+    let measure = of_trace(expectation, rows, telemetry);
+    let has_number = matches!(measure, Measure::Value(_) | Measure::Between(_));
+    match breach(telemetry).filter(|_| has_number && expectation.metric != Metric::MissedReplies) {
+        Some(what) => Measure::Missing(what),
+        None => measure,
+    }
+}
+
+/// What the controller commanded that the trace cannot show: the plate that it shows was driven by less than that.
+fn breach(telemetry: &Telemetry) -> Option<&'static str> {
+    if telemetry.not_finite.is_some() {
+        Some("0 V took the place of a drive that is no number")
+    } else {
+        (telemetry.contradictions > 0).then_some("answered one sample with two different commands")
+    }
+}
+
+fn of_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let Some(last) = rows.last() else { return Measure::Undefined("the trace is empty") };
     // A controller that has given up neither overshoots nor saturates: that is no merit, unless giving up is what was asked of it.
     // Not if it was cut off: the 0 V is then the bench's own.

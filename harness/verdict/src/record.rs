@@ -311,6 +311,14 @@ pub struct Telemetry {
     /// Commands whose drive was no number, where there were any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub not_finite: Option<NotFinite>,
+    /// Commands that wanted something else than the one before them, in answer to the same sample.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub contradictions: u64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "as serde calls it")]
+fn is_zero(count: &u64) -> bool {
+    *count == 0
 }
 
 /// Commands whose drive was NaN or infinite: the amplifier gave 0 V instead, so the trace does not show them.

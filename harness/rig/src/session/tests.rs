@@ -32,6 +32,8 @@ enum Fault {
     Silent,
     FlipAnswer,
     OldAnswers,
+    Doubled,
+    Contradicting,
     Dead,
 }
 
@@ -62,6 +64,17 @@ impl Link for Faulty {
                 answer.extend(&real);
             }
             Fault::OldAnswers => answer.extend(&self.before),
+            Fault::Doubled => answer.extend([&real[..], &real[..]].concat()),
+            Fault::Contradicting => {
+                answer.extend(&real);
+                let mut reader = FrameReader::new();
+                let body = real.iter().find_map(|&byte| reader.push(byte).map(|body| body.unwrap().to_vec())).unwrap();
+                let mut packet = Packet::decode(&body).unwrap();
+                if let Message::Command(command) = &mut packet.message {
+                    command.drive_vpp += 1.0;
+                }
+                answer.extend(packet.encode().as_bytes());
+            }
             _ => answer.extend(&real),
         }
         self.before = real;
@@ -174,6 +187,31 @@ fn what_cannot_be_read_is_counted_from_the_beginning_of_a_trial() {
     *bench.fault.lock().unwrap() = Fault::None;
     bench.session.begin(&CONFIGURE).unwrap();
     assert_eq!(bench.session.refused(), 0);
+}
+
+#[test]
+fn two_answers_to_one_sample_that_want_different_things_are_counted() {
+    let mut bench = bench();
+    let mut sample = |fault, ms| {
+        *bench.fault.lock().unwrap() = fault;
+        bench.session.sample(Duration::from_millis(ms), &FROM_REST).unwrap().unwrap();
+        bench.session.contradictions()
+    };
+    assert_eq!([Fault::None, Fault::Doubled].map(|fault| sample(fault, 0)), [0, 0], "doubled by the line");
+    // Each sample has a number of its own, around the end of the numbers too.
+    assert!((1..=300).all(|number| sample(Fault::Contradicting, number) == number));
+    assert_eq!(sample(Fault::None, 301), 300);
+    *bench.fault.lock().unwrap() = Fault::None;
+    bench.session.begin(&CONFIGURE).unwrap();
+    assert_eq!(bench.session.contradictions(), 0);
+}
+
+#[test]
+fn a_controller_that_takes_its_command_back_does_not_contradict_itself() {
+    let mut bench = bench();
+    bench.session.sample(Duration::ZERO, &FROM_REST).unwrap().unwrap();
+    let stopped = bench.session.pass(Duration::from_millis(5)).unwrap().unwrap();
+    assert_eq!((stopped.state, bench.session.contradictions()), (State::Fault, 0));
 }
 
 #[test]

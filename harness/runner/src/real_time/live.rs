@@ -356,6 +356,7 @@ impl<'a, L: Link> Live<'a, L> {
         let telemetry = Telemetry {
             faults,
             not_finite,
+            contradictions: self.session.contradictions(),
             stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
             loop_delay_us: timing.loop_delay_us.map(|quantiles| quantiles.max),
             rig_delay_us: timing.loop_delay_us.map(|_| self.accounts.longest_rig_delay.as_secs_f64() * 1e6),

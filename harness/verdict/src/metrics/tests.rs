@@ -1,4 +1,5 @@
 use super::*;
+use crate::record::NotFinite;
 use platebench_scenario::{Limit, Over};
 use rstest::rstest;
 use std::collections::BTreeMap;
@@ -14,6 +15,7 @@ const TOLD_NOTHING: Telemetry = Telemetry {
     stopped: None,
     faults: BTreeMap::new(),
     not_finite: None,
+    contradictions: 0,
 };
 
 fn ms(value: f64) -> Time {
@@ -556,4 +558,24 @@ fn what_nobody_can_see_of_a_real_plate_has_no_number() {
         );
         assert_eq!(unknown, expected, "{metric}");
     }
+}
+
+#[test]
+fn what_was_driven_in_the_place_of_what_was_commanded_is_no_merit() {
+    let settled = sampled([0.0, 1.0, 60.0], |_| 2.0, |t| if t < 1.0 { 0.0 } else { 2.0 });
+    let not_a_number = Telemetry { not_finite: Some(NotFinite { at_s: 0.01, count: 1 }), ..TOLD_NOTHING };
+    let twice = Telemetry { contradictions: 1, ..TOLD_NOTHING };
+    for metric in [Metric::SettlingTime, Metric::Overshoot, Metric::DrivePeak, Metric::FinalAmplitude] {
+        assert!(matches!(measure(&expect(metric), &settled, &TOLD_NOTHING), Measure::Value(_)), "{metric}");
+        for breached in [&not_a_number, &twice] {
+            assert!(matches!(measure(&expect(metric), &settled, breached), Measure::Missing(_)), "{metric}");
+        }
+    }
+    let shut = stopping(|t| t >= 44);
+    assert!(matches!(measure(&shutdown(60.0), &shut, &TOLD_NOTHING), Measure::Value(_)));
+    assert!(matches!(measure(&shutdown(60.0), &shut, &not_a_number), Measure::Missing(_)), "its 0 V is the bench's");
+    // The line did what it should, and what was missing before stays what it was.
+    assert_eq!(measure(&expect(Metric::MissedReplies), &settled, &twice), Measure::Value(0.0));
+    let never = sampled([0.0, 1.0, 60.0], |_| 2.0, |_| 0.0);
+    assert_eq!(measure(&expect(Metric::SettlingTime), &never, &twice), Measure::Missing("never stays inside the band"));
 }
