@@ -24,6 +24,9 @@ const BUDGET_WINDOW: usize = 40;
 /// Half the band around the setpoint.
 const BUDGET_BAND: f64 = 0.05;
 
+/// A controller without a sample for so many periods stops, unless it was told to wait longer.
+const PATIENCE_PERIODS: u64 = 5;
+
 /// Plays to the end.
 struct Patient;
 
@@ -42,6 +45,7 @@ pub(crate) fn measured(
     telemetry: &Telemetry,
 ) -> TrialMeasures {
     let mut measures = measure(scenario, index, rows, telemetry);
+    excuse_patience(scenario, telemetry, &mut measures);
     let Some((typical, longest)) = added_delay(telemetry) else { return measures };
     excuse_loop_delay(scenario, &mut measures);
     let missed: Vec<usize> = missed(scenario, &measures).collect();
@@ -88,6 +92,25 @@ fn added_delay(telemetry: &Telemetry) -> Option<(Time, Time)> {
     // Where the target paces, a plate that is sampled late is no part of the delay, and does the same to the loop.
     let late = if timing.pacing == Pacing::Target.name() { timing.lateness_us.max } else { 0.0 };
     Some((Time::from_ms(delay.p50 / 1e3)?, Time::from_ms((delay.max + late) / 1e3)?))
+}
+
+/// Where the plate waits and the controller's clock does not, it is told to wait as well: a silence on the line that should stop it then does not.
+fn excuse_patience(scenario: &Scenario, telemetry: &Telemetry, measures: &mut TrialMeasures) {
+    let Some(patience_ms) = telemetry.patience_ms else { return };
+    let period = scenario.controller.period;
+    let patience = period.times(PATIENCE_PERIODS);
+    if !scenario.faults.iter().any(|fault| fault.outlasts(patience, period)) {
+        return;
+    }
+    let reason = format!(
+        "in lockstep this controller waits {patience_ms} ms of its own clock for a sample, which a planned silence of the line does not last; --clock real-time decides it"
+    );
+    let missed: Vec<usize> = missed(scenario, measures).collect();
+    for number in missed {
+        if let Some(excuse @ None) = measures.excuses.get_mut(number) {
+            *excuse = Some(Excuse { cause: Cause::Rig, reason: reason.clone() });
+        }
+    }
 }
 
 /// In real time the loop delay is that of line and bench as well.
@@ -235,6 +258,26 @@ mod tests {
     #[test]
     fn a_controller_that_is_worse_than_the_law_at_the_same_delay_has_no_excuse() {
         assert_eq!(excuse(LawId::OpenLoop, 1.0), None);
+    }
+
+    /// Whether a controller that plays on through a planned silence is excused, by its patience.
+    fn silence_excused(name: &str, patience_ms: Option<u16>) -> bool {
+        let scenario = scenario(name);
+        // As if nothing had been lost: it never stops.
+        let undisturbed = Scenario { faults: Vec::new(), ..scenario.clone() };
+        let rows = play(&undisturbed, LawId::DqPi, 0).unwrap();
+        let telemetry = Telemetry { patience_ms, ..Telemetry::default() };
+        let measures = measured(&scenario, LawId::DqPi, 0, &rows, &telemetry);
+        let cause = |excuse: &Option<Excuse>| excuse.as_ref().map(|excuse| excuse.cause);
+        measures.excuses.iter().any(|excuse| cause(excuse) == Some(Cause::Rig))
+    }
+
+    #[test]
+    fn a_controller_that_was_told_to_wait_is_not_blamed_for_waiting() {
+        assert!(silence_excused("faults/five-periods-of-silence.toml", Some(1_000)));
+        assert!(!silence_excused("faults/five-periods-of-silence.toml", None), "its clock is the plate's");
+        // One sample: nobody would stop for that.
+        assert!(!silence_excused("faults/lost-sample.toml", Some(1_000)));
     }
 
     #[test]

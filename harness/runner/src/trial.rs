@@ -83,8 +83,9 @@ pub fn play_watched<L: Link>(
     let faults = trial.session.link().counts().map(|(kind, count)| (kind.to_owned(), count)).collect();
     let not_finite = trial.stage.not_finite();
     let contradictions = trial.session.contradictions();
+    let patience_ms = order.own_clock.then_some(OWN_CLOCK_PATIENCE_MS);
     let told = trial.observed.telemetry();
-    let telemetry = Telemetry { ended, faults, not_finite, contradictions, ..told };
+    let telemetry = Telemetry { ended, faults, not_finite, contradictions, patience_ms, ..told };
     Some(Played { telemetry, rows: trial.stage.into_rows(), lost: trial.lost })
 }
 

@@ -103,4 +103,51 @@ impl Fault {
         };
         self.until.is_some_and(|until| self.from <= time && time < until + period + held)
     }
+
+    /// True where it keeps every sample from the controller for so long that a patience of `patience` is over before the next one comes.
+    pub fn outlasts(&self, patience: Time, period: Time) -> bool {
+        let silent = match self.kind {
+            FaultKind::Delay(delay) => Some(delay),
+            FaultKind::Drop | FaultKind::Disconnect => self.until.map(|until| until - self.from),
+            _ => return false,
+        };
+        // Since the last sample that came.
+        self.direction != Direction::FromController
+            && self.every == 1
+            && silent.is_none_or(|silent| silent + period >= patience)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_silence_outlasts_a_patience_from_the_last_sample_on() {
+        let ms = |ms: u64| Time::from_nanos(ms * 1_000_000);
+        let until = |until| Some(ms(40) + until);
+        let drop = Fault {
+            kind: FaultKind::Drop,
+            from: ms(40),
+            until: until(ms(4)),
+            direction: Direction::ToController,
+            every: 1,
+            seed: None,
+            reconfigure: false,
+        };
+        // The last sample came at 39 ms, the next one comes at 44 ms.
+        let outlasts = |fault: Fault| fault.outlasts(ms(5), ms(1));
+        assert!(outlasts(drop));
+        assert!(!outlasts(Fault { until: until(ms(4) - Time::from_nanos(1)), ..drop }));
+        assert!(outlasts(Fault { kind: FaultKind::Disconnect, until: None, direction: Direction::Both, ..drop }));
+        assert!(outlasts(Fault { kind: FaultKind::Delay(ms(4)), ..drop }));
+        assert!(!outlasts(Fault { kind: FaultKind::Delay(ms(3)), ..drop }));
+        for still_heard in [
+            Fault { direction: Direction::FromController, ..drop },
+            Fault { every: 2, ..drop },
+            Fault { kind: FaultKind::Babble, ..drop },
+        ] {
+            assert!(!outlasts(still_heard), "{still_heard:?}");
+        }
+    }
 }

@@ -311,6 +311,9 @@ pub struct Telemetry {
     /// Commands whose drive was no number, where there were any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub not_finite: Option<NotFinite>,
+    /// How long the controller was told to wait for a sample by a clock of its own that goes on while the plate waits, ms; not there where its clock is the plate's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub patience_ms: Option<u16>,
     /// Commands that wanted something else than the one before them, in answer to the same sample.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub contradictions: u64,

@@ -15,6 +15,7 @@ const TOLD_NOTHING: Telemetry = Telemetry {
     stopped: None,
     faults: BTreeMap::new(),
     not_finite: None,
+    patience_ms: None,
     contradictions: 0,
 };
 
