@@ -320,9 +320,23 @@ impl<'a, L: Link> Live<'a, L> {
                 self.hear(&heard)?;
             }
         }
+        // What came in time may not have been read yet; a controller that does not stop talking is not listened to for ever.
+        for _ in 0..self.open.len() {
+            let Some(heard) = self.session.listen(Instant::now())? else { break };
+            self.hear(&heard)?;
+        }
         self.stage.advance_through(self.duration);
-        self.stage.push_row(0.0, Flags::empty());
+        let missed = u64::from(self.misses_last());
+        self.accounts.missed_replies += missed;
+        self.stage.tell(missed, self.session.refused());
+        self.stage.push_row(0.0, if missed > 0 { Flags::LINK_LOST } else { Flags::empty() });
         Ok(())
+    }
+
+    /// True where the last sample had a whole period for its answer and has none: no further control instant would notice.
+    fn misses_last(&self) -> bool {
+        let sampled = self.last_sent.and_then(|last| self.open.get(usize::from(last)).copied().flatten());
+        sampled.is_some_and(|sampled| self.duration.since(sampled) >= self.period)
     }
 
     /// 0 V, and the books closed. `None` where the trial was given up.

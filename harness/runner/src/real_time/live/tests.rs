@@ -5,6 +5,7 @@ use crate::watch::Watch;
 use allocation_counter::{AllocationInfo, measure, opt_out};
 use platebench_rig::{Hosted, LinkError, Paced, Serial, Terminal};
 use platebench_scenario::load;
+use platebench_wire::{FrameReader, Packet};
 use std::path::Path;
 use std::thread;
 
@@ -118,4 +119,50 @@ fn the_loop_allocates_nothing_over_a_terminal() {
     assert_eq!(allocated, AllocationInfo::default());
     drop(session);
     board.join().unwrap();
+}
+
+/// Answers every sample but the one at the last control instant.
+struct SilentAtLast {
+    inner: Hosted,
+    last_us: u32,
+}
+
+impl Link for SilentAtLast {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let mut reader = FrameReader::new();
+        let mut messages =
+            bytes.iter().filter_map(|&byte| Some(Packet::decode(reader.push(byte)?.ok()?).ok()?.message));
+        let is_last =
+            messages.any(|message| matches!(message, Message::Sample(sample) if sample.time_us == self.last_us));
+        let before = answer.len();
+        let took = self.inner.exchange(now, bytes, answer);
+        if is_last {
+            answer.truncate(before);
+        }
+        took
+    }
+
+    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.inner.pass(now, said)
+    }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        self.inner.restart()
+    }
+}
+
+/// No further control instant would notice.
+#[test]
+fn a_last_sample_without_an_answer_is_a_missing_answer() {
+    let scenario = scenario("paper/fig13-closed-loop.toml");
+    let link = SilentAtLast { inner: Hosted::new(), last_us: 59_000 };
+    let mut session = Session::open(Faulty::new(Paced::new(link))).unwrap();
+    let order = Order { scenario: &scenario, law: LawId::DqPi, index: 0, wire_time: false, own_clock: true };
+    let pace = Pace { time_scale: 1.0, pacing: Pacing::Bench };
+    let played = crate::real_time::play(&mut session, &order, pace, &Patient).unwrap();
+    let last = played.rows.last().unwrap();
+    assert!(last.flags.contains(Flags::LINK_LOST) && played.lost.is_none(), "{last:?}");
+    let timing = played.telemetry.timing.unwrap();
+    // A computer that stalls may have skipped it; then its instant is an overrun.
+    assert!(timing.missed_replies > 0 || timing.skipped > 0, "{timing:?}");
 }
