@@ -16,6 +16,7 @@
 //! | `trap=N` | the processor traps |
 //! | `stop=N` | the board stops by itself |
 //! | `hold=UM` | this setpoint is held, whatever is asked for |
+//! | `clock=X` | the board's timer runs so many times as fast as it believes |
 
 use platebench_controller::Machine;
 use platebench_plate::file::RawPlate;
@@ -144,7 +145,8 @@ impl Board {
     fn next_period(&self) -> Option<Instant> {
         let trial = self.trial.as_ref()?;
         let period = Duration::from_micros(trial.configure.period_us.into());
-        trial.started.map(|started| started + period * trial.period)
+        let rate = self.wish("clock").unwrap_or(1.0);
+        trial.started.map(|started| started + (period * trial.period).div_f64(rate))
     }
 
     fn say(&self, sequence: u8, message: Message) {

@@ -106,6 +106,11 @@ fn disturbance(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Opti
         let what = format!("the bench was too late {} times, first at {} ms", late().count(), first.t_s * 1e3);
         return Some((Cause::Bench, what));
     }
+    let paced = telemetry.timing.as_ref().filter(|timing| timing.pacing == "target");
+    let clock = paced.and_then(|timing| timing.target_clock_ppm.zip(timing.target_clock_error_ppm));
+    if let Some(what) = clock.and_then(|(ppm, error)| other_clock(scenario, ppm, error)) {
+        return Some((Cause::Rig, what));
+    }
     if let Some(lost) = telemetry.timing.as_ref().map(|timing| timing.lost_rows).filter(|lost| *lost > 0) {
         return Some((Cause::Bench, format!("{lost} rows were lost on their way out of the loop")));
     }
@@ -122,6 +127,22 @@ fn disturbance(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Opti
     let end = rows.last().map_or(0.0, |row| row.t_s);
     (end < scenario.duration.seconds())
         .then(|| (Cause::Bench, format!("the trace ends at {} ms instead of {}", end * 1e3, scenario.duration)))
+}
+
+/// Says where a controller that makes the control instants by a timer of its own made others than those that the scenario asks for. Crystals are off by some 100 ppm and
+/// oscillators on the chip by 1 %; a clock that was set up wrongly is off by a factor.
+pub(crate) fn other_clock(scenario: &Scenario, ppm: f64, error_ppm: f64) -> Option<String> {
+    const CLOCK_PPM: f64 = 20_000.0;
+    // One stall of the computer at either end of the trial.
+    const STALL_S: f64 = 0.05;
+    let allowed = CLOCK_PPM + 4.0 * error_ppm + STALL_S / scenario.duration.seconds() * 1e6;
+    let how = if ppm > 0.0 { "fast" } else { "slow" };
+    let percent = ppm.abs() / 1e4;
+    (ppm.abs() > allowed).then(|| {
+        format!(
+            "the controller's clock runs {percent:.0} % {how} by the bench's: its periods are not those of the scenario"
+        )
+    })
 }
 
 /// How many overruns a trial may have and still count: what the scenario expects of `overruns` at most, else none.

@@ -5,7 +5,7 @@
 //! temperature were those of the scenario. Which metric can be had at all is with the [`metrics`](crate::metrics).
 
 use crate::feasibility::is_bound_by_drive;
-use crate::judge::Excuse;
+use crate::judge::{Excuse, other_clock};
 use crate::record::{Cause, RealPlate};
 use platebench_plate::{Profile, Time};
 use platebench_scenario::{Expectation, Scenario};
@@ -49,8 +49,10 @@ pub fn impossible(scenario: &Scenario) -> Option<String> {
 
 /// What happened in a trial on a real plate that is not the controller's doing.
 pub(crate) fn disturbance(scenario: &Scenario, rows: &[Row], told: Option<&RealPlate>) -> Option<(Cause, String)> {
+    let clock = told.and_then(|told| told.clock_ppm);
     surroundings(scenario, rows, told)
         .or_else(|| flagged(rows))
+        .or_else(|| clock.and_then(|[ppm, error]| other_clock(scenario, ppm, error)))
         .map(|what| (Cause::Rig, what))
         .or_else(|| {
             let lost = told.map_or(0, |told| told.lost_rows);

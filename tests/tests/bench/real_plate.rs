@@ -99,6 +99,8 @@ fn a_step_of_a_real_plate_is_recorded_judged_and_judged_again() {
 #[case::silence("mute=150", "the telemetry ends at 149 ms", 5)]
 #[case::reset("reset=150", "the telemetry ends at 149 ms", 5)]
 #[case::deaf("deaf=50", "a setpoint was not acknowledged by", 3)]
+#[case::fast_clock("clock=2", "the controller's clock runs", 3)]
+#[case::slow_clock("clock=0.5", "the controller's clock runs", 3)]
 #[case::other_setpoint("hold=1.0", "the controller held a setpoint of 1 µm at 0 ms", 3)]
 fn what_was_not_heard_is_no_verdict(#[case] wishes: &str, #[case] reason: &str, #[case] expected: i32) {
     let workshop = Workshop::new();

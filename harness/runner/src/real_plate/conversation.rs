@@ -4,7 +4,7 @@
 //! between to keep it alive. However the trial ends, 0 V is asked for before anything else.
 
 use super::rows::{Rows, Told};
-use crate::accounting::Spans;
+use crate::accounting::{Drift, Spans};
 use crate::configure::configure;
 use crate::end::End;
 use crate::observed::stop_reason;
@@ -64,6 +64,9 @@ pub(super) struct Conversation<'a, L: Link> {
     acknowledged: Spans,
     setpoints: u64,
     unacknowledged: u64,
+    /// Since its first telemetry.
+    drift: Drift,
+    first_told: Option<Instant>,
     stopped: Option<&'static str>,
 }
 
@@ -83,6 +86,8 @@ impl<'a, L: Link> Conversation<'a, L> {
             acknowledged: Spans::new(),
             setpoints: 0,
             unacknowledged: 0,
+            drift: Drift::default(),
+            first_told: None,
             stopped: None,
         }
     }
@@ -105,6 +110,7 @@ impl<'a, L: Link> Conversation<'a, L> {
             acknowledged_us: self.acknowledged.quantiles_us(),
             refused_frames: self.session.refused(),
             lost_rows: self.queue.lost(),
+            clock_ppm: self.drift.ppm().map(|(ppm, error)| [ppm, error]),
             force_measured: self.rows.force_measured,
             safe_confirmed,
             ..RealPlate::default()
@@ -193,6 +199,8 @@ impl<'a, L: Link> Conversation<'a, L> {
             Message::Telemetry(told) => {
                 let Told::Row(row) = self.rows.take(told) else { return Ok(()) };
                 self.last_told = at;
+                let since = at.saturating_duration_since(*self.first_told.get_or_insert(at));
+                self.drift.take(since, told.target_time_us);
                 if told.state != State::Running {
                     self.stopped.get_or_insert(why(told.cause));
                 }

@@ -437,6 +437,29 @@ fn a_trial_that_lost_rows_on_their_way_does_not_count() {
     assert_eq!((cause(0), cause(1)), (None, Some(Cause::Bench)));
 }
 
+/// A stall of 50 ms in 60 ms, 2 %, and four standard errors of 0.5 %.
+#[rstest]
+#[case::in_step("target", 873_333.0, None)]
+#[case::fast("target", 873_334.0, Some(Cause::Rig))]
+#[case::slow("target", -873_334.0, Some(Cause::Rig))]
+#[case::it_does_not_pace("bench", 1e6, None)]
+fn a_target_that_paces_by_a_wrong_clock_plays_another_scenario(
+    #[case] pacing: &str,
+    #[case] ppm: f64,
+    #[case] expected: Option<Cause>,
+) {
+    let scenario = Build { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..ONE }.scenario();
+    let timing = crate::record::Timing {
+        pacing: pacing.to_owned(),
+        target_clock_ppm: Some(ppm),
+        target_clock_error_ppm: Some(5_000.0),
+        ..Default::default()
+    };
+    let telemetry = Telemetry { timing: Some(timing), ..Telemetry::default() };
+    let trial = measure(&scenario, 0, &rows(&scenario, |_| 2.0), &telemetry);
+    assert_eq!(trial.cause.map(|(cause, _)| cause), expected);
+}
+
 #[test]
 fn disturbances_are_read_off_the_trace() {
     let scenario = Build { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..ONE }.scenario();

@@ -20,6 +20,9 @@ pub struct RealPlate {
     pub refused_frames: u64,
     /// Rows that found no room on their way out of the loop.
     pub lost_rows: u64,
+    /// How much faster than the bench's clock the controller's runs, parts per million, with its standard error; `null` where too little was heard.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clock_ppm: Option<[f64; 2]>,
     /// True where the controller measures the finger's force.
     pub force_measured: bool,
     /// True where the controller confirmed 0 V at the end of the trial.
