@@ -131,6 +131,9 @@ fn summary(text: &mut String, record: &RunRecord, style: Style) {
             wrapped(text, "  ↳ ", "    ", &change);
         }
     }
+    if let Some(changed) = shown::overrides(record) {
+        wrapped(text, "", "  ", &format!("not as the scenarios have it: {changed}"));
+    }
     if !record.complete {
         text.push_str("the run was not finished\n");
     }

@@ -53,6 +53,9 @@ pub fn page(record: &RunRecord) -> String {
         cell(&record.clock),
         cell(&record.started)
     );
+    if let Some(changed) = shown::overrides(record) {
+        let _ = writeln!(text, "Not as the scenarios have it: {}.\n", cell(&changed));
+    }
     if let Some(doubt) = evidence::doubt(record) {
         let _ = writeln!(text, "**{doubt}**\n");
     }

@@ -50,6 +50,19 @@ impl fmt::Display for Counts {
     }
 }
 
+/// What the command line, or the environment in its place, has changed in the scenarios: `law dq-pi, trials 1`.
+pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
+    let overrides = &record.overrides;
+    let changed = [
+        ("law", overrides.law.clone()),
+        ("model", overrides.model.clone()),
+        ("trials", overrides.trials.map(|trials| trials.to_string())),
+        ("seed", overrides.seed.map(|seed| seed.to_string())),
+    ];
+    let changed: Vec<_> = changed.into_iter().filter_map(|(name, value)| Some(format!("{name} {}", value?))).collect();
+    (!changed.is_empty()).then(|| changed.join(", "))
+}
+
 /// `1 trial`, `30 trials`.
 pub(crate) fn count(number: usize, one: &str) -> String {
     if number == 1 { format!("1 {one}") } else { format!("{number} {one}s") }

@@ -2,19 +2,13 @@
 //!
 //! Neighbours: everything stands in the record.
 
+use crate::shown;
 use maud::{Markup, html};
 use platebench_verdict::RunRecord;
 use std::collections::BTreeSet;
 
 /// Tool, rig, firmware, clock, host, overrides and inputs.
 pub(super) fn section(record: &RunRecord) -> Markup {
-    let overrides = [
-        ("law", record.overrides.law.clone()),
-        ("trials", record.overrides.trials.map(|trials| trials.to_string())),
-        ("seed", record.overrides.seed.map(|seed| seed.to_string())),
-    ];
-    let overrides: Vec<String> =
-        overrides.into_iter().filter_map(|(name, value)| Some(format!("{name} {}", value?))).collect();
     let firmware = record.rig.firmware.as_ref().map(|firmware| {
         format!("{} {}, build {}, chip {}", firmware.name, firmware.version, firmware.build, firmware.chip)
     });
@@ -25,7 +19,7 @@ pub(super) fn section(record: &RunRecord) -> Markup {
         ("Firmware", firmware.unwrap_or_else(|| "did not introduce itself".to_owned())),
         ("Clock", record.clock.clone()),
         ("Host", format!("{}, {}", record.host.os, record.host.arch)),
-        ("Overrides", if overrides.is_empty() { "none".to_owned() } else { overrides.join(", ") }),
+        ("Overrides", shown::overrides(record).unwrap_or_else(|| "none".to_owned())),
     ];
     let inputs: BTreeSet<(&str, &str)> = record
         .scenarios

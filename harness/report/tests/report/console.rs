@@ -34,8 +34,23 @@ fn a_run_without_anything_does_not_look_green() {
     assert_eq!(
         text,
         "0 scenarios: 0 passed, 0 failed, 0 inconclusive\n0 expectations: 0 passed, 0 failed, 0 inconclusive\n\
-         the run was not finished\nverdict: ? inconclusive\n"
+         not as the scenarios have it: seed 7\nthe run was not finished\nverdict: ? inconclusive\n"
     );
+}
+
+/// A variable of the environment may have changed what was played: nobody has to look for that.
+#[test]
+fn what_was_changed_in_the_scenarios_is_said_beside_the_verdict() {
+    let mut record = made::run(Vec::new());
+    let said = |record: &platebench_verdict::RunRecord| {
+        let text = console::table(record, Style::default());
+        text.lines().find(|line| line.starts_with("not as")).map(str::to_owned)
+    };
+    record.overrides.law = Some("dq-pi".to_owned());
+    record.overrides.trials = Some(1);
+    assert_eq!(said(&record).as_deref(), Some("not as the scenarios have it: law dq-pi, trials 1, seed 7"));
+    record.overrides = Default::default();
+    assert_eq!(said(&record), None);
 }
 
 #[test]
@@ -53,6 +68,7 @@ fn a_step_that_became_longer_is_told_below_the_counts() {
             "  ↳ mean 2 410 over the 42 trials that both played: 3.6 % less than 2 500 of build 00112233 (the",
             "    image that comes with the bench)",
             "instructions per step: 2 494 worst (open-loop), 1.5 % of the 168 000 of a 1 ms period",
+            "not as the scenarios have it: seed 7",
         ]
     );
 }
