@@ -7,6 +7,7 @@
 //! * [`mode`]: what a finger and a temperature make of the mode's damping and resonance.
 //! * [`input`]: files that people hand in.
 //! * [`flow`]: exact propagation between two events, per tier.
+//! * [`crossing`]: entering and leaving bands.
 //! * [`plant`]: a plate playing its profiles: events in, state out.
 //! * [`phase`]: the carrier's phase.
 //! * [`demodulator`]: the sensor's converter and lock-in demodulator.
@@ -22,6 +23,7 @@
 
 pub mod batch;
 pub mod bound;
+pub mod crossing;
 pub mod demodulator;
 pub mod file;
 pub mod flow;
@@ -36,13 +38,14 @@ pub mod time;
 
 pub use batch::Envelopes;
 pub use bound::Beforehand;
+pub use crossing::{Crossing, Watch};
 pub use demodulator::{Demodulator, Lockin, Resolution};
 pub use file::{Plate, PlateError, Uncertainty};
 pub use flow::{Flow, State};
 pub use mode::{Conditions, Drive, Mode};
 pub use num_complex::Complex64;
 pub use phase::{Phase, Rate};
-pub use plant::{Crossing, Plant, Scene, Watch};
+pub use plant::{Plant, Scene};
 pub use profile::{Profile, ProfileError};
 pub use sensor::Sensor;
 pub use tier::Tier;

@@ -1,5 +1,8 @@
 //! A plate playing its profiles: the only thing that moves a [`State`] through time.
 
+pub use crate::crossing::{Crossing, Signal, Watch};
+
+use crate::crossing::find_crossings;
 use crate::demodulator::Demodulator;
 use crate::file::Plate;
 use crate::flow::{Flow, State};
@@ -20,8 +23,6 @@ use std::f64::consts::TAU;
 const FREEZING_ERROR: f64 = 1e-7;
 /// Seconds. A line that asks for shorter substeps is over within microseconds, a jump in all but name.
 const SHORTEST_SUBSTEP: f64 = 1e-7;
-/// Entering and leaving a band is looked for at this spacing, some fifteen points per period of the fast pole.
-const SCAN: u64 = 1_000;
 
 /// What surrounds a plate during a trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,62 +47,6 @@ impl Scene {
         let points = [&self.temperature_offset_k, &self.finger_force_n].map(|profile| profile.next_point_after(time));
         points.into_iter().flatten().min()
     }
-}
-
-/// Which signal of the plate a [`Watch`] looks at.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Signal {
-    /// |W|
-    Amplitude,
-    /// Wd
-    InPhase,
-    /// Wq
-    Quadrature,
-}
-
-impl Signal {
-    /// The signal's value in µm.
-    pub fn of(self, state: &State) -> f64 {
-        match self {
-            Self::Amplitude => state.amplitude(),
-            Self::InPhase => state.w.re,
-            Self::Quadrature => state.w.im,
-        }
-    }
-}
-
-/// A band whose crossings are to be found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Watch {
-    /// What is watched.
-    pub signal: Signal,
-    /// Lower edge, µm, still inside.
-    pub low: f64,
-    /// Upper edge, µm, still inside.
-    pub high: f64,
-}
-
-impl Watch {
-    fn holds(&self, state: &State) -> bool {
-        (self.low..=self.high).contains(&self.signal.of(state))
-    }
-
-    /// Distance in µm of `state` from the nearer edge.
-    fn distance(&self, state: &State) -> f64 {
-        let value = self.signal.of(state);
-        (value - self.low).abs().min((value - self.high).abs())
-    }
-}
-
-/// A watched signal has entered or left its band.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Crossing {
-    /// The first nanosecond on the other side.
-    pub time: Time,
-    /// The state then.
-    pub state: State,
-    /// The state a nanosecond earlier, still on this side.
-    pub before: State,
 }
 
 /// A plate in motion.
@@ -281,28 +226,4 @@ impl Plant {
 /// to `|λ'|/(2ω0σ)` of |W| however short the substeps.
 fn kicks_in_step(turns: f64) -> bool {
     turns > 0.75 && !(0.25..=0.75).contains(&turns.fract())
-}
-
-fn find_crossings(watch: &Watch, flow: &Flow, from: &State, start: Time, end: Time, found: &mut Vec<Crossing>) {
-    let state_at = |nanos: u64| flow.after(Time::from_nanos(nanos).since(start).seconds());
-    let mut low = start.as_nanos();
-    let mut inside = watch.holds(from);
-    while low < end.as_nanos() {
-        let high = (low + SCAN).min(end.as_nanos());
-        if watch.holds(&state_at(high)) != inside {
-            let (mut before, mut behind) = (low, high);
-            while behind - before > 1 {
-                let middle = u64::midpoint(before, behind);
-                if watch.holds(&state_at(middle)) == inside {
-                    before = middle;
-                } else {
-                    behind = middle;
-                }
-            }
-            let time = Time::from_nanos(behind);
-            found.push(Crossing { time, state: state_at(behind), before: state_at(before) });
-            inside = !inside;
-        }
-        low = high;
-    }
 }
