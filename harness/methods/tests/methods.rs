@@ -121,7 +121,7 @@ fn a_moving_mode_is_the_same_for_the_closed_form_and_for_an_integrator() {
     let passage = passage(&moving(), 3);
     for frame in Frame::ALL {
         let tight = played(&passage, frame, Method::Adaptive(Adaptive::Dop853), 1e-13).samples;
-        // What freezing in substeps may cost, `docs/mathematics.md`.
+        // What a moving mode may cost, `docs/mathematics.md`.
         let error = passage.error(&passage.exact(frame), &tight);
         assert!(error < 8.4e-7, "{frame:?} {error:e}");
     }

@@ -10,8 +10,8 @@ use crate::profile::Profile;
 use crate::tier::Tier;
 use crate::time::Time;
 
-/// Freezing varying parameters per substep, relative to what the drive would reach at resonance: three times `FREEZING_ERROR` of the plant.
-const FREEZING: f64 = 3e-7;
+/// Varying parameters, relative to what the drive would reach at resonance: three times `VARYING_ERROR` of the plant, which a mode that is frozen takes up.
+const VARYING: f64 = 3e-7;
 /// Rounding of an exact tier; 6.3e-12 was measured over 40 periods.
 const ROUNDING: f64 = 1e-10;
 /// Q∞ is `b'V/|σ + j(ωd + ω)|`: what ω and the mode may move it by as long as they stay within a percent of the reference.
@@ -109,7 +109,7 @@ impl Beforehand {
 
 /// Bound on the numerical error of an exact tier, relative to what the drive would reach at resonance; `varies` where parameters move between points.
 pub fn numerical(varies: bool) -> f64 {
-    if varies { FREEZING } else { ROUNDING }
+    if varies { VARYING } else { ROUNDING }
 }
 
 impl Plate {

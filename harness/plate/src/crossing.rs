@@ -1,6 +1,6 @@
 //! Entering and leaving bands, to the nanosecond.
 
-use crate::flow::{Flow, State};
+use crate::flow::State;
 use crate::time::Time;
 
 /// Entering and leaving a band is looked for at this spacing, some fifteen points per period of the fast pole.
@@ -62,17 +62,17 @@ pub struct Crossing {
     pub before: State,
 }
 
-/// Puts into `found` where the plate enters or leaves the band of `watch` up to `end`; it is in `from` at `start` and moves along
-/// `flow`.
+/// Puts into `found` where the plate enters or leaves the band of `watch` up to `end`; it is in `from` at `start` and in `after(t)`
+/// t seconds later.
 pub(crate) fn find_crossings(
     watch: &Watch,
-    flow: &Flow,
+    after: &impl Fn(f64) -> State,
     from: &State,
     start: Time,
     end: Time,
     found: &mut Vec<Crossing>,
 ) {
-    let state_at = |nanos: u64| flow.after(Time::from_nanos(nanos).since(start).seconds());
+    let state_at = |nanos: u64| after(Time::from_nanos(nanos).since(start).seconds());
     let mut low = start.as_nanos();
     let mut inside = watch.holds(from);
     while low < end.as_nanos() {

@@ -42,7 +42,7 @@ impl State {
         self.w.is_finite() && self.u.is_finite()
     }
 
-    fn flushed(self) -> Self {
+    pub(crate) fn flushed(self) -> Self {
         let flush = |z: Complex64| {
             let part = |x: f64| if x.abs() < NEGLIGIBLE { 0.0 } else { x };
             Complex64::new(part(z.re), part(z.im))

@@ -7,6 +7,7 @@
 //! * [`mode`]: what a finger and a temperature make of the mode's damping and resonance.
 //! * [`input`]: files that people hand in.
 //! * [`flow`]: exact propagation between two events, per tier.
+//! * `varying`: propagation while the mode moves.
 //! * [`crossing`]: entering and leaving bands.
 //! * [`plant`]: a plate playing its profiles: events in, state out.
 //! * [`phase`]: the carrier's phase.
@@ -35,6 +36,7 @@ pub mod profile;
 pub mod sensor;
 pub mod tier;
 pub mod time;
+mod varying;
 
 pub use batch::Envelopes;
 pub use bound::Beforehand;

@@ -4,7 +4,7 @@ use crate::input;
 use crate::time::Time;
 use schemars::JsonSchema;
 use serde::Deserialize;
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
 /// A profile as a scenario writes it.
@@ -222,15 +222,49 @@ impl Profile {
         }
     }
 
-    /// Bound on the slope per second between `from` and the next point. What a curve's bend adds over a memory of `memory` s is
-    /// included: `|v'|` and `|v''| · memory/2` together.
-    pub fn slope_after(&self, from: Time, memory: f64) -> f64 {
+    /// Bound on the slope per second between `from` and the next point.
+    pub fn slope_after(&self, from: Time) -> f64 {
         match self {
             Self::Hold(_) => 0.0,
             Self::Linear(_) => self
                 .next_point_after(from)
                 .map_or(0.0, |next| ((self.at(next) - self.at(from)) / (next - from).seconds()).abs()),
-            Self::Sine { amplitude, omega, .. } => (amplitude * omega).abs() * 1.0_f64.hypot(omega * memory / 2.0),
+            Self::Sine { amplitude, omega, .. } => (amplitude * omega).abs(),
+        }
+    }
+
+    /// The angular frequency with which it swings, rad/s; 0 where it is straight between its points.
+    pub fn angular_frequency(&self) -> f64 {
+        match self {
+            Self::Sine { amplitude, omega, .. } if *amplitude != 0.0 => *omega,
+            _ => 0.0,
+        }
+    }
+
+    /// The first nanosecond after `after` at which the profile, on its way to the next point, has passed `value`.
+    pub fn next_passage(&self, value: f64, after: Time) -> Option<Time> {
+        match self {
+            Self::Hold(_) => None,
+            Self::Linear(points) => {
+                let passed = points.partition_point(|(from, _)| *from <= after);
+                let (from, before) = *points.get(passed.checked_sub(1)?)?;
+                let (to, behind) = *points.get(passed)?;
+                let share = (value - before) / (behind - before);
+                let nanos = (share * (to - from).as_nanos() as f64).ceil();
+                let time = from + Time::from_nanos(nanos as u64);
+                (share > 0.0 && share < 1.0 && time > after).then_some(time)
+            }
+            Self::Sine { mean, amplitude, omega, phase } => {
+                let angle = ((value - mean) / amplitude).asin();
+                // Where the sine rises and where it falls; not a number where it does not get there.
+                let passages = [angle, PI - angle].map(|angle| {
+                    let turns = ((omega * after.seconds() + phase - angle) / TAU).floor();
+                    let instants = [turns, turns + 1.0, turns + 2.0].map(|turns| (angle + turns * TAU - phase) / omega);
+                    let nanos = instants.map(|seconds| (seconds * 1e9).ceil());
+                    nanos.into_iter().find(|nanos| *nanos > after.as_nanos() as f64)
+                });
+                passages.into_iter().flatten().min_by(f64::total_cmp).map(|nanos| Time::from_nanos(nanos as u64))
+            }
         }
     }
 
@@ -274,7 +308,7 @@ mod tests {
         }
         assert_eq!(profile.next_point_after(ms(1.0)), Some(ms(2.0)));
         assert_eq!(profile.next_point_after(ms(2.0)), None);
-        assert_eq!(profile.slope_after(ms(0.0), 1.0), 0.0);
+        assert_eq!(profile.slope_after(ms(0.0)), 0.0);
     }
 
     #[test]
@@ -284,7 +318,7 @@ mod tests {
             assert_eq!(profile.at(ms(t)), value, "at {t} ms");
         }
         for (t, slope) in [(0.0, 0.0), (20.0, 10.0), (119.0, 10.0), (120.0, 0.0)] {
-            assert!((profile.slope_after(ms(t), 1.0) - slope).abs() < 1e-9, "at {t} ms");
+            assert!((profile.slope_after(ms(t)) - slope).abs() < 1e-9, "at {t} ms");
         }
     }
 
@@ -295,8 +329,54 @@ mod tests {
         assert!((profile.at(ms(250.0)) - 0.5).abs() < 1e-12);
         assert_eq!(profile.range(), (0.5, 1.5));
         let slope = 0.5 * TAU * 2.0;
-        assert!((profile.slope_after(Time::ZERO, 0.0) - slope).abs() < 1e-12);
-        assert!((profile.slope_after(Time::ZERO, 1.0) - slope * 1.0_f64.hypot(TAU)).abs() < 1e-12);
+        assert!((profile.slope_after(Time::ZERO) - slope).abs() < 1e-12);
+        assert_eq!(profile.angular_frequency(), TAU * 2.0);
+    }
+
+    /// Each passage is right to a nanosecond, and none is left out.
+    #[rstest]
+    #[case::sine("{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 123.0, phase_deg = 40.0 } }")]
+    #[case::sine_upside_down("{ sine = { mean = 1.0, amplitude = -0.5, frequency_hz = 123.0, phase_deg = -400.0 } }")]
+    #[case::line("{ linear = [[0.0, 0.6], [5.0, 1.4], [9.0, 0.7], [20.0, 1.3], [30.0, 1.3]] }")]
+    fn a_passage_is_where_the_value_is_passed(#[case] text: &str, #[values(0.7001, 1.0, 1.25)] value: f64) {
+        let profile = read(text).unwrap();
+        let above = |nanos: u64| profile.at(Time::from_nanos(nanos)) >= value;
+        let changes: Vec<u64> = (0..30_000).map(|us| 1_000 * us).filter(|ns| above(*ns) != above(ns + 1_000)).collect();
+        let mut found = Vec::new();
+        let mut now = Time::ZERO;
+        while now < ms(30.0) {
+            let point = profile.next_point_after(now).unwrap_or(ms(30.0)).min(ms(30.0));
+            let passage = profile.next_passage(value, now).filter(|passage| *passage < point);
+            found.extend(passage);
+            now = passage.unwrap_or(point);
+        }
+        assert!(changes.len() >= 3, "{changes:?}");
+        assert_eq!(found.len(), changes.len(), "{found:?} {changes:?}");
+        for (passage, change) in found.iter().zip(&changes) {
+            let nanos = passage.as_nanos();
+            assert!((*change..=change + 1_001).contains(&nanos), "{passage}: {change}");
+            assert_ne!(above(nanos - 2), above(nanos + 1), "{passage}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_passed_has_no_passage() {
+        for text in [
+            "{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 2.0 } }",
+            "1.5",
+            "{ linear = [[0.0, 0.0], [9.0, 1.5]] }",
+        ] {
+            assert_eq!(read(text).unwrap().next_passage(1.6, Time::ZERO), None, "{text}");
+        }
+        let line = read("{ linear = [[2.0, 0.0], [12.0, 10.0], [13.0, 10.0]] }").unwrap();
+        // Before its first point it does not move; where it is now it does not come again.
+        assert_eq!(line.next_passage(1.0, Time::ZERO), None);
+        assert_eq!(line.next_passage(1.0, ms(2.0)), Some(ms(3.0)));
+        assert_eq!(line.next_passage(1.0, ms(3.0)), None);
+        for value in [0.0, 10.0] {
+            assert_eq!(line.next_passage(value, ms(2.0)), None);
+            assert_eq!(line.next_passage(value, ms(12.5)), None);
+        }
     }
 
     #[rstest]

@@ -67,7 +67,7 @@ fn explanation() -> Vec<Block> {
          at a control instant, relative to the setpoint; the cost is processor time per simulated millisecond, the median of batches that are measured in turn.",
         "The error of a drawing is numerical: against the exact solution of the same equations. What these equations leave out of the mode is the dashed line: \
          left of it a smaller step buys nothing. The closed form is held against DOP853 at a tolerance of 1e-13. Where a profile moves the mode within a period that \
-         reference serves for all, and the closed form shows what freezing the mode in substeps costs it.",
+         reference serves for all, and the closed form shows what taking a moving mode in substeps costs it.",
         "On the carrier the error is that of the phasor of y and y', and no tier of the bench works there in this chart: the line is what it costs to follow the waveform step by step.",
     ]
     .map(|text| Block::Text(text.to_owned()))
