@@ -142,11 +142,13 @@ impl Varying {
         let State { w, u } = self.state;
         let force = self.envelope_constant * self.drive.vpp;
         let (damping, detuning) = (self.sigma.start, self.omega0.start - self.drive.omega);
-        let swing = self.sigma.swing(seconds) + self.omega0.swing(seconds);
+        let (damping_swing, detuning_swing) = (self.sigma.swing(seconds), self.omega0.swing(seconds));
+        let swing = damping_swing + detuning_swing;
         match self.tier {
             Tier::Linear => {
-                let in_phase = seconds * ((force - damping * w.re).abs() + swing * w.re.abs());
-                let ratio = seconds * ((detuning - damping * u.re).abs() + swing * (1.0 + u.re.abs()));
+                let in_phase = seconds * ((force - damping * w.re).abs() + damping_swing * w.re.abs());
+                let turned = damping_swing * u.re.abs() + detuning_swing;
+                let ratio = seconds * ((detuning - damping * u.re).abs() + turned);
                 in_phase * (1.0 + u.re.abs()) + (w.re.abs() + in_phase) * ratio
             }
             Tier::Envelope => seconds * ((Complex64::new(-damping, detuning) * w + force).norm() + swing * w.norm()),
@@ -286,11 +288,14 @@ mod tests {
                 w = 3.71 * vpp / Complex64::new(sigmas[0], drive.omega - OMEGA0 - shifts[0]);
             }
             let u = match tier {
+                Tier::Linear if at_rest => Complex64::from((shifts[0] - detuning) / sigmas[0]),
                 Tier::Linear => (w.im / w.re).clamp(-2.0, 2.0).into(),
                 Tier::Envelope => Complex64::ZERO,
                 Tier::Modal | Tier::Carrier => J * drive.omega * w,
             };
-            let w = if tier == Tier::Linear { w.re * Complex64::new(1.0, u.re) } else { w };
+            if tier == Tier::Linear {
+                w = if at_rest { 3.71 * vpp / sigmas[0] } else { w.re } * Complex64::new(1.0, u.re);
+            }
             let varying = varying(tier, modes, drive, State { w, u });
             for step in 1..=100 {
                 let seconds = 1e-5 * f64::from(step);

@@ -2,7 +2,7 @@
 
 use crate::reference::{Carrier, HOLD, ModeOverTime, Random, SETPOINT, distance, driven, paper_plate, surroundings};
 use platebench_plate::plant::Signal;
-use platebench_plate::{Drive, Lockin, Plant, Plate, Profile, Scene, Tier, Time, Watch};
+use platebench_plate::{Conditions, Drive, Flow, Lockin, Plant, Plate, Profile, Scene, Tier, Time, Watch};
 use rstest::rstest;
 use std::f64::consts::TAU;
 
@@ -236,6 +236,20 @@ fn a_jump_on_the_way_is_not_seen_before_its_time() {
     let error = distance(&plant.state(), &carrier.state(), plate.omega0);
     println!("1.5 N at once while it warms up: {error:.1e}");
     assert!(error <= 3e-7, "{error:e}");
+}
+
+/// Held surroundings count from that instant on, whatever was known of the profiles before.
+#[rstest]
+fn a_hand_on_the_plate_ends_what_its_profiles_say(#[values(0.0, 50.0)] newtons_per_second: f64) {
+    let plate = paper_plate();
+    let scene = pressed(line(0.0, 0.1, 100.0, 0.1 + newtons_per_second / 10.0));
+    let mut plant = driven(&plate, &scene, Tier::Modal, Drive { vpp: HOLD, omega: plate.omega0 });
+    plant.advance(ms(5.0), &[], &mut Vec::new());
+    let held = Conditions { temperature_offset_k: 3.0, finger_force_n: 1.0 };
+    plant.hold(held);
+    let expected = Flow::new(Tier::Modal, &plate.mode(&held), &plant.drive(), &plant.state()).after(2e-3);
+    plant.advance(ms(7.0), &[], &mut Vec::new());
+    assert!(distance(&plant.state(), &expected, plate.omega0) < 1e-14);
 }
 
 /// Intervals of a millisecond against those of a microsecond, in which whatever is left of the first commutator is below 1e-9.
