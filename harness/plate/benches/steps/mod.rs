@@ -1,4 +1,5 @@
-//! The steps that are timed and counted: one control period of a plate in each tier, a converter's sample, a period of a batch.
+//! The steps that are timed and counted: one control period of a plate in each tier, at rest and under a ramp, a converter's sample, a
+//! period of a batch.
 
 #![allow(clippy::expect_used, reason = "a plate file that ships with this is whole")]
 
@@ -37,6 +38,8 @@ pub(crate) static STEPS: &[Step] = &[
     Step { name: "flow-modal", items: 1, make: || flow(Tier::Modal) },
     Step { name: "plant-envelope", items: 1, make: || plant(Tier::Envelope) },
     Step { name: "plant-modal", items: 1, make: || plant(Tier::Modal) },
+    Step { name: "ramp-envelope", items: 1, make: || ramp(Tier::Envelope) },
+    Step { name: "ramp-modal", items: 1, make: || ramp(Tier::Modal) },
     // A sample per microsecond.
     Step { name: "carrier-sample", items: 1_000, make: || plant(Tier::Carrier) },
     Step { name: "lock-in-read", items: 1, make: read },
@@ -77,6 +80,24 @@ fn moving(tier: Tier) -> Plant {
 fn plant(tier: Tier) -> Box<dyn FnMut()> {
     let (mut plant, mut period, mut crossings) = (moving(tier), 0, Vec::new());
     Box::new(move || {
+        period += 1;
+        plant.set_drive(drive(plant.plate(), period));
+        plant.advance(plant.time() + PERIOD, &[], &mut crossings);
+        black_box(plant.state());
+    })
+}
+
+/// A finger that presses with 10 N/s for 0.1 s and lets go as slowly, again and again.
+fn ramp(tier: Tier) -> Box<dyn FnMut()> {
+    let points = (0..=100).map(|turn| (PERIOD.times(100 * turn), f64::from(turn % 2 == 1)));
+    let scene =
+        Scene { temperature_offset_k: Profile::constant(3.0), finger_force_n: Profile::Linear(points.collect()) };
+    let fresh = Plant::new(plate(), scene, tier);
+    let (mut plant, mut period, mut crossings) = (fresh.clone(), 0, Vec::new());
+    Box::new(move || {
+        if period == 10_000 {
+            (plant, period) = (fresh.clone(), 0);
+        }
         period += 1;
         plant.set_drive(drive(plant.plate(), period));
         plant.advance(plant.time() + PERIOD, &[], &mut crossings);
