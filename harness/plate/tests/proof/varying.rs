@@ -150,6 +150,15 @@ fn a_finger_that_breathes(
     report(&format!("0.5 to 1.5 N at {hertz} Hz"), driving, &BOTH, &errors(&plate, &scene, &mode, driving, end, &BOTH));
 }
 
+/// Hardly any slope, and nothing but bends.
+#[rstest]
+fn a_finger_that_trembles(#[values(Driving::Hold, Driving::Bang)] driving: Driving) {
+    let plate = paper_plate();
+    let scene = pressed(Profile::Sine { mean: 1.0, amplitude: 0.02, omega: TAU * 1_000.0, phase: 0.0 });
+    let mode = |t: f64| (plate.sigma0 * (1.0 + (1.0 + 0.02 * (TAU * 1_000.0 * t).sin()) / 1.5), plate.omega0);
+    report("0.98 to 1.02 N at 1 kHz", driving, &BOTH, &errors(&plate, &scene, &mode, driving, 30, &BOTH));
+}
+
 #[rstest]
 #[case::slow(1000.0, 100)]
 #[case::quick(50.0, 80)]
@@ -270,6 +279,24 @@ fn every_tier_is_as_good_in_long_steps(#[values(Tier::Linear, Tier::Envelope, Ti
     }
     println!("{}, 1 ms against 1 µs: {worst:.1e}", tier.name());
     assert!(worst <= 1e-7, "{worst:e}");
+}
+
+/// Too short for three instants before their end, and just long enough.
+#[rstest]
+fn steps_of_nanoseconds_add_up(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
+    let plate = paper_plate();
+    let scene = Scene { temperature_offset_k: line(0.0, 0.0, 50.0, 9.0), ..pressed(line(0.0, 0.0, 100.0, 1.0)) };
+    let drive = Drive { vpp: HOLD, omega: plate.omega0 };
+    let [mut once, mut often] = [(); 2].map(|()| driven(&plate, &scene, tier, drive));
+    for plant in [&mut once, &mut often] {
+        plant.advance(ms(5.0), &[], &mut Vec::new());
+    }
+    for nanos in [1, 2, 3, 4, 1, 5, 2] {
+        often.advance(often.time() + Time::from_nanos(nanos), &[], &mut Vec::new());
+    }
+    once.advance(often.time(), &[], &mut Vec::new());
+    let apart = distance(&once.state(), &often.state(), plate.omega0);
+    assert!(apart < 1e-13, "{}: {apart:e}", tier.name());
 }
 
 /// Where a band is left in the middle of a substep the state is as good as at its end.
