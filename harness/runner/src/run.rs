@@ -431,15 +431,12 @@ impl Work<'_> {
         let started = Instant::now();
         let open = match session {
             Some(open) => open,
-            None => {
-                let open = session.insert(Session::open(Faulty::new((self.run.connect)()?))?);
-                let (found, expected) = (open.identity(), &self.run.identity);
-                if found != expected {
-                    return Err(RunError::OtherController { found: who(found), expected: who(expected) });
-                }
-                open
-            }
+            None => session.insert(Session::open(Faulty::new((self.run.connect)()?))?),
         };
+        let (found, expected) = (open.identity(), &self.run.identity);
+        if found != expected {
+            return Err(RunError::OtherController { found: who(found), expected: who(expected) });
+        }
         let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
         let order = Order { scenario, law, index: task.index, wire_time, own_clock: self.run.plan.own_clock };
         let mut lent = self.run.company.watch.lend(task.scenario, task.index);

@@ -2,6 +2,7 @@
 
 use crate::made;
 use platebench_report::{Progress, Style, console};
+use platebench_verdict::record::Overrides;
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 
@@ -49,7 +50,7 @@ fn what_was_changed_in_the_scenarios_is_said_beside_the_verdict() {
     record.overrides.law = Some("dq-pi".to_owned());
     record.overrides.trials = Some(1);
     assert_eq!(said(&record).as_deref(), Some("not as the scenarios have it: law dq-pi, trials 1, seed 7"));
-    record.overrides = Default::default();
+    record.overrides = Overrides::default();
     assert_eq!(said(&record), None);
 }
 
