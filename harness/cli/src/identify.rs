@@ -10,7 +10,7 @@ use platebench_identify::{
 use platebench_report::{ReportError, identification};
 use platebench_trace::TraceError;
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 /// Recordings whose curves stand on the page.
@@ -21,7 +21,7 @@ const DRAWN: usize = 12;
 #[command(after_help = "\
 Examples:
   platebench run scenarios/identify --out runs/plate
-  platebench identify runs/plate --out plate.toml --page identification.html
+  platebench identify runs/plate --out plate.toml --drive-limit-vpp 900 --page identification.html
   platebench identify telemetry.csv --columns time=t:ms,drive=V,frequency=f,wd=Wd,wq=Wq
 
 Columns: ROLE=NAME[:UNIT] with the roles and units time (s, ms, us), drive (Vpp, V for an amplitude), frequency (Hz, kHz, rad/s),
@@ -38,7 +38,7 @@ pub(crate) struct Identify {
     /// What a trace is read for: what the controller was given, or the emulated plate's own state
     #[arg(long, value_enum, default_value_t = Signal::Sensed, conflicts_with = "columns")]
     signal: Signal,
-    /// Where the plate file is written
+    /// Where the plate file is written; a file that is there already is never overwritten
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Where the page is written: Markdown for a name that ends in .md, else HTML with the fitted curves
@@ -95,6 +95,8 @@ enum IdentifyError {
     Together(Unusable),
     #[error("{}: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
+    #[error("{} is there already, expected another name", .0.display())]
+    Taken(PathBuf),
     #[error(transparent)]
     Report(#[from] ReportError),
 }
@@ -119,6 +121,9 @@ fn identified(arguments: &Identify) -> Result<Exit, IdentifyError> {
         output::error("there is no recording");
         return Ok(Exit::Nothing);
     }
+    if let Some(path) = arguments.out.as_ref().filter(|path| path.exists()) {
+        return Err(IdentifyError::Taken(path.clone()));
+    }
     let recordings = files.iter().map(|file| recording(file, arguments)).collect::<Result<Vec<_>, _>>()?;
     let (found, fits) =
         platebench_identify::identify(&recordings, arguments.slope_hz_per_k).map_err(IdentifyError::Together)?;
@@ -142,7 +147,14 @@ fn identified(arguments: &Identify) -> Result<Exit, IdentifyError> {
         slope_hz_per_k: arguments.slope_hz_per_k,
     };
     if let Some(text) = plate_file(&found, &named) {
-        write(path, &text)?;
+        let created = File::create_new(path).and_then(|mut file| file.write_all(text.as_bytes()));
+        created.map_err(|source| IdentifyError::Io { path: path.clone(), source })?;
+        output::note(&format!("plate file: {}", path.display()));
+        if named.limit_vpp.is_none() {
+            output::note(
+                "its drive limit is the highest drive that was seen, expected the amplifier's own: --drive-limit-vpp VPP",
+            );
+        }
         return Ok(Exit::Passed);
     }
     output::error(

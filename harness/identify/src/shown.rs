@@ -259,12 +259,14 @@ fn residuals(found: &Identification) -> Table {
     }
     let coloured =
         found.recordings.iter().filter(|whole| whole.whiteness.is_some_and(|white| white.is_refused())).count();
+    let tested = found.recordings.iter().filter(|whole| whole.whiteness.is_some()).count();
     if coloured > 0 {
-        table.notes.push(format!(
-            "{coloured} of {} residuals are not white (1 %): beyond the one in a hundred that chance refuses, something moved that the \
-             model does not know, and the intervals are too narrow there.",
-            found.recordings.len()
-        ));
+        let meaning = if is_chance(coloured, tested) {
+            "as many as chance alone refuses now and then."
+        } else {
+            "more than chance alone refuses; something moved that the model does not know, and the intervals are too narrow there."
+        };
+        table.notes.push(format!("{coloured} of {tested} residuals are not white at 1 %: {meaning}"));
     }
     table.notes.extend(
         found.undetermined.iter().map(|name| format!("{name} does not determine the parameters and was left out.")),
@@ -332,4 +334,30 @@ pub fn plate_file(found: &Identification, named: &Named) -> Option<String> {
 /// The longer arm of an interval, percent of the value, rounded up to what is written.
 fn reach_percent(Estimate { value, low, high, .. }: Estimate) -> f64 {
     ((high - value).max(value - low) / value * 1e4).ceil() / 100.0
+}
+
+/// True where so many refusals of `tests` independent tests at 1 %, or more, have a chance above 1 % although nothing is wrong.
+fn is_chance(refused: usize, tests: usize) -> bool {
+    const LEVEL: f64 = 0.01;
+    let (mut fewer, mut term) = (0.0, (1.0 - LEVEL).powi(i32::try_from(tests).unwrap_or(i32::MAX)));
+    for count in 0..refused {
+        fewer += term;
+        term *= (tests.saturating_sub(count)) as f64 / (count + 1) as f64 * LEVEL / (1.0 - LEVEL);
+    }
+    1.0 - fewer > LEVEL * (1.0 + 1e-9)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_alone_is_no_chance_and_two_of_many_are() {
+        // Binomial: at least 1 of 1: 1.00 %; 1 of 2: 1.99 %; 2 of 15: 0.96 %, of 16: 1.09 %; 3 of 66: 2.9 %, 4 of 66: 0.44 %.
+        let cases =
+            [(1, 1, false), (1, 2, true), (2, 15, false), (2, 16, true), (3, 66, true), (4, 66, false), (0, 5, true)];
+        for (refused, tests, expected) in cases {
+            assert_eq!(is_chance(refused, tests), expected, "{refused} of {tests}");
+        }
+    }
 }
