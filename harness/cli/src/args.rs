@@ -146,7 +146,7 @@ pub(crate) struct Run {
     /// Below which folder new run folders are made
     #[arg(long, value_name = "FOLDER", default_value = "runs")]
     pub(crate) runs: PathBuf,
-    /// Play what is changed again, until Ctrl-C: scenarios whose file, plate or profile is another one
+    /// Play what is changed again, until Ctrl-C: scenarios whose file, plate or profile is another one, all where the rig's ELF is
     #[arg(long)]
     pub(crate) watch: bool,
     /// Trials of each scenario
@@ -164,7 +164,6 @@ pub(crate) struct Run {
     /// Show in the terminal what passes while it does; without a terminal nothing is shown
     #[arg(long)]
     pub(crate) live: bool,
-    /// What standard output shows
     /// What standard output shows; json: what happens, a JSON object a line, the last of them the verdict
     #[arg(long, value_enum, default_value_t = Format::Human)]
     pub(crate) format: Format,

@@ -65,6 +65,10 @@ fn checked(arguments: &Run) -> Result<platebench_runner::Clock, Exit> {
         output::error(&error.to_string());
         Exit::Invalid
     })?;
+    arguments.told.check().map_err(|what| {
+        output::error(&what);
+        Exit::Invalid
+    })?;
     Ok(clock)
 }
 
@@ -407,6 +411,7 @@ fn finish(record: &RunRecord, folder: &RunFolder, arguments: &Run, places: &Plac
         output::record(record, arguments.format);
     }
     output::note(&format!("run folder: {}", folder.path().display()));
+    output::note(&format!("report: {}", folder.path().join(html::FILE).display()));
     warn_of_drive(record);
     warn_of_models(record);
     match written {
@@ -423,9 +428,15 @@ fn explain(error: &RunError, folder: &RunFolder) {
         RunError::Scenario(diagnostic) => output::diagnostic(diagnostic),
         error => output::error(&error.to_string()),
     }
+    // Where nothing was begun there is nothing to look at.
+    if folder.remove_if_empty() {
+        return;
+    }
     output::note(&format!("run folder: {}", folder.path().display()));
     // What ended the run has been said; a folder without a record says nothing of the drive.
     if let Ok(record) = RunRecord::read(folder.path()) {
+        let show = format!("what was whole by then: platebench report {}", folder.path().display());
+        output::note(&show);
         warn_of_drive(&record);
     }
 }

@@ -40,6 +40,21 @@ enum Github {
 }
 
 impl Told {
+    /// Says beforehand where something could not be written, and not when everything has been played.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        for (option, file) in [("--summary", &self.summary), ("--tap", &self.tap)] {
+            let Some(file) = file else { continue };
+            let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
+            if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+                return Err(format!("{option} {}: there is no folder {}", file.display(), folder.display()));
+            }
+            if file.is_dir() {
+                return Err(format!("{option} {}: a folder, expected a file to write", file.display()));
+            }
+        }
+        Ok(())
+    }
+
     /// Tells of a run whose scenarios were these.
     pub(crate) fn tell(&self, record: &RunRecord, places: &Places) -> Result<(), ReportError> {
         if let Some(file) = &self.summary {

@@ -1,7 +1,7 @@
 //! `platebench run --watch`: what changed is played again.
 //!
 //! Files are looked at ten times a second, by their time and length: no more than a few hundred, and it works on every file system. What is played again is
-//! decided by content: a scenario whose own file, plate or profile is another one than when it was last played.
+//! decided by content: a scenario whose own file, plate, profile or firmware is another one than when it was last played.
 
 use crate::args::Run;
 use crate::exit::Exit;
@@ -9,11 +9,11 @@ use crate::output;
 use crate::run::{play_all, prepared};
 use crate::signals::Signals;
 use platebench_runner::Clock;
-use platebench_scenario::{Scenario, every_file, find};
+use platebench_scenario::{Diagnostic, Scenario, every_file, find, input};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 use tokio::runtime::Runtime;
 
@@ -25,8 +25,10 @@ const AGAIN_AFTER: Duration = Duration::from_secs(1);
 
 /// When files were written and how long they are.
 type Stamp = BTreeMap<PathBuf, Option<(SystemTime, u64)>>;
+/// A file and what was in it.
+type Content = (PathBuf, Vec<u8>);
 /// What scenarios were made of when they were last played, by the scenario's own file.
-type Played = BTreeMap<PathBuf, Vec<(PathBuf, Vec<u8>)>>;
+type Played = BTreeMap<PathBuf, Vec<Content>>;
 
 /// Plays what `arguments` mean, and what changes, until a signal comes.
 pub(crate) fn watch(arguments: &Run, clock: Clock, quiet: bool) -> Exit {
@@ -53,7 +55,9 @@ fn watched(arguments: &Run, clock: Clock, quiet: bool) -> io::Result<Exit> {
     loop {
         let before = stamp(arguments, &inputs);
         let mut waits = false;
-        match find(&arguments.scenarios) {
+        let found =
+            find(&arguments.scenarios).and_then(|found| Ok((found, firmware(arguments).map_err(|fault| vec![fault])?)));
+        match found {
             Err(faults) => {
                 if faults != told {
                     faults.iter().for_each(output::diagnostic);
@@ -62,11 +66,11 @@ fn watched(arguments: &Run, clock: Clock, quiet: bool) -> io::Result<Exit> {
                 told = faults;
                 waits = true;
             }
-            Ok(found) => {
+            Ok((found, firmware)) => {
                 told = Vec::new();
                 let scenarios = prepared(found.scenarios, arguments, clock);
                 inputs = scenarios.iter().flat_map(paths).collect();
-                let changed = changed(scenarios, &mut played);
+                let changed = changed(scenarios, firmware.as_ref(), &mut played);
                 if !changed.is_empty() {
                     // How it ended has been shown; what comes next is what counts.
                     let _ = play_all(arguments, clock, changed, quiet);
@@ -85,10 +89,20 @@ fn paths(scenario: &Scenario) -> Vec<PathBuf> {
     scenario.inputs.iter().map(|input| input.path.clone()).collect()
 }
 
+/// The image that the rig is loaded with, where that is a file of its own.
+fn firmware(arguments: &Run) -> Result<Option<Content>, Diagnostic> {
+    let read = |path: &Path| match input::read(path) {
+        Ok(bytes) => Ok((path.to_owned(), bytes)),
+        Err(error) => Err(Diagnostic::of_file(path, format!("cannot be read: {error}"))),
+    };
+    arguments.rig.image().map(read).transpose()
+}
+
 /// Those that are not what they were when they were last played, and from now on count as played.
-fn changed(scenarios: Vec<Scenario>, played: &mut Played) -> Vec<Scenario> {
-    let of = |scenario: &Scenario| -> Vec<_> {
-        scenario.inputs.iter().map(|input| (input.path.clone(), input.bytes.clone())).collect()
+fn changed(scenarios: Vec<Scenario>, firmware: Option<&Content>, played: &mut Played) -> Vec<Scenario> {
+    let of = |scenario: &Scenario| -> Vec<Content> {
+        let inputs = scenario.inputs.iter().map(|input| (input.path.clone(), input.bytes.clone()));
+        inputs.chain(firmware.cloned()).collect()
     };
     let now: Played =
         scenarios.iter().filter_map(|scenario| Some((paths(scenario).first()?.clone(), of(scenario)))).collect();
@@ -100,10 +114,14 @@ fn changed(scenarios: Vec<Scenario>, played: &mut Played) -> Vec<Scenario> {
     scenarios.into_iter().filter(|scenario| !same(scenario)).collect()
 }
 
-/// Every file that the command line means, and `inputs` of scenarios.
+/// Every file that the command line means, the rig's image among them, and `inputs` of scenarios.
 fn stamp(arguments: &Run, inputs: &[PathBuf]) -> Stamp {
     let (files, _) = every_file(&arguments.scenarios);
-    let paths = files.into_iter().map(|(path, _)| path).chain(inputs.iter().cloned());
+    let paths = files
+        .into_iter()
+        .map(|(path, _)| path)
+        .chain(inputs.iter().cloned())
+        .chain(arguments.rig.image().map(Path::to_owned));
     let stamped = |path: PathBuf| {
         let written = fs::metadata(&path).ok().and_then(|data| Some((data.modified().ok()?, data.len())));
         (path, written)

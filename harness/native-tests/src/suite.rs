@@ -50,7 +50,9 @@ impl Suite {
                 libtest_mimic::run(&arguments, tests.trials).exit_code()
             }
             Err(error) => {
-                eprintln!("error: {error}");
+                // Faults of files are shown as such.
+                let is_shown = matches!(error, SuiteError::Scenarios(_));
+                eprintln!("{}{error}", if is_shown { "" } else { "error: " });
                 ExitCode::from(error.code())
             }
         }

@@ -85,6 +85,14 @@ impl RigSpec {
         }
     }
 
+    /// The file of the firmware that the rig is loaded with; `None` where it brings its own or takes the bench's.
+    pub fn image(&self) -> Option<&Path> {
+        match self {
+            Self::Emulated(elf) | Self::Probe { elf, .. } => elf.as_deref(),
+            Self::Hosted | Self::Exec(_) | Self::Serial { .. } => None,
+        }
+    }
+
     /// True where several lines at once reach several controllers; false for what there is one of.
     pub fn is_plural(&self) -> bool {
         match self {

@@ -70,6 +70,11 @@ impl RunFolder {
         &self.path
     }
 
+    /// Takes the folder away again where nothing is in it; true where that is done.
+    pub fn remove_if_empty(&self) -> bool {
+        fs::remove_dir(&self.path).is_ok()
+    }
+
     /// When it was made, UTC, RFC 3339 to the second.
     pub fn started(&self) -> String {
         self.started.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()

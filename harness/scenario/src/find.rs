@@ -14,6 +14,8 @@ const OTHER_FOLDERS: [&str; 4] = ["plates", "baselines", "plans", "identify"];
 const WRITTEN_BY_THE_BENCH: [&str; 1] = ["baselines"];
 /// A folder with this file is a run's; the scenarios in it are copies.
 const RUN_RECORD: &str = "run.json";
+/// A run's folder of copies.
+const RUN_INPUTS: &str = "inputs";
 /// Scenarios are called by their path below a folder of this name.
 const ROOT: &str = "scenarios";
 
@@ -109,10 +111,12 @@ fn files_below(
         }
     };
     let mut files = Vec::new();
+    // Who writes a run among scenarios does not mean its copies of them.
+    let is_run = argument.join(RUN_RECORD).exists();
     for path in entries.into_iter().map(|entry| entry.path()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         if path.is_dir() {
-            let is_other = others.contains(&&*name) || path.join(RUN_RECORD).exists();
+            let is_other = others.contains(&&*name) || path.join(RUN_RECORD).exists() || is_run && name == RUN_INPUTS;
             if !is_other && !name.starts_with('.') {
                 files.extend(files_below(&path, others, visited, faults));
             }

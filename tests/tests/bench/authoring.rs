@@ -232,6 +232,76 @@ fn a_watched_run_plays_what_changed_and_ends_when_told() {
 }
 
 #[test]
+fn a_watched_run_plays_again_what_a_new_firmware_may_change() {
+    let workshop = Workshop::new();
+    let text = step_scenario("aluminium-198x138", "", "", GOOD);
+    workshop.scenario("a.toml", &text);
+    workshop.scenario("b.toml", &text);
+    let image = workshop.path().join("mine.elf");
+    let built = fs::read(root().join("firmware-under-test/images/platebench-stm32f4.elf")).unwrap();
+    fs::write(&image, &built).unwrap();
+    let mut child = Guarded(
+        program(workshop.path())
+            .args(["run", "--rig", "emulated:mine.elf", "--watch", "--quiet"])
+            .stdout(Stdio::null())
+            .stderr(fs::File::create(workshop.path().join("told")).unwrap())
+            .spawn()
+            .unwrap(),
+    );
+    let told = || fs::read_to_string(workshop.path().join("told")).unwrap();
+    await_that("a run", || runs(workshop.path()).len() == 1);
+    // A build takes the old one away before the new one is there.
+    fs::remove_file(&image).unwrap();
+    await_that("the fault", || told().contains("mine.elf") && told().contains("cannot be read"));
+    // What stands behind the last section is none of its business.
+    fs::write(&image, [&built[..], b"built anew"].concat()).unwrap();
+    await_that("another run", || runs(workshop.path()).len() == 2);
+    workshop.scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_ms = 61.0"));
+    await_that("a third run", || runs(workshop.path()).len() == 3);
+    assert_eq!(runs(workshop.path()), [vec!["a.toml", "b.toml"], vec!["a.toml", "b.toml"], vec!["b.toml"]]);
+    signal(&child.0, "INT");
+    await_that("the end", || child.0.try_wait().unwrap().is_some());
+    assert_eq!(child.0.wait().unwrap().code(), Some(130), "{}", told());
+}
+
+#[test]
+fn what_is_told_to_files_has_a_place_before_anything_is_played() {
+    let workshop = Workshop::new();
+    workshop.scenario("a.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    for (option, file, said) in
+        [("--tap", "nowhere/x.tap", "no folder nowhere"), ("--summary", "scenarios", "expected a file")]
+    {
+        let output = call(workshop.path(), ["run", "--rig", "hosted", option, file]);
+        assert!(code(&output) == 2 && told(&output).contains(said), "{}", told(&output));
+        assert!(!workshop.path().join("runs").exists(), "something was played");
+    }
+    let output = call(workshop.path(), ["run", "--rig", "hosted", "--tap", "x.tap", "--summary", "scenarios/../y.md"]);
+    assert!(code(&output) == 0 && workshop.path().join("x.tap").exists(), "{}", told(&output));
+}
+
+#[test]
+fn a_rig_that_is_not_there_leaves_no_folder() {
+    let workshop = Workshop::new();
+    workshop.scenario("a.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    let output = call(workshop.path(), ["run", "--rig", "emulated:nowhere.elf", "--out", "run"]);
+    assert!(told(&output).contains("nowhere.elf") && !told(&output).contains("run folder"), "{}", told(&output));
+    assert!(!workshop.path().join("run").exists());
+}
+
+#[test]
+fn a_run_among_scenarios_is_not_played_with_them() {
+    let workshop = Workshop::new();
+    workshop.scenario("a.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    for out in ["scenarios", "again"] {
+        let output = call(workshop.path(), ["run", "--rig", "hosted", "scenarios", "--out", out]);
+        assert_eq!(code(&output), 0, "{}", told(&output));
+        let record: serde_json::Value =
+            serde_json::from_slice(&fs::read(workshop.path().join(out).join("run.json")).unwrap()).unwrap();
+        assert_eq!(record["scenarios"].as_array().unwrap().len(), 1, "{record:#}");
+    }
+}
+
+#[test]
 fn a_watched_run_has_no_folder_of_its_own() {
     let workshop = Workshop::new();
     let output = call(workshop.path(), ["run", "--watch", "--out", "run"]);
