@@ -93,7 +93,7 @@ impl Fault {
         self.from <= time && self.until.is_none_or(|until| time < until)
     }
 
-    /// True where this fault is the reason for a missing answer or a stop at `time`: within the window and for one period after it, in which a frame without
+    /// True where this fault is near enough to be the reason for a missing answer or a stop at `time`: within the window and for one period after it, in which a frame without
     /// a delimiter takes the next one with it and a controller that stopped unheard says so; after a delay, also while what was held up still comes in. A
     /// line that stays dead explains nothing: its controller is lost.
     pub fn explains(&self, time: Time, period: Time) -> bool {
@@ -102,6 +102,17 @@ impl Fault {
             _ => Time::ZERO,
         };
         self.until.is_some_and(|until| self.from <= time && time < until + period + held)
+    }
+
+    /// True where this fault may be the reason for an answer that is missing at `time`: near enough, and of a kind that loses answers, or holds them up for a
+    /// period. What only doubles, disturbs or delays a little, or falsifies what is sensed, is no reason to say nothing.
+    pub fn explains_silence(&self, time: Time, period: Time) -> bool {
+        let loses = match self.kind {
+            FaultKind::Drop | FaultKind::Flip | FaultKind::Truncate | FaultKind::Disconnect => true,
+            FaultKind::Delay(delay) => delay.times(if self.direction == Direction::Both { 2 } else { 1 }) >= period,
+            FaultKind::Duplicate | FaultKind::Babble | FaultKind::Freeze | FaultKind::Scale(_) => false,
+        };
+        loses && self.explains(time, period)
     }
 
     /// True where it keeps every sample from the controller for so long that a patience of `patience` is over before the next one comes.

@@ -121,9 +121,9 @@ impl Scenario {
         self.trials.spread == Spread::default() && self.plate.noise_um_rms == 0.0
     }
 
-    /// True where a fault that was planned, and that ends, explains that the controller did not answer, or stopped, at `time`.
+    /// True where a fault that was planned, and that ends, explains that the controller did not answer at `time`.
     pub fn explains(&self, time: Time) -> bool {
-        self.faults.iter().any(|fault| fault.explains(time, self.controller.period))
+        self.faults.iter().any(|fault| fault.explains_silence(time, self.controller.period))
     }
 
     /// A diagnostic that points at `key` of the scenario file.

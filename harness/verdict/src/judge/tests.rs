@@ -490,6 +490,15 @@ fn disturbances_are_read_off_the_trace() {
 #[case::held_up(42, "kind = \"delay\", delay_ms = 2.0, from_ms = 30.0, until_ms = 40.0", true)]
 #[case::no_longer_held_up(43, "kind = \"delay\", delay_ms = 2.0, from_ms = 30.0, until_ms = 40.0", false)]
 #[case::for_good(30, "kind = \"disconnect\", from_ms = 30.0", false)]
+#[case::there_and_back(30, "kind = \"delay\", delay_ms = 0.5, from_ms = 30.0, until_ms = 40.0", true)]
+#[case::in_time(
+    30,
+    "kind = \"delay\", delay_ms = 0.5, direction = \"to-controller\", from_ms = 30.0, until_ms = 40.0",
+    false
+)]
+#[case::doubled(30, "kind = \"duplicate\", from_ms = 30.0, until_ms = 40.0", false)]
+#[case::babble(30, "kind = \"babble\", from_ms = 30.0, until_ms = 40.0", false)]
+#[case::of_the_sensor(30, "kind = \"freeze\", from_ms = 30.0, until_ms = 40.0", false)]
 fn an_answer_that_a_planned_fault_swallowed_is_no_disturbance(
     #[case] at_ms: usize,
     #[case] fault: &str,
