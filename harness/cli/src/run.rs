@@ -14,7 +14,7 @@ use platebench_report::events::Events;
 use platebench_report::{Progress, ProgressKind, html, junit, traceability};
 use platebench_rig::{RigSpec, check_baud};
 use platebench_runner::{Cancel, Company, Event, Pace, Plan, RunError, RunFolder, Watch, rejudge};
-use platebench_scenario::{Scenario, find};
+use platebench_scenario::{Found, Scenario, find};
 use platebench_verdict::RunRecord;
 use platebench_verdict::record::Overrides;
 use std::num::NonZero;
@@ -251,16 +251,26 @@ fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Sce
         faults.iter().for_each(output::diagnostic);
         Exit::Invalid
     })?;
-    if !found.scenarios.is_empty() && !found.empty.is_empty() {
-        let named = found.empty.iter();
-        named.for_each(|folder| output::error(&format!("{}: there is nothing to run below it", folder.display())));
-        return Err(Exit::Nothing);
-    }
     if !found.left_out.is_empty() {
         let names = found.left_out.join(", ");
         output::note(&format!("left out, because they show a limit and were not named: {names}"));
     }
+    if names_nothing(&found) {
+        return Err(Exit::Nothing);
+    }
     Ok(prepared(found.scenarios, arguments, clock))
+}
+
+/// True where there is nothing to run, or nothing below a folder that was named beside others; which has been shown.
+pub(crate) fn names_nothing(found: &Found) -> bool {
+    if found.scenarios.is_empty() {
+        output::error("there is nothing to run");
+        return true;
+    }
+    for folder in &found.empty {
+        output::error(&format!("{}: there is nothing to run below it", folder.display()));
+    }
+    !found.empty.is_empty()
 }
 
 /// The scenarios of this command line's shard, as they are played by it.

@@ -3,6 +3,7 @@
 use crate::args::{Format, Trust};
 use crate::exit::Exit;
 use crate::output;
+use crate::run::names_nothing;
 use platebench_scenario::find;
 use platebench_trust::{Order, Report, catalogue, measure, shown};
 use std::fs;
@@ -19,8 +20,7 @@ pub(crate) fn trust(arguments: &Trust) -> Exit {
             return Exit::Invalid;
         }
     };
-    if found.scenarios.is_empty() {
-        output::error("there is nothing to run");
+    if names_nothing(&found) {
         return Exit::Nothing;
     }
     let cores = || std::thread::available_parallelism().map_or(1, NonZero::get);
