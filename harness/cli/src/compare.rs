@@ -93,6 +93,7 @@ fn compared(arguments: &Compare) -> Result<Vec<Shown>, CompareError> {
     let subject = played(&arguments.subject)?;
     let drawings =
         arguments.draw.clone().or_else(|| is_run(&arguments.subject).then(|| arguments.subject.join(DRAWINGS)));
+    note_missing(arguments, &subject)?;
     let mut shown = Vec::new();
     for scenario in subject {
         let reference = reference(arguments, &scenario)?;
@@ -108,6 +109,24 @@ fn compared(arguments: &Compare) -> Result<Vec<Shown>, CompareError> {
         shown.push(Shown { scenario: scenario.name, comparison, drawing });
     }
     Ok(shown)
+}
+
+/// Says what the other run played and this one did not: less to compare looks just as good.
+fn note_missing(arguments: &Compare, subject: &[Played]) -> Result<(), CompareError> {
+    let against = Path::new(&arguments.against);
+    if arguments.against == BASELINE || !is_run(&arguments.subject) || !is_run(against) {
+        return Ok(());
+    }
+    for other in &RunRecord::read(against)?.scenarios {
+        let here = subject.iter().find(|played| played.name == other.file);
+        let [trials, others] =
+            [here.map_or(0, |played| played.trials.len() + played.disturbed.len()), other.trials.len()];
+        if trials < others {
+            let (file, against) = (&other.file, against.display());
+            output::note(&format!("{file}: {trials} of the {others} trials that {against} has"));
+        }
+    }
+    Ok(())
 }
 
 /// What a scenario's trials are held against.

@@ -236,3 +236,15 @@ fn a_doctored_trace_is_neither_accepted_nor_compared() {
         assert!(told(&output).contains("000.csv: SHA-256"), "{}", told(&output));
     }
 }
+
+/// What was not played cannot look different: nobody should have to count.
+#[test]
+fn less_than_the_other_run_is_told() {
+    let workshop =
+        step_run("[trials]\ncount = 3\n[trials.spread]\nsensor_gain_percent = 1.0\n", "aluminium-198x138-noisy");
+    call(workshop.path(), ["run", "--rig", "hosted", "--out", "few", "--trials", "1"]);
+    let output = call(workshop.path(), ["compare", "few", "--against", "run"]);
+    assert_eq!(code(&output), 0, "{}", told(&output));
+    assert!(told(&output).contains("s.toml: 1 of the 3 trials that run has"), "{}", told(&output));
+    assert!(!told(&call(workshop.path(), ["compare", "run", "--against", "run"])).contains("trials that"));
+}
