@@ -51,6 +51,7 @@ fn what_was_changed_in_the_scenarios_is_said_beside_the_verdict() {
     record.overrides.trials = Some(1);
     assert_eq!(said(&record).as_deref(), Some("not as the scenarios have it: law dq-pi, trials 1, seed 7"));
     record.overrides = Overrides::default();
+    record.overrides = platebench_verdict::record::Overrides::default();
     assert_eq!(said(&record), None);
 }
 
