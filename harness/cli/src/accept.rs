@@ -135,13 +135,24 @@ fn session(arguments: &Session, quiet: bool) -> Exit {
         }
         Err(error) => {
             explain(&error);
-            if folder.join(platebench_acceptance::session::FILE).exists() && !matches!(error, AcceptError::Finished(_))
-            {
+            if folder.join(platebench_acceptance::session::FILE).exists() && can_go_on(&error) {
                 output::note(&format!("the same command with --resume {} goes on from here", folder.display()));
             }
             signal.map_or_else(|| exit_of(&error), Exit::Signal)
         }
     }
+}
+
+/// False where the same command would come to the same end: what is there is not a session that waits to be gone on with.
+fn can_go_on(error: &AcceptError) -> bool {
+    !matches!(
+        error,
+        AcceptError::Finished(_)
+            | AcceptError::Taken(_)
+            | AcceptError::InUse(_)
+            | AcceptError::Content { .. }
+            | AcceptError::Changed { .. }
+    )
 }
 
 /// What the command line means; all that is wrong with it has been shown where something is.

@@ -213,6 +213,19 @@ fn a_session_does_not_go_on_with_another_rig_clock_or_bench() {
 }
 
 #[test]
+fn nobody_is_told_to_go_on_with_what_is_no_session_any_more() {
+    let workshop = begun();
+    let again = ["accept", "--plan", "plan.toml", "--resume", "record", "--yes", "--rig", "exec:false {port}"];
+    let goes_on = |output: &Output| String::from_utf8_lossy(&output.stderr).contains("goes on from here");
+    assert!(goes_on(&call(workshop.path(), again)), "a rig that is not there may come back");
+    let session = workshop.path().join("record/session.json");
+    fs::write(&session, "{ \"format\": ").unwrap();
+    let output = call(workshop.path(), again);
+    expect(&output, 2, &["session.json"]);
+    assert!(!goes_on(&output));
+}
+
+#[test]
 fn only_a_session_s_own_folder_is_written_into() {
     let workshop = begun();
     expect(&call(workshop.path(), ["accept", "verify", "record"]), 3, &["not come to its end"]);
