@@ -420,6 +420,17 @@ impl Work<'_> {
         }
     }
 
+    /// A new link to the controller that the record names.
+    fn connected(&self) -> Result<Session, RunError> {
+        let session = Session::open(Faulty::new((self.run.connect)()?))?;
+        let (found, expected) = (*session.identity(), self.run.identity);
+        if found == expected {
+            return Ok(session);
+        }
+        end(&mut Some(session), self.run.unconfirmed);
+        Err(RunError::OtherController { found: who(&found), expected: who(&expected) })
+    }
+
     /// Plays and measures one trial. `None` where it was given up.
     fn play(&self, session: &mut Option<Session>, task: Task) -> Result<Option<Done>, RunError> {
         let (Some(scenario), Some(&law)) =
@@ -431,12 +442,8 @@ impl Work<'_> {
         let started = Instant::now();
         let open = match session {
             Some(open) => open,
-            None => session.insert(Session::open(Faulty::new((self.run.connect)()?))?),
+            None => session.insert(self.connected()?),
         };
-        let (found, expected) = (open.identity(), &self.run.identity);
-        if found != expected {
-            return Err(RunError::OtherController { found: who(found), expected: who(expected) });
-        }
         let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
         let order = Order { scenario, law, index: task.index, wire_time, own_clock: self.run.plan.own_clock };
         let mut lent = self.run.company.watch.lend(task.scenario, task.index);
