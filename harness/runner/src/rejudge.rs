@@ -3,7 +3,8 @@
 use crate::configure;
 use crate::folder::{FolderError, sha256, trace_file};
 use crate::measured::measured;
-use crate::run::{Done, empty_record};
+use crate::run::empty_record;
+use crate::worker::Done;
 use platebench_plate::Tier;
 use platebench_scenario::{Diagnostic, Expectation, Scenario, load, load_copies};
 use platebench_trace::{Row, TraceError, read};
