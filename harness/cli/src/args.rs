@@ -110,7 +110,7 @@ Examples:
 #[expect(clippy::struct_excessive_bools, reason = "each is a flag of its own on the command line")]
 pub(crate) struct Run {
     /// Scenario files, or folders with everything below them
-    #[arg(value_name = "SCENARIO|FOLDER", default_value = "scenarios")]
+    #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     pub(crate) scenarios: Vec<PathBuf>,
     /// What the controller runs on: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
     #[arg(long, default_value = "emulated")]
@@ -361,6 +361,8 @@ pub(crate) struct Compare {
     pub(crate) format: Format,
 }
 
+/// What is played where nothing is named.
+pub(crate) const SCENARIOS: &str = "scenarios";
 pub(crate) const BASELINES: &str = "scenarios/baselines";
 
 /// `platebench baseline`

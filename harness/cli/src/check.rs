@@ -103,7 +103,11 @@ pub(crate) fn check(arguments: &Check) -> Exit {
     faults.iter().for_each(output::diagnostic);
     if !faults.is_empty() {
         let (faults, files) = (faults.len(), files.len());
-        output::note(&format!("{faults} {} in {files} files", if faults == 1 { "fault" } else { "faults" }));
+        output::note(&format!(
+            "{faults} {} in {files} {}",
+            if faults == 1 { "fault" } else { "faults" },
+            if files == 1 { "file" } else { "files" }
+        ));
         return Exit::Invalid;
     }
     if files.is_empty() {

@@ -6,6 +6,7 @@
 use crate::args::{Arguments, Command as Chosen};
 use crate::exit::Exit;
 use crate::output;
+use clap::error::{ContextKind, ContextValue};
 use clap::{Command, CommandFactory, FromArgMatches};
 use platebench_scenario::{Diagnostic, input, parse};
 use schemars::JsonSchema;
@@ -249,7 +250,14 @@ pub(crate) fn arguments() -> Result<(Arguments, Option<PathBuf>), Exit> {
         Err(faults) => (Config::default(), faults),
     };
     // Help and wrong usage come first, so that they can be had whatever the file says.
-    let matches = command(&config).get_matches();
+    let matches = command(&config).try_get_matches().unwrap_or_else(|error| {
+        if let Some(variable) = blamed(&error) {
+            output::note(&format!(
+                "that value is not from the command line but from the environment variable {variable}"
+            ));
+        }
+        error.exit()
+    });
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let needs_it = !matches!(arguments.command, Chosen::Schema(_) | Chosen::Completions(_) | Chosen::Man(_));
     if needs_it && !faults.is_empty() {
@@ -257,6 +265,16 @@ pub(crate) fn arguments() -> Result<(Arguments, Option<PathBuf>), Exit> {
         return Err(Exit::Invalid);
     }
     Ok((arguments, config.path))
+}
+
+/// The variable whose value clap refuses as that of an option which nobody gave.
+fn blamed(error: &clap::Error) -> Option<&'static str> {
+    let Some(ContextValue::String(option)) = error.get(ContextKind::InvalidArg) else { return None };
+    let name = option.split_whitespace().next()?;
+    let given = std::env::args().any(|word| word.split('=').next() == Some(name));
+    let of = |setting: &&Setting| format!("--{}", setting.id.replace('_', "-")) == name;
+    let variable = SETTINGS.iter().find(of)?.variable?;
+    (!given && std::env::var_os(variable).is_some()).then_some(variable)
 }
 
 #[cfg(test)]

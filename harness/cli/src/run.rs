@@ -1,6 +1,6 @@
 //! `platebench run`: find, play, judge, report.
 
-use crate::args::{BASELINES, Clock, Format, Pacing, PlateMode, Run};
+use crate::args::{BASELINES, Clock, Format, Pacing, PlateMode, Run, SCENARIOS};
 use crate::desk::Desk;
 use crate::exit::Exit;
 use crate::guard::Busy;
@@ -249,6 +249,11 @@ fn overrides(arguments: &Run) -> Overrides {
 fn scenarios(arguments: &Run, clock: platebench_runner::Clock) -> Result<Vec<Scenario>, Exit> {
     let found = find(&arguments.scenarios).map_err(|faults| {
         faults.iter().for_each(output::diagnostic);
+        if arguments.scenarios == [Path::new(SCENARIOS)] && !Path::new(SCENARIOS).exists() {
+            output::note(
+                "without a name the scenarios below `scenarios` are meant; platebench new writes one to start from",
+            );
+        }
         Exit::Invalid
     })?;
     if !found.left_out.is_empty() {

@@ -74,7 +74,8 @@ fn watched(arguments: &Run, clock: Clock, quiet: bool) -> io::Result<Exit> {
                 if !changed.is_empty() {
                     // How it ended has been shown; what comes next is what counts.
                     let _ = play_all(arguments, clock, changed, quiet);
-                    output::note(&format!("watching {} scenarios; Ctrl-C ends", played.len()));
+                    let what = if played.len() == 1 { "scenario" } else { "scenarios" };
+                    output::note(&format!("watching {} {what}; Ctrl-C ends", played.len()));
                 }
             }
         }

@@ -154,8 +154,21 @@ fn a_variable_that_cannot_be_meant_is_named() {
     for (variable, value) in [("PLATEBENCH_RIG", "can:0"), ("PLATEBENCH_JOBS", "0"), ("PLATEBENCH_FORMAT", "")] {
         let output = program(folder.path()).arg("run").env(variable, value).output().unwrap();
         let option = format!("--{}", variable.trim_start_matches("PLATEBENCH_").to_lowercase());
-        assert!(code(&output) == 2 && told(&output).contains(&option), "{variable}: {}", told(&output));
+        let said = told(&output);
+        assert!(code(&output) == 2 && said.contains(&option) && said.contains(variable), "{variable}: {said}");
+        // Whoever says it on the command line knows where it is from.
+        let output =
+            program(folder.path()).args(["run", &format!("{option}={value}")]).env(variable, value).output().unwrap();
+        assert!(code(&output) == 2 && !told(&output).contains(variable), "{variable}: {}", told(&output));
     }
+}
+
+#[test]
+fn who_has_no_scenarios_yet_is_told_how_to_get_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = |arguments: &[&str]| told(&call(folder.path(), arguments));
+    assert!(said(&["run"]).contains("platebench new"), "{}", said(&["run"]));
+    assert!(!said(&["run", "nowhere"]).contains("platebench new"), "{}", said(&["run", "nowhere"]));
 }
 
 #[test]
