@@ -4,6 +4,7 @@ use crate::exit::Exit;
 use crate::output;
 use clap::{Args, ValueEnum};
 use platebench_export::ExportError;
+use platebench_runner::rejudge::trace_unchanged;
 use platebench_runner::{RejudgeError, rejudge};
 use platebench_verdict::RunRecord;
 use std::path::PathBuf;
@@ -62,6 +63,10 @@ pub(crate) fn export(arguments: &Export) -> Exit {
             return Exit::Invalid;
         }
     };
+    if let Some(refused) = refused(&record, arguments) {
+        output::error(&refused.to_string());
+        return Exit::Invalid;
+    }
     let format = match arguments.format {
         Format::Parquet => platebench_export::Format::Parquet,
         Format::Mf4 => platebench_export::Format::Mf4,
@@ -84,4 +89,12 @@ pub(crate) fn export(arguments: &Export) -> Exit {
             if matches!(error, ExportError::Nothing(_)) { Exit::Nothing } else { Exit::Invalid }
         }
     }
+}
+
+/// Why a trace of what was asked for is not the one that the run was made with. That a scenario or a trace is not there is told by the export.
+fn refused(record: &RunRecord, arguments: &Export) -> Option<RejudgeError> {
+    let chosen = platebench_export::chosen(record, &arguments.scenarios).ok()?;
+    let trials = chosen.into_iter().flat_map(|scenario| &scenario.trials);
+    let refusals = trials.filter_map(|trial| trace_unchanged(&arguments.run, trial).err());
+    refusals.into_iter().find(|refusal| matches!(refusal, RejudgeError::Changed { .. }))
 }

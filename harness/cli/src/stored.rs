@@ -5,6 +5,7 @@ use crate::exit::Exit;
 use crate::output;
 use platebench_report::html::{self, Page};
 use platebench_report::traceability;
+use platebench_runner::rejudge::trace_unchanged;
 use platebench_runner::{RejudgeError, rejudge};
 use platebench_verdict::RunRecord;
 use std::path::Path;
@@ -51,6 +52,9 @@ pub(crate) fn report(arguments: &Report) -> Exit {
         Err(error) => return explain(&error),
     };
     let page = Page::new(&record, &arguments.run).with_baselines(&arguments.baselines).with_earlier_runs();
+    let page = page.without_changed_traces(|folder, trial| {
+        matches!(trace_unchanged(folder, trial), Err(RejudgeError::Changed { .. }))
+    });
     let (page, name) = match &other {
         Some((folder, other)) => (page.against(other, folder), html::COMPARISON_FILE),
         None => (page, html::FILE),
@@ -68,10 +72,19 @@ pub(crate) fn report(arguments: &Report) -> Exit {
     }
 }
 
-/// The record in `folder`. A run that was cut off has traces that nobody has judged yet.
+/// The record in `folder`. A run that was cut off has traces that nobody has judged yet; where one was changed since, what had been judged by then is all there is.
 fn whole(folder: &Path) -> Result<RunRecord, RejudgeError> {
     let record = RunRecord::read(folder)?;
-    if record.complete { Ok(record) } else { rejudge(folder, None) }
+    if record.complete {
+        return Ok(record);
+    }
+    match rejudge(folder, None) {
+        Err(changed @ RejudgeError::Changed { .. }) => {
+            output::note(&format!("{changed}; shown is what had been judged when the run was cut off"));
+            Ok(record)
+        }
+        judged => judged,
+    }
 }
 
 fn explain(error: &RejudgeError) -> Exit {

@@ -130,7 +130,10 @@ fn whole(path: &Path, write: &Write<'_>) -> Result<(), ExportError> {
 }
 
 /// The scenarios that were asked for, in the order of the run; all where none was.
-fn chosen<'a>(run: &'a RunRecord, asked: &[String]) -> Result<Vec<&'a ScenarioRecord>, ExportError> {
+///
+/// # Errors
+/// [`ExportError::NoSuchScenario`].
+pub fn chosen<'a>(run: &'a RunRecord, asked: &[String]) -> Result<Vec<&'a ScenarioRecord>, ExportError> {
     let bare = |name: &str| name.strip_suffix(".toml").unwrap_or(name).to_owned();
     let known: Vec<String> = run.scenarios.iter().map(|scenario| bare(&scenario.file)).collect();
     if let Some(unknown) = asked.iter().find(|name| !known.contains(&bare(name))) {

@@ -35,8 +35,9 @@ use frame::frame;
 use golden::Curves;
 use interactive::Beside;
 use maud::{Markup, html};
-use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
+use platebench_verdict::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use resolution::Resolution;
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
@@ -64,12 +65,16 @@ pub struct Page<'a> {
     baselines: Option<&'a Path>,
     other: Option<(&'a RunRecord, &'a Path)>,
     history: History,
+    is_changed: Option<IsChanged>,
 }
+
+/// Whether a trial of the run in that folder has a trace that is no longer the file that the run was made with.
+pub type IsChanged = fn(&Path, &TrialRecord) -> bool;
 
 impl<'a> Page<'a> {
     /// The run alone; its traces are looked for in `folder`.
     pub fn new(record: &'a RunRecord, folder: &'a Path) -> Self {
-        Self { record, folder, baselines: None, other: None, history: History::default() }
+        Self { record, folder, baselines: None, other: None, history: History::default(), is_changed: None }
     }
 
     /// With the golden traces in this folder and their tubes.
@@ -82,6 +87,12 @@ impl<'a> Page<'a> {
     #[must_use]
     pub fn with_earlier_runs(self) -> Self {
         Self { history: History::beside(self.folder, self.record), ..self }
+    }
+
+    /// With every trace held to what the run recorded of it: none that was changed is drawn, and which they are is said.
+    #[must_use]
+    pub fn without_changed_traces(self, is_changed: IsChanged) -> Self {
+        Self { is_changed: Some(is_changed), ..self }
     }
 
     /// With another run side by side.
@@ -104,11 +115,18 @@ impl<'a> Page<'a> {
         Some(Other { name, record })
     }
 
-    fn articles(&self) -> Result<Vec<Markup>, ReportError> {
+    /// The traces of these scenarios of the run in `folder` that are no longer what it was made with.
+    fn changed(&self, folder: &Path, scenarios: &[ScenarioRecord]) -> BTreeSet<String> {
+        let Some(is_changed) = self.is_changed else { return BTreeSet::new() };
+        let trials = scenarios.iter().flat_map(|scenario| &scenario.trials);
+        trials.filter(|trial| is_changed(folder, trial)).map(|trial| trial.trace.clone()).collect()
+    }
+
+    fn articles(&self, changed: &BTreeSet<String>) -> Result<Vec<Markup>, ReportError> {
         let record = self.record;
         let most = record.scenarios.iter().map(|scenario| scenario.trials.len()).max().unwrap_or(0).min(TRIALS);
         let resolution = Resolution::of(record.scenarios.len(), most);
-        let read = |scenario| Bundle::read(scenario, self.folder, resolution);
+        let read = |scenario| Bundle::read(scenario, self.folder, resolution, changed);
         let bundles: Vec<Bundle> = record.scenarios.iter().map(read).collect();
         let mut articles = Vec::new();
         for (place, (index, shown)) in in_order(record).into_iter().enumerate() {
@@ -155,18 +173,20 @@ impl<'a> Page<'a> {
         let first =
             scenario.trials.iter().find(|trial| trial.index == own.first).or_else(|| scenario.trials.first())?;
         let only = ScenarioRecord { trials: vec![first.clone()], ..scenario.clone() };
-        let bundle = Bundle::read(&only, folder, resolution);
+        let changed = self.changed(folder, std::slice::from_ref(&only));
+        let bundle = Bundle::read(&only, folder, resolution, &changed);
         Some((format!("trial {} of {}", first.index, other.name), bundle))
     }
 
     fn markup(&self) -> Result<Markup, ReportError> {
         let record = self.record;
-        let articles = self.articles()?;
+        let changed = self.changed(self.folder, &record.scenarios);
+        let articles = self.articles(&changed)?;
         let title = format!("{} · {} {}", record.verdict, record.tool.name, record.started);
         let body = html! {
             header { (summary::head(record)) }
             main {
-                (summary::open_points(record, &self.history))
+                (summary::open_points(record, &self.history, &changed))
                 @if let Some(other) = self.other() { (against::section(record, other)) }
                 (summary::scenarios(record))
                 (summary::requirements(record))

@@ -1,7 +1,7 @@
 //! A stored run, judged again without a rig.
 
 use crate::configure;
-use crate::folder::{FolderError, sha256, trace_file};
+use crate::folder::{FolderError, sha256, sha256_of, trace_file};
 use crate::measured::measured;
 use crate::run::empty_record;
 use crate::worker::Done;
@@ -13,7 +13,6 @@ use platebench_verdict::record::{Cause, Overrides, RecordError};
 use platebench_verdict::{
     Decision, RunRecord, ScenarioRecord, Telemetry, TrialMeasures, TrialRecord, judge, sequential,
 };
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// As many as the command line takes.
@@ -175,7 +174,10 @@ fn stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, R
 
 /// Refuses a file whose content is not what the record says.
 fn unchanged(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeError> {
-    let found = sha256(bytes);
+    same(path, sha256(bytes), expected)
+}
+
+fn same(path: &Path, found: String, expected: &str) -> Result<(), RejudgeError> {
     if found == expected {
         return Ok(());
     }
@@ -187,12 +189,19 @@ fn unchanged(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeErr
 /// # Errors
 /// [`RejudgeError`] where it is another, or none.
 pub fn rows_of(folder: &Path, trial: &TrialRecord) -> Result<Vec<Row>, RejudgeError> {
+    trace_unchanged(folder, trial)?;
+    Ok(read(&folder.join(&trial.trace))?)
+}
+
+/// Refuses a trial of the run in `folder` whose trace is no longer the one that was recorded.
+///
+/// # Errors
+/// [`RejudgeError::Changed`] where it is another, [`RejudgeError::Folder`] where there is none. A trial without a hash was cut off; nothing is known of its trace.
+pub fn trace_unchanged(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeError> {
+    let Some(expected) = trial.sha256.as_deref() else { return Ok(()) };
     let path = folder.join(&trial.trace);
-    if let Some(expected) = trial.sha256.as_deref() {
-        let bytes = fs::read(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
-        unchanged(&path, &bytes, expected)?;
-    }
-    Ok(read(&path)?)
+    let found = sha256_of(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
+    same(&path, found, expected)
 }
 
 /// Judges the trials up to the look that decides; the same one as live, since the trials are the same.

@@ -138,7 +138,34 @@ fn a_run_is_exported_once() {
     let output = call(workshop.path(), ["export", "run", "--format", "parquet", "--out", "other"]);
     assert_eq!(code(&output), 2);
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(told.contains("run/traces/s/000.csv:2: "), "{told}");
+    assert!(told.contains("run/traces/s/000.csv: SHA-256"), "{told}");
+    assert!(!workshop.path().join("other").exists(), "and nothing is written");
+}
+
+/// Of two scenarios one has a trace that was changed: neither both nor that one is exported, the other one is.
+#[test]
+fn a_doctored_trace_is_not_exported() {
+    let workshop = Workshop::new();
+    for name in ["s.toml", "t.toml"] {
+        workshop.scenario(name, &step(GOOD));
+    }
+    assert_eq!(code(&call(workshop.path(), ["run", "--rig", "hosted", "--out", "run"])), 0);
+    let trace = workshop.path().join("run/traces/s/000.csv");
+    let text = fs::read_to_string(&trace).unwrap();
+    fs::write(&trace, text.replacen("control", "", 1)).unwrap();
+    for (format, asked, expected) in [
+        ("csv", &[][..], 2),
+        ("parquet", &["s"][..], 2),
+        ("mf4", &["t", "s.toml"][..], 2),
+        ("mcap", &["s"][..], 2),
+        ("parquet", &["t"][..], 0),
+    ] {
+        let output = call(workshop.path(), [&["export", "run", "--format", format], asked].concat());
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(code(&output), expected, "{format} {asked:?}: {told}");
+        assert_eq!(told.contains("run/traces/s/000.csv: SHA-256"), expected == 2, "{format} {asked:?}: {told}");
+    }
+    assert_eq!(fs::read_dir(workshop.path().join("run/export")).unwrap().count(), 1);
 }
 
 /// A run that was killed: the record names no trial, one trace is whole and the next is not.

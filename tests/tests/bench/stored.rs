@@ -182,6 +182,40 @@ fn a_doctored_trace_is_refused_by_name() {
     assert!(told.contains("000.csv") && told.contains("SHA-256"), "{told}");
 }
 
+/// A report can still be read; what it would draw is not drawn, of a run that was cut off neither.
+#[test]
+fn a_doctored_trace_is_named_in_the_report_and_not_drawn() {
+    let workshop = Workshop::new();
+    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    workshop.scenario("t.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    call(workshop.path(), ["run", "--rig", "hosted", "--out", "run"]);
+    let run = workshop.path().join("run");
+    let report = || {
+        let output = call(workshop.path(), ["report", "run"]);
+        assert_eq!(code(&output), 0);
+        (fs::read_to_string(run.join("report.html")).unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    const SAID: &str = "traces/s/000.csv: not the file that the run was made with";
+    let (clean, _) = report();
+    let drawings = |page: &str| page.matches("Amplitude |W|</figcaption>").count();
+    assert!(!clean.contains("not the file") && drawings(&clean) >= 2);
+    let trace = run.join("traces/s/000.csv");
+    let text = fs::read_to_string(&trace).unwrap();
+    fs::write(&trace, text.replacen("control", "", 1)).unwrap();
+    let (page, _) = report();
+    assert!(page.contains(SAID) && page.contains("1 trace is not the file that the run was made with"));
+    assert_eq!(drawings(&page) * 2, drawings(&clean), "of t.toml only");
+
+    let mut record = RunRecord::read(&run).unwrap();
+    record.complete = false;
+    record.scenarios[1].trials.clear();
+    record.scenarios[1].expectations.clear();
+    record.write(&run).unwrap();
+    let (page, told) = report();
+    assert!(told.contains("000.csv: SHA-256"), "{told}");
+    assert!(page.contains(SAID) && page.contains("was not finished") && drawings(&page) == 0);
+}
+
 #[test]
 fn a_record_of_another_format_is_refused() {
     let workshop = Workshop::new();

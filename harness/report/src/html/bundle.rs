@@ -10,11 +10,13 @@ use crate::evidence;
 use platebench_trace::{Flags, Row, TraceError};
 use platebench_verdict::{Definition, ScenarioRecord, TrialRecord, Verdict};
 use serde_json::Value;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Trials whose traces are read; of more, also the one that decided a verdict.
 pub(crate) const TRIALS: usize = 30;
+/// What is said of a trace that was changed after the run.
+pub(crate) const CHANGED: &str = "not the file that the run was made with";
 /// Points that are kept of a line that another scenario is shown against, in whatever window that takes.
 const OVERLAY_POINTS: usize = 4_000;
 /// Half width of the band in records that do not tell it, percent of the setpoint: what scenarios have unless they say otherwise.
@@ -152,13 +154,22 @@ impl View {
 }
 
 impl Bundle {
-    /// Reads the traces of `scenario` below the run's `folder`.
-    pub(crate) fn read(scenario: &ScenarioRecord, folder: &Path, resolution: Resolution) -> Self {
+    /// Reads the traces of `scenario` below the run's `folder`, but for those that were `changed` after the run.
+    pub(crate) fn read(
+        scenario: &ScenarioRecord,
+        folder: &Path,
+        resolution: Resolution,
+        changed: &BTreeSet<String>,
+    ) -> Self {
         let mut bundle = Self::default();
         let exhibit = exhibit(scenario);
         for (position, trial) in scenario.trials.iter().enumerate() {
             let is_exhibit = exhibit.as_ref().is_some_and(|(index, _)| *index == trial.index);
             if position >= TRIALS && !is_exhibit {
+                continue;
+            }
+            if changed.contains(&trial.trace) {
+                bundle.missing.push(format!("{}: {CHANGED}", trial.trace));
                 continue;
             }
             match platebench_trace::read(&folder.join(&trial.trace)) {

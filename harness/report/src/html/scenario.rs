@@ -12,8 +12,8 @@ use maud::{Markup, PreEscaped, html};
 use platebench_verdict::{ExpectationRecord, ScenarioRecord};
 use serde_json::Value;
 
-/// How many unreadable traces are named one by one.
-const NAMED: usize = 5;
+/// How many traces that cannot be shown are named one by one.
+pub(super) const NAMED: usize = 5;
 
 /// What a scenario is shown with.
 pub(super) struct Parts<'a> {

@@ -2,11 +2,14 @@
 //!
 //! Neighbours: `html` puts it on top; everything here links to the scenarios below.
 
+use super::bundle::CHANGED;
+use super::scenario::NAMED;
 use super::{anchor, badge, in_order};
 use crate::history::History;
 use crate::{evidence, shown, traceability};
 use maud::{Markup, html};
 use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
+use std::collections::BTreeSet;
 
 /// Title, verdict, counts.
 pub(super) fn head(record: &RunRecord) -> Markup {
@@ -39,15 +42,37 @@ pub(super) fn head(record: &RunRecord) -> Markup {
     }
 }
 
-/// Everything that did not pass, with its reason, since when, and its trace.
-pub(super) fn open_points(record: &RunRecord, history: &History) -> Markup {
+/// Everything that did not pass, with its reason, since when, and its trace; and the traces that were changed after the run.
+pub(super) fn open_points(record: &RunRecord, history: &History, changed: &BTreeSet<String>) -> Markup {
     let open = evidence::open_points(record);
     html! {
-        @if !open.is_empty() {
+        @if !open.is_empty() || !changed.is_empty() {
             section aria-labelledby="open" {
-                h2 id="open" { "What did not pass" }
+                h2 id="open" { @if open.is_empty() { "What was changed" } @else { "What did not pass" } }
                 ol.open {
+                    @for (index, scenario) in record.scenarios.iter().enumerate() { (changed_traces(index, scenario, changed)) }
                     @for (scenario, index) in open { (open_point(record, scenario, index, history)) }
+                }
+            }
+        }
+    }
+}
+
+/// Which traces of a scenario are no longer the run's.
+fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<String>) -> Markup {
+    let traces: Vec<&str> =
+        scenario.trials.iter().map(|trial| trial.trace.as_str()).filter(|trace| changed.contains(*trace)).collect();
+    let (named, further) = traces.split_at(traces.len().min(NAMED));
+    html! {
+        @if !traces.is_empty() {
+            li.inconclusive {
+                p.what { span class="badge inconclusive" { span aria-hidden="true" { "!" } " changed" } " " a href={ "#" (anchor(index)) } { (scenario.title) } }
+                p.why {
+                    (shown::count(traces.len(), "trace")) @if traces.len() == 1 { " is " } @else { " are " } (CHANGED)
+                    ": the verdicts are those of the run, its plots would be those of another file and are not drawn."
+                }
+                p.where {
+                    (named.join(", ")) @if !further.is_empty() { " and " (further.len()) " more" }
                 }
             }
         }
