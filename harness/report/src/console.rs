@@ -84,7 +84,7 @@ fn expectations(text: &mut String, scenario: &ScenarioRecord, style: Style) {
             [
                 evidence::key(scenario, index),
                 format!("{} {}", shown::sign(expectation.verdict), shown::verdict(expectation)),
-                shown::value(expectation).unwrap_or_else(dash),
+                shown::found(expectation).unwrap_or_else(dash),
                 shown::limit(expectation),
                 shown::interval(expectation).unwrap_or_else(dash),
                 expectation.paper.map_or_else(dash, shown::number),

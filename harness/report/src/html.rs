@@ -38,6 +38,7 @@ use maud::{Markup, html};
 use platebench_verdict::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use resolution::Resolution;
 use std::collections::BTreeSet;
+use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
@@ -215,6 +216,24 @@ fn in_order(record: &RunRecord) -> Vec<(usize, &ScenarioRecord)> {
 /// Where a scenario stands on the page.
 fn anchor(index: usize) -> String {
     format!("scenario-{index}")
+}
+
+/// A file of the run folder, as a link that works where the page lies there.
+fn file(path: &str) -> Markup {
+    html! { @if !path.is_empty() { a href={ "./" (encoded(path)) } { (path) } } }
+}
+
+/// A relative path as a URL has it: nothing in a name is a scheme, a query or a fragment.
+fn encoded(path: &str) -> String {
+    path.bytes().fold(String::with_capacity(path.len()), |mut url, byte| {
+        if byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte) {
+            url.push(char::from(byte));
+        } else {
+            // Writing into a string does not fail.
+            let _ = write!(url, "%{byte:02X}");
+        }
+        url
+    })
 }
 
 fn badge(verdict: Verdict, text: &str) -> Markup {

@@ -87,7 +87,7 @@ fn open_points(text: &mut String, record: &RunRecord) {
         let Some(expectation) = scenario.expectations.get(*index) else { continue };
         let (sign, verdict) = (shown::sign(expectation.verdict), shown::verdict(expectation));
         let expected = cell(&format!("{} {}", evidence::key(scenario, *index), shown::limit(expectation)));
-        let found = shown::value(expectation).unwrap_or_else(|| "none".to_owned());
+        let found = shown::found(expectation).unwrap_or_else(|| "none".to_owned());
         let requirement = cell(expectation.requirement.as_deref().unwrap_or_default());
         let why = expectation.reason.as_deref().map_or(verdict.clone(), |reason| format!("{verdict}: {reason}"));
         let trace = evidence::trial(scenario, *index).map(|trial| cell(&trial.trace)).unwrap_or_default();

@@ -136,6 +136,10 @@ pub fn value(expectation: &ExpectationRecord) -> Option<String> {
 
 /// What the value was held against: `≤ 2`, `≥ 2`, `1 … 2` or `≈ 2`.
 pub fn limit(expectation: &ExpectationRecord) -> String {
+    limit_in(expectation, number)
+}
+
+fn limit_in(expectation: &ExpectationRecord, number: fn(f64) -> String) -> String {
     let said = |value: &Value| match value {
         Value::Array(items) => items
             .iter()
@@ -152,6 +156,42 @@ pub fn limit(expectation: &ExpectationRecord) -> String {
         other => format!("{other} {}", said(value)),
     });
     parts.collect::<Vec<_>>().join(", ")
+}
+
+/// The value that decided, or in a word that what was timed never came.
+pub(crate) fn found(expectation: &ExpectationRecord) -> Option<String> {
+    let reason = expectation.reason.as_deref().unwrap_or_default();
+    let is_time = expectation.metric.ends_with("_time_ms");
+    let never = is_time && NEVER.iter().any(|says| reason.contains(says));
+    value(expectation).or_else(|| never.then(|| "never".to_owned()))
+}
+
+/// What judging says of a trial in which what was timed never came.
+const NEVER: [&str; 2] = ["never stays inside the band", "does not come to rest"];
+
+/// Why it did not pass, as far as the value and the limit beside it do not say it.
+pub(crate) fn why(expectation: &ExpectationRecord) -> Option<&str> {
+    let reason = expectation.reason.as_deref()?;
+    let expected = format!(", expected {}", limit_in(expectation, |value| value.to_string()));
+    let Some(measured) = reason.strip_suffix(&expected) else { return Some(reason) };
+    let (before, last) = measured.rsplit_once(": ").unwrap_or(("", measured));
+    if last.parse::<f64>().is_err() {
+        return Some(measured);
+    }
+    let is_trial = before.strip_prefix("trial ").is_some_and(|number| number.parse::<u32>().is_ok());
+    (!before.is_empty() && !is_trial).then_some(before)
+}
+
+/// What the measured value is of all trials' values.
+pub(crate) fn statistic(expectation: &ExpectationRecord) -> String {
+    let said = match (expectation.statistic.as_str(), expectation.evidence.quantile) {
+        ("worst", _) => "worst trial",
+        ("mean", _) => "mean of trials",
+        ("deviation", _) => "deviation over trials",
+        ("quantile", Some(share)) => return format!("{} % quantile", number(share * 100.0)),
+        (other, _) => other,
+    };
+    said.to_owned()
 }
 
 /// `1.9 … 1.96`, with the confidence of its ends where there is one. What the worst and the best trial came to is no bound of anything.
@@ -204,10 +244,9 @@ mod tests {
         assert_eq!(number(value), expected);
     }
 
-    #[test]
-    fn a_value_never_rounds_onto_its_limit() {
+    fn too_slow() -> ExpectationRecord {
         let limit = serde_json::Map::from_iter([("at_most".to_owned(), Value::from(2.0))]);
-        let mut expectation = ExpectationRecord {
+        ExpectationRecord {
             metric: "settling_time_ms".to_owned(),
             verdict: Verdict::Fail,
             value: Some(2.000_04),
@@ -221,10 +260,29 @@ mod tests {
             requirement: None,
             definition: Definition::default(),
             evidence: Evidence::default(),
-        };
+        }
+    }
+
+    #[test]
+    fn a_value_never_rounds_onto_its_limit() {
+        let mut expectation = too_slow();
         assert_eq!(value(&expectation).unwrap(), "2.00004");
         expectation.value = Some(2.0);
         assert_eq!(value(&expectation).unwrap(), "2");
+    }
+
+    #[rstest]
+    #[case("trial 1: 5.6320, expected ≤ 2.00005", None)]
+    #[case("5.6320, expected ≤ 2.00005", None)]
+    #[case("trial 1: 5.6320, expected ≤ 2", Some("trial 1: 5.6320, expected ≤ 2"))]
+    #[case("trial 1: between 5.6000 and 5.6320, expected ≤ 2.00005", Some("trial 1: between 5.6000 and 5.6320"))]
+    #[case("trial 1: diverged at t = 12.5 ms: 9.0000, expected ≤ 2.00005", Some("trial 1: diverged at t = 12.5 ms"))]
+    #[case("2 of the trials count, expected at least 3", Some("2 of the trials count, expected at least 3"))]
+    fn why_leaves_out_what_stands_beside_it(#[case] reason: &str, #[case] expected: Option<&str>) {
+        let limit = serde_json::Map::from_iter([("at_most".to_owned(), Value::from(2.000_05))]);
+        let reason = Some(reason.to_owned());
+        let expectation = ExpectationRecord { limit, reason, ..too_slow() };
+        assert_eq!(why(&expectation), expected);
     }
 
     #[rstest]

@@ -126,7 +126,7 @@ fn row(pair: &Pair<'_>) -> Markup {
         html! { @match found { Some(found) => (badge(found.verdict, &shown::verdict(found))), None => span.nothing { "not played" } } }
     };
     let value = |found: Option<&ExpectationRecord>| {
-        let value = found.and_then(shown::value);
+        let value = found.and_then(shown::found);
         html! { @match value { Some(value) => { (value) " " span.unit { (shown::unit(&metric(pair))) } }, None => span.nothing { "–" } } }
     };
     html! {

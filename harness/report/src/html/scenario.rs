@@ -5,7 +5,7 @@
 use super::bundle::Bundle;
 use super::figure::{Behind, Figure, Key, figures};
 use super::plot::SIZE;
-use super::{anchor, badge, script};
+use super::{anchor, badge, file, script};
 use crate::error::ReportError;
 use crate::{evidence, shown, timing};
 use maud::{Markup, PreEscaped, html};
@@ -80,19 +80,24 @@ fn with_unit(text: Option<String>, unit: &str) -> Markup {
     } }
 }
 
-/// What the measured value is of all trials' values.
-fn statistic(expectation: &ExpectationRecord) -> String {
-    let said = match (expectation.statistic.as_str(), expectation.evidence.quantile) {
-        ("worst", _) => "worst trial",
-        ("mean", _) => "mean of trials",
-        ("deviation", _) => "over trials",
-        ("quantile", Some(share)) => return format!("{} % quantile", shown::number(share * 100.0)),
-        (other, _) => other,
-    };
-    said.to_owned()
+/// True where the paper has a value for something.
+fn has_paper(scenario: &ScenarioRecord) -> bool {
+    scenario.expectations.iter().any(|expectation| expectation.paper.is_some())
+}
+
+/// True where an interval says more than the value beside it.
+fn has_interval(scenario: &ScenarioRecord) -> bool {
+    scenario.expectations.iter().any(|expectation| interval(expectation).is_some())
+}
+
+/// Nothing where the worst trial is the best one too.
+fn interval(expectation: &ExpectationRecord) -> Option<String> {
+    let is_one = expectation.statistic == "worst" && expectation.interval.is_some_and(|[low, high]| low == high);
+    shown::interval(expectation).filter(|_| !is_one)
 }
 
 fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
+    let columns = 4 + usize::from(has_paper(scenario)) + usize::from(has_interval(scenario));
     let row = |index: usize, expectation: &ExpectationRecord| {
         let unit = shown::unit(&expectation.metric);
         html! {
@@ -103,18 +108,22 @@ fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
                 }
                 td data-label="Verdict" { (badge(expectation.verdict, &shown::verdict(expectation))) }
                 td.number data-label="Measured" {
-                    strong { (with_unit(shown::value(expectation), unit)) }
-                    span.statistic { (statistic(expectation)) }
+                    strong { (with_unit(shown::found(expectation), unit)) }
+                    @if scenario.trials.len() > 1 { span.statistic { (shown::statistic(expectation)) } }
                 }
-                td.number data-label="Paper" { (with_unit(expectation.paper.map(shown::number), unit)) }
+                @if has_paper(scenario) {
+                    td.number data-label="Paper" { (with_unit(expectation.paper.map(shown::number), unit)) }
+                }
                 td.number data-label="Demanded" { (with_unit(Some(shown::limit(expectation)), unit)) }
-                td.number data-label="Interval" { (with_unit(shown::interval(expectation), "")) }
+                @if has_interval(scenario) {
+                    td.number data-label="Interval" { (with_unit(interval(expectation), "")) }
+                }
             }
-            @if let Some(reason) = &expectation.reason {
-                tr.reason { td colspan="6" { span { (reason) } } }
+            @if let Some(reason) = shown::why(expectation) {
+                tr.reason { td colspan=(columns) { span { (reason) } } }
             }
             @if let Some(evidence) = shown::evidence(expectation) {
-                tr.evidence { td colspan="6" { span { (evidence) } } }
+                tr.evidence { td colspan=(columns) { span { (evidence) } } }
             }
         }
     };
@@ -128,9 +137,9 @@ fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
                         th scope="col" { "Metric" }
                         th scope="col" { "Verdict" }
                         th.number scope="col" { "Measured" }
-                        th.number scope="col" { "Paper" }
+                        @if has_paper(scenario) { th.number scope="col" { "Paper" } }
                         th.number scope="col" { "Demanded" }
-                        th.number scope="col" { "Interval" }
+                        @if has_interval(scenario) { th.number scope="col" { "Interval" } }
                     } }
                     tbody { @for (index, expectation) in scenario.expectations.iter().enumerate() {
                         (row(index, expectation))
@@ -208,7 +217,7 @@ fn trials(scenario: &ScenarioRecord) -> Markup {
                                 @for column in &columns {
                                     td.number { (with_unit(number(trial.metrics.get(column)), "")) }
                                 }
-                                td.file { (trial.trace) }
+                                td.file { (file(&trial.trace)) }
                                 td {
                                     @if let Some(cause) = trial.cause { strong { (cause) } }
                                     @if let Some(reason) = &trial.reason { " " (reason) }

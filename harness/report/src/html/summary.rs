@@ -4,7 +4,7 @@
 
 use super::bundle::CHANGED;
 use super::scenario::NAMED;
-use super::{anchor, badge, in_order};
+use super::{anchor, badge, file, in_order};
 use crate::history::History;
 use crate::{evidence, shown, traceability};
 use maud::{Markup, html};
@@ -51,7 +51,7 @@ pub(super) fn open_points(record: &RunRecord, history: &History, changed: &BTree
                 h2 id="open" { @if open.is_empty() { "What was changed" } @else { "What did not pass" } }
                 ol.open {
                     @for (index, scenario) in record.scenarios.iter().enumerate() { (changed_traces(index, scenario, changed)) }
-                    @for (scenario, index) in open { (open_point(record, scenario, index, history)) }
+                    @for (scenario, index) in open { (open_point(record, scenario, index, history, changed)) }
                 }
             }
         }
@@ -72,17 +72,27 @@ fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<St
                     ": the verdicts are those of the run, its plots would be those of another file and are not drawn."
                 }
                 p.where {
-                    (named.join(", ")) @if !further.is_empty() { " and " (further.len()) " more" }
+                    @for (place, trace) in named.iter().enumerate() { @if place > 0 { ", " } (file(trace)) } @if !further.is_empty() { " and " (further.len()) " more" }
                 }
             }
         }
     }
 }
 
-fn open_point(record: &RunRecord, scenario: &ScenarioRecord, index: usize, history: &History) -> Markup {
+fn open_point(
+    record: &RunRecord,
+    scenario: &ScenarioRecord,
+    index: usize,
+    history: &History,
+    changed: &BTreeSet<String>,
+) -> Markup {
     let place = record.scenarios.iter().position(|other| std::ptr::eq(other, scenario)).unwrap_or(0);
     let Some(expectation) = scenario.expectations.get(index) else { return Markup::default() };
     let unit = shown::unit(&expectation.metric);
+    let trial = evidence::trial(scenario, index);
+    // Of one trial there is nothing to choose from, and over trials none decided alone.
+    let decided = trial.filter(|_| expectation.statistic == "worst" && scenario.trials.len() > 1);
+    let decided = decided.map(|trial| trial.index);
     html! {
         li class=(expectation.verdict) {
             p.what {
@@ -91,17 +101,23 @@ fn open_point(record: &RunRecord, scenario: &ScenarioRecord, index: usize, histo
             }
             p.why {
                 code { (expectation.metric) } " "
-                @if let Some(value) = shown::value(expectation) { strong { (value) " " (unit) } ", demanded " }
-                @else { "demanded " }
+                @match (shown::value(expectation), shown::found(expectation)) {
+                    (Some(value), _) => { strong { (value) " " (unit) } @if let Some(index) = decided { " in trial " (index) } ", demanded " },
+                    (None, Some(never)) => { strong { (never) } ", demanded " },
+                    (None, None) => "demanded ",
+                }
                 span.number { (shown::limit(expectation)) " " (unit) }
-                @if let Some(reason) = &expectation.reason { span.reason { (reason) } }
+                @if let Some(reason) = shown::why(expectation) { span.reason { (reason) } }
             }
-            @if let Some(since) = history.since(record, &scenario.file, &evidence::key(scenario, index)) {
+            @if let Some(since) = history.since(record, scenario, index) {
                 p.since { (since) }
             }
             p.where {
                 (scenario.file)
-                @if let Some(trial) = evidence::trial(scenario, index) { " · " (trial.trace) }
+                @if let Some(trial) = trial {
+                    " · " (file(&trial.trace))
+                    @if changed.contains(&trial.trace) { ", " (CHANGED) }
+                }
             }
         }
     }
@@ -170,7 +186,7 @@ pub(super) fn requirements(record: &RunRecord) -> Markup {
                                 td { code { (link.expectation) } " " (link.limit) }
                                 td { a href={ "#" (anchor(link.number)) } { (link.scenario) } }
                                 td { (badge(link.verdict, link.verdict.name())) }
-                                td.file { (link.trace) }
+                                td.file { (file(&link.trace)) }
                             }
                         } }
                     }

@@ -4,11 +4,11 @@ use crate::made::{self, Response};
 use platebench_report::html;
 use platebench_trace::{Flags, Writer};
 use platebench_verdict::golden::{Accepted, Build, Features, Golden};
-use platebench_verdict::{Definition, RunRecord, ScenarioRecord, Verdict};
+use platebench_verdict::{Definition, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use rstest::rstest;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 fn written(record: &RunRecord, folder: &Path) -> String {
     html::write(record, folder).unwrap();
@@ -103,7 +103,7 @@ fn what_failed_comes_before_what_passed() {
     let summary = page.find("What did not pass").unwrap();
     let link = page.find("href=\"#scenario-1\"").unwrap();
     assert!(summary < link && link < place(1));
-    assert!(page.contains("trial 1: 5.6320, expected ≤ 2") && page.contains("traces/paper/fig13-open-loop/001.csv"));
+    assert!(page.contains("5.632 ms</strong> in trial 1") && page.contains("traces/paper/fig13-open-loop/001.csv"));
     balanced(&page);
 }
 
@@ -361,47 +361,249 @@ fn two_runs_stand_side_by_side() {
     assert!(part(&page, 1).matches(&format!("trial 0 of {name}")).count() > 1, "also without scripts");
 }
 
-#[test]
-fn since_when_something_fails_is_said() {
-    let runs = tempfile::tempdir().unwrap();
-    let write = |name: &str, started: &str, passes: bool, rig: &str| {
-        let mut scenario = open();
-        if passes {
-            scenario.expectations[0].verdict = Verdict::Pass;
-        }
-        let mut record = made::run(vec![scenario]);
-        (record.started, record.rig.name) = (started.to_owned(), rig.to_owned());
-        let folder = runs.path().join(name);
+/// Runs of the open loop in folders beside each other.
+struct Runs(tempfile::TempDir);
+
+impl Runs {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    /// Leaves a run there in which the open loop settles too late; `change` makes it another one.
+    fn write(&self, name: &str, started: &str, change: impl FnOnce(&mut RunRecord)) -> (RunRecord, PathBuf) {
+        let mut record = made::run(vec![open()]);
+        started.clone_into(&mut record.started);
+        change(&mut record);
+        let folder = self.0.path().join(name);
         fs::create_dir_all(&folder).unwrap();
         record.write(&folder).unwrap();
         (record, folder)
-    };
-    let said = |(record, folder): &(RunRecord, std::path::PathBuf)| {
-        let path = folder.join(html::FILE);
-        html::Page::new(record, folder).with_earlier_runs().write(&path).unwrap();
-        let page = fs::read_to_string(&path).unwrap();
-        page.split_once("<p class=\"since\">").map(|(_, rest)| rest.split_once("</p>").unwrap().0.to_owned())
-    };
-    let now = write("now", "2026-03-05T00:00:00Z", false, "hosted");
-    assert_eq!(said(&now), None, "nobody knows");
-    write("later", "2026-03-06T00:00:00Z", true, "hosted");
-    write("elsewhere", "2026-03-04T12:00:00Z", true, "serial:/dev/x");
-    assert_eq!(said(&now), None, "a later run and another rig do not count");
-    write("d", "2026-03-04T00:00:00Z", false, "hosted");
-    assert!(said(&now).unwrap().starts_with("Since d (2026-03-04T00:00:00Z) or before"));
-    write("c", "2026-03-03T00:00:00Z", false, "hosted");
-    write("b", "2026-03-02T00:00:00Z", true, "hosted");
-    write("a", "2026-03-01T00:00:00Z", false, "hosted");
-    let text = said(&now).unwrap();
-    assert!(text.starts_with("Since c (2026-03-03T00:00:00Z), 2 runs ago. It last passed in b (2026-03-02"), "{text}");
-    write("d", "2026-03-04T00:00:00Z", true, "hosted");
-    assert!(
-        said(&now)
-            .unwrap()
-            .starts_with("New in this run. It last passed in d (2026-03-04T00:00:00Z), with the same build")
+    }
+}
+
+fn passes(record: &mut RunRecord) {
+    record.scenarios[0].expectations[0].verdict = Verdict::Pass;
+}
+
+/// Since when, as the page of a run says it.
+fn since((record, folder): &(RunRecord, PathBuf)) -> String {
+    let path = folder.join(html::FILE);
+    html::Page::new(record, folder).with_earlier_runs().write(&path).unwrap();
+    let page = fs::read_to_string(&path).unwrap();
+    page.split_once("<p class=\"since\">").unwrap().1.split_once("</p>").unwrap().0.to_owned()
+}
+
+#[test]
+fn since_when_something_fails_is_said() {
+    let runs = Runs::new();
+    let now = runs.write("now", "2026-03-05T00:00:00Z", |_| ());
+    assert!(!written(&now.0, &now.1).contains("class=\"since\""), "nobody looked");
+    assert_eq!(since(&now), "No earlier run of it lies beside this one.");
+    runs.write("later", "2026-03-06T00:00:00Z", passes);
+    assert_eq!(since(&now), "No earlier run of it lies beside this one.");
+    runs.write("d", "2026-03-04T00:00:00Z", |_| ());
+    assert_eq!(
+        since(&now),
+        "Since d (2026-03-04T00:00:00Z) or before: it has not passed in any earlier run on <code>hosted</code> with <code>open-loop</code> that lies beside this one."
     );
-    fs::write(runs.path().join("c/run.json"), "damaged").unwrap();
-    assert!(said(&now).is_some());
+    runs.write("c", "2026-03-03T00:00:00Z", |_| ());
+    runs.write("b", "2026-03-02T00:00:00Z", passes);
+    runs.write("a", "2026-03-01T00:00:00Z", |_| ());
+    let text = since(&now);
+    assert!(text.starts_with("Since c (2026-03-03T00:00:00Z), 2 runs ago. It last passed in b (2026-03-02"), "{text}");
+    runs.write("d", "2026-03-04T00:00:00Z", passes);
+    let text = since(&now);
+    assert!(
+        text.starts_with("New in this run. It last passed in d (2026-03-04T00:00:00Z), with the same build"),
+        "{text}"
+    );
+    fs::write(runs.0.path().join("d/run.json"), "damaged").unwrap();
+    assert!(since(&now).starts_with("Since c (2026-03-03T00:00:00Z), one run ago. It last passed in b"));
+}
+
+/// What another law did, or a controller on another kind of rig, says nothing of this one.
+#[test]
+fn only_runs_on_the_same_kind_of_rig_and_with_the_same_law_count() {
+    const NONE: &str =
+        "No earlier run of it on <code>emulated</code> with <code>open-loop</code> lies beside this one.";
+    let runs = Runs::new();
+    let rig = |record: &mut RunRecord, name: &str| name.clone_into(&mut record.rig.name);
+    let now = runs.write("now", "2026-03-05T00:00:00Z", |record| rig(record, "emulated:mine.elf"));
+    runs.write("another-rig", "2026-03-04T00:00:00Z", |record| {
+        passes(record);
+        rig(record, "serial:/dev/x");
+    });
+    assert_eq!(since(&now), NONE);
+    runs.write("another-law", "2026-03-03T00:00:00Z", |record| {
+        passes(record);
+        rig(record, "emulated");
+        "dq-pi".clone_into(&mut record.scenarios[0].law);
+    });
+    assert_eq!(since(&now), NONE);
+    runs.write("failed", "2026-03-02T00:00:00Z", |record| rig(record, "emulated"));
+    assert!(since(&now).starts_with("Since failed (2026-03-02T00:00:00Z) or before: it has not passed in any earlier run on <code>emulated</code> with"));
+    runs.write("passed", "2026-03-01T00:00:00Z", |record| {
+        passes(record);
+        rig(record, "emulated");
+    });
+    assert!(since(&now).contains("one run ago. It last passed in passed (2026-03-01T00:00:00Z), with the same build"));
+}
+
+#[rstest]
+#[case::same(|_: &mut ExpectationRecord| (), "")]
+#[case::limit(|then: &mut ExpectationRecord| then.limit = Map::from_iter([("at_most".to_owned(), json!(60.0))]), ", then with ≤ 60 ms")]
+#[case::statistic(|then: &mut ExpectationRecord| "mean".clone_into(&mut then.statistic), ", then with the mean of trials")]
+#[case::band(|then: &mut ExpectationRecord| then.definition.band_percent = Some(2.0), ", then with a band of 2 %")]
+#[case::from(|then: &mut ExpectationRecord| then.definition.from_ms = Some(40.0), ", then with a look from 40 ms on")]
+#[case::signal(|then: &mut ExpectationRecord| then.definition.signal = Some("wd_um".to_owned()), ", then with a look at wd_um")]
+#[case::silent(|then: &mut ExpectationRecord| then.definition = Definition::default(), "")]
+fn where_it_was_another_expectation_then_it_is_said_which(
+    #[case] change: fn(&mut ExpectationRecord),
+    #[case] expected: &str,
+) {
+    let runs = Runs::new();
+    let defined = |record: &mut RunRecord| {
+        record.scenarios[0].expectations[0].definition =
+            Definition { from_ms: None, band_percent: Some(5.0), signal: Some("amplitude_um".to_owned()) };
+    };
+    let now = runs.write("now", "2026-03-05T00:00:00Z", defined);
+    let then = |record: &mut RunRecord| {
+        defined(record);
+        passes(record);
+        change(&mut record.scenarios[0].expectations[0]);
+    };
+    runs.write("then", "2026-03-04T00:00:00Z", then);
+    let text = since(&now);
+    assert!(
+        text.starts_with(&format!("New in this run. It last passed in then (2026-03-04T00:00:00Z{expected})")),
+        "{text}"
+    );
+    // Where the very same stood there too, under another number, that one counts.
+    runs.write("then", "2026-03-04T00:00:00Z", |record| {
+        defined(record);
+        let same = record.scenarios[0].expectations[0].clone();
+        then(record);
+        record.scenarios[0].expectations.push(same);
+    });
+    let text = since(&now);
+    assert_eq!(text.starts_with("Since then (2026-03-04T00:00:00Z) or before"), !expected.is_empty(), "{text}");
+}
+
+#[test]
+fn why_is_said_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = written(&made::mixed(), folder.path());
+    let points = page.split("id=\"open\"").nth(1).unwrap().split("</section>").next().unwrap();
+    assert!(
+        points.contains("<strong>5.632 ms</strong> in trial 1, demanded <span class=\"number\">≤ 2 ms</span>"),
+        "{points}"
+    );
+    assert!(!page.contains("5.6320"), "the same number again");
+    // What says more than the numbers stays.
+    assert!(points.contains("saturated: holding the setpoint needs 668 Vpp"), "{points}");
+    // A value of all trials is none of one trial's.
+    assert!(points.contains("<strong>1.25 %</strong>, demanded"), "{points}");
+}
+
+#[test]
+fn what_never_settled_is_said_to_have_never_done_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = written(&made::mixed(), folder.path());
+    assert!(page.contains("<strong>never</strong>, demanded <span class=\"number\">≤ 2 ms</span>"), "{page}");
+    assert!(part(&page, 1).contains("<strong><span>never"), "{}", part(&page, 1));
+    // A number that could not be had for another reason is not one that never came.
+    let mut record = made::mixed();
+    record.scenarios[1].expectations[1].reason = Some("trial 2: the setpoint never steps".to_owned());
+    assert!(!written(&record, folder.path()).contains(">never"));
+}
+
+#[test]
+fn columns_that_say_nothing_are_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let columns = |change: &dyn Fn(&mut ExpectationRecord)| {
+        let mut closed = closed();
+        closed.expectations[0].interval = Some([1.949, 1.949]);
+        change(&mut closed.expectations[0]);
+        let page = written(&made::run(vec![closed]), folder.path());
+        ["Paper", "Interval"].map(|column| {
+            part(&page, 0).matches(&format!("{column}<")).count()
+                + part(&page, 0).matches(&format!("data-label=\"{column}\"")).count()
+        })
+    };
+    assert_eq!(columns(&|_| ()), [0, 0]);
+    assert_eq!(columns(&|found| found.paper = Some(2.0)), [2, 0]);
+    assert_eq!(columns(&|found| found.interval = Some([1.948, 1.949])), [0, 2]);
+    // Bounds are bounds, however close.
+    assert_eq!(columns(&|found| "mean".clone_into(&mut found.statistic)), [0, 2]);
+}
+
+#[test]
+fn a_trace_is_a_link_that_leads_nowhere_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut record = made::mixed();
+    let page = written(&record, folder.path());
+    let link = "<a href=\"./traces/paper/fig13-open-loop/001.csv\">traces/paper/fig13-open-loop/001.csv</a>";
+    // In what did not pass, beside the requirement and among the trials.
+    assert_eq!(page.matches(link).count(), 3);
+    for (name, url) in [
+        ("javascript:alert(1)", "./javascript%3Aalert%281%29"),
+        ("//else.where/a b.csv", ".///else.where/a%20b.csv"),
+        ("a#b?c%d\"µ.csv", "./a%23b%3Fc%25d%22%C2%B5.csv"),
+    ] {
+        name.clone_into(&mut record.scenarios[1].trials[1].trace);
+        let page = written(&record, folder.path());
+        assert_eq!(page.matches(&format!("href=\"{url}\"")).count(), 3, "{name}");
+        balanced(&page);
+    }
+}
+
+/// A trace that is not the run's, of a trial that decided and of one that is not even read.
+#[test]
+fn changed_traces_are_named_and_not_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut open, mut closed) = (open(), closed());
+    made::play(&mut open, folder.path(), 40, Response { time_constant_ms: 1.88, ..Response::default() }, 0.01);
+    made::play(&mut closed, folder.path(), 1, Response::default(), 0.0);
+    open.trials[0].metrics["settling_time_ms"] = json!(5.632);
+    let record = made::run(vec![open, closed]);
+    let shown = |record: &RunRecord, is_changed: html::IsChanged| {
+        let path = folder.path().join(html::FILE);
+        html::Page::new(record, folder.path()).without_changed_traces(is_changed).write(&path).unwrap();
+        fs::read_to_string(path).unwrap()
+    };
+    assert!(!shown(&record, |_, _| false).contains("not the file"));
+    let page = shown(&record, |_, trial| trial.trace.contains("open") && (trial.index == 0 || trial.index == 39));
+    balanced(&page);
+    assert!(page.contains("2 traces are not the file that the run was made with"));
+    assert!(
+        page.contains("001.csv") && page.contains("open-loop/000.csv</a>, not the file that the run was made with")
+    );
+    let open = part(&page, 0);
+    assert!(
+        open.contains("1 trace cannot be shown.") && open.contains("000.csv: not the file that the run was made with"),
+        "{open}"
+    );
+    assert!(keys(&curves(&page)[0], 0).contains(&"trial 1".to_owned()), "the first of those that are the run's");
+    // Where all passed it is said as well.
+    let passed = made::run(vec![record.scenarios[1].clone()]);
+    let page = shown(&passed, |_, _| true);
+    assert!(page.contains("What was changed") && !page.contains("What did not pass") && !page.contains("<figure>"));
+    // The other run's traces are held to that run.
+    let path = folder.path().join(html::COMPARISON_FILE);
+    let elsewhere = tempfile::tempdir().unwrap();
+    let other = record.clone();
+    for trial in record.scenarios.iter().flat_map(|scenario| &scenario.trials) {
+        Response::default().write(elsewhere.path(), trial);
+    }
+    let name = elsewhere.path().file_name().unwrap().to_str().unwrap();
+    for (is_changed, drawn) in
+        [((|_, _| false) as html::IsChanged, true), (|folder, _| !folder.join(html::FILE).exists(), false)]
+    {
+        let page = html::Page::new(&record, folder.path()).without_changed_traces(is_changed);
+        page.against(&other, elsewhere.path()).write(&path).unwrap();
+        let page = fs::read_to_string(&path).unwrap();
+        assert_eq!(keys(&curves(&page)[0], 0).contains(&format!("trial 0 of {name}")), drawn);
+    }
 }
 
 #[test]
