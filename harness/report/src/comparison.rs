@@ -67,7 +67,11 @@ pub fn drawing(tube: &Tube, rows: &[Row], trial: u32, worst: &Exceedance) -> Res
         spans: Vec::new(),
         areas: vec![(Ink::Band, [edge(1), edge(0)])],
         lines: vec![(Ink::Other, golden), (Ink::First, trial_points)],
-        mark: Some(Mark { at_ms: worst.t_ms, text: format!("{} at {} ms", tube.signal, shown::number(worst.t_ms)) }),
+        marks: vec![Mark {
+            ink: Ink::Settling,
+            at_ms: worst.t_ms,
+            text: Some(format!("{} at {} ms", tube.signal, shown::number(worst.t_ms))),
+        }],
     };
     let body = chart.draw(&tube.signal)?;
     let (width, height) = SIZE;

@@ -2,6 +2,7 @@
 //! the plots move.
 //!
 //! * `bundle`, `curves`, `grid`, `golden`, `resolution`: traces to what can be shown of them.
+//! * `timed`: instants that were asked for.
 //! * `figure`, `plot`: curves to drawings.
 //! * `interactive`, `pack`, `script`: curves to plots.
 //! * `summary`, `against`, `scenario`, `cost`, `environment`: the page's parts.
@@ -24,6 +25,7 @@ mod resolution;
 mod scenario;
 mod script;
 mod summary;
+mod timed;
 
 use crate::error::ReportError;
 use crate::evidence;

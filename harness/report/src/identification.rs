@@ -90,7 +90,7 @@ fn drawing(curves: &Curves) -> Result<String, ReportError> {
         spans: Vec::new(),
         areas: Vec::new(),
         lines: vec![(Ink::Other, seen), (Ink::First, fitted)],
-        mark: None,
+        marks: Vec::new(),
     };
     chart.draw(&curves.title)
 }

@@ -6,6 +6,7 @@
 use super::curves::{self, Envelope, Point, Signal, Window};
 use super::grid::Grid;
 use super::resolution::Resolution;
+use super::timed::{Timed, timed};
 use crate::evidence;
 use platebench_trace::{Flags, Row, TraceError};
 use platebench_verdict::{Definition, ScenarioRecord, TrialRecord, Verdict};
@@ -37,8 +38,8 @@ pub(crate) struct Bundle {
     pub(crate) exhibit: Option<(u32, String)>,
     /// How many trials are shown.
     pub(crate) shown: usize,
-    /// Whether the first trial settles.
-    pub(crate) settling: Settling,
+    /// What was to come in time in the first trial.
+    pub(crate) timed: Vec<Timed>,
     /// What could not be read and why.
     pub(crate) missing: Vec<String>,
     /// |W| of the first trial.
@@ -214,13 +215,18 @@ impl Bundle {
                 of_components: definition.signal.as_ref().is_some_and(|signal| signal != "amplitude_um"),
             };
             let key = expected.map_or_else(|| SETTLING.to_owned(), |index| evidence::key(scenario, index));
-            self.settling = if key.starts_with(SETTLING) {
+            let settling = if key.starts_with(SETTLING) {
                 settling(trial, &key, &definition, &steps, rows)
             } else {
                 Settling::Unknown
             };
+            let step_ms = match settling {
+                Settling::At { instant_ms, after_ms } => Some(instant_ms - after_ms),
+                _ => counted_from(&definition, &steps),
+            };
+            self.timed = timed(scenario, trial, settling, expected, step_ms);
             let whole = whole(rows);
-            let response = response(scenario, self.settling, whole);
+            let response = response(scenario, settling, whole);
             self.grid = Grid::new(rows, whole, response, resolution.instants);
             self.views = response.into_iter().chain([whole]).map(|window| View::new(window, resolution)).collect();
             self.amplitude = curves::line(rows, Signal::Amplitude, whole, OVERLAY_POINTS);
@@ -284,8 +290,7 @@ fn settling(trial: &TrialRecord, key: &str, definition: &Definition, steps: &[f6
         Some(_) => return Settling::Never,
     };
     let step = if definition.band_percent.is_some() {
-        let passed = definition.from_ms.map_or(1, |from_ms| steps.partition_point(|step_ms| *step_ms <= from_ms));
-        steps.get(passed.saturating_sub(1)).copied()
+        counted_from(definition, steps)
     } else {
         let distance = |step_ms: f64| {
             let at = |signal| curves::value_at(rows, signal, step_ms + after_ms);
@@ -297,6 +302,13 @@ fn settling(trial: &TrialRecord, key: &str, definition: &Definition, steps: &[f6
         steps.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
     };
     step.map_or(Settling::Unknown, |step_ms| Settling::At { instant_ms: step_ms + after_ms, after_ms })
+}
+
+/// The setpoint step that a settling time counts from, where the record tells its definition.
+fn counted_from(definition: &Definition, steps: &[f64]) -> Option<f64> {
+    definition.band_percent?;
+    let passed = definition.from_ms.map_or(1, |from_ms| steps.partition_point(|step_ms| *step_ms <= from_ms));
+    steps.get(passed.saturating_sub(1)).copied()
 }
 
 /// Why a trace cannot be shown, without the path: a report travels.

@@ -2,9 +2,10 @@
 //!
 //! Neighbours: `bundle` holds the curves, `plot` draws them, `scenario` puts figures onto the page.
 
-use super::bundle::{Bundle, Settling, Strand, View};
+use super::bundle::{Bundle, Strand, View};
 use super::curves::{self, Point, Signal};
 use super::plot::{Chart, Ink, Mark};
+use super::timed::until;
 use crate::shown;
 
 /// A drawing with its words.
@@ -147,7 +148,7 @@ impl Maker<'_> {
 
     fn finish(&self, title: &'static str, unit: &'static str, draft: Draft, range: (f64, f64)) -> Figure {
         let Draft { areas, lines, legend } = draft;
-        let chart = Chart { window: self.view.window, range, unit, spans: Vec::new(), areas, lines, mark: None };
+        let chart = Chart { window: self.view.window, range, unit, spans: Vec::new(), areas, lines, marks: Vec::new() };
         Figure { title, legend, chart }
     }
 
@@ -163,23 +164,26 @@ impl Maker<'_> {
         self.trials(&mut draft, Signal::Amplitude);
         let range = draft.axis(0.1, true);
         let mut figure = self.finish("Amplitude |W|", "µm", draft, range);
-        match self.bundle.settling {
-            Settling::At { instant_ms, after_ms } => {
-                let text = format!("settled after {} ms", shown::number(after_ms));
-                figure.legend.push(Key {
-                    ink: Ink::Settling,
-                    is_area: false,
-                    text: format!("{} {text}", self.of_first()),
-                });
-                figure.chart.mark = Some(Mark { at_ms: instant_ms, text });
-            }
-            Settling::Never => {
-                let text = format!("{} does not settle", self.of_first());
-                figure.legend.push(Key { ink: Ink::Settling, is_area: false, text });
-            }
-            Settling::Unknown => {}
-        }
+        self.timed(&mut figure, false);
         figure
+    }
+
+    /// Marks what was to come in time, as far as it lies in the window, and says what came of it.
+    fn timed(&self, figure: &mut Figure, of_drive: bool) {
+        let window = self.view.window;
+        for timed in self.bundle.timed.iter().filter(|timed| timed.of_drive == of_drive) {
+            let text = format!("{} {}", self.of_first(), timed.text);
+            figure.legend.push(Key { ink: Ink::Settling, is_area: false, text });
+            let mut marks = Vec::new();
+            marks.extend(timed.instant_ms.map(|at_ms| (Ink::Settling, at_ms, Some(timed.text.clone()))));
+            marks.extend(timed.from_ms.map(|at_ms| (Ink::Settling, at_ms, None)));
+            if let Some((at_ms, demand)) = &timed.deadline {
+                figure.legend.push(Key { ink: Ink::Deadline, is_area: false, text: until(*at_ms, demand) });
+                marks.push((Ink::Deadline, *at_ms, None));
+            }
+            let inside = marks.into_iter().filter(|(_, at_ms, _)| (window.from_ms..=window.to_ms).contains(at_ms));
+            figure.chart.marks.extend(inside.map(|(ink, at_ms, text)| Mark { ink, at_ms, text }));
+        }
     }
 
     fn components(&self) -> Figure {
@@ -208,6 +212,7 @@ impl Maker<'_> {
             let text = if self.bundle.shown > 1 { "saturated in a trial" } else { "saturated" };
             figure.legend.push(Key { ink: Ink::Saturated, is_area: true, text: text.to_owned() });
         }
+        self.timed(&mut figure, true);
         figure
     }
 

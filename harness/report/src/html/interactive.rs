@@ -3,12 +3,13 @@
 //! The script knows no metric and no signal: what stands in a panel, what it is called and what is shown at first is said here. Neighbours: `bundle` holds the
 //! curves, `golden` the accepted ones, `pack` writes them in few characters, `plots.js` draws.
 
-use super::bundle::{Bundle, Sampled, Settling};
+use super::bundle::{Bundle, Sampled};
 use super::curves::{Signal, Window};
 use super::golden::Curves;
 use super::grid::percentiles;
 use super::pack::packed;
 use super::plot::Ink;
+use super::timed::until;
 use crate::shown;
 use serde_json::{Value, json};
 
@@ -198,20 +199,22 @@ impl Maker<'_> {
         self.setpoint(&mut panel, !self.bundle.band.of_components);
         self.beside(&mut panel, Signal::Amplitude);
         self.trials(&mut panel, Signal::Amplitude, true);
-        match self.bundle.settling {
-            Settling::At { instant_ms, after_ms } => {
-                let text = format!("trial {} settled after {} ms", self.bundle.first, shown::number(after_ms));
-                let group = panel.group(Ink::Settling, false, &text);
-                panel.marks.push(json!([group, instant_ms - after_ms]));
-                panel.marks.push(json!([group, instant_ms]));
-            }
-            Settling::Never => {
-                panel.group(Ink::Settling, false, &format!("trial {} does not settle", self.bundle.first));
-            }
-            Settling::Unknown => {}
-        }
+        self.timed(&mut panel, false);
         panel.spans(Ink::Lost, "link lost", &self.bundle.lost);
         panel
+    }
+
+    /// What was to come in time: from when it counts, when it came, and until when it was demanded.
+    fn timed(&self, panel: &mut Panel, of_drive: bool) {
+        for timed in self.bundle.timed.iter().filter(|timed| timed.of_drive == of_drive) {
+            let group = panel.group(Ink::Settling, false, &format!("trial {} {}", self.bundle.first, timed.text));
+            let instants = timed.from_ms.into_iter().chain(timed.instant_ms);
+            panel.marks.extend(instants.map(|at_ms| json!([group, at_ms])));
+            if let Some((at_ms, demand)) = &timed.deadline {
+                let group = panel.group(Ink::Deadline, false, &until(*at_ms, demand));
+                panel.marks.push(json!([group, at_ms]));
+            }
+        }
     }
 
     fn drive(&self, saturated: &[Window]) -> Panel {
@@ -221,6 +224,7 @@ impl Maker<'_> {
         let text = if self.bundle.shown > 1 { "saturated in a trial" } else { "saturated" };
         panel.spans(Ink::Saturated, text, saturated);
         panel.spans(Ink::Lost, "link lost", &self.bundle.lost);
+        self.timed(&mut panel, true);
         if !self.bundle.overruns.is_empty() {
             let text = format!("overrun of the bench ({})", self.bundle.overruns.len());
             let group = panel.group(Ink::Overrun, false, &text);

@@ -14,6 +14,10 @@ const FINE: u32 = 4;
 /// Width and height of every drawing.
 pub(crate) const SIZE: (u32, u32) = (560 * FINE, 306 * FINE);
 
+/// Where the text of the first mark stands, in parts of the drawing's height, and how far above it the next one's.
+const LOWEST_TEXT: f64 = 0.12;
+const TEXT_HEIGHT: f64 = 0.1;
+
 /// A role in a drawing. The style sheet gives it a colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ink {
@@ -30,6 +34,7 @@ pub(crate) enum Ink {
     SecondSpread,
     Saturated,
     Settling,
+    Deadline,
     Golden,
     Tube,
     Trial,
@@ -40,7 +45,7 @@ pub(crate) enum Ink {
 }
 
 impl Ink {
-    const ALL: [Self; 20] = [
+    const ALL: [Self; 21] = [
         Self::Text,
         Self::Grid,
         Self::Axis,
@@ -54,6 +59,7 @@ impl Ink {
         Self::SecondSpread,
         Self::Saturated,
         Self::Settling,
+        Self::Deadline,
         Self::Golden,
         Self::Tube,
         Self::Trial,
@@ -79,6 +85,7 @@ impl Ink {
             Self::SecondSpread => "second-spread",
             Self::Saturated => "saturated",
             Self::Settling => "settling",
+            Self::Deadline => "deadline",
             Self::Golden => "golden",
             Self::Tube => "tube",
             Self::Trial => "trial",
@@ -95,11 +102,12 @@ impl Ink {
     }
 }
 
-/// A line at an instant.
+/// A line at an instant, and what stands beside it.
 #[derive(Debug, Clone)]
 pub(crate) struct Mark {
+    pub(crate) ink: Ink,
     pub(crate) at_ms: f64,
-    pub(crate) text: String,
+    pub(crate) text: Option<String>,
 }
 
 /// What is drawn, from the back to the front.
@@ -113,7 +121,7 @@ pub(crate) struct Chart {
     /// Upper and lower edge, both from left to right.
     pub(crate) areas: Vec<(Ink, [Vec<Point>; 2])>,
     pub(crate) lines: Vec<(Ink, Vec<Point>)>,
-    pub(crate) mark: Option<Mark>,
+    pub(crate) marks: Vec<Mark>,
 }
 
 impl Chart {
@@ -157,14 +165,17 @@ impl Chart {
         for (ink, points) in &self.lines {
             chart.draw_series([PathElement::new(points.clone(), ink.colour())])?;
         }
-        if let Some(mark) = &self.mark {
-            let height = high - low;
-            chart.draw_series([PathElement::new([(mark.at_ms, low), (mark.at_ms, high)], Ink::Settling.colour())])?;
+        let height = high - low;
+        let mut share = LOWEST_TEXT;
+        for mark in &self.marks {
+            chart.draw_series([PathElement::new([(mark.at_ms, low), (mark.at_ms, high)], mark.ink.colour())])?;
+            let Some(words) = &mark.text else { continue };
             // Below a settled response there is room; towards the right end there is none.
             let is_left = mark.at_ms - self.window.from_ms < 0.55 * self.window.span_ms();
             let (side, shift) = if is_left { (HPos::Left, 1.0) } else { (HPos::Right, -1.0) };
-            let place = (mark.at_ms + shift * 0.012 * self.window.span_ms(), low + 0.12 * height);
-            chart.draw_series([Text::new(mark.text.clone(), place, text(Ink::Settling, side, VPos::Center))])?;
+            let place = (mark.at_ms + shift * 0.012 * self.window.span_ms(), low + share * height);
+            share += TEXT_HEIGHT;
+            chart.draw_series([Text::new(words.clone(), place, text(mark.ink, side, VPos::Center))])?;
         }
         drop(chart);
         let (width, height) = (i32::try_from(SIZE.0)?, i32::try_from(SIZE.1)?);
@@ -283,7 +294,7 @@ mod tests {
             spans: vec![(Ink::Saturated, Window { from_ms: 1.0, to_ms: 2.0 })],
             areas: vec![(Ink::Band, [vec![(0.0, 1.0), (1.0, 1.0)], vec![(0.0, 0.5), (1.0, 0.5)]])],
             lines: vec![(Ink::First, vec![(0.0, 0.0), (10.0, 1.0)])],
-            mark: Some(Mark { at_ms: 9.0, text: "settled".to_owned() }),
+            marks: vec![Mark { ink: Ink::Settling, at_ms: 9.0, text: Some("settled".to_owned()) }],
         };
         let svg = chart.draw("test").unwrap();
         assert!(!svg.contains('#') && !svg.contains("<svg") && !svg.contains("</svg"), "{svg}");

@@ -9,7 +9,7 @@
   const PENS = {
     first: ["--first", 1.75], second: ["--second", 1.75], exhibit: ["--exhibit", 1.75], other: ["--other", 1.5, [6, 4]],
     resonance: ["--other", 1.5, [6, 4]], setpoint: ["--ink", 1.25, [2, 3]], golden: ["--golden", 1.5, [9, 3]], trial: ["--first", 0.75, [], 0.4],
-    median: ["--first", 1, [1, 3]], settling: ["--settling", 1.5, [5, 3]], overrun: ["--fail", 1.5], band: ["--settling", 0, [], 0.14],
+    median: ["--first", 1, [1, 3]], settling: ["--settling", 1.5, [5, 3]], deadline: ["--fail", 1.5, [2, 2]], overrun: ["--fail", 1.5], band: ["--settling", 0, [], 0.14],
     tube: ["--golden", 0, [], 0.16], spread: ["--first", 0, [], 0.22], "second-spread": ["--second", 0, [], 0.22],
     saturated: ["--amber", 0, [], 0.28], lost: ["--fail", 0, [], 0.16],
   };
