@@ -97,7 +97,7 @@ pub(super) fn section(record: &RunRecord, other: Other<'_>) -> Markup {
                 @if changed == 0 { "No verdict differs." } @else { (shown::count(changed, "verdict")) " differ." }
             }
             div.scroll role="group" aria-labelledby="against" tabindex="0" {
-                table.contents {
+                table.contents.stacked {
                     thead { tr {
                         th scope="col" { "Scenario" }
                         th scope="col" { "Metric" }
@@ -126,8 +126,8 @@ fn row(pair: &Pair<'_>) -> Markup {
         html! { @match found { Some(found) => (badge(found.verdict, &shown::verdict(found))), None => span.nothing { "not played" } } }
     };
     let value = |found: Option<&ExpectationRecord>| {
-        let value = found.and_then(shown::found);
-        html! { @match value { Some(value) => { (value) " " span.unit { (shown::unit(&metric(pair))) } }, None => span.nothing { "–" } } }
+        let unit = if found.is_some_and(|found| found.value.is_some()) { shown::unit(&metric(pair)) } else { "" };
+        html! { @match found.and_then(shown::found) { Some(value) => { (value) " " span.unit { (unit) } }, None => span.nothing { "–" } } }
     };
     html! {
         tr.changed[pair.changed()] {
@@ -137,12 +137,12 @@ fn row(pair: &Pair<'_>) -> Markup {
                     None => (pair.file),
                 }
             }
-            td { code { (pair.key) } }
-            td { (verdict(pair.there)) }
-            td.number { (value(pair.there)) }
-            td { (verdict(pair.here)) }
-            td.number { (value(pair.here)) }
-            td.number { @match pair.change() { Some(change) => (change), None => span.nothing { "–" } } }
+            td data-label="Metric" { code { (pair.key) } }
+            td data-label="Other run" { (verdict(pair.there)) }
+            td.number data-label="Other run measured" { span { (value(pair.there)) } }
+            td data-label="This run" { (verdict(pair.here)) }
+            td.number data-label="This run measured" { span { (value(pair.here)) } }
+            td.number data-label="Change" { @match pair.change() { Some(change) => (change), None => span.nothing { "–" } } }
         }
     }
 }

@@ -5,11 +5,11 @@
   const DIGITS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
   const WORTH = new Map([...DIGITS].map((digit, worth) => [digit, worth]));
   const HEIGHT = 250, HEIGHT_UNDER = 130;
-  // Colour (a variable of the style sheet), width of a line, dashes, opacity.
+  // Colour (a variable of the style sheet), width of a line or of an area's edges, dashes, opacity.
   const PENS = {
     first: ["--first", 1.75], second: ["--second", 1.75], exhibit: ["--exhibit", 1.75], other: ["--other", 1.5, [6, 4]],
     resonance: ["--other", 1.5, [6, 4]], setpoint: ["--ink", 1.25, [2, 3]], golden: ["--golden", 1.5, [9, 3]], trial: ["--first", 0.75, [], 0.4],
-    median: ["--first", 1, [1, 3]], settling: ["--settling", 1.5, [5, 3]], deadline: ["--fail", 1.5, [2, 2]], overrun: ["--fail", 1.5], band: ["--settling", 0, [], 0.14],
+    median: ["--first", 1, [1, 3]], settling: ["--settling", 1.5, [5, 3]], deadline: ["--fail", 1.5, [2, 2]], overrun: ["--fail", 1.5], band: ["--settling", 1, [], "--band"],
     tube: ["--golden", 0, [], 0.16], spread: ["--first", 0, [], 0.22], "second-spread": ["--second", 0, [], 0.22],
     saturated: ["--amber", 0, [], 0.28], lost: ["--fail", 0, [], 0.16],
   };
@@ -39,9 +39,11 @@
     return element;
   }
 
-  // `#rgb` or `#rrggbb` of the style sheet, with an opacity.
+  // `#rgb` or `#rrggbb` of the style sheet, with an opacity: a number, or a variable of the style sheet that holds one.
   function colour(at, name, opacity = 1) {
-    let hex = getComputedStyle(at).getPropertyValue(name).trim();
+    const style = getComputedStyle(at);
+    let hex = style.getPropertyValue(name).trim();
+    if (typeof opacity === "string") opacity = +style.getPropertyValue(opacity);
     if (hex.length === 4) hex = "#" + [...hex.slice(1)].map((digit) => digit + digit).join("");
     return hex + Math.round(opacity * 255).toString(16).padStart(2, "0");
   }
@@ -175,8 +177,8 @@
       const series = panel.series.map((series) => {
         const edge = series.role === "edge";
         return {
-          show: host.on[series.g], points: { show: false }, width: edge ? 0 : pen(series.g, 1), dash: edge ? [] : pen(series.g, 2) ?? [],
-          stroke: edge ? "transparent" : paint(series.g), paths: series.step ? stepped : undefined, spanGaps: false,
+          show: host.on[series.g], points: { show: false }, width: pen(series.g, 1), dash: edge ? [] : pen(series.g, 2) ?? [],
+          stroke: !edge ? paint(series.g) : pen(series.g, 1) ? () => colour(this.section, pen(series.g, 0), 0.75) : "transparent", paths: series.step ? stepped : undefined, spanGaps: false,
         };
       });
       const axis = (extra) => ({

@@ -100,6 +100,7 @@ fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
     let columns = 4 + usize::from(has_paper(scenario)) + usize::from(has_interval(scenario));
     let row = |index: usize, expectation: &ExpectationRecord| {
         let unit = shown::unit(&expectation.metric);
+        let unit_of_value = if expectation.value.is_some() { unit } else { "" };
         html! {
             tr {
                 th scope="row" {
@@ -108,7 +109,7 @@ fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
                 }
                 td data-label="Verdict" { (badge(expectation.verdict, &shown::verdict(expectation))) }
                 td.number data-label="Measured" {
-                    strong { (with_unit(shown::found(expectation), unit)) }
+                    strong { (with_unit(shown::found(expectation), unit_of_value)) }
                     @if scenario.trials.len() > 1 { span.statistic { (shown::statistic(expectation)) } }
                 }
                 @if has_paper(scenario) {
@@ -132,7 +133,7 @@ fn expectations(id: &str, scenario: &ScenarioRecord) -> Markup {
         @if scenario.expectations.is_empty() { p.notice { "Nothing was judged." } }
         @else {
             div.scroll role="group" aria-labelledby={ (id) "-expectations" } tabindex="0" {
-                table.expectations {
+                table.expectations.stacked {
                     thead { tr {
                         th scope="col" { "Metric" }
                         th scope="col" { "Verdict" }

@@ -102,11 +102,11 @@ fn open_point(
             p.why {
                 code { (expectation.metric) } " "
                 @match (shown::value(expectation), shown::found(expectation)) {
-                    (Some(value), _) => { strong { (value) " " (unit) } @if let Some(index) = decided { " in trial " (index) } ", demanded " },
+                    (Some(value), _) => { strong { (value) @if !unit.is_empty() { " " (unit) } } @if let Some(index) = decided { " in trial " (index) } ", demanded " },
                     (None, Some(never)) => { strong { (never) } ", demanded " },
                     (None, None) => "demanded ",
                 }
-                span.number { (shown::limit(expectation)) " " (unit) }
+                span.number { (shown::limit(expectation)) @if !unit.is_empty() { " " (unit) } }
                 @if let Some(reason) = shown::why(expectation) { span.reason { (reason) } }
             }
             @if let Some(since) = history.since(record, scenario, index) {
@@ -131,7 +131,7 @@ pub(super) fn scenarios(record: &RunRecord) -> Markup {
             @if record.scenarios.is_empty() { p.notice { "There was nothing to run." } }
             @else {
                 div.scroll role="group" aria-labelledby="scenarios" tabindex="0" {
-                    table.contents {
+                    table.contents.stacked {
                         thead { tr {
                             th scope="col" { "Scenario" }
                             th scope="col" { "Verdict" }
@@ -148,10 +148,10 @@ pub(super) fn scenarios(record: &RunRecord) -> Markup {
                                         a href={ "#" (anchor(index)) } { (scenario.title) }
                                         span.file { (scenario.file) }
                                     }
-                                    td { (badge(scenario.verdict, scenario.verdict.name())) }
-                                    td { (scenario.law) }
-                                    td.number { (scenario.trials.len()) }
-                                    td.number { (met) " of " (expectations.len()) }
+                                    td data-label="Verdict" { (badge(scenario.verdict, scenario.verdict.name())) }
+                                    td data-label="Law" { (scenario.law) }
+                                    td.number data-label="Trials" { (scenario.trials.len()) }
+                                    td.number data-label="Expectations met" { (met) " of " (expectations.len()) }
                                 }
                             }
                         }
@@ -172,7 +172,7 @@ pub(super) fn requirements(record: &RunRecord) -> Markup {
                 h2 id="requirements" { "Requirements" }
                 p { (links.len()) " of " (shown::count(all, "expectation")) " hold a requirement; the same is in " code { (traceability::FILE) } "." }
                 div.scroll role="group" aria-labelledby="requirements" tabindex="0" {
-                    table.contents {
+                    table.contents.stacked {
                         thead { tr {
                             th scope="col" { "Requirement" }
                             th scope="col" { "Expectation" }
@@ -183,10 +183,10 @@ pub(super) fn requirements(record: &RunRecord) -> Markup {
                         tbody { @for link in &links {
                             tr {
                                 th scope="row" { (link.requirement) }
-                                td { code { (link.expectation) } " " (link.limit) }
-                                td { a href={ "#" (anchor(link.number)) } { (link.scenario) } }
-                                td { (badge(link.verdict, link.verdict.name())) }
-                                td.file { (file(&link.trace)) }
+                                td data-label="Expectation" { span { code { (link.expectation) } " " (link.limit) } }
+                                td data-label="Scenario" { a href={ "#" (anchor(link.number)) } { (link.scenario) } }
+                                td data-label="Verdict" { (badge(link.verdict, link.verdict.name())) }
+                                td.file data-label="Trace" { (file(&link.trace)) }
                             }
                         } }
                     }
