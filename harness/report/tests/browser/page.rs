@@ -186,6 +186,9 @@ fn nobody_is_shut_out(#[case] look: Look, #[case] name: &str) {
         "scenarios, requirements, both runs, expectations"
     );
     assert_eq!(browser.value(cut), 0, "no table has to be moved sideways");
+    let band = "getComputedStyle([...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('5 % band')).querySelector('.mark')).backgroundColor";
+    let (band, opacity) = (browser.value(band), if look.dark { "0.3" } else { "0.2" });
+    assert!(band.as_str().unwrap().contains(&format!(", {opacity}")), "{band}");
     browser.value(&format!("{};true", axe()));
     let found = browser.value(
         "axe.run().then(({ violations }) => violations.map(({ id, help, nodes }) => \
