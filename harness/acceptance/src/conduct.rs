@@ -7,18 +7,17 @@
 //!
 //! What has been begun and not ended when the session is cut off is done again as a whole; what has ended is never done again, whatever came of it.
 
+use crate::ask::asked;
 use crate::basis::{
     changed, evidence_is_there, first_record, image_sha256, run_sha256, same_firmware, shown_firmware, unchanged,
 };
 use crate::decide::decide;
 use crate::durable;
 use crate::error::AcceptError;
-use crate::order::{Answer, Desk, Order, Question};
+use crate::order::{Answer, Desk, Order, Question, may_have_a_board};
 use crate::plan::{AnswerKind, Ask, Plan, Planned, When};
 use crate::self_test;
-use crate::session::{
-    AnswerRecord, Attempt, FILE, FirmwareRecord, SessionRecord, SignatureRecord, StepKind, StepRecord,
-};
+use crate::session::{Attempt, FILE, FirmwareRecord, SessionRecord, SignatureRecord, StepKind, StepRecord};
 use crate::{manifest, page, signature};
 use jiff::Timestamp;
 use platebench_report::{html, traceability};
@@ -225,12 +224,17 @@ impl<'a> Session<'a> {
             Task::Identity => {
                 let found = self.introduced()?;
                 let Firmware { name, version, build, chip } = &found.firmware;
-                step.reason = Some(format!("{name} {version}, build {build}, chip {chip}, number {}", found.unique));
+                let board = if may_have_a_board(&self.order.rig) {
+                    format!("chip {chip}, number {}", found.unique)
+                } else {
+                    "no board".to_owned()
+                };
+                step.reason = Some(format!("{name} {version}, build {build}, {board}"));
                 step.verdict = Some(Verdict::Pass);
                 self.record.firmware = Some(found);
                 Ok(())
             }
-            Task::Ask(ask) => asked(ask, step, desk, cancel),
+            Task::Ask(ask) => asked(ask, &self.order.rig, step, desk, cancel),
             Task::SelfTest => {
                 self_test::self_test(&self.order.plan, real_time, folder, step, desk, cancel).map_err(early)
             }
@@ -345,33 +349,6 @@ impl<'a> Session<'a> {
         }
         Ok(self.record)
     }
-}
-
-/// Puts a question of the plan.
-fn asked(ask: &Ask, step: &mut StepRecord, desk: &mut dyn Desk, cancel: &Cancel) -> Result<(), AcceptError> {
-    let answer = desk.ask(&Question { text: &ask.question, kind: ask.answer });
-    if cancel.is_cancelled() {
-        return Err(AcceptError::Cancelled);
-    }
-    let (text, from) = match answer {
-        Answer::Terminal(text) => (Some(text), "terminal"),
-        Answer::CommandLine(text) => (Some(text), "command-line"),
-        Answer::NotAsked => (None, "not-asked"),
-    };
-    if ask.answer == AnswerKind::Confirm {
-        let yes = text.as_deref() == Some("yes");
-        if !yes && text.is_some() && ask.when == When::Before {
-            return Err(AcceptError::Stopped(ask.question.clone()));
-        }
-        step.verdict = Some(if yes { Verdict::Pass } else { Verdict::Inconclusive });
-        step.reason = match &text {
-            None => Some("nobody was asked".to_owned()),
-            Some(_) if !yes => Some("the answer was no".to_owned()),
-            Some(_) => None,
-        };
-    }
-    step.answer = Some(AnswerRecord { text, from: from.to_owned() });
-    Ok(())
 }
 
 /// A run that was ended early is a session that was.

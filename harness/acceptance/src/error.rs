@@ -75,6 +75,16 @@ pub enum AcceptError {
     /// The person said that something is not as it has to be.
     #[error("stopped at \"{0}\": the answer was no; the session can be resumed once that is as it has to be")]
     Stopped(String),
+    /// Nobody said that all is as it has to be, and a plate may be driven.
+    #[error(
+        "stopped at \"{question}\": nobody answered, and what is on {rig} may drive a plate; answer at a terminal, or say yes beforehand with --yes"
+    )]
+    Unanswered {
+        /// What was asked.
+        question: String,
+        /// The rig as named on the command line.
+        rig: String,
+    },
     /// The session was ended from outside.
     #[error("the session was ended early")]
     Cancelled,

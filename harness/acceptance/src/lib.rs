@@ -3,6 +3,7 @@
 //! * [`plan`]: the plan file, which owns what each requirement says.
 //! * [`session`]: `session.json`, what is known of a session at any time.
 //! * [`order`]: what is to be done, and whom a session talks to.
+//! * `ask`: what an answer of the person does to a session, and what no answer does.
 //! * `basis`: what a session stands on, and nobody goes on with anything else.
 //! * [`mod@conduct`]: from step to step; what was killed goes on where it was.
 //! * `self_test`: the bench's own timing, its repeatability and how well it catches faulty controllers.
@@ -15,6 +16,7 @@
 //! Scenarios are played by `platebench-runner` and judged by `platebench-verdict`; nothing of either is repeated here. Whom to ask, and what a terminal shows, is
 //! the command line's.
 
+mod ask;
 mod basis;
 pub mod conduct;
 mod decide;

@@ -55,8 +55,16 @@ pub enum Answer {
     Terminal(String),
     /// The command line said so beforehand.
     CommandLine(String),
-    /// There was nobody to ask.
+    /// There was nobody to ask, or nobody answered.
     NotAsked,
+}
+
+/// True where a board may hang on the rig, and on the board a plate. What a program of somebody else's drives, nobody knows.
+pub(crate) const fn may_have_a_board(rig: &RigSpec) -> bool {
+    match rig {
+        RigSpec::Hosted | RigSpec::Emulated(_) => false,
+        RigSpec::Exec(_) | RigSpec::Serial { .. } | RigSpec::Probe { .. } => true,
+    }
 }
 
 /// Whom a session talks to.

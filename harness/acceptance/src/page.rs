@@ -27,6 +27,7 @@ pub fn page(session: &SessionRecord) -> Markup {
                     p.eyebrow { "Acceptance record · " (session.started) }
                     h1 { (session.title) }
                     p.lead { (badge(session.verdict)) " " (summary(session)) }
+                    @if let Some(line) = session.without_a_board() { p.notice { (line) "." } }
                 }
                 (people(session))
                 (requirements(session))
@@ -65,6 +66,8 @@ fn people(session: &SessionRecord) -> Markup {
         || "unknown".to_owned(),
         |found| format!("{}; chip {}, number {}", session.rig, found.firmware.chip, found.unique),
     );
+    // What says that it is a chip there is nobody's.
+    let board = if session.without_a_board().is_some() { format!("none ({})", session.rig) } else { board };
     let facts = [
         ("Operator", said(&session.operator)),
         ("Place", said(&session.place)),
@@ -136,6 +139,9 @@ fn step_row(step: &StepRecord) -> Markup {
                     " (" (answer.from.replace('-', " ")) ") "
                 }
                 @if let Some(reason) = &step.reason { (reason) }
+                @if let Some(trust) = &step.trust {
+                    @for name in &trust.survived { span.file { "not caught: " (name) (mistake(name)) } }
+                }
                 @if step.lost { strong { " The controller was lost or did not confirm 0 V." } }
                 @if step.attempts.len() > 1 {
                     span.file {
@@ -152,6 +158,12 @@ fn step_row(step: &StepRecord) -> Markup {
             td { @if let Some(verdict) = step.verdict { (badge(verdict)) } @else { "–" } }
         }
     }
+}
+
+/// What somebody did who made this mistake, as far as the bench's catalogue knows it.
+fn mistake(name: &str) -> String {
+    let known = platebench_trust::catalogue().into_iter().find(|entry| entry.name == name);
+    known.map_or_else(String::new, |entry| format!(", {}", entry.mistake))
 }
 
 fn evidence(session: &SessionRecord) -> Markup {

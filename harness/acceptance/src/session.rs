@@ -2,6 +2,8 @@
 
 use crate::durable;
 use crate::error::AcceptError;
+use crate::order::may_have_a_board;
+use platebench_rig::RigSpec;
 use platebench_verdict::Verdict;
 use platebench_verdict::record::{Firmware, Host, InputRecord, Quantiles, Tool};
 use serde::{Deserialize, Serialize};
@@ -277,6 +279,18 @@ impl SessionRecord {
             return Err(content(format!("format {}, expected {FORMAT}", head.format)));
         }
         serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))
+    }
+
+    /// What the record is about where no board was attached; `None` where one may have been.
+    pub fn without_a_board(&self) -> Option<&'static str> {
+        match self.rig.parse().ok().filter(|rig| !may_have_a_board(rig))? {
+            RigSpec::Hosted => Some(
+                "no board was attached: this record is about the control law on the bench's own computer and says nothing of a board",
+            ),
+            _ => Some(
+                "no board was attached: this record is about the firmware's control law on an emulated processor, on the bench's own computer, and says nothing of a board",
+            ),
+        }
     }
 
     /// True where a controller was lost, or did not confirm 0 V.

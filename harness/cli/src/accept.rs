@@ -20,6 +20,9 @@ use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+/// What to do where there is no plan.
+const NO_PLAN: &str = "--plan FILE names the plan; the one that comes with platebench is scenarios/plans/acceptance.toml in the folder of its sources";
+
 /// `platebench accept`
 #[derive(Debug, Args)]
 #[command(
@@ -189,6 +192,9 @@ fn order(arguments: &Session) -> Result<Order, Exit> {
     let clock = clock(&like_a_run).map_err(invalid)?;
     let plan = Plan::load(&arguments.plan).map_err(|faults| {
         faults.iter().for_each(output::diagnostic);
+        if !arguments.plan.exists() {
+            output::note(NO_PLAN);
+        }
         Exit::Invalid
     })?;
     let scenarios: Vec<_> = plan.scenarios.iter().map(|planned| planned.scenario.clone()).collect();
@@ -225,6 +231,9 @@ fn show(record: &SessionRecord) {
         output::show(&format!("{:<12}  {:<8} {}\n", requirement.verdict, requirement.id, requirement.text));
     }
     output::show(&format!("{}: {}\n", record.title, record.verdict));
+    if let Some(line) = record.without_a_board() {
+        output::show(&format!("{line}\n"));
+    }
 }
 
 fn explain(error: &AcceptError) {
@@ -238,7 +247,9 @@ fn explain(error: &AcceptError) {
 fn exit_of(error: &AcceptError) -> Exit {
     match error {
         AcceptError::Run(error) => Exit::of_error(error),
-        AcceptError::Trust(_) | AcceptError::Stopped(_) | AcceptError::Cancelled => Exit::Inconclusive,
+        AcceptError::Trust(_) | AcceptError::Stopped(_) | AcceptError::Unanswered { .. } | AcceptError::Cancelled => {
+            Exit::Inconclusive
+        }
         _ => Exit::Invalid,
     }
 }
@@ -272,8 +283,10 @@ fn verified(record: &Path, key: Option<&Path>) -> Exit {
     };
     let says = found.session.as_ref().map_or("nothing", |session| session.verdict.name());
     let seal = found.manifest_sha256.unwrap_or_default();
+    let board = found.session.as_ref().and_then(SessionRecord::without_a_board);
+    let board = board.map_or_else(String::new, |line| format!("{line}\n"));
     output::show(&format!(
-        "intact: {} files, judged again with the same verdict: {says}\n{signer}\nmanifest {seal}\n",
+        "intact: {} files, judged again with the same verdict: {says}\n{board}{signer}\nmanifest {seal}\n",
         found.files
     ));
     Exit::Passed

@@ -175,6 +175,27 @@ fn a_session_at_a_terminal_is_killed_twice_taken_up_again_and_verified() {
 }
 
 #[test]
+fn an_end_of_input_is_no_yes() {
+    let workshop = workshop();
+    let arguments = ["accept", "--plan", "plan.toml", "--operator", "A", "--place", "B", "--notes", "C", "--out"];
+    let rig = controller(None);
+    for (name, rig, told, steps) in [
+        ("real", rig.as_str(), "may drive a plate", 1),
+        ("record", "hosted", "02-ask-safe  inconclusive, nobody answered", 5),
+    ] {
+        let call: Vec<&str> = arguments.iter().chain(&[name, "--rig", rig]).copied().collect();
+        let mut session = AtTerminal::start(workshop.path(), &call);
+        session.sees("near the plate?");
+        // Ctrl-D.
+        session.types("\u{4}");
+        let screen = session.ends(&[3]);
+        assert!(screen.contains(told), "{screen}");
+        let made = platebench_acceptance::SessionRecord::read(&workshop.path().join(name)).unwrap();
+        assert_eq!(made.steps.iter().filter(|step| step.done).count(), steps);
+    }
+}
+
+#[test]
 fn a_no_stops_the_session_and_ctrl_c_leaves_it_to_be_taken_up_again() {
     let workshop = long();
     let arguments = ["accept", "--plan", "plan.toml", "--out", "record", "--operator", "A", "--place", "B"];
