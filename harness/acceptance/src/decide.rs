@@ -52,9 +52,44 @@ fn evidence_record(step: &str, scenario: &str, expectation: &ExpectationRecord) 
         step: step.to_owned(),
         scenario: scenario.to_owned(),
         metric: expectation.metric.clone(),
-        demanded: with_unit(shown::limit(expectation)),
+        demanded: with_unit(shown::limit(expectation)) + &of_what(expectation),
         found: shown::value(expectation).map(with_unit),
         verdict: expectation.verdict,
         reason,
+    }
+}
+
+/// Of which trials, and of which part of them, where it is not all of it: what holds the demand belongs to it.
+fn of_what(expectation: &ExpectationRecord) -> String {
+    let share =
+        expectation.evidence.quantile.map(|share| format!(" in {} % of the trials", (share * 1e6).round() / 1e4));
+    let from = expectation.definition.from_ms.map(|from| format!(", from {from} ms on"));
+    [share, from].into_iter().flatten().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn demanded(more: &[(&str, Value)]) -> String {
+        let mut record = json!({
+            "metric": "settling_time_ms", "verdict": "pass", "value": 2.5, "statistic": "worst", "limit": {"at_most": 3.0},
+            "interval": null, "confidence": null, "cause": null, "reason": null, "paper": null, "requirement": "R-1",
+        });
+        for (key, value) in more {
+            record[*key] = value.clone();
+        }
+        evidence_record("05-s", "s.toml", &serde_json::from_value(record).unwrap()).demanded
+    }
+
+    #[test]
+    fn a_demand_says_of_which_trials_and_of_which_part() {
+        assert_eq!(demanded(&[]), "≤ 3 ms");
+        let share = ("evidence", json!({"quantile": 0.9}));
+        assert_eq!(demanded(std::slice::from_ref(&share)), "≤ 3 ms in 90 % of the trials");
+        assert_eq!(demanded(&[("from_ms", json!(100.0))]), "≤ 3 ms, from 100 ms on");
+        assert_eq!(demanded(&[share, ("from_ms", json!(0.5))]), "≤ 3 ms in 90 % of the trials, from 0.5 ms on");
+        assert_eq!(demanded(&[("evidence", json!({"quantile": 0.29}))]), "≤ 3 ms in 29 % of the trials");
     }
 }

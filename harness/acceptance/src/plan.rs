@@ -88,7 +88,7 @@ pub struct Ask {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AnswerKind {
-    /// Yes or no; a session in which nobody said yes never passes.
+    /// Yes or no; a session in which nobody said yes never passes, and does not begin where a plate may be driven.
     #[default]
     Confirm,
     /// A line of text, which is recorded and decides nothing.
@@ -99,7 +99,7 @@ pub enum AnswerKind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum When {
-    /// Before the first scenario; a no stops the session.
+    /// Before the first scenario; a no stops the session, and no answer does where a plate may be driven.
     #[default]
     Before,
     /// After the last one; a no leaves the session without a pass.
@@ -116,7 +116,7 @@ pub struct BenchDemands {
     /// Clean runs of the plan's scenarios, among which no false alarm may be.
     #[schemars(range(min = 1, max = MOST_CLEAN_RUNS))]
     pub clean_runs: u32,
-    /// Share of the faulty controllers that the plan's scenarios together have to catch, percent.
+    /// What the plan's scenarios together have to show of the share of faulty controllers that they catch: its lower bound at 95 %, percent.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub least_kill_rate_percent: f64,
 }

@@ -8,7 +8,7 @@ use crate::session::{SelfTestRecord, StepRecord, TrustRecord};
 use platebench_rig::RigSpec;
 use platebench_runner::{Cancel, Clock, Pace, Pacing, RunFolder, rejudge, run};
 use platebench_scenario::Scenario;
-use platebench_trust::report::Outcome;
+use platebench_trust::report::{CONFIDENCE, Outcome, Rate};
 use platebench_verdict::record::{Overrides, Quantiles};
 use platebench_verdict::{RunRecord, Verdict};
 use std::fs;
@@ -140,19 +140,49 @@ pub(crate) fn trust(plan: &Plan, folder: &Path, step: &mut StepRecord, cancel: &
         false_alarms: report.clean.alarms.len() as u32,
     };
     let least = plan.bench.least_kill_rate_percent;
-    let percent = f64::from(found.caught) / f64::from(found.faults.max(1)) * 100.0;
-    let bound = |bounds: Option<[f64; 2]>, which: fn([f64; 2]) -> f64| bounds.map_or(f64::NAN, which) * 100.0;
+    let shown = shown_at_least(report.kill_rate);
+    let confidence = CONFIDENCE * 100.0;
+    let most = report.clean.false_alarm_rate.bounds.map_or(f64::NAN, |[_, high]| high * 100.0);
+    let blind = match found.survived.len() {
+        0 => String::new(),
+        others => format!(
+            "; the other {others}, not caught by the plan's own scenarios ({}), are named in the record",
+            plan.scenarios.len()
+        ),
+    };
     step.reason = Some(format!(
-        "{} of {} faulty controllers caught for a right reason (at 95 % at least {:.1} %; the plan asks for {least} %), {} false alarms in {} clean runs (at 95 % at most {:.2} %)",
-        found.caught,
-        found.faults,
-        bound(report.kill_rate.bounds, |[low, _]| low),
-        found.false_alarms,
-        found.clean_runs,
-        bound(report.clean.false_alarm_rate.bounds, |[_, high]| high),
+        "{} of {} faulty controllers caught for a right reason, which shows at {confidence} % that at least {shown:.1} % are; the plan asks that at least {least} % be shown; {} false alarms in {} clean runs, at {confidence} % at most {most:.2} %{blind}",
+        found.caught, found.faults, found.false_alarms, found.clean_runs,
     ));
-    let trusted = found.false_alarms == 0 && found.clean_runs > 0 && percent >= least;
+    let trusted = found.false_alarms == 0 && found.clean_runs > 0 && shown >= least;
     step.verdict = Some(if trusted { Verdict::Pass } else { Verdict::Inconclusive });
     step.trust = Some(found);
     Ok(())
+}
+
+/// What `seen` of `count` shows of a share, percent: its lower bound. Nothing, and that is no number, where nothing was tried.
+fn shown_at_least(rate: Rate) -> f64 {
+    rate.bounds.map_or(f64::NAN, |[low, _]| low * 100.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    /// By the binomial distribution: at these shares one in twenty would show as many or more.
+    #[rstest]
+    #[case::of_the_plan(25, 34, 58.35)]
+    #[case::one_less(24, 34, 55.24)]
+    #[case::all(34, 34, 91.57)]
+    #[case::none(0, 34, 0.0)]
+    fn what_was_seen_shows_less_than_its_share(#[case] seen: usize, #[case] count: usize, #[case] percent: f64) {
+        let shown = shown_at_least(Rate::of(seen, count));
+        assert!((shown - percent).abs() < 0.01, "{shown}");
+    }
+
+    #[test]
+    fn where_nothing_was_tried_nothing_is_shown() {
+        assert!(shown_at_least(Rate::of(0, 0)).is_nan());
+    }
 }
