@@ -3,7 +3,7 @@
 use crate::live::Shown;
 use crate::run::follow;
 use platebench_acceptance::plan::AnswerKind;
-use platebench_acceptance::session::StepRecord;
+use platebench_acceptance::session::{StepKind, StepRecord};
 use platebench_acceptance::{Answer, Desk, Question};
 use platebench_report::{Progress, ProgressKind};
 use platebench_runner::{Cancel, Event, Plan, Watch};
@@ -19,6 +19,8 @@ const LOOK: Duration = Duration::from_millis(50);
 pub(crate) struct Terminal {
     kind: ProgressKind,
     progress: Option<Progress>,
+    /// It is the bench that is measured, not the controller.
+    measuring: bool,
     yes: bool,
     /// What is typed, line by line; only where a person can type.
     lines: Option<Receiver<String>>,
@@ -41,7 +43,7 @@ impl Terminal {
             });
             lines
         });
-        Self { kind, progress: None, yes, lines, cancel, shown }
+        Self { kind, progress: None, measuring: false, yes, lines, cancel, shown }
     }
 
     /// The next line; `None` where the session was ended, or nobody types any more.
@@ -92,6 +94,7 @@ impl Desk for Terminal {
     fn begun(&mut self, step: &StepRecord) {
         self.say(&format!("{}  {}\n", step.id, step.title));
         self.progress = Some(Progress::new(self.kind));
+        self.measuring = step.kind == StepKind::SelfTest;
     }
 
     fn ended(&mut self, step: &StepRecord) {
@@ -113,8 +116,16 @@ impl Desk for Terminal {
 
     fn event(&mut self, event: &Event) {
         self.shown.tell(event);
-        if let Some(progress) = &mut self.progress {
-            follow(progress, event);
+        let Some(progress) = &mut self.progress else { return };
+        match event {
+            // What the scenario expects of a controller is not what the bench is measured by.
+            Event::ScenarioFinished(record) if self.measuring => {
+                progress.finish();
+                self.progress = Some(Progress::new(self.kind));
+                let (trials, s) = (record.trials.len(), if record.trials.len() == 1 { "" } else { "s" });
+                self.say(&format!("  {trials} trial{s} of {} measured, the bench's own; not judged\n", record.file));
+            }
+            event => follow(progress, event),
         }
     }
 }
