@@ -53,7 +53,7 @@ pub enum AcceptError {
         message: String,
     },
     /// A key is not one.
-    #[error("{}: no ed25519 key in PEM: {message}", path.display())]
+    #[error("{}: not the ed25519 key in PEM that is wanted: {message}", path.display())]
     Key {
         /// The file.
         path: PathBuf,

@@ -4,7 +4,7 @@
 //! `openssl genpkey -algorithm ed25519` makes a key and `openssl pkeyutl -verify -rawin` checks a signature as well.
 
 use crate::error::AcceptError;
-use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
+use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
 use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePublicKey};
 use ed25519_dalek::{Signature, Signer as _, SigningKey, VerifyingKey};
 use platebench_runner::folder::sha256;
@@ -29,8 +29,7 @@ impl SecretKey {
     /// [`AcceptError::Io`], [`AcceptError::Key`].
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
         let text = fs::read_to_string(path).map_err(AcceptError::io(path))?;
-        let refused = |error: ed25519_dalek::pkcs8::Error| key_error(path, &error);
-        SigningKey::from_pkcs8_pem(&text).map(Self).map_err(refused)
+        SigningKey::from_pkcs8_pem(&text).map(Self).map_err(|error| refused(path, &text, &error.to_string()))
     }
 
     /// The key that checks what this one signs.
@@ -57,9 +56,7 @@ impl PublicKey {
     /// [`AcceptError::Io`], [`AcceptError::Key`].
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
         let text = fs::read_to_string(path).map_err(AcceptError::io(path))?;
-        VerifyingKey::from_public_key_pem(&text)
-            .map(Self)
-            .map_err(|error| AcceptError::Key { path: path.to_owned(), message: error.to_string() })
+        VerifyingKey::from_public_key_pem(&text).map(Self).map_err(|error| refused(path, &text, &error.to_string()))
     }
 
     /// The key in `text`; `None` where there is none.
@@ -83,6 +80,20 @@ impl PublicKey {
     }
 }
 
-fn key_error(path: &Path, error: &ed25519_dalek::pkcs8::Error) -> AcceptError {
-    AcceptError::Key { path: path.to_owned(), message: error.to_string() }
+/// Why what `text` holds was not the key that was wanted: the other one of the pair, or what its reader says.
+fn refused(path: &Path, text: &str, error: &str) -> AcceptError {
+    let shown = path.display();
+    let message = match decode_label(text.as_bytes()) {
+        Ok("PRIVATE KEY") if SigningKey::from_pkcs8_pem(text).is_ok() => {
+            format!("this is the secret key, expected the public one, as `openssl pkey -in {shown} -pubout` writes it")
+        }
+        Ok("PUBLIC KEY") if PublicKey::of_pem(text).is_some() => {
+            "this is the public key, expected the secret one that belongs to it".to_owned()
+        }
+        Ok("ENCRYPTED PRIVATE KEY") => {
+            format!("this is a secret key behind a passphrase; `openssl pkey -in {shown}` writes it without one")
+        }
+        _ => error.to_owned(),
+    };
+    AcceptError::Key { path: path.to_owned(), message }
 }
