@@ -185,6 +185,7 @@ fn a_doctored_trace_is_refused_by_name() {
 /// A report can still be read; what it would draw is not drawn, of a run that was cut off neither.
 #[test]
 fn a_doctored_trace_is_named_in_the_report_and_not_drawn() {
+    const SAID: &str = "traces/s/000.csv: not the file that the run was made with";
     let workshop = Workshop::new();
     workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
     workshop.scenario("t.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
@@ -195,7 +196,6 @@ fn a_doctored_trace_is_named_in_the_report_and_not_drawn() {
         assert_eq!(code(&output), 0);
         (fs::read_to_string(run.join("report.html")).unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
-    const SAID: &str = "traces/s/000.csv: not the file that the run was made with";
     let (clean, _) = report();
     let drawings = |page: &str| page.matches("Amplitude |W|</figcaption>").count();
     assert!(!clean.contains("not the file") && drawings(&clean) >= 2);
