@@ -6,28 +6,28 @@ use platebench_trace::{Flags, Writer};
 use platebench_verdict::golden::{Accepted, Build, Features, Golden};
 use platebench_verdict::{Definition, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use rstest::rstest;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-fn written(record: &RunRecord, folder: &Path) -> String {
+pub(crate) fn written(record: &RunRecord, folder: &Path) -> String {
     html::write(record, folder).unwrap();
     fs::read_to_string(folder.join(html::FILE)).unwrap()
 }
 
-fn closed() -> ScenarioRecord {
+pub(crate) fn closed() -> ScenarioRecord {
     let settling = made::passed("settling_time_ms", ("at_most", json!(2.0)), 1.949);
     made::scenario("paper/fig13-closed-loop.toml", "Closed loop", "dq-pi", vec![settling])
 }
 
-fn open() -> ScenarioRecord {
+pub(crate) fn open() -> ScenarioRecord {
     let settling = made::passed("settling_time_ms", ("at_most", json!(2.0)), 5.632);
     let settling = made::failed(settling, "trial 0: 5.6320, expected ≤ 2");
     made::scenario("paper/fig13-open-loop.toml", "Open loop", "open-loop", vec![settling])
 }
 
 /// The part of the page that belongs to the scenario with that number.
-fn part(page: &str, index: usize) -> &str {
+pub(crate) fn part(page: &str, index: usize) -> &str {
     let start = page.find(&format!("id=\"scenario-{index}\"")).unwrap();
     page[start..].split("</section>").next().unwrap()
 }
@@ -41,13 +41,13 @@ fn without(page: &str, element: &str) -> String {
 }
 
 /// What the scripts of the scenarios draw, in the order of the page.
-fn curves(page: &str) -> Vec<Value> {
+pub(crate) fn curves(page: &str) -> Vec<Value> {
     let parts = page.split("<script class=\"curves\" type=\"application/json\">").skip(1);
     parts.map(|part| serde_json::from_str(part.split_once("</script>").unwrap().0).unwrap()).collect()
 }
 
 /// The texts of the keys of a scenario's panel.
-fn keys(curves: &Value, panel: usize) -> Vec<String> {
+pub(crate) fn keys(curves: &Value, panel: usize) -> Vec<String> {
     let groups = curves["panels"][panel]["groups"].as_array().unwrap().iter();
     groups.map(|group| group["text"].as_str().unwrap().to_owned()).collect()
 }
@@ -169,114 +169,6 @@ fn settling_is_marked_where_it_happens() {
     let page = written(&made::run(vec![closed]), folder.path());
     assert!(part(&page, 0).contains("trial 0 does not settle"));
     assert!(!part(&page, 0).contains("settled after"));
-}
-
-/// Where the marks of a drawing stand, ms: 0 ms to 60 ms are spread over x = 264 to 2184.
-fn marks(drawing: &str, ink: &str) -> Vec<f64> {
-    let start = format!("class=\"s-{ink}\" d=\"m");
-    let lines = drawing.split(&start).skip(1);
-    let x = lines.map(|line| line.split(' ').next().unwrap().parse::<f64>().unwrap());
-    x.map(|x| ((x - 264.0) / (2184.0 - 264.0) * 600.0).round() / 10.0).collect()
-}
-
-/// Marks of a panel, by the text of their key.
-fn panel_marks(curves: &Value, panel: usize) -> Vec<(String, f64)> {
-    let keys = keys(curves, panel);
-    let marks = curves["panels"][panel]["marks"].as_array().unwrap().iter();
-    marks.map(|mark| (keys[mark[0].as_u64().unwrap() as usize].clone(), mark[1].as_f64().unwrap())).collect()
-}
-
-#[rstest]
-#[case::recovered("recovery_time_ms", ("at_most", json!(6.0)), json!(9.614), 0, "recovered after 9.614 ms", &[49.6, 40.0], &[46.0])]
-#[case::never("recovery_time_ms", ("at_most", json!(6.0)), Value::Null, 0, "does not recover", &[40.0], &[46.0])]
-#[case::within("recovery_time_ms", ("within", json!([1.0, 7.0])), json!(9.614), 0, "recovered after 9.614 ms", &[49.6, 40.0], &[47.0])]
-#[case::no_deadline("recovery_time_ms", ("at_least", json!(10.0)), json!(9.614), 0, "recovered after 9.614 ms", &[49.6, 40.0], &[])]
-#[case::beyond_the_end("recovery_time_ms", ("at_most", json!(25.0)), json!(9.614), 0, "recovered after 9.614 ms", &[49.6, 40.0], &[])]
-#[case::stopped("shutdown_time_ms", ("at_most", json!(5.0)), json!(7.5), 1, "stopped after 7.5 ms", &[47.5, 40.0], &[45.0])]
-#[case::runs_on("shutdown_time_ms", ("at_most", json!(5.0)), Value::Null, 1, "does not stop", &[40.0], &[45.0])]
-fn a_time_is_marked_from_when_it_counts_to_when_it_came_and_was_to_come(
-    #[case] metric: &str,
-    #[case] limit: (&str, Value),
-    #[case] value: Value,
-    #[case] panel: usize,
-    #[case] text: &str,
-    #[case] came: &[f64],
-    #[case] deadline: &[f64],
-) {
-    let folder = tempfile::tempdir().unwrap();
-    let mut expectation = made::failed(made::passed(metric, limit, 9.614), "too late");
-    expectation.definition.from_ms = Some(40.0);
-    let mut tap = made::scenario("tap.toml", "A tap", "dq-pi", vec![expectation]);
-    made::play(&mut tap, folder.path(), 1, Response::default(), 0.0);
-    tap.trials[0].metrics = Map::from_iter([(metric.to_owned(), value)]);
-    let page = written(&made::run(vec![tap.clone()]), folder.path());
-    let drawn = part(&page, 0);
-    let title = ["Amplitude |W|", "Drive"][panel];
-    let drawing = drawn.split(&format!("<figcaption>{title}</figcaption>")).nth(1).unwrap();
-    let drawing = drawing.split("</figure>").next().unwrap();
-    assert!(drawing.contains(&format!("trial 0 {text}")), "{drawing}");
-    let (svg, _) = drawing.split_once("</svg>").unwrap();
-    assert_eq!((marks(svg, "settling").as_slice(), marks(svg, "deadline").as_slice()), (came, deadline));
-    // In the plots as in the drawing, and nowhere else.
-    let curves = &curves(&page)[0];
-    let all: Vec<_> = panel_marks(curves, panel);
-    let of = |wanted: &dyn Fn(&str) -> bool| -> Vec<f64> {
-        let found = all.iter().filter(|(key, _)| wanted(key));
-        found.map(|(_, at_ms)| (at_ms * 10.0).round() / 10.0).collect()
-    };
-    let mut ascending = came.to_vec();
-    ascending.sort_by(f64::total_cmp);
-    assert_eq!(of(&|key| key == format!("trial 0 {text}")), ascending);
-    let until: Vec<f64> = of(&|key| key.starts_with(metric)).into_iter().filter(|at_ms| *at_ms <= 60.0).collect();
-    assert_eq!(until, deadline, "{all:?}");
-    assert_eq!(panel_marks(curves, 1 - panel), []);
-    // A record that does not tell from when it counts has nothing to mark.
-    tap.expectations[0].definition.from_ms = None;
-    let page = written(&made::run(vec![tap]), folder.path());
-    assert!(!part(&page, 0).contains(text));
-}
-
-#[test]
-fn a_settling_time_has_its_deadline_too() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut closed = closed();
-    closed.expectations[0].definition = Definition { from_ms: None, band_percent: Some(5.0), signal: None };
-    made::play(&mut closed, folder.path(), 1, Response::default(), 0.0);
-    let marked = |closed: &ScenarioRecord| {
-        let page = written(&made::run(vec![closed.clone()]), folder.path());
-        panel_marks(&curves(&page)[0], 0)
-            .into_iter()
-            .map(|(key, at_ms)| (key, (at_ms * 1e3).round() / 1e3))
-            .collect::<Vec<_>>()
-    };
-    let [settled, until] = ["trial 0 settled after 1.948 ms", "settling_time_ms ≤ 2 ms: until 3 ms"].map(str::to_owned);
-    assert_eq!(marked(&closed), [(settled.clone(), 1.0), (settled, 2.948), (until.clone(), 3.0)]);
-    closed.trials[0].metrics["settling_time_ms"] = Value::Null;
-    assert_eq!(marked(&closed), [("trial 0 does not settle".to_owned(), 1.0), (until, 3.0)]);
-}
-
-/// Of several recoveries those that did not pass are marked; where all passed, the first.
-#[test]
-fn what_did_not_recover_in_time_is_marked_before_what_did() {
-    let folder = tempfile::tempdir().unwrap();
-    let recovery = |from_ms: f64, passes: bool| {
-        let mut found = made::passed("recovery_time_ms", ("at_most", json!(6.0)), 3.0);
-        found.definition.from_ms = Some(from_ms);
-        if passes { found } else { made::failed(found, "too late") }
-    };
-    let marked = |passes: [bool; 3]| {
-        let expectations =
-            [10.0, 20.0, 30.0].into_iter().zip(passes).map(|(from_ms, passes)| recovery(from_ms, passes));
-        let mut tap = made::scenario("tap.toml", "Taps", "dq-pi", expectations.collect());
-        made::play(&mut tap, folder.path(), 1, Response::default(), 0.0);
-        let keys = ["recovery_time_ms", "recovery_time_ms[2]", "recovery_time_ms[3]"];
-        tap.trials[0].metrics = keys.into_iter().map(|key| (key.to_owned(), json!(3.0))).collect();
-        let page = written(&made::run(vec![tap]), folder.path());
-        let until = panel_marks(&curves(&page)[0], 0).into_iter().filter(|(key, _)| key.contains("until"));
-        until.map(|(_, at_ms)| at_ms).collect::<Vec<_>>()
-    };
-    assert_eq!(marked([true, false, false]), [26.0, 36.0]);
-    assert_eq!(marked([true, true, true]), [16.0]);
 }
 
 #[test]
@@ -467,135 +359,6 @@ fn two_runs_stand_side_by_side() {
     let name = there.path().file_name().unwrap().to_str().unwrap();
     assert!(keys(&curves(&page)[0], 0).contains(&format!("trial 0 of {name}")));
     assert!(part(&page, 1).matches(&format!("trial 0 of {name}")).count() > 1, "also without scripts");
-}
-
-/// Runs of the open loop in folders beside each other.
-struct Runs(tempfile::TempDir);
-
-impl Runs {
-    fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
-    }
-
-    /// Leaves a run there in which the open loop settles too late; `change` makes it another one.
-    fn write(&self, name: &str, started: &str, change: impl FnOnce(&mut RunRecord)) -> (RunRecord, PathBuf) {
-        let mut record = made::run(vec![open()]);
-        started.clone_into(&mut record.started);
-        change(&mut record);
-        let folder = self.0.path().join(name);
-        fs::create_dir_all(&folder).unwrap();
-        record.write(&folder).unwrap();
-        (record, folder)
-    }
-}
-
-fn passes(record: &mut RunRecord) {
-    record.scenarios[0].expectations[0].verdict = Verdict::Pass;
-}
-
-/// Since when, as the page of a run says it.
-fn since((record, folder): &(RunRecord, PathBuf)) -> String {
-    let path = folder.join(html::FILE);
-    html::Page::new(record, folder).with_earlier_runs().write(&path).unwrap();
-    let page = fs::read_to_string(&path).unwrap();
-    page.split_once("<p class=\"since\">").unwrap().1.split_once("</p>").unwrap().0.to_owned()
-}
-
-#[test]
-fn since_when_something_fails_is_said() {
-    let runs = Runs::new();
-    let now = runs.write("now", "2026-03-05T00:00:00Z", |_| ());
-    assert!(!written(&now.0, &now.1).contains("class=\"since\""), "nobody looked");
-    assert_eq!(since(&now), "No earlier run of it lies beside this one.");
-    runs.write("later", "2026-03-06T00:00:00Z", passes);
-    assert_eq!(since(&now), "No earlier run of it lies beside this one.");
-    runs.write("d", "2026-03-04T00:00:00Z", |_| ());
-    assert_eq!(
-        since(&now),
-        "Since d (2026-03-04T00:00:00Z) or before: it has not passed in any earlier run on <code>hosted</code> with <code>open-loop</code> that lies beside this one."
-    );
-    runs.write("c", "2026-03-03T00:00:00Z", |_| ());
-    runs.write("b", "2026-03-02T00:00:00Z", passes);
-    runs.write("a", "2026-03-01T00:00:00Z", |_| ());
-    let text = since(&now);
-    assert!(text.starts_with("Since c (2026-03-03T00:00:00Z), 2 runs ago. It last passed in b (2026-03-02"), "{text}");
-    runs.write("d", "2026-03-04T00:00:00Z", passes);
-    let text = since(&now);
-    assert!(
-        text.starts_with("New in this run. It last passed in d (2026-03-04T00:00:00Z), with the same build"),
-        "{text}"
-    );
-    fs::write(runs.0.path().join("d/run.json"), "damaged").unwrap();
-    assert!(since(&now).starts_with("Since c (2026-03-03T00:00:00Z), one run ago. It last passed in b"));
-}
-
-/// What another law did, or a controller on another kind of rig, says nothing of this one.
-#[test]
-fn only_runs_on_the_same_kind_of_rig_and_with_the_same_law_count() {
-    const NONE: &str =
-        "No earlier run of it on <code>emulated</code> with <code>open-loop</code> lies beside this one.";
-    let runs = Runs::new();
-    let rig = |record: &mut RunRecord, name: &str| name.clone_into(&mut record.rig.name);
-    let now = runs.write("now", "2026-03-05T00:00:00Z", |record| rig(record, "emulated:mine.elf"));
-    runs.write("another-rig", "2026-03-04T00:00:00Z", |record| {
-        passes(record);
-        rig(record, "serial:/dev/x");
-    });
-    assert_eq!(since(&now), NONE);
-    runs.write("another-law", "2026-03-03T00:00:00Z", |record| {
-        passes(record);
-        rig(record, "emulated");
-        "dq-pi".clone_into(&mut record.scenarios[0].law);
-    });
-    assert_eq!(since(&now), NONE);
-    runs.write("failed", "2026-03-02T00:00:00Z", |record| rig(record, "emulated"));
-    assert!(since(&now).starts_with("Since failed (2026-03-02T00:00:00Z) or before: it has not passed in any earlier run on <code>emulated</code> with"));
-    runs.write("passed", "2026-03-01T00:00:00Z", |record| {
-        passes(record);
-        rig(record, "emulated");
-    });
-    assert!(since(&now).contains("one run ago. It last passed in passed (2026-03-01T00:00:00Z), with the same build"));
-}
-
-#[rstest]
-#[case::same(|_: &mut ExpectationRecord| (), "")]
-#[case::limit(|then: &mut ExpectationRecord| then.limit = Map::from_iter([("at_most".to_owned(), json!(60.0))]), ", then with ≤ 60 ms")]
-#[case::statistic(|then: &mut ExpectationRecord| "mean".clone_into(&mut then.statistic), ", then with the mean of trials")]
-#[case::band(|then: &mut ExpectationRecord| then.definition.band_percent = Some(2.0), ", then with a band of 2 %")]
-#[case::from(|then: &mut ExpectationRecord| then.definition.from_ms = Some(40.0), ", then with a look from 40 ms on")]
-#[case::signal(|then: &mut ExpectationRecord| then.definition.signal = Some("wd_um".to_owned()), ", then with a look at wd_um")]
-#[case::from_nowhere(|then: &mut ExpectationRecord| then.definition.from_ms = None, ", then with no instant to look from")]
-#[case::silent(|then: &mut ExpectationRecord| then.definition = Definition::default(), "")]
-fn where_it_was_another_expectation_then_it_is_said_which(
-    #[case] change: fn(&mut ExpectationRecord),
-    #[case] expected: &str,
-) {
-    let runs = Runs::new();
-    let defined = |record: &mut RunRecord| {
-        record.scenarios[0].expectations[0].definition =
-            Definition { from_ms: Some(20.0), band_percent: Some(5.0), signal: Some("amplitude_um".to_owned()) };
-    };
-    let now = runs.write("now", "2026-03-05T00:00:00Z", defined);
-    let then = |record: &mut RunRecord| {
-        defined(record);
-        passes(record);
-        change(&mut record.scenarios[0].expectations[0]);
-    };
-    runs.write("then", "2026-03-04T00:00:00Z", then);
-    let text = since(&now);
-    assert!(
-        text.starts_with(&format!("New in this run. It last passed in then (2026-03-04T00:00:00Z{expected})")),
-        "{text}"
-    );
-    // Where the very same stood there too, under another number, that one counts.
-    runs.write("then", "2026-03-04T00:00:00Z", |record| {
-        defined(record);
-        let same = record.scenarios[0].expectations[0].clone();
-        then(record);
-        record.scenarios[0].expectations.push(same);
-    });
-    let text = since(&now);
-    assert_eq!(text.starts_with("Since then (2026-03-04T00:00:00Z) or before"), !expected.is_empty(), "{text}");
 }
 
 #[test]

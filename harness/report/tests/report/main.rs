@@ -10,5 +10,7 @@ mod html;
 mod junit;
 mod look;
 mod made;
+mod marks;
+mod since;
 mod timing;
 mod traceability;
