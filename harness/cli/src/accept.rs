@@ -3,10 +3,10 @@
 mod desk;
 
 use crate::args::{Clock, Format, Pacing, Run};
+use crate::clock::{clock, fast_enough};
 use crate::exit::Exit;
 use crate::live::Shown;
 use crate::output;
-use crate::run::{clock, fast_enough};
 use crate::signals::{Ended, until_signal};
 use clap::{Args, Subcommand};
 use desk::Terminal;

@@ -1,7 +1,7 @@
 //! The person at the terminal, where there is one.
 
 use crate::live::Shown;
-use crate::run::follow;
+use crate::play::follow;
 use platebench_acceptance::plan::AnswerKind;
 use platebench_acceptance::session::{StepKind, StepRecord};
 use platebench_acceptance::{Answer, Desk, Question};

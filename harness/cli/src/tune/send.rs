@@ -1,14 +1,15 @@
 //! Gains to a rig: who is there, whether it takes them, and one step that shows what they do.
 
 use crate::args::Clock;
+use crate::clock::default_clock;
+use crate::desk::Desk;
 use crate::exit::Exit;
 use crate::output;
-use crate::run::{Around, default_clock, play};
+use crate::play::{Audience, play};
 use crate::tune::write::shortest;
 use platebench_analysis::tuning::design::Demand;
-use platebench_report::ProgressKind;
 use platebench_rig::{RigSpec, Session, check_baud};
-use platebench_runner::{Pace, Pacing, Plan, RunError, RunFolder, configure};
+use platebench_runner::{Pace, Pacing, Plan, RunError, RunFolder, Watch, configure};
 use platebench_scenario::{Scenario, load};
 use platebench_verdict::record::Overrides;
 use platebench_verdict::{RunRecord, TrialRecord};
@@ -74,7 +75,7 @@ pub(super) fn send(rig: &RigSpec, order: &Order<'_>) -> Result<Verified, Exit> {
         rig: rig.to_string(),
         overrides: Overrides::default(),
     };
-    let record = play(plan, &folder, rig.clone(), ProgressKind::Quiet, Around::nobody())
+    let record = play(plan, &folder, rig.clone(), Desk::new(false), Watch::default(), Audience::nobody())
         .map_err(|(error, signal)| signal.map_or_else(|| run_error(error), Exit::Signal))?;
     Ok(verified(rig, firmware, folder.path().to_owned(), &record))
 }
