@@ -74,7 +74,7 @@ impl RunRecord {
         read(folder).map(|Started { started }| started)
     }
 
-    /// Runs in folders beside `folder`, the run's own, that started before it: the newest first, twenty at most, each with its folder's name. A folder whose record cannot be read
+    /// Runs in folders beside `folder`, the run's own, that started before it or in the same second: the newest first, twenty at most, each with its folder's name. A folder whose record cannot be read
     /// is left out and shown to `left_out`.
     pub fn earlier(&self, folder: &Path, left_out: impl Fn(&Path, &RecordError)) -> Vec<(String, Self)> {
         let Ok(own) = fs::canonicalize(folder) else { return Vec::new() };
@@ -84,8 +84,8 @@ impl RunRecord {
             .filter(|path| *path != own && path.join(FILE).is_file())
             .filter_map(|path| {
                 let started = Self::read_started(&path).inspect_err(|error| left_out(&path, error)).ok()?;
-                // RFC 3339 in UTC: the order of the texts is that of time.
-                (started < self.started).then_some((started, path))
+                // RFC 3339 in UTC: the order of the texts is that of time. Short runs follow each other within a second.
+                (started <= self.started).then_some((started, path))
             })
             .collect();
         found.sort_by(|a, b| b.cmp(a));

@@ -131,6 +131,28 @@ fn a_record_comes_back_as_it_was_and_leaves_nothing_beside_it() {
 }
 
 #[test]
+fn earlier_is_what_did_not_start_later_and_lies_beside_it() {
+    let runs = TempDir::new().unwrap();
+    let started = |name: &str, second: u32| {
+        let folder = runs.path().join(name);
+        fs::create_dir(&folder).unwrap();
+        let record = RunRecord { started: format!("2026-01-01T00:00:{second:02}Z"), ..record() };
+        record.write(&folder).unwrap();
+        (folder, record)
+    };
+    started("before", 6);
+    started("after", 8);
+    started("at-once", 7);
+    let (own, record) = started("own", 7);
+    fs::create_dir(runs.path().join("damaged")).unwrap();
+    fs::write(runs.path().join("damaged").join(FILE), "{}").unwrap();
+    let refused = std::cell::RefCell::new(Vec::new());
+    let earlier = record.earlier(&own, |path, _| refused.borrow_mut().push(path.file_name().unwrap().to_owned()));
+    assert_eq!(earlier.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["at-once", "before"]);
+    assert_eq!(refused.into_inner(), ["damaged"]);
+}
+
+#[test]
 fn only_a_run_that_came_to_its_end_at_0_v_passes() {
     let verdict = |complete, safe_confirmed, of_scenario| {
         let mut record = RunRecord { complete, safe_confirmed, ..record() };
