@@ -1,6 +1,6 @@
 //! One worker of a run: a link to a controller of its own, over which it plays and measures one trial after the other.
 
-use crate::folder::{RunFolder, hexadecimal, sha256, trace_file};
+use crate::folder::{RunFolder, hexadecimal, sha256_of, trace_file};
 use crate::measured::{delay_budget, measured};
 use crate::plan::{Clock, Company, Connect, Plan, RunError};
 use crate::trial::{self, Order};
@@ -10,7 +10,6 @@ use platebench_trace::{Row, TraceError, Writer};
 use platebench_verdict::judge::trial_record;
 use platebench_verdict::{TrialMeasures, TrialRecord};
 use platebench_wire::{Identity, LawId};
-use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -146,8 +145,7 @@ impl Work<'_> {
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
         debug!(rows = played.rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
         let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));
-        let bytes = fs::read(&path).map_err(|source| TraceError::Io { path, source })?;
-        record.sha256 = Some(sha256(&bytes));
+        record.sha256 = Some(sha256_of(&path).map_err(|source| TraceError::Io { path, source })?);
         if let Some(lost) = played.lost {
             error!(error = %lost, "controller lost");
             // The next trial starts over a new link.
