@@ -204,6 +204,14 @@ fn runs(folder: &Path) -> Vec<Vec<String>> {
     records.into_iter().map(|(_, names)| names).collect()
 }
 
+/// A watched run of the workshop's scenarios, which tells into its file `told`.
+fn watched(workshop: &Workshop, rig: &str) -> Guarded {
+    let told = fs::File::create(workshop.path().join("told")).unwrap();
+    let mut run = program(workshop.path());
+    let run = run.args(["run", "--rig", rig, "--watch", "--quiet"]).stdout(Stdio::null()).stderr(told);
+    Guarded(run.spawn().unwrap())
+}
+
 #[test]
 fn a_watched_run_plays_what_changed_and_ends_when_told() {
     let workshop = Workshop::new();
@@ -211,14 +219,7 @@ fn a_watched_run_plays_what_changed_and_ends_when_told() {
     workshop.scenario("a.toml", &text);
     workshop.scenario("b.toml", &text);
     workshop.scenario("c.toml", &text.replace("aluminium-198x138", "aluminium-198x138-600vpp"));
-    let mut child = Guarded(
-        program(workshop.path())
-            .args(["run", "--rig", "hosted", "--watch", "--quiet"])
-            .stdout(Stdio::null())
-            .stderr(fs::File::create(workshop.path().join("told")).unwrap())
-            .spawn()
-            .unwrap(),
-    );
+    let mut child = watched(&workshop, "hosted");
     let told = || fs::read_to_string(workshop.path().join("told")).unwrap();
     let mut expected: Vec<Vec<&str>> = Vec::new();
     let mut played = |names: &[&'static str]| {
@@ -253,14 +254,7 @@ fn a_watched_run_plays_again_what_a_new_firmware_may_change() {
     let image = workshop.path().join("mine.elf");
     let built = fs::read(root().join("firmware-under-test/images/platebench-stm32f4.elf")).unwrap();
     fs::write(&image, &built).unwrap();
-    let mut child = Guarded(
-        program(workshop.path())
-            .args(["run", "--rig", "emulated:mine.elf", "--watch", "--quiet"])
-            .stdout(Stdio::null())
-            .stderr(fs::File::create(workshop.path().join("told")).unwrap())
-            .spawn()
-            .unwrap(),
-    );
+    let mut child = watched(&workshop, "emulated:mine.elf");
     let told = || fs::read_to_string(workshop.path().join("told")).unwrap();
     await_that("a run", || runs(workshop.path()).len() == 1);
     // A build takes the old one away before the new one is there.
