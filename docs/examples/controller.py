@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
 """A controller of the plate in Python: `python3 controller.py PORT [BAUD]`.
 
-Written from docs/wire-protocol.md alone; needs pyserial. Laws dq-pi and dq-pi-fixed, which are the same here: the
-gains do not follow the damping. Paced by the bench. Try it without a board:
+Written from docs/wire-protocol.md alone; needs pyserial. Laws dq-pi and dq-pi-fixed. Paced by the bench.
+Try it without a board:
 
     platebench run scenarios/paper/fig13-closed-loop.toml --rig "exec:python3 docs/examples/controller.py {port}"
 
-Python stops for garbage collection and for other processes whenever it likes: this is an example, not for an amplifier with 400 V.
+Python pauses for garbage collection and other processes: this is an example, not for a real amplifier.
 """
 
+import cmath
 import math
 import struct
 import sys
@@ -39,7 +40,7 @@ def encode(body):
 
 
 def decode(frame):
-    """The body of a frame without its delimiter; None where it is none."""
+    """The body of a frame without its delimiter; None if the frame is invalid."""
     data, at = bytearray(), 0
     while at < len(frame):
         piece = frame[at + 1 : at + frame[at]]
@@ -56,38 +57,100 @@ def decode(frame):
 
 
 class Loop:
-    """u = Kp e + x, held within its limits; x follows what was held."""
+    """u = Kp e + x, limited to its range; x tracks the limited value."""
 
     def __init__(self, kp, ki_ts, tracking_high=1.0):
-        self.kp, self.ki_ts, self.x = kp, ki_ts, 0.0
+        self.x, self.tracking_high = 0.0, tracking_high
+        self.set_gains(kp, ki_ts)
+
+    def set_gains(self, kp, ki_ts):
+        self.kp, self.ki_ts = kp, ki_ts
         ratio = ki_ts / kp if kp > 0 else 1.0
-        self.c_low, self.c_high = min(1.0, ratio), min(1.0, tracking_high * ratio)
+        self.c_low, self.c_high = min(1.0, ratio), min(1.0, self.tracking_high * ratio)
 
     def step(self, e, low, high):
         u = self.kp * e + self.x
-        held = min(max(u, low), high)
-        self.x += self.ki_ts * e + (self.c_high if held < u else self.c_low) * (held - u)
-        return held
+        limited = min(max(u, low), high)
+        self.x += self.ki_ts * e + (self.c_high if limited < u else self.c_low) * (limited - u)
+        return limited
+
+
+class Plate:
+    """The damping sigma of the plate, identified from one drive and the samples before and after it."""
+
+    def __init__(self, period, k1, tau, reach):
+        self.period, self.nominal, self.b, self.reach = period, 1 / tau, k1 / tau, reach
+        self.sigma, self.suspected = 1 / tau, 0.0
+        self.w, self.drive, self.offset = 0j, 0.0, 0.0
+
+    def propagate(self, lam):
+        """W after the period, and its derivative with respect to lambda."""
+        z = lam * self.period
+        exp = cmath.exp(z)
+        small = abs(z) < 1e-3
+        phi = 1 + z / 2 + z * z / 6 if small else (exp - 1) / z
+        slope = 0.5 + z / 3 if small else (exp - phi) / z
+        push = self.b * self.drive * self.period
+        return exp * self.w + push * phi, self.period * (exp * self.w + push * slope)
+
+    def identify(self, w):
+        sigma, resonance = self.sigma, self.offset
+        for _ in range(4):
+            after, slope = self.propagate(complex(-sigma, resonance - self.offset))
+            step = (w - after) / slope if slope else 0j
+            sigma = min(max(sigma - step.real, self.nominal / 6), self.nominal * 6)
+            resonance = min(max(resonance + step.imag, -self.reach), self.reach)
+        return sigma
+
+    def update(self, w):
+        """Tracks sigma. True if two periods in a row agree on a change of more than a quarter."""
+        change, least = self.identify(w) - self.sigma, 0.25 * self.sigma
+        agreed = min(change, self.suspected) if change > 0 else max(change, self.suspected)
+        self.suspected = 0.0
+        if abs(change) <= least:
+            self.sigma += change / 8
+        elif agreed * change > 0 and abs(agreed) > least:
+            self.sigma += agreed
+            return True
+        else:
+            self.suspected = change
+        return False
 
 
 class DqPi:
-    def __init__(self, period, k1, tau, response, limit, reach_hz, slew_hz, gains):
-        if gains:
-            self.gains = gains
-        else:
-            self.gains = ()
-            for gain in (k1, tau):
-                a, p = math.exp(-period / tau), math.exp(-3 * period / (response or 1.9e-3))
-                kp = (1 - p) / (gain * (1 - a))
-                self.gains += (kp, kp * (1 - a) / period)
+    def __init__(self, law, period, k1, tau, response, limit, reach_hz, slew_hz, gains):
+        self.limit, self.reach, self.slew = limit, 2 * math.pi * reach_hz, 2 * math.pi * slew_hz
+        self.period, self.response = period, response or 1.9e-3
+        self.plate = Plate(period, k1, tau, self.reach)
+        self.adapts = law == DQ_PI and not gains
+        self.gains = gains or self.design(1 / tau)
         kp_a, ki_a, kp_f, ki_f = self.gains
         self.amplitude = Loop(kp_a, ki_a * period, 0.6)
         self.frequency = Loop(kp_f, ki_f * period)
-        self.limit, self.reach, self.slew = limit, 2 * math.pi * reach_hz, 2 * math.pi * slew_hz
         self.offset = 0.0
+
+    def design(self, sigma):
+        """Gains for a plate with the static gains b/sigma and 1/sigma and the time constant 1/sigma."""
+        a, p = math.exp(-sigma * self.period), math.exp(-3 * self.period / self.response)
+        gains = ()
+        for gain in (self.plate.b / sigma, 1 / sigma):
+            kp = (1 - p) / (gain * (1 - a))
+            gains += (kp, kp * (1 - a) / self.period)
+        return gains
+
+    def adapt(self, w):
+        changed = self.plate.update(w)
+        kp_a, ki_a, kp_f, ki_f = self.design(self.plate.sigma)
+        self.amplitude.set_gains(kp_a, ki_a * self.period)
+        self.frequency.set_gains(kp_f, ki_f * self.period)
+        if changed:
+            self.amplitude.x = self.plate.sigma * w.real / self.plate.b
 
     def step(self, setpoint, wd, wq):
         """Drive in Vpp, frequency above the start in Hz, flags."""
+        w = complex(wd, wq)
+        if self.adapts and setpoint > 0 and wd > 0.1 * setpoint:
+            self.adapt(w)
         drive = self.amplitude.step(setpoint - wd, 0.0, self.limit)
         flags = SATURATED if drive >= self.limit else 0
         if setpoint > 0 and wd > 0.1 * setpoint:
@@ -98,6 +161,7 @@ class DqPi:
                 flags |= FREQUENCY_LIMITED
         else:
             flags |= FREQUENCY_HELD
+        self.plate.w, self.plate.drive, self.plate.offset = w, drive, self.offset
         return drive, self.offset / (2 * math.pi), flags
 
 
@@ -106,7 +170,7 @@ class Controller:
         self.state, self.cause, self.flags = IDLE, NOTHING, 0
         self.drive, self.frequency = 0.0, 0
         self.law, self.number, self.compute = None, None, 0
-        self.at = self.last_sample = self.patience = self.start = self.noise = 0
+        self.at = self.last_sample = self.timeout = self.start = self.noise = 0
 
     def command(self, number):
         bits = self.cause << 4 | self.flags
@@ -117,7 +181,7 @@ class Controller:
         self.state, self.cause, self.flags, self.drive = state, cause, 0, 0.0
 
     def answer(self, body):
-        """What is to be said to the body of a frame, or None; it raises ValueError where the body is to be refused."""
+        """The answer to the body of a frame, or None. Raises ValueError if the body must be rejected."""
         if len(body) < 2 or body[0] >> 4 != VERSION:
             raise ValueError("version")
         kind, number = body[0] & 0x0F, body[1]
@@ -127,7 +191,8 @@ class Controller:
             return None  # an echo
         if kind == HELLO:
             name = b"python-example".ljust(16, b"\0")
-            who = bytes([0, 1, 0, 2]) + struct.pack("<I8sI12s16s", 1 << DQ_PI | 1 << DQ_PI_FIXED, bytes(8), 0, bytes(12), name)
+            laws = 1 << DQ_PI | 1 << DQ_PI_FIXED
+            who = bytes([0, 1, 0, 2]) + struct.pack("<I8sI12s16s", laws, bytes(8), 0, bytes(12), name)
             return encode(bytes([VERSION << 4 | IDENTITY, number]) + who)
         if kind == CONFIGURE:
             outcome, gains = self.configure(body)
@@ -141,7 +206,7 @@ class Controller:
         return self.command(number)
 
     def configure(self, body):
-        law, bits, patience_ms, period_us, start = struct.unpack_from("<BBHII", body, 2)
+        law, bits, timeout_ms, period_us, start = struct.unpack_from("<BBHII", body, 2)
         k1, tau, response, limit, reach, slew, *gains = struct.unpack_from("<10f", body, 14)
         if law > 8 or bits > 3:
             raise ValueError("field")
@@ -153,15 +218,16 @@ class Controller:
         usable = positive and period_us and start and math.isfinite(response) and response >= 0
         if not usable or not all(map(math.isfinite, gains)) or bits & 2:
             return 1, (0.0,) * 4
-        self.law = DqPi(period_us * 1e-6, k1, tau, response, limit, reach, slew, tuple(gains) if bits & 1 else None)
+        gains = tuple(gains) if bits & 1 else None
+        self.law = DqPi(law, period_us * 1e-6, k1, tau, response, limit, reach, slew, gains)
         self.start = self.frequency = start
-        self.patience = patience_ms * 1000 or 5 * period_us
+        self.timeout = timeout_ms * 1000 or 5 * period_us
         return 0, self.law.gains
 
     def sample(self, setpoint, wd, wq):
         if self.state in (FAULT, SAFE_STATE) or self.law is None:
             return
-        if self.state == RUNNING and self.at - self.last_sample >= self.patience:
+        if self.state == RUNNING and self.at - self.last_sample >= self.timeout:
             return self.stop(FAULT, NO_SAMPLE)
         if not all(map(math.isfinite, (setpoint, wd, wq))):
             return self.stop(FAULT, NOT_FINITE)
@@ -172,16 +238,16 @@ class Controller:
         self.frequency = max(0, self.start + round(offset * 1000))
         self.last_sample, self.noise = self.at, max(0, self.noise - 1)
 
-    def refused(self):
-        """A frame that could not be read. The command to say where that was one too many."""
+    def count_rejected(self):
+        """Counts a rejected frame. Returns the command that reports the stop if there were too many."""
         if self.state == RUNNING:
             self.noise += 2
             if self.noise >= 10:
                 return self.give_up(NOISE)
         return None
 
-    def pass_time(self):
-        if self.state == RUNNING and now_us() - self.last_sample >= self.patience:
+    def check_timeout(self):
+        if self.state == RUNNING and now_us() - self.last_sample >= self.timeout:
             return self.give_up(NO_SAMPLE)
         return None
 
@@ -195,31 +261,31 @@ def main():
     if len(sys.argv) not in (2, 3):
         sys.exit("usage: controller.py PORT [BAUD]")
     baud = int(sys.argv[2]) if len(sys.argv) == 3 else 1_000_000
-    controller, heard = Controller(), bytearray()
+    controller, received = Controller(), bytearray()
     try:
-        # A read comes back with the first byte, or after a millisecond to look at the time.
+        # A read returns with the first byte, or after a millisecond to check the time.
         with serial.Serial(sys.argv[1], baud, timeout=0.001, write_timeout=0.1) as port:
             while True:
-                heard += port.read(max(1, port.in_waiting))
-                *frames, rest = heard.split(b"\0")
-                # Of a line that babbles no more is kept than shows that it does.
-                heard = bytearray(rest[:LONGEST])
+                received += port.read(max(1, port.in_waiting))
+                *frames, rest = received.split(b"\0")
+                # A longer remainder is no frame; keep enough to reject it.
+                received = bytearray(rest[:LONGEST])
                 for frame in filter(None, frames):
                     since = now_us()
                     body = decode(frame) if len(frame) < LONGEST else None
                     try:
-                        said = controller.refused() if body is None else controller.answer(body)
+                        answer = controller.count_rejected() if body is None else controller.answer(body)
                     except ValueError:
-                        said = controller.refused()
-                    if said:
-                        port.write(said)
+                        answer = controller.count_rejected()
+                    if answer:
+                        port.write(answer)
                     controller.compute = max(1, now_us() - since)
-                said = controller.pass_time()
-                if said:
-                    port.write(said)
+                answer = controller.check_timeout()
+                if answer:
+                    port.write(answer)
     except (serial.SerialException, OSError) as error:
         print(f"controller.py: {error}", file=sys.stderr)
-        # Whoever drives an amplifier drives it to 0 V here.
+        # A controller with an amplifier sets 0 V here.
         sys.exit(0 if controller.drive == 0.0 else 1)
 
 

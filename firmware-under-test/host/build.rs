@@ -1,4 +1,4 @@
-//! The hash of the sources that the program tells in its handshake: the one that the board's image tells.
+//! Computes the source hash for the handshake, as the build of the board's image does.
 
 #[path = "../stm32f4/source_hash.rs"]
 mod source_hash;
@@ -14,7 +14,7 @@ fn main() -> Result<(), Box<dyn error::Error>> {
     for file in source_hash::files(root)? {
         println!("cargo:rerun-if-changed=../{file}");
     }
-    // A file that is added changes its folder.
+    // A new file changes its folder.
     for package in ["controller", "stm32f4", "wire"] {
         println!("cargo:rerun-if-changed=../{package}/src");
     }

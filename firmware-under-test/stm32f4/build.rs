@@ -1,4 +1,4 @@
-//! Linker script, and the hash of the sources that the image tells in its handshake.
+//! Passes the linker script and the source hash for the handshake to the build.
 
 #[path = "source_hash.rs"]
 mod source_hash;
@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn error::Error>> {
     for file in source_hash::files(root)? {
         println!("cargo:rerun-if-changed=../{file}");
     }
-    // A file that is added changes its folder.
+    // A new file changes its folder.
     for package in ["controller", "stm32f4", "wire"] {
         println!("cargo:rerun-if-changed=../{package}/src");
     }

@@ -1,8 +1,10 @@
-// The hash that ties an image to its source; shared by the build script and the test that holds the committed image to it.
+// Computes the hash of the firmware's sources, for the build scripts and the test of the committed
+// images.
 //
-// SHA-256 over what `sha256sum` prints for the files below, run in `firmware-under-test/`, paths in byte order:
-// `Cargo.toml` and `src/**.rs` of `wire`, `controller` and `stm32f4`, less `tests.rs`, and of `stm32f4` also `Cargo.lock`, `build.rs`, `memory.x`,
-// `source_hash.rs` and `.cargo/config.toml`. `ci/firmware` does the same in a line of shell.
+// SHA-256 over the output of `sha256sum` for the files below, run in `firmware-under-test/`, paths
+// in byte order: `Cargo.toml` and `src/**.rs` of `wire`, `controller` and `stm32f4` without
+// `tests.rs`; also `Cargo.lock`, `build.rs`, `memory.x`, `source_hash.rs` and `.cargo/config.toml`
+// of `stm32f4`. `ci/firmware` does the same in shell.
 
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
@@ -20,25 +22,25 @@ const SINGLE: [&str; 8] = [
     "wire/Cargo.toml",
 ];
 
-/// The files that make the firmware, relative to `firmware-under-test/`, in byte order.
+/// The firmware's files, relative to `firmware-under-test/`, in byte order.
 pub(crate) fn files(firmware_under_test: &Path) -> io::Result<Vec<String>> {
-    let mut found: Vec<String> = SINGLE.map(str::to_owned).to_vec();
+    let mut files: Vec<String> = SINGLE.map(str::to_owned).to_vec();
     for package in ["controller", "stm32f4", "wire"] {
-        walk(&firmware_under_test.join(package).join("src"), &format!("{package}/src"), &mut found)?;
+        walk(&firmware_under_test.join(package).join("src"), &format!("{package}/src"), &mut files)?;
     }
-    found.sort_unstable();
-    Ok(found)
+    files.sort_unstable();
+    Ok(files)
 }
 
-fn walk(folder: &Path, name: &str, found: &mut Vec<String>) -> io::Result<()> {
+fn walk(folder: &Path, name: &str, files: &mut Vec<String>) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
         let file = entry.file_name().to_string_lossy().into_owned();
         let path: PathBuf = entry.path();
         if path.is_dir() {
-            walk(&path, &format!("{name}/{file}"), found)?;
+            walk(&path, &format!("{name}/{file}"), files)?;
         } else if path.extension().is_some_and(|extension| extension == "rs") && file != "tests.rs" {
-            found.push(format!("{name}/{file}"));
+            files.push(format!("{name}/{file}"));
         }
     }
     Ok(())

@@ -18,12 +18,12 @@
 //! | `hold=UM` | this setpoint is held, whatever is asked for |
 //! | `clock=X` | the board's timer runs so many times as fast as it believes |
 
-use platebench_controller::Machine;
-use platebench_plate::file::RawPlate;
-use platebench_plate::{Complex64, Conditions, Drive, Plant, Plate, Profile, Scene, Tier, Time};
+use platebench_controller::StateMachine;
+use platebench_plate::RawPlate;
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Tier, Time};
 use platebench_wire::{
-    Command, Configure, Configured, FaultReport, FrameReader, Identity, LawId, Message, Packet, Rejection, Sample,
-    State, Telemetry, capabilities,
+    Command, Configure, Configured, ControllerState, FaultReport, Identity, LawId, Message, Packet, PacketReader,
+    Rejection, Sample, Telemetry, capabilities,
 };
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -35,7 +35,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// Frames that wait for the line at most.
-const WAITING: usize = 256;
+const MAX_QUEUED_FRAMES: usize = 256;
 const PLATE: &str = include_str!("../../scenarios/plates/aluminium-198x138.toml");
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -46,12 +46,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         .collect::<Option<BTreeMap<_, _>>>()
         .ok_or("expected KEY=VALUE")?;
     let line = OpenOptions::new().read(true).write(true).open(port)?;
-    let bytes = listen(line.try_clone()?);
-    Board::new(transmit(line), wishes)?.run(&bytes)
+    let bytes = spawn_reader(line.try_clone()?);
+    SimulatedBoard::new(spawn_writer(line), wishes)?.run(&bytes)
 }
 
 /// What the line brings, until it hangs up.
-fn listen(mut line: File) -> Receiver<Vec<u8>> {
+fn spawn_reader(mut line: File) -> Receiver<Vec<u8>> {
     let (sender, receiver) = channel();
     thread::spawn(move || {
         let mut buffer = [0; 512];
@@ -65,8 +65,8 @@ fn listen(mut line: File) -> Receiver<Vec<u8>> {
 }
 
 /// What is to be said; a line that takes no more loses the rest, as a UART would.
-fn transmit(mut line: File) -> SyncSender<Vec<u8>> {
-    let (sender, frames) = sync_channel::<Vec<u8>>(WAITING);
+fn spawn_writer(mut line: File) -> SyncSender<Vec<u8>> {
+    let (sender, frames) = sync_channel::<Vec<u8>>(MAX_QUEUED_FRAMES);
     thread::spawn(move || {
         for frame in frames {
             if line.write_all(&frame).is_err() {
@@ -77,20 +77,20 @@ fn transmit(mut line: File) -> SyncSender<Vec<u8>> {
     sender
 }
 
-struct Board {
+struct SimulatedBoard {
     line: SyncSender<Vec<u8>>,
-    wishes: BTreeMap<String, String>,
+    options: BTreeMap<String, String>,
     log: Option<File>,
-    reader: FrameReader,
+    reader: PacketReader,
     plate: Plate,
-    machine: Machine,
-    trial: Option<Trial>,
-    number: u8,
-    last_state: Option<State>,
+    machine: StateMachine,
+    trial: Option<BoardTrial>,
+    next_sequence: u8,
+    last_state: Option<ControllerState>,
 }
 
 /// A plate that is driven, from its first setpoint on.
-struct Trial {
+struct BoardTrial {
     configure: Configure,
     plant: Plant,
     started: Option<Instant>,
@@ -100,19 +100,19 @@ struct Trial {
     period: u32,
 }
 
-impl Board {
+impl SimulatedBoard {
     fn new(line: SyncSender<Vec<u8>>, wishes: BTreeMap<String, String>) -> Result<Self, Box<dyn Error>> {
         let plate = toml::from_str::<RawPlate>(PLATE)?.check()?;
         let log = wishes.get("log").map(File::create).transpose()?;
         Ok(Self {
             line,
-            wishes,
+            options: wishes,
             log,
-            reader: FrameReader::new(),
+            reader: PacketReader::new(),
             plate,
-            machine: Machine::new(),
+            machine: StateMachine::new(),
             trial: None,
-            number: 0,
+            next_sequence: 0,
             last_state: None,
         })
     }
@@ -123,7 +123,7 @@ impl Board {
                 .next_period()
                 .map_or(Duration::from_millis(50), |next| next.saturating_duration_since(Instant::now()));
             match bytes.recv_timeout(patience) {
-                Ok(bytes) => self.hear(&bytes)?,
+                Ok(bytes) => self.receive(&bytes)?,
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
@@ -134,26 +134,26 @@ impl Board {
     }
 
     /// The number behind `key`.
-    fn wish<T: std::str::FromStr>(&self, key: &str) -> Option<T> {
-        self.wishes.get(key).and_then(|value| value.parse().ok())
+    fn option<T: std::str::FromStr>(&self, key: &str) -> Option<T> {
+        self.options.get(key).and_then(|value| value.parse().ok())
     }
 
-    fn is_from(&self, key: &str, period: u32) -> bool {
-        self.wish::<u32>(key).is_some_and(|from| period >= from)
+    fn is_due(&self, key: &str, period: u32) -> bool {
+        self.option::<u32>(key).is_some_and(|from| period >= from)
     }
 
     fn next_period(&self) -> Option<Instant> {
         let trial = self.trial.as_ref()?;
         let period = Duration::from_micros(trial.configure.period_us.into());
-        let rate = self.wish("clock").unwrap_or(1.0);
+        let rate = self.option("clock").unwrap_or(1.0);
         trial.started.map(|started| started + (period * trial.period).div_f64(rate))
     }
 
-    fn say(&self, sequence: u8, message: Message) {
+    fn send(&self, sequence: u8, message: Message) {
         let _ = self.line.try_send(Packet { sequence, message }.encode().as_bytes().to_vec());
     }
 
-    fn note(&mut self, period: u32) -> Result<(), Box<dyn Error>> {
+    fn write_log(&mut self, period: u32) -> Result<(), Box<dyn Error>> {
         let output = *self.machine.output();
         if self.last_state.replace(output.state) != Some(output.state)
             && let Some(log) = &mut self.log
@@ -163,37 +163,36 @@ impl Board {
         Ok(())
     }
 
-    fn hear(&mut self, bytes: &[u8]) -> Result<(), Box<dyn Error>> {
+    fn receive(&mut self, bytes: &[u8]) -> Result<(), Box<dyn Error>> {
         for &byte in bytes {
-            let body = self.reader.push(byte).and_then(Result::ok).map(<[u8]>::to_vec);
-            let Some(Ok(Packet { sequence, message })) = body.map(|body| Packet::decode(&body)) else { continue };
+            let Some(Ok(Packet { sequence, message })) = self.reader.push(byte) else { continue };
             let period = self.trial.as_ref().map_or(0, |trial| trial.period);
             let answer = match message {
                 Message::Hello => Some(Message::Identity(self.identity())),
                 Message::Configure(configure) => Some(Message::Configured(self.configure(&configure))),
                 Message::Setpoint(setpoint) => {
-                    let heeded = self.heed(sequence, setpoint.setpoint_um);
-                    Some(Message::Command(heeded)).filter(|_| !self.is_from("deaf", period))
+                    let heeded = self.apply_setpoint(sequence, setpoint.setpoint_um);
+                    Some(Message::Command(heeded)).filter(|_| !self.is_due("deaf", period))
                 }
                 Message::Safe => {
                     self.trial = None;
-                    Some(Message::Command(self.machine.safe(0)))
+                    Some(Message::Command(self.machine.enter_safe(0)))
                 }
                 _ => None,
             };
-            self.note(period)?;
+            self.write_log(period)?;
             if let Some(answer) = answer {
-                self.say(sequence, answer);
+                self.send(sequence, answer);
             }
         }
         Ok(())
     }
 
     fn identity(&self) -> Identity {
-        let has_plate = self.wishes.get("capability").is_none_or(|value| value != "no");
+        let has_plate = self.options.get("capability").is_none_or(|value| value != "no");
         Identity {
             version: [0, 1, 0],
-            capabilities: capabilities::TOLD_DELAY | if has_plate { capabilities::OWN_PLATE } else { 0 },
+            capabilities: capabilities::LOOP_DELAY | if has_plate { capabilities::OWN_PLATE } else { 0 },
             laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
             build: [0; 8],
             chip: 0,
@@ -208,8 +207,9 @@ impl Board {
             return Configured { outcome: Err(Rejection::Value) };
         }
         let configured = self.machine.configure(&Configure { drives_own_plate: false, ..*configure });
-        let scene = Scene { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) };
-        self.trial = configured.outcome.is_ok().then(|| Trial {
+        let scene =
+            ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) };
+        self.trial = configured.outcome.is_ok().then(|| BoardTrial {
             configure: *configure,
             plant: Plant::new(self.plate.clone(), scene, Tier::Envelope),
             started: None,
@@ -221,8 +221,8 @@ impl Board {
         configured
     }
 
-    fn heed(&mut self, sequence: u8, setpoint_um: f32) -> Command {
-        let held = self.wish("hold").unwrap_or(setpoint_um);
+    fn apply_setpoint(&mut self, sequence: u8, setpoint_um: f32) -> Command {
+        let held = self.option("hold").unwrap_or(setpoint_um);
         let Some(trial) = &mut self.trial else { return *self.machine.output() };
         trial.setpoint_um = held;
         trial.last_setpoint = Instant::now();
@@ -231,12 +231,12 @@ impl Board {
         trial.started.get_or_insert_with(Instant::now);
         let output = *self.machine.output();
         // It runs from its first control step on, which begins now.
-        if starts { Command { state: State::Running, ..output } } else { output }
+        if starts { Command { state: ControllerState::Running, ..output } } else { output }
     }
 
     /// Force in N and kelvin above the reference, as the hand at the plate has it.
-    fn surroundings(&self) -> Conditions {
-        let text = self.wishes.get("surroundings").and_then(|file| fs::read_to_string(file).ok()).unwrap_or_default();
+    fn read_conditions(&self) -> Conditions {
+        let text = self.options.get("surroundings").and_then(|file| fs::read_to_string(file).ok()).unwrap_or_default();
         let mut numbers = text.split_whitespace().map(|word| word.parse().unwrap_or(0.0));
         let mut next = || numbers.next().unwrap_or(0.0);
         Conditions { finger_force_n: next(), temperature_offset_k: next() }
@@ -247,32 +247,32 @@ impl Board {
         let Some(mut trial) = self.trial.take() else { return Ok(()) };
         let period = trial.period;
         trial.period += 1;
-        if self.wish("reset") == Some(period) {
-            self.machine = Machine::new();
-            return self.note(period);
+        if self.option("reset") == Some(period) {
+            self.machine = StateMachine::new();
+            return self.write_log(period);
         }
-        if self.wish("trap") == Some(period) {
-            self.machine = Machine::new();
+        if self.option("trap") == Some(period) {
+            self.machine = StateMachine::new();
             let report = FaultReport { code: 2, pc: 0x0800_1234, lr: 0, cfsr: 0, address: 0 };
-            self.note(period)?;
-            self.say(0, Message::Fault(report));
+            self.write_log(period)?;
+            self.send(0, Message::Fault(report));
             return Ok(());
         }
-        let conditions = self.surroundings();
+        let conditions = self.read_conditions();
         if period.is_multiple_of(10) {
-            trial.plant.hold(conditions);
+            trial.plant.hold_conditions(conditions);
         }
         let now_us = period.wrapping_mul(trial.configure.period_us);
         trial.plant.advance(Time::from_nanos(u64::from(now_us) * 1_000), &[], &mut Vec::new());
         let Complex64 { re, im } = trial.plant.state().w;
-        let patience = Duration::from_millis(trial.configure.patience_ms.into());
+        let patience = Duration::from_millis(trial.configure.watchdog_timeout_ms.into());
         let sample = Sample { time_us: now_us, setpoint_um: trial.setpoint_um, wd_um: re as f32, wq_um: im as f32 };
-        if self.wish("stop") == Some(period) {
+        if self.option("stop") == Some(period) {
             self.machine.sample(&Sample { wd_um: f32::NAN, ..sample }, now_us);
         } else if trial.last_setpoint.elapsed() >= patience {
             // No setpoint for as long as that is, for the machine, no sample.
             if let Some(command) = self.machine.tick(now_us.wrapping_add(u32::MAX / 2)) {
-                self.say(trial.last_sequence, Message::Command(command));
+                self.send(trial.last_sequence, Message::Command(command));
             }
         } else {
             self.machine.sample(&sample, now_us);
@@ -280,7 +280,7 @@ impl Board {
         let output = *self.machine.output();
         let omega = TAU * f64::from(output.frequency_mhz) / 1e3;
         trial.plant.set_drive(Drive { vpp: output.drive_vpp.into(), omega });
-        let measures_force = self.wishes.get("force").is_none_or(|value| value != "no");
+        let measures_force = self.options.get("force").is_none_or(|value| value != "no");
         let telemetry = Telemetry {
             period,
             target_time_us: now_us.wrapping_add(123),
@@ -295,12 +295,12 @@ impl Board {
             flags: output.flags,
         };
         self.trial = Some(trial);
-        self.note(period)?;
-        self.number = self.number.wrapping_add(1);
-        if self.wish("skip") == Some(period) || self.is_from("mute", period) {
+        self.write_log(period)?;
+        self.next_sequence = self.next_sequence.wrapping_add(1);
+        if self.option("skip") == Some(period) || self.is_due("mute", period) {
             return Ok(());
         }
-        self.say(self.number, Message::Telemetry(telemetry));
+        self.send(self.next_sequence, Message::Telemetry(telemetry));
         Ok(())
     }
 }

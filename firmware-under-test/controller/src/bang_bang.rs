@@ -1,9 +1,11 @@
-//! `bang-bang`: the drive holds the amplitude, the frequency takes a fixed step per period towards the resonance (\[10\] and \[11\] of the paper).
+//! Implements `bang-bang`: PI on the amplitude, a fixed frequency step per period (\[10\] and
+//! \[11\] of the paper).
 //!
-//! The paper says of \[10\]: "the frequency control was based on a 'bang-bang' strategy \[11\]", good close to the resonance, slow "with unsuited initial
-//! condition". Assumed: the amplitude loop is that of `voltage-only`; the sign of Wq gives the direction (Wq/Wd → −τΔω, equation 19); the step is a
-//! twentieth of the plate's half bandwidth, `1/(20 τ)` or 4.2 Hz, which leaves 0.1 % of the amplitude to a hunt of one step, and needs twenty periods for a
-//! start that is 9 K off.
+//! The paper describes \[10\]: "the frequency control was based on a 'bang-bang' strategy \[11\]",
+//! good close to the resonance, slow "with unsuited initial condition". Assumed: the amplitude loop
+//! is that of `voltage-only`; the sign of Wq gives the direction (Wq/Wd → −τΔω, equation 19); the
+//! step is a twentieth of the plate's half bandwidth, `1/(20 τ)` or 4.2 Hz. One step changes the
+//! amplitude by 0.1 %; a start that is 9 K off needs twenty periods.
 
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop, Excitation};
@@ -11,9 +13,9 @@ use crate::pi::PiGains;
 use platebench_wire::{Configure, Gains, flags};
 
 /// Steps per half bandwidth.
-const STEPS: f32 = 20.0;
-/// Below this fraction of the setpoint the sign of Wq is noise.
-const SMALLEST_AMPLITUDE: f32 = 0.1;
+const STEPS_PER_HALF_BANDWIDTH: f32 = 20.0;
+/// Fraction of the setpoint below which the sign of Wq is noise.
+const MIN_AMPLITUDE_SHARE: f32 = 0.1;
 
 /// State of the amplitude loop and the excitation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,19 +27,19 @@ pub struct BangBang {
 
 impl BangBang {
     pub(crate) fn design(configure: &Configure) -> (Law, Gains) {
-        let (amplitude, _) = loops::gains(configure);
+        let (amplitude, _) = loops::loop_gains(configure);
         let law = Self {
             amplitude: AmplitudeLoop::new(amplitude, configure),
             excitation: Excitation::new(configure),
-            step_rad: 1.0 / (STEPS * configure.time_constant_s),
+            step_rad: 1.0 / (STEPS_PER_HALF_BANDWIDTH * configure.time_constant_s),
         };
-        (Law::BangBang(law), loops::told(amplitude, PiGains::NONE, loops::period_s(configure)))
+        (Law::BangBang(law), loops::reported_gains(amplitude, PiGains::NONE, loops::period_s(configure)))
     }
 
     pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {
         let amplitude_um = measurement.amplitude_um();
         let (drive_vpp, mut flags) = self.amplitude.step(measurement.setpoint_um - amplitude_um);
-        flags |= if measurement.setpoint_um > 0.0 && amplitude_um > SMALLEST_AMPLITUDE * measurement.setpoint_um {
+        flags |= if measurement.setpoint_um > 0.0 && amplitude_um > MIN_AMPLITUDE_SHARE * measurement.setpoint_um {
             let step = if measurement.wq_um > 0.0 { self.step_rad } else { -self.step_rad };
             self.excitation.move_to(self.excitation.offset_rad() + step)
         } else {

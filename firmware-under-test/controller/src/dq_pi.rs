@@ -1,184 +1,193 @@
-//! `dq-pi`, `dq-pi-fixed` and `dq-pi-euler`: two PI loops in the d-q frame (section V of the paper).
+//! Implements `dq-pi`, `dq-pi-fixed` and `dq-pi-euler`: two PI loops in the d-q frame (section V of
+//! the paper).
 //!
-//! Amplitude: the drive from `Wd_ref − Wd`, plant K1/(1 + τp) (equation 13). Frequency: ω from `Wq/Wd → 0`, plant −τ/(1 + τp)
-//! (equation 19); the minus sign turns the loop's error `0 − Wq/Wd` into `+Wq/Wd`.
+//! Amplitude: the drive from `Wd_ref − Wd`, plant K1/(1 + τp) (equation 13). Frequency: ω from
+//! `Wq/Wd → 0`, plant −τ/(1 + τp) (equation 19); the minus sign turns the loop's error `0 − Wq/Wd`
+//! into `+Wq/Wd`.
 //!
-//! The paper designs its gains once, for the untouched plate: `dq-pi-euler` and `dq-pi-fixed`. A finger moves the plate's pole away from the controller's
-//! zero, and what is left of it is slow: 9 ms under 2 N. `dq-pi` is `dq-pi-fixed` until the plate shows another damping, and then the same design for that
-//! one (*derived*): each period's drive and sample give λ ([`crate::envelope`]), and σ with it gives both plants, K = b/σ and τ = 1/σ. Two periods in a row
-//! have to agree on a change of more than a quarter, and the smaller one counts: a single sample after a start is shown the same by a finger and by a
-//! drive that acts late, the second tells them apart. With gains given there is nothing to schedule.
+//! The paper designs its gains once, for the untouched plate: `dq-pi-euler` and `dq-pi-fixed`. A
+//! finger moves the plate's pole away from the controller's zero and leaves a slow residue: 9 ms
+//! under 2 N. `dq-pi` equals `dq-pi-fixed` until the plate shows another damping; then it uses the
+//! same design for that damping (*derived*). The last drive and sample give λ
+//! ([`crate::envelope`]), and its σ gives both plants, K = b/σ and τ = 1/σ. Two periods in a row
+//! must agree on a change of more than a quarter, and the smaller change counts: after one sample a
+//! finger and a late drive look the same, after two they differ. Configured gains are not
+//! scheduled.
 //!
-//! A loop delay that `dq-pi` is told of is taken out of the loop (O. J. M. Smith's predictor, with a state instead of a model beside the plate): both loops look at W as
-//! it will be when their drive begins to act, λ and the drive before being known. With the right delay and the right λ the response is that without delay, later by the
-//! delay. Near the steady state λ is what makes the prediction agree with the samples, so that it leaves no static error whatever b is.
+//! A configured loop delay is compensated (O. J. M. Smith's predictor, with the plate's state):
+//! both loops use W at the time when their drive begins to act, predicted from λ and the previous
+//! drive. With correct delay and λ the response is that without delay, later by the delay. Near the
+//! steady state λ follows from the samples, so the prediction leaves no static error for any b.
 //!
-//! In units of [`crate::envelope`]'s exponential a step takes 4, with a told delay 9.
+//! A step needs 4 exponentials of [`crate::envelope`], 9 with a loop delay.
 
-use crate::envelope::{Complex, Drive, Envelope, Mode};
+use crate::envelope::{Complex, Drive, EnvelopeModel, PlateMode};
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop, FrequencyLoop};
 use platebench_wire::{Configure, Gains, LawId, flags};
 
-/// The frequency loop rests while Wd is below this fraction of the setpoint: `Wq/Wd` of a plate that hardly moves is noise, and
-/// at 10 µs it is 0.34 where the envelope says 0.003.
+/// The frequency loop is inactive if Wd is below this fraction of the setpoint: near rest `Wq/Wd`
+/// is noise. At 10 µs it is 0.34, the envelope's value is 0.003.
 const SMALLEST_WD: f32 = 0.1;
-/// `Wq/Wd` is cut off here: 63°, a detuning of two half bandwidths; beyond it the ratio tells the direction and little else.
+/// Limit of `Wq/Wd`: 63°, a detuning of two half bandwidths; beyond it the ratio gives little more
+/// than the direction.
 const LARGEST_RATIO: f32 = 2.0;
 
-/// A damping that differs by more than this share from the one designed for is another plate, by less it is tracked.
-const OTHER_PLATE: f32 = 0.25;
-/// A drive that is told to act late may have acted for less than this share of the period when the first sample after a start is taken, which then says
-/// nothing of λ but noise.
-const SHORTEST_LOOK: f32 = 0.25;
+/// A larger relative change of the damping is another plate; a smaller one is tracked.
+const PLATE_CHANGE_SHARE: f32 = 0.25;
+/// With a loop delay, the first drive after a start may have acted for less than this share of the
+/// period when the sample is taken. λ from such a sample is noise.
+const MIN_ACTING_SHARE: f32 = 0.25;
 /// Share of a new σ in the tracked one.
-const TRACKED: f32 = 0.125;
+const TRACKING_SHARE: f32 = 0.125;
 
 /// State of both loops.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DqPi {
     amplitude: AmplitudeLoop,
     frequency: FrequencyLoop,
-    schedule: Option<Schedule>,
+    schedule: Option<GainSchedule>,
 }
 
-/// What `dq-pi` knows of the plate.
+/// Identified plate of `dq-pi`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Schedule {
-    envelope: Envelope,
+struct GainSchedule {
+    envelope: EnvelopeModel,
     period: f32,
-    /// Of the closed loops, per period.
+    /// Closed-loop pole per period.
     pole: f32,
     /// 1/s.
     sigma: f32,
     /// The resonance in rad/s above the start frequency.
     resonance: f32,
-    /// What the last period alone would have changed in σ, where that was much.
-    suspected: f32,
-    before: Complex,
+    /// Large change of σ that only the last period shows.
+    suspected_change: f32,
+    previous: Complex,
     /// The last two drives, the latest first.
     drives: [Drive; 2],
-    /// From sampling to actuation, as far as it was told, s.
+    /// Configured delay from sampling to actuation, s.
     delay: f32,
-    /// Given gains do not follow σ.
+    /// Configured gains do not follow σ.
     fixed_gains: bool,
 }
 
-impl Schedule {
+impl GainSchedule {
     fn new(configure: &Configure, range: f32) -> Self {
         let period = loops::period_s(configure);
-        let envelope = Envelope::new(configure.gain_um_per_vpp, configure.time_constant_s, range, period);
-        let pole = libm::expf(-3.0 * period / loops::response_s(configure, loops::MATCHED_RESPONSE_S));
+        let envelope = EnvelopeModel::new(configure.gain_um_per_vpp, configure.time_constant_s, range, period);
+        let pole = libm::expf(-3.0 * period / loops::response_time_s(configure, loops::MATCHED_RESPONSE_S));
         Self {
             envelope,
             period,
             pole,
             sigma: envelope.sigma,
             resonance: 0.0,
-            suspected: 0.0,
-            before: Complex::default(),
+            suspected_change: 0.0,
+            previous: Complex::default(),
             drives: [Drive::default(); 2],
-            delay: loops::told_delay_s(configure),
+            delay: loops::loop_delay_s(configure),
             fixed_gains: configure.gains.is_some(),
         }
     }
 
-    /// True where the first drive of a start has acted for too short a time.
-    fn has_seen_too_little(&self) -> bool {
-        // At rest noise alone makes some drive.
-        self.drives[1].vpp < 0.1 * self.drives[0].vpp && self.period - self.delay < SHORTEST_LOOK * self.period
+    /// True if the first drive of a start has acted for too short a time.
+    fn is_sample_too_early(&self) -> bool {
+        // At rest, noise causes some drive.
+        self.drives[1].vpp < 0.1 * self.drives[0].vpp && self.period - self.delay < MIN_ACTING_SHARE * self.period
     }
 
-    /// Learns from the last period. True where the plate is another one.
+    /// Updates the plate from the last period. True if its damping changed at once.
     fn learn(&mut self, w: Complex) -> bool {
-        let mode = Mode { sigma: self.sigma, resonance: self.drives[0].offset };
+        let mode = PlateMode { sigma: self.sigma, resonance: self.drives[0].offset };
         let drives = [(self.drives[1], self.delay), (self.drives[0], self.period - self.delay)];
-        let found = self.envelope.identify(mode, self.before, drives, w);
-        let change = found.sigma - self.sigma;
-        self.follow_the_resonance(found.resonance);
-        let least = OTHER_PLATE * self.sigma;
-        // The smaller one of two in the same direction.
-        let agreed = if change > 0.0 { change.min(self.suspected) } else { change.max(self.suspected) };
-        let other = change.abs() > least && agreed * change > 0.0 && agreed.abs() > least;
-        if other {
+        let identified = self.envelope.identify(mode, self.previous, drives, w);
+        let change = identified.sigma - self.sigma;
+        self.track_resonance(identified.resonance);
+        let least = PLATE_CHANGE_SHARE * self.sigma;
+        // The smaller of two changes in the same direction.
+        let agreed = if change > 0.0 { change.min(self.suspected_change) } else { change.max(self.suspected_change) };
+        let is_other_plate = change.abs() > least && agreed * change > 0.0 && agreed.abs() > least;
+        if is_other_plate {
             self.sigma += agreed;
-            self.suspected = 0.0;
+            self.suspected_change = 0.0;
         } else if change.abs() > least {
-            self.suspected = change;
+            self.suspected_change = change;
         } else {
-            self.sigma += TRACKED * change;
-            self.suspected = 0.0;
+            self.sigma += TRACKING_SHARE * change;
+            self.suspected_change = 0.0;
         }
-        other
+        is_other_plate
     }
 
-    /// A far resonance is taken at its word: no delay looks like one. A near one is tracked.
-    fn follow_the_resonance(&mut self, found: f32) {
-        let change = found - self.resonance;
-        self.resonance += if change.abs() > OTHER_PLATE * self.envelope.sigma { change } else { TRACKED * change };
+    /// Adopts a distant resonance at once (no delay resembles it) and tracks a near one.
+    fn track_resonance(&mut self, identified: f32) {
+        let change = identified - self.resonance;
+        self.resonance +=
+            if change.abs() > PLATE_CHANGE_SHARE * self.envelope.sigma { change } else { TRACKING_SHARE * change };
     }
 
-    /// The plate as it will be when the drive begins to act that this sample leads to.
-    fn predicted(&self, measurement: &Measurement) -> Measurement {
+    /// The plate at the time when the next drive begins to act.
+    fn predict(&self, measurement: &Measurement) -> Measurement {
         let w = Complex::new(measurement.wd_um, measurement.wq_um);
-        let mode = Mode { sigma: self.sigma, resonance: self.resonance };
-        let w = self.envelope.after(mode, w, self.drives[0], self.delay);
+        let mode = PlateMode { sigma: self.sigma, resonance: self.resonance };
+        let w = self.envelope.propagate(mode, w, self.drives[0], self.delay);
         Measurement { wd_um: w.re, wq_um: w.im, ..*measurement }
     }
 }
 
 impl DqPi {
     pub(crate) fn design(configure: &Configure) -> (Law, Gains) {
-        let (amplitude, frequency) = loops::gains(configure);
+        let (amplitude, frequency) = loops::loop_gains(configure);
         let frequency_loop = FrequencyLoop::new(frequency, configure);
         let scheduled = configure.law == LawId::DqPi && (configure.gains.is_none() || configure.loop_delay_us > 0);
         let law = Self {
             amplitude: AmplitudeLoop::new(amplitude, configure),
             frequency: frequency_loop,
-            schedule: scheduled.then(|| Schedule::new(configure, frequency_loop.excitation.range())),
+            schedule: scheduled.then(|| GainSchedule::new(configure, frequency_loop.excitation.range())),
         };
-        (Law::DqPi(law), loops::told(amplitude, frequency, loops::period_s(configure)))
+        (Law::DqPi(law), loops::reported_gains(amplitude, frequency, loops::period_s(configure)))
     }
 
     pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {
-        let ahead = self.follow_the_plate(measurement);
+        let ahead = self.track_plate(measurement);
         let (drive_vpp, mut flags) = self.amplitude.step(ahead.setpoint_um - ahead.wd_um);
         flags |= match quadrature_ratio(&ahead) {
             Some(ratio) => self.frequency.step(ratio),
             None => flags::FREQUENCY_HELD,
         };
         if let Some(schedule) = &mut self.schedule {
-            schedule.before = Complex::new(measurement.wd_um, measurement.wq_um);
+            schedule.previous = Complex::new(measurement.wd_um, measurement.wq_um);
             let drive = Drive { vpp: drive_vpp, offset: self.frequency.excitation.offset_rad() };
             schedule.drives = [drive, schedule.drives[0]];
         }
         Actuation { drive_vpp, frequency_offset_hz: self.frequency.excitation.offset_hz(), flags }
     }
 
-    /// Learns from the last period; what the loops are to look at.
-    fn follow_the_plate(&mut self, measurement: &Measurement) -> Measurement {
+    /// Updates plate and gains; returns the measurement for the loops.
+    fn track_plate(&mut self, measurement: &Measurement) -> Measurement {
         let Some(schedule) = &mut self.schedule else { return *measurement };
-        if quadrature_ratio(measurement).is_none() || schedule.has_seen_too_little() {
-            return schedule.predicted(measurement);
+        if quadrature_ratio(measurement).is_none() || schedule.is_sample_too_early() {
+            return schedule.predict(measurement);
         }
-        let other = schedule.learn(Complex::new(measurement.wd_um, measurement.wq_um));
-        let ahead = schedule.predicted(measurement);
+        let is_other_plate = schedule.learn(Complex::new(measurement.wd_um, measurement.wq_um));
+        let ahead = schedule.predict(measurement);
         if schedule.fixed_gains {
             return ahead;
         }
-        let Schedule { envelope, sigma, pole, period, .. } = *schedule;
+        let GainSchedule { envelope, sigma, pole, period, .. } = *schedule;
         let (amplitude, frequency) = envelope.matched_gains(sigma, pole, period);
         self.amplitude.pi.set_gains(amplitude);
         self.frequency.pi.set_gains(frequency);
-        if other {
-            // What a loop that was matched from the start would have here: the drive that holds the present amplitude.
+        if is_other_plate {
+            // The integral of a loop matched from the start: the drive that holds the present
+            // amplitude.
             self.amplitude.pi.seed(sigma * ahead.wd_um / envelope.force);
         }
         ahead
     }
 }
 
-/// `Wq/Wd`, cut off; `None` where Wd is too small to divide by.
+/// Limited `Wq/Wd`; `None` if Wd is too small to divide by.
 pub(crate) fn quadrature_ratio(measurement: &Measurement) -> Option<f32> {
     let divisible = measurement.setpoint_um > 0.0 && measurement.wd_um > SMALLEST_WD * measurement.setpoint_um;
     divisible.then(|| (measurement.wq_um / measurement.wd_um).clamp(-LARGEST_RATIO, LARGEST_RATIO))

@@ -1,27 +1,32 @@
-//! `frequency-only`: constant voltage, the frequency adjusts the amplitude (\[8\] and \[9\] of the paper).
+//! Implements `frequency-only`: constant voltage, the frequency adjusts the amplitude (\[8\] and
+//! \[9\] of the paper).
 //!
-//! The paper says of them: "the piezoelectric ceramics are supplied with a constant voltage amplitude while the frequency is adjusted in order to reach the
-//! required vibration amplitude"; operation at resonance is not guaranteed. Assumed:
+//! The paper describes them: "the piezoelectric ceramics are supplied with a constant voltage
+//! amplitude while the frequency is adjusted in order to reach the required vibration amplitude";
+//! resonance is not guaranteed. Assumed:
 //!
-//! * The side is the upper one: the excitation never goes below the start frequency, which is taken for the resonance. On the other flank the loop's sign
-//!   would be wrong and it would run away. A start below the true resonance leaves such a stretch.
-//! * The voltage is half of what the amplifier gives, on whenever a setpoint is: 450 Vpp reach from 1.0 µm at the end of a range of 250 Hz to 3.1 µm
-//!   at the resonance of the untouched plate.
-//! * A new setpoint begins at the detuning at which the nominal plate has it,
-//!   `Δω = √((K1 V / setpoint)² − 1)/τ`; from there an integral controller works on the relative error of |W|. Its gain is the inverse slope of the resonance
-//!   curve there, `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`, times `1 − e^(−3 Ts/t_r)`. The plate answers a step of ω with an oscillation at Δω that
-//!   decays with τ, so `t_r` is 10 ms unless demanded otherwise.
+//! * The excitation stays above the start frequency, which is assumed to be the resonance. Below
+//!   the resonance the loop's sign is wrong and it diverges. A start below the true resonance
+//!   leaves such a range.
+//! * The voltage is half of the limit while the setpoint is positive: 450 Vpp reach from 1.0 µm at
+//!   the end of a range of 250 Hz to 3.1 µm at the resonance of the untouched plate.
+//! * A new setpoint starts at the detuning at which the nominal plate has it, `Δω = √((K1 V /
+//!   setpoint)² − 1)/τ`. Then an integral controller acts on the relative error of |W|. Its gain is
+//!   the inverse slope of the resonance curve, `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`, times
+//!   `1 − e^(−3 Ts/t_r)`. The plate answers a step of ω with an oscillation at Δω that decays with
+//!   τ, so the default of `t_r` is 10 ms.
 
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, Excitation};
 use crate::pi::PiGains;
 use platebench_wire::{Configure, Gains, flags};
 
-/// Share of the amplifier's limit that is always on.
+/// Constant voltage as a share of the drive limit.
 const DRIVE_SHARE: f32 = 0.5;
 /// 5 % response time of the integral controller, s.
 const RESPONSE_S: f32 = 10e-3;
-/// The slope of the resonance curve vanishes at its top; the gain is designed no closer to it than this many half bandwidths.
+/// Smallest detuning of the gain design, half bandwidths: the slope of the resonance curve vanishes
+/// at its peak.
 const SMALLEST_DETUNING: f32 = 0.5;
 
 /// State of the excitation.
@@ -29,14 +34,14 @@ const SMALLEST_DETUNING: f32 = 0.5;
 pub struct FrequencyOnly {
     excitation: Excitation,
     drive_vpp: f32,
-    /// What the nominal plate would reach at resonance, µm.
+    /// Amplitude of the nominal plate at resonance, µm.
     highest_um: f32,
     time_constant_s: f32,
-    /// Share of the error that is to be removed per period, or the given gain in rad/s per unit.
     gain: Gain,
     setpoint_um: f32,
 }
 
+/// Share of the error to remove per period, or the configured gain in rad/s per unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Gain {
     Designed { share: f32 },
@@ -51,8 +56,8 @@ impl FrequencyOnly {
             let rad_per_unit = gains.frequency_ki * period;
             (Gain::Given { rad_per_unit }, rad_per_unit)
         } else {
-            let share = 1.0 - libm::expf(-3.0 * period / loops::response_s(configure, RESPONSE_S));
-            // Told for one half bandwidth, where the slope is steepest.
+            let share = 1.0 - libm::expf(-3.0 * period / loops::response_time_s(configure, RESPONSE_S));
+            // Reported for one half bandwidth, at the steepest slope.
             (Gain::Designed { share }, share * inverse_slope(1.0, configure.time_constant_s))
         };
         let law = Self {
@@ -64,7 +69,7 @@ impl FrequencyOnly {
             setpoint_um: 0.0,
         };
         let frequency = PiGains { proportional: 0.0, integral_per_period };
-        (Law::FrequencyOnly(law), loops::told(PiGains::NONE, frequency, period))
+        (Law::FrequencyOnly(law), loops::reported_gains(PiGains::NONE, frequency, period))
     }
 
     pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {
@@ -83,10 +88,10 @@ impl FrequencyOnly {
                 Gain::Designed { share } => share * inverse_slope(nominal, self.time_constant_s),
                 Gain::Given { rad_per_unit } => rad_per_unit,
             };
-            // Too little amplitude: down, towards the resonance.
-            let wished = self.excitation.offset_rad() - rad_per_unit * error;
-            let at_resonance = if wished < 0.0 { flags::FREQUENCY_LIMITED } else { 0 };
-            self.excitation.move_to(wished.max(0.0)) | at_resonance
+            // Too little amplitude lowers the frequency towards the resonance.
+            let offset = self.excitation.offset_rad() - rad_per_unit * error;
+            let at_resonance = if offset < 0.0 { flags::FREQUENCY_LIMITED } else { 0 };
+            self.excitation.move_to(offset.max(0.0)) | at_resonance
         } else {
             self.excitation.move_to(nominal / self.time_constant_s)
         };

@@ -1,4 +1,4 @@
-//! What a law is given, what it answers, and which laws there are.
+//! Defines the interface of a control law and dispatches to the laws.
 
 use crate::bang_bang::BangBang;
 use crate::deadbeat::Deadbeat;
@@ -9,10 +9,10 @@ use crate::pll::Pll;
 use crate::voltage_only::VoltageOnly;
 use platebench_wire::{Configure, Gains, LawId, Rejection};
 
-/// What the controller knows of the plate at a control instant. Peak to peak, in µm.
+/// The plate at a control instant, µm peak to peak.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measurement {
-    /// Wished amplitude.
+    /// Setpoint of the amplitude.
     pub setpoint_um: f32,
     /// In-phase component of the vibration.
     pub wd_um: f32,
@@ -26,16 +26,16 @@ impl Measurement {
         libm::sqrtf(self.wd_um * self.wd_um + self.wq_um * self.wq_um)
     }
 
-    /// False where any value is NaN or infinite.
+    /// False if a value is NaN or infinite.
     pub fn is_finite(&self) -> bool {
         self.setpoint_um.is_finite() && self.wd_um.is_finite() && self.wq_um.is_finite()
     }
 }
 
-/// What the plate is to be driven with until the next control instant.
+/// The drive until the next control instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Actuation {
-    /// Drive, Vpp, within what the amplifier gives.
+    /// Drive, Vpp, within 0 and the limit.
     pub drive_vpp: f32,
     /// Excitation frequency above the start frequency, Hz.
     pub frequency_offset_hz: f32,
@@ -44,7 +44,7 @@ pub struct Actuation {
 }
 
 impl Actuation {
-    /// False where a value is NaN or infinite.
+    /// False if a value is NaN or infinite.
     pub fn is_finite(&self) -> bool {
         self.drive_vpp.is_finite() && self.frequency_offset_hz.is_finite()
     }
@@ -70,10 +70,11 @@ pub enum Law {
 }
 
 impl Law {
-    /// The law that `configure` asks for, at rest, and the gains that it will use.
+    /// Designs the law of `configure`, at rest; returns it with its gains.
     ///
     /// # Errors
-    /// [`Rejection::Value`] where a number is not finite or not positive, the loop delay is longer than a period, or a gain leads to one that is not.
+    /// [`Rejection::Value`] if a number or a designed gain is not finite or not positive, or if the
+    /// loop delay exceeds the period.
     pub fn design(configure: &Configure) -> Result<(Self, Gains), Rejection> {
         let positive = [
             configure.gain_um_per_vpp,
@@ -127,7 +128,7 @@ pub(crate) mod example {
         law: LawId::DqPi,
         paced_by_target: false,
         drives_own_plate: false,
-        patience_ms: 0,
+        watchdog_timeout_ms: 0,
         period_us: 1_000,
         loop_delay_us: 0,
         start_frequency_mhz: 32_307_600,

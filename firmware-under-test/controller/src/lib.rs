@@ -1,14 +1,14 @@
-//! Control laws of the plate and the controller's state machine, as they run on the STM32F4.
+//! Implements the control laws and the controller's state machine, as they run on the STM32F4.
 //!
-//! The same source is compiled for the board, for the emulated board and for the bench's hosted rig: f32 throughout,
-//! `libm` for what `core` lacks, no `mul_add`, so that all of them give the same bits.
+//! Board, emulated board and hosted rig compile the same source and give the same bits: f32
+//! throughout, `libm` for the functions that `core` lacks, no `mul_add`.
 //!
-//! * [`law`]: what a law is given, what it answers, and which laws there are.
-//! * [`pi`]: a proportional-integral controller whose integral tracks the saturated output.
-//! * [`machine`]: idle, running, fault, safe; the only place that decides whether a plate is driven.
-//! * [`device`]: bytes in, bytes out; what a board's main loop or a hosted rig calls.
+//! * [`law`]: the interface of a law and the dispatch to the laws.
+//! * [`pi`]: a proportional-integral controller with anti-windup.
+//! * [`state_machine`]: idle, running, fault, safe; only it decides whether the plate is driven.
+//! * [`device`]: bytes in, bytes out; called by a board's main loop or a hosted rig.
 //!
-//! No clock is read here, no register touched and nothing allocated: time and bytes are arguments.
+//! Clocks, registers and allocation do not belong here: time and bytes are arguments.
 #![no_std]
 
 #[cfg(test)]
@@ -22,13 +22,13 @@ mod envelope;
 mod frequency_only;
 pub mod law;
 mod loops;
-pub mod machine;
 mod open_loop;
-mod pacing;
+mod pacer;
 pub mod pi;
 mod pll;
+pub mod state_machine;
 mod voltage_only;
 
 pub use device::Device;
 pub use law::{Actuation, Law, Measurement};
-pub use machine::{Machine, PERIODS_WITHOUT_SAMPLE};
+pub use state_machine::{DEFAULT_WATCHDOG_PERIODS, StateMachine};

@@ -1,28 +1,31 @@
-//! The two loops that most laws are made of: amplitude by the drive, frequency by its distance from the resonance.
+//! Implements the two loops of most laws: amplitude by the drive, frequency by the distance from
+//! the resonance.
 
 use crate::pi::{Pi, PiGains, Tracking};
 use core::f32::consts::TAU;
 use platebench_wire::{Configure, Gains, LawId, flags};
 
-/// The paper's demand on the 5 % response time.
+/// The paper's 5 % response time.
 const PRINTED_RESPONSE_S: f32 = 2.0e-3;
-/// At 2.0 ms the matched design leaves 4.98 % after two periods of 1 ms, less of a margin to the 5 % band than the plate's fast mode ripples; 1.9 ms leave
-/// 4.2 %.
+/// At 2.0 ms the matched design leaves 4.98 % after two periods of 1 ms: less margin to the 5 %
+/// band than the ripple of the plate's fast mode. 1.9 ms leave 4.2 %.
 pub(crate) const MATCHED_RESPONSE_S: f32 = 1.9e-3;
 
-/// At the amplifier's limit full tracking costs 16 % over the time floor at 400 Vpp and none at all overshoots by 14 % at 340 Vpp; with 0.6 the response
-/// settles within 10 % of the floor from 300 to 416 Vpp and overshoots by less than 4 %. At 0 V the plate falls by its own damping and nothing brakes it:
-/// there full tracking is best.
+/// At the upper limit, full tracking settles 16 % above the shortest possible time at 400 Vpp, and
+/// no tracking overshoots by 14 % at 340 Vpp. With 0.6 the response settles within 10 % of the
+/// shortest time from 300 to 416 Vpp and overshoots by less than 4 %. At 0 V only the plate's
+/// damping brakes, and full tracking is best.
 pub(crate) const AMPLITUDE_TRACKING: Tracking = Tracking { low: 1.0, high: 0.6 };
 
-/// The gains that `configure` brings, or equation 24's: as printed for `dq-pi-euler`, matched to the zero-order hold for every other law. Amplitude first,
-/// plant K1/(1 + τp) (equation 13), then frequency, plant −τ/(1 + τp) (equation 19).
-pub(crate) fn gains(configure: &Configure) -> (PiGains, PiGains) {
+/// The gains of `configure`, or of equation 24: as printed for `dq-pi-euler`, matched to the
+/// zero-order hold for every other law. Amplitude (plant K1/(1 + τp), equation 13), then frequency
+/// (plant −τ/(1 + τp), equation 19).
+pub(crate) fn loop_gains(configure: &Configure) -> (PiGains, PiGains) {
     let period = period_s(configure);
     let (gain, tau) = (configure.gain_um_per_vpp, configure.time_constant_s);
     let design = |gain: f32| match configure.law {
-        LawId::DqPiEuler => PiGains::as_printed(gain, tau, response_s(configure, PRINTED_RESPONSE_S), period),
-        _ => PiGains::zero_order_hold_matched(gain, tau, response_s(configure, MATCHED_RESPONSE_S), period),
+        LawId::DqPiEuler => PiGains::as_printed(gain, tau, response_time_s(configure, PRINTED_RESPONSE_S), period),
+        _ => PiGains::zero_order_hold_matched(gain, tau, response_time_s(configure, MATCHED_RESPONSE_S), period),
     };
     let given = |proportional, integral: f32| PiGains { proportional, integral_per_period: integral * period };
     match configure.gains {
@@ -36,18 +39,18 @@ pub(crate) fn period_s(configure: &Configure) -> f32 {
     configure.period_us as f32 * 1e-6
 }
 
-/// The loop delay that the law is told of, in s; 0 where it is told nothing.
-pub(crate) fn told_delay_s(configure: &Configure) -> f32 {
+/// The configured loop delay in s; 0 if unknown.
+pub(crate) fn loop_delay_s(configure: &Configure) -> f32 {
     configure.loop_delay_us as f32 * 1e-6
 }
 
-/// The demanded 5 % response time in s, or the law's `own`.
-pub(crate) fn response_s(configure: &Configure, own: f32) -> f32 {
-    if configure.response_time_s > 0.0 { configure.response_time_s } else { own }
+/// The configured 5 % response time in s, or `default`.
+pub(crate) fn response_time_s(configure: &Configure, default: f32) -> f32 {
+    if configure.response_time_s > 0.0 { configure.response_time_s } else { default }
 }
 
-/// What the bench is told of the gains in force.
-pub(crate) fn told(amplitude: PiGains, frequency: PiGains, period: f32) -> Gains {
+/// The active gains in the units of the protocol.
+pub(crate) fn reported_gains(amplitude: PiGains, frequency: PiGains, period: f32) -> Gains {
     Gains {
         amplitude_kp: amplitude.proportional,
         amplitude_ki: amplitude.integral_per_period / period,
@@ -56,7 +59,7 @@ pub(crate) fn told(amplitude: PiGains, frequency: PiGains, period: f32) -> Gains
     }
 }
 
-/// The drive from an amplitude error, within what the amplifier gives.
+/// Controls the amplitude by the drive, within its limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct AmplitudeLoop {
     pub(crate) pi: Pi,
@@ -68,14 +71,14 @@ impl AmplitudeLoop {
         Self { pi: Pi::new(gains, AMPLITUDE_TRACKING), limit_vpp: configure.drive_limit_vpp }
     }
 
-    /// Drive in Vpp, and [`flags::SATURATED`] at the limit. `error_um` is what is missing of the setpoint.
+    /// Drive in Vpp, and [`flags::SATURATED`] at the limit. `error_um` is setpoint − amplitude.
     pub(crate) fn step(&mut self, error_um: f32) -> (f32, u8) {
         let drive_vpp = self.pi.step(error_um, 0.0, self.limit_vpp);
         (drive_vpp, if drive_vpp >= self.limit_vpp { flags::SATURATED } else { 0 })
     }
 }
 
-/// The excitation in rad/s above its start: where it is, how far and how fast it may be moved.
+/// The excitation frequency relative to its start, with range and slew limit, rad/s.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Excitation {
     range: f32,
@@ -88,19 +91,19 @@ impl Excitation {
         Self { range: configure.frequency_range_hz * TAU, slew: configure.frequency_slew_hz * TAU, offset: 0.0 }
     }
 
-    /// Lowest and highest offset that the next period may have, rad/s.
-    pub(crate) fn reach(&self) -> (f32, f32) {
+    /// Lowest and highest offset of the next period, rad/s.
+    pub(crate) fn offset_limits(&self) -> (f32, f32) {
         ((self.offset - self.slew).max(-self.range), (self.offset + self.slew).min(self.range))
     }
 
-    /// Moves to `offset_rad`, as far as range and slew allow; [`flags::FREQUENCY_LIMITED`] where they do not.
+    /// Moves to `offset_rad` within range and slew; [`flags::FREQUENCY_LIMITED`] at a limit.
     pub(crate) fn move_to(&mut self, offset_rad: f32) -> u8 {
-        let (low, high) = self.reach();
+        let (low, high) = self.offset_limits();
         self.offset = offset_rad.clamp(low, high);
         if self.offset <= low || self.offset >= high { flags::FREQUENCY_LIMITED } else { 0 }
     }
 
-    /// Furthest offset, rad/s.
+    /// Largest offset, rad/s.
     pub(crate) fn range(&self) -> f32 {
         self.range
     }
@@ -114,7 +117,7 @@ impl Excitation {
     }
 }
 
-/// The excitation from a measure of how far below the resonance it is.
+/// Controls the excitation frequency by a measure of its distance below the resonance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FrequencyLoop {
     pub(crate) pi: Pi,
@@ -126,9 +129,9 @@ impl FrequencyLoop {
         Self { pi: Pi::new(gains, Tracking::CONDITIONED), excitation: Excitation::new(configure) }
     }
 
-    /// One period; `ratio` is positive where the excitation is to rise. The flags that it raises.
+    /// One period; a positive `ratio` raises the frequency. Returns the flags.
     pub(crate) fn step(&mut self, ratio: f32) -> u8 {
-        let (low, high) = self.excitation.reach();
+        let (low, high) = self.excitation.offset_limits();
         let offset = self.pi.step(ratio, low, high);
         self.excitation.move_to(offset)
     }

@@ -1,4 +1,5 @@
-//! `open-loop`: the drive that an undisturbed plate would need, at a fixed frequency. The paper's comparison in Fig. 13 to 16.
+//! Implements `open-loop`: the drive of an undisturbed plate at a fixed frequency (Fig. 13 to 16 of
+//! the paper).
 
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops;
@@ -14,7 +15,10 @@ pub struct OpenLoop {
 
 impl OpenLoop {
     pub(crate) fn design(configure: &Configure) -> (Law, Gains) {
-        (Law::OpenLoop(Self::new(configure)), loops::told(PiGains::NONE, PiGains::NONE, loops::period_s(configure)))
+        (
+            Law::OpenLoop(Self::new(configure)),
+            loops::reported_gains(PiGains::NONE, PiGains::NONE, loops::period_s(configure)),
+        )
     }
 
     pub(crate) fn new(configure: &Configure) -> Self {
@@ -22,9 +26,9 @@ impl OpenLoop {
     }
 
     pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {
-        let wished = measurement.setpoint_um / self.gain_um_per_vpp;
-        let drive_vpp = wished.clamp(0.0, self.drive_limit_vpp);
-        let flags = if drive_vpp == wished { 0 } else { flags::SATURATED };
+        let unlimited = measurement.setpoint_um / self.gain_um_per_vpp;
+        let drive_vpp = unlimited.clamp(0.0, self.drive_limit_vpp);
+        let flags = if drive_vpp == unlimited { 0 } else { flags::SATURATED };
         Actuation { drive_vpp, frequency_offset_hz: 0.0, flags }
     }
 }

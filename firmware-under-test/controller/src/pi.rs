@@ -1,12 +1,12 @@
-//! A proportional-integral controller whose integral tracks the saturated output.
+//! Implements a proportional-integral controller with anti-windup.
 //!
-//! Output `u[k] = Kp e[k] + x[k]`, integral `x[k+1] = x[k] + Ki·Ts e[k] + c (sat(u[k]) − u[k])` (forward Euler; Åström and
-//! Hägglund's back-calculation with tracking constant `c`).
+//! Output `u[k] = Kp e[k] + x[k]`, integral `x[k+1] = x[k] + Ki·Ts e[k] + c (sat(u[k]) − u[k])`
+//! (forward Euler; Åström and Hägglund's back-calculation with tracking constant `c`).
 
-/// Which fraction of `Ki·Ts/Kp` the integral takes over from the saturation error per period, at either limit.
+/// Tracking constant c as a fraction of `Ki·Ts/Kp`, at either limit.
 ///
-/// 1 is the conditioning technique: the loop leaves saturation as if it had never been there, with the design's closed-loop pole. 0 is no anti-windup at
-/// all.
+/// 1 is the conditioning technique: the loop leaves saturation with the design's closed-loop pole.
+/// 0 is no anti-windup.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tracking {
     /// At the lower limit.
@@ -30,7 +30,7 @@ pub struct PiGains {
 }
 
 impl PiGains {
-    /// No loop at all.
+    /// An inactive loop.
     pub const NONE: Self = Self { proportional: 0.0, integral_per_period: 0.0 };
 
     /// Equation 24 as printed, with a forward-Euler integral: `Kp = 3τ/(K t_r)`, `Ki = Kp/τ`.
@@ -41,27 +41,26 @@ impl PiGains {
         Self { proportional, integral_per_period: proportional / time_constant * period }
     }
 
-    /// Equation 24 matched to the zero-order hold: the controller's zero on the plant's sampled pole `a = e^(−Ts/τ)`, the
-    /// closed loop's pole at `p = e^(−3 Ts/t_r)`.
+    /// Equation 24 matched to the zero-order hold: the controller's zero on the plant's sampled
+    /// pole `a = e^(−Ts/τ)`, the closed loop's pole at `p = e^(−3 Ts/t_r)`.
     ///
-    /// From `Kp (1 − a) K / (z − 1)` in the open loop: `Kp = (1 − p) / (K (1 − a))`, `Ki·Ts = Kp (1 − a)`.
+    /// From `Kp (1 − a) K / (z − 1)` in the open loop: `Kp = (1 − p) / (K (1 − a))`, `Ki·Ts = Kp (1
+    /// − a)`.
     pub fn zero_order_hold_matched(gain: f32, time_constant: f32, response_time: f32, period: f32) -> Self {
         let plant_pole = libm::expf(-period / time_constant);
         let closed_loop_pole = libm::expf(-3.0 * period / response_time);
-        Self::placing(gain, plant_pole, closed_loop_pole)
+        Self::from_poles(gain, plant_pole, closed_loop_pole)
     }
 
-    /// The same, for poles per period.
-    pub fn placing(gain: f32, plant_pole: f32, closed_loop_pole: f32) -> Self {
+    /// As [`Self::zero_order_hold_matched`], for poles per period.
+    pub fn from_poles(gain: f32, plant_pole: f32, closed_loop_pole: f32) -> Self {
         let proportional = (1.0 - closed_loop_pole) / (gain * (1.0 - plant_pole));
         Self { proportional, integral_per_period: proportional * (1.0 - plant_pole) }
     }
-}
 
-impl PiGains {
-    /// What fraction of the saturation error `share` takes over per period.
-    fn tracked(self, share: f32) -> f32 {
-        // A loop without a proportional part holds its integral at the limit itself.
+    /// The tracking constant c.
+    fn tracking_gain(self, share: f32) -> f32 {
+        // Without a proportional part the integral is held at the limit.
         let ratio = if self.proportional > 0.0 { self.integral_per_period / self.proportional } else { 1.0 };
         (share * ratio).min(1.0)
     }
@@ -81,26 +80,26 @@ impl Pi {
         Self { gains, tracking, integral: 0.0 }
     }
 
-    /// Other gains from now on; the integral stays.
+    /// Replaces the gains and keeps the integral.
     pub fn set_gains(&mut self, gains: PiGains) {
         self.gains = gains;
     }
 
-    /// Sets the part of the output that does not depend on the present error.
+    /// Replaces the integral.
     pub fn seed(&mut self, integral: f32) {
         self.integral = integral;
     }
 
-    /// One period: the output that `error` asks for, held within `low..=high`.
+    /// One period: the output for `error`, limited to `low..=high`.
     pub fn step(&mut self, error: f32, low: f32, high: f32) -> f32 {
-        let wished = self.gains.proportional * error + self.integral;
-        let given = wished.clamp(low, high);
+        let unlimited = self.gains.proportional * error + self.integral;
+        let output = unlimited.clamp(low, high);
         self.integral += self.gains.integral_per_period * error;
-        if given != wished {
-            let share = if given < wished { self.tracking.high } else { self.tracking.low };
-            self.integral += self.gains.tracked(share) * (given - wished);
+        if output != unlimited {
+            let share = if output < unlimited { self.tracking.high } else { self.tracking.low };
+            self.integral += self.gains.tracking_gain(share) * (output - unlimited);
         }
-        given
+        output
     }
 
     /// The part of the output that does not depend on the present error.
@@ -142,19 +141,19 @@ mod tests {
     }
 
     #[test]
-    fn a_saturated_integral_stays_where_it_can_come_back_from() {
+    fn a_saturated_integral_stays_recoverable() {
         let mut pi = Pi::new(PiGains::zero_order_hold_matched(K1, TAU, 2e-3, 1e-3), Tracking { low: 1.0, high: 0.5 });
         for _ in 0..1000 {
             // An error that no drive removes.
             pi.step(0.5, 0.0, 400.0);
         }
         assert_eq!(pi.step(0.5, 0.0, 400.0), 400.0);
-        // Equilibrium: Ki e = c·Ki/Kp (u − sat u), that is an excess of Kp e / c over the limit; not a thousand periods' worth.
+        // Equilibrium: Ki e = c·Ki/Kp (u − sat u), an excess of Kp e / c over the limit.
         assert!(pi.integral() < 400.0 + 270.0 * 0.5 / 0.5);
     }
 
     #[test]
-    fn an_integral_alone_saturates_without_losing_its_footing() {
+    fn an_integral_alone_saturates_without_windup() {
         let mut pi = Pi::new(PiGains { proportional: 0.0, integral_per_period: 100.0 }, Tracking::CONDITIONED);
         for _ in 0..20 {
             pi.step(2.0, 0.0, 400.0);

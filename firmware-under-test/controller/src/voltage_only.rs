@@ -1,7 +1,9 @@
-//! `voltage-only`: the drive alone is adjusted, at a fixed frequency (\[7\] of the paper, a haptic knob).
+//! Implements `voltage-only`: adjusts the drive at a fixed frequency (\[7\] of the paper, a haptic
+//! knob).
 //!
-//! The paper says of \[7\]: "the voltage across the piezoelectric material is adjusted in order to obtain the required vibration amplitude". Assumed: a PI
-//! controller on |W|, designed like `dq-pi`'s amplitude loop. Off resonance it pays with drive: |W|/V = K1/√(1 + (τΔω)²).
+//! The paper describes \[7\]: "the voltage across the piezoelectric material is adjusted in order
+//! to obtain the required vibration amplitude". Assumed: a PI controller on |W|, designed as
+//! `dq-pi`'s amplitude loop. Off resonance it needs more drive: |W|/V = K1/√(1 + (τΔω)²).
 
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop};
@@ -16,9 +18,9 @@ pub struct VoltageOnly {
 
 impl VoltageOnly {
     pub(crate) fn design(configure: &Configure) -> (Law, Gains) {
-        let (amplitude, _) = loops::gains(configure);
+        let (amplitude, _) = loops::loop_gains(configure);
         let law = Self { amplitude: AmplitudeLoop::new(amplitude, configure) };
-        (Law::VoltageOnly(law), loops::told(amplitude, PiGains::NONE, loops::period_s(configure)))
+        (Law::VoltageOnly(law), loops::reported_gains(amplitude, PiGains::NONE, loops::period_s(configure)))
     }
 
     pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {

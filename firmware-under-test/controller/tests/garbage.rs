@@ -1,28 +1,25 @@
-//! Millions of random, mutated and spliced byte strings against the frame reader, the decoder and the device, beside a second reading of
-//! `docs/wire-protocol.md` that shares no code with them.
+//! Feeds millions of random, mutated and spliced byte strings to the frame reader, the decoder and
+//! the device. Compares them with a second reader after `docs/wire-protocol.md` that shares no code
+//! with them.
 //!
 //! Deterministic: a failure names the round, and the same round fails again.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::indexing_slicing,
-    reason = "a test that cannot go on ends by panicking"
-)]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "a panic fails the test")]
 
 use platebench_controller::Device;
 use platebench_wire::{
-    Command, Configure, FrameReader, Identity, LawId, MAX_ENCODED, Message, Packet, Sample, State, capabilities,
+    Command, Configure, ControllerState, FrameReader, Identity, LawId, MAX_ENCODED, Message, Packet, Sample,
+    capabilities,
 };
 
 /// Byte strings; each is taken in byte by byte.
 const ROUNDS: u64 = 2_000_000;
 /// Strings after which another device begins.
-const LIFE: u64 = 200;
+const STRINGS_PER_DEVICE: u64 = 200;
 
 const LIMIT_VPP: f32 = 900.0;
 
-/// Marsaglia's xorshift64*: fast, and good enough to find its way about.
+/// Marsaglia's xorshift64*.
 struct Random(u64);
 
 impl Random {
@@ -46,33 +43,33 @@ impl Random {
     }
 }
 
-/// The page's frames, read as slowly and plainly as can be.
+/// A simple reader of the page's frames.
 #[derive(Default)]
-struct Page {
+struct ReferenceFrameReader {
     since_delimiter: Vec<u8>,
 }
 
-/// What a byte completes.
+/// Result of a byte.
 #[derive(Debug, PartialEq)]
-enum Completed {
+enum ByteOutcome {
     Nothing,
     Refused,
     Body(Vec<u8>),
 }
 
-impl Page {
-    fn push(&mut self, byte: u8) -> Completed {
+impl ReferenceFrameReader {
+    fn push(&mut self, byte: u8) -> ByteOutcome {
         if byte != 0 {
             if self.since_delimiter.len() <= MAX_ENCODED {
                 self.since_delimiter.push(byte);
             }
-            return Completed::Nothing;
+            return ByteOutcome::Nothing;
         }
         let frame = std::mem::take(&mut self.since_delimiter);
         if frame.is_empty() {
-            return Completed::Nothing;
+            return ByteOutcome::Nothing;
         }
-        Self::body(&frame).map_or(Completed::Refused, Completed::Body)
+        Self::body(&frame).map_or(ByteOutcome::Refused, ByteOutcome::Body)
     }
 
     fn body(frame: &[u8]) -> Option<Vec<u8>> {
@@ -100,8 +97,8 @@ fn crc_32(data: &[u8]) -> u32 {
         .fold(!0, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), |crc: u32, _| (crc >> 1) ^ (0xEDB8_8320 * (crc & 1))))
 }
 
-/// A message that a bench could send.
-fn message(random: &mut Random) -> Packet {
+/// A random message of a bench.
+fn random_message(random: &mut Random) -> Packet {
     let sequence = random.next() as u8;
     let small = |random: &mut Random| random.below(4_000) as f32 / 1_000.0;
     let message = match random.below(16) {
@@ -111,7 +108,7 @@ fn message(random: &mut Random) -> Packet {
             law: LawId::ALL[random.below(LawId::ALL.len())],
             paced_by_target: random.below(4) == 0,
             drives_own_plate: false,
-            patience_ms: random.below(3) as u16 * 10,
+            watchdog_timeout_ms: random.below(3) as u16 * 10,
             period_us: 1_000,
             loop_delay_us: random.below(5) as u32 * 300,
             start_frequency_mhz: 32_307_600,
@@ -133,12 +130,12 @@ fn message(random: &mut Random) -> Packet {
     Packet { sequence, message }
 }
 
-/// A body of any kind and content under a good checksum.
-fn framed_nonsense(random: &mut Random, into: &mut Vec<u8>) {
+/// A random body with a correct checksum.
+fn random_framed_body(random: &mut Random, into: &mut Vec<u8>) {
     let mut body = vec![0x10 | random.below(16) as u8];
     let length = [1, 2, 6, 18, 20, 50, 54, 58, 64][random.below(9)];
     random.bytes(&mut body, length - 1);
-    into.extend_from_slice(platebench_wire::Encoded::new(&body).unwrap().as_bytes());
+    into.extend_from_slice(platebench_wire::EncodedFrame::new(&body).unwrap().as_bytes());
 }
 
 fn mutate(random: &mut Random, bytes: &mut Vec<u8>) {
@@ -160,19 +157,19 @@ fn mutate(random: &mut Random, bytes: &mut Vec<u8>) {
 }
 
 /// The next byte string on the line.
-fn string(random: &mut Random, into: &mut Vec<u8>) {
+fn next_byte_string(random: &mut Random, into: &mut Vec<u8>) {
     into.clear();
     match random.below(8) {
         0 => {
             let count = random.below(120);
             random.bytes(into, count);
         }
-        1 => framed_nonsense(random, into),
-        2..=4 => into.extend_from_slice(message(random).encode().as_bytes()),
+        1 => random_framed_body(random, into),
+        2..=4 => into.extend_from_slice(random_message(random).encode().as_bytes()),
         _ => {
-            into.extend_from_slice(message(random).encode().as_bytes());
+            into.extend_from_slice(random_message(random).encode().as_bytes());
             if random.below(4) == 0 {
-                into.extend_from_slice(message(random).encode().as_bytes());
+                into.extend_from_slice(random_message(random).encode().as_bytes());
             }
             mutate(random, into);
         }
@@ -180,59 +177,66 @@ fn string(random: &mut Random, into: &mut Vec<u8>) {
 }
 
 #[derive(Default)]
-struct Seen {
+struct Counts {
     bodies: u64,
     refused: u64,
     driven: u64,
     ticks: u64,
 }
 
-/// One byte to the reader and the device, looked at from outside.
-fn take(byte: u8, now_us: u32, reader: &mut FrameReader, page: &mut Page, device: &mut Device, seen: &mut Seen) {
+/// Feeds one byte to the readers and the device and checks the device from outside.
+fn feed_byte(
+    byte: u8,
+    now_us: u32,
+    reader: &mut FrameReader,
+    page: &mut ReferenceFrameReader,
+    device: &mut Device,
+    seen: &mut Counts,
+) {
     let completed = page.push(byte);
     let read = match reader.push(byte) {
-        None => Completed::Nothing,
-        Some(Err(_)) => Completed::Refused,
-        Some(Ok(body)) => Completed::Body(body.to_vec()),
+        None => ByteOutcome::Nothing,
+        Some(Err(_)) => ByteOutcome::Refused,
+        Some(Ok(body)) => ByteOutcome::Body(body.to_vec()),
     };
     assert_eq!(read, completed, "the reader and the page agree");
     let sample = match &completed {
-        Completed::Body(body) => {
+        ByteOutcome::Body(body) => {
             seen.bodies += 1;
             body.len() == 18 && body[0] == 0x15
         }
-        Completed::Refused => {
+        ByteOutcome::Refused => {
             seen.refused += 1;
             false
         }
-        Completed::Nothing => false,
+        ByteOutcome::Nothing => false,
     };
 
     let before = *device.output();
     let mut answers = 0;
     device.receive(&[byte], now_us, |frame| {
         answers += 1;
-        let body = Page::body(&frame[..frame.len() - 1]).unwrap();
+        let body = ReferenceFrameReader::body(&frame[..frame.len() - 1]).unwrap();
         if let Message::Command(command) = Packet::decode(&body).unwrap().message {
-            assert!(sample || command.state != State::Running || command.drive_vpp == 0.0, "{completed:?}");
+            assert!(sample || command.state != ControllerState::Running || command.drive_vpp == 0.0, "{completed:?}");
         }
     });
-    assert!(answers <= usize::from(completed != Completed::Nothing), "an answer to nothing");
+    assert!(answers <= usize::from(completed != ByteOutcome::Nothing), "an answer to nothing");
     let after = device.output();
-    if after.state == State::Running && driven(after) != driven(&before) {
+    if after.state == ControllerState::Running && drive_bits(after) != drive_bits(&before) {
         assert!(sample, "driven by {completed:?}");
         seen.driven += 1;
     }
-    assert!(after.state == State::Running || after.drive_vpp == 0.0, "{after:?}");
+    assert!(after.state == ControllerState::Running || after.drive_vpp == 0.0, "{after:?}");
     assert!((0.0..=f32::MAX).contains(&after.drive_vpp), "{after:?}");
 }
 
-fn driven(command: &Command) -> (State, u32, u32, u32) {
+fn drive_bits(command: &Command) -> (ControllerState, u32, u32, u32) {
     (command.state, command.drive_vpp.to_bits(), command.frequency_mhz, command.target_time_us)
 }
 
 #[test]
-fn nothing_but_a_whole_sample_drives_the_plate() {
+fn only_a_complete_sample_drives_the_plate() {
     let identity = Identity {
         version: [0, 1, 0],
         capabilities: capabilities::TARGET_PACED,
@@ -243,40 +247,43 @@ fn nothing_but_a_whole_sample_drives_the_plate() {
         name: *b"device under tes",
     };
     let mut random = Random(0x9E37_79B9_7F4A_7C15);
-    let (mut device, mut reader, mut page) = (Device::new(identity), FrameReader::new(), Page::default());
-    let (mut bytes, mut now_us, mut seen) = (Vec::new(), u32::MAX - 1_000_000, Seen::default());
+    let (mut device, mut reader, mut page) =
+        (Device::new(identity), FrameReader::new(), ReferenceFrameReader::default());
+    let (mut bytes, mut now_us, mut seen) = (Vec::new(), u32::MAX - 1_000_000, Counts::default());
     for round in 0..ROUNDS {
-        if round % LIFE == 0 {
-            (device, reader, page) = (Device::new(identity), FrameReader::new(), Page::default());
-            // A configuration at the start, so that there is something to lose.
+        if round % STRINGS_PER_DEVICE == 0 {
+            (device, reader, page) = (Device::new(identity), FrameReader::new(), ReferenceFrameReader::default());
+            // Each device starts with a configuration.
             bytes.clear();
-            let packet = std::iter::repeat_with(|| message(&mut random));
+            let packet = std::iter::repeat_with(|| random_message(&mut random));
             let configure = packet.take(1_000).find(|packet| matches!(packet.message, Message::Configure(_))).unwrap();
             bytes.extend_from_slice(configure.encode().as_bytes());
         } else {
-            string(&mut random, &mut bytes);
+            next_byte_string(&mut random, &mut bytes);
         }
         for &byte in &bytes {
-            take(byte, now_us, &mut reader, &mut page, &mut device, &mut seen);
+            feed_byte(byte, now_us, &mut reader, &mut page, &mut device, &mut seen);
         }
         now_us = now_us.wrapping_add(random.below(2_000) as u32);
         device.tick(now_us, |frame| {
-            let packet = Packet::decode(&Page::body(&frame[..frame.len() - 1]).unwrap()).unwrap();
+            let packet = Packet::decode(&ReferenceFrameReader::body(&frame[..frame.len() - 1]).unwrap()).unwrap();
             match packet.message {
                 Message::Tick(_) => seen.ticks += 1,
-                Message::Command(command) => assert_eq!((command.state, command.drive_vpp), (State::Fault, 0.0)),
+                Message::Command(command) => {
+                    assert_eq!((command.state, command.drive_vpp), (ControllerState::Fault, 0.0));
+                }
                 other => panic!("round {round}: {other:?}"),
             }
         });
     }
-    // The search went where it was meant to go.
+    // The random strings reached every branch often enough.
     assert!(seen.bodies > ROUNDS / 4 && seen.refused > ROUNDS / 8, "{} {}", seen.bodies, seen.refused);
     assert!(seen.driven > ROUNDS / 20 && seen.ticks > ROUNDS / 100, "{} {}", seen.driven, seen.ticks);
 }
 
 #[test]
-fn a_device_is_as_large_as_it_will_ever_be() {
-    // It has no heap; this is what a line that babbles for ever can make it hold.
+fn a_device_has_a_fixed_size() {
+    // It has no heap, so this bounds its memory.
     assert!(size_of::<FrameReader>() <= MAX_ENCODED + 32);
     assert!(size_of::<Device>() <= 512, "{}", size_of::<Device>());
 }

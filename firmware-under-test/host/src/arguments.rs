@@ -1,11 +1,9 @@
-//! The command line.
+//! Parses the command line.
 
-/// How it is used.
 pub(crate) const USAGE: &str = "usage: platebench-host-controller PORT [--baud N] [--log FILE]";
 
 const DEFAULT_BAUD: u32 = 1_000_000;
 
-/// What was asked for.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Arguments {
     pub(crate) port: String,
@@ -13,23 +11,22 @@ pub(crate) struct Arguments {
     pub(crate) log: Option<String>,
 }
 
-/// What was not understood.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum UsageError {
-    #[error("no PORT")]
+    #[error("PORT is missing")]
     NoPort,
-    #[error("a second PORT, `{0}`")]
+    #[error("only one PORT is allowed, found a second one: `{0}`")]
     SecondPort(String),
     #[error("unknown option `{0}`")]
     Unknown(String),
-    #[error("nothing after `{0}`")]
+    #[error("`{0}` needs a value")]
     NoValue(String),
-    #[error("`{0}` is no baud rate, expected a positive number")]
+    #[error("invalid baud rate `{0}`, expected a positive integer")]
     Baud(String),
 }
 
 impl Arguments {
-    /// `None` where only help was asked for.
+    /// `None` if help was requested.
     pub(crate) fn parse(mut words: impl Iterator<Item = String>) -> Result<Option<Self>, UsageError> {
         let (mut port, mut baud, mut log) = (None, DEFAULT_BAUD, None);
         while let Some(word) = words.next() {
@@ -60,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn port_and_options_come_in_any_order() {
+    fn port_and_options_may_have_any_order() {
         let plain = Arguments { port: "/dev/pts/3".to_owned(), baud: 1_000_000, log: None };
         assert_eq!(parse(&["/dev/pts/3"]), Ok(Some(plain)));
         let whole = Arguments { port: "p".to_owned(), baud: 9_600, log: Some("l".to_owned()) };
@@ -69,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
+    fn invalid_arguments_are_named() {
         assert_eq!(parse(&[]), Err(UsageError::NoPort));
         assert_eq!(parse(&["a", "b"]), Err(UsageError::SecondPort("b".to_owned())));
         assert_eq!(parse(&["a", "-x"]), Err(UsageError::Unknown("-x".to_owned())));

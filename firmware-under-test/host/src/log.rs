@@ -1,78 +1,77 @@
-//! What the controller did, a line of JSON for each change, written at once: for those who want to know what happened after the bench was gone.
+//! Logs each change of the controller as a line of JSON, without buffering.
 //!
 //! ```json
 //! {"event":"state","time_us":1034211,"state":"fault","cause":"sample-timeout","drive_vpp":0,"since_sample_us":5012}
 //! ```
 //!
-//! `event` is `start`, `state`, `hang-up` or `end`; times are the controller's own clock; `since_sample_us` is the time since the last sample that was controlled with, `null` where there was none.
+//! `event` is `start`, `state`, `hang-up` or `end`; times are on the controller's clock;
+//! `since_sample_us` is the time since the last sample with a control step, or `null`. The log
+//! shows what happened after the bench was gone.
 
-use crate::Failure;
-use platebench_wire::{Command, State, StateCause};
+use crate::error::HostError;
+use platebench_wire::{Command, ControllerState, StateCause};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 
-/// What makes a line.
+/// A change of these values makes a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Shown {
-    state: State,
+struct LoggedState {
+    state: ControllerState,
     cause: StateCause,
     driven: bool,
 }
 
-/// See the module.
-pub(crate) struct Log {
+pub(crate) struct StateLog {
     file: Option<(File, String)>,
-    shown: Option<Shown>,
+    last_logged: Option<LoggedState>,
     last_sample_us: Option<u32>,
 }
 
-impl Log {
-    /// Appends to `name`; says nothing where there is none.
-    pub(crate) fn open(name: Option<&str>) -> Result<Self, Failure> {
+impl StateLog {
+    /// Appends to the file `name`, or logs nothing.
+    pub(crate) fn open(name: Option<&str>) -> Result<Self, HostError> {
         let open = |name: &str| match OpenOptions::new().append(true).create(true).open(name) {
             Ok(file) => Ok((file, name.to_owned())),
-            Err(error) => Err(Failure::Log { file: name.to_owned(), error }),
+            Err(error) => Err(HostError::Log { file: name.to_owned(), error }),
         };
-        Ok(Self { file: name.map(open).transpose()?, shown: None, last_sample_us: None })
+        Ok(Self { file: name.map(open).transpose()?, last_logged: None, last_sample_us: None })
     }
 
-    /// Notes what the plate is driven with now, where that is another state, another cause, or from or to 0 V.
-    pub(crate) fn follow(&mut self, now_us: u32, output: &Command) -> Result<(), Failure> {
-        if output.state == State::Running {
+    /// Writes a line if state or cause changed, or the drive to or from 0 V.
+    pub(crate) fn write_change(&mut self, now_us: u32, output: &Command) -> Result<(), HostError> {
+        if output.state == ControllerState::Running {
             self.last_sample_us = Some(output.target_time_us);
         }
-        let shown = Shown { state: output.state, cause: output.cause, driven: output.drive_vpp != 0.0 };
-        let event = if self.shown.is_none() { "start" } else { "state" };
-        if self.shown.replace(shown) == Some(shown) {
+        let logged = LoggedState { state: output.state, cause: output.cause, driven: output.drive_vpp != 0.0 };
+        let event = if self.last_logged.is_none() { "start" } else { "state" };
+        if self.last_logged.replace(logged) == Some(logged) {
             return Ok(());
         }
-        self.note(event, now_us, output)
+        self.write_line(event, now_us, output)
     }
 
-    /// Writes a line.
-    pub(crate) fn note(&mut self, event: &str, now_us: u32, output: &Command) -> Result<(), Failure> {
+    pub(crate) fn write_line(&mut self, event: &str, now_us: u32, output: &Command) -> Result<(), HostError> {
         let Some((file, name)) = &mut self.file else { return Ok(()) };
         let since = self.last_sample_us.map_or_else(|| "null".to_owned(), |at| now_us.wrapping_sub(at).to_string());
+        let (state, cause, drive_vpp) = (state_name(output.state), cause_name(output.cause), output.drive_vpp);
         let line = format!(
-            "{{\"event\":\"{event}\",\"time_us\":{now_us},\"state\":\"{}\",\"cause\":\"{}\",\"drive_vpp\":{},\"since_sample_us\":{since}}}\n",
-            state(output.state),
-            cause(output.cause),
-            output.drive_vpp,
+            "{{\"event\":\"{event}\",\"time_us\":{now_us},\"state\":\"{state}\",\"cause\":\"{cause}\",\
+             \"drive_vpp\":{drive_vpp},\"since_sample_us\":{since}}}\n",
         );
-        file.write_all(line.as_bytes()).map_err(|error| Failure::Log { file: name.clone(), error })
+        file.write_all(line.as_bytes()).map_err(|error| HostError::Log { file: name.clone(), error })
     }
 }
 
-fn state(state: State) -> &'static str {
+fn state_name(state: ControllerState) -> &'static str {
     match state {
-        State::Idle => "idle",
-        State::Running => "running",
-        State::Fault => "fault",
-        State::Safe => "safe",
+        ControllerState::Idle => "idle",
+        ControllerState::Running => "running",
+        ControllerState::Fault => "fault",
+        ControllerState::Safe => "safe",
     }
 }
 
-fn cause(cause: StateCause) -> &'static str {
+fn cause_name(cause: StateCause) -> &'static str {
     match cause {
         StateCause::None => "none",
         StateCause::SampleTimeout => "sample-timeout",

@@ -1,4 +1,4 @@
-//! See the library, which tests of the whole bench start under a name of their own.
+//! Starts the program; the library lets the workspace's tests start it under another name.
 
 use std::process::ExitCode;
 

@@ -1,7 +1,7 @@
-//! The line: a terminal in raw mode that never blocks.
+//! Reads and writes a terminal in raw, non-blocking mode.
 
-use crate::Failure;
 use crate::arguments::Arguments;
+use crate::error::HostError;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
@@ -9,22 +9,20 @@ use rustix::io::Errno;
 use rustix::termios::{ControlModes, OptionalActions, tcgetattr, tcsetattr};
 use std::time::Duration;
 
-/// See the module.
 pub(crate) struct Port(OwnedFd);
 
-/// What the line brought.
-pub(crate) enum Brought<'a> {
+/// Result of [`Port::receive`].
+pub(crate) enum PortInput<'a> {
     Bytes(&'a [u8]),
-    Nothing,
+    TimedOut,
     HungUp,
 }
 
 impl Port {
-    /// Opens the port that `arguments` name.
-    pub(crate) fn open(arguments: &Arguments) -> Result<Self, Failure> {
+    pub(crate) fn open(arguments: &Arguments) -> Result<Self, HostError> {
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
-        let refused = |error: Errno| Failure::Open { port: arguments.port.clone(), error: error.into() };
-        let file = rustix::fs::open(&arguments.port, flags, Mode::empty()).map_err(refused)?;
+        let file = rustix::fs::open(&arguments.port, flags, Mode::empty())
+            .map_err(|error| HostError::Open { port: arguments.port.clone(), error: error.into() })?;
         let settings = tcgetattr(&file).and_then(|mut settings| {
             settings.make_raw();
             settings.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
@@ -34,28 +32,28 @@ impl Port {
         });
         settings.map_err(|error| {
             let (port, baud) = (arguments.port.clone(), arguments.baud);
-            Failure::Settings { port, baud, error: error.into() }
+            HostError::Settings { port, baud, error: error.into() }
         })?;
         Ok(Self(file))
     }
 
-    /// Waits for bytes, at most for `patience`.
-    pub(crate) fn receive<'a>(&self, buffer: &'a mut [u8], patience: Duration) -> Brought<'a> {
+    /// Waits for bytes, at most for `timeout`.
+    pub(crate) fn receive<'a>(&self, buffer: &'a mut [u8], timeout: Duration) -> PortInput<'a> {
         let timeout = Timespec {
-            tv_sec: i64::try_from(patience.as_secs()).unwrap_or(i64::MAX),
-            tv_nsec: patience.subsec_nanos().into(),
+            tv_sec: i64::try_from(timeout.as_secs()).unwrap_or(i64::MAX),
+            tv_nsec: timeout.subsec_nanos().into(),
         };
-        // Whatever ends the wait, the read says what there is.
+        // The read below reports the result of the wait, errors included.
         let _ = poll(&mut [PollFd::new(&self.0, PollFlags::IN)], Some(&timeout));
         match rustix::io::read(&self.0, &mut *buffer) {
-            Ok(0) => Brought::HungUp,
-            Ok(count) => Brought::Bytes(buffer.get(..count).unwrap_or_default()),
-            Err(Errno::AGAIN | Errno::INTR) => Brought::Nothing,
-            Err(_) => Brought::HungUp,
+            Ok(0) => PortInput::HungUp,
+            Ok(count) => PortInput::Bytes(buffer.get(..count).unwrap_or_default()),
+            Err(Errno::AGAIN | Errno::INTR) => PortInput::TimedOut,
+            Err(_) => PortInput::HungUp,
         }
     }
 
-    /// Sends what the line takes at once; a line that is full loses the rest, as a UART would.
+    /// Sends the bytes that the line accepts at once and drops the rest, as a UART does.
     pub(crate) fn send(&self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             match rustix::io::write(&self.0, bytes) {

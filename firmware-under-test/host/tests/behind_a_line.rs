@@ -1,9 +1,9 @@
-//! The program as the bench reaches it: on a pseudo-terminal.
+//! Tests the program on a pseudo-terminal, as the bench uses it.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on ends by panicking")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a panic fails the test")]
 
-use platebench_rig::{Exec, Hosted, Link, Session};
-use platebench_wire::{Command, Configure, LawId, Message, Packet, Sample, State, Tick, capabilities};
+use platebench_rig::{ExecLink, HostedLink, Link, Session};
+use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Packet, Sample, Tick, capabilities};
 use std::fs;
 use std::path::Path;
 use std::process;
@@ -15,7 +15,7 @@ const CONFIGURE: Configure = Configure {
     law: LawId::DqPi,
     paced_by_target: false,
     drives_own_plate: false,
-    patience_ms: 1_000,
+    watchdog_timeout_ms: 1_000,
     period_us: 1_000,
     loop_delay_us: 0,
     start_frequency_mhz: 32_307_600,
@@ -28,12 +28,12 @@ const CONFIGURE: Configure = Configure {
     gains: None,
 };
 
-/// The controller on a busy machine may come late, but it comes.
-const WITHIN: Duration = Duration::from_secs(5);
+/// Generous, for a busy machine.
+const TIMEOUT: Duration = Duration::from_secs(5);
 
-fn start(log: Option<&Path>) -> Exec {
+fn start(log: Option<&Path>) -> ExecLink {
     let log = log.map_or_else(String::new, |file| format!(" --log '{}'", file.display()));
-    Exec::start(&format!("'{PROGRAM}' {{port}}{log}")).unwrap()
+    ExecLink::start(&format!("'{PROGRAM}' {{port}}{log}")).unwrap()
 }
 
 fn sample(step: u32) -> Sample {
@@ -41,145 +41,146 @@ fn sample(step: u32) -> Sample {
     Sample { time_us: step * 1_000, setpoint_um: 2.0, wd_um: 1.5 + wave, wq_um: 0.3 * wave }
 }
 
-/// What acts on the plate; instants and computing times are the target's own.
-fn acting(command: &Command) -> (u32, u32, State, u8) {
+/// The values that act on the plate; times depend on the target.
+fn acting_bits(command: &Command) -> (u32, u32, ControllerState, u8) {
     (command.drive_vpp.to_bits(), command.frequency_mhz, command.state, command.flags)
 }
 
 #[test]
-fn it_introduces_itself_and_says_what_it_is_built_from() {
+fn the_identity_holds_the_source_hash() {
     let session = Session::open(start(None)).unwrap();
     assert_eq!(session.firmware_name(), "platebench-host");
     let identity = session.identity();
-    assert!(identity.can(capabilities::TARGET_PACED) && identity.can(capabilities::MEASURES_COMPUTING));
-    assert!(LawId::ALL.into_iter().all(|law| identity.has(law)));
+    assert!(identity.has_capability(capabilities::TARGET_PACED) && identity.has_capability(capabilities::COMPUTE_TIME));
+    assert!(LawId::ALL.into_iter().all(|law| identity.has_law(law)));
     assert_ne!(identity.build, [0; 8]);
     assert_eq!(identity.chip, 0);
 }
 
 #[test]
-fn in_lockstep_it_drives_as_the_controller_in_process_does() {
+fn lockstep_commands_equal_the_hosted_controller_s() {
     let mut program = Session::open(start(None)).unwrap();
-    let mut hosted = Session::open(Hosted::new()).unwrap();
+    let mut hosted = Session::open(HostedLink::new()).unwrap();
     for law in LawId::ALL {
         let configure = Configure { law, ..CONFIGURE };
-        assert_eq!(program.begin(&configure).unwrap(), hosted.begin(&configure).unwrap());
+        assert_eq!(program.start_trial(&configure).unwrap(), hosted.start_trial(&configure).unwrap());
         for step in 0..100 {
             let now = Duration::from_millis(step.into());
-            let replies = [&program.sample(now, &sample(step)).unwrap(), &hosted.sample(now, &sample(step)).unwrap()]
-                .map(|reply| acting(&reply.as_ref().unwrap().command));
+            let replies =
+                [&program.send_sample(now, &sample(step)).unwrap(), &hosted.send_sample(now, &sample(step)).unwrap()]
+                    .map(|reply| acting_bits(&reply.as_ref().unwrap().command));
             assert_eq!(replies[0], replies[1], "{} step {step}", law.name());
         }
-        assert!(program.safe());
-        hosted.safe();
+        assert!(program.request_safe_state());
+        hosted.request_safe_state();
     }
-    assert_eq!(program.refused(), 0);
+    assert_eq!(program.rejected_frames(), 0);
 }
 
 #[test]
-fn in_real_time_every_sample_is_answered_under_its_number() {
+fn real_time_answers_repeat_the_sequence_number() {
     let mut session = Session::open(start(None)).unwrap();
-    assert!(session.is_live());
-    session.begin(&CONFIGURE).unwrap();
+    assert!(session.supports_real_time());
+    session.start_trial(&CONFIGURE).unwrap();
     for step in 0..300 {
-        let posted = Instant::now();
-        let number = session.post(Message::Sample(sample(step))).unwrap();
-        let heard = session.listen(posted + WITHIN).unwrap().unwrap();
-        assert_eq!(heard.sequence, number);
-        assert!(heard.at >= posted);
-        let Message::Command(command) = heard.message else { panic!("{heard:?}") };
-        assert_eq!(command.state, State::Running);
+        let sent_at = Instant::now();
+        let number = session.send(Message::Sample(sample(step))).unwrap();
+        let received = session.receive(sent_at + TIMEOUT).unwrap().unwrap();
+        assert_eq!(received.sequence, number);
+        assert!(received.received_at >= sent_at);
+        let Message::Command(command) = received.message else { panic!("{received:?}") };
+        assert_eq!(command.state, ControllerState::Running);
         assert!(step == 0 || command.compute_us > 0);
     }
-    // Nothing more is there, and nobody waits for it.
-    assert_eq!(session.listen(Instant::now()).unwrap(), None);
-    assert!(session.safe());
+    // No further answer.
+    assert_eq!(session.receive(Instant::now()).unwrap(), None);
+    assert!(session.request_safe_state());
 }
 
 #[test]
-fn paced_by_itself_it_asks_for_samples_until_it_is_safe() {
+fn target_pacing_sends_ticks_until_safe() {
     let mut session = Session::open(start(None)).unwrap();
-    session.begin(&Configure { paced_by_target: true, ..CONFIGURE }).unwrap();
+    session.start_trial(&Configure { paced_by_target: true, ..CONFIGURE }).unwrap();
     let (mut ticks, mut commands, mut last_us) = (0_u8, 0, 0);
     while ticks < 50 {
-        let heard = session.listen(Instant::now() + WITHIN).unwrap().unwrap();
-        match heard.message {
+        let received = session.receive(Instant::now() + TIMEOUT).unwrap().unwrap();
+        match received.message {
             Message::Tick(Tick { target_time_us }) => {
                 ticks += 1;
-                assert_eq!(heard.sequence, ticks);
+                assert_eq!(received.sequence, ticks);
                 assert!(target_time_us > last_us);
                 last_us = target_time_us;
-                session.post(Message::Sample(sample(ticks.into()))).unwrap();
+                session.send(Message::Sample(sample(ticks.into()))).unwrap();
             }
             Message::Command(command) => {
                 commands += 1;
-                assert_eq!(command.state, State::Running);
+                assert_eq!(command.state, ControllerState::Running);
             }
             other => panic!("{other:?}"),
         }
     }
     assert!(commands >= 49, "{commands}");
-    assert!(session.safe());
-    while session.listen(Instant::now()).unwrap().is_some() {}
-    assert_eq!(session.listen(Instant::now() + Duration::from_millis(20)).unwrap(), None);
+    assert!(session.request_safe_state());
+    while session.receive(Instant::now()).unwrap().is_some() {}
+    assert_eq!(session.receive(Instant::now() + Duration::from_millis(20)).unwrap(), None);
 }
 
 #[test]
-fn a_bench_that_is_gone_leaves_zero_volts_and_a_program_that_ends() {
+fn a_lost_bench_leads_to_0_v_and_ends_the_program() {
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("what it did.jsonl");
+    let log = folder.path().join("with spaces.jsonl");
     let mut line = start(Some(&log));
     let mut answer = Vec::new();
-    let messages = [Message::Configure(Configure { patience_ms: 0, ..CONFIGURE }), Message::Sample(sample(0))];
+    let messages = [Message::Configure(Configure { watchdog_timeout_ms: 0, ..CONFIGURE }), Message::Sample(sample(0))];
     for (sequence, message) in (1..).zip(messages) {
         line.exchange(Duration::ZERO, Packet { sequence, message }.encode().as_bytes(), &mut answer).unwrap();
     }
-    // Without asking for 0 V: as after SIGKILL.
+    // Without a request for 0 V: as after SIGKILL.
     drop(line);
-    let told = fs::read_to_string(&log).unwrap();
+    let log_text = fs::read_to_string(&log).unwrap();
     let field = |line: &str, name: &str| {
         let rest = line.split_once(&format!("\"{name}\":")).unwrap().1;
         rest.split([',', '}']).next().unwrap().trim_matches('"').to_owned()
     };
-    let events: Vec<_> = told.lines().map(|line| [field(line, "event"), field(line, "state")].join(" ")).collect();
-    // Where the machine is busy, the drive may go to 0 V before the program sees that its line has hung up.
+    let events: Vec<_> = log_text.lines().map(|line| [field(line, "event"), field(line, "state")].join(" ")).collect();
+    // On a busy machine the drive may go to 0 V before the program detects the hang-up.
     let mut sorted = events.clone();
     sorted.sort();
-    assert_eq!(sorted.len(), 5, "{told}");
-    assert_eq!(events[..2], ["start idle", "state running"], "{told}");
-    assert_eq!(events[4], "end fault", "{told}");
-    assert!(events.contains(&"state fault".to_owned()) && told.contains("\"event\":\"hang-up\""), "{told}");
-    let end = told.lines().last().unwrap();
+    assert_eq!(sorted.len(), 5, "{log_text}");
+    assert_eq!(events[..2], ["start idle", "state running"], "{log_text}");
+    assert_eq!(events[4], "end fault", "{log_text}");
+    assert!(events.contains(&"state fault".to_owned()) && log_text.contains("\"event\":\"hang-up\""), "{log_text}");
+    let end = log_text.lines().last().unwrap();
     assert_eq!((field(end, "drive_vpp"), field(end, "cause")), ("0".to_owned(), "sample-timeout".to_owned()));
-    let stop = told.lines().find(|line| line.contains("\"state\":\"fault\"")).unwrap();
-    assert!(field(stop, "since_sample_us").parse::<u32>().unwrap() >= 5_000, "{told}");
-    assert!(told.lines().nth(1).unwrap().contains("\"event\":\"state\""));
+    let stop = log_text.lines().find(|line| line.contains("\"state\":\"fault\"")).unwrap();
+    assert!(field(stop, "since_sample_us").parse::<u32>().unwrap() >= 5_000, "{log_text}");
+    assert!(log_text.lines().nth(1).unwrap().contains("\"event\":\"state\""));
 }
 
 #[test]
-fn a_program_that_is_killed_is_a_lost_rig() {
+fn a_killed_program_is_a_lost_rig() {
     let mut session = Session::open(start(None)).unwrap();
-    session.begin(&CONFIGURE).unwrap();
+    session.start_trial(&CONFIGURE).unwrap();
     let pid = session.link().process_id().to_string();
     assert!(process::Command::new("kill").args(["-9", &pid]).status().unwrap().success());
     let error = loop {
-        if let Err(error) = session.sample(Duration::ZERO, &sample(0)) {
+        if let Err(error) = session.send_sample(Duration::ZERO, &sample(0)) {
             break error.to_string();
         }
     };
     assert!(error.ends_with("was ended by signal 9"), "{error}");
-    // A pseudo-terminal takes bytes for nobody; that nobody is there shows when listening.
-    let _ = session.post(Message::Hello);
-    assert!(session.listen(Instant::now() + WITHIN).is_err());
-    assert!(!session.safe());
+    // A pseudo-terminal accepts bytes without a reader; only receiving reports the lost program.
+    let _ = session.send(Message::Hello);
+    assert!(session.receive(Instant::now() + TIMEOUT).is_err());
+    assert!(!session.request_safe_state());
 }
 
 #[test]
-fn a_port_or_a_log_that_cannot_be_opened_is_said() {
+fn an_unusable_port_or_log_is_an_error() {
     let output = process::Command::new(PROGRAM).arg("/dev/there-is-no-port").output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert!(said.contains("cannot open /dev/there-is-no-port"), "{said}");
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(message.contains("cannot open /dev/there-is-no-port"), "{message}");
 
     let output = process::Command::new(PROGRAM).arg("/dev/null").output().unwrap();
     assert_eq!(output.status.code(), Some(1));

@@ -1,10 +1,11 @@
-//! Clocks, the microsecond counter, the tick and the watchdog. Every wait is bounded; a clock that does not come up is done without.
+//! Starts clocks, microsecond counter, alarm, tick and watchdog. Every wait is bounded.
 //!
-//! Crystal and PLL at 168 MHz; else the internal oscillator and PLL at 168 MHz; else the internal oscillator at 16 MHz. The baud rate fits all three.
+//! Crystal and PLL at 168 MHz; otherwise internal oscillator and PLL at 168 MHz; otherwise internal
+//! oscillator at 16 MHz. The baud rate divides all three.
 
-use crate::pac;
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
+use stm32f4::stm32f405 as pac;
 
 const CRYSTAL_MHZ: Option<u32> = if cfg!(feature = "no-crystal") {
     None
@@ -15,17 +16,18 @@ const CRYSTAL_MHZ: Option<u32> = if cfg!(feature = "no-crystal") {
 };
 const INTERNAL_MHZ: u32 = 16;
 
-/// Of a timer's flags and interrupt enables.
+/// Bit of the first compare channel in a timer's flags and interrupt enables.
 const CHANNEL_1: u32 = 1 << 1;
 
-/// A crystal starts within some ms; a round takes at least 6 cycles of the 16 MHz it runs from here.
+/// Bound of every wait. A crystal starts within a few ms; a round takes at least 6 cycles at 16
+/// MHz.
 const ROUNDS: u32 = 30_000;
 
 #[derive(Clone, Copy)]
 #[allow(clippy::struct_field_names, reason = "the unit is in the name")]
 pub(crate) struct Clocks {
     pub(crate) core_hz: u32,
-    /// USART2 hangs on it.
+    /// Clock of USART2.
     pub(crate) apb1_hz: u32,
     pub(crate) timer_hz: u32,
 }
@@ -33,20 +35,20 @@ pub(crate) struct Clocks {
 const SLOW: Clocks = Clocks { core_hz: 16_000_000, apb1_hz: 16_000_000, timer_hz: 16_000_000 };
 const FAST: Clocks = Clocks { core_hz: 168_000_000, apb1_hz: 42_000_000, timer_hz: 84_000_000 };
 
-fn comes(mut ready: impl FnMut() -> bool) -> bool {
+fn wait_until(mut ready: impl FnMut() -> bool) -> bool {
     (0..ROUNDS).any(|_| ready())
 }
 
-/// Sets the clocks up and says what they became.
+/// Sets the clocks up and returns their frequencies.
 pub(crate) fn start(p: &pac::Peripherals) -> Clocks {
     let rcc = &p.RCC;
-    // SAFETY: the reset values with single bits added, or whole values out of RM0090 chapters 5 to 7; the order is the manual's.
+    // SAFETY: values and order of RM0090 chapters 5 to 7.
     unsafe {
         rcc.apb1enr().modify(|r, w| w.bits(r.bits() | 1 << 28)); // PWR
         p.PWR.cr().modify(|r, w| w.bits(r.bits() | 1 << 14)); // voltage scale 1, which 168 MHz need
         let crystal_mhz = CRYSTAL_MHZ.filter(|_| {
             rcc.cr().modify(|_, w| w.hseon().set_bit());
-            let ready = comes(|| rcc.cr().read().hserdy().bit_is_set());
+            let ready = wait_until(|| rcc.cr().read().hserdy().bit_is_set());
             if !ready {
                 rcc.cr().modify(|_, w| w.hseon().clear_bit());
             }
@@ -56,19 +58,19 @@ pub(crate) fn start(p: &pac::Peripherals) -> Clocks {
         let source = u32::from(crystal_mhz.is_some()) << 22;
         rcc.pllcfgr().write(|w| w.bits(crystal_mhz.unwrap_or(INTERNAL_MHZ) | 336 << 6 | source | 7 << 24));
         rcc.cr().modify(|_, w| w.pllon().set_bit());
-        if !comes(|| rcc.cr().read().pllrdy().bit_is_set()) {
+        if !wait_until(|| rcc.cr().read().pllrdy().bit_is_set()) {
             rcc.cr().modify(|_, w| w.pllon().clear_bit());
             return SLOW;
         }
         // 5 wait states at 168 MHz and 3.3 V; prefetch and both caches.
         p.FLASH.acr().write(|w| w.bits(5 | 0b111 << 8));
-        if !comes(|| p.FLASH.acr().read().bits() & 0b111 == 5) {
+        if !wait_until(|| p.FLASH.acr().read().bits() & 0b111 == 5) {
             return SLOW;
         }
         let dividers = 0b101 << 10 | 0b100 << 13; // APB1 / 4, APB2 / 2, before the switch
         rcc.cfgr().write(|w| w.bits(dividers));
         rcc.cfgr().write(|w| w.bits(dividers | 0b10));
-        if !comes(|| rcc.cfgr().read().bits() >> 2 & 0b11 == 0b10) {
+        if !wait_until(|| rcc.cfgr().read().bits() >> 2 & 0b11 == 0b10) {
             rcc.cfgr().write(|w| w.bits(0));
             return SLOW;
         }
@@ -94,20 +96,22 @@ pub(crate) fn now_us(p: &pac::Peripherals) -> u32 {
     p.TIM2.cnt().read().bits()
 }
 
-/// An alarm at an instant of [`now_us`]: the counter's first compare channel, so that periods depend on no interrupt's delay.
+/// An alarm on the first compare channel of the counter, so that interrupt delays do not shift the
+/// periods.
 pub(crate) struct Alarm {
     at_us: Option<u32>,
 }
 
 impl Alarm {
-    /// To be called once, after [`start_microseconds`].
+    /// Call it once, after [`start_microseconds`].
     pub(crate) fn new() -> Self {
-        // SAFETY: the handler of this interrupt does nothing but to note it.
+        // SAFETY: the handler of this interrupt only sets a flag.
         unsafe { cortex_m::peripheral::NVIC::unmask(pac::Interrupt::TIM2) };
         Self { at_us: None }
     }
 
-    /// Sets the alarm to `at_us`, or off. False where that instant is over already and nothing will ring.
+    /// Sets the alarm to `at_us` of [`now_us`], or off. False if `at_us` is already past: the alarm
+    /// will not fire.
     #[must_use]
     pub(crate) fn set(&mut self, p: &pac::Peripherals, at_us: Option<u32>) -> bool {
         if self.at_us == at_us {
@@ -115,7 +119,8 @@ impl Alarm {
         }
         self.at_us = at_us;
         let timer = &p.TIM2;
-        // SAFETY: compare value, interrupt flag and enable of the first channel, whose output is off; RM0090 18.4.
+        // SAFETY: compare value, flag and enable of the first channel, whose output is off; RM0090
+        // 18.4.
         unsafe {
             timer.dier().write(|w| w.bits(0));
             let Some(at_us) = at_us else { return true };
@@ -123,18 +128,19 @@ impl Alarm {
             timer.sr().write(|w| w.bits(!CHANNEL_1));
             timer.dier().write(|w| w.bits(CHANNEL_1));
         }
-        // The counter may have gone past between the two.
+        // The counter may have passed `at_us` before the interrupt was enabled.
         at_us.is_none_or(|at_us| at_us.wrapping_sub(now_us(p)).wrapping_sub(1) < u32::MAX / 2)
     }
 
-    /// The interrupt's own part.
-    pub(crate) fn rang() {
-        // SAFETY: clears the flag of the first channel alone.
+    /// Clears the flag; called by the interrupt handler.
+    pub(crate) fn acknowledge() {
+        // SAFETY: clears only the flag of the first channel.
         unsafe { (*pac::TIM2::ptr()).sr().write(|w| w.bits(!CHANNEL_1)) };
     }
 }
 
-/// Some 0.5 s (0.35 to 0.96 s over the spread of its oscillator): LSI / 64, 256 counts. It cannot be stopped again; a halted debugger holds it.
+/// Starts the independent watchdog: LSI / 64, 256 counts, 0.5 s (0.35 to 0.96 s over the
+/// oscillator's tolerance). It cannot be stopped; a debugger that halts the core pauses it.
 pub(crate) fn start_watchdog(p: &pac::Peripherals) {
     // SAFETY: the key sequence of RM0090, 21.3.
     unsafe {
@@ -144,25 +150,25 @@ pub(crate) fn start_watchdog(p: &pac::Peripherals) {
         p.IWDG.pr().write(|w| w.bits(4));
         p.IWDG.rlr().write(|w| w.bits(256));
     }
-    comes(|| p.IWDG.sr().read().bits() == 0);
+    wait_until(|| p.IWDG.sr().read().bits() == 0);
     feed_watchdog(p);
 }
 
-/// To be called from the main loop alone: what stops that must not go unnoticed.
+/// Only the main loop calls it, so that the watchdog detects a stopped main loop.
 pub(crate) fn feed_watchdog(p: &pac::Peripherals) {
-    // SAFETY: the only effect is the reload.
+    // SAFETY: only reloads the counter.
     p.IWDG.kr().write(|w| unsafe { w.bits(0xAAAA) });
 }
 
-/// True where the watchdog was what reset the chip. Clears the flags.
+/// True if the watchdog reset the chip. Clears the flags.
 pub(crate) fn was_watchdog_reset(p: &pac::Peripherals) -> bool {
     let was = p.RCC.csr().read().bits() & 1 << 29 != 0;
-    // SAFETY: RMVF, which clears the flags and nothing else.
+    // SAFETY: RMVF only clears the flags.
     p.RCC.csr().modify(|r, w| unsafe { w.bits(r.bits() | 1 << 24) });
     was
 }
 
-/// `SysTick` every millisecond.
+/// Starts `SysTick` with a period of 1 ms.
 pub(crate) fn start_tick(timer: &mut SYST, core_hz: u32) {
     timer.set_clock_source(SystClkSource::Core);
     timer.set_reload(core_hz / 1_000 - 1);

@@ -1,11 +1,11 @@
-//! Who this firmware is, in the handshake and as text in the image.
+//! Builds the firmware's identity for the handshake and as text in the image.
 
-use crate::pac;
 use platebench_wire::{Identity, LawId, capabilities};
+use stm32f4::stm32f405 as pac;
 
 const SOURCE_HASH: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/source_hash.bin"));
 
-/// Found by `strings`, by a debugger and by `ci/firmware`, whatever the optimiser does.
+/// Readable by `strings`, a debugger and `ci/firmware`.
 #[used]
 static TEXT: [u8; 90] = {
     let text = concat!("platebench-stm32f4 ", env!("CARGO_PKG_VERSION"), " ", env!("PLATEBENCH_SOURCE_HASH"), "\n");
@@ -17,7 +17,7 @@ static TEXT: [u8; 90] = {
     padded
 };
 
-/// 96 bits that no other chip has, in the factory's part of the flash. RM0090, 39.1.
+/// Unique device identifier, 96 bits. RM0090, 39.1.
 const UNIQUE: *const [u8; 12] = 0x1FFF_7A10 as *const [u8; 12];
 
 const QEMU: bool = cfg!(feature = "qemu");
@@ -42,12 +42,12 @@ pub(crate) fn identity(p: &pac::Peripherals) -> Identity {
                 number(env!("CARGO_PKG_VERSION_PATCH")),
             ]
         },
-        capabilities: capabilities::TARGET_PACED | capabilities::MEASURES_COMPUTING | capabilities::TOLD_DELAY,
+        capabilities: capabilities::TARGET_PACED | capabilities::COMPUTE_TIME | capabilities::LOOP_DELAY,
         laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
         build,
-        // QEMU knows neither, and an access to them traps there.
+        // QEMU models neither register; an access traps.
         chip: if QEMU { 0 } else { p.DBGMCU.idcode().read().bits() },
-        // SAFETY: present and readable on every STM32F4, aligned for bytes, never written.
+        // SAFETY: readable on every STM32F4, aligned for bytes, never written.
         unique: if QEMU { *b"qemu-f405\0\0\0" } else { unsafe { UNIQUE.read_volatile() } },
         name: if QEMU { *b"platebench-qemu\0" } else { *b"platebench-f4\0\0\0" },
     }

@@ -1,22 +1,23 @@
-//! The line to the bench: USART2 on PA2 (TX) and PA3 (RX), 8N1.
+//! Receives and sends bytes on USART2: PA2 (TX), PA3 (RX), 8N1.
 //!
-//! Received bytes go to a ring by DMA1 stream 5, and the idle line after a frame wakes the main loop; sent ones leave by DMA1 stream 6 (both channel 4, RM0090 table 42).
-//! The processor sleeps in between.
+//! DMA1 stream 5 writes received bytes to a ring, and the idle line after a frame wakes the main
+//! loop. DMA1 stream 6 sends (both channel 4, RM0090 table 42).
 
-use crate::{clock, pac};
+use crate::clock;
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, Ordering, compiler_fence};
 use pac::interrupt;
+use stm32f4::stm32f405 as pac;
 
-/// Divides every APB1 clock that there can be: 42 MHz and 16 MHz.
+/// Divides both APB1 clocks: 42 MHz and 16 MHz.
 const BAUD: u32 = 1_000_000;
 const BITS_PER_BYTE: u32 = 10;
 
 const RING: usize = 512;
 const OUTBOX: usize = 256;
 
-/// More than this without an idle line is a babbling one: taken in with the next tick.
-const PLENTY: usize = RING / 2;
+/// Bytes that the main loop takes without waiting for an idle line.
+const TAKE_WITHOUT_IDLE: usize = RING / 2;
 
 const DATA_REGISTER: u32 = 0x4000_4404;
 const CHANNEL_4: u32 = 4 << 25;
@@ -29,7 +30,7 @@ const ENABLE: u32 = 1;
 #[repr(C, align(4))]
 struct Shared<const N: usize>(UnsafeCell<[u8; N]>);
 
-// SAFETY: one core; the main loop is the only software that touches it, and it reads and writes around the stream's position.
+// SAFETY: one core; only the main loop accesses it, away from the stream's position.
 unsafe impl<const N: usize> Sync for Shared<N> {}
 
 impl<const N: usize> Shared<N> {
@@ -46,24 +47,25 @@ static RECEIVED: Shared<RING> = Shared::new();
 static LEAVING: Shared<OUTBOX> = Shared::new();
 static IDLE: AtomicBool = AtomicBool::new(false);
 
-/// What the line brought.
+/// Reader of the received bytes.
 pub(crate) struct Inbox {
     taken: usize,
 }
 
-/// What is to go out on the line.
+/// Frames to send.
 pub(crate) struct Outbox {
     bytes: [u8; OUTBOX],
     length: usize,
 }
 
-/// Sets the line up; to be called once.
+/// Sets the line up; call it once.
 pub(crate) fn start(p: &pac::Peripherals, apb1_hz: u32) -> (Inbox, Outbox) {
-    // SAFETY: pins, streams and USART belong to this module; values from RM0090 chapters 8, 10 and 30. The streams are set up while disabled.
+    // SAFETY: only this module uses these pins, streams and USART; values of RM0090 chapters 8, 10
+    // and 30. The streams are configured while disabled.
     unsafe {
         p.RCC.ahb1enr().modify(|r, w| w.bits(r.bits() | 1 | 1 << 21)); // GPIOA, DMA1
         p.RCC.apb1enr().modify(|r, w| w.bits(r.bits() | 1 << 17)); // USART2
-        p.GPIOA.pupdr().modify(|r, w| w.bits(r.bits() & !(0b11 << 6) | 0b01 << 6)); // PA3 up: no cable is silence
+        p.GPIOA.pupdr().modify(|r, w| w.bits(r.bits() & !(0b11 << 6) | 0b01 << 6)); // PA3 pull-up
         p.GPIOA.afrl().modify(|r, w| w.bits(r.bits() & !(0xFF << 8) | 0x77 << 8));
         p.GPIOA.moder().modify(|r, w| w.bits(r.bits() & !(0b1111 << 4) | 0b1010 << 4));
         let receive = p.DMA1.st(5);
@@ -85,17 +87,18 @@ pub(crate) fn start(p: &pac::Peripherals, apb1_hz: u32) -> (Inbox, Outbox) {
 }
 
 impl Inbox {
-    /// True where the line went quiet since the last [`Inbox::take`].
+    /// True if the line became idle since the last [`Inbox::take`].
     pub(crate) fn went_idle() -> bool {
         IDLE.load(Ordering::Relaxed)
     }
 
-    /// What arrived since the last call, once the line is quiet or has brought plenty; at most the ring's end at a time, so ask again.
+    /// The bytes since the last call, if the line is idle or [`TAKE_WITHOUT_IDLE`] bytes wait. Ends
+    /// at the end of the ring, so call it until it returns nothing.
     pub(crate) fn take(&mut self, p: &pac::Peripherals) -> &[u8] {
         let idle = IDLE.swap(false, Ordering::Acquire);
         let written = (RING - p.DMA1.st(5).ndtr().read().bits() as usize) % RING;
         let waiting = (written + RING - self.taken) % RING;
-        if waiting == 0 || !idle && waiting < PLENTY {
+        if waiting == 0 || !idle && waiting < TAKE_WITHOUT_IDLE {
             return &[];
         }
         compiler_fence(Ordering::SeqCst);
@@ -105,13 +108,14 @@ impl Inbox {
         if self.taken != written {
             IDLE.store(true, Ordering::Release);
         }
-        // SAFETY: `from..until` lies in the ring and behind the stream's position; the stream comes back to it after a whole round, 5 ms later.
+        // SAFETY: `from..until` lies in the ring behind the stream's position; the stream reaches
+        // it again after 5 ms.
         unsafe { core::slice::from_raw_parts(RECEIVED.start().add(from), until - from) }
     }
 }
 
 impl Outbox {
-    /// Puts a frame with those that leave at the next [`Outbox::flush`]. One that does not fit any more is dropped whole.
+    /// Adds a frame to the next [`Outbox::flush`]; drops it if it does not fit.
     pub(crate) fn put(&mut self, frame: &[u8]) {
         if let Some(place) = self.bytes.get_mut(self.length..self.length + frame.len()) {
             place.copy_from_slice(frame);
@@ -119,7 +123,7 @@ impl Outbox {
         }
     }
 
-    /// Lets go what was put. Waits for what is still leaving, no longer than that can take.
+    /// Sends the frames. Waits for the previous transfer, at most for its longest duration.
     pub(crate) fn flush(&mut self, p: &pac::Peripherals) {
         if self.length == 0 {
             return;
@@ -131,7 +135,8 @@ impl Outbox {
                 break;
             }
         }
-        // SAFETY: stream 6 belongs to this module. It is off before its memory and length change; HIFCR clears its flags alone.
+        // SAFETY: only this module uses stream 6. It is disabled before memory and length change;
+        // HIFCR clears its flags.
         unsafe {
             send.cr().write(|w| w.bits(CHANNEL_4 | MEMORY_INCREMENT | TO_PERIPHERAL));
             p.DMA1.hifcr().write(|w| w.bits(0x3D << 16));
@@ -147,18 +152,19 @@ impl Outbox {
 
 #[interrupt]
 fn USART2() {
-    // SAFETY: reading status, then data, clears the idle and error flags, and that is all this handler does with the USART.
+    // SAFETY: reading status, then data, only clears the idle and error flags.
     let usart = unsafe { &*pac::USART2::ptr() };
     let _ = usart.sr().read();
     let _ = usart.dr().read();
     IDLE.store(true, Ordering::Release);
 }
 
-/// Sends `frame` byte by byte after a delimiter that ends whatever was on its way. For fault handlers: no interrupts, no DMA, bounded.
-pub(crate) fn send_by_hand(frame: &[u8]) {
-    // SAFETY: called with everything else stopped for good.
+/// Sends `frame` byte by byte, after a delimiter that ends an unfinished frame. For fault handlers:
+/// no interrupts, no DMA, bounded.
+pub(crate) fn send_by_polling(frame: &[u8]) {
+    // SAFETY: all other code has stopped for good.
     let usart = unsafe { &*pac::USART2::ptr() };
-    // SAFETY: DMA requests off, transmitter as it was.
+    // SAFETY: only switches the DMA requests off.
     usart.cr3().modify(|r, w| unsafe { w.bits(r.bits() & !(1 << 7)) });
     for &byte in [0].iter().chain(frame) {
         let _ = (0..20_000).any(|_| usart.sr().read().bits() & 1 << 7 != 0);

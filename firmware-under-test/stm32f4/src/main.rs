@@ -1,13 +1,15 @@
-//! The controller on an STM32F405, F407 or F427: board, line, clock, watchdog and traps around `platebench-controller`.
+//! Runs `platebench-controller` on an STM32F405, F407 or F427.
 //!
-//! | pin | what |
+//! | pin | function |
 //! |---|---|
 //! | PA2, PA3 | USART2 TX, RX: the line to the bench, 1 Mbaud, 8N1 |
 //! | PB0 | amplifier enable, high while the controller runs |
-//! | PH0, PH1 | crystal, 8 MHz (feature `crystal-25mhz`, `no-crystal`); without one the internal oscillator serves |
+//! | PH0, PH1 | crystal, 8 MHz (features `crystal-25mhz`, `no-crystal`); the internal oscillator replaces a missing one |
 //!
-//! The main loop sleeps until the line goes idle after a frame, a millisecond is over or the alarm rings, lets `Device` answer, and feeds the watchdog. The control step is paced by the
-//! bench, one step per sample; where the bench asks for it, the samples are paced by the board, whose alarm rings at the beginning of each period.
+//! The main loop sleeps until the line is idle after a frame, a millisecond has passed or the alarm
+//! fires. Then `Device` answers, and the loop feeds the watchdog. One control step per sample: the
+//! bench paces the control. If it configures target pacing, the alarm fires at the start of each
+//! period and the board requests the samples.
 #![no_std]
 #![no_main]
 
@@ -16,7 +18,7 @@ mod identity;
 mod line;
 mod output;
 #[cfg(feature = "plant-faults")]
-mod plant;
+mod planted_faults;
 mod trap;
 
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -31,17 +33,17 @@ static TICK: AtomicBool = AtomicBool::new(false);
 
 #[entry]
 fn main() -> ! {
-    // SAFETY: called once, at the start, and nothing else takes them for good.
+    // SAFETY: called once, at the start; only this function owns them.
     let (p, mut core) = unsafe { (pac::Peripherals::steal(), cortex_m::Peripherals::steal()) };
 
     let mut output = output::Output::new(&p);
-    trap::arm(&mut core.SCB);
+    trap::enable_division_trap(&mut core.SCB);
     let clocks = clock::start(&p);
     clock::start_microseconds(&p, clocks.timer_hz);
     let mut alarm = clock::Alarm::new();
     clock::start_watchdog(&p);
     let (mut inbox, mut outbox) = line::start(&p, clocks.apb1_hz);
-    if let Some(report) = trap::before_this_start(&p) {
+    if let Some(report) = trap::report_before_reset(&p) {
         outbox.put(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());
         outbox.flush(&p);
     }
@@ -49,9 +51,10 @@ fn main() -> ! {
 
     let mut device = Device::new(identity::identity(&p));
     #[cfg(feature = "plant-faults")]
-    let mut planted = plant::Planted::new();
+    let mut planted = planted_faults::SampleWatcher::new();
     loop {
-        // Masked from the last look until it sleeps, so that nothing comes in between; a masked interrupt ends the sleep all the same.
+        // Masked from the check until the sleep, so that no interrupt is missed; a masked interrupt
+        // ends the sleep too.
         cortex_m::interrupt::disable();
         if !Inbox::went_idle() && !TICK.load(Ordering::Relaxed) {
             cortex_m::asm::wfi();
@@ -90,6 +93,6 @@ fn SysTick() {
 
 #[interrupt]
 fn TIM2() {
-    clock::Alarm::rang();
+    clock::Alarm::acknowledge();
     TICK.store(true, Ordering::Relaxed);
 }

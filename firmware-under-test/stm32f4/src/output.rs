@@ -1,14 +1,16 @@
-//! What leaves the board besides the line.
+//! Drives the board's outputs.
 //!
-//! In the loop with a bench, drive and frequency travel as a [`Command`] and the bench's plate takes them from there: the line stands in for the converters. The one
-//! thing that is real on every board is PB0, *amplifier enable*: high while the controller runs, low in every other state, low from reset on (a pull-down on the
-//! amplifier's side is expected) and low before anything else when the processor traps.
+//! With a bench, drive and frequency travel as a [`Command`] on the line, which replaces the
+//! converters. Every board has PB0, *amplifier enable*: high while the controller runs, low in
+//! every other state, low after reset (the amplifier needs a pull-down), and low first in a fault
+//! handler.
 //!
-//! A board with its own converters has its place in [`Output::apply`]: `drive_vpp` to the DAC or to the amplitude register of a synthesiser, `frequency_mhz` to its
-//! tuning word, and [`off`] then has to silence that as well, with plain register writes, since it runs in the fault handlers.
+//! A board with converters extends [`Output::apply`]: `drive_vpp` to the DAC or the amplitude
+//! register of a synthesiser, `frequency_mhz` to its tuning word. [`off`] must then silence the
+//! converters too, with plain register writes, since it runs in the fault handlers.
 
-use crate::pac;
-use platebench_wire::{Command, State};
+use platebench_wire::{Command, ControllerState};
+use stm32f4::stm32f405 as pac;
 
 const ENABLE: u32 = 1 << 0;
 
@@ -19,7 +21,8 @@ pub(crate) struct Output {
 
 impl Output {
     pub(crate) fn new(p: &pac::Peripherals) -> Self {
-        // SAFETY: the reset value with GPIOB's clock added; the pin goes low before it becomes an output.
+        // SAFETY: the reset value with GPIOB's clock added; the pin goes low before it becomes an
+        // output.
         unsafe {
             p.RCC.ahb1enr().modify(|r, w| w.bits(r.bits() | 1 << 1));
             p.GPIOB.bsrr().write(|w| w.bits(ENABLE << 16));
@@ -28,20 +31,20 @@ impl Output {
         Self { running: false }
     }
 
-    /// Follows the controller; cheap when nothing changed.
+    /// Applies the controller's state.
     pub(crate) fn apply(&mut self, p: &pac::Peripherals, command: &Command) {
-        let running = command.state == State::Running;
+        let running = command.state == ControllerState::Running;
         if running != self.running {
             self.running = running;
             let bits = if running { ENABLE } else { ENABLE << 16 };
-            // SAFETY: sets or clears PB0 alone.
+            // SAFETY: sets or clears only PB0.
             p.GPIOB.bsrr().write(|w| unsafe { w.bits(bits) });
         }
     }
 }
 
-/// 0 V, from any state and without a stack worth speaking of.
+/// Sets 0 V; safe in every state, with almost no stack.
 pub(crate) fn off() {
-    // SAFETY: one store that clears PB0 alone, harmless at any time.
+    // SAFETY: one store that clears only PB0.
     unsafe { (*pac::GPIOB::ptr()).bsrr().write(|w| w.bits(ENABLE << 16)) };
 }

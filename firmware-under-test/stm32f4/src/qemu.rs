@@ -1,11 +1,13 @@
-//! The controller on QEMU's `netduinoplus2`: `platebench-controller` and `platebench-wire` as on the board, and as little else as will do.
+//! Runs `platebench-controller` on QEMU's `netduinoplus2`, for a second opinion on every bit of the
+//! control law.
 //!
-//! QEMU executes the same instructions with an implementation of its own, which is all that this variant is for: a second opinion on every bit of the control law.
-//! It has no model of the clock tree, of DMA, of pins and of the watchdog, and its timers run at rates of their own; so the internal oscillator is left as it is after
-//! a reset, USART2 is served by interrupts, and the only clock is the one that the samples carry: the firmware's time is that of the last sample. Control steps are
-//! paced by frames, and nothing depends on how fast QEMU happens to run.
+//! QEMU models no clock tree, DMA, pins or watchdog, and its timers run at wrong rates. So the
+//! internal oscillator keeps its reset state, interrupts serve USART2, and the firmware's time is
+//! that of the last sample. Frames pace the control steps; nothing depends on QEMU's speed. This
+//! variant does not test the board support of `main.rs`.
 //!
-//! Nothing of the board is tested here; that is what `main.rs` is for. Panic and `HardFault` report on the line, then ask for a reset, which ends a QEMU with `-no-reboot`.
+//! Panic and `HardFault` send a report on the line, then request a reset, which ends a QEMU with
+//! `-no-reboot`.
 #![no_std]
 #![no_main]
 
@@ -20,9 +22,9 @@ use platebench_controller::Device;
 use platebench_wire::{FaultReport, FrameReader, Message, Packet};
 use stm32f4::stm32f405 as pac;
 
-/// More than a bench sends before it reads the answers.
+/// Larger than the number of bytes that a bench sends before it reads the answers.
 const RING: usize = 4_096;
-/// QEMU sends at once; a register that does not say so is not waited for any longer.
+/// Bound of the wait for an empty transmit register; QEMU sends at once.
 const ROUNDS: u32 = 20_000;
 
 const RECEIVED_DATA: u32 = 1 << 5;
@@ -32,12 +34,12 @@ const PANIC: u16 = 1;
 const HARD_FAULT: u16 = 2;
 
 static RECEIVED: [AtomicU8; RING] = [const { AtomicU8::new(0) }; RING];
-/// Bytes that the handler has stored, ever; wraps.
+/// Number of bytes stored by the handler; wraps.
 static STORED: AtomicUsize = AtomicUsize::new(0);
 
 #[entry]
 fn main() -> ! {
-    // SAFETY: called once, at the start, and nothing else takes them for good.
+    // SAFETY: called once, at the start; only this function owns them.
     let p = unsafe { pac::Peripherals::steal() };
     // SAFETY: UE, RXNEIE, TE, RE (RM0090, 30.6.4). A baud rate would have no effect.
     unsafe {
@@ -48,7 +50,8 @@ fn main() -> ! {
     let mut reader = FrameReader::new();
     let (mut taken, mut now_us) = (0_usize, 0);
     loop {
-        // Masked from the last look until it sleeps, so that no byte comes in between; a masked interrupt ends the sleep all the same.
+        // Masked from the check until the sleep, so that no byte is missed; a masked interrupt ends
+        // the sleep too.
         cortex_m::interrupt::disable();
         if STORED.load(Ordering::Acquire) == taken {
             cortex_m::asm::wfi();
@@ -70,7 +73,8 @@ fn main() -> ! {
 
 #[interrupt]
 fn USART2() {
-    // SAFETY: reading status, then data, clears the request; nobody else reads the data register.
+    // SAFETY: reading status, then data, clears the request; only this handler reads the data
+    // register.
     let usart = unsafe { &*pac::USART2::ptr() };
     if u32::from(usart.sr().read().bits()) & RECEIVED_DATA != 0 {
         let byte = usart.dr().read().bits() as u8;
@@ -81,7 +85,7 @@ fn USART2() {
 }
 
 fn send(frame: &[u8]) {
-    // SAFETY: only the main loop sends, and the fault handlers after it has stopped.
+    // SAFETY: only the main loop sends, or a fault handler after the main loop has stopped.
     let usart = unsafe { &*pac::USART2::ptr() };
     for &byte in frame {
         let _ = (0..ROUNDS).any(|_| u32::from(usart.sr().read().bits()) & TRANSMIT_EMPTY != 0);
@@ -104,7 +108,7 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     end(FaultReport { code: PANIC, pc: 0, lr: 0, cfsr: 0, address })
 }
 
-/// Says why once, and ends the machine.
+/// Sends the report and ends QEMU.
 fn end(report: FaultReport) -> ! {
     send(&[0]);
     send(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());

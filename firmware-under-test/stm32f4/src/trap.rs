@@ -1,15 +1,17 @@
-//! Panic and `HardFault`: 0 V, then a fault report on the line, then the watchdog.
+//! Handles panic and `HardFault`: 0 V, then a fault report on the line, then the watchdog's reset.
 //!
-//! The report is kept over the reset, so that the start after it can tell what the watchdog ended. A panic has no faulting instruction: its `pc` is where the
-//! handler was called from, its `address` that of the panic's `core::panic::Location` in the image.
+//! The report survives the reset, so that the next start can send it again. A panic has no faulting
+//! instruction: its `pc` is the caller of the handler, its `address` that of the panic's
+//! `core::panic::Location` in the image.
 
-use crate::{clock, line, output, pac};
+use crate::{clock, line, output};
 use core::arch::global_asm;
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
 use cortex_m::peripheral::SCB;
 use platebench_wire::{FaultReport, Message, Packet};
+use stm32f4::stm32f405 as pac;
 
 const PANIC: u16 = 1;
 const HARD_FAULT: u16 = 2;
@@ -20,33 +22,34 @@ const BUS_ADDRESS_VALID: u32 = 1 << 15;
 const MEMORY_ADDRESS_VALID: u32 = 1 << 7;
 const MARK: u32 = 0x504C_4154;
 
-/// The last report and a mark, in memory that a start leaves alone.
-struct Kept(UnsafeCell<MaybeUninit<[u32; 5]>>);
-// SAFETY: touched once at the start and once after everything else has stopped.
-unsafe impl Sync for Kept {}
+/// A mark and the last report, in memory that the start-up code does not clear.
+struct SavedReport(UnsafeCell<MaybeUninit<[u32; 5]>>);
+// SAFETY: accessed once at the start and once after all other code has stopped.
+unsafe impl Sync for SavedReport {}
 #[unsafe(link_section = ".uninit.trap")]
-static KEPT: Kept = Kept(UnsafeCell::new(MaybeUninit::uninit()));
+static SAVED: SavedReport = SavedReport(UnsafeCell::new(MaybeUninit::uninit()));
 
-/// A stack for when the stack is what failed.
+/// The stack of the fault handler: the normal one may have overflowed.
 #[repr(C, align(8))]
-struct Spare(UnsafeCell<[u8; SPARE]>);
-// SAFETY: used by the fault handler alone, which never returns.
-unsafe impl Sync for Spare {}
-const SPARE: usize = 2_048;
-static SPARE_STACK: Spare = Spare(UnsafeCell::new([0; SPARE]));
+struct FaultStack(UnsafeCell<[u8; FAULT_STACK_BYTES]>);
+// SAFETY: only the fault handler uses it, and it never returns.
+unsafe impl Sync for FaultStack {}
+const FAULT_STACK_BYTES: usize = 2_048;
+static FAULT_STACK: FaultStack = FaultStack(UnsafeCell::new([0; FAULT_STACK_BYTES]));
 
-/// Division by zero traps. Unaligned access does not: the compiler makes use of it.
-pub(crate) fn arm(scb: &mut SCB) {
+/// Makes a division by zero trap. Unaligned access does not: the compiler uses it.
+pub(crate) fn enable_division_trap(scb: &mut SCB) {
     // SAFETY: DIV_0_TRP.
     unsafe { scb.ccr.modify(|ccr| ccr | 1 << 4) };
 }
 
-/// Where the watchdog ended the run before this one: what was known about it.
-pub(crate) fn before_this_start(p: &pac::Peripherals) -> Option<FaultReport> {
-    // SAFETY: any bits are a valid array of numbers; volatile, since the compiler must not reason about a value that nobody wrote.
-    let [mark, pc, lr, cfsr, address] = unsafe { KEPT.0.get().cast::<[u32; 5]>().read_volatile() };
+/// The report of the previous run if the watchdog ended it.
+pub(crate) fn report_before_reset(p: &pac::Peripherals) -> Option<FaultReport> {
+    // SAFETY: any bits are a valid array of numbers; volatile, since the program has not
+    // initialised it.
+    let [mark, pc, lr, cfsr, address] = unsafe { SAVED.0.get().cast::<[u32; 5]>().read_volatile() };
     // SAFETY: as above.
-    unsafe { KEPT.0.get().cast::<u32>().write_volatile(0) };
+    unsafe { SAVED.0.get().cast::<u32>().write_volatile(0) };
     if !clock::was_watchdog_reset(p) {
         return None;
     }
@@ -54,7 +57,7 @@ pub(crate) fn before_this_start(p: &pac::Peripherals) -> Option<FaultReport> {
     Some(if mark == MARK { FaultReport { pc, lr, cfsr, address, ..unknown } } else { unknown })
 }
 
-// The handler is entered on a stack that may be the trouble: it takes the spare one before its first push.
+// The stack may be the cause: the handler switches to its own stack before its first push.
 global_asm!(
     ".section .HardFault.user, \"ax\"",
     ".global HardFault",
@@ -74,12 +77,12 @@ global_asm!(
     // cortex-m-rt's linker script asks for this name.
     ".global HardFaultTrampoline",
     ".equ HardFaultTrampoline, HardFault",
-    spare = sym SPARE_STACK,
-    size = const SPARE,
+    spare = sym FAULT_STACK,
+    size = const FAULT_STACK_BYTES,
     handler = sym on_hard_fault,
 );
 
-/// `frame` is where the processor stored, or failed to store, r0 to r3, r12, lr, pc and xpsr.
+/// `frame` points to r0 to r3, r12, lr, pc and xpsr, if the processor could store them.
 extern "C" fn on_hard_fault(frame: *const u32) -> ! {
     output::off();
     // SAFETY: reads of the fault status registers.
@@ -89,7 +92,7 @@ extern "C" fn on_hard_fault(frame: *const u32) -> ! {
     };
     let in_ram = (0x2000_0000..=0x2001_C000 - 32).contains(&(frame as usize));
     let (lr, pc) = if in_ram && cfsr & STACKING_FAILED == 0 {
-        // SAFETY: eight words in SRAM, as just checked.
+        // SAFETY: eight words in SRAM, checked above.
         unsafe { (frame.add(5).read_volatile(), frame.add(6).read_volatile()) }
     } else {
         (0, 0)
@@ -115,13 +118,13 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     report(FaultReport { code: PANIC, pc: lr & !1, lr, cfsr: 0, address })
 }
 
-/// Keeps the report, says it once and waits for the watchdog, which nobody feeds any more.
+/// Saves the report, sends it once and waits for the watchdog's reset.
 fn report(report: FaultReport) -> ! {
-    // SAFETY: nothing else runs any more.
+    // SAFETY: all other code has stopped.
     unsafe {
-        KEPT.0.get().cast::<[u32; 5]>().write_volatile([MARK, report.pc, report.lr, report.cfsr, report.address]);
+        SAVED.0.get().cast::<[u32; 5]>().write_volatile([MARK, report.pc, report.lr, report.cfsr, report.address]);
     }
-    line::send_by_hand(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());
+    line::send_by_polling(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());
     loop {
         core::hint::spin_loop();
     }

@@ -1,12 +1,12 @@
-//! Framing: `COBS(body ‖ CRC-32(body)) ‖ 0x00`.
+//! Frames a body as `COBS(body ‖ CRC-32(body)) ‖ 0x00` and reads such frames.
 //!
-//! COBS removes every zero from the frame at the price of one byte, so that a zero on the line always ends a frame and
-//! a reader that joins in the middle finds its place after one delimiter. The CRC is CRC-32/ISO-HDLC (Ethernet, zlib),
-//! little-endian, over the body alone.
+//! COBS removes every zero from the frame for one more byte. A zero on the line therefore always
+//! ends a frame, and a reader that starts in the middle is synchronised after one delimiter. The
+//! CRC is CRC-32/ISO-HDLC (Ethernet, zlib), little-endian, over the body alone.
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
-/// Longest body in bytes that a frame may carry, CRC not counted.
+/// Longest body in bytes, without the CRC.
 pub const MAX_BODY: usize = 64;
 /// Longest frame in bytes on the line: body, CRC, one COBS byte, delimiter.
 pub const MAX_ENCODED: usize = MAX_BODY + CRC_BYTES + 2;
@@ -15,28 +15,28 @@ const CRC_BYTES: usize = 4;
 const MAX_UNSTUFFED: usize = MAX_BODY + CRC_BYTES;
 const CHECKSUM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
-/// Why a frame was refused. None of its content may be used.
+/// Why a frame was rejected. None of its content may be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameError {
     /// The bytes between two delimiters are not valid COBS.
-    Stuffing,
-    /// More than [`MAX_ENCODED`] bytes came without a delimiter.
+    InvalidCobs,
+    /// More than [`MAX_ENCODED`] bytes without a delimiter.
     Overlong,
-    /// Too few bytes to hold even a checksum.
+    /// Fewer bytes than a checksum has.
     Truncated,
-    /// The checksum disagrees with the body.
+    /// The checksum differs from the body's.
     Checksum,
 }
 
-/// A frame as it travels, delimiter included.
+/// A frame on the line, including the delimiter.
 #[derive(Debug, Clone, Copy)]
-pub struct Encoded {
+pub struct EncodedFrame {
     bytes: [u8; MAX_ENCODED],
     length: usize,
 }
 
-impl Encoded {
-    /// Frames `body`. A body longer than [`MAX_BODY`] has no frame.
+impl EncodedFrame {
+    /// Frames `body`; `None` if it is longer than [`MAX_BODY`].
     pub fn new(body: &[u8]) -> Option<Self> {
         let mut unstuffed = [0; MAX_UNSTUFFED];
         let end = body.len();
@@ -44,7 +44,7 @@ impl Encoded {
         unstuffed.get_mut(end..end + CRC_BYTES)?.copy_from_slice(&CHECKSUM.checksum(body).to_le_bytes());
         let mut bytes = [0; MAX_ENCODED];
         let stuffed = cobs::try_encode(unstuffed.get(..end + CRC_BYTES)?, &mut bytes).ok()?;
-        // The array was zeroed, so the delimiter already stands behind the stuffed bytes.
+        // The array was zeroed, so the delimiter already follows the stuffed bytes.
         Some(Self { bytes, length: stuffed + 1 })
     }
 
@@ -54,7 +54,7 @@ impl Encoded {
     }
 }
 
-/// Cuts a stream of bytes into frames; keeps at most one frame's worth of memory whatever arrives.
+/// Splits a stream of bytes into frames; stores at most one frame.
 #[derive(Debug, Clone)]
 pub struct FrameReader {
     buffer: [u8; MAX_ENCODED],
@@ -69,13 +69,13 @@ impl Default for FrameReader {
 }
 
 impl FrameReader {
-    /// A reader that has seen nothing yet.
+    /// A reader at the start of a stream.
     pub fn new() -> Self {
         Self { buffer: [0; MAX_ENCODED], length: 0, overlong: false }
     }
 
-    /// Takes one byte. At a delimiter: the body of the frame that it ends, or why that frame was refused. Delimiters
-    /// with nothing between them are idle line and give `None`.
+    /// Takes one byte. A delimiter returns the body of the frame that it ends, or why that frame
+    /// was rejected. `None` between delimiters and for a delimiter without a frame.
     pub fn push(&mut self, byte: u8) -> Option<Result<&[u8], FrameError>> {
         if byte != 0 {
             match self.buffer.get_mut(self.length) {
@@ -94,12 +94,12 @@ impl FrameReader {
         if length == 0 {
             return None;
         }
-        Some(self.unwrap_frame(length))
+        Some(self.decode_frame(length))
     }
 
-    fn unwrap_frame(&mut self, length: usize) -> Result<&[u8], FrameError> {
+    fn decode_frame(&mut self, length: usize) -> Result<&[u8], FrameError> {
         let stuffed = self.buffer.get_mut(..length).ok_or(FrameError::Overlong)?;
-        let unstuffed = cobs::decode_in_place(stuffed).map_err(|_| FrameError::Stuffing)?;
+        let unstuffed = cobs::decode_in_place(stuffed).map_err(|_| FrameError::InvalidCobs)?;
         let body_length = unstuffed.checked_sub(CRC_BYTES).ok_or(FrameError::Truncated)?;
         let (body, rest) = self.buffer.split_at(body_length);
         let sent = rest.first_chunk::<CRC_BYTES>().ok_or(FrameError::Truncated)?;
@@ -119,55 +119,55 @@ mod tests {
     }
 
     #[test]
-    fn the_check_value_of_the_crc_is_the_catalogue_s() {
+    fn crc_32_has_the_published_check_value() {
         assert_eq!(CHECKSUM.checksum(b"123456789"), 0xCBF4_3926);
     }
 
     #[test]
-    fn a_frame_is_stuffed_body_and_checksum_and_a_zero() {
+    fn a_frame_is_body_and_checksum_stuffed_and_a_zero() {
         // CRC-32 of 11 00 2a is 0x391ED983.
-        let frame = Encoded::new(&[0x11, 0x00, 0x2a]).unwrap();
+        let frame = EncodedFrame::new(&[0x11, 0x00, 0x2a]).unwrap();
         assert_eq!(frame.as_bytes(), [0x02, 0x11, 0x06, 0x2a, 0x83, 0xd9, 0x1e, 0x39, 0x00]);
     }
 
     #[test]
-    fn the_longest_body_fits_and_one_byte_more_does_not() {
+    fn rejects_a_body_of_one_byte_too_many() {
         let body = [7; MAX_BODY];
-        let frame = Encoded::new(&body).unwrap();
+        let frame = EncodedFrame::new(&body).unwrap();
         assert_eq!(frame.as_bytes().len(), MAX_ENCODED);
         assert_eq!(read_all(frame.as_bytes()), [Ok(body.to_vec())]);
-        assert!(Encoded::new(&[7; MAX_BODY + 1]).is_none());
+        assert!(EncodedFrame::new(&[7; MAX_BODY + 1]).is_none());
     }
 
     #[test]
-    fn a_babbling_line_costs_one_error_and_the_next_frame_is_read() {
+    fn an_overlong_frame_is_one_error_and_the_next_is_read() {
         let mut bytes = std::vec![0x55; 10_000];
         bytes.push(0);
-        bytes.extend_from_slice(Encoded::new(&[1, 2, 3]).unwrap().as_bytes());
+        bytes.extend_from_slice(EncodedFrame::new(&[1, 2, 3]).unwrap().as_bytes());
         assert_eq!(read_all(&bytes), [Err(FrameError::Overlong), Ok(std::vec![1, 2, 3])]);
     }
 
     #[test]
-    fn too_short_for_a_checksum_is_truncated() {
+    fn a_frame_without_room_for_a_checksum_is_truncated() {
         assert_eq!(read_all(&[0x04, 1, 2, 3, 0]), [Err(FrameError::Truncated)]);
         assert_eq!(read_all(&[0, 0, 0]), []);
     }
 
     proptest! {
         #[test]
-        fn any_body_comes_back(body in proptest::collection::vec(any::<u8>(), 0..=MAX_BODY)) {
-            let frame = Encoded::new(&body).unwrap();
+        fn any_body_round_trips(body in proptest::collection::vec(any::<u8>(), 0..=MAX_BODY)) {
+            let frame = EncodedFrame::new(&body).unwrap();
             prop_assert!(frame.as_bytes()[..frame.as_bytes().len() - 1].iter().all(|&byte| byte != 0));
             prop_assert_eq!(read_all(frame.as_bytes()), [Ok(body)]);
         }
 
         #[test]
-        fn any_single_bit_flip_is_refused(body in proptest::collection::vec(any::<u8>(), 2..=MAX_BODY)) {
-            let frame = Encoded::new(&body).unwrap();
+        fn rejects_any_single_bit_flip(body in proptest::collection::vec(any::<u8>(), 2..=MAX_BODY)) {
+            let frame = EncodedFrame::new(&body).unwrap();
             for bit in 0..frame.as_bytes().len() * 8 {
                 let mut flipped = frame.as_bytes().to_vec();
                 flipped[bit / 8] ^= 1 << (bit % 8);
-                // A second frame behind it: a flipped delimiter must not let anything through either.
+                // A flipped delimiter must not let anything of the next frame through either.
                 flipped.extend_from_slice(frame.as_bytes());
                 let bodies: Vec<_> = read_all(&flipped).into_iter().filter_map(Result::ok).collect();
                 let flip_in_delimiter = bit / 8 == frame.as_bytes().len() - 1;
@@ -177,7 +177,7 @@ mod tests {
         }
 
         #[test]
-        fn garbage_never_panics_and_gives_at_most_a_frame_per_delimiter(bytes in proptest::collection::vec(any::<u8>(), 0..2_000)) {
+        fn garbage_gives_at_most_a_frame_per_delimiter(bytes in proptest::collection::vec(any::<u8>(), 0..2_000)) {
             prop_assert!(read_all(&bytes).len() < bytes.split(|&byte| byte == 0).count());
         }
     }

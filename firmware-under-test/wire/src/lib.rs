@@ -1,22 +1,29 @@
-//! The messages between the bench and the controller under test, down to the byte.
+//! Encodes and decodes the messages between the bench and the controller under test.
 //!
-//! Two tiers. [`frame`] turns a body of bytes into what travels on the line (CRC-32, COBS, a zero delimiter) and back;
-//! [`message`] gives the body its meaning and can hold only what the protocol can say. The description for strangers,
-//! with test vectors, is `docs/wire-protocol.md`; the tests here pin every byte of it.
+//! Two tiers: [`FrameReader`] and [`EncodedFrame`] turn a body of bytes into a frame on the line
+//! (CRC-32, COBS, a zero delimiter) and back; [`Packet`] gives the body its meaning and can hold
+//! only valid messages. `docs/wire-protocol.md` describes the protocol with test vectors; the tests
+//! here pin every byte of it.
 //!
-//! Neighbours: `platebench-controller` speaks it from the target's side, `platebench-rig` from the bench's.
-//! No timing, no retries and no state of a session belong here.
+//! `platebench-controller` implements the target's side, `platebench-rig` the bench's side.
+//! Timing, retries and session state do not belong here.
 #![no_std]
 
 #[cfg(test)]
 extern crate std;
 
-mod cursor;
-pub mod frame;
-pub mod message;
+mod configuration;
+mod control;
+mod field;
+mod frame;
+mod identity;
+mod packet;
+mod packet_reader;
 
-pub use frame::{Encoded, FrameError, FrameReader, MAX_BODY, MAX_ENCODED};
-pub use message::{
-    Command, Configure, Configured, FaultReport, Gains, Identity, LawId, Message, MessageError, Packet, Rejection,
-    Sample, Setpoint, State, StateCause, Telemetry, Tick, VERSION, capabilities, flags,
-};
+pub use configuration::{Configure, Configured, Gains, Rejection};
+pub use control::{Command, ControllerState, FaultReport, Sample, Setpoint, StateCause, Telemetry, Tick, flags};
+pub use field::MessageError;
+pub use frame::{EncodedFrame, FrameError, FrameReader, MAX_BODY, MAX_ENCODED};
+pub use identity::{Identity, LawId, capabilities};
+pub use packet::{Message, Packet, VERSION};
+pub use packet_reader::{PacketError, PacketReader};

@@ -1,8 +1,8 @@
-//! The test vectors of `docs/wire-protocol.md`, which strangers build their controllers on.
+//! Checks the test vectors of `docs/wire-protocol.md`.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends by panicking")]
+#![allow(clippy::unwrap_used, reason = "a panic fails the test")]
 
-use platebench_wire::{Encoded, FrameReader, Packet};
+use platebench_wire::{EncodedFrame, FrameReader, Packet};
 
 const PAGE: &str = include_str!("../../../docs/wire-protocol.md");
 
@@ -11,7 +11,7 @@ fn bytes(line: &str) -> Vec<u8> {
 }
 
 #[test]
-fn every_vector_holds_both_ways() {
+fn every_vector_encodes_and_decodes() {
     let lines: Vec<_> = PAGE.lines().collect();
     let vectors: Vec<_> = lines
         .windows(2)
@@ -19,7 +19,7 @@ fn every_vector_holds_both_ways() {
         .collect();
     assert_eq!(vectors.len(), 15, "one for each kind, a second command and three more configurations");
     for (body, frame) in vectors {
-        assert_eq!(Encoded::new(&body).unwrap().as_bytes(), frame);
+        assert_eq!(EncodedFrame::new(&body).unwrap().as_bytes(), frame);
         let packet = Packet::decode(&body).unwrap();
         assert_eq!(packet.encode().as_bytes(), frame, "{packet:?}");
         let mut reader = FrameReader::new();

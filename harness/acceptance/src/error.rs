@@ -37,7 +37,7 @@ pub enum AcceptError {
     Finished(PathBuf),
     /// There is something else in the folder.
     #[error("{} holds something else than an acceptance session, expected a new folder", .0.display())]
-    Taken(PathBuf),
+    FolderNotEmpty(PathBuf),
     /// Somebody else is at it.
     #[error("{} is being written by another session", .0.display())]
     InUse(PathBuf),
@@ -46,7 +46,7 @@ pub enum AcceptError {
     NoSession(PathBuf),
     /// `session.json` is not one.
     #[error("{}: {message}", path.display())]
-    Content {
+    InvalidRecord {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
@@ -74,7 +74,7 @@ pub enum AcceptError {
     Report(#[from] platebench_report::ReportError),
     /// The person said that something is not as it has to be.
     #[error("stopped at \"{0}\": the answer was no; the session can be resumed once that is as it has to be")]
-    Stopped(String),
+    AnsweredNo(String),
     /// Nobody said that all is as it has to be, and a plate may be driven.
     #[error(
         "stopped at \"{question}\": nobody answered, and what is on {rig} may drive a plate; answer at a terminal, or say yes beforehand with --yes"

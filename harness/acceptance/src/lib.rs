@@ -1,40 +1,37 @@
-//! An acceptance session: a plan, a person, a board, and a record that shows when it was changed.
+//! Conducts an acceptance session: plan, operator, board, and a sealed, signed record.
 //!
-//! * [`plan`]: the plan file, which owns what each requirement says.
-//! * [`session`]: `session.json`, what is known of a session at any time.
-//! * [`order`]: what is to be done, and whom a session talks to.
-//! * `ask`: what an answer of the person does to a session, and what no answer does.
-//! * `basis`: what a session stands on, and nobody goes on with anything else.
-//! * [`mod@conduct`]: from step to step; what was killed goes on where it was.
-//! * `self_test`: the bench's own timing, its repeatability and how well it catches faulty controllers.
-//! * `decide`: from stored runs to a verdict for each requirement.
-//! * [`manifest`], [`signature`]: SHA-256 over every file, and who signed that.
-//! * [`mod@verify`]: whether a record is still what it was.
-//! * [`page`]: `record.html`, for people and for paper.
-//! * `durable`: files that are whole or not there, whenever the machine stops.
+//! * [`plan`]: the plan file, which states the requirements.
+//! * [`config`]: describes a session and who observes it.
+//! * [`conduct()`]: conducts it step by step (`steps`); a session that was interrupted resumes.
+//! * `ask`: questions; `self_test`: tests the bench; `scenario_run`: plays a scenario; `judge`: judges requirements.
+//! * `provenance`: the bench, rig, inputs and firmware that a session may not change.
+//! * [`session_record`] reads and writes `session.json`.
+//! * [`manifest`], [`signature`]: SHA-256 of every file, and the signature of that list.
+//! * [`mod@verify`]: checks a sealed record.
+//! * [`page`] writes `record.html`.
 //!
-//! Scenarios are played by `platebench-runner` and judged by `platebench-verdict`; nothing of either is repeated here. Whom to ask, and what a terminal shows, is
-//! the command line's.
+//! `platebench-runner` plays scenarios and `platebench-verdict` judges them. The terminal belongs to the command line.
 
 mod ask;
-mod basis;
-pub mod conduct;
-mod decide;
-mod durable;
+pub mod config;
 mod error;
+mod judge;
 pub mod manifest;
-pub mod order;
 pub mod page;
 pub mod plan;
+mod provenance;
+mod scenario_run;
 mod self_test;
-pub mod session;
+pub mod session_record;
+pub mod session_runner;
 pub mod signature;
+mod steps;
 pub mod verify;
 
-pub use conduct::conduct;
+pub use config::{SessionConfig, SessionDetails, SessionHooks, SessionObserver};
 pub use error::AcceptError;
-pub use order::{Answer, Desk, Order, Question, Who};
 pub use plan::Plan;
-pub use session::SessionRecord;
+pub use session_record::SessionRecord;
+pub use session_runner::conduct;
 pub use signature::{PublicKey, SecretKey};
 pub use verify::{Finding, Signer, Verification, verify};

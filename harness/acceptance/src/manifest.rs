@@ -3,8 +3,9 @@
 //! The manifest does not list itself nor its signature.
 
 use crate::error::AcceptError;
-use crate::{durable, signature};
-use platebench_runner::folder::sha256;
+use crate::signature;
+use platebench_record::sha256;
+use platebench_trace::write_atomically;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
@@ -14,7 +15,7 @@ use std::path::Path;
 /// The manifest's name in a record.
 pub const FILE: &str = "manifest.sha256";
 /// Folders in folders of a record; more is none of ours.
-const DEEPEST: usize = 32;
+const MAX_DEPTH: usize = 32;
 
 /// What a record's files are, against what its manifest says.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -30,7 +31,7 @@ pub enum Difference {
     Added(String),
     /// Neither a file nor a folder.
     #[error("{0}: neither a file nor a folder, a record holds nothing else")]
-    Strange(String),
+    NotAFile(String),
     /// A file cannot be read.
     #[error("{0}: cannot be read: {1}")]
     Unreadable(String, String),
@@ -43,9 +44,9 @@ pub enum Difference {
 
 /// Writes the manifest of everything in `folder`.
 pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
-    let mut found = Found::default();
-    found.below(folder, "", 0);
-    if let Some((name, what)) = found.strange.first_key_value() {
+    let mut found = FolderContents::default();
+    found.collect_below(folder, "", 0);
+    if let Some((name, what)) = found.not_files.first_key_value() {
         return Err(AcceptError::io(&folder.join(name))(io::Error::other(what.to_string())));
     }
     let mut text = String::new();
@@ -59,7 +60,8 @@ pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{}  {name}", sha256(&bytes));
     }
-    durable::write(&folder.join(FILE), text.as_bytes())
+    let path = folder.join(FILE);
+    write_atomically(&path, text.as_bytes()).map_err(AcceptError::io(&path))
 }
 
 /// Holds every file in `folder` against the manifest's `text`.
@@ -68,7 +70,7 @@ pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
     let mut listed: BTreeMap<&str, &str> = BTreeMap::new();
     let mut last = None;
     for (number, line) in text.split_inclusive('\n').enumerate() {
-        match entry(line).filter(|(_, name)| last.is_none_or(|last| last < *name)) {
+        match parse_line(line).filter(|(_, name)| last.is_none_or(|last| last < *name)) {
             Some((hash, name)) => {
                 listed.insert(name, hash);
                 last = Some(name);
@@ -76,9 +78,9 @@ pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
             None => differences.push(Difference::Line(number + 1)),
         }
     }
-    let mut found = Found::default();
-    found.below(folder, "", 0);
-    differences.extend(found.strange.into_values());
+    let mut found = FolderContents::default();
+    found.collect_below(folder, "", 0);
+    differences.extend(found.not_files.into_values());
     for name in &found.files {
         match (listed.get(name.as_str()), fs::read(folder.join(name))) {
             (None, _) => differences.push(Difference::Added(name.clone())),
@@ -93,7 +95,7 @@ pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
 }
 
 /// Hash and name of a line. A name that leads out of the record is none.
-fn entry(line: &str) -> Option<(&str, &str)> {
+fn parse_line(line: &str) -> Option<(&str, &str)> {
     let (hash, name) = line.strip_suffix('\n')?.split_once("  ")?;
     let is_hash = hash.len() == 64 && hash.bytes().all(|digit| matches!(digit, b'0'..=b'9' | b'a'..=b'f'));
     let is_inside = name.split('/').all(|part| !matches!(part, "" | "." | ".."));
@@ -102,32 +104,32 @@ fn entry(line: &str) -> Option<(&str, &str)> {
 
 /// What lies in a record.
 #[derive(Default)]
-struct Found {
+struct FolderContents {
     files: BTreeSet<String>,
-    strange: BTreeMap<String, Difference>,
+    not_files: BTreeMap<String, Difference>,
 }
 
-impl Found {
-    fn below(&mut self, folder: &Path, prefix: &str, depth: usize) {
+impl FolderContents {
+    fn collect_below(&mut self, folder: &Path, prefix: &str, depth: usize) {
         let entries = match fs::read_dir(folder).and_then(Iterator::collect::<io::Result<Vec<_>>>) {
             Ok(entries) => entries,
             Err(error) => {
                 let name = if prefix.is_empty() { "." } else { prefix.trim_end_matches('/') };
-                self.strange.insert(name.to_owned(), Difference::Unreadable(name.to_owned(), error.to_string()));
+                self.not_files.insert(name.to_owned(), Difference::Unreadable(name.to_owned(), error.to_string()));
                 return;
             }
         };
         for entry in entries {
             let Some(last) = entry.file_name().to_str().map(str::to_owned) else {
                 let shown = format!("{prefix}{}", entry.file_name().to_string_lossy());
-                self.strange.insert(shown.clone(), Difference::Strange(shown));
+                self.not_files.insert(shown.clone(), Difference::NotAFile(shown));
                 continue;
             };
             let name = format!("{prefix}{last}");
             // Links are not followed.
             match entry.file_type() {
-                Ok(kind) if kind.is_dir() && depth < DEEPEST => {
-                    self.below(&entry.path(), &format!("{name}/"), depth + 1);
+                Ok(kind) if kind.is_dir() && depth < MAX_DEPTH => {
+                    self.collect_below(&entry.path(), &format!("{name}/"), depth + 1);
                 }
                 Ok(kind) if kind.is_file() => {
                     if name != FILE && name != signature::FILE {
@@ -135,7 +137,7 @@ impl Found {
                     }
                 }
                 _ => {
-                    self.strange.insert(name.clone(), Difference::Strange(name));
+                    self.not_files.insert(name.clone(), Difference::NotAFile(name));
                 }
             }
         }
@@ -148,7 +150,7 @@ mod tests {
     use super::*;
     use rstest::rstest;
 
-    fn record() -> (tempfile::TempDir, String) {
+    fn sealed_record() -> (tempfile::TempDir, String) {
         let folder = tempfile::tempdir().unwrap();
         fs::create_dir(folder.path().join("b")).unwrap();
         for (name, content) in [("a.txt", "one"), ("b/c.csv", "two"), ("b-d", "three")] {
@@ -160,8 +162,8 @@ mod tests {
     }
 
     #[test]
-    fn what_was_written_holds() {
-        let (folder, text) = record();
+    fn an_unchanged_record_matches_its_manifest() {
+        let (folder, text) = sealed_record();
         assert_eq!(text.lines().count(), 3);
         assert_eq!(check(folder.path(), &text), []);
         fs::write(folder.path().join(signature::FILE), "not listed").unwrap();
@@ -169,14 +171,14 @@ mod tests {
     }
 
     #[test]
-    fn every_file_that_differs_is_named() {
-        let (folder, text) = record();
+    fn names_every_changed_file() {
+        let (folder, text) = sealed_record();
         fs::write(folder.path().join("a.txt"), "onf").unwrap();
         fs::remove_file(folder.path().join("b/c.csv")).unwrap();
         fs::write(folder.path().join("b/new"), "").unwrap();
         std::os::unix::fs::symlink("a.txt", folder.path().join("link")).unwrap();
         let expected = [
-            Difference::Strange("link".to_owned()),
+            Difference::NotAFile("link".to_owned()),
             Difference::Changed("a.txt".to_owned()),
             Difference::Added("b/new".to_owned()),
             Difference::Missing("b/c.csv".to_owned()),
@@ -185,8 +187,8 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_is_gone_leaves_its_file_unnamed() {
-        let (folder, text) = record();
+    fn reports_a_file_without_a_line_as_added() {
+        let (folder, text) = sealed_record();
         let fewer: String = text.split_inclusive('\n').filter(|line| !line.ends_with("b-d\n")).collect();
         assert_eq!(check(folder.path(), &fewer), [Difference::Added("b-d".to_owned())]);
         let twice = text.clone() + text.lines().next().unwrap() + "\n";
@@ -198,11 +200,11 @@ mod tests {
     #[case::root("/a")]
     #[case::nothing("")]
     #[case::here("./a")]
-    fn a_line_may_not_lead_out_of_the_record(#[case] name: &str) {
+    fn rejects_a_line_with_a_path_outside_the_record(#[case] name: &str) {
         let hash = sha256(b"");
-        assert_eq!(entry(&format!("{hash}  {name}\n")), None);
-        assert_eq!(entry(&format!("{hash}  a/b c\n")), Some((hash.as_str(), "a/b c")));
-        assert_eq!(entry(&format!("{hash}  a")), None, "a line that was cut off");
-        assert_eq!(entry(&format!("{}  a\n", hash.to_uppercase())), None);
+        assert_eq!(parse_line(&format!("{hash}  {name}\n")), None);
+        assert_eq!(parse_line(&format!("{hash}  a/b c\n")), Some((hash.as_str(), "a/b c")));
+        assert_eq!(parse_line(&format!("{hash}  a")), None, "a line that was cut off");
+        assert_eq!(parse_line(&format!("{}  a\n", hash.to_uppercase())), None);
     }
 }

@@ -1,10 +1,9 @@
 //! `record.html`: a session on pages that need nothing else, to read, to print and to sign.
 
-use crate::conduct::STEPS;
-use crate::session::{RequirementRecord, SessionRecord, StepRecord};
+use crate::session_record::{RequirementRecord, STEPS, SessionRecord, StepRecord};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use platebench_report::shown;
-use platebench_verdict::Verdict;
+use platebench_record::Verdict;
+use platebench_report::format;
 
 /// The page's name in a record.
 pub const FILE: &str = "record.html";
@@ -12,7 +11,7 @@ pub const FILE: &str = "record.html";
 const STYLE: &str = include_str!("page/style.css");
 
 /// The page of a session.
-pub fn page(session: &SessionRecord) -> Markup {
+pub fn render(session: &SessionRecord) -> Markup {
     html! {
         (DOCTYPE)
         html lang="en" {
@@ -27,9 +26,9 @@ pub fn page(session: &SessionRecord) -> Markup {
                     p.eyebrow { "Acceptance record · " (session.started) }
                     h1 { (session.title) }
                     p.lead { (badge(session.verdict)) " " (summary(session)) }
-                    @if let Some(line) = session.without_a_board() { p.notice { (line) "." } }
+                    @if let Some(line) = session.no_board_notice() { p.notice { (line) "." } }
                 }
-                (people(session))
+                (people_section(session))
                 (requirements(session))
                 (steps(session))
                 (evidence(session))
@@ -47,7 +46,7 @@ pub fn page(session: &SessionRecord) -> Markup {
 }
 
 fn badge(verdict: Verdict) -> Markup {
-    html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (shown::sign(verdict)) } " " (verdict) } }
+    html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (format::sign(verdict)) } " " (verdict) } }
 }
 
 fn summary(session: &SessionRecord) -> String {
@@ -56,7 +55,7 @@ fn summary(session: &SessionRecord) -> String {
     format!("{} of {} requirements hold, {failed} failed, {open} open", of(Verdict::Pass), session.requirements.len())
 }
 
-fn people(session: &SessionRecord) -> Markup {
+fn people_section(session: &SessionRecord) -> Markup {
     let said = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".to_owned());
     let firmware = session.firmware.as_ref().map_or_else(
         || "did not introduce itself".to_owned(),
@@ -67,7 +66,7 @@ fn people(session: &SessionRecord) -> Markup {
         |found| format!("{}; chip {}, number {}", session.rig, found.firmware.chip, found.unique),
     );
     // What says that it is a chip there is nobody's.
-    let board = if session.without_a_board().is_some() { format!("none ({})", session.rig) } else { board };
+    let board = if session.no_board_notice().is_some() { format!("none ({})", session.rig) } else { board };
     let facts = [
         ("Operator", said(&session.operator)),
         ("Place", said(&session.place)),
@@ -92,7 +91,7 @@ fn requirements(session: &SessionRecord) -> Markup {
                     tr {
                         th scope="row" { (requirement.id) }
                         td { (requirement.text) }
-                        td.number { (shown_by(requirement)) }
+                        td.number { (evidence_summary(requirement)) }
                         td { (badge(requirement.verdict)) }
                     }
                 } }
@@ -102,7 +101,7 @@ fn requirements(session: &SessionRecord) -> Markup {
 }
 
 /// How many of the expectations that hold it are met; without any there is nothing to meet.
-fn shown_by(requirement: &RequirementRecord) -> String {
+fn evidence_summary(requirement: &RequirementRecord) -> String {
     let met = requirement.evidence.iter().filter(|evidence| evidence.verdict == Verdict::Pass).count();
     match requirement.evidence.len() {
         0 => "none".to_owned(),
@@ -140,7 +139,7 @@ fn step_row(step: &StepRecord) -> Markup {
                 }
                 @if let Some(reason) = &step.reason { (reason) }
                 @if let Some(trust) = &step.trust {
-                    @for name in &trust.survived { span.file { "not caught: " (name) (mistake(name)) } }
+                    @for name in &trust.survived { span.file { "not caught: " (name) (mutant_description(name)) } }
                 }
                 @if step.lost { strong { " The controller was lost or did not confirm 0 V." } }
                 @if step.attempts.len() > 1 {
@@ -161,9 +160,9 @@ fn step_row(step: &StepRecord) -> Markup {
 }
 
 /// What somebody did who made this mistake, as far as the bench's catalogue knows it.
-fn mistake(name: &str) -> String {
+fn mutant_description(name: &str) -> String {
     let known = platebench_trust::catalogue().into_iter().find(|entry| entry.name == name);
-    known.map_or_else(String::new, |entry| format!(", {}", entry.mistake))
+    known.map_or_else(String::new, |entry| format!(", {}", entry.description))
 }
 
 fn evidence(session: &SessionRecord) -> Markup {

@@ -9,8 +9,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// As many repetitions as the command line takes trials.
-const MOST_REPETITIONS: u32 = 100_000;
-const MOST_CLEAN_RUNS: u32 = 1_000_000;
+const MAX_REPETITIONS: u32 = 100_000;
+const MAX_CLEAN_RUNS: u32 = 1_000_000;
 
 /// A plan file as serde reads it.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -22,7 +22,7 @@ struct RawPlan {
     title: String,
     /// Trials of each scenario, in the place of its own count.
     #[serde(default = "thirty")]
-    #[schemars(range(min = 1, max = MOST_REPETITIONS))]
+    #[schemars(range(min = 1, max = MAX_REPETITIONS))]
     repetitions: u32,
     /// What has to hold; at least one.
     #[serde(default)]
@@ -62,7 +62,7 @@ struct RawPlanned {
     /// Scenario file, relative to the plan.
     file: PathBuf,
     /// Its trials, where they differ from the plan's.
-    #[schemars(range(min = 1, max = MOST_REPETITIONS))]
+    #[schemars(range(min = 1, max = MAX_REPETITIONS))]
     repetitions: Option<u32>,
 }
 
@@ -114,7 +114,7 @@ pub struct BenchDemands {
     #[schemars(range(min = 1, max = 1_000))]
     pub timing_trials: u32,
     /// Clean runs of the plan's scenarios, among which no false alarm may be.
-    #[schemars(range(min = 1, max = MOST_CLEAN_RUNS))]
+    #[schemars(range(min = 1, max = MAX_CLEAN_RUNS))]
     pub clean_runs: u32,
     /// What the plan's scenarios together have to show of the share of faulty controllers that they catch: its lower bound at 95 %, percent.
     #[schemars(range(min = 0.0, max = 100.0))]
@@ -129,7 +129,7 @@ impl Default for BenchDemands {
 
 /// A scenario and how often it is played.
 #[derive(Debug, Clone)]
-pub struct Planned {
+pub struct PlannedScenario {
     /// As its file has it.
     pub scenario: Scenario,
     /// How often it is played.
@@ -146,7 +146,7 @@ pub struct Plan {
     /// What has to hold; at least one.
     pub requirements: Vec<Requirement>,
     /// What shows it; at least one.
-    pub scenarios: Vec<Planned>,
+    pub scenarios: Vec<PlannedScenario>,
     /// What is asked.
     pub asks: Vec<Ask>,
     /// What is demanded of the bench.
@@ -160,11 +160,11 @@ impl Plan {
     /// Every [`Diagnostic`] of the plan, or of its scenarios.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let bytes =
-            input::read(path).map_err(|error| vec![Diagnostic::of_file(path, format!("cannot be read: {error}"))])?;
+            input::read(path).map_err(|error| vec![Diagnostic::for_file(path, format!("cannot be read: {error}"))])?;
         let (text, raw) = parse(path, &bytes)?;
-        let mut faults = faults(path, &text, &raw);
+        let mut faults = plan_diagnostics(path, &text, &raw);
         let folder = path.parent().unwrap_or(Path::new(""));
-        let mut scenarios: Vec<Planned> = Vec::new();
+        let mut scenarios: Vec<PlannedScenario> = Vec::new();
         for (number, planned) in raw.scenario.iter().enumerate() {
             let at = |message: String| Diagnostic::at_key(path, &text, &format!("scenario.{number}.file"), message);
             let file = folder.join(&planned.file);
@@ -180,7 +180,7 @@ impl Plan {
                             faults.push(at(format!("`{}` stands in the plan twice", scenario.file)));
                         }
                         faults.extend(unknown_requirements(&scenario, &raw.requirement));
-                        scenarios.push(Planned { scenario, repetitions });
+                        scenarios.push(PlannedScenario { scenario, repetitions });
                     }
                 }
                 Err(found) => faults.extend(found),
@@ -195,31 +195,31 @@ impl Plan {
 }
 
 /// The requirements of a stored plan, whose scenarios are elsewhere.
-pub(crate) fn requirements(path: &Path, bytes: &[u8]) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
+pub(crate) fn read_requirements(path: &Path, bytes: &[u8]) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
     parse(path, bytes).map(|(_, raw)| raw.requirement)
 }
 
 fn parse(path: &Path, bytes: &[u8]) -> Result<(String, RawPlan), Vec<Diagnostic>> {
     let text = String::from_utf8(bytes.to_vec())
-        .map_err(|_| vec![Diagnostic::of_file(path, "not UTF-8, expected a text file in UTF-8")])?;
+        .map_err(|_| vec![Diagnostic::for_file(path, "not UTF-8, expected a text file in UTF-8")])?;
     let raw = platebench_scenario::parse(path, &text)?;
     Ok((text, raw))
 }
 
 /// The schema of plan files.
 pub fn plan_schema() -> Schema {
-    schema::of::<RawPlan>("platebench acceptance plan")
+    schema::schema_of::<RawPlan>("platebench acceptance plan")
 }
 
-fn faults(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
+fn plan_diagnostics(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
     let mut faults = Vec::new();
     let mut refuse = |key: &str, message: String| faults.push(Diagnostic::at_key(path, text, key, message));
     if raw.title.trim().is_empty() {
         refuse("title", "empty, expected a line that says what is accepted".to_owned());
     }
-    let repetitions = 1..=MOST_REPETITIONS;
+    let repetitions = 1..=MAX_REPETITIONS;
     if !repetitions.contains(&raw.repetitions) {
-        refuse("repetitions", format!("{}, expected 1 to {MOST_REPETITIONS}", raw.repetitions));
+        refuse("repetitions", format!("{}, expected 1 to {MAX_REPETITIONS}", raw.repetitions));
     }
     if raw.requirement.is_empty() {
         refuse("requirement", "no [[requirement]], expected at least one".to_owned());
@@ -229,7 +229,7 @@ fn faults(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
     }
     for (number, planned) in raw.scenario.iter().enumerate() {
         if let Some(wrong) = planned.repetitions.filter(|wished| !repetitions.contains(wished)) {
-            refuse(&format!("scenario.{number}.repetitions"), format!("{wrong}, expected 1 to {MOST_REPETITIONS}"));
+            refuse(&format!("scenario.{number}.repetitions"), format!("{wrong}, expected 1 to {MAX_REPETITIONS}"));
         }
     }
     let mut known = BTreeSet::new();
@@ -237,7 +237,7 @@ fn faults(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
         if requirement.text.trim().is_empty() {
             refuse(&format!("requirement.{number}.text"), "empty, expected what has to hold".to_owned());
         }
-        if !is_name(&requirement.id) || !known.insert(&requirement.id) {
+        if !is_valid_name(&requirement.id) || !known.insert(&requirement.id) {
             let message = format!("`{}`, expected letters, digits and -, each identifier once", requirement.id);
             refuse(&format!("requirement.{number}.id"), message);
         }
@@ -247,7 +247,7 @@ fn faults(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
         if ask.question.trim().is_empty() {
             refuse(&format!("ask.{number}.question"), "empty, expected a question".to_owned());
         }
-        if !is_name(&ask.id) || !known.insert(&ask.id) {
+        if !is_valid_name(&ask.id) || !known.insert(&ask.id) {
             let message = format!("`{}`, expected letters, digits and -, each name once", ask.id);
             refuse(&format!("ask.{number}.id"), message);
         }
@@ -255,8 +255,8 @@ fn faults(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
     if !(1..=1_000).contains(&raw.bench.timing_trials) {
         refuse("bench.timing_trials", format!("{}, expected 1 to 1000", raw.bench.timing_trials));
     }
-    if !(1..=MOST_CLEAN_RUNS).contains(&raw.bench.clean_runs) {
-        refuse("bench.clean_runs", format!("{}, expected 1 to {MOST_CLEAN_RUNS}", raw.bench.clean_runs));
+    if !(1..=MAX_CLEAN_RUNS).contains(&raw.bench.clean_runs) {
+        refuse("bench.clean_runs", format!("{}, expected 1 to {MAX_CLEAN_RUNS}", raw.bench.clean_runs));
     }
     if !(0.0..=100.0).contains(&raw.bench.least_kill_rate_percent) {
         refuse("bench.least_kill_rate_percent", format!("{}, expected 0 to 100", raw.bench.least_kill_rate_percent));
@@ -264,7 +264,7 @@ fn faults(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
     faults
 }
 
-fn is_name(text: &str) -> bool {
+fn is_valid_name(text: &str) -> bool {
     !text.is_empty() && text.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '-')
 }
 
@@ -277,7 +277,7 @@ fn unknown_requirements(scenario: &Scenario, known: &[Requirement]) -> Vec<Diagn
         .map(|(number, id)| {
             let message =
                 format!("the plan does not say what `{id}` is, expected a [[requirement]] with that id in it");
-            scenario.diagnose(&format!("expect.{number}.requirement"), message)
+            scenario.diagnostic(&format!("expect.{number}.requirement"), message)
         })
         .collect()
 }

@@ -1,90 +1,67 @@
-//! The bench under test: is it punctual, does it repeat itself, does it catch what it should.
+//! Tests the bench: timing, repeatability, and how well the plan's scenarios catch faulty controllers.
 
-use crate::durable;
+use crate::config::SessionHooks;
 use crate::error::AcceptError;
-use crate::order::Desk;
 use crate::plan::Plan;
-use crate::session::{SelfTestRecord, StepRecord, TrustRecord};
+use crate::scenario_run::ScenarioRun;
+use crate::session_record::{SelfTestRecord, StepRecord, TrustRecord};
+use platebench_record::{Quantiles, RunRecord, Verdict};
 use platebench_rig::RigSpec;
-use platebench_runner::{Cancel, Clock, Pace, Pacing, RunFolder, rejudge, run};
+use platebench_runner::{CancelToken, Clock, Pacing, TimeBase};
 use platebench_scenario::Scenario;
-use platebench_trust::report::{CONFIDENCE, Outcome, Rate};
-use platebench_verdict::record::{Overrides, Quantiles};
-use platebench_verdict::{RunRecord, Verdict};
+use platebench_trace::write_atomically;
+use platebench_trust::report::{CONFIDENCE, MutantOutcome, Rate};
 use std::fs;
 use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-/// Seed of the first clean run, as `platebench trust` has it.
+/// Seed of the first clean run, as in `platebench trust`.
 const SEED: u64 = 31_415;
-/// How often somebody looks whether the session was ended while the bench measures itself.
-const LOOK: Duration = Duration::from_millis(20);
+const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Plays the plan's shortest scenario to the bench's own controller: twice in lockstep, which must leave the same bytes, and then in real time.
-pub(crate) fn self_test(
+/// Plays the plan's shortest scenario to the bench's own controller: twice in lockstep, which must give the same
+/// bytes, and then in real time.
+pub(crate) fn run_self_test(
     plan: &Plan,
     real_time: bool,
     folder: &Path,
     step: &mut StepRecord,
-    desk: &mut dyn Desk,
-    cancel: &Cancel,
+    hooks: &mut SessionHooks<'_>,
 ) -> Result<(), AcceptError> {
     let shortest = plan.scenarios.iter().map(|planned| &planned.scenario).min_by_key(|scenario| scenario.duration);
     let Some(scenario) = shortest else { return Err(AcceptError::NoSession(folder.to_owned())) };
-    let lockstep = Clock::Lockstep { wire_time: false };
-    let first = play(scenario, 1, lockstep, &folder.join("first"), desk, cancel)?;
-    let second = play(scenario, 1, lockstep, &folder.join("second"), desk, cancel)?;
-    let traces = |record: &RunRecord| -> Vec<Option<String>> {
-        record.scenarios.iter().flat_map(|scenario| &scenario.trials).map(|trial| trial.sha256.clone()).collect()
+    let lockstep = ScenarioRun {
+        scenario,
+        trials: 1,
+        rig: &RigSpec::Hosted,
+        clock: Clock::Lockstep { wire_time: false },
+        jobs: 1,
     };
-    let left = traces(&first);
-    let repeats = left.iter().all(Option::is_some) && !left.is_empty() && left == traces(&second);
-    let pace = Clock::RealTime(Pace { time_scale: 1.0, pacing: Pacing::Bench });
-    let timed = play(scenario, plan.bench.timing_trials, pace, &folder.join("real-time"), desk, cancel)?;
-    let found = punctuality(&timed, scenario, repeats);
-    let SelfTestRecord { periods, overruns, lateness_us: Quantiles { p50, p99, max, .. }, .. } = found;
-    let same = if repeats { "the same bytes twice" } else { "other bytes the second time" };
-    let late = format!("{overruns} of {periods} control instants too late");
-    let counts = if real_time { "" } else { " (in lockstep this decides nothing)" };
+    let first = trace_hashes(&lockstep.play(&folder.join("first"), hooks)?);
+    let second = trace_hashes(&lockstep.play(&folder.join("second"), hooks)?);
+    let repeats = first.iter().all(Option::is_some) && !first.is_empty() && first == second;
+    let clock = Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench });
+    let timed = ScenarioRun { trials: plan.bench.timing_trials, clock, ..lockstep };
+    let result = self_test_record(&timed.play(&folder.join("real-time"), hooks)?, scenario, repeats);
+    let SelfTestRecord { periods, overruns, lateness_us: Quantiles { p50, p99, max, .. }, .. } = result;
+    let same = if repeats { "the same bytes twice" } else { "different bytes the second time" };
+    let relevance = if real_time { "" } else { " (not relevant to a session in lockstep)" };
     step.reason = Some(format!(
-        "{same} in lockstep; in real time {late}{counts}, lateness {p50:.0} µs in the median, {p99:.0} µs at 99 %, {max:.0} µs at most"
+        "{same} in lockstep; in real time {overruns} of {periods} control instants too late{relevance}, lateness \
+         {p50:.0} µs in the median, {p99:.0} µs at 99 %, {max:.0} µs at most"
     ));
     let punctual = !real_time || (periods > 0 && overruns == 0);
     step.verdict = Some(if repeats && punctual { Verdict::Pass } else { Verdict::Inconclusive });
-    step.self_test = Some(found);
+    step.self_test = Some(result);
     Ok(())
 }
 
-fn play(
-    scenario: &Scenario,
-    trials: u32,
-    clock: Clock,
-    folder: &Path,
-    desk: &mut dyn Desk,
-    cancel: &Cancel,
-) -> Result<RunRecord, AcceptError> {
-    let overrides = Overrides { trials: Some(trials), ..Overrides::default() };
-    let mut scenario = scenario.clone();
-    rejudge::apply(&overrides, &mut scenario);
-    let rig = RigSpec::Hosted;
-    let plan = platebench_runner::Plan {
-        scenarios: vec![scenario],
-        jobs: 1,
-        clock,
-        own_clock: rig.has_own_clock(),
-        rig: rig.to_string(),
-        overrides,
-    };
-    let connect = || match clock {
-        Clock::Lockstep { .. } => rig.connect(),
-        Clock::RealTime(_) | Clock::OwnPlate => rig.connect_in_real_time(),
-    };
-    let folder = RunFolder::create(Some(folder)).map_err(platebench_runner::RunError::from)?;
-    Ok(run(&plan, &folder, &connect, cancel, &mut |event| desk.event(&event))?)
+fn trace_hashes(record: &RunRecord) -> Vec<Option<String>> {
+    record.scenarios.iter().flat_map(|scenario| &scenario.trials).map(|trial| trial.sha256.clone()).collect()
 }
 
-fn punctuality(timed: &RunRecord, scenario: &Scenario, repeats: bool) -> SelfTestRecord {
+fn self_test_record(timed: &RunRecord, scenario: &Scenario, repeats: bool) -> SelfTestRecord {
     let trials = timed.scenarios.iter().flat_map(|scenario| &scenario.trials);
     let mut found = SelfTestRecord {
         scenario: scenario.file.clone(),
@@ -109,59 +86,66 @@ fn punctuality(timed: &RunRecord, scenario: &Scenario, repeats: bool) -> SelfTes
     found
 }
 
-/// Plays the catalogue of faulty controllers and clean runs through the plan's scenarios.
-pub(crate) fn trust(plan: &Plan, folder: &Path, step: &mut StepRecord, cancel: &Cancel) -> Result<(), AcceptError> {
-    let order = platebench_trust::Order {
+/// Measures how well the plan's scenarios catch faulty controllers, and how often they blame a clean one.
+pub(crate) fn measure_trust(
+    plan: &Plan,
+    folder: &Path,
+    step: &mut StepRecord,
+    cancel: &CancelToken,
+) -> Result<(), AcceptError> {
+    let config = platebench_trust::TrustConfig {
         scenarios: plan.scenarios.iter().map(|planned| planned.scenario.clone()).collect(),
-        faults: platebench_trust::catalogue(),
-        clean: plan.bench.clean_runs,
+        mutants: platebench_trust::catalogue(),
+        variants: platebench_trust::clean_variants(),
+        clean_runs: plan.bench.clean_runs,
         seed: SEED,
         jobs: thread::available_parallelism().map_or(1, std::num::NonZero::get),
     };
-    // No plate hangs on this: where the session is ended it is left to itself, and ends with the program.
-    let measuring = thread::spawn(move || platebench_trust::measure(&order));
-    while !measuring.is_finished() {
+    // It drives no plate, so a cancelled session abandons it; it ends with the program.
+    let measurement = thread::spawn(move || platebench_trust::measure(&config));
+    while !measurement.is_finished() {
         if cancel.is_cancelled() {
             return Err(AcceptError::Cancelled);
         }
-        thread::sleep(LOOK);
+        thread::sleep(CANCEL_POLL_INTERVAL);
     }
-    let report = measuring.join().unwrap_or(Err(platebench_trust::TrustError::Bench))?;
+    let report = measurement.join().unwrap_or(Err(platebench_trust::TrustError::Internal))?;
     fs::create_dir_all(folder).map_err(AcceptError::io(folder))?;
     let path = folder.join("trust.json");
     let text = serde_json::to_vec_pretty(&report).map_err(|error| AcceptError::io(&path)(error.into()))?;
-    durable::write(&path, &text)?;
-    let survived = report.faults.iter().filter(|fault| fault.outcome != Outcome::Caught);
-    let found = TrustRecord {
+    write_atomically(&path, &text).map_err(AcceptError::io(&path))?;
+    let survived = report.faults.iter().filter(|fault| fault.outcome != MutantOutcome::Caught);
+    let result = TrustRecord {
         faults: report.kill_rate.count,
         caught: report.kill_rate.seen,
         survived: survived.map(|fault| fault.name.clone()).collect(),
         clean_runs: report.clean.false_alarm_rate.count,
         false_alarms: report.clean.alarms.len() as u32,
     };
-    let least = plan.bench.least_kill_rate_percent;
-    let shown = shown_at_least(report.kill_rate);
+    let required = plan.bench.least_kill_rate_percent;
+    let bound = lower_bound_percent(report.kill_rate);
     let confidence = CONFIDENCE * 100.0;
-    let most = report.clean.false_alarm_rate.bounds.map_or(f64::NAN, |[_, high]| high * 100.0);
-    let blind = match found.survived.len() {
+    let alarm_bound = report.clean.false_alarm_rate.bounds.map_or(f64::NAN, |[_, high]| high * 100.0);
+    let survivors = match result.survived.len() {
         0 => String::new(),
-        others => format!(
-            "; the other {others}, not caught by the plan's own scenarios ({}), are named in the record",
-            plan.scenarios.len()
-        ),
+        count => {
+            format!("; the record names the {count} that the plan's {} scenarios did not catch", plan.scenarios.len())
+        }
     };
     step.reason = Some(format!(
-        "{} of {} faulty controllers caught for a right reason, which shows at {confidence} % that at least {shown:.1} % are; the plan asks that at least {least} % be shown; {} false alarms in {} clean runs, at {confidence} % at most {most:.2} %{blind}",
-        found.caught, found.faults, found.false_alarms, found.clean_runs,
+        "{} of {} faulty controllers caught for a right reason: at least {bound:.1} % at {confidence} % confidence, \
+         the plan requires {required} %; {} false alarms in {} clean runs: at most {alarm_bound:.2} % at \
+         {confidence} % confidence{survivors}",
+        result.caught, result.faults, result.false_alarms, result.clean_runs,
     ));
-    let trusted = found.false_alarms == 0 && found.clean_runs > 0 && shown >= least;
+    let trusted = result.false_alarms == 0 && result.clean_runs > 0 && bound >= required;
     step.verdict = Some(if trusted { Verdict::Pass } else { Verdict::Inconclusive });
-    step.trust = Some(found);
+    step.trust = Some(result);
     Ok(())
 }
 
-/// What `seen` of `count` shows of a share, percent: its lower bound. Nothing, and that is no number, where nothing was tried.
-fn shown_at_least(rate: Rate) -> f64 {
+/// Lower confidence bound of a rate, percent; NaN without trials.
+fn lower_bound_percent(rate: Rate) -> f64 {
     rate.bounds.map_or(f64::NAN, |[low, _]| low * 100.0)
 }
 
@@ -170,19 +154,19 @@ mod tests {
     use super::*;
     use rstest::rstest;
 
-    /// By the binomial distribution: at these shares one in twenty would show as many or more.
+    /// Clopper-Pearson: at these rates as many or more occur with a probability of 5 %.
     #[rstest]
     #[case::of_the_plan(25, 34, 58.35)]
     #[case::one_less(24, 34, 55.24)]
     #[case::all(34, 34, 91.57)]
     #[case::none(0, 34, 0.0)]
-    fn what_was_seen_shows_less_than_its_share(#[case] seen: usize, #[case] count: usize, #[case] percent: f64) {
-        let shown = shown_at_least(Rate::of(seen, count));
-        assert!((shown - percent).abs() < 0.01, "{shown}");
+    fn lower_bound_is_below_the_observed_share(#[case] seen: usize, #[case] count: usize, #[case] percent: f64) {
+        let bound = lower_bound_percent(Rate::new(seen, count));
+        assert!((bound - percent).abs() < 0.01, "{bound}");
     }
 
     #[test]
-    fn where_nothing_was_tried_nothing_is_shown() {
-        assert!(shown_at_least(Rate::of(0, 0)).is_nan());
+    fn lower_bound_of_no_trials_is_not_a_number() {
+        assert!(lower_bound_percent(Rate::new(0, 0)).is_nan());
     }
 }

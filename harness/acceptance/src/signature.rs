@@ -7,7 +7,7 @@ use crate::error::AcceptError;
 use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
 use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePublicKey};
 use ed25519_dalek::{Signature, Signer as _, SigningKey, VerifyingKey};
-use platebench_runner::folder::sha256;
+use platebench_record::sha256;
 use std::fs;
 use std::path::Path;
 
@@ -29,11 +29,11 @@ impl SecretKey {
     /// [`AcceptError::Io`], [`AcceptError::Key`].
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
         let text = fs::read_to_string(path).map_err(AcceptError::io(path))?;
-        SigningKey::from_pkcs8_pem(&text).map(Self).map_err(|error| refused(path, &text, &error.to_string()))
+        SigningKey::from_pkcs8_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 
     /// The key that checks what this one signs.
-    pub fn public(&self) -> PublicKey {
+    pub fn public_key(&self) -> PublicKey {
         PublicKey(self.0.verifying_key())
     }
 
@@ -45,7 +45,7 @@ impl SecretKey {
 
 impl std::fmt::Debug for SecretKey {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_tuple("SecretKey").field(&self.public().fingerprint()).finish()
+        formatter.debug_tuple("SecretKey").field(&self.public_key().fingerprint()).finish()
     }
 }
 
@@ -56,16 +56,16 @@ impl PublicKey {
     /// [`AcceptError::Io`], [`AcceptError::Key`].
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
         let text = fs::read_to_string(path).map_err(AcceptError::io(path))?;
-        VerifyingKey::from_public_key_pem(&text).map(Self).map_err(|error| refused(path, &text, &error.to_string()))
+        VerifyingKey::from_public_key_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 
     /// The key in `text`; `None` where there is none.
-    pub(crate) fn of_pem(text: &str) -> Option<Self> {
+    pub(crate) fn from_pem(text: &str) -> Option<Self> {
         VerifyingKey::from_public_key_pem(text).ok().map(Self)
     }
 
     /// The key in PEM; empty where it cannot be written so.
-    pub(crate) fn pem(&self) -> String {
+    pub(crate) fn to_pem(&self) -> String {
         self.0.to_public_key_pem(LineEnding::LF).unwrap_or_default()
     }
 
@@ -75,19 +75,19 @@ impl PublicKey {
     }
 
     /// True where `signature` is this key's of `content`. Keys and signatures that fit many messages are refused.
-    pub(crate) fn signed(&self, content: &[u8], signature: &[u8]) -> bool {
+    pub(crate) fn verifies(&self, content: &[u8], signature: &[u8]) -> bool {
         Signature::from_slice(signature).is_ok_and(|signature| self.0.verify_strict(content, &signature).is_ok())
     }
 }
 
 /// Why what `text` holds was not the key that was wanted: the other one of the pair, or what its reader says.
-fn refused(path: &Path, text: &str, error: &str) -> AcceptError {
+fn key_error(path: &Path, text: &str, error: &str) -> AcceptError {
     let shown = path.display();
     let message = match decode_label(text.as_bytes()) {
         Ok("PRIVATE KEY") if SigningKey::from_pkcs8_pem(text).is_ok() => {
             format!("this is the secret key, expected the public one, as `openssl pkey -in {shown} -pubout` writes it")
         }
-        Ok("PUBLIC KEY") if PublicKey::of_pem(text).is_some() => {
+        Ok("PUBLIC KEY") if PublicKey::from_pem(text).is_some() => {
             "this is the public key, expected the secret one that belongs to it".to_owned()
         }
         Ok("ENCRYPTED PRIVATE KEY") => {

@@ -3,16 +3,15 @@
 //! Three looks, each of which can refuse: the files against the manifest, the manifest against its signature, and the verdicts against the traces, which are
 //! judged again. Without a signature, whoever changes a file can write a manifest that fits; what then still shows are verdicts that the traces do not bear out.
 
-use crate::conduct::{PLAN, STEPS};
-use crate::decide::decide;
 use crate::error::AcceptError;
+use crate::judge::judge_requirements;
 use crate::manifest::{self, Difference};
 use crate::plan;
-use crate::session::{FILE, SessionRecord, SignatureRecord, StepKind};
+use crate::session_record::{FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind};
 use crate::signature::{self, PublicKey};
-use platebench_runner::folder::sha256;
+use platebench_record::sha256;
+use platebench_record::{self as record, RunRecord};
 use platebench_runner::{RejudgeError, rejudge};
-use platebench_verdict::{RunRecord, record};
 use std::fs;
 use std::path::Path;
 
@@ -45,11 +44,11 @@ pub enum Finding {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Signer {
     /// Nobody.
-    Nobody,
+    Unsigned,
     /// Whoever has the key that is named in the record itself; its fingerprint.
-    Unknown(String),
+    RecordKey(String),
     /// The owner of the key that was given.
-    Known,
+    GivenKey,
 }
 
 /// What came of it.
@@ -87,7 +86,7 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
     let mut found = Verification {
         findings: Vec::new(),
         session: None,
-        signer: Signer::Nobody,
+        signer: Signer::Unsigned,
         manifest_sha256: manifest.as_deref().map(sha256),
         files: 0,
     };
@@ -108,14 +107,14 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
                 found.session = Some(session);
                 return Ok(found);
             }
-            found.findings.extend(contradictions(folder, &session));
+            found.findings.extend(find_contradictions(folder, &session));
             found.session = Some(session);
         }
         Err(error) => found.findings.push(contradiction(FILE, error.to_string())),
     }
     let signature = fs::read(folder.join(signature::FILE)).ok();
     let named = found.session.as_ref().and_then(|session| session.signature.as_ref());
-    match signed(manifest.as_deref().unwrap_or_default(), signature.as_deref(), named, key) {
+    match check_signature(manifest.as_deref().unwrap_or_default(), signature.as_deref(), named, key) {
         Ok(signer) => found.signer = signer,
         Err(finding) => found.findings.push(finding),
     }
@@ -123,7 +122,7 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
 }
 
 /// Who signed `manifest`. `named` is the key that the session names, if it does.
-fn signed(
+fn check_signature(
     manifest: &[u8],
     signature: Option<&[u8]>,
     named: Option<&SignatureRecord>,
@@ -132,13 +131,13 @@ fn signed(
     match (signature, given, named) {
         (None, Some(_), _) => Err(Finding::NoSignature("the record should be signed with the key that was given")),
         (None, None, Some(_)) => Err(Finding::NoSignature("session.json says that there is one")),
-        (None, None, None) => Ok(Signer::Nobody),
-        (Some(signature), Some(given), _) if given.signed(manifest, signature) => Ok(Signer::Known),
+        (None, None, None) => Ok(Signer::Unsigned),
+        (Some(signature), Some(given), _) if given.verifies(manifest, signature) => Ok(Signer::GivenKey),
         (Some(_), Some(_), _) => Err(Finding::WrongSignature("it is not that of the given key over this manifest")),
         (Some(_), None, None) => Err(Finding::WrongSignature("session.json knows of none")),
-        (Some(signature), None, Some(named)) => PublicKey::of_pem(&named.public_key)
-            .filter(|named| named.signed(manifest, signature))
-            .map(|named| Signer::Unknown(named.fingerprint()))
+        (Some(signature), None, Some(named)) => PublicKey::from_pem(&named.public_key)
+            .filter(|named| named.verifies(manifest, signature))
+            .map(|named| Signer::RecordKey(named.fingerprint()))
             .ok_or(Finding::WrongSignature("it is not that of the key in session.json over this manifest")),
     }
 }
@@ -148,11 +147,11 @@ fn contradiction(file: &str, message: String) -> Finding {
 }
 
 /// Where what is written in the record is not what its traces show.
-fn contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
+fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
     let mut findings = Vec::new();
     let mut runs = Vec::new();
     for step in session.steps.iter().filter(|step| step.kind == StepKind::Scenario) {
-        let file = format!("{STEPS}/{}/{}", step.id, record::FILE);
+        let file = format!("{STEPS}/{}/{}", step.id, record::RECORD_FILE);
         let run = folder.join(STEPS).join(&step.id);
         let both =
             RunRecord::read(&run).map_err(RejudgeError::from).and_then(|stored| Ok((stored, rejudge(&run, None)?)));
@@ -167,7 +166,7 @@ fn contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
                     findings.push(contradiction(&file, "the traces, judged again, do not bear it out".to_owned()));
                 }
                 if step.verdict != Some(again.verdict) {
-                    let says = step.verdict.map_or("nothing", platebench_verdict::Verdict::name);
+                    let says = step.verdict.map_or("nothing", platebench_record::Verdict::name);
                     let message = format!("step {} says {says}, its traces say {}", step.id, again.verdict);
                     findings.push(contradiction(FILE, message));
                 }
@@ -186,11 +185,11 @@ fn contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
     }
     let path = folder.join(PLAN);
     let plan = fs::read(&path).ok().filter(|bytes| sha256(bytes) == session.plan.sha256);
-    let Some(requirements) = plan.and_then(|bytes| plan::requirements(&path, &bytes).ok()) else {
+    let Some(requirements) = plan.and_then(|bytes| plan::read_requirements(&path, &bytes).ok()) else {
         findings.push(contradiction(PLAN, "not the plan that the session was made with".to_owned()));
         return findings;
     };
-    let (decided, verdict) = decide(&requirements, &session.steps, &runs);
+    let (decided, verdict) = judge_requirements(&requirements, &session.steps, &runs);
     for again in &decided {
         match session.requirements.iter().find(|stored| stored.id == again.id) {
             Some(stored) if stored == again => {}

@@ -1,32 +1,91 @@
-//! `platebench baseline`: what was accepted of each scenario, reviewed like snapshots.
+//! `platebench baseline`: accepts, lists and compares golden traces.
 
-use crate::args::{Baseline, BaselineAction};
-use crate::compare::{CompareError, Played, trials_of, with_disturbed};
+use crate::compare::{CompareError, ScenarioTrials, StoredTrial, compare_with_tubes, read_scenario_trials};
 use crate::exit::Exit;
-use crate::output;
+use crate::options::BASELINES;
+use crate::stdio;
+use clap::{Args, Subcommand};
+use platebench_record::{RunRecord, ScenarioRecord, Verdict};
 use platebench_report::comparison;
-use platebench_verdict::golden::{Accepted, Build, Features, Golden, LearnError, Learned};
-use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
+use platebench_verdict::golden::{
+    Baseline, BaselineBuild, GoldenTubes, LearnError, LearningParameters, ResponseFeatures,
+};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Why a scenario cannot be accepted.
+/// `platebench baseline`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench baseline diff runs/tonight
+  platebench baseline accept runs/tonight
+  platebench baseline list")]
+pub(crate) struct BaselineArgs {
+    #[command(subcommand)]
+    action: BaselineAction,
+}
+
+#[derive(Debug, Subcommand)]
+enum BaselineAction {
+    /// Make the traces of a run golden, if it passed, and list the changes
+    Accept {
+        /// The run folder
+        run: PathBuf,
+        /// Folder of the baselines
+        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+        baselines: PathBuf,
+        /// If trials differ: the share of later unchanged trials that may leave the learned tube
+        #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
+        false_alarm_rate: f64,
+    },
+    /// List the golden traces of all scenarios, or of the scenarios of a run
+    List {
+        /// The run folder
+        run: Option<PathBuf>,
+        /// Folder of the baselines
+        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+        baselines: PathBuf,
+    },
+    /// List what accepting a run would change
+    Diff {
+        /// The run folder
+        run: PathBuf,
+        /// Folder of the baselines
+        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+        baselines: PathBuf,
+        /// As for accept
+        #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
+        false_alarm_rate: f64,
+    },
+}
+
+fn parse_share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(share) if (1e-4..=0.5).contains(&share) => Ok(share),
+        _ => Err("expected a share from 0.0001 to 0.5".to_owned()),
+    }
+}
+
 #[derive(Debug, thiserror::Error)]
-enum AcceptError {
+enum BaselineAcceptError {
     #[error(transparent)]
     Compare(#[from] CompareError),
     #[error(transparent)]
     Learn(#[from] LearnError),
-    #[error("there is no trial")]
-    Nothing,
+    #[error("no trial")]
+    NoTrial,
+    #[error("the run was cut off; accept a complete run")]
+    Incomplete,
+    #[error("the controller did not confirm 0 V at the end of the run; accept a run that ended safely")]
+    NotSafe,
     #[error("{0}")]
-    Disturbed(String),
+    ExcludedTrial(String),
 }
 
-/// Does what is asked with the baselines.
-pub(crate) fn baseline(arguments: &Baseline) -> Exit {
+/// Lists, compares or accepts baselines.
+pub(crate) fn baseline(arguments: &BaselineArgs) -> Exit {
     let done = match &arguments.action {
-        BaselineAction::List { run, baselines } => list(run.as_deref(), baselines),
+        BaselineAction::List { run, baselines } => list_baselines(run.as_deref(), baselines),
         BaselineAction::Diff { run, baselines, false_alarm_rate } => RunRecord::read(run)
             .map_err(CompareError::from)
             .map(|record| review(run, &record, baselines, *false_alarm_rate, false)),
@@ -34,170 +93,178 @@ pub(crate) fn baseline(arguments: &Baseline) -> Exit {
             .map_err(CompareError::from)
             .map(|record| review(run, &record, baselines, *false_alarm_rate, true)),
     };
-    done.unwrap_or_else(|error| {
-        output::error(&error.to_string());
-        Exit::Invalid
-    })
+    done.unwrap_or_else(|error| stdio::reject(&error))
 }
 
-/// What a run would change, and where `write` says so the change itself.
+/// Prints what accepting the run changes; with `write`, accepts it.
 fn review(run: &Path, record: &RunRecord, baselines: &Path, rate: f64, write: bool) -> Exit {
     if record.scenarios.is_empty() {
-        output::error("there is nothing in this run");
-        return Exit::Nothing;
+        stdio::error("the run has no scenario");
+        return Exit::NothingToRun;
     }
     let (mut invalid, mut verdicts) = (false, Vec::new());
     for scenario in &record.scenarios {
-        let reviewed = trials_of(run, scenario).map_err(AcceptError::from).and_then(|played| {
-            let old = Accepted::read(baselines, &scenario.file).map_err(CompareError::from)?;
+        let played = read_scenario_trials(run, scenario);
+        let old = Baseline::read(baselines, &scenario.file).map_err(CompareError::from);
+        let reviewed = old.map_err(BaselineAcceptError::from).and_then(|old| {
             if write {
-                accept(record, scenario, &played, old.as_ref(), baselines, rate)
+                accept_scenario(record, scenario, &played, old.as_ref(), baselines, rate)
             } else {
-                Ok(differ(record, scenario, &played, old.as_ref(), rate))
+                Ok(print_difference(record, scenario, &played, old.as_ref(), rate)?)
             }
         });
         match reviewed {
             Ok(verdict) => verdicts.push(verdict),
             Err(error) => {
-                output::error(&format!("{}: {error}", scenario.file));
+                stdio::error(&format!("{}: {error}", scenario.file));
                 invalid = true;
             }
         }
     }
-    if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::over(verdicts)) }
+    if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts)) }
 }
 
-fn differ(
+fn print_difference(
     record: &RunRecord,
     scenario: &ScenarioRecord,
-    played: &Played,
-    old: Option<&Accepted>,
+    played: &ScenarioTrials,
+    old: Option<&Baseline>,
     rate: f64,
-) -> Verdict {
+) -> Result<Verdict, CompareError> {
     let Some(old) = old else {
-        output::show(&format!("? new  {}\n", scenario.file));
-        return Verdict::Inconclusive;
+        stdio::show(&format!("? new  {}\n", scenario.file));
+        return Ok(Verdict::Inconclusive);
     };
-    let compared = with_disturbed(&old.golden, played);
+    let compared = compare_with_tubes(&old.golden, played)?;
     let mut lines = comparison::lines(&scenario.file, &compared);
-    // Where no new one can be made there is still the old one to be held against.
-    if let Ok(new) = made(record, scenario, played, Some(old), rate) {
-        lines.extend(changes(old, &new));
+    // Without a new baseline only the comparison is printed.
+    if let Ok(new) = build_baseline(record, scenario, played, Some(old), rate) {
+        lines.extend(describe_changes(old, &new));
     }
-    output::show(&(lines.join("\n") + "\n"));
-    compared.verdict
+    stdio::show(&(lines.join("\n") + "\n"));
+    Ok(compared.verdict)
 }
 
-/// Only what passed is accepted.
-fn accept(
+/// Accepts the scenario if it passed.
+fn accept_scenario(
     record: &RunRecord,
     scenario: &ScenarioRecord,
-    played: &Played,
-    old: Option<&Accepted>,
+    played: &ScenarioTrials,
+    old: Option<&Baseline>,
     baselines: &Path,
     rate: f64,
-) -> Result<Verdict, AcceptError> {
+) -> Result<Verdict, BaselineAcceptError> {
     if scenario.verdict != Verdict::Pass {
-        output::show(&format!("✗ not accepted  {}: it did not pass ({})\n", scenario.file, scenario.verdict));
+        stdio::show(&format!("✗ not accepted  {}: it did not pass ({})\n", scenario.file, scenario.verdict));
         return Ok(scenario.verdict);
     }
-    if let Some(what) = played.disturbed.first() {
-        return Err(AcceptError::Disturbed(what.clone()));
+    if !record.complete {
+        return Err(BaselineAcceptError::Incomplete);
     }
-    let new = made(record, scenario, played, old, rate)?;
+    if record.safe_confirmed != Some(true) {
+        return Err(BaselineAcceptError::NotSafe);
+    }
+    if let Some(what) = played.excluded.first() {
+        return Err(BaselineAcceptError::ExcludedTrial(what.clone()));
+    }
+    let new = build_baseline(record, scenario, played, old, rate)?;
     let lines = match old {
-        Some(old) if old.texts() == new.texts() => vec![format!("✓ unchanged  {}", scenario.file)],
+        Some(old) if old.to_texts() == new.to_texts() => vec![format!("✓ unchanged  {}", scenario.file)],
         Some(old) => {
             let mut lines = vec![format!("✓ accepted  {}", scenario.file)];
-            lines.extend(changes(old, &new));
-            let compared = with_disturbed(&old.golden, played);
-            lines.extend(compared.worst.map(|(trial, worst)| format!("  {}", comparison::sentence(trial, &worst))));
+            lines.extend(describe_changes(old, &new));
+            let compared = compare_with_tubes(&old.golden, played)?;
+            lines.extend(
+                compared
+                    .worst
+                    .map(|(trial, worst)| format!("  {}", platebench_report::format::exceedance(trial, &worst))),
+            );
             lines
         }
-        None => vec![format!("✓ accepted  {}  (new, {})", scenario.file, features(&new.features))],
+        None => vec![format!("✓ accepted  {}  (new, {})", scenario.file, format_features(&new.features))],
     };
     new.write(baselines).map_err(CompareError::from)?;
-    output::show(&(lines.join("\n") + "\n"));
+    stdio::show(&(lines.join("\n") + "\n"));
     Ok(Verdict::Pass)
 }
 
-/// A baseline of what was played: one curve where trials do not differ, otherwise a tube that is learned from them.
-fn made(
+/// Builds a baseline: one curve if all trials are equal, otherwise a tube that is learned from them.
+fn build_baseline(
     record: &RunRecord,
     scenario: &ScenarioRecord,
-    played: &Played,
-    old: Option<&Accepted>,
+    played: &ScenarioTrials,
+    old: Option<&Baseline>,
     rate: f64,
-) -> Result<Accepted, AcceptError> {
-    let Some((_, first)) = played.trials.first() else { return Err(AcceptError::Nothing) };
-    // Rows are at the most one trace step apart, in whole nanoseconds.
+) -> Result<Baseline, BaselineAcceptError> {
+    let trials = played.trials.iter().map(StoredTrial::rows).collect::<Result<Vec<_>, _>>()?;
+    let Some(first) = trials.first() else { return Err(BaselineAcceptError::NoTrial) };
+    // The longest gap between rows is the trace step, in whole nanoseconds.
     let gaps = first.iter().zip(first.iter().skip(1)).map(|(left, right)| right.t_s - left.t_s);
     let step_ms = (gaps.fold(0.0, f64::max) * 1e9).round() / 1e6;
-    let differ = played.trials.iter().any(|(_, rows)| rows != first);
+    let differ = trials.iter().any(|rows| rows != first);
     let (mut golden, learned) = if differ {
-        let trials: Vec<_> = played.trials.iter().map(|(_, rows)| rows.clone()).collect();
-        let learned = Learned { trials: trials.len() as u32, false_alarm_rate: rate };
-        (Golden::learn(&trials, step_ms, rate)?, Some(learned))
+        let learned = LearningParameters { trials: trials.len() as u32, false_alarm_rate: rate };
+        (GoldenTubes::learn(&trials, step_ms, rate)?, Some(learned))
     } else {
-        (Golden::of_trial(first, step_ms).ok_or(AcceptError::Nothing)?, None)
+        (GoldenTubes::from_trial(first, step_ms).ok_or(BaselineAcceptError::NoTrial)?, None)
     };
-    // Tolerances that somebody has changed stay as they are.
+    // Tolerances in the old file may have been edited.
     for tube in &mut golden.tubes {
         if let Some(kept) = old.and_then(|old| old.golden.tubes.iter().find(|old| old.signal == tube.signal)) {
             tube.tolerance = kept.tolerance;
         }
     }
     let firmware = record.rig.firmware.as_ref();
-    Ok(Accepted {
+    Ok(Baseline {
         scenario: scenario.file.clone(),
         law: scenario.law.clone(),
-        build: Build {
+        build: BaselineBuild {
             rig: record.rig.name.clone(),
             firmware: firmware.map_or_else(String::new, |firmware| format!("{} {}", firmware.name, firmware.version)),
             id: firmware.map_or_else(String::new, |firmware| firmware.build.clone()),
         },
-        features: Features::of(first),
+        features: ResponseFeatures::of(first),
         learned,
         golden,
     })
 }
 
-/// What is not as it was, beside the curves.
-fn changes(old: &Accepted, new: &Accepted) -> Vec<String> {
-    let said = |value: Option<f64>| value.map_or_else(|| "none".to_owned(), |value| value.to_string());
+/// Lists the changes other than those of the curves.
+fn describe_changes(old: &Baseline, new: &Baseline) -> Vec<String> {
+    let number = |value: Option<f64>| value.map_or_else(|| "none".to_owned(), |value| value.to_string());
     let mut lines = Vec::new();
     if old.law != new.law {
         lines.push(format!("  law: {} → {}", old.law, new.law));
     }
     if old.build != new.build {
-        let told = |build: &Build| format!("{} {} on {}", build.firmware, build.id, build.rig);
-        lines.push(format!("  build: {} → {}", told(&old.build), told(&new.build)));
+        let describe = |build: &BaselineBuild| format!("{} {} on {}", build.firmware, build.id, build.rig);
+        lines.push(format!("  build: {} → {}", describe(&old.build), describe(&new.build)));
     }
-    for ((name, before), (_, after)) in old.features.named().into_iter().zip(new.features.named()) {
+    for ((name, before), (_, after)) in old.features.by_name().into_iter().zip(new.features.by_name()) {
         if before != after {
-            lines.push(format!("  {name}: {} → {}", said(before), said(after)));
+            lines.push(format!("  {name}: {} → {}", number(before), number(after)));
         }
     }
     lines
 }
 
-fn features(features: &Features) -> String {
-    let known = features.named().into_iter().filter_map(|(name, value)| Some(format!("{name} {}", value?)));
+fn format_features(features: &ResponseFeatures) -> String {
+    let known = features.by_name().into_iter().filter_map(|(name, value)| Some(format!("{name} {}", value?)));
     known.collect::<Vec<_>>().join(", ")
 }
 
-/// Every baseline, or those of the scenarios of a run.
-fn list(run: Option<&Path>, baselines: &Path) -> Result<Exit, CompareError> {
+/// Lists every baseline, or those of the scenarios of a run.
+fn list_baselines(run: Option<&Path>, baselines: &Path) -> Result<Exit, CompareError> {
     let mut names = Vec::new();
     match run {
         Some(run) => names.extend(RunRecord::read(run)?.scenarios.into_iter().map(|scenario| scenario.file)),
-        None => names_below(baselines, "", &mut names)?,
+        None => collect_names(baselines, "", &mut names)?,
     }
     for name in &names {
-        let line = match Accepted::read(baselines, name)? {
+        let line = match Baseline::read(baselines, name)? {
             None => format!("– {name}: no baseline"),
-            Some(of) => {
-                let learned = of.learned.as_ref().map(|learned| {
+            Some(baseline) => {
+                let learned = baseline.learned.as_ref().map(|learned| {
                     format!(
                         ", learned from {} trials at {} % false alarms",
                         learned.trials,
@@ -205,27 +272,32 @@ fn list(run: Option<&Path>, baselines: &Path) -> Result<Exit, CompareError> {
                     )
                 });
                 let learned = learned.unwrap_or_default();
-                format!("✓ {name}: {}, {} ({}){learned}", of.law, features(&of.features), of.build.firmware)
+                format!(
+                    "✓ {name}: {}, {} ({}){learned}",
+                    baseline.law,
+                    format_features(&baseline.features),
+                    baseline.build.firmware
+                )
             }
         };
-        output::show(&format!("{line}\n"));
+        stdio::show(&format!("{line}\n"));
     }
     if names.is_empty() {
-        output::error("there is no baseline");
-        return Ok(Exit::Nothing);
+        stdio::error("there is no baseline");
+        return Ok(Exit::NothingToRun);
     }
     Ok(Exit::Passed)
 }
 
-/// The scenarios that have a baseline below `folder`, in order.
-fn names_below(folder: &Path, prefix: &str, names: &mut Vec<String>) -> Result<(), CompareError> {
+/// Collects the scenarios with a baseline below `folder`, sorted by name.
+fn collect_names(folder: &Path, prefix: &str, names: &mut Vec<String>) -> Result<(), CompareError> {
     let refused = |source| CompareError::Io { path: folder.to_owned(), source };
     let mut entries = fs::read_dir(folder).map_err(refused)?.collect::<Result<Vec<_>, _>>().map_err(refused)?;
     entries.sort_by_key(fs::DirEntry::file_name);
     for entry in entries {
         let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
         if entry.file_type().map_err(refused)?.is_dir() {
-            names_below(&entry.path(), &format!("{name}/"), names)?;
+            collect_names(&entry.path(), &format!("{name}/"), names)?;
         } else if entry.path().extension().is_some_and(|extension| extension == "toml") {
             names.push(name);
         }

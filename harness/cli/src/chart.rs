@@ -3,27 +3,27 @@
 //! Each chart is a module of its own that returns blocks of the page and writes its files; [`Folder`] is where they go.
 //!
 //! * `precision`: integration methods, error against cost.
-//! * `scenes`: scenarios, the cheapest tier that is good enough: chosen and measured.
+//! * `scenes`: scenarios, every model of the plate against the exact one.
 //! * `laws`: control laws, response time against static error and repeatability.
 
 mod laws;
+mod model_tiers;
 mod precision;
-mod scenes;
 
 use crate::exit::Exit;
-use crate::output;
+use crate::stdio;
 use clap::Args;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_report::ReportError;
-use platebench_report::chart::{Block, Page};
+use platebench_report::page::{BlockPage, PageBlock};
 use platebench_scenario::{Diagnostic, Scenario, find};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// Below the folder of scenes; played where no scenario is named: a step at resonance, one detuned by 545 rad/s, that under 2 N, and a finger that comes down.
-const DEFAULT: [&str; 4] = [
+const DEFAULT_SCENARIOS: [&str; 4] = [
     "paper/fig13-closed-loop.toml",
     "paper/fig14-closed-loop.toml",
     "paper/fig16-closed-loop.toml",
@@ -39,7 +39,7 @@ Examples:
   platebench chart --only laws                            control laws side by side, and their table as laws.md
 
 Exit codes: 0 drawn, 2 wrong usage or invalid input, 4 there was nothing to run, 5 a scenario could not be played")]
-pub(crate) struct Chart {
+pub(crate) struct ChartArgs {
     /// Scenario files, or folders with everything below them, for methods and scenes; where not given four of the paper's for methods, all of a default run for scenes
     #[arg(value_name = "SCENARIO|FOLDER")]
     pub(crate) scenarios: Vec<PathBuf>,
@@ -51,7 +51,7 @@ pub(crate) struct Chart {
     pub(crate) quick: bool,
     /// This chart alone; may be repeated
     #[arg(long, value_name = "CHART", value_enum)]
-    pub(crate) only: Vec<Which>,
+    pub(crate) only: Vec<ChartKind>,
     /// The folder with paper/ and laws/, from which scenes come that are not named
     #[arg(long, value_name = "FOLDER", default_value = "scenarios")]
     pub(crate) scenes: PathBuf,
@@ -59,10 +59,10 @@ pub(crate) struct Chart {
 
 /// The charts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum Which {
+pub(crate) enum ChartKind {
     /// Integration methods: error against cost
     Methods,
-    /// Scenarios: the cheapest plate that is good enough
+    /// Scenarios: every model of the plate against the exact one
     Scenes,
     /// Control laws: response time against static error and repeatability
     Laws,
@@ -85,9 +85,9 @@ pub(crate) enum ChartError {
 
 /// Where the files of all charts go.
 #[derive(Debug)]
-pub(crate) struct Folder(PathBuf);
+pub(crate) struct ChartFolder(PathBuf);
 
-impl Folder {
+impl ChartFolder {
     fn create(path: Option<&Path>) -> Result<Self, ChartError> {
         let now = Timestamp::now().to_zoned(TimeZone::UTC).strftime("%Y%m%dT%H%M%SZ").to_string();
         let path = path.map_or_else(|| Path::new("charts").join(now), Path::to_owned);
@@ -102,28 +102,31 @@ impl Folder {
     }
 }
 
+/// The page of all charts.
+const PAGE: &str = "charts.html";
+
 /// What a chart adds to the page, and to the console.
-pub(crate) struct Charted {
-    pub(crate) blocks: Vec<Block>,
+pub(crate) struct ChartSection {
+    pub(crate) blocks: Vec<PageBlock>,
     pub(crate) summary: String,
 }
 
 /// Measures, draws and says what came of it.
-pub(crate) fn chart(arguments: &Chart) -> Exit {
-    match drawn(arguments) {
+pub(crate) fn chart(arguments: &ChartArgs) -> Exit {
+    match write_charts(arguments) {
         Ok((summary, page)) => {
-            output::show(&summary);
-            output::note(&format!("page: {}", page.display()));
+            stdio::show(&summary);
+            stdio::note(&format!("page: {}", page.display()));
             Exit::Passed
         }
         Err(error) => {
             match &error {
-                ChartError::Scenarios(faults) => faults.iter().for_each(output::diagnostic),
-                other => output::error(&other.to_string()),
+                ChartError::Scenarios(faults) => faults.iter().for_each(stdio::diagnostic),
+                other => stdio::error(&other.to_string()),
             }
             match error {
                 ChartError::NotPlayed { .. } => Exit::Unreachable,
-                ChartError::Nothing => Exit::Nothing,
+                ChartError::Nothing => Exit::NothingToRun,
                 ChartError::Scenarios(_) | ChartError::Report(_) | ChartError::Io { .. } => Exit::Invalid,
             }
         }
@@ -131,34 +134,39 @@ pub(crate) fn chart(arguments: &Chart) -> Exit {
 }
 
 /// The charts that were asked for, on the console and on a page.
-fn drawn(arguments: &Chart) -> Result<(String, PathBuf), ChartError> {
+fn write_charts(arguments: &ChartArgs) -> Result<(String, PathBuf), ChartError> {
     let asked = |which| arguments.only.is_empty() || arguments.only.contains(&which);
     // Everything is read before anything is written or played.
-    let of_methods = DEFAULT.map(|file| arguments.scenes.join(file));
-    let of_methods = asked(Which::Methods).then(|| found(arguments, &of_methods)).transpose()?;
-    let of_scenes =
-        asked(Which::Scenes).then(|| found(arguments, std::slice::from_ref(&arguments.scenes))).transpose()?;
-    let of_laws = asked(Which::Laws).then(|| laws::scenes(&arguments.scenes, arguments.quick)).transpose()?;
-    let folder = Folder::create(arguments.out.as_deref())?;
+    let of_methods = DEFAULT_SCENARIOS.map(|file| arguments.scenes.join(file));
+    let of_methods = asked(ChartKind::Methods).then(|| find_scenarios(arguments, &of_methods)).transpose()?;
+    let of_scenes = asked(ChartKind::Scenes)
+        .then(|| find_scenarios(arguments, std::slice::from_ref(&arguments.scenes)))
+        .transpose()?;
+    let of_laws =
+        asked(ChartKind::Laws).then(|| laws::load_law_scenarios(&arguments.scenes, arguments.quick)).transpose()?;
+    let folder = ChartFolder::create(arguments.out.as_deref())?;
     let mut charts = Vec::new();
     if let Some(scenarios) = of_methods {
-        charts.push(("Methods: error against cost", precision::chart(&scenarios, arguments.quick, &folder)?));
+        charts.push(("Methods: error against cost", precision::build_chart(&scenarios, arguments.quick, &folder)?));
     }
     if let Some(scenarios) = of_scenes {
-        charts.push(("Scenes: the cheapest plate that is good enough", scenes::chart(&scenarios, &folder)?));
+        charts.push((
+            "Scenarios: models of the plate against the exact one",
+            model_tiers::build_chart(&scenarios, &folder)?,
+        ));
     }
     if let Some(scenes) = of_laws {
-        charts.push(("Control laws: speed and accuracy of what is under test", laws::chart(&scenes, &folder)?));
+        charts.push(("Control laws: speed and accuracy of what is under test", laws::build_chart(&scenes, &folder)?));
     }
     let (mut summary, mut blocks) = (String::new(), Vec::new());
     for (title, chart) in charts {
         summary.extend([title, "\n\n", &chart.summary, "\n"]);
-        blocks.push(Block::Heading(title.to_owned()));
+        blocks.push(PageBlock::Heading(title.to_owned()));
         blocks.extend(chart.blocks);
     }
-    let page = Page {
+    let page = BlockPage {
         title: "Speed against accuracy".to_owned(),
-        lead: format!(
+        intro: format!(
             "platebench {} on {} {}",
             env!("CARGO_PKG_VERSION"),
             std::env::consts::OS,
@@ -166,24 +174,25 @@ fn drawn(arguments: &Chart) -> Result<(String, PathBuf), ChartError> {
         ),
         blocks,
     };
-    page.write(&folder.0)?;
-    Ok((summary, folder.0.join(Page::FILE)))
+    let path = folder.0.join(PAGE);
+    page.write(&path)?;
+    Ok((summary, path))
 }
 
 /// The scenarios that the command line names; those of `default` where it names none.
-fn found(arguments: &Chart, default: &[PathBuf]) -> Result<Vec<Scenario>, ChartError> {
+fn find_scenarios(arguments: &ChartArgs, default: &[PathBuf]) -> Result<Vec<Scenario>, ChartError> {
     let named = if arguments.scenarios.is_empty() { default } else { &arguments.scenarios };
     let found = find(named).map_err(ChartError::Scenarios)?;
     if found.scenarios.is_empty() { Err(ChartError::Nothing) } else { Ok(found.scenarios) }
 }
 
 /// A field of CSV that may hold commas.
-fn quoted(text: &str) -> String {
+fn quote_csv_field(text: &str) -> String {
     format!("\"{}\"", text.replace('"', "\"\""))
 }
 
 /// `1 scenario`, `2 scenarios`.
-fn counted(count: usize, thing: &str) -> String {
+fn format_count(count: usize, thing: &str) -> String {
     format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 

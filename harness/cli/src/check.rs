@@ -1,12 +1,13 @@
-//! `platebench check`: what is wrong with the files that people write, without playing anything.
+//! `platebench check`: checks scenarios, plates, plans and settings without playing them.
 
 use crate::config::{self, Config};
 use crate::exit::Exit;
-use crate::output;
-use clap::Args;
+use crate::options::SCENARIOS;
+use crate::stdio;
+use clap::{Args, Command};
 use platebench_acceptance::Plan;
 use platebench_runner::law;
-use platebench_scenario::{Diagnostic, every_file, examine, input, load};
+use platebench_scenario::{Diagnostic, input, list_files, load, load_with_diagnostics, unjudged_changes};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
@@ -19,106 +20,108 @@ Examples:
   platebench check scenarios/paper my.toml
   platebench check platebench.toml
 
-Exit codes: 0 nothing wrong, 2 something is, 4 there was nothing to check")]
-pub(crate) struct Check {
-    /// Scenario, plate, plan and configuration files, or folders with everything below them
-    #[arg(value_name = "FILE|FOLDER", default_value = "scenarios")]
+Exit codes: 0 no fault, 2 at least one fault, 4 there was nothing to check")]
+pub(crate) struct CheckArgs {
+    /// Scenario, plate, plan and settings files, or folders with everything below them
+    #[arg(value_name = "FILE|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
 }
 
-/// What a file is, by its name and its keys.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+/// The kind of a file, from its name and its keys.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum FileKind {
     Scenario,
     Plate,
     Plan,
     Config,
 }
 
-impl Kind {
-    const ALL: [Self; 4] = [Self::Scenario, Self::Plate, Self::Plan, Self::Config];
-
-    fn of(path: &Path) -> Self {
+impl FileKind {
+    fn detect(path: &Path) -> Self {
         if path.file_name().is_some_and(|name| name == config::FILE) {
             return Self::Config;
         }
         let text = input::read(path).map(|content| String::from_utf8_lossy(&content).into_owned()).unwrap_or_default();
         let (document, _) = DeTable::parse_recoverable(&text);
-        let has = |key: &str| document.get_ref().contains_key(key);
-        let is_played = has("profile") || has("expect") || has("controller");
-        if is_played {
+        let has = |keys: [&str; 3]| keys.iter().any(|key| document.get_ref().contains_key(*key));
+        if has(["profile", "expect", "controller"]) {
             Self::Scenario
-        } else if has("requirement") || has("ask") || has("bench") {
+        } else if has(["requirement", "ask", "bench"]) {
             Self::Plan
-        } else if has("mode") || has("drive") || has("sensor") {
+        } else if has(["mode", "drive", "sensor"]) {
             Self::Plate
         } else {
             Self::Scenario
         }
     }
 
-    /// Everything that is wrong with a file of this kind.
-    fn faults(self, path: &Path, name: &str) -> Vec<Diagnostic> {
+    /// Every fault of a file of this kind.
+    fn diagnostics(self, path: &Path, name: &str, definition: &Command) -> Vec<Diagnostic> {
         match self {
-            Self::Scenario => match examine(path, name) {
+            Self::Scenario => match load_with_diagnostics(path, name) {
                 Ok(scenario) => law(&scenario).err().into_iter().collect(),
                 Err(faults) => faults,
             },
-            Self::Plate => load::plate(path).err().unwrap_or_default(),
+            Self::Plate => load::load_plate(path).err().unwrap_or_default(),
             Self::Plan => Plan::load(path).err().unwrap_or_default(),
-            Self::Config => Config::read(path).err().unwrap_or_default(),
+            Self::Config => Config::read(path, definition).err().unwrap_or_default(),
         }
     }
 
-    const fn words(self) -> [&'static str; 2] {
+    const fn name(self) -> &'static str {
         match self {
-            Self::Scenario => ["scenario", "scenarios"],
-            Self::Plate => ["plate", "plates"],
-            Self::Plan => ["plan", "plans"],
-            Self::Config => ["configuration", "configurations"],
+            Self::Scenario => "scenario",
+            Self::Plate => "plate",
+            Self::Plan => "plan",
+            Self::Config => "settings file",
         }
     }
 }
 
-/// Checks files and says all that is wrong with them.
-pub(crate) fn check(arguments: &Check) -> Exit {
-    let (files, mut faults) = every_file(&arguments.scenarios);
-    let kinds: Vec<_> = files.iter().map(|(path, _)| Kind::of(path)).collect();
+/// Checks files and prints every fault. `definition` is the command line, which checks settings.
+pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
+    let (files, mut faults) = list_files(&arguments.scenarios);
+    let kinds: Vec<_> = files.iter().map(|(path, _)| FileKind::detect(path)).collect();
     for ((path, name), kind) in files.iter().zip(&kinds) {
-        for fault in kind.faults(path, name) {
-            // Two scenarios may share a broken plate.
+        for fault in kind.diagnostics(path, name, definition) {
+            // Two scenarios may use the same faulty plate.
             if !faults.contains(&fault) {
                 faults.push(fault);
             }
         }
     }
-    // What only shows between files.
     let mut names = BTreeMap::new();
-    for ((path, name), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == Kind::Scenario) {
+    for ((path, name), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Scenario) {
         if let Some(other) = names.insert(name, path) {
-            let message = format!("would be filed as {name}, as would {}", other.display());
-            faults.push(Diagnostic::of_file(path, message));
+            let message = format!("has the name {name} in records, and so has {}", other.display());
+            faults.push(Diagnostic::for_file(path, message));
         }
     }
-    faults.iter().for_each(output::diagnostic);
+    faults.iter().for_each(stdio::diagnostic);
     if !faults.is_empty() {
-        let (faults, files) = (faults.len(), files.len());
-        output::note(&format!(
-            "{faults} {} in {files} {}",
-            if faults == 1 { "fault" } else { "faults" },
-            if files == 1 { "file" } else { "files" }
-        ));
+        stdio::note(&format!("{} in {}", count(faults.len(), "fault"), count(files.len(), "file")));
         return Exit::Invalid;
     }
     if files.is_empty() {
-        output::error("there is nothing to check");
-        return Exit::Nothing;
+        stdio::error("there is nothing to check");
+        return Exit::NothingToRun;
     }
-    let counted = Kind::ALL.into_iter().filter_map(|kind| {
-        let count = kinds.iter().filter(|found| **found == kind).count();
-        let [one, many] = kind.words();
-        (count > 0).then(|| format!("{count} {}", if count == 1 { one } else { many }))
-    });
-    output::show(&format!("nothing wrong with {}\n", counted.collect::<Vec<_>>().join(", ")));
+    for ((path, name), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Scenario) {
+        let warnings = load(path, name).map(|scenario| unjudged_changes(&scenario)).unwrap_or_default();
+        for warning in &warnings {
+            stdio::note(&format!("warning: {warning}"));
+        }
+    }
+    let mut counts = BTreeMap::new();
+    for kind in kinds {
+        *counts.entry(kind).or_insert(0) += 1;
+    }
+    let counts: Vec<_> = counts.into_iter().map(|(kind, files)| count(files, kind.name())).collect();
+    stdio::show(&format!("no faults in {}\n", counts.join(", ")));
     Exit::Passed
+}
+
+/// A number with its noun.
+fn count(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }

@@ -1,177 +1,177 @@
-//! `platebench compare`: responses beside others, or beside what was accepted.
+//! `platebench compare`: compares responses with other responses or with baselines.
 
-use crate::args::{Compare, Format};
+mod trials;
+
+pub(crate) use trials::{CompareError, ScenarioTrials, StoredTrial, read_scenario_trials};
+
 use crate::exit::Exit;
-use crate::output;
+use crate::options::{BASELINES, OutputFormat};
+use crate::stdio;
+use clap::Args;
+use platebench_record::{RunRecord, Verdict};
 use platebench_report::comparison;
-use platebench_runner::RejudgeError;
-use platebench_runner::rejudge::rows_of;
-use platebench_trace::{Row, TraceError, read};
-use platebench_verdict::golden::{Accepted, BaselineError, Comparison, Golden};
-use platebench_verdict::record::{FILE, RecordError};
-use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
+use platebench_trace::read_trace;
+use platebench_verdict::golden::{Baseline, GoldenTubes, TubeComparison};
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
+use trials::{is_run_folder, read_trials};
 
-/// Stands for the baselines of the scenarios.
-const BASELINE: &str = "baseline";
-/// Where drawings go in a run folder.
-const DRAWINGS: &str = "comparison";
+/// `platebench compare`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench compare runs/tonight --against baseline
+  platebench compare runs/tonight --against runs/yesterday
+  platebench compare board.csv --against scenarios/baselines/paper/fig13-closed-loop.toml
 
-/// Why nothing can be compared.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum CompareError {
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    #[error(transparent)]
-    Trace(#[from] TraceError),
-    #[error(transparent)]
-    Stored(#[from] RejudgeError),
-    #[error(transparent)]
-    Baseline(#[from] BaselineError),
-    #[error("{}: a trace outside a run folder belongs to no scenario, expected --against FILE.toml of a baseline", .0.display())]
-    NoScenario(PathBuf),
-    #[error("{}: {count} scenarios, expected a run of one scenario to hold a trace against", path.display())]
-    Several { path: PathBuf, count: usize },
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: std::io::Error },
+Exit codes: 0 all inside, 1 something outside, 3 no reference or not comparable to the end")]
+pub(crate) struct CompareArgs {
+    /// A trace or a run folder
+    #[arg(value_name = "TRACE|RUN")]
+    subject: PathBuf,
+    /// The reference: a trace, a run folder, the .toml file of a baseline, or `baseline` for the scenarios' own
+    #[arg(long, value_name = "TRACE|RUN|baseline")]
+    against: String,
+    /// Folder of the baselines
+    #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+    baselines: PathBuf,
+    /// Folder for a drawing of each scenario's largest deviation; default for a run: RUN/comparison
+    #[arg(long, value_name = "FOLDER")]
+    draw: Option<PathBuf>,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
 }
 
-/// The trials of a scenario, as they are compared.
-pub(crate) struct Played {
-    /// The scenario's file, or the trace's.
-    pub(crate) name: String,
-    pub(crate) trials: Vec<(u32, Vec<Row>)>,
-    /// Trials that do not count, and why.
-    pub(crate) disturbed: Vec<String>,
-}
+/// Means the baselines of the scenarios.
+const BASELINE_KEYWORD: &str = "baseline";
+/// The folder of drawings in a run folder.
+const DRAWINGS_FOLDER: &str = "comparison";
 
-/// One comparison as it is shown.
+/// A comparison in the output.
 #[derive(Serialize)]
-struct Shown {
+struct ComparisonOutput {
     scenario: String,
     #[serde(flatten)]
-    comparison: Comparison,
-    /// Where the worst place is drawn.
+    comparison: TubeComparison,
+    /// The drawing of the largest deviation.
     drawing: Option<PathBuf>,
 }
 
-/// Compares and says what came of it.
-pub(crate) fn compare(arguments: &Compare) -> Exit {
-    match compared(arguments) {
-        Ok(shown) => show(&shown, arguments.format),
-        Err(error) => {
-            output::error(&error.to_string());
-            Exit::Invalid
-        }
+/// Compares and prints the result.
+pub(crate) fn compare(arguments: &CompareArgs) -> Exit {
+    match compare_all(arguments) {
+        Ok(comparisons) => print_comparisons(&comparisons, arguments.format),
+        Err(error) => stdio::reject(&error),
     }
 }
 
-fn show(shown: &[Shown], format: Format) -> Exit {
+fn print_comparisons(comparisons: &[ComparisonOutput], format: OutputFormat) -> Exit {
     match format {
-        Format::Human => {
-            for one in shown {
+        OutputFormat::Human => {
+            for one in comparisons {
                 let mut lines = comparison::lines(&one.scenario, &one.comparison);
-                lines.extend(one.drawing.iter().map(|path| format!("  drawn in {}", path.display())));
-                output::show(&(lines.join("\n") + "\n"));
+                lines.extend(one.drawing.iter().map(|path| format!("  drawing: {}", path.display())));
+                stdio::show(&(lines.join("\n") + "\n"));
             }
         }
-        Format::Json => match serde_json::to_string_pretty(shown) {
-            Ok(text) => output::show(&format!("{text}\n")),
-            Err(fault) => output::error(&format!("the comparison cannot be shown as JSON: {fault}")),
-        },
+        OutputFormat::Json => stdio::show_json(&comparisons),
     }
-    if shown.is_empty() {
-        output::error("there is nothing to compare");
-        return Exit::Nothing;
+    if comparisons.is_empty() {
+        stdio::error("there is nothing to compare");
+        return Exit::NothingToRun;
     }
-    Exit::of_verdict(Verdict::over(shown.iter().map(|one| one.comparison.verdict)))
+    Exit::of_verdict(Verdict::combine(comparisons.iter().map(|one| one.comparison.verdict)))
 }
 
-fn compared(arguments: &Compare) -> Result<Vec<Shown>, CompareError> {
-    let subject = played(&arguments.subject)?;
-    let drawings =
-        arguments.draw.clone().or_else(|| is_run(&arguments.subject).then(|| arguments.subject.join(DRAWINGS)));
+fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, CompareError> {
+    let subject = read_trials(&arguments.subject)?;
+    let drawings = arguments
+        .draw
+        .clone()
+        .or_else(|| is_run_folder(&arguments.subject).then(|| arguments.subject.join(DRAWINGS_FOLDER)));
     note_missing(arguments, &subject)?;
-    let mut shown = Vec::new();
+    let mut comparisons = Vec::new();
     for scenario in subject {
-        let reference = reference(arguments, &scenario)?;
+        let reference = find_reference(arguments, &scenario)?;
         let comparison = match &reference {
-            Reference::One(golden) => with_disturbed(golden, &scenario),
-            Reference::Trials(others) => trial_by_trial(others, &scenario),
-            Reference::Nothing => nothing("there is nothing of this name to compare with"),
+            Reference::SameTubes(golden) => compare_with_tubes(golden, &scenario)?,
+            Reference::PerTrial(others) => compare_trial_by_trial(others, &scenario)?,
+            Reference::Nothing => empty_comparison("no reference of this name"),
         };
         let drawing = match &drawings {
-            Some(folder) => draw(&reference, &scenario, &comparison, folder)?,
+            Some(folder) => draw_worst(&reference, &scenario, &comparison, folder)?,
             None => None,
         };
-        shown.push(Shown { scenario: scenario.name, comparison, drawing });
+        comparisons.push(ComparisonOutput { scenario: scenario.name, comparison, drawing });
     }
-    Ok(shown)
+    Ok(comparisons)
 }
 
-/// Says what the other run played and this one did not: less to compare looks just as good.
-fn note_missing(arguments: &Compare, subject: &[Played]) -> Result<(), CompareError> {
+/// Lists scenarios of the reference with fewer trials in the subject: a smaller comparison passes as easily.
+fn note_missing(arguments: &CompareArgs, subject: &[ScenarioTrials]) -> Result<(), CompareError> {
     let against = Path::new(&arguments.against);
-    if arguments.against == BASELINE || !is_run(&arguments.subject) || !is_run(against) {
+    if arguments.against == BASELINE_KEYWORD || !is_run_folder(&arguments.subject) || !is_run_folder(against) {
         return Ok(());
     }
     for other in &RunRecord::read(against)?.scenarios {
-        let here = subject.iter().find(|played| played.name == other.file);
-        let [trials, others] =
-            [here.map_or(0, |played| played.trials.len() + played.disturbed.len()), other.trials.len()];
+        let own = subject.iter().find(|own| own.name == other.file);
+        let [trials, others] = [own.map_or(0, |own| own.trials.len() + own.excluded.len()), other.trials.len()];
         if trials < others {
             let (file, against) = (&other.file, against.display());
-            output::note(&format!("{file}: {trials} of the {others} trials that {against} has"));
+            stdio::note(&format!("{file}: {trials} of the {others} trials that {against} has"));
         }
     }
     Ok(())
 }
 
-/// What a scenario's trials are held against.
+/// What the trials of a scenario are compared with.
 enum Reference {
-    /// All of them against the same curves.
-    One(Box<Golden>),
-    /// Each against the one of its number.
-    Trials(Vec<(u32, Vec<Row>)>),
+    /// All trials with the same tubes.
+    SameTubes(Box<GoldenTubes>),
+    /// Each trial with the trial of the same index.
+    PerTrial(Vec<StoredTrial>),
     Nothing,
 }
 
 impl Reference {
-    /// What the trial of that number is held against.
-    fn of(&self, index: u32) -> Option<Golden> {
+    /// The tubes for the trial `index`.
+    fn tubes_for(&self, index: u32) -> Result<Option<GoldenTubes>, CompareError> {
         match self {
-            Self::One(golden) => Some((**golden).clone()),
-            Self::Trials(others) => {
-                others.iter().find(|(other, _)| *other == index).and_then(|(_, rows)| Golden::of_rows(rows))
-            }
-            Self::Nothing => None,
+            Self::SameTubes(golden) => Ok(Some((**golden).clone())),
+            Self::PerTrial(others) => tubes_of_trial(others, index),
+            Self::Nothing => Ok(None),
         }
     }
 }
 
-fn nothing(why: &str) -> Comparison {
-    Comparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: Some(why.to_owned()) }
+/// The tubes of the trial `index` in `trials`.
+fn tubes_of_trial(trials: &[StoredTrial], index: u32) -> Result<Option<GoldenTubes>, CompareError> {
+    let trial = trials.iter().find(|trial| trial.index == index);
+    Ok(trial.map(StoredTrial::rows).transpose()?.and_then(|rows| GoldenTubes::from_rows(&rows)))
 }
 
-/// Each trial against the one of its number in another run: with the same seed they have the same plate and the same noise.
-fn trial_by_trial(others: &[(u32, Vec<Row>)], scenario: &Played) -> Comparison {
-    let mut all = nothing("there is no trial to compare");
+fn empty_comparison(why: &str) -> TubeComparison {
+    TubeComparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: Some(why.to_owned()) }
+}
+
+/// Compares each trial with the trial of the same index: with the same seed, plate and noise are the same.
+fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
+    let mut all = empty_comparison("no trial to compare");
     let mut verdicts = Vec::new();
-    let mut reasons = scenario.disturbed.clone();
-    for (index, rows) in &scenario.trials {
-        let other = others.iter().find(|(other, _)| other == index).and_then(|(_, rows)| Golden::of_rows(rows));
-        let Some(golden) = other else {
-            reasons.push(format!("trial {index} has none of its number to be held against"));
+    let mut reasons = scenario.excluded.clone();
+    for trial in &scenario.trials {
+        let Some(golden) = tubes_of_trial(others, trial.index)? else {
+            reasons.push(format!("the reference has no trial {}", trial.index));
             continue;
         };
-        let one = golden.compare([(*index, rows.as_slice())]);
+        let one = golden.compare([(trial.index, trial.rows()?)]);
         verdicts.push(one.verdict);
         all.trials += 1;
         all.outside += one.outside;
         if let Some((_, found)) = &one.worst
-            && all.worst.as_ref().is_none_or(|(_, worst)| found.severity() > worst.severity())
+            && all.worst.as_ref().is_none_or(|(_, worst)| found.ratio() > worst.ratio())
         {
             all.worst = one.worst;
         } else if one.verdict == Verdict::Inconclusive {
@@ -181,46 +181,62 @@ fn trial_by_trial(others: &[(u32, Vec<Row>)], scenario: &Played) -> Comparison {
     if !reasons.is_empty() {
         verdicts.push(Verdict::Inconclusive);
     }
-    all.verdict = Verdict::over(verdicts);
+    all.verdict = Verdict::combine(verdicts);
     let (outside, trials) = (all.outside, all.trials);
     all.reason = match all.verdict {
         Verdict::Pass => None,
         Verdict::Fail => Some(format!("{outside} of {trials} trials lie outside")),
         Verdict::Inconclusive => reasons.into_iter().next().or(all.reason),
     };
-    all
+    Ok(all)
 }
 
-/// A pass with trials that do not count is none.
-pub(crate) fn with_disturbed(golden: &Golden, scenario: &Played) -> Comparison {
-    let comparison = golden.compare(scenario.trials.iter().map(|(index, rows)| (*index, rows.as_slice())));
-    match scenario.disturbed.first() {
+/// Compares all trials with `golden`. A pass is inconclusive if a trial does not count.
+pub(crate) fn compare_with_tubes(
+    golden: &GoldenTubes,
+    scenario: &ScenarioTrials,
+) -> Result<TubeComparison, CompareError> {
+    // One trace is in memory at a time.
+    let mut failed = None;
+    let readable = scenario.trials.iter().map_while(|trial| match trial.rows() {
+        Ok(rows) => Some((trial.index, rows)),
+        Err(error) => {
+            failed = Some(error);
+            None
+        }
+    });
+    let comparison = golden.compare(readable);
+    if let Some(error) = failed {
+        return Err(error);
+    }
+    Ok(match scenario.excluded.first() {
         Some(what) if comparison.verdict == Verdict::Pass => {
-            Comparison { verdict: Verdict::Inconclusive, reason: Some(what.clone()), ..comparison }
+            TubeComparison { verdict: Verdict::Inconclusive, reason: Some(what.clone()), ..comparison }
         }
         _ => comparison,
-    }
+    })
 }
 
-fn draw(
+fn draw_worst(
     reference: &Reference,
-    scenario: &Played,
-    comparison: &Comparison,
+    scenario: &ScenarioTrials,
+    comparison: &TubeComparison,
     folder: &Path,
 ) -> Result<Option<PathBuf>, CompareError> {
     let Some((trial, worst)) = &comparison.worst else { return Ok(None) };
-    let golden = reference.of(*trial);
+    let golden = reference.tubes_for(*trial)?;
     let tube = golden.as_ref().and_then(|golden| golden.tubes.iter().find(|tube| tube.signal == worst.signal));
-    let rows = scenario.trials.iter().find(|(index, _)| index == trial).map(|(_, rows)| rows);
+    let stored = scenario.trials.iter().find(|stored| stored.index == *trial);
+    let rows = stored.map(StoredTrial::rows).transpose()?;
     let Some((tube, rows)) = tube.zip(rows) else { return Ok(None) };
-    let svg = match comparison::drawing(tube, rows, *trial, worst) {
+    let svg = match platebench_report::chart::draw_exceedance(tube, &rows, *trial, worst) {
         Ok(svg) => svg,
         Err(error) => {
-            output::error(&error.to_string());
+            stdio::error(&error.to_string());
             return Ok(None);
         }
     };
-    // A trace may be called by a path that leads anywhere: only its name counts here.
+    // The path of a trace may lead out of the folder.
     let name = if Path::new(&scenario.name).is_absolute() || scenario.name.contains("..") {
         Path::new(&scenario.name).file_name().map(PathBuf::from).unwrap_or_default()
     } else {
@@ -232,65 +248,46 @@ fn draw(
     Ok(Some(path))
 }
 
-/// What a scenario's trials are held against, by the command line.
-fn reference(arguments: &Compare, scenario: &Played) -> Result<Reference, CompareError> {
-    let one = |golden: Option<Golden>| golden.map_or(Reference::Nothing, |golden| Reference::One(Box::new(golden)));
+/// The reference of a scenario.
+fn find_reference(arguments: &CompareArgs, scenario: &ScenarioTrials) -> Result<Reference, CompareError> {
+    let one = |golden: Option<GoldenTubes>| {
+        golden.map_or(Reference::Nothing, |golden| Reference::SameTubes(Box::new(golden)))
+    };
     let against = Path::new(&arguments.against);
-    if arguments.against == BASELINE {
-        let named =
-            if is_run(&arguments.subject) { Some(scenario.name.clone()) } else { scenario_of(&arguments.subject) };
+    if arguments.against == BASELINE_KEYWORD {
+        let named = if is_run_folder(&arguments.subject) {
+            Some(scenario.name.clone())
+        } else {
+            scenario_of(&arguments.subject)
+        };
         let Some(name) = named else { return Err(CompareError::NoScenario(arguments.subject.clone())) };
-        return Ok(one(Accepted::read(&arguments.baselines, &name)?.map(|accepted| accepted.golden)));
+        return Ok(one(Baseline::read(&arguments.baselines, &name)?.map(|accepted| accepted.golden)));
     }
     if against.extension().is_some_and(|extension| extension == "toml") {
-        return Ok(one(Some(Accepted::read_files(against, &against.with_extension("csv"))?.golden)));
+        return Ok(one(Some(Baseline::read_files(against, &against.with_extension("csv"))?.golden)));
     }
-    if !is_run(against) {
-        return Ok(one(Golden::of_rows(&read(against)?)));
+    if !is_run_folder(against) {
+        return Ok(one(GoldenTubes::from_rows(&read_trace(against)?)));
     }
-    let mut others = played(against)?;
-    if is_run(&arguments.subject) {
+    let mut others = read_trials(against)?;
+    if is_run_folder(&arguments.subject) {
         let other = others.into_iter().find(|other| other.name == scenario.name);
-        return Ok(other.map_or(Reference::Nothing, |other| Reference::Trials(other.trials)));
+        return Ok(other.map_or(Reference::Nothing, |other| Reference::PerTrial(other.trials)));
     }
     match (others.pop(), others.len()) {
-        (Some(only), 0) => Ok(one(only.trials.first().and_then(|(_, rows)| Golden::of_rows(rows)))),
-        (_, further) => Err(CompareError::Several { path: against.to_owned(), count: further + 1 }),
+        (Some(only), 0) => {
+            let first = only.trials.first().map(StoredTrial::rows).transpose()?;
+            Ok(one(first.and_then(|rows| GoldenTubes::from_rows(&rows))))
+        }
+        (_, further) => Err(CompareError::SeveralScenarios { path: against.to_owned(), count: further + 1 }),
     }
 }
 
-pub(crate) fn is_run(path: &Path) -> bool {
-    path.join(FILE).exists() || path.is_dir()
-}
-
-/// The scenario that a trace in a run folder belongs to: its path below `traces`.
+/// The scenario of a trace in a run folder, from its path below `traces`.
 fn scenario_of(trace: &Path) -> Option<String> {
     let parts: Vec<_> = trace.parent()?.components().map(|part| part.as_os_str().to_string_lossy()).collect();
     let below = parts.iter().rposition(|part| part == "traces")? + 1;
     Some(format!("{}.toml", parts.get(below..).filter(|parts| !parts.is_empty())?.join("/")))
-}
-
-/// Everything that was played in a run, or one trace.
-pub(crate) fn played(path: &Path) -> Result<Vec<Played>, CompareError> {
-    if !is_run(path) {
-        let trials = vec![(0, read(path)?)];
-        return Ok(vec![Played { name: path.display().to_string(), trials, disturbed: Vec::new() }]);
-    }
-    RunRecord::read(path)?.scenarios.iter().map(|scenario| trials_of(path, scenario)).collect()
-}
-
-/// The trials of a scenario with their rows.
-pub(crate) fn trials_of(folder: &Path, scenario: &ScenarioRecord) -> Result<Played, CompareError> {
-    let mut played = Played { name: scenario.file.clone(), trials: Vec::new(), disturbed: Vec::new() };
-    for trial in &scenario.trials {
-        if let Some(cause) = trial.cause {
-            let what = trial.reason.as_deref().unwrap_or("it was disturbed");
-            played.disturbed.push(format!("trial {} does not count ({cause}): {what}", trial.index));
-        } else {
-            played.trials.push((trial.index, rows_of(folder, trial)?));
-        }
-    }
-    Ok(played)
 }
 
 #[cfg(test)]
@@ -298,7 +295,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_trace_in_a_run_folder_knows_its_scenario() {
+    fn finds_the_scenario_of_a_trace() {
         let of = |path: &str| scenario_of(Path::new(path));
         assert_eq!(of("/runs/x/traces/paper/fig13/000.csv").as_deref(), Some("paper/fig13.toml"));
         assert_eq!(of("traces/s/000.csv").as_deref(), Some("s.toml"));

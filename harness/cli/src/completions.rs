@@ -1,9 +1,8 @@
-//! `platebench completions`: what shells complete.
+//! `platebench completions`: prints shell completions.
 
-use crate::config::{self, Config};
 use crate::exit::Exit;
-use crate::output;
-use clap::Args;
+use crate::stdio;
+use clap::{Args, Command};
 use clap_complete::Shell;
 
 /// `platebench completions`
@@ -13,16 +12,16 @@ Examples:
   platebench completions bash > ~/.local/share/bash-completion/completions/platebench
   platebench completions zsh > ~/.zfunc/_platebench           with ~/.zfunc in $fpath before compinit
   platebench completions fish > ~/.config/fish/completions/platebench.fish")]
-pub(crate) struct Completions {
+pub(crate) struct CompletionsArgs {
     /// The shell
     #[arg(value_enum)]
     shell: Shell,
 }
 
-/// Shows the shell's script.
-pub(crate) fn completions(arguments: &Completions) -> Exit {
+/// Prints the completion script of `definition`.
+pub(crate) fn completions(arguments: &CompletionsArgs, mut definition: Command) -> Exit {
     let mut script = Vec::new();
-    clap_complete::generate(arguments.shell, &mut config::command(&Config::default()), "platebench", &mut script);
-    output::show(&String::from_utf8_lossy(&script));
+    clap_complete::generate(arguments.shell, &mut definition, "platebench", &mut script);
+    stdio::show(&String::from_utf8_lossy(&script));
     Exit::Passed
 }

@@ -1,47 +1,43 @@
-//! `platebench.toml` and the environment: what an option is where the command line does not say it.
+//! Takes options from the environment and from `platebench.toml`.
 //!
-//! Flags come before the environment, the environment before the file, the file before what is built in. clap holds that order: a setting's variable becomes
-//! the `env` of its option and its value in the file the option's default, in every command that has the option.
+//! Flags override the environment, the environment overrides the file, the file overrides the built-in default. clap
+//! applies this order: a setting's variable becomes the `env` of its option, its value in the file the default.
 
-use crate::args::{Arguments, Command as Chosen};
-use crate::exit::Exit;
-use crate::output;
-use clap::error::{ContextKind, ContextValue};
-use clap::{Command, CommandFactory, FromArgMatches};
+use clap::Command;
 use platebench_scenario::{Diagnostic, input, parse};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// The file's name. The first one is taken that is found upwards from the working directory.
+/// The name of the settings file. The nearest one applies, from the working directory upwards.
 pub(crate) const FILE: &str = "platebench.toml";
 
-/// `platebench.toml` as serde reads it: which keys and kinds there are. Values are taken by name, see [`SETTINGS`].
+/// The keys of `platebench.toml` and their types. [`SETTINGS`] reads the values by key.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct RawConfig {
-    /// What the controller runs on, as `--rig`.
+    /// The rig of the controller, as `--rig`.
     #[schemars(length(min = 1))]
     rig: Option<String>,
-    /// Trials or scenarios that are played at once, as `--jobs`.
+    /// Number of trials or scenarios that run at once, as `--jobs`.
     #[schemars(range(min = 1, max = 1024))]
     jobs: Option<i64>,
-    /// What standard output shows, as `--format`.
+    /// Format of standard output, as `--format`.
     #[schemars(extend("enum" = ["human", "json"]))]
     format: Option<String>,
-    /// Where baselines are, as `--baselines`, relative to this file.
+    /// Folder of the baselines, as `--baselines`, relative to this file.
     #[schemars(length(min = 1))]
     baselines: Option<String>,
-    /// Scenario files and folders that are meant where none is named, relative to this file.
+    /// Default scenario files and folders, relative to this file.
     #[schemars(length(min = 1))]
     scenarios: Option<Vec<String>>,
-    /// Below which folder new run folders are made, as `--runs`, relative to this file.
+    /// Parent folder of new run folders, as `--runs`, relative to this file.
     #[schemars(length(min = 1))]
     runs: Option<String>,
-    /// The run folder, as `--out`, relative to this file; it has to be new for each run.
+    /// The run folder, as `--out`, relative to this file; each run needs a new one.
     #[schemars(length(min = 1))]
     out: Option<String>,
-    /// Defaults of `platebench run` alone.
+    /// Defaults of `platebench run` only.
     run: RawRun,
 }
 
@@ -51,15 +47,15 @@ pub(crate) struct RawConfig {
 struct RawRun {
     /// Control law, as `--law`.
     law: Option<String>,
-    /// How much of the plate is modelled, as `--model`.
+    /// Model of the plate, as `--model`.
     model: Option<String>,
-    /// How time passes for the plate, as `--clock`.
+    /// The clock of the plate, as `--clock`.
     #[schemars(extend("enum" = ["lockstep", "real-time"]))]
     clock: Option<String>,
     /// Plate seconds per wall second, as `--time-scale`.
     #[schemars(range(min = 0.001, max = 10.0))]
     time_scale: Option<f64>,
-    /// Whose timer makes the control instants in real time, as `--pacing`.
+    /// The timer of the control instants in real time, as `--pacing`.
     #[schemars(extend("enum" = ["bench", "target"]))]
     pacing: Option<String>,
     /// Trials of each scenario, as `--trials`.
@@ -70,17 +66,17 @@ struct RawRun {
     seed: Option<i64>,
 }
 
-/// Something that can be set elsewhere than on the command line.
+/// An option that the environment and the file can set.
 struct Setting {
-    /// The option's field in the structures of `args.rs`.
+    /// The field of the option in the arguments of its command.
     id: &'static str,
-    /// Its variable; none for what is a list.
+    /// Its environment variable; lists have none.
     variable: Option<&'static str>,
     /// Its key in the file.
     key: &'static str,
-    /// Commands that it is for; every one that has the option where there are none.
+    /// The commands that it applies to; empty: every command that has the option.
     commands: &'static [&'static str],
-    /// Relative to the file.
+    /// True for a path relative to the file.
     is_path: bool,
 }
 
@@ -104,7 +100,6 @@ const fn path(
 
 const RUN: &[&str] = &["run"];
 
-/// All of them.
 const SETTINGS: [Setting; 14] = [
     setting("rig", "PLATEBENCH_RIG", "rig", &[]),
     setting("jobs", "PLATEBENCH_JOBS", "jobs", &[]),
@@ -122,32 +117,32 @@ const SETTINGS: [Setting; 14] = [
     setting("seed", "PLATEBENCH_SEED", "run.seed", RUN),
 ];
 
-/// A file that was read, and what it sets.
+/// The values of a settings file.
 #[derive(Debug, Default)]
 pub(crate) struct Config {
-    /// The file; `None` where there is none.
+    /// The file, if there is one.
     pub(crate) path: Option<PathBuf>,
-    /// Values by the key of their setting.
+    /// Each key with its values.
     values: Vec<(&'static str, Vec<String>)>,
 }
 
 impl Config {
-    /// Reads the file that holds in `folder`, the working directory.
-    fn above(folder: &Path) -> Result<Self, Vec<Diagnostic>> {
-        match folder.ancestors().map(|ancestor| ancestor.join(FILE)).find(|path| path.is_file()) {
-            // In the working directory itself paths stay as they are written.
-            Some(path) if path.parent() == Some(folder) => Self::read(Path::new(FILE)),
-            Some(path) => Self::read(&path),
+    /// Reads the nearest file from `folder`, the working directory, upwards.
+    pub(crate) fn find_above(folder: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
+        match folder.ancestors().map(|ancestor| ancestor.join(FILE)).find(|path| path.symlink_metadata().is_ok()) {
+            // Paths in a file of the working directory stay relative.
+            Some(path) if path.parent() == Some(folder) => Self::read(Path::new(FILE), definition),
+            Some(path) => Self::read(&path, definition),
             None => Ok(Self::default()),
         }
     }
 
-    /// Reads the file at `path`.
+    /// Reads the file at `path`; `definition` checks its values.
     ///
     /// # Errors
-    /// Every [`Diagnostic`] of it.
-    pub(crate) fn read(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let refused = |why: String| vec![Diagnostic::of_file(path, why)];
+    /// Every fault of the file.
+    pub(crate) fn read(path: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
+        let refused = |why: String| vec![Diagnostic::for_file(path, why)];
         let content = input::read(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
         let text =
             String::from_utf8(content).map_err(|_| refused("not UTF-8, expected a text file in UTF-8".to_owned()))?;
@@ -159,7 +154,7 @@ impl Config {
         for setting in &SETTINGS {
             let Some(written) = value_at(&document, setting.key) else { continue };
             for given in &written {
-                if let Err(message) = setting.accepts(given) {
+                if let Err(message) = setting.check(given, definition) {
                     faults.push(Diagnostic::at_key(path, &text, setting.key, message));
                 }
             }
@@ -175,51 +170,56 @@ impl Config {
 }
 
 impl Setting {
-    /// Whether the option takes `text`; what it says where it does not.
-    fn accepts(&self, text: &str) -> Result<(), String> {
+    /// Parses `text` as the option's value of `platebench run`.
+    ///
+    /// # Errors
+    /// clap's message.
+    fn check(&self, text: &str, definition: &Command) -> Result<(), String> {
         if self.is_path {
             return if text.is_empty() { Err("empty, expected a path".to_owned()) } else { Ok(()) };
         }
         let option = format!("--{}={text}", self.id.replace('_', "-"));
-        match Arguments::command().try_get_matches_from(["platebench", "run", &option]) {
+        match definition.clone().try_get_matches_from(["platebench", "run", &option]) {
             Ok(_) => Ok(()),
             Err(error) => {
-                let told = error.render().to_string();
-                let told = told.lines().map(str::trim).take_while(|line| !line.is_empty());
-                Err(told.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").to_owned())
+                let message = error.render().to_string();
+                let lines = message.lines().map(str::trim).take_while(|line| !line.is_empty());
+                Err(lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").to_owned())
             }
         }
     }
 
-    fn is_for(&self, command: &Command, name: &str) -> bool {
+    fn applies_to(&self, command: &Command, name: &str) -> bool {
         (self.commands.is_empty() || self.commands.contains(&name))
             && command.get_arguments().any(|option| option.get_id() == self.id)
     }
 }
 
-/// What stands at a dotted key, as it would be said on the command line.
+/// The values at a dotted key, as words of the command line.
 fn value_at(document: &toml::Table, key: &str) -> Option<Vec<String>> {
-    let spoken = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let word = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let value = match key.split_once('.') {
         Some((table, name)) => document.get(table)?.get(name)?,
         None => document.get(key)?,
     };
-    Some(value.as_array().map_or_else(|| vec![spoken(value)], |values| values.iter().map(spoken).collect()))
+    Some(value.as_array().map_or_else(|| vec![word(value)], |values| values.iter().map(word).collect()))
 }
 
-/// The command line with the environment and `config` behind it.
-pub(crate) fn command(config: &Config) -> Command {
-    let command = Arguments::command();
-    let names: Vec<_> = command.get_subcommands().map(|command| command.get_name().to_owned()).collect();
-    names
-        .into_iter()
-        .fold(command, |command, name| command.mut_subcommand(&name, |command| with_settings(command, &name, config)))
+/// Adds the environment variables and the values of `config` to the command line.
+pub(crate) fn with_settings(command: Command, config: &Config) -> Command {
+    subcommand_names(&command).into_iter().fold(command, |command, name| {
+        command.mut_subcommand(&name, |command| with_settings_of(command, &name, config))
+    })
 }
 
-/// `name` is that of the command at the top.
-fn with_settings(command: Command, name: &str, config: &Config) -> Command {
+fn subcommand_names(command: &Command) -> Vec<String> {
+    command.get_subcommands().map(|command| command.get_name().to_owned()).collect()
+}
+
+/// `name` is the name of the top-level command.
+fn with_settings_of(command: Command, name: &str, config: &Config) -> Command {
     let command = SETTINGS.iter().fold(command, |command, setting| {
-        if !setting.is_for(&command, name) {
+        if !setting.applies_to(&command, name) {
             return command;
         }
         command.mut_arg(setting.id, |option| {
@@ -233,48 +233,14 @@ fn with_settings(command: Command, name: &str, config: &Config) -> Command {
             }
         })
     });
-    let names: Vec<_> = command.get_subcommands().map(|command| command.get_name().to_owned()).collect();
-    names
-        .into_iter()
-        .fold(command, |command, below| command.mut_subcommand(below, |command| with_settings(command, name, config)))
+    subcommand_names(&command).into_iter().fold(command, |command, below| {
+        command.mut_subcommand(below, |command| with_settings_of(command, name, config))
+    })
 }
 
-/// The process's arguments, and the file that stood behind them. Ends the process where they are wrong or ask for help.
-///
-/// # Errors
-/// How to end where the file is wrong; what is wrong has been shown.
-pub(crate) fn arguments() -> Result<(Arguments, Option<PathBuf>), Exit> {
-    let found = std::env::current_dir().map_or_else(|_| Ok(Config::default()), |folder| Config::above(&folder));
-    let (config, faults) = match found {
-        Ok(config) => (config, Vec::new()),
-        Err(faults) => (Config::default(), faults),
-    };
-    // Help and wrong usage come first, so that they can be had whatever the file says.
-    let matches = command(&config).try_get_matches().unwrap_or_else(|error| {
-        if let Some(variable) = blamed(&error) {
-            output::note(&format!(
-                "that value is not from the command line but from the environment variable {variable}"
-            ));
-        }
-        error.exit()
-    });
-    let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    let needs_it = !matches!(arguments.command, Chosen::Schema(_) | Chosen::Completions(_) | Chosen::Man(_));
-    if needs_it && !faults.is_empty() {
-        faults.iter().for_each(output::diagnostic);
-        return Err(Exit::Invalid);
-    }
-    Ok((arguments, config.path))
-}
-
-/// The variable whose value clap refuses as that of an option which nobody gave.
-fn blamed(error: &clap::Error) -> Option<&'static str> {
-    let Some(ContextValue::String(option)) = error.get(ContextKind::InvalidArg) else { return None };
-    let name = option.split_whitespace().next()?;
-    let given = std::env::args().any(|word| word.split('=').next() == Some(name));
-    let of = |setting: &&Setting| format!("--{}", setting.id.replace('_', "-")) == name;
-    let variable = SETTINGS.iter().find(of)?.variable?;
-    (!given && std::env::var_os(variable).is_some()).then_some(variable)
+/// The environment variable of `--option`.
+pub(crate) fn variable_of_option(option: &str) -> Option<&'static str> {
+    SETTINGS.iter().find(|setting| format!("--{}", setting.id.replace('_', "-")) == option)?.variable
 }
 
 #[cfg(test)]

@@ -1,228 +1,254 @@
-//! `platebench emulate`: the plate alone, in real time, for somebody else's controller.
+//! `platebench emulate`: emulates the plate alone, in real time, for another controller.
 
-use crate::args::{Emulate, Pacing};
 use crate::exit::Exit;
-use crate::signals::Ended;
-use crate::{live, output, signals};
+use crate::options::PacingArg;
+use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::{live, stdio};
+use clap::Args;
+use clap::builder::PossibleValuesParser;
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
-use platebench_live::{INTERRUPT, Show, Subject, Teller, Told, View, watch_keys};
+use platebench_live::{INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys};
 use platebench_plate::Time;
-use platebench_rig::{AnyLink, Faulty, RigSpec, Session, Terminal};
-use platebench_runner::real_time::{Consumer, Emulated, emulate as play};
-use platebench_runner::trial::Order;
-use platebench_runner::{Cancel, Hand, Held, Pace, Watch};
+use platebench_rig::{BoxedLink, FaultInjector, PtyLink, RigSpec, Session};
+use platebench_runner::real_time::{Consumer, EmulationEnd, emulate_plate as play};
+use platebench_runner::trial::TrialSpec;
+use platebench_runner::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeBase};
 use platebench_scenario::{Scenario, load};
 use platebench_trace::{Flags, Row};
 use platebench_wire::LawId;
 use std::io::{IsTerminal, stdin, stdout};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Between two calls for a controller, and between two tries to open a port that is gone.
-const CALL_EVERY: Duration = Duration::from_millis(500);
-/// Between two status lines on a terminal, and elsewhere.
-const SHOW_EVERY: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
-const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// 100 days: whoever is at the plate ends it, not the scenario.
-const ENDLESS: Time = Time::from_nanos(100 * 24 * 3_600_000_000_000);
+/// `platebench emulate`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench emulate --port pty                     prints the path of the pseudo-terminal and waits there
+  platebench emulate --port /dev/ttyUSB0@921600 --scenario scenarios/paper/force-ramp.toml")]
+pub(crate) struct EmulateArgs {
+    /// Port of the controller: PORT[@BAUD], or pty for a new pseudo-terminal
+    #[arg(long, value_name = "PORT")]
+    port: String,
+    /// Plate, controller and profile; the last values hold after its end
+    #[arg(long, value_name = "FILE", default_value = "scenarios/paper/fig13-closed-loop.toml")]
+    scenario: PathBuf,
+    /// Control law to configure
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
+    law: Option<String>,
+    /// Timer of the control instants
+    #[arg(long, value_enum, default_value_t = PacingArg::Bench)]
+    pacing: PacingArg,
+    /// End after this time, s
+    #[arg(long, value_name = "S", value_parser = parse_seconds)]
+    seconds: Option<f64>,
+    /// Live view in the terminal; ignored without a terminal
+    #[arg(long)]
+    live: bool,
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|seconds| (0.0..=1e7).contains(seconds));
+    seconds.ok_or_else(|| "expected a number of seconds from 0 to 1e7".to_owned())
+}
+
+/// Between two greetings, and between two attempts to open a port that disappeared.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
+/// Between two status lines: on a terminal, elsewhere.
+const STATUS_INTERVALS: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// 100 days: the operator ends the emulation, not the scenario.
+const UNLIMITED_DURATION: Time = Time::from_nanos(100 * 24 * 3_600_000_000_000);
 const LIVE_KEYS: &str = "f/F finger  t/T plate  s/S setpoint  r release, cool down  q quit, plate at 0 V";
 const KEYS: &str =
     "keys: f/F finger -/+ 0.25 N, t/T plate -/+ 1 K, s/S setpoint -/+ 0.1 µm, r release and cool down, q quit";
 
-/// Emulates the plate until somebody ends it.
-pub(crate) fn emulate(arguments: &Emulate) -> Exit {
+/// Emulates the plate until a signal, a key or `--seconds` ends it.
+pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
     let scenario = match load(&arguments.scenario, &arguments.scenario.display().to_string()) {
         Ok(scenario) => scenario,
-        Err(fault) => {
-            output::diagnostic(&fault);
-            return Exit::Invalid;
-        }
+        Err(fault) => return stdio::reject_file(&fault),
     };
     let name = arguments.law.as_ref().unwrap_or(&scenario.controller.law);
     let Some(law) = LawId::from_name(name) else {
-        output::error(&format!("unknown law `{name}`"));
-        return Exit::Invalid;
+        return stdio::reject(&format!("unknown law `{name}`"));
     };
-    let port = match Place::of(&arguments.port) {
+    let port = match ControllerPort::parse(&arguments.port) {
         Ok(port) => port,
-        Err(error) => {
-            output::error(&error);
-            return Exit::Invalid;
-        }
+        Err(error) => return stdio::reject(&error),
     };
-    let pace = Pace {
+    let time_base = TimeBase {
         time_scale: 1.0,
         pacing: match arguments.pacing {
-            Pacing::Bench => platebench_runner::Pacing::Bench,
-            Pacing::Target => platebench_runner::Pacing::Target,
+            PacingArg::Bench => platebench_runner::Pacing::Bench,
+            PacingArg::Target => platebench_runner::Pacing::Target,
         },
     };
-    if let Some(Err(error)) =
-        port.baud().map(|baud| platebench_rig::check_baud(baud, pace.wall(scenario.controller.period), 1.0))
+    if let Some(Err(error)) = port
+        .baud()
+        .map(|baud| platebench_rig::check_baud(baud, time_base.wall_duration(scenario.controller.period), 1.0))
     {
-        output::error(&error.to_string());
-        return Exit::Invalid;
+        return stdio::reject(&error);
     }
-    let subject = Subject {
+    let description = RunDescription {
         command: "emulate",
-        place: arguments.port.clone(),
+        rig: arguments.port.clone(),
         lockstep: false,
         jobs: 1,
-        keys: LIVE_KEYS,
-        shows: vec![Show::of(&scenario).endless()],
+        key_help: LIVE_KEYS,
+        scenarios: vec![ScenarioDescription::of(&scenario).without_end()],
     };
-    let (view, watch) = if arguments.live { live::open(subject) } else { Default::default() };
-    let teller = view.as_ref().map(View::teller);
-    let plate = Plate { scenario: endless(scenario), law, pace, teller, watch };
-    let cancel = Cancel::default();
+    let (view, live_tap) = if arguments.live { live::open_view(description) } else { Default::default() };
+    let view_sender = view.as_ref().map(LiveView::sender);
+    let plate = PlateServer { scenario: without_end(scenario), law, time_base, view_sender, live_tap };
+    let cancel = CancelToken::default();
     let end = arguments.seconds.map(Duration::from_secs_f64);
-    let emulating = {
+    let work = {
         let cancel = cancel.clone();
-        move || {
-            let ended = plate.serve(&port, &cancel);
-            // Also where it ended by itself: nobody is to wait for keys any more.
+        move |_: &mut EventSender<_, ()>| {
+            let exit = plate.serve(&port, &cancel);
+            // The key thread ends too.
             cancel.cancel();
-            ended
+            exit
         }
     };
-    // However this ends, the terminal is the user's again.
-    let raw = view.is_none().then(Raw::enter);
-    let ended = signals::until_signal(emulating, &cancel, end);
+    let raw = view.is_none().then(RawTerminalMode::enter);
+    let ended = run_until_signal(&cancel, end, work, |()| {});
     drop((view, raw));
     match ended {
-        Ok(Ended::Done(exit, None)) => exit,
-        Ok(Ended::Done(_, Some(number)) | Ended::GivenUp(number)) => Exit::Signal(number),
+        Ok(WorkResult::Finished(exit, None)) => exit,
+        Ok(WorkResult::Finished(_, Some(number)) | WorkResult::Abandoned(number)) => Exit::Signal(number),
         Err(error) => {
-            output::error(&error.to_string());
+            stdio::error(&error.to_string());
             Exit::Inconclusive
         }
     }
 }
 
-/// A terminal that gives each key at once.
-struct Raw;
+/// A terminal in raw mode until this is dropped.
+struct RawTerminalMode;
 
-impl Raw {
-    /// `None` where nobody types.
+impl RawTerminalMode {
+    /// `None` if standard input is not a terminal.
     fn enter() -> Option<Self> {
         (stdin().is_terminal() && enable_raw_mode().is_ok()).then_some(Self)
     }
 }
 
-impl Drop for Raw {
+impl Drop for RawTerminalMode {
     fn drop(&mut self) {
-        // Where the terminal is gone there is nothing to give back.
         let _ = disable_raw_mode();
     }
 }
 
-/// The same scenario without an end and with a row per control instant.
-fn endless(mut scenario: Scenario) -> Scenario {
-    scenario.duration = ENDLESS;
-    scenario.trace_step = ENDLESS;
+/// The scenario without an end, with one row per control instant.
+fn without_end(mut scenario: Scenario) -> Scenario {
+    scenario.duration = UNLIMITED_DURATION;
+    scenario.trace_step = UNLIMITED_DURATION;
     scenario.expectations.clear();
     scenario
 }
 
-/// Where the controller is to be found.
-enum Place {
+/// The port of the controller.
+enum ControllerPort {
     /// A new pseudo-terminal.
-    Terminal,
+    PseudoTerminal,
     Serial(RigSpec),
 }
 
-impl Place {
-    fn of(port: &str) -> Result<Self, String> {
+impl ControllerPort {
+    fn parse(port: &str) -> Result<Self, String> {
         if port == "pty" {
-            return Ok(Self::Terminal);
+            return Ok(Self::PseudoTerminal);
         }
         format!("serial:{port}").parse().map(Self::Serial).map_err(|error: platebench_rig::SpecError| error.to_string())
     }
 
     fn baud(&self) -> Option<u32> {
         match self {
-            Self::Terminal => None,
+            Self::PseudoTerminal => None,
             Self::Serial(rig) => rig.baud(),
         }
     }
 
-    /// The line, or how the program ends without it.
-    fn open(&self, teller: Option<&Teller>) -> Result<AnyLink, Exit> {
+    /// Opens the port. An error is reported and decides the exit code.
+    fn open(&self, view_sender: Option<&ViewSender>) -> Result<BoxedLink, Exit> {
         let refused = |error: &dyn std::fmt::Display, exit| {
-            output::error(&error.to_string());
+            stdio::error(&error.to_string());
             exit
         };
         match self {
-            Self::Terminal => {
-                let terminal = Terminal::open().map_err(|error| refused(&error, Exit::Unreachable))?;
-                match teller {
-                    Some(teller) => teller.tell(Told::Place(terminal.path().to_owned())),
-                    None => output::show(&format!("port: {}\n", terminal.path())),
+            Self::PseudoTerminal => {
+                let terminal = PtyLink::open().map_err(|error| refused(&error, Exit::Unreachable))?;
+                match view_sender {
+                    Some(sender) => sender.send(ViewEvent::RigLocation(terminal.path().to_owned())),
+                    None => stdio::show(&format!("port: {}\n", terminal.path())),
                 }
                 Ok(Box::new(terminal))
             }
-            Self::Serial(rig) => rig.connect_in_real_time().map_err(|error| {
+            Self::Serial(rig) => rig.connect_real_time().map_err(|error| {
                 refused(&error, if error.is_invalid_input() { Exit::Invalid } else { Exit::Unreachable })
             }),
         }
     }
 }
 
-struct Plate {
+struct PlateServer {
     scenario: Scenario,
     law: LawId,
-    pace: Pace,
-    /// The live view, where there is one.
-    teller: Option<Teller>,
-    watch: Watch,
+    time_base: TimeBase,
+    view_sender: Option<ViewSender>,
+    live_tap: LiveTap,
 }
 
-impl Plate {
-    /// One controller after the other, until the end is asked for.
-    fn serve(&self, port: &Place, cancel: &Cancel) -> Exit {
-        let hand = Arc::new(Hand::default());
-        let mut link = match port.open(self.teller.as_ref()) {
+impl PlateServer {
+    /// Serves one controller after the other until `cancel`.
+    fn serve(&self, port: &ControllerPort, cancel: &CancelToken) -> Exit {
+        let control = Arc::new(ManualControl::default());
+        let mut link = match port.open(self.view_sender.as_ref()) {
             Ok(link) => link,
             Err(exit) => return exit,
         };
         if stdin().is_terminal() {
-            let held = Held { setpoint_um: self.scenario.setpoint.range().1, ..Held::default() };
-            let (hand, cancel) = (Arc::clone(&hand), cancel.clone());
-            // Not waited for: a terminal that hung up keeps it for ever. It ends with the program.
-            if self.teller.is_none() {
-                note(KEYS);
+            let inputs = ManualInputs { setpoint_um: self.scenario.setpoint.range().1, ..ManualInputs::default() };
+            let (control, cancel) = (Arc::clone(&control), cancel.clone());
+            if self.view_sender.is_none() {
+                print_note(KEYS);
             }
-            thread::spawn(move || take_keys(held, &hand, &cancel));
+            // Never joined: a terminal that hung up blocks it until the program ends.
+            thread::spawn(move || handle_keys(inputs, &control, &cancel));
         }
-        note("waiting for a controller");
+        print_note("waiting for a controller");
         while !cancel.is_cancelled() {
-            let called = Instant::now();
-            let Ok(mut session) = Session::open(Faulty::new(&mut link)) else {
-                // A port that is gone comes back as another one.
-                if let Place::Serial(rig) = port {
-                    link = rig.connect_in_real_time().unwrap_or(link);
+            let started = Instant::now();
+            let Ok(mut session) = Session::open(FaultInjector::new(&mut link)) else {
+                // A USB port that was unplugged needs a new connection.
+                if let ControllerPort::Serial(rig) = port {
+                    link = rig.connect_real_time().unwrap_or(link);
                 }
-                thread::sleep(CALL_EVERY.saturating_sub(called.elapsed()));
+                thread::sleep(RETRY_INTERVAL.saturating_sub(started.elapsed()));
                 continue;
             };
-            note(&format!("controller: {}", session.firmware_name()));
-            let order = Order { scenario: &self.scenario, law: self.law, index: 0, wire_time: false, own_clock: true };
+            print_note(&format!("controller: {}", session.firmware_name()));
+            let spec =
+                TrialSpec { scenario: &self.scenario, law: self.law, index: 0, wire_time: false, own_clock: true };
             loop {
-                let mut lent = self.watch.lend(0, 0);
-                // Whoever looks on has a queue of its own.
-                let take = if self.teller.is_some() { ignore } else { show };
-                match play(&mut session, &order, self.pace, cancel, &hand, lent.tap(), take) {
-                    Emulated::Stopped(reason) => {
-                        let reason = reason.as_deref().unwrap_or("no cause given");
-                        note(&format!("the controller has stopped ({reason}); it is configured anew"));
-                        thread::sleep(CALL_EVERY);
+                let mut tap = self.live_tap.acquire(0, 0);
+                // The view reads its own queue.
+                let consume = if self.view_sender.is_some() { discard_rows } else { print_status };
+                match play(&mut session, &spec, self.time_base, cancel, &control, tap.tap(), consume) {
+                    EmulationEnd::Stopped(reason) => {
+                        let reason = reason.as_deref().unwrap_or("without a reason");
+                        print_note(&format!("the controller stopped ({reason}) and is configured again"));
+                        thread::sleep(RETRY_INTERVAL);
                     }
-                    Emulated::Lost(error) => {
-                        note(&format!("{error}; waiting for a controller"));
+                    EmulationEnd::Lost(error) => {
+                        print_note(&format!("{error}; waiting for a controller"));
                         break;
                     }
-                    Emulated::GivenUp => break,
+                    EmulationEnd::Cancelled => break,
                 }
             }
         }
@@ -230,31 +256,35 @@ impl Plate {
     }
 }
 
-/// Shows the newest control instant now and then until there are no more.
-fn show(mut rows: Consumer<Row>) {
+/// Prints the newest control instant at intervals until the rows end.
+fn print_status(mut rows: Consumer<Row>) {
     let terminal = stdout().is_terminal();
-    let every = SHOW_EVERY[usize::from(!terminal)];
-    let mut shown = Instant::now();
+    let interval = STATUS_INTERVALS[usize::from(!terminal)];
+    let mut printed = Instant::now();
     let mut newest = None;
     loop {
-        let is_over = rows.is_abandoned();
+        let is_done = rows.is_abandoned();
         while let Ok(row) = rows.pop() {
             if row.flags.contains(Flags::CONTROL) {
                 newest = Some(row);
             }
         }
-        if is_over {
+        if is_done {
             return;
         }
-        if let Some(row) = newest.filter(|_| shown.elapsed() >= every) {
-            shown = Instant::now();
-            output::show(&if terminal { format!("\r\u{1b}[K{}", line(&row)) } else { format!("{}\n", line(&row)) });
+        if let Some(row) = newest.filter(|_| printed.elapsed() >= interval) {
+            printed = Instant::now();
+            stdio::show(&if terminal {
+                format!("\r\u{1b}[K{}", status_line(&row))
+            } else {
+                format!("{}\n", status_line(&row))
+            });
         }
-        thread::sleep(LOOK_EVERY);
+        thread::sleep(POLL_INTERVAL);
     }
 }
 
-fn line(row: &Row) -> String {
+fn status_line(row: &Row) -> String {
     let flags: Vec<&str> = [
         (Flags::SATURATED, "saturated"),
         (Flags::SAFE, "0 V"),
@@ -281,44 +311,44 @@ fn line(row: &Row) -> String {
     )
 }
 
-/// Takes rows that are shown otherwise.
-fn ignore(mut rows: Consumer<Row>) {
+/// Discards rows that the view shows.
+fn discard_rows(mut rows: Consumer<Row>) {
     while !rows.is_abandoned() {
         while rows.pop().is_ok() {}
-        thread::sleep(LOOK_EVERY);
+        thread::sleep(POLL_INTERVAL);
     }
 }
 
-/// Keys move the hand until the end.
-fn take_keys(mut held: Held, hand: &Hand, cancel: &Cancel) {
+/// Applies keys until `cancel`.
+fn handle_keys(mut inputs: ManualInputs, control: &ManualControl, cancel: &CancelToken) {
     watch_keys(
         || cancel.is_cancelled(),
         |key| match key {
-            // In a raw terminal Ctrl-C is a key.
+            // In raw mode Ctrl-C is a key.
             'q' | INTERRUPT => cancel.cancel(),
-            letter if turned(&mut held, letter) => hand.hold(held),
+            letter if apply_key(&mut inputs, letter) => control.set(inputs),
             _ => {}
         },
     );
 }
 
-/// Beside the status line, which has no end of its own; a raw terminal does not go back to the left by itself.
-fn note(text: &str) {
-    output::note(&if stdin().is_terminal() { format!("\r\u{1b}[K{text}\r") } else { text.to_owned() });
+/// Replaces the status line, which has no line end. Raw mode needs the carriage returns.
+fn print_note(text: &str) {
+    stdio::note(&if stdin().is_terminal() { format!("\r\u{1b}[K{text}\r") } else { text.to_owned() });
 }
 
-/// What a key does; false where it does nothing.
-fn turned(held: &mut Held, letter: char) -> bool {
+/// Applies a key; false if it has no function.
+fn apply_key(inputs: &mut ManualInputs, letter: char) -> bool {
     match letter {
-        'f' => held.finger_force_n = (held.finger_force_n - 0.25).max(0.0),
-        'F' => held.finger_force_n = (held.finger_force_n + 0.25).min(10.0),
-        't' => held.temperature_offset_k = (held.temperature_offset_k - 1.0).max(-40.0),
-        'T' => held.temperature_offset_k = (held.temperature_offset_k + 1.0).min(60.0),
-        's' => held.setpoint_um = (held.setpoint_um - 0.1).max(0.0),
-        'S' => held.setpoint_um = (held.setpoint_um + 0.1).min(10.0),
+        'f' => inputs.finger_force_n = (inputs.finger_force_n - 0.25).max(0.0),
+        'F' => inputs.finger_force_n = (inputs.finger_force_n + 0.25).min(10.0),
+        't' => inputs.temperature_offset_k = (inputs.temperature_offset_k - 1.0).max(-40.0),
+        'T' => inputs.temperature_offset_k = (inputs.temperature_offset_k + 1.0).min(60.0),
+        's' => inputs.setpoint_um = (inputs.setpoint_um - 0.1).max(0.0),
+        'S' => inputs.setpoint_um = (inputs.setpoint_um + 0.1).min(10.0),
         'r' => {
-            held.finger_force_n = 0.0;
-            held.temperature_offset_k = 0.0;
+            inputs.finger_force_n = 0.0;
+            inputs.temperature_offset_k = 0.0;
         }
         _ => return false,
     }
@@ -330,16 +360,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys_move_one_thing_each_and_stop_at_the_ends() {
-        let mut held = Held { setpoint_um: 2.0, ..Held::default() };
+    fn each_key_changes_one_input_within_its_bounds() {
+        let mut inputs = ManualInputs { setpoint_um: 2.0, ..ManualInputs::default() };
         for letter in "FFFfTTtS".chars() {
-            assert!(turned(&mut held, letter));
+            assert!(apply_key(&mut inputs, letter));
         }
-        assert_eq!(held, Held { setpoint_um: 2.1, temperature_offset_k: 1.0, finger_force_n: 0.5 });
-        (0..100).for_each(|_| assert!(turned(&mut held, 'f') && turned(&mut held, 'S')));
-        assert_eq!((held.finger_force_n, held.setpoint_um), (0.0, 10.0));
-        assert!(turned(&mut held, 'r'));
-        assert_eq!(held.temperature_offset_k, 0.0);
-        assert!(!turned(&mut held, 'x'));
+        assert_eq!(inputs, ManualInputs { setpoint_um: 2.1, temperature_offset_k: 1.0, finger_force_n: 0.5 });
+        (0..100).for_each(|_| assert!(apply_key(&mut inputs, 'f') && apply_key(&mut inputs, 'S')));
+        assert_eq!((inputs.finger_force_n, inputs.setpoint_um), (0.0, 10.0));
+        assert!(apply_key(&mut inputs, 'r'));
+        assert_eq!(inputs.temperature_offset_k, 0.0);
+        assert!(!apply_key(&mut inputs, 'x'));
     }
 }

@@ -1,11 +1,11 @@
-//! Exit codes, all of them.
+//! Defines the exit codes.
 
+use platebench_record::{RunRecord, Verdict};
 use platebench_rig::RigError;
 use platebench_runner::RunError;
-use platebench_verdict::{RunRecord, Verdict};
 use std::process::ExitCode;
 
-/// How the program ends. Where several apply: invalid, then unreachable, then failed, then inconclusive.
+/// How the program ends. If several apply: invalid, then unreachable, then failed, then inconclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Exit {
     /// 0: everything passed.
@@ -17,24 +17,27 @@ pub(crate) enum Exit {
     /// 3: nothing failed but something is inconclusive.
     Inconclusive,
     /// 4: there was nothing to run.
-    Nothing,
+    NothingToRun,
     /// 5: the rig could not be reached or was lost.
     Unreachable,
-    /// 128 + number of the signal that ended the run.
+    /// 128 + the number of the signal that ended the run.
     Signal(u8),
 }
 
 impl Exit {
-    /// How a run with this record ends.
+    /// The exit code of a run.
     pub(crate) fn of_record(record: &RunRecord) -> Self {
+        if record.scenarios.is_empty() && record.verdict != Verdict::Fail && !record.not_applicable.is_empty() {
+            return Self::NothingToRun;
+        }
         let unsafe_end = record.verdict == Verdict::Inconclusive && record.safe_confirmed == Some(false);
-        if record.lost_a_controller() || unsafe_end {
+        if record.has_lost_controller() || unsafe_end {
             return Self::Unreachable;
         }
         Self::of_verdict(record.verdict)
     }
 
-    /// How something with this verdict ends.
+    /// The exit code of a verdict.
     pub(crate) fn of_verdict(verdict: Verdict) -> Self {
         match verdict {
             Verdict::Pass => Self::Passed,
@@ -43,32 +46,31 @@ impl Exit {
         }
     }
 
-    /// The number that the process ends with.
     pub(crate) const fn code(self) -> u8 {
         match self {
             Self::Passed => 0,
             Self::Failed => 1,
             Self::Invalid => 2,
             Self::Inconclusive => 3,
-            Self::Nothing => 4,
+            Self::NothingToRun => 4,
             Self::Unreachable => 5,
             Self::Signal(number) => 128 + number,
         }
     }
 
-    /// How a run without a record ends.
+    /// The exit code of a run without a record.
     pub(crate) fn of_error(error: &RunError) -> Self {
         match error {
-            // Refused is what the firmware cannot do with the scenario or the plate.
+            // The firmware rejects a scenario or plate that it cannot control.
             RunError::Scenario(_)
             | RunError::Folder(_)
             | RunError::Trace(_)
-            | RunError::NoPace(_)
-            | RunError::NoPlate(_)
-            | RunError::Rig(RigError::Refused(_)) => Self::Invalid,
+            | RunError::NoTargetPacing(_)
+            | RunError::NoRealPlate(_)
+            | RunError::Rig(RigError::ConfigurationRejected(_)) => Self::Invalid,
             RunError::Connect(error) if error.is_invalid_input() => Self::Invalid,
-            RunError::Connect(_) | RunError::Rig(_) | RunError::OtherController { .. } => Self::Unreachable,
-            RunError::Bench(_) | RunError::Cancelled => Self::Inconclusive,
+            RunError::Connect(_) | RunError::Rig(_) | RunError::DifferentController { .. } => Self::Unreachable,
+            RunError::Internal(_) | RunError::Cancelled => Self::Inconclusive,
         }
     }
 }

@@ -1,74 +1,73 @@
-//! `--live`: the view in the terminal, for whichever command has one.
+//! Opens the live view of `--live`.
 
-use crate::output;
-use platebench_live::{Show, Subject, Told, View};
-use platebench_runner::{Clock, Event, Plan, Watch};
+use crate::stdio;
+use platebench_live::{LiveView, RunDescription, ScenarioDescription, ViewEvent};
+use platebench_runner::{Clock, Event, LiveTap, RunPlan};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The keys where the run alone decides.
 pub(crate) const KEYS: &str = "q or Ctrl-C ends the run, with the plate at 0 V";
 
 const SESSION_KEYS: &str = "Ctrl-C ends the session, with the plate at 0 V; --resume goes on with it";
 
-/// What of a plan can be looked at.
-pub(crate) fn subject(command: &'static str, keys: &'static str, plan: &Plan) -> Subject {
-    Subject {
+/// Describes a plan for the view.
+pub(crate) fn describe_run(command: &'static str, keys: &'static str, plan: &RunPlan) -> RunDescription {
+    RunDescription {
         command,
-        place: plan.rig.clone(),
+        rig: plan.rig.clone(),
         lockstep: matches!(plan.clock, Clock::Lockstep { .. }),
         jobs: plan.jobs,
-        keys,
-        shows: plan.scenarios.iter().map(Show::of).collect(),
+        key_help: keys,
+        scenarios: plan.scenarios.iter().map(ScenarioDescription::of).collect(),
     }
 }
 
-/// Takes the terminal where there is one; where there is none, says so and goes on without.
-pub(crate) fn open(subject: Subject) -> (Option<View>, Watch) {
-    let (watch, viewer) = Watch::new();
-    match View::open(subject, viewer) {
-        Ok(view) => (Some(view), watch),
+/// Opens the view. Without a terminal prints a note and returns none.
+pub(crate) fn open_view(description: RunDescription) -> (Option<LiveView>, LiveTap) {
+    let (live_tap, viewer) = LiveTap::new();
+    match LiveView::open(description, viewer) {
+        Ok(view) => (Some(view), live_tap),
         Err(why) => {
-            output::note(&format!("no live view: {why}"));
-            (None, Watch::default())
+            stdio::note(&format!("no live view: {why}"));
+            (None, LiveTap::default())
         }
     }
 }
 
-/// The view of a session, which comes and goes with its scenarios.
+/// The view of a session, which is open while a scenario is played.
 #[derive(Debug, Clone)]
-pub(crate) struct Shown(Option<Arc<Mutex<Option<View>>>>);
+pub(crate) struct SessionView(Option<Arc<Mutex<Option<LiveView>>>>);
 
-impl Shown {
-    /// One that never shows anything unless `wanted`.
+impl SessionView {
+    /// A view that stays closed unless `wanted`.
     pub(crate) fn new(wanted: bool) -> Self {
         Self(wanted.then(Arc::default))
     }
 
-    fn place(&self) -> Option<MutexGuard<'_, Option<View>>> {
-        self.0.as_deref().map(|place| place.lock().unwrap_or_else(PoisonError::into_inner))
+    fn lock_view(&self) -> Option<MutexGuard<'_, Option<LiveView>>> {
+        self.0.as_deref().map(|slot| slot.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Shows what is played from now on; `None` where nothing is shown.
-    pub(crate) fn open(&self, plan: &Plan) -> Option<Watch> {
-        let mut place = self.place()?;
-        // The terminal is taken once.
-        *place = None;
-        let (view, watch) = open(subject("accept", SESSION_KEYS, plan));
-        *place = Some(view?);
-        Some(watch)
+    /// Opens the view of a plan; `None` without a view.
+    pub(crate) fn open(&self, plan: &RunPlan) -> Option<LiveTap> {
+        let mut slot = self.lock_view()?;
+        // Only one view may use the terminal.
+        *slot = None;
+        let (view, live_tap) = open_view(describe_run("accept", SESSION_KEYS, plan));
+        *slot = Some(view?);
+        Some(live_tap)
     }
 
-    /// Tells the view, where there is one.
-    pub(crate) fn tell(&self, event: &Event) {
-        if let (Some(Some(view)), Some(news)) = (self.place().as_deref(), Told::of(event)) {
-            view.tell(news);
+    /// Sends an event to the open view.
+    pub(crate) fn send(&self, event: &Event) {
+        if let (Some(Some(view)), Some(news)) = (self.lock_view().as_deref(), ViewEvent::of(event)) {
+            view.send(news);
         }
     }
 
-    /// Gives the terminal back, where it is taken.
+    /// Closes the view and restores the terminal.
     pub(crate) fn close(&self) {
-        if let Some(mut place) = self.place() {
-            *place = None;
+        if let Some(mut slot) = self.lock_view() {
+            *slot = None;
         }
     }
 }

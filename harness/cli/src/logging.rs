@@ -1,14 +1,37 @@
-//! The log on standard error.
+//! Writes the log to standard error.
 
-use crate::args::{LogFormat, Logging};
-use crate::guard::Log;
+use crate::stdio::NonBlockingStderr;
+use clap::{Args, ValueEnum};
 use std::io::{IsTerminal, stderr};
 use tracing_subscriber::EnvFilter;
 
 const VARIABLE: &str = "PLATEBENCH_LOG";
 
-/// Starts the log: what `PLATEBENCH_LOG` asks for, else what -v and -q do.
-pub(crate) fn start(arguments: &Logging) {
+/// Options of the log.
+#[derive(Debug, Args)]
+pub(crate) struct LoggingArgs {
+    /// Log more: -v the steps, -vv details, -vvv everything
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub(crate) verbose: u8,
+    /// Print only errors and the result
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub(crate) quiet: bool,
+    /// Format of the log on standard error; `PLATEBENCH_LOG` selects its content
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Human, value_name = "FORMAT")]
+    pub(crate) log_format: LogFormat,
+}
+
+/// `--log-format`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// For people
+    Human,
+    /// One JSON object per line
+    Json,
+}
+
+/// Starts the log with the filter in `PLATEBENCH_LOG`, or else with the level of -v and -q.
+pub(crate) fn start(arguments: &LoggingArgs) {
     let level = match (arguments.quiet, arguments.verbose) {
         (true, _) => "error",
         (false, 0) => "warn",
@@ -18,8 +41,10 @@ pub(crate) fn start(arguments: &Logging) {
     };
     let filter = std::env::var(VARIABLE).ok().and_then(|text| EnvFilter::try_new(text).ok());
     let filter = filter.unwrap_or_else(|| EnvFilter::new(level));
-    // Whoever talks to a controller logs: nobody who reads it slowly may hold that up. A log that nobody can be given any more, because the terminal is gone, is no reason to panic: that is what the subscriber's own complaint about it would do.
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| Log).log_internal_errors(false);
+    // The thread that talks to the controller logs too: a slow reader must not delay it. The subscriber's own
+    // complaint about a closed terminal would panic, so it is off.
+    let builder =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| NonBlockingStderr).log_internal_errors(false);
     // A second start, as in a test, changes nothing.
     let _ = match arguments.log_format {
         LogFormat::Human => builder.with_ansi(stderr().is_terminal()).try_init(),

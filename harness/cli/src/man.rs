@@ -1,12 +1,11 @@
-//! `platebench man`: manual pages.
+//! `platebench man`: prints or writes manual pages.
 
-use crate::config::{self, Config};
 use crate::exit::Exit;
-use crate::output;
-use clap::Args;
+use crate::stdio;
+use clap::{Args, Command};
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// `platebench man`
 #[derive(Debug, Args)]
@@ -16,33 +15,29 @@ Examples:
   platebench man --out ~/.local/share/man/man1    platebench.1 and a page for each command
 
 Exit codes: 0 written, 2 a file cannot be written")]
-pub(crate) struct Man {
-    /// Write the pages of all commands into this folder instead of showing the first
+pub(crate) struct ManArgs {
+    /// Write the pages of all commands to this folder instead of printing the first
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
 
-/// Shows or writes manual pages.
-pub(crate) fn man(arguments: &Man) -> Exit {
-    let command = config::command(&Config::default());
-    let done = match &arguments.out {
+/// Prints the manual page of `definition`, or writes all pages.
+pub(crate) fn man(arguments: &ManArgs, definition: Command) -> Exit {
+    let written = match &arguments.out {
         Some(folder) => fs::create_dir_all(folder)
-            .and_then(|()| clap_mangen::generate_to(command, folder))
-            .map_err(|error| (folder.as_path(), error)),
-        None => shown(command).map_err(|error| (Path::new("platebench.1"), error)),
+            .and_then(|()| clap_mangen::generate_to(definition, folder))
+            .map_err(|error| format!("{}: {error}", folder.display())),
+        None => print_manual(definition).map_err(|error| error.to_string()),
     };
-    match done {
+    match written {
         Ok(()) => Exit::Passed,
-        Err((path, error)) => {
-            output::error(&format!("{}: {error}", path.display()));
-            Exit::Invalid
-        }
+        Err(error) => stdio::reject(&error),
     }
 }
 
-fn shown(command: clap::Command) -> io::Result<()> {
+fn print_manual(definition: Command) -> io::Result<()> {
     let mut page = Vec::new();
-    clap_mangen::Man::new(command).render(&mut page)?;
-    output::show(&String::from_utf8_lossy(&page));
+    clap_mangen::Man::new(definition).render(&mut page)?;
+    stdio::show(&String::from_utf8_lossy(&page));
     Ok(())
 }

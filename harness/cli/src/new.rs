@@ -1,79 +1,74 @@
-//! `platebench new`: a commented scenario to start from, which can be played as it stands.
+//! `platebench new`: writes a commented scenario that runs unchanged.
 
 use crate::exit::Exit;
-use crate::output;
+use crate::stdio;
 use clap::Args;
 use platebench_wire::LawId;
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// The paper's plate, for folders that have none.
+/// The paper's plate, for folders without a plate.
 const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const PLATE_FILE: &str = "plates/aluminium-198x138.toml";
 const SCENARIOS: &str = "scenarios";
 const TEMPLATE: &str = include_str!("new/scenario.toml");
-/// How far up from a scenario its plate is looked for.
-const FOLDERS_UP: usize = 4;
+/// The plate is searched this many folders upwards.
+const MAX_FOLDERS_UP: usize = 4;
 
 /// `platebench new`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench new first-step                 scenarios/first-step.toml, where there is a folder of scenarios, else first-step.toml
+  platebench new first-step                 scenarios/first-step.toml; without a folder scenarios: first-step.toml
   platebench new mine/finger --law deadbeat mine/finger.toml
   platebench check scenarios/first-step.toml
   platebench run scenarios/first-step.toml
 
-Exit codes: 0 written, 2 it is there already or cannot be written; nothing is ever overwritten")]
-pub(crate) struct New {
-    /// What it is called: a file name, with folders where wanted, .toml may be left out
+Exit codes: 0 written, 2 the file exists or cannot be written; nothing is ever overwritten")]
+pub(crate) struct NewArgs {
+    /// File name, with or without folders and .toml
     #[arg(default_value = "first-step")]
     name: String,
-    /// Control law that it is for
+    /// Control law
     #[arg(long, value_name = "NAME", default_value = "dq-pi", value_parser = clap::builder::PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
     law: String,
 }
 
-/// Why there is no new scenario.
 #[derive(Debug, thiserror::Error)]
 enum NewError {
     #[error("{0:?}, expected a name for a file, without control characters")]
     Name(String),
-    #[error("{} is there already, expected another name", .0.display())]
+    #[error("{} exists already, expected another name", .0.display())]
     Taken(PathBuf),
     #[error("{}: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
 }
 
-/// Writes a scenario, and the paper's plate where none is at hand.
-pub(crate) fn new(arguments: &New) -> Exit {
-    match written(Path::new(""), &arguments.name, &arguments.law) {
+/// Writes a scenario, and the paper's plate if there is none.
+pub(crate) fn new(arguments: &NewArgs) -> Exit {
+    match write_files(Path::new(""), &arguments.name, &arguments.law) {
         Ok(files) => {
             let [scenario, ..] = &files[..] else { return Exit::Passed };
             for file in &files {
-                output::show(&format!("{}\n", file.display()));
+                stdio::show(&format!("{}\n", file.display()));
             }
-            output::note(&format!("next: platebench run {}", scenario.display()));
+            stdio::note(&format!("next: platebench run {}", scenario.display()));
             Exit::Passed
         }
-        Err(error) => {
-            output::error(&error.to_string());
-            Exit::Invalid
-        }
+        Err(error) => stdio::reject(&error),
     }
 }
 
-/// The files that were written below `folder`, the scenario first.
-fn written(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, NewError> {
-    let path = path_of(folder, name)?;
+/// Writes files below `folder` and returns their paths, the scenario first.
+fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, NewError> {
+    let path = scenario_path(folder, name)?;
     let home = path.parent().unwrap_or(Path::new("")).to_owned();
     let title = path.file_stem().unwrap_or_default().to_string_lossy().replace(['-', '_'], " ");
-    // The way up from a folder that is not there leads nowhere.
+    // `..` needs an existing folder.
     fs::create_dir_all(if home.as_os_str().is_empty() { Path::new(".") } else { &home })
         .map_err(|source| NewError::Io { path: home.clone(), source })?;
-    // The nearest plate upwards, by how it is called from there.
-    let ups = (0..FOLDERS_UP).map(|count| "../".repeat(count));
+    let ups = (0..MAX_FOLDERS_UP).map(|count| "../".repeat(count));
     let up = ups.clone().find(|up| home.join(up).join(PLATE_FILE).is_file());
     let root = up.clone().unwrap_or_default();
     let schema = format!("{root}schema/scenario.json");
@@ -82,19 +77,19 @@ fn written(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, NewErro
         .replace("{plate}", &format!("{root}{PLATE_FILE}"))
         .replace("{law}", law)
         .replace("{laws}", &LawId::ALL.map(LawId::name).join(", "))
-        .replace("{expect}", expected_of(law))
-        // Last, because a title may hold anything.
+        .replace("{expect}", expectations_of_law(law))
+        // Last: the title may contain a placeholder.
         .replace("{title}", &toml::Value::from(title).to_string());
-    let mut files = vec![put(path, &format!("{first}{text}"))?];
+    let mut files = vec![write_new_file(path, &format!("{first}{text}"))?];
     if up.is_none() {
-        // Its own schema is not beside it there.
+        // The folder of the schema does not exist there.
         let plate = PLATE.strip_prefix("#:schema ../schema/plate.json\n").unwrap_or(PLATE);
-        files.push(put(home.join(PLATE_FILE), plate)?);
+        files.push(write_new_file(home.join(PLATE_FILE), plate)?);
     }
     Ok(files)
 }
 
-fn path_of(folder: &Path, name: &str) -> Result<PathBuf, NewError> {
+fn scenario_path(folder: &Path, name: &str) -> Result<PathBuf, NewError> {
     let wrong = || NewError::Name(name.to_owned());
     let stem = Path::new(name).file_name().ok_or_else(wrong)?.to_string_lossy().into_owned();
     if name.contains(char::is_control) || name.ends_with('/') || stem.trim_end_matches(".toml").trim().is_empty() {
@@ -110,8 +105,8 @@ fn path_of(folder: &Path, name: &str) -> Result<PathBuf, NewError> {
     Ok(if bare && scenarios.is_dir() { scenarios.join(file) } else { folder.join(file) })
 }
 
-/// Writes a file that was not there.
-fn put(path: PathBuf, text: &str) -> Result<PathBuf, NewError> {
+/// Writes a file that must not exist.
+fn write_new_file(path: PathBuf, text: &str) -> Result<PathBuf, NewError> {
     let io = |source| NewError::Io { path: path.clone(), source };
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         fs::create_dir_all(folder).map_err(io)?;
@@ -124,18 +119,18 @@ fn put(path: PathBuf, text: &str) -> Result<PathBuf, NewError> {
     Ok(path)
 }
 
-/// What each law keeps to in the scenario as it is written, with room. Those that only follow the frequency, or only decide, come to rest later or not at all.
-fn expected_of(law: &str) -> &'static str {
+/// Expectations that the law meets in the template, with a margin. Laws without amplitude control settle late; bang-bang never does.
+fn expectations_of_law(law: &str) -> &'static str {
     match LawId::from_name(law) {
         Some(LawId::BangBang) => {
             "[[expect]]\nmetric = \"final_amplitude_um\"\nwithin = [1.0, 3.0]\n\n[[expect]]\nmetric = \"drive_peak_vpp\"\nat_most = 900.0"
         }
         Some(LawId::OpenLoop | LawId::FrequencyOnly | LawId::Pll) => {
-            "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 30.0      # to within 5 % of the setpoint, for good\n\n\
+            "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 30.0      # last entry into 5 % of the setpoint\n\n\
              [[expect]]\nmetric = \"static_error_percent\"\nat_most = 5.0       # over the last third"
         }
         _ => {
-            "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 5.0       # to within 5 % of the setpoint, for good\n\n\
+            "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 5.0       # last entry into 5 % of the setpoint\n\n\
              [[expect]]\nmetric = \"static_error_percent\"\nat_most = 0.5       # over the last third\n\n\
              [[expect]]\nmetric = \"overshoot_percent\"\nat_most = 20.0"
         }

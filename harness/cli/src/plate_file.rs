@@ -1,23 +1,23 @@
 //! A plate file that is named on the command line.
 
 use platebench_plate::Plate;
-use platebench_plate::file::RawPlate;
+use platebench_plate::RawPlate;
 use platebench_scenario::{Diagnostic, input};
 use std::io;
 use std::path::Path;
 
 /// Reads and checks it; a [`Diagnostic`] with line and column where it cannot be meant.
 pub(crate) fn read(path: &Path) -> Result<Plate, Diagnostic> {
-    let refused = |error: io::Error| Diagnostic::of_file(path, format!("cannot be read: {error}"));
+    let refused = |error: io::Error| Diagnostic::for_file(path, format!("cannot be read: {error}"));
     let text = String::from_utf8(input::read(path).map_err(refused)?)
-        .map_err(|_| Diagnostic::of_file(path, "not UTF-8, expected a text file in UTF-8"))?;
+        .map_err(|_| Diagnostic::for_file(path, "not UTF-8, expected a text file in UTF-8"))?;
     let raw: RawPlate = toml::from_str(&text)
         .map_err(|error| Diagnostic::at_span(path, &text, error.span().unwrap_or_default(), error.message()))?;
     raw.check().map_err(|error| Diagnostic::at_key(path, &text, error.key, error.to_string()))
 }
 
 /// What is wrong at `key` of a file that was read.
-pub(crate) fn fault(path: &Path, key: &str, message: String) -> Diagnostic {
+pub(crate) fn diagnostic_at(path: &Path, key: &str, message: String) -> Diagnostic {
     let text = input::read(path).ok().and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or_default();
     Diagnostic::at_key(path, &text, key, message)
 }

@@ -1,61 +1,81 @@
-//! `platebench trust`: the suite's own error rates.
+//! `platebench trust`: measures the error rates of a set of scenarios.
 
-use crate::args::{Format, Trust};
 use crate::exit::Exit;
-use crate::output;
-use crate::run::names_nothing;
+use crate::options::{OutputFormat, SCENARIOS, job_count};
+use crate::run::report_if_empty;
+use crate::stdio;
+use clap::Args;
 use platebench_scenario::find;
-use platebench_trust::{Order, Report, catalogue, measure, shown};
+use platebench_trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
 use std::fs;
 use std::io;
-use std::num::NonZero;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Plays the catalogue of faulty controllers and clean runs, and says how many were caught and how many called faulty.
-pub(crate) fn trust(arguments: &Trust) -> Exit {
+/// `platebench trust`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench trust                          every scenario below scenarios/ except known limits
+  platebench trust --clean 30000 --seed 7 --out /tmp/trust
+  platebench trust scenarios/faults --clean 0
+
+Exit codes: 0 every mutant was killed for the right reason and no false alarm, 1 otherwise")]
+pub(crate) struct TrustArgs {
+    /// Scenario files, or folders with everything below them
+    #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
+    scenarios: Vec<PathBuf>,
+    /// Clean runs: one scenario each, in turn, with its own plate and noise
+    #[arg(long, value_name = "N", default_value_t = 3_000)]
+    clean: u32,
+    /// Seed of the first clean run
+    #[arg(long, value_name = "S", default_value_t = 31_415)]
+    seed: u64,
+    /// Scenarios that run at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+    /// Write trust.json and matrix.md to this folder
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+/// Plays mutants and clean runs, and prints kill rate and false-alarm rate.
+pub(crate) fn trust(arguments: &TrustArgs) -> Exit {
     let found = match find(&arguments.scenarios) {
         Ok(found) => found,
-        Err(faults) => {
-            faults.iter().for_each(output::diagnostic);
-            return Exit::Invalid;
-        }
+        Err(faults) => return stdio::reject_files(&faults),
     };
-    if names_nothing(&found) {
-        return Exit::Nothing;
+    if report_if_empty(&found) {
+        return Exit::NothingToRun;
     }
-    let cores = || std::thread::available_parallelism().map_or(1, NonZero::get);
-    let order = Order {
+    let config = TrustConfig {
         scenarios: found.scenarios,
-        faults: catalogue(),
-        clean: arguments.clean,
+        mutants: catalogue(),
+        variants: clean_variants(),
+        clean_runs: arguments.clean,
         seed: arguments.seed,
-        jobs: arguments.jobs.map_or_else(cores, usize::from),
+        jobs: job_count(arguments.jobs),
     };
-    let report = match measure(&order) {
+    let report = match measure(&config) {
         Ok(report) => report,
-        Err(error) => {
-            output::error(&error.to_string());
-            return Exit::Invalid;
-        }
+        Err(error) => return stdio::reject(&error),
     };
     if let Some(folder) = &arguments.out
-        && let Err(error) = store(&report, folder)
+        && let Err(error) = write_report(&report, folder)
     {
-        output::error(&format!("{}: {error}", folder.display()));
-        return Exit::Invalid;
+        return stdio::reject(&format!("{}: {error}", folder.display()));
     }
     match arguments.format {
-        Format::Human => output::show(&shown::summary(&report)),
-        Format::Json => match serde_json::to_string_pretty(&report) {
-            Ok(text) => output::show(&format!("{text}\n")),
-            Err(error) => output::error(&format!("the report cannot be shown as JSON: {error}")),
-        },
+        OutputFormat::Human => stdio::show(&format::summary(&report)),
+        OutputFormat::Json => stdio::show_json(&report),
     }
     Exit::of_verdict(report.verdict)
 }
 
-fn store(report: &Report, folder: &Path) -> io::Result<()> {
+fn write_report(report: &TrustReport, folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
     fs::write(folder.join("trust.json"), serde_json::to_string_pretty(report)?)?;
-    fs::write(folder.join("matrix.md"), shown::matrix(report))
+    fs::write(folder.join("matrix.md"), format::matrix(report))
 }

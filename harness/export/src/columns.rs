@@ -21,14 +21,14 @@ pub struct Number {
 
 impl Number {
     /// Its value where somebody knows it.
-    pub fn known(&self, row: &Row) -> Option<f64> {
+    pub fn known_value(&self, row: &Row) -> Option<f64> {
         Some((self.of)(row)).filter(|value| !value.is_nan())
     }
 }
 
 /// A flag of a row.
 #[derive(Debug, Clone, Copy)]
-pub struct Mark {
+pub struct FlagColumn {
     /// The flag's name in the trace, with `_` instead of `-`.
     pub name: &'static str,
     /// What it says where it is set.
@@ -53,7 +53,7 @@ macro_rules! number {
 }
 
 /// The numbers of a row, time first. Amplitudes and voltages are peak to peak.
-pub const NUMBERS: [Number; 13] = [
+pub const NUMBER_COLUMNS: [Number; 13] = [
     number!(t_s, "s", "time since the start of the trial"),
     number!(setpoint_um, "µm", "wished amplitude"),
     number!(wd_um, "µm", "in-phase component Wd of the plate's vibration"),
@@ -70,13 +70,17 @@ pub const NUMBERS: [Number; 13] = [
 ];
 
 /// The flags of a row.
-pub const MARKS: [Mark; 6] = [
-    Mark { name: "control", meaning: "control instant: the controller was given this state", flag: Flags::CONTROL },
-    Mark { name: "saturated", meaning: "the drive is at the amplifier's limit", flag: Flags::SATURATED },
-    Mark { name: "overrun", meaning: "the bench was too late for this instant", flag: Flags::OVERRUN },
-    Mark { name: "link_lost", meaning: "no answer came, the last drive is held", flag: Flags::LINK_LOST },
-    Mark { name: "safe", meaning: "the controller is not running: 0 V", flag: Flags::SAFE },
-    Mark {
+pub const FLAG_COLUMNS: [FlagColumn; 6] = [
+    FlagColumn {
+        name: "control",
+        meaning: "control instant: the controller was given this state",
+        flag: Flags::CONTROL,
+    },
+    FlagColumn { name: "saturated", meaning: "the drive is at the amplifier's limit", flag: Flags::SATURATED },
+    FlagColumn { name: "overrun", meaning: "the bench was too late for this instant", flag: Flags::OVERRUN },
+    FlagColumn { name: "link_lost", meaning: "no answer came, the last drive is held", flag: Flags::LINK_LOST },
+    FlagColumn { name: "safe", meaning: "the controller is not running: 0 V", flag: Flags::SAFE },
+    FlagColumn {
         name: "sensed",
         meaning: "told by a controller that drives a plate of its own: motion is its sensor's, what nobody knows is missing",
         flag: Flags::SENSED,
@@ -86,22 +90,22 @@ pub const MARKS: [Mark; 6] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_trace::{COLUMNS, UNKNOWABLE};
+    use platebench_trace::{COLUMNS, OPTIONAL_COLUMNS};
 
     #[test]
     fn nothing_of_a_trace_is_left_out() {
-        let names: Vec<_> = NUMBERS.iter().map(|number| number.name).chain(["flags"]).collect();
+        let names: Vec<_> = NUMBER_COLUMNS.iter().map(|number| number.name).chain(["flags"]).collect();
         assert_eq!(names, COLUMNS);
         let unknowable: Vec<_> =
-            NUMBERS.iter().filter(|number| number.can_be_unknown).map(|number| number.name).collect();
-        assert_eq!(unknowable, UNKNOWABLE);
-        let all = MARKS.iter().fold(Flags::empty(), |all, mark| all | mark.flag);
-        assert_eq!((all, MARKS.len()), (Flags::all(), Flags::all().iter().count()));
+            NUMBER_COLUMNS.iter().filter(|number| number.can_be_unknown).map(|number| number.name).collect();
+        assert_eq!(unknowable, OPTIONAL_COLUMNS);
+        let all = FLAG_COLUMNS.iter().fold(Flags::empty(), |all, mark| all | mark.flag);
+        assert_eq!((all, FLAG_COLUMNS.len()), (Flags::all(), Flags::all().iter().count()));
     }
 
     #[test]
     fn a_name_ends_in_its_unit() {
-        for Number { name, unit, .. } in NUMBERS {
+        for Number { name, unit, .. } in NUMBER_COLUMNS {
             let said = match name.rsplit_once('_').unwrap().1 {
                 "um" => "µm",
                 "us" => "µs",

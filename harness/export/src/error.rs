@@ -29,7 +29,7 @@ pub enum ExportError {
     },
     /// A file of that name is there.
     #[error("{} is already there, expected a place where nothing would be written over; --out names another", .0.display())]
-    Taken(PathBuf),
+    FileExists(PathBuf),
     /// A scenario was asked for that the run does not have.
     #[error("the run has no scenario `{asked}`, expected one of {known}")]
     NoSuchScenario {
@@ -40,7 +40,7 @@ pub enum ExportError {
     },
     /// The record names a file outside its folder.
     #[error("{}: `{named}` is not a file below the run folder", record.display())]
-    Outside {
+    OutsideRunFolder {
         /// The record.
         record: PathBuf,
         /// What it names.
@@ -48,7 +48,7 @@ pub enum ExportError {
     },
     /// The run started at a time that is none.
     #[error("{}: `started` is {text}, expected a time like 2026-03-02T09:30:00Z: {source}", record.display())]
-    Started {
+    InvalidStartTime {
         /// The record.
         record: PathBuf,
         /// What it says.
@@ -58,7 +58,7 @@ pub enum ExportError {
     },
     /// There is no whole trial.
     #[error("{}: no whole trial, expected at least one", .0.display())]
-    Nothing(PathBuf),
+    NoCompleteTrial(PathBuf),
 }
 
 impl ExportError {

@@ -1,16 +1,16 @@
 //! Which files are made of a run, and that none is written over or left half.
 
 use crate::error::ExportError;
-use crate::source::Source;
+use crate::source::ExportScenario;
 use crate::{mcap, mf4, parquet, table};
-use platebench_verdict::record::FILE;
-use platebench_verdict::{RunRecord, ScenarioRecord};
+use platebench_record::RECORD_FILE;
+use platebench_record::{RunRecord, ScenarioRecord};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 /// A format that other programs read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
+pub enum ExportFormat {
     /// Apache Parquet: a file for each scenario.
     Parquet,
     /// ASAM MDF 4.10: a file for each scenario, a data group for each trial.
@@ -21,9 +21,9 @@ pub enum Format {
     Mcap,
 }
 
-impl Format {
+impl ExportFormat {
     /// The ending of its files.
-    pub const fn ending(self) -> &'static str {
+    pub const fn extension(self) -> &'static str {
         match self {
             Self::Parquet => "parquet",
             Self::Mf4 => "mf4",
@@ -35,11 +35,11 @@ impl Format {
 
 /// What was made.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub struct Exported {
+pub struct ExportResult {
     /// The files.
     pub files: Vec<PathBuf>,
     /// How many trials were left out because they were cut off before their trace was whole.
-    pub cut_off: usize,
+    pub incomplete_trials: usize,
 }
 
 /// Writes the traces of `run`, which lies in `folder`, as `format` below `out`; of the named scenarios only, where any
@@ -51,11 +51,11 @@ pub fn export(
     run: &RunRecord,
     folder: &Path,
     scenarios: &[String],
-    format: Format,
+    format: ExportFormat,
     out: &Path,
-) -> Result<Exported, ExportError> {
-    let record = folder.join(FILE);
-    let started = run.started.parse::<jiff::Timestamp>().map_err(|source| ExportError::Started {
+) -> Result<ExportResult, ExportError> {
+    let record = folder.join(RECORD_FILE);
+    let started = run.started.parse::<jiff::Timestamp>().map_err(|source| ExportError::InvalidStartTime {
         record: record.clone(),
         text: run.started.clone(),
         source,
@@ -63,51 +63,51 @@ pub fn export(
     let started_ns = u64::try_from(started.as_nanosecond()).unwrap_or_default();
     let mut sources = Vec::new();
     let mut cut_off = 0;
-    for scenario in chosen(run, scenarios)? {
-        let (source, without_trace) = Source::of(run, scenario, folder, started_ns)?;
+    for scenario in select_scenarios(run, scenarios)? {
+        let (source, without_trace) = ExportScenario::of(run, scenario, folder, started_ns)?;
         cut_off += without_trace;
         if !source.trials.is_empty() {
             sources.push(source);
         }
     }
     if sources.is_empty() {
-        return Err(ExportError::Nothing(record));
+        return Err(ExportError::NoCompleteTrial(record));
     }
-    let mut tasks: Vec<(PathBuf, Box<Write<'_>>)> = Vec::new();
+    let mut tasks: Vec<(PathBuf, Box<WriteFile<'_>>)> = Vec::new();
     match format {
-        Format::Csv => {
+        ExportFormat::Csv => {
             let path = out.join(table::FILE);
             tasks.push((path.clone(), Box::new(|file, path| table::write(&sources, file, path))));
-            tasks.push((table::description_of(&path), Box::new(table::describe)));
+            tasks.push((table::description_path(&path), Box::new(table::write_description)));
         }
-        Format::Parquet | Format::Mf4 | Format::Mcap => {
+        ExportFormat::Parquet | ExportFormat::Mf4 | ExportFormat::Mcap => {
             let write = match format {
-                Format::Mf4 => mf4::write,
-                Format::Mcap => mcap::write,
+                ExportFormat::Mf4 => mf4::write,
+                ExportFormat::Mcap => mcap::write,
                 _ => parquet::write,
             };
             for source in &sources {
-                let path = out.join(format!("{}.{}", source.name, format.ending()));
+                let path = out.join(format!("{}.{}", source.name, format.extension()));
                 tasks.push((path, Box::new(move |file, path| write(source, file, path))));
             }
         }
     }
     if let Some((taken, _)) = tasks.iter().find(|(path, _)| path.exists()) {
-        return Err(ExportError::Taken(taken.clone()));
+        return Err(ExportError::FileExists(taken.clone()));
     }
     let mut files = Vec::with_capacity(tasks.len());
     for (path, write) in tasks {
-        whole(&path, &*write)?;
+        write_atomically(&path, &*write)?;
         files.push(path);
     }
-    Ok(Exported { files, cut_off })
+    Ok(ExportResult { files, incomplete_trials: cut_off })
 }
 
 /// Fills a file whose name, for messages, is given beside it.
-type Write<'a> = dyn Fn(File, &Path) -> Result<(), ExportError> + 'a;
+type WriteFile<'a> = dyn Fn(File, &Path) -> Result<(), ExportError> + 'a;
 
 /// Fills a file that gets its name once it is whole.
-fn whole(path: &Path, write: &Write<'_>) -> Result<(), ExportError> {
+fn write_atomically(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(ExportError::io(folder))?;
     }
@@ -118,7 +118,7 @@ fn whole(path: &Path, write: &Write<'_>) -> Result<(), ExportError> {
     let written = write(file, path).and_then(|()| {
         // Somebody else may have been here meanwhile.
         if path.exists() {
-            return Err(ExportError::Taken(path.to_owned()));
+            return Err(ExportError::FileExists(path.to_owned()));
         }
         fs::rename(&provisional, path).map_err(ExportError::io(path))
     });
@@ -133,7 +133,7 @@ fn whole(path: &Path, write: &Write<'_>) -> Result<(), ExportError> {
 ///
 /// # Errors
 /// [`ExportError::NoSuchScenario`].
-pub fn chosen<'a>(run: &'a RunRecord, asked: &[String]) -> Result<Vec<&'a ScenarioRecord>, ExportError> {
+pub fn select_scenarios<'a>(run: &'a RunRecord, asked: &[String]) -> Result<Vec<&'a ScenarioRecord>, ExportError> {
     let bare = |name: &str| name.strip_suffix(".toml").unwrap_or(name).to_owned();
     let known: Vec<String> = run.scenarios.iter().map(|scenario| bare(&scenario.file)).collect();
     if let Some(unknown) = asked.iter().find(|name| !known.contains(&bare(name))) {

@@ -20,4 +20,4 @@ mod source;
 mod table;
 
 pub use error::ExportError;
-pub use export::{Exported, Format, chosen, export};
+pub use export::{ExportFormat, ExportResult, export, select_scenarios};

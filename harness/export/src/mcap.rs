@@ -3,9 +3,9 @@
 //! A message is a row as a JSON object; its schema names the units. Every trial begins when the run did, so that trials
 //! lie over each other; `t_s` in the message is the exact time, the log time is that time in whole nanoseconds.
 
-use crate::columns::{MARKS, NUMBERS};
+use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
-use crate::source::Source;
+use crate::source::ExportScenario;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{McapError, WriteOptions};
 use serde_json::{Map, Value, json};
@@ -15,17 +15,17 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 /// Bytes of a chunk, which is what is in memory.
-const CHUNK: u64 = 1 << 20;
+const CHUNK_BYTES: u64 = 1 << 20;
 
 /// Writes the scenario's recording.
-pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), ExportError> {
+pub(crate) fn write(source: &ExportScenario<'_>, file: File, path: &Path) -> Result<(), ExportError> {
     let refused = ExportError::format::<McapError>(path);
     let library = format!("{} {}", source.run.tool.name, source.run.tool.version);
-    let options = WriteOptions::new().compression(None).chunk_size(Some(CHUNK)).library(library);
+    let options = WriteOptions::new().compression(None).chunk_size(Some(CHUNK_BYTES)).library(library);
     let mut writer = options.create(BufWriter::new(file)).map_err(&refused)?;
-    let facts = source.facts().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    let facts = source.metadata().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
     writer.write_metadata(&Metadata { name: "platebench".to_owned(), metadata: facts }).map_err(&refused)?;
-    let units = NUMBERS.iter().map(|number| (number.name.to_owned(), number.unit.to_owned())).collect();
+    let units = NUMBER_COLUMNS.iter().map(|number| (number.name.to_owned(), number.unit.to_owned())).collect();
     writer.write_metadata(&Metadata { name: "units".to_owned(), metadata: units }).map_err(&refused)?;
     let schema = serde_json::to_vec(&schema()).map_err(ExportError::format(path))?;
     let schema = writer.add_schema("platebench.Row", "jsonschema", &schema).map_err(&refused)?;
@@ -36,8 +36,9 @@ pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), 
         let channel_id = writer.add_channel(schema, &topic, "json", &about).map_err(&refused)?;
         for (sequence, row) in (0_u32..).zip(trial.rows()?) {
             let row = row?;
-            let numbers = NUMBERS.iter().map(|number| (number.name.to_owned(), json!(number.known(&row))));
-            let marks = MARKS.iter().map(|mark| (mark.name.to_owned(), Value::from(row.flags.contains(mark.flag))));
+            let numbers = NUMBER_COLUMNS.iter().map(|number| (number.name.to_owned(), json!(number.known_value(&row))));
+            let marks =
+                FLAG_COLUMNS.iter().map(|mark| (mark.name.to_owned(), Value::from(row.flags.contains(mark.flag))));
             let message: Map<String, Value> = numbers.chain(marks).collect();
             text.clear();
             serde_json::to_writer(&mut text, &message).map_err(ExportError::format(path))?;
@@ -53,13 +54,13 @@ pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), 
 
 /// What a message is, as JSON Schema; `unit` is an annotation that readers may use.
 fn schema() -> Value {
-    let numbers = NUMBERS.iter().map(|number| {
+    let numbers = NUMBER_COLUMNS.iter().map(|number| {
         let description = format!("{}, {}", number.meaning, number.unit);
         let kind = if number.can_be_unknown { json!(["number", "null"]) } else { json!("number") };
         (number.name.to_owned(), json!({"type": kind, "description": description, "unit": number.unit}))
     });
     let marks =
-        MARKS.iter().map(|mark| (mark.name.to_owned(), json!({"type": "boolean", "description": mark.meaning})));
+        FLAG_COLUMNS.iter().map(|mark| (mark.name.to_owned(), json!({"type": "boolean", "description": mark.meaning})));
     let properties: Map<String, Value> = numbers.chain(marks).collect();
     let required: Vec<&String> = properties.keys().collect();
     json!({"title": "platebench.Row", "type": "object", "required": required, "properties": properties})

@@ -9,45 +9,45 @@
 
 mod blocks;
 
-use crate::columns::{MARKS, NUMBERS};
+use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
-use crate::source::{Source, Trial};
-use blocks::{Blocks, Channel, Kind};
+use crate::source::{ExportScenario, ExportTrial};
+use blocks::{BlockWriter, Channel, ChannelKind};
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io;
 use std::path::Path;
 
 /// Bytes of a record: the numbers, and one for the flags.
-const RECORD: usize = NUMBERS.len() * 8 + 1;
+const RECORD_BYTES: usize = NUMBER_COLUMNS.len() * 8 + 1;
 
 /// Writes the scenario's measurement.
-pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), ExportError> {
-    let mut blocks = Blocks::start(file).map_err(ExportError::io(path))?;
-    let signals = head(source, &mut blocks).map_err(ExportError::io(path))?;
+pub(crate) fn write(source: &ExportScenario<'_>, file: File, path: &Path) -> Result<(), ExportError> {
+    let mut blocks = BlockWriter::start(file).map_err(ExportError::io(path))?;
+    let signals = write_header(source, &mut blocks).map_err(ExportError::io(path))?;
     for trial in &source.trials {
-        group(trial, &signals, &mut blocks, path)?;
+        write_group(trial, &signals, &mut blocks, path)?;
     }
     blocks.finish().map_err(ExportError::io(path))
 }
 
 /// A channel's texts, which all groups share.
-struct Signal {
+struct ChannelTemplate {
     name: u64,
     unit: u64,
     meaning: u64,
-    kind: Kind,
+    kind: ChannelKind,
 }
 
 /// Everything before the first data group.
-fn head(source: &Source<'_>, blocks: &mut Blocks) -> io::Result<Vec<Signal>> {
-    let facts = source.facts();
+fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter) -> io::Result<Vec<ChannelTemplate>> {
+    let facts = source.metadata();
     let mut properties = String::new();
     for (name, value) in &facts {
         // Writing into a string does not fail.
-        let _ = write!(properties, "<e name=\"{name}\">{}</e>", escaped(value));
+        let _ = write!(properties, "<e name=\"{name}\">{}</e>", escape_xml(value));
     }
-    let title = escaped(&source.scenario.title);
+    let title = escape_xml(&source.scenario.title);
     let comment = format!(
         "<HDcomment xmlns=\"http://www.asam.net/mdf/v4\"><TX>{title}</TX><common_properties>{properties}</common_properties></HDcomment>"
     );
@@ -55,64 +55,70 @@ fn head(source: &Source<'_>, blocks: &mut Blocks) -> io::Result<Vec<Signal>> {
     let history = format!(
         "<FHcomment xmlns=\"http://www.asam.net/mdf/v4\"><TX>exported from a run folder</TX><tool_id>{0}</tool_id><tool_vendor>{0}</tool_vendor>\
          <tool_version>{1}</tool_version></FHcomment>",
-        escaped(&tool.name),
-        escaped(&tool.version)
+        escape_xml(&tool.name),
+        escape_xml(&tool.version)
     );
-    blocks.header(source.started_ns, &comment, &history)?;
-    let mut signals = Vec::with_capacity(NUMBERS.len() + MARKS.len());
-    for (place, number) in NUMBERS.iter().enumerate() {
+    blocks.write_header(source.started_ns, &comment, &history)?;
+    let mut signals = Vec::with_capacity(NUMBER_COLUMNS.len() + FLAG_COLUMNS.len());
+    for (place, number) in NUMBER_COLUMNS.iter().enumerate() {
         let byte = (place * 8) as u32;
-        signals.push(Signal {
-            name: blocks.text(number.name)?,
-            unit: blocks.text(number.unit)?,
-            meaning: blocks.text(number.meaning)?,
-            kind: if place == 0 { Kind::Time { byte } } else { Kind::Real { byte } },
+        signals.push(ChannelTemplate {
+            name: blocks.write_text(number.name)?,
+            unit: blocks.write_text(number.unit)?,
+            meaning: blocks.write_text(number.meaning)?,
+            kind: if place == 0 { ChannelKind::Time { byte } } else { ChannelKind::Real { byte } },
         });
     }
-    for (mark, bit) in MARKS.iter().zip(0..) {
-        signals.push(Signal {
-            name: blocks.text(mark.name)?,
+    for (mark, bit) in FLAG_COLUMNS.iter().zip(0..) {
+        signals.push(ChannelTemplate {
+            name: blocks.write_text(mark.name)?,
             unit: 0,
-            meaning: blocks.text(mark.meaning)?,
-            kind: Kind::Bit { byte: (NUMBERS.len() * 8) as u32, bit },
+            meaning: blocks.write_text(mark.meaning)?,
+            kind: ChannelKind::Bit { byte: (NUMBER_COLUMNS.len() * 8) as u32, bit },
         });
     }
     Ok(signals)
 }
 
 /// One trial.
-fn group(trial: &Trial, signals: &[Signal], blocks: &mut Blocks, path: &Path) -> Result<(), ExportError> {
+fn write_group(
+    trial: &ExportTrial,
+    signals: &[ChannelTemplate],
+    blocks: &mut BlockWriter,
+    path: &Path,
+) -> Result<(), ExportError> {
     let name = format!("trial {:03}", trial.index);
     let comment = format!("seed {}", trial.seed);
     let channels: Vec<Channel> = signals
         .iter()
-        .map(|Signal { name, unit, meaning, kind }| Channel {
+        .map(|ChannelTemplate { name, unit, meaning, kind }| Channel {
             name: *name,
             unit: *unit,
             comment: *meaning,
             kind: *kind,
         })
         .collect();
-    let mut group = blocks.group(&name, &comment, &channels, RECORD as u32).map_err(ExportError::io(path))?;
+    let mut group =
+        blocks.start_group(&name, &comment, &channels, RECORD_BYTES as u32).map_err(ExportError::io(path))?;
     for row in trial.rows()? {
         let row = row?;
-        let mut record = [0; RECORD];
-        let (numbers, marks) = record.split_at_mut(NUMBERS.len() * 8);
-        for (place, number) in numbers.chunks_exact_mut(8).zip(NUMBERS) {
+        let mut record = [0; RECORD_BYTES];
+        let (numbers, marks) = record.split_at_mut(NUMBER_COLUMNS.len() * 8);
+        for (place, number) in numbers.chunks_exact_mut(8).zip(NUMBER_COLUMNS) {
             place.copy_from_slice(&(number.of)(&row).to_le_bytes());
         }
-        for (mark, bit) in MARKS.iter().zip(0_u8..) {
+        for (mark, bit) in FLAG_COLUMNS.iter().zip(0_u8..) {
             if let Some(byte) = marks.first_mut() {
                 *byte |= u8::from(row.flags.contains(mark.flag)) << bit;
             }
         }
-        blocks.record(&mut group, &record).map_err(ExportError::io(path))?;
+        blocks.write_record(&mut group, &record).map_err(ExportError::io(path))?;
     }
     blocks.end_group(&group).map_err(ExportError::io(path))
 }
 
 /// Text as XML holds it; what XML 1.0 has no character for is left out.
-fn escaped(text: &str) -> String {
+fn escape_xml(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for character in text.chars() {
         match character {
@@ -135,6 +141,6 @@ mod tests {
 
     #[test]
     fn markup_in_titles_is_text() {
-        assert_eq!(escaped("a < b & \"c\" > d\u{0}\u{1b}\tµ"), "a &lt; b &amp; &quot;c&quot; &gt; d\tµ");
+        assert_eq!(escape_xml("a < b & \"c\" > d\u{0}\u{1b}\tµ"), "a &lt; b &amp; &quot;c&quot; &gt; d\tµ");
     }
 }

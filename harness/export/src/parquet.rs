@@ -3,9 +3,9 @@
 //! Units stand in the file's key-value metadata as `unit.<column>`, meanings as `meaning.<column>`, beside what is said
 //! of the scenario. A row group holds at most [`GROUP`] rows, which is all that is ever in memory.
 
-use crate::columns::{MARKS, NUMBERS};
+use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
-use crate::source::Source;
+use crate::source::ExportScenario;
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
 use parquet::data_type::{BoolType, ByteArray, ByteArrayType, DoubleType, Int32Type, Int64Type};
 use parquet::errors::ParquetError;
@@ -19,15 +19,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Rows of a row group: some 8 MB of numbers.
-const GROUP: usize = 65_536;
+const ROW_GROUP_ROWS: usize = 65_536;
 
 /// Writes the scenario's table.
-pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), ExportError> {
+pub(crate) fn write(source: &ExportScenario<'_>, file: File, path: &Path) -> Result<(), ExportError> {
     let refused = ExportError::format::<ParquetError>(path);
-    let facts = source.facts().into_iter().map(|(name, value)| (name.to_owned(), value));
-    let units = NUMBERS.iter().map(|number| (format!("unit.{}", number.name), number.unit.to_owned()));
-    let meanings = NUMBERS.iter().map(|number| (number.name, number.meaning));
-    let meanings = meanings.chain(MARKS.iter().map(|mark| (mark.name, mark.meaning)));
+    let facts = source.metadata().into_iter().map(|(name, value)| (name.to_owned(), value));
+    let units = NUMBER_COLUMNS.iter().map(|number| (format!("unit.{}", number.name), number.unit.to_owned()));
+    let meanings = NUMBER_COLUMNS.iter().map(|number| (number.name, number.meaning));
+    let meanings = meanings.chain(FLAG_COLUMNS.iter().map(|mark| (mark.name, mark.meaning)));
     let meanings = meanings.map(|(name, meaning)| (format!("meaning.{name}"), meaning.to_owned()));
     let metadata = facts.chain(units).chain(meanings).map(|(key, value)| KeyValue::new(key, value)).collect();
     let properties = WriterProperties::builder()
@@ -37,11 +37,11 @@ pub(crate) fn write(source: &Source<'_>, file: File, path: &Path) -> Result<(), 
         .build();
     let schema = schema().map_err(&refused)?;
     let mut writer = SerializedFileWriter::new(file, schema, Arc::new(properties)).map_err(&refused)?;
-    let mut block = Block::default();
+    let mut block = RowGroup::default();
     for trial in &source.trials {
         for row in trial.rows()? {
             block.push(trial.index, trial.seed, row?);
-            if block.rows.len() == GROUP {
+            if block.rows.len() == ROW_GROUP_ROWS {
                 block.write(source.name, &mut writer).map_err(&refused)?;
             }
         }
@@ -65,11 +65,11 @@ fn schema() -> Result<TypePtr, ParquetError> {
         column("trial", Physical::INT32, unsigned(32))?,
         column("seed", Physical::INT64, unsigned(64))?,
     ];
-    for number in NUMBERS {
+    for number in NUMBER_COLUMNS {
         let repetition = if number.can_be_unknown { Repetition::OPTIONAL } else { Repetition::REQUIRED };
         fields.push(repeated(number.name, Physical::DOUBLE, None, repetition)?);
     }
-    for mark in MARKS {
+    for mark in FLAG_COLUMNS {
         fields.push(column(mark.name, Physical::BOOLEAN, None)?);
     }
     Type::group_type_builder("trace").with_fields(fields).build().map(Arc::new)
@@ -77,13 +77,13 @@ fn schema() -> Result<TypePtr, ParquetError> {
 
 /// Rows that go into a row group together.
 #[derive(Default)]
-struct Block {
+struct RowGroup {
     trials: Vec<i32>,
     seeds: Vec<i64>,
     rows: Vec<Row>,
 }
 
-impl Block {
+impl RowGroup {
     fn push(&mut self, trial: u32, seed: u64, row: Row) {
         // Parquet keeps unsigned numbers in the bits of signed ones.
         self.trials.push(trial.cast_signed());
@@ -95,22 +95,22 @@ impl Block {
     fn write(&mut self, scenario: &str, writer: &mut SerializedFileWriter<File>) -> Result<(), ParquetError> {
         let mut group = writer.next_row_group()?;
         let names = vec![ByteArray::from(scenario); self.rows.len()];
-        column::<ByteArrayType>(&mut group, &names, None)?;
-        column::<Int32Type>(&mut group, &self.trials, None)?;
-        column::<Int64Type>(&mut group, &self.seeds, None)?;
-        for number in NUMBERS {
+        write_column::<ByteArrayType>(&mut group, &names, None)?;
+        write_column::<Int32Type>(&mut group, &self.trials, None)?;
+        write_column::<Int64Type>(&mut group, &self.seeds, None)?;
+        for number in NUMBER_COLUMNS {
             if number.can_be_unknown {
-                let values: Vec<_> = self.rows.iter().map(|row| number.known(row)).collect();
+                let values: Vec<_> = self.rows.iter().map(|row| number.known_value(row)).collect();
                 let levels: Vec<_> = values.iter().map(|value| i16::from(value.is_some())).collect();
                 let known: Vec<_> = values.into_iter().flatten().collect();
-                column::<DoubleType>(&mut group, &known, Some(&levels))?;
+                write_column::<DoubleType>(&mut group, &known, Some(&levels))?;
             } else {
-                column::<DoubleType>(&mut group, &self.rows.iter().map(number.of).collect::<Vec<_>>(), None)?;
+                write_column::<DoubleType>(&mut group, &self.rows.iter().map(number.of).collect::<Vec<_>>(), None)?;
             }
         }
-        for mark in MARKS {
+        for mark in FLAG_COLUMNS {
             let set: Vec<bool> = self.rows.iter().map(|row| row.flags.contains(mark.flag)).collect();
-            column::<BoolType>(&mut group, &set, None)?;
+            write_column::<BoolType>(&mut group, &set, None)?;
         }
         group.close()?;
         self.trials.clear();
@@ -121,7 +121,7 @@ impl Block {
 }
 
 /// Writes the next column of a row group. `levels` are 1 where a row has a value and 0 where not; every row has one where there are none.
-fn column<T: parquet::data_type::DataType>(
+fn write_column<T: parquet::data_type::DataType>(
     group: &mut SerializedRowGroupWriter<'_, File>,
     values: &[T::T],
     levels: Option<&[i16]>,

@@ -1,39 +1,39 @@
 //! One scenario of a run as every format sees it: its trials' traces, and what is said of all of them.
 
 use crate::error::ExportError;
-use platebench_trace::{Row, Rows};
-use platebench_verdict::record::FILE;
-use platebench_verdict::{RunRecord, ScenarioRecord};
+use platebench_record::RECORD_FILE;
+use platebench_record::{RunRecord, ScenarioRecord};
+use platebench_trace::{Row, TraceReader};
 use std::path::{Component, Path, PathBuf};
 
 /// A trial whose trace is whole.
 #[derive(Debug)]
-pub(crate) struct Trial {
+pub(crate) struct ExportTrial {
     pub(crate) index: u32,
     pub(crate) seed: u64,
     trace: PathBuf,
 }
 
-impl Trial {
+impl ExportTrial {
     /// Its rows, one after the other.
     pub(crate) fn rows(&self) -> Result<impl Iterator<Item = Result<Row, ExportError>>, ExportError> {
-        Ok(Rows::open(&self.trace)?.map(|row| row.map_err(ExportError::from)))
+        Ok(TraceReader::open(&self.trace)?.map(|row| row.map_err(ExportError::from)))
     }
 }
 
 /// A scenario with at least one whole trial.
 #[derive(Debug)]
-pub(crate) struct Source<'a> {
+pub(crate) struct ExportScenario<'a> {
     pub(crate) run: &'a RunRecord,
     pub(crate) scenario: &'a ScenarioRecord,
     /// The scenario's file without its ending: `paper/fig13-closed-loop`.
     pub(crate) name: &'a str,
     /// When the run started, ns since 1970 UTC.
     pub(crate) started_ns: u64,
-    pub(crate) trials: Vec<Trial>,
+    pub(crate) trials: Vec<ExportTrial>,
 }
 
-impl<'a> Source<'a> {
+impl<'a> ExportScenario<'a> {
     /// The scenario of the run in `folder`, and how many of its trials have no trace because they were cut off.
     pub(crate) fn of(
         run: &'a RunRecord,
@@ -41,15 +41,16 @@ impl<'a> Source<'a> {
         folder: &Path,
         started_ns: u64,
     ) -> Result<(Self, usize), ExportError> {
-        let outside = |named: &str| ExportError::Outside { record: folder.join(FILE), named: named.to_owned() };
+        let outside =
+            |named: &str| ExportError::OutsideRunFolder { record: folder.join(RECORD_FILE), named: named.to_owned() };
         let name = scenario.file.strip_suffix(".toml").unwrap_or(&scenario.file);
-        if !is_below(name) {
+        if !is_inside_folder(name) {
             return Err(outside(&scenario.file));
         }
         let mut trials = Vec::with_capacity(scenario.trials.len());
         let mut cut_off = 0;
         for trial in &scenario.trials {
-            if !is_below(&trial.trace) {
+            if !is_inside_folder(&trial.trace) {
                 return Err(outside(&trial.trace));
             }
             let trace = folder.join(&trial.trace);
@@ -57,14 +58,14 @@ impl<'a> Source<'a> {
             if trial.sha256.is_none() && !trace.exists() {
                 cut_off += 1;
             } else {
-                trials.push(Trial { index: trial.index, seed: trial.seed, trace });
+                trials.push(ExportTrial { index: trial.index, seed: trial.seed, trace });
             }
         }
         Ok((Self { run, scenario, name, started_ns, trials }, cut_off))
     }
 
     /// What holds for every row, by name. Names are the same in every format.
-    pub(crate) fn facts(&self) -> Vec<(&'static str, String)> {
+    pub(crate) fn metadata(&self) -> Vec<(&'static str, String)> {
         let (run, scenario) = (self.run, self.scenario);
         let firmware = run.rig.firmware.as_ref().map(|firmware| format!("{} {}", firmware.name, firmware.version));
         let inputs: Vec<_> =
@@ -79,7 +80,7 @@ impl<'a> Source<'a> {
             ("trials", Some(self.trials.len().to_string())),
             ("rig", Some(run.rig.name.clone())),
             ("firmware", firmware),
-            ("clock", Some(run.clock.clone())),
+            ("clock", Some(run.clock.to_string())),
             ("started", Some(run.started.clone())),
             ("complete", Some(run.complete.to_string())),
             ("inputs", Some(inputs.join(", "))),
@@ -90,7 +91,7 @@ impl<'a> Source<'a> {
 }
 
 /// True for a relative path that does not leave where it starts.
-fn is_below(path: &str) -> bool {
+fn is_inside_folder(path: &str) -> bool {
     !path.is_empty() && Path::new(path).components().all(|part| matches!(part, Component::Normal(_)))
 }
 
@@ -101,10 +102,10 @@ mod tests {
     #[test]
     fn no_name_leads_out_of_the_folder() {
         for inside in ["a", "paper/fig13", "a/b/c.csv"] {
-            assert!(is_below(inside), "{inside}");
+            assert!(is_inside_folder(inside), "{inside}");
         }
         for outside in ["", "/etc/passwd", "../a", "a/../../b", "./a/.."] {
-            assert!(!is_below(outside), "{outside}");
+            assert!(!is_inside_folder(outside), "{outside}");
         }
     }
 }

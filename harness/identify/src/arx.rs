@@ -11,16 +11,16 @@ use nalgebra::{DMatrix, DVector};
 
 /// How an ARX model is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Method {
+pub enum ArxMethod {
     /// As in the paper: biased by noise on the output.
     LeastSquares,
     /// Consistent under it.
-    Instruments,
+    InstrumentalVariables,
 }
 
 /// A fitted model of order one.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Arx {
+pub struct ArxModel {
     /// τ, s.
     pub time_constant: Estimate,
     /// Static gain from each input.
@@ -29,7 +29,7 @@ pub struct Arx {
 
 /// Fits outputs `y`, `period` seconds apart, to `inputs`, each as long and constant between samples. `None` where they do not determine a stable first
 /// order: `a` outside 0 to 1, inputs that depend on each other, too few samples.
-pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: Method) -> Option<Arx> {
+pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: ArxMethod) -> Option<ArxModel> {
     let (rows, width) = (y.len().checked_sub(1)?, inputs.len() + 1);
     let freedom = rows.checked_sub(width).filter(|&freedom| freedom > 0)? as f64;
     let with = |states: &[f64]| {
@@ -41,7 +41,7 @@ pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: Method) -> Optio
     let (regressors, target) = (with(y), DVector::from_iterator(rows, y.iter().skip(1).copied()));
     let mut instruments = regressors.clone();
     let mut theta = solve(&instruments, &regressors, &target)?;
-    if method == Method::Instruments {
+    if method == ArxMethod::InstrumentalVariables {
         for _ in 0..3 {
             instruments = with(&response(&theta, inputs, y.len())?);
             theta = solve(&instruments, &regressors, &target)?;
@@ -52,8 +52,8 @@ pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: Method) -> Optio
     let power = residuals.norm_squared() / freedom;
     let inverse = (instruments.transpose() * &regressors).try_inverse()?;
     let middle = match method {
-        Method::LeastSquares => instruments.transpose() * &instruments * power,
-        Method::Instruments => {
+        ArxMethod::LeastSquares => instruments.transpose() * &instruments * power,
+        ArxMethod::InstrumentalVariables => {
             // E[e e'] of e = v[k+1] − a v[k]: (1 + a²)σ² on the diagonal, −aσ² beside it.
             let noise = power / (1.0 + a * a);
             let mut coloured = &instruments * power;
@@ -80,7 +80,7 @@ pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: Method) -> Optio
         let direction = gradient(&[(0, c / (1.0 - a).powi(2)), (index, 1.0 / (1.0 - a))]);
         Estimate::new(c / (1.0 - a), error(direction), freedom)
     };
-    Some(Arx {
+    Some(ArxModel {
         time_constant: Estimate::new(-period / a.ln(), error(gradient(&[(0, slope)])), freedom),
         gains: theta.iter().enumerate().skip(1).map(gain).collect(),
     })

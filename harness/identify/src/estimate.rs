@@ -27,7 +27,7 @@ impl Estimate {
     }
 
     /// A positive value whose logarithm has a normal error.
-    pub fn of_logarithm(logarithm: f64, error: f64, freedom: f64) -> Self {
+    pub fn from_logarithm(logarithm: f64, error: f64, freedom: f64) -> Self {
         let reach = quantile(freedom) * error;
         let value = logarithm.exp();
         Self { value, error: value * error, low: (logarithm - reach).exp(), high: (logarithm + reach).exp() }
@@ -35,27 +35,27 @@ impl Estimate {
 
     /// In another unit.
     #[must_use]
-    pub fn times(self, factor: f64) -> Self {
+    pub fn scaled(self, factor: f64) -> Self {
         let (a, b) = (self.low * factor, self.high * factor);
         Self { value: self.value * factor, error: (self.error * factor).abs(), low: a.min(b), high: a.max(b) }
     }
 
     /// True where the interval holds `truth`.
-    pub fn covers(&self, truth: f64) -> bool {
+    pub fn contains(&self, truth: f64) -> bool {
         (self.low..=self.high).contains(&truth)
     }
 
     /// Several estimates as one, of which those of one recording belong to one plate and stand for one.
-    pub fn pooled_by(estimates: &[(String, Self)]) -> Option<Self> {
+    pub fn pool_by_recording(estimates: &[(String, Self)]) -> Option<Self> {
         let mut sorted = estimates.to_vec();
         sorted.sort_by(|a, b| a.0.cmp(&b.0));
         let groups = sorted.chunk_by(|a, b| a.0 == b.0);
-        let own = |group: &[(String, Self)]| Self::pooled(&group.iter().map(|(_, each)| *each).collect::<Vec<_>>());
-        Self::pooled(&groups.filter_map(own).collect::<Vec<_>>())
+        let own = |group: &[(String, Self)]| Self::pool(&group.iter().map(|(_, each)| *each).collect::<Vec<_>>());
+        Self::pool(&groups.filter_map(own).collect::<Vec<_>>())
     }
 
     /// Several estimates as one: their mean. Its error is what their scatter tells, or what each says of itself, whichever is larger.
-    pub fn pooled(estimates: &[Self]) -> Option<Self> {
+    pub fn pool(estimates: &[Self]) -> Option<Self> {
         let (first, count) = (*estimates.first()?, estimates.len() as f64);
         if estimates.len() == 1 {
             return Some(first);
@@ -74,7 +74,7 @@ fn quantile(freedom: f64) -> f64 {
 
 /// Whether residuals are white: the test of Ljung and Box.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Whiteness {
+pub struct WhitenessTest {
     /// `Q = n(n+2) Σ ρ²/(n−k)` over all lags and both components.
     pub statistic: f64,
     /// Degrees of freedom: lags times components.
@@ -83,11 +83,11 @@ pub struct Whiteness {
     pub p_value: f64,
 }
 
-impl Whiteness {
+impl WhitenessTest {
     /// Tests components of residuals together, at lags up to 10 or a fifth of their length. (G. M. Ljung, G. E. P. Box, Biometrika 65, 1978. Nothing is
     /// taken off the degrees of freedom: the residuals are those of a model whose response does not depend on past outputs.) `None` for fewer than ten
     /// residuals or residuals of zero.
-    pub fn of(components: &[Vec<f64>]) -> Option<Self> {
+    pub fn ljung_box(components: &[Vec<f64>]) -> Option<Self> {
         let mut whole = Self { statistic: 0.0, freedom: 0, p_value: 1.0 };
         for residuals in components {
             let n = residuals.len() as f64;
@@ -108,7 +108,7 @@ impl Whiteness {
     }
 
     /// True where whiteness is refused at the level of 1 %.
-    pub fn is_refused(&self) -> bool {
+    pub fn is_rejected(&self) -> bool {
         self.p_value < 0.01
     }
 }

@@ -6,26 +6,26 @@
 //!
 //! Levenberg and Marquardt's method on logarithms of what is positive; intervals from the curvature at the minimum and the residuals' own power.
 
-use crate::arx::{Method, arx};
-use crate::estimate::{Estimate, Whiteness};
-use crate::recording::{Recording, Unusable};
+use crate::arx::{ArxMethod, arx};
+use crate::estimate::{Estimate, WhitenessTest};
+use crate::recording::{Recording, RecordingError};
 use nalgebra::{DMatrix, DVector};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, State, Tier};
 
 /// A fit that has not come to rest by then does not.
-const MOST_ITERATIONS: usize = 80;
+const MAX_ITERATIONS: usize = 80;
 /// Relative fall of the sum of squares that is none.
-const NO_FALL: f64 = 1e-10;
+const CONVERGENCE_TOLERANCE: f64 = 1e-10;
 /// For difference quotients; every parameter is of order one.
-const STEP: f64 = 1e-6;
+const DIFFERENCE_STEP: f64 = 1e-6;
 /// A resonance is counted in these from the mean excitation frequency, rad/s.
 const OMEGA_UNIT: f64 = 500.0;
 /// A relative standard error of K1 or τ beyond this is no estimate.
-const LARGEST_ERROR: f64 = 0.5;
+const MAX_RELATIVE_ERROR: f64 = 0.5;
 
 /// What a direct fit tells.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Fit {
+pub struct DirectFit {
     /// K1 at the lowest force, µm/Vpp.
     pub gain: Estimate,
     /// Per force in N, lowest first: τ in s.
@@ -39,12 +39,12 @@ pub struct Fit {
     /// Standard deviation of the residuals on each component, µm.
     pub noise_um: f64,
     /// Whether the residuals are white; `None` where there are too few.
-    pub whiteness: Option<Whiteness>,
+    pub whiteness: Option<WhitenessTest>,
     /// W of the model at each sample.
     pub curve: Vec<Complex64>,
 }
 
-impl Fit {
+impl DirectFit {
     /// τ at the lowest force, s.
     pub fn time_constant(&self) -> Option<Estimate> {
         self.time_constants.first().map(|(_, estimate)| *estimate)
@@ -52,17 +52,17 @@ impl Fit {
 }
 
 /// Which parameter stands where.
-struct Layout<'a> {
+struct ParameterLayout<'a> {
     recording: &'a Recording,
     /// Lowest first, N.
     forces: Vec<f64>,
     /// For each of the recording's conditions, the number of its force.
-    force_of: Vec<usize>,
+    force_index: Vec<usize>,
     /// rad/s
-    omega: f64,
+    mean_omega: f64,
 }
 
-impl<'a> Layout<'a> {
+impl<'a> ParameterLayout<'a> {
     fn new(recording: &'a Recording) -> Self {
         let mut forces: Vec<f64> = recording.conditions.iter().map(|conditions| conditions.finger_force_n).collect();
         forces.sort_by(f64::total_cmp);
@@ -70,15 +70,15 @@ impl<'a> Layout<'a> {
         let number = |conditions: &Conditions| forces.iter().position(|force| *force == conditions.finger_force_n);
         let force_of = recording.conditions.iter().map(|conditions| number(conditions).unwrap_or(0)).collect();
         let omega = recording.inputs.iter().map(|input| input.omega).sum::<f64>() / recording.inputs.len() as f64;
-        Self { recording, forces, force_of, omega }
+        Self { recording, forces, force_index: force_of, mean_omega: omega }
     }
 
     /// `[ln K1, ln τ …, resonance …, Re W, Im W]`
-    fn width(&self) -> usize {
-        self.resonance(0) + self.force_of.len() + 2
+    fn parameter_count(&self) -> usize {
+        self.resonance_index(0) + self.force_index.len() + 2
     }
 
-    fn resonance(&self, conditions: usize) -> usize {
+    fn resonance_index(&self, conditions: usize) -> usize {
         1 + self.forces.len() + conditions
     }
 
@@ -86,17 +86,17 @@ impl<'a> Layout<'a> {
     fn response(&self, theta: &DVector<f64>) -> Vec<Complex64> {
         let sigma = |force: usize| (-theta[1 + force]).exp();
         let constant = theta[0].exp() * sigma(0);
-        let omega0 = |conditions: usize| self.omega + OMEGA_UNIT * theta[self.resonance(conditions)];
-        let modes: Vec<Mode> = (0..self.force_of.len())
+        let omega0 = |conditions: usize| self.mean_omega + OMEGA_UNIT * theta[self.resonance_index(conditions)];
+        let modes: Vec<Mode> = (0..self.force_index.len())
             .map(|number| Mode {
-                sigma: sigma(self.force_of[number]),
+                sigma: sigma(self.force_index[number]),
                 omega0: omega0(number),
                 force_constant: 2.0 * constant * omega0(0),
                 envelope_constant: constant,
             })
             .collect();
         let Recording { inputs, outputs, conditions, .. } = self.recording;
-        let w = Complex64::new(theta[self.width() - 2], theta[self.width() - 1]);
+        let w = Complex64::new(theta[self.parameter_count() - 2], theta[self.parameter_count() - 1]);
         let mut state = State { w, u: Complex64::I * inputs[0].omega * w };
         let mut now = outputs[0].t;
         let mut index = inputs.partition_point(|input| input.t <= now).saturating_sub(1);
@@ -122,16 +122,16 @@ impl<'a> Layout<'a> {
         DVector::from_vec(differences.flat_map(|difference| [difference.re, difference.im]).collect())
     }
 
-    fn start(&self, tau: f64, detuning: f64) -> DVector<f64> {
-        let mut theta = DVector::zeros(self.width());
+    fn start_vector(&self, tau: f64, detuning: f64) -> DVector<f64> {
+        let mut theta = DVector::zeros(self.parameter_count());
         for force in 0..self.forces.len() {
             theta[1 + force] = tau.ln();
         }
-        for number in 0..self.force_of.len() {
-            theta[self.resonance(number)] = -detuning / OMEGA_UNIT;
+        for number in 0..self.force_index.len() {
+            theta[self.resonance_index(number)] = -detuning / OMEGA_UNIT;
         }
         let first = self.recording.outputs[0].w;
-        let last = self.width();
+        let last = self.parameter_count();
         (theta[last - 2], theta[last - 1]) = (first.re, first.im);
         // The response is linear in K1 but for where it starts: the best one for these poles.
         let unit = self.response(&theta);
@@ -146,77 +146,77 @@ impl<'a> Layout<'a> {
 /// Fits the exact response to a recording.
 ///
 /// # Errors
-/// [`Unusable::Undetermined`] where the recording does not tell the parameters.
-pub fn direct(recording: &Recording) -> Result<Fit, Unusable> {
-    let layout = Layout::new(recording);
-    let freedom = (2 * recording.outputs.len()).checked_sub(layout.width()).filter(|&freedom| freedom > 1);
-    let freedom = freedom.ok_or(Unusable::Undetermined)? as f64;
-    let best = starts(recording)
+/// `Unusable::Undetermined` where the recording does not tell the parameters.
+pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
+    let layout = ParameterLayout::new(recording);
+    let freedom = (2 * recording.outputs.len()).checked_sub(layout.parameter_count()).filter(|&freedom| freedom > 1);
+    let freedom = freedom.ok_or(RecordingError::Undetermined)? as f64;
+    let best = start_points(recording)
         .into_iter()
-        .filter_map(|(tau, detuning)| minimum(&layout, layout.start(tau, detuning)))
+        .filter_map(|(tau, detuning)| minimise(&layout, layout.start_vector(tau, detuning)))
         .min_by(|a, b| a.1.total_cmp(&b.1));
-    let (theta, squares) = best.ok_or(Unusable::Undetermined)?;
+    let (theta, squares) = best.ok_or(RecordingError::Undetermined)?;
     let jacobian = jacobian(&layout, &theta, &layout.residuals(&theta));
     let power = squares / freedom;
     let covariance = (jacobian.transpose() * &jacobian)
         .cholesky()
         .map(|factor| factor.inverse() * power)
-        .ok_or(Unusable::Undetermined)?;
+        .ok_or(RecordingError::Undetermined)?;
     let error = |index: usize| covariance[(index, index)].max(0.0).sqrt();
-    let positive = |index: usize| Estimate::of_logarithm(theta[index], error(index), freedom);
-    if !(0..=layout.forces.len()).all(|index| error(index) < LARGEST_ERROR) {
-        return Err(Unusable::Undetermined);
+    let positive = |index: usize| Estimate::from_logarithm(theta[index], error(index), freedom);
+    if !(0..=layout.forces.len()).all(|index| error(index) < MAX_RELATIVE_ERROR) {
+        return Err(RecordingError::Undetermined);
     }
     let ratio = |force: usize| {
         let index = 1 + force;
         let variance = covariance[(1, 1)] + covariance[(index, index)] - 2.0 * covariance[(1, index)];
-        Estimate::of_logarithm(theta[1] - theta[index], variance.max(0.0).sqrt(), freedom)
+        Estimate::from_logarithm(theta[1] - theta[index], variance.max(0.0).sqrt(), freedom)
     };
     let resonance = |(number, conditions): (usize, &Conditions)| {
-        let index = layout.resonance(number);
-        let value = layout.omega + OMEGA_UNIT * theta[index];
+        let index = layout.resonance_index(number);
+        let value = layout.mean_omega + OMEGA_UNIT * theta[index];
         (*conditions, Estimate::new(value, OMEGA_UNIT * error(index), freedom))
     };
     let forces = || layout.forces.iter().copied().enumerate();
     let (residuals, levels) = (layout.residuals(&theta), recording.conditions.len());
     let component = |offset: usize| residuals.iter().skip(offset).step_by(2).copied().collect();
-    Ok(Fit {
+    Ok(DirectFit {
         gain: positive(0),
         time_constants: forces().map(|(number, force)| (force, positive(1 + number))).collect(),
         damping: forces().map(|(number, force)| (force, ratio(number))).collect(),
         resonances: recording.conditions.iter().enumerate().map(resonance).collect(),
-        resonance_covariance: covariance.view((layout.resonance(0), layout.resonance(0)), (levels, levels))
+        resonance_covariance: covariance.view((layout.resonance_index(0), layout.resonance_index(0)), (levels, levels))
             * OMEGA_UNIT.powi(2),
         noise_um: power.sqrt(),
-        whiteness: Whiteness::of(&[component(0), component(1)]),
+        whiteness: WhitenessTest::ljung_box(&[component(0), component(1)]),
         curve: layout.response(&theta),
     })
 }
 
 /// Where to start from, `(τ in s, Δω in rad/s)`: what a first order says of Wd at resonance, and a fan around the paper's plate.
-fn starts(recording: &Recording) -> Vec<(f64, f64)> {
+fn start_points(recording: &Recording) -> Vec<(f64, f64)> {
     let wd: Vec<f64> = recording.outputs.iter().map(|output| output.w.re).collect();
-    let drive: Vec<f64> = recording.acting().iter().map(|input| input.vpp).collect();
+    let drive: Vec<f64> = recording.inputs_at_samples().iter().map(|input| input.vpp).collect();
     let first =
-        arx(&wd, &[drive], recording.period(), Method::LeastSquares).map_or(2e-3, |arx| arx.time_constant.value);
+        arx(&wd, &[drive], recording.period(), ArxMethod::LeastSquares).map_or(2e-3, |arx| arx.time_constant.value);
     vec![(first.clamp(1e-4, 1e-1), 0.0), (1.9e-3, 600.0), (1.9e-3, -600.0)]
 }
 
-fn jacobian(layout: &Layout<'_>, theta: &DVector<f64>, residuals: &DVector<f64>) -> DMatrix<f64> {
+fn jacobian(layout: &ParameterLayout<'_>, theta: &DVector<f64>, residuals: &DVector<f64>) -> DMatrix<f64> {
     let column = |index: usize| {
         let mut moved = theta.clone();
-        moved[index] += STEP;
-        (layout.residuals(&moved) - residuals) / STEP
+        moved[index] += DIFFERENCE_STEP;
+        (layout.residuals(&moved) - residuals) / DIFFERENCE_STEP
     };
     DMatrix::from_columns(&(0..theta.len()).map(column).collect::<Vec<_>>())
 }
 
 /// The minimum that the start leads to, with its sum of squares.
-fn minimum(layout: &Layout<'_>, mut theta: DVector<f64>) -> Option<(DVector<f64>, f64)> {
+fn minimise(layout: &ParameterLayout<'_>, mut theta: DVector<f64>) -> Option<(DVector<f64>, f64)> {
     let mut residuals = layout.residuals(&theta);
     let mut squares = residuals.norm_squared();
     let mut damping = 1e-3;
-    for _ in 0..MOST_ITERATIONS {
+    for _ in 0..MAX_ITERATIONS {
         let jacobian = jacobian(layout, &theta, &residuals);
         let (normal, gradient) = (jacobian.transpose() * &jacobian, jacobian.transpose() * &residuals);
         let mut fall = 0.0;
@@ -237,7 +237,7 @@ fn minimum(layout: &Layout<'_>, mut theta: DVector<f64>) -> Option<(DVector<f64>
             }
             damping *= 10.0;
         }
-        if fall < NO_FALL {
+        if fall < CONVERGENCE_TOLERANCE {
             break;
         }
     }

@@ -1,8 +1,9 @@
 //! All recordings together: the plate.
 
-use crate::estimate::{Estimate, Whiteness};
-use crate::fit::{Fit, direct};
-use crate::recording::{Recording, Unusable};
+use crate::doubt::{Doubt, doubts};
+use crate::estimate::{Estimate, WhitenessTest};
+use crate::fit::{DirectFit, fit_direct};
+use crate::recording::{Recording, RecordingError};
 use crate::steps::{FrequencyStep, VoltageStep, frequency_steps, voltage_steps};
 use nalgebra::{DMatrix, DVector};
 use platebench_plate::Conditions;
@@ -10,11 +11,11 @@ use serde::Serialize;
 use std::f64::consts::TAU;
 
 /// Errors that are told rather than estimated from few values.
-const MANY: f64 = 1e4;
+const FREEDOM_OF_KNOWN_ERRORS: f64 = 1e4;
 
 /// What the direct fit says of a whole recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Whole {
+pub struct RecordingFit {
     /// The recording.
     pub recording: String,
     /// Samples.
@@ -30,7 +31,7 @@ pub struct Whole {
     /// Standard deviation of the residuals on each component, µm.
     pub noise_um: f64,
     /// The Ljung-Box test of the residuals.
-    pub whiteness: Option<Whiteness>,
+    pub whiteness: Option<WhitenessTest>,
 }
 
 /// The plate that the recordings show. What they do not show is `None` or empty.
@@ -41,7 +42,7 @@ pub struct Identification {
     /// Table II.
     pub frequency_steps: Vec<FrequencyStep>,
     /// Each recording as a whole.
-    pub recordings: Vec<Whole>,
+    pub recordings: Vec<RecordingFit>,
     /// Recordings that do not determine the parameters.
     pub undetermined: Vec<String>,
     /// K1 by direct fits, without a finger, µm/Vpp.
@@ -66,27 +67,32 @@ pub struct Identification {
     pub noise_um: f64,
     /// Highest drive seen, Vpp.
     pub highest_vpp: f64,
+    /// Reasons to doubt the parameters; none for recordings that a single plate can produce.
+    pub doubts: Vec<Doubt>,
 }
 
 /// Identifies the plate. `slope_hz_per_k` is what is known of it beforehand; without it the recordings must show it themselves before a step of the
 /// temperature can stand for one of the frequency. Fits come beside, in the order of [`Identification::recordings`].
 ///
 /// # Errors
-/// [`Unusable::Undetermined`] where not one recording tells the parameters.
-pub fn identify(recordings: &[Recording], slope_hz_per_k: Option<f64>) -> Result<(Identification, Vec<Fit>), Unusable> {
-    let fitted: Vec<_> = recordings.iter().map(|recording| (recording, direct(recording))).collect();
+/// `Unusable::Undetermined` where not one recording tells the parameters.
+pub fn identify(
+    recordings: &[Recording],
+    slope_hz_per_k: Option<f64>,
+) -> Result<(Identification, Vec<DirectFit>), RecordingError> {
+    let fitted: Vec<_> = recordings.iter().map(|recording| (recording, fit_direct(recording))).collect();
     let undetermined = fitted.iter().filter(|(_, fit)| fit.is_err()).map(|(recording, _)| recording.name.clone());
     let undetermined: Vec<String> = undetermined.collect();
-    let fitted: Vec<(&Recording, Fit)> =
+    let fitted: Vec<(&Recording, DirectFit)> =
         fitted.into_iter().filter_map(|(recording, fit)| Some((recording, fit.ok()?))).collect();
     if fitted.is_empty() {
-        return Err(Unusable::Undetermined);
+        return Err(RecordingError::Undetermined);
     }
-    let pooled = |values: Vec<Estimate>| Estimate::pooled(&values);
-    let lines: Vec<_> = fitted.iter().map(|(_, fit)| warmth(fit)).collect();
+    let pooled = |values: Vec<Estimate>| Estimate::pool(&values);
+    let lines: Vec<_> = fitted.iter().map(|(_, fit)| temperature_line(fit)).collect();
     let slope = pooled(lines.iter().filter_map(|line| line.as_ref()?.1).collect());
     let known_slope = slope_hz_per_k.map(|hz| hz * TAU).or(slope.map(|slope| slope.value));
-    let reference = |(line, (_, fit)): (&Option<Warmth>, &(&Recording, Fit))| {
+    let reference = |(line, (_, fit)): (&Option<TemperatureLine>, &(&Recording, DirectFit))| {
         let (at_reference, own_slope) = (*line)?;
         let warmer = fit.resonances.first()?.0.temperature_offset_k;
         match (own_slope, known_slope) {
@@ -101,9 +107,9 @@ pub fn identify(recordings: &[Recording], slope_hz_per_k: Option<f64>) -> Result
     };
     let resonance = pooled(lines.iter().zip(&fitted).filter_map(reference).collect());
     let voltage: Vec<Vec<VoltageStep>> = fitted.iter().map(|(recording, fit)| voltage_steps(recording, fit)).collect();
-    let untouched = |fit: &Fit| fit.time_constants.first().is_some_and(|first| first.0 == 0.0);
+    let untouched = |fit: &DirectFit| fit.time_constants.first().is_some_and(|first| first.0 == 0.0);
     let free = || fitted.iter().zip(&voltage).filter(|((_, fit), _)| untouched(fit));
-    let mut open: Vec<&Fit> = free().filter(|(_, steps)| !steps.is_empty()).map(|((_, fit), _)| fit).collect();
+    let mut open: Vec<&DirectFit> = free().filter(|(_, steps)| !steps.is_empty()).map(|((_, fit), _)| fit).collect();
     if open.is_empty() {
         open = free().map(|((_, fit), _)| fit).collect();
     }
@@ -111,36 +117,40 @@ pub fn identify(recordings: &[Recording], slope_hz_per_k: Option<f64>) -> Result
         fitted.iter().flat_map(|(recording, fit)| frequency_steps(recording, fit, known_slope)).collect();
     let by_instruments = |index: usize| {
         let of = |step: &FrequencyStep| Some((step.recording.clone(), *step.instruments?.get(index)?));
-        Estimate::pooled_by(&frequency.iter().filter_map(of).collect::<Vec<_>>())
+        Estimate::pool_by_recording(&frequency.iter().filter_map(of).collect::<Vec<_>>())
     };
     let squares: f64 = fitted.iter().map(|(_, fit)| fit.noise_um.powi(2)).sum();
     let highest = fitted.iter().flat_map(|(recording, _)| &recording.inputs).map(|input| input.vpp);
-    let identification = Identification {
-        recordings: fitted.iter().filter_map(|(recording, fit)| whole(recording, fit)).collect(),
+    let mut identification = Identification {
+        recordings: fitted.iter().filter_map(|(recording, fit)| summarise_fit(recording, fit)).collect(),
         undetermined,
         gain_um_per_vpp: pooled(open.iter().map(|fit| fit.gain).collect()),
         time_constant_s: pooled(open.iter().filter_map(|fit| fit.time_constant()).collect()),
         frequency_gain_s: by_instruments(0),
         frequency_time_constant_s: by_instruments(1),
-        resonance_hz: resonance.map(|omega| omega.times(1.0 / TAU)),
-        slope_hz_per_k: slope.map(|omega| omega.times(1.0 / TAU)),
-        damping_ratio: damping(&fitted),
-        shift_hz_per_n: pooled(fitted.iter().filter_map(|(_, fit)| pressed(fit)).collect())
-            .map(|omega| omega.times(1.0 / TAU)),
-        gain_change_percent: pooled(voltage.iter().filter_map(|steps| linearity(steps)).collect()),
+        resonance_hz: resonance.map(|omega| omega.scaled(1.0 / TAU)),
+        slope_hz_per_k: slope.map(|omega| omega.scaled(1.0 / TAU)),
+        damping_ratio: damping_ratios(&fitted),
+        shift_hz_per_n: pooled(fitted.iter().filter_map(|(_, fit)| force_slope(fit)).collect())
+            .map(|omega| omega.scaled(1.0 / TAU)),
+        gain_change_percent: pooled(voltage.iter().filter_map(|steps| gain_change_percent(steps)).collect()),
         noise_um: (squares / fitted.len() as f64).sqrt(),
         highest_vpp: highest.fold(0.0, f64::max),
         voltage_steps: voltage.into_iter().flatten().collect(),
         frequency_steps: frequency,
+        doubts: Vec::new(),
     };
+    let (used, fits): (Vec<&Recording>, Vec<&DirectFit>) =
+        fitted.iter().map(|(recording, fit)| (*recording, fit)).unzip();
+    identification.doubts = doubts(&identification, &used, &fits);
     Ok((identification, fitted.into_iter().map(|(_, fit)| fit).collect()))
 }
 
-fn whole(recording: &Recording, fit: &Fit) -> Option<Whole> {
-    let resonance_hz = fit.resonances.first()?.1.times(1.0 / TAU);
+fn summarise_fit(recording: &Recording, fit: &DirectFit) -> Option<RecordingFit> {
+    let resonance_hz = fit.resonances.first()?.1.scaled(1.0 / TAU);
     let excitation_hz = recording.inputs.first()?.omega / TAU;
     let Estimate { value, error, low, high } = resonance_hz;
-    Some(Whole {
+    Some(RecordingFit {
         recording: recording.name.clone(),
         samples: recording.outputs.len(),
         gain_um_per_vpp: fit.gain,
@@ -158,28 +168,28 @@ fn whole(recording: &Recording, fit: &Fit) -> Option<Whole> {
 }
 
 /// Resonance at the reference temperature, rad/s, and its slope, rad/s per K.
-type Warmth = (Estimate, Option<Estimate>);
+type TemperatureLine = (Estimate, Option<Estimate>);
 
 /// Resonance at the reference temperature and its slope over the temperature, rad/s; at the one temperature that there is, without a slope.
-fn warmth(fit: &Fit) -> Option<Warmth> {
+fn temperature_line(fit: &DirectFit) -> Option<TemperatureLine> {
     let force = fit.time_constants.first()?.0;
     let untouched = |conditions: &Conditions| conditions.finger_force_n == force;
     let only = || fit.resonances.iter().find(|(conditions, _)| untouched(conditions)).map(|(_, omega)| (*omega, None));
-    let line = resonance_line(fit, |conditions| untouched(conditions).then_some(conditions.temperature_offset_k));
+    let line = fit_resonance_line(fit, |conditions| untouched(conditions).then_some(conditions.temperature_offset_k));
     line.map(|(start, slope)| (start, Some(slope))).or_else(only)
 }
 
 /// Change of the resonance per newton, rad/s, at the temperature of the first conditions.
-fn pressed(fit: &Fit) -> Option<Estimate> {
+fn force_slope(fit: &DirectFit) -> Option<Estimate> {
     let warm = fit.resonances.first()?.0.temperature_offset_k;
-    let line = resonance_line(fit, |conditions| {
+    let line = fit_resonance_line(fit, |conditions| {
         (conditions.temperature_offset_k == warm).then_some(conditions.finger_force_n)
     });
     line.map(|(_, slope)| slope)
 }
 
 /// σ/σ0 over all recordings that begin without a finger, forces rising.
-fn damping(fitted: &[(&Recording, Fit)]) -> Vec<(f64, Estimate)> {
+fn damping_ratios(fitted: &[(&Recording, DirectFit)]) -> Vec<(f64, Estimate)> {
     let untouched = fitted
         .iter()
         .filter(|(_, fit)| fit.damping.len() > 1 && fit.damping.first().is_some_and(|first| first.0 == 0.0));
@@ -188,37 +198,37 @@ fn damping(fitted: &[(&Recording, Fit)]) -> Vec<(f64, Estimate)> {
     let groups = all.chunk_by(|a, b| a.0 == b.0);
     let pool = |group: &[(f64, Estimate)]| {
         let estimates: Vec<Estimate> = group.iter().map(|(_, estimate)| *estimate).collect();
-        Some((group.first()?.0, Estimate::pooled(&estimates)?))
+        Some((group.first()?.0, Estimate::pool(&estimates)?))
     };
     groups.filter_map(pool).collect()
 }
 
 /// By how much K1 changes over the range of drives, percent of its mean; `None` for fewer than three levels.
-fn linearity(steps: &[VoltageStep]) -> Option<Estimate> {
+fn gain_change_percent(steps: &[VoltageStep]) -> Option<Estimate> {
     let points: Vec<_> = steps.iter().filter_map(|step| Some((step.vpp, step.direct?[0]))).collect();
     let drives = points.iter().map(|point| point.0);
     let (low, high) = drives.fold((f64::MAX, 0.0_f64), |(low, high), vpp| (low.min(vpp), high.max(vpp)));
     let variances = points.iter().map(|point| point.1.error.powi(2).max(f64::MIN_POSITIVE));
     let covariance = DMatrix::from_diagonal(&DVector::from_iterator(points.len(), variances));
     let values: Vec<(f64, f64)> = points.iter().map(|point| (point.0, point.1.value)).collect();
-    let (start, slope) = line(&values, &covariance).filter(|_| points.len() > 2)?;
+    let (start, slope) = fit_line(&values, &covariance).filter(|_| points.len() > 2)?;
     let middle = start.value + slope.value * f64::midpoint(low, high);
-    Some(slope.times((high - low) / middle * 100.0))
+    Some(slope.scaled((high - low) / middle * 100.0))
 }
 
 /// The line through the resonances of a fit that `matters` picks, over what it says of their conditions.
-fn resonance_line(fit: &Fit, matters: impl Fn(&Conditions) -> Option<f64>) -> Option<(Estimate, Estimate)> {
+fn fit_resonance_line(fit: &DirectFit, matters: impl Fn(&Conditions) -> Option<f64>) -> Option<(Estimate, Estimate)> {
     let picked = fit.resonances.iter().enumerate();
     let picked: Vec<(usize, f64, f64)> =
         picked.filter_map(|(number, (conditions, omega))| Some((number, matters(conditions)?, omega.value))).collect();
     let points: Vec<(f64, f64)> = picked.iter().map(|(_, x, y)| (*x, *y)).collect();
     let numbers: Vec<usize> = picked.iter().map(|(number, _, _)| *number).collect();
-    line(&points, &fit.resonance_covariance.select_rows(&numbers).select_columns(&numbers))
+    fit_line(&points, &fit.resonance_covariance.select_rows(&numbers).select_columns(&numbers))
 }
 
 /// The line through points by generalised least squares: value at 0, and slope. Where the points stray more than their covariance says, so do the results.
 /// `None` where all stand at one place.
-fn line(points: &[(f64, f64)], covariance: &DMatrix<f64>) -> Option<(Estimate, Estimate)> {
+fn fit_line(points: &[(f64, f64)], covariance: &DMatrix<f64>) -> Option<(Estimate, Estimate)> {
     let first = points.first()?;
     if points.iter().all(|point| point.0 == first.0) {
         return None;
@@ -232,7 +242,8 @@ fn line(points: &[(f64, f64)], covariance: &DMatrix<f64>) -> Option<(Estimate, E
     let misfit = &values - &places * &theta;
     let squares = misfit.dot(&factor.solve(&misfit));
     let free = points.len().saturating_sub(2) as f64;
-    let (wider, freedom) = if squares > free && free > 0.0 { ((squares / free).sqrt(), free) } else { (1.0, MANY) };
+    let (wider, freedom) =
+        if squares > free && free > 0.0 { ((squares / free).sqrt(), free) } else { (1.0, FREEDOM_OF_KNOWN_ERRORS) };
     let error = |index: usize| wider * known[(index, index)].max(0.0).sqrt();
     Some((Estimate::new(first.1 + theta[0], error(0), freedom), Estimate::new(theta[1], error(1), freedom)))
 }

@@ -1,6 +1,6 @@
 //! What was recorded: what drove the plate, and what was seen of it.
 //!
-//! Neighbours: [`crate::telemetry`] reads foreign tables, `platebench-trace` our own traces. Nothing is estimated here.
+//! Neighbours: `crate::telemetry` reads foreign tables, `platebench-trace` our own traces. Nothing is estimated here.
 
 use platebench_plate::{Complex64, Conditions};
 use platebench_trace::{Flags, Row};
@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 
 /// What acts on the plate from `t` on.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Input {
+pub struct RecordedInput {
     /// s
     pub t: f64,
     /// Drive, Vpp.
@@ -21,7 +21,7 @@ pub struct Input {
 
 /// What a controller saw at `t`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Output {
+pub struct RecordedSample {
     /// s
     pub t: f64,
     /// `Wd + jWq`, µm peak to peak.
@@ -30,7 +30,7 @@ pub struct Output {
 
 /// Which columns of a trace are looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Signal {
+pub enum SampleSource {
     /// What the controller was given, noise and all.
     Sensed,
     /// The plate's state, which only an emulated plate shows.
@@ -39,24 +39,24 @@ pub enum Signal {
 
 /// Why a recording cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Unusable {
+pub enum RecordingError {
     /// Too few control instants.
     #[error("{0} samples at control instants, expected at least {FEWEST}")]
-    Short(usize),
+    TooShort(usize),
     /// More control instants than a fit can take in reasonable time.
     #[error("{0} samples at control instants, expected at most {MOST}")]
-    Long(usize),
+    TooLong(usize),
     /// The plate was never driven.
     #[error("the drive is 0 V throughout, expected a step")]
-    Undriven,
+    NoDrive,
     /// An instant appears twice, or not in order.
     #[error("times that do not rise at sample {0}")]
-    Unordered(usize),
+    NotInOrder(usize),
     /// A ramp.
     #[error(
         "temperature or force moves: more than {MOST_CONDITIONS} levels, or one of fewer than {FEWEST_HELD} samples; expected each to be held for some 10 ms"
     )]
-    Moving,
+    VaryingConditions,
     /// The response does not tell the parameters.
     #[error(
         "the response does not determine gain, time constant and resonance; expected steps of the drive or the frequency, each held for some 10 ms"
@@ -83,9 +83,9 @@ pub struct Recording {
     /// Where it comes from.
     pub name: String,
     /// Changes of what acts, in order; the first not after the first output.
-    pub inputs: Vec<Input>,
+    pub inputs: Vec<RecordedInput>,
     /// Samples, in order.
-    pub outputs: Vec<Output>,
+    pub outputs: Vec<RecordedSample>,
     /// The different temperatures and forces, in order of their appearance.
     pub conditions: Vec<Conditions>,
 }
@@ -94,48 +94,48 @@ impl Recording {
     /// Checks and keeps what was recorded; inputs that change nothing are dropped, near temperatures and forces are made one.
     ///
     /// # Errors
-    /// [`Unusable`].
-    pub fn new(name: String, inputs: Vec<Input>, outputs: Vec<Output>) -> Result<Self, Unusable> {
+    /// `Unusable`.
+    pub fn new(name: String, inputs: Vec<RecordedInput>, outputs: Vec<RecordedSample>) -> Result<Self, RecordingError> {
         if outputs.len() < FEWEST {
-            return Err(Unusable::Short(outputs.len()));
+            return Err(RecordingError::TooShort(outputs.len()));
         }
         if outputs.len() > MOST {
-            return Err(Unusable::Long(outputs.len()));
+            return Err(RecordingError::TooLong(outputs.len()));
         }
         if let Some(at) = outputs.windows(2).position(|pair| pair[1].t <= pair[0].t) {
-            return Err(Unusable::Unordered(at + 1));
+            return Err(RecordingError::NotInOrder(at + 1));
         }
         if inputs.iter().all(|input| input.vpp == 0.0) {
-            return Err(Unusable::Undriven);
+            return Err(RecordingError::NoDrive);
         }
         let mut conditions: Vec<Conditions> = Vec::new();
-        let mut kept: Vec<Input> = Vec::new();
+        let mut kept: Vec<RecordedInput> = Vec::new();
         for mut input in inputs {
-            let level = conditions.iter().copied().find(|known| same(known, &input.conditions));
+            let level = conditions.iter().copied().find(|known| are_same_conditions(known, &input.conditions));
             input.conditions = level.unwrap_or(input.conditions);
             if level.is_none() {
                 conditions.push(input.conditions);
             }
-            if kept.last().is_none_or(|last| Input { t: input.t, ..*last } != input) {
+            if kept.last().is_none_or(|last| RecordedInput { t: input.t, ..*last } != input) {
                 kept.push(input);
             }
             if conditions.len() > MOST_CONDITIONS {
-                return Err(Unusable::Moving);
+                return Err(RecordingError::VaryingConditions);
             }
         }
         let whole = Self { name, inputs: kept, outputs, conditions };
-        let acting = whole.acting();
+        let acting = whole.inputs_at_samples();
         let seen = |level: &Conditions| acting.iter().filter(|input| input.conditions == *level).count();
         let passing = whole.conditions.iter().any(|level| seen(level) < FEWEST_HELD);
-        if passing { Err(Unusable::Moving) } else { Ok(whole) }
+        if passing { Err(RecordingError::VaryingConditions) } else { Ok(whole) }
     }
 
     /// A trace: inputs from every row, outputs from rows flagged `control` whose sample arrived.
     ///
     /// # Errors
-    /// [`Unusable`].
-    pub fn of_trace(name: String, rows: &[Row], signal: Signal) -> Result<Self, Unusable> {
-        let input = |row: &Row| Input {
+    /// `Unusable`.
+    pub fn from_trace(name: String, rows: &[Row], signal: SampleSource) -> Result<Self, RecordingError> {
+        let input = |row: &Row| RecordedInput {
             t: row.t_s,
             vpp: row.drive_vpp,
             omega: row.frequency_hz * TAU,
@@ -147,10 +147,10 @@ impl Recording {
         let seen = |row: &&Row| row.flags.contains(Flags::CONTROL) && !row.flags.contains(Flags::LINK_LOST);
         let output = |row: &Row| {
             let (wd, wq) = match signal {
-                Signal::Sensed => (row.sensed_wd_um, row.sensed_wq_um),
-                Signal::True => (row.wd_um, row.wq_um),
+                SampleSource::Sensed => (row.sensed_wd_um, row.sensed_wq_um),
+                SampleSource::True => (row.wd_um, row.wq_um),
             };
-            Output { t: row.t_s, w: Complex64::new(wd, wq) }
+            RecordedSample { t: row.t_s, w: Complex64::new(wd, wq) }
         };
         Self::new(name, rows.iter().map(input).collect(), rows.iter().filter(seen).map(output).collect())
     }
@@ -163,7 +163,7 @@ impl Recording {
     }
 
     /// What acts from each output's instant on.
-    pub fn acting(&self) -> Vec<Input> {
+    pub fn inputs_at_samples(&self) -> Vec<RecordedInput> {
         let at = |t: f64| self.inputs.partition_point(|input| input.t <= t).saturating_sub(1);
         self.outputs.iter().filter_map(|output| self.inputs.get(at(output.t)).copied()).collect()
     }
@@ -171,10 +171,12 @@ impl Recording {
     /// The outputs numbered `from..to`, with what acted.
     ///
     /// # Errors
-    /// [`Unusable`] where nothing of use is left.
-    pub fn part(&self, from: usize, to: usize) -> Result<Self, Unusable> {
+    /// `Unusable` where nothing of use is left.
+    pub fn slice(&self, from: usize, to: usize) -> Result<Self, RecordingError> {
         let outputs = self.outputs.get(from..to).unwrap_or_default().to_vec();
-        let (Some(first), Some(last)) = (outputs.first(), outputs.last()) else { return Err(Unusable::Short(0)) };
+        let (Some(first), Some(last)) = (outputs.first(), outputs.last()) else {
+            return Err(RecordingError::TooShort(0));
+        };
         let start = self.inputs.partition_point(|input| input.t <= first.t).saturating_sub(1);
         let end = self.inputs.partition_point(|input| input.t < last.t);
         Self::new(self.name.clone(), self.inputs.get(start..end).unwrap_or_default().to_vec(), outputs)
@@ -182,7 +184,7 @@ impl Recording {
 }
 
 /// True where a plate could not tell one from the other.
-pub(crate) fn same(a: &Conditions, b: &Conditions) -> bool {
+pub(crate) fn are_same_conditions(a: &Conditions, b: &Conditions) -> bool {
     (a.temperature_offset_k - b.temperature_offset_k).abs() <= SAME_TEMPERATURE_K
         && (a.finger_force_n - b.finger_force_n).abs() <= SAME_FORCE_N
 }

@@ -1,23 +1,23 @@
 //! The steps within a recording, each by every method: the rows of Tables I and II.
 
-use crate::arx::{Arx, Method, arx};
+use crate::arx::{ArxMethod, ArxModel, arx};
 use crate::estimate::Estimate;
-use crate::fit::{Fit, direct};
-use crate::recording::{Input, Recording};
+use crate::fit::{DirectFit, fit_direct};
+use crate::recording::{RecordedInput, Recording};
 use serde::Serialize;
 
 /// A level that is held for fewer samples is no level.
-const FEWEST: usize = 6;
+const MIN_SAMPLES: usize = 6;
 /// Drives within this share of the largest one are the same.
 const SAME_DRIVE: f64 = 0.01;
 /// A smaller change of the drive, as a share of the largest one, is a loop at work and no step.
 const SMALLEST_STEP: f64 = 0.05;
 /// A first order of Wd alone holds near the resonance only: |τΔω| at most this.
-const NEAR: f64 = 0.1;
+const MAX_TAU_DETUNING: f64 = 0.1;
 /// Wd is held where it strays by less than this share …
-const HELD: f64 = 0.1;
+const HELD_BAND: f64 = 0.1;
 /// … and the loop has started up once it has come this near.
-const STARTED: f64 = 0.03;
+const STARTED_BAND: f64 = 0.03;
 /// Detunings within this much of each other, rad/s, are the same.
 const SAME_DETUNING: f64 = 1.0;
 
@@ -64,7 +64,10 @@ pub struct FrequencyStep {
 }
 
 /// Runs of samples over which `value` stays what it was at their start: first and one past the last.
-fn runs(acting: &[Input], same: impl Fn(&Input, &Input) -> bool) -> Vec<(usize, usize)> {
+fn constant_intervals(
+    acting: &[RecordedInput],
+    same: impl Fn(&RecordedInput, &RecordedInput) -> bool,
+) -> Vec<(usize, usize)> {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     for (index, input) in acting.iter().enumerate() {
         match runs.last_mut() {
@@ -77,28 +80,28 @@ fn runs(acting: &[Input], same: impl Fn(&Input, &Input) -> bool) -> Vec<(usize, 
 
 /// The steps of a drive that is constant before and after, upwards from anything, at constant frequency, temperature and force, near the resonance that
 /// `whole` has found in the recording.
-pub fn voltage_steps(recording: &Recording, whole: &Fit) -> Vec<VoltageStep> {
+pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageStep> {
     let Some(tau) = whole.time_constant() else { return Vec::new() };
-    let is_near = |input: &Input| {
+    let is_near = |input: &RecordedInput| {
         let resonance = whole.resonances.iter().find(|(conditions, _)| *conditions == input.conditions);
-        resonance.is_some_and(|(_, omega0)| ((input.omega - omega0.value) * tau.value).abs() <= NEAR)
+        resonance.is_some_and(|(_, omega0)| ((input.omega - omega0.value) * tau.value).abs() <= MAX_TAU_DETUNING)
     };
-    let acting = recording.acting();
+    let acting = recording.inputs_at_samples();
     let largest = acting.iter().map(|input| input.vpp).fold(0.0, f64::max);
-    let same = |a: &Input, b: &Input| {
+    let same = |a: &RecordedInput, b: &RecordedInput| {
         (a.vpp - b.vpp).abs() <= SAME_DRIVE * largest && a.omega == b.omega && a.conditions == b.conditions
     };
-    let runs = runs(&acting, same);
+    let runs = constant_intervals(&acting, same);
     let mut steps = Vec::new();
     for (index, &(start, end)) in runs.iter().enumerate() {
         // The very first level may have begun long before the recording: nothing stepped.
         let Some(before) = index.checked_sub(1).and_then(|index| runs.get(index)) else { continue };
         let (Some(from), Some(to)) = (acting.get(before.0), acting.get(start)) else { continue };
         let alike = from.omega == to.omega && from.conditions == to.conditions;
-        let settled_before = before.1 - before.0 >= FEWEST || from.vpp == 0.0;
+        let settled_before = before.1 - before.0 >= MIN_SAMPLES || from.vpp == 0.0;
         if !alike
             || !settled_before
-            || end - start < FEWEST
+            || end - start < MIN_SAMPLES
             || to.vpp - from.vpp < SMALLEST_STEP * largest
             || !is_near(to)
         {
@@ -106,10 +109,11 @@ pub fn voltage_steps(recording: &Recording, whole: &Fit) -> Vec<VoltageStep> {
         }
         // The sample at the step still shows what was before; so does the one ahead of it.
         let (first, last) = (start.saturating_sub(1), (end + 1).min(acting.len()));
-        let Ok(part) = recording.part(first, last) else { continue };
+        let Ok(part) = recording.slice(first, last) else { continue };
         let wd: Vec<f64> = part.outputs.iter().map(|output| output.w.re).collect();
-        let drive: Vec<f64> = part.acting().iter().map(|input| input.vpp).collect();
-        let by = |method| arx(&wd, std::slice::from_ref(&drive), part.period(), method).and_then(|arx| pair(&arx));
+        let drive: Vec<f64> = part.inputs_at_samples().iter().map(|input| input.vpp).collect();
+        let by =
+            |method| arx(&wd, std::slice::from_ref(&drive), part.period(), method).and_then(|arx| estimate_pair(&arx));
         let third = wd.len() - wd.len() / 3;
         let settled = wd.get(third..).unwrap_or_default();
         steps.push(VoltageStep {
@@ -118,40 +122,40 @@ pub fn voltage_steps(recording: &Recording, whole: &Fit) -> Vec<VoltageStep> {
             from_vpp: from.vpp,
             vpp: to.vpp,
             settled_um: settled.iter().sum::<f64>() / settled.len() as f64,
-            least_squares: by(Method::LeastSquares),
-            instruments: by(Method::Instruments),
-            direct: direct(&part).ok().and_then(|fit| Some([fit.gain, fit.time_constant()?])),
+            least_squares: by(ArxMethod::LeastSquares),
+            instruments: by(ArxMethod::InstrumentalVariables),
+            direct: fit_direct(&part).ok().and_then(|fit| Some([fit.gain, fit.time_constant()?])),
         });
     }
     steps
 }
 
-fn pair(arx: &Arx) -> Option<[Estimate; 2]> {
+fn estimate_pair(arx: &ArxModel) -> Option<[Estimate; 2]> {
     Some([*arx.gains.first()?, arx.time_constant])
 }
 
 /// The steps of the detuning while Wd is held by a loop: `whole` is the recording's direct fit, `slope` the plate's, rad/s per K.
 ///
 /// A step of the resonance by `−Δ` is to the plate what a step of the frequency by `+Δ` is: it only knows Δω (equations 11 and 18).
-pub fn frequency_steps(recording: &Recording, whole: &Fit, slope: Option<f64>) -> Vec<FrequencyStep> {
-    let acting = recording.acting();
+pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f64>) -> Vec<FrequencyStep> {
+    let acting = recording.inputs_at_samples();
     let Some((reference, resonance)) = whole.resonances.first() else { return Vec::new() };
     let warms = recording.conditions.iter().any(|other| other.temperature_offset_k != reference.temperature_offset_k);
     let Some(slope) = slope.or((!warms).then_some(0.0)) else { return Vec::new() };
-    let detuning = |input: &Input| {
+    let detuning = |input: &RecordedInput| {
         let warmer = input.conditions.temperature_offset_k - reference.temperature_offset_k;
         input.omega - resonance.value - slope * warmer
     };
-    let same = |a: &Input, b: &Input| {
+    let same = |a: &RecordedInput, b: &RecordedInput| {
         (detuning(a) - detuning(b)).abs() <= SAME_DETUNING && a.conditions.finger_force_n == b.conditions.finger_force_n
     };
-    let runs = runs(&acting, same);
+    let runs = constant_intervals(&acting, same);
     let mut steps = Vec::new();
     for pair_of_runs in runs.windows(2) {
         let &[(mut first, middle), (start, end)] = pair_of_runs else { continue };
         let (Some(from), Some(to)) = (acting.get(first), acting.get(start)) else { continue };
-        if middle - first < FEWEST
-            || end - start < FEWEST
+        if middle - first < MIN_SAMPLES
+            || end - start < MIN_SAMPLES
             || from.conditions.finger_force_n != to.conditions.finger_force_n
         {
             continue;
@@ -165,12 +169,12 @@ pub fn frequency_steps(recording: &Recording, whole: &Fit, slope: Option<f64>) -
         first += wd(first, middle)
             .collect::<Vec<_>>()
             .iter()
-            .rposition(|value| strays(value) > STARTED)
+            .rposition(|value| strays(value) > STARTED_BAND)
             .map_or(0, |last| last + 1);
-        if middle.saturating_sub(first) < FEWEST || !wd(start, end).all(|value| strays(&value) < HELD) {
+        if middle.saturating_sub(first) < MIN_SAMPLES || !wd(start, end).all(|value| strays(&value) < HELD_BAND) {
             continue;
         }
-        let Ok(part) = recording.part(first, (end + 1).min(acting.len())) else { continue };
+        let Ok(part) = recording.slice(first, (end + 1).min(acting.len())) else { continue };
         // Where the drive rests, nothing holds Wd.
         if part.inputs.iter().all(|input| input.vpp == to.vpp) {
             continue;
@@ -178,18 +182,20 @@ pub fn frequency_steps(recording: &Recording, whole: &Fit, slope: Option<f64>) -
         let length = end - first;
         let ratio: Vec<f64> = part.outputs.iter().take(length + 1).map(|output| output.w.im / output.w.re).collect();
         // The gain of Wq/Wd from Δω is −K2.
-        let input: Vec<f64> = part.acting().iter().map(|input| detuning(from) - detuning(input)).collect();
+        let input: Vec<f64> = part.inputs_at_samples().iter().map(|input| detuning(from) - detuning(input)).collect();
         let ones = vec![1.0; input.len()];
-        let by = |method| arx(&ratio, &[input.clone(), ones.clone()], part.period(), method).and_then(|arx| pair(&arx));
+        let by = |method| {
+            arx(&ratio, &[input.clone(), ones.clone()], part.period(), method).and_then(|arx| estimate_pair(&arx))
+        };
         steps.push(FrequencyStep {
             recording: recording.name.clone(),
             t: recording.outputs.get(start).map_or(0.0, |output| output.t),
             from_detuning: detuning(from),
             detuning: detuning(to),
             wd_percent: wd(first, end).map(|value| (value / mean - 1.0).abs() * 100.0).fold(0.0, f64::max),
-            least_squares: by(Method::LeastSquares),
-            instruments: by(Method::Instruments),
-            direct: direct(&part).ok().and_then(|fit| fit.time_constant()),
+            least_squares: by(ArxMethod::LeastSquares),
+            instruments: by(ArxMethod::InstrumentalVariables),
+            direct: fit_direct(&part).ok().and_then(|fit| fit.time_constant()),
         });
     }
     steps

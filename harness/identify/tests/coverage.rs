@@ -2,9 +2,9 @@
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
-use platebench_identify::{Estimate, Input, Method, Output, Recording, arx, direct, identify};
-use platebench_plate::file::RawPlate;
-use platebench_plate::{Conditions, Drive, Plant, Plate, Profile, Scene, Sensor, Tier, Time};
+use platebench_identify::{ArxMethod, Estimate, RecordedInput, RecordedSample, Recording, arx, fit_direct, identify};
+use platebench_plate::RawPlate;
+use platebench_plate::{ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};
@@ -13,18 +13,18 @@ use std::f64::consts::TAU;
 const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const PLATES: u64 = 300;
 /// Standard deviations between which noise is drawn, µm: 0.1 to 1 % of 2 µm …
-const LITTLE: [f64; 2] = [0.002, 0.02];
+const LOW_NOISE_UM: [f64; 2] = [0.002, 0.02];
 /// … and 2.5 to 10 %, where the bias of least squares shows.
-const MUCH: [f64; 2] = [0.05, 0.2];
+const HIGH_NOISE_UM: [f64; 2] = [0.05, 0.2];
 
 /// A plate that was drawn, what drives it and how noisily it is seen.
-struct Drawn {
+struct RandomPlate {
     plate: Plate,
     omega: f64,
     seed: u64,
 }
 
-fn draw(seed: u64, farthest_hz: f64, noise_um: [f64; 2]) -> Drawn {
+fn random_plate(seed: u64, farthest_hz: f64, noise_um: [f64; 2]) -> RandomPlate {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut between = |low: f64, high: f64| Uniform::new_inclusive(low, high).unwrap().sample(&mut random);
     let nominal = toml::from_str::<RawPlate>(PAPER).unwrap().check().unwrap();
@@ -36,11 +36,11 @@ fn draw(seed: u64, farthest_hz: f64, noise_um: [f64; 2]) -> Drawn {
         ..nominal
     };
     let omega = plate.omega0 + TAU * between(-farthest_hz, farthest_hz);
-    Drawn { plate, omega, seed }
+    RandomPlate { plate, omega, seed }
 }
 
 /// What a controller with a period of 1 ms sees of the drawn plate under `levels` of [ms, Vpp] and `scene`.
-fn record(drawn: &Drawn, levels: &[[f64; 2]], scene: &Scene, samples: u32) -> Recording {
+fn simulate_recording(drawn: &RandomPlate, levels: &[[f64; 2]], scene: &ConditionProfiles, samples: u32) -> Recording {
     let mut plant = Plant::new(drawn.plate.clone(), scene.clone(), Tier::Modal);
     let mut sensor = Sensor::new(1.0, drawn.plate.noise_um_rms, drawn.seed);
     let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
@@ -49,20 +49,20 @@ fn record(drawn: &Drawn, levels: &[[f64; 2]], scene: &Scene, samples: u32) -> Re
         plant.advance(time, &[], &mut Vec::new());
         let level = levels.iter().rev().find(|level| level[0] <= f64::from(sample)).unwrap();
         plant.set_drive(Drive { vpp: level[1], omega: drawn.omega });
-        inputs.push(Input { t: time.seconds(), vpp: level[1], omega: drawn.omega, conditions: scene.at(time) });
-        outputs.push(Output { t: time.seconds(), w: sensor.sense(plant.state().w) });
+        inputs.push(RecordedInput { t: time.seconds(), vpp: level[1], omega: drawn.omega, conditions: scene.at(time) });
+        outputs.push(RecordedSample { t: time.seconds(), w: sensor.measure(plant.state().w) });
     }
     Recording::new("drawn".to_owned(), inputs, outputs).unwrap()
 }
 
-fn still() -> Scene {
-    Scene { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) }
+fn constant_scene() -> ConditionProfiles {
+    ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) }
 }
 
 /// What many estimates of known truths say of their intervals, or what is wrong with them.
-fn honest(results: &[(Estimate, f64)]) -> Result<(), String> {
+fn check_coverage(results: &[(Estimate, f64)]) -> Result<(), String> {
     let count = results.len() as f64;
-    let covered = results.iter().filter(|(estimate, truth)| estimate.covers(*truth)).count() as f64 / count;
+    let covered = results.iter().filter(|(estimate, truth)| estimate.contains(*truth)).count() as f64 / count;
     let scores: Vec<f64> = results.iter().map(|(estimate, truth)| (estimate.value - truth) / estimate.error).collect();
     let bias = scores.iter().sum::<f64>() / count;
     // Three binomial standard errors around 95 %; a mean of standard scores has the error 1/√n.
@@ -76,7 +76,7 @@ fn honest(results: &[(Estimate, f64)]) -> Result<(), String> {
     Ok(())
 }
 
-fn scaled(results: &[(Estimate, f64)], factor: f64) -> Vec<(Estimate, f64)> {
+fn scale_intervals(results: &[(Estimate, f64)], factor: f64) -> Vec<(Estimate, f64)> {
     let half = |estimate: &Estimate| Estimate {
         low: estimate.value + (estimate.low - estimate.value) * factor,
         high: estimate.value + (estimate.high - estimate.value) * factor,
@@ -88,20 +88,23 @@ fn scaled(results: &[(Estimate, f64)], factor: f64) -> Vec<(Estimate, f64)> {
 const LEVELS: [[f64; 2]; 4] = [[0.0, 0.0], [2.0, 300.0], [22.0, 150.0], [40.0, 0.0]];
 
 #[test]
-fn direct_fits_of_drawn_plates_cover_what_was_drawn() {
+fn direct_fit_intervals_cover_random_plates() {
     let (mut gain, mut time_constant, mut resonance, mut white) = (Vec::new(), Vec::new(), Vec::new(), 0);
     for seed in 0..PLATES {
-        let drawn = draw(seed, 80.0, LITTLE);
-        let fit = direct(&record(&drawn, &LEVELS, &still(), 50)).unwrap();
+        let drawn = random_plate(seed, 80.0, LOW_NOISE_UM);
+        let fit = fit_direct(&simulate_recording(&drawn, &LEVELS, &constant_scene(), 50)).unwrap();
         gain.push((fit.gain, drawn.plate.gain));
         time_constant.push((fit.time_constant().unwrap(), 1.0 / drawn.plate.sigma0));
         resonance.push((fit.resonances[0].1, drawn.plate.omega0));
-        white += u64::from(!fit.whiteness.unwrap().is_refused());
+        white += u64::from(!fit.whiteness.unwrap().is_rejected());
     }
     for (name, results) in [("K1", &gain), ("τ", &time_constant), ("ω0", &resonance)] {
-        honest(results).unwrap_or_else(|fault| panic!("{name}: {fault}"));
+        check_coverage(results).unwrap_or_else(|fault| panic!("{name}: {fault}"));
         for factor in [0.5, 2.0] {
-            assert!(honest(&scaled(results, factor)).is_err(), "{name}: intervals times {factor} pass");
+            assert!(
+                check_coverage(&scale_intervals(results, factor)).is_err(),
+                "{name}: intervals times {factor} pass"
+            );
         }
     }
     // 1 % of white residuals are refused; twice four standard errors of that are allowed for.
@@ -109,39 +112,39 @@ fn direct_fits_of_drawn_plates_cover_what_was_drawn() {
 }
 
 #[test]
-fn instruments_cover_what_least_squares_miss() {
+fn instrumental_variables_cover_under_high_noise() {
     let (mut by_squares, mut by_instruments) = (Vec::new(), Vec::new());
     let levels: Vec<[f64; 2]> = (0..20).map(|k| [f64::from(k) * 10.0, f64::from(k % 2) * 300.0]).collect();
     for seed in 1000..1000 + PLATES {
-        let drawn = draw(seed, 0.0, MUCH);
-        let recording = record(&drawn, &levels, &still(), 200);
+        let drawn = random_plate(seed, 0.0, HIGH_NOISE_UM);
+        let recording = simulate_recording(&drawn, &levels, &constant_scene(), 200);
         let wd: Vec<f64> = recording.outputs.iter().map(|output| output.w.re).collect();
-        let drive: Vec<f64> = recording.acting().iter().map(|input| input.vpp).collect();
+        let drive: Vec<f64> = recording.inputs_at_samples().iter().map(|input| input.vpp).collect();
         let by = |method| arx(&wd, std::slice::from_ref(&drive), 1e-3, method).unwrap().time_constant;
-        by_squares.push((by(Method::LeastSquares), 1.0 / drawn.plate.sigma0));
-        by_instruments.push((by(Method::Instruments), 1.0 / drawn.plate.sigma0));
+        by_squares.push((by(ArxMethod::LeastSquares), 1.0 / drawn.plate.sigma0));
+        by_instruments.push((by(ArxMethod::InstrumentalVariables), 1.0 / drawn.plate.sigma0));
     }
-    honest(&by_instruments).unwrap();
-    assert!(honest(&scaled(&by_instruments, 0.5)).is_err());
-    honest(&by_squares).unwrap_err();
+    check_coverage(&by_instruments).unwrap();
+    assert!(check_coverage(&scale_intervals(&by_instruments, 0.5)).is_err());
+    check_coverage(&by_squares).unwrap_err();
     let short = by_squares.iter().filter(|(estimate, truth)| estimate.value < *truth).count();
     assert!(short > 200, "noise makes the time constant of least squares too short, here in {short} of {PLATES}");
 }
 
 #[test]
-fn temperatures_and_forces_are_told_apart() {
+fn effects_of_temperature_and_force_are_separated() {
     let points = |pairs: &[(f64, f64)]| {
         Profile::Hold(pairs.iter().map(|(ms, value)| (Time::from_ms(*ms).unwrap(), *value)).collect())
     };
-    let scene = Scene {
+    let scene = ConditionProfiles {
         temperature_offset_k: points(&[(0.0, 0.0), (40.0, 3.0), (60.0, 6.0), (80.0, 0.0)]),
         finger_force_n: points(&[(0.0, 0.0), (80.0, 0.5), (110.0, 1.5)]),
     };
     let (mut warm, mut slopes, mut halves) = (Vec::new(), Vec::new(), Vec::new());
     for seed in 2000..2000 + PLATES {
-        let drawn = draw(seed, 20.0, LITTLE);
+        let drawn = random_plate(seed, 20.0, LOW_NOISE_UM);
         let levels = [[0.0, 0.0], [2.0, 300.0], [22.0, 150.0], [40.0, 300.0]];
-        let (found, fits) = identify(&[record(&drawn, &levels, &scene, 140)], None).unwrap();
+        let (found, fits) = identify(&[simulate_recording(&drawn, &levels, &scene, 140)], None).unwrap();
         let fit = &fits[0];
         let at = |kelvin: f64| {
             let level = |conditions: &Conditions| conditions.temperature_offset_k == kelvin;
@@ -154,7 +157,7 @@ fn temperatures_and_forces_are_told_apart() {
         halves.push((ratio, 2.0));
     }
     for (name, results) in [("resonance", &warm), ("slope", &slopes), ("damping", &halves)] {
-        honest(results).unwrap_or_else(|fault| panic!("{name}: {fault}"));
-        assert!(honest(&scaled(results, 0.5)).is_err(), "{name}: halved intervals pass");
+        check_coverage(results).unwrap_or_else(|fault| panic!("{name}: {fault}"));
+        assert!(check_coverage(&scale_intervals(results, 0.5)).is_err(), "{name}: halved intervals pass");
     }
 }

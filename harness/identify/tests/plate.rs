@@ -2,55 +2,63 @@
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
-use platebench_identify::{Input, Named, Output, Recording, Signal, Unusable, identify, plate_file, tables};
-use platebench_plate::file::RawPlate;
-use platebench_plate::{Complex64, Conditions, Drive, Plant, Plate, Profile, Scene, Sensor, Tier, Time};
+use platebench_identify::{
+    PlateFileDetails, RecordedInput, RecordedSample, Recording, RecordingError, SampleSource, identify, plate_file,
+    tables,
+};
+use platebench_plate::RawPlate;
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
 use platebench_trace::{Flags, Row};
 use std::f64::consts::TAU;
 
 const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 
-fn paper() -> Plate {
+fn paper_plate() -> Plate {
     toml::from_str::<RawPlate>(PAPER).unwrap().check().unwrap()
 }
 
-fn held(points: &[(u32, f64)]) -> Profile {
+fn hold_profile(points: &[(u32, f64)]) -> Profile {
     Profile::Hold(points.iter().map(|(ms, value)| (Time::from_ms(f64::from(*ms)).unwrap(), *value)).collect())
 }
 
 /// `drive` says Vpp and Hz at a sample, from the millisecond and Wd.
-fn record(name: &str, scene: &Scene, samples: u32, mut drive: impl FnMut(u32, f64) -> (f64, f64)) -> Recording {
-    let mut plant = Plant::new(paper(), scene.clone(), Tier::Modal);
+fn simulate_recording(
+    name: &str,
+    scene: &ConditionProfiles,
+    samples: u32,
+    mut drive: impl FnMut(u32, f64) -> (f64, f64),
+) -> Recording {
+    let mut plant = Plant::new(paper_plate(), scene.clone(), Tier::Modal);
     let mut sensor = Sensor::new(1.0, 0.004, 7);
     let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
     for sample in 0..samples {
         let time = Time::from_ms(f64::from(sample)).unwrap();
         plant.advance(time, &[], &mut Vec::new());
-        let w = sensor.sense(plant.state().w);
+        let w = sensor.measure(plant.state().w);
         let (vpp, hz) = drive(sample, w.re);
         plant.set_drive(Drive { vpp, omega: hz * TAU });
-        inputs.push(Input { t: time.seconds(), vpp, omega: hz * TAU, conditions: scene.at(time) });
-        outputs.push(Output { t: time.seconds(), w });
+        inputs.push(RecordedInput { t: time.seconds(), vpp, omega: hz * TAU, conditions: scene.at(time) });
+        outputs.push(RecordedSample { t: time.seconds(), w });
     }
     Recording::new(name.to_owned(), inputs, outputs).unwrap()
 }
 
-fn scene(temperature: &[(u32, f64)], force: &[(u32, f64)]) -> Scene {
-    Scene { temperature_offset_k: held(temperature), finger_force_n: held(force) }
+fn scene(temperature: &[(u32, f64)], force: &[(u32, f64)]) -> ConditionProfiles {
+    ConditionProfiles { temperature_offset_k: hold_profile(temperature), finger_force_n: hold_profile(force) }
 }
 
 const STILL: &[(u32, f64)] = &[(0, 0.0)];
 const RESONANCE: f64 = 32_307.6;
 
-fn voltage() -> Recording {
+fn voltage_recording() -> Recording {
     let level =
         |ms: u32, _| (if ms % 40 < 20 { 0.0 } else { [120.0, 208.0, 312.0, 370.0][(ms / 40) as usize % 4] }, RESONANCE);
-    record("voltage", &scene(STILL, STILL), 160, level)
+    simulate_recording("voltage", &scene(STILL, STILL), 160, level)
 }
 
 #[test]
 fn four_levels_are_four_rows_and_linear() {
-    let (found, fits) = identify(&[voltage()], None).unwrap();
+    let (found, fits) = identify(&[voltage_recording()], None).unwrap();
     let drives: Vec<f64> = found.voltage_steps.iter().map(|step| step.vpp).collect();
     assert_eq!(drives, [120.0, 208.0, 312.0, 370.0]);
     for step in &found.voltage_steps {
@@ -59,7 +67,7 @@ fn four_levels_are_four_rows_and_linear() {
             assert!((tau.value / 1.88e-3 - 1.0).abs() < 0.04, "{step:?}");
         }
     }
-    assert!(found.gain_change_percent.unwrap().covers(0.0));
+    assert!(found.gain_change_percent.unwrap().contains(0.0));
     assert_eq!(fits[0].curve.len(), 160);
     let text = tables(&found)[0].markdown();
     for printed in ["7108", "6547", "6620", "7103", "6980", "6844.5"] {
@@ -68,7 +76,7 @@ fn four_levels_are_four_rows_and_linear() {
 }
 
 /// A law that holds Wd at 2 µm with a frequency that `hz` steps.
-fn holding(hz: impl Fn(u32) -> f64) -> impl FnMut(u32, f64) -> (f64, f64) {
+fn amplitude_controller(hz: impl Fn(u32) -> f64) -> impl FnMut(u32, f64) -> (f64, f64) {
     let mut integral = 0.0;
     move |ms, wd| {
         let error = 2.0 - wd;
@@ -78,12 +86,18 @@ fn holding(hz: impl Fn(u32) -> f64) -> impl FnMut(u32, f64) -> (f64, f64) {
 }
 
 #[test]
-fn steps_of_the_frequency_and_of_the_temperature_tell_the_same() {
+fn frequency_and_temperature_steps_agree() {
     let step_hz = 77.0 / TAU;
     let level = |ms: u32| 3.0 - f64::from((ms.max(20) - 20) / 20).min(6.0);
-    let by_frequency = record("frequency", &scene(STILL, STILL), 160, holding(|ms| RESONANCE + step_hz * level(ms)));
+    let by_frequency = simulate_recording(
+        "frequency",
+        &scene(STILL, STILL),
+        160,
+        amplitude_controller(|ms| RESONANCE + step_hz * level(ms)),
+    );
     let warm: Vec<(u32, f64)> = (0..8).map(|k| (k * 20, level(k * 20) * step_hz / 9.638)).collect();
-    let by_temperature = record("temperature", &scene(&warm, STILL), 160, holding(|_| RESONANCE));
+    let by_temperature =
+        simulate_recording("temperature", &scene(&warm, STILL), 160, amplitude_controller(|_| RESONANCE));
     for recording in [by_frequency, by_temperature] {
         let (found, _) = identify(std::slice::from_ref(&recording), None).unwrap();
         assert_eq!(found.frequency_steps.len(), 6, "{}", recording.name);
@@ -105,14 +119,14 @@ fn steps_of_the_frequency_and_of_the_temperature_tell_the_same() {
 fn a_sweep_and_forces_complete_the_plate_file() {
     let warm = [(0, 0.0), (25, 3.0), (45, 6.0), (65, 9.0)];
     let constant = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, 32_264.2);
-    let sweep = record("sweep", &scene(&warm, STILL), 90, constant);
+    let sweep = simulate_recording("sweep", &scene(&warm, STILL), 90, constant);
     let pressed = [(0, 0.0), (25, 0.5), (45, 1.5)];
     let press = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, RESONANCE);
-    let forces = record("forces", &scene(STILL, &pressed), 70, press);
-    let (found, _) = identify(&[voltage(), sweep, forces], None).unwrap();
-    assert!(found.slope_hz_per_k.unwrap().covers(-9.638), "{:?}", found.slope_hz_per_k);
+    let forces = simulate_recording("forces", &scene(STILL, &pressed), 70, press);
+    let (found, _) = identify(&[voltage_recording(), sweep, forces], None).unwrap();
+    assert!(found.slope_hz_per_k.unwrap().contains(-9.638), "{:?}", found.slope_hz_per_k);
     assert!((found.slope_hz_per_k.unwrap().value + 9.638).abs() < 0.1);
-    let named = Named {
+    let named = PlateFileDetails {
         name: "mine \"one\"".to_owned(),
         source: "a test".to_owned(),
         reference_temperature_c: 24.0,
@@ -145,7 +159,7 @@ fn a_sweep_and_forces_complete_the_plate_file() {
 }
 
 #[test]
-fn a_trace_shows_what_the_controller_was_given() {
+fn a_trace_gives_the_samples_of_the_controller() {
     let row = |step: u32| Row {
         t_s: f64::from(step) * 5e-4,
         wd_um: 1.0,
@@ -163,8 +177,8 @@ fn a_trace_shows_what_the_controller_was_given() {
         ..Row::default()
     };
     let rows: Vec<Row> = (0..30).map(row).collect();
-    let given = Recording::of_trace(String::new(), &rows, Signal::Sensed).unwrap();
-    let own = Recording::of_trace(String::new(), &rows, Signal::True).unwrap();
+    let given = Recording::from_trace(String::new(), &rows, SampleSource::Sensed).unwrap();
+    let own = Recording::from_trace(String::new(), &rows, SampleSource::True).unwrap();
     assert_eq!((given.outputs.len(), own.outputs.len()), (14, 14));
     assert!(given.outputs.iter().all(|output| (output.w.re, output.w.im) == (1.1, -0.6) && output.t != 4e-3));
     assert_eq!((own.outputs[3].w.re, own.outputs[3].w.im), (1.0, -0.5));
@@ -173,18 +187,18 @@ fn a_trace_shows_what_the_controller_was_given() {
         [0.0, 3.5e-3],
         "between control instants, too"
     );
-    let output = |number: u32| Output { t: f64::from(number), w: Complex64::ZERO };
+    let output = |number: u32| RecordedSample { t: f64::from(number), w: Complex64::ZERO };
     let long = |count: u32| Recording::new(String::new(), given.inputs.clone(), (0..count).map(output).collect());
     assert!(long(100_000).is_ok());
-    assert_eq!(long(100_001).unwrap_err(), Unusable::Long(100_001));
+    assert_eq!(long(100_001).unwrap_err(), RecordingError::TooLong(100_001));
 }
 
 #[test]
-fn what_the_recordings_do_not_show_is_not_made_up() {
+fn parameters_without_evidence_stay_empty() {
     // At 3 K throughout, without a slope: the resonance at the reference is not known.
     let level = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, RESONANCE);
-    let warm = record("warm", &scene(&[(0, 3.0)], STILL), 40, level);
-    let named = Named {
+    let warm = simulate_recording("warm", &scene(&[(0, 3.0)], STILL), 40, level);
+    let named = PlateFileDetails {
         name: String::new(),
         source: String::new(),
         reference_temperature_c: 24.0,
@@ -196,24 +210,24 @@ fn what_the_recordings_do_not_show_is_not_made_up() {
     let (found, _) = identify(&[warm], Some(-9.638)).unwrap();
     assert!((found.resonance_hz.unwrap().value - RESONANCE).abs() < 0.5);
     // Settled before it begins: two numbers for three unknowns.
-    let whole = record("settled", &scene(STILL, STILL), 80, |_, _| (300.0, RESONANCE));
-    assert_eq!(identify(&[whole.part(50, 80).unwrap()], None).unwrap_err(), Unusable::Undetermined);
+    let whole = simulate_recording("settled", &scene(STILL, STILL), 80, |_, _| (300.0, RESONANCE));
+    assert_eq!(identify(&[whole.slice(50, 80).unwrap()], None).unwrap_err(), RecordingError::Undetermined);
     let jumping = |held: u32| {
         let mut inputs = whole.inputs.clone();
         let warm = Conditions { temperature_offset_k: 1.0, finger_force_n: 0.0 };
-        inputs.push(Input { t: f64::from(80 - held) * 1e-3, conditions: warm, ..inputs[0] });
+        inputs.push(RecordedInput { t: f64::from(80 - held) * 1e-3, conditions: warm, ..inputs[0] });
         Recording::new(String::new(), inputs, whole.outputs.clone())
     };
-    assert_eq!((jumping(4).unwrap_err(), jumping(5).is_ok()), (Unusable::Moving, true));
+    assert_eq!((jumping(4).unwrap_err(), jumping(5).is_ok()), (RecordingError::VaryingConditions, true));
     let ramp = (0..90).map(|ms| (ms, f64::from(ms) * 0.1)).collect::<Vec<_>>();
-    let inputs: Vec<Input> = ramp
+    let inputs: Vec<RecordedInput> = ramp
         .iter()
-        .map(|&(ms, kelvin)| Input {
+        .map(|&(ms, kelvin)| RecordedInput {
             t: f64::from(ms) * 1e-3,
             vpp: 300.0,
             omega: RESONANCE * TAU,
             conditions: Conditions { temperature_offset_k: kelvin, finger_force_n: 0.0 },
         })
         .collect();
-    assert_eq!(Recording::new(String::new(), inputs, whole.outputs).unwrap_err(), Unusable::Moving);
+    assert_eq!(Recording::new(String::new(), inputs, whole.outputs).unwrap_err(), RecordingError::VaryingConditions);
 }

@@ -1,9 +1,9 @@
-//! A picture of what was seen. Colour only repeats what characters and words say, and crossterm leaves it out where `NO_COLOR` is set.
+//! Draws the state of the view. Colour only repeats what the text says; crossterm respects `NO_COLOR`.
 //!
 //! ```text
 //!   80 × 24 and up                       140 × 36 and up
 //!   command, scenario, trial, time       command, scenario, trial, time
-//!   title, rig, how it goes              title, rig, how it goes
+//!   title, rig, state                    title, rig, state
 //!   ┌ |W|, band ─────────┐┌ now ────┐    ┌ |W|, band ┐┌ Wd, Wq ───┐┌ now ────┐
 //!   └────────────────────┘│         │    └───────────┘└───────────┘├ lateness┤
 //!   ┌ Wd, Wq ────────────┐├ lateness┤    ┌ drive ────┐┌ frequency ┐├ messages┤
@@ -14,24 +14,23 @@
 mod charts;
 mod panels;
 
-use crate::scope::Scope;
+use crate::view_state::ViewState;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::text::Line;
 use ratatui::widgets::Paragraph;
 
-/// The smallest screen that has room for everything, columns and rows.
-const SMALLEST: [u16; 2] = [80, 24];
-/// From here on every signal has a chart of its own.
-const LARGE: [u16; 2] = [140, 36];
+/// Smallest size in columns and rows.
+const MIN_SIZE: [u16; 2] = [80, 24];
+/// From this size on every signal has its own chart.
+const LARGE_SIZE: [u16; 2] = [140, 36];
 const PANEL_WIDTH: u16 = 31;
 const LARGE_PANEL_WIDTH: u16 = 44;
 
-/// Draws everything that was seen.
-pub(crate) fn draw(frame: &mut Frame<'_>, scope: &Scope) {
+pub(crate) fn draw(frame: &mut Frame<'_>, state: &ViewState) {
     let area = frame.area();
-    if area.width < SMALLEST[0] || area.height < SMALLEST[1] {
-        too_small(frame, area);
+    if area.width < MIN_SIZE[0] || area.height < MIN_SIZE[1] {
+        draw_too_small(frame, area);
         return;
     }
     let [head, title, body, counts, ended, message, keys] = Layout::vertical([
@@ -44,49 +43,48 @@ pub(crate) fn draw(frame: &mut Frame<'_>, scope: &Scope) {
         Constraint::Length(1),
     ])
     .areas(area);
-    panels::head(frame, head, scope);
-    panels::title(frame, title, scope);
-    if area.width >= LARGE[0] && area.height >= LARGE[1] {
-        large(frame, body, scope);
+    panels::draw_head(frame, head, state);
+    panels::draw_title(frame, title, state);
+    if area.width >= LARGE_SIZE[0] && area.height >= LARGE_SIZE[1] {
+        draw_large(frame, body, state);
     } else {
-        small(frame, body, scope);
+        draw_small(frame, body, state);
     }
-    panels::counts(frame, counts, scope);
-    panels::ended(frame, ended, scope);
-    panels::message(frame, message, scope);
-    panels::keys(frame, keys, scope);
+    panels::draw_counts(frame, counts, state);
+    panels::draw_finished(frame, ended, state);
+    panels::draw_last_message(frame, message, state);
+    panels::draw_key_help(frame, keys, state);
 }
 
-fn small(frame: &mut Frame<'_>, body: Rect, scope: &Scope) {
+fn draw_small(frame: &mut Frame<'_>, body: Rect, state: &ViewState) {
     let [left, right] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(PANEL_WIDTH)]).areas(body);
     let [above, below] = Layout::vertical([Constraint::Fill(5), Constraint::Fill(4)]).areas(left);
-    charts::amplitude(frame, above, scope);
-    charts::components(frame, below, scope);
+    charts::draw_amplitude(frame, above, state);
+    charts::draw_components(frame, below, state);
     let [now, lateness] = Layout::vertical([Constraint::Length(11), Constraint::Fill(1)]).areas(right);
-    panels::now(frame, now, scope);
-    panels::lateness(frame, lateness, scope);
+    panels::draw_newest_row(frame, now, state);
+    panels::draw_lateness(frame, lateness, state);
 }
 
-fn large(frame: &mut Frame<'_>, body: Rect, scope: &Scope) {
+fn draw_large(frame: &mut Frame<'_>, body: Rect, state: &ViewState) {
     let halves = || [Constraint::Fill(1), Constraint::Fill(1)];
     let [left, right] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(LARGE_PANEL_WIDTH)]).areas(body);
     let [above, below] = Layout::vertical(halves()).areas(left);
     let [amplitude, components] = Layout::horizontal(halves()).areas(above);
     let [drive, frequency] = Layout::horizontal(halves()).areas(below);
-    charts::amplitude(frame, amplitude, scope);
-    charts::components(frame, components, scope);
-    charts::drive(frame, drive, scope);
-    charts::frequency(frame, frequency, scope);
+    charts::draw_amplitude(frame, amplitude, state);
+    charts::draw_components(frame, components, state);
+    charts::draw_drive(frame, drive, state);
+    charts::draw_frequency(frame, frequency, state);
     let [now, lateness, messages] =
         Layout::vertical([Constraint::Length(11), Constraint::Max(18), Constraint::Fill(1)]).areas(right);
-    panels::now(frame, now, scope);
-    panels::lateness(frame, lateness, scope);
-    panels::messages(frame, messages, scope);
+    panels::draw_newest_row(frame, now, state);
+    panels::draw_lateness(frame, lateness, state);
+    panels::draw_messages(frame, messages, state);
 }
 
-/// Says so instead of breaking.
-fn too_small(frame: &mut Frame<'_>, area: Rect) {
-    let [width, height] = SMALLEST;
+fn draw_too_small(frame: &mut Frame<'_>, area: Rect) {
+    let [width, height] = MIN_SIZE;
     let lines = vec![
         Line::raw(format!("{} x {} is too small", area.width, area.height)),
         Line::raw(format!("the live view needs {width} x {height}")),

@@ -1,25 +1,25 @@
-//! The live view: what passes between bench, controller and plate, in the terminal that the bench was started in.
+//! Shows the signals of a running trial in the terminal.
 //!
 //! ```text
-//!   loop ── Tap ── queue without locks ── View's thread: Scope ── draw ── Screen
-//!   standard error ── pipe ── Diverted ─────────┘
+//!   trial loop ── LiveTap ── lock-free queue ── ViewThread: ViewState ── draw ── Screen
+//!   standard error ── pipe ── StderrCapture ────────┘
 //! ```
 //!
-//! * [`subject`]: what is looked at, known beforehand.
-//! * `scope`, `history`: what was seen so far, thinned out to what a screen can show.
-//! * `draw`: a picture of it; nothing there knows a terminal.
-//! * `screen`, `diverted`: the terminal, taken and given back.
-//! * [`view`]: the thread that looks, draws and never holds anybody up.
+//! * [`run_description`]: scenarios and rig, known before the run.
+//! * `view_state`, `signal_history`: the trial so far, decimated to the resolution of a screen.
+//! * `draw`: draws the state; knows no terminal.
+//! * `screen`, `stderr_capture`: take the terminal and restore it.
+//! * [`view`]: the thread that reads, draws and never blocks the run.
 //!
-//! Nothing is judged and nothing is recorded here; where a picture cannot be drawn the run goes on without one.
+//! This crate judges and records nothing. If it cannot draw, the run continues without it.
 
-mod diverted;
 mod draw;
-mod history;
-mod scope;
+pub mod run_description;
 mod screen;
-pub mod subject;
+mod signal_history;
+mod stderr_capture;
 pub mod view;
+mod view_state;
 
-pub use subject::{Show, Subject};
-pub use view::{INTERRUPT, NoView, Teller, Told, View, watch_keys};
+pub use run_description::{RunDescription, ScenarioDescription};
+pub use view::{INTERRUPT, LiveView, LiveViewError, ViewEvent, ViewSender, watch_keys};

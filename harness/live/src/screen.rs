@@ -1,6 +1,6 @@
-//! The terminal of the view: taken as a whole, and given back however the program ends.
+//! Takes the terminal for the view and restores it, however the program ends.
 
-use crate::view::NoView;
+use crate::view::LiveViewError;
 use crossterm::cursor::{Hide, Show};
 use crossterm::execute;
 use crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen};
@@ -15,12 +15,12 @@ use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A terminal that takes nothing for this long is not waited for.
-const PATIENCE: Timespec = Timespec { tv_sec: 0, tv_nsec: 300_000_000 };
-/// A key that does nothing (`_POSIX_VDISABLE` on Linux).
+/// Longest wait for a terminal that accepts no output.
+const WRITE_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: 300_000_000 };
+/// Disables a control character (`_POSIX_VDISABLE` on Linux).
 const DISABLED: u8 = 0;
 
-/// A terminal that shows the view until this is dropped.
+/// The terminal in the alternate screen, until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Screen {
     terminal: File,
@@ -28,61 +28,62 @@ pub(crate) struct Screen {
 }
 
 impl Screen {
-    /// Takes the terminal on standard output.
-    pub(crate) fn enter() -> Result<Self, NoView> {
+    /// Switches the terminal on standard output to the alternate screen.
+    pub(crate) fn enter() -> Result<Self, LiveViewError> {
         if !stdout().is_terminal() {
-            return Err(NoView::NoTerminal);
+            return Err(LiveViewError::NoTerminal);
         }
         if std::env::var_os("TERM").is_some_and(|name| name == "dumb") {
-            return Err(NoView::Dumb);
+            return Err(LiveViewError::Dumb);
         }
-        let mut terminal = Self::writer()?;
-        // Whoever is not in the foreground would be stopped as soon as it changed the terminal. One that is nobody's own has no foreground.
+        let mut terminal = Self::open_terminal()?;
+        // A background process would be stopped (SIGTTOU) as soon as it changed the terminal.
         if tcgetpgrp(&terminal).is_ok_and(|foreground| foreground != getpgrp()) {
-            return Err(NoView::Background);
+            return Err(LiveViewError::Background);
         }
         let saved = tcgetattr(&terminal).map_err(io::Error::from)?;
-        tcsetattr(&terminal, OptionalActions::Now, &keyed(&saved)).map_err(io::Error::from)?;
+        tcsetattr(&terminal, OptionalActions::Now, &with_single_keys(&saved)).map_err(io::Error::from)?;
         let entered = execute!(terminal, EnterAlternateScreen, Hide);
-        // From here on dropping it gives the terminal back.
+        // From here on `drop` restores the terminal.
         let screen = Self { terminal, saved };
         entered?;
         Ok(screen)
     }
 
-    /// A way to the terminal that shares no lock with whoever else writes to standard output.
-    fn writer() -> io::Result<File> {
+    /// A second handle that does not share the lock of standard output.
+    fn open_terminal() -> io::Result<File> {
         Ok(File::from(stdout().as_fd().try_clone_to_owned()?))
     }
 
-    /// As `writer`, for pictures; `gone` is set once the terminal takes none any more.
-    pub(crate) fn pictures(gone: Arc<AtomicBool>) -> io::Result<Pictures> {
-        Ok(Pictures { terminal: Self::writer()?, gone })
+    /// Writer for frames; sets `gone` if the terminal accepts no more output.
+    pub(crate) fn frame_writer(gone: Arc<AtomicBool>) -> io::Result<FrameWriter> {
+        Ok(FrameWriter { terminal: Self::open_terminal()?, is_gone: gone })
     }
 
-    fn takes_bytes(&self) -> bool {
+    fn is_writable(&self) -> bool {
         let mut terminal = [PollFd::new(&self.terminal, PollFlags::OUT)];
-        poll(&mut terminal, Some(&PATIENCE)).is_ok_and(|ready| ready > 0)
+        poll(&mut terminal, Some(&WRITE_TIMEOUT)).is_ok_and(|ready| ready > 0)
     }
 }
 
-/// A way to the terminal on which nothing fails: ratatui's terminal complains on standard error when it is dropped and cannot be written to, which panics where that is the same terminal.
+/// Writes frames and never fails. On a failed write ratatui's `drop` prints to standard error,
+/// and that panics if standard error is the same terminal.
 #[derive(Debug)]
-pub(crate) struct Pictures {
+pub(crate) struct FrameWriter {
     terminal: File,
-    gone: Arc<AtomicBool>,
+    is_gone: Arc<AtomicBool>,
 }
 
-impl Write for Pictures {
+impl Write for FrameWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.gone.load(Ordering::Relaxed) {
+        if self.is_gone.load(Ordering::Relaxed) {
             return Ok(bytes.len());
         }
         match self.terminal.write(bytes) {
             Ok(written @ 1..) => Ok(written),
             Err(error) if error.kind() == io::ErrorKind::Interrupted => Err(error),
             Ok(0) | Err(_) => {
-                self.gone.store(true, Ordering::Relaxed);
+                self.is_gone.store(true, Ordering::Relaxed);
                 Ok(bytes.len())
             }
         }
@@ -93,8 +94,8 @@ impl Write for Pictures {
     }
 }
 
-/// Keys come one by one and are not shown, Ctrl-C still interrupts, and nothing stops the program or its output half-way.
-fn keyed(saved: &Termios) -> Termios {
+/// Single keys without echo; Ctrl-C still interrupts; Ctrl-Z, Ctrl-\ and Ctrl-S are off.
+fn with_single_keys(saved: &Termios) -> Termios {
     let mut modes = saved.clone();
     modes.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
     modes.input_modes.remove(InputModes::IXON);
@@ -111,9 +112,9 @@ fn keyed(saved: &Termios) -> Termios {
 
 impl Drop for Screen {
     fn drop(&mut self) {
-        // Where the terminal is gone there is nothing to give back.
+        // Fails only if the terminal is gone.
         let _ = tcsetattr(&self.terminal, OptionalActions::Now, &self.saved);
-        if self.takes_bytes() {
+        if self.is_writable() {
             let _ = execute!(self.terminal, LeaveAlternateScreen, Show);
         }
     }

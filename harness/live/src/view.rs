@@ -1,14 +1,14 @@
-//! The thread that looks and draws.
+//! Runs the thread that reads rows and draws frames.
 
-use crate::diverted::{Diverted, Kept};
 use crate::draw::draw;
-use crate::scope::Scope;
+use crate::run_description::RunDescription;
 use crate::screen::Screen;
-use crate::subject::Subject;
+use crate::stderr_capture::{CapturedLines, StderrCapture};
+use crate::view_state::ViewState;
 use crossterm::event::{Event, KeyCode, KeyEventKind, KeyModifiers, poll, read};
 use crossterm::terminal::size;
-use platebench_runner::{Event as RunEvent, Viewer};
-use platebench_verdict::Verdict;
+use platebench_record::Verdict;
+use platebench_runner::{Event as RunEvent, TapReader};
 use ratatui::Terminal;
 use ratatui::backend::{Backend, CrosstermBackend};
 use rustix::process::{Signal, getpid, kill_process};
@@ -19,144 +19,149 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Between two pictures.
-const DRAW_EVERY: Duration = Duration::from_millis(50);
-/// Between two looks into the queue, which holds much more than passes meanwhile in real time.
-const LOOK_EVERY: Duration = Duration::from_millis(10);
-/// Rows that are taken between two looks at anything else: time that does not wait may bring them as fast as they are taken.
-const MOST: usize = 1 << 15;
-/// A picture fits, so that it is one write.
-const FRAME: usize = 1 << 16;
-/// How long the last picture may take; a terminal that takes nothing holds nobody up for longer.
-const LAST: Duration = Duration::from_millis(500);
-/// Cells of the largest terminal that is drawn on, some hundred times what fits on a screen: a picture is held in memory twice.
-const MOST_CELLS: u32 = 1 << 20;
-/// Lines of standard error that a picture has room for.
-const LINES: usize = 64;
-/// How often whoever waits for a key looks whether it is over.
-const KEYS_EVERY: Duration = Duration::from_millis(100);
+const FRAME_INTERVAL: Duration = Duration::from_millis(50);
+/// The queue holds many times the rows of this interval.
+const POLL_INTERVAL: Duration = Duration::from_millis(10);
+/// Bounds the rows per poll: in lockstep rows may arrive as fast as they are read.
+const MAX_ROWS_PER_POLL: usize = 1 << 15;
+/// One frame fits, so each frame is one write.
+const FRAME_CAPACITY: usize = 1 << 16;
+/// Longest wait for the last frame at the end.
+const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(500);
+/// Largest terminal in cells: a frame is in memory twice, and a terminal may claim any size.
+const MAX_CELLS: u32 = 1 << 20;
+/// Lines of standard error per frame.
+const MAX_MESSAGES: usize = 64;
+/// Interval at which the wait for a key checks for the end.
+const KEY_POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Why there is no view. The run goes on without one.
+/// Reason why the view cannot open. The run continues without it.
 #[derive(Debug, thiserror::Error)]
-pub enum NoView {
-    /// Nobody would see it.
-    #[error("standard output is no terminal")]
+pub enum LiveViewError {
+    /// Standard output is not a terminal.
+    #[error("standard output is not a terminal")]
     NoTerminal,
-    /// It has no cursor to be moved.
-    #[error("the terminal is a dumb one (TERM=dumb)")]
+    /// `TERM=dumb`: no cursor control.
+    #[error("TERM=dumb: the terminal has no cursor control")]
     Dumb,
-    /// No picture of that size can be made.
-    #[error("the terminal says that it has {columns} columns and {rows} rows")]
+    /// The reported size is too large.
+    #[error("the terminal reports {columns} x {rows} cells, expected at most {MAX_CELLS} in total")]
     Size {
-        /// Its width.
+        /// Columns.
         columns: u16,
-        /// Its height.
+        /// Rows.
         rows: u16,
     },
-    /// Somebody else has the terminal.
-    #[error("the program is not in the foreground of its terminal")]
+    /// Another process group owns the terminal.
+    #[error("the program runs in the background of its terminal")]
     Background,
-    /// The system refuses something.
+    /// A system call failed.
     #[error(transparent)]
     Io(#[from] io::Error),
 }
 
-/// What the view is told, beside the rows.
+/// Events for the view; rows arrive through the tap.
 #[derive(Debug)]
-pub enum Told {
-    /// Where the controller is to be found.
-    Place(String),
+pub enum ViewEvent {
+    /// Port or address of the controller.
+    RigLocation(String),
     /// A trial has ended.
-    TrialEnded,
+    TrialFinished,
     /// A scenario was judged.
-    Judged(Verdict),
+    ScenarioFinished(Verdict),
 }
 
-impl Told {
-    /// What there is to tell of an event of the run.
+impl ViewEvent {
+    /// The part of a run event that the view shows.
     pub fn of(event: &RunEvent) -> Option<Self> {
         match event {
             RunEvent::ScenarioStarted { .. } => None,
-            RunEvent::TrialFinished { .. } => Some(Self::TrialEnded),
-            RunEvent::ScenarioFinished(record) => Some(Self::Judged(record.verdict)),
+            RunEvent::TrialFinished { .. } => Some(Self::TrialFinished),
+            RunEvent::ScenarioFinished(record) => Some(Self::ScenarioFinished(record.verdict)),
         }
     }
 }
 
-/// What the view's thread hears.
+/// Messages to the view thread.
 #[derive(Debug)]
-enum Heard {
-    News(Told),
+enum ViewMessage {
+    Event(ViewEvent),
     End,
 }
 
-/// A view that goes on until this is dropped; the terminal is then as it was before.
+/// The view; `drop` ends it and restores the terminal.
 #[derive(Debug)]
-pub struct View {
-    // In the order in which they end: the picture, the screen, standard error.
-    heard: Sender<Heard>,
-    ended: Receiver<()>,
-    /// Set where the terminal is gone or no longer the view's: nobody draws or takes keys any more.
-    over: Arc<AtomicBool>,
+pub struct LiveView {
+    // Fields drop in this order: frames, screen, standard error.
+    messages: Sender<ViewMessage>,
+    finished: Receiver<()>,
+    /// Set if the terminal is gone or restored: no frames and keys any more.
+    is_stopped: Arc<AtomicBool>,
     screen: Option<Screen>,
-    _diverted: Option<Diverted>,
+    _stderr_capture: Option<StderrCapture>,
 }
 
-impl View {
-    /// Takes the terminal and shows what passes.
+impl LiveView {
+    /// Takes the terminal and starts to draw.
     ///
     /// # Errors
-    /// [`NoView`]; the terminal is then untouched.
-    pub fn open(subject: Subject, viewer: Viewer) -> Result<Self, NoView> {
+    /// [`LiveViewError`]; the terminal is then unchanged.
+    pub fn open(run: RunDescription, tap_reader: TapReader) -> Result<Self, LiveViewError> {
         if let Ok((columns, rows)) = size()
-            && !can_be_drawn(columns, rows)
+            && !is_drawable(columns, rows)
         {
-            return Err(NoView::Size { columns, rows });
+            return Err(LiveViewError::Size { columns, rows });
         }
         let screen = Screen::enter()?;
-        let diverted = Diverted::begin()?;
-        let over = Arc::new(AtomicBool::new(false));
-        let pictures = BufWriter::with_capacity(FRAME, Screen::pictures(Arc::clone(&over))?);
-        let mut terminal = Terminal::new(CrosstermBackend::new(pictures))?;
-        let (heard, hears) = channel();
-        let (end, ended) = channel::<()>();
-        let mut onlooker = Onlooker {
-            scope: Scope::new(subject),
-            viewer,
-            hears,
-            kept: diverted.as_ref().map(Diverted::kept),
-            over: Arc::clone(&over),
+        let stderr_capture = StderrCapture::start()?;
+        let is_stopped = Arc::new(AtomicBool::new(false));
+        let writer = BufWriter::with_capacity(FRAME_CAPACITY, Screen::frame_writer(Arc::clone(&is_stopped))?);
+        let mut terminal = Terminal::new(CrosstermBackend::new(writer))?;
+        let (message_sender, messages) = channel();
+        let (end, finished) = channel::<()>();
+        let mut view_thread = ViewThread {
+            state: ViewState::new(run),
+            tap_reader,
+            messages,
+            captured_lines: stderr_capture.as_ref().map(StderrCapture::lines),
+            is_stopped: Arc::clone(&is_stopped),
         };
         thread::Builder::new().name("view".to_owned()).spawn(move || {
-            // Where it panics, nobody waits for it either.
+            // Dropped on a panic too, so `LiveView::drop` does not wait.
             let _end = end;
-            // A terminal that is gone takes no pictures any more; the run goes on, and whoever closed it has sent a signal.
-            let _ = onlooker.look(&mut terminal);
+            // An error means that the terminal is gone; its hang-up signal ends the run.
+            let _ = view_thread.run(&mut terminal);
         })?;
-        Ok(Self { heard, ended, over, screen: Some(screen), _diverted: diverted })
+        Ok(Self {
+            messages: message_sender,
+            finished,
+            is_stopped,
+            screen: Some(screen),
+            _stderr_capture: stderr_capture,
+        })
     }
 
-    /// Tells the view; never waits.
-    pub fn tell(&self, news: Told) {
-        // A view that has ended needs none.
-        let _ = self.heard.send(Heard::News(news));
+    /// Sends an event; never blocks.
+    pub fn send(&self, event: ViewEvent) {
+        // Fails only if the view has ended.
+        let _ = self.messages.send(ViewMessage::Event(event));
     }
 
-    /// For whoever has something to tell on another thread.
-    pub fn teller(&self) -> Teller {
-        Teller(self.heard.clone())
+    /// A sender for other threads.
+    pub fn sender(&self) -> ViewSender {
+        ViewSender(self.messages.clone())
     }
 
-    /// From now on the key q ends the program as Ctrl-C does.
+    /// Makes the key q end the program like Ctrl-C.
     pub fn quit_on_q(&self) {
-        let over = Arc::clone(&self.over);
-        // Not waited for: a terminal that hung up keeps it for ever.
+        let is_stopped = Arc::clone(&self.is_stopped);
+        // Not joined: `poll` may never return after a hang-up.
         thread::spawn(move || {
             watch_keys(
-                || over.load(Ordering::Relaxed),
+                || is_stopped.load(Ordering::Relaxed),
                 |letter| {
                     if letter == 'q' {
-                        // A process may always signal itself.
+                        // A process may always send a signal to itself.
                         let _ = kill_process(getpid(), Signal::INT);
                     }
                 },
@@ -165,65 +170,64 @@ impl View {
     }
 }
 
-/// Tells a view that may have ended.
+/// Sends events to a view that may have ended.
 #[derive(Debug, Clone)]
-pub struct Teller(Sender<Heard>);
+pub struct ViewSender(Sender<ViewMessage>);
 
-impl Teller {
-    /// As [`View::tell`].
-    pub fn tell(&self, news: Told) {
-        let _ = self.0.send(Heard::News(news));
+impl ViewSender {
+    /// See [`LiveView::send`].
+    pub fn send(&self, event: ViewEvent) {
+        let _ = self.0.send(ViewMessage::Event(event));
     }
 }
 
-impl Drop for View {
+impl Drop for LiveView {
     fn drop(&mut self) {
-        // Hanging up would not do: tellers may be left.
-        let _ = self.heard.send(Heard::End);
-        // An error is its end as well. A terminal that took nothing for so long is given back without waiting.
-        let _ = self.ended.recv_timeout(LAST);
-        self.over.store(true, Ordering::Relaxed);
+        // Other senders may still exist, so closing the channel is not enough.
+        let _ = self.messages.send(ViewMessage::End);
+        // Both results mean: restore the terminal now.
+        let _ = self.finished.recv_timeout(LAST_FRAME_TIMEOUT);
+        self.is_stopped.store(true, Ordering::Relaxed);
         self.screen.take();
     }
 }
 
-/// What the view's thread has.
-struct Onlooker {
-    scope: Scope,
-    viewer: Viewer,
-    hears: Receiver<Heard>,
-    kept: Option<Arc<Mutex<Kept>>>,
-    /// As in [`View`].
-    over: Arc<AtomicBool>,
+struct ViewThread {
+    state: ViewState,
+    tap_reader: TapReader,
+    messages: Receiver<ViewMessage>,
+    captured_lines: Option<Arc<Mutex<CapturedLines>>>,
+    /// See [`LiveView`].
+    is_stopped: Arc<AtomicBool>,
 }
 
-impl Onlooker {
-    /// Looks and draws until the end.
-    fn look<B: Backend>(&mut self, terminal: &mut Terminal<B>) -> Result<(), B::Error> {
+impl ViewThread {
+    fn run<B: Backend>(&mut self, terminal: &mut Terminal<B>) -> Result<(), B::Error> {
         let mut drawn: Option<Instant> = None;
         loop {
-            let is_over = match self.hears.recv_timeout(LOOK_EVERY) {
-                Ok(Heard::News(news)) => {
-                    self.scope.hear(news);
+            let is_over = match self.messages.recv_timeout(POLL_INTERVAL) {
+                Ok(ViewMessage::Event(event)) => {
+                    self.state.apply_event(event);
                     false
                 }
                 Err(RecvTimeoutError::Timeout) => false,
-                Ok(Heard::End) | Err(RecvTimeoutError::Disconnected) => true,
+                Ok(ViewMessage::End) | Err(RecvTimeoutError::Disconnected) => true,
             };
-            for _ in 0..MOST {
-                let Some(sight) = self.viewer.take() else { break };
-                self.scope.see(&sight);
+            for _ in 0..MAX_ROWS_PER_POLL {
+                let Some(row) = self.tap_reader.next_row() else { break };
+                self.state.add_row(&row);
             }
-            if self.over.load(Ordering::Relaxed) {
+            if self.is_stopped.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            if is_over || drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_EVERY) {
-                self.scope.counts = self.viewer.counts();
-                if let Some(kept) = &self.kept {
-                    self.scope.messages = kept.lock().unwrap_or_else(PoisonError::into_inner).last(LINES);
+            if is_over || drawn.is_none_or(|drawn| drawn.elapsed() >= FRAME_INTERVAL) {
+                self.state.counts = self.tap_reader.counts();
+                if let Some(captured) = &self.captured_lines {
+                    self.state.messages =
+                        captured.lock().unwrap_or_else(PoisonError::into_inner).last_lines(MAX_MESSAGES);
                 }
-                if terminal.size().is_ok_and(|size| can_be_drawn(size.width, size.height)) {
-                    terminal.draw(|frame| draw(frame, &self.scope))?;
+                if terminal.size().is_ok_and(|size| is_drawable(size.width, size.height)) {
+                    terminal.draw(|frame| draw(frame, &self.state))?;
                 }
                 drawn = Some(Instant::now());
             }
@@ -234,24 +238,23 @@ impl Onlooker {
     }
 }
 
-/// False for a size that nobody's terminal has: it can be set to anything.
-fn can_be_drawn(columns: u16, rows: u16) -> bool {
-    u32::from(columns) * u32::from(rows) <= MOST_CELLS
+fn is_drawable(columns: u16, rows: u16) -> bool {
+    u32::from(columns) * u32::from(rows) <= MAX_CELLS
 }
 
-/// What [`watch_keys`] gives for Ctrl-C where that is a key: in a raw terminal. In the view's it is a signal.
+/// Character that [`watch_keys`] reports for Ctrl-C in a raw terminal. In the view Ctrl-C is a signal.
 pub const INTERRUPT: char = '\u{3}';
 
-/// Gives letters that are typed to `typed` until `is_over`; returns at once where nobody types.
+/// Passes typed letters to `typed` until `is_over`. Returns at once if standard input is not a terminal.
 pub fn watch_keys(is_over: impl Fn() -> bool, mut typed: impl FnMut(char)) {
     if !stdin().is_terminal() {
         return;
     }
     while !is_over() {
-        match poll(KEYS_EVERY) {
+        match poll(KEY_POLL_INTERVAL) {
             Ok(true) => {}
             Ok(false) => continue,
-            // A terminal that is gone.
+            // The terminal is gone.
             Err(_) => return,
         }
         if let Ok(Event::Key(key)) = read()
@@ -269,8 +272,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_size_that_nobody_s_terminal_has_is_not_drawn() {
-        assert!(can_be_drawn(0, 0) && can_be_drawn(1024, 1024));
-        assert!(!can_be_drawn(1025, 1024) && !can_be_drawn(u16::MAX, u16::MAX));
+    fn rejects_a_terminal_with_more_than_the_largest_number_of_cells() {
+        assert!(is_drawable(0, 0) && is_drawable(1024, 1024));
+        assert!(!is_drawable(1025, 1024) && !is_drawable(u16::MAX, u16::MAX));
     }
 }

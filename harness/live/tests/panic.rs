@@ -1,7 +1,7 @@
 //! A bench that panics gives the terminal back too.
 
-use platebench_live::{Subject, View};
-use platebench_runner::Watch;
+use platebench_live::{LiveView, RunDescription};
+use platebench_runner::LiveTap;
 use rustix::fs::{Mode, OFlags, open};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcgetattr, tcsetwinsize};
@@ -16,10 +16,16 @@ const MESSAGE: &str = "the bench comes to grief";
 #[test]
 #[ignore = "started by the other one"]
 fn grief() {
-    let subject =
-        Subject { command: "run", place: String::new(), lockstep: true, jobs: 1, keys: "", shows: Vec::new() };
-    let (_watch, viewer) = Watch::new();
-    let _view = View::open(subject, viewer).unwrap();
+    let subject = RunDescription {
+        command: "run",
+        rig: String::new(),
+        lockstep: true,
+        jobs: 1,
+        key_help: "",
+        scenarios: Vec::new(),
+    };
+    let (_watch, viewer) = LiveTap::new();
+    let _view = LiveView::open(subject, viewer).unwrap();
     panic!("{MESSAGE}");
 }
 
@@ -49,10 +55,10 @@ fn a_panic_gives_the_terminal_back_and_is_told_afterwards() {
     assert!(!child.wait().unwrap().success());
     let after = tcgetattr(&line).unwrap();
     drop(line);
-    let said = reader.join().unwrap();
-    let at = |text: &str| said.find(text).unwrap_or_else(|| panic!("{text:?} is not in {said:?}"));
-    let [entered, left, told] = ["\u{1b}[?1049h", "\u{1b}[?1049l", MESSAGE].map(at);
-    assert!(entered < left && left < told, "{said:?}");
-    assert!(at("nothing") < left, "{said:?}");
+    let captured = reader.join().unwrap();
+    let at = |text: &str| captured.find(text).unwrap_or_else(|| panic!("{text:?} is not in {captured:?}"));
+    let [entered, left, printed] = ["\u{1b}[?1049h", "\u{1b}[?1049l", MESSAGE].map(at);
+    assert!(entered < left && left < printed, "{captured:?}");
+    assert!(at("waiting") < left, "{captured:?}");
     assert_eq!((after.local_modes, after.input_modes), (before.local_modes, before.input_modes));
 }

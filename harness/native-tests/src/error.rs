@@ -16,24 +16,24 @@ pub enum SuiteError {
     #[error(transparent)]
     Connect(ConnectError),
     /// Scenarios that cannot be played, with every fault of every file.
-    #[error("{}", all(.0))]
+    #[error("{}", render_all(.0))]
     Scenarios(Vec<Diagnostic>),
     /// There is no scenario.
     #[error("there is nothing to run below {}", .0.display())]
-    Nothing(PathBuf),
+    NoScenarios(PathBuf),
 }
 
 impl SuiteError {
     /// How the test program ends, by the codes of `platebench run`: 2 for invalid input, 4 where there is nothing to run.
-    pub fn code(&self) -> u8 {
+    pub fn exit_code(&self) -> u8 {
         match self {
             Self::Rig(_) | Self::Connect(_) | Self::Scenarios(_) => 2,
-            Self::Nothing(_) => 4,
+            Self::NoScenarios(_) => 4,
         }
     }
 }
 
-fn all(faults: &[Diagnostic]) -> String {
+fn render_all(faults: &[Diagnostic]) -> String {
     faults.iter().fold(String::new(), |mut text, fault| {
         // Writing into a String cannot fail.
         let _ = writeln!(text, "{}\n", fault.render(false));

@@ -1,12 +1,13 @@
 //! One test: a scenario played into a run folder of its own.
 
+use platebench_record::{FolderError, RunFolder};
+use platebench_record::{Overrides, RECORD_FILE};
+use platebench_record::{RunRecord, Verdict};
 use platebench_report::console::{self, Style};
-use platebench_report::{ReportError, html, junit, traceability};
+use platebench_report::{ReportError, junit, page, traceability};
 use platebench_rig::RigSpec;
-use platebench_runner::{Cancel, Clock, FolderError, Pace, Pacing, Plan, RunError, RunFolder, rejudge};
+use platebench_runner::{Clock, Pacing, RunError, RunHooks, RunPlan, TimeBase, rejudge};
 use platebench_scenario::Scenario;
-use platebench_verdict::record::{FILE, Overrides};
-use platebench_verdict::{RunRecord, Verdict};
 use std::fs::{self, Permissions};
 use std::io;
 use std::os::unix::fs::PermissionsExt;
@@ -14,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// What every test of a suite shares.
 #[derive(Debug)]
-pub(crate) struct Stage {
+pub(crate) struct TestContext {
     rig: RigSpec,
     clock: Clock,
     out: PathBuf,
@@ -22,9 +23,9 @@ pub(crate) struct Stage {
 
 /// Why a test did not pass.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum NotPassed {
+pub(crate) enum TestFailure {
     /// It ended, but not as it should have.
-    #[error("it ends with {}, expected {}\n\n{table}\nrun folder: {}", meaning(*code), meaning(*expected), folder.display())]
+    #[error("it ends with {}, expected {}\n\n{table}\nrun folder: {}", describe_exit_code(*code), describe_exit_code(*expected), folder.display())]
     Verdict { code: u8, expected: u8, table: String, folder: PathBuf },
     /// It did not get to a verdict.
     #[error("{0}")]
@@ -37,18 +38,18 @@ pub(crate) enum NotPassed {
     Folder { path: PathBuf, source: io::Error },
 }
 
-impl From<FolderError> for NotPassed {
+impl From<FolderError> for TestFailure {
     fn from(error: FolderError) -> Self {
         Self::Run(error.into())
     }
 }
 
-impl Stage {
+impl TestContext {
     /// Real time where the board has a line that does not wait, lockstep otherwise; as `platebench run` does without `--clock`.
     pub(crate) fn new(rig: RigSpec, out: PathBuf) -> Self {
         let clock = match rig {
             RigSpec::Serial { .. } | RigSpec::Probe { port: Some(_), .. } => {
-                Clock::RealTime(Pace { time_scale: 1.0, pacing: Pacing::Bench })
+                Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench })
             }
             RigSpec::Hosted | RigSpec::Emulated(_) | RigSpec::Exec(_) | RigSpec::Probe { port: None, .. } => {
                 Clock::Lockstep { wire_time: false }
@@ -58,13 +59,12 @@ impl Stage {
     }
 
     /// Plays `scenario` and holds how it ended to what it says.
-    pub(crate) fn play(&self, mut scenario: Scenario) -> Result<(), NotPassed> {
+    pub(crate) fn run_scenario(&self, mut scenario: Scenario) -> Result<(), TestFailure> {
         let overrides = Overrides::default();
-        rejudge::apply(&overrides, &mut scenario);
-        scenario.choose_model(matches!(self.clock, Clock::Lockstep { .. }));
+        rejudge::apply_overrides(&overrides, &mut scenario);
         let folder = self.out.join(scenario.name());
         let expected = scenario.expected_exit.unwrap_or(0);
-        let plan = Plan {
+        let plan = RunPlan {
             scenarios: vec![scenario],
             jobs: 1,
             clock: self.clock,
@@ -72,64 +72,64 @@ impl Stage {
             rig: self.rig.to_string(),
             overrides,
         };
-        let record = self.record(&plan, &folder)?;
-        let code = code(&record);
+        let record = self.run_and_replace(&plan, &folder)?;
+        let code = exit_code(&record);
         if code == expected {
             return Ok(());
         }
-        let table = console::table(&record, Style::default());
-        Err(NotPassed::Verdict { code, expected, table, folder })
+        let table = console::run_table(&record, Style::default());
+        Err(TestFailure::Verdict { code, expected, table, folder })
     }
 
     /// Plays `plan` beside `folder` and puts what came of it in its place, so that what lies there is always of one run.
-    fn record(&self, plan: &Plan, folder: &Path) -> Result<RunRecord, NotPassed> {
+    fn run_and_replace(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let parent = folder.parent().unwrap_or(&self.out);
-        fs::create_dir_all(parent).map_err(at(parent))?;
+        fs::create_dir_all(parent).map_err(folder_error(parent))?;
         let readable = Permissions::from_mode(0o755);
         let new = tempfile::Builder::new().prefix(".playing-").permissions(readable).tempdir_in(parent);
-        let new = new.map_err(at(parent))?;
-        let played = self.fill(plan, new.path());
-        if new.path().join(FILE).exists() {
+        let new = new.map_err(folder_error(parent))?;
+        let played = self.run_into(plan, new.path());
+        if new.path().join(RECORD_FILE).exists() {
             // Only what is a run's is taken away.
-            if folder.join(FILE).exists() {
-                fs::remove_dir_all(folder).map_err(at(folder))?;
+            if folder.join(RECORD_FILE).exists() {
+                fs::remove_dir_all(folder).map_err(folder_error(folder))?;
             }
-            fs::rename(new.path(), folder).map_err(at(folder))?;
+            fs::rename(new.path(), folder).map_err(folder_error(folder))?;
         }
         played
     }
 
-    fn fill(&self, plan: &Plan, folder: &Path) -> Result<RunRecord, NotPassed> {
+    fn run_into(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let run = RunFolder::create(Some(folder))?;
         let connect = || match self.clock {
             Clock::Lockstep { .. } => self.rig.connect(),
-            Clock::RealTime(_) | Clock::OwnPlate => self.rig.connect_in_real_time(),
+            Clock::RealTime(_) | Clock::RealPlate => self.rig.connect_real_time(),
         };
-        let record = platebench_runner::run(plan, &run, &connect, &Cancel::default(), &mut |_| {})?;
+        let record = platebench_runner::run(plan, &run, &connect, RunHooks::default())?;
         junit::write(&record, &folder.join(junit::FILE))?;
-        html::write(&record, folder)?;
+        page::write(&record, folder)?;
         traceability::write(&record, folder)?;
         Ok(record)
     }
 }
 
-fn at(path: &Path) -> impl FnOnce(io::Error) -> NotPassed + use<> {
+fn folder_error(path: &Path) -> impl FnOnce(io::Error) -> TestFailure + use<> {
     let path = path.to_owned();
-    |source| NotPassed::Folder { path, source }
+    |source| TestFailure::Folder { path, source }
 }
 
 /// How `platebench run` ends with this record.
-fn code(record: &RunRecord) -> u8 {
+fn exit_code(record: &RunRecord) -> u8 {
     let unsafe_end = record.verdict == Verdict::Inconclusive && record.safe_confirmed == Some(false);
     match record.verdict {
-        _ if record.lost_a_controller() || unsafe_end => 5,
+        _ if record.has_lost_controller() || unsafe_end => 5,
         Verdict::Pass => 0,
         Verdict::Fail => 1,
         Verdict::Inconclusive => 3,
     }
 }
 
-fn meaning(code: u8) -> String {
+fn describe_exit_code(code: u8) -> String {
     let words = match code {
         0 => "a pass",
         1 => "a failure",

@@ -1,7 +1,7 @@
 //! What is played to what, and the test program that comes of it.
 
 use crate::error::SuiteError;
-use crate::play::Stage;
+use crate::play::TestContext;
 use libtest_mimic::{Arguments, Trial};
 use platebench_rig::RigSpec;
 use platebench_scenario::{Diagnostic, Scenario, find};
@@ -53,46 +53,47 @@ impl Suite {
                 // Faults of files are shown as such.
                 let is_shown = matches!(error, SuiteError::Scenarios(_));
                 eprintln!("{}{error}", if is_shown { "" } else { "error: " });
-                ExitCode::from(error.code())
+                ExitCode::from(error.exit_code())
             }
         }
     }
 
     /// The tests, by name.
-    fn tests(&self) -> Result<Tests, SuiteError> {
+    fn tests(&self) -> Result<SuiteTests, SuiteError> {
         let rig: RigSpec = self.rig.parse().map_err(SuiteError::Rig)?;
         rig.check().map_err(SuiteError::Connect)?;
         let found = find(std::slice::from_ref(&self.scenarios)).map_err(SuiteError::Scenarios)?;
-        let limits = found.left_out.iter().map(|name| limit(&self.scenarios, name)).collect::<Result<Vec<_>, _>>();
+        let limits =
+            found.skipped.iter().map(|name| load_limit_scenario(&self.scenarios, name)).collect::<Result<Vec<_>, _>>();
         let limits = limits.map_err(SuiteError::Scenarios)?;
         if found.scenarios.is_empty() && limits.is_empty() {
-            return Err(SuiteError::Nothing(self.scenarios.clone()));
+            return Err(SuiteError::NoScenarios(self.scenarios.clone()));
         }
-        let one_at_a_time = !rig.is_plural();
-        let stage = Arc::new(Stage::new(rig, self.out.clone()));
+        let one_at_a_time = !rig.allows_parallel_links();
+        let stage = Arc::new(TestContext::new(rig, self.out.clone()));
         let judged = found.scenarios.into_iter().map(|scenario| (scenario, false));
         let mut scenarios: Vec<_> = judged.chain(limits.into_iter().map(|scenario| (scenario, true))).collect();
         scenarios.sort_by(|(a, _), (b, _)| a.file.cmp(&b.file));
         let test = |(scenario, ignored): (Scenario, bool)| {
             let stage = Arc::clone(&stage);
             let name = scenario.name().to_owned();
-            Trial::test(name, move || stage.play(scenario).map_err(Into::into)).with_ignored_flag(ignored)
+            Trial::test(name, move || stage.run_scenario(scenario).map_err(Into::into)).with_ignored_flag(ignored)
         };
         let trials = scenarios.into_iter().map(test).collect();
-        Ok(Tests { trials, one_at_a_time })
+        Ok(SuiteTests { trials, one_at_a_time })
     }
 }
 
 /// What a suite comes to.
-struct Tests {
+struct SuiteTests {
     trials: Vec<Trial>,
     /// True where all of them need the same line.
     one_at_a_time: bool,
 }
 
 /// The scenario called `name` that shows a limit and that [`find`] left out below `folder`.
-fn limit(folder: &Path, name: &str) -> Result<Scenario, Vec<Diagnostic>> {
-    let missing = || vec![Diagnostic::of_file(folder, format!("{name} was here a moment ago"))];
+fn load_limit_scenario(folder: &Path, name: &str) -> Result<Scenario, Vec<Diagnostic>> {
+    let missing = || vec![Diagnostic::for_file(folder, format!("{name} was here a moment ago"))];
     let canonical = std::fs::canonicalize(folder).map_err(|_| missing())?;
     // A name is a path below the folder or below one that it lies in.
     let path = canonical.ancestors().map(|folder| folder.join(name)).find(|path| path.is_file()).ok_or_else(missing)?;

@@ -1,5 +1,5 @@
-//! What a step of each tier costs: `cargo bench -p platebench-plate --bench cost`. Times; what a build is held to are the instruction
-//! counts of `counts.rs`.
+//! What a step of each tier costs: `cargo bench -p platebench-plate --bench cost`. Times; what a
+//! build is held to are the instruction counts of `counts.rs`.
 
 mod steps;
 

@@ -1,8 +1,10 @@
-//! How many instructions a step takes, and whether that is more than it was: `ci/counts`, which runs this, holds `counts.toml`.
+//! How many instructions a step takes, and whether that is more than it was: `ci/counts`, which
+//! runs this, holds `counts.toml`.
 //!
-//! Callgrind counts what a step executes, the same number in every run: no clock and no load of the machine comes in. A step is run some
-//! hundred times and twice as often, in a process each; the difference leaves out start and end. Numbers compare only where compiler,
-//! C library, Valgrind and vector instructions are the same; where they are not, that is said and nothing is judged.
+//! Callgrind counts what a step executes, the same number in every run: no clock and no load of the
+//! machine comes in. A step is run some hundred times and twice as often, in a process each; the
+//! difference leaves out start and end. Numbers compare only where compiler, C library, Valgrind
+//! and vector instructions are the same; where they are not, that is said and nothing is judged.
 
 #![allow(clippy::format_push_string, reason = "twenty lines, once")]
 
@@ -61,8 +63,8 @@ fn instructions(step: &Step, runs: u64) -> Result<u64, String> {
     }
 }
 
-/// Instructions per item: control period, sample, plate-period.
-fn measured() -> Result<BTreeMap<&'static str, f64>, String> {
+/// Instructions per control period or sample.
+fn measure_instructions() -> Result<BTreeMap<&'static str, f64>, String> {
     let mut counts = BTreeMap::new();
     for step in STEPS {
         let extra = instructions(step, 2 * RUNS)?.saturating_sub(instructions(step, RUNS)?);
@@ -72,19 +74,19 @@ fn measured() -> Result<BTreeMap<&'static str, f64>, String> {
     Ok(counts)
 }
 
-fn said_by(program: &str, arguments: &[&str]) -> String {
+fn command_output(program: &str, arguments: &[&str]) -> String {
     let output = Command::new(program).args(arguments).output();
     let text = output.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default();
     text.lines().next().unwrap_or("unknown").trim().to_owned()
 }
 
 /// What counts depend on beside the code.
-fn surroundings() -> BTreeMap<&'static str, String> {
+fn environment() -> BTreeMap<&'static str, String> {
     let vectors = if cfg!(target_arch = "x86_64") && has_vectors() { "avx2 and fma" } else { "baseline" };
     BTreeMap::from([
-        ("compiler", said_by("rustc", &["--version"])),
-        ("library", said_by("getconf", &["GNU_LIBC_VERSION"])),
-        ("valgrind", said_by("valgrind", &["--version"])),
+        ("compiler", command_output("rustc", &["--version"])),
+        ("library", command_output("getconf", &["GNU_LIBC_VERSION"])),
+        ("valgrind", command_output("valgrind", &["--version"])),
         ("vectors", vectors.to_owned()),
     ])
 }
@@ -99,29 +101,28 @@ fn has_vectors() -> bool {
     false
 }
 
-fn file() -> PathBuf {
+fn counts_file() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("benches/counts.toml")
 }
 
 fn update() -> Result<(), String> {
-    let mut text = String::from(
-        "# Instructions per control period, converter sample or plate-period: written by `ci/counts --update`.\n",
-    );
-    for (name, value) in surroundings() {
+    let mut text =
+        String::from("# Instructions per control period or per converter sample: written by `ci/counts --update`.\n");
+    for (name, value) in environment() {
         text += &format!("{name} = \"{value}\"\n");
     }
     text.push_str("\n[instructions]\n");
-    for (name, count) in measured()? {
+    for (name, count) in measure_instructions()? {
         text += &format!("{name} = {count:.1}\n");
     }
-    fs::write(file(), text).map_err(|error| error.to_string())
+    fs::write(counts_file(), text).map_err(|error| error.to_string())
 }
 
 fn check() -> Result<(), String> {
-    let text = fs::read_to_string(file()).map_err(|error| format!("{}: {error}", file().display()))?;
-    let known: Table = text.parse().map_err(|error| format!("{}: {error}", file().display()))?;
+    let text = fs::read_to_string(counts_file()).map_err(|error| format!("{}: {error}", counts_file().display()))?;
+    let known: Table = text.parse().map_err(|error| format!("{}: {error}", counts_file().display()))?;
     let mut comparable = true;
-    for (name, now) in surroundings() {
+    for (name, now) in environment() {
         let then = known.get(name).and_then(Value::as_str).unwrap_or("unknown");
         if then != now {
             eprintln!("counts: {name} is {now}, and was {then}");
@@ -129,7 +130,7 @@ fn check() -> Result<(), String> {
         }
     }
     let known = known.get("instructions").and_then(Value::as_table).ok_or("counts.toml has no [instructions]")?;
-    let measured = measured()?;
+    let measured = measure_instructions()?;
     let mut wrong = Vec::new();
     for (name, count) in &measured {
         let Some(before) = known.get(*name).and_then(Value::as_float) else {

@@ -1,14 +1,14 @@
-//! Entering and leaving bands, to the nanosecond.
+//! Finds the times at which a signal enters or leaves a band, to the nanosecond.
 
 use crate::flow::State;
 use crate::time::Time;
 
-/// Entering and leaving a band is looked for at this spacing, some fifteen points per period of the fast pole.
-const SCAN: u64 = 1_000;
+/// Spacing of the search: about 15 points per period of the fast pole.
+const SCAN_STEP_NS: u64 = 1_000;
 
-/// Which signal of the plate a [`Watch`] looks at.
+/// A signal of the plate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Signal {
+pub enum BandSignal {
     /// |W|
     Amplitude,
     /// Wd
@@ -17,9 +17,9 @@ pub enum Signal {
     Quadrature,
 }
 
-impl Signal {
+impl BandSignal {
     /// The signal's value in µm.
-    pub fn of(self, state: &State) -> f64 {
+    pub fn value(self, state: &State) -> f64 {
         match self {
             Self::Amplitude => state.amplitude(),
             Self::InPhase => state.w.re,
@@ -28,44 +28,44 @@ impl Signal {
     }
 }
 
-/// A band whose crossings are to be found.
+/// A band around a signal.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Watch {
-    /// What is watched.
-    pub signal: Signal,
+pub struct BandMonitor {
+    /// Monitored signal.
+    pub signal: BandSignal,
     /// Lower edge, µm, still inside.
     pub low: f64,
     /// Upper edge, µm, still inside.
     pub high: f64,
 }
 
-impl Watch {
-    pub(crate) fn holds(&self, state: &State) -> bool {
-        (self.low..=self.high).contains(&self.signal.of(state))
+impl BandMonitor {
+    pub(crate) fn contains(&self, state: &State) -> bool {
+        (self.low..=self.high).contains(&self.signal.value(state))
     }
 
     /// Distance in µm of `state` from the nearer edge.
     pub(crate) fn distance(&self, state: &State) -> f64 {
-        let value = self.signal.of(state);
+        let value = self.signal.value(state);
         (value - self.low).abs().min((value - self.high).abs())
     }
 }
 
-/// A watched signal has entered or left its band.
+/// A monitored signal entered or left its band.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crossing {
     /// The first nanosecond on the other side.
     pub time: Time,
-    /// The state then.
+    /// The state at `time`.
     pub state: State,
-    /// The state a nanosecond earlier, still on this side.
+    /// The state 1 ns earlier.
     pub before: State,
 }
 
-/// Puts into `found` where the plate enters or leaves the band of `watch` up to `end`; it is in `from` at `start` and in `after(t)`
-/// t seconds later.
+/// Appends the crossings between `start` and `end` to `found`. The state is `from` at `start` and
+/// `after(t)` t seconds later.
 pub(crate) fn find_crossings(
-    watch: &Watch,
+    monitor: &BandMonitor,
     after: &impl Fn(f64) -> State,
     from: &State,
     start: Time,
@@ -74,14 +74,14 @@ pub(crate) fn find_crossings(
 ) {
     let state_at = |nanos: u64| after(Time::from_nanos(nanos).since(start).seconds());
     let mut low = start.as_nanos();
-    let mut inside = watch.holds(from);
+    let mut inside = monitor.contains(from);
     while low < end.as_nanos() {
-        let high = (low + SCAN).min(end.as_nanos());
-        if watch.holds(&state_at(high)) != inside {
+        let high = (low + SCAN_STEP_NS).min(end.as_nanos());
+        if monitor.contains(&state_at(high)) != inside {
             let (mut before, mut behind) = (low, high);
             while behind - before > 1 {
                 let middle = u64::midpoint(before, behind);
-                if watch.holds(&state_at(middle)) == inside {
+                if monitor.contains(&state_at(middle)) == inside {
                     before = middle;
                 } else {
                     behind = middle;

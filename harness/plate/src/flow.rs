@@ -1,15 +1,20 @@
-//! Exact propagation between two events: drive, excitation frequency, damping and resonance constant.
+//! Propagates the plate exactly while drive, excitation frequency, damping and resonance are
+//! constant.
 //!
-//! With `y = Re(W e^{jθ})`, `θ' = ω` and the voltage on the q axis, equation 1 reads `y'' + 2σy' + ω0²y = (N/m) Re(jV e^{jθ})`.
+//! With `y = Re(W e^{jθ})`, `θ' = ω` and the voltage on the q axis, equation 1 reads `y'' + 2σy' +
+//! ω0²y = (N/m) Re(jV e^{jθ})`.
 //!
-//! * **modal**: states `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. U, not W', is continuous when ω steps. Two poles
-//!   `s± = −σ ± j√(ω0² − σ²)` around the steady state `W∞ = (N/m) jV / (ω0² − ω² + 2jσω)`.
-//! * **carrier**: the same W and U; what it adds is the phase of the carrier, which [`crate::Plant`] keeps.
-//! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`: what is left for ω ≈ ω0 once the pole `s−`, some 64 kHz away in
-//!   this frame, is dropped (equations 11 and 18 without their linearisation).
-//! * **linear**: `Wd' = −σWd + bV` and, for the ratio `r = Wq/Wd`, `r' = −σr − Δω`: equations 13 and 19, static gains
-//!   `K1 σ0/σ` and `−1/σ`, both with the time constant 1/σ. The ratio is a state of its own, so that it means something while
-//!   Wd is 0: it starts at 0 and moves with the detuning whether there is a vibration or not.
+//! * **modal**: states `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. U, not W', is
+//!   continuous when ω steps. Two poles `s± = −σ ± j√(ω0² − σ²)` around the steady state `W∞ =
+//!   (N/m) jV / (ω0² − ω² + 2jσω)`.
+//! * **carrier**: the same W and U; [`crate::Plant`] adds the phase of the carrier.
+//! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`: the approximation for ω ≈ ω0
+//!   without the pole `s−`, which is about 64 kHz away in this frame (equations 11 and 18 without
+//!   their linearisation).
+//! * **linear**: `Wd' = −σWd + bV` and, for the ratio `r = Wq/Wd`, `r' = −σr − Δω`: equations 13
+//!   and 19, static gains `K1 σ0/σ` and `−1/σ`, both with the time constant 1/σ. The ratio is a
+//!   separate state, because it must be defined while Wd is 0: it starts at 0 and follows the
+//!   detuning with or without vibration.
 
 use crate::mode::{Drive, Mode};
 use crate::tier::Tier;
@@ -17,8 +22,8 @@ use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;
 
-/// Components smaller than this, in µm or µm/s, are set to zero: a decaying component would otherwise spend its life in
-/// subnormal numbers, which cost many times the time.
+/// Components smaller than this, in µm or µm/s, are set to zero. A decaying component would
+/// otherwise become subnormal, and subnormal arithmetic is many times slower.
 const NEGLIGIBLE: f64 = 1e-150;
 
 /// The plate's state in the rotating frame.
@@ -26,8 +31,8 @@ const NEGLIGIBLE: f64 = 1e-150;
 pub struct State {
     /// `W = Wd + jWq`, µm.
     pub w: Complex64,
-    /// `U = W' + jωW`, µm/s; zero and unused in the envelope tier. The linear tier keeps the ratio Wq/Wd in its real part, a pure
-    /// number, and `w` is `Wd (1 + j Wq/Wd)`.
+    /// `U = W' + jωW`, µm/s; zero in the envelope tier. In the linear tier the real part is the
+    /// dimensionless ratio Wq/Wd, and `w` is `Wd (1 + j Wq/Wd)`.
     pub u: Complex64,
 }
 
@@ -37,12 +42,12 @@ impl State {
         self.w.norm()
     }
 
-    /// False where a component is NaN or infinite.
+    /// False if a component is NaN or infinite.
     pub fn is_finite(&self) -> bool {
         self.w.is_finite() && self.u.is_finite()
     }
 
-    pub(crate) fn flushed(self) -> Self {
+    pub(crate) fn flush_negligible(self) -> Self {
         let flush = |z: Complex64| {
             let part = |x: f64| if x.abs() < NEGLIGIBLE { 0.0 } else { x };
             Complex64::new(part(z.re), part(z.im))
@@ -51,33 +56,34 @@ impl State {
     }
 }
 
-/// The plate's motion from an instant on, for as long as nothing changes.
+/// The plate's motion after an instant, while mode and drive are constant.
 #[derive(Debug, Clone, Copy)]
 pub struct Flow {
-    rest: Complex64,
-    slow: Term,
-    beside: Beside,
+    steady_state: Complex64,
+    slow_pole: ExponentialTerm,
+    second_term: SecondTerm,
 }
 
-/// What there is beside the slow pole.
+/// The term in addition to the slow pole.
 #[derive(Debug, Clone, Copy)]
-enum Beside {
-    /// Nothing: the envelope.
-    Nothing,
-    /// The fast pole's share, and ω.
-    Fast(Term, f64),
-    /// The linear tier's ratio: where it comes to rest, and how far it is from there. The slow term is that of Wd.
+enum SecondTerm {
+    /// None, for the envelope.
+    None,
+    /// Fast pole, and ω.
+    FastPole(ExponentialTerm, f64),
+    /// Ratio of the linear tier: its steady state and its deviation from it. The slow term is that
+    /// of Wd.
     Ratio { rest: f64, amplitude: f64 },
 }
 
 /// `amplitude · e^{pole t}` in the rotating frame.
 #[derive(Debug, Clone, Copy)]
-struct Term {
+struct ExponentialTerm {
     amplitude: Complex64,
     pole: Complex64,
 }
 
-impl Term {
+impl ExponentialTerm {
     fn after(&self, seconds: f64) -> Complex64 {
         self.amplitude * (self.pole * seconds).exp()
     }
@@ -98,16 +104,20 @@ impl Flow {
     fn envelope(mode: &Mode, drive: &Drive, state: &State) -> Self {
         let pole = Complex64::new(-mode.sigma, mode.omega0 - drive.omega);
         let rest = -mode.envelope_constant * drive.vpp / pole;
-        Self { rest, slow: Term { amplitude: state.w - rest, pole }, beside: Beside::Nothing }
+        Self {
+            steady_state: rest,
+            slow_pole: ExponentialTerm { amplitude: state.w - rest, pole },
+            second_term: SecondTerm::None,
+        }
     }
 
     fn linear(mode: &Mode, drive: &Drive, state: &State) -> Self {
         let rest = mode.envelope_constant * drive.vpp / mode.sigma;
         let ratio = (mode.omega0 - drive.omega) / mode.sigma;
         Self {
-            rest: Complex64::new(rest, rest * ratio),
-            slow: Term { amplitude: (state.w.re - rest).into(), pole: (-mode.sigma).into() },
-            beside: Beside::Ratio { rest: ratio, amplitude: state.u.re - ratio },
+            steady_state: Complex64::new(rest, rest * ratio),
+            slow_pole: ExponentialTerm { amplitude: (state.w.re - rest).into(), pole: (-mode.sigma).into() },
+            second_term: SecondTerm::Ratio { rest: ratio, amplitude: state.u.re - ratio },
         }
     }
 
@@ -123,65 +133,69 @@ impl Flow {
         let (plus, minus) = (Complex64::new(-sigma, damped), Complex64::new(-sigma, -damped));
         let slow = (u - minus * w) / (plus - minus);
         Self {
-            rest,
-            slow: Term { amplitude: slow, pole: Complex64::new(-sigma, damped - omega) },
-            beside: Beside::Fast(Term { amplitude: w - slow, pole: Complex64::new(-sigma, -damped - omega) }, omega),
+            steady_state: rest,
+            slow_pole: ExponentialTerm { amplitude: slow, pole: Complex64::new(-sigma, damped - omega) },
+            second_term: SecondTerm::FastPole(
+                ExponentialTerm { amplitude: w - slow, pole: Complex64::new(-sigma, -damped - omega) },
+                omega,
+            ),
         }
     }
 
     /// The state `seconds` later.
     pub fn after(&self, seconds: f64) -> State {
-        let state = match &self.beside {
-            Beside::Nothing => State { w: self.rest + self.slow.after(seconds), u: Complex64::ZERO },
-            Beside::Fast(term, omega) => {
-                let slow = self.slow.after(seconds);
+        let state = match &self.second_term {
+            SecondTerm::None => State { w: self.steady_state + self.slow_pole.after(seconds), u: Complex64::ZERO },
+            SecondTerm::FastPole(term, omega) => {
+                let slow = self.slow_pole.after(seconds);
                 let fast = term.after(seconds);
                 let frame = J * *omega;
                 // The poles of U' in the fixed frame are those of the rotating frame plus jω.
-                let u = frame * self.rest + (self.slow.pole + frame) * slow + (term.pole + frame) * fast;
-                State { w: self.rest + slow + fast, u }
+                let u = frame * self.steady_state + (self.slow_pole.pole + frame) * slow + (term.pole + frame) * fast;
+                State { w: self.steady_state + slow + fast, u }
             }
-            Beside::Ratio { rest, amplitude } => {
-                let left = (self.slow.pole.re * seconds).exp();
-                let (in_phase, ratio) = (self.rest.re + self.slow.amplitude.re * left, rest + amplitude * left);
+            SecondTerm::Ratio { rest, amplitude } => {
+                let left = (self.slow_pole.pole.re * seconds).exp();
+                let (in_phase, ratio) =
+                    (self.steady_state.re + self.slow_pole.amplitude.re * left, rest + amplitude * left);
                 State { w: Complex64::new(in_phase, in_phase * ratio), u: ratio.into() }
             }
         };
-        state.flushed()
+        state.flush_negligible()
     }
 
-    /// An upper bound, in µm, on how far W gets from where it is now within `seconds`.
-    pub fn reach(&self, seconds: f64) -> f64 {
-        let slow = self.slow.amplitude.norm() * (self.slow.pole.norm() * seconds).min(2.0);
-        match &self.beside {
-            Beside::Nothing => slow,
-            Beside::Fast(term, _) => slow + 2.0 * term.amplitude.norm(),
-            // Δ(r Wd) = r ΔWd + (Wd + ΔWd) Δr, with r, Wd as they are now.
-            Beside::Ratio { rest, amplitude } => {
-                let in_phase = (self.rest.re + self.slow.amplitude.re).abs();
-                let turned = amplitude.abs() * (self.slow.pole.norm() * seconds).min(1.0);
+    /// Upper bound on the change of W within `seconds`, µm.
+    pub fn max_excursion(&self, seconds: f64) -> f64 {
+        let slow = self.slow_pole.amplitude.norm() * (self.slow_pole.pole.norm() * seconds).min(2.0);
+        match &self.second_term {
+            SecondTerm::None => slow,
+            SecondTerm::FastPole(term, _) => slow + 2.0 * term.amplitude.norm(),
+            // Δ(r Wd) = r ΔWd + (Wd + ΔWd) Δr, with the present r and Wd.
+            SecondTerm::Ratio { rest, amplitude } => {
+                let in_phase = (self.steady_state.re + self.slow_pole.amplitude.re).abs();
+                let turned = amplitude.abs() * (self.slow_pole.pole.norm() * seconds).min(1.0);
                 slow * (1.0 + (rest + amplitude).abs()) + (in_phase + slow) * turned
             }
         }
     }
 
     /// W as `rest + Σ amplitude e^{pole t}`, µm and 1/s, in every tier.
-    pub(crate) fn parts(&self) -> (Complex64, [(Complex64, Complex64); 2]) {
-        let slow = (self.slow.amplitude, self.slow.pole);
-        let other = match &self.beside {
-            Beside::Nothing => (Complex64::ZERO, Complex64::ZERO),
-            Beside::Fast(term, _) => (term.amplitude, term.pole),
+    pub(crate) fn terms(&self) -> (Complex64, [(Complex64, Complex64); 2]) {
+        let slow = (self.slow_pole.amplitude, self.slow_pole.pole);
+        let other = match &self.second_term {
+            SecondTerm::None => (Complex64::ZERO, Complex64::ZERO),
+            SecondTerm::FastPole(term, _) => (term.amplitude, term.pole),
             // (Wd∞ + a e)(1 + j (r∞ + c e)) with e = e^{−σt}.
-            Beside::Ratio { rest, amplitude } => {
-                let first = slow.0 * (1.0 + J * rest) + J * *amplitude * self.rest.re;
-                return (self.rest, [(first, slow.1), (slow.0 * J * *amplitude, 2.0 * slow.1)]);
+            SecondTerm::Ratio { rest, amplitude } => {
+                let first = slow.0 * (1.0 + J * rest) + J * *amplitude * self.steady_state.re;
+                return (self.steady_state, [(first, slow.1), (slow.0 * J * *amplitude, 2.0 * slow.1)]);
             }
         };
-        (self.rest, [slow, other])
+        (self.steady_state, [slow, other])
     }
 
     /// The steady state W∞, µm.
     pub fn rest(&self) -> Complex64 {
-        self.rest
+        self.steady_state
     }
 }

@@ -1,26 +1,26 @@
-//! Files that people hand in: read as a whole and never waited for.
+//! Reads input files of limited size; refuses pipes and devices, which may never end.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
-/// Far more than a scenario, a plate or a profile of a million points takes, bytes.
-const LARGEST: u64 = 64 << 20;
+/// More than a profile of 10⁶ points needs, bytes.
+const MAX_BYTES: u64 = 64 << 20;
 
-/// The content of the file at `path`.
+/// Reads the file at `path`.
 ///
 /// # Errors
-/// What the system says. Where there is a pipe, a device or a socket, which may never begin or never end, that it is no file; it is not opened. More than 64 MiB are
-/// no input.
+/// I/O errors; `InvalidInput` for a pipe, a device or a socket, which is not
+/// opened; `FileTooLarge` above 64 MiB.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     let kind = fs::metadata(path)?.file_type();
     if !kind.is_file() && !kind.is_dir() {
         return Err(io::Error::new(ErrorKind::InvalidInput, "it is a pipe or a device, expected a file"));
     }
     let mut content = Vec::new();
-    File::open(path)?.take(LARGEST + 1).read_to_end(&mut content)?;
-    if content.len() as u64 > LARGEST {
-        let message = format!("it is larger than {} MiB, expected a file that somebody wrote", LARGEST >> 20);
+    File::open(path)?.take(MAX_BYTES + 1).read_to_end(&mut content)?;
+    if content.len() as u64 > MAX_BYTES {
+        let message = format!("it is larger than the limit of {} MiB for input files", MAX_BYTES >> 20);
         return Err(io::Error::new(ErrorKind::FileTooLarge, message));
     }
     Ok(content)
@@ -31,26 +31,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_never_ends_is_not_opened() {
+    fn does_not_open_a_device() {
         let error = read(Path::new("/dev/zero")).unwrap_err();
         assert_eq!(error.to_string(), "it is a pipe or a device, expected a file");
     }
 
     #[test]
-    fn a_folder_is_what_the_system_says() {
+    fn returns_the_system_error_for_a_folder() {
         assert_eq!(read(Path::new("/")).unwrap_err().kind(), ErrorKind::IsADirectory);
     }
 
     #[test]
-    fn the_largest_file_is_read_and_one_byte_more_is_not() {
+    fn reads_at_most_64_mib() {
         let path = std::env::temp_dir().join(format!("platebench-input-{}", std::process::id()));
         let file = File::create(&path).unwrap();
-        file.set_len(LARGEST).unwrap();
+        file.set_len(MAX_BYTES).unwrap();
         let whole = read(&path).map(|content| content.len() as u64);
-        file.set_len(LARGEST + 1).unwrap();
+        file.set_len(MAX_BYTES + 1).unwrap();
         let more = read(&path);
         fs::remove_file(&path).unwrap();
-        assert_eq!(whole.unwrap(), LARGEST);
+        assert_eq!(whole.unwrap(), MAX_BYTES);
         assert_eq!(more.unwrap_err().kind(), ErrorKind::FileTooLarge);
     }
 }

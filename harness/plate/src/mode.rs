@@ -1,8 +1,8 @@
-//! What a finger and a temperature make of the bending mode, and what it is driven with.
+//! Computes damping and resonance of the mode under a finger force and at a temperature.
 
-use crate::file::Plate;
+use crate::plate::Plate;
 
-/// The plate's surroundings at an instant.
+/// Temperature and force at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Conditions {
     /// Kelvin above the plate's reference temperature.
@@ -11,7 +11,7 @@ pub struct Conditions {
     pub finger_force_n: f64,
 }
 
-/// The mode's parameters while the surroundings stay as they are.
+/// The mode's parameters under given conditions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mode {
     /// Damping σ = d/2m, 1/s.
@@ -20,11 +20,11 @@ pub struct Mode {
     pub omega0: f64,
     /// The plant's constant N/m, µm/s² per Vpp.
     pub force_constant: f64,
-    /// `b = K1 σ0`, µm/s per Vpp: the same constant as the envelope sees it.
+    /// `b = K1 σ0`, µm/s per Vpp: the constant of the envelope.
     pub envelope_constant: f64,
 }
 
-/// What the amplifier gives: constant between two actuations.
+/// Output of the amplifier, constant between two actuations.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Drive {
     /// Voltage, Vpp.
@@ -46,10 +46,16 @@ impl Plate {
             envelope_constant: self.gain * self.sigma0,
         }
     }
+
+    /// Highest σ while the force is between `low` and `high` N.
+    pub(crate) fn max_sigma(&self, (low, high): (f64, f64)) -> f64 {
+        let bends = self.damping_ratio.iter().map(|point| point[0]).filter(|force| (low..=high).contains(force));
+        self.sigma0 * bends.chain([low, high]).map(|force| self.damping_ratio_at(force)).fold(0.0_f64, f64::max)
+    }
 }
 
 impl Mode {
-    /// True where the mode swings at all: σ below ω0, both positive.
+    /// True if the mode oscillates: 0 < σ < ω0.
     pub fn is_resonant(&self) -> bool {
         self.sigma > 0.0 && self.omega0 > self.sigma
     }
@@ -59,9 +65,9 @@ impl Mode {
         amplitude * self.sigma / self.envelope_constant
     }
 
-    /// The shortest time in s in which |W| can get from rest to `share` of `setpoint` µm with at most `limit` Vpp at resonance:
-    /// `−ln(1 − share·setpoint/W∞)/σ`; `None` where the limit cannot get there at all.
-    pub fn time_floor(&self, setpoint: f64, share: f64, limit: f64) -> Option<f64> {
+    /// The shortest time in s from rest to `share` of `setpoint` µm with at most `limit` Vpp at
+    /// resonance: `−ln(1 − share·setpoint/W∞)/σ`. `None` if the limit is too low.
+    pub fn min_rise_time(&self, setpoint: f64, share: f64, limit: f64) -> Option<f64> {
         let missing = 1.0 - share * self.drive_for(setpoint) / limit;
         (missing > 0.0).then(|| -missing.ln() / self.sigma)
     }

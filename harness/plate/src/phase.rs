@@ -1,10 +1,11 @@
-//! The carrier's phase θ, accumulated over intervals without an error that grows.
+//! Accumulates the carrier's phase θ over intervals without an error that grows.
 //!
-//! θ is kept in turns, as a fixed-point fraction of 128 bits that wraps by itself, and ω as turns per nanosecond in the same
-//! format. Time is whole nanoseconds, so an interval adds an integer product: no interval rounds, intervals may be split at will,
-//! and whole turns drop out. What is left is the rounding of ω to 2⁻¹²⁸ turns/ns, below 1e-22 turns in the 104 days a [`Time`]
-//! may last. A sum of `ω Δt` in doubles, wrapped after each interval, is 2e-7 rad off after 1e9 periods; one that is not wrapped,
-//! 8e-7 rad.
+//! θ is in turns, a fixed-point fraction of 128 bits that wraps; ω is in turns per nanosecond in
+//! the same format. Time is an integer of nanoseconds, so an interval adds an integer product: no
+//! interval rounds, and intervals may be split anywhere. The only error is the rounding of ω to
+//! 2⁻¹²⁸ turns/ns: below 1e-22 turns in 104 days, the range of [`Time`]. A sum of `ω Δt` in doubles
+//! has an error of 2e-7 rad after 1e9 periods if it is wrapped after each interval, else of 8e-7
+//! rad.
 
 use crate::time::Time;
 use num_complex::Complex64;
@@ -19,12 +20,12 @@ pub struct Phase(u128);
 
 /// ω in turns per nanosecond, times 2¹²⁸.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Rate(u128);
+pub struct PhaseRate(u128);
 
 impl Phase {
     /// The phase after `span` at `rate`.
     #[must_use]
-    pub const fn after(self, span: Time, rate: Rate) -> Self {
+    pub const fn after(self, span: Time, rate: PhaseRate) -> Self {
         Self(self.0.wrapping_add(rate.0.wrapping_mul(span.as_nanos() as u128)))
     }
 
@@ -40,15 +41,15 @@ impl Phase {
     }
 }
 
-impl Rate {
-    /// The rate of `omega` rad/s, exact to 2⁻¹²⁸ turns/ns. Zero where ω is not a number, is infinite or beyond 2⁸⁵ rad/s, where a
-    /// double no longer tells turns apart.
-    pub const fn of(omega: f64) -> Self {
+impl PhaseRate {
+    /// The rate of `omega` rad/s, exact to 2⁻¹²⁸ turns/ns. Zero if ω is NaN, infinite or above 2⁸⁵
+    /// rad/s, where a double cannot resolve a turn.
+    pub const fn from_omega(omega: f64) -> Self {
         const MANTISSA: u64 = (1 << 52) - 1;
         let bits = omega.abs().to_bits();
         let exponent = (bits >> 52) as i32 - 1075;
         let mantissa = ((bits & MANTISSA) | (1 << 52)) as u128;
-        // Subnormal numbers come out as zero, which they are.
+        // Subnormal numbers become 0.
         let shift = 32 - exponent;
         let high = mantissa * (TURNS_PER_RADIAN >> 64);
         let low = mantissa * (TURNS_PER_RADIAN as u64 as u128);
@@ -71,32 +72,33 @@ mod tests {
         (phase.radians() / TAU).rem_euclid(1.0)
     }
 
-    /// Expected: the fraction of ωt/2π, computed in decimal with 120 digits from the doubles as they are.
+    /// Expected: the fraction of ωt/2π, computed in decimal with 120 digits from the doubles as
+    /// they are.
     #[test]
-    fn after_a_billion_periods_the_phase_is_that_of_the_closed_form() {
+    fn the_phase_is_exact_after_a_billion_periods() {
         for (omega, nanos, turns) in [
-            // 1 001 537 387 periods and a bit.
+            // 1 001 537 387 periods.
             (202_995.0, 31_000_000_000_000, 0.861_118_104_216_541_3),
             (202_995.3, 30_954_321_987_654, 0.235_069_502_160_185_88),
-            // 2.25e13 periods: the fastest carrier for as long as time lasts.
+            // 2.25e13 periods: the fastest carrier over the longest time.
             (15_707_500.0, 9_007_199_254_740_991, 0.975_168_623_413_995_6),
             (202_450.0, 1, 3.222_091_822_895_421e-5),
         ] {
-            let phase = Phase::default().after(Time::from_nanos(nanos), Rate::of(omega));
+            let phase = Phase::default().after(Time::from_nanos(nanos), PhaseRate::from_omega(omega));
             assert!((turns_of(phase) - turns).abs() < 4e-16, "{omega} rad/s: {}", turns_of(phase));
-            let back = phase.after(Time::from_nanos(nanos), Rate::of(-omega));
+            let back = phase.after(Time::from_nanos(nanos), PhaseRate::from_omega(-omega));
             assert_eq!(back, Phase::default());
         }
     }
 
     #[test]
-    fn a_billion_periods_in_a_million_pieces_are_the_same_bits() {
-        let rate = Rate::of(202_995.3);
+    fn a_million_intervals_give_the_same_bits_as_one() {
+        let rate = PhaseRate::from_omega(202_995.3);
         let mut phase = Phase::default();
         let (mut left, mut piece) = (31_000_000_000_000_u64, 1_u64);
         let mut summed = 0.0_f64;
         while left > 0 {
-            // Pieces of 1 ns to 62 ms, without a pattern.
+            // Intervals of 1 ns to 62 ms, pseudo-random.
             piece = piece.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let span = ((piece >> 38) + 1).min(left);
             phase = phase.after(Time::from_nanos(span), rate);
@@ -114,19 +116,19 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_frequency_turns_nothing() {
+    fn an_invalid_frequency_has_rate_zero() {
         for omega in [0.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e-310, 1e-60, 1e30] {
-            assert_eq!(Rate::of(omega), Rate::default(), "{omega}");
+            assert_eq!(PhaseRate::from_omega(omega), PhaseRate::default(), "{omega}");
         }
-        // The last that counts: 2⁸⁵ rad/s.
-        assert_ne!(Rate::of(f64::from_bits(((1023 + 84) << 52) | 1)), Rate::default());
+        // The largest valid one: 2⁸⁵ rad/s.
+        assert_ne!(PhaseRate::from_omega(f64::from_bits(((1023 + 84) << 52) | 1)), PhaseRate::default());
     }
 
     proptest! {
         #[test]
-        fn over_one_interval_the_phase_is_omega_t(omega in 0.0..2.5e7_f64, nanos in 0_u64..1_000_000) {
+        fn the_phase_of_one_interval_is_omega_t(omega in 0.0..2.5e7_f64, nanos in 0_u64..1_000_000) {
             let radians = omega * Time::from_nanos(nanos).seconds();
-            let phase = Phase::default().after(Time::from_nanos(nanos), Rate::of(omega));
+            let phase = Phase::default().after(Time::from_nanos(nanos), PhaseRate::from_omega(omega));
             let apart = (Complex64::cis(radians) - phase.rotation()).norm();
             prop_assert!(apart <= 4e-16 * radians.max(1.0), "{apart:e}");
         }
@@ -135,8 +137,8 @@ mod tests {
         fn rates_add(a in 1.0..1e9_f64, b in 1.0..1e9_f64) {
             // Exact sums of doubles: whole numbers.
             let (a, b) = (a.round(), b.round());
-            let apart = Rate::of(a).0 + Rate::of(b).0;
-            prop_assert!(Rate::of(a + b).0.abs_diff(apart) <= 2);
+            let apart = PhaseRate::from_omega(a).0 + PhaseRate::from_omega(b).0;
+            prop_assert!(PhaseRate::from_omega(a + b).0.abs_diff(apart) <= 2);
         }
     }
 }

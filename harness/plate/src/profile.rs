@@ -1,111 +1,20 @@
-//! Setpoint, temperature offset or finger force over time: raw as a scenario writes it, [`Profile`] as a plant plays it.
+//! Evaluates setpoint, temperature offset or finger force over time.
 
-use crate::input;
 use crate::time::Time;
-use schemars::JsonSchema;
-use serde::Deserialize;
 use std::f64::consts::{PI, TAU};
-use std::path::{Path, PathBuf};
 
-/// A profile as a scenario writes it.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(
-    untagged,
-    expecting = "expected a number or one of { hold = [[t_ms, value], …] }, { linear = [[t_ms, value], …] }, \
-                 { sine = { mean, amplitude, frequency_hz } }, { csv = \"FILE\" }"
-)]
-pub enum RawProfile {
-    /// The same value throughout.
-    Number(f64),
-    /// One of the shapes.
-    Shape(RawShape),
-}
-
-/// The shapes that a profile may have.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase", deny_unknown_fields)]
-pub enum RawShape {
-    /// Points [`t_ms`, value]; each value is held until the next point.
-    Hold(#[schemars(length(min = 1))] Vec<[f64; 2]>),
-    /// Points [`t_ms`, value]; straight lines between, constant before the first and after the last.
-    Linear(#[schemars(length(min = 1))] Vec<[f64; 2]>),
-    /// A sine wave.
-    Sine(RawSine),
-    /// Points from a file with the columns `t_ms` and `value`, read as `linear`.
-    Csv(PathBuf),
-}
-
-/// `mean + amplitude · sin(2π frequency_hz t + phase_deg)`
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct RawSine {
-    /// The value around which it swings.
-    mean: f64,
-    /// Half of the swing.
-    amplitude: f64,
-    /// Swings per second of plate time.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    frequency_hz: f64,
-    /// Phase at the start, degrees.
-    #[serde(default)]
-    phase_deg: f64,
-}
-
-/// Why a profile was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum ProfileError {
-    /// No points at all.
-    #[error("the profile has no points, expected at least one [t_ms, value]")]
-    Empty,
-    /// A value that is NaN or infinite.
-    #[error("point {index}: {value} is not a finite number")]
-    NotFinite {
-        /// Counted from 1.
-        index: usize,
-        /// What stands there.
-        value: f64,
-    },
-    /// A time that is negative or beyond what can be counted.
-    #[error("point {index}: time {t_ms} ms is not between 0 and 9.0e9 ms")]
-    Time {
-        /// Counted from 1.
-        index: usize,
-        /// What stands there.
-        t_ms: f64,
-    },
-    /// Times that do not rise.
-    #[error("point {index}: time {t_ms} ms does not come after the point before it; times must rise")]
-    Unordered {
-        /// Counted from 1.
-        index: usize,
-        /// What stands there.
-        t_ms: f64,
-    },
-    /// A sine wave with a number that cannot be meant.
-    #[error("a sine needs finite numbers and a frequency_hz above 0")]
-    Sine,
-    /// A profile file that cannot be read.
-    #[error("{}: {source}", path.display())]
-    Csv {
-        /// The file.
-        path: PathBuf,
-        /// What the reader says, with the line.
-        source: csv::Error,
-    },
-}
-
-/// A profile that can be played.
+/// A checked profile.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Profile {
-    /// Each value is held from its instant to the next; the first one from the start.
+    /// Each value holds from its instant to the next point; the first one from the start.
     Hold(Vec<(Time, f64)>),
     /// Straight lines between the points.
     Linear(Vec<(Time, f64)>),
     /// `mean + amplitude sin(omega t + phase)`
     Sine {
-        /// Value around which it swings.
+        /// Mean.
         mean: f64,
-        /// Half of the swing.
+        /// Amplitude.
         amplitude: f64,
         /// rad/s.
         omega: f64,
@@ -114,83 +23,13 @@ pub enum Profile {
     },
 }
 
-impl RawProfile {
-    /// The file that this profile is read from, if any, relative to `folder`.
-    pub fn file(&self, folder: &Path) -> Option<PathBuf> {
-        match self {
-            Self::Shape(RawShape::Csv(path)) => Some(folder.join(path)),
-            _ => None,
-        }
-    }
-
-    /// The name of that file, as it is written.
-    pub fn named_file(&mut self) -> Option<&mut PathBuf> {
-        match self {
-            Self::Shape(RawShape::Csv(path)) => Some(path),
-            _ => None,
-        }
-    }
-
-    /// Checks the profile; files are looked for in `folder`.
-    ///
-    /// # Errors
-    /// [`ProfileError`] with the first point that cannot be meant.
-    pub fn check(&self, folder: &Path) -> Result<Profile, ProfileError> {
-        match self {
-            Self::Number(value) => points(&[[0.0, *value]]).map(Profile::Hold),
-            Self::Shape(RawShape::Hold(raw)) => points(raw).map(Profile::Hold),
-            Self::Shape(RawShape::Linear(raw)) => points(raw).map(Profile::Linear),
-            Self::Shape(RawShape::Csv(path)) => points(&read_points(&folder.join(path))?).map(Profile::Linear),
-            Self::Shape(RawShape::Sine(raw)) => {
-                let numbers = [raw.mean, raw.amplitude, raw.frequency_hz, raw.phase_deg];
-                if !numbers.iter().all(|number| number.is_finite()) || raw.frequency_hz <= 0.0 {
-                    return Err(ProfileError::Sine);
-                }
-                Ok(Profile::Sine {
-                    mean: raw.mean,
-                    amplitude: raw.amplitude,
-                    omega: TAU * raw.frequency_hz,
-                    phase: raw.phase_deg.to_radians(),
-                })
-            }
-        }
-    }
-}
-
-fn points(raw: &[[f64; 2]]) -> Result<Vec<(Time, f64)>, ProfileError> {
-    let mut points: Vec<(Time, f64)> = Vec::with_capacity(raw.len());
-    for (index, &[t_ms, value]) in (1..).zip(raw) {
-        if !value.is_finite() {
-            return Err(ProfileError::NotFinite { index, value });
-        }
-        let time = Time::from_ms(t_ms).ok_or(ProfileError::Time { index, t_ms })?;
-        if points.last().is_some_and(|(before, _)| *before >= time) {
-            return Err(ProfileError::Unordered { index, t_ms });
-        }
-        points.push((time, value));
-    }
-    if points.is_empty() { Err(ProfileError::Empty) } else { Ok(points) }
-}
-
-fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, ProfileError> {
-    #[derive(Deserialize)]
-    struct Row {
-        t_ms: f64,
-        value: f64,
-    }
-    let with_path = |source| ProfileError::Csv { path: path.to_owned(), source };
-    let content = input::read(path).map_err(|error| with_path(error.into()))?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(&content[..]);
-    reader.deserialize::<Row>().map(|row| row.map(|row| [row.t_ms, row.value]).map_err(with_path)).collect()
-}
-
 impl Profile {
-    /// The same value throughout.
+    /// A constant value.
     pub fn constant(value: f64) -> Self {
         Self::Hold(vec![(Time::ZERO, value)])
     }
 
-    /// The value at `time`; at a point of `hold` already the new one.
+    /// The value at `time`; at a point of `hold` the new one.
     pub fn at(&self, time: Time) -> f64 {
         match self {
             Self::Hold(points) => {
@@ -212,7 +51,7 @@ impl Profile {
         }
     }
 
-    /// The next point after `time`, where the profile may jump or bend.
+    /// The next point after `time`, at which the profile may jump or bend.
     pub fn next_point_after(&self, time: Time) -> Option<Time> {
         match self {
             Self::Hold(points) | Self::Linear(points) => {
@@ -223,7 +62,7 @@ impl Profile {
     }
 
     /// Bound on the slope per second between `from` and the next point.
-    pub fn slope_after(&self, from: Time) -> f64 {
+    pub fn max_slope_after(&self, from: Time) -> f64 {
         match self {
             Self::Hold(_) => 0.0,
             Self::Linear(_) => self
@@ -233,7 +72,7 @@ impl Profile {
         }
     }
 
-    /// The angular frequency with which it swings, rad/s; 0 where it is straight between its points.
+    /// The angular frequency of a sine, rad/s; otherwise 0.
     pub fn angular_frequency(&self) -> f64 {
         match self {
             Self::Sine { amplitude, omega, .. } if *amplitude != 0.0 => *omega,
@@ -241,8 +80,9 @@ impl Profile {
         }
     }
 
-    /// The first nanosecond after `after` at which the profile, on its way to the next point, has passed `value`.
-    pub fn next_passage(&self, value: f64, after: Time) -> Option<Time> {
+    /// The first nanosecond after `after` and before the next point at which the profile has passed
+    /// `value`.
+    pub fn next_crossing(&self, value: f64, after: Time) -> Option<Time> {
         match self {
             Self::Hold(_) => None,
             Self::Linear(points) => {
@@ -256,7 +96,7 @@ impl Profile {
             }
             Self::Sine { mean, amplitude, omega, phase } => {
                 let angle = ((value - mean) / amplitude).asin();
-                // Where the sine rises and where it falls; not a number where it does not get there.
+                // Rising and falling passage; NaN if the sine does not reach `value`.
                 let passages = [angle, PI - angle].map(|angle| {
                     let turns = ((omega * after.seconds() + phase - angle) / TAU).floor();
                     let instants = [turns, turns + 1.0, turns + 2.0].map(|turns| (angle + turns * TAU - phase) / omega);
@@ -284,8 +124,11 @@ impl Profile {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raw_profile::{ProfileError, RawProfile, RawShape};
     use proptest::prelude::*;
     use rstest::rstest;
+    use serde::Deserialize;
+    use std::path::Path;
 
     #[derive(Deserialize)]
     struct Document {
@@ -301,24 +144,24 @@ mod tests {
     }
 
     #[test]
-    fn a_hold_jumps_at_its_points() {
+    fn a_hold_profile_jumps_at_its_points() {
         let profile = read("{ hold = [[1.0, 0.0], [2.0, 5.0]] }").unwrap();
         for (t, value) in [(0.0, 0.0), (1.999_999, 0.0), (2.0, 5.0), (99.0, 5.0)] {
             assert_eq!(profile.at(ms(t)), value, "at {t} ms");
         }
         assert_eq!(profile.next_point_after(ms(1.0)), Some(ms(2.0)));
         assert_eq!(profile.next_point_after(ms(2.0)), None);
-        assert_eq!(profile.slope_after(ms(0.0)), 0.0);
+        assert_eq!(profile.max_slope_after(ms(0.0)), 0.0);
     }
 
     #[test]
-    fn a_line_is_straight_between_its_points_and_constant_outside() {
+    fn a_linear_profile_is_constant_outside_its_points() {
         let profile = read("{ linear = [[20.0, 0.0], [120.0, 1.0]] }").unwrap();
         for (t, value) in [(0.0, 0.0), (20.0, 0.0), (70.0, 0.5), (120.0, 1.0), (130.0, 1.0)] {
             assert_eq!(profile.at(ms(t)), value, "at {t} ms");
         }
         for (t, slope) in [(0.0, 0.0), (20.0, 10.0), (119.0, 10.0), (120.0, 0.0)] {
-            assert!((profile.slope_after(ms(t)) - slope).abs() < 1e-9, "at {t} ms");
+            assert!((profile.max_slope_after(ms(t)) - slope).abs() < 1e-9, "at {t} ms");
         }
     }
 
@@ -329,16 +172,16 @@ mod tests {
         assert!((profile.at(ms(250.0)) - 0.5).abs() < 1e-12);
         assert_eq!(profile.range(), (0.5, 1.5));
         let slope = 0.5 * TAU * 2.0;
-        assert!((profile.slope_after(Time::ZERO) - slope).abs() < 1e-12);
+        assert!((profile.max_slope_after(Time::ZERO) - slope).abs() < 1e-12);
         assert_eq!(profile.angular_frequency(), TAU * 2.0);
     }
 
-    /// Each passage is right to a nanosecond, and none is left out.
+    /// Every passage is exact to a nanosecond, and none is missing.
     #[rstest]
     #[case::sine("{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 123.0, phase_deg = 40.0 } }")]
     #[case::sine_upside_down("{ sine = { mean = 1.0, amplitude = -0.5, frequency_hz = 123.0, phase_deg = -400.0 } }")]
     #[case::line("{ linear = [[0.0, 0.6], [5.0, 1.4], [9.0, 0.7], [20.0, 1.3], [30.0, 1.3]] }")]
-    fn a_passage_is_where_the_value_is_passed(#[case] text: &str, #[values(0.7001, 1.0, 1.25)] value: f64) {
+    fn finds_every_passage(#[case] text: &str, #[values(0.7001, 1.0, 1.25)] value: f64) {
         let profile = read(text).unwrap();
         let above = |nanos: u64| profile.at(Time::from_nanos(nanos)) >= value;
         let changes: Vec<u64> = (0..30_000).map(|us| 1_000 * us).filter(|ns| above(*ns) != above(ns + 1_000)).collect();
@@ -346,7 +189,7 @@ mod tests {
         let mut now = Time::ZERO;
         while now < ms(30.0) {
             let point = profile.next_point_after(now).unwrap_or(ms(30.0)).min(ms(30.0));
-            let passage = profile.next_passage(value, now).filter(|passage| *passage < point);
+            let passage = profile.next_crossing(value, now).filter(|passage| *passage < point);
             found.extend(passage);
             now = passage.unwrap_or(point);
         }
@@ -360,22 +203,22 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_passed_has_no_passage() {
+    fn finds_no_passage_of_a_value_that_is_not_passed() {
         for text in [
             "{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 2.0 } }",
             "1.5",
             "{ linear = [[0.0, 0.0], [9.0, 1.5]] }",
         ] {
-            assert_eq!(read(text).unwrap().next_passage(1.6, Time::ZERO), None, "{text}");
+            assert_eq!(read(text).unwrap().next_crossing(1.6, Time::ZERO), None, "{text}");
         }
         let line = read("{ linear = [[2.0, 0.0], [12.0, 10.0], [13.0, 10.0]] }").unwrap();
-        // Before its first point it does not move; where it is now it does not come again.
-        assert_eq!(line.next_passage(1.0, Time::ZERO), None);
-        assert_eq!(line.next_passage(1.0, ms(2.0)), Some(ms(3.0)));
-        assert_eq!(line.next_passage(1.0, ms(3.0)), None);
+        // It is constant before its first point, and the present value does not count.
+        assert_eq!(line.next_crossing(1.0, Time::ZERO), None);
+        assert_eq!(line.next_crossing(1.0, ms(2.0)), Some(ms(3.0)));
+        assert_eq!(line.next_crossing(1.0, ms(3.0)), None);
         for value in [0.0, 10.0] {
-            assert_eq!(line.next_passage(value, ms(2.0)), None);
-            assert_eq!(line.next_passage(value, ms(12.5)), None);
+            assert_eq!(line.next_crossing(value, ms(2.0)), None);
+            assert_eq!(line.next_crossing(value, ms(12.5)), None);
         }
     }
 
@@ -383,12 +226,12 @@ mod tests {
     #[case("{ hold = [] }", "no points")]
     #[case("nan", "point 1: NaN is not a finite number")]
     #[case("{ hold = [[0.0, 1.0], [-1.0, 2.0]] }", "point 2: time -1 ms")]
-    #[case("{ linear = [[0.0, 1.0], [0.0, 2.0]] }", "point 2: time 0 ms does not come after")]
-    #[case("{ linear = [[5.0, 1.0], [4.0, 2.0]] }", "point 2: time 4 ms does not come after")]
+    #[case("{ linear = [[0.0, 1.0], [0.0, 2.0]] }", "point 2: time 0 ms is not after the previous point")]
+    #[case("{ linear = [[5.0, 1.0], [4.0, 2.0]] }", "point 2: time 4 ms is not after the previous point")]
     #[case("{ hold = [[inf, 1.0]] }", "point 1: time inf ms")]
     #[case("{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 0.0 } }", "frequency_hz above 0")]
     #[case("{ csv = \"no-such-file.csv\" }", "no-such-file.csv")]
-    fn what_cannot_be_meant_is_refused(#[case] text: &str, #[case] message: &str) {
+    fn refuses_invalid_points(#[case] text: &str, #[case] message: &str) {
         let error = read(text).unwrap_err().to_string();
         assert!(error.contains(message), "{error}");
     }
@@ -397,7 +240,7 @@ mod tests {
     #[case("{ ramp = [[0.0, 1.0]] }")]
     #[case("\"2.0\"")]
     #[case("{ hold = [[0.0]] }")]
-    fn other_shapes_are_told_what_shapes_there_are(#[case] text: &str) {
+    fn lists_the_shapes_if_the_shape_is_unknown(#[case] text: &str) {
         let error = toml::from_str::<Document>(&format!("p = {text}")).err().unwrap().to_string();
         assert!(error.contains("expected a number or one of"), "{error}");
     }

@@ -1,11 +1,11 @@
-//! What the controller gets to see of W: a gain that is a little off and white noise on both components.
+//! Measures W with a gain error and white noise on both components.
 
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// The sensor with its demodulator, sampling without latency.
+/// A sensor without delay.
 #[derive(Debug, Clone)]
 pub struct Sensor {
     gain: f64,
@@ -14,14 +14,14 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// A sensor that shows `gain · W` plus noise of standard deviation `noise_um_rms` on each component. The same seed gives the
-    /// same noise.
+    /// A sensor that returns `gain · W` plus noise of standard deviation `noise_um_rms` on each
+    /// component, from `seed`.
     pub fn new(gain: f64, noise_um_rms: f64, seed: u64) -> Self {
         Self { gain, noise_um_rms, random: ChaCha8Rng::seed_from_u64(seed) }
     }
 
-    /// What a plate at `w` looks like.
-    pub fn sense(&mut self, w: Complex64) -> Complex64 {
+    /// The measured value of `w`, µm.
+    pub fn measure(&mut self, w: Complex64) -> Complex64 {
         if self.noise_um_rms == 0.0 {
             return w * self.gain;
         }
@@ -36,16 +36,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn without_noise_the_gain_is_all_there_is() {
+    fn a_sensor_without_noise_only_applies_its_gain() {
         let mut sensor = Sensor::new(1.5, 0.0, 1);
-        assert_eq!(sensor.sense(Complex64::new(2.0, -1.0)), Complex64::new(3.0, -1.5));
+        assert_eq!(sensor.measure(Complex64::new(2.0, -1.0)), Complex64::new(3.0, -1.5));
     }
 
     #[test]
-    fn noise_has_its_deviation_on_each_component_and_follows_its_seed() {
+    fn noise_has_its_deviation_and_follows_its_seed() {
         let draw = |seed| {
             let mut sensor = Sensor::new(1.0, 0.01, seed);
-            (0..20_000).map(|_| sensor.sense(Complex64::ZERO)).collect::<Vec<_>>()
+            (0..20_000).map(|_| sensor.measure(Complex64::ZERO)).collect::<Vec<_>>()
         };
         let noise = draw(1);
         for component in [|z: &Complex64| z.re, |z: &Complex64| z.im] {

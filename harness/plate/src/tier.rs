@@ -1,24 +1,26 @@
-//! How much of the plate is modelled, from cheapest to dearest.
+//! Names the models of the plate, from simplest to most complete.
 
-/// How much of the plate is modelled.
-///
-/// `docs/mathematics.md` says what each leaves out and what that costs.
+use crate::plate::Plate;
+
+/// Model of the plate. `docs/mathematics.md` states the terms that each omits and the resulting
+/// error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub enum Tier {
-    /// Equations 13 and 19: Wd from V and Wq/Wd from Δω, each of first order and without the other. For analysis.
+    /// Equations 13 and 19: Wd from V and Wq/Wd from Δω, two decoupled first-order systems. For
+    /// analysis.
     Linear,
-    /// First order, W as a whole: the slow pole alone.
+    /// First order in complex W: only the slow pole.
     Envelope,
     /// Second order, exact for one mode.
     #[default]
     Modal,
-    /// The modal plate with the phase of its carrier: the waveform, and the sensor's converter and demodulator that read it.
-    /// W and U are those of [`Tier::Modal`], bit for bit.
+    /// The modal plate with the phase of its carrier, converter and demodulator. W and U equal
+    /// those of [`Tier::Modal`] bit for bit.
     Carrier,
 }
 
 impl Tier {
-    /// Every tier, from cheapest to dearest.
+    /// Every tier, from simplest to most complete.
     pub const ALL: [Self; 4] = [Self::Linear, Self::Envelope, Self::Modal, Self::Carrier];
 
     /// The tier's name in scenario files and records.
@@ -36,7 +38,12 @@ impl Tier {
         Self::ALL.into_iter().find(|tier| tier.name() == name)
     }
 
-    /// True where W has both poles and U is part of the state.
+    /// The exact tier for `plate`: carrier if it has a converter or demodulator, otherwise modal.
+    pub const fn exact_for(plate: &Plate) -> Self {
+        if plate.lockin.is_some() { Self::Carrier } else { Self::Modal }
+    }
+
+    /// True if W has both poles and U is part of the state.
     pub const fn has_both_poles(self) -> bool {
         matches!(self, Self::Modal | Self::Carrier)
     }
@@ -47,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_lead_back_and_the_order_is_that_of_cost() {
+    fn tiers_are_ordered_and_found_by_name() {
         for tier in Tier::ALL {
             assert_eq!(Tier::from_name(tier.name()), Some(tier));
         }

@@ -1,4 +1,4 @@
-//! Instants and spans in whole nanoseconds: the same number on every machine, and never read off a clock here.
+//! Represents instants and spans of plate time in integer nanoseconds.
 
 use std::fmt;
 use std::ops::{Add, Sub};
@@ -7,24 +7,24 @@ use std::ops::{Add, Sub};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Time(u64);
 
-/// Instants beyond this are refused: up to here a nanosecond is exact in a double, 104 days in.
+/// Largest instant: up to 104 days a double represents every nanosecond.
 const LARGEST_NS: u64 = 1 << 53;
 
 impl Time {
-    /// The start.
+    /// Start of a trial.
     pub const ZERO: Self = Self(0);
 
-    /// An instant from whole nanoseconds.
+    /// Time from nanoseconds.
     pub const fn from_nanos(nanos: u64) -> Self {
         Self(nanos)
     }
 
-    /// An instant from milliseconds, to the nearest nanosecond; `None` where negative, not finite or beyond 104 days.
+    /// Time from milliseconds, rounded to 1 ns; `None` if negative, not finite or above 104 days.
     pub fn from_ms(ms: f64) -> Option<Self> {
         Self::from_scaled(ms, 1e6)
     }
 
-    /// An instant from seconds, to the nearest nanosecond; `None` where negative, not finite or beyond 104 days.
+    /// Time from seconds, rounded to 1 ns; `None` if negative, not finite or above 104 days.
     pub fn from_seconds(seconds: f64) -> Option<Self> {
         Self::from_scaled(seconds, 1e9)
     }
@@ -34,33 +34,33 @@ impl Time {
         (nanos >= 0.0 && nanos <= LARGEST_NS as f64).then_some(Self(nanos as u64))
     }
 
-    /// Whole nanoseconds.
+    /// Nanoseconds.
     pub const fn as_nanos(self) -> u64 {
         self.0
     }
 
-    /// Whole microseconds, rounded down, wrapping at 32 bits: the time stamp of the wire protocol.
+    /// Microseconds, rounded down, modulo 2³²: the time stamp of the wire protocol.
     pub const fn wrapping_micros(self) -> u32 {
         (self.0 / 1000) as u32
     }
 
-    /// Seconds: the double nearest to the exact value.
+    /// Seconds, rounded to the nearest double.
     pub fn seconds(self) -> f64 {
         self.0 as f64 / 1e9
     }
 
-    /// Milliseconds: the double nearest to the exact value.
+    /// Milliseconds, rounded to the nearest double.
     pub fn ms(self) -> f64 {
         self.0 as f64 / 1e6
     }
 
-    /// The span from `earlier` to here; zero where `earlier` is later.
+    /// The span since `earlier`; zero if `earlier` is later.
     #[must_use]
     pub const fn since(self, earlier: Self) -> Self {
         Self(self.0.saturating_sub(earlier.0))
     }
 
-    /// The instant half-way to `later`.
+    /// The instant in the middle between this and `later`.
     #[must_use]
     pub const fn midpoint(self, later: Self) -> Self {
         Self(u64::midpoint(self.0, later.0))
@@ -72,7 +72,7 @@ impl Time {
         Self(self.0.saturating_mul(count))
     }
 
-    /// The first multiple of this span that lies after `instant`; the end of time for a span of zero.
+    /// The first multiple of this span after `instant`; the largest time for a span of zero.
     #[must_use]
     pub const fn next_multiple_after(self, instant: Self) -> Self {
         match instant.0.checked_div(self.0) {
@@ -119,20 +119,20 @@ mod tests {
     }
 
     #[test]
-    fn the_last_exact_nanosecond_is_the_last_instant() {
+    fn refuses_times_above_104_days() {
         assert!(Time::from_seconds(9_007_199.0).is_some());
         assert!(Time::from_seconds(9_007_200.0).is_none());
     }
 
     #[test]
-    fn seconds_print_as_they_were_written() {
+    fn seconds_print_in_their_shortest_form() {
         for (ms, text) in [(1.05, "0.00105"), (60_000.05, "60.00005"), (0.3, "0.0003")] {
             assert_eq!(Time::from_ms(ms).unwrap().seconds().to_string(), text);
         }
     }
 
     #[test]
-    fn multiples_lie_strictly_after() {
+    fn the_next_multiple_is_strictly_later() {
         let step = Time::from_nanos(50);
         assert_eq!(step.next_multiple_after(Time::from_nanos(49)).as_nanos(), 50);
         assert_eq!(step.next_multiple_after(Time::from_nanos(50)).as_nanos(), 100);

@@ -1,18 +1,19 @@
-//! Propagation while the mode moves: a finger that presses, a plate that warms up.
+//! Propagates the plate while its mode changes: a finger presses, the plate warms up.
 //!
-//! Damping and resonance run along a parabola each over a step. [`crate::flow`] has closed forms for parameters that stay; here every tier is
-//! brought to scalar equations `x' = λ(t)x + g(t)`, one per pole, and each is moved on by the first two terms of its Magnus series (Blanes, Casas,
-//! Oteo, Ros, "The Magnus expansion and some of its applications", Physics Reports 470, 2009). With λ the mean over the step t, λ' its slope and
-//! `E = e^{λt}`,
+//! Damping and resonance follow a parabola each over a step. Every tier is transformed to scalar
+//! equations `x' = λ(t)x + g(t)`, one per pole, and each is solved by the first two terms of its
+//! Magnus series (Blanes, Casas, Oteo, Ros, "The Magnus expansion and some of its applications",
+//! Physics Reports 470, 2009). With λ the mean over the step t, λ' its slope and `E = e^{λt}`,
 //!
-//! `x(t) = E x + g ((E − 1)/λ + λ' G)`, `G = (λt/2 (E + 1) − (E − 1))/λ³ = t³/12 + …`:
+//! `x(t) = E x + g ((E − 1)/λ + λ' G)`, `G = (λt/2 (E + 1) − (E − 1))/λ³ = t³/12 + …`.
 //!
-//! the free motion comes out right, the forced one up to `λ'² t⁵/240 · g`. A forcing that moves as `g + g's` about the middle of the step adds
-//! `−g'λ G`.
+//! The free motion is exact to this order, the forced one up to `λ'² t⁵/240 · g`. A forcing `g +
+//! g's` about the middle of the step adds `−g'λ G`.
 //!
-//! The poles of the second-order plate are taken apart by the transformation of Liouville and Green (Olver, "Asymptotics and Special
-//! Functions", chapter 6): with `Ω² = ω0² − σ² − σ' + ¾(ω0'/ω0)² − ω0''/2ω0` and `v = U + (σ + Ω'/2Ω)W` the amplitudes `√Ω (W ∓ jv/Ω)/2`
-//! have the poles `−σ ± jΩ − jω` and nothing else: no step kicks the fast pole. `docs/mathematics.md` says what is left.
+//! The transformation of Liouville and Green (Olver, "Asymptotics and Special Functions", chapter
+//! 6) decouples the poles of the second-order plate: with `Ω² = ω0² − σ² − σ' + ¾(ω0'/ω0)² −
+//! ω0''/2ω0` and `v = U + (σ + Ω'/2Ω)W`, each of the amplitudes `√Ω (W ∓ jv/Ω)/2` has one of the
+//! poles `−σ ± jΩ − jω`, and no step excites the fast one. `docs/mathematics.md` derives the error.
 
 use crate::flow::State;
 use crate::mode::{Drive, Mode};
@@ -26,37 +27,37 @@ const J: Complex64 = Complex64::I;
 struct Parabola {
     start: f64,
     slope: f64,
-    bend: f64,
+    curvature: f64,
 }
 
 impl Parabola {
-    /// Through `first` at 0 and the two others at their times, s.
+    /// The parabola through `first` at 0 and two later points (time in s, value).
     fn through(first: f64, (middle_at, middle): (f64, f64), (last_at, last): (f64, f64)) -> Self {
         let slope = (middle - first) / middle_at;
         let bend = ((last - first) / last_at - slope) / (last_at - middle_at);
-        Self { start: first, slope: slope - bend * middle_at, bend }
+        Self { start: first, slope: slope - bend * middle_at, curvature: bend }
     }
 
     fn at(&self, t: f64) -> f64 {
-        self.start + t * (self.slope + t * self.bend)
+        self.start + t * (self.slope + t * self.curvature)
     }
 
     fn slope_at(&self, t: f64) -> f64 {
-        self.slope + 2.0 * t * self.bend
+        self.slope + 2.0 * t * self.curvature
     }
 
-    /// Over the first t.
+    /// Mean from 0 to t.
     fn mean(&self, t: f64) -> f64 {
-        self.start + t * (self.slope / 2.0 + t * self.bend / 3.0)
+        self.start + t * (self.slope / 2.0 + t * self.curvature / 3.0)
     }
 
     fn mean_slope(&self, t: f64) -> f64 {
-        self.slope + t * self.bend
+        self.slope + t * self.curvature
     }
 
-    /// Bound on how far it gets from its start within t.
-    fn swing(&self, t: f64) -> f64 {
-        t * (self.slope.abs() + t * self.bend.abs())
+    /// Bound on the change from 0 to t.
+    fn max_change(&self, t: f64) -> f64 {
+        t * (self.slope.abs() + t * self.curvature.abs())
     }
 }
 
@@ -69,21 +70,21 @@ struct Oscillation {
     shear: f64,
 }
 
-/// A passage of one pole: E, `(E − 1)/λ` and G of the module's head.
+/// E, `(E − 1)/λ` and G of one pole.
 #[derive(Debug, Clone, Copy)]
-struct Passage {
+struct PoleStep {
     free: Complex64,
     forced: Complex64,
     commutator: Complex64,
 }
 
-impl Passage {
+impl PoleStep {
     fn new(pole: Complex64, t: f64) -> Self {
         let x = pole * t;
         let free = x.exp();
         let rise = free - 1.0;
         let commutator = if x.norm_sqr() < 0.1 {
-            // The closed form cancels; what is left out is 3e-6 of the correction.
+            // The closed form cancels here; the series omits 3e-6 of the correction.
             t.powi(3) * (((x / 2016.0 + 1.0 / 360.0) * x + 1.0 / 80.0) * x * x + x / 24.0 + 1.0 / 12.0)
         } else {
             (x / 2.0 * (free + 1.0) - rise) / (pole * pole * pole)
@@ -92,9 +93,9 @@ impl Passage {
     }
 }
 
-/// The plate's motion over a step in which its mode moves.
+/// The plate's motion over a step in which its mode changes.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Varying {
+pub(crate) struct VaryingFlow {
     tier: Tier,
     drive: Drive,
     state: State,
@@ -104,8 +105,9 @@ pub(crate) struct Varying {
     omega0: Parabola,
 }
 
-impl Varying {
-    /// The motion of a plate in `state` under `drive`, whose mode is `first` now and the others at their times in s, which rise.
+impl VaryingFlow {
+    /// The motion of a plate in `state` under `drive`. Its mode is `first` at 0 and `middle`,
+    /// `last` at their times in s.
     pub(crate) fn new(
         tier: Tier,
         first: &Mode,
@@ -134,15 +136,16 @@ impl Varying {
             Tier::Envelope => self.envelope(seconds),
             Tier::Modal | Tier::Carrier => self.modal(seconds),
         };
-        state.flushed()
+        state.flush_negligible()
     }
 
-    /// An upper bound, in µm, on how far W gets from where it is now within `seconds`: as fast as it sets out, and what the pole's moving adds.
-    pub(crate) fn reach(&self, seconds: f64) -> f64 {
+    /// Upper bound on the change of W within `seconds`, µm: its initial speed, and the effect of
+    /// the changing pole.
+    pub(crate) fn max_excursion(&self, seconds: f64) -> f64 {
         let State { w, u } = self.state;
         let force = self.envelope_constant * self.drive.vpp;
         let (damping, detuning) = (self.sigma.start, self.omega0.start - self.drive.omega);
-        let (damping_swing, detuning_swing) = (self.sigma.swing(seconds), self.omega0.swing(seconds));
+        let (damping_swing, detuning_swing) = (self.sigma.max_change(seconds), self.omega0.max_change(seconds));
         let swing = damping_swing + detuning_swing;
         match self.tier {
             Tier::Linear => {
@@ -154,12 +157,12 @@ impl Varying {
             Tier::Envelope => seconds * ((Complex64::new(-damping, detuning) * w + force).norm() + swing * w.norm()),
             Tier::Modal | Tier::Carrier => {
                 let now = self.oscillation(0.0);
-                let (slow, fast) = self.split(now);
+                let (slow, fast) = self.pole_amplitudes(now);
                 let force = self.force_constant * self.drive.vpp / (2.0 * now.omega);
                 let pole = Complex64::new(-damping, now.omega - self.drive.omega);
                 let slow_reach = seconds * ((pole * slow + force).norm() + swing * (slow.norm() + force / now.omega));
                 let fast_reach = 2.0 * (fast.norm() + force / (now.omega + self.drive.omega));
-                // A percent for Ω, which does not keep still while it scales both.
+                // 1 % because Ω changes while it scales both.
                 1.01 * (slow_reach + fast_reach) + swing / now.omega * w.norm()
             }
         }
@@ -168,7 +171,7 @@ impl Varying {
     fn envelope(&self, t: f64) -> State {
         let pole = Complex64::new(-self.sigma.mean(t), self.omega0.mean(t) - self.drive.omega);
         let slope = Complex64::new(-self.sigma.mean_slope(t), self.omega0.mean_slope(t));
-        let passage = Passage::new(pole, t);
+        let passage = PoleStep::new(pole, t);
         let response = passage.forced + slope * passage.commutator;
         State {
             w: passage.free * self.state.w + self.envelope_constant * self.drive.vpp * response,
@@ -178,11 +181,11 @@ impl Varying {
 
     fn linear(&self, t: f64) -> State {
         let (damping, slope) = (self.sigma.mean(t), -self.sigma.mean_slope(t));
-        let Passage { free, forced, commutator } = Passage::new((-damping).into(), t);
+        let PoleStep { free, forced, commutator } = PoleStep::new((-damping).into(), t);
         let (free, forced, commutator) = (free.re, forced.re, commutator.re);
         let response = forced + slope * commutator;
         let in_phase = free * self.state.w.re + self.envelope_constant * self.drive.vpp * response;
-        // What drives the ratio is the detuning, which moves with ω0.
+        // The detuning drives the ratio and changes with ω0.
         let drift = self.omega0.mean_slope(t) * damping * commutator;
         let ratio = free * self.state.u.re + (self.omega0.mean(t) - self.drive.omega) * response + drift;
         State { w: Complex64::new(in_phase, in_phase * ratio), u: ratio.into() }
@@ -196,20 +199,20 @@ impl Varying {
         let force = self.force_constant * self.drive.vpp / (2.0 * (omega * start.omega).sqrt());
         let moved = |amplitude: Complex64, side: f64| {
             let pole = Complex64::new(-damping, side * omega - self.drive.omega);
-            let passage = Passage::new(pole, t);
-            // The force goes with 1/√Ω.
+            let passage = PoleStep::new(pole, t);
+            // The force is proportional to 1/√Ω.
             let slope = Complex64::new(-damping_slope, side * slope) + pole * (slope / (2.0 * omega));
             passage.free * amplitude + side * force * (passage.forced + slope * passage.commutator)
         };
-        let (slow, fast) = self.split(start);
+        let (slow, fast) = self.pole_amplitudes(start);
         let (slow, fast) = (moved(slow, 1.0), moved(fast, -1.0));
         let scale = (start.omega / end.omega).sqrt();
         let w = scale * (slow + fast);
         State { w, u: J * (end.omega * scale) * (slow - fast) - end.shear * w }
     }
 
-    /// Amplitudes of the slow and the fast pole now, µm; their sum is W.
-    fn split(&self, now: Oscillation) -> (Complex64, Complex64) {
+    /// Amplitudes of the slow and the fast pole, µm; their sum is W.
+    fn pole_amplitudes(&self, now: Oscillation) -> (Complex64, Complex64) {
         let State { w, u } = self.state;
         let quadrature = -J * (u + now.shear * w) / now.omega;
         ((w + quadrature) / 2.0, (w - quadrature) / 2.0)
@@ -218,9 +221,9 @@ impl Varying {
     fn oscillation(&self, t: f64) -> Oscillation {
         let (sigma, sigma_slope) = (self.sigma.at(t), self.sigma.slope_at(t));
         let (omega0, omega0_slope) = (self.omega0.at(t), self.omega0.slope_at(t));
-        let green = 0.75 * (omega0_slope / omega0).powi(2) - self.omega0.bend / omega0;
+        let green = 0.75 * (omega0_slope / omega0).powi(2) - self.omega0.curvature / omega0;
         let omega = ((omega0 - sigma) * (omega0 + sigma) - sigma_slope + green).sqrt();
-        let slope = (omega0 * omega0_slope - sigma * sigma_slope - self.sigma.bend) / omega;
+        let slope = (omega0 * omega0_slope - sigma * sigma_slope - self.sigma.curvature) / omega;
         Oscillation { omega, slope, shear: sigma + slope / (2.0 * omega) }
     }
 }
@@ -236,14 +239,14 @@ mod tests {
         Mode { sigma, omega0: OMEGA0 + shift, force_constant: 1.5e6, envelope_constant: 3.71 }
     }
 
-    /// As if over a millisecond.
-    fn varying(tier: Tier, modes: [(f64, f64); 3], drive: Drive, state: State) -> Varying {
+    /// Modes at 0, 0.5 and 1 ms.
+    fn varying(tier: Tier, modes: [(f64, f64); 3], drive: Drive, state: State) -> VaryingFlow {
         let [first, middle, last] = modes.map(|(sigma, shift)| mode(sigma, shift));
-        Varying::new(tier, &first, (0.5e-3, middle), (1e-3, last), &drive, &state)
+        VaryingFlow::new(tier, &first, (0.5e-3, middle), (1e-3, last), &drive, &state)
     }
 
     #[test]
-    fn a_mode_that_stays_moves_the_plate_as_the_closed_form_does() {
+    fn a_constant_mode_gives_the_closed_form() {
         let drive = Drive { vpp: 300.0, omega: OMEGA0 + 300.0 };
         for tier in Tier::ALL {
             let u = if tier == Tier::Linear { 0.5.into() } else { Complex64::new(3e5, 2e5) };
@@ -259,19 +262,18 @@ mod tests {
         }
     }
 
-    /// Both forms of G where one takes over from the other.
     #[test]
-    fn the_series_joins_the_closed_form() {
+    fn the_series_of_g_is_continuous_with_its_closed_form() {
         let direction = Complex64::new(-0.6, 0.8);
         let [below, above] = [0.1_f64.sqrt() * 0.999_999, 0.1_f64.sqrt() * 1.000_001]
-            .map(|x| Passage::new(direction * x / 1e-3, 1e-3).commutator / 1e-9);
+            .map(|x| PoleStep::new(direction * x / 1e-3, 1e-3).commutator / 1e-9);
         assert!((below - above).norm() < 1e-6, "{below} {above}");
-        assert!((Passage::new((-1e-9).into(), 1.0).commutator - 1.0 / 12.0).norm() < 1e-9);
+        assert!((PoleStep::new((-1e-9).into(), 1.0).commutator - 1.0 / 12.0).norm() < 1e-9);
     }
 
     proptest! {
         #[test]
-        fn nothing_gets_further_than_its_reach(
+        fn the_change_of_w_stays_within_its_bound(
             tier in prop::sample::select(&Tier::ALL),
             sigmas in prop::array::uniform3(300.0..2_000.0),
             shifts in prop::array::uniform3(-600.0..600.0),
@@ -284,7 +286,7 @@ mod tests {
             let drive = Drive { vpp, omega: OMEGA0 + detuning };
             let mut w = Complex64::new(w[0], w[1]);
             if at_rest {
-                // Where the first of the modes would have it: little is left but what moves.
+                // The steady state of the first mode, so that only the change of the mode moves W.
                 w = 3.71 * vpp / Complex64::new(sigmas[0], drive.omega - OMEGA0 - shifts[0]);
             }
             let u = match tier {
@@ -299,7 +301,7 @@ mod tests {
             let varying = varying(tier, modes, drive, State { w, u });
             for step in 1..=100 {
                 let seconds = 1e-5 * f64::from(step);
-                let (gone, reach) = ((varying.after(seconds).w - w).norm(), varying.reach(seconds));
+                let (gone, reach) = ((varying.after(seconds).w - w).norm(), varying.max_excursion(seconds));
                 prop_assert!(gone <= reach, "{gone} µm after {seconds} s, reach {reach}");
             }
         }

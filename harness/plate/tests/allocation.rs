@@ -1,11 +1,11 @@
-//! No step allocates: not the plate's in any tier, nor the sensor's, nor a batch's.
+//! Checks that no step of plate or sensor allocates memory.
 
 #![allow(clippy::unwrap_used, reason = "a case that cannot be set up has failed")]
 
 use allocation_counter::measure;
-use platebench_plate::file::RawPlate;
-use platebench_plate::plant::Signal;
-use platebench_plate::{Conditions, Drive, Envelopes, Lockin, Plant, Plate, Profile, Scene, Sensor, Tier, Time, Watch};
+use platebench_plate::BandSignal;
+use platebench_plate::RawPlate;
+use platebench_plate::{BandMonitor, ConditionProfiles, Drive, Lockin, Plant, Plate, Profile, Sensor, Tier, Time};
 use rstest::rstest;
 use std::hint::black_box;
 
@@ -24,7 +24,7 @@ fn an_allocation_would_be_seen() {
 #[rstest]
 fn no_control_period_allocates(#[values(Tier::Linear, Tier::Envelope, Tier::Modal, Tier::Carrier)] tier: Tier) {
     let ms = |ms| Time::from_ms(ms).unwrap();
-    let scene = Scene {
+    let scene = ConditionProfiles {
         temperature_offset_k: Profile::constant(3.0),
         finger_force_n: Profile::Linear(vec![(ms(0.0), 0.0), (ms(20.0), 1.0)]),
     };
@@ -33,32 +33,15 @@ fn no_control_period_allocates(#[values(Tier::Linear, Tier::Envelope, Tier::Moda
     let mut plant = Plant::new(plate, scene, tier);
     let mut sensor = Sensor::new(1.0, 0.01, 1);
     let mut crossings = Vec::with_capacity(64);
-    let watches = [Watch { signal: Signal::Amplitude, low: 0.5, high: 1.5 }];
+    let watches = [BandMonitor { signal: BandSignal::Amplitude, low: 0.5, high: 1.5 }];
     let taken = measure(|| {
         for period in 1..=40_u32 {
             plant.set_drive(Drive { vpp: 10.0 * f64::from(period), omega: omega + f64::from(period) });
             plant.advance(ms(f64::from(period)), &watches, &mut crossings);
-            black_box(sensor.sense(plant.seen()));
+            black_box(sensor.measure(plant.sensor_reading()));
             black_box(plant.waveform());
         }
     });
     assert!(!crossings.is_empty() && crossings.capacity() == 64);
     assert_eq!(taken.count_total, 0, "{}: {taken:?}", tier.name());
-}
-
-/// Within the polynomial's reach and beyond it.
-#[rstest]
-fn no_period_of_a_batch_allocates(#[values(1e-3, 1.0)] seconds: f64) {
-    let plate = plate();
-    let mode = plate.mode(&Conditions::default());
-    let mut batch = Envelopes::new(vec![mode; 10]);
-    let taken = measure(|| {
-        for number in 0..10 {
-            batch.set_mode(number, &mode);
-            batch.set_drive(number, &Drive { vpp: 300.0, omega: plate.omega0 + 500.0 });
-        }
-        batch.advance(seconds);
-        black_box(batch.w(9));
-    });
-    assert_eq!(taken.count_total, 0, "{taken:?}");
 }

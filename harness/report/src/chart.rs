@@ -1,20 +1,30 @@
-//! Charts of the bench itself: drawings with logarithmic axes that stand alone, and a page that holds them.
+//! Draws: every drawing is SVG with classes instead of colours, for light, dark and paper.
 //!
-//! * `ink`: what all drawings have in common.
+//! * `svg`: roles, code colours, drawing in CSS pixels.
+//! * `colours`: the style of all drawings and pages.
+//! * `time_chart`: lines, areas and marks over time.
+//! * `exceedance`: where a response leaves its tolerance tube.
+//! * `fit`: a recording and its fitted response.
 //! * `loglog`: lines of points on two logarithmic axes.
 //! * `scatter`: points by colour and shape, with limits.
-//! * `strip`: a line of marks for each of many things.
-//! * `page`: `charts.html`, one file that needs nothing else.
+//! * `strip`: one line of marks per item on a logarithmic axis.
+//! * `map`: spectral radius over control period and loop delay.
 //!
-//! Neighbours: the command line measures and says what is drawn; nothing here knows a method or a scenario.
+//! The callers measure and name what is drawn. Nothing here knows a metric, a method or a scenario.
 
-mod ink;
+pub(crate) mod colours;
+mod exceedance;
+mod fit;
 mod loglog;
-mod page;
+mod map;
 mod scatter;
 mod strip;
+pub(crate) mod svg;
+pub(crate) mod time_chart;
 
-pub use loglog::{LogLog, Series};
-pub use page::{Block, Page, Table};
-pub use scatter::{Panel, Point, Scatter};
-pub use strip::{Row, Strip};
+pub use exceedance::draw_exceedance;
+pub use fit::FitChart;
+pub use loglog::{LogLogChart, LogLogSeries};
+pub use map::{MapFigure, MapPanel, RigDelay};
+pub use scatter::{ScatterChart, ScatterPanel, ScatterPoint};
+pub use strip::{StripChart, StripRow};

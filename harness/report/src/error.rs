@@ -1,10 +1,10 @@
-//! Why a report could not be written.
+//! Lists the errors of reports.
 
+use platebench_trace::write_atomically;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a report could not be written. A trace that is missing is no reason: the report says so where it would have
-/// stood.
+/// The reason why a report could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// The file cannot be written.
@@ -12,30 +12,37 @@ pub enum ReportError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// The record cannot be said in JUnit's XML.
+    /// The record cannot be written as XML.
     #[error("{}: {source}", path.display())]
     Junit {
         /// The file.
         path: PathBuf,
-        /// What the serialiser says.
+        /// The serialiser's error.
         source: quick_junit::SerializeError,
     },
-    /// A plot cannot be drawn.
-    #[error("the plot of {title}: {source}")]
+    /// A drawing cannot be made.
+    #[error("the drawing of {title}: {source}")]
     Plot {
-        /// What it shows.
+        /// Its title.
         title: String,
-        /// What the plotting library says.
+        /// The plotting library's error.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
 }
 
 impl ReportError {
-    /// Turns what the system says about `path` into an error.
+    /// Adds the path to an error of the operating system.
     pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io { path: path.to_owned(), source }
     }
+}
+
+/// Replaces the file at `path` as a whole; anything else there, such as a pipe, is written to.
+pub(crate) fn write_file(path: &Path, text: &str) -> Result<(), ReportError> {
+    let is_special = std::fs::metadata(path).is_ok_and(|metadata| !metadata.is_file());
+    let written = if is_special { std::fs::write(path, text) } else { write_atomically(path, text.as_bytes()) };
+    written.map_err(ReportError::io(path))
 }

@@ -1,8 +1,10 @@
-//! What the emulated rig costs: speed, start-up, memory, instructions per control step, stack. `ci/firmware` prints some of it for the image that it built.
+//! Measures the emulated rig: speed, start, memory, instructions per control step, stack. `ci/firmware` runs it for a new
+//! image.
 //!
 //! `cargo run --release --ignore-rust-version -p platebench-rig --example emulated-figures [ELF]`
 
-use platebench_rig::{Emulated, Session};
+use platebench_rig::{EmulatedLink, Session};
+use platebench_test_kit::CONFIGURE;
 use platebench_wire::{Configure, LawId, Sample};
 use std::error::Error;
 use std::path::Path;
@@ -14,8 +16,8 @@ const PERIOD: Duration = Duration::from_millis(1);
 fn main() -> Result<(), Box<dyn Error>> {
     let argument = std::env::args().nth(1);
     let open = || match &argument {
-        Some(elf) => Emulated::open(Path::new(elf)),
-        None => Emulated::built_in(),
+        Some(elf) => EmulatedLink::open(Path::new(elf)),
+        None => EmulatedLink::built_in(),
     };
     let before = Instant::now();
     let emulated = open()?;
@@ -24,31 +26,16 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     for law in LawId::ALL {
         let mut session = Session::open(open()?)?;
-        let configure = Configure {
-            law,
-            paced_by_target: false,
-            drives_own_plate: false,
-            patience_ms: 0,
-            period_us: 1_000,
-            loop_delay_us: 0,
-            start_frequency_mhz: 32_307_600,
-            gain_um_per_vpp: 0.00698,
-            time_constant_s: 1.88e-3,
-            response_time_s: 0.0,
-            drive_limit_vpp: 900.0,
-            frequency_range_hz: 250.0,
-            frequency_slew_hz: 100.0,
-            gains: None,
-        };
-        session.begin(&configure)?;
+        let configure = Configure { law, ..CONFIGURE };
+        session.start_trial(&configure)?;
         let before = Instant::now();
-        session.begin(&configure)?;
+        session.start_trial(&configure)?;
         let restart_ms = ms(before);
         let before = Instant::now();
         let (mut sum, mut worst, mut delay, mut amplitude) = (0, 0, Duration::ZERO, 0.0);
         for index in 0..EXCHANGES {
             let sample = Sample { time_us: index * 1_000, setpoint_um: 2.0, wd_um: amplitude, wq_um: 0.01 };
-            let reply = session.sample(index * PERIOD, &sample)?.ok_or("no reply")?;
+            let reply = session.send_sample(index * PERIOD, &sample)?.ok_or("no reply")?;
             amplitude += 0.4 * (0.00698 * reply.command.drive_vpp - amplitude);
             let instructions = reply.instructions.ok_or("no count")?;
             sum += instructions;

@@ -1,60 +1,72 @@
-//! From what a user wrote to a line.
+//! Opens the link that `--rig` names.
 
-use crate::emulated::{Emulated, EmulatedError};
-use crate::exec::{Exec, ExecError, Words};
-use crate::hosted::Hosted;
-use crate::link::Link;
-use crate::paced::Paced;
+use crate::emulated::{EmulatedError, EmulatedLink};
+use crate::exec::{CommandLine, ExecError, ExecLink};
+use crate::hosted::HostedLink;
+use crate::link::BoxedLink;
 #[cfg(feature = "probe")]
-use crate::probe::{Lister, Patience, ProbeError, Setup};
-use crate::serial::{DEFAULT_BAUD, Serial, SerialError};
+use crate::probe::{Lister, ProbeError, ProbeSetup, Timeouts};
+use crate::serial::{DEFAULT_BAUD, SerialError, SerialLink};
 use crate::spec::RigSpec;
+use crate::wall_clock::WallClockLink;
 use std::path::Path;
 
-/// A link of any kind.
-pub type AnyLink = Box<dyn Link>;
-
-/// Why there is no line to a controller.
+/// Why there is no link to a controller.
 #[derive(Debug, thiserror::Error)]
 pub enum ConnectError {
-    /// Debug probes are not in this build.
+    /// This build has no support for debug probes.
     #[error(
-        "`{0}`: this bench was built without debug probes; `cargo build --release --ignore-rust-version --package platebench-cli --features probe` builds one that has them"
+        "`{0}`: this bench was built without debug probes; build it with `cargo build --release \
+         --ignore-rust-version --package platebench-cli --features probe`"
     )]
-    NotBuilt(RigSpec),
-    /// The line is too slow and too irregular for real time.
+    ProbeSupportMissing(RigSpec),
+    /// The link is too slow and too irregular for real time.
     #[error(
-        "`{0}`: RTT through a debug probe does not keep real time; use --clock lockstep, or name the board's serial port with ,port=PORT[@BAUD]"
+        "`{0}`: RTT through a debug probe does not keep real time; use --clock lockstep, or add the board's \
+         serial port as ,port=PORT[@BAUD]"
     )]
-    NotInRealTime(RigSpec),
-    /// The board on a debug probe cannot be worked with.
+    NoRealTime(RigSpec),
+    /// The board on a debug probe cannot be used.
     #[cfg(feature = "probe")]
     #[error(transparent)]
-    Probe(#[from] ProbeError),
-    /// The emulated board did not come up.
+    Probe(ProbeError),
+    /// The emulated board did not start.
     #[error(transparent)]
     Emulated(#[from] EmulatedError),
-    /// The program did not come up.
+    /// The program did not start.
     #[error(transparent)]
     Exec(#[from] ExecError),
-    /// The port cannot be used.
+    /// The serial port cannot be used.
     #[error(transparent)]
     Serial(#[from] SerialError),
 }
 
+#[cfg(feature = "probe")]
+impl From<ProbeError> for ConnectError {
+    fn from(error: ProbeError) -> Self {
+        match error {
+            ProbeError::Serial(error) => Self::Serial(error),
+            error => Self::Probe(error),
+        }
+    }
+}
+
 impl ConnectError {
-    /// True where what the user named is at fault, not the rig.
+    /// True if the input is wrong, false if the rig does not work.
     pub fn is_invalid_input(&self) -> bool {
         match self {
-            Self::NotBuilt(_)
-            | Self::NotInRealTime(_)
+            Self::ProbeSupportMissing(_)
+            | Self::NoRealTime(_)
             | Self::Emulated(EmulatedError::Read { .. } | EmulatedError::Image(_))
-            | Self::Serial(SerialError::NoTerminal { .. } | SerialError::Settings { .. }) => true,
+            | Self::Serial(SerialError::NotATerminal { .. } | SerialError::Settings { .. }) => true,
             #[cfg(feature = "probe")]
             Self::Probe(error) => error.is_invalid_input(),
             Self::Exec(error) => match error {
-                ExecError::Quoting(_) | ExecError::Empty(_) | ExecError::NoPlace(_) | ExecError::Start { .. } => true,
-                ExecError::Terminal(_) | ExecError::Ended { .. } | ExecError::Silent { .. } | ExecError::Link(_) => {
+                ExecError::Quoting(_)
+                | ExecError::Empty(_)
+                | ExecError::NoPortPlaceholder(_)
+                | ExecError::Start { .. } => true,
+                ExecError::Terminal(_) | ExecError::Exited { .. } | ExecError::Silent { .. } | ExecError::Link(_) => {
                     false
                 }
             },
@@ -65,19 +77,22 @@ impl ConnectError {
 }
 
 impl RigSpec {
-    /// Whether this kind of rig can be connected to at all. Starts nothing and opens no device.
+    /// Checks what can be checked without starting a program or opening a device.
     ///
     /// # Errors
-    /// [`ConnectError`], which is the user's doing.
+    /// [`ConnectError`], always with [`ConnectError::is_invalid_input`].
     pub fn check(&self) -> Result<(), ConnectError> {
         match self {
             Self::Hosted | Self::Emulated(_) | Self::Serial { .. } => Ok(()),
-            Self::Exec(command) => Ok(Words::of(command).map(drop)?),
-            Self::Probe { .. } => self.check_probe(),
+            Self::Exec(command) => Ok(CommandLine::parse(command).map(drop)?),
+            #[cfg(feature = "probe")]
+            Self::Probe { .. } => Ok(ProbeSetup::from_spec(self).map(drop)?),
+            #[cfg(not(feature = "probe"))]
+            Self::Probe { .. } => Err(ConnectError::ProbeSupportMissing(self.clone())),
         }
     }
 
-    /// Bits per second, where the line has a rate that counts: a pseudo-terminal throttles nothing.
+    /// Bits per second; `None` for a link whose rate does not matter, such as a pseudo-terminal.
     pub fn baud(&self) -> Option<u32> {
         match self {
             Self::Serial { baud, .. } | Self::Probe { port: Some(_), baud, .. } => Some(baud.unwrap_or(DEFAULT_BAUD)),
@@ -85,7 +100,7 @@ impl RigSpec {
         }
     }
 
-    /// The file of the firmware that the rig is loaded with; `None` where it brings its own or takes the bench's.
+    /// The file of the firmware that the rig loads; `None` for the bench's image and for other rigs.
     pub fn image(&self) -> Option<&Path> {
         match self {
             Self::Emulated(elf) | Self::Probe { elf, .. } => elf.as_deref(),
@@ -93,15 +108,16 @@ impl RigSpec {
         }
     }
 
-    /// True where several lines at once reach several controllers; false for what there is one of.
-    pub fn is_plural(&self) -> bool {
+    /// True if each link has a controller of its own.
+    pub fn allows_parallel_links(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) | Self::Exec(_) => true,
             Self::Serial { .. } | Self::Probe { .. } => false,
         }
     }
 
-    /// True where the controller has a clock of its own, which goes on while the plate waits: in lockstep it needs more patience than five periods.
+    /// True if the controller's clock runs on while the plate waits. In lockstep such a controller needs
+    /// a longer sample time-out than five periods.
     pub fn has_own_clock(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) => false,
@@ -109,62 +125,42 @@ impl RigSpec {
         }
     }
 
-    /// False where the line is too slow and too irregular for real time: RTT is polled through a probe, some milliseconds for each message.
-    pub fn keeps_real_time(&self) -> bool {
+    /// False for RTT, which is polled through a probe and takes some milliseconds per message.
+    pub fn supports_real_time(&self) -> bool {
         !matches!(self, Self::Probe { port: None, .. })
     }
 
-    /// A new line to a controller of this kind, in lockstep; each call makes another one.
+    /// Opens a new link for lockstep.
     ///
     /// # Errors
     /// [`ConnectError`].
-    pub fn connect(&self) -> Result<AnyLink, ConnectError> {
-        match self {
-            Self::Hosted => Ok(Box::new(Hosted::new())),
-            Self::Emulated(_) => Ok(Box::new(self.emulated()?)),
-            Self::Exec(command) => Ok(Box::new(Exec::start(command)?)),
-            Self::Serial { port, baud } => Ok(Box::new(Serial::open(Path::new(port), baud.unwrap_or(DEFAULT_BAUD))?)),
-            Self::Probe { .. } => self.on_probe(),
-        }
+    pub fn connect(&self) -> Result<BoxedLink, ConnectError> {
+        Ok(match self {
+            Self::Hosted => Box::new(HostedLink::new()),
+            Self::Emulated(_) => Box::new(self.open_emulated()?),
+            Self::Exec(command) => Box::new(ExecLink::start(command)?),
+            Self::Serial { port, baud } => Box::new(SerialLink::open(Path::new(port), baud.unwrap_or(DEFAULT_BAUD))?),
+            #[cfg(feature = "probe")]
+            Self::Probe { .. } => ProbeSetup::from_spec(self)?.connect(Lister::new, Timeouts::default())?,
+            #[cfg(not(feature = "probe"))]
+            Self::Probe { .. } => return Err(ConnectError::ProbeSupportMissing(self.clone())),
+        })
     }
 
-    /// A new line to a controller of this kind that can be used in real time: [`Link::line`] has it.
+    /// Opens a new link for real time, see [`crate::Link::real_time_line`].
     ///
     /// # Errors
     /// [`ConnectError`].
-    pub fn connect_in_real_time(&self) -> Result<AnyLink, ConnectError> {
+    pub fn connect_real_time(&self) -> Result<BoxedLink, ConnectError> {
         match self {
-            Self::Hosted => Ok(Box::new(Paced::new(Hosted::new()))),
-            Self::Emulated(_) => Ok(Box::new(Paced::new(self.emulated()?))),
-            Self::Probe { port: None, .. } => Err(ConnectError::NotInRealTime(self.clone())),
+            Self::Hosted => Ok(Box::new(WallClockLink::new(HostedLink::new()))),
+            Self::Emulated(_) => Ok(Box::new(WallClockLink::new(self.open_emulated()?))),
+            Self::Probe { port: None, .. } => Err(ConnectError::NoRealTime(self.clone())),
             Self::Exec(_) | Self::Serial { .. } | Self::Probe { .. } => self.connect(),
         }
     }
 
-    #[cfg(not(feature = "probe"))]
-    fn check_probe(&self) -> Result<(), ConnectError> {
-        Err(ConnectError::NotBuilt(self.clone()))
-    }
-
-    #[cfg(not(feature = "probe"))]
-    fn on_probe(&self) -> Result<AnyLink, ConnectError> {
-        Err(ConnectError::NotBuilt(self.clone()))
-    }
-
-    #[cfg(feature = "probe")]
-    fn check_probe(&self) -> Result<(), ConnectError> {
-        Ok(Setup::of(self).map(drop)?)
-    }
-
-    #[cfg(feature = "probe")]
-    fn on_probe(&self) -> Result<AnyLink, ConnectError> {
-        Setup::of(self)?.connect(Lister::new, Patience::default())
-    }
-
-    fn emulated(&self) -> Result<Emulated, EmulatedError> {
-        match self {
-            Self::Emulated(Some(elf)) => Emulated::open(elf),
-            _ => Emulated::built_in(),
-        }
+    fn open_emulated(&self) -> Result<EmulatedLink, EmulatedError> {
+        self.image().map_or_else(EmulatedLink::built_in, EmulatedLink::open)
     }
 }

@@ -1,35 +1,36 @@
-//! A firmware image on an emulated STM32F427, in virtual time, in this process.
+//! Runs a firmware image on an emulated STM32F427 in this process, in virtual time.
 //!
-//! Bytes enter USART2 (PA2, PA3) at the instants that the firmware's own baud rate gives, and the last stop bit of the answer is the instant of its effect: the delay
-//! that an exchange returns holds the wire both ways, the idle line that ends a frame and the computing. While the firmware sleeps, time jumps. Every trial begins
-//! with a power-on, so that equal trials give equal bytes whatever came before and whichever thread they run on.
+//! Bytes enter USART2 (PA2, PA3) at the firmware's own baud rate, and a command takes effect with the
+//! last stop bit of its answer: the delay of an exchange contains the wire both ways, the idle line that
+//! ends a frame, and the computing time. While the firmware sleeps, time jumps. Every trial begins with
+//! a power-on, so that equal trials give equal bytes.
 //!
 //! ```text
-//!   Emulated ─── trial time to virtual time, handshake, patience           this file
-//!      └ Target ─ power_on, send, run, heard                               target.rs: the emulator stays behind it
-//!          └ Machine ─ event loop, board, memory, what went wrong          machine, board, surroundings, memory, post_mortem
+//!   EmulatedLink   trial time to virtual time, handshake, time-outs   this file
+//!      └ Target    power_on, send, run, received bytes                target.rs, hides the emulator
+//!          └ Machine   event loop, board, memory, crashes             machine, board, bus, memory, post_mortem
 //! ```
 //!
-//! What the emulator has no model of ends the trial with address, instruction, function and line, as do traps, lock-ups, resets and silence. Instructions are counted
-//! exactly, but each takes 1/168 µs: a real processor waits for its flash and its pipeline.
+//! An access without a model ends the trial with address, function and line, as do traps, lock-ups,
+//! resets and silence. Instructions are counted exactly, but each takes 1/168 µs: a real processor waits
+//! for its flash and its pipeline.
 
 mod board;
-mod fault;
+mod bus;
 mod image;
 mod machine;
 mod memory;
 mod post_mortem;
-mod surroundings;
 mod target;
 
-pub use fault::{Gap, TargetFault, Trap};
 pub use image::ImageError;
 
-use crate::asked::Asked;
 use crate::link::{Link, LinkError};
+use crate::pending_requests::PendingRequests;
+use crate::target_error::TargetError;
 use image::Image;
-use machine::{Machine, Setup};
-use platebench_wire::{FrameReader, MAX_ENCODED, Message, Packet};
+use machine::{Machine, MachineConfig};
+use platebench_wire::{MAX_ENCODED, Message, Packet};
 use std::any::Any;
 use std::fs;
 use std::io;
@@ -37,49 +38,46 @@ use std::panic::{self, AssertUnwindSafe};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use target::{Heard, Target};
+use target::{ReceivedByte, Target};
 
-/// The firmware that comes with the bench, built from `firmware-under-test/stm32f4`.
-/// The firmware that came with the bench: an ELF for STM32F405, F407 and F427.
-pub(crate) const BUILT_IN: &[u8] = include_bytes!("../../../firmware-under-test/images/platebench-stm32f4.elf");
-/// What it talks at.
+/// The firmware of the bench, an ELF for STM32F405, F407 and F427; built from `firmware-under-test/stm32f4`.
+pub(crate) const BUILT_IN_IMAGE: &[u8] = include_bytes!("../../../firmware-under-test/images/platebench-stm32f4.elf");
 const BUILT_IN_BAUD: u32 = 1_000_000;
 
 const NS_PER_MS: u64 = 1_000_000;
 const BITS_PER_BYTE: u64 = 10;
 
-/// An answer that has not begun this long after its question is none.
-const PATIENCE_NS: u64 = 20 * NS_PER_MS;
-/// What needs no answer may still have one: how long to listen after the idle line.
-const AFTERTHOUGHT_NS: u64 = NS_PER_MS / 5;
-/// A handshake is tried this often after power-on, for this long.
-const HANDSHAKE_EVERY_NS: u64 = 10 * NS_PER_MS;
-const HANDSHAKE_WITHIN_NS: u64 = 1_000 * NS_PER_MS;
-/// Firmware that polls can be slower than real time here.
-const HANDSHAKE_WITHIN_WALL: Duration = Duration::from_secs(20);
-/// Between the handshake and time zero of a trial.
-const SETTLE_NS: u64 = NS_PER_MS;
-/// Baud rates further than this from the expected one are errors: a UART samples its tenth bit wrong from 5 % on, both ends together.
+/// Time for an answer from the last bit of the question on.
+const ANSWER_TIMEOUT_NS: u64 = 20 * NS_PER_MS;
+/// Time for an answer to a message that needs none.
+const OPTIONAL_ANSWER_TIMEOUT_NS: u64 = NS_PER_MS / 5;
+const HANDSHAKE_INTERVAL_NS: u64 = 10 * NS_PER_MS;
+const HANDSHAKE_TIMEOUT_NS: u64 = 1_000 * NS_PER_MS;
+/// Bounds the wall time, because the emulator may run polling firmware slower than real time.
+const HANDSHAKE_WALL_TIMEOUT: Duration = Duration::from_secs(20);
+/// Time from the handshake to time zero of a trial, at least.
+const START_DELAY_NS: u64 = NS_PER_MS;
+/// Allowed deviation of the baud rate. From 5 % for both ends together, a UART misreads the tenth bit.
 const BAUD_TOLERANCE_PERCENT: u64 = 2;
 
-/// How an emulated board is set up.
+/// Options of an emulated board.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Options {
-    /// The crystal on PH0 and PH1; 0 for none.
+pub struct EmulatedOptions {
+    /// Frequency of the crystal on PH0 and PH1; 0: no crystal.
     pub crystal_hz: u64,
-    /// The baud rate that the firmware must use; `None` for whatever it does use.
+    /// The baud rate that the firmware must use; `None`: any.
     pub baud: Option<u32>,
-    /// Report traps, panics and resets as errors where they happen. False lets the firmware deal with them, as on a board.
+    /// Report traps, panics and resets as errors at once. False: the firmware handles them, as on a board.
     pub stop_at_traps: bool,
 }
 
-impl Default for Options {
+impl Default for EmulatedOptions {
     fn default() -> Self {
         Self { crystal_hz: 8_000_000, baud: None, stop_at_traps: true }
     }
 }
 
-/// Why there is no emulated board to work with.
+/// Why an emulated board cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatedError {
     /// The file could not be read.
@@ -87,164 +85,158 @@ pub enum EmulatedError {
     Read {
         /// Which file.
         path: PathBuf,
-        /// Why not.
+        /// The system's error.
         error: std::io::Error,
     },
-    /// The file is no firmware for this board.
-    #[error("no firmware for the emulated board: {0}")]
+    /// The file is not a firmware for this board.
+    #[error("not a firmware for the emulated board: {0}")]
     Image(#[from] ImageError),
-    /// The firmware did not come up.
+    /// The firmware did not start.
     #[error(transparent)]
-    Target(#[from] TargetFault),
+    Target(#[from] TargetError),
 }
 
-/// An emulated board with firmware that has introduced itself.
+/// An emulated board with running firmware.
 #[derive(Debug)]
-pub struct Emulated {
+pub struct EmulatedLink {
     target: Box<dyn Target>,
-    options: Options,
+    options: EmulatedOptions,
     /// Virtual time at the trial's time zero.
-    zero_ns: u64,
-    /// How long the firmware takes for a byte, once it has sent a frame.
+    trial_start_ns: u64,
+    /// Duration of a byte at the firmware's baud rate; 0 before its first frame.
     byte_ns: u64,
-    heard: Vec<Heard>,
-    asked: Asked,
-    answers: FrameReader,
+    received: Vec<ReceivedByte>,
+    pending_requests: PendingRequests,
     instructions: Option<u64>,
-    dead: Option<TargetFault>,
+    target_error: Option<TargetError>,
 }
 
-impl Emulated {
-    /// The firmware that came with the bench.
+impl EmulatedLink {
+    /// A board with the firmware of the bench.
     ///
     /// # Errors
-    /// [`EmulatedError`] where it does not come up.
+    /// [`EmulatedError`] if it does not start.
     pub fn built_in() -> Result<Self, EmulatedError> {
-        Self::new(BUILT_IN, Options { baud: Some(BUILT_IN_BAUD), ..Options::default() })
+        Self::new(BUILT_IN_IMAGE, EmulatedOptions { baud: Some(BUILT_IN_BAUD), ..EmulatedOptions::default() })
     }
 
-    /// The image of the firmware that came with the bench.
+    /// The firmware of the bench, an ELF.
     pub const fn built_in_image() -> &'static [u8] {
-        BUILT_IN
+        BUILT_IN_IMAGE
     }
 
-    /// The firmware in the file `elf`, at whatever baud rate it uses.
+    /// A board with the firmware in the file `elf`, at any baud rate.
     ///
     /// # Errors
-    /// [`EmulatedError`] where the file is no firmware for this board, or the firmware does not come up.
+    /// [`EmulatedError`] if the file is not a firmware for this board, or the firmware does not start.
     pub fn open(elf: &Path) -> Result<Self, EmulatedError> {
         let content = read_elf(elf).map_err(|error| EmulatedError::Read { path: elf.to_owned(), error })?;
-        Self::new(&content, Options::default())
+        Self::new(&content, EmulatedOptions::default())
     }
 
-    /// The firmware in `elf` on a board with `options`.
+    /// A board with `options` and the firmware `elf`.
     ///
     /// # Errors
-    /// [`EmulatedError`] where `elf` is no firmware for this board, or it does not come up.
-    pub fn new(elf: &[u8], options: Options) -> Result<Self, EmulatedError> {
+    /// [`EmulatedError`] if `elf` is not a firmware for this board, or does not start.
+    pub fn new(elf: &[u8], options: EmulatedOptions) -> Result<Self, EmulatedError> {
         let image = Image::new(Arc::from(elf))?;
-        let setup = Setup { crystal_hz: options.crystal_hz, stop_at_traps: options.stop_at_traps };
+        let config = MachineConfig { crystal_hz: options.crystal_hz, stop_at_traps: options.stop_at_traps };
         let mut emulated = Self {
-            target: Box::new(contained(|| Machine::new(image, setup))?),
+            target: Box::new(catch_emulator_panic(|| Machine::new(image, config))?),
             options,
-            zero_ns: 0,
+            trial_start_ns: 0,
             byte_ns: 0,
-            heard: Vec::with_capacity(2 * MAX_ENCODED),
-            asked: Asked::default(),
-            answers: FrameReader::new(),
+            received: Vec::with_capacity(2 * MAX_ENCODED),
+            pending_requests: PendingRequests::default(),
             instructions: None,
-            dead: None,
+            target_error: None,
         };
-        contained(|| emulated.start())?;
+        catch_emulator_panic(|| emulated.start())?;
         Ok(emulated)
     }
 
-    /// Bits per second that the firmware sends at, measured.
+    /// The measured baud rate of the firmware.
     pub fn baud(&self) -> u32 {
         (BITS_PER_BYTE * 1_000_000_000).checked_div(self.byte_ns).unwrap_or(0) as u32
     }
 
-    /// Most bytes of stack in use since the trial's power-on; `None` where the image has no symbol `_stack_end` for the stack's lowest address.
+    /// Largest stack use since the trial's power-on, bytes; `None` if the image does not define `_stack_end`, the
+    /// stack's lowest address.
     pub fn stack_used(&self) -> Option<u32> {
         self.target.stack_used()
     }
 
-    /// Power-on and handshake; time zero comes at a whole millisecond soon after.
-    fn start(&mut self) -> Result<(), TargetFault> {
-        self.dead = None;
+    /// Power-on and handshake. Sets time zero to a whole millisecond soon after.
+    fn start(&mut self) -> Result<(), TargetError> {
+        self.target_error = None;
         self.instructions = None;
         self.byte_ns = 0;
         self.target.power_on()?;
-        let deadline = Instant::now() + HANDSHAKE_WITHIN_WALL;
+        let deadline = Instant::now() + HANDSHAKE_WALL_TIMEOUT;
         let hello = Packet { sequence: 0, message: Message::Hello }.encode();
         let mut attempt_ends = 0;
         loop {
-            self.asked = Asked::default();
-            self.answers = FrameReader::new();
-            self.heard.clear();
-            attempt_ends += HANDSHAKE_EVERY_NS;
-            self.run_to(self.target.now_ns() + SETTLE_NS)?;
-            self.heard.clear();
+            self.pending_requests = PendingRequests::default();
+            self.received.clear();
+            attempt_ends += HANDSHAKE_INTERVAL_NS;
+            self.run_to(self.target.now_ns() + START_DELAY_NS)?;
+            self.received.clear();
+            self.pending_requests.send(hello.as_bytes());
             self.target.send(hello.as_bytes());
-            if self.listen(attempt_ends, Some(0))?.is_some() {
+            if self.run_until_answer(attempt_ends)?.is_some() {
                 break;
             }
-            if attempt_ends >= HANDSHAKE_WITHIN_NS || Instant::now() > deadline {
-                let whereabouts = self.target.whereabouts();
-                return Err(TargetFault::NoHandshake {
+            if attempt_ends >= HANDSHAKE_TIMEOUT_NS || Instant::now() > deadline {
+                let status = self.target.status();
+                return Err(TargetError::NoHandshake {
                     waited_ms: self.target.now_ns() / NS_PER_MS,
-                    instances: whereabouts.instances,
-                    place: whereabouts.place,
+                    instances: status.instances,
+                    place: status.place,
                 });
             }
         }
         self.check_baud()?;
-        self.heard.clear();
-        self.target.came_up();
-        self.zero_ns = (self.target.now_ns() + SETTLE_NS).next_multiple_of(NS_PER_MS);
+        self.received.clear();
+        self.target.mark_booted();
+        self.trial_start_ns = (self.target.now_ns() + START_DELAY_NS).next_multiple_of(NS_PER_MS);
         Ok(())
     }
 
-    /// Measures the baud rate on a frame that has just been heard.
-    fn check_baud(&mut self) -> Result<(), TargetFault> {
-        let (Some(first), Some(last)) = (self.heard.first(), self.heard.last()) else { return Ok(()) };
-        let gaps = self.heard.len() as u64 - 1;
+    /// Measures the baud rate of the frame in `received`.
+    fn check_baud(&mut self) -> Result<(), TargetError> {
+        let (Some(first), Some(last)) = (self.received.first(), self.received.last()) else { return Ok(()) };
+        let gaps = self.received.len() as u64 - 1;
         self.byte_ns = (last.at_ns - first.at_ns + gaps / 2).checked_div(gaps).unwrap_or(0);
         let Some(expected) = self.options.baud else { return Ok(()) };
-        let seen = self.baud();
-        if u64::from(seen.abs_diff(expected)) * 100 > u64::from(expected) * BAUD_TOLERANCE_PERCENT {
-            return Err(TargetFault::Baud { expected, seen });
+        let measured = self.baud();
+        if u64::from(measured.abs_diff(expected)) * 100 > u64::from(expected) * BAUD_TOLERANCE_PERCENT {
+            return Err(TargetError::BaudMismatch { expected, measured });
         }
         Ok(())
     }
 
-    /// Runs to `until_ns`, whatever is said meanwhile.
-    fn run_to(&mut self, until_ns: u64) -> Result<(), TargetFault> {
+    fn run_to(&mut self, until_ns: u64) -> Result<(), TargetError> {
         while self.target.now_ns() < until_ns {
             self.target.run(until_ns)?;
         }
-        self.target.take_heard(&mut self.heard);
+        self.target.take_received(&mut self.received);
         Ok(())
     }
 
-    /// Runs until the answer to message `sequence` is whole, or to `until_ns`, or to the end of a frame that has begun by then. The instant of the answer's last stop bit.
-    fn listen(&mut self, mut until_ns: u64, sequence: Option<u8>) -> Result<Option<u64>, TargetFault> {
-        let mut read = self.heard.len();
+    /// Runs to the end of the awaited answer, or to `until_ns`, or to the end of a frame that has begun by
+    /// then. Returns the instant of the answer's last stop bit.
+    fn run_until_answer(&mut self, mut until_ns: u64) -> Result<Option<u64>, TargetError> {
+        let mut read = self.received.len();
         let mut extended = false;
         loop {
             let frame_ended = self.target.run(until_ns)?;
-            self.target.take_heard(&mut self.heard);
+            self.target.take_received(&mut self.received);
             let mut within_frame = false;
-            while let Some(&Heard { byte, at_ns }) = self.heard.get(read) {
+            while let Some(&ReceivedByte { byte, at_ns }) = self.received.get(read) {
                 read += 1;
                 within_frame = byte != 0;
-                let Some(Ok(body)) = self.answers.push(byte) else { continue };
-                match Packet::decode(body) {
-                    Ok(Packet { message: Message::Fault(_), .. }) => return Ok(Some(at_ns)),
-                    // Ticks count by themselves.
-                    Ok(Packet { message: Message::Tick(_), .. }) => {}
-                    Ok(packet) if Some(packet.sequence) == sequence => return Ok(Some(at_ns)),
-                    _ => {}
+                if self.pending_requests.is_answered_by(byte) {
+                    return Ok(Some(at_ns));
                 }
             }
             if frame_ended {
@@ -260,95 +252,91 @@ impl Emulated {
     }
 
     fn virtual_ns(&self, now: Duration) -> u64 {
-        self.zero_ns.saturating_add(u64::try_from(now.as_nanos()).unwrap_or(u64::MAX))
+        self.trial_start_ns.saturating_add(u64::try_from(now.as_nanos()).unwrap_or(u64::MAX))
     }
 
-    /// Runs to the trial's instant `now`. A target that is already past it (its last answer took longer than the bench's time since) has the rest of the
-    /// trial moved: the plate waits for the firmware, never the other way round.
-    fn catch_up(&mut self, now: Duration) -> Result<(), TargetFault> {
+    /// Runs to the trial's instant `now`. If the target is past it, because its last answer took longer than
+    /// a period, moves the rest of the trial: the plate waits for the firmware.
+    fn catch_up(&mut self, now: Duration) -> Result<(), TargetError> {
         let wanted = self.virtual_ns(now);
         let ahead = self.target.now_ns().saturating_sub(wanted);
-        self.zero_ns += ahead;
+        self.trial_start_ns += ahead;
         self.run_to(wanted + ahead)
     }
 
-    fn ask(&mut self, now: Duration, bytes: &[u8]) -> Result<Duration, TargetFault> {
+    fn send_and_wait(&mut self, now: Duration, bytes: &[u8]) -> Result<Duration, TargetError> {
         self.catch_up(now)?;
         let (start_ns, instructions) = (self.target.now_ns(), self.target.instructions());
-        let expected = self.asked.expects(bytes);
+        let asks = self.pending_requests.send(bytes);
         self.target.send(bytes);
         let arrived_ns = start_ns + bytes.len() as u64 * self.byte_ns;
-        let patience_ns = if expected.is_some() { PATIENCE_NS } else { AFTERTHOUGHT_NS };
-        let answered = self.listen(arrived_ns + patience_ns, expected)?;
+        let timeout_ns = if asks { ANSWER_TIMEOUT_NS } else { OPTIONAL_ANSWER_TIMEOUT_NS };
+        let answered = self.run_until_answer(arrived_ns + timeout_ns)?;
         self.instructions = answered.map(|_| self.target.instructions() - instructions);
-        match (answered, expected) {
-            (Some(at_ns), _) => Ok(Duration::from_nanos(at_ns - start_ns)),
-            (None, None) => Ok(Duration::ZERO),
-            (None, Some(_)) => {
+        match answered {
+            Some(at_ns) => Ok(Duration::from_nanos(at_ns - start_ns)),
+            None if !asks => Ok(Duration::ZERO),
+            None => {
                 let waited_us = (self.target.now_ns() - arrived_ns) / 1_000;
-                Err(TargetFault::Silent { waited_us, place: self.target.whereabouts().place })
+                Err(TargetError::Silent { waited_us, place: self.target.status().place })
             }
         }
     }
 
-    /// Does `what` unless the target is dead already, and hands over what was heard. A target that dies of it stays dead until it is restarted.
-    fn alive<T>(
+    /// Calls `run` and appends the received bytes. After an error, returns that error until the restart.
+    fn run_unless_failed<T>(
         &mut self,
-        heard: &mut Vec<u8>,
-        what: impl FnOnce(&mut Self) -> Result<T, TargetFault>,
+        received: &mut Vec<u8>,
+        run: impl FnOnce(&mut Self) -> Result<T, TargetError>,
     ) -> Result<T, LinkError> {
-        if let Some(fault) = &self.dead {
-            return Err(LinkError::Target(Box::new(fault.clone())));
+        if let Some(error) = &self.target_error {
+            return Err(LinkError::Target(Box::new(error.clone())));
         }
-        let result = contained(|| what(self));
-        heard.extend(self.heard.drain(..).map(|heard| heard.byte));
-        result.map_err(|fault| {
-            self.dead = Some(fault.clone());
-            LinkError::Target(Box::new(fault))
-        })
+        let result = catch_emulator_panic(|| run(self));
+        received.extend(self.received.drain(..).map(|received| received.byte));
+        result.map_err(|error| self.fail(error))
+    }
+
+    fn fail(&mut self, error: TargetError) -> LinkError {
+        self.target_error = Some(error.clone());
+        LinkError::Target(Box::new(error))
     }
 }
 
-/// A panic of the emulator is an error of the rig, not the end of the bench.
-fn contained<T>(what: impl FnOnce() -> Result<T, TargetFault>) -> Result<T, TargetFault> {
+/// Turns a panic of the emulator into an error.
+fn catch_emulator_panic<T>(run: impl FnOnce() -> Result<T, TargetError>) -> Result<T, TargetError> {
     let panicked = |cause: Box<dyn Any + Send>| {
         let text = cause.downcast_ref::<String>().map(String::as_str);
         let text = text.or_else(|| cause.downcast_ref::<&str>().copied()).unwrap_or("no message");
-        TargetFault::Emulator(format!("it panicked: {text}"))
+        TargetError::Emulator(format!("it panicked: {text}"))
     };
-    panic::catch_unwind(AssertUnwindSafe(what)).unwrap_or_else(|cause| Err(panicked(cause)))
+    panic::catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|cause| Err(panicked(cause)))
 }
 
-impl Link for Emulated {
+impl Link for EmulatedLink {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.alive(answer, |emulated| emulated.ask(now, bytes))
+        self.run_unless_failed(answer, |emulated| emulated.send_and_wait(now, bytes))
     }
 
-    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
-        // Where the target is past it already, that much has passed.
-        self.alive(said, |emulated| emulated.run_to(emulated.virtual_ns(now)))
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.run_unless_failed(received, |emulated| emulated.run_to(emulated.virtual_ns(now)))
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {
-        // An emulator that failed cannot be trusted to begin again.
-        if let Some(fault @ TargetFault::Emulator(_)) = &self.dead {
-            return Err(LinkError::Target(Box::new(fault.clone())));
+        // A failed emulator may have an invalid state.
+        if let Some(error @ TargetError::Emulator(_)) = &self.target_error {
+            return Err(LinkError::Target(Box::new(error.clone())));
         }
-        match contained(|| self.start()) {
-            Ok(()) => Ok(true),
-            Err(fault) => {
-                self.dead = Some(fault.clone());
-                Err(LinkError::Target(Box::new(fault)))
-            }
-        }
+        catch_emulator_panic(|| self.start()).map_err(|error| self.fail(error))?;
+        Ok(true)
     }
 
-    fn cost(&self) -> Option<u64> {
+    fn instruction_count(&self) -> Option<u64> {
         self.instructions
     }
 }
 
-/// The content of the file `elf`. A pipe or a device may never begin or never end: it is not opened.
+/// Reads the file `elf`. Rejects pipes and devices, whose reading may never end.
 pub(crate) fn read_elf(elf: &Path) -> io::Result<Vec<u8>> {
     let kind = fs::metadata(elf)?.file_type();
     if !kind.is_file() && !kind.is_dir() {
@@ -362,15 +350,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_device_is_no_firmware() {
+    fn rejects_a_device_as_firmware() {
         let error = read_elf(Path::new("/dev/zero")).unwrap_err().to_string();
         assert_eq!(error, "it is a pipe or a device, expected an ELF file");
         assert_eq!(read_elf(Path::new("/")).unwrap_err().kind(), io::ErrorKind::IsADirectory);
     }
 
     #[test]
-    fn a_panic_of_the_emulator_is_an_error() {
-        let result = contained(|| if BUILT_IN.is_empty() { Ok(()) } else { panic!("checked at construction") });
-        assert_eq!(result, Err(TargetFault::Emulator("it panicked: checked at construction".to_owned())));
+    fn reports_a_panic_of_the_emulator_as_an_error() {
+        let result =
+            catch_emulator_panic(|| if BUILT_IN_IMAGE.is_empty() { Ok(()) } else { panic!("checked at construction") });
+        assert_eq!(result, Err(TargetError::Emulator("it panicked: checked at construction".to_owned())));
     }
 }

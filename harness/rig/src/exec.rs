@@ -1,96 +1,94 @@
-//! Any controller program, with its serial line on a pseudo-terminal.
+//! Starts a controller program with its serial line on a pseudo-terminal.
 //!
 //! ```text
-//!   bench ── master ═ pseudo-terminal ═ slave ── program, which opens {port} as it would /dev/ttyUSB0
+//!   bench ── master ═ pseudo-terminal ═ slave ── program, which opens {port} like /dev/ttyUSB0
 //! ```
 //!
-//! The program gets a process group of its own, so that Ctrl-C reaches the bench alone, which then sees to 0 V; nothing on its standard input; and its
-//! standard output goes to the bench's standard error, because the bench's own output is somebody's JSON. It is ended in three steps, each bounded: the line hangs up, SIGTERM,
-//! SIGKILL. A bench that is killed leaves a line that hung up, and the program's own watchdog does the rest.
+//! The program gets its own process group, so that Ctrl-C reaches only the bench, which then requests
+//! 0 V. Its standard input is empty; its standard output goes to the bench's standard error, because
+//! the bench's output may be JSON. The bench ends it in three bounded steps: the line hangs up, SIGTERM,
+//! SIGKILL. If the bench is killed, the line hangs up and the program's own watchdog acts.
 
-use crate::link::{Line, Link, LinkError};
-use crate::port::Port;
-use platebench_wire::{Message, Packet};
+use crate::link::{Link, LinkError, RealTimeLine};
+use crate::pty::open_pseudo_terminal;
+use crate::tty::Port;
+use platebench_wire::{Message, Packet, PacketReader};
 use rustix::fd::{AsFd, OwnedFd};
-use rustix::fs::{Mode, OFlags};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, WaitIdStatus, kill_process_group, waitid};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tracing::{debug, warn};
 
-/// What stands for the port's path in a command.
-const PLACE: &str = "{port}";
-/// A program that has not introduced itself by then is not going to.
-const HANDSHAKE_WITHIN: Duration = Duration::from_secs(5);
-/// A program that flushes its port when it opens it loses what was said before.
-const HANDSHAKE_EVERY: Duration = Duration::from_millis(100);
-/// How long a program has to end once its line has hung up, and again after SIGTERM.
-const GRACE: Duration = Duration::from_millis(500);
-/// Between two looks at whether it has ended.
-const LOOK_EVERY: Duration = Duration::from_millis(5);
-/// A line can hang up a moment before its program is seen to have ended.
-const ENDED_WITHIN: Duration = Duration::from_millis(50);
+/// Placeholder for the port's path in a command.
+const PORT_PLACEHOLDER: &str = "{port}";
+/// Time from the start of the program to its first answer.
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
+/// The handshake is repeated: a program that flushes its port at the start loses the first ones.
+const HANDSHAKE_INTERVAL: Duration = Duration::from_millis(100);
+/// Time for the program to end after its line hangs up, and again after SIGTERM.
+const EXIT_GRACE: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
+/// The line may hang up a moment before the end of its program is visible.
+const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_millis(50);
 
-/// Why there is no program to work with.
+/// Why a program cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ExecError {
-    /// The command is not one.
-    #[error("`{0}` cannot be split into words: a quote or a backslash is left open")]
+    /// The command cannot be split into words.
+    #[error("`{0}` cannot be split into words: a quote is not closed, or a backslash ends it")]
     Quoting(String),
-    /// There is nothing to start.
+    /// The command is empty.
     #[error("`{0}` names no program")]
     Empty(String),
-    /// The program would not know where its line is.
-    #[error("`{0}` has no {{port}}, which is where the path of the controller's serial port goes")]
-    NoPlace(String),
+    /// The command does not pass the port to the program.
+    #[error("`{0}` has no {{port}}, the placeholder for the path of the controller's serial port")]
+    NoPortPlaceholder(String),
     /// The program could not be started.
     #[error("cannot start `{program}`: {error}")]
     Start {
         /// Its name or path.
         program: String,
-        /// Why not.
+        /// The system's error.
         error: std::io::Error,
     },
-    /// There is no pseudo-terminal to be had.
+    /// The system has no pseudo-terminal.
     #[error("no pseudo-terminal: {0}")]
     Terminal(std::io::Error),
-    /// It ended instead of introducing itself.
-    #[error("`{program}` {how} before it introduced itself")]
-    Ended {
+    /// It ended before the handshake.
+    #[error("`{program}` {how} before the handshake")]
+    Exited {
         /// Its name or path.
         program: String,
         /// Exit status or signal.
         how: String,
     },
-    /// It runs but says nothing.
-    #[error("`{program}` runs, but did not introduce itself on {port} within {} s", HANDSHAKE_WITHIN.as_secs())]
+    /// It does not answer.
+    #[error("`{program}` runs, but did not answer the handshake on {port} within {} s", HANDSHAKE_TIMEOUT.as_secs())]
     Silent {
         /// Its name or path.
         program: String,
-        /// Where it should have been heard.
+        /// The path of its line.
         port: String,
     },
-    /// The line failed.
+    /// The line is lost.
     #[error(transparent)]
     Link(#[from] LinkError),
 }
 
-/// The words of a command, not filled in yet.
+/// The words of a command, with the placeholder.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Words(Vec<String>);
+pub(crate) struct CommandLine(Vec<String>);
 
-impl Words {
-    /// Splits `command` as a shell would, without being one.
-    pub(crate) fn of(command: &str) -> Result<Self, ExecError> {
+impl CommandLine {
+    /// Splits `command` like a shell; expands nothing.
+    pub(crate) fn parse(command: &str) -> Result<Self, ExecError> {
         let words = shlex::split(command).ok_or_else(|| ExecError::Quoting(command.to_owned()))?;
         if words.first().is_none_or(String::is_empty) {
             return Err(ExecError::Empty(command.to_owned()));
         }
-        if !words.iter().skip(1).any(|word| word.contains(PLACE)) {
-            return Err(ExecError::NoPlace(command.to_owned()));
+        if !words.iter().skip(1).any(|word| word.contains(PORT_PLACEHOLDER)) {
+            return Err(ExecError::NoPortPlaceholder(command.to_owned()));
         }
         Ok(Self(words))
     }
@@ -100,67 +98,64 @@ impl Words {
     }
 
     fn arguments(&self, port: &str) -> impl Iterator<Item = String> {
-        self.0.iter().skip(1).map(move |word| word.replace(PLACE, port))
+        self.0.iter().skip(1).map(move |word| word.replace(PORT_PLACEHOLDER, port))
     }
 }
 
-/// A controller program that has introduced itself.
+/// A running controller program.
 #[derive(Debug)]
-pub struct Exec {
+pub struct ExecLink {
     // Declared before `program`: fields are dropped in this order, so the line hangs up first.
     port: Port<OwnedFd>,
     program: Program,
 }
 
-impl Exec {
-    /// Starts `command`, in which `{port}` stands for the path of the controller's serial port, and waits until the program introduces itself.
+impl ExecLink {
+    /// Starts `command`, with the path of its serial port for `{port}`, and waits for the handshake.
     ///
     /// # Errors
     /// [`ExecError`].
     pub fn start(command: &str) -> Result<Self, ExecError> {
-        let words = Words::of(command)?;
-        let (master, slave, name) = pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
+        let words = CommandLine::parse(command)?;
+        let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
         let program = Program::start(&words, &name)?;
         let mut exec = Self { port: master, program };
-        exec.come_up(&name)?;
-        // From here on the line hangs up with the program.
+        exec.wait_for_handshake(&name)?;
+        // From now on the line hangs up when the program ends.
         drop(slave);
         Ok(exec)
     }
 
-    /// The program's process.
+    /// Number of the program's process.
     pub fn process_id(&self) -> u32 {
         self.program.child.id()
     }
 
-    fn come_up(&mut self, name: &str) -> Result<(), ExecError> {
+    fn wait_for_handshake(&mut self, name: &str) -> Result<(), ExecError> {
         let hello = Packet { sequence: 0, message: Message::Hello }.encode();
-        let deadline = Instant::now() + HANDSHAKE_WITHIN;
+        let deadline = Instant::now() + HANDSHAKE_TIMEOUT;
         let mut answer = Vec::new();
         while Instant::now() < deadline {
-            let since = Instant::now();
+            let asked = Instant::now();
             answer.clear();
-            let waited = self.port.exchange(hello.as_bytes(), &mut answer)?;
-            let mut reader = platebench_wire::FrameReader::new();
-            let said = answer.iter().any(|&byte| {
-                matches!(reader.push(byte), Some(Ok(body)) if matches!(Packet::decode(body), Ok(Packet { message: Message::Identity(_), .. })))
-            });
-            if said {
-                debug!(?waited, pid = self.program.child.id(), "program came up");
+            let delay = self.port.exchange(hello.as_bytes(), &mut answer)?;
+            let is_identity = |packet: Packet| matches!(packet.message, Message::Identity(_));
+            if PacketReader::new().packets(&answer).flatten().any(is_identity) {
+                debug!(?delay, pid = self.program.child.id(), "program started");
                 return Ok(());
             }
-            if let Some(how) = self.program.ended(Duration::ZERO) {
-                return Err(ExecError::Ended { program: self.program.name.clone(), how });
+            if let Some(how) = self.program.wait_for_exit(Duration::ZERO) {
+                return Err(ExecError::Exited { program: self.program.name.clone(), how });
             }
-            // An echo or babble came at once.
-            std::thread::sleep(HANDSHAKE_EVERY.saturating_sub(since.elapsed()));
+            // An echo or noise ends the exchange early.
+            std::thread::sleep(HANDSHAKE_INTERVAL.saturating_sub(asked.elapsed()));
         }
         Err(ExecError::Silent { program: self.program.name.clone(), port: name.to_owned() })
     }
 
-    /// Does `what` with the line; where that is gone, says what became of the program.
-    fn with_port<T>(&mut self, what: impl FnOnce(&mut Port<OwnedFd>) -> Result<T, LinkError>) -> Result<T, LinkError> {
-        what(&mut self.port).map_err(|error| match (error, self.program.ended(ENDED_WITHIN)) {
+    /// Uses the line. If it is lost, the error says how the program ended.
+    fn with_port<T>(&mut self, call: impl FnOnce(&mut Port<OwnedFd>) -> Result<T, LinkError>) -> Result<T, LinkError> {
+        call(&mut self.port).map_err(|error| match (error, self.program.wait_for_exit(EXIT_DETECTION_TIMEOUT)) {
             (LinkError::Disconnected(_), Some(how)) => {
                 LinkError::Disconnected(format!("`{}` {how}", self.program.name))
             }
@@ -172,21 +167,7 @@ impl Exec {
     }
 }
 
-/// Our end, the program's end, and its path.
-pub(crate) fn pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, OwnedFd, String)> {
-    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
-    grantpt(&master)?;
-    unlockpt(&master)?;
-    let name = ptsname(&master, Vec::new())?;
-    // Kept open until the program has it open, since a line without anybody at its other end counts as hung up.
-    let slave = rustix::fs::open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
-    let mut settings = tcgetattr(&slave)?;
-    settings.make_raw();
-    tcsetattr(&slave, OptionalActions::Now, &settings)?;
-    Ok((Port::of_file(master)?, slave, name.to_string_lossy().into_owned()))
-}
-
-/// A started program; dropping it ends its whole process group.
+/// A running program. Dropping it ends its process group.
 #[derive(Debug)]
 struct Program {
     name: String,
@@ -194,7 +175,7 @@ struct Program {
 }
 
 impl Program {
-    fn start(words: &Words, port: &str) -> Result<Self, ExecError> {
+    fn start(words: &CommandLine, port: &str) -> Result<Self, ExecError> {
         let refused = |error| ExecError::Start { program: words.program().to_owned(), error };
         let output = std::io::stderr().as_fd().try_clone_to_owned().map_err(refused)?;
         let mut command = Command::new(words.program());
@@ -207,14 +188,14 @@ impl Program {
         Pid::from_child(&self.child)
     }
 
-    /// How it ended, where it does within `patience`. It stays a zombie, so that its number and its group's stay its own.
-    fn ended(&self, patience: Duration) -> Option<String> {
-        let deadline = Instant::now() + patience;
+    /// Waits for its end: exit status or signal. It stays a zombie, which reserves its number and group.
+    fn wait_for_exit(&self, timeout: Duration) -> Option<String> {
+        let deadline = Instant::now() + timeout;
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
         loop {
             match waitid(WaitId::Pid(self.pid()), options) {
-                Ok(Some(status)) => return Some(how(&status)),
-                Ok(None) if Instant::now() < deadline => std::thread::sleep(LOOK_EVERY),
+                Ok(Some(status)) => return Some(exit_description(&status)),
+                Ok(None) if Instant::now() < deadline => std::thread::sleep(POLL_INTERVAL),
                 Ok(None) => return None,
                 Err(error) => return Some(format!("is gone ({error})")),
             }
@@ -223,12 +204,12 @@ impl Program {
 
     fn signal(&self, signal: Signal) {
         if let Err(error) = kill_process_group(self.pid(), signal) {
-            debug!(?signal, %error, "the program's group was not signalled");
+            debug!(?signal, %error, "the signal did not reach the program's group");
         }
     }
 }
 
-fn how(status: &WaitIdStatus) -> String {
+fn exit_description(status: &WaitIdStatus) -> String {
     match (status.exit_status(), status.terminating_signal()) {
         (Some(code), _) => format!("ended with exit status {code}"),
         (None, Some(signal)) => format!("was ended by signal {signal}"),
@@ -238,41 +219,45 @@ fn how(status: &WaitIdStatus) -> String {
 
 impl Drop for Program {
     fn drop(&mut self) {
-        let mut ended = self.ended(GRACE);
+        let mut ended = self.wait_for_exit(EXIT_GRACE);
         if ended.is_none() {
-            warn!(program = self.name, "still runs after its line hung up, gets SIGTERM");
+            warn!(program = self.name, "the program still runs after its line hung up: sending SIGTERM");
             self.signal(Signal::TERM);
-            ended = self.ended(GRACE);
+            ended = self.wait_for_exit(EXIT_GRACE);
         }
         if ended.is_none() {
-            warn!(program = self.name, "still runs after SIGTERM, gets SIGKILL");
+            warn!(program = self.name, "the program still runs after SIGTERM: sending SIGKILL");
         }
-        // Whatever it left behind in its group goes too. Its number is its own until it is waited for.
+        // Also ends the rest of its group.
         self.signal(Signal::KILL);
-        if let Some(how) = ended.or_else(|| self.ended(GRACE)) {
+        if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE)) {
             debug!(program = self.name, how, status = ?self.child.wait(), "program ended");
         } else {
-            // Stuck in the kernel: not waited for, or the bench would be stuck too.
-            warn!(program = self.name, pid = self.child.id(), "still runs after SIGKILL, left behind");
+            // Blocked in the kernel: waiting for it could block the bench.
+            warn!(
+                program = self.name,
+                pid = self.child.id(),
+                "the program still runs after SIGKILL and is left running"
+            );
         }
     }
 }
 
-impl Link for Exec {
+impl Link for ExecLink {
     fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         self.with_port(|port| port.exchange(bytes, answer))
     }
 
-    fn pass(&mut self, _now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.with_port(|port| port.pass(said))
+    fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.with_port(|port| port.read_available(received))
     }
 
-    fn line(&mut self) -> Option<&mut dyn Line> {
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
         Some(self)
     }
 }
 
-impl Line for Exec {
+impl RealTimeLine for ExecLink {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         self.with_port(|port| port.send(bytes))
     }
@@ -287,64 +272,67 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_command_is_split_as_a_shell_would() {
-        let words = Words::of("python3 'my controller.py' --port={port} \"{port}\" a\\ b").unwrap();
+    fn splits_a_command_like_a_shell() {
+        let words = CommandLine::parse("python3 'my controller.py' --port={port} \"{port}\" a\\ b").unwrap();
         assert_eq!(words.program(), "python3");
         let arguments: Vec<_> = words.arguments("/dev/pts/7").collect();
         assert_eq!(arguments, ["my controller.py", "--port=/dev/pts/7", "/dev/pts/7", "a b"]);
     }
 
     #[test]
-    fn a_command_without_port_program_or_closing_quote_is_refused() {
-        assert!(matches!(Words::of("true"), Err(ExecError::NoPlace(_))));
-        assert!(matches!(Words::of("{port}"), Err(ExecError::NoPlace(_))));
-        assert!(matches!(Words::of("  "), Err(ExecError::Empty(_))));
-        assert!(matches!(Words::of("'' {port}"), Err(ExecError::Empty(_))));
-        assert!(matches!(Words::of("a '{port}"), Err(ExecError::Quoting(_))));
+    fn rejects_a_command_without_port_or_program() {
+        assert!(matches!(CommandLine::parse("true"), Err(ExecError::NoPortPlaceholder(_))));
+        assert!(matches!(CommandLine::parse("{port}"), Err(ExecError::NoPortPlaceholder(_))));
+        assert!(matches!(CommandLine::parse("  "), Err(ExecError::Empty(_))));
+        assert!(matches!(CommandLine::parse("'' {port}"), Err(ExecError::Empty(_))));
+        assert!(matches!(CommandLine::parse("a '{port}"), Err(ExecError::Quoting(_))));
     }
 
-    /// True while a process of that number is there and no zombie.
-    fn lives(pid: &str) -> bool {
+    /// True if the process exists and is not a zombie.
+    fn is_running(pid: &str) -> bool {
         let status = std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
         status.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
     }
 
     fn script(folder: &tempfile::TempDir, text: &str) -> (Program, Vec<String>) {
-        let said = folder.path().join("pids");
-        let program = Program::start(&Words::of(&format!("sh -c '{text}' {} {{port}}", said.display())).unwrap(), "x");
+        let pids_file = folder.path().join("pids");
+        let program = Program::start(
+            &CommandLine::parse(&format!("sh -c '{text}' {} {{port}}", pids_file.display())).unwrap(),
+            "x",
+        );
         let deadline = Instant::now() + Duration::from_secs(10);
         loop {
-            let pids = std::fs::read_to_string(&said).unwrap_or_default();
+            let pids = std::fs::read_to_string(&pids_file).unwrap_or_default();
             if pids.ends_with("done\n") {
                 return (program.unwrap(), pids.lines().filter(|line| *line != "done").map(str::to_owned).collect());
             }
-            assert!(Instant::now() < deadline, "the script does not come up");
-            std::thread::sleep(LOOK_EVERY);
+            assert!(Instant::now() < deadline, "the script does not start");
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 
     #[test]
-    fn a_program_that_ignores_everything_is_ended_with_all_that_it_started() {
+    fn kills_a_program_that_ignores_signals_and_its_group() {
         let folder = tempfile::tempdir().unwrap();
         let text = r#"trap "" TERM HUP; sleep 60 & echo $$ >"$0"; echo $! >>"$0"; echo done >>"$0"; while :; do sleep 1; done"#;
         let (program, pids) = script(&folder, text);
         assert_eq!(pids.len(), 2);
-        assert!(pids.iter().all(|pid| lives(pid)));
+        assert!(pids.iter().all(|pid| is_running(pid)));
         drop(program);
-        // What it started is nobody's child that could be waited for: the kernel takes its time over a killed process.
+        // Its child is not ours to wait for, and the kernel ends a killed process later.
         let deadline = Instant::now() + Duration::from_secs(10);
-        while pids.iter().any(|pid| lives(pid)) {
+        while pids.iter().any(|pid| is_running(pid)) {
             assert!(Instant::now() < deadline, "{pids:?}");
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 
     #[test]
-    fn a_program_that_heeds_sigterm_is_not_killed() {
+    fn lets_a_program_end_by_itself_after_sigterm() {
         let folder = tempfile::tempdir().unwrap();
-        let text = r#"trap "echo heard >>\"$0\"; exit 0" TERM; echo done >"$0"; while :; do sleep 0.01; done"#;
+        let text = r#"trap "echo ended >>\"$0\"; exit 0" TERM; echo done >"$0"; while :; do sleep 0.01; done"#;
         let (program, _) = script(&folder, text);
         drop(program);
-        assert!(std::fs::read_to_string(folder.path().join("pids")).unwrap().ends_with("heard\n"));
+        assert!(std::fs::read_to_string(folder.path().join("pids")).unwrap().ends_with("ended\n"));
     }
 }

@@ -1,24 +1,24 @@
-//! The controller crate in this process: the same source as on the board, reached through the same bytes.
+//! Runs the controller crate in this process: the same source and the same bytes as on the board.
 
 use crate::link::{Link, LinkError};
 use platebench_controller::Device;
 use platebench_wire::{Identity, LawId, capabilities};
 use std::time::Duration;
 
-/// A device without a board.
+/// A controller without a board.
 #[derive(Debug, Clone)]
-pub struct Hosted {
+pub struct HostedLink {
     device: Device,
 }
 
-impl Default for Hosted {
+impl Default for HostedLink {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Hosted {
-    /// A device that has just been switched on.
+impl HostedLink {
+    /// A controller right after power-on.
     pub fn new() -> Self {
         Self { device: Device::new(identity()) }
     }
@@ -32,7 +32,7 @@ fn identity() -> Identity {
             number(env!("CARGO_PKG_VERSION_MINOR")),
             number(env!("CARGO_PKG_VERSION_PATCH")),
         ],
-        capabilities: capabilities::TARGET_PACED | capabilities::TOLD_DELAY,
+        capabilities: capabilities::TARGET_PACED | capabilities::LOOP_DELAY,
         laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
         build: [0; 8],
         chip: 0,
@@ -46,14 +46,14 @@ fn micros(now: Duration) -> u32 {
     now.as_micros() as u32
 }
 
-impl Link for Hosted {
+impl Link for HostedLink {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         self.device.receive(bytes, micros(now), |frame| answer.extend_from_slice(frame));
         Ok(Duration::ZERO)
     }
 
-    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.device.tick(micros(now), |frame| said.extend_from_slice(frame));
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.device.tick(micros(now), |frame| received.extend_from_slice(frame));
         Ok(())
     }
 

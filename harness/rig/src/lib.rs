@@ -1,51 +1,60 @@
-//! How a controller is reached.
+//! Connects the bench to a controller.
 //!
-//! * [`spec`]: `--rig` as a user writes it.
-//! * [`connect`]: from there to a line.
-//! * [`link`]: bytes to a target and back; what every kind of rig provides.
+//! * [`spec`]: `--rig` as typed. [`connect`]: opens the link that it names.
+//! * [`link`]: bytes to a target and back, the interface of every rig.
 //! * [`hosted`]: the controller crate in this process.
 //! * [`emulated`]: a firmware image on an emulated STM32F4, in virtual time.
 //! * `probe` (feature `probe`): a board on a debug probe.
 //! * [`exec`]: a controller program on a pseudo-terminal.
-//! * [`serial`]: a controller on a serial port; [`baud`]: whether that is fast enough.
-//! * [`terminal`]: a pseudo-terminal for a controller that somebody else starts.
-//! * [`paced`]: virtual time links in real time.
-//! * [`faulty`]: faults of a line, on purpose, around any link.
-//! * [`session`]: handshake, configuration, samples and a safe end over any link.
+//! * [`serial`]: a controller on a serial port. [`baud`]: the lowest sufficient baud rate.
+//! * [`pty`]: a pseudo-terminal for a controller that is started by hand.
+//! * [`wall_clock`]: runs a link in virtual time by the wall clock.
+//! * [`fault_injector`]: planned line faults around any link.
+//! * [`session`]: handshake, configuration, samples and 0 V over any link.
+//! * [`crash_report`], [`target_error`]: crashes of the firmware.
 //!
-//! Everything above the bytes is the same for every rig, so that a controller in this process is talked to exactly like one behind a cable. Plate, profiles
-//! and verdicts are unknown here; time is an argument.
+//! Above the bytes all rigs are the same: a hosted controller and one on a cable see the same
+//! exchange. Plate, profiles and verdicts do not belong here. Time is an argument.
 
-mod asked;
+#[cfg(not(target_os = "linux"))]
+compile_error!("the bench needs Linux: pseudo-terminals, signals and real-time scheduling are those of Linux");
+
 pub mod baud;
+pub mod cancel;
 pub mod connect;
+pub mod crash_report;
 pub mod emulated;
 pub mod exec;
-pub mod faulty;
+pub mod fault_injector;
 pub mod hosted;
 pub mod link;
-mod lock;
-pub mod paced;
-mod port;
+mod pending_requests;
+mod port_lock;
 #[cfg(feature = "probe")]
 pub mod probe;
+pub mod pty;
 pub mod serial;
 pub mod session;
 pub mod spec;
 mod symbols;
-pub mod terminal;
+pub mod target_error;
+mod tty;
+pub mod wall_clock;
 
-pub use baud::{TooSlow, check_baud, smallest_baud};
-pub use connect::{AnyLink, ConnectError};
-pub use emulated::{Emulated, EmulatedError, TargetFault};
-pub use exec::{Exec, ExecError};
-pub use faulty::{Direction, Faulty, WireFault, WireFaultKind};
-pub use hosted::Hosted;
-pub use link::{Line, Link, LinkError};
-pub use lock::Holder;
-pub use paced::Paced;
-pub use serial::{Serial, SerialError};
-pub use session::{Heard, Reply, RigError, Session, printable_name};
+pub use baud::{BaudTooLow, check_baud, minimum_baud};
+pub use cancel::CancelToken;
+pub use connect::ConnectError;
+pub use crash_report::CrashReport;
+pub use emulated::{EmulatedError, EmulatedLink};
+pub use exec::{ExecError, ExecLink};
+pub use fault_injector::{Direction, FaultInjector, WireFault, WireFaultKind};
+pub use hosted::HostedLink;
+pub use link::{BoxedLink, Link, LinkError, RealTimeLine};
+pub use port_lock::LockHolder;
+pub use pty::PtyLink;
+pub use serial::{SerialError, SerialLink};
+pub use session::{ReceivedMessage, Reply, RigError, Session, printable_name};
 pub use spec::{RigSpec, SpecError};
-pub use symbols::Place;
-pub use terminal::Terminal;
+pub use symbols::CodeLocation;
+pub use target_error::TargetError;
+pub use wall_clock::WallClockLink;

@@ -1,112 +1,103 @@
-//! Bytes to a target and back.
+//! Defines the interface of every rig: bytes to a target and back.
 
-use crate::emulated::TargetFault;
+use crate::target_error::TargetError;
 use std::time::{Duration, Instant};
 
-/// Why bytes no longer pass.
+/// A link of any kind.
+pub type BoxedLink = Box<dyn Link>;
+
+/// Why a link no longer works.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
-    /// The other side is gone: process ended, cable pulled, port closed.
+    /// The other side is gone: process ended, cable unplugged, port closed.
     #[error("the link to the controller is lost: {0}")]
     Disconnected(String),
-    /// The firmware trapped, on an emulated board or before the eyes of a debug probe; or it fell silent or left what the emulator knows.
+    /// The firmware crashed, or the emulator cannot go on with it.
     #[error("{0}")]
-    Target(Box<TargetFault>),
+    Target(Box<TargetError>),
 }
 
-/// A line in real time. One thread sends and listens; nothing here waits for an answer by itself.
-pub trait Line: Send {
-    /// Puts `bytes` on the line and returns at once. A line that is full drops what does not fit: silence will show it.
+/// A link in real time. One thread sends and receives.
+pub trait RealTimeLine: Send {
+    /// Sends `bytes` and returns at once. Drops what a full line does not take.
     ///
     /// # Errors
-    /// [`LinkError`] where the line is dead.
+    /// [`LinkError`] if the link is lost.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 
-    /// Waits until something arrives or `until` has passed, appends it to `bytes` and returns the instant at which it was there; `None` where nothing came.
-    /// What is there already is taken even where `until` is over. Never allocates once `bytes` has room.
+    /// Waits for bytes until `until`, appends them to `bytes` and returns their instant of arrival;
+    /// `None` on time-out. Takes waiting bytes even if `until` is past. Does not allocate if `bytes`
+    /// has capacity.
     ///
     /// # Errors
-    /// [`LinkError`] where the line is dead.
+    /// [`LinkError`] if the link is lost.
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError>;
 }
 
-/// A line to a target. Instants are counted from the start of the trial.
+/// A link to a target. Instants count from the start of the trial.
 ///
-/// Faults are links around links; rigs are links at the bottom.
+/// A rig is the innermost link; the fault injector is a link around a link.
 pub trait Link: Send {
-    /// Puts `bytes` on the line at `now` and appends to `answer` what comes back, up to the end of the answer or until the link's patience, which is
-    /// bounded, is over. Returns how long the target took on its own clock, zero where the link is transparent.
+    /// Sends `bytes` at `now` and appends the answer to `answer`, up to the answer's end or the link's
+    /// time-out. Returns the delay on the target's clock; zero for a transparent link.
     ///
     /// # Errors
-    /// [`LinkError`] where the line is dead. Silence is not an error: the answer stays empty.
+    /// [`LinkError`] if the link is lost. Silence is no error: the answer stays empty.
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError>;
 
-    /// Lets the target's time pass up to `now` without bytes for it and appends what it says of its own accord.
+    /// Advances the target's time to `now` and appends the bytes that it sends meanwhile.
     ///
     /// # Errors
-    /// [`LinkError`] where the line is dead.
-    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError>;
+    /// [`LinkError`] if the link is lost.
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError>;
 
-    /// Brings the target back to its state after power-on, where the link can; the instants of the next trial count from zero again. True where it did.
+    /// Restarts the target as after power-on, and the trial's time at zero. Returns false if the link
+    /// cannot do that.
     ///
     /// # Errors
-    /// [`LinkError`] where the target does not come back.
+    /// [`LinkError`] if the target does not come back.
     fn restart(&mut self) -> Result<bool, LinkError> {
         Ok(false)
     }
 
-    /// Instructions that the target executed from the first bit of the last [`Link::exchange`] to the last bit of its answer, where the link can count them.
-    fn cost(&self) -> Option<u64> {
+    /// Instructions executed from the first bit of the last [`Link::exchange`] to the last bit of its
+    /// answer, if the link counts them.
+    fn instruction_count(&self) -> Option<u64> {
         None
     }
 
-    /// The same line in real time, where it can be used so. Between [`Link::restart`] and the next one a caller uses either this or
-    /// [`Link::exchange`] and [`Link::pass`] for samples; the handshake, the configuration and the end may be exchanged in both cases.
-    fn line(&mut self) -> Option<&mut dyn Line> {
+    /// The same link in real time, if it supports that. Within a trial, samples go either over this or
+    /// over [`Link::exchange`]; handshake, configuration and `Safe` may always use the latter.
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
         None
     }
 }
 
-impl<L: Link + ?Sized> Link for &mut L {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        (**self).exchange(now, bytes, answer)
-    }
+macro_rules! forward_link {
+    ($type:ty) => {
+        impl<L: Link + ?Sized> Link for $type {
+            fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+                (**self).exchange(now, bytes, answer)
+            }
 
-    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
-        (**self).pass(now, said)
-    }
+            fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+                (**self).advance_to(now, received)
+            }
 
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        (**self).restart()
-    }
+            fn restart(&mut self) -> Result<bool, LinkError> {
+                (**self).restart()
+            }
 
-    fn cost(&self) -> Option<u64> {
-        (**self).cost()
-    }
+            fn instruction_count(&self) -> Option<u64> {
+                (**self).instruction_count()
+            }
 
-    fn line(&mut self) -> Option<&mut dyn Line> {
-        (**self).line()
-    }
+            fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+                (**self).real_time_line()
+            }
+        }
+    };
 }
 
-impl<L: Link + ?Sized> Link for Box<L> {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        (**self).exchange(now, bytes, answer)
-    }
-
-    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
-        (**self).pass(now, said)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        (**self).restart()
-    }
-
-    fn cost(&self) -> Option<u64> {
-        (**self).cost()
-    }
-
-    fn line(&mut self) -> Option<&mut dyn Line> {
-        (**self).line()
-    }
-}
+forward_link!(&mut L);
+forward_link!(Box<L>);

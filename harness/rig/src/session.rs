@@ -1,135 +1,148 @@
-//! Handshake, configuration, samples and a safe end over any link.
+//! Runs the protocol with one controller: handshake, configuration, samples and 0 V over any link.
 
 use crate::link::{Link, LinkError};
 use platebench_wire::{
-    Command, Configure, Configured, FaultReport, FrameReader, Gains, Identity, Message, Packet, Rejection, Sample,
-    State,
+    Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
+    Rejection, Sample,
 };
 use std::time::{Duration, Instant};
 use tracing::{debug, trace, warn};
 
-/// Why a controller cannot be worked with.
+/// Why a session cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub enum RigError {
-    /// The line or what is behind it is dead.
+    /// The link is lost, or the target behind it crashed.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// The target does not answer as the protocol has it.
+    /// The target does not answer.
     #[error(
         "no {expected} from the controller; is it running, and does it speak version {} of the protocol?",
         platebench_wire::VERSION
     )]
     NoAnswer {
-        /// What should have come.
+        /// The missing message.
         expected: &'static str,
     },
-    /// The rig knows virtual time alone.
+    /// The rig knows virtual time only.
     #[error("this rig cannot be used in real time")]
-    NotLive,
-    /// The target has forgotten its configuration in the middle of a trial.
+    NoRealTime,
+    /// The target lost its configuration within a trial.
     #[error("the controller was restarted in the middle of a trial")]
     Restarted,
+    /// The target answered with a sequence number that was not sent.
+    #[error("the controller answered with a sequence number that the bench has not sent")]
+    WrongSequence,
     /// The target refused its configuration.
     #[error("the controller refused its configuration: {}", match .0 {
-        Rejection::Value => "a value that it cannot work with",
+        Rejection::Value => "a value is outside its range",
         Rejection::Law => "it does not have this law",
     })]
-    Refused(Rejection),
-    /// The target's processor trapped.
-    #[error("the controller trapped: code {}, pc {:#010x}, lr {:#010x}, cfsr {:#010x}, address {:#010x}", .0.code, .0.pc, .0.lr, .0.cfsr, .0.address)]
+    ConfigurationRejected(Rejection),
+    /// The target's processor trapped, and its firmware reported it.
+    #[error(
+        "the controller trapped: code {}, pc {:#010x}, lr {:#010x}, cfsr {:#010x}, address {:#010x}",
+        .0.code, .0.pc, .0.lr, .0.cfsr, .0.address
+    )]
     Trapped(FaultReport),
 }
 
 /// A controller's answer to a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reply {
-    /// What the plate is to be driven with.
+    /// The command for the plate.
     pub command: Command,
-    /// How long it took, as the link counts it.
+    /// Its delay on the link's clock.
     pub delay: Duration,
-    /// Instructions that the target executed for it, where the link can count them.
+    /// Instructions that the target executed for it, if the link counts them.
     pub instructions: Option<u64>,
 }
 
-/// Something that a target said in real time.
+/// A message that arrived in real time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Heard {
-    /// When its last byte was there.
-    pub at: Instant,
-    /// The number that it carries.
+pub struct ReceivedMessage {
+    /// Arrival of its last byte.
+    pub received_at: Instant,
+    /// Its sequence number.
     pub sequence: u8,
-    /// What it is.
+    /// Its content.
     pub message: Message,
 }
 
-/// Room for what arrives at once: more than a pseudo-terminal holds, so that listening never allocates.
-const ROOM: usize = 8 * 1024;
-/// A line that loses a frame now and then must not cost the confirmation of 0 V.
-const ATTEMPTS_AT_SAFE: u32 = 3;
+/// More than a pseudo-terminal holds, so that receiving never allocates.
+const RECEIVE_CAPACITY: usize = 8 * 1024;
+/// Repeats, because one lost frame must not prevent the confirmation of 0 V.
+const SAFE_ATTEMPTS: u32 = 3;
 
-/// A conversation with one controller. Dropping it drives the plate to 0 V.
+/// A session with one controller. Dropping it requests 0 V.
 #[derive(Debug)]
 pub struct Session<L: Link> {
     link: L,
-    reader: FrameReader,
+    reader: PacketReader,
     identity: Identity,
+    /// Number of the last message that was sent.
     sequence: u8,
-    /// Number of the last command that was handed over.
-    heard: u8,
-    /// A command that came beside the answer that was waited for, and has not been handed over yet.
-    said: Option<(u8, Command)>,
+    /// Number of the last command that was returned to the caller.
+    last_command_sequence: u8,
+    /// A command that arrived with the answer to something else, not yet returned to the caller.
+    pending_command: Option<(u8, Command)>,
     now: Duration,
     bytes: Vec<u8>,
-    /// How many of `bytes` were read.
-    read: usize,
-    /// When the last of `bytes` was there, where they were heard in real time.
-    arrived: Instant,
-    /// True once the controller said who it is.
-    introduced: bool,
-    /// True once 0 V has been asked for at its end.
-    closed: bool,
-    refused: u64,
-    /// By sequence number: drive (as bits, so that what is no number equals itself) and frequency that the sample of that number was answered with.
-    answers: [Option<(u32, u32)>; 256],
+    /// How many of `bytes` are decoded.
+    consumed: usize,
+    /// In real time: arrival of the last of `bytes`.
+    received_at: Instant,
+    has_identity: bool,
+    is_closed: bool,
+    rejected_frames: u64,
+    /// By sequence number: drive (as bits, because NaN differs from itself) and frequency of the answer.
+    commands_by_sequence: [Option<(u32, u32)>; 256],
     contradictions: u64,
+    second_replies: u64,
+    /// True from the confirmation of 0 V to the next message.
+    is_safe: bool,
+    drives_after_safe: u64,
+    wrong_sequences: u64,
 }
 
 impl<L: Link> Session<L> {
-    /// Asks who is there.
+    /// Asks the controller for its identity.
     ///
     /// # Errors
-    /// [`RigError`] where nobody answers as the protocol has it.
+    /// [`RigError`] if no identity arrives.
     pub fn open(link: L) -> Result<Self, RigError> {
-        let identity = Identity {
-            version: [0; 3],
-            capabilities: 0,
-            laws: 0,
-            build: [0; 8],
-            chip: 0,
-            unique: [0; 12],
-            name: [0; 16],
-        };
         let mut session = Self {
             link,
-            reader: FrameReader::new(),
-            identity,
+            reader: PacketReader::new(),
+            identity: Identity {
+                version: [0; 3],
+                capabilities: 0,
+                laws: 0,
+                build: [0; 8],
+                chip: 0,
+                unique: [0; 12],
+                name: [0; 16],
+            },
             sequence: 0,
-            heard: 0,
-            said: None,
+            last_command_sequence: 0,
+            pending_command: None,
             now: Duration::ZERO,
-            bytes: Vec::with_capacity(ROOM),
-            read: 0,
-            arrived: Instant::now(),
-            introduced: false,
-            closed: false,
-            refused: 0,
-            answers: [None; 256],
+            bytes: Vec::with_capacity(RECEIVE_CAPACITY),
+            consumed: 0,
+            received_at: Instant::now(),
+            has_identity: false,
+            is_closed: false,
+            rejected_frames: 0,
+            commands_by_sequence: [None; 256],
             contradictions: 0,
+            second_replies: 0,
+            is_safe: false,
+            drives_after_safe: 0,
+            wrong_sequences: 0,
         };
-        match session.ask(Message::Hello)? {
+        match session.request(Message::Hello)? {
             Some((Message::Identity(identity), _)) => {
                 session.identity = identity;
-                session.introduced = true;
+                session.has_identity = true;
             }
             _ => return Err(RigError::NoAnswer { expected: "identity" }),
         }
@@ -137,108 +150,114 @@ impl<L: Link> Session<L> {
         Ok(session)
     }
 
-    /// The line, for what only its kind of rig can tell.
+    /// The link.
     pub fn link(&self) -> &L {
         &self.link
     }
 
-    /// The line, for what only its kind takes.
+    /// The link, mutable.
     pub fn link_mut(&mut self) -> &mut L {
         &mut self.link
     }
 
-    /// Who is there.
+    /// The controller's identity.
     pub fn identity(&self) -> &Identity {
         &self.identity
     }
 
-    /// The firmware's name, as [`printable_name`] has it.
+    /// The firmware's name, see [`printable_name`].
     pub fn firmware_name(&self) -> String {
         printable_name(&self.identity)
     }
 
-    /// Starts a trial: time zero, 0 V, the design that `configure` asks for. A target that can be restarted is, so that no trial depends on those before it.
+    /// Starts a trial: time zero, 0 V, the design that `configure` asks for. Restarts the target if the
+    /// link can, so that no trial depends on earlier ones.
     ///
     /// # Errors
-    /// [`RigError`] where the target refuses or does not answer.
-    pub fn begin(&mut self, configure: &Configure) -> Result<Gains, RigError> {
+    /// [`RigError`] if the target refuses or does not answer.
+    pub fn start_trial(&mut self, configure: &Configure) -> Result<Gains, RigError> {
         if self.link.restart()? {
             self.sequence = 0;
-            self.reader = FrameReader::new();
+            self.reader = PacketReader::new();
             self.bytes.clear();
-            self.read = 0;
+            self.consumed = 0;
         }
-        let gains = self.configure(Duration::ZERO, configure)?;
-        self.refused = 0;
-        self.answers = [None; 256];
+        let gains = self.reconfigure(Duration::ZERO, configure)?;
+        self.rejected_frames = 0;
+        self.commands_by_sequence = [None; 256];
         self.contradictions = 0;
+        self.second_replies = 0;
+        self.drives_after_safe = 0;
+        self.wrong_sequences = 0;
         Ok(gains)
     }
 
-    /// Within a trial, at `now`: 0 V, and the design that `configure` asks for from the next sample on. Leaves the states of a controller that has stopped.
+    /// Configures the target within a trial, at `now`: 0 V, and the new design from the next sample on. A
+    /// controller that has stopped runs again.
     ///
     /// # Errors
-    /// [`RigError`] where the target refuses or does not answer.
-    pub fn configure(&mut self, now: Duration, configure: &Configure) -> Result<Gains, RigError> {
+    /// [`RigError`] if the target refuses or does not answer.
+    pub fn reconfigure(&mut self, now: Duration, configure: &Configure) -> Result<Gains, RigError> {
         self.now = now;
-        self.said = None;
-        match self.ask(Message::Configure(*configure))? {
+        self.pending_command = None;
+        match self.request(Message::Configure(*configure))? {
             Some((Message::Configured(Configured { outcome }), _)) => {
                 debug!(law = configure.law.name(), gains = ?outcome, "controller configured");
-                outcome.map_err(RigError::Refused)
+                outcome.map_err(RigError::ConfigurationRejected)
             }
             _ => Err(RigError::NoAnswer { expected: "answer to its configuration" }),
         }
     }
 
-    /// Gives the target a sample at `now`. `None` where no answer came: the last command holds.
+    /// Sends a sample at `now`. Returns `None` if no answer arrives: the last command stays in force.
     ///
     /// # Errors
-    /// [`RigError`] where the line is dead or the target trapped.
-    pub fn sample(&mut self, now: Duration, sample: &Sample) -> Result<Option<Reply>, RigError> {
+    /// [`RigError`] if the link is lost or the target trapped.
+    pub fn send_sample(&mut self, now: Duration, sample: &Sample) -> Result<Option<Reply>, RigError> {
         self.now = now;
-        match self.ask(Message::Sample(*sample))? {
+        match self.request(Message::Sample(*sample))? {
             Some((Message::Command(command), delay)) => {
                 trace!(?now, ?sample, ?command, ?delay, "control step");
-                Ok(Some(Reply { command, delay, instructions: self.link.cost() }))
+                Ok(Some(Reply { command, delay, instructions: self.link.instruction_count() }))
             }
             _ => Ok(None),
         }
     }
 
-    /// True where the last sample was answered, in time or late.
-    pub fn is_answered(&self) -> bool {
-        self.heard == self.sequence
+    /// True if the last sample has an answer, in time or late.
+    pub fn last_sample_answered(&self) -> bool {
+        self.last_command_sequence == self.sequence
     }
 
-    /// Lets time pass without a sample and returns the last command that came meanwhile or beside an answer: one that is late, or one that the target gave
-    /// of its own accord because it stopped. One that is older than what was handed over before is none.
+    /// Advances to `now` without a sample. Returns the last command that arrived since the previous call:
+    /// a late answer, or a stop of the controller. Ignores commands older than those returned before.
     ///
     /// # Errors
-    /// [`RigError`] where the line is dead or the target trapped.
-    pub fn pass(&mut self, now: Duration) -> Result<Option<Command>, RigError> {
+    /// [`RigError`] if the link is lost or the target trapped.
+    pub fn advance_to(&mut self, now: Duration) -> Result<Option<Command>, RigError> {
         self.now = now;
-        self.forget_read();
-        self.link.pass(now, &mut self.bytes)?;
-        let mut last = self.said.take();
-        let news = self.news();
-        self.read_packets(|packet| last = news.of(packet).or(last))?;
+        self.discard_consumed();
+        self.link.advance_to(now, &mut self.bytes)?;
+        let mut last = self.pending_command.take();
+        let filter = self.command_filter();
+        self.read_packets(|packet| last = filter.new_command(packet).or(last))?;
         if let Some((sequence, _)) = last {
-            self.heard = sequence;
+            self.last_command_sequence = sequence;
         }
         Ok(last.map(|(_, command)| command))
     }
 
-    /// Asks for 0 V, again where no answer comes. True where the target confirmed it.
-    pub fn safe(&mut self) -> bool {
-        for _ in 0..ATTEMPTS_AT_SAFE {
-            match self.ask(Message::Safe) {
+    /// Requests 0 V, repeatedly if no answer arrives. True if the target confirmed it.
+    pub fn request_safe_state(&mut self) -> bool {
+        for _ in 0..SAFE_ATTEMPTS {
+            match self.request(Message::Safe) {
                 Ok(Some((Message::Command(command), _))) => {
-                    return command.state == State::Safe && command.drive_vpp == 0.0;
+                    self.is_safe = command.state == ControllerState::Safe && command.drive_vpp == 0.0;
+                    return self.is_safe;
                 }
                 Ok(_) => {}
                 Err(error) => {
-                    debug!(%error, "0 V could not be asked for");
+                    debug!(%error, "the request for 0 V failed");
                     return false;
                 }
             }
@@ -246,173 +265,204 @@ impl<L: Link> Session<L> {
         false
     }
 
-    /// Ends the session and asks for 0 V, as dropping it does. True where the target confirmed it.
+    /// Requests 0 V and ends the session. True if the target confirmed 0 V.
     pub fn close(mut self) -> bool {
-        self.closed = true;
-        self.safe()
+        self.is_closed = true;
+        self.request_safe_state()
     }
 
-    /// True where [`Session::post`] and [`Session::listen`] can be used.
-    pub fn is_live(&mut self) -> bool {
-        self.link.line().is_some()
+    /// True if [`Session::send`] and [`Session::receive`] can be used.
+    pub fn supports_real_time(&mut self) -> bool {
+        self.link.real_time_line().is_some()
     }
 
-    /// Sends `message` without waiting for its answer and returns the number that it was sent under. Neither allocates nor logs.
+    /// Sends `message` in real time, without waiting for the answer; returns its sequence number. Neither
+    /// allocates nor logs.
     ///
     /// # Errors
-    /// [`RigError`] where the line is dead or knows virtual time alone.
-    pub fn post(&mut self, message: Message) -> Result<u8, RigError> {
+    /// [`RigError`] if the link is lost or knows virtual time only.
+    pub fn send(&mut self, message: Message) -> Result<u8, RigError> {
         let frame = Packet { sequence: self.sequence.wrapping_add(1), message }.encode();
-        self.link.line().ok_or(RigError::NotLive)?.send(frame.as_bytes())?;
+        self.link.real_time_line().ok_or(RigError::NoRealTime)?.send(frame.as_bytes())?;
         Ok(self.next_sequence())
     }
 
-    /// Waits for the next thing that the target says, at most until `until`; one packet a call, those that came with it are kept for the next calls.
-    /// What cannot be read is counted by [`Session::refused`]. Neither allocates nor logs.
+    /// Waits for the next message in real time, at most until `until`; one per call. Counts frames that
+    /// cannot be decoded, see [`Session::rejected_frames`]. Neither allocates nor logs.
     ///
     /// # Errors
-    /// [`RigError`] where the line is dead or knows virtual time alone, or the target trapped.
-    pub fn listen(&mut self, until: Instant) -> Result<Option<Heard>, RigError> {
-        let mut over = false;
+    /// [`RigError`] if the link is lost or knows virtual time only, or the target trapped.
+    pub fn receive(&mut self, until: Instant) -> Result<Option<ReceivedMessage>, RigError> {
+        let mut is_over = false;
         loop {
             if let Some(Packet { sequence, message }) = self.next_packet()? {
-                return Ok(Some(Heard { at: self.arrived, sequence, message }));
+                return Ok(Some(ReceivedMessage { received_at: self.received_at, sequence, message }));
             }
-            if over {
+            if is_over {
                 return Ok(None);
             }
-            self.forget_read();
-            let line = self.link.line().ok_or(RigError::NotLive)?;
+            self.discard_consumed();
+            let line = self.link.real_time_line().ok_or(RigError::NoRealTime)?;
             let Some(arrived) = line.receive(until, &mut self.bytes)? else { return Ok(None) };
-            self.arrived = arrived;
-            // A line that babbles without end does not hold anybody up.
-            over = arrived >= until;
+            self.received_at = arrived;
+            // Ends the wait although more bytes arrive without end.
+            is_over = arrived >= until;
         }
     }
 
-    /// Frames that came in and could not be read since [`Session::begin`].
-    pub fn refused(&self) -> u64 {
-        self.refused
+    /// Frames since [`Session::start_trial`] that could not be decoded.
+    pub fn rejected_frames(&self) -> u64 {
+        self.rejected_frames
     }
 
-    /// Commands since [`Session::begin`] that wanted another drive or frequency than an earlier one did in answer to the same sample. A frame that the line
-    /// doubled wants the same, and a controller that stopped takes its last command back: neither is one.
+    /// Commands since [`Session::start_trial`] whose drive or frequency differs from an earlier answer to
+    /// the same sample. A repeated frame is equal, and a controller that stops may repeat the number of
+    /// its last command; neither counts.
     pub fn contradictions(&self) -> u64 {
         self.contradictions
     }
 
-    fn note_answer(&mut self, sequence: u8, command: &Command) {
-        let Some(answer) = self.answers.get_mut(usize::from(sequence)).filter(|_| command.state == State::Running)
-        else {
-            return;
-        };
-        let wanted = (command.drive_vpp.to_bits(), command.frequency_mhz);
-        self.contradictions += u64::from(answer.replace(wanted).is_some_and(|before| before != wanted));
+    /// Replies since the start of the trial that repeat an earlier reply to the same sample.
+    pub fn second_replies(&self) -> u64 {
+        self.second_replies
     }
 
-    /// The number of the next message, which nothing has answered yet.
+    /// Commands with a drive above 0 V since the controller confirmed 0 V.
+    pub fn drives_after_safe(&self) -> u64 {
+        self.drives_after_safe
+    }
+
+    /// Replies since the start of the trial whose sequence number was not sent yet.
+    pub fn wrong_sequences(&self) -> u64 {
+        self.wrong_sequences
+    }
+
+    fn record_command(&mut self, sequence: u8, command: &Command) {
+        // A delayed reply to an earlier message has an older number.
+        if self.is_safe && sequence == self.sequence && command.drive_vpp != 0.0 {
+            self.drives_after_safe += 1;
+        }
+        if command.state != ControllerState::Running {
+            return;
+        }
+        // A number ahead of the last one that was sent; half of the range is behind it.
+        if self.sequence.wrapping_sub(sequence) > u8::MAX / 2 {
+            self.wrong_sequences += 1;
+            return;
+        }
+        let Some(answer) = self.commands_by_sequence.get_mut(usize::from(sequence)) else { return };
+        let content = (command.drive_vpp.to_bits(), command.frequency_mhz);
+        match answer.replace(content) {
+            Some(before) if before == content => self.second_replies += 1,
+            Some(_) => self.contradictions += 1,
+            None => {}
+        }
+    }
+
+    /// The number of the next message; forgets the answer to the earlier message with this number.
     fn next_sequence(&mut self) -> u8 {
         self.sequence = self.sequence.wrapping_add(1);
-        if let Some(answer) = self.answers.get_mut(usize::from(self.sequence)) {
+        self.is_safe = false;
+        if let Some(answer) = self.commands_by_sequence.get_mut(usize::from(self.sequence)) {
             *answer = None;
         }
         self.sequence
     }
 
-    /// Sends `message` and returns the answer that carries its number.
-    fn ask(&mut self, message: Message) -> Result<Option<(Message, Duration)>, RigError> {
+    /// Sends `message` and returns the answer with its number, if one arrives.
+    fn request(&mut self, message: Message) -> Result<Option<(Message, Duration)>, RigError> {
         let sequence = self.next_sequence();
-        self.forget_read();
+        self.discard_consumed();
         let frame = Packet { sequence, message }.encode();
         let delay = self.link.exchange(self.now, frame.as_bytes(), &mut self.bytes)?;
-        let (mut answer, mut said) = (None, self.said.take());
-        let news = self.news();
+        let (mut answer, mut other) = (None, self.pending_command.take());
+        let filter = self.command_filter();
         self.read_packets(|packet| {
-            if packet.sequence == sequence && !packet.message.counts_by_itself() {
+            if packet.sequence == sequence && !packet.message.is_unsolicited() {
                 answer = Some((packet.message, delay));
             } else {
-                said = news.of(packet).or(said);
+                other = filter.new_command(packet).or(other);
             }
         })?;
         if answer.is_some() {
-            self.heard = sequence;
+            self.last_command_sequence = sequence;
         } else {
-            self.said = said;
+            self.pending_command = other;
         }
         Ok(answer)
     }
 
-    fn news(&self) -> News {
-        News { sent: self.sequence, heard: self.heard }
+    fn command_filter(&self) -> CommandFilter {
+        CommandFilter { last_sent: self.sequence, last_command: self.last_command_sequence }
     }
 
-    fn read_packets(&mut self, mut take: impl FnMut(&Packet)) -> Result<(), RigError> {
-        let refused = self.refused;
+    fn read_packets(&mut self, mut handle: impl FnMut(&Packet)) -> Result<(), RigError> {
+        let before = self.rejected_frames;
         while let Some(packet) = self.next_packet()? {
-            take(&packet);
+            handle(&packet);
         }
-        if self.refused > refused {
-            warn!(frames = self.refused - refused, "frames refused");
+        if self.rejected_frames > before {
+            warn!(frames = self.rejected_frames - before, "frames from the controller rejected");
         }
         Ok(())
     }
 
-    /// The next packet among what arrived; frames that cannot be read are counted.
+    /// The next packet of the received bytes. Counts rejected frames.
     fn next_packet(&mut self) -> Result<Option<Packet>, RigError> {
-        while let Some(&byte) = self.bytes.get(self.read) {
-            self.read += 1;
-            let Some(frame) = self.reader.push(byte) else { continue };
-            match frame.ok().and_then(|body| Packet::decode(body).ok()) {
-                Some(Packet { message: Message::Fault(report), .. }) => return Err(RigError::Trapped(report)),
-                Some(packet) => {
+        while let Some(&byte) = self.bytes.get(self.consumed) {
+            self.consumed += 1;
+            match self.reader.push(byte) {
+                None => {}
+                Some(Err(_)) => self.rejected_frames += 1,
+                Some(Ok(Packet { message: Message::Fault(report), .. })) => return Err(RigError::Trapped(report)),
+                Some(Ok(packet)) => {
                     if let Message::Command(command) = &packet.message {
-                        self.note_answer(packet.sequence, command);
+                        self.record_command(packet.sequence, command);
                     }
                     return Ok(Some(packet));
                 }
-                None => self.refused += 1,
             }
         }
         Ok(None)
     }
 
-    /// Makes room; what was heard but not asked for yet stays.
-    fn forget_read(&mut self) {
-        if self.read >= self.bytes.len() {
+    fn discard_consumed(&mut self) {
+        if self.consumed >= self.bytes.len() {
             self.bytes.clear();
-            self.read = 0;
+            self.consumed = 0;
         }
     }
 }
 
-/// The firmware's name, which is printable ASCII; what is not, a terminal might take for an order, is replaced.
+/// The firmware's name in printable ASCII. Replaces other bytes, which a terminal might interpret.
 pub fn printable_name(identity: &Identity) -> String {
     let name = identity.name.split(|&byte| byte == 0).next().unwrap_or_default();
     let printable = |&byte: &u8| matches!(byte, b' '..=b'~');
     name.iter().map(|byte| if printable(byte) { char::from(*byte) } else { char::REPLACEMENT_CHARACTER }).collect()
 }
 
-/// Tells commands that are still to be heard from those that came too late to matter.
+/// Separates new commands from those that arrive too late to matter.
 #[derive(Clone, Copy)]
-struct News {
-    sent: u8,
-    heard: u8,
+struct CommandFilter {
+    last_sent: u8,
+    last_command: u8,
 }
 
-impl News {
-    /// The command of `packet`, where it answers a later message than the last command did, or takes that one back because the target stopped.
-    fn of(self, packet: &Packet) -> Option<(u8, Command)> {
+impl CommandFilter {
+    /// The command of `packet` if it answers a later message than the last command did, or if the
+    /// controller stops and repeats that number.
+    fn new_command(self, packet: &Packet) -> Option<(u8, Command)> {
         let Message::Command(command) = packet.message else { return None };
-        let [age, known] = [packet.sequence, self.heard].map(|number| self.sent.wrapping_sub(number));
-        let is_news = age < known || (age == known && command.state != State::Running);
-        is_news.then_some((packet.sequence, command))
+        let [age, known] = [packet.sequence, self.last_command].map(|number| self.last_sent.wrapping_sub(number));
+        let is_new = age < known || (age == known && command.state != ControllerState::Running);
+        is_new.then_some((packet.sequence, command))
     }
 }
 
 impl<L: Link> Drop for Session<L> {
     fn drop(&mut self) {
-        if !self.closed && !self.safe() && self.introduced {
-            warn!("0 V was not confirmed at the end of the session");
+        if !self.is_closed && !self.request_safe_state() && self.has_identity {
+            warn!("the controller did not confirm 0 V at the end of the session");
         }
     }
 }

@@ -1,17 +1,17 @@
-//! `--rig` as a user writes it.
+//! Parses `--rig`.
 
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// Which rig to use.
+/// A rig.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum RigSpec {
     /// The controller crate in this process.
     Hosted,
-    /// An ELF on an emulated STM32F4; the image that came with the bench where none is named.
+    /// An ELF on an emulated STM32F4; the image of the bench by default.
     Emulated(Option<PathBuf>),
-    /// A program on a pseudo-terminal.
+    /// A command that starts a controller program on a pseudo-terminal.
     Exec(String),
     /// A board on a serial port.
     Serial {
@@ -22,21 +22,22 @@ pub enum RigSpec {
     },
     /// A board on a debug probe.
     Probe {
-        /// `CHIP[@VID:PID[:SERIAL]]`, read by `probe::ProbeSpec`.
+        /// `CHIP[@VID:PID[:SERIAL]]`, see `probe::ProbeSpec`.
         board: String,
-        /// The firmware that it is to run; the image that came with the bench where none is named.
+        /// The firmware to flash; the image of the bench by default.
         elf: Option<PathBuf>,
-        /// Path of the board's serial port; RTT through the probe where none is named.
+        /// Path of the board's serial port; without it, RTT through the probe.
         port: Option<String>,
         /// Bits per second of that port.
         baud: Option<u32>,
     },
 }
 
-/// A rig that was not understood.
+/// `--rig` has a wrong form.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{text}`: {problem}, expected hosted, emulated[:ELF], exec:COMMAND, serial:PORT[@BAUD] or probe:CHIP[@VID:PID[:SERIAL]][,elf=ELF][,port=PORT[@BAUD]]"
+    "`{text}`: {problem}, expected hosted, emulated[:ELF], exec:COMMAND, serial:PORT[@BAUD] or \
+     probe:CHIP[@VID:PID[:SERIAL]][,elf=ELF][,port=PORT[@BAUD]]"
 )]
 pub struct SpecError {
     text: String,
@@ -47,51 +48,51 @@ impl FromStr for RigSpec {
     type Err = SpecError;
 
     fn from_str(text: &str) -> Result<Self, SpecError> {
-        let refused = |problem| SpecError { text: text.to_owned(), problem };
-        let refuse = |problem| Err(refused(problem));
+        let error = |problem| SpecError { text: text.to_owned(), problem };
+        let refuse = |problem| Err(error(problem));
         let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
         match (kind, rest) {
             ("hosted", None) => Ok(Self::Hosted),
             ("emulated", None) => Ok(Self::Emulated(None)),
-            (_, Some("")) => refuse("nothing after the colon"),
+            (_, Some("")) => refuse("nothing follows the colon"),
             ("emulated", Some(elf)) => Ok(Self::Emulated(Some(elf.into()))),
             ("exec", Some(command)) => Ok(Self::Exec(command.to_owned())),
-            ("probe", Some(rest)) => on_probe(rest).map_err(refused),
+            ("probe", Some(rest)) => parse_probe(rest).map_err(error),
             ("serial", Some(rest)) => {
-                let (port, baud) = port_and_baud(rest).map_err(refused)?;
+                let (port, baud) = parse_port(rest).map_err(error)?;
                 Ok(Self::Serial { port, baud })
             }
-            ("exec" | "serial" | "probe", None) => refuse("something is missing after the kind"),
-            ("hosted", Some(_)) => refuse("the hosted rig takes nothing"),
-            _ => refuse("unknown kind"),
+            ("exec" | "serial" | "probe", None) => refuse("the colon and what follows it are missing"),
+            ("hosted", Some(_)) => refuse("the hosted rig has no argument"),
+            _ => refuse("unknown kind of rig"),
         }
     }
 }
 
 /// `PORT[@BAUD]`.
-fn port_and_baud(text: &str) -> Result<(String, Option<u32>), &'static str> {
+fn parse_port(text: &str) -> Result<(String, Option<u32>), &'static str> {
     let (port, baud) = text.rsplit_once('@').map_or((text, None), |(port, baud)| (port, Some(baud)));
     let baud = baud.map(|baud| baud.parse().ok().filter(|&baud| baud > 0).ok_or(())).transpose();
     match baud {
         Ok(baud) if !port.is_empty() => Ok((port.to_owned(), baud)),
-        _ => Err("no port or no baud rate"),
+        _ => Err("the port or the baud rate is missing"),
     }
 }
 
-/// What stands after `probe:`. A path with a comma cannot be written.
-fn on_probe(text: &str) -> Result<RigSpec, &'static str> {
+/// Parses the part after `probe:`. A path cannot contain a comma.
+fn parse_probe(text: &str) -> Result<RigSpec, &'static str> {
     let mut parts = text.split(',');
-    let chip = parts.next().filter(|chip| !chip.is_empty()).ok_or("no chip")?;
+    let chip = parts.next().filter(|chip| !chip.is_empty()).ok_or("the chip is missing")?;
     let (mut elf, mut port, mut baud) = (None, None, None);
     for part in parts {
         match part.split_once('=') {
             Some(("elf", path)) if elf.is_none() && !path.is_empty() => elf = Some(path.into()),
             Some(("port", text)) if port.is_none() => {
-                let (path, rate) = port_and_baud(text)?;
+                let (path, rate) = parse_port(text)?;
                 (port, baud) = (Some(path), rate);
             }
-            Some(("elf" | "port", _)) => return Err("elf or port twice, or elf without a file"),
-            _ => return Err("after the comma only elf= and port= can stand"),
+            Some(("elf" | "port", _)) => return Err("elf or port appears twice, or elf names no file"),
+            _ => return Err("only elf= and port= may follow a comma"),
         }
     }
     Ok(RigSpec::Probe { board: chip.to_owned(), elf, port, baud })
@@ -121,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_kind_comes_back_as_it_was_written() {
+    fn prints_every_kind_as_it_was_parsed() {
         for text in [
             "hosted",
             "emulated",
@@ -139,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_rig_is_refused() {
+    fn rejects_a_wrong_form() {
         for text in [
             "",
             "hosted:x",

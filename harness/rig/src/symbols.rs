@@ -1,4 +1,4 @@
-//! From an address to a function and a line of an image, for whoever tells what its processor did. Read when something went wrong, not before.
+//! Finds function and source line of an address in a firmware image. Read only after a crash.
 
 use addr2line::Context;
 use gimli::{Dwarf, EndianArcSlice, RunTimeEndian, SectionId};
@@ -6,23 +6,23 @@ use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
 use std::fmt;
 use std::sync::Arc;
 
-pub(crate) type Slice = EndianArcSlice<RunTimeEndian>;
+pub(crate) type DebugSlice = EndianArcSlice<RunTimeEndian>;
 
-/// Compilers give several names to code that they found to be the same.
-const MOST_NAMES_AT_ONCE: usize = 8;
+/// Compilers merge identical functions, which then have several names.
+const MAX_ALIASES: usize = 8;
 
-/// A place in an image.
+/// A place in a firmware image.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Place {
+pub struct CodeLocation {
     /// Address of the instruction.
     pub address: u32,
-    /// Function, where the image names one there.
+    /// Its function, if the image has symbols.
     pub symbol: Option<String>,
-    /// Source file and line, where the image has them.
+    /// Source file and line, if the image has debug information.
     pub line: Option<String>,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for CodeLocation {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "{:#010x}", self.address)?;
         if let Some(symbol) = &self.symbol {
@@ -41,17 +41,15 @@ struct Function {
     name: String,
 }
 
-/// The names of an image.
+/// Symbols and debug information of an image.
 pub(crate) struct Symbols {
     functions: Vec<Function>,
     all: Vec<(String, u64)>,
-    lines: Option<Context<Slice>>,
-    #[cfg(feature = "probe")]
-    frames: Slice,
+    lines: Option<Context<DebugSlice>>,
 }
 
 impl Symbols {
-    /// What there is to read; an image without names gives addresses alone.
+    /// Reads an ELF. Without symbols, places are addresses only.
     pub(crate) fn read(elf: &[u8]) -> Self {
         let file = object::File::parse(elf).ok();
         let file = file.as_ref();
@@ -64,17 +62,15 @@ impl Symbols {
             functions: functions(&named),
             all: named.into_iter().map(|(name, symbol)| (name, symbol.address())).collect(),
             lines: Dwarf::load(load).and_then(Context::from_dwarf).ok(),
-            #[cfg(feature = "probe")]
-            frames: section(file, SectionId::DebugFrame),
         }
     }
 
-    /// Address of the symbol that the linker knows by this name.
+    /// Address of the symbol `name`.
     pub(crate) fn address(&self, name: &str) -> Option<u64> {
         self.all.iter().find(|(other, _)| other == name).map(|&(_, address)| address)
     }
 
-    /// Where panics go.
+    /// Address of the panic handler of a Rust program.
     pub(crate) fn panic_handler(&self) -> Option<u64> {
         self.functions
             .iter()
@@ -82,15 +78,7 @@ impl Symbols {
             .map(|function| function.address)
     }
 
-    /// The call frame information of a 32-bit image.
-    #[cfg(feature = "probe")]
-    pub(crate) fn frames(&self) -> gimli::DebugFrame<Slice> {
-        let mut frames = gimli::DebugFrame::from(self.frames.clone());
-        frames.set_address_size(4);
-        frames
-    }
-
-    /// True where the image has code at `address`.
+    /// True if a function of the image contains `address`.
     pub(crate) fn is_code(&self, address: u64) -> bool {
         self.function(address).is_some()
     }
@@ -98,20 +86,21 @@ impl Symbols {
     fn function(&self, address: u64) -> Option<&Function> {
         let until = self.functions.partition_point(|function| function.address <= address);
         let before = self.functions.get(..until)?.iter().rev();
-        before.take(MOST_NAMES_AT_ONCE).find(|function| address < function.end)
+        before.take(MAX_ALIASES).find(|function| address < function.end)
     }
 
-    /// What stands at `address`: the function that was called, then what the compiler put into it, innermost last.
-    pub(crate) fn place(&self, address: u32) -> Place {
+    /// Function and line at `address`; names the innermost inlined function, too.
+    pub(crate) fn locate(&self, address: u32) -> CodeLocation {
         let at = u64::from(address);
         let mut symbol = self.function(at).map(|function| function.name.clone());
         let mut line = None;
-        // What the linker left out stays in the line table at address zero: where functions are known, a line outside of all of them is none.
+        // Functions that the linker removed stay in the line table at address 0: outside of all known
+        // functions, a line is not valid.
         let lines = self.lines.as_ref().filter(|_| symbol.is_some() || self.functions.is_empty());
         let mut frames = lines.and_then(|lines| lines.find_frames(at).skip_all_loads().ok());
         let mut inlined = Vec::new();
         while let Some(Ok(Some(frame))) = frames.as_mut().map(addr2line::FrameIter::next) {
-            // The innermost line that is not the compiler's own library: that is where the reader can do something.
+            // The innermost line outside the standard library: the reader's own code.
             if let Some(location) = frame.location
                 && line.as_ref().is_none_or(|(own, _)| !own)
                 && let (Some(file), Some(number)) = (location.file, location.line)
@@ -124,7 +113,7 @@ impl Symbols {
             if let Some(function) = &frame.function
                 && let Ok(name) = function.demangle()
             {
-                inlined.push(without_hash(&name));
+                inlined.push(strip_hash(&name));
             }
         }
         // The outermost frame is the function itself.
@@ -133,26 +122,26 @@ impl Symbols {
         {
             *symbol = format!("{innermost} inlined into {symbol}");
         }
-        Place { address, symbol, line: line.map(|(_, line)| line) }
+        CodeLocation { address, symbol, line: line.map(|(_, line)| line) }
     }
 }
 
-/// Functions by address. One without a size, as assemblers leave it, reaches up to the next one.
+/// Functions by address. One without a size, as from assemblers, ends at the next one.
 fn functions(named: &[(String, object::Symbol<'_, '_>)]) -> Vec<Function> {
     let defined = named.iter().filter(|(_, symbol)| symbol.kind() == SymbolKind::Text && symbol.is_definition());
     let function = |(name, symbol): &(String, object::Symbol<'_, '_>)| {
-        // Symbols of Thumb functions carry a one in bit 0, code addresses do not.
+        // Bit 0 of a Thumb symbol is set.
         let address = symbol.address() & !1;
         Function { address, end: address + symbol.size(), name: format!("{:#}", rustc_demangle::demangle(name)) }
     };
     let mut functions: Vec<_> = defined.map(function).collect();
     functions.sort_by(|a, b| (a.address, a.end, &a.name).cmp(&(b.address, b.end, &b.name)));
-    reach_up(&mut functions);
+    fill_missing_ends(&mut functions);
     functions
 }
 
-/// Gives an end to those of `functions`, which are in order, that have none.
-fn reach_up(functions: &mut [Function]) {
+/// Ends functions without a size. `functions` is sorted.
+fn fill_missing_ends(functions: &mut [Function]) {
     let mut next = None;
     let mut same = None;
     for function in functions.iter_mut().rev() {
@@ -166,12 +155,12 @@ fn reach_up(functions: &mut [Function]) {
     }
 }
 
-fn section(file: Option<&object::File<'_>>, id: SectionId) -> Slice {
+fn section(file: Option<&object::File<'_>>, id: SectionId) -> DebugSlice {
     let data = file.and_then(|file| file.section_by_name(id.name())?.uncompressed_data().ok()).unwrap_or_default();
     EndianArcSlice::new(Arc::from(&*data), RunTimeEndian::Little)
 }
 
-fn without_hash(name: &str) -> String {
+fn strip_hash(name: &str) -> String {
     match name.rsplit_once("::h") {
         Some((front, hash)) if hash.len() == 16 && hash.bytes().all(|byte| byte.is_ascii_hexdigit()) => {
             front.to_owned()
@@ -185,38 +174,38 @@ mod tests {
     use super::*;
 
     #[inline(never)]
-    fn a_function_that_symbols_know() -> u32 {
+    fn known_function() -> u32 {
         std::hint::black_box(std::process::id())
     }
 
-    fn of_this_program() -> Symbols {
+    fn own_symbols() -> Symbols {
         Symbols::read(&std::fs::read(std::env::current_exe().unwrap()).unwrap())
     }
 
     #[test]
-    fn a_function_has_its_name_and_its_line() {
-        let symbols = of_this_program();
-        assert!(a_function_that_symbols_know() > 0);
-        let is_it = |function: &&Function| function.name.ends_with("tests::a_function_that_symbols_know");
-        let known = symbols.functions.iter().find(is_it).unwrap();
-        let place = symbols.place(known.address as u32);
-        assert!(place.symbol.as_ref().unwrap().ends_with("tests::a_function_that_symbols_know"), "{place}");
+    fn locates_name_and_line_of_a_function() {
+        let symbols = own_symbols();
+        assert!(known_function() > 0);
+        let is_known = |function: &&Function| function.name.ends_with("tests::known_function");
+        let known = symbols.functions.iter().find(is_known).unwrap();
+        let place = symbols.locate(known.address as u32);
+        assert!(place.symbol.as_ref().unwrap().ends_with("tests::known_function"), "{place}");
         assert!(place.line.as_ref().unwrap().contains("symbols.rs:"), "{place}");
-        assert_eq!(symbols.place((known.end - 1) as u32).symbol, place.symbol);
-        assert_ne!(symbols.place(known.end as u32).symbol, place.symbol);
+        assert_eq!(symbols.locate((known.end - 1) as u32).symbol, place.symbol);
+        assert_ne!(symbols.locate(known.end as u32).symbol, place.symbol);
     }
 
     #[test]
-    fn a_function_without_a_size_reaches_up_to_the_next_address() {
+    fn ends_a_function_without_a_size_at_the_next() {
         let function = |(address, end)| Function { address, end, name: String::new() };
         let mut functions: Vec<_> = [(16, 16), (16, 24), (32, 32), (48, 48)].into_iter().map(function).collect();
-        reach_up(&mut functions);
+        fill_missing_ends(&mut functions);
         assert_eq!(functions.iter().map(|function| function.end).collect::<Vec<_>>(), [32, 24, 48, 50]);
     }
 
     #[test]
-    fn what_no_function_holds_is_an_address_alone() {
-        assert_eq!(of_this_program().place(1).to_string(), "0x00000001");
-        assert_eq!(Symbols::read(b"no ELF").place(0x0800_0200).to_string(), "0x08000200");
+    fn locates_other_addresses_without_a_name() {
+        assert_eq!(own_symbols().locate(1).to_string(), "0x00000001");
+        assert_eq!(Symbols::read(b"no ELF").locate(0x0800_0200).to_string(), "0x08000200");
     }
 }

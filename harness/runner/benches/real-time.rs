@@ -9,12 +9,12 @@ mod real_time {
     pub(crate) mod table;
 }
 
-use platebench_rig::{AnyLink, Exec, Faulty, Session};
-use platebench_runner::real_time::{Pace, Pacing, play};
-use platebench_runner::trial::{Order, Patience};
+use platebench_record::TimingRecord;
+use platebench_rig::{BoxedLink, CancelToken, ExecLink, FaultInjector, Session};
+use platebench_runner::real_time::{Pacing, TimeBase, play};
+use platebench_runner::trial::TrialSpec;
 use platebench_scenario::{Scenario, load};
 use platebench_trace::Flags;
-use platebench_verdict::record::Timing;
 use platebench_wire::LawId;
 use real_time::{exchange, limits, table};
 use std::error::Error;
@@ -51,19 +51,19 @@ fn measure() -> Result<(), Box<dyn Error>> {
         load.split(' ').take(3).collect::<Vec<_>>().join(" ")
     );
 
-    let sleep = limits::sleeping(LENGTH, false)?.ok_or("not scheduled as usual")?;
-    let preferred = limits::sleeping(LENGTH, true)?;
+    let sleep = limits::measure_sleep(LENGTH, false)?.ok_or("not scheduled as usual")?;
+    let preferred = limits::measure_sleep(LENGTH, true)?;
     let mut references = vec![table::Reference::new("`clock_nanosleep`, absolute, SCHED_OTHER: lateness", sleep)];
     references.extend(
         preferred.map(|slept| table::Reference::new("`clock_nanosleep`, absolute, SCHED_FIFO: lateness", slept)),
     );
-    references.extend(limits::cyclictest(LENGTH)?);
-    let echo = limits::echoing(LENGTH)?;
+    references.extend(limits::run_cyclictest(LENGTH)?);
+    let echo = limits::measure_echo(LENGTH)?;
     references.push(table::Reference::new("echo over a pseudo-terminal: there and back", echo));
     table::references(&references);
 
-    let own = exchange::blocking(LENGTH)?;
-    let other = exchange::tokio(LENGTH)?;
+    let own = exchange::measure_blocking(LENGTH)?;
+    let other = exchange::measure_tokio(LENGTH)?;
     table::exchanges(&[("blocking thread", &own), ("tokio-serial", &other)], sleep, echo);
 
     let mut loops = Vec::new();
@@ -75,35 +75,27 @@ fn measure() -> Result<(), Box<dyn Error>> {
 }
 
 /// The command that starts this program as the other side of a line.
-fn other_side(option: &str) -> Result<String, Box<dyn Error>> {
+fn controller_command(option: &str) -> Result<String, Box<dyn Error>> {
     let program = std::env::current_exe()?;
     Ok(format!("'{}' {option}{{port}}", program.display()))
 }
 
 /// A trial of the paper's step over a pseudo-terminal to the host controller.
-fn play_at(period_us: u32) -> Result<Timing, Box<dyn Error>> {
+fn play_at(period_us: u32) -> Result<TimingRecord, Box<dyn Error>> {
     let scenario = scenario(period_us)?;
-    let order = Order { scenario: &scenario, law: LawId::DqPi, index: 0, wire_time: false, own_clock: true };
-    let link: AnyLink = Box::new(Exec::start(&other_side("")?)?);
-    let mut session = Session::open(Faulty::new(link))?;
-    let pace = Pace { time_scale: 1.0, pacing: Pacing::Bench };
-    let played = play(&mut session, &order, pace, &Patient).ok_or("given up")?;
-    if let Some(error) = played.lost {
+    let order = TrialSpec { scenario: &scenario, law: LawId::DqPi, index: 0, wire_time: false, own_clock: true };
+    let link: BoxedLink = Box::new(ExecLink::start(&controller_command("")?)?);
+    let mut session = Session::open(FaultInjector::new(link))?;
+    let pace = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
+    let played = play(&mut session, &order, pace, &CancelToken::never(), None).ok_or("given up")?;
+    if let Some(error) = played.link_error {
         return Err(error.into());
     }
-    let safe = played.rows.iter().filter(|row| row.t_s > 0.01 && row.flags.contains(Flags::SAFE)).count();
+    let safe = played.trace_rows.iter().filter(|row| row.t_s > 0.01 && row.flags.contains(Flags::SAFE)).count();
     if safe > 0 {
         println!("at {period_us} µs the controller stopped: {}\n", played.telemetry.stopped.unwrap_or_default());
     }
     played.telemetry.timing.ok_or_else(|| "no timing".into())
-}
-
-struct Patient;
-
-impl Patience for Patient {
-    fn is_over(&self) -> bool {
-        false
-    }
 }
 
 /// The paper's step with another period and as long as a measurement.

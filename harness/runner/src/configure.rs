@@ -1,23 +1,23 @@
-//! A scenario's controller in the words of the wire.
+//! Translates a scenario's controller into the wire's configuration.
 
 use platebench_plate::Time;
 use platebench_scenario::{Diagnostic, Scenario, suggestion};
 use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};
 
-/// The law that a scenario asks for.
+/// The scenario's law.
 ///
 /// # Errors
-/// A [`Diagnostic`] at the law's name where there is no such law.
+/// A [`Diagnostic`] at the law's name if no law has this name.
 pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
     let name = &scenario.controller.law;
     LawId::from_name(name).ok_or_else(|| {
         let known = LawId::ALL.map(|law| format!("`{}`", law.name())).join(", ");
         let hint = suggestion(name, LawId::ALL.map(LawId::name));
-        scenario.diagnose("controller.law", format!("unknown law `{name}`, expected one of {known}{hint}"))
+        scenario.diagnostic("controller.law", format!("unknown law `{name}`, expected one of {known}{hint}"))
     })
 }
 
-/// What the controller is told before a trial: the nominal plate, never the one that the trial drew.
+/// The controller's configuration for a trial: the nominal plate, not the trial's variation of it.
 pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
     let controller = &scenario.controller;
     let plate = &scenario.plate;
@@ -25,7 +25,7 @@ pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
         law,
         paced_by_target: false,
         drives_own_plate: false,
-        patience_ms: 0,
+        watchdog_timeout_ms: 0,
         period_us: controller.period.wrapping_micros(),
         loop_delay_us: controller.design_delay.wrapping_micros(),
         start_frequency_mhz: start_frequency_mhz(scenario),
@@ -44,21 +44,17 @@ pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
     }
 }
 
-/// Nothing where the controller can be told all that `scenario` tells it.
-///
-/// # Errors
-/// A [`Diagnostic`] at the loop delay where a controller that does not know this part of the protocol is to be told one.
-pub(crate) fn can_be_told(scenario: &Scenario, identity: &Identity) -> Result<(), Diagnostic> {
-    if scenario.controller.design_delay == Time::ZERO || identity.can(capabilities::TOLD_DELAY) {
-        return Ok(());
+/// What `scenario` needs and `identity` does not announce; `None` if the controller can play it.
+pub(crate) fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {
+    if !identity.has_law(law) {
+        return Some(format!("the controller does not announce the law {}", law.name()));
     }
-    Err(scenario.diagnose(
-        "controller.design_delay_ms",
-        "the controller does not say that it can be told a loop delay, expected 0 or no such key",
-    ))
+    let needs_delay = scenario.controller.design_delay != Time::ZERO;
+    (needs_delay && !identity.has_capability(capabilities::LOOP_DELAY))
+        .then(|| "the controller does not announce that it accepts a loop delay (design_delay_ms)".to_owned())
 }
 
-/// The excitation frequency at the start, to the millihertz that the wire carries.
+/// The excitation frequency at the start, mHz, as the wire carries it.
 pub(crate) fn start_frequency_mhz(scenario: &Scenario) -> u32 {
     (scenario.controller.start_frequency_hz * 1e3).round() as u32
 }
@@ -70,27 +66,30 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn only_a_controller_that_can_be_told_a_delay_is_told_one() {
+    fn names_the_law_or_capability_that_is_missing() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
         let mut scenario = load(&path, "fig13.toml").unwrap_or_else(|fault| panic!("{fault}"));
-        let identity = |capabilities| Identity {
+        let identity = |capabilities, laws| Identity {
             version: [0; 3],
             capabilities,
-            laws: u32::MAX,
+            laws,
             build: [0; 8],
             chip: 0,
             unique: [0; 12],
             name: [0; 16],
         };
-        assert_eq!(configure(&scenario, LawId::DqPi).loop_delay_us, 0);
-        can_be_told(&scenario, &identity(0)).unwrap();
-        // What acts on the plate is not what the law is told.
+        let missing = |scenario: &Scenario, identity| missing_capability(scenario, LawId::DqPi, &identity);
+        assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);
+        let reason = missing(&scenario, identity(0, 1 << LawId::OpenLoop as u8)).unwrap();
+        assert!(reason.contains("the law dq-pi"), "{reason}");
+        // The delay that acts on the plate is not the delay that the law is designed for.
         scenario.controller.loop_delay = Time::from_nanos(700_000);
         assert_eq!(configure(&scenario, LawId::DqPi).loop_delay_us, 0);
+        assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);
         scenario.controller.design_delay = Time::from_nanos(400_000);
         assert_eq!(configure(&scenario, LawId::DqPi).loop_delay_us, 400);
-        can_be_told(&scenario, &identity(capabilities::TOLD_DELAY)).unwrap();
-        let fault = can_be_told(&scenario, &identity(!capabilities::TOLD_DELAY)).unwrap_err();
-        assert!(fault.message.contains("can be told a loop delay"), "{fault}");
+        assert_eq!(missing(&scenario, identity(capabilities::LOOP_DELAY, u32::MAX)), None);
+        let reason = missing(&scenario, identity(!capabilities::LOOP_DELAY, u32::MAX)).unwrap();
+        assert!(reason.contains("design_delay_ms"), "{reason}");
     }
 }

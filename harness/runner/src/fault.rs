@@ -1,11 +1,11 @@
-//! A scenario's faults in the words of the rig.
+//! Translates a scenario's faults into the rig's.
 
 use platebench_plate::Time;
 use platebench_rig::{Direction as Way, WireFault, WireFaultKind};
 use platebench_scenario::{Direction, Fault, FaultKind, Scenario};
 use std::time::Duration;
 
-/// The faults of the trial with number `index`.
+/// The faults of trial `index`.
 pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
     let seed = scenario.variation(index).seed;
     scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
@@ -37,10 +37,10 @@ fn wire_fault(fault: &Fault, seed: u64) -> WireFault {
     }
 }
 
-/// True where a fault that stopped the controller at `stopped` is over by `now`, and its scenario wants it configured anew.
-pub(crate) fn reconfigures(scenario: &Scenario, stopped: Time, now: Time) -> bool {
+/// True if a fault that stopped the controller at `stopped` is over by `now` and requests a new configuration.
+pub(crate) fn needs_reconfiguration(scenario: &Scenario, stopped: Time, now: Time) -> bool {
     let period = scenario.controller.period;
     scenario.faults.iter().any(|fault| {
-        fault.reconfigure && fault.explains(stopped, period) && fault.until.is_some_and(|until| until <= now)
+        fault.reconfigure && fault.can_explain(stopped, period) && fault.until.is_some_and(|until| until <= now)
     })
 }

@@ -1,51 +1,46 @@
-//! Playing scenarios to a controller.
+//! Plays scenarios to a controller.
 //!
-//! * [`trial`]: one trial in lockstep: plate state → sample → controller → drive → plate → row.
-//! * [`real_time`]: the same with a clock that does not wait.
-//! * [`real_plate`]: the same on a plate that the controller drives itself.
-//! * [`plan`]: what is to be played, how time passes, and how it is ended early.
-//! * [`mod@run`]: all trials of all scenarios, over several workers, in an order that no result depends on.
-//! * `worker`: one of them, with a link to a controller of its own.
-//! * [`folder`]: the run folder: inputs, traces, record.
-//! * [`mod@rejudge`]: a stored run, judged again without a rig.
-//! * `trend`: what a control step costs, beside earlier runs.
-//! * [`fidelity`]: how far each tier of the plate is from the exact one, measured.
-//! * [`event`]: what a run says while it goes on.
-//! * [`mod@watch`]: whoever looks on meanwhile.
+//! * [`plan`]: describes a run and its errors.
+//! * [`mod@run`]: plays all trials of all scenarios on several workers; `worker`: one of them.
+//! * [`trial`]: one trial in lockstep; [`real_time`]: one in real time; [`real_plate`]: one on a real plate.
+//! * `plant_simulation`, `controller_log`, `command_checks`: what the first two share.
+//! * [`live_tap`]: rows for a live view; [`operator`]: the person who is asked.
+//! * [`mod@rejudge`]: judges a stored run without a rig.
+//! * `delay_attribution`: excuses what the rig's loop delay makes impossible.
+//! * `trend`: compares the cost of control steps with earlier runs; [`fidelity`]: measures the error of plate models.
 //!
-//! What is shown of a run belongs to `platebench-report`; exit codes belong to the command line.
+//! Reports belong to `platebench-report`, exit codes to the command line.
 
-mod accounting;
+mod abort;
+mod command_checks;
 mod configure;
-mod end;
-pub mod event;
+mod controller_log;
+mod delay_attribution;
 mod fault;
 pub mod fidelity;
-pub mod folder;
-mod measured;
-mod observed;
+pub mod live_tap;
+pub mod operator;
 pub mod plan;
-mod queue;
+mod plant_simulation;
 pub mod real_plate;
 pub mod real_time;
 pub mod rejudge;
+mod row_queue;
 pub mod run;
 mod scheduling;
-mod stage;
+mod timing_stats;
 mod trend;
 pub mod trial;
-pub mod watch;
 mod worker;
 
-pub use configure::configure;
-pub use configure::law;
-pub use event::Event;
-pub use folder::{FolderError, RunFolder};
-pub use plan::{Cancel, Clock, Company, Plan, RunError};
-pub use real_plate::{Answer, Nobody, Person};
-pub use real_time::{Hand, Pace, Pacing};
+pub use configure::{configure, law};
+pub use live_tap::{LiveTap, TapReader};
+pub use operator::{Answer, NoOperator, Operator, Question, QuestionKind};
+pub use plan::{Clock, RunError, RunHooks, RunPlan};
+pub use plant_simulation::ManualInputs;
+pub use platebench_record::Event;
+pub use platebench_rig::CancelToken;
+pub use real_time::{ManualControl, Pacing, TimeBase};
 pub use rejudge::{RejudgeError, rejudge};
-pub use run::{run, run_in_company};
-pub use stage::Held;
+pub use run::run;
 pub use trend::inputs_digest;
-pub use watch::{Viewer, Watch};

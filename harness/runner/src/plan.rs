@@ -1,30 +1,26 @@
-//! What is to be played, how time passes, who looks on, how it is ended early and why it may end without a record.
+//! Describes a run: scenarios, clock, hooks and the errors that end it.
 
-use crate::folder::FolderError;
-use crate::real_plate::Person;
-use crate::real_time::Pace;
-use crate::trial::Patience;
-use crate::watch::Watch;
-use platebench_rig::{AnyLink, ConnectError, RigError};
+use crate::live_tap::LiveTap;
+use crate::operator::{NoOperator, Operator};
+use crate::real_time::TimeBase;
+use platebench_record::{ClockKind, Event, FolderError, Overrides};
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, RigError, RigSpec};
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::TraceError;
-use platebench_verdict::record::Overrides;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Makes a new link to a controller; called once per worker, and again where a controller was lost.
-pub type Connect<'a> = dyn Fn() -> Result<AnyLink, ConnectError> + Send + Sync + 'a;
+/// Connects to a controller: once per worker, and again after a controller was lost.
+pub type LinkFactory<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync + 'a;
 
-/// What is to be done.
+/// A run to play.
 #[derive(Debug, Clone)]
-pub struct Plan {
-    /// What is played, with the overrides already applied.
+pub struct RunPlan {
+    /// The scenarios, with the overrides applied.
     pub scenarios: Vec<Scenario>,
     /// How many trials may run at once.
     pub jobs: usize,
     /// How time passes for the plate.
     pub clock: Clock,
-    /// True where the controller has a clock of its own, which does not wait for the plate's.
+    /// True if the controller's clock runs while the plate waits.
     pub own_clock: bool,
     /// The rig as named on the command line.
     pub rig: String,
@@ -35,95 +31,98 @@ pub struct Plan {
 /// How time passes for the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Clock {
-    /// It waits while a sample travels and the controller computes.
+    /// The plate waits while a sample travels and the controller computes.
     Lockstep {
-        /// True where the time that the rig takes acts on the plate as loop delay.
+        /// True if the rig's wire and computing time acts as loop delay.
         wire_time: bool,
     },
-    /// It does not wait.
-    RealTime(Pace),
-    /// There is no plate here: the controller drives a real one, by its own clock.
-    OwnPlate,
+    /// The plate follows the wall clock.
+    RealTime(TimeBase),
+    /// The controller drives a real plate by its own clock.
+    RealPlate,
 }
 
 impl Clock {
-    /// The name in records.
-    pub const fn name(self) -> &'static str {
+    /// Its kind, for records.
+    pub const fn kind(self) -> ClockKind {
         match self {
-            Self::Lockstep { .. } => "lockstep",
-            Self::RealTime(_) => "real-time",
-            Self::OwnPlate => "real-plate",
+            Self::Lockstep { .. } => ClockKind::Lockstep,
+            Self::RealTime(_) => ClockKind::RealTime,
+            Self::RealPlate => ClockKind::RealPlate,
+        }
+    }
+
+    /// Connects to a controller on `rig` for this clock.
+    ///
+    /// # Errors
+    /// [`ConnectError`].
+    pub fn connect(self, rig: &RigSpec) -> Result<BoxedLink, ConnectError> {
+        match self {
+            Self::Lockstep { .. } => rig.connect(),
+            Self::RealTime(_) | Self::RealPlate => rig.connect_real_time(),
         }
     }
 }
 
-/// A switch that ends a run early, from any thread.
-#[derive(Debug, Clone, Default)]
-pub struct Cancel(Arc<AtomicBool>);
-
-impl Cancel {
-    /// Ends the run: trials that go on are driven to 0 V and given up.
-    pub fn cancel(&self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-
-    /// True once the run is to end.
-    pub fn is_cancelled(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
-}
-
-impl Patience for Cancel {
-    fn is_over(&self) -> bool {
-        self.is_cancelled()
-    }
-}
-
-/// Why there is no record.
+/// Why a run has no record.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// A scenario asks for what the controller does not have.
+    /// A scenario requires what the controller does not have.
     #[error("{0}")]
     Scenario(Box<Diagnostic>),
-    /// There is no line to a controller.
+    /// The rig could not be opened.
     #[error(transparent)]
     Connect(#[from] ConnectError),
     /// The controller does not answer.
     #[error(transparent)]
     Rig(#[from] RigError),
-    /// The record names one controller.
+    /// Another controller answered during the run.
     #[error("{found} answers now, the run began with {expected}: expected the same controller until its end")]
-    OtherController {
-        /// Who answers.
+    DifferentController {
+        /// The controller that answered.
         found: String,
-        /// Who is in the record.
+        /// The controller in the record.
         expected: String,
     },
-    /// The controller has no timer of its own to pace the plate by.
-    #[error("{0} does not say that it can pace itself, expected --pacing bench")]
-    NoPace(String),
-    /// The controller has no plate of its own.
-    #[error("{0} does not say that it drives a plate of its own, expected --plate-mode emulated")]
-    NoPlate(String),
+    /// The controller does not announce target pacing.
+    #[error("{0} does not announce that it can pace itself, expected --pacing bench")]
+    NoTargetPacing(String),
+    /// The controller does not announce its own plate.
+    #[error("{0} does not announce that it drives its own plate, expected --plate-mode emulated")]
+    NoRealPlate(String),
     /// The run folder cannot be written.
     #[error(transparent)]
     Folder(#[from] FolderError),
     /// A trace cannot be written.
     #[error(transparent)]
     Trace(#[from] TraceError),
-    /// The run was ended early; what was whole by then is in the run folder.
-    #[error("the run was ended early")]
+    /// The run was cancelled. Its folder holds the trials that were complete.
+    #[error("the run was cancelled")]
     Cancelled,
-    /// A fault of the bench itself.
-    #[error("the bench has a fault of its own, please report it: {0}")]
-    Bench(String),
+    /// A defect of the bench.
+    #[error("the bench has a defect, please report it: {0}")]
+    Internal(String),
 }
 
-/// Who is there while a run goes on.
-#[derive(Clone, Copy)]
-pub struct Company<'a> {
-    /// Somebody at the plate, where that is a real one.
-    pub person: &'a dyn Person,
-    /// Somebody who looks on: of trials that go on at once at one of them.
-    pub watch: &'a Watch,
+/// What accompanies a run. The default is an operator who is absent, no live view and no events.
+pub struct RunHooks<'a> {
+    /// Ends the run early.
+    pub cancel: CancelToken,
+    /// The person at a real plate.
+    pub operator: &'a dyn Operator,
+    /// Receives the rows of one trial at a time.
+    pub live_tap: LiveTap,
+    /// Receives every event.
+    pub on_event: Box<dyn FnMut(Event) + 'a>,
+}
+
+impl Default for RunHooks<'_> {
+    fn default() -> Self {
+        Self {
+            cancel: CancelToken::never(),
+            operator: &NoOperator,
+            live_tap: LiveTap::default(),
+            on_event: Box::new(|_| {}),
+        }
+    }
 }

@@ -1,169 +1,174 @@
-//! One trial on a real plate: no emulator in the loop. The controller drives its own plate by its own sensor and timer; the bench sends setpoints, asks a person for what
-//! surrounds the plate, and writes down what the controller tells.
-//!
-//! `conversation` is what the bench says and hears, `rows` makes a trace of it, `cues` are the words for the person, `person` is who does it.
+//! Plays one trial on a real plate: the controller drives its own plate by its own sensor and timer. The bench sends
+//! setpoints, asks the operator to prepare the plate, and records the controller's telemetry.
 
-mod conversation;
-mod cues;
-mod person;
-mod rows;
+mod prompts;
+mod telemetry_loop;
+mod telemetry_rows;
 
-pub use person::{Answer, Nobody, Person};
-
-use crate::end::End;
-use crate::queue::Queue;
-use crate::trial::{Order, Patience, Played};
-use conversation::{Conversation, Heard};
-use cues::Cues;
+use crate::abort::TrialAbort;
+use crate::operator::{Answer, Operator, Question, QuestionKind};
+use crate::row_queue::RowQueue;
+use crate::trial::{TrialResult, TrialSpec};
 use platebench_plate::Time;
-use platebench_rig::{Faulty, Link, RigError, Session};
+use platebench_record::{OperatorRequest, RealPlateRecord, Telemetry};
+use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
 use platebench_scenario::Scenario;
 use platebench_trace::Row;
-use platebench_verdict::Telemetry;
-use platebench_verdict::real_plate::{impossible, moves, needs_person};
-use platebench_verdict::record::{Asked, RealPlate};
+use platebench_verdict::real_plate::{needs_operator, operator_exclusion, scene_changes};
+use prompts::Prompts;
 use rtrb::Consumer;
 use std::panic::resume_unwind;
 use std::thread;
 use std::time::{Duration, Instant};
+use telemetry_loop::{TelemetryLoop, TelemetryLoopResult};
 
-/// Seconds that are counted down before a trial that somebody holds a finger on the plate for.
+/// Countdown before a trial that needs an operator, s.
 const COUNTDOWN_S: u32 = 3;
-/// Between two looks at what was told.
-const NAP: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Plays a trial. `None` where it was given up.
+/// Plays a trial. `None` if it was cancelled.
 ///
 /// # Errors
-/// [`RigError`] where the controller is gone before it told anything.
+/// [`RigError`] if the controller was lost before its first telemetry.
 pub(crate) fn play<L: Link>(
-    session: &mut Session<Faulty<L>>,
-    order: &Order<'_>,
-    person: &dyn Person,
-    patience: &(impl Patience + Sync),
-) -> Result<Option<Played>, RigError> {
-    let scenario = order.scenario;
-    let Some(prepared) = prepare(scenario, person, patience) else { return Ok(None) };
-    // Faults of the line are not for a plate that can break.
-    session.link_mut().arm(&[]);
-    let (queue, consumer) = Queue::new();
-    let (rows, heard) = thread::scope(|scope| {
-        let talking = scope.spawn(|| Conversation::new(session, order, queue).hold(patience));
-        let rows = follow(consumer, scenario, &prepared, person);
-        match talking.join() {
-            Ok(heard) => (rows, heard),
+    session: &mut Session<FaultInjector<L>>,
+    spec: &TrialSpec<'_>,
+    operator: &dyn Operator,
+    cancel: &CancelToken,
+) -> Result<Option<TrialResult>, RigError> {
+    let scenario = spec.scenario;
+    let Some(preparation) = prepare_plate(scenario, operator, cancel) else { return Ok(None) };
+    // A real plate can break, so no faults.
+    session.link_mut().set_faults(&[]);
+    let (queue, consumer) = RowQueue::new();
+    let (trace_rows, result) = thread::scope(|scope| {
+        let telemetry_loop = scope.spawn(|| TelemetryLoop::new(session, spec, queue).run(cancel));
+        let rows = collect_and_prompt(consumer, scenario, &preparation, operator);
+        match telemetry_loop.join() {
+            Ok(result) => (rows, result),
             Err(panic) => resume_unwind(panic),
         }
     });
-    let Heard { ended, stopped, real_plate } = heard;
-    let lost = match ended {
-        Some(End::GivenUp) => return Ok(None),
-        Some(End::Lost(error)) if rows.is_empty() => return Err(error),
-        Some(End::Lost(error)) => Some(error),
+    let TelemetryLoopResult { abort, stop_reason, real_plate } = result;
+    let link_error = match abort {
+        Some(TrialAbort::Cancelled) => return Ok(None),
+        Some(TrialAbort::Lost(error)) if trace_rows.is_empty() => return Err(error),
+        Some(TrialAbort::Lost(error)) => Some(error),
         None => None,
     };
-    let Some(prepared) = confirm(scenario, prepared, person, patience, &real_plate) else { return Ok(None) };
-    let real_plate = RealPlate { asked: prepared.asked, undone: prepared.undone, ..real_plate };
+    let Some(preparation) = confirm_actions(scenario, preparation, operator, cancel, &real_plate) else {
+        return Ok(None);
+    };
+    let real_plate = RealPlateRecord { asked: preparation.requests, undone: preparation.not_done, ..real_plate };
     let telemetry = Telemetry {
-        ended: lost.as_ref().map(ToString::to_string),
-        stopped: stopped.map(str::to_owned),
+        ended: link_error.as_ref().map(ToString::to_string),
+        stopped: stop_reason.map(str::to_owned),
         real_plate: Some(real_plate),
         ..Telemetry::default()
     };
-    Ok(Some(Played { rows, telemetry, lost }))
+    Ok(Some(TrialResult { trace_rows, telemetry, link_error }))
 }
 
-/// What a person did before a trial.
+/// What the operator was asked to do at the plate.
 #[derive(Default)]
-struct Prepared {
-    asked: Vec<Asked>,
-    undone: Option<String>,
+struct Preparation {
+    requests: Vec<OperatorRequest>,
+    /// Why the last request was not done.
+    not_done: Option<String>,
 }
 
-impl Prepared {
-    /// Asks for `what`; false where there is no use in asking on. `None` where the run is to end.
-    fn ask(&mut self, what: String, person: &dyn Person, patience: &impl Patience) -> Option<bool> {
-        let answer = person.ask(&what, &|| patience.is_over());
-        let done = answer == Answer::Done;
-        self.undone = match answer {
-            Answer::Done => None,
-            Answer::GivenUp => return None,
-            Answer::Declined => Some(format!("a person was asked and did not do it: {what}")),
-            Answer::Absent => Some(format!("nobody was there for what the scenario asks of a person: {what}")),
+impl Preparation {
+    /// Asks for `action`; true if it was done. `None` if the run was cancelled.
+    fn request(&mut self, action: String, operator: &dyn Operator, cancel: &CancelToken) -> Option<bool> {
+        let answer = operator.ask(Question { text: &action, kind: QuestionKind::Action }, cancel);
+        if answer == Answer::Absent && cancel.is_cancelled() {
+            return None;
+        }
+        let done = answer.is_yes();
+        self.not_done = match answer {
+            _ if done => None,
+            Answer::Absent => Some(format!("no operator was present for an action of the scenario: {action}")),
+            Answer::Terminal(_) | Answer::CommandLine(_) => Some(format!("the operator did not do it: {action}")),
         };
-        self.asked.push(Asked { what, done });
+        self.requests.push(OperatorRequest { what: action, done });
         Some(done)
     }
 }
 
-/// Has the plate made as the scenario starts. `None` where the run is to end.
-fn prepare(scenario: &Scenario, person: &dyn Person, patience: &impl Patience) -> Option<Prepared> {
-    let mut prepared = Prepared::default();
-    if !needs_person(scenario) {
-        return Some(prepared);
+/// Has the operator bring the plate to its state at the start. `None` if the run was cancelled.
+fn prepare_plate(scenario: &Scenario, operator: &dyn Operator, cancel: &CancelToken) -> Option<Preparation> {
+    let mut preparation = Preparation::default();
+    if !needs_operator(scenario) {
+        return Some(preparation);
     }
-    if let Some(why) = impossible(scenario) {
-        prepared.undone = Some(why);
-        return Some(prepared);
+    if let Some(exclusion) = operator_exclusion(scenario) {
+        preparation.not_done = Some(exclusion.to_string());
+        return Some(preparation);
     }
-    for what in cues::at_the_start(scenario) {
-        if !prepared.ask(what, person, patience)? {
-            return Some(prepared);
+    for action in prompts::initial_prompts(scenario) {
+        if !preparation.request(action, operator, cancel)? {
+            return Some(preparation);
         }
     }
-    for left in (1..=COUNTDOWN_S).rev() {
-        person.cue("the trial starts", left);
+    for seconds in (1..=COUNTDOWN_S).rev() {
+        operator.announce("the trial starts", seconds);
         let until = Instant::now() + Duration::from_secs(1);
         while Instant::now() < until {
-            if patience.is_over() {
+            if cancel.is_cancelled() {
                 return None;
             }
-            thread::sleep(NAP);
+            thread::sleep(POLL_INTERVAL);
         }
     }
-    person.cue("the trial runs", 0);
-    Some(prepared)
+    operator.announce("the trial runs", 0);
+    Some(preparation)
 }
 
-/// Asks whether what had to be done within the trial was done, where no sensor tells.
-fn confirm(
+/// Asks whether the actions within the trial were done, if no sensor measured them.
+fn confirm_actions(
     scenario: &Scenario,
-    mut prepared: Prepared,
-    person: &dyn Person,
-    patience: &impl Patience,
-    told: &RealPlate,
-) -> Option<Prepared> {
-    person.rest();
-    let warms = scenario.scene.temperature_offset_k.range();
-    let is_seen = told.force_measured && warms.0 == warms.1;
-    if prepared.undone.is_none() && moves(scenario) && !is_seen {
-        prepared.ask("confirm that finger and heat were as told during the trial".to_owned(), person, patience)?;
+    mut preparation: Preparation,
+    operator: &dyn Operator,
+    cancel: &CancelToken,
+    record: &RealPlateRecord,
+) -> Option<Preparation> {
+    operator.trial_ended();
+    let (coldest, warmest) = scenario.conditions.temperature_offset_k.range();
+    let is_measured = record.force_measured && coldest == warmest;
+    if preparation.not_done.is_none() && scene_changes(scenario) && !is_measured {
+        let action = "confirm that finger and heat were as announced during the trial";
+        preparation.request(action.to_owned(), operator, cancel)?;
     }
-    Some(prepared)
+    Some(preparation)
 }
 
-/// Takes every row until the other end of the queue is gone, and tells the person what comes.
-fn follow(mut consumer: Consumer<Row>, scenario: &Scenario, prepared: &Prepared, person: &dyn Person) -> Vec<Row> {
+/// Takes every row until the queue's producer is dropped, and announces the operator's actions.
+fn collect_and_prompt(
+    mut consumer: Consumer<Row>,
+    scenario: &Scenario,
+    preparation: &Preparation,
+    operator: &dyn Operator,
+) -> Vec<Row> {
     let mut rows = Vec::new();
-    let attended = needs_person(scenario) && prepared.undone.is_none();
-    let mut cues = Cues::of(scenario);
+    let attended = needs_operator(scenario) && preparation.not_done.is_none();
+    let mut prompts = Prompts::from_scenario(scenario);
     loop {
-        // Asked before the queue is emptied: what was put in before the end is then seen.
+        // Checked before the queue is emptied, so that the last rows are not missed.
         let is_over = consumer.is_abandoned();
         while let Ok(row) = consumer.pop() {
             rows.push(row);
         }
         if let Some(row) = rows.last().filter(|_| attended) {
             let now = Time::from_seconds(row.t_s).unwrap_or(Time::ZERO);
-            while let Some((what, left)) = cues.due(now) {
-                person.cue(what, left);
+            while let Some((action, seconds)) = prompts.next_due(now) {
+                operator.announce(action, seconds);
             }
             let force = Some(row.finger_force_n).filter(|force| !force.is_nan());
-            person.bar(now, scenario.scene.at(now).finger_force_n, force);
+            operator.show_force(now, scenario.conditions.at(now).finger_force_n, force);
         }
         if is_over {
             return rows;
         }
-        thread::sleep(NAP);
+        thread::sleep(POLL_INTERVAL);
     }
 }

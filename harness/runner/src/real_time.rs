@@ -1,115 +1,104 @@
-//! One trial in real time: every microsecond that bench, line and controller take acts on the plate.
+//! Plays one trial in real time: every microsecond that bench, line and controller take acts on the plate.
 //!
-//! One thread owns the loop. It neither allocates nor logs; rows leave it through a bounded queue. The plate is moved exactly to the instant of every event:
-//! it is sampled at the deadline, however late the sample leaves, and driven anew when a command is there. So lateness is loop delay, as it would be on the
-//! line, and nothing else.
-//!
-//! `live` is the loop, `pace` how plate time passes on the wall's clock, `ticks` the control instants that a target makes, `hand` whoever presses an emulated plate.
+//! One thread owns the loop. It neither allocates nor logs; rows leave it through a bounded queue. The plate moves
+//! exactly to the instant of every event: it is sampled at the deadline, however late the sample leaves, and driven
+//! anew when a command arrives. Lateness therefore acts as loop delay and nothing else.
 
-mod hand;
-mod live;
-mod pace;
+mod control_loop;
+mod manual_control;
 mod ticks;
+mod time_base;
 
-pub use hand::Hand;
-pub use pace::{Pace, Pacing};
+pub use manual_control::ManualControl;
 pub use rtrb::Consumer;
+pub use time_base::{Pacing, TimeBase};
 
+use crate::abort::TrialAbort;
 use crate::configure::configure;
-use crate::end::End;
 use crate::fault::wire_faults;
-use crate::queue::{Queue, collect};
-use crate::scheduling::Granted;
-use crate::stage::{Stage, expected_rows};
-use crate::trial::{Order, Patience, Played};
-use crate::watch::Tap;
-use live::Live;
-use platebench_rig::{Faulty, Link, RigError, Session};
+use crate::live_tap::TapWriter;
+use crate::plant_simulation::{PlantSimulation, expected_rows};
+use crate::row_queue::{RowQueue, collect_rows};
+use crate::scheduling::ThreadScheduling;
+use crate::trial::{TrialResult, TrialSpec};
+use control_loop::RealTimeLoop;
+use platebench_record::Telemetry;
+use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
 use platebench_trace::Row;
-use platebench_verdict::Telemetry;
 use std::panic::resume_unwind;
 use std::thread;
 
-/// Plays a trial. `None` where it was given up. The rig has to be one that can be used in real time.
+/// Plays a trial; `tap` receives its rows. `None` if it was cancelled. The rig must support real time.
 ///
-/// Blocks the calling thread, which only collects rows: the loop has a thread of its own.
+/// Blocks the calling thread, which only collects rows; the loop has its own thread.
 pub fn play<L: Link>(
-    session: &mut Session<Faulty<L>>,
-    order: &Order<'_>,
-    pace: Pace,
-    patience: &(impl Patience + Sync),
-) -> Option<Played> {
-    play_watched(session, order, pace, patience, None)
+    session: &mut Session<FaultInjector<L>>,
+    spec: &TrialSpec<'_>,
+    time_base: TimeBase,
+    cancel: &CancelToken,
+    tap: Option<&mut TapWriter>,
+) -> Option<TrialResult> {
+    let collect = |rows| collect_rows(rows, expected_rows(spec.scenario));
+    let (trace_rows, end) = run_loop(session, spec, time_base, cancel, None, tap, collect);
+    end.map(|(telemetry, link_error)| TrialResult { trace_rows, telemetry, link_error })
 }
 
-/// As [`play`], while somebody may look on.
-pub fn play_watched<L: Link>(
-    session: &mut Session<Faulty<L>>,
-    order: &Order<'_>,
-    pace: Pace,
-    patience: &(impl Patience + Sync),
-    tap: Option<&mut Tap>,
-) -> Option<Played> {
-    let rows = |rows| collect(rows, expected_rows(order.scenario));
-    let (rows, ended) = drive(session, order, pace, patience, None, tap, rows);
-    ended.map(|(telemetry, lost)| Played { rows, telemetry, lost })
-}
-
-/// Plays the plate to whatever controller is there until `patience` is over or the controller is gone; `hand` takes over from the scenario's
-/// profiles once it is used, and `show` is given the rows; so is whoever looks on. Returns why nobody drives the plate any more.
-pub fn emulate<L: Link>(
-    session: &mut Session<Faulty<L>>,
-    order: &Order<'_>,
-    pace: Pace,
-    patience: &(impl Patience + Sync),
-    hand: &Hand,
-    tap: Option<&mut Tap>,
-    show: impl FnOnce(Consumer<Row>),
-) -> Emulated {
-    let ((), ended) = drive(session, order, pace, patience, Some(hand), tap, show);
-    match ended {
-        None => Emulated::GivenUp,
-        Some((_, Some(error))) => Emulated::Lost(error),
-        Some((telemetry, None)) => Emulated::Stopped(telemetry.stopped),
+/// Plays the plate to the controller until `cancel`, a lost controller or a stop. `manual` replaces the scenario's
+/// profiles once it is used. `consume` and `tap` receive the rows.
+pub fn emulate_plate<L: Link>(
+    session: &mut Session<FaultInjector<L>>,
+    spec: &TrialSpec<'_>,
+    time_base: TimeBase,
+    cancel: &CancelToken,
+    manual: &ManualControl,
+    tap: Option<&mut TapWriter>,
+    consume: impl FnOnce(Consumer<Row>),
+) -> EmulationEnd {
+    let ((), end) = run_loop(session, spec, time_base, cancel, Some(manual), tap, consume);
+    match end {
+        None => EmulationEnd::Cancelled,
+        Some((_, Some(error))) => EmulationEnd::Lost(error),
+        Some((telemetry, None)) => EmulationEnd::Stopped(telemetry.stopped),
     }
 }
 
-/// Why nobody drives an emulated plate any more.
+/// Why an emulation ended.
 #[derive(Debug)]
-pub enum Emulated {
-    /// Somebody asked for the end.
-    GivenUp,
-    /// The controller is no longer there.
+pub enum EmulationEnd {
+    /// It was cancelled.
+    Cancelled,
+    /// The controller was lost.
     Lost(RigError),
-    /// The controller has stopped, for this reason by its own account, and waits to be configured.
+    /// The controller stopped, for the reason that it reported, and waits for a configuration.
     Stopped(Option<String>),
 }
 
-/// The loop on a thread of its own; its rows go to `take`.
-fn drive<L: Link, T>(
-    session: &mut Session<Faulty<L>>,
-    order: &Order<'_>,
-    pace: Pace,
-    patience: &(impl Patience + Sync),
-    hand: Option<&Hand>,
-    tap: Option<&mut Tap>,
-    take: impl FnOnce(Consumer<Row>) -> T,
+/// Runs the loop on its own thread; `consume` receives its rows. The second result is `None` if it was cancelled.
+fn run_loop<L: Link, T>(
+    session: &mut Session<FaultInjector<L>>,
+    spec: &TrialSpec<'_>,
+    time_base: TimeBase,
+    cancel: &CancelToken,
+    manual: Option<&ManualControl>,
+    tap: Option<&mut TapWriter>,
+    consume: impl FnOnce(Consumer<Row>) -> T,
 ) -> (T, Option<(Telemetry, Option<RigError>)>) {
-    let (queue, consumer) = Queue::new();
-    let stage = Stage::new(order.scenario, order.index, queue, tap);
-    session.link_mut().arm(&wire_faults(order.scenario, order.index));
+    let (queue, consumer) = RowQueue::new();
+    let plant = PlantSimulation::new(spec.scenario, spec.index, queue, tap);
+    session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
     thread::scope(|scope| {
-        let live = scope.spawn(move || {
-            let granted = Granted::ask();
-            // Only now: a target that paces itself ticks from its configuration on.
-            let begun = session.begin(&pace.of_target(configure(order.scenario, order.law)));
-            let mut live = Live::new(session, order, pace, stage, hand);
-            let ended = begun.map_err(End::Lost).and_then(|_| live.play(patience)).err();
-            live.finish(ended, &granted)
+        let real_time = scope.spawn(move || {
+            let scheduling = ThreadScheduling::request();
+            // A target that paces itself ticks from its configuration on, so this comes last.
+            let configuration = time_base.with_target_timing(configure(spec.scenario, spec.law));
+            let started = session.start_trial(&configuration).map_err(TrialAbort::Lost);
+            let mut real_time = RealTimeLoop::new(session, spec, time_base, plant, manual);
+            let abort = started.and_then(|gains| real_time.run(&configuration, &gains, cancel)).err();
+            real_time.finish(abort, &scheduling)
         });
-        let taken = take(consumer);
-        match live.join() {
-            Ok(ended) => (taken, ended),
+        let consumed = consume(consumer);
+        match real_time.join() {
+            Ok(end) => (consumed, end),
             Err(panic) => resume_unwind(panic),
         }
     })

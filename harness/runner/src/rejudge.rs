@@ -1,62 +1,86 @@
-//! A stored run, judged again without a rig.
+//! Judges a stored run again, without a rig.
 
 use crate::configure;
-use crate::folder::{FolderError, sha256, sha256_of, trace_file};
-use crate::measured::measured;
+use crate::delay_attribution::measure_trial;
 use crate::run::empty_record;
-use crate::worker::Done;
+use crate::worker::CompletedTrial;
 use platebench_plate::Tier;
+use platebench_record::{Exclusion, Overrides, RecordError};
+use platebench_record::{FolderError, sha256, sha256_of_file, trace_path};
+use platebench_record::{RunRecord, ScenarioRecord, Telemetry, TrialRecord};
 use platebench_scenario::{Diagnostic, Expectation, Scenario, load, load_copies};
-use platebench_trace::{Row, TraceError, read};
-use platebench_verdict::judge::trial_record;
-use platebench_verdict::record::{Cause, Overrides, RecordError};
-use platebench_verdict::{
-    Decision, RunRecord, ScenarioRecord, Telemetry, TrialMeasures, TrialRecord, judge, sequential,
-};
+use platebench_trace::{Row, TraceError, read_trace};
+use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// As many as the command line takes.
-const MOST_TRIALS: u32 = 100_000;
+/// The limit of the command line.
+const MAX_TRIALS: u32 = 100_000;
 
 /// Why a stored run cannot be judged.
 #[derive(Debug, thiserror::Error)]
 pub enum RejudgeError {
-    /// There is no record that could be read.
+    /// The record cannot be read.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// A scenario, stored or given, is not one.
+    /// A stored or given scenario is invalid.
     #[error("{0}")]
     Scenario(Box<Diagnostic>),
-    /// A trace is not one.
+    /// A trace is invalid.
     #[error(transparent)]
     Trace(#[from] TraceError),
-    /// A file is not there.
+    /// A file cannot be read.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// The given scenario describes another experiment than the one that was played.
-    #[error("{}: {what} differs from what was played; only expectations can be held against stored traces", path.display())]
-    OtherExperiment {
+    /// The given scenario describes another experiment.
+    #[error("{}: {what} differs from the scenario that was played; only expectations may differ", path.display())]
+    DifferentExperiment {
         /// The file.
         path: PathBuf,
         /// What differs.
         what: &'static str,
     },
-    /// An input or a trace is no longer what it was.
+    /// An input or a trace was modified.
     #[error("{}: SHA-256 {found}, expected {expected}: not the file that the run was made with", path.display())]
-    Changed {
+    Modified {
         /// The file.
         path: PathBuf,
-        /// What it is.
+        /// Its hash now.
         found: String,
-        /// What the record says.
+        /// Its hash in the record.
         expected: String,
     },
-    /// The given scenario belongs to none of the run's.
+    /// The amplitude of a row is not the length of its components.
+    #[error(
+        "{}: the amplitude at {t_s} s is {amplitude_um} µm, its components give {expected_um} µm; the trace was changed",
+        path.display()
+    )]
+    Contradiction {
+        /// The trace.
+        path: PathBuf,
+        /// Time of the row, s.
+        t_s: f64,
+        /// In the trace, µm.
+        amplitude_um: f64,
+        /// √(Wd² + Wq²), µm.
+        expected_um: f64,
+    },
+    /// Two random trials have the same trace.
+    #[error("{}: trial {second} has the trace of trial {first}, expected one trace per trial", path.display())]
+    SameTrace {
+        /// The trace of the second trial.
+        path: PathBuf,
+        /// A trial.
+        first: u32,
+        /// Another trial.
+        second: u32,
+    },
+    /// No scenario of the run has this name.
     #[error("{}: none of the run's scenarios has this name ({known})", path.display())]
     NoSuchScenario {
         /// The file.
         path: PathBuf,
-        /// The names that there are.
+        /// The run's scenarios.
         known: String,
     },
 }
@@ -67,39 +91,40 @@ impl From<Diagnostic> for RejudgeError {
     }
 }
 
-/// Judges the traces in `folder` again, with the scenarios that are stored beside them; for the one of that name with the
-/// expectations of `replacement`.
+/// Judges the traces in `folder` with the scenarios stored there; `replacement` replaces the expectations of the
+/// scenario with its name.
 ///
-/// Trials whose trace is not there were cut off; they leave what they should have decided undecided.
+/// A trial without a trace was interrupted and makes its scenario inconclusive.
 ///
 /// # Errors
 /// [`RejudgeError`].
 pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
-    let replaced = replacement.map(|path| Ok::<_, RejudgeError>((path, chosen(&record, path)?))).transpose()?;
+    let replaced =
+        replacement.map(|path| Ok::<_, RejudgeError>((path, matching_scenario(&record, path)?))).transpose()?;
     let mut scenarios = Vec::with_capacity(record.scenarios.len());
     for (number, stored) in record.scenarios.iter().enumerate() {
-        let mut scenario = stored_scenario(folder, stored)?;
-        // Whatever would be chosen today, that plate was played.
+        let mut scenario = load_stored_scenario(folder, stored)?;
+        // The run's model, even if another would be chosen today.
         let tier = Tier::from_name(&stored.model).unwrap_or(scenario.tier);
         if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
-            scenario.expectations = other_expectations(path, &scenario, tier, &record.overrides)?;
+            scenario.expectations = replacement_expectations(path, &scenario, tier, &record.overrides)?;
         }
-        apply(&record.overrides, &mut scenario);
+        apply_overrides(&record.overrides, &mut scenario);
         scenario.tier = tier;
-        scenarios.push(judged(folder, &scenario, stored, record.complete)?);
+        scenarios.push(rejudge_scenario(folder, &scenario, stored, record.complete)?);
     }
     record.scenarios = scenarios;
-    record.decide();
+    record.update_verdict();
     Ok(record)
 }
 
-/// Changes a scenario as the run's command line asked for.
-pub fn apply(overrides: &Overrides, scenario: &mut Scenario) {
+/// Applies the overrides of the run's command line to a scenario.
+pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     if let Some(law) = &overrides.law {
         scenario.controller.law.clone_from(law);
     }
-    if let Some(trials) = overrides.trials.filter(|trials| (1..=MOST_TRIALS).contains(trials)) {
+    if let Some(trials) = overrides.trials.filter(|trials| (1..=MAX_TRIALS).contains(trials)) {
         scenario.trials.count = trials;
         scenario.trials.max_count = trials;
     }
@@ -107,13 +132,12 @@ pub fn apply(overrides: &Overrides, scenario: &mut Scenario) {
         scenario.trials.seed = seed;
     }
     if let Some(model) = &overrides.model {
-        scenario.model.asked = Tier::from_name(model);
+        scenario.tier = Scenario::tier_for(model, &scenario.plate).unwrap_or(scenario.tier);
     }
-    scenario.choose_model(true);
 }
 
-/// Which of the run's scenarios `path` stands for: the only one, or the one with the same file name.
-fn chosen(record: &RunRecord, path: &Path) -> Result<usize, RejudgeError> {
+/// The number of the run's only scenario, or of the one with the same file name as `path`.
+fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeError> {
     let file_name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let same_name = |scenario: &ScenarioRecord| scenario.file.rsplit('/').next() == Some(&*file_name);
     match &record.scenarios[..] {
@@ -125,113 +149,108 @@ fn chosen(record: &RunRecord, path: &Path) -> Result<usize, RejudgeError> {
     }
 }
 
-/// The expectations of the scenario at `path`, which must otherwise describe what was played.
-fn other_expectations(
+/// The expectations of the scenario at `path`, which must otherwise equal the one that was played.
+fn replacement_expectations(
     path: &Path,
     played: &Scenario,
     tier: Tier,
     overrides: &Overrides,
 ) -> Result<Vec<Expectation>, RejudgeError> {
     let other = load(path, &played.file)?;
-    let named = other.model.asked.is_none_or(|asked| overrides.model.is_some() || asked == tier);
-    // What is expected now may need a more exact plate than what was expected then; whoever names one knows what he wants.
-    let mut chosen = other.clone();
-    apply(overrides, &mut chosen);
-    let good_enough = chosen.model.asked.is_some() || chosen.tier <= tier;
+    let same_model = overrides.model.is_some() || other.tier == tier;
     let alike = [
         (other.duration == played.duration, "duration_ms"),
         (other.trace_step == played.trace_step, "trace_step_ms"),
         (other.plate == played.plate, "the plate"),
-        (named, "model"),
-        (good_enough, "the model that the expectations need"),
+        (same_model, "model"),
         (other.controller == played.controller, "[controller]"),
-        (other.setpoint == played.setpoint && other.scene == played.scene, "[profile]"),
+        (other.setpoint == played.setpoint && other.conditions == played.conditions, "[profile]"),
         (other.trials == played.trials, "[trials]"),
         (other.faults == played.faults, "[[fault]]"),
     ];
     match alike.iter().find(|(holds, _)| !holds) {
-        Some((_, what)) => Err(RejudgeError::OtherExperiment { path: path.to_owned(), what }),
+        Some((_, what)) => Err(RejudgeError::DifferentExperiment { path: path.to_owned(), what }),
         None => Ok(other.expectations),
     }
 }
 
-fn stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, RejudgeError> {
+fn load_stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, RejudgeError> {
     if stored.inputs.is_empty() {
         let message = format!("the record of {} names no inputs", stored.file);
-        return Err(Diagnostic::of_file(&folder.join(platebench_verdict::record::FILE), message).into());
+        return Err(Diagnostic::for_file(&folder.join(platebench_record::RECORD_FILE), message).into());
     }
     let copies: Vec<_> = stored.inputs.iter().map(|input| folder.join(&input.file)).collect();
     let scenario = load_copies(&copies, &stored.file)?;
     if scenario.inputs.len() != stored.inputs.len() {
         let message = format!("the record of {} does not name all inputs", stored.file);
-        return Err(Diagnostic::of_file(&folder.join(platebench_verdict::record::FILE), message).into());
+        return Err(Diagnostic::for_file(&folder.join(platebench_record::RECORD_FILE), message).into());
     }
     for ((now, then), copy) in scenario.inputs.iter().zip(&stored.inputs).zip(&copies) {
-        unchanged(copy, &now.bytes, &then.sha256)?;
+        check_hash(copy, &now.bytes, &then.sha256)?;
     }
     Ok(scenario)
 }
 
-/// Refuses a file whose content is not what the record says.
-fn unchanged(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeError> {
-    same(path, sha256(bytes), expected)
+/// Refuses a file whose content differs from the record.
+fn check_hash(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeError> {
+    check_equal(path, sha256(bytes), expected)
 }
 
-fn same(path: &Path, found: String, expected: &str) -> Result<(), RejudgeError> {
+fn check_equal(path: &Path, found: String, expected: &str) -> Result<(), RejudgeError> {
     if found == expected {
         return Ok(());
     }
-    Err(RejudgeError::Changed { path: path.to_owned(), found, expected: expected.to_owned() })
+    Err(RejudgeError::Modified { path: path.to_owned(), found, expected: expected.to_owned() })
 }
 
-/// The rows of a trial of the run in `folder`, where its trace is still the one that was recorded.
+/// The rows of a trial of the run in `folder`.
 ///
 /// # Errors
-/// [`RejudgeError`] where it is another, or none.
-pub fn rows_of(folder: &Path, trial: &TrialRecord) -> Result<Vec<Row>, RejudgeError> {
-    trace_unchanged(folder, trial)?;
-    Ok(read(&folder.join(&trial.trace))?)
+/// [`RejudgeError`] if the trace is missing or was modified.
+pub fn read_trial_rows(folder: &Path, trial: &TrialRecord) -> Result<Vec<Row>, RejudgeError> {
+    check_trace(folder, trial)?;
+    Ok(read_trace(&folder.join(&trial.trace))?)
 }
 
-/// Refuses a trial of the run in `folder` whose trace is no longer the one that was recorded.
+/// Refuses a trial whose trace was modified. A trial without a hash was interrupted and is accepted.
 ///
 /// # Errors
-/// [`RejudgeError::Changed`] where it is another, [`RejudgeError::Folder`] where there is none. A trial without a hash was cut off; nothing is known of its trace.
-pub fn trace_unchanged(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeError> {
+/// [`RejudgeError::Modified`], or [`RejudgeError::Folder`] if the trace is missing.
+pub fn check_trace(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeError> {
     let Some(expected) = trial.sha256.as_deref() else { return Ok(()) };
     let path = folder.join(&trial.trace);
-    let found = sha256_of(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
-    same(&path, found, expected)
+    let found = sha256_of_file(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
+    check_equal(&path, found, expected)
 }
 
-/// Judges the trials up to the look that decides; the same one as live, since the trials are the same.
-fn judged(
+/// Judges the trials up to the look that decides, as in the run.
+fn rejudge_scenario(
     folder: &Path,
     scenario: &Scenario,
     stored: &ScenarioRecord,
     complete: bool,
 ) -> Result<ScenarioRecord, RejudgeError> {
+    check_distinct_traces(folder, scenario, stored)?;
     let mut measures: Vec<TrialMeasures> = Vec::new();
     let mut records = Vec::new();
-    while let Decision::Go { trials } = sequential(scenario, &measures) {
+    while let SequentialDecision::Continue { trials } = judge_sequentially(scenario, &measures) {
         let played = measures.len();
         for index in measures.len() as u32..trials {
-            match judged_trial(folder, scenario, stored, index)? {
+            match rejudge_trial(folder, scenario, stored, index)? {
                 Some(done) => {
                     measures.push(done.measures);
                     records.push(done.record);
                 }
-                None => measures.push(cut_off(scenario, index)),
+                None => measures.push(incomplete_trial(scenario, index)),
             }
         }
-        // A run that was not cut off has all the trials that it was meant to have; other expectations may ask for more.
+        // A complete run has all its trials, even if other expectations would need more.
         if complete && records.len() == played {
             measures.truncate(played);
             break;
         }
     }
     let mut record = empty_record(scenario, stored.inputs.clone());
-    record.model_choice.clone_from(&stored.model_choice);
     let judgement = judge(scenario, &measures);
     record.verdict = judgement.verdict;
     record.expectations = judgement.expectations;
@@ -239,44 +258,92 @@ fn judged(
     Ok(record)
 }
 
-/// The stored trial with number `index`, judged by itself; `None` where its trace is not there.
-fn judged_trial(
+/// Rejects two trials with the same trace. Only trials that nothing random distinguishes may be equal.
+fn check_distinct_traces(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result<(), RejudgeError> {
+    let mut known: BTreeMap<&str, u32> = BTreeMap::new();
+    for trial in &stored.trials {
+        let hash = trial.sha256.as_deref().filter(|_| !scenario.is_deterministic());
+        for key in [Some(trial.trace.as_str()), hash].into_iter().flatten() {
+            if let Some(first) = known.insert(key, trial.index) {
+                let path = folder.join(&trial.trace);
+                return Err(RejudgeError::SameTrace { path, first, second: trial.index });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Rejects rows whose amplitude contradicts their components.
+fn check_amplitude(path: &Path, rows: &[Row]) -> Result<(), RejudgeError> {
+    // The amplitude is computed from the components; a text round trip changes nothing.
+    const RELATIVE_ERROR: f64 = 1e-9;
+    const ABSOLUTE_ERROR_UM: f64 = 1e-12;
+    let expected = |row: &Row| row.wd_um.hypot(row.wq_um);
+    let is_wrong =
+        |row: &&Row| (row.amplitude_um - expected(row)).abs() > RELATIVE_ERROR * expected(row) + ABSOLUTE_ERROR_UM;
+    rows.iter().find(is_wrong).map_or(Ok(()), |row| {
+        Err(RejudgeError::Contradiction {
+            path: path.to_owned(),
+            t_s: row.t_s,
+            amplitude_um: row.amplitude_um,
+            expected_um: expected(row),
+        })
+    })
+}
+
+/// Measures the stored trial `index`. `None` if its trace is missing.
+fn rejudge_trial(
     folder: &Path,
     scenario: &Scenario,
     stored: &ScenarioRecord,
     index: u32,
-) -> Result<Option<Done>, RejudgeError> {
-    let trace = trace_file(scenario.name(), index);
+) -> Result<Option<CompletedTrial>, RejudgeError> {
+    let trace = trace_path(scenario.name(), index);
     let path = folder.join(&trace);
     if !path.exists() {
         return Ok(None);
     }
     let then = stored.trials.iter().find(|then| then.index == index);
     let rows = match then {
-        Some(then) => rows_of(folder, then)?,
-        None => read(&path)?,
+        Some(then) => read_trial_rows(folder, then)?,
+        None => read_trace(&path)?,
     };
+    check_amplitude(&path, &rows)?;
     let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
     let law = configure::law(scenario)?;
-    let measures = measured(scenario, law, index, &rows, &telemetry);
+    let measures = measure_trial(scenario, law, index, &rows, &telemetry);
     let mut record = trial_record(scenario, &measures, trace, None);
     if let Some(then) = then {
         record.sha256.clone_from(&then.sha256);
         record.wall_ms = then.wall_ms;
     }
-    Ok(Some(Done { measures, record }))
+    Ok(Some(CompletedTrial { measures, record }))
 }
 
-/// What is known of a trial that was never played to its end.
-fn cut_off(scenario: &Scenario, index: u32) -> TrialMeasures {
+/// The measures of a trial that was interrupted.
+fn incomplete_trial(scenario: &Scenario, index: u32) -> TrialMeasures {
     TrialMeasures {
         index,
         seed: scenario.variation(index).seed,
         measures: Vec::new(),
         excuses: Vec::new(),
         telemetry: Telemetry::default(),
-        diverged: None,
-        cause: Some((Cause::Bench, "the run was cut off before this trial was whole".to_owned())),
-        sensed: false,
+        divergence: None,
+        exclusion: Some(Exclusion::CutOff),
+        is_real_plate: false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rejects_an_amplitude_that_contradicts_its_components() {
+        let row = Row { wd_um: 0.3, wq_um: -0.4, amplitude_um: 0.5, ..Row::default() };
+        assert!(check_amplitude(Path::new("a.csv"), &[row]).is_ok());
+        let wrong = Row { amplitude_um: 2.0, ..row };
+        let error = check_amplitude(Path::new("a.csv"), &[row, wrong]).unwrap_err();
+        assert!(matches!(error, RejudgeError::Contradiction { amplitude_um: 2.0, .. }), "{error}");
     }
 }

@@ -1,169 +1,208 @@
-//! All trials of all scenarios, over several workers, in an order that no result depends on.
+//! Plays all trials of all scenarios on several workers. No result depends on their order.
 
 use crate::configure;
-use crate::event::Event;
-use crate::folder::{FolderError, RunFolder, hexadecimal};
-use crate::plan::{Cancel, Clock, Company, Connect, Plan, RunError};
-use crate::real_plate::Nobody;
-use crate::real_time::{Pace, Pacing};
+use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
+use crate::real_time::{Pacing, TimeBase};
 use crate::trend;
-use crate::watch::Watch;
-use crate::worker::{Done, Progress, Run, Session, Task, Work, end, trials_of};
-use platebench_rig::Faulty;
+use crate::worker::{Progress, RigSession, RunContext, TrialTask, WorkQueue, close_session, trial_tasks};
+use platebench_record::{Event, Firmware, FolderError, Host, InputRecord, RigRecord, RunFolder, RunRecord};
+use platebench_record::{NotApplicable, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex};
+use platebench_rig::FaultInjector;
 use platebench_scenario::Scenario;
-use platebench_verdict::record::{Firmware, Host, InputRecord, ModelChoice, RigRecord, Tool};
-use platebench_verdict::{Decision, RunRecord, ScenarioRecord, TrialMeasures, Verdict, judge, sequential};
-use platebench_wire::capabilities;
+use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge_sequentially};
+use platebench_wire::{Identity, LawId, capabilities};
 use std::cmp::Reverse;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc;
+use std::sync::{OnceLock, mpsc};
 use std::thread;
 use tracing::info;
 
 /// Plays `plan` into `folder` and returns the record, which is also in the folder.
 ///
 /// # Errors
-/// [`RunError`]; what was whole by then can still be judged and reported.
+/// [`RunError`]. The trials that were complete can still be judged and reported.
 pub fn run(
-    plan: &Plan,
+    plan: &RunPlan,
     folder: &RunFolder,
-    connect: &Connect<'_>,
-    cancel: &Cancel,
-    tell: &mut dyn FnMut(Event),
-) -> Result<RunRecord, RunError> {
-    let company = Company { person: &Nobody, watch: &Watch::default() };
-    run_in_company(plan, folder, connect, cancel, company, tell)
-}
-
-/// As [`run()`], in company.
-///
-/// # Errors
-/// As for [`run()`].
-pub fn run_in_company(
-    plan: &Plan,
-    folder: &RunFolder,
-    connect: &Connect<'_>,
-    cancel: &Cancel,
-    company: Company<'_>,
-    tell: &mut dyn FnMut(Event),
+    connect: &LinkFactory<'_>,
+    mut hooks: RunHooks<'_>,
 ) -> Result<RunRecord, RunError> {
     let laws = plan.scenarios.iter().map(configure::law).collect::<Result<Vec<_>, _>>();
     let laws = laws.map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
-    let first = Session::open(Faulty::new(connect()?))?;
-    if let Clock::RealTime(Pace { pacing: Pacing::Target, .. }) = plan.clock
-        && !first.identity().can(capabilities::TARGET_PACED)
-    {
-        return Err(RunError::NoPace(first.firmware_name()));
-    }
-    if plan.clock == Clock::OwnPlate {
-        if !first.identity().can(capabilities::OWN_PLATE) {
-            return Err(RunError::NoPlate(first.firmware_name()));
-        }
-        if let Some(harmed) = plan.scenarios.iter().find(|scenario| !scenario.faults.is_empty()) {
-            let what = "faults are for an emulated plate; a real one can break, expected no [[fault]]";
-            return Err(RunError::Scenario(Box::new(harmed.diagnose("fault", what))));
-        }
-    }
-    for scenario in &plan.scenarios {
-        configure::can_be_told(scenario, first.identity())
-            .map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
-    }
+    let first = RigSession::open(FaultInjector::new(connect()?))?;
+    check_controller(plan, &first)?;
+    let (plan, laws, not_applicable) = select_applicable(plan, laws, first.identity());
+    let plan = &plan;
     let inputs = folder.store_inputs(&plan.scenarios)?;
     for scenario in &plan.scenarios {
-        folder.prepare(scenario)?;
+        folder.create_trace_folder(scenario)?;
     }
-    let mut record = first_record(plan, folder, &first, &inputs);
+    let mut record = initial_record(plan, folder, &first, &inputs);
+    record.not_applicable = not_applicable;
     let identity = *first.identity();
-    write(&record, folder)?;
-    // The controller that introduced itself is the first worker's; the others find their own.
-    let mut sessions: Vec<Option<Session>> = (0..plan.jobs.max(1)).map(|_| None).collect();
+    write_record(&record, folder)?;
+    // The first worker gets this controller; the others connect to theirs.
+    let mut sessions: Vec<Option<RigSession>> = (0..plan.jobs.max(1)).map(|_| None).collect();
     if let Some(session) = sessions.first_mut() {
         *session = Some(first);
     }
     let unconfirmed = AtomicBool::new(false);
-    let run = Run { plan, laws: &laws, folder, connect, identity, cancel, company, unconfirmed: &unconfirmed };
-    let played = play(run, &mut sessions, &mut record, tell);
-    // However it ended, what the controllers say of 0 V is in the record.
+    let delay_boundaries: Vec<_> = plan.scenarios.iter().map(|_| OnceLock::new()).collect();
+    let context = RunContext {
+        plan,
+        laws: &laws,
+        delay_boundaries: &delay_boundaries,
+        folder,
+        connect,
+        identity,
+        cancel: &hooks.cancel,
+        operator: hooks.operator,
+        live_tap: &hooks.live_tap,
+        safe_unconfirmed: &unconfirmed,
+    };
+    let played = play_scenarios(context, &mut sessions, &mut record, &mut hooks.on_event);
+    // The record states whether 0 V was confirmed, however the run ended.
     for session in &mut sessions {
-        end(session, &unconfirmed);
+        close_session(session, &unconfirmed);
     }
     record.safe_confirmed = Some(!unconfirmed.load(Ordering::Relaxed));
     if played.is_ok() {
         record.complete = true;
-        record.decide();
-        record.cost = trend::cost(&record, folder.path());
+        record.update_verdict();
+        record.cost = trend::cost_trends(&record, folder.path());
     }
-    let written = write(&record, folder);
+    let written = write_record(&record, folder);
     played?;
     written?;
     Ok(record)
 }
 
-fn write(record: &RunRecord, folder: &RunFolder) -> Result<(), FolderError> {
+/// Refuses a plan that needs what the controller does not announce.
+fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError> {
+    let identity = session.identity();
+    if let Clock::RealTime(TimeBase { pacing: Pacing::Target, .. }) = plan.clock
+        && !identity.has_capability(capabilities::TARGET_PACED)
+    {
+        return Err(RunError::NoTargetPacing(session.firmware_name()));
+    }
+    if plan.clock == Clock::RealPlate {
+        if !identity.has_capability(capabilities::OWN_PLATE) {
+            return Err(RunError::NoRealPlate(session.firmware_name()));
+        }
+        if let Some(scenario) = plan.scenarios.iter().find(|scenario| !scenario.faults.is_empty()) {
+            let what = "faults are for an emulated plate; a real one can break, expected no [[fault]]";
+            return Err(RunError::Scenario(Box::new(scenario.diagnostic("fault", what))));
+        }
+    }
+    Ok(())
+}
+
+/// The plan without the scenarios that need a law or capability that `identity` does not announce, its laws, and
+/// these scenarios.
+fn select_applicable(
+    plan: &RunPlan,
+    laws: Vec<LawId>,
+    identity: &Identity,
+) -> (RunPlan, Vec<LawId>, Vec<NotApplicable>) {
+    let mut selected = RunPlan { scenarios: Vec::new(), ..plan.clone() };
+    let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
+    for (scenario, law) in plan.scenarios.iter().zip(laws) {
+        match configure::missing_capability(scenario, law, identity) {
+            None => {
+                selected.scenarios.push(scenario.clone());
+                selected_laws.push(law);
+            }
+            Some(reason) => {
+                let (file, title) = (scenario.file.clone(), scenario.title.clone());
+                not_applicable.push(NotApplicable { file, title, reason });
+            }
+        }
+    }
+    (selected, selected_laws, not_applicable)
+}
+
+fn write_record(record: &RunRecord, folder: &RunFolder) -> Result<(), FolderError> {
     record.write(folder.path()).map_err(|source| FolderError::Io { path: folder.path().to_owned(), source })
 }
 
-/// Plays until every scenario is decided, and judges each as soon as it is.
-fn play(
-    run: Run<'_>,
-    sessions: &mut [Option<Session>],
+/// The trials of a scenario so far, in order of completion, and how many the next look needs.
+struct ScenarioProgress {
+    measures: Vec<TrialMeasures>,
+    records: Vec<TrialRecord>,
+    goal: u32,
+}
+
+impl ScenarioProgress {
+    fn new(scenario: &Scenario) -> Self {
+        let goal = match judge_sequentially(scenario, &[]) {
+            SequentialDecision::Continue { trials } => trials,
+            SequentialDecision::Stop(_) => 0,
+        };
+        Self { measures: Vec::new(), records: Vec::new(), goal }
+    }
+}
+
+/// Plays until every scenario is decided and judges each one at its last look.
+fn play_scenarios(
+    run: RunContext<'_>,
+    sessions: &mut [Option<RigSession>],
     record: &mut RunRecord,
-    tell: &mut dyn FnMut(Event),
+    on_event: &mut dyn FnMut(Event),
 ) -> Result<(), RunError> {
-    let Run { plan, cancel, folder, .. } = run;
-    let mut collected: Vec<Vec<Done>> = plan.scenarios.iter().map(|_| Vec::new()).collect();
-    // Trials up to the next look at a scenario, all scenarios together; then those that are not decided go on.
-    let mut goals: Vec<u32> = plan.scenarios.iter().map(|scenario| next_goal(scenario, &[])).collect();
-    let mut tasks: Vec<Task> = (0..).zip(&goals).flat_map(|(scenario, goal)| trials_of(scenario, 0, *goal)).collect();
+    let RunContext { plan, cancel, folder, .. } = run;
+    let mut progress: Vec<_> = plan.scenarios.iter().map(ScenarioProgress::new).collect();
+    // All scenarios play up to their first look; then the undecided ones continue.
+    let mut tasks: Vec<TrialTask> =
+        (0..).zip(&progress).flat_map(|(number, progress)| trial_tasks(number, 0, progress.goal)).collect();
     while !tasks.is_empty() {
-        // The longest first, so that no worker is left with one while the others have nothing to do.
+        // The longest trials come first, so that no worker ends long after the others.
         tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
         let batch = std::mem::take(&mut tasks);
-        let work = Work { run, tasks: &batch, next: AtomicUsize::new(0) };
+        let work = WorkQueue { run, tasks: &batch, next: AtomicUsize::new(0) };
         thread::scope(|scope| {
             let (sender, results) = mpsc::channel();
             for session in sessions.iter_mut().take(batch.len()) {
                 let (work, sender) = (&work, sender.clone());
-                scope.spawn(move || work.worker(session, &sender));
+                scope.spawn(move || work.run_worker(session, &sender));
             }
             drop(sender);
             for result in results {
-                let result = result.inspect_err(|_| cancel.cancel());
-                let (number, done) = match result? {
+                let (number, trial) = match result.inspect_err(|_| cancel.cancel())? {
                     Progress::Started(number) => {
                         if let Some(scenario) = plan.scenarios.get(number) {
                             let (file, trials) = (scenario.file.clone(), scenario.trials.count);
-                            tell(Event::ScenarioStarted { file, trials });
+                            on_event(Event::ScenarioStarted { file, trials });
                         }
                         continue;
                     }
-                    Progress::Done(number, done) => (number, done),
+                    Progress::Completed(number, trial) => (number, trial),
                 };
-                let (Some(scenario), Some(of_scenario), Some(goal), Some(scenario_record)) = (
-                    plan.scenarios.get(number),
-                    collected.get_mut(number),
-                    goals.get_mut(number),
-                    record.scenarios.get_mut(number),
-                ) else {
+                let (Some(scenario), Some(progress), Some(scenario_record)) =
+                    (plan.scenarios.get(number), progress.get_mut(number), record.scenarios.get_mut(number))
+                else {
                     continue;
                 };
-                tell(Event::TrialFinished { file: scenario.file.clone(), trial: Box::new(done.record.clone()) });
-                of_scenario.push(*done);
-                if of_scenario.len() < *goal as usize {
+                on_event(Event::TrialFinished { file: scenario.file.clone(), trial: Box::new(trial.record.clone()) });
+                progress.measures.push(trial.measures);
+                progress.records.push(trial.record);
+                if progress.records.len() < progress.goal as usize {
                     continue;
                 }
-                let next = next_goal(scenario, of_scenario);
-                if next > *goal {
-                    info!(scenario = %scenario.file, played = *goal, next, "not decided yet");
-                    tasks.extend(trials_of(number, *goal, next));
-                    *goal = next;
-                    continue;
+                match judge_sequentially(scenario, &progress.measures) {
+                    SequentialDecision::Continue { trials } => {
+                        info!(scenario = %scenario.file, played = progress.goal, next = trials, "not decided yet");
+                        tasks.extend(trial_tasks(number, progress.goal, trials));
+                        progress.goal = trials;
+                    }
+                    SequentialDecision::Stop(judgement) => {
+                        progress.measures = Vec::new();
+                        complete_record(scenario_record, judgement, std::mem::take(&mut progress.records));
+                        info!(scenario = %scenario.file, verdict = %scenario_record.verdict, "scenario judged");
+                        let finished = Box::new(scenario_record.clone());
+                        write_record(record, folder)?;
+                        on_event(Event::ScenarioFinished(finished));
+                    }
                 }
-                finish(scenario, std::mem::take(of_scenario), scenario_record);
-                info!(scenario = %scenario.file, verdict = %scenario_record.verdict, "scenario judged");
-                let finished = Box::new(scenario_record.clone());
-                write(record, folder)?;
-                tell(Event::ScenarioFinished(finished));
             }
             Ok::<(), RunError>(())
         })?;
@@ -171,32 +210,18 @@ fn play(
             return Err(RunError::Cancelled);
         }
     }
-    if cancel.is_cancelled() {
-        return Err(RunError::Cancelled);
-    }
-    Ok(())
+    if cancel.is_cancelled() { Err(RunError::Cancelled) } else { Ok(()) }
 }
 
-/// How many trials of a scenario there have to be for the next look at them; as many as there are where they decide.
-fn next_goal(scenario: &Scenario, played: &[Done]) -> u32 {
-    let measures: Vec<TrialMeasures> = played.iter().map(|done| done.measures.clone()).collect();
-    match sequential(scenario, &measures) {
-        Decision::Go { trials } => trials,
-        Decision::Stop(_) => played.len() as u32,
-    }
-}
-
-/// Judges a scenario whose trials have all been played.
-pub(crate) fn finish(scenario: &Scenario, mut trials: Vec<Done>, record: &mut ScenarioRecord) {
-    trials.sort_by_key(|done| done.record.index);
-    let (measures, records): (Vec<_>, Vec<_>) = trials.into_iter().map(|done| (done.measures, done.record)).unzip();
-    let judgement = judge(scenario, &measures);
+/// Adds judgement and trials to the record of a scenario.
+pub(crate) fn complete_record(record: &mut ScenarioRecord, judgement: Judgement, mut trials: Vec<TrialRecord>) {
+    trials.sort_by_key(|trial| trial.index);
     record.verdict = judgement.verdict;
     record.expectations = judgement.expectations;
-    record.trials = records;
+    record.trials = trials;
 }
 
-/// The record of a scenario that nothing is known of yet.
+/// The record of a scenario before its first trial.
 pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> ScenarioRecord {
     ScenarioRecord {
         file: scenario.file.clone(),
@@ -205,23 +230,18 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
         verdict: Verdict::Inconclusive,
         law: scenario.controller.law.clone(),
         model: scenario.tier.name().to_owned(),
-        model_choice: Some(ModelChoice {
-            asked: scenario.model.asked_name().to_owned(),
-            bound: Some(scenario.model.bound).filter(|bound| bound.is_finite()),
-            budget: scenario.model.budget,
-        }),
         inputs,
         expectations: Vec::new(),
         trials: Vec::new(),
     }
 }
 
-fn first_record(plan: &Plan, folder: &RunFolder, session: &Session, inputs: &[Vec<InputRecord>]) -> RunRecord {
+fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inputs: &[Vec<InputRecord>]) -> RunRecord {
     let scenarios = plan.scenarios.iter().zip(inputs).map(|(scenario, inputs)| empty_record(scenario, inputs.clone()));
     let identity = session.identity();
     let [major, minor, patch] = identity.version;
     RunRecord {
-        format: platebench_verdict::record::FORMAT,
+        format: platebench_record::FORMAT,
         verdict: Verdict::Inconclusive,
         complete: false,
         tool: Tool { name: "platebench".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
@@ -231,15 +251,16 @@ fn first_record(plan: &Plan, folder: &RunFolder, session: &Session, inputs: &[Ve
             firmware: Some(Firmware {
                 name: session.firmware_name(),
                 version: format!("{major}.{minor}.{patch}"),
-                build: hexadecimal(&identity.build),
+                build: to_hex(&identity.build),
                 chip: format!("{:#010x}", identity.chip),
             }),
         },
-        clock: plan.clock.name().to_owned(),
+        clock: plan.clock.kind(),
         overrides: plan.overrides.clone(),
         safe_confirmed: None,
         host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
         scenarios: scenarios.collect(),
+        not_applicable: Vec::new(),
         cost: Vec::new(),
     }
 }

@@ -1,4 +1,4 @@
-//! What the operating system can be asked for while a real-time loop runs: to be preferred and never swapped out.
+//! Requests real-time scheduling and locked memory for the calling thread.
 
 use rustix::mm::{MlockAllFlags, mlockall, munlockall};
 use thread_priority::unix::{
@@ -6,23 +6,23 @@ use thread_priority::unix::{
 };
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
-/// Below the kernel's own threads for interrupts, which run at 50 and serve the line.
-const PRIORITY: u8 = 45;
+/// Below the kernel's interrupt threads, which run at 50 and serve the line.
+const RT_PRIORITY: u8 = 45;
 
-/// What a thread was granted, until it ends: its scheduling is not taken back, so the thread should be the loop's alone.
+/// The scheduling that a thread was granted. It lasts until the thread ends.
 #[derive(Debug, Clone)]
-pub(crate) struct Granted {
-    /// How the thread is scheduled, or why not better.
+pub(crate) struct ThreadScheduling {
+    /// The scheduling class, and why it is not a better one.
     pub(crate) scheduling: String,
-    /// True where no page can be swapped out.
+    /// True if the program's memory is locked.
     pub(crate) memory_locked: bool,
 }
 
-impl Granted {
-    /// Asks for what the calling thread can have.
-    pub(crate) fn ask() -> Self {
+impl ThreadScheduling {
+    /// Requests the best scheduling for the calling thread.
+    pub(crate) fn request() -> Self {
         let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-        let outcome = ThreadPriorityValue::try_from(PRIORITY).and_then(|priority| {
+        let outcome = ThreadPriorityValue::try_from(RT_PRIORITY).and_then(|priority| {
             let priority = ThreadPriority::Crossplatform(priority);
             set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(|error| error.to_string())
         });
@@ -35,10 +35,9 @@ impl Granted {
     }
 }
 
-impl Drop for Granted {
+impl Drop for ThreadScheduling {
     fn drop(&mut self) {
         if self.memory_locked {
-            // What is still locked then is swapped in all the same.
             let _ = munlockall();
         }
     }

@@ -1,310 +1,376 @@
-//! One trial in lockstep: the plate waits while a sample travels, the controller computes and the command returns.
+//! Plays one trial in lockstep: the plate waits while a sample travels, the controller computes and the command
+//! returns.
 //!
-//! Events, in this order where they fall together: control instant, actuation, row.
+//! Events at one instant happen in this order: control instant, actuation, row.
 
-use crate::configure::configure;
-use crate::fault::{reconfigures, wire_faults};
-use crate::observed::{Observed, stop_reason};
-use crate::stage::{Stage, expected_rows};
-use crate::watch::Tap;
+use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES};
+use crate::fault::wire_faults;
+use crate::live_tap::TapWriter;
+use crate::plant_simulation::{PlantSimulation, expected_rows};
 use platebench_plate::Time;
-use platebench_rig::{Faulty, Link, LinkError, RigError, Session};
+use platebench_record::Telemetry;
+use platebench_rig::{CancelToken, FaultInjector, Link, LinkError, Reply, RigError, Session};
 use platebench_scenario::Scenario;
 use platebench_trace::{Flags, Row};
-use platebench_verdict::Telemetry;
-use platebench_wire::{Command, Configure, LawId, State as Mode, StateCause};
+use platebench_wire::{Command, Configure, ControllerState as Mode, LawId, StateCause};
 use std::collections::VecDeque;
+use std::thread;
 use std::time::{Duration, Instant};
 
-/// After this many periods without any answer the controller is taken to be gone: time for its own time-out, which takes five, and for more than one repeat.
-const MISSES_UNTIL_LOST: u32 = 20;
-/// A controller with a clock of its own gets its samples whenever the bench comes to it; after this long without one the bench is gone.
-const OWN_CLOCK_PATIENCE_MS: u16 = 1_000;
-/// A controller that stopped for want of a sample was left alone by the bench where that was away for so much of its patience.
-const AWAY: Duration = Duration::from_millis(OWN_CLOCK_PATIENCE_MS as u64 / 2);
+/// In lockstep a controller with its own clock receives samples at the bench's pace. Its watchdog outlasts a stall of
+/// the host.
+const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
+/// Its watchdog in a trial with a planned silence that should trigger it.
+const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
+/// The watchdog is triggered after its time-out and this much.
+const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
+/// The watchdog's default, periods.
+const WATCHDOG_PERIODS: u64 = 5;
 
-/// What is to be played.
+/// A trial to play.
 #[derive(Debug, Clone, Copy)]
-pub struct Order<'a> {
+pub struct TrialSpec<'a> {
     /// The scenario.
     pub scenario: &'a Scenario,
-    /// The law that it asks for.
+    /// The scenario's law.
     pub law: LawId,
-    /// Number of the trial, counted from 0.
+    /// The trial's number, from 0.
     pub index: u32,
-    /// True where the time that the rig takes acts on the plate as loop delay.
+    /// True if the rig's wire and computing time acts as loop delay.
     pub wire_time: bool,
-    /// True where the controller's clock does not wait while the plate does.
+    /// True if the controller's clock runs while the plate waits.
     pub own_clock: bool,
 }
 
-/// How a trial came to its end.
+/// The result of a trial.
 #[derive(Debug)]
-pub struct Played {
-    /// Everything that happened.
-    pub rows: Vec<Row>,
-    /// What the rig told beside it.
+pub struct TrialResult {
+    /// The trace.
+    pub trace_rows: Vec<Row>,
+    /// What the trace does not contain.
     pub telemetry: Telemetry,
-    /// Why the controller was no longer there, if it was not; the plate then rests at 0 V.
-    pub lost: Option<RigError>,
+    /// Why the controller was lost, if it was; the plate then rests at 0 V.
+    pub link_error: Option<RigError>,
 }
 
-/// Asked between events; a trial that should not go on is given up.
-pub trait Patience {
-    /// True where the trial is to be given up.
-    fn is_over(&self) -> bool;
-}
-
-/// Plays a trial. `None` where it was given up.
-pub fn play<L: Link>(session: &mut Session<Faulty<L>>, order: &Order<'_>, patience: &impl Patience) -> Option<Played> {
-    play_watched(session, order, patience, None)
-}
-
-/// As [`play`], while somebody may look on.
-pub fn play_watched<L: Link>(
-    session: &mut Session<Faulty<L>>,
-    order: &Order<'_>,
-    patience: &impl Patience,
-    tap: Option<&mut Tap>,
-) -> Option<Played> {
-    session.link_mut().arm(&wire_faults(order.scenario, order.index));
-    let mut trial = Trial::new(session, order, tap);
-    let configure = trial.configure();
-    if let Err(error) = trial.session.begin(&configure) {
-        trial.lose(error);
+/// Plays a trial; `tap` receives its rows. `None` if it was cancelled.
+pub fn play<L: Link>(
+    session: &mut Session<FaultInjector<L>>,
+    spec: &TrialSpec<'_>,
+    cancel: &CancelToken,
+    tap: Option<&mut TapWriter>,
+) -> Option<TrialResult> {
+    session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
+    let mut trial = Trial::new(session, spec, tap);
+    let configure = trial.configuration();
+    match trial.session.start_trial(&configure) {
+        Ok(gains) => trial.controller.record_configuration(&configure, Some(&gains), Time::ZERO),
+        Err(error) => trial.end_on_link_error(error),
     }
     while !trial.step() {
-        if patience.is_over() {
-            trial.session.safe();
+        if cancel.is_cancelled() {
+            trial.session.request_safe_state();
             return None;
         }
     }
-    let ended = trial.lost.as_ref().map(ToString::to_string);
-    let faults = trial.session.link().counts().map(|(kind, count)| (kind.to_owned(), count)).collect();
-    let not_finite = trial.stage.not_finite();
-    let contradictions = trial.session.contradictions();
-    let patience_ms = order.own_clock.then_some(OWN_CLOCK_PATIENCE_MS);
-    let told = trial.observed.telemetry();
-    let telemetry = Telemetry { ended, faults, not_finite, contradictions, patience_ms, ..told };
-    Some(Played { telemetry, rows: trial.stage.into_rows(), lost: trial.lost })
+    Some(trial.finish())
 }
 
-/// An actuation on its way to the plate.
-struct Pending {
+/// A command before the loop delay is over.
+struct PendingActuation {
     at: Time,
     command: Command,
 }
 
+/// The delays and costs of the controller's replies.
+#[derive(Default)]
+struct ReplyStats {
+    replies: u64,
+    late_replies: u64,
+    longest_delay: Time,
+    longest_rig_delay: Duration,
+    /// Sum and maximum of the instructions per control step.
+    instructions: Option<(u64, u64)>,
+}
+
+impl ReplyStats {
+    fn record(&mut self, reply: &Reply, delay: Time) {
+        self.replies += 1;
+        self.longest_delay = self.longest_delay.max(delay);
+        self.longest_rig_delay = self.longest_rig_delay.max(reply.delay);
+        if let Some(count) = reply.instructions {
+            let (sum, worst) = self.instructions.unwrap_or_default();
+            self.instructions = Some((sum + count, worst.max(count)));
+        }
+    }
+
+    fn record_late(&mut self, delay: Time) {
+        self.late_replies += 1;
+        self.longest_delay = self.longest_delay.max(delay);
+    }
+
+    fn add_to(&self, telemetry: Telemetry) -> Telemetry {
+        let has_replies = self.replies > 0;
+        Telemetry {
+            loop_delay_us: (self.replies + self.late_replies > 0).then(|| self.longest_delay.seconds() * 1e6),
+            rig_delay_us: has_replies.then_some(self.longest_rig_delay.as_secs_f64() * 1e6),
+            instructions_mean: self.instructions.map(|(sum, _)| sum as f64 / self.replies as f64),
+            instructions_worst: self.instructions.map(|(_, worst)| worst as f64),
+            ..telemetry
+        }
+    }
+}
+
 struct Trial<'a, L: Link> {
-    session: &'a mut Session<Faulty<L>>,
+    session: &'a mut Session<FaultInjector<L>>,
     scenario: &'a Scenario,
-    law: LawId,
     wire_time: bool,
     own_clock: bool,
-    observed: Observed,
-    stage: Stage<'a, Vec<Row>>,
+    controller: ControllerLog<'a>,
+    replies: ReplyStats,
+    plant: PlantSimulation<'a, Vec<Row>>,
     next_control: Time,
-    /// In order of their instants.
-    pending: VecDeque<Pending>,
-    /// Control instants in a row that no answer came to.
-    misses: u32,
-    /// The last control instant and its row, while its sample has no answer.
+    /// In order of time.
+    pending: VecDeque<PendingActuation>,
+    /// The last control instant and the number of its row, until its sample is answered.
     unanswered: Option<(Time, usize)>,
-    /// When the controller said that it does not run, while it does not.
-    stopped: Option<Time>,
-    /// When the last sample left, on the wall.
-    turned: Instant,
-    lost: Option<RigError>,
+    last_sample_sent: Instant,
+    watchdog_timeout_ms: u16,
+    /// Instants at which a planned silence triggers the watchdog of a controller with its own clock; last one first.
+    planned_stops: Vec<Time>,
+    link_error: Option<RigError>,
 }
 
 impl<'a, L: Link> Trial<'a, L> {
-    fn new(session: &'a mut Session<Faulty<L>>, order: &Order<'a>, tap: Option<&'a mut Tap>) -> Self {
-        let Order { scenario, index, law, .. } = *order;
+    fn new(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, tap: Option<&'a mut TapWriter>) -> Self {
+        let TrialSpec { scenario, index, law, .. } = *spec;
+        let planned_stops = if spec.own_clock { planned_stops(scenario) } else { Vec::new() };
+        let watchdog_timeout_ms = match (spec.own_clock, planned_stops.is_empty()) {
+            (false, _) => 0,
+            (true, true) => OWN_CLOCK_WATCHDOG_TIMEOUT_MS,
+            (true, false) => SILENCE_WATCHDOG_TIMEOUT_MS,
+        };
         Self {
             session,
             scenario,
-            law,
-            wire_time: order.wire_time,
-            own_clock: order.own_clock,
-            observed: Observed::default(),
-            stage: Stage::new(scenario, index, Vec::with_capacity(expected_rows(scenario)), tap),
+            wire_time: spec.wire_time,
+            own_clock: spec.own_clock,
+            controller: ControllerLog::new(scenario, law),
+            replies: ReplyStats::default(),
+            plant: PlantSimulation::new(scenario, index, Vec::with_capacity(expected_rows(scenario)), tap),
             next_control: Time::ZERO,
             pending: VecDeque::new(),
-            misses: 0,
             unanswered: None,
-            stopped: None,
-            turned: Instant::now(),
-            lost: None,
+            last_sample_sent: Instant::now(),
+            watchdog_timeout_ms,
+            planned_stops,
+            link_error: None,
         }
     }
 
-    /// Everything that happens at this instant, and the way to the next one. True at the end of the scenario.
+    /// Handles all events of this instant and moves the plate to the next one. Returns true at the scenario's end.
     fn step(&mut self) -> bool {
-        let now = self.stage.time();
+        let now = self.plant.time();
         let mut flags = Flags::empty();
-        if self.lost.is_none() && (self.unanswered.is_some() || self.misses > 0) {
-            self.listen(now);
+        if self.link_error.is_none() && (self.unanswered.is_some() || self.controller.missed_replies() > 0) {
+            self.receive_late_commands(now);
         }
-        if now == self.next_control || self.stage.is_over() {
-            self.note_miss();
+        if now == self.next_control || self.plant.is_finished() {
+            self.count_missed_reply();
         }
-        if now == self.next_control && !self.stage.is_over() {
+        if now == self.next_control && !self.plant.is_finished() {
             self.next_control = now + self.scenario.controller.period;
-            if self.lost.is_none() {
+            if self.link_error.is_none() {
+                self.wait_for_planned_stop(now);
                 self.reconfigure(now);
             }
-            if self.lost.is_none() {
-                flags |= self.control(now);
+            if self.link_error.is_none() {
+                flags |= self.exchange_sample(now);
             }
         }
         while self.pending.front().is_some_and(|pending| pending.at <= now) {
-            if let Some(Pending { command, .. }) = self.pending.pop_front() {
-                self.stage.actuate(&command);
+            if let Some(PendingActuation { command, .. }) = self.pending.pop_front() {
+                self.plant.actuate(&command);
             }
         }
-        if self.lost.as_ref().is_some_and(|error| !is_the_controllers_doing(error)) {
+        if self.link_error.as_ref().is_some_and(|error| !is_controller_failure(error)) {
             flags |= Flags::LINK_LOST;
         }
-        self.stage.push_row(0.0, flags);
-        if self.stage.is_over() {
+        self.plant.push_row(0.0, flags);
+        if self.plant.is_finished() {
             return true;
         }
-        self.stage.advance(self.next_event(now));
+        self.plant.advance(self.next_event(now));
         false
     }
 
-    fn control(&mut self, now: Time) -> Flags {
-        let sample = self.stage.sense();
-        // From sample to sample, as the controller counts.
-        let was_away = self.own_clock && self.turned.elapsed() >= AWAY;
-        self.turned = Instant::now();
-        let answer = self.session.sample(duration(now), &sample);
-        self.note_given();
-        self.stage.tell(0, self.session.refused());
+    fn exchange_sample(&mut self, now: Time) -> Flags {
+        let sample = self.plant.sense();
+        let max_stall = Duration::from_millis(u64::from(self.watchdog_timeout_ms) / 2);
+        let host_stalled = self.own_clock && self.last_sample_sent.elapsed() >= max_stall;
+        self.last_sample_sent = Instant::now();
+        self.controller.record_sample();
+        let reply = self.session.send_sample(to_duration(now), &sample);
+        self.record_delivered_sample();
+        self.plant.report_counts(0, self.session.rejected_frames());
         let mut flags = Flags::CONTROL;
-        match answer {
-            // Idle after its configuration: it has forgotten it.
-            Ok(Some(reply)) if reply.command.state == Mode::Idle => self.lose(RigError::Restarted),
+        match reply {
+            // A configured controller that is idle has lost its configuration.
+            Ok(Some(reply)) if reply.command.state == Mode::Idle => self.end_on_link_error(RigError::Restarted),
             Ok(Some(reply)) => {
-                // A computer that stood still for a while leaves a controller that did as it was told.
-                flags.set(Flags::OVERRUN, was_away && reply.command.cause == StateCause::SampleTimeout);
-                self.misses = 0;
+                flags.set(Flags::OVERRUN, host_stalled && reply.command.cause == StateCause::SampleTimeout);
                 let rig_delay = Time::from_nanos(reply.delay.as_nanos() as u64);
                 let acting = if self.wire_time { rig_delay } else { Time::ZERO };
                 let delay = self.scenario.controller.loop_delay + acting;
-                self.observed.take(&reply, delay);
-                self.take(now, now + delay, reply.command);
+                self.replies.record(&reply, delay);
+                self.schedule_command(now, now + delay, reply.command);
             }
             Ok(None) => {
-                // It may still come before the next control instant; the row of this one is not there yet.
-                self.unanswered = Some((now, self.stage.rows_so_far()));
-                self.listen(now);
+                // A reply may still arrive before the next control instant. This instant's row comes later.
+                self.unanswered = Some((now, self.plant.row_count()));
+                self.receive_late_commands(now);
+                if self.session.wrong_sequences() > 0 && self.link_error.is_none() {
+                    self.end_on_link_error(RigError::WrongSequence);
+                }
             }
-            Err(error) => self.lose(error),
+            Err(error) => self.end_on_link_error(error),
         }
         flags
     }
 
-    /// What the controller says late or of its own accord acts from when it is heard.
-    fn listen(&mut self, now: Time) {
-        let said = self.session.pass(duration(now));
-        self.note_given();
-        match said {
+    /// Commands that come late or unasked act from the instant of their reception.
+    fn receive_late_commands(&mut self, now: Time) {
+        let received = self.session.advance_to(to_duration(now));
+        self.record_delivered_sample();
+        match received {
             Ok(Some(command)) => {
-                self.misses = 0;
                 let loop_delay = self.scenario.controller.loop_delay;
-                if let Some((sampled, _)) = self.unanswered.take_if(|_| self.session.is_answered()) {
-                    self.observed.late_answers += 1;
-                    self.observed.longest_delay = self.observed.longest_delay.max(now - sampled + loop_delay);
+                if let Some((sampled, _)) = self.unanswered.take_if(|_| self.session.last_sample_answered()) {
+                    self.replies.record_late(now - sampled + loop_delay);
                 }
-                self.take(now, now + loop_delay, command);
+                self.schedule_command(now, now + loop_delay, command);
             }
             Ok(None) => {}
-            Err(error) => self.lose(error),
+            Err(error) => self.end_on_link_error(error),
         }
     }
 
-    /// A command that was heard `now` and acts on the plate from `at` on.
-    fn take(&mut self, now: Time, at: Time, command: Command) {
-        if command.state == Mode::Running {
-            self.stopped = None;
-        } else {
-            self.stopped.get_or_insert(now);
-            self.observed.stopped.get_or_insert_with(|| stop_reason(command.cause).to_owned());
-        }
-        // A controller that answers faster than before does not overtake itself.
+    /// Schedules a command that was received at `now` to act on the plate at `at`.
+    fn schedule_command(&mut self, now: Time, at: Time, command: Command) {
+        self.controller.record_command(&command, now);
+        // A command never overtakes an earlier one.
         let at = self.pending.back().map_or(at, |last| last.at.max(at));
-        self.pending.push_back(Pending { at, command });
+        self.pending.push_back(PendingActuation { at, command });
     }
 
-    /// The last control instant has had its time for an answer.
-    fn note_miss(&mut self) {
-        let Some((sampled, index)) = self.unanswered.take() else { return };
-        self.stage.flag(index, Flags::LINK_LOST);
-        self.stage.tell(1, self.session.refused());
-        // A line that is planned to come back is waited for.
-        if self.scenario.explains(sampled) {
+    /// Counts the last sample as unanswered: its period is over.
+    fn count_missed_reply(&mut self) {
+        let Some((sampled, row)) = self.unanswered.take() else { return };
+        self.plant.add_flags(row, Flags::LINK_LOST);
+        self.plant.report_counts(1, self.session.rejected_frames());
+        // The bench waits for a planned silence to end.
+        if self.scenario.explains_silence(sampled) {
             return;
         }
-        self.misses += 1;
-        if self.misses >= MISSES_UNTIL_LOST && self.lost.is_none() {
-            self.lose(RigError::NoAnswer { expected: "command" });
+        self.controller.record_missed_reply();
+        if self.controller.missed_replies() >= MAX_MISSED_REPLIES && self.link_error.is_none() {
+            self.end_on_link_error(RigError::NoAnswer { expected: "command" });
         }
     }
 
-    /// What a line operator does once a fault is over that stopped the controller.
+    /// Configures the controller again, as a line operator does after a fault that stopped it.
     fn reconfigure(&mut self, now: Time) {
-        if !self.stopped.is_some_and(|stopped| reconfigures(self.scenario, stopped, now)) {
-            return;
-        }
-        let configure = self.configure();
-        match self.session.configure(duration(now), &configure) {
-            Ok(_) => self.stopped = None,
-            Err(error) => self.lose(error),
+        let Some(configure) = self.controller.reconfiguration(now) else { return };
+        let configure = self.with_watchdog(configure);
+        match self.session.reconfigure(to_duration(now), &configure) {
+            Ok(gains) => self.controller.record_configuration(&configure, Some(&gains), now),
+            Err(error) => self.end_on_link_error(error),
         }
     }
 
-    /// The trace tells what the controller was given, which faults may have changed.
-    fn note_given(&mut self) {
-        if let Some(given) = self.session.link().given() {
-            self.stage.given(given);
+    /// Lets the wall time pass that a planned silence takes to trigger the watchdog, while the plate waits.
+    fn wait_for_planned_stop(&mut self, now: Time) {
+        if self.planned_stops.pop_if(|stop| *stop <= now).is_some() && !self.controller.is_stopped() {
+            let timeout = Duration::from_millis(self.watchdog_timeout_ms.into()) + WATCHDOG_MARGIN;
+            thread::sleep(timeout.saturating_sub(self.last_sample_sent.elapsed()));
+            self.receive_late_commands(now);
+            // The pause is not a stall of the host.
+            self.last_sample_sent = Instant::now();
         }
     }
 
-    /// The controller is gone: what is left of the trial is played at 0 V.
-    fn lose(&mut self, error: RigError) {
+    /// Records the sample that the controller received, which a fault may have changed.
+    fn record_delivered_sample(&mut self) {
+        if let Some(sample) = self.session.link().delivered_sample() {
+            self.plant.set_delivered_sample(sample);
+        }
+    }
+
+    /// Plays the rest of the trial at 0 V, without the controller.
+    fn end_on_link_error(&mut self, error: RigError) {
         self.pending.clear();
-        self.stage.rest();
-        self.lost = Some(error);
+        self.plant.stop_drive();
+        self.link_error = Some(error);
     }
 
     fn next_event(&self, now: Time) -> Time {
         let actuation = self.pending.front().map(|pending| pending.at);
         let control = Some(self.next_control).filter(|control| *control > now);
-        let due = self.session.link().due().map(|due| Time::from_nanos(due.as_nanos() as u64));
-        let held = due.filter(|due| *due > now && self.lost.is_none());
-        actuation.into_iter().chain(control).chain(held).fold(self.stage.next_fixed(), Time::min)
+        let due = self.session.link().next_due().map(|due| Time::from_nanos(due.as_nanos() as u64));
+        let delivery = due.filter(|due| *due > now && self.link_error.is_none());
+        actuation.into_iter().chain(control).chain(delivery).fold(self.plant.next_scheduled_row(), Time::min)
     }
 
-    /// What the controller is told before the trial, and again where it is configured anew.
-    fn configure(&self) -> Configure {
-        let patience_ms = if self.own_clock { OWN_CLOCK_PATIENCE_MS } else { 0 };
-        Configure { patience_ms, ..configure(self.scenario, self.law) }
+    fn configuration(&self) -> Configure {
+        self.with_watchdog(self.controller.configuration())
+    }
+
+    fn with_watchdog(&self, configure: Configure) -> Configure {
+        Configure { watchdog_timeout_ms: self.watchdog_timeout_ms, ..configure }
+    }
+
+    fn finish(mut self) -> TrialResult {
+        let now = self.plant.time();
+        self.controller.record_session(self.session, now);
+        if self.link_error.is_none() && self.session.request_safe_state() {
+            self.controller.watch_after_safe(self.session, self.own_clock, now);
+        }
+        let telemetry = Telemetry {
+            not_finite: self.plant.not_finite(),
+            patience_ms: self.own_clock.then_some(self.watchdog_timeout_ms),
+            ..self.controller.telemetry(self.session, self.link_error.as_ref())
+        };
+        TrialResult {
+            telemetry: self.replies.add_to(telemetry),
+            trace_rows: self.plant.into_rows(),
+            link_error: self.link_error,
+        }
     }
 }
 
-/// True where the controller itself came to grief, which fails a trial; a line that went dead only leaves it undecided.
-pub(crate) fn is_the_controllers_doing(error: &RigError) -> bool {
+/// True if the controller itself failed, which fails a trial. A dead line only leaves it undecided.
+pub(crate) fn is_controller_failure(error: &RigError) -> bool {
     match error {
-        RigError::Trapped(_) | RigError::Link(LinkError::Target(_)) => true,
+        RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_)) => true,
         RigError::Link(LinkError::Disconnected(_))
         | RigError::NoAnswer { .. }
-        | RigError::Refused(_)
+        | RigError::ConfigurationRejected(_)
         | RigError::Restarted
-        | RigError::NotLive => false,
+        | RigError::NoRealTime => false,
     }
 }
 
-fn duration(time: Time) -> Duration {
+/// The instants at which planned silences trigger the watchdog, the last one first.
+fn planned_stops(scenario: &Scenario) -> Vec<Time> {
+    let period = scenario.controller.period;
+    let watchdog = period.times(WATCHDOG_PERIODS);
+    let silences = scenario.faults.iter().filter(|fault| fault.exceeds_watchdog(watchdog, period));
+    // The last sample before the fault arrives up to one period earlier.
+    let mut stops: Vec<Time> = silences.map(|fault| fault.from + period.times(WATCHDOG_PERIODS - 1)).collect();
+    stops.sort_by(|one, other| other.cmp(one));
+    stops
+}
+
+fn to_duration(time: Time) -> Duration {
     Duration::from_nanos(time.as_nanos())
 }

@@ -3,21 +3,13 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use platebench_plate::{Profile, Time};
-use platebench_rig::{Faulty, Hosted, Link, Session};
-use platebench_runner::trial::{self, Order, Patience, Played};
+use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, Session};
+use platebench_runner::trial::{self, TrialResult, TrialSpec};
 use platebench_scenario::{Scenario, load};
-use platebench_verdict::divergence::diverged_at;
+use platebench_verdict::divergence_time_s;
 use platebench_wire::LawId;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-struct Patient;
-
-impl Patience for Patient {
-    fn is_over(&self) -> bool {
-        false
-    }
-}
 
 fn scenarios() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios")
@@ -27,18 +19,18 @@ fn scenario(name: &str) -> Scenario {
     load(&scenarios().join(name), name).unwrap_or_else(|fault| panic!("{fault}"))
 }
 
-fn play_over<L: Link>(link: L, scenario: &Scenario, law: LawId) -> Played {
-    let mut session = Session::open(Faulty::new(link)).unwrap();
-    let order = Order { scenario, law, index: 0, wire_time: false, own_clock: false };
-    trial::play(&mut session, &order, &Patient).unwrap()
+fn play_over<L: Link>(link: L, scenario: &Scenario, law: LawId) -> TrialResult {
+    let mut session = Session::open(FaultInjector::new(link)).unwrap();
+    let order = TrialSpec { scenario, law, index: 0, wire_time: false, own_clock: false };
+    trial::play(&mut session, &order, &CancelToken::never(), None).unwrap()
 }
 
-fn diverged(scenario: &Scenario, law: LawId) -> Option<f64> {
-    diverged_at(scenario, &play_over(Hosted::new(), scenario, law).rows)
+fn divergence_time(scenario: &Scenario, law: LawId) -> Option<f64> {
+    divergence_time_s(scenario, &play_over(HostedLink::new(), scenario, law).trace_rows)
 }
 
 /// Fig. 13's step with a design response time of 2 ms, a drive that is not in the way, and a delay in periods.
-fn delayed(periods: f64, duration_ms: f64) -> Scenario {
+fn scenario_with_delay(periods: f64, duration_ms: f64) -> Scenario {
     let mut scenario = scenario("paper/fig13-closed-loop.toml");
     scenario.controller.response_time_ms = Some(2.0);
     scenario.controller.loop_delay = Time::from_ms(periods).unwrap();
@@ -53,10 +45,10 @@ fn a_loop_just_past_its_boundary_diverges_and_one_just_before_it_does_not() {
     for (law, boundary) in [(LawId::DqPiEuler, 0.8302), (LawId::DqPiFixed, 1.6685)] {
         for start_hz in [32307.6, 32306.0] {
             let at = |share: f64| {
-                let mut scenario = delayed(share * boundary, 2000.0);
+                let mut scenario = scenario_with_delay(share * boundary, 2000.0);
                 scenario.controller.start_frequency_hz = start_hz;
                 scenario.plate.drive_limit_vpp = 1e5;
-                diverged(&scenario, law)
+                divergence_time(&scenario, law)
             };
             assert_eq!(at(0.985), None, "{law:?} {start_hz} Hz");
             assert!(at(1.015).is_some(), "{law:?} {start_hz} Hz");
@@ -79,10 +71,10 @@ fn an_unstable_loop_is_told_by_what_its_limits_leave_of_it() {
         (LawId::Pll, 5.0),
     ] {
         for start_hz in [32307.6, 32220.9] {
-            let mut scenario = delayed(periods, 1000.0);
+            let mut scenario = scenario_with_delay(periods, 1000.0);
             scenario.controller.response_time_ms = None;
             scenario.controller.start_frequency_hz = start_hz;
-            let at_s = diverged(&scenario, law);
+            let at_s = divergence_time(&scenario, law);
             assert!(at_s.is_some_and(|at_s| at_s < 0.1), "{law:?} {start_hz} Hz: {at_s:?}");
         }
     }
@@ -104,7 +96,7 @@ fn no_scenario_raises_a_false_alarm_under_any_law() {
     for name in names.filter(|name| Path::new(name).extension().is_some_and(|ending| ending == "toml")) {
         let scenario = scenario(&name);
         for law in LawId::ALL {
-            let at_s = diverged(&scenario, law);
+            let at_s = divergence_time(&scenario, law);
             found.extend(at_s.map(|_| format!("{name} {}", law.name())));
             played += 1;
         }
@@ -132,13 +124,17 @@ fn noise_raises_no_false_alarm() {
                 [(0.0, 32307.6, 0.0), (0.0, 32220.9, 0.0), (2.0, 32220.9, 0.0), (0.0, 32307.6, 0.7)]
             {
                 for seed in 1..4 {
-                    let mut scenario = delayed(periods, 200.0);
+                    let mut scenario = scenario_with_delay(periods, 200.0);
                     scenario.controller.response_time_ms = None;
                     scenario.controller.start_frequency_hz = start_hz;
-                    scenario.scene.finger_force_n = Profile::constant(force_n);
+                    scenario.conditions.finger_force_n = Profile::constant(force_n);
                     scenario.plate.noise_um_rms = noise_um;
                     scenario.trials.seed = seed;
-                    assert_eq!(diverged(&scenario, law), None, "{law:?} {noise_um} µm {force_n} N {start_hz} Hz");
+                    assert_eq!(
+                        divergence_time(&scenario, law),
+                        None,
+                        "{law:?} {noise_um} µm {force_n} N {start_hz} Hz"
+                    );
                 }
             }
         }

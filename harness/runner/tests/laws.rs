@@ -2,10 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
+use platebench_record::Overrides;
+use platebench_record::RunFolder;
 use platebench_rig::RigSpec;
-use platebench_runner::{Cancel, Plan, RunFolder};
+use platebench_runner::{RunHooks, RunPlan};
 use platebench_scenario::load;
-use platebench_verdict::record::Overrides;
 use std::fs;
 use std::path::Path;
 
@@ -48,7 +49,7 @@ fn play_behind_noise(law: &str, controller: &str, profile: &str, noise_um: f64) 
     let scenario = load(&path, "step.toml").unwrap_or_else(|fault| panic!("{fault}"));
     let out = folder.path().join("run");
     let run = RunFolder::create(Some(&out)).unwrap();
-    let plan = Plan {
+    let plan = RunPlan {
         scenarios: vec![scenario],
         jobs: 1,
         clock: platebench_runner::Clock::Lockstep { wire_time: false },
@@ -56,8 +57,7 @@ fn play_behind_noise(law: &str, controller: &str, profile: &str, noise_um: f64) 
         rig: "hosted".to_owned(),
         overrides: Overrides::default(),
     };
-    let record =
-        platebench_runner::run(&plan, &run, &|| RigSpec::Hosted.connect(), &Cancel::default(), &mut |_| {}).unwrap();
+    let record = platebench_runner::run(&plan, &run, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap();
     let value = |number: usize| record.scenarios[0].expectations[number].value;
     Response {
         settling_ms: value(0),
@@ -68,7 +68,7 @@ fn play_behind_noise(law: &str, controller: &str, profile: &str, noise_um: f64) 
     }
 }
 
-fn paper(law: &str, controller: &str, force_n: f64) -> Response {
+fn paper_response(law: &str, controller: &str, force_n: f64) -> Response {
     play(law, controller, &format!("finger_force_n = {force_n:?}"))
 }
 
@@ -77,7 +77,7 @@ fn paper(law: &str, controller: &str, force_n: f64) -> Response {
 fn deadbeat_needs_two_periods_and_800_vpp() {
     for start in [AT_RESONANCE, NINE_KELVIN_OFF, "start_frequency_hz = 32394.3"] {
         for force_n in [0.0, 0.2, 0.5, 1.0, 1.5, 2.0] {
-            let response = paper("deadbeat", start, force_n);
+            let response = paper_response("deadbeat", start, force_n);
             assert!(response.settling_ms.is_some_and(|ms| ms <= 2.0), "{start} {force_n} N: {response:?}");
             assert!(response.peak_vpp <= 800.0, "{start} {force_n} N: {response:?}");
             assert!(response.overshoot_percent < 1.0, "{start} {force_n} N: {response:?}");
@@ -91,7 +91,7 @@ fn deadbeat_needs_two_periods_and_800_vpp() {
 #[test]
 fn deadbeat_is_there_in_one_period_where_nothing_touches_the_plate() {
     for start in [AT_RESONANCE, NINE_KELVIN_OFF] {
-        let response = paper("deadbeat", start, 0.0);
+        let response = paper_response("deadbeat", start, 0.0);
         assert!(response.settling_ms.is_some_and(|ms| ms < 1.0), "{response:?}");
     }
 }
@@ -104,11 +104,11 @@ fn deadbeat_finds_out_how_late_its_drive_acts() {
         [(0.1, 2.8, 19.0), (0.2, 3.1, 38.0), (0.3, 3.3, 62.0), (0.35, 1.4, 1.0), (0.5, 1.5, 1.0), (0.8, 1.9, 1.0)]
     {
         for start in [AT_RESONANCE, NINE_KELVIN_OFF] {
-            let response = paper("deadbeat", &format!("{start}\nloop_delay_ms = {delay_ms}"), 0.0);
+            let response = paper_response("deadbeat", &format!("{start}\nloop_delay_ms = {delay_ms}"), 0.0);
             assert!(response.settling_ms.is_some_and(|ms| ms < settling_ms), "{start} {delay_ms} ms: {response:?}");
             assert!(response.overshoot_percent < overshoot_percent, "{start} {delay_ms} ms: {response:?}");
         }
-        let finger = paper("deadbeat", &format!("{NINE_KELVIN_OFF}\nloop_delay_ms = {delay_ms}"), 2.0);
+        let finger = paper_response("deadbeat", &format!("{NINE_KELVIN_OFF}\nloop_delay_ms = {delay_ms}"), 2.0);
         assert!(finger.settling_ms.is_some_and(|ms| ms < 3.7), "{delay_ms} ms: {finger:?}");
         assert!(finger.overshoot_percent < 3.0, "{delay_ms} ms: {finger:?}");
     }
@@ -132,12 +132,15 @@ fn a_told_delay_costs_its_own_length_and_hardly_more() {
         for ((start, force_n), at_most) in
             [(AT_RESONANCE, 0.0), (NINE_KELVIN_OFF, 0.0), (NINE_KELVIN_OFF, 2.0)].into_iter().zip(at_most)
         {
-            let response =
-                paper(law, &format!("{start}\nloop_delay_ms = {delay_ms}\ndesign_delay_ms = {delay_ms}"), force_n);
+            let response = paper_response(
+                law,
+                &format!("{start}\nloop_delay_ms = {delay_ms}\ndesign_delay_ms = {delay_ms}"),
+                force_n,
+            );
             let case = format!("{law} {start} {delay_ms} ms {force_n} N: {response:?}");
             assert!(response.settling_ms.is_some_and(|ms| ms < at_most), "{case}");
             assert!(response.overshoot_percent < 7.0 && response.static_error_percent < 0.01, "{case}");
-            let untold = paper(law, &format!("{start}\nloop_delay_ms = {delay_ms}"), force_n);
+            let untold = paper_response(law, &format!("{start}\nloop_delay_ms = {delay_ms}"), force_n);
             // Told nothing, deadbeat mostly guesses right at 0.5 and 0.8.
             if force_n == 0.0 && (law == "dq-pi" || delay_ms == 0.2) {
                 assert!(untold.overshoot_percent > response.overshoot_percent + 2.0, "{case} instead of {untold:?}");
@@ -166,7 +169,7 @@ fn noise_in_a_short_look_is_not_taken_for_the_plate() {
 #[test]
 fn a_delay_told_too_short_shifts_the_end_of_stability_by_what_was_told() {
     let settles = |told: f64, delay: f64| {
-        let response = paper("dq-pi", &format!("loop_delay_ms = {delay}\ndesign_delay_ms = {told}"), 0.0);
+        let response = paper_response("dq-pi", &format!("loop_delay_ms = {delay}\ndesign_delay_ms = {told}"), 0.0);
         response.settling_ms.is_some()
     };
     assert!(settles(0.0, 1.0) && !settles(0.0, 1.5) && !settles(0.0, 1.9));
@@ -178,13 +181,14 @@ fn a_delay_told_too_short_shifts_the_end_of_stability_by_what_was_told() {
 #[test]
 fn dq_pi_is_as_good_under_a_finger_and_no_worse_without() {
     for start in [AT_RESONANCE, NINE_KELVIN_OFF] {
-        let (matched, fixed) = (paper("dq-pi", start, 2.0), paper("dq-pi-fixed", start, 2.0));
+        let (matched, fixed) = (paper_response("dq-pi", start, 2.0), paper_response("dq-pi-fixed", start, 2.0));
         assert!(matched.settling_ms.is_some_and(|ms| (3.0..3.5).contains(&ms)), "{start}: {matched:?}");
         assert!(fixed.settling_ms.is_some_and(|ms| (9.0..9.5).contains(&ms)), "{start}: {fixed:?}");
         assert!(matched.overshoot_percent < 0.5 && matched.peak_vpp < 720.0, "{start}: {matched:?}");
         for delay_ms in [0.0, 0.3, 0.6] {
             let controller = format!("{start}\nloop_delay_ms = {delay_ms}");
-            let (matched, fixed) = (paper("dq-pi", &controller, 0.0), paper("dq-pi-fixed", &controller, 0.0));
+            let (matched, fixed) =
+                (paper_response("dq-pi", &controller, 0.0), paper_response("dq-pi-fixed", &controller, 0.0));
             let later = matched.settling_ms.unwrap() - fixed.settling_ms.unwrap();
             assert!(later < 0.1, "{start} {delay_ms} ms: {matched:?} instead of {fixed:?}");
             assert!(matched.overshoot_percent < fixed.overshoot_percent + 0.5, "{start} {delay_ms} ms: {matched:?}");
@@ -194,29 +198,29 @@ fn dq_pi_is_as_good_under_a_finger_and_no_worse_without() {
 
 #[test]
 fn voltage_only_pays_for_what_it_does_not_tune() {
-    let tuned = paper("voltage-only", AT_RESONANCE, 0.0);
+    let tuned = paper_response("voltage-only", AT_RESONANCE, 0.0);
     assert!(tuned.settling_ms.is_some_and(|ms| ms < 2.0), "{tuned:?}");
-    let off = paper("voltage-only", NINE_KELVIN_OFF, 0.0);
+    let off = paper_response("voltage-only", NINE_KELVIN_OFF, 0.0);
     assert!(off.settling_ms.is_some_and(|ms| ms > 5.0) && off.static_error_percent < 0.01, "{off:?}");
     assert!((off.frequency_error_hz - 86.7).abs() < 0.01, "{off:?}");
 }
 
 #[test]
 fn frequency_only_has_the_amplitude_without_the_resonance_and_only_while_its_voltage_lasts() {
-    let untouched = paper("frequency-only", AT_RESONANCE, 0.0);
+    let untouched = paper_response("frequency-only", AT_RESONANCE, 0.0);
     assert!(untouched.settling_ms.is_some_and(|ms| ms > 5.0) && untouched.static_error_percent < 0.1, "{untouched:?}");
     // √((0.00698 · 450 / 2)² − 1) / (2π · 1.88 ms)
     assert!((untouched.frequency_error_hz - 102.5).abs() < 1.0, "{untouched:?}");
     // 450 Vpp hold 2 µm up to σ/σ0 = 1.57, 0.85 N; the amplifier's 900 Vpp would bear any of these.
-    assert!(paper("frequency-only", AT_RESONANCE, 0.8).static_error_percent < 0.5);
-    assert!(paper("frequency-only", AT_RESONANCE, 1.0).static_error_percent > 5.0);
+    assert!(paper_response("frequency-only", AT_RESONANCE, 0.8).static_error_percent < 0.5);
+    assert!(paper_response("frequency-only", AT_RESONANCE, 1.0).static_error_percent > 5.0);
 }
 
 #[test]
 fn bang_bang_is_slow_from_an_unsuited_start_alone() {
-    let suited = paper("bang-bang", AT_RESONANCE, 0.0);
+    let suited = paper_response("bang-bang", AT_RESONANCE, 0.0);
     assert!(suited.settling_ms.is_some_and(|ms| ms < 2.0), "{suited:?}");
-    let unsuited = paper("bang-bang", NINE_KELVIN_OFF, 0.0);
+    let unsuited = paper_response("bang-bang", NINE_KELVIN_OFF, 0.0);
     assert!(unsuited.settling_ms.is_some_and(|ms| ms > 5.0), "{unsuited:?}");
     for response in [suited, unsuited] {
         // It hunts by one step of 4.2 Hz.
@@ -226,10 +230,10 @@ fn bang_bang_is_slow_from_an_unsuited_start_alone() {
 
 #[test]
 fn the_pll_finds_the_resonance_and_leaves_the_amplitude_to_the_plate() {
-    let untouched = paper("pll", NINE_KELVIN_OFF, 0.0);
+    let untouched = paper_response("pll", NINE_KELVIN_OFF, 0.0);
     assert!(untouched.frequency_error_hz < 0.01 && untouched.static_error_percent < 0.01, "{untouched:?}");
     assert!(untouched.settling_ms.is_some_and(|ms| ms > 5.0), "{untouched:?}");
-    let finger = paper("pll", NINE_KELVIN_OFF, 1.5);
+    let finger = paper_response("pll", NINE_KELVIN_OFF, 1.5);
     assert!(finger.frequency_error_hz < 0.01 && (finger.static_error_percent - 50.0).abs() < 0.1, "{finger:?}");
 }
 

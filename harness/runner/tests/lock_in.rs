@@ -2,10 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
+use platebench_record::Overrides;
+use platebench_record::RunFolder;
 use platebench_rig::RigSpec;
-use platebench_runner::{Cancel, Clock, Plan, RunFolder};
+use platebench_runner::{Clock, RunHooks, RunPlan};
 use platebench_scenario::load;
-use platebench_verdict::record::Overrides;
 use std::fs;
 use std::path::Path;
 
@@ -27,7 +28,7 @@ fn play(model: &str, sensor: &str) -> Vec<[f64; 2]> {
     let scenario = load(&path, "step.toml").unwrap_or_else(|fault| panic!("{fault}"));
     let out = folder.path().join("run");
     let run = RunFolder::create(Some(&out)).unwrap();
-    let plan = Plan {
+    let plan = RunPlan {
         scenarios: vec![scenario],
         jobs: 1,
         clock: Clock::Lockstep { wire_time: false },
@@ -35,8 +36,7 @@ fn play(model: &str, sensor: &str) -> Vec<[f64; 2]> {
         rig: "hosted".to_owned(),
         overrides: Overrides::default(),
     };
-    let record =
-        platebench_runner::run(&plan, &run, &|| RigSpec::Hosted.connect(), &Cancel::default(), &mut |_| {}).unwrap();
+    let record = platebench_runner::run(&plan, &run, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap();
     let trace = fs::read_to_string(out.join(&record.scenarios[0].trials[0].trace)).unwrap();
     let mut lines = trace.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let header = lines.next().unwrap();

@@ -31,7 +31,7 @@ pub struct Diagnostic {
 
 impl Diagnostic {
     /// A fault of a file as a whole, such as that it is not there.
-    pub fn of_file(path: &Path, message: impl Into<String>) -> Self {
+    pub fn for_file(path: &Path, message: impl Into<String>) -> Self {
         Self { path: path.to_owned(), source: String::new(), span: 0..0, message: message.into() }
     }
 
@@ -47,7 +47,7 @@ impl Diagnostic {
     }
 
     /// What the reader of TOML says of `source`, in the words of a TOML file and with what may have been meant.
-    pub fn of_toml(path: &Path, source: &str, error: &toml::de::Error) -> Self {
+    pub fn from_toml(path: &Path, source: &str, error: &toml::de::Error) -> Self {
         let span = error.span().unwrap_or(0..0);
         let mut message = error.message().trim().to_owned();
         for (serde, ours) in SERDE_WORDS {
@@ -107,11 +107,11 @@ pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> S
     let same = known.iter().filter_map(|known| Some((known, quantity(known)?)));
     let mut same = same.filter(|(known, (quantity, _))| {
         let unit = name.strip_prefix(quantity).map(|rest| rest.strip_prefix('_').unwrap_or(rest));
-        unit.is_some_and(|unit| unit.is_empty() || OTHER_UNITS.contains(&unit) || UNITS.contains(&unit))
+        unit.is_some_and(|unit| unit.is_empty() || FOREIGN_UNITS.contains(&unit) || UNITS.contains(&unit))
             && name != **known
     });
     if let (Some((known, (_, unit))), None) = (same.next(), same.next()) {
-        return format!("; did you mean `{known}`, in {}?", spoken(unit));
+        return format!("; did you mean `{known}`, in {}?", unit_symbol(unit));
     }
     let rated = known.into_iter().map(|known| (strsim::jaro_winkler(name, known), known));
     match rated.filter(|(closeness, _)| *closeness >= CLOSE).max_by(|a, b| a.0.total_cmp(&b.0)) {
@@ -123,12 +123,12 @@ pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> S
 /// Units at the end of our keys.
 const UNITS: [&str; 9] = ["ms", "us", "um", "hz", "k", "c", "n", "vpp", "percent"];
 /// Units that somebody else would have put there.
-const OTHER_UNITS: [&str; 24] = [
+const FOREIGN_UNITS: [&str; 24] = [
     "s", "sec", "seconds", "min", "ns", "m", "mm", "nm", "micron", "khz", "mhz", "rad", "mn", "newton", "v", "mv",
     "volt", "volts", "kelvin", "celsius", "degc", "pct", "ratio", "rms",
 ];
 
-fn spoken(unit: &str) -> &str {
+fn unit_symbol(unit: &str) -> &str {
     match unit {
         "us" => "µs",
         "um" => "µm",

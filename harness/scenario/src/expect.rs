@@ -1,6 +1,9 @@
 //! What is expected of a controller.
 
+use crate::window::{ChangingProfile, Window};
 use platebench_plate::Time;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
 /// What can be measured in a trial or over trials. Definitions: `docs/verdicts.md`.
@@ -38,11 +41,17 @@ pub enum Metric {
     ShutdownTime,
     /// Control instants without an answer.
     MissedReplies,
+    /// Largest minus smallest value of the signal over the window, relative to the setpoint.
+    RipplePercent,
+    /// Largest minus smallest value of the signal over the window.
+    Ripple,
+    /// Largest drive while the setpoint is 0, from one period and loop delay after it became 0.
+    RestDrive,
 }
 
 impl Metric {
     /// Every metric.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 19] = [
         Self::SettlingTime,
         Self::StaticError,
         Self::Repeatability,
@@ -59,6 +68,9 @@ impl Metric {
         Self::Overruns,
         Self::ShutdownTime,
         Self::MissedReplies,
+        Self::RipplePercent,
+        Self::Ripple,
+        Self::RestDrive,
     ];
 
     /// The metric's name in scenario files and records, with its unit.
@@ -80,6 +92,9 @@ impl Metric {
             Self::Overruns => "overruns",
             Self::ShutdownTime => "shutdown_time_ms",
             Self::MissedReplies => "missed_replies",
+            Self::RipplePercent => "ripple_percent",
+            Self::Ripple => "ripple_um",
+            Self::RestDrive => "rest_drive_vpp",
         }
     }
 
@@ -89,7 +104,7 @@ impl Metric {
     }
 
     /// The smallest and the largest value that it can take.
-    pub const fn possible(self) -> (f64, f64) {
+    pub const fn value_range(self) -> (f64, f64) {
         match self {
             Self::Saturated => (0.0, 100.0),
             _ => (0.0, f64::INFINITY),
@@ -101,16 +116,44 @@ impl Metric {
         matches!(self, Self::SettlingTime | Self::RecoveryTime | Self::PeakDeviation)
     }
 
-    /// True where a window's mean is part of the definition.
+    /// True if `window_ms` applies: the signal is averaged or compared over an interval.
     pub const fn has_window(self) -> bool {
-        matches!(self, Self::StaticError | Self::Repeatability)
+        matches!(self, Self::StaticError | Self::Repeatability | Self::RipplePercent | Self::Ripple)
     }
 
-    /// True where an instant to look from is part of the definition.
+    /// True if `from_ms` and `until_ms` apply; the other metrics cover the whole trial.
     pub const fn has_from(self) -> bool {
-        matches!(
+        !matches!(self, Self::LoopDelay | Self::InstructionsPerStep)
+    }
+
+    /// True if the response to a setpoint step is measured.
+    pub const fn is_step_response(self) -> bool {
+        matches!(self, Self::SettlingTime | Self::Overshoot)
+    }
+
+    /// True if the value is relative to the setpoint, which must then not be 0.
+    pub const fn is_relative_to_setpoint(self) -> bool {
+        self.has_band() || matches!(self, Self::StaticError | Self::Repeatability | Self::RipplePercent)
+    }
+
+    /// True if `after` applies to changes of `profile`.
+    pub fn has_after(self, profile: ChangingProfile) -> bool {
+        match self {
+            Self::LoopDelay
+            | Self::InstructionsPerStep
+            | Self::ShutdownTime
+            | Self::Repeatability
+            | Self::RestDrive => false,
+            _ if self.is_step_response() => profile == ChangingProfile::Setpoint,
+            _ => true,
+        }
+    }
+
+    /// True if the motion of the plate is judged, and not only the line or the controller's timing.
+    pub const fn is_of_the_plate(self) -> bool {
+        !matches!(
             self,
-            Self::SettlingTime | Self::Overshoot | Self::PeakDeviation | Self::RecoveryTime | Self::ShutdownTime
+            Self::LoopDelay | Self::InstructionsPerStep | Self::Overruns | Self::ShutdownTime | Self::MissedReplies
         )
     }
 
@@ -126,8 +169,22 @@ impl fmt::Display for Metric {
     }
 }
 
-/// What a metric is held against.
-#[derive(Debug, Clone, Copy, PartialEq)]
+impl Serialize for Metric {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
+impl<'de> Deserialize<'de> for Metric {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Self::from_name(&name).ok_or_else(|| D::Error::custom(format!("unknown metric `{name}`")))
+    }
+}
+
+/// What a metric is compared with.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Limit {
     /// Not above.
     AtMost(f64),
@@ -135,33 +192,22 @@ pub enum Limit {
     AtLeast(f64),
     /// Between both, inclusive.
     Within(f64, f64),
-    /// Agreement with a value, to a tolerance in percent of it where one is meaningful.
-    About {
-        /// The value.
-        value: f64,
-        /// Percent of the value.
-        tolerance_percent: f64,
-    },
+    /// Agreement with a value, within the tolerance of the expectation.
+    About(f64),
 }
 
 impl Limit {
-    /// The smallest and the largest value that are still good.
-    pub fn range(self) -> (f64, f64) {
+    /// The smallest and the largest value that meet it; `tolerance_percent` is that of [`Self::About`].
+    pub fn range(self, tolerance_percent: f64) -> (f64, f64) {
         match self {
             Self::AtMost(high) => (f64::NEG_INFINITY, high),
             Self::AtLeast(low) => (low, f64::INFINITY),
             Self::Within(low, high) => (low, high),
-            Self::About { value, tolerance_percent } => {
+            Self::About(value) => {
                 let margin = value.abs() * tolerance_percent / 100.0;
                 (value - margin, value + margin)
             }
         }
-    }
-
-    /// True where `value` is good.
-    pub fn holds(self, value: f64) -> bool {
-        let (low, high) = self.range();
-        (low..=high).contains(&value)
     }
 }
 
@@ -171,14 +217,14 @@ impl fmt::Display for Limit {
             Self::AtMost(high) => write!(formatter, "≤ {high}"),
             Self::AtLeast(low) => write!(formatter, "≥ {low}"),
             Self::Within(low, high) => write!(formatter, "{low} … {high}"),
-            Self::About { value, .. } => write!(formatter, "≈ {value}"),
+            Self::About(value) => write!(formatter, "≈ {value}"),
         }
     }
 }
 
 /// What the trials of a scenario come to, before it is held against the limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Over {
+pub enum Aggregation {
     /// Each trial has to keep the limit by itself.
     Each,
     /// Their mean has to.
@@ -186,39 +232,34 @@ pub enum Over {
     /// That share of all trials lies at or below what has to.
     Quantile(f64),
     /// Their standard deviation has to; only [`Metric::Repeatability`].
-    Deviation,
+    StandardDeviation,
 }
 
-impl Over {
+impl Aggregation {
     /// Names in scenario files.
     pub const NAMES: [&str; 3] = ["each", "mean", "quantile"];
 
     /// What a metric comes to unless the scenario says otherwise.
-    pub const fn default_of(metric: Metric) -> Self {
+    pub const fn default_for(metric: Metric) -> Self {
         match metric {
-            Metric::Repeatability => Self::Deviation,
+            Metric::Repeatability => Self::StandardDeviation,
             Metric::StaticError => Self::Mean,
             _ => Self::Each,
         }
     }
 }
 
-/// The stretch of a trial over which a mean is taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Window {
-    /// Its start.
-    pub from: Time,
-    /// Its end.
-    pub to: Time,
-}
-
 /// One expectation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Expectation {
+    /// Unique in the scenario: the key `name`, else the metric, `metric 2`, `metric 3`.
+    pub name: String,
     /// What is measured.
     pub metric: Metric,
-    /// What it is held against.
+    /// What it is compared with.
     pub limit: Limit,
+    /// Tolerance of [`Limit::About`], percent of the value; without meaning for [`Metric::Repeatability`].
+    pub tolerance_percent: f64,
     /// The paper's value.
     pub paper: Option<f64>,
     /// Identifier of a requirement.
@@ -226,9 +267,13 @@ pub struct Expectation {
     /// Confidence at which a verdict over trials is made.
     pub confidence: f64,
     /// What the trials come to.
-    pub over: Over,
+    pub aggregation: Aggregation,
     /// Half width of the band around the setpoint, percent.
     pub band_percent: f64,
+    /// The judged windows, at least one, in rising order; the worst decides. Of a mean: the intervals of the mean.
+    pub windows: Vec<Window>,
+    /// The profile whose changes start the windows, if the key `after` is given.
+    pub after: Option<ChangingProfile>,
     /// From when on to look.
     pub from: Option<Time>,
     /// The window of a mean; of a shutdown, from when to when it has to happen and last.
@@ -241,6 +286,17 @@ pub struct Expectation {
 pub const SIGNALS: [&str; 5] = ["amplitude_um", "wd_um", "wq_um", "sensed_wd_um", "sensed_wq_um"];
 
 impl Expectation {
+    /// The smallest and the largest value that meet the limit.
+    pub fn range(&self) -> (f64, f64) {
+        self.limit.range(self.tolerance_percent)
+    }
+
+    /// True if `value` meets the limit.
+    pub fn holds(&self, value: f64) -> bool {
+        let (low, high) = self.range();
+        (low..=high).contains(&value)
+    }
+
     /// The two edges of the band around `setpoint`, both still inside.
     pub fn band(&self, setpoint: f64) -> (f64, f64) {
         let half = setpoint.abs() * self.band_percent / 100.0;

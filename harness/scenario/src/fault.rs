@@ -32,7 +32,7 @@ impl FaultKind {
         ["drop", "flip", "duplicate", "delay", "truncate", "babble", "disconnect", "freeze", "scale"];
 
     /// True where it acts on the sensor instead of the line.
-    pub const fn is_of_the_sensor(self) -> bool {
+    pub const fn affects_sensor(self) -> bool {
         matches!(self, Self::Freeze | Self::Scale(_))
     }
 
@@ -89,14 +89,14 @@ pub struct Fault {
 
 impl Fault {
     /// True within the window.
-    pub fn covers(&self, time: Time) -> bool {
+    pub fn is_active_at(&self, time: Time) -> bool {
         self.from <= time && self.until.is_none_or(|until| time < until)
     }
 
     /// True where this fault is near enough to be the reason for a missing answer or a stop at `time`: within the window and for one period after it, in which a frame without
     /// a delimiter takes the next one with it and a controller that stopped unheard says so; after a delay, also while what was held up still comes in. A
     /// line that stays dead explains nothing: its controller is lost.
-    pub fn explains(&self, time: Time, period: Time) -> bool {
+    pub fn can_explain(&self, time: Time, period: Time) -> bool {
         let held = match self.kind {
             FaultKind::Delay(delay) => delay,
             _ => Time::ZERO,
@@ -106,17 +106,17 @@ impl Fault {
 
     /// True where this fault may be the reason for an answer that is missing at `time`: near enough, and of a kind that loses answers, or holds them up for a
     /// period. What only doubles, disturbs or delays a little, or falsifies what is sensed, is no reason to say nothing.
-    pub fn explains_silence(&self, time: Time, period: Time) -> bool {
+    pub fn can_explain_silence(&self, time: Time, period: Time) -> bool {
         let loses = match self.kind {
             FaultKind::Drop | FaultKind::Flip | FaultKind::Truncate | FaultKind::Disconnect => true,
             FaultKind::Delay(delay) => delay.times(if self.direction == Direction::Both { 2 } else { 1 }) >= period,
             FaultKind::Duplicate | FaultKind::Babble | FaultKind::Freeze | FaultKind::Scale(_) => false,
         };
-        loses && self.explains(time, period)
+        loses && self.can_explain(time, period)
     }
 
     /// True where it keeps every sample from the controller for so long that a patience of `patience` is over before the next one comes.
-    pub fn outlasts(&self, patience: Time, period: Time) -> bool {
+    pub fn exceeds_watchdog(&self, patience: Time, period: Time) -> bool {
         let silent = match self.kind {
             FaultKind::Delay(delay) => Some(delay),
             FaultKind::Drop | FaultKind::Disconnect => self.until.map(|until| until - self.from),
@@ -147,7 +147,7 @@ mod tests {
             reconfigure: false,
         };
         // The last sample came at 39 ms, the next one comes at 44 ms.
-        let outlasts = |fault: Fault| fault.outlasts(ms(5), ms(1));
+        let outlasts = |fault: Fault| fault.exceeds_watchdog(ms(5), ms(1));
         assert!(outlasts(drop));
         assert!(!outlasts(Fault { until: until(ms(4) - Time::from_nanos(1)), ..drop }));
         assert!(outlasts(Fault { kind: FaultKind::Disconnect, until: None, direction: Direction::Both, ..drop }));

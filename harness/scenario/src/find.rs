@@ -1,33 +1,52 @@
 //! Which scenario files a command line means.
 
 use crate::diagnostic::Diagnostic;
-use crate::load::examine;
+use crate::load::load_with_diagnostics;
 use crate::scenario::Scenario;
+use platebench_plate::input;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Folders that are only looked into where they are named themselves: they hold other things than scenarios, or scenarios that are played to record a plate
 /// and not to judge a controller.
-const OTHER_FOLDERS: [&str; 4] = ["plates", "baselines", "plans", "identify"];
+const NON_SCENARIO_FOLDERS: [&str; 4] = ["plates", "baselines", "plans", "identify"];
 /// Folders without anything that people write.
-const WRITTEN_BY_THE_BENCH: [&str; 1] = ["baselines"];
-/// A folder with this file is a run's; the scenarios in it are copies.
+const GENERATED_FOLDERS: [&str; 1] = ["baselines"];
+/// The record and the folders of a run folder; the scenarios in `inputs` are copies.
 const RUN_RECORD: &str = "run.json";
-/// A run's folder of copies.
+const RUN_TRACES: &str = "traces";
 const RUN_INPUTS: &str = "inputs";
 /// Scenarios are called by their path below a folder of this name.
-const ROOT: &str = "scenarios";
+const SCENARIOS_FOLDER: &str = "scenarios";
 
 /// What was found.
 #[derive(Debug)]
-pub struct Found {
+pub struct FoundScenarios {
     /// The scenarios, by name.
     pub scenarios: Vec<Scenario>,
     /// Scenarios that show a limit and were left out because neither they nor their own folder were named.
-    pub left_out: Vec<String>,
+    pub skipped: Vec<String>,
     /// Folders that were named and hold no scenario file: whoever named them meant something else.
-    pub empty: Vec<PathBuf>,
+    pub empty_folders: Vec<PathBuf>,
+    /// Folders of copies in run folders, which are not searched.
+    pub copies: Vec<PathBuf>,
+}
+
+/// Searches folders for TOML files.
+struct Search<'a> {
+    /// Names of folders that are not searched.
+    excluded: &'a [&'a str],
+    /// Canonical folders that were searched; a link may lead back to one.
+    visited: BTreeSet<PathBuf>,
+    copies: BTreeSet<PathBuf>,
+    faults: Vec<Diagnostic>,
+}
+
+impl<'a> Search<'a> {
+    fn new(excluded: &'a [&'a str]) -> Self {
+        Self { excluded, visited: BTreeSet::new(), copies: BTreeSet::new(), faults: Vec::new() }
+    }
 }
 
 /// Loads every scenario that `arguments` name: files as they are, folders with everything below them.
@@ -36,28 +55,31 @@ pub struct Found {
 ///
 /// # Errors
 /// Every [`Diagnostic`] of every file, so that all can be mended at once.
-pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
-    let mut faults = Vec::new();
+pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
+    let mut search = Search::new(&NON_SCENARIO_FOLDERS);
     // By canonical path: a file that is named twice is played once.
     let mut files: BTreeMap<PathBuf, (PathBuf, String, bool)> = BTreeMap::new();
     let mut empty = Vec::new();
     for argument in arguments {
-        let below = files_below(argument, &OTHER_FOLDERS, &mut BTreeSet::new(), &mut faults);
+        search.visited.clear();
+        let below = search.files_below(argument);
         if below.is_empty() {
             empty.push(argument.clone());
         }
         for path in below {
             let own = path == *argument || path.parent() == Some(argument.as_path());
             let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
-            let name = name_of(&canonical, argument);
+            let name = record_name(&canonical, argument);
             let entry = files.entry(canonical).or_insert((path, name, own));
             entry.2 |= own;
         }
     }
-    let mut found = Found { scenarios: Vec::new(), left_out: Vec::new(), empty };
+    let Search { copies, mut faults, .. } = search;
+    let copies = copies.into_iter().collect();
+    let mut found = FoundScenarios { scenarios: Vec::new(), skipped: Vec::new(), empty_folders: empty, copies };
     for (path, name, own) in files.into_values() {
-        match examine(&path, &name) {
-            Ok(scenario) if scenario.expected_exit.is_some() && !own => found.left_out.push(name),
+        match load_with_diagnostics(&path, &name) {
+            Ok(scenario) if scenario.expected_exit.is_some() && !own => found.skipped.push(name),
             Ok(scenario) => found.scenarios.push(scenario),
             Err(found) => faults.extend(found),
         }
@@ -69,7 +91,7 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
         {
             let other = first.inputs.first().map_or(Path::new(""), |input| &input.path).display();
             let message = format!("two scenarios would be filed as {}, the other one is {other}", first.file);
-            faults.push(second.diagnose("title", message));
+            faults.push(second.diagnostic("title", message));
         }
     }
     if faults.is_empty() { Ok(found) } else { Err(faults) }
@@ -77,66 +99,72 @@ pub fn find(arguments: &[PathBuf]) -> Result<Found, Vec<Diagnostic>> {
 
 /// Every TOML file that `arguments` name or that stands below a folder that they name, scenario or not, with the name that it has in records; baselines and
 /// what lies in run folders are left out. And the folders that cannot be read.
-pub fn every_file(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
-    let mut faults = Vec::new();
+pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
+    let mut search = Search::new(&GENERATED_FOLDERS);
     let mut files = BTreeMap::new();
     for argument in arguments {
-        for path in files_below(argument, &WRITTEN_BY_THE_BENCH, &mut BTreeSet::new(), &mut faults) {
+        search.visited.clear();
+        for path in search.files_below(argument) {
             let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
-            let name = name_of(&canonical, argument);
+            let name = record_name(&canonical, argument);
             files.entry(canonical).or_insert((path, name));
         }
     }
-    (files.into_values().collect(), faults)
+    (files.into_values().collect(), search.faults)
 }
 
-/// `others` are the folders that are not looked into, `visited` are the folders already looked into: a link may lead back to one.
-fn files_below(
-    argument: &Path,
-    others: &[&str],
-    visited: &mut BTreeSet<PathBuf>,
-    faults: &mut Vec<Diagnostic>,
-) -> Vec<PathBuf> {
-    if !argument.is_dir() {
-        return vec![argument.to_owned()];
-    }
-    if fs::canonicalize(argument).is_ok_and(|folder| !visited.insert(folder)) {
-        return Vec::new();
-    }
-    let entries = match fs::read_dir(argument).and_then(Iterator::collect::<Result<Vec<_>, _>>) {
-        Ok(entries) => entries,
-        Err(error) => {
-            faults.push(Diagnostic::of_file(argument, format!("cannot be read: {error}")));
+impl Search<'_> {
+    fn files_below(&mut self, argument: &Path) -> Vec<PathBuf> {
+        if !argument.is_dir() {
+            return vec![argument.to_owned()];
+        }
+        if fs::canonicalize(argument).is_ok_and(|folder| !self.visited.insert(folder)) {
             return Vec::new();
         }
-    };
-    let mut files = Vec::new();
-    // Who writes a run among scenarios does not mean its copies of them.
-    let is_run = argument.join(RUN_RECORD).exists();
-    for path in entries.into_iter().map(|entry| entry.path()) {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        if path.is_dir() {
-            let is_other = others.contains(&&*name) || path.join(RUN_RECORD).exists() || is_run && name == RUN_INPUTS;
-            if !is_other && !name.starts_with('.') {
-                files.extend(files_below(&path, others, visited, faults));
+        let entries = match fs::read_dir(argument).and_then(Iterator::collect::<Result<Vec<_>, _>>) {
+            Ok(entries) => entries,
+            Err(error) => {
+                self.faults.push(Diagnostic::for_file(argument, format!("cannot be read: {error}")));
+                return Vec::new();
             }
-        } else if name.starts_with('.') {
-            // Hidden, as editors leave them.
-        } else if path.is_symlink() && !path.exists() {
-            faults.push(Diagnostic::of_file(&path, "a link that leads nowhere: nobody knows what is not played"));
-        } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
-            files.push(path);
+        };
+        let mut files = Vec::new();
+        let is_run = is_run_folder(argument);
+        for path in entries.into_iter().map(|entry| entry.path()) {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            if path.is_dir() {
+                if is_run && name == RUN_INPUTS {
+                    self.copies.insert(path);
+                } else if !self.excluded.contains(&&*name) && !name.starts_with('.') {
+                    files.extend(self.files_below(&path));
+                }
+            } else if name.starts_with('.') {
+                // Hidden, as editors leave them.
+            } else if path.is_symlink() && !path.exists() {
+                let message = "a link that leads nowhere: nobody knows what is not played";
+                self.faults.push(Diagnostic::for_file(&path, message));
+            } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+                files.push(path);
+            }
         }
+        files
     }
-    files
+}
+
+/// True if the folder has traces and a record that parses. Any other `run.json` must not hide scenarios.
+fn is_run_folder(folder: &Path) -> bool {
+    let parses = |text: Vec<u8>| {
+        serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|record| record.get("scenarios").is_some())
+    };
+    folder.join(RUN_TRACES).is_dir() && input::read(&folder.join(RUN_RECORD)).is_ok_and(parses)
 }
 
 /// What a scenario is called in records: its path below the nearest folder called `scenarios`, else below the folder that was
 /// named, else its file name.
-fn name_of(path: &Path, argument: &Path) -> String {
+fn record_name(path: &Path, argument: &Path) -> String {
     let components: Vec<_> = path.components().map(|component| component.as_os_str().to_string_lossy()).collect();
     let folders = components.len().saturating_sub(1);
-    if let Some(root) = components.iter().take(folders).rposition(|component| component == ROOT) {
+    if let Some(root) = components.iter().take(folders).rposition(|component| component == SCENARIOS_FOLDER) {
         return components.get(root + 1..).unwrap_or_default().join("/");
     }
     let below = fs::canonicalize(argument).ok().filter(|folder| folder.is_dir());

@@ -7,7 +7,6 @@
 //! * [`expect`]: metrics, limits, expectations.
 //! * [`fault`]: what goes wrong on the line, on purpose.
 //! * [`variation`]: what differs from trial to trial.
-//! * [`model`]: which tier of the plate it is played on.
 //! * [`mod@find`]: which files a command line means.
 //!
 //! Nothing is run and nothing is judged here.
@@ -17,20 +16,22 @@ pub mod expect;
 pub mod fault;
 pub mod find;
 pub mod load;
-pub mod model;
 mod parse;
 pub mod raw;
 mod scenario;
 pub mod schema;
+mod unjudged;
 pub mod variation;
+mod window;
 
 pub use diagnostic::{Diagnostic, suggestion};
-pub use expect::{Expectation, Limit, Metric, Over, Window};
+pub use expect::{Aggregation, Expectation, Limit, Metric};
 pub use fault::{Direction, Fault, FaultKind};
-pub use find::{Found, every_file, find};
-pub use load::{examine, load, load_copies};
-pub use model::Model;
+pub use find::{FoundScenarios, find, list_files};
+pub use load::{load, load_copies, load_with_diagnostics};
 pub use parse::parse;
 pub use platebench_plate::input;
-pub use scenario::{Controller, Gains, Input, Scenario, Trials};
+pub use scenario::{AUTO_MODEL, Controller, Gains, InputFile, Scenario, Trials};
+pub use unjudged::unjudged_changes;
 pub use variation::{Spread, Variation};
+pub use window::{ChangingProfile, Window};

@@ -1,38 +1,44 @@
 //! Raw to checked: every rule that a scenario file can break, each with a pointer to where it breaks it.
 
+use self::expectation::expectation_names;
 use crate::diagnostic::{Diagnostic, suggestion};
 use crate::fault::Fault;
-use crate::model::{AUTO, Model};
-use crate::parse::{MOST_FAULTS, parse, with_rest};
+use crate::parse::{MAX_DIAGNOSTICS, parse, with_truncation_note};
 use crate::raw::{RawController, RawScenario, RawSpread, RawTrials};
-use crate::scenario::{Controller, Gains, Input, Scenario, Trials};
+use crate::scenario::{AUTO_MODEL, Controller, Gains, InputFile, Scenario, Trials};
 use crate::variation::Spread;
-use platebench_plate::file::RawPlate;
+use crate::window::ProfileChanges;
+use platebench_plate::RawPlate;
+use platebench_plate::RawProfile;
 use platebench_plate::input;
-use platebench_plate::profile::RawProfile;
-use platebench_plate::{Plate, Profile, Scene, Tier, Time};
+use platebench_plate::{ConditionProfiles, Plate, Profile, Tier, Time};
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
 mod expectation;
+mod expectation_window;
 mod fault;
 mod profile;
 
 const DEFAULT_LAW: &str = "dq-pi";
 const DEFAULT_PERIOD_MS: f64 = 1.0;
 pub(crate) const LONGEST_PERIOD_MS: f64 = 1_000.0;
-const LONGEST_DELAY_PERIODS: u64 = 100;
+const MAX_DELAY_PERIODS: u64 = 100;
 /// The day's temperature moves the paper's plate by 87 Hz; more than twice that is not a plate any more but another mode.
 const DEFAULT_FREQUENCY_RANGE_HZ: f64 = 250.0;
 /// Enough to cross the day's range in one period of 1 ms.
 const DEFAULT_FREQUENCY_SLEW_HZ: f64 = 100.0;
 const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
 /// Longer scenarios have a row per control period unless they say otherwise.
-const LONGEST_FINE_TRACE_MS: f64 = 1_000.0;
+const MAX_FINE_TRACE_MS: f64 = 1_000.0;
 /// A trial is held in memory: some 250 MB at the most.
-const MOST_ROWS: f64 = 2e6;
+const MAX_ROWS: f64 = 2e6;
 /// A plate that rings longer than hours is a mistyped unit; far beyond it rounding loses its damping altogether.
-const HIGHEST_QUALITY: f64 = 1e9;
+const MAX_QUALITY: f64 = 1e9;
+/// Each expectation is measured on every trial.
+const MAX_EXPECTATIONS: usize = 2_000;
+/// A TOML document takes some fifty times its size in memory.
+const MAX_TOML_BYTES: usize = 4 << 20;
 pub(crate) const MOST_TRIALS: i64 = 100_000;
 pub(crate) const LARGEST_SPREAD_PERCENT: f64 = 20.0;
 
@@ -41,7 +47,7 @@ pub(crate) const LARGEST_SPREAD_PERCENT: f64 = 20.0;
 /// # Errors
 /// The first [`Diagnostic`] of the scenario, its plate or one of its profile files.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
-    examine(path, file).map_err(|faults| first(path, faults))
+    load_with_diagnostics(path, file).map_err(|faults| first_diagnostic(path, faults))
 }
 
 /// The same, with all that is wrong and not only the first: of a text that cannot be read every key, else every key that does not depend on a wrong one, and
@@ -49,8 +55,8 @@ pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
 ///
 /// # Errors
 /// At least one [`Diagnostic`].
-pub fn examine(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
-    examined(path, file, &[])
+pub fn load_with_diagnostics(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
+    load_from(path, file, &[])
 }
 
 /// Reads and checks the scenario whose inputs were copied to `copies`, in the order of [`Scenario::inputs`], wherever its plate and its profiles were when it was written.
@@ -58,26 +64,26 @@ pub fn examine(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
 /// # Errors
 /// As for [`load()`].
 pub fn load_copies(copies: &[PathBuf], file: &str) -> Result<Scenario, Diagnostic> {
-    let [path, named @ ..] = copies else { return Err(Diagnostic::of_file(Path::new(file), "has no copy")) };
-    examined(path, file, named).map_err(|faults| first(path, faults))
+    let [path, named @ ..] = copies else { return Err(Diagnostic::for_file(Path::new(file), "has no copy")) };
+    load_from(path, file, named).map_err(|faults| first_diagnostic(path, faults))
 }
 
-fn first(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {
-    faults.into_iter().next().unwrap_or_else(|| Diagnostic::of_file(path, "refused without a reason"))
+fn first_diagnostic(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {
+    faults.into_iter().next().unwrap_or_else(|| Diagnostic::for_file(path, "refused without a reason"))
 }
 
 /// What the scenario names is read from `copies`, in the order in which it names it, as long as there are any.
-fn examined(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec<Diagnostic>> {
-    let text = read(path).map_err(|fault| vec![fault])?;
+fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec<Diagnostic>> {
+    let text = read_text(path).map_err(|fault| vec![fault])?;
     let mut raw: RawScenario = parse(path, &text)?;
     for (named, copy) in raw.files().zip(copies) {
         // A name is relative to the scenario; an absolute one is not.
         *named = std::path::absolute(copy).unwrap_or_else(|_| copy.clone());
     }
-    let mut faults = Faults::default();
+    let mut faults = Diagnostics::default();
     match (Checker { path, text: &text }.scenario(raw, file, &mut faults), faults.0) {
         (Some(scenario), faults) if faults.is_empty() => Ok(scenario),
-        (_, faults) => Err(with_rest(path, faults)),
+        (_, faults) => Err(with_truncation_note(path, faults)),
     }
 }
 
@@ -85,38 +91,43 @@ fn examined(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec
 ///
 /// # Errors
 /// All that is wrong with its keys, else the first value that cannot be meant.
-pub fn plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
-    plate_of(path, &read(path).map_err(|fault| vec![fault])?)
+pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
+    parse_plate(path, &read_text(path).map_err(|fault| vec![fault])?)
 }
 
 /// What is wrong so far.
 #[derive(Debug, Default)]
-struct Faults(Vec<Diagnostic>);
+struct Diagnostics(Vec<Diagnostic>);
 
-impl Faults {
+impl Diagnostics {
     /// What there is, where there is something; else why not is kept.
-    fn keep<T>(&mut self, result: Result<T, Diagnostic>) -> Option<T> {
+    fn collect<T>(&mut self, result: Result<T, Diagnostic>) -> Option<T> {
         result.map_err(|fault| self.0.push(fault)).ok()
     }
 
     /// Those that there are. Once more is wrong than is told, the rest is not looked at.
-    fn keep_each<T>(&mut self, results: &mut dyn Iterator<Item = Result<T, Diagnostic>>) -> Vec<T> {
+    fn collect_each<T>(&mut self, results: &mut dyn Iterator<Item = Result<T, Diagnostic>>) -> Vec<T> {
         let mut kept = Vec::new();
-        while self.0.len() < MOST_FAULTS
+        while self.0.len() < MAX_DIAGNOSTICS
             && let Some(result) = results.next()
         {
-            kept.extend(self.keep(result));
+            kept.extend(self.collect(result));
         }
         kept
     }
 }
 
-fn read(path: &Path) -> Result<String, Diagnostic> {
-    let bytes = input::read(path).map_err(|error| Diagnostic::of_file(path, format!("cannot be read: {error}")))?;
-    text_of(path, bytes)
+fn read_text(path: &Path) -> Result<String, Diagnostic> {
+    let bytes = input::read(path).map_err(|error| Diagnostic::for_file(path, format!("cannot be read: {error}")))?;
+    if bytes.len() > MAX_TOML_BYTES {
+        let message =
+            format!("is larger than {} MiB; write the points of a profile to a CSV file", MAX_TOML_BYTES >> 20);
+        return Err(Diagnostic::for_file(path, message));
+    }
+    decode_text(path, bytes)
 }
 
-fn text_of(path: &Path, bytes: Vec<u8>) -> Result<String, Diagnostic> {
+fn decode_text(path: &Path, bytes: Vec<u8>) -> Result<String, Diagnostic> {
     String::from_utf8(bytes).map_err(|error| {
         // Up to the fault the replaced text is the same, byte for byte.
         let at = error.utf8_error().valid_up_to();
@@ -136,21 +147,23 @@ struct Checker<'a> {
     text: &'a str,
 }
 
-/// What expectations are checked against.
-#[derive(Clone, Copy)]
-struct Play<'a> {
+/// The parts of a scenario that the windows of expectations depend on.
+struct TrialContext<'a> {
     duration: Time,
+    /// Longest time from a setpoint change to the actuation that follows it.
+    response_delay: Time,
     setpoint: &'a Profile,
+    changes: ProfileChanges,
     faults: &'a [Fault],
 }
 
 impl Checker<'_> {
-    fn refuse<T>(&self, key: &str, message: impl Into<String>) -> Result<T, Diagnostic> {
+    fn error<T>(&self, key: &str, message: impl Into<String>) -> Result<T, Diagnostic> {
         Err(Diagnostic::at_key(self.path, self.text, key, message))
     }
 
     fn require(&self, holds: bool, key: &str, message: impl FnOnce() -> String) -> Result<(), Diagnostic> {
-        if holds { Ok(()) } else { self.refuse(key, message()) }
+        if holds { Ok(()) } else { self.error(key, message()) }
     }
 
     fn positive(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
@@ -159,73 +172,86 @@ impl Checker<'_> {
     }
 
     /// What the controller is told is carried in single precision.
-    fn single(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
+    fn f32_range(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
         self.require((value as f32).is_finite(), key, || {
             format!("{value:e}, expected at most 3.4e38: the wire carries single precision")
         })?;
         Ok(value)
     }
 
-    fn span(&self, key: &str, ms: f64) -> Result<Time, Diagnostic> {
+    fn time_from_ms(&self, key: &str, ms: f64) -> Result<Time, Diagnostic> {
         match Time::from_ms(ms) {
             Some(time) => Ok(time),
-            None => self.refuse(key, format!("{ms} ms, expected a time from 0 to 9.0e9 ms")),
+            None => self.error(key, format!("{ms} ms, expected a time from 0 to 9.0e9 ms")),
         }
     }
 
     /// `None` where something is wrong, and what that is in `faults`.
-    fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Faults) -> Option<Scenario> {
+    fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Diagnostics) -> Option<Scenario> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         let one_line = !raw.title.trim().is_empty() && !raw.title.contains(char::is_control);
-        faults.keep(self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title)));
-        let mut inputs = vec![Input { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
+        faults.collect(self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title)));
+        let mut inputs = vec![InputFile { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
         let plate = self.plate(&folder.join(&raw.plate), &mut inputs, faults);
         let controller = self.controller(&raw.controller, plate.as_ref(), faults);
         let positive = self.positive("duration_ms", raw.duration_ms);
-        let duration = faults.keep(positive.and_then(|ms| self.span("duration_ms", ms)));
+        let duration = faults.collect(positive.and_then(|ms| self.time_from_ms("duration_ms", ms)));
         let timing = controller.as_ref().zip(duration);
-        let trace_step = timing.and_then(|(controller, duration)| faults.keep(self.timing(&raw, controller, duration)));
-        let mut profile = |key: &str, raw: &RawProfile| faults.keep(self.profile(folder, key, raw, &mut inputs));
+        let trace_step =
+            timing.and_then(|(controller, duration)| faults.collect(self.timing(&raw, controller, duration)));
+        let mut profile = |key: &str, raw: &RawProfile| faults.collect(self.profile(folder, key, raw, &mut inputs));
         let setpoint = profile("profile.setpoint_um", &raw.profile.setpoint_um);
         let temperature_offset_k = profile("profile.temperature_offset_k", &raw.profile.temperature_offset_k);
         let finger_force_n = profile("profile.finger_force_n", &raw.profile.finger_force_n);
-        let trials = faults.keep(self.trials(&raw.trials));
+        let trials = faults.collect(self.trials(&raw.trials));
         if let Some(setpoint) = &setpoint {
-            faults.keep(self.setpoints(folder, &raw.profile, setpoint));
+            faults.collect(self.check_setpoints(folder, &raw.profile, setpoint));
         }
         let scene = temperature_offset_k.zip(finger_force_n);
-        let scene = scene.map(|(temperature_offset_k, finger_force_n)| Scene { temperature_offset_k, finger_force_n });
+        let scene = scene
+            .map(|(temperature_offset_k, finger_force_n)| ConditionProfiles { temperature_offset_k, finger_force_n });
         if let (Some(plate), Some(scene), Some(trials)) = (&plate, &scene, &trials) {
-            faults.keep(self.surroundings(folder, &raw.profile, plate, scene, &trials.spread));
+            faults.collect(self.check_conditions(folder, &raw.profile, plate, scene, &trials.spread));
         }
-        faults.keep(self.require(!raw.expect.is_empty(), "expect", || {
+        faults.collect(self.require(raw.expect.len() <= MAX_EXPECTATIONS, "expect", || {
+            format!("{} [[expect]], expected at most {MAX_EXPECTATIONS}", raw.expect.len())
+        }));
+        faults.collect(self.require(!raw.expect.is_empty(), "expect", || {
             "no [[expect]], expected at least one: a scenario that expects nothing cannot fail".to_owned()
         }));
-        let asked = faults.keep(self.tier(raw.model.as_deref()));
-        let expected_exit = faults.keep(self.expected_exit(raw.expected_exit));
-        let (Some(controller), Some(duration), Some(setpoint)) = (controller, duration, setpoint) else { return None };
+        let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
+        let tier = plate.as_ref().and_then(|plate| faults.collect(self.tier(model, plate)));
+        let expected_exit = faults.collect(self.expected_exit(raw.expected_exit));
+        let (Some(controller), Some(duration), Some(setpoint), Some(scene)) = (controller, duration, setpoint, scene)
+        else {
+            return None;
+        };
         let count = faults.0.len();
         let struck = (0..).zip(&raw.fault);
         let mut struck = struck.map(|(index, fault)| self.fault(index, fault, duration, controller.period));
-        let struck = faults.keep_each(&mut struck);
-        let play = Play { duration, setpoint: &setpoint, faults: &struck };
-        let mut expected = (0..).zip(&raw.expect).map(|(index, expect)| self.expectation(index, expect, play));
-        let expected = faults.keep_each(&mut expected);
+        let struck = faults.collect_each(&mut struck);
+        let changes = ProfileChanges::new(&setpoint, &scene.finger_force_n, &scene.temperature_offset_k, duration);
+        let response_delay = controller.period + controller.loop_delay;
+        let play = TrialContext { duration, response_delay, setpoint: &setpoint, changes, faults: &struck };
+        let names = expectation_names(&raw.expect);
+        let mut expected = (0..)
+            .zip(raw.expect.iter().zip(names))
+            .map(|(index, (expect, name))| self.expectation(index, expect, name, &play));
+        let expected = faults.collect_each(&mut expected);
+        faults.collect(self.check_names(&raw.expect, &expected));
         if faults.0.len() > count {
             return None;
         }
-        let asked = asked?;
-        let mut scenario = Scenario {
+        Some(Scenario {
             file: file.to_owned(),
             title: raw.title,
             source: raw.source,
             tags: raw.tags,
-            tier: asked.unwrap_or_default(),
-            model: Model::of(asked),
+            tier: tier?,
             expected_exit: expected_exit?,
             expectations: expected,
             faults: struck,
-            scene: scene?,
+            conditions: scene,
             inputs,
             plate: plate?,
             duration,
@@ -233,11 +259,7 @@ impl Checker<'_> {
             controller,
             setpoint,
             trials: trials?,
-        };
-        if faults.0.is_empty() {
-            scenario.choose_model(true);
-        }
-        Some(scenario)
+        })
     }
 
     /// What ties the trial's length to the controller's timing; the spacing of rows.
@@ -254,48 +276,48 @@ impl Checker<'_> {
         self.trace_step(raw.trace_step_ms, duration, controller.period)
     }
 
-    fn plate(&self, path: &Path, inputs: &mut Vec<Input>, faults: &mut Faults) -> Option<Plate> {
+    fn plate(&self, path: &Path, inputs: &mut Vec<InputFile>, faults: &mut Diagnostics) -> Option<Plate> {
         let text = match input::read(path) {
-            Ok(bytes) => faults.keep(text_of(path, bytes))?,
+            Ok(bytes) => faults.collect(decode_text(path, bytes))?,
             Err(error) => {
                 let message = format!("plate file {} cannot be read: {error}", path.display());
-                return faults.keep(self.refuse("plate", message));
+                return faults.collect(self.error("plate", message));
             }
         };
-        let plate = plate_of(path, &text).map_err(|found| faults.0.extend(found)).ok()?;
-        inputs.push(Input { path: path.to_owned(), bytes: text.into_bytes() });
+        let plate = parse_plate(path, &text).map_err(|found| faults.0.extend(found)).ok()?;
+        inputs.push(InputFile { path: path.to_owned(), bytes: text.into_bytes() });
         Some(plate)
     }
 
-    fn controller(&self, raw: &RawController, plate: Option<&Plate>, faults: &mut Faults) -> Option<Controller> {
-        let period = faults.keep(self.period(raw));
+    fn controller(&self, raw: &RawController, plate: Option<&Plate>, faults: &mut Diagnostics) -> Option<Controller> {
+        let period = faults.collect(self.period(raw));
         let delays = period.and_then(|period| {
-            let loop_delay = faults.keep(self.loop_delay(raw, period));
-            loop_delay.zip(faults.keep(self.design_delay(raw, period)))
+            let loop_delay = faults.collect(self.loop_delay(raw, period));
+            loop_delay.zip(faults.collect(self.design_delay(raw, period)))
         });
-        let start_frequency_hz = plate.and_then(|plate| faults.keep(self.start_frequency(raw, plate)));
+        let start_frequency_hz = plate.and_then(|plate| faults.collect(self.start_frequency(raw, plate)));
         let mut optional = |key: &str, value: Option<f64>| {
-            let checked = |value| self.single(key, self.positive(key, value)?);
-            faults.keep(value.map(checked).transpose())
+            let checked = |value| self.f32_range(key, self.positive(key, value)?);
+            faults.collect(value.map(checked).transpose())
         };
         let range = optional("controller.frequency_range_hz", raw.frequency_range_hz);
         let slew = optional("controller.frequency_slew_hz", raw.frequency_slew_hz);
         let key = "controller.frequency_range_hz";
         if let (Some(Some(range)), Some(start_frequency_hz)) = (range, start_frequency_hz) {
-            faults.keep(self.require(range < start_frequency_hz, key, || {
+            faults.collect(self.require(range < start_frequency_hz, key, || {
                 format!("{range} Hz, expected less than the start frequency of {start_frequency_hz:.1} Hz")
             }));
         }
         let law = raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned());
-        faults.keep(
+        faults.collect(
             self.require(!law.trim().is_empty(), "controller.law", || {
                 "an empty name, expected a control law".to_owned()
             }),
         );
         let key = "controller.response_time_ms";
-        let checked = |value| self.single(key, self.positive(key, value)?);
-        let response_time_ms = faults.keep(raw.response_time_ms.map(checked).transpose());
-        let gains = faults.keep(self.gains(raw));
+        let checked = |value| self.f32_range(key, self.positive(key, value)?);
+        let response_time_ms = faults.collect(raw.response_time_ms.map(checked).transpose());
+        let gains = faults.collect(self.gains(raw));
         let (loop_delay, design_delay) = delays?;
         Some(Controller {
             law,
@@ -313,7 +335,7 @@ impl Checker<'_> {
     fn period(&self, raw: &RawController) -> Result<Time, Diagnostic> {
         let period_ms = raw.period_ms.unwrap_or(DEFAULT_PERIOD_MS);
         let key = "controller.period_ms";
-        let period = self.span(key, self.positive(key, period_ms)?)?;
+        let period = self.time_from_ms(key, self.positive(key, period_ms)?)?;
         self.require(period_ms <= LONGEST_PERIOD_MS, key, || {
             format!("{period_ms} ms, expected at most {LONGEST_PERIOD_MS} ms")
         })?;
@@ -325,16 +347,16 @@ impl Checker<'_> {
 
     fn loop_delay(&self, raw: &RawController, period: Time) -> Result<Time, Diagnostic> {
         let key = "controller.loop_delay_ms";
-        let loop_delay = self.span(key, raw.loop_delay_ms)?;
-        self.require(loop_delay <= period.times(LONGEST_DELAY_PERIODS), key, || {
-            format!("{} ms, expected at most {LONGEST_DELAY_PERIODS} control periods", raw.loop_delay_ms)
+        let loop_delay = self.time_from_ms(key, raw.loop_delay_ms)?;
+        self.require(loop_delay <= period.times(MAX_DELAY_PERIODS), key, || {
+            format!("{} ms, expected at most {MAX_DELAY_PERIODS} control periods", raw.loop_delay_ms)
         })?;
         Ok(loop_delay)
     }
 
     fn design_delay(&self, raw: &RawController, period: Time) -> Result<Time, Diagnostic> {
         let key = "controller.design_delay_ms";
-        let design_delay = self.span(key, raw.design_delay_ms)?;
+        let design_delay = self.time_from_ms(key, raw.design_delay_ms)?;
         self.require(design_delay <= period, key, || {
             format!("{} ms, expected at most one control period of {period}", raw.design_delay_ms)
         })?;
@@ -365,7 +387,7 @@ impl Checker<'_> {
         ] {
             let key = format!("controller.gains.{name}");
             self.require(value.is_finite(), &key, || format!("{value}, expected a finite number"))?;
-            self.single(&key, value)?;
+            self.f32_range(&key, value)?;
         }
         Ok(Some(Gains {
             amplitude_kp: raw.amplitude_kp,
@@ -378,37 +400,36 @@ impl Checker<'_> {
     fn trace_step(&self, raw: Option<f64>, duration: Time, period: Time) -> Result<Time, Diagnostic> {
         let key = "trace_step_ms";
         let step = match raw {
-            Some(ms) => self.span(key, self.positive(key, ms)?)?,
-            None if duration.ms() > LONGEST_FINE_TRACE_MS => period,
-            None => self.span(key, DEFAULT_TRACE_STEP_MS)?,
+            Some(ms) => self.time_from_ms(key, self.positive(key, ms)?)?,
+            None if duration.ms() > MAX_FINE_TRACE_MS => period,
+            None => self.time_from_ms(key, DEFAULT_TRACE_STEP_MS)?,
         };
         // There is a row at every control instant as well.
         let spacing = step.min(period);
         let rows = duration.seconds() / spacing.seconds();
         let key = if raw.is_some() && step <= period { key } else { "duration_ms" };
-        self.require(rows <= MOST_ROWS, key, || {
-            format!("a row every {spacing} over {duration} is {rows:.0} rows, expected at most {MOST_ROWS:.0}")
+        self.require(rows <= MAX_ROWS, key, || {
+            format!("a row every {spacing} over {duration} is {rows:.0} rows, expected at most {MAX_ROWS:.0}")
         })?;
         Ok(step)
     }
 
     /// The tier that is asked for by name; `None` where the bench is to choose.
-    fn tier(&self, raw: Option<&str>) -> Result<Option<Tier>, Diagnostic> {
-        let Some(name) = raw.filter(|name| *name != AUTO) else { return Ok(None) };
-        if let Some(tier) = Tier::from_name(name) {
-            return Ok(Some(tier));
+    fn tier(&self, model: &str, plate: &Plate) -> Result<Tier, Diagnostic> {
+        if let Some(tier) = Scenario::tier_for(model, plate) {
+            return Ok(tier);
         }
         let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
-        let names = [AUTO, linear, envelope, modal, carrier];
-        let (known, hint) = (quoted(names), suggestion(name, names));
-        self.refuse("model", format!("unknown model `{name}`, expected one of {known}{hint}"))
+        let names = [AUTO_MODEL, linear, envelope, modal, carrier];
+        let (known, hint) = (quoted_list(names), suggestion(model, names));
+        self.error("model", format!("unknown model `{model}`, expected one of {known}{hint}"))
     }
 
     fn expected_exit(&self, raw: Option<i64>) -> Result<Option<u8>, Diagnostic> {
         match raw {
             None => Ok(None),
             Some(code @ (1 | 3 | 5)) => Ok(Some(code as u8)),
-            Some(code) => self.refuse(
+            Some(code) => self.error(
                 "expected_exit",
                 format!(
                     "{code}, expected 1 (something fails), 3 (something is inconclusive) or 5 (the controller is lost)"
@@ -457,13 +478,13 @@ impl Checker<'_> {
 }
 
 /// Checks the plate file with this text.
-fn plate_of(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
+fn parse_plate(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
     let raw: RawPlate = parse(path, text)?;
     let refuse = |key: &str, message: String| vec![Diagnostic::at_key(path, text, key, message)];
     let plate = raw.check().map_err(|error| refuse(error.key, error.to_string()))?;
     let quality = plate.omega0 / (2.0 * plate.sigma0);
-    if quality > HIGHEST_QUALITY {
-        let message = format!("a quality factor of {quality:.3e}, expected at most {HIGHEST_QUALITY:e}");
+    if quality > MAX_QUALITY {
+        let message = format!("a quality factor of {quality:.3e}, expected at most {MAX_QUALITY:e}");
         return Err(refuse("mode.time_constant_ms", message));
     }
     for (key, value) in [("mode.gain_um_per_vpp", plate.gain), ("drive.limit_vpp", plate.drive_limit_vpp)] {
@@ -475,7 +496,7 @@ fn plate_of(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
     Ok(plate)
 }
 
-fn quoted<const N: usize>(names: [&str; N]) -> String {
+fn quoted_list<const N: usize>(names: [&str; N]) -> String {
     names.map(|name| format!("`{name}`")).join(", ")
 }
 

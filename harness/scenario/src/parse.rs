@@ -8,7 +8,7 @@ use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 
 /// Faults of a file that are told: nobody mends more at once, and each costs another look at the whole file.
-pub(crate) const MOST_FAULTS: usize = 50;
+pub(crate) const MAX_DIAGNOSTICS: usize = 50;
 
 /// Reads `text`, the content of the file at `path`.
 ///
@@ -17,9 +17,9 @@ pub(crate) const MOST_FAULTS: usize = 50;
 pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
     let (document, errors) = DeTable::parse_recoverable(text);
     let mut faults: Vec<_> =
-        errors.iter().take(MOST_FAULTS).map(|error| Diagnostic::of_toml(path, text, error)).collect();
+        errors.iter().take(MAX_DIAGNOSTICS).map(|error| Diagnostic::from_toml(path, text, error)).collect();
     if !faults.is_empty() {
-        return Err(with_rest(path, faults));
+        return Err(with_truncation_note(path, faults));
     }
     // serde stops at the first fault: it is taken out and the rest read again, until nothing is wrong or nothing can be taken out.
     let mut rest = document;
@@ -34,52 +34,57 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
         // What was taken out is missing now, and that is no fault of the file.
         let is_hole = error.message().starts_with("missing field") && holes.contains(&span);
         if !is_hole {
-            faults.push(Diagnostic::of_toml(path, text, &error));
+            faults.push(Diagnostic::from_toml(path, text, &error));
         }
         let own = rest.span();
-        if faults.len() >= MOST_FAULTS || !take_out(rest.get_mut(), &own, &span, &mut holes) {
+        if faults.len() >= MAX_DIAGNOSTICS || !remove_span(rest.get_mut(), &own, &span, &mut holes) {
             break;
         }
     }
     // Why a key is missing may stand further down, where it is written otherwise.
     faults.sort_by_key(|fault| (fault.message.starts_with("missing key"), fault.position()));
-    Err(with_rest(path, faults))
+    Err(with_truncation_note(path, faults))
 }
 
 /// Says of as many faults as are told that there may be more.
-pub(crate) fn with_rest(path: &Path, mut faults: Vec<Diagnostic>) -> Vec<Diagnostic> {
-    if faults.len() >= MOST_FAULTS {
-        faults.push(Diagnostic::of_file(path, format!("only the first {MOST_FAULTS} faults are told")));
+pub(crate) fn with_truncation_note(path: &Path, mut faults: Vec<Diagnostic>) -> Vec<Diagnostic> {
+    if faults.len() >= MAX_DIAGNOSTICS {
+        faults.push(Diagnostic::for_file(path, format!("only the first {MAX_DIAGNOSTICS} faults are told")));
     }
     faults
 }
 
 /// Takes out of `table`, which stands at `own`, whatever is meant by `span`; true where there was something.
-fn take_out(table: &mut DeTable<'_>, own: &Range<usize>, span: &Range<usize>, holes: &mut Vec<Range<usize>>) -> bool {
-    let meant = table.iter().find(|(key, value)| key.span() == *span || is_meant(value, span));
+fn remove_span(
+    table: &mut DeTable<'_>,
+    own: &Range<usize>,
+    span: &Range<usize>,
+    holes: &mut Vec<Range<usize>>,
+) -> bool {
+    let meant = table.iter().find(|(key, value)| key.span() == *span || matches_span(value, span));
     if let Some(key) = meant.map(|(key, _)| key.get_ref().clone()) {
         holes.push(own.clone());
         return table.remove(&*key).is_some();
     }
-    table.iter_mut().any(|(_, value)| take_out_of_value(value, span, holes))
+    table.iter_mut().any(|(_, value)| remove_span_in_value(value, span, holes))
 }
 
-fn take_out_of_value(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>, holes: &mut Vec<Range<usize>>) -> bool {
+fn remove_span_in_value(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>, holes: &mut Vec<Range<usize>>) -> bool {
     let own = value.span();
     match value.get_mut() {
-        DeValue::Table(table) => take_out(table, &own, span, holes),
+        DeValue::Table(table) => remove_span(table, &own, span, holes),
         DeValue::Array(elements) if elements.iter().any(|element| element.span() == *span) => {
             let all = std::mem::replace(elements, DeArray::new());
             *elements = all.into_iter().filter(|element| element.span() != *span).collect();
             true
         }
-        DeValue::Array(elements) => elements.iter_mut().any(|element| take_out_of_value(element, span, holes)),
+        DeValue::Array(elements) => elements.iter_mut().any(|element| remove_span_in_value(element, span, holes)),
         _ => false,
     }
 }
 
 /// A list of numbers without one of them would be another list: it is meant as a whole. A list of tables stands where its first one stands.
-fn is_meant(value: &Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
+fn matches_span(value: &Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
     let own = value.span();
     match value.get_ref() {
         DeValue::Array(elements) if elements.iter().any(|element| element.get_ref().is_table()) => false,

@@ -1,7 +1,7 @@
 //! The scenario file as serde reads it: every key that it may have, none of them checked yet.
 
 use crate::load::{LARGEST_SPREAD_PERCENT, LONGEST_PERIOD_MS, MOST_TRIALS};
-use platebench_plate::profile::RawProfile;
+use platebench_plate::RawProfile;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -58,7 +58,7 @@ impl RawScenario {
     pub(crate) fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let RawProfiles { setpoint_um, temperature_offset_k, finger_force_n } = &mut self.profile;
         let profiles = [setpoint_um, temperature_offset_k, finger_force_n].into_iter();
-        std::iter::once(&mut self.plate).chain(profiles.filter_map(RawProfile::named_file))
+        std::iter::once(&mut self.plate).chain(profiles.filter_map(RawProfile::file_name_mut))
     }
 }
 
@@ -211,9 +211,12 @@ pub struct RawFault {
 #[serde(deny_unknown_fields)]
 #[schemars(transform = crate::schema::expectations)]
 pub struct RawExpectation {
-    /// What is measured.
+    /// The measured quantity.
     #[schemars(schema_with = "crate::schema::metrics")]
     pub metric: String,
+    /// Name in report and JUnit, unique in the file; by default the metric, then `metric 2`, `metric 3`.
+    #[serde(default)]
+    pub name: Option<String>,
     /// Upper limit.
     #[serde(default)]
     pub at_most: Option<f64>,
@@ -253,10 +256,18 @@ pub struct RawExpectation {
     #[serde(default)]
     #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 100))]
     pub band_percent: Option<f64>,
-    /// From when on to look, ms.
+    /// Start of the judged window, ms.
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub from_ms: Option<f64>,
+    /// End of the judged window, ms; by default the end of the trial, or the next setpoint step for settling and overshoot.
+    #[serde(default)]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub until_ms: Option<f64>,
+    /// Judge after each change of this profile, up to the next change of any profile.
+    #[serde(default)]
+    #[schemars(schema_with = "crate::schema::changing_profiles")]
+    pub after: Option<String>,
     /// The window of a mean: its length at the end, or its two ends, ms.
     #[serde(default)]
     pub window_ms: Option<RawWindow>,

@@ -3,14 +3,16 @@
 use crate::diagnostic::Diagnostic;
 use crate::expect::Expectation;
 use crate::fault::Fault;
-use crate::model::Model;
 use crate::variation::{Spread, Variation};
-use platebench_plate::{Plate, Profile, Scene, Tier, Time};
+use platebench_plate::{ConditionProfiles, Plate, Profile, Tier, Time};
 use std::path::PathBuf;
+
+/// The name of the model that is exact for the plate file.
+pub const AUTO_MODEL: &str = "auto";
 
 /// A file that went into a scenario.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Input {
+pub struct InputFile {
     /// Where it was read.
     pub path: PathBuf,
     /// What stood in it.
@@ -23,7 +25,7 @@ pub struct Scenario {
     /// The file's name below the scenario folder, with `/`: `paper/fig13-closed-loop.toml`.
     pub file: String,
     /// Every file that went into it; the scenario file is the first.
-    pub inputs: Vec<Input>,
+    pub inputs: Vec<InputFile>,
     /// One line that says what is played.
     pub title: String,
     /// Where it comes from.
@@ -32,10 +34,8 @@ pub struct Scenario {
     pub tags: Vec<String>,
     /// The nominal plate.
     pub plate: Plate,
-    /// How much of it is modelled.
+    /// Model of the plate.
     pub tier: Tier,
-    /// Who chose that, and what is known of its error.
-    pub model: Model,
     /// Length of a trial.
     pub duration: Time,
     /// Largest spacing of trace rows.
@@ -47,7 +47,7 @@ pub struct Scenario {
     /// Wished amplitude, µm.
     pub setpoint: Profile,
     /// What surrounds the plate.
-    pub scene: Scene,
+    pub conditions: ConditionProfiles,
     /// How often, and what differs.
     pub trials: Trials,
     /// What goes wrong on the line to the controller, on purpose.
@@ -111,6 +111,11 @@ impl Scenario {
         self.file.strip_suffix(".toml").unwrap_or(&self.file)
     }
 
+    /// The tier that `model` names on a plate: `auto` is the exact one. `None` if the name is unknown.
+    pub fn tier_for(model: &str, plate: &Plate) -> Option<Tier> {
+        if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
+    }
+
     /// What differs from the nominal in the trial with number `index`, counted from 0.
     pub fn variation(&self, index: u32) -> Variation {
         Variation::draw(&self.trials.spread, self.trials.seed.wrapping_add(u64::from(index)))
@@ -122,15 +127,15 @@ impl Scenario {
     }
 
     /// True where a fault that was planned, and that ends, explains that the controller did not answer at `time`.
-    pub fn explains(&self, time: Time) -> bool {
-        self.faults.iter().any(|fault| fault.explains_silence(time, self.controller.period))
+    pub fn explains_silence(&self, time: Time) -> bool {
+        self.faults.iter().any(|fault| fault.can_explain_silence(time, self.controller.period))
     }
 
     /// A diagnostic that points at `key` of the scenario file.
-    pub fn diagnose(&self, key: &str, message: impl Into<String>) -> Diagnostic {
+    pub fn diagnostic(&self, key: &str, message: impl Into<String>) -> Diagnostic {
         match self.inputs.first() {
             Some(input) => Diagnostic::at_key(&input.path, &String::from_utf8_lossy(&input.bytes), key, message),
-            None => Diagnostic::of_file(self.file.as_ref(), message),
+            None => Diagnostic::for_file(self.file.as_ref(), message),
         }
     }
 }

@@ -3,26 +3,27 @@
 //! A schema refuses what can be seen without arithmetic: unknown and missing keys, wrong kinds, names that are none, numbers beyond fixed bounds, options
 //! that mean nothing to a metric or a fault. What depends on other values, such as a window that ends after the trial, only [`crate::load()`] sees.
 
-use crate::expect::{Metric, Over, SIGNALS};
+use crate::expect::{Aggregation, Metric, SIGNALS};
 use crate::fault::{Direction, FaultKind};
-use crate::model::AUTO;
 use crate::raw::RawScenario;
+use crate::scenario::AUTO_MODEL;
+use crate::window::ChangingProfile;
+use platebench_plate::RawPlate;
 use platebench_plate::Tier;
-use platebench_plate::file::RawPlate;
 use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 
 /// The schema of a file that serde reads as `T`, with keys that may be left out instead of `null`, which TOML does not know.
-pub fn of<T: JsonSchema>(title: &str) -> Schema {
+pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
     let mut schema = schemars::generate::SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>();
     schema.insert("title".to_owned(), title.into());
-    Toml.transform(&mut schema);
+    TomlTransform.transform(&mut schema);
     schema
 }
 
 /// The schema of scenario files.
-pub fn scenario() -> Schema {
-    let mut schema = of::<RawScenario>("platebench scenario");
+pub fn scenario_schema() -> Schema {
+    let mut schema = schema_of::<RawScenario>("platebench scenario");
     // A scenario without an expectation is read, to be refused with a reason.
     if let Some(required) = schema.get_mut("required").and_then(|required| required.as_array_mut()) {
         required.push("expect".into());
@@ -31,15 +32,15 @@ pub fn scenario() -> Schema {
 }
 
 /// The schema of plate files.
-pub fn plate() -> Schema {
-    of::<RawPlate>("platebench plate")
+pub fn plate_schema() -> Schema {
+    schema_of::<RawPlate>("platebench plate")
 }
 
 /// What JSON has and TOML has not.
 #[derive(Debug, Clone)]
-struct Toml;
+struct TomlTransform;
 
-impl Transform for Toml {
+impl Transform for TomlTransform {
     fn transform(&mut self, schema: &mut Schema) {
         // Formats say how wide a number is in memory, not what it may be.
         schema.remove("format");
@@ -68,37 +69,41 @@ impl Transform for Toml {
     }
 }
 
-fn names<const N: usize>(names: [&str; N]) -> Schema {
+fn name_schema<const N: usize>(names: [&str; N]) -> Schema {
     json_schema!({ "type": "string", "enum": names.to_vec() })
 }
 
 pub(crate) fn models(_: &mut SchemaGenerator) -> Schema {
     let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
-    names([AUTO, linear, envelope, modal, carrier])
+    name_schema([AUTO_MODEL, linear, envelope, modal, carrier])
 }
 
 pub(crate) fn kinds(_: &mut SchemaGenerator) -> Schema {
-    names(FaultKind::NAMES)
+    name_schema(FaultKind::NAMES)
 }
 
 pub(crate) fn directions(_: &mut SchemaGenerator) -> Schema {
-    names(Direction::ALL.map(Direction::name))
+    name_schema(Direction::ALL.map(Direction::name))
 }
 
 pub(crate) fn metrics(_: &mut SchemaGenerator) -> Schema {
-    names(Metric::ALL.map(Metric::name))
+    name_schema(Metric::ALL.map(Metric::name))
 }
 
 pub(crate) fn overs(_: &mut SchemaGenerator) -> Schema {
-    names(Over::NAMES)
+    name_schema(Aggregation::NAMES)
+}
+
+pub(crate) fn changing_profiles(_: &mut SchemaGenerator) -> Schema {
+    name_schema(ChangingProfile::ALL.map(ChangingProfile::name))
 }
 
 pub(crate) fn signals(_: &mut SchemaGenerator) -> Schema {
-    names(SIGNALS)
+    name_schema(SIGNALS)
 }
 
 /// A rule: where `key` is none of `names`, none of `refused` may be there.
-fn only_for<'a>(key: &str, names: impl Iterator<Item = &'a str>, refused: &[&str]) -> Schema {
+fn only_for_rule<'a>(key: &str, names: impl Iterator<Item = &'a str>, refused: &[&str]) -> Schema {
     let names: Vec<_> = names.collect();
     let refused: serde_json::Map<_, _> = refused.iter().map(|name| ((*name).to_owned(), false.into())).collect();
     json_schema!({
@@ -108,34 +113,55 @@ fn only_for<'a>(key: &str, names: impl Iterator<Item = &'a str>, refused: &[&str
 }
 
 /// A rule: where `key` is `name`, `needed` has to be there.
-fn needed_for(key: &str, name: &str, needed: &str) -> Schema {
+fn required_for_rule(key: &str, name: &str, needed: &str) -> Schema {
     json_schema!({
         "if": { "required": [key], "properties": { (key): { "const": name } } },
         "then": { "required": [needed] },
     })
 }
 
-fn rules(schema: &mut Schema, rules: Vec<Schema>) {
+/// Metrics without a default window.
+fn required_one_for_rule(metric: Metric) -> Schema {
+    let keys = ["from_ms", "until_ms", "after"].map(|key| json_schema!({ "required": [key] }));
+    json_schema!({
+        "if": { "required": ["metric"], "properties": { "metric": { "const": metric.name() } } },
+        "then": { "anyOf": keys },
+    })
+}
+
+fn has_any_after(metric: Metric) -> bool {
+    ChangingProfile::ALL.into_iter().any(|profile| metric.has_after(profile))
+}
+
+fn add_rules(schema: &mut Schema, rules: Vec<Schema>) {
     schema.insert("allOf".to_owned(), rules.into_iter().map(serde_json::Value::from).collect());
 }
 
 pub(crate) fn expectations(schema: &mut Schema) {
     let named = |has: fn(Metric) -> bool| Metric::ALL.into_iter().filter(move |metric| has(*metric)).map(Metric::name);
-    rules(
+    add_rules(
         schema,
         vec![
-            only_for("metric", named(Metric::has_band), &["band_percent"]),
-            only_for("metric", named(Metric::has_from), &["from_ms"]),
-            only_for("metric", named(Metric::has_window), &["window_ms"]),
-            only_for("metric", named(Metric::has_signal), &["signal"]),
-            only_for(
+            only_for_rule("metric", named(Metric::has_band), &["band_percent"]),
+            only_for_rule("metric", named(Metric::has_from), &["from_ms", "until_ms"]),
+            only_for_rule("metric", named(has_any_after), &["after"]),
+            json_schema!({ "if": { "required": ["after"] }, "then": {
+                "properties": { "from_ms": false, "until_ms": false, "window_ms": false },
+            } }),
+            json_schema!({ "if": { "required": ["window_ms"] }, "then": {
+                "properties": { "from_ms": false, "until_ms": false },
+            } }),
+            required_one_for_rule(Metric::PeakDeviation),
+            required_one_for_rule(Metric::RecoveryTime),
+            only_for_rule("metric", named(Metric::has_window), &["window_ms"]),
+            only_for_rule("metric", named(Metric::has_signal), &["signal"]),
+            only_for_rule(
                 "metric",
                 named(|metric| metric != Metric::Repeatability),
                 &["over", "quantile", "tolerance_percent"],
             ),
-            needed_for("metric", Metric::RecoveryTime.name(), "from_ms"),
-            needed_for("metric", Metric::ShutdownTime.name(), "from_ms"),
-            only_for("over", std::iter::once("quantile"), &["quantile"]),
+            required_for_rule("metric", Metric::ShutdownTime.name(), "from_ms"),
+            only_for_rule("over", std::iter::once("quantile"), &["quantile"]),
             json_schema!({ "dependentRequired": { "tolerance_percent": ["about"], "quantile": ["over"] } }),
             json_schema!({ "oneOf": [
                 { "required": ["at_most"] },
@@ -150,20 +176,20 @@ pub(crate) fn expectations(schema: &mut Schema) {
 pub(crate) fn faults(schema: &mut Schema) {
     let but = |names: &'static [&str]| FaultKind::NAMES.into_iter().filter(|name| !names.contains(name));
     let mut all = vec![
-        only_for("kind", ["delay"].into_iter(), &["delay_ms"]),
-        only_for("kind", ["scale"].into_iter(), &["factor"]),
-        only_for("kind", ["flip", "babble"].into_iter(), &["seed"]),
-        only_for("kind", but(&["freeze", "scale"]), &["direction"]),
-        only_for("kind", but(&["disconnect"]), &["every"]),
-        needed_for("kind", "delay", "delay_ms"),
-        needed_for("kind", "scale", "factor"),
+        only_for_rule("kind", ["delay"].into_iter(), &["delay_ms"]),
+        only_for_rule("kind", ["scale"].into_iter(), &["factor"]),
+        only_for_rule("kind", ["flip", "babble"].into_iter(), &["seed"]),
+        only_for_rule("kind", but(&["freeze", "scale"]), &["direction"]),
+        only_for_rule("kind", but(&["disconnect"]), &["every"]),
+        required_for_rule("kind", "delay", "delay_ms"),
+        required_for_rule("kind", "scale", "factor"),
         json_schema!({
             "if": { "required": ["reconfigure"], "properties": { "reconfigure": { "const": true } } },
             "then": { "required": ["until_ms"] },
         }),
     ];
-    all.extend(but(&["disconnect"]).map(|kind| needed_for("kind", kind, "until_ms")));
-    rules(schema, all);
+    all.extend(but(&["disconnect"]).map(|kind| required_for_rule("kind", kind, "until_ms")));
+    add_rules(schema, all);
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! What differs from trial to trial: a plate and a sensor that are never quite the nominal ones.
 
 use crate::scenario::Scenario;
-use platebench_plate::{Plant, Plate, Profile, Scene, Sensor};
+use platebench_plate::{ConditionProfiles, Plant, Plate, Profile, Sensor};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -20,9 +20,9 @@ pub struct Spread {
 }
 
 /// A stream of the generator apart from the sensor's noise, so that one can be switched off without changing the other.
-const STREAM: u64 = 1;
+const SPREAD_STREAM: u64 = 1;
 /// A drawn factor is kept within this much of one, far outside what a permitted spread draws.
-const LARGEST_DEVIATION: f64 = 0.9;
+const MAX_DEVIATION: f64 = 0.9;
 
 /// One trial's plate, sensor and temperature, drawn from its seed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,9 +43,9 @@ impl Variation {
     /// Draws from normal distributions. The same seed gives the same trial.
     pub fn draw(spread: &Spread, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
-        random.set_stream(STREAM);
+        random.set_stream(SPREAD_STREAM);
         let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
-        let mut factor = |percent: f64| 1.0 + (normal() * percent / 100.0).clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION);
+        let mut factor = |percent: f64| 1.0 + (normal() * percent / 100.0).clamp(-MAX_DEVIATION, MAX_DEVIATION);
         Self {
             seed,
             gain: factor(spread.gain_percent),
@@ -62,9 +62,9 @@ impl Variation {
 
     /// The plate of this trial at rest at the start of the scenario.
     pub fn plant(&self, scenario: &Scenario) -> Plant {
-        let scene = Scene {
-            temperature_offset_k: shifted(&scenario.scene.temperature_offset_k, self.temperature_k),
-            finger_force_n: scenario.scene.finger_force_n.clone(),
+        let scene = ConditionProfiles {
+            temperature_offset_k: shift_profile(&scenario.conditions.temperature_offset_k, self.temperature_k),
+            finger_force_n: scenario.conditions.finger_force_n.clone(),
         };
         Plant::new(self.plate(&scenario.plate), scene, scenario.tier)
     }
@@ -75,7 +75,7 @@ impl Variation {
     }
 }
 
-fn shifted(profile: &Profile, by: f64) -> Profile {
+fn shift_profile(profile: &Profile, by: f64) -> Profile {
     let moved = |points: &[_]| points.iter().map(|(time, value)| (*time, value + by)).collect();
     match profile {
         Profile::Hold(points) => Profile::Hold(moved(points)),

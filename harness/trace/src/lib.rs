@@ -1,12 +1,16 @@
-//! Traces: what happened in a trial, row by row, as CSV that anybody can read.
+//! Reads and writes traces: what happened in a trial, row by row, as CSV.
 //!
-//! A row holds the true plate state **at** `t_s` and the drive and frequency applied **from** `t_s` until the next row. Floats are
-//! written in the shortest form that parses back to the same double, so that equal trials are equal byte for byte.
+//! A row contains the plate state **at** `t_s`, and the drive and frequency applied **from** `t_s` until the next row.
+//! Floats have the shortest form that parses back to the same double, so equal trials have equal bytes.
 //!
-//! Neighbours: the runner writes traces, `platebench-verdict` judges them. Nothing here knows what a good trace is.
+//! The runner writes traces and `platebench-verdict` judges them. This crate does not judge.
 
-mod file;
+mod atomic_file;
+mod regular_file;
 mod row;
+mod trace_file;
 
-pub use file::{Rows, TraceError, Writer, read};
-pub use row::{COLUMNS, Column, Flags, Row, UNKNOWABLE};
+pub use atomic_file::{AtomicFile, remove_temporary_files, sync_tree, write_atomically};
+pub use regular_file::{open_regular_file, read_regular_file, read_text_file};
+pub use row::{AmplitudeColumn, COLUMNS, Flags, OPTIONAL_COLUMNS, Row};
+pub use trace_file::{TraceError, TraceReader, TraceWriter, read_trace};

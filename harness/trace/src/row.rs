@@ -1,22 +1,23 @@
-//! One row of a trace, and its columns by name.
+//! Defines a row of a trace and its columns.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 bitflags::bitflags! {
-    /// What else there is to say about a row.
+    /// Marks of a row.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
     pub struct Flags: u8 {
-        /// A control instant: the controller was given this state.
+        /// A control instant: the controller received this state.
         const CONTROL = 1;
         /// The drive is at the amplifier's limit.
         const SATURATED = 1 << 1;
         /// The bench was too late for this instant.
         const OVERRUN = 1 << 2;
-        /// No answer came; the last drive is held.
+        /// No answer; the last drive remains.
         const LINK_LOST = 1 << 3;
         /// The controller is not running: 0 V.
         const SAFE = 1 << 4;
-        /// Told by a controller that drives a real plate: `wd_um`, `wq_um` and `amplitude_um` are its own sensor's, and what nobody measures is empty.
+        /// Reported by a controller that drives a real plate: `wd_um`, `wq_um` and `amplitude_um` come from its sensor, and
+        /// quantities that are not measured are empty.
         const SENSED = 1 << 5;
     }
 }
@@ -44,7 +45,8 @@ impl<'de> Deserialize<'de> for Flags {
             let known = NAMES.iter().find(|(_, known)| *known == name);
             known.map(|(flag, _)| flags | *flag).ok_or_else(|| {
                 serde::de::Error::custom(format!(
-                    "unknown flag `{name}`, expected a |-separated set of control, saturated, overrun, link-lost, safe, sensed"
+                    "unknown flag `{name}`, expected a |-separated set of control, saturated, overrun, link-lost, safe, \
+                     sensed"
                 ))
             })
         })
@@ -56,7 +58,7 @@ impl<'de> Deserialize<'de> for Flags {
 pub struct Row {
     /// Seconds since the start of the trial.
     pub t_s: f64,
-    /// Wished amplitude, µm.
+    /// Setpoint of the amplitude, µm.
     pub setpoint_um: f64,
     /// In-phase component of the plate's vibration, µm.
     pub wd_um: f64,
@@ -68,18 +70,18 @@ pub struct Row {
     pub drive_vpp: f64,
     /// Excitation frequency from here on, Hz.
     pub frequency_hz: f64,
-    /// The plate's true resonance ω0/2π, Hz; NaN, and empty in the file, where nobody knows it.
-    #[serde(with = "perhaps")]
+    /// The plate's true resonance ω0/2π, Hz; NaN, and empty in the file, if unknown.
+    #[serde(with = "optional_number")]
     pub resonance_hz: f64,
-    /// Kelvin above the plate's reference temperature; NaN, and empty in the file, where nobody measures it.
-    #[serde(with = "perhaps")]
+    /// Kelvin above the plate's reference temperature; NaN, and empty in the file, if not measured.
+    #[serde(with = "optional_number")]
     pub temperature_offset_k: f64,
-    /// Normal force of the finger, N; NaN, and empty in the file, where nobody measures it.
-    #[serde(with = "perhaps")]
+    /// Normal force of the finger, N; NaN, and empty in the file, if not measured.
+    #[serde(with = "optional_number")]
     pub finger_force_n: f64,
-    /// In-phase component that the controller was last given, µm.
+    /// In-phase component that the controller received last, µm.
     pub sensed_wd_um: f64,
-    /// Quadrature component that the controller was last given, µm.
+    /// Quadrature component that the controller received last, µm.
     pub sensed_wq_um: f64,
     /// How late the bench was at this instant, µs.
     pub lateness_us: f64,
@@ -87,11 +89,11 @@ pub struct Row {
     pub flags: Flags,
 }
 
-/// A number that may be unknown: NaN here, an empty field in the file.
-mod perhaps {
+/// Stores an unknown number: NaN in memory, an empty field in the file.
+mod optional_number {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "the form that serde calls")]
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
     pub(super) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
         Some(*value).filter(|value| !value.is_nan()).serialize(serializer)
     }
@@ -101,8 +103,8 @@ mod perhaps {
     }
 }
 
-/// Columns that may be empty in a row flagged `sensed`.
-pub const UNKNOWABLE: [&str; 3] = ["resonance_hz", "temperature_offset_k", "finger_force_n"];
+/// Columns that may be empty in a row with the flag `sensed`.
+pub const OPTIONAL_COLUMNS: [&str; 3] = ["resonance_hz", "temperature_offset_k", "finger_force_n"];
 
 /// The columns of a trace, in order.
 pub const COLUMNS: [&str; 14] = [
@@ -122,9 +124,9 @@ pub const COLUMNS: [&str; 14] = [
     "flags",
 ];
 
-/// A column that is measured in µm like the setpoint, and can therefore be held against it.
+/// A column in µm, which can be compared with the setpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Column {
+pub enum AmplitudeColumn {
     /// `amplitude_um`
     Amplitude,
     /// `wd_um`
@@ -137,7 +139,7 @@ pub enum Column {
     SensedWq,
 }
 
-impl Column {
+impl AmplitudeColumn {
     /// Every such column.
     pub const ALL: [Self; 5] = [Self::Amplitude, Self::Wd, Self::Wq, Self::SensedWd, Self::SensedWq];
 
@@ -153,7 +155,7 @@ impl Column {
     }
 
     /// The column's value in a row.
-    pub const fn of(self, row: &Row) -> f64 {
+    pub const fn value(self, row: &Row) -> f64 {
         match self {
             Self::Amplitude => row.amplitude_um,
             Self::Wd => row.wd_um,

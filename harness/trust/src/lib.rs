@@ -1,25 +1,26 @@
-//! How often the bench itself is wrong.
+//! Measures the bench's own errors: the kill rate over mutants and the false-alarm rate over clean
+//! controllers.
 //!
-//! * [`middleware`]: a link around a controller that makes one mistake; in lockstep it can stand around any rig.
-//! * [`mod@catalogue`]: the mistakes, each with the metrics by which it should be caught.
-//! * `mistakes`: what they do to samples, commands and frames.
-//! * [`mod@play`]: a scenario played and judged in memory.
-//! * [`mod@measure`]: kill rate over the catalogue, false alarms over clean runs.
-//! * [`report`], [`shown`]: what came of it, for machines and for people.
+//! * [`mod@catalogue`]: the mutants, each with the metrics that should detect it.
+//! * [`mutant_controller`]: a link that changes messages to and from a controller.
+//! * `mutants`: the changes.
+//! * [`mod@play`]: plays and judges a scenario in memory.
+//! * [`mod@measure`]: both rates.
+//! * [`report`], [`mod@format`]: the result for machines and people.
 //!
-//! A faulty controller counts as caught where an expectation on one of its own metrics fails which the same controller without the mistake does not fail; a
-//! doubt catches nobody. What the numbers mean stands in `docs/trust.md`.
+//! A mutant is caught if an expectation on one of its metrics fails that its reference passes.
+//! `inconclusive` catches nothing. See `docs/trust.md`.
 
 pub mod catalogue;
+pub mod format;
 pub mod measure;
-pub mod middleware;
-mod mistakes;
+pub mod mutant_controller;
+mod mutants;
 pub mod play;
 pub mod report;
-pub mod shown;
 
-pub use catalogue::{Entry, Reference, catalogue};
-pub use measure::{Order, measure};
-pub use middleware::{Mistake, Mistaken};
-pub use play::{TrustError, play};
-pub use report::Report;
+pub use catalogue::{CleanVariant, MutantSpec, ReferenceController, catalogue, clean_variants};
+pub use measure::{TrustConfig, measure};
+pub use mutant_controller::{Mutant, MutantController};
+pub use play::{PlayResult, TrustError, play};
+pub use report::TrustReport;

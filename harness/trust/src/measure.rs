@@ -1,140 +1,190 @@
-//! Kill rate over the catalogue, false alarms over clean runs.
+//! Measures kill rate and false-alarm rate.
 
-use crate::catalogue::{Entry, Reference};
-use crate::play::{TrustError, play, play_as};
-use crate::report::{Alarm, CONFIDENCE, Cell, Clean, FaultOutcome, Outcome, Rate, Report, ScenarioRate};
-use platebench_rig::AnyLink;
+use crate::catalogue::{CleanVariant, MutantSpec, ReferenceController};
+use crate::play::{PlayResult, TrustError, play, play_as};
+use crate::report::{
+    CONFIDENCE, FailedExpectation, FalseAlarm, FalseAlarmResult, MutantOutcome, MutantResult, Rate, ScenarioRate,
+    TrustReport,
+};
+use platebench_record::{Verdict, ViolationKind};
+use platebench_rig::BoxedLink;
 use platebench_scenario::{Metric, Scenario, Spread};
-use platebench_verdict::{Judgement, Verdict};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::thread;
 use tracing::subscriber::{NoSubscriber, with_default};
 
-/// Clean runs of a plate that is never quite the nominal one: standard deviations where the scenario has none of its own.
+/// Standard deviations of the plate in clean runs, if the scenario has none.
 const GAIN_PERCENT: f64 = 0.3;
 const TIME_CONSTANT_PERCENT: f64 = 0.3;
 const TEMPERATURE_K: f64 = 0.05;
-/// Seeds of one run's trials do not meet those of the next.
+/// Distance of the seeds of two runs, so that their trials differ.
 const SEEDS_PER_RUN: u64 = 100_000;
-/// A scenario that lasts longer than this takes no part in clean runs: a minute of plate time costs as much as a thousand others.
-const LONGEST_CLEAN_S: f64 = 2.0;
+/// Longest scenario in clean runs, s: one of a minute costs as much as a thousand others.
+const MAX_CLEAN_DURATION_S: f64 = 2.0;
 
-/// What is to be measured.
+/// Settings of a measurement.
 #[derive(Debug, Clone)]
-pub struct Order {
+pub struct TrustConfig {
     /// The suite.
     pub scenarios: Vec<Scenario>,
-    /// The faults.
-    pub faults: Vec<Entry>,
-    /// Clean runs.
-    pub clean: u32,
-    /// Seed of the first of them.
+    /// The mutants.
+    pub mutants: Vec<MutantSpec>,
+    /// Correct controllers that differ from the firmware.
+    pub variants: Vec<CleanVariant>,
+    /// Number of clean runs.
+    pub clean_runs: u32,
+    /// Seed of the first clean run.
     pub seed: u64,
-    /// Workers.
+    /// Number of threads.
     pub jobs: usize,
 }
 
 /// Measures the suite's error rates.
 ///
 /// # Errors
-/// [`TrustError`] where a controller cannot be played to at all.
-pub fn measure(order: &Order) -> Result<Report, TrustError> {
-    let (suite, faults) = (&order.scenarios, &order.faults);
-    let references = on_suite(order.jobs, suite, &Reference::ALL, |reference| ("reference", reference.link()))?;
-    let failed_without = |reference: Reference| {
-        Reference::ALL.iter().position(|other| *other == reference).and_then(|row| references.get(row))
+/// [`TrustError`] if a scenario cannot be played.
+pub fn measure(order: &TrustConfig) -> Result<TrustReport, TrustError> {
+    let (suite, faults) = (&order.scenarios, &order.mutants);
+    let references =
+        run_suite(order.jobs, suite, &ReferenceController::ALL, |reference| ("reference", reference.link()))?;
+    let failed_without = |reference: ReferenceController| {
+        ReferenceController::ALL.iter().position(|other| *other == reference).and_then(|row| references.get(row))
     };
-    let played = on_suite(order.jobs, suite, faults, |entry| (entry.name, entry.link()))?;
-    let outcomes: Vec<FaultOutcome> = faults
+    let played = run_suite(order.jobs, suite, faults, |entry| (entry.name, entry.link()))?;
+    let outcomes: Vec<MutantResult> = faults
         .iter()
         .zip(&played)
         .map(|(entry, judged)| {
-            outcome(entry, suite, judged, failed_without(entry.reference).map_or(&[], Vec::as_slice))
+            mutant_result(entry, suite, judged, failed_without(entry.reference).map_or(&[], Vec::as_slice))
         })
         .collect();
-    let mut alarms: Vec<Alarm> = failed_without(Reference::Firmware)
+    let mut alarms: Vec<FalseAlarm> = failed_without(ReferenceController::Firmware)
         .into_iter()
         .flat_map(|judged| suite.iter().zip(judged))
-        .flat_map(|(scenario, judged)| failed(scenario, judged).map(|cell| (scenario.trials.seed, cell)))
-        .map(|(seed, (_, cell))| Alarm { run: None, seed, cell })
+        .flat_map(|(scenario, judged)| failures(scenario, judged).map(|cell| (scenario.trials.seed, cell)))
+        .map(|(seed, (_, cell))| FalseAlarm { controller: "reference".to_owned(), run: None, seed, cell })
         .collect();
-    let clean = clean(order, &mut alarms)?;
-    let caught = outcomes.iter().filter(|fault| fault.outcome == Outcome::Caught).count();
+    let by_firmware: Vec<FailedExpectation> = alarms.iter().map(|alarm| alarm.cell.clone()).collect();
+    let variants = run_suite(order.jobs, suite, &order.variants, |variant| (variant.name, variant.link()))?;
+    for (variant, judged) in order.variants.iter().zip(&variants) {
+        for (scenario, judged) in suite.iter().zip(judged) {
+            let own = failures(scenario, judged).map(|(_, cell)| cell);
+            let seed = scenario.trials.seed;
+            let controller = variant.name;
+            alarms.extend(own.filter(|cell| !by_firmware.contains(cell)).map(|cell| FalseAlarm {
+                controller: controller.to_owned(),
+                run: None,
+                seed,
+                cell,
+            }));
+        }
+    }
+    let clean = measure_false_alarms(order, &mut alarms)?;
+    let caught = outcomes.iter().filter(|fault| fault.outcome == MutantOutcome::Caught).count();
     let passes = caught == faults.len() && !faults.is_empty() && alarms.is_empty();
-    Ok(Report {
+    Ok(TrustReport {
         format: 1,
         verdict: if passes { Verdict::Pass } else { Verdict::Fail },
         confidence: CONFIDENCE,
-        kill_rate: Rate::of(caught, faults.len()),
+        kill_rate: Rate::new(caught, faults.len()),
         scenarios: suite.iter().map(|scenario| scenario_rate(scenario, &outcomes)).collect(),
         faults: outcomes,
-        clean: Clean { alarms, ..clean },
+        clean: FalseAlarmResult { alarms, ..clean },
     })
 }
 
-fn scenario_rate(scenario: &Scenario, outcomes: &[FaultOutcome]) -> ScenarioRate {
-    let catches = |fault: &&FaultOutcome| fault.right.iter().any(|cell| cell.scenario == scenario.file);
+fn scenario_rate(scenario: &Scenario, outcomes: &[MutantResult]) -> ScenarioRate {
+    let catches = |fault: &&MutantResult| fault.right.iter().any(|cell| cell.scenario == scenario.file);
     ScenarioRate {
         file: scenario.file.clone(),
-        kill_rate: Rate::of(outcomes.iter().filter(catches).count(), outcomes.len()),
+        kill_rate: Rate::new(outcomes.iter().filter(catches).count(), outcomes.len()),
     }
 }
 
-/// What became of a fault, from its judgements and those of the same controller without the mistake.
-fn outcome(entry: &Entry, suite: &[Scenario], judged: &[Judgement], without: &[Judgement]) -> FaultOutcome {
+/// Compares the judgements of a mutant with those of its reference.
+fn mutant_result(
+    entry: &MutantSpec,
+    suite: &[Scenario],
+    judged: &[PlayResult],
+    without: &[PlayResult],
+) -> MutantResult {
     let mut right = Vec::new();
     let mut wrong = Vec::new();
     for ((scenario, judged), without) in suite.iter().zip(judged).zip(without) {
-        let innocent: Vec<Cell> = failed(scenario, without).map(|(_, cell)| cell).collect();
-        for (metric, cell) in failed(scenario, judged).filter(|(_, cell)| !innocent.contains(cell)) {
-            if entry.metrics.contains(&metric) { right.push(cell) } else { wrong.push(cell) }
+        let by_reference: Vec<_> = failures(scenario, without).map(|(_, cell)| cell).collect();
+        for (reason, cell) in failures(scenario, judged).filter(|(_, cell)| !by_reference.contains(cell)) {
+            let is_right = match reason {
+                Reason::Metric(metric) => entry.detecting_metrics.contains(&metric),
+                Reason::Violation(kind) => entry.detecting_violations.contains(&kind),
+            };
+            if is_right { right.push(cell) } else { wrong.push(cell) }
         }
     }
     let outcome = match (right.is_empty(), wrong.is_empty()) {
-        (false, _) => Outcome::Caught,
-        (true, false) => Outcome::WrongReason,
-        (true, true) => Outcome::Survived,
+        (false, _) => MutantOutcome::Caught,
+        (true, false) => MutantOutcome::WrongReason,
+        (true, true) => MutantOutcome::Survived,
     };
-    FaultOutcome {
+    MutantResult {
         name: entry.name.to_owned(),
-        mistake: entry.mistake.to_owned(),
-        should_be_caught_by: entry.metrics.iter().map(ToString::to_string).collect(),
+        mistake: entry.description.to_owned(),
+        should_be_caught_by: entry.detecting_metrics.iter().map(ToString::to_string).collect(),
         outcome,
         right,
         wrong,
     }
 }
 
-/// Expectations that failed; a doubt is no failure.
-fn failed<'a>(scenario: &'a Scenario, judged: &'a Judgement) -> impl Iterator<Item = (Metric, Cell)> + 'a {
-    let both = scenario.expectations.iter().zip(&judged.expectations).zip(1..);
-    both.filter(|((_, record), _)| record.verdict == Verdict::Fail).map(|((expectation, _), number)| {
-        let metric = expectation.metric;
-        let cell = Cell { scenario: scenario.file.clone(), expectation: number, metric: metric.to_string() };
-        (metric, cell)
-    })
+/// Why a scenario failed.
+enum Reason {
+    Metric(Metric),
+    Violation(ViolationKind),
 }
 
-fn clean(order: &Order, alarms: &mut Vec<Alarm>) -> Result<Clean, TrustError> {
+/// Expectations with the verdict `fail`, and violations of the protocol.
+fn failures<'a>(
+    scenario: &'a Scenario,
+    result: &'a PlayResult,
+) -> impl Iterator<Item = (Reason, FailedExpectation)> + 'a {
+    let cell = |expectation, metric| FailedExpectation { scenario: scenario.file.clone(), expectation, metric };
+    let both = scenario.expectations.iter().zip(&result.judgement.expectations).zip(1..);
+    let failed = both.filter(|((_, record), _)| record.verdict == Verdict::Fail);
+    let by_metric = failed.map(move |((expectation, _), number)| {
+        (Reason::Metric(expectation.metric), cell(number, expectation.metric.to_string()))
+    });
+    by_metric.chain(result.violations.iter().map(move |&kind| (Reason::Violation(kind), cell(0, violation_name(kind)))))
+}
+
+/// The name in the report.
+fn violation_name(kind: ViolationKind) -> String {
+    format!("violation {kind:?}")
+}
+
+fn measure_false_alarms(order: &TrustConfig, alarms: &mut Vec<FalseAlarm>) -> Result<FalseAlarmResult, TrustError> {
     let varied: Vec<(&Scenario, Scenario)> =
-        order.scenarios.iter().filter_map(|scenario| Some((scenario, varied(scenario)?))).collect();
-    let runs: Vec<u32> = if varied.is_empty() { Vec::new() } else { (0..order.clean).collect() };
+        order.scenarios.iter().filter_map(|scenario| Some((scenario, with_plate_spread(scenario)?))).collect();
+    let runs: Vec<u32> = if varied.is_empty() { Vec::new() } else { (0..order.clean_runs).collect() };
     let judged = in_parallel(order.jobs, &runs, |&run| {
-        let Some(scenario) = varied.get(run as usize % varied.len().max(1)) else { return Err(TrustError::Bench) };
+        let Some(scenario) = varied.get(run as usize % varied.len().max(1)) else { return Err(TrustError::Internal) };
         let (scenario, varied) = scenario;
         let mut scene = varied.clone();
         scene.trials.seed = order.seed.wrapping_add(u64::from(run).wrapping_mul(SEEDS_PER_RUN));
-        let judged = play_as(scenario, &scene, "reference", Reference::Firmware.link())?;
-        let cells: Vec<Cell> = failed(scenario, &judged).map(|(_, cell)| cell).collect();
-        Ok((scene.trials.seed, judged.verdict, cells))
+        let judged = play_as(scenario, &scene, "reference", ReferenceController::Firmware.link())?;
+        let cells: Vec<FailedExpectation> = failures(scenario, &judged).map(|(_, cell)| cell).collect();
+        Ok((scene.trials.seed, judged.judgement.verdict, cells))
     })?;
     let count = |wanted| judged.iter().filter(|(_, verdict, _)| *verdict == wanted).count();
     for (run, (seed, _, cells)) in (0..).zip(&judged) {
-        alarms.extend(cells.iter().map(|cell| Alarm { run: Some(run), seed: *seed, cell: cell.clone() }));
+        alarms.extend(cells.iter().map(|cell| FalseAlarm {
+            controller: "reference".to_owned(),
+            run: Some(run),
+            seed: *seed,
+            cell: cell.clone(),
+        }));
     }
-    Ok(Clean {
-        false_alarm_rate: Rate::of(count(Verdict::Fail), judged.len()),
+    Ok(FalseAlarmResult {
+        false_alarm_rate: Rate::new(count(Verdict::Fail), judged.len()),
         inconclusive: count(Verdict::Inconclusive) as u32,
         scenarios: varied.len() as u32,
         seed: order.seed,
@@ -142,10 +192,10 @@ fn clean(order: &Order, alarms: &mut Vec<Alarm>) -> Result<Clean, TrustError> {
     })
 }
 
-/// The scenario with a plate that differs from trial to trial; `None` where it takes no part in clean runs: the open loop is as exact as the plate that it was
-/// told of, so that its scenarios judge the plate and no controller.
-fn varied(scenario: &Scenario) -> Option<Scenario> {
-    if scenario.controller.law == "open-loop" || scenario.duration.seconds() > LONGEST_CLEAN_S {
+/// The scenario with a plate that varies between trials; `None` if clean runs exclude it. Open-loop
+/// scenarios judge the plate, not the controller.
+fn with_plate_spread(scenario: &Scenario) -> Option<Scenario> {
+    if scenario.controller.law == "open-loop" || scenario.duration.seconds() > MAX_CLEAN_DURATION_S {
         return None;
     }
     let mut varied = scenario.clone();
@@ -160,13 +210,13 @@ fn varied(scenario: &Scenario) -> Option<Scenario> {
     Some(varied)
 }
 
-/// Plays every scenario to every controller; a row per controller.
-fn on_suite<T: Sync>(
+/// Plays every scenario with every controller; a row per controller.
+fn run_suite<T: Sync>(
     jobs: usize,
     suite: &[Scenario],
     controllers: &[T],
-    link: impl Fn(&T) -> (&'static str, AnyLink) + Sync,
-) -> Result<Vec<Vec<Judgement>>, TrustError> {
+    link: impl Fn(&T) -> (&'static str, BoxedLink) + Sync,
+) -> Result<Vec<Vec<PlayResult>>, TrustError> {
     if suite.is_empty() {
         return Ok(controllers.iter().map(|_| Vec::new()).collect());
     }
@@ -176,10 +226,10 @@ fn on_suite<T: Sync>(
         let (name, link) = link(controller);
         play(scenario, name, link)
     })?;
-    Ok(judged.chunks(suite.len()).map(<[Judgement]>::to_vec).collect())
+    Ok(judged.chunks(suite.len()).map(<[PlayResult]>::to_vec).collect())
 }
 
-/// What `work` makes of each task, in their order, over several threads.
+/// Applies `work` to each task on several threads; results in the order of the tasks.
 fn in_parallel<T: Sync, R: Send>(
     jobs: usize,
     tasks: &[T],
@@ -194,10 +244,10 @@ fn in_parallel<T: Sync, R: Send>(
                 loop {
                     let number = next.fetch_add(1, Ordering::Relaxed);
                     let Some(task) = tasks.get(number) else { break };
-                    // Frames that a fault spoils are the experiment: nobody is to be warned of them.
+                    // Damaged frames are part of the experiment: suppress their warnings.
                     let result = with_default(NoSubscriber::default(), || work(task)).map(|done| (number, done));
-                    let is_over = result.is_err();
-                    if sender.send(result).is_err() || is_over {
+                    let failed = result.is_err();
+                    if sender.send(result).is_err() || failed {
                         break;
                     }
                 }
@@ -210,6 +260,6 @@ fn in_parallel<T: Sync, R: Send>(
     if done.len() == tasks.len() {
         Ok(done.into_iter().map(|(_, done)| done).collect())
     } else {
-        Err(TrustError::Bench)
+        Err(TrustError::Internal)
     }
 }

@@ -1,77 +1,92 @@
-//! A scenario played to a controller and judged, in memory: what a run does, without its folder.
+//! Plays a scenario with a controller and judges it in memory.
 
-use platebench_rig::{AnyLink, Faulty, RigError, Session};
-use platebench_runner::Cancel;
-use platebench_runner::trial::{self, Order};
+use platebench_record::ViolationKind;
+use platebench_rig::{BoxedLink, FaultInjector, RigError, Session};
+use platebench_runner::CancelToken;
+use platebench_runner::trial::{self, TrialSpec};
 use platebench_scenario::Scenario;
-use platebench_verdict::{Decision, Judgement, measure, sequential};
+use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
 use platebench_wire::LawId;
+use std::collections::BTreeSet;
 
-/// Why there is no verdict at all.
+/// Why there is no verdict.
 #[derive(Debug, thiserror::Error)]
 pub enum TrustError {
-    /// A scenario asks for a law that there is not.
+    /// The scenario's law does not exist.
     #[error("{file}: unknown law `{law}`")]
-    Law {
+    UnknownLaw {
         /// The scenario.
         file: String,
-        /// What it asks for.
+        /// Its law.
         law: String,
     },
-    /// The controller cannot be worked with.
+    /// The controller does not answer or rejects the scenario.
     #[error("{file}, {controller}: {source}")]
     Rig {
         /// The scenario.
         file: String,
-        /// Who was to play it.
+        /// The controller's name.
         controller: String,
-        /// What happened.
+        /// The rig's error.
         source: RigError,
     },
-    /// A worker came to grief: a fault of the bench itself.
-    #[error("the bench has a fault of its own, please report it: a worker ended early")]
-    Bench,
+    /// A worker thread ended early.
+    #[error("internal error: a worker thread ended early; please report it")]
+    Internal,
 }
 
-/// Plays trials of `scenario` over a link in lockstep until it is decided.
+/// The result of a scenario.
+#[derive(Debug, Clone)]
+pub struct PlayResult {
+    /// Its verdicts.
+    pub judgement: Judgement,
+    /// Violations of the protocol in its trials, each kind once.
+    pub violations: Vec<ViolationKind>,
+}
+
+/// Plays trials of `scenario` over `link` in lockstep until the verdict is decided.
 ///
 /// # Errors
 /// As [`play_as`].
-pub fn play(scenario: &Scenario, controller: &str, link: AnyLink) -> Result<Judgement, TrustError> {
+pub fn play(scenario: &Scenario, controller: &str, link: BoxedLink) -> Result<PlayResult, TrustError> {
     play_as(scenario, scenario, controller, link)
 }
 
-/// Plays trials of `scene` and judges them as those of `scenario`, which is the same but for what is left to chance: a plate that is a little off is judged
-/// as hard as the nominal one.
+/// Plays trials of `variant`, which differs from `scenario` in its spread only, and judges them by
+/// `scenario`.
 ///
 /// # Errors
-/// [`TrustError`] where the controller does not answer or refuses the scenario. One that is lost within a trial is judged.
+/// [`TrustError`] if the controller does not answer or rejects the scenario. A link lost within a
+/// trial is judged.
 pub fn play_as(
     scenario: &Scenario,
-    scene: &Scenario,
+    variant: &Scenario,
     controller: &str,
-    link: AnyLink,
-) -> Result<Judgement, TrustError> {
+    link: BoxedLink,
+) -> Result<PlayResult, TrustError> {
     let name = &scenario.controller.law;
-    let law =
-        LawId::from_name(name).ok_or_else(|| TrustError::Law { file: scenario.file.clone(), law: name.clone() })?;
+    let law = LawId::from_name(name)
+        .ok_or_else(|| TrustError::UnknownLaw { file: scenario.file.clone(), law: name.clone() })?;
     let failed = |source| TrustError::Rig { file: scenario.file.clone(), controller: controller.to_owned(), source };
-    let mut session = Session::open(Faulty::new(link)).map_err(failed)?;
-    let mut trials = Vec::new();
+    let mut session = Session::open(FaultInjector::new(link)).map_err(failed)?;
+    let (mut trials, mut violations) = (Vec::new(), BTreeSet::new());
     loop {
-        let goal = match sequential(scenario, &trials) {
-            Decision::Stop(judgement) => return Ok(judgement),
-            Decision::Go { trials } => trials,
+        let goal = match judge_sequentially(scenario, &trials) {
+            SequentialDecision::Stop(judgement) => {
+                return Ok(PlayResult { judgement, violations: violations.into_iter().collect() });
+            }
+            SequentialDecision::Continue { trials } => trials,
         };
         for index in trials.len() as u32..goal {
-            let order = Order { scenario: scene, law, index, wire_time: false, own_clock: false };
-            let Some(played) = trial::play(&mut session, &order, &Cancel::default()) else {
-                return Err(TrustError::Bench);
+            let spec = TrialSpec { scenario: variant, law, index, wire_time: false, own_clock: false };
+            let Some(result) = trial::play(&mut session, &spec, &CancelToken::never(), None) else {
+                return Err(TrustError::Internal);
             };
-            if let Some(refused @ RigError::Refused(_)) = played.lost {
-                return Err(failed(refused));
+            if let Some(rejected @ RigError::ConfigurationRejected(_)) = result.link_error {
+                return Err(failed(rejected));
             }
-            trials.push(measure(scene, index, &played.rows, &played.telemetry));
+            violations.extend(result.telemetry.violations.iter().map(|violation| violation.kind));
+            trials.push(measure(variant, index, &result.trace_rows, &result.telemetry));
         }
     }
 }

@@ -1,91 +1,91 @@
-//! What came of it, as JSON has it.
+//! Defines the report (`trust.json`).
 
-use platebench_verdict::Verdict;
+use platebench_record::Verdict;
 use platebench_verdict::statistics::proportion::clopper_pearson;
 use serde::Serialize;
 
-/// Of every bound here, one-sided.
+/// One-sided confidence of each bound.
 pub const CONFIDENCE: f64 = 0.95;
 
 /// The bench's own error rates.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
+pub struct TrustReport {
     /// Version of this format.
     pub format: u32,
-    /// `pass` where no fault survived and no clean run failed, else `fail`.
+    /// `pass` if no mutant survived and no clean run failed, otherwise `fail`.
     pub verdict: Verdict,
-    /// Of the bounds, each one-sided.
+    /// One-sided confidence of each bound.
     pub confidence: f64,
-    /// How many of the catalogue's faults the scenarios together catch for a right reason.
+    /// Mutants that the suite catches for the right reason.
     pub kill_rate: Rate,
-    /// The same for each scenario by itself.
+    /// The same for each scenario.
     pub scenarios: Vec<ScenarioRate>,
-    /// What became of each fault.
-    pub faults: Vec<FaultOutcome>,
-    /// How often clean controllers were called faulty.
-    pub clean: Clean,
+    /// The result of each mutant.
+    pub faults: Vec<MutantResult>,
+    /// Failures of clean controllers.
+    pub clean: FalseAlarmResult,
 }
 
-/// How often something was seen, and what that says of its probability.
+/// A count and the bounds of its probability.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Rate {
-    /// How often.
+    /// Number of events.
     pub seen: u32,
-    /// Of how many.
+    /// Number of tries.
     pub count: u32,
-    /// Bounds of its probability by Clopper and Pearson; `null` where nothing was tried.
+    /// Bounds of the probability by Clopper and Pearson; `null` without tries.
     pub bounds: Option<[f64; 2]>,
 }
 
 impl Rate {
-    /// Of what was seen `seen` times in `count` tries.
-    pub fn of(seen: usize, count: usize) -> Self {
+    /// The rate of `seen` events in `count` tries.
+    pub fn new(seen: usize, count: usize) -> Self {
         let (seen, count) = (seen as u32, count as u32);
         Self { seen, count, bounds: clopper_pearson(seen, count, CONFIDENCE) }
     }
 }
 
-/// What one scenario catches.
+/// Mutants caught by one scenario.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScenarioRate {
     /// Its file.
     pub file: String,
-    /// How many faults it catches for a right reason.
+    /// Mutants that it catches for the right reason.
     pub kill_rate: Rate,
 }
 
-/// What became of one fault.
+/// Result of one mutant.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct FaultOutcome {
+pub struct MutantResult {
     /// Its name.
     pub name: String,
-    /// What somebody did.
+    /// Its mistake.
     pub mistake: String,
-    /// The metrics by which it should be caught.
+    /// The metrics that should detect it.
     pub should_be_caught_by: Vec<String>,
-    /// Caught for a right reason, for a wrong one alone, or not at all.
-    pub outcome: Outcome,
-    /// Expectations on those metrics that failed, and do not without the mistake.
-    pub right: Vec<Cell>,
-    /// Others that failed, and do not without the mistake.
-    pub wrong: Vec<Cell>,
+    /// Caught or not.
+    pub outcome: MutantOutcome,
+    /// Failed expectations on these metrics that the reference passes.
+    pub right: Vec<FailedExpectation>,
+    /// Other failed expectations that the reference passes.
+    pub wrong: Vec<FailedExpectation>,
 }
 
-/// How a fault ended.
+/// Outcome of a mutant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Outcome {
-    /// By a metric by which it should be.
+pub enum MutantOutcome {
+    /// A metric that should detect it failed.
     Caught,
-    /// By others alone; counted as a survivor.
+    /// Only other metrics failed; counted as a survivor.
     WrongReason,
-    /// By nothing.
+    /// Nothing failed.
     Survived,
 }
 
-/// One expectation of one scenario.
+/// An expectation of a scenario.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-pub struct Cell {
+pub struct FailedExpectation {
     /// The scenario's file.
     pub scenario: String,
     /// Number of the expectation in it, from 1.
@@ -94,28 +94,30 @@ pub struct Cell {
     pub metric: String,
 }
 
-/// How often clean controllers were called faulty.
+/// Failures of clean controllers.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Clean {
-    /// Runs that failed, of those that were played. A run is one scenario with a plate and noise of its own.
+pub struct FalseAlarmResult {
+    /// Failed runs. A run is one scenario with its own plate and noise.
     pub false_alarm_rate: Rate,
-    /// Runs that ended in doubt.
+    /// Inconclusive runs.
     pub inconclusive: u32,
-    /// Scenarios that were played so.
+    /// Number of scenarios.
     pub scenarios: u32,
     /// Seed of the first run.
     pub seed: u64,
-    /// What failed, of the runs above and of the suite as it stands.
-    pub alarms: Vec<Alarm>,
+    /// Failed expectations of these runs and of the unmodified suite.
+    pub alarms: Vec<FalseAlarm>,
 }
 
-/// A clean controller that was called faulty.
+/// A failed expectation of a clean controller.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Alarm {
-    /// Number of the run, from 0; `null` for the suite as it stands.
+pub struct FalseAlarm {
+    /// The controller: `reference` or a clean variant.
+    pub controller: String,
+    /// Number of the run, from 0; `null` for the unmodified suite.
     pub run: Option<u32>,
     /// Seed of its first trial.
     pub seed: u64,
-    /// What called it so.
-    pub cell: Cell,
+    /// The expectation.
+    pub cell: FailedExpectation,
 }

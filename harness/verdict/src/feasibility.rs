@@ -1,57 +1,64 @@
-//! Whether any controller could have met a demand, given the amplifier's limits.
+//! Decides whether any controller could meet a demand within the amplifier's limits.
 //!
-//! The trial is played once more by a controller that nobody can build: it always drives at resonance, knows the plate, and brings the amplitude to
-//! the setpoint as fast as the amplifier lets it. What this one misses, nobody can meet. Its amplitude follows the envelope exactly between two rows:
-//! `W' = −σ W + b V` with V at the limit where W has to rise, and 0 where it has to fall.
+//! An ideal controller plays the trial again: it drives at resonance, knows the plate, and brings the amplitude to the
+//! setpoint as fast as the amplifier allows. What it misses, no controller can meet. Between two rows its amplitude
+//! follows the exact envelope `W' = −σ W + b V`, with V at the limit while W must rise and 0 while it must fall.
 
 use crate::metrics::{self, Measure};
-use crate::record::Telemetry;
 use platebench_plate::{Plant, Time};
+use platebench_record::{BestResponse, Excuse, Telemetry};
 use platebench_scenario::{Expectation, Metric, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// Why the demand could not be met in this trial by any controller; `None` where it could. Only a trial whose drive was at its limit is excused.
-pub fn excuse(scenario: &Scenario, expectation: &Expectation, plant: &Plant, rows: &[Row]) -> Option<String> {
-    if !is_bound_by_drive(expectation.metric) || matches!(expectation.signal, "wq_um" | "sensed_wq_um") {
+/// Why no controller could meet the demand in this trial. Only a trial whose drive was at a limit is excused.
+pub(crate) fn infeasibility_excuse(
+    scenario: &Scenario,
+    expectation: &Expectation,
+    plant: &Plant,
+    rows: &[Row],
+) -> Option<Excuse> {
+    if !is_drive_limited(expectation.metric) || matches!(expectation.signal, "wq_um" | "sensed_wq_um") {
         return None;
     }
-    let limit = scenario.plate.drive_limit_vpp;
-    let Ideal { rows: ideal, fell_at_rest, needed } = Ideal::of(expectation, plant, rows, limit)?;
-    if !fell_at_rest && !rows.iter().any(|row| row.flags.contains(Flags::SATURATED)) {
+    let limit_vpp = scenario.plate.drive_limit_vpp;
+    let ideal = IdealResponse::simulate(expectation, plant, rows, limit_vpp)?;
+    if !ideal.falls_with_drive_off && !rows.iter().any(|row| row.flags.contains(Flags::SATURATED)) {
         return None;
     }
-    // The ideal's amplitude is known at all times, also where the controller's is known at its samples only.
+    // The ideal amplitude is known at all times, even if the expectation's signal is sampled.
     let plain = Expectation { signal: "amplitude_um", ..expectation.clone() };
-    let best = metrics::measure(&plain, &ideal, &Telemetry::default());
-    let (lowest, highest) = expectation.limit.range();
-    let out_of_reach = match (expectation.metric, &best) {
-        // The ideal is never above the setpoint; how much less than it is the question.
-        (Metric::FinalAmplitude, Measure::Value(value)) => *value < lowest,
-        // A mean that cannot get to the setpoint goes with the drive, not with the controller.
-        (Metric::Repeatability, Measure::Value(ratio)) => *ratio < 100.0 - RATIO_TOLERANCE_PERCENT,
-        (Metric::StaticError, Measure::Value(value)) => value.abs() > highest,
-        (_, Measure::Value(value) | Measure::Between([value, _])) => *value > highest,
-        (_, Measure::Missing(_)) => true,
-        (_, Measure::Undefined(_)) => false,
-    };
-    if !out_of_reach {
-        return None;
-    }
-    let name = expectation.metric;
-    let at_best = match best {
-        Measure::Value(value) if name == Metric::Repeatability => format!("a mean of {value:.3} % of the setpoint"),
-        Measure::Value(value) | Measure::Between([value, _]) => format!("{name} {:.3}", value.abs()),
-        Measure::Missing(what) | Measure::Undefined(what) => format!("a signal that {what}"),
-    };
-    Some(if needed > limit {
-        format!("holding the setpoint needs {needed:.0} Vpp, the amplifier gives {limit:.0} Vpp: at best {at_best}")
+    let best = unreachable_best(expectation, metrics::measure(&plain, &ideal.rows, &Telemetry::default()))?;
+    Some(if ideal.required_drive_vpp > limit_vpp {
+        Excuse::SetpointOutOfReach { needed_vpp: ideal.required_drive_vpp, limit_vpp, best }
     } else {
-        format!("from 0 to {limit:.0} Vpp no controller does better than {at_best}")
+        Excuse::DriveLimited { limit_vpp, best }
     })
 }
 
-/// True for what a drive that is at its limit can spoil.
-pub(crate) const fn is_bound_by_drive(metric: Metric) -> bool {
+/// What the ideal controller reaches, if that misses the limit.
+fn unreachable_best(expectation: &Expectation, best: Measure) -> Option<BestResponse> {
+    let (lowest, highest) = expectation.range();
+    let metric = expectation.metric;
+    match (metric, best) {
+        (_, Measure::Missing(missing)) => Some(BestResponse::Missing(missing)),
+        (_, Measure::Undefined(_)) => None,
+        // A mean below the setpoint is limited by the drive.
+        (Metric::Repeatability, Measure::Value(percent)) => {
+            (percent < 100.0 - RATIO_TOLERANCE_PERCENT).then_some(BestResponse::Mean(percent))
+        }
+        (_, Measure::Value(value) | Measure::Interval([value, _])) => {
+            let is_out_of_reach = match metric {
+                // The ideal amplitude never exceeds the setpoint.
+                Metric::FinalAmplitude => value < lowest,
+                _ => value.abs() > highest,
+            };
+            is_out_of_reach.then_some(BestResponse::Value(metric, value.abs()))
+        }
+    }
+}
+
+/// True if a drive at its limit can worsen the metric.
+pub(crate) const fn is_drive_limited(metric: Metric) -> bool {
     matches!(
         metric,
         Metric::SettlingTime
@@ -63,36 +70,37 @@ pub(crate) const fn is_bound_by_drive(metric: Metric) -> bool {
     )
 }
 
-/// What rounding may take from a mean that is on the setpoint.
+/// Rounding error of a mean that equals the setpoint.
 const RATIO_TOLERANCE_PERCENT: f64 = 1e-6;
 
-/// The trial as the best of all controllers would have played it.
-struct Ideal {
+/// The trial as the ideal controller plays it.
+struct IdealResponse {
     rows: Vec<Row>,
-    /// The amplitude had to fall faster than the plate forgets, while the drive was indeed at 0.
-    fell_at_rest: bool,
-    /// The highest drive that holding the setpoint at resonance takes at any row, Vpp.
-    needed: f64,
+    /// The amplitude must fall faster than the plate decays, and the drive was at 0 V.
+    falls_with_drive_off: bool,
+    /// The highest drive that holds the setpoint at resonance, Vpp.
+    required_drive_vpp: f64,
 }
 
-impl Ideal {
-    fn of(expectation: &Expectation, plant: &Plant, rows: &[Row], limit: f64) -> Option<Self> {
+impl IdealResponse {
+    fn simulate(expectation: &Expectation, plant: &Plant, rows: &[Row], limit: f64) -> Option<Self> {
         let first = rows.first()?;
         let mut level = first.amplitude_um;
-        let mut ideal = Self { rows: vec![with_level(first, level)], fell_at_rest: false, needed: 0.0 };
+        let mut ideal =
+            Self { rows: vec![with_amplitude(first, level)], falls_with_drive_off: false, required_drive_vpp: 0.0 };
         for pair in rows.windows(2) {
             let [left, right] = pair else { continue };
             let (start, end) = (Time::from_seconds(left.t_s)?, Time::from_seconds(right.t_s)?);
             let mode = plant.mode_at(start.midpoint(end));
             let strongest = limit / mode.drive_for(1.0);
-            ideal.needed = ideal.needed.max(mode.drive_for(left.setpoint_um));
+            ideal.required_drive_vpp = ideal.required_drive_vpp.max(mode.drive_for(left.setpoint_um));
             let kept = (-mode.sigma * (right.t_s - left.t_s)).exp();
             let (lowest, highest) = (level * kept, strongest + (level - strongest) * kept);
-            // Between two rows the setpoint is where the left one says; what comes with the right row is not known yet.
+            // The setpoint of the right row is not known before its instant.
             let next = left.setpoint_um.clamp(lowest.min(highest), highest);
-            ideal.fell_at_rest |=
+            ideal.falls_with_drive_off |=
                 lowest > left.setpoint_um && left.drive_vpp == 0.0 && !left.flags.contains(Flags::SAFE);
-            // An edge of the band is crossed on a curve, not on the chord between the rows.
+            // The envelope crosses an edge of the band on a curve, not on the chord between rows.
             let (low, high) = expectation.band(left.setpoint_um);
             let after = if level < low && low < next {
                 Some(((strongest - level) / (strongest - low), low))
@@ -103,16 +111,16 @@ impl Ideal {
             };
             if let Some((factor, edge)) = after {
                 let t_s = left.t_s + factor.ln() / mode.sigma;
-                ideal.rows.push(with_level(&Row { t_s: t_s.clamp(left.t_s, right.t_s), ..*left }, edge));
+                ideal.rows.push(with_amplitude(&Row { t_s: t_s.clamp(left.t_s, right.t_s), ..*left }, edge));
             }
             level = next;
-            ideal.rows.push(with_level(right, level));
+            ideal.rows.push(with_amplitude(right, level));
         }
         Some(ideal)
     }
 }
 
-fn with_level(row: &Row, level: f64) -> Row {
+fn with_amplitude(row: &Row, level: f64) -> Row {
     Row {
         amplitude_um: level,
         wd_um: level,

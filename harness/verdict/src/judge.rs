@@ -1,57 +1,22 @@
-//! Expectation to verdict.
+//! Judges the expectations of a scenario by its trials.
 //!
-//! * `looks`: which trials are judged, and whether more are needed.
-//! * `case`: one expectation over those trials.
-//! * `finding`: what came of it.
+//! A scenario with `max_count` is judged after `count` trials, after twice as many and so on;
+//! [`alpha_spending`](crate::statistics::alpha_spending) corrects the error rate for looking early. The looks depend on
+//! the scenario alone, and a decision depends on the trials up to its look. A stored run is therefore judged at the same
+//! look as live, whatever the order in which its trials were played.
 
-mod case;
-mod finding;
-mod looks;
+mod expectation_judge;
+mod outcome;
+mod over_trials;
 
-pub use looks::{Decision, judge, sequential};
+use crate::statistics::alpha_spending::{Look, plan_looks};
+use crate::trial::TrialMeasures;
+use expectation_judge::ExpectationJudge;
+use platebench_record::{Cause, ExpectationRecord, Verdict};
+use platebench_scenario::Scenario;
+use std::borrow::Cow;
 
-use crate::divergence::{Divergence, divergence};
-use crate::feasibility;
-use crate::metrics::{self, Measure};
-use crate::real_plate;
-use crate::record::{Cause, ExpectationRecord, Telemetry, TrialRecord, Verdict};
-use platebench_plate::Time;
-use platebench_scenario::{Metric, Scenario};
-use platebench_trace::{Flags, Row};
-use serde_json::{Map, json};
-use std::collections::BTreeMap;
-
-/// Everything about a trial that verdicts are made from.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TrialMeasures {
-    /// Counted from 0.
-    pub index: u32,
-    /// What its plate and noise were drawn from.
-    pub seed: u64,
-    /// One measure per expectation of the scenario.
-    pub measures: Vec<Measure>,
-    /// Per expectation, why missing it is not the controller's doing.
-    pub excuses: Vec<Option<Excuse>>,
-    /// What the rig told beside the trace.
-    pub telemetry: Telemetry,
-    /// Whether its loop came to no good end, which is why what it missed was missed.
-    pub diverged: Option<Divergence>,
-    /// Whose doing it is that the trial does not count, and what happened.
-    pub cause: Option<(Cause, String)>,
-    /// True where the plate was a real one, seen by its own controller's sensor alone.
-    pub sensed: bool,
-}
-
-/// Why a missed expectation is not the controller's doing.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Excuse {
-    /// Whose doing it is.
-    pub cause: Cause,
-    /// In a sentence.
-    pub reason: String,
-}
-
-/// A scenario's verdict with everything that it rests on.
+/// The verdict of a scenario.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judgement {
     /// Over all expectations.
@@ -60,131 +25,76 @@ pub struct Judgement {
     pub expectations: Vec<ExpectationRecord>,
 }
 
-/// Measures the trial with number `index`.
-pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Telemetry) -> TrialMeasures {
-    let variation = scenario.variation(index);
-    let plant = variation.plant(scenario);
-    let expectations = &scenario.expectations;
-    let sensed = rows.iter().any(|row| row.flags.contains(Flags::SENSED));
-    TrialMeasures {
-        index,
-        seed: variation.seed,
-        measures: expectations.iter().map(|expectation| metrics::measure(expectation, rows, telemetry)).collect(),
-        excuses: expectations
-            .iter()
-            .map(|expectation| {
-                if sensed {
-                    return real_plate::excuse(expectation, rows);
-                }
-                let reason = feasibility::excuse(scenario, expectation, &plant, rows)?;
-                Some(Excuse { cause: Cause::Infeasible, reason: format!("saturated: {reason}") })
-            })
-            .collect(),
-        telemetry: telemetry.clone(),
-        diverged: divergence(scenario, rows, telemetry),
-        cause: if sensed {
-            real_plate::disturbance(scenario, rows, telemetry.real_plate.as_ref())
-        } else {
-            disturbance(scenario, rows, telemetry)
-        },
-        sensed,
+/// What to do after a number of trials.
+#[derive(Debug, Clone, PartialEq)]
+pub enum SequentialDecision {
+    /// This is the verdict; more trials do not change it.
+    Stop(Judgement),
+    /// More trials are needed.
+    Continue {
+        /// Number of trials at the next look, including those already played.
+        trials: u32,
+    },
+}
+
+/// Judges a scenario at the first planned look that decides, or returns how many trials the next look needs.
+///
+/// A look decides if every expectation passes, one fails, or one is inconclusive and more trials cannot change that. The
+/// last look always decides.
+pub fn judge_sequentially(scenario: &Scenario, trials: &[TrialMeasures]) -> SequentialDecision {
+    match judge_at_deciding_look(scenario, &sorted_by_index(trials)) {
+        Ok(judgement) => SequentialDecision::Stop(judgement),
+        Err(next) => SequentialDecision::Continue { trials: next.trials },
     }
 }
 
-/// What happened on the way that is not the controller's doing.
-fn disturbance(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<(Cause, String)> {
-    // An answer that a planned fault swallowed is the experiment itself.
-    let is_planned = |row: &&Row| Time::from_seconds(row.t_s).is_some_and(|time| scenario.explains(time));
-    let mut flagged = rows.iter().filter(|row| row.flags.contains(Flags::LINK_LOST));
-    if let Some(row) = flagged.find(|row| !is_planned(row)) {
-        return Some((Cause::Rig, format!("no answer at {} ms", row.t_s * 1e3)));
-    }
-    let late = || rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN));
-    if late().count() as f64 > overrun_budget(scenario)
-        && let Some(first) = late().next()
-    {
-        let what = format!("the bench was too late {} times, first at {} ms", late().count(), first.t_s * 1e3);
-        return Some((Cause::Bench, what));
-    }
-    let paced = telemetry.timing.as_ref().filter(|timing| timing.pacing == "target");
-    let clock = paced.and_then(|timing| timing.target_clock_ppm.zip(timing.target_clock_error_ppm));
-    if let Some(what) = clock.and_then(|(ppm, error)| other_clock(scenario, ppm, error)) {
-        return Some((Cause::Rig, what));
-    }
-    if let Some(lost) = telemetry.timing.as_ref().map(|timing| timing.lost_rows).filter(|lost| *lost > 0) {
-        return Some((Cause::Bench, format!("{lost} rows were lost on their way out of the loop")));
-    }
-    if let Some(first) = rows.first().filter(|row| row.t_s > 0.0) {
-        return Some((Cause::Bench, format!("the trace starts at {} ms", first.t_s * 1e3)));
-    }
-    // Instants are whole nanoseconds.
-    let widest = scenario.trace_step.seconds() + 0.5e-9;
-    let gap = rows.windows(2).find(|pair| matches!(pair, [left, right] if right.t_s - left.t_s > widest));
-    if let Some([left, right]) = gap {
-        let what = format!("no rows between {} and {} ms", left.t_s * 1e3, right.t_s * 1e3);
-        return Some((Cause::Bench, format!("{what}, expected one every {}", scenario.trace_step)));
-    }
-    let end = rows.last().map_or(0.0, |row| row.t_s);
-    (end < scenario.duration.seconds())
-        .then(|| (Cause::Bench, format!("the trace ends at {} ms instead of {}", end * 1e3, scenario.duration)))
+/// Judges a scenario by the trials that were played, even if some are missing.
+pub fn judge(scenario: &Scenario, trials: &[TrialMeasures]) -> Judgement {
+    let trials = sorted_by_index(trials);
+    judge_at_deciding_look(scenario, &trials).unwrap_or_else(|next| judge_at_look(scenario, &trials, next))
 }
 
-/// Says where a controller that makes the control instants by a timer of its own made others than those that the scenario asks for. Crystals are off by some 100 ppm and
-/// oscillators on the chip by 1 %; a clock that was set up wrongly is off by a factor.
-pub(crate) fn other_clock(scenario: &Scenario, ppm: f64, error_ppm: f64) -> Option<String> {
-    const CLOCK_PPM: f64 = 20_000.0;
-    // One stall of the computer at either end of the trial.
-    const STALL_S: f64 = 0.05;
-    let allowed = CLOCK_PPM + 4.0 * error_ppm + STALL_S / scenario.duration.seconds() * 1e6;
-    let how = if ppm > 0.0 { "fast" } else { "slow" };
-    let percent = ppm.abs() / 1e4;
-    (ppm.abs() > allowed).then(|| {
-        format!(
-            "the controller's clock runs {percent:.0} % {how} by the bench's: its periods are not those of the scenario"
-        )
-    })
-}
-
-/// How many overruns a trial may have and still count: what the scenario expects of `overruns` at most, else none.
-fn overrun_budget(scenario: &Scenario) -> f64 {
-    let expected = scenario.expectations.iter().filter(|expectation| expectation.metric == Metric::Overruns);
-    expected.map(|expectation| expectation.limit.range().1).reduce(f64::min).unwrap_or(0.0)
-}
-
-/// The record of a trial, with its metrics by name.
-pub fn trial_record(scenario: &Scenario, trial: &TrialMeasures, trace: String, wall_ms: Option<f64>) -> TrialRecord {
-    let mut counts: BTreeMap<Metric, u32> = BTreeMap::new();
-    let mut by_name = Map::new();
-    for (expectation, measure) in scenario.expectations.iter().zip(&trial.measures) {
-        let metric = expectation.metric;
-        // A single trial has no repeatability.
-        if metric == Metric::Repeatability {
-            continue;
+/// The judgement of the first look that decides, or the first look that has too few trials.
+fn judge_at_deciding_look(scenario: &Scenario, trials: &[TrialMeasures]) -> Result<Judgement, Look> {
+    let mut planned = plan_looks(scenario.trials.count, scenario.trials.max_count).into_iter().peekable();
+    loop {
+        let Some(look) = planned.next() else { return Ok(judge_at_look(scenario, trials, Look::SINGLE)) };
+        let played = trials.partition_point(|trial| trial.index < look.trials);
+        if played < look.trials as usize {
+            return Err(look);
         }
-        let count = counts.entry(metric).or_default();
-        *count += 1;
-        let name = if *count == 1 { metric.to_string() } else { format!("{metric}[{count}]") };
-        by_name.insert(name, json!(shown(metric, measure)));
-    }
-    let (cause, reason) = trial.cause.clone().unzip();
-    let diverged = || trial.diverged.as_ref().map(ToString::to_string);
-    let reason = reason.or_else(|| trial.telemetry.ended.clone()).or_else(diverged);
-    TrialRecord {
-        index: trial.index,
-        seed: trial.seed,
-        trace,
-        sha256: None,
-        metrics: by_name,
-        telemetry: trial.telemetry.clone(),
-        cause,
-        reason,
-        diverged_at_s: trial.diverged.as_ref().map(|divergence| divergence.at_s),
-        wall_ms,
+        let judgement = judge_at_look(scenario, trials.get(..played).unwrap_or(trials), look);
+        if planned.peek().is_none() || is_final(&judgement) {
+            return Ok(judgement);
+        }
     }
 }
 
-fn shown(metric: Metric, measure: &Measure) -> Option<f64> {
-    measure.value().map(|value| if metric == Metric::StaticError { value.abs() } else { value })
+/// True if more trials cannot change the verdict.
+fn is_final(judgement: &Judgement) -> bool {
+    let is_decided = |expectation: &ExpectationRecord| match expectation.verdict {
+        Verdict::Pass => false,
+        Verdict::Fail => true,
+        Verdict::Inconclusive => expectation.cause != Some(Cause::Evidence),
+    };
+    judgement.verdict == Verdict::Pass || judgement.expectations.iter().any(is_decided)
+}
+
+fn judge_at_look(scenario: &Scenario, trials: &[TrialMeasures], look: Look) -> Judgement {
+    let judge = |(expectation_index, expectation)| {
+        ExpectationJudge { scenario, expectation, expectation_index, trials, look }.judge()
+    };
+    let expectations: Vec<_> = scenario.expectations.iter().enumerate().map(judge).collect();
+    Judgement { verdict: Verdict::combine(expectations.iter().map(|expectation| expectation.verdict)), expectations }
+}
+
+fn sorted_by_index(trials: &[TrialMeasures]) -> Cow<'_, [TrialMeasures]> {
+    if trials.is_sorted_by_key(|trial| trial.index) {
+        return Cow::Borrowed(trials);
+    }
+    let mut sorted = trials.to_vec();
+    sorted.sort_by_key(|trial| trial.index);
+    Cow::Owned(sorted)
 }
 
 #[cfg(test)]

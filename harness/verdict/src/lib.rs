@@ -1,29 +1,29 @@
-//! From traces to verdicts.
+//! Judges trials: from traces to verdicts.
 //!
-//! * [`metrics`]: numbers of one trial, off its trace alone.
-//! * [`divergence`]: whether the loop converged at all.
-//! * [`feasibility`]: whether any controller could have met a demand.
-//! * [`statistics`]: intervals for what only many trials can tell.
-//! * [`mod@judge`]: expectation to verdict.
-//! * [`real_plate`]: what a trial on a real plate is worth, of which nobody knows more than its controller tells.
-//! * [`tube`], [`golden`]: whether a response still looks as it did when it was accepted.
-//! * [`record`]: what a run leaves behind in `run.json`.
+//! * [`metrics`]: measures one trial from its trace.
+//! * `divergence`: detects a loop that does not converge.
+//! * `feasibility`: decides whether any controller could meet a demand.
+//! * `exclusion`, [`real_plate`]: decide whether a trial counts.
+//! * `trial`: combines these into what verdicts depend on.
+//! * [`statistics`]: computes intervals over trials.
+//! * `judge`: judges the expectations of a scenario.
+//! * [`tube`], [`golden`]: compare a response with the accepted one.
 //!
-//! The definitions for users stand in `docs/verdicts.md`. A verdict depends on the scenario, the stored traces and
-//! what the rig told beside them, and on nothing else: no clock, no order of execution.
+//! `docs/verdicts.md` defines metrics and verdicts for users. A verdict depends on the scenario, the stored traces and the
+//! stored telemetry only: neither on a clock nor on the order of execution.
 
-pub mod divergence;
-pub mod feasibility;
+mod divergence;
+mod exclusion;
+mod feasibility;
 pub mod golden;
-pub mod judge;
+mod judge;
 pub mod metrics;
 pub mod real_plate;
-pub mod record;
 pub mod statistics;
+mod trial;
 pub mod tube;
 
-pub use judge::{Decision, Judgement, TrialMeasures, judge, measure, sequential};
+pub use divergence::divergence_time_s;
+pub use judge::{Judgement, SequentialDecision, judge, judge_sequentially};
 pub use metrics::Measure;
-pub use record::{
-    Cause, Definition, Evidence, ExpectationRecord, RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict,
-};
+pub use trial::{TrialMeasures, measure, trial_record};

@@ -1,156 +1,137 @@
-//! What a trial on a real plate is worth.
+//! Decides whether a trial on a real plate counts.
 //!
-//! No emulator stands behind the rows: motion, setpoint and drive are what the controller that drives the plate tells of itself, and the surroundings are what a
-//! person made them. A trial counts where all of it was heard, where the controller held the setpoints that it was sent, and where there is reason to believe that finger and
-//! temperature were those of the scenario. Which metric can be had at all is with the [`metrics`](crate::metrics).
+//! The rows contain what the controller reports about itself: motion, setpoint and drive. A person makes the conditions.
+//! A trial counts if all of it was received, the controller held the setpoints that it was sent, and finger and
+//! temperature are known to be those of the scenario.
 
-use crate::feasibility::is_bound_by_drive;
-use crate::judge::{Excuse, other_clock};
-use crate::record::{Cause, RealPlate};
+use crate::exclusion::{lost_rows, rounded_ms, wrong_clock};
+use crate::feasibility::is_drive_limited;
 use platebench_plate::{Profile, Time};
+use platebench_record::{Exclusion, Excuse, RealPlateRecord};
 use platebench_scenario::{Expectation, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// A setpoint takes this long at most from the profile to the controller; for as long an earlier one still may be in force.
-const SETPOINT_WITHIN: Time = Time::from_nanos(100_000_000);
+/// Longest time from the profile to the controller; the earlier setpoint may be in force as long.
+const MAX_SETPOINT_DELAY: Time = Time::from_nanos(100_000_000);
 /// The wire carries setpoints as f32.
 const SETPOINT_TOLERANCE: f64 = 1e-6;
-/// A person does what was asked for this much earlier or later.
-pub const PERSON_WITHIN: Time = Time::from_nanos(1_000_000_000);
-/// In a trial that is shorter than this nobody can move anything on time.
-pub const SHORTEST_TO_MOVE: Time = Time::from_nanos(2_000_000_000);
-/// How far a hand may be off, N and as a share of what was asked for.
-const HAND_N: f64 = 0.3;
-const HAND_SHARE: f64 = 0.2;
-/// The share of rows in which it may be farther off.
-const HAND_SLIPS: f64 = 0.05;
+/// A person acts this much earlier or later.
+pub const OPERATOR_TIME_TOLERANCE: Time = Time::from_nanos(1_000_000_000);
+/// A person cannot act on time in a shorter trial.
+pub const MIN_DURATION_FOR_OPERATOR: Time = Time::from_nanos(2_000_000_000);
+/// Tolerance of a hand: N, and share of the force of the scenario.
+const FORCE_TOLERANCE_N: f64 = 0.3;
+const FORCE_TOLERANCE_SHARE: f64 = 0.2;
+/// Share of rows that may be outside this tolerance.
+const MAX_WRONG_FORCE_SHARE: f64 = 0.05;
 
-/// True where a person has to warm or to touch the plate for `scenario`.
-pub fn needs_person(scenario: &Scenario) -> bool {
-    let scene = &scenario.scene;
-    [&scene.temperature_offset_k, &scene.finger_force_n].iter().any(|profile| profile.range() != (0.0, 0.0))
+/// True if a person must warm or touch the plate.
+pub fn needs_operator(scenario: &Scenario) -> bool {
+    condition_ranges(scenario).iter().any(|range| *range != (0.0, 0.0))
 }
 
-/// True where the surroundings change within a trial of `scenario`.
-pub fn moves(scenario: &Scenario) -> bool {
-    let scene = &scenario.scene;
-    [&scene.temperature_offset_k, &scene.finger_force_n].iter().any(|profile| {
-        let (low, high) = profile.range();
-        low < high
-    })
+/// True if temperature or force change during a trial.
+pub fn scene_changes(scenario: &Scenario) -> bool {
+    condition_ranges(scenario).iter().any(|(low, high)| low < high)
 }
 
-/// Why no person can do what `scenario` asks for.
-pub fn impossible(scenario: &Scenario) -> Option<String> {
-    (moves(scenario) && scenario.duration < SHORTEST_TO_MOVE).then(|| {
-        format!("finger or temperature change within a trial of {}, which no person can do", scenario.duration)
-    })
+fn condition_ranges(scenario: &Scenario) -> [(f64, f64); 2] {
+    let conditions = &scenario.conditions;
+    [conditions.temperature_offset_k.range(), conditions.finger_force_n.range()]
 }
 
-/// What happened in a trial on a real plate that is not the controller's doing.
-pub(crate) fn disturbance(scenario: &Scenario, rows: &[Row], told: Option<&RealPlate>) -> Option<(Cause, String)> {
-    let clock = told.and_then(|told| told.clock_ppm);
-    surroundings(scenario, rows, told)
-        .or_else(|| flagged(rows))
-        .or_else(|| clock.and_then(|[ppm, error]| other_clock(scenario, ppm, error)))
-        .map(|what| (Cause::Rig, what))
-        .or_else(|| {
-            let lost = told.map_or(0, |told| told.lost_rows);
-            (lost > 0).then(|| (Cause::Bench, format!("{lost} rows were lost on their way out of the loop")))
-        })
-        .or_else(|| {
-            let late = rows.iter().find(|row| row.flags.contains(Flags::OVERRUN))?;
-            Some((Cause::Bench, format!("the bench was too late with a setpoint at {} ms", shown_ms(late.t_s))))
-        })
-        .or_else(|| silence(scenario, rows).or_else(|| other_setpoint(scenario, rows)).map(|what| (Cause::Rig, what)))
+/// Why a person cannot make the conditions of `scenario`.
+pub fn operator_exclusion(scenario: &Scenario) -> Option<Exclusion> {
+    (scene_changes(scenario) && scenario.duration < MIN_DURATION_FOR_OPERATOR)
+        .then(|| Exclusion::TooFastForOperator { duration_ms: scenario.duration.ms() })
 }
 
-/// A demand that was missed with the drive at its limit: of a real plate nobody knows what it would have taken.
-pub(crate) fn excuse(expectation: &Expectation, rows: &[Row]) -> Option<Excuse> {
+/// Why a trial does not count, if a disturbance was not the controller's.
+pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], record: Option<&RealPlateRecord>) -> Option<Exclusion> {
+    let flagged = |flag: Flags| rows.iter().find(|row| row.flags.contains(flag)).map(|row| rounded_ms(row.t_s));
+    wrong_conditions(scenario, rows, record)
+        .or_else(|| flagged(Flags::LINK_LOST).map(|at_ms| Exclusion::Unacknowledged { at_ms }))
+        .or_else(|| record?.clock_ppm.and_then(|[ppm, error]| wrong_clock(scenario, ppm, error)))
+        .or_else(|| lost_rows(record.map_or(0, |record| record.lost_rows)))
+        .or_else(|| flagged(Flags::OVERRUN).map(|at_ms| Exclusion::LateSetpoint { at_ms }))
+        .or_else(|| missing_telemetry(scenario, rows))
+        .or_else(|| wrong_setpoint(scenario, rows))
+}
+
+/// Excuses a miss with the drive at its limit: what a real plate needs is not known.
+pub(crate) fn saturation_excuse(expectation: &Expectation, rows: &[Row]) -> Option<Excuse> {
     let saturated = rows.iter().find(|row| row.flags.contains(Flags::SATURATED))?;
-    is_bound_by_drive(expectation.metric).then(|| Excuse {
-        cause: Cause::Evidence,
-        reason: format!(
-            "the drive was at its limit at {} ms, and nobody knows whether this plate could have been driven better",
-            shown_ms(saturated.t_s)
-        ),
-    })
+    is_drive_limited(expectation.metric).then(|| Excuse::SaturatedRealPlate { at_ms: rounded_ms(saturated.t_s) })
 }
 
-fn shown_ms(t_s: f64) -> f64 {
-    (t_s * 1e6).round() / 1e3
-}
-
-fn flagged(rows: &[Row]) -> Option<String> {
-    let row = rows.iter().find(|row| row.flags.contains(Flags::LINK_LOST))?;
-    Some(format!("a setpoint was not acknowledged by {} ms", shown_ms(row.t_s)))
-}
-
-/// Telemetry that is missing: at the start, in between or at the end.
-fn silence(scenario: &Scenario, rows: &[Row]) -> Option<String> {
+/// Telemetry that is missing at the start, in between or at the end.
+fn missing_telemetry(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
     let widest = 1.5 * scenario.controller.period.seconds();
     let first = rows.first()?;
     if first.t_s > widest {
-        return Some(format!("the telemetry starts at {} ms", shown_ms(first.t_s)));
+        return Some(Exclusion::LateTelemetry { at_ms: rounded_ms(first.t_s) });
     }
     let gap = rows.windows(2).find(|pair| matches!(pair, [left, right] if right.t_s - left.t_s > widest));
     if let Some([left, right]) = gap {
-        return Some(format!("no telemetry between {} and {} ms", shown_ms(left.t_s), shown_ms(right.t_s)));
+        return Some(Exclusion::TelemetryGap { from_ms: rounded_ms(left.t_s), to_ms: rounded_ms(right.t_s) });
     }
-    // A controller that stopped by itself has nothing more to tell; that is judged.
+    // A controller that stopped sends no more telemetry; the metrics judge the stop.
     let last = rows.last().filter(|last| !last.flags.contains(Flags::SAFE))?;
-    let missing = last.t_s < scenario.duration.seconds();
-    missing.then(|| format!("the telemetry ends at {} ms instead of {}", shown_ms(last.t_s), scenario.duration))
+    (last.t_s < scenario.duration.seconds())
+        .then(|| Exclusion::EarlyTelemetryEnd { at_ms: rounded_ms(last.t_s), duration_ms: scenario.duration.ms() })
 }
 
-/// The first row in which the controller held what nobody had asked for.
-fn other_setpoint(scenario: &Scenario, rows: &[Row]) -> Option<String> {
-    let asked = |row: &Row| range_around(&scenario.setpoint, row.t_s, SETPOINT_WITHIN);
-    let other = rows.iter().filter(|row| !row.flags.contains(Flags::SAFE)).find(|row| {
-        let [low, high] = asked(row);
+/// The first row with a setpoint that the bench did not send.
+fn wrong_setpoint(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
+    let range_at = |row: &Row| range_around(&scenario.setpoint, row.t_s, MAX_SETPOINT_DELAY);
+    let wrong = rows.iter().filter(|row| !row.flags.contains(Flags::SAFE)).find(|row| {
+        let [low, high] = range_at(row);
         let margin = SETPOINT_TOLERANCE * high.abs().max(low.abs());
-        let is_one = |value: f64| (value - row.setpoint_um).abs() <= margin;
+        let is_held = |value: f64| (value - row.setpoint_um).abs() <= margin;
         match &scenario.setpoint {
-            // There is nothing between two levels.
-            Profile::Hold(_) => !values_around(&scenario.setpoint, row.t_s, SETPOINT_WITHIN).into_iter().any(is_one),
+            // Only the levels themselves are sent.
+            Profile::Hold(_) => {
+                !values_around(&scenario.setpoint, row.t_s, MAX_SETPOINT_DELAY).into_iter().any(is_held)
+            }
             _ => !(low - margin..=high + margin).contains(&row.setpoint_um),
         }
     })?;
-    let (held, at, [low, high]) = (other.setpoint_um, shown_ms(other.t_s), asked(other));
-    let wished = if low == high { format!("{low}") } else { format!("{low} to {high}") };
-    Some(format!("the controller held a setpoint of {held} µm at {at} ms, it was sent {wished}"))
+    let (held_um, at_ms) = (wrong.setpoint_um, rounded_ms(wrong.t_s));
+    Some(Exclusion::WrongSetpoint { held_um, at_ms, sent_um: range_at(wrong) })
 }
 
-/// Whether finger and temperature were what the scenario asks for, as far as that is known.
-fn surroundings(scenario: &Scenario, rows: &[Row], told: Option<&RealPlate>) -> Option<String> {
-    if let Some(why) = told.and_then(|told| told.undone.clone()) {
-        return Some(why);
+/// Conditions that are not those of the scenario, or not known to be.
+fn wrong_conditions(scenario: &Scenario, rows: &[Row], record: Option<&RealPlateRecord>) -> Option<Exclusion> {
+    if let Some(why) = record.and_then(|record| record.undone.clone()) {
+        return Some(Exclusion::ConditionsNotMade { why });
     }
-    if needs_person(scenario) {
-        if let Some(why) = impossible(scenario) {
-            return Some(why);
+    if needs_operator(scenario) {
+        if let Some(exclusion) = operator_exclusion(scenario) {
+            return Some(exclusion);
         }
-        if told.is_none() {
-            return Some("nobody knows whether finger and temperature were those of the scenario".to_owned());
+        if record.is_none() {
+            return Some(Exclusion::UnknownConditions);
         }
     }
-    let wished = |row: &Row| range_around(&scenario.scene.finger_force_n, row.t_s, PERSON_WITHIN);
-    let is_off = |row: &&Row| {
-        let [low, high] = wished(row);
-        let margin = HAND_N + HAND_SHARE * high.abs().max(low.abs());
+    let range_at = |row: &Row| range_around(&scenario.conditions.finger_force_n, row.t_s, OPERATOR_TIME_TOLERANCE);
+    let is_wrong = |row: &&Row| {
+        let [low, high] = range_at(row);
+        let margin = FORCE_TOLERANCE_N + FORCE_TOLERANCE_SHARE * high.abs().max(low.abs());
         !(low - margin..=high + margin).contains(&row.finger_force_n)
     };
     let measured = || rows.iter().filter(|row| !row.finger_force_n.is_nan());
-    let off = measured().filter(is_off).count();
-    let first = measured().find(is_off)?;
-    (off as f64 > HAND_SLIPS * measured().count() as f64).then(|| {
-        let [low, high] = wished(first);
-        let force = format!("the finger pressed with {:.2} N at {} ms", first.finger_force_n, shown_ms(first.t_s));
-        format!("{force}, the scenario asks for {low} to {high}; so in {off} of {} rows", measured().count())
+    let (wrong_rows, rows) = (measured().filter(is_wrong).count(), measured().count());
+    let first = measured().find(is_wrong)?;
+    (wrong_rows as f64 > MAX_WRONG_FORCE_SHARE * rows as f64).then(|| Exclusion::WrongForce {
+        force_n: first.finger_force_n,
+        at_ms: rounded_ms(first.t_s),
+        expected_n: range_at(first),
+        wrong_rows,
+        rows,
     })
 }
 
-/// The smallest and the largest value of `profile` up to `within` before and after `t_s`.
+/// The smallest and the largest value of `profile` from `within` before `t_s` to `within` after it.
 fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     if let Profile::Sine { .. } = profile {
         let (low, high) = profile.range();
@@ -160,7 +141,7 @@ fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }
 
-/// The values at the points of `profile` up to `within` before and after `t_s`, and at both ends.
+/// The values of `profile` at its points from `within` before `t_s` to `within` after it, and at both ends.
 fn values_around(profile: &Profile, t_s: f64, within: Time) -> Vec<f64> {
     let time = Time::from_seconds(t_s).unwrap_or(Time::ZERO);
     let (from, to) = (time.since(within), time + within);

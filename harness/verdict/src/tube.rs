@@ -1,30 +1,30 @@
-//! Tolerance tubes around golden curves.
+//! Compares a response with a golden curve and its tolerance.
 //!
-//! A response is compared with a curve that was accepted once. Not row by row: a step that comes a hair later would be wrong by its whole height. At every
-//! instant of the golden grid the response has to lie within a tolerance of the golden curve somewhere between that much earlier and that much later. The
-//! tolerance has an absolute part, without which a signal near zero would have none, and a relative one.
+//! A comparison row by row would fail a step that is slightly later by its whole height. Therefore, at every instant of
+//! the golden grid, the response must be within the tolerance of the golden curve at some time within the tolerance in
+//! time. The tolerance has a relative and an absolute part; the absolute part serves signals near zero.
 //!
-//! Between two points every curve is a straight line, also of what is held in truth: a jump is a steep line from one row to the next.
+//! Curves are linear between points; a jump is a steep line from one row to the next.
 
 use platebench_trace::Row;
 use serde::{Deserialize, Serialize};
 
 /// A column that is compared.
 #[derive(Debug)]
-pub struct Signal {
+pub struct TubeSignal {
     /// Its name in a trace.
     pub name: &'static str,
     /// Its unit.
     pub unit: &'static str,
     /// Its value in a row.
-    pub of: fn(&Row) -> f64,
-    /// How far it may be off unless a baseline says otherwise.
+    pub value_in: fn(&Row) -> f64,
+    /// Default tolerance.
     pub tolerance: Tolerance,
-    /// Decimals that it is written with: a thousandth of the absolute tolerance, or finer.
+    /// Decimals in a file: a thousandth of the absolute tolerance, or finer.
     pub decimals: usize,
 }
 
-/// How far a signal may be off.
+/// Tolerance of a signal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerance {
@@ -40,30 +40,42 @@ const VIBRATION: Tolerance = Tolerance { absolute: 0.01, relative: 0.005, time_m
 const DRIVE: Tolerance = Tolerance { absolute: 3.0, relative: 0.01, time_ms: 0.05 };
 const FREQUENCY: Tolerance = Tolerance { absolute: 0.5, relative: 0.0, time_ms: 0.05 };
 
-/// Everything that is compared.
-pub const SIGNALS: [Signal; 5] = [
-    Signal { name: "amplitude_um", unit: "µm", of: |row| row.amplitude_um, tolerance: VIBRATION, decimals: 5 },
-    Signal { name: "wd_um", unit: "µm", of: |row| row.wd_um, tolerance: VIBRATION, decimals: 5 },
-    Signal { name: "wq_um", unit: "µm", of: |row| row.wq_um, tolerance: VIBRATION, decimals: 5 },
-    Signal { name: "drive_vpp", unit: "Vpp", of: |row| row.drive_vpp, tolerance: DRIVE, decimals: 2 },
-    Signal { name: "frequency_hz", unit: "Hz", of: |row| row.frequency_hz, tolerance: FREQUENCY, decimals: 3 },
+/// All signals that are compared.
+pub const TUBE_SIGNALS: [TubeSignal; 5] = [
+    TubeSignal {
+        name: "amplitude_um",
+        unit: "µm",
+        value_in: |row| row.amplitude_um,
+        tolerance: VIBRATION,
+        decimals: 5,
+    },
+    TubeSignal { name: "wd_um", unit: "µm", value_in: |row| row.wd_um, tolerance: VIBRATION, decimals: 5 },
+    TubeSignal { name: "wq_um", unit: "µm", value_in: |row| row.wq_um, tolerance: VIBRATION, decimals: 5 },
+    TubeSignal { name: "drive_vpp", unit: "Vpp", value_in: |row| row.drive_vpp, tolerance: DRIVE, decimals: 2 },
+    TubeSignal {
+        name: "frequency_hz",
+        unit: "Hz",
+        value_in: |row| row.frequency_hz,
+        tolerance: FREQUENCY,
+        decimals: 3,
+    },
 ];
 
-impl Signal {
+impl TubeSignal {
     /// The signal of that name.
-    pub fn named(name: &str) -> Option<&'static Self> {
-        SIGNALS.iter().find(|signal| signal.name == name)
+    pub fn from_name(name: &str) -> Option<&'static Self> {
+        TUBE_SIGNALS.iter().find(|signal| signal.name == name)
     }
 }
 
 /// A point of a golden curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Point {
+pub struct TubePoint {
     /// When, ms.
     pub t_ms: f64,
-    /// What was accepted.
+    /// Accepted value.
     pub value: f64,
-    /// What is allowed beside the tolerance, as learned from trials that differ; 0 where nothing was.
+    /// Learned width in addition to the tolerance; 0 without learning.
     pub width: f64,
 }
 
@@ -74,30 +86,30 @@ pub struct Tube {
     pub signal: String,
     /// Around the curve.
     pub tolerance: Tolerance,
-    /// At least one, in the order of time.
-    pub points: Vec<Point>,
+    /// At least one, in order of time.
+    pub points: Vec<TubePoint>,
 }
 
-/// Where a response leaves its tube the farthest.
+/// The point at which a response is farthest outside its tube.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Exceedance {
     /// Name of the signal.
     pub signal: String,
     /// When, ms.
     pub t_ms: f64,
-    /// What it was.
+    /// Value of the response.
     pub value: f64,
-    /// What it was when it was accepted.
+    /// Accepted value.
     pub golden: f64,
-    /// How far outside the tube's edge.
+    /// Distance from the tube's edge.
     pub distance: f64,
     /// Half the height of the tube there.
     pub allowed: f64,
 }
 
 impl Exceedance {
-    /// How far off in units of what is allowed: above 1.
-    pub fn severity(&self) -> f64 {
+    /// Deviation in units of the allowed one: above 1.
+    pub fn ratio(&self) -> f64 {
         1.0 + self.distance / self.allowed
     }
 }
@@ -108,67 +120,67 @@ impl Tube {
         (self.points.first().map_or(0.0, |point| point.t_ms), self.points.last().map_or(0.0, |point| point.t_ms))
     }
 
-    /// The golden curve at an instant; at its ends beyond them.
-    pub fn at(&self, t_ms: f64) -> Point {
+    /// The golden curve at an instant; constant beyond its ends.
+    pub fn point_at(&self, t_ms: f64) -> TubePoint {
         let next = self.points.partition_point(|point| point.t_ms <= t_ms);
         let ends = (next.checked_sub(1).and_then(|index| self.points.get(index)), self.points.get(next));
         match ends {
             (Some(left), Some(right)) => {
                 let share = (t_ms - left.t_ms) / (right.t_ms - left.t_ms);
                 let mix = |from: f64, to: f64| from + (to - from) * share;
-                Point { t_ms, value: mix(left.value, right.value), width: mix(left.width, right.width) }
+                TubePoint { t_ms, value: mix(left.value, right.value), width: mix(left.width, right.width) }
             }
-            (Some(only), None) | (None, Some(only)) => Point { t_ms, ..*only },
-            (None, None) => Point { t_ms, value: 0.0, width: 0.0 },
+            (Some(only), None) | (None, Some(only)) => TubePoint { t_ms, ..*only },
+            (None, None) => TubePoint { t_ms, value: 0.0, width: 0.0 },
         }
     }
 
-    /// Half the height of the tube at a point, without its tolerance in time.
-    pub fn half(&self, point: Point) -> f64 {
+    /// Half the height of the tube at a point, without the tolerance in time.
+    pub fn half_height(&self, point: TubePoint) -> f64 {
         self.tolerance.absolute + self.tolerance.relative * point.value.abs() + point.width
     }
 
-    /// The lower and the upper edge at an instant: the curve from that much earlier to that much later, with its tolerance around it.
+    /// The lower and the upper edge at an instant, over the tolerance in time.
     pub fn edges(&self, t_ms: f64) -> [f64; 2] {
         let (from, to) = (t_ms - self.tolerance.time_ms, t_ms + self.tolerance.time_ms);
         let start = self.points.partition_point(|point| point.t_ms <= from);
         let end = self.points.partition_point(|point| point.t_ms < to);
         let inside = self.points.get(start..end).unwrap_or_default().iter().copied();
-        // On a line between two points the edges are the farthest out at one of them.
-        let around = inside.chain([self.at(from), self.at(t_ms), self.at(to)]);
+        // On a line between two points the extreme edges are at one of them.
+        let around = inside.chain([self.point_at(from), self.point_at(t_ms), self.point_at(to)]);
         around.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], point| {
-            let half = self.half(point);
+            let half = self.half_height(point);
             [low.min(point.value - half), high.max(point.value + half)]
         })
     }
 
-    /// The instants at which a response is looked at: every `step_ms` where there is one, and every point of the curve.
-    fn grid(&self, step_ms: Option<f64>) -> impl Iterator<Item = f64> + '_ {
+    /// The instants that are compared: every `step_ms`, and every point of the curve.
+    fn comparison_instants(&self, step_ms: Option<f64>) -> impl Iterator<Item = f64> + '_ {
         let (from, to) = self.span_ms();
         let steps = step_ms.filter(|step| *step > 0.0).map_or(0, |step| ((to - from) / step).floor() as u64);
         let step = step_ms.unwrap_or_default();
         (0..=steps).map(move |index| from + index as f64 * step).chain(self.points.iter().map(|point| point.t_ms))
     }
 
-    /// Where `response` (ms, value; in the order of time) leaves the tube the farthest; `None` where it stays inside.
-    pub fn worst(&self, response: &[(f64, f64)], step_ms: Option<f64>) -> Option<Exceedance> {
-        let outside = self.grid(step_ms).filter_map(|t_ms| {
+    /// Where `response` (ms, value; in order of time) is farthest outside the tube; `None` if it is inside.
+    pub fn worst_exceedance(&self, response: &[(f64, f64)], step_ms: Option<f64>) -> Option<Exceedance> {
+        let outside = self.comparison_instants(step_ms).filter_map(|t_ms| {
             let value = value_at(response, t_ms)?;
             let [low, high] = self.edges(t_ms);
             let distance = (low - value).max(value - high);
-            // A number that is none is outside, too.
+            // NaN counts as outside.
             if distance <= 0.0 {
                 return None;
             }
-            let golden = self.at(t_ms);
-            let (signal, allowed) = (self.signal.clone(), self.half(golden));
+            let golden = self.point_at(t_ms);
+            let (signal, allowed) = (self.signal.clone(), self.half_height(golden));
             Some(Exceedance { signal, t_ms, value, golden: golden.value, distance, allowed })
         });
-        outside.reduce(|worst, other| if other.severity() > worst.severity() { other } else { worst })
+        outside.reduce(|worst, other| if other.ratio() > worst.ratio() { other } else { worst })
     }
 }
 
-/// A response at an instant; `None` before its start and after its end.
+/// The response at an instant; `None` before its start and after its end.
 fn value_at(response: &[(f64, f64)], t_ms: f64) -> Option<f64> {
     let next = response.partition_point(|(t, _)| *t <= t_ms);
     let (left, before) = *response.get(next.checked_sub(1)?)?;
@@ -178,9 +190,9 @@ fn value_at(response: &[(f64, f64)], t_ms: f64) -> Option<f64> {
     }
 }
 
-/// A signal of a trace: ms and value.
-pub fn response(signal: &Signal, rows: &[Row]) -> Vec<(f64, f64)> {
-    rows.iter().map(|row| (row.t_s * 1e3, (signal.of)(row))).collect()
+/// A signal of a trace: (ms, value).
+pub fn signal_response(signal: &TubeSignal, rows: &[Row]) -> Vec<(f64, f64)> {
+    rows.iter().map(|row| (row.t_s * 1e3, (signal.value_in)(row))).collect()
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! What people write: new scenarios, checks without a run, settings, and runs that follow their files.
 
-use crate::bench::{Guarded, Workshop, await_that, call, code, program, root, signal, step_scenario};
+use crate::test_folder::{
+    ChildGuard, TestFolder, bench_command, exit_code, run_bench, send_signal, step_scenario, wait_until, workspace_root,
+};
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
@@ -9,7 +11,7 @@ use std::process::{Output, Stdio};
 
 const GOOD: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
 
-fn told(output: &Output) -> String {
+fn output_text(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
 }
 
@@ -25,37 +27,37 @@ fn told(output: &Output) -> String {
 #[case("pll")]
 fn a_new_scenario_is_good_and_passes(#[case] law: &str) {
     let folder = tempfile::tempdir().unwrap();
-    let call = |arguments: &[&str]| call(folder.path(), arguments);
-    assert_eq!(code(&call(&["new", "mine", "--law", law])), 0);
+    let call = |arguments: &[&str]| run_bench(folder.path(), arguments);
+    assert_eq!(exit_code(&call(&["new", "mine", "--law", law])), 0);
     let checked = call(&["check", "mine.toml", "plates"]);
-    assert_eq!((code(&checked), told(&checked).as_str()), (0, "nothing wrong with 1 scenario, 1 plate\n"));
+    assert_eq!((exit_code(&checked), output_text(&checked).as_str()), (0, "no faults in 1 scenario, 1 plate\n"));
     let played = call(&["run", "mine.toml", "--rig", "hosted"]);
-    assert_eq!(code(&played), 0, "{}", told(&played));
+    assert_eq!(exit_code(&played), 0, "{}", output_text(&played));
     // Never overwritten.
     let before = fs::read(folder.path().join("mine.toml")).unwrap();
-    assert_eq!(code(&call(&["new", "mine"])), 2);
+    assert_eq!(exit_code(&call(&["new", "mine"])), 2);
     assert_eq!(fs::read(folder.path().join("mine.toml")).unwrap(), before);
 }
 
 #[test]
-fn the_repository_s_files_are_good() {
-    let output = call(&root(), ["check"]);
-    assert_eq!(code(&output), 0, "{}", told(&output));
-    assert!(told(&output).contains("plates, 1 plan"), "{}", told(&output));
+fn the_repository_s_files_pass_check() {
+    let output = run_bench(&workspace_root(), ["check"]);
+    assert_eq!(exit_code(&output), 0, "{}", output_text(&output));
+    assert!(output_text(&output).contains("plates, 1 plan"), "{}", output_text(&output));
 }
 
 #[test]
-fn a_check_tells_all_faults_of_all_files_and_plays_nothing() {
-    let workshop = Workshop::new();
+fn check_reports_all_errors_of_all_files() {
+    let workshop = TestFolder::new();
     let step = |controller: &str| step_scenario("aluminium-198x138", controller, "", GOOD);
-    workshop.scenario("keys.toml", &step("").replace("duration_ms", "duration_s").replace("title", "titel"));
-    workshop.scenario("values.toml", &step("period_ms = 0.0").replace("at_most = 2.0", "at_most = -2.0"));
-    workshop.scenario("law.toml", &step("law = \"dq-pid\""));
+    workshop.write_scenario("keys.toml", &step("").replace("duration_ms", "duration_s").replace("title", "titel"));
+    workshop.write_scenario("values.toml", &step("period_ms = 0.0").replace("at_most = 2.0", "at_most = -2.0"));
+    workshop.write_scenario("law.toml", &step("law = \"dq-pid\""));
     let broken = fs::read_to_string(workshop.path().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
     fs::write(workshop.path().join("scenarios/plates/broken.toml"), broken.replace("limit_vpp", "limit_v")).unwrap();
-    let output = call(workshop.path(), ["check"]);
-    let told = told(&output);
-    assert_eq!(code(&output), 2, "{told}");
+    let output = run_bench(workshop.path(), ["check"]);
+    let told = output_text(&output);
+    assert_eq!(exit_code(&output), 2, "{told}");
     for fault in [
         "unknown key `duration_s`",
         "did you mean `duration_ms`, in ms?",
@@ -73,31 +75,31 @@ fn a_check_tells_all_faults_of_all_files_and_plays_nothing() {
 }
 
 #[test]
-fn nothing_to_check_is_told() {
+fn check_without_files_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("scenarios")).unwrap();
-    assert_eq!(code(&call(folder.path(), ["check"])), 4);
-    assert_eq!(code(&call(folder.path(), ["check", "no-such.toml"])), 2);
+    assert_eq!(exit_code(&run_bench(folder.path(), ["check"])), 4);
+    assert_eq!(exit_code(&run_bench(folder.path(), ["check", "no-such.toml"])), 2);
 }
 
 /// Two scenarios, a file that sets `trials`, and how many were played by what is said where.
 #[test]
-fn flags_come_before_the_environment_before_the_file_before_what_is_built_in() {
-    let workshop = Workshop::new();
-    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+fn flags_override_environment_file_and_defaults() {
+    let workshop = TestFolder::new();
+    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
     let played = |file: Option<&str>, variable: Option<&str>, flags: &[&str]| {
         let path = workshop.path().join("platebench.toml");
         match file {
             Some(text) => fs::write(&path, text).unwrap(),
             None => fs::remove_file(&path).unwrap_or_default(),
         }
-        let mut command = program(workshop.path());
+        let mut command = bench_command(workshop.path());
         command.args(["run", "--rig", "hosted", "--format", "json"]).args(flags);
         if let Some(value) = variable {
             command.env("PLATEBENCH_TRIALS", value);
         }
         let output = command.output().unwrap();
-        assert_eq!(code(&output), 0, "{}", told(&output));
+        assert_eq!(exit_code(&output), 0, "{}", output_text(&output));
         let events = output.stdout.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
         let events = events.map(|line| serde_json::from_slice::<Value>(line).unwrap());
         events.filter(|event| event["event"] == "trial-finished").count()
@@ -114,9 +116,9 @@ fn flags_come_before_the_environment_before_the_file_before_what_is_built_in() {
 }
 
 #[test]
-fn paths_of_a_file_are_its_own() {
-    let workshop = Workshop::new();
-    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+fn paths_in_a_file_are_relative_to_it() {
+    let workshop = TestFolder::new();
+    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
     fs::write(
         workshop.path().join("platebench.toml"),
         "rig = \"hosted\"\nruns = \"mine\"\nscenarios = [\"scenarios\"]\n",
@@ -124,49 +126,56 @@ fn paths_of_a_file_are_its_own() {
     .unwrap();
     let below = workshop.path().join("a/b");
     fs::create_dir_all(&below).unwrap();
-    let output = call(&below, ["run"]);
-    assert_eq!(code(&output), 0, "{}", told(&output));
+    let output = run_bench(&below, ["run"]);
+    assert_eq!(exit_code(&output), 0, "{}", output_text(&output));
     assert_eq!(fs::read_dir(workshop.path().join("mine")).unwrap().count(), 1);
     // Not where the command was called.
     assert_eq!(fs::read_dir(&below).unwrap().count(), 0);
 }
 
 #[test]
-fn a_broken_file_is_pointed_into_but_not_in_the_way_of_help() {
-    let workshop = Workshop::new();
-    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+fn a_broken_file_is_reported_but_help_still_works() {
+    let workshop = TestFolder::new();
+    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
     fs::write(workshop.path().join("platebench.toml"), "rigg = \"hosted\"\n[run]\ntrial = 2\n").unwrap();
     for command in ["run", "check", "baseline"] {
-        let output = call(workshop.path(), [command, if command == "baseline" { "list" } else { "scenarios" }]);
-        assert_eq!(code(&output), 2, "{}", told(&output));
-        let told = told(&output);
+        let output = run_bench(workshop.path(), [command, if command == "baseline" { "list" } else { "scenarios" }]);
+        assert_eq!(exit_code(&output), 2, "{}", output_text(&output));
+        let told = output_text(&output);
         assert!(told.contains("platebench.toml:1:1") && told.contains("did you mean `rig`?"), "{told}");
         assert!(told.contains("platebench.toml:3:1") && told.contains("did you mean `trials`?"), "{told}");
     }
     for arguments in [&["schema", "config"][..], &["man"], &["completions", "bash"], &["run", "--help"]] {
-        assert_eq!(code(&call(workshop.path(), arguments)), 0, "{arguments:?}");
+        assert_eq!(exit_code(&run_bench(workshop.path(), arguments)), 0, "{arguments:?}");
     }
 }
 
 #[test]
-fn a_variable_that_cannot_be_meant_is_named() {
+fn an_invalid_environment_variable_is_named() {
     let folder = tempfile::tempdir().unwrap();
     for (variable, value) in [("PLATEBENCH_RIG", "can:0"), ("PLATEBENCH_JOBS", "0"), ("PLATEBENCH_FORMAT", "")] {
-        let output = program(folder.path()).arg("run").env(variable, value).output().unwrap();
+        let output = bench_command(folder.path()).arg("run").env(variable, value).output().unwrap();
         let option = format!("--{}", variable.trim_start_matches("PLATEBENCH_").to_lowercase());
-        let said = told(&output);
-        assert!(code(&output) == 2 && said.contains(&option) && said.contains(variable), "{variable}: {said}");
+        let said = output_text(&output);
+        assert!(exit_code(&output) == 2 && said.contains(&option) && said.contains(variable), "{variable}: {said}");
         // Whoever says it on the command line knows where it is from.
-        let output =
-            program(folder.path()).args(["run", &format!("{option}={value}")]).env(variable, value).output().unwrap();
-        assert!(code(&output) == 2 && !told(&output).contains(variable), "{variable}: {}", told(&output));
+        let output = bench_command(folder.path())
+            .args(["run", &format!("{option}={value}")])
+            .env(variable, value)
+            .output()
+            .unwrap();
+        assert!(
+            exit_code(&output) == 2 && !output_text(&output).contains(variable),
+            "{variable}: {}",
+            output_text(&output)
+        );
     }
 }
 
 #[test]
-fn who_has_no_scenarios_yet_is_told_how_to_get_one() {
+fn a_run_without_scenarios_suggests_new() {
     let folder = tempfile::tempdir().unwrap();
-    let said = |arguments: &[&str]| told(&call(folder.path(), arguments));
+    let said = |arguments: &[&str]| output_text(&run_bench(folder.path(), arguments));
     assert!(said(&["run"]).contains("platebench new"), "{}", said(&["run"]));
     assert!(!said(&["run", "nowhere"]).contains("platebench new"), "{}", said(&["run", "nowhere"]));
 }
@@ -175,11 +184,15 @@ fn who_has_no_scenarios_yet_is_told_how_to_get_one() {
 fn completions_and_manual_pages_know_every_command() {
     let folder = tempfile::tempdir().unwrap();
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
-        let output = call(folder.path(), ["completions", shell]);
-        assert!(code(&output) == 0 && told(&output).contains("baseline"), "{shell}");
+        let output = run_bench(folder.path(), ["completions", shell]);
+        assert!(exit_code(&output) == 0 && output_text(&output).contains("baseline"), "{shell}");
     }
-    assert!(told(&call(folder.path(), ["man"])).starts_with(".ie"), "{}", told(&call(folder.path(), ["man"])));
-    assert_eq!(code(&call(folder.path(), ["man", "--out", "man"])), 0);
+    assert!(
+        output_text(&run_bench(folder.path(), ["man"])).starts_with(".ie"),
+        "{}",
+        output_text(&run_bench(folder.path(), ["man"]))
+    );
+    assert_eq!(exit_code(&run_bench(folder.path(), ["man", "--out", "man"])), 0);
     let page = fs::read_to_string(folder.path().join("man/platebench-run.1")).unwrap();
     assert!(page.contains("PLATEBENCH_RIG") && page.contains("Examples"), "{page}");
     for command in ["baseline-accept", "check", "new", "schema", "trust"] {
@@ -188,7 +201,7 @@ fn completions_and_manual_pages_know_every_command() {
 }
 
 /// The scenarios of each run so far, in the order of the runs.
-fn runs(folder: &Path) -> Vec<Vec<String>> {
+fn scenarios_of_runs(folder: &Path) -> Vec<Vec<String>> {
     let entries = fs::read_dir(folder.join("runs")).into_iter().flatten().flatten();
     let mut records: Vec<_> = entries
         .filter_map(|entry| {
@@ -205,103 +218,111 @@ fn runs(folder: &Path) -> Vec<Vec<String>> {
 }
 
 /// A watched run of the workshop's scenarios, which tells into its file `told`.
-fn watched(workshop: &Workshop, rig: &str) -> Guarded {
+fn start_watched_run(workshop: &TestFolder, rig: &str) -> ChildGuard {
     let told = fs::File::create(workshop.path().join("told")).unwrap();
-    let mut run = program(workshop.path());
+    let mut run = bench_command(workshop.path());
     let run = run.args(["run", "--rig", rig, "--watch", "--quiet"]).stdout(Stdio::null()).stderr(told);
-    Guarded(run.spawn().unwrap())
+    ChildGuard(run.spawn().unwrap())
 }
 
 #[test]
-fn a_watched_run_plays_what_changed_and_ends_when_told() {
-    let workshop = Workshop::new();
+fn a_watched_run_repeats_changed_scenarios() {
+    let workshop = TestFolder::new();
     let text = step_scenario("aluminium-198x138", "", "", GOOD);
-    workshop.scenario("a.toml", &text);
-    workshop.scenario("b.toml", &text);
-    workshop.scenario("c.toml", &text.replace("aluminium-198x138", "aluminium-198x138-600vpp"));
-    let mut child = watched(&workshop, "hosted");
+    workshop.write_scenario("a.toml", &text);
+    workshop.write_scenario("b.toml", &text);
+    workshop.write_scenario("c.toml", &text.replace("aluminium-198x138", "aluminium-198x138-600vpp"));
+    let mut child = start_watched_run(&workshop, "hosted");
     let told = || fs::read_to_string(workshop.path().join("told")).unwrap();
     let mut expected: Vec<Vec<&str>> = Vec::new();
     let mut played = |names: &[&'static str]| {
         expected.push(names.to_vec());
-        await_that("a run", || runs(workshop.path()).len() >= expected.len());
-        assert_eq!(runs(workshop.path()), expected);
+        wait_until("a run", || scenarios_of_runs(workshop.path()).len() >= expected.len());
+        assert_eq!(scenarios_of_runs(workshop.path()), expected);
     };
     played(&["a.toml", "b.toml", "c.toml"]);
-    workshop.scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_ms = 61.0"));
+    workshop.write_scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_ms = 61.0"));
     played(&["b.toml"]);
     // A file that cannot be read is told and waited for; what was good is not played again.
-    workshop.scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_s = 0.06"));
-    await_that("the fault", || told().contains("did you mean `duration_ms`"));
-    workshop.scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_ms = 62.0"));
+    workshop.write_scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_s = 0.06"));
+    wait_until("the fault", || told().contains("did you mean `duration_ms`"));
+    workshop.write_scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_ms = 62.0"));
     played(&["b.toml"]);
     let plate = workshop.path().join("scenarios/plates/aluminium-198x138.toml");
     fs::write(&plate, fs::read_to_string(&plate).unwrap() + "# another one\n").unwrap();
     played(&["a.toml", "b.toml"]);
-    workshop.scenario("d.toml", &text);
+    workshop.write_scenario("d.toml", &text);
     played(&["d.toml"]);
-    signal(&child.0, "INT");
-    await_that("the end", || child.0.try_wait().unwrap().is_some());
+    send_signal(&child.0, "INT");
+    wait_until("the end", || child.0.try_wait().unwrap().is_some());
     assert_eq!(child.0.wait().unwrap().code(), Some(130), "{}", told());
 }
 
 #[test]
-fn a_watched_run_plays_again_what_a_new_firmware_may_change() {
-    let workshop = Workshop::new();
+fn a_watched_run_repeats_after_a_firmware_change() {
+    let workshop = TestFolder::new();
     let text = step_scenario("aluminium-198x138", "", "", GOOD);
-    workshop.scenario("a.toml", &text);
-    workshop.scenario("b.toml", &text);
+    workshop.write_scenario("a.toml", &text);
+    workshop.write_scenario("b.toml", &text);
     let image = workshop.path().join("mine.elf");
-    let built = fs::read(root().join("firmware-under-test/images/platebench-stm32f4.elf")).unwrap();
+    let built = fs::read(workspace_root().join("firmware-under-test/images/platebench-stm32f4.elf")).unwrap();
     fs::write(&image, &built).unwrap();
-    let mut child = watched(&workshop, "emulated:mine.elf");
+    let mut child = start_watched_run(&workshop, "emulated:mine.elf");
     let told = || fs::read_to_string(workshop.path().join("told")).unwrap();
-    await_that("a run", || runs(workshop.path()).len() == 1);
+    wait_until("a run", || scenarios_of_runs(workshop.path()).len() == 1);
     // A build takes the old one away before the new one is there.
     fs::remove_file(&image).unwrap();
-    await_that("the fault", || told().contains("mine.elf") && told().contains("cannot be read"));
+    wait_until("the fault", || told().contains("mine.elf") && told().contains("cannot be read"));
     // What stands behind the last section is none of its business.
     fs::write(&image, [&built[..], b"built anew"].concat()).unwrap();
-    await_that("another run", || runs(workshop.path()).len() == 2);
-    workshop.scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_ms = 61.0"));
-    await_that("a third run", || runs(workshop.path()).len() == 3);
-    assert_eq!(runs(workshop.path()), [vec!["a.toml", "b.toml"], vec!["a.toml", "b.toml"], vec!["b.toml"]]);
-    signal(&child.0, "INT");
-    await_that("the end", || child.0.try_wait().unwrap().is_some());
+    wait_until("another run", || scenarios_of_runs(workshop.path()).len() == 2);
+    workshop.write_scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_ms = 61.0"));
+    wait_until("a third run", || scenarios_of_runs(workshop.path()).len() == 3);
+    assert_eq!(
+        scenarios_of_runs(workshop.path()),
+        [vec!["a.toml", "b.toml"], vec!["a.toml", "b.toml"], vec!["b.toml"]]
+    );
+    send_signal(&child.0, "INT");
+    wait_until("the end", || child.0.try_wait().unwrap().is_some());
     assert_eq!(child.0.wait().unwrap().code(), Some(130), "{}", told());
 }
 
 #[test]
-fn what_is_told_to_files_has_a_place_before_anything_is_played() {
-    let workshop = Workshop::new();
-    workshop.scenario("a.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+fn output_paths_are_checked_before_the_run() {
+    let workshop = TestFolder::new();
+    workshop.write_scenario("a.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
     for (option, file, said) in
         [("--tap", "nowhere/x.tap", "no folder nowhere"), ("--summary", "scenarios", "expected a file")]
     {
-        let output = call(workshop.path(), ["run", "--rig", "hosted", option, file]);
-        assert!(code(&output) == 2 && told(&output).contains(said), "{}", told(&output));
+        let output = run_bench(workshop.path(), ["run", "--rig", "hosted", option, file]);
+        assert!(exit_code(&output) == 2 && output_text(&output).contains(said), "{}", output_text(&output));
         assert!(!workshop.path().join("runs").exists(), "something was played");
     }
-    let output = call(workshop.path(), ["run", "--rig", "hosted", "--tap", "x.tap", "--summary", "scenarios/../y.md"]);
-    assert!(code(&output) == 0 && workshop.path().join("x.tap").exists(), "{}", told(&output));
+    let output =
+        run_bench(workshop.path(), ["run", "--rig", "hosted", "--tap", "x.tap", "--summary", "scenarios/../y.md"]);
+    assert!(exit_code(&output) == 0 && workshop.path().join("x.tap").exists(), "{}", output_text(&output));
 }
 
 #[test]
-fn a_rig_that_is_not_there_leaves_no_folder() {
-    let workshop = Workshop::new();
-    workshop.scenario("a.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
-    let output = call(workshop.path(), ["run", "--rig", "emulated:nowhere.elf", "--out", "run"]);
-    assert!(told(&output).contains("nowhere.elf") && !told(&output).contains("run folder"), "{}", told(&output));
+fn an_absent_rig_leaves_no_run_folder() {
+    let workshop = TestFolder::new();
+    workshop.write_scenario("a.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+    let output = run_bench(workshop.path(), ["run", "--rig", "emulated:nowhere.elf", "--out", "run"]);
+    assert!(
+        output_text(&output).contains("nowhere.elf") && !output_text(&output).contains("run folder"),
+        "{}",
+        output_text(&output)
+    );
     assert!(!workshop.path().join("run").exists());
 }
 
 #[test]
-fn a_run_among_scenarios_is_not_played_with_them() {
-    let workshop = Workshop::new();
-    workshop.scenario("a.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
+fn run_folders_among_scenarios_are_not_run() {
+    let workshop = TestFolder::new();
+    workshop.write_scenario("a.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
     for out in ["scenarios", "again"] {
-        let output = call(workshop.path(), ["run", "--rig", "hosted", "scenarios", "--out", out]);
-        assert_eq!(code(&output), 0, "{}", told(&output));
+        let output = run_bench(workshop.path(), ["run", "--rig", "hosted", "scenarios", "--out", out]);
+        assert_eq!(exit_code(&output), 0, "{}", output_text(&output));
         let record: serde_json::Value =
             serde_json::from_slice(&fs::read(workshop.path().join(out).join("run.json")).unwrap()).unwrap();
         assert_eq!(record["scenarios"].as_array().unwrap().len(), 1, "{record:#}");
@@ -310,7 +331,7 @@ fn a_run_among_scenarios_is_not_played_with_them() {
 
 #[test]
 fn a_watched_run_has_no_folder_of_its_own() {
-    let workshop = Workshop::new();
-    let output = call(workshop.path(), ["run", "--watch", "--out", "run"]);
-    assert!(code(&output) == 2 && told(&output).contains("--runs"), "{}", told(&output));
+    let workshop = TestFolder::new();
+    let output = run_bench(workshop.path(), ["run", "--watch", "--out", "run"]);
+    assert!(exit_code(&output) == 2 && output_text(&output).contains("--runs"), "{}", output_text(&output));
 }

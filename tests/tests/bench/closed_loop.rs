@@ -1,15 +1,15 @@
 //! The control laws on the plate: just stable and just not, saturated and free, against what was derived for them.
 
-use crate::bench::{Workshop, step_scenario};
+use crate::test_folder::{TestFolder, step_scenario};
 use rstest::rstest;
 
 const SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 100.0";
 const OVERSHOOT: &str = "metric = \"overshoot_percent\"\nat_most = 1000.0";
-const PEAK: &str = "metric = \"drive_peak_vpp\"\nat_most = 1000.0";
+const DRIVE_PEAK: &str = "metric = \"drive_peak_vpp\"\nat_most = 1000.0";
 
 /// Scenario that is played with the paper's plate unless a plate is written for it.
-fn paper(controller: &str, profile: &str, expect: &str) -> Option<f64> {
-    Workshop::new().value(&step_scenario("aluminium-198x138", controller, profile, expect))
+fn value_on_the_paper_plate(controller: &str, profile: &str, expect: &str) -> Option<f64> {
+    TestFolder::new().first_value(&step_scenario("aluminium-198x138", controller, profile, expect))
 }
 
 #[rstest]
@@ -26,7 +26,7 @@ fn paper(controller: &str, profile: &str, expect: &str) -> Option<f64> {
     780.0
 )]
 #[case::open("law = \"open-loop\"", 5.62, 5.64, 0.0, 0.1, 286.5, 286.6)]
-fn step_responses_are_the_derived_ones(
+fn step_responses_match_the_derived_values(
     #[case] controller: &str,
     #[case] settling_low: f64,
     #[case] settling_high: f64,
@@ -38,9 +38,9 @@ fn step_responses_are_the_derived_ones(
     for (expect, low, high) in [
         (SETTLING, settling_low, settling_high),
         (OVERSHOOT, overshoot_low, overshoot_high),
-        (PEAK, peak_low, peak_high),
+        (DRIVE_PEAK, peak_low, peak_high),
     ] {
-        let value = paper(controller, "", expect).unwrap();
+        let value = value_on_the_paper_plate(controller, "", expect).unwrap();
         assert!((low..=high).contains(&value), "{expect}: {value}");
     }
 }
@@ -49,22 +49,22 @@ fn step_responses_are_the_derived_ones(
 #[rstest]
 #[case::just_stable(0.80, true)]
 #[case::just_unstable(0.86, false)]
-fn equation_24_as_printed_bears_its_budget_of_delay(#[case] delay_ms: f64, #[case] settles: bool) {
+fn equation_24_as_printed_tolerates_its_delay_budget(#[case] delay_ms: f64, #[case] settles: bool) {
     let controller = format!("law = \"dq-pi-euler\"\nloop_delay_ms = {delay_ms}");
     // Room to swing: with the amplifier's limit in the way a loop beyond its budget ends in a limit cycle instead.
     let text = step_scenario("aluminium-198x138", &controller, "", SETTLING)
         .replace("duration_ms = 60.0", "duration_ms = 900.0");
     // A limit cycle may be inside the band when the trial ends: an entry that late is none.
-    assert_eq!(Workshop::new().value(&text).is_some_and(|ms| ms < 300.0), settles);
+    assert_eq!(TestFolder::new().first_value(&text).is_some_and(|ms| ms < 300.0), settles);
 }
 
-fn behind_an_amplifier_of(limit_vpp: f64, expect: &str) -> f64 {
-    let workshop = Workshop::new();
+fn value_with_drive_limit(limit_vpp: f64, expect: &str) -> f64 {
+    let workshop = TestFolder::new();
     let plate = std::fs::read_to_string(workshop.path().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
     assert!(plate.contains("limit_vpp = 900.0"));
     let plate = plate.replace("limit_vpp = 900.0", &format!("limit_vpp = {limit_vpp:?}"));
     std::fs::write(workshop.path().join("scenarios/plates/limited.toml"), plate).unwrap();
-    workshop.value(&step_scenario("limited", "law = \"dq-pi\"", "", expect)).unwrap()
+    workshop.first_value(&step_scenario("limited", "law = \"dq-pi\"", "", expect)).unwrap()
 }
 
 /// `t = −τ ln(1 − 0.95 W_ref / (K1 Vmax))`
@@ -73,14 +73,14 @@ fn time_floor_ms(limit_vpp: f64) -> f64 {
 }
 
 #[rstest]
-fn leaving_saturation_costs_at_most_a_tenth_of_the_time_floor(
+fn leaving_saturation_costs_little_over_the_time_floor(
     #[values(300.0, 320.0, 340.0, 360.0, 380.0, 400.0, 416.0)] limit_vpp: f64,
 ) {
-    let settling = behind_an_amplifier_of(limit_vpp, SETTLING);
+    let settling = value_with_drive_limit(limit_vpp, SETTLING);
     let floor = time_floor_ms(limit_vpp);
     assert!(settling >= floor * 0.999, "{settling} ms is faster than {floor} ms");
     assert!(settling <= floor * 1.1, "{settling} ms against a floor of {floor} ms");
-    let overshoot = behind_an_amplifier_of(limit_vpp, OVERSHOOT);
+    let overshoot = value_with_drive_limit(limit_vpp, OVERSHOOT);
     assert!(overshoot < 4.0, "{overshoot} %");
 }
 
@@ -91,10 +91,10 @@ fn a_falling_setpoint_is_reached_without_undershoot() {
         step_scenario("aluminium-198x138", "law = \"dq-pi\"", "", expect)
             .replace("setpoint_um = 2.0", "setpoint_um = { hold = [[0.0, 2.5], [30.0, 0.5]] }")
     };
-    let workshop = Workshop::new();
-    let settling = workshop.value(&text(&format!("{SETTLING}\nfrom_ms = 30.0"))).unwrap();
+    let workshop = TestFolder::new();
+    let settling = workshop.first_value(&text(&format!("{SETTLING}\nfrom_ms = 30.0"))).unwrap();
     assert!((2.93..4.0).contains(&settling), "{settling} ms");
-    let undershoot = workshop.value(&text(&format!("{OVERSHOOT}\nfrom_ms = 30.0"))).unwrap();
+    let undershoot = workshop.first_value(&text(&format!("{OVERSHOOT}\nfrom_ms = 30.0"))).unwrap();
     assert!(undershoot < 0.1, "{undershoot} %");
 }
 
@@ -105,7 +105,7 @@ fn a_falling_setpoint_is_reached_without_undershoot() {
 fn the_frequency_loop_keeps_to_its_range(#[case] start_hz: f64, #[case] reaches: bool) {
     let controller = format!("law = \"dq-pi\"\nstart_frequency_hz = {start_hz}");
     let text = step_scenario("aluminium-198x138", &controller, "", "metric = \"frequency_error_hz\"\nat_most = 1e6");
-    let (record, rows) = Workshop::new().play(&text);
+    let (record, rows) = TestFolder::new().run_scenario(&text);
     let error = record.scenarios[0].expectations[0].value.unwrap();
     assert_eq!(error < 0.1, reaches, "{error} Hz");
     let furthest = rows.iter().map(|row| (row.frequency_hz - start_hz).abs()).fold(0.0, f64::max);
@@ -114,10 +114,10 @@ fn the_frequency_loop_keeps_to_its_range(#[case] start_hz: f64, #[case] reaches:
 
 /// A setpoint that starts again at rest must not find a frequency loop that chased noise meanwhile.
 #[test]
-fn a_plate_at_rest_leaves_the_frequency_where_it_is() {
+fn a_plate_at_rest_does_not_move_the_frequency() {
     let text = step_scenario("aluminium-198x138-noisy", "law = \"dq-pi\"", "", SETTLING)
         .replace("setpoint_um = 2.0", "setpoint_um = { hold = [[0.0, 0.0], [50.0, 2.0]] }");
-    let (_, rows) = Workshop::new().play(&text);
+    let (_, rows) = TestFolder::new().run_scenario(&text);
     for row in rows.iter().filter(|row| row.t_s < 0.05) {
         assert_eq!((row.frequency_hz, row.drive_vpp > 60.0), (32_307.6, false), "at {} s", row.t_s);
     }

@@ -1,6 +1,6 @@
 //! Lockstep runs repeat bit for bit, whatever runs beside what.
 
-use crate::bench::{Workshop, call, code};
+use crate::test_folder::{TestFolder, exit_code, run_bench};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -32,17 +32,17 @@ fn traces(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     entries.map(|path| (path.file_name().unwrap().to_string_lossy().into_owned(), fs::read(&path).unwrap())).collect()
 }
 
-fn run(workshop: &Workshop, out: &str, more: &[&str]) -> BTreeMap<String, Vec<u8>> {
-    let output = call(workshop.path(), ["run", "--out", out].iter().chain(more));
+fn run(workshop: &TestFolder, out: &str, more: &[&str]) -> BTreeMap<String, Vec<u8>> {
+    let output = run_bench(workshop.path(), ["run", "--out", out].iter().chain(more));
     // What the trials come to is not the question here.
-    assert!([0, 1, 3].contains(&code(&output)), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!([0, 1, 3].contains(&exit_code(&output)), "{}", String::from_utf8_lossy(&output.stderr));
     traces(&workshop.path().join(out).join("traces/noisy"))
 }
 
 #[test]
-fn jobs_do_not_show_in_any_trace() {
-    let workshop = Workshop::new();
-    workshop.scenario("noisy.toml", NOISY);
+fn traces_do_not_depend_on_the_number_of_jobs() {
+    let workshop = TestFolder::new();
+    workshop.write_scenario("noisy.toml", NOISY);
     let one = run(&workshop, "one", &["--jobs", "1"]);
     assert_eq!(one.len(), 9);
     assert_eq!(one, run(&workshop, "seven", &["--jobs", "7"]));
@@ -55,13 +55,13 @@ fn jobs_do_not_show_in_any_trace() {
 }
 
 #[test]
-fn shards_together_are_the_whole() {
-    let workshop = Workshop::new();
+fn merged_shards_equal_one_run() {
+    let workshop = TestFolder::new();
     for name in ["a", "b", "c"] {
-        workshop.scenario(&format!("{name}.toml"), NOISY);
+        workshop.write_scenario(&format!("{name}.toml"), NOISY);
     }
     let scenarios = |shard: &str, out: &str| {
-        call(workshop.path(), ["run", "--trials", "1", "--out", out, "--shard", shard]);
+        run_bench(workshop.path(), ["run", "--trials", "1", "--out", out, "--shard", shard]);
         let record: serde_json::Value =
             serde_json::from_slice(&fs::read(workshop.path().join(out).join("run.json")).unwrap()).unwrap();
         let files = record["scenarios"].as_array().unwrap().iter();

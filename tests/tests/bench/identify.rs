@@ -1,14 +1,14 @@
 //! Recordings of the repository's own scenarios, played and identified: Tables I and II, the plate file, and input that cannot be used.
 
-use crate::bench::{call, code, root};
+use crate::test_folder::{exit_code, run_bench, workspace_root};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
-fn played(folder: &Path) {
-    let scenarios = root().join("scenarios/identify");
-    let output = call(folder, ["run", scenarios.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"]);
-    assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stdout));
+fn run_recordings(folder: &Path) {
+    let scenarios = workspace_root().join("scenarios/identify");
+    let output = run_bench(folder, ["run", scenarios.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"]);
+    assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stdout));
 }
 
 /// A share of the numbers' mean: their standard deviation.
@@ -18,13 +18,13 @@ fn scatter(values: &[f64]) -> f64 {
 }
 
 #[test]
-fn tables_i_and_ii_come_back_with_the_paper_s_spread() {
+fn identified_tables_match_the_paper() {
     let folder = tempfile::tempdir().unwrap();
-    played(folder.path());
+    run_recordings(folder.path());
     let asked =
         ["identify", "run", "--format", "json", "--out", "plate.toml", "--page", "page.html", "--name", "found"];
-    let output = call(folder.path(), asked);
-    assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
+    let output = run_bench(folder.path(), asked);
+    assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
     let found: Value = serde_json::from_slice(&output.stdout).unwrap();
     let steps = |key: &str, keep: &dyn Fn(&Value) -> bool, index: usize| -> Vec<f64> {
         let steps = found[key].as_array().unwrap().iter().filter(|step| keep(step));
@@ -56,17 +56,17 @@ fn tables_i_and_ii_come_back_with_the_paper_s_spread() {
                     setpoint_um = 2.0\n[[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\n";
     fs::write(folder.path().join("again.toml"), scenario.replace("[[expect]]", "[trials]\ncount = 5\n[[expect]]"))
         .unwrap();
-    let output = call(folder.path(), ["run", "again.toml", "--rig", "hosted", "--out", "again"]);
-    assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stdout));
+    let output = run_bench(folder.path(), ["run", "again.toml", "--rig", "hosted", "--out", "again"]);
+    assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stdout));
 }
 
 #[test]
-fn input_that_cannot_be_used_is_refused_with_its_place() {
+fn unusable_input_is_reported_with_its_line() {
     let folder = tempfile::tempdir().unwrap();
     let refused = |arguments: &[&str], expected: &str| {
-        let output = call(folder.path(), arguments);
+        let output = run_bench(folder.path(), arguments);
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(code(&output) == 2 && told.contains(expected), "{told}");
+        assert!(exit_code(&output) == 2 && told.contains(expected), "{told}");
     };
     refused(&["identify", "nothing.csv"], "nothing.csv");
     refused(&["identify"], "required");
@@ -79,5 +79,5 @@ fn input_that_cannot_be_used_is_refused_with_its_place() {
     );
     refused(&["identify", "t.csv", "--columns", "time=t"], "no column for drive");
     fs::create_dir(folder.path().join("empty")).unwrap();
-    assert_eq!(code(&call(folder.path(), ["identify", "empty"])), 4);
+    assert_eq!(exit_code(&run_bench(folder.path(), ["identify", "empty"])), 4);
 }

@@ -2,12 +2,13 @@
 //!
 //! The machine may be busy: nothing here depends on how punctual anybody was, only on what is said about it.
 
-use crate::bench::{
-    Guarded, Workshop, await_that, call, child_of, code, controller, program, root, signal, step_scenario,
+use crate::test_folder::{
+    ChildGuard, TestFolder, bench_command, child_process_id, controller_rig, exit_code, run_bench, send_signal,
+    step_scenario, wait_until, workspace_root,
 };
+use platebench_record::TimingRecord;
+use platebench_record::{RunRecord, Verdict};
 use platebench_trace::Flags;
-use platebench_verdict::record::Timing;
-use platebench_verdict::{RunRecord, Verdict};
 use rstest::rstest;
 use std::collections::BTreeMap;
 use std::fs;
@@ -21,7 +22,7 @@ const EXPECT: &str =
     "metric = \"settling_time_ms\"\nat_most = 2.0\n[[expect]]\nmetric = \"static_error_percent\"\nat_most = 0.1";
 
 /// Every trace of a run by its path.
-pub(crate) fn traces(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+pub(crate) fn read_traces(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut open = vec![folder.join("traces")];
     while let Some(below) = open.pop() {
@@ -37,14 +38,14 @@ pub(crate) fn traces(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
-fn a_program_in_lockstep_leaves_the_traces_of_the_hosted_rig() {
+fn a_program_in_lockstep_gives_the_hosted_traces() {
     let folder = tempfile::tempdir().unwrap();
-    let paper = root().join("scenarios/paper");
-    for (rig, out) in [("hosted", "hosted"), (&*controller(None), "program")] {
-        let output = call(folder.path(), ["run", paper.to_str().unwrap(), "--rig", rig, "--out", out]);
-        assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
+    let paper = workspace_root().join("scenarios/paper");
+    for (rig, out) in [("hosted", "hosted"), (&*controller_rig(None), "program")] {
+        let output = run_bench(folder.path(), ["run", paper.to_str().unwrap(), "--rig", rig, "--out", out]);
+        assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
     }
-    let [hosted, program] = ["hosted", "program"].map(|out| traces(&folder.path().join(out)));
+    let [hosted, program] = ["hosted", "program"].map(|out| read_traces(&folder.path().join(out)));
     assert!(hosted.len() > 20, "{} traces", hosted.len());
     assert!(hosted.keys().eq(program.keys()));
     for (path, bytes) in &hosted {
@@ -53,27 +54,27 @@ fn a_program_in_lockstep_leaves_the_traces_of_the_hosted_rig() {
 }
 
 /// Plays the paper's step in real time and returns its record.
-fn played(workshop: &Workshop, arguments: &[&str]) -> RunRecord {
-    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", EXPECT));
-    let output = call(workshop.path(), ["run", "--clock", "real-time", "--out", "run"].iter().chain(arguments));
+fn run_real_time(workshop: &TestFolder, arguments: &[&str]) -> RunRecord {
+    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", EXPECT));
+    let output = run_bench(workshop.path(), ["run", "--clock", "real-time", "--out", "run"].iter().chain(arguments));
     let record = RunRecord::read(&workshop.path().join("run")).unwrap();
     // A busy machine leaves it undecided, and no machine makes a controller fail that passes.
     assert_ne!(record.verdict, Verdict::Fail, "{}", String::from_utf8_lossy(&output.stdout));
-    assert_eq!(code(&output), if record.verdict == Verdict::Pass { 0 } else { 3 });
-    assert_eq!(record.clock, "real-time");
+    assert_eq!(exit_code(&output), if record.verdict == Verdict::Pass { 0 } else { 3 });
+    assert_eq!(record.clock, platebench_record::ClockKind::RealTime);
     record
 }
 
-fn timing(record: &RunRecord) -> &Timing {
+fn timing(record: &RunRecord) -> &TimingRecord {
     record.scenarios[0].trials[0].telemetry.timing.as_ref().unwrap()
 }
 
 #[rstest]
 #[case::hosted("hosted".to_owned())]
-#[case::program(controller(None))]
-fn in_real_time_everything_is_accounted_for(#[case] rig: String) {
-    let workshop = Workshop::new();
-    let record = played(&workshop, &["--rig", &rig]);
+#[case::program(controller_rig(None))]
+fn real_time_timing_counts_add_up(#[case] rig: String) {
+    let workshop = TestFolder::new();
+    let record = run_real_time(&workshop, &["--rig", &rig]);
     let timing = timing(&record);
     assert_eq!((timing.pacing.as_str(), timing.time_scale, timing.periods), ("bench", 1.0, 60));
     assert!(timing.safe_confirmed && timing.lost_rows == 0 && timing.refused_frames == 0);
@@ -85,7 +86,7 @@ fn in_real_time_everything_is_accounted_for(#[case] rig: String) {
     assert!((1_300.0..1_400.0).contains(&budget), "{budget}");
 
     let trial = &record.scenarios[0].trials[0];
-    let rows = platebench_trace::read(&workshop.path().join("run").join(&trial.trace)).unwrap();
+    let rows = platebench_trace::read_trace(&workshop.path().join("run").join(&trial.trace)).unwrap();
     let flagged = |flag| rows.iter().filter(move |row| row.flags.contains(flag));
     assert_eq!(flagged(Flags::CONTROL).count() as u64, timing.periods - timing.skipped);
     assert_eq!(flagged(Flags::OVERRUN).count() as u64, timing.overruns);
@@ -104,7 +105,7 @@ fn in_real_time_everything_is_accounted_for(#[case] rig: String) {
     let driven = rows.iter().find(|row| row.drive_vpp > 0.0).unwrap();
     assert!(driven.t_s > 0.0 && !driven.flags.contains(Flags::CONTROL), "{driven:?}");
 
-    let again = call(workshop.path(), ["judge", "run", "--format", "json"]);
+    let again = run_bench(workshop.path(), ["judge", "run", "--format", "json"]);
     let again: RunRecord = serde_json::from_slice(&again.stdout).unwrap();
     let verdicts = |record: &RunRecord| -> Vec<_> {
         record.scenarios[0].expectations.iter().map(|expectation| (expectation.verdict, expectation.cause)).collect()
@@ -114,8 +115,8 @@ fn in_real_time_everything_is_accounted_for(#[case] rig: String) {
 
 #[test]
 fn a_slower_plate_makes_the_same_line_faster() {
-    let workshop = Workshop::new();
-    let record = played(&workshop, &["--rig", &controller(None), "--time-scale", "0.1"]);
+    let workshop = TestFolder::new();
+    let record = run_real_time(&workshop, &["--rig", &controller_rig(None), "--time-scale", "0.1"]);
     let timing = timing(&record);
     assert_eq!((timing.time_scale, timing.periods), (0.1, 60));
     let telemetry = &record.scenarios[0].trials[0].telemetry;
@@ -126,34 +127,34 @@ fn a_slower_plate_makes_the_same_line_faster() {
 
 #[test]
 fn a_controller_s_own_timer_makes_the_control_instants() {
-    let workshop = Workshop::new();
-    let record = played(&workshop, &["--rig", &controller(None), "--pacing", "target"]);
+    let workshop = TestFolder::new();
+    let record = run_real_time(&workshop, &["--rig", &controller_rig(None), "--pacing", "target"]);
     let timing = timing(&record);
     assert_eq!(timing.pacing, "target");
     // How many fit, a busy machine decides: the target skips what it is too late for, and stops where it hears nothing.
     assert!(timing.periods > 0);
     let trial = &record.scenarios[0].trials[0];
-    let rows = platebench_trace::read(&workshop.path().join("run").join(&trial.trace)).unwrap();
+    let rows = platebench_trace::read_trace(&workshop.path().join("run").join(&trial.trace)).unwrap();
     let instants: Vec<f64> = rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).map(|row| row.t_s).collect();
     assert_eq!(instants[0], 0.0, "the first tick is the start");
     assert!(instants[1..].iter().any(|t_s| *t_s != (t_s * 1e3).round() / 1e3), "none of the bench's own deadlines");
 }
 
 #[test]
-fn a_program_that_ends_is_a_lost_rig() {
-    let workshop = Workshop::new();
+fn a_terminated_program_is_a_lost_rig() {
+    let workshop = TestFolder::new();
     let text =
         step_scenario("aluminium-198x138", "", "", EXPECT).replace("duration_ms = 60.0", "duration_ms = 60000.0");
-    workshop.scenario("s.toml", &text);
+    workshop.write_scenario("s.toml", &text);
     let log = workshop.path().join("controller.log");
-    let mut bench = program(workshop.path());
-    let bench = bench.args(["run", "--clock", "real-time", "--out", "run", "--rig", &controller(Some(&log))]);
+    let mut bench = bench_command(workshop.path());
+    let bench = bench.args(["run", "--clock", "real-time", "--out", "run", "--rig", &controller_rig(Some(&log))]);
     let bench = bench.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-    await_that("the controller never ran", || fs::read_to_string(&log).is_ok_and(|text| text.contains("running")));
-    assert!(Command::new("kill").args(["-KILL", &child_of(&bench)]).status().unwrap().success());
+    wait_until("the controller never ran", || fs::read_to_string(&log).is_ok_and(|text| text.contains("running")));
+    assert!(Command::new("kill").args(["-KILL", &child_process_id(&bench)]).status().unwrap().success());
     let output = bench.wait_with_output().unwrap();
     let error = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(code(&output), 5, "{error}");
+    assert_eq!(exit_code(&output), 5, "{error}");
     let record = RunRecord::read(&workshop.path().join("run")).unwrap();
     assert_eq!(record.verdict, Verdict::Inconclusive, "{error}");
     let ended = record.scenarios[0].trials[0].telemetry.ended.as_ref().unwrap();
@@ -169,49 +170,51 @@ fn a_program_that_ends_is_a_lost_rig() {
 #[case::scaled_target(&["--rig", "hosted", "--clock", "real-time", "--pacing", "target", "--time-scale", "0.5"], "--pacing bench")]
 #[case::no_place(&["--rig", "exec:true"], "{port}")]
 #[case::no_program(&["--rig", "exec:no-such-program {port}"], "no-such-program")]
-fn what_cannot_be_meant_is_refused_before_anything_is_written(#[case] arguments: &[&str], #[case] told: &str) {
-    let workshop = Workshop::new();
-    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", EXPECT));
-    let output = call(workshop.path(), ["run", "--out", "run"].iter().chain(arguments));
+fn contradictory_options_are_rejected_before_the_run(#[case] arguments: &[&str], #[case] told: &str) {
+    let workshop = TestFolder::new();
+    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", EXPECT));
+    let output = run_bench(workshop.path(), ["run", "--out", "run"].iter().chain(arguments));
     let error = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(code(&output), 2, "{error}");
+    assert_eq!(exit_code(&output), 2, "{error}");
     assert!(error.contains(told), "{error}");
 }
 
 #[rstest]
 #[case::no_port("serial:/dev/no-such-port", "/dev/no-such-port")]
-#[case::silent("exec:sh -c 'exec sleep 60' {port}", "did not introduce itself")]
+#[case::silent("exec:sh -c 'exec sleep 60' {port}", "did not answer the handshake")]
 #[case::ends("exec:false {port}", "exit status 1")]
-fn a_rig_that_is_not_there_is_not_reached(#[case] rig: &str, #[case] told: &str) {
-    let workshop = Workshop::new();
-    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", EXPECT));
-    let output = call(workshop.path(), ["run", "--rig", rig, "--out", "run"]);
+fn an_absent_rig_is_reported(#[case] rig: &str, #[case] told: &str) {
+    let workshop = TestFolder::new();
+    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", EXPECT));
+    let output = run_bench(workshop.path(), ["run", "--rig", rig, "--out", "run"]);
     let error = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(code(&output), 5, "{error}");
+    assert_eq!(exit_code(&output), 5, "{error}");
     assert!(error.contains(told), "{error}");
 }
 
 #[test]
-fn the_plate_alone_serves_one_controller_after_the_other() {
-    let workshop = Workshop::new();
-    workshop.scenario("s.toml", &step_scenario("aluminium-198x138", "", "", EXPECT));
-    let mut plate = program(workshop.path());
+fn emulate_serves_several_controllers_in_turn() {
+    let workshop = TestFolder::new();
+    // A controller stops after five periods without a sample: 100 ms, which a busy machine keeps, and not 5 ms.
+    let slow = "period_ms = 20.0\nresponse_time_ms = 100.0";
+    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", slow, "", EXPECT));
+    let mut plate = bench_command(workshop.path());
     let plate = plate.args(["emulate", "--port", "pty", "--scenario", "scenarios/s.toml"]).stdin(Stdio::null());
-    let mut plate = Guarded(plate.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut plate = ChildGuard(plate.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
     let stdout = BufReader::new(plate.0.stdout.take().unwrap());
-    let (teller, lines) = mpsc::channel();
-    // Whoever waits for a line does so for a minute and not for ever.
-    std::thread::spawn(move || stdout.lines().map(Result::unwrap).try_for_each(|line| teller.send(line)));
+    let (sender, lines) = mpsc::channel();
+    // Every wait has an end.
+    std::thread::spawn(move || stdout.lines().map(Result::unwrap).try_for_each(|line| sender.send(line)));
     let next = || lines.recv_timeout(Duration::from_mins(1)).expect("a line each second");
     let port = next().strip_prefix("port: ").expect("the first line names the port").to_owned();
     for number in 0..2 {
         let log = workshop.path().join(format!("{number}.log"));
         let mut controller = Command::new(env!("CARGO_BIN_EXE_controller-under-test"));
-        let controller = Guarded(controller.args([&port, "--log", log.to_str().unwrap()]).spawn().unwrap());
+        let controller = ChildGuard(controller.args([&port, "--log", log.to_str().unwrap()]).spawn().unwrap());
         let held = (0..30).map(|_| next()).find(|line| line.contains("|W| 2.000 of 2.000 µm")).expect("it settles");
         assert!(held.contains("287 Vpp"), "{held}");
         drop(controller);
     }
-    signal(&plate.0, "TERM");
+    send_signal(&plate.0, "TERM");
     assert_eq!(plate.0.wait().unwrap().code(), Some(143));
 }

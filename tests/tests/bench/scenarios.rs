@@ -1,6 +1,6 @@
 //! Every scenario of the repository ends as it says it does.
 
-use crate::bench::{call, code, root};
+use crate::test_folder::{exit_code, run_bench, workspace_root};
 use rstest::rstest;
 use std::fs;
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ fn expected_exit(path: &PathBuf) -> i32 {
 }
 
 #[rstest]
-fn ends_as_it_says(
+fn each_scenario_has_its_expected_exit_code(
     #[files("../scenarios/paper/*.toml")]
     #[files("../scenarios/limits/*.toml")]
     #[files("../scenarios/faults/*.toml")]
@@ -21,9 +21,9 @@ fn ends_as_it_says(
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();
-    let output = call(folder.path(), ["run", path.to_str().unwrap(), "--out", "run"]);
+    let output = run_bench(folder.path(), ["run", path.to_str().unwrap(), "--out", "run"]);
     let told = String::from_utf8_lossy(&output.stdout);
-    assert_eq!(code(&output), expected_exit(&path), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(exit_code(&output), expected_exit(&path), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
     for file in ["run.json", "junit.xml", "report.html", "traceability.csv"] {
         assert!(folder.path().join("run").join(file).exists(), "{file}");
     }
@@ -31,7 +31,7 @@ fn ends_as_it_says(
 
 /// Every expectation of the paper's scenarios says which requirement it holds.
 #[rstest]
-fn names_its_requirements(#[files("../scenarios/paper/*.toml")] path: PathBuf) {
+fn paper_expectations_name_their_requirements(#[files("../scenarios/paper/*.toml")] path: PathBuf) {
     let scenario = platebench_scenario::load(&path, "s.toml").unwrap();
     for expectation in scenario.expectations {
         assert!(expectation.requirement.is_some(), "{}", expectation.metric);
@@ -39,10 +39,12 @@ fn names_its_requirements(#[files("../scenarios/paper/*.toml")] path: PathBuf) {
 }
 
 #[test]
-fn the_folder_of_limits_is_no_part_of_the_default_run() {
+fn the_default_run_excludes_limits() {
     let folder = tempfile::tempdir().unwrap();
-    let output =
-        call(folder.path(), ["run", root().join("scenarios").to_str().unwrap(), "--out", "run", "--trials", "2"]);
+    let output = run_bench(
+        folder.path(),
+        ["run", workspace_root().join("scenarios").to_str().unwrap(), "--out", "run", "--trials", "2"],
+    );
     let record = fs::read_to_string(folder.path().join("run/run.json")).unwrap();
     assert!(record.contains("paper/fig16-closed-loop.toml"));
     assert!(!record.contains("\"file\": \"limits/"), "{}", String::from_utf8_lossy(&output.stdout));
@@ -51,8 +53,11 @@ fn the_folder_of_limits_is_no_part_of_the_default_run() {
 #[test]
 fn the_table_of_the_default_run() {
     let folder = tempfile::tempdir().unwrap();
-    let output = call(folder.path(), ["run", root().join("scenarios").to_str().unwrap(), "--out", "run", "--quiet"]);
-    assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
+    let output = run_bench(
+        folder.path(),
+        ["run", workspace_root().join("scenarios").to_str().unwrap(), "--out", "run", "--quiet"],
+    );
+    assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
     // What is zero but for rounding differs from one mathematics library to the next, and with it the columns' widths.
     // What a step costs changes with every image; `images/cost.toml` is where that is held.
     let cost = (r"step: [\d ]+ worst (.*), [\d.]+ %", "step: # worst $1, # %");
@@ -63,13 +68,13 @@ fn the_table_of_the_default_run() {
 
 /// What a law is said to do it does, whether or not that is what is demanded: of the scenes in which every law is measured, each expectation without a requirement holds.
 #[rstest]
-fn each_law_does_what_is_said_of_it(
+fn each_law_behaves_as_documented(
     #[files("../scenarios/laws/drive-*.toml")]
     #[files("../scenarios/laws/noise-*.toml")]
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();
-    call(folder.path(), ["run", path.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"]);
+    run_bench(folder.path(), ["run", path.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"]);
     let record: serde_json::Value =
         serde_json::from_str(&fs::read_to_string(folder.path().join("run/run.json")).unwrap()).unwrap();
     let scenario = platebench_scenario::load(&path, "s.toml").unwrap();

@@ -1,73 +1,75 @@
-//! Code blocks: a whole scenario, plate or plan loads, every other TOML parses, and every command can be typed.
+//! Checks code blocks: scenarios, plates and plans load, other TOML parses, and commands are valid.
 
-use crate::command::{commands, fault};
-use crate::page::{Page, pages, root};
+use crate::command::{command_fault, commands};
+use crate::page::{DocumentPage, read_pages, workspace_root};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// What a TOML block is.
+/// Content of a TOML block.
 #[derive(Debug, PartialEq, Eq)]
-enum Kind {
+enum TomlKind {
     Scenario,
     Plate,
     Plan,
-    /// Part of a file, or of another program's.
+    /// Part of a file, or a file of another program.
     Other,
 }
 
-fn kind(table: &toml::Table) -> Kind {
+fn toml_kind(table: &toml::Table) -> TomlKind {
     let has = |keys: &[&str]| keys.iter().all(|key| table.contains_key(*key));
     match () {
-        () if has(&["title", "plate"]) => Kind::Scenario,
-        () if has(&["name", "mode"]) => Kind::Plate,
-        () if has(&["title", "requirement"]) => Kind::Plan,
-        () => Kind::Other,
+        () if has(&["title", "plate"]) => TomlKind::Scenario,
+        () if has(&["name", "mode"]) => TomlKind::Plate,
+        () if has(&["title", "requirement"]) => TomlKind::Plan,
+        () => TomlKind::Other,
     }
 }
 
-/// A folder in which what pages name is where they say.
-fn desk() -> TempDir {
-    let desk = tempfile::tempdir().unwrap();
-    let scenarios = desk.path().join("scenarios");
+/// Folder with links to the project's scenarios, for blocks that name them.
+fn example_folder() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let scenarios = folder.path().join("scenarios");
     fs::create_dir_all(scenarios.join("own")).unwrap();
-    for folder in fs::read_dir(root().join("scenarios")).unwrap() {
-        let path = folder.unwrap().path();
+    for entry in fs::read_dir(workspace_root().join("scenarios")).unwrap() {
+        let path = entry.unwrap().path();
         std::os::unix::fs::symlink(&path, scenarios.join(path.file_name().unwrap())).unwrap();
     }
-    desk
+    folder
 }
 
-/// What is wrong with a TOML block.
-fn toml_fault(text: &str) -> Result<Kind, String> {
+/// Kind of a TOML block, or its fault.
+fn check_toml(text: &str) -> Result<TomlKind, String> {
     let table: toml::Table = match text.parse() {
         Ok(table) => table,
-        // A list of values that a key may have, one a line.
+        // A list of possible values of a key, one per line.
         Err(error) => {
             let values = text.lines().all(|line| format!("value = {line}").parse::<toml::Table>().is_ok());
-            return if values { Ok(Kind::Other) } else { Err(error.to_string()) };
+            return if values { Ok(TomlKind::Other) } else { Err(error.to_string()) };
         }
     };
-    let kind = kind(&table);
-    let desk = desk();
+    let kind = toml_kind(&table);
+    let root = example_folder();
     let plate = table.get("plate").and_then(toml::Value::as_str).unwrap_or_default();
-    // Pages write scenarios as they stand in a folder below `scenarios`, or beside `plates`.
-    let folder = desk.path().join(if plate.starts_with("plates/") { "scenarios" } else { "scenarios/own" });
+    // Scenarios of the pages are in a folder below `scenarios`, or next to `plates`.
+    let folder = root.path().join(if plate.starts_with("plates/") { "scenarios" } else { "scenarios/own" });
     let path = folder.join("block.toml");
     fs::write(&path, text).unwrap();
-    let told = match kind {
-        Kind::Scenario => platebench_scenario::load(&path, "block.toml").map(drop).map_err(|fault| fault.to_string()),
-        Kind::Plate => plate_fault(&path, &folder),
-        Kind::Plan => platebench_acceptance::Plan::load(&path)
+    let loaded = match kind {
+        TomlKind::Scenario => {
+            platebench_scenario::load(&path, "block.toml").map(drop).map_err(|fault| fault.to_string())
+        }
+        TomlKind::Plate => check_plate(&path, &folder),
+        TomlKind::Plan => platebench_acceptance::Plan::load(&path)
             .map(drop)
             .map_err(|faults| faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")),
-        Kind::Other => Ok(()),
+        TomlKind::Other => Ok(()),
     };
-    told.map(|()| kind)
+    loaded.map(|()| kind)
 }
 
-/// A plate is loaded by a scenario that names it.
-fn plate_fault(plate: &Path, folder: &Path) -> Result<(), String> {
+/// Loads a plate through a scenario that names it.
+fn check_plate(plate: &Path, folder: &Path) -> Result<(), String> {
     let text = format!(
         "title = \"t\"\nplate = \"{}\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 1.0\n[[expect]]\nmetric = \"overruns\"\nat_most = 0\n",
         plate.display()
@@ -78,57 +80,77 @@ fn plate_fault(plate: &Path, folder: &Path) -> Result<(), String> {
 }
 
 #[test]
-fn every_toml_block_is_a_file_that_loads() {
+fn every_toml_block_loads() {
     let mut found = Vec::new();
     let mut faults = Vec::new();
-    // The tutorial's own test holds its files: one of them is refused on purpose.
-    for page in pages().into_iter().filter(|page| !page.file.ends_with("docs/tutorial.md")) {
+    // The tutorial has its own test: one of its files is invalid on purpose.
+    for page in read_pages().into_iter().filter(|page| !page.file.ends_with("docs/tutorial.md")) {
         for block in page.blocks.iter().filter(|block| block.language == "toml") {
-            match toml_fault(&block.text) {
+            match check_toml(&block.text) {
                 Ok(kind) => found.push(kind),
                 Err(fault) => faults.push(format!("{}:{}: {fault}", page.file.display(), block.line)),
             }
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
-    for kind in [Kind::Scenario, Kind::Plate, Kind::Plan, Kind::Other] {
-        assert!(found.contains(&kind), "no block is a {kind:?}: what is recognised?");
+    for kind in [TomlKind::Scenario, TomlKind::Plate, TomlKind::Plan, TomlKind::Other] {
+        assert!(found.contains(&kind), "no block is a {kind:?}");
     }
 }
 
 #[test]
-fn blocks_that_do_not_load_are_seen() {
-    let scenario =
-        Page::read(Path::new("README.md")).blocks.into_iter().find(|block| block.language == "toml").unwrap().text;
-    assert_eq!(toml_fault(&scenario), Ok(Kind::Scenario));
-    assert!(toml_fault(&scenario.replace("at_most", "at_mots")).is_err());
-    assert!(toml_fault(&scenario.replace("198x138", "198x139")).is_err());
-    let plate = fs::read_to_string(root().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
-    assert_eq!(toml_fault(&plate), Ok(Kind::Plate));
-    assert!(toml_fault(&plate.replace("time_constant_ms = ", "time_constant_ms = -")).is_err());
-    assert!(toml_fault("title = \"t\"\nrequirement = []\n").is_err(), "a plan without requirements");
-    assert_eq!(toml_fault("{ a = 1 }   # so\n[1, 2]\n"), Ok(Kind::Other));
-    assert!(toml_fault("{ a = 1 }\n] 2\n").is_err());
+fn finds_blocks_that_do_not_load() {
+    let scenario = DocumentPage::read(Path::new("docs/scenarios.md"))
+        .blocks
+        .into_iter()
+        .find(|block| block.language == "toml")
+        .unwrap()
+        .text;
+    assert_eq!(check_toml(&scenario), Ok(TomlKind::Scenario));
+    assert!(check_toml(&scenario.replace("at_most", "at_mots")).is_err());
+    assert!(check_toml(&scenario.replace("198x138", "198x139")).is_err());
+    let plate = fs::read_to_string(workspace_root().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
+    assert_eq!(check_toml(&plate), Ok(TomlKind::Plate));
+    assert!(check_toml(&plate.replace("time_constant_ms = ", "time_constant_ms = -")).is_err());
+    assert!(check_toml("title = \"t\"\nrequirement = []\n").is_err(), "a plan without requirements");
+    assert_eq!(check_toml("{ a = 1 }   # so\n[1, 2]\n"), Ok(TomlKind::Other));
+    assert!(check_toml("{ a = 1 }\n] 2\n").is_err());
+}
+
+/// True for a complete command of the project.
+///
+/// The bare name of a command, alternatives, options in brackets and placeholders are not complete.
+fn is_own_command(text: &str) -> bool {
+    let words = text.split_whitespace().count();
+    let own = text.starts_with("cargo ") || text.starts_with("platebench ");
+    let complete = !text.contains(['[', '|', '<', '…']) && !text.contains("...");
+    complete && (own && words > 2 || text.starts_with("ci/"))
 }
 
 #[test]
-fn every_command_can_be_typed() {
+fn every_command_parses() {
     let mut checked = 0;
     let mut faults = Vec::new();
-    for page in pages() {
+    for page in read_pages() {
         for block in &page.blocks {
-            let prompted = match &*block.language {
-                "console" => true,
-                "sh" | "bash" => false,
+            let (prompted, complete) = match &*block.language {
+                "console" => (true, true),
+                "sh" | "bash" => (false, true),
+                "" | "indented" => (false, false),
                 _ => continue,
             };
-            for line in commands(&block.text, prompted) {
+            for line in commands(&block.text, prompted).iter().filter(|line| complete || is_own_command(line)) {
                 checked += 1;
-                let fault = fault(&line, &root());
+                let fault = command_fault(line, &workspace_root());
                 faults.extend(fault.map(|fault| format!("{}:{}: {line}: {fault}", page.file.display(), block.line)));
             }
         }
+        for (code, line) in page.code_spans.iter().filter(|(code, _)| is_own_command(code)) {
+            checked += 1;
+            let fault = command_fault(code, &workspace_root());
+            faults.extend(fault.map(|fault| format!("{}:{line}: {code}: {fault}", page.file.display())));
+        }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
-    assert!(checked > 10, "only {checked} commands were found");
+    assert!(checked > 60, "only {checked} commands were found");
 }

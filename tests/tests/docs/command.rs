@@ -1,11 +1,11 @@
-//! Commands that people are told to type: the bench's own parse, and whatever else they name is there.
+//! Checks commands in the documentation: the bench's arguments parse, and programs, packages and files exist.
 
-use crate::page::root;
+use crate::page::workspace_root;
 use std::fs;
 use std::path::Path;
 
-/// Programs that are not ours and that pages may name.
-const FOREIGN: [&str; 15] = [
+/// Foreign programs that pages may name.
+const ALLOWED_PROGRAMS: [&str; 16] = [
     "cd",
     "chmod",
     "cp",
@@ -13,6 +13,7 @@ const FOREIGN: [&str; 15] = [
     "echo",
     "export",
     "git",
+    "just",
     "ls",
     "mkdir",
     "openssl",
@@ -23,25 +24,26 @@ const FOREIGN: [&str; 15] = [
     "mdbook",
 ];
 /// Folders of the project whose files a command may name.
-const FOLDERS: [&str; 6] = ["ci/", "docs/", "firmware-under-test/", "harness/", "scenarios/", "tests/"];
-const CARGO: [&str; 10] = ["add", "bench", "build", "clippy", "doc", "fmt", "install", "nextest", "run", "test"];
+const PROJECT_FOLDERS: [&str; 6] = ["ci/", "docs/", "firmware-under-test/", "harness/", "scenarios/", "tests/"];
+const CARGO_COMMANDS: [&str; 10] =
+    ["add", "bench", "build", "clippy", "doc", "fmt", "install", "nextest", "run", "test"];
 
-/// The commands of a shell script or, with a prompt before each, of a console.
+/// Commands of a shell script or, if `prompted`, of a console with a prompt before each.
 pub(crate) fn commands(text: &str, prompted: bool) -> Vec<String> {
     let joined = text.replace("\\\n", " ");
     let lines = joined.lines().map(str::trim);
-    let told = lines.filter_map(|line| if prompted { line.strip_prefix("$ ") } else { Some(line) });
-    told.filter(|line| !line.is_empty() && !line.starts_with('#')).map(str::to_owned).collect()
+    let typed = lines.filter_map(|line| if prompted { line.strip_prefix("$ ") } else { Some(line) });
+    typed.filter(|line| !line.is_empty() && !line.starts_with('#')).map(str::to_owned).collect()
 }
 
-/// What is wrong with a line of shell whose files are below `folder`.
-pub(crate) fn fault(line: &str, folder: &Path) -> Option<String> {
-    let Some(words) = shlex::split(line) else { return Some("quotes that are not closed".to_owned()) };
-    words.split(|word| matches!(&**word, "&&" | "||" | "|" | ";")).find_map(|words| one(words, folder))
+/// Fault of a line of shell with files below `folder`, if any.
+pub(crate) fn command_fault(line: &str, folder: &Path) -> Option<String> {
+    let Some(words) = shlex::split(line) else { return Some("a quote is not closed".to_owned()) };
+    words.split(|word| matches!(&**word, "&&" | "||" | "|" | ";")).find_map(|words| simple_command_fault(words, folder))
 }
 
-/// The words of a command of the bench itself, however it is called.
-pub(crate) fn of_bench(words: &[String]) -> Option<&[String]> {
+/// Arguments of a call of the bench, by `platebench` or `cargo platebench`.
+pub(crate) fn bench_arguments(words: &[String]) -> Option<&[String]> {
     match words {
         [program, arguments @ ..] if program == "platebench" => Some(arguments),
         [cargo, program, arguments @ ..] if cargo == "cargo" && program == "platebench" => Some(arguments),
@@ -49,27 +51,28 @@ pub(crate) fn of_bench(words: &[String]) -> Option<&[String]> {
     }
 }
 
-fn one(words: &[String], folder: &Path) -> Option<String> {
-    let assigned = words.iter().take_while(|word| word.split_once('=').is_some_and(|(name, _)| is_name(name))).count();
+fn simple_command_fault(words: &[String], folder: &Path) -> Option<String> {
+    let assigned =
+        words.iter().take_while(|word| word.split_once('=').is_some_and(|(name, _)| is_variable_name(name))).count();
     let words = words.get(assigned..).unwrap_or_default();
     let Some((program, arguments)) = words.split_first() else { return Some("no command".to_owned()) };
-    // Where the output goes is not an argument.
+    // A redirection is not an argument.
     let end = words.iter().position(|word| word.starts_with('>')).unwrap_or(words.len());
-    let fault = match (of_bench(&words[..end]), &**program) {
-        (Some(arguments), _) => parses(arguments).err(),
-        (None, "cargo") => cargo(arguments),
+    let fault = match (bench_arguments(&words[..end]), &**program) {
+        (Some(arguments), _) => parse_arguments(arguments).err(),
+        (None, "cargo") => cargo_fault(arguments),
         (None, program) if program.starts_with("ci/") => None,
-        (None, program) => (!FOREIGN.contains(&program)).then(|| format!("nobody knows the program `{program}`")),
+        (None, program) => (!ALLOWED_PROGRAMS.contains(&program)).then(|| format!("unknown program `{program}`")),
     };
-    fault.or_else(|| words.iter().find_map(|word| missing(word, folder)))
+    fault.or_else(|| words.iter().find_map(|word| missing_path(word, folder)))
 }
 
-fn is_name(name: &str) -> bool {
+fn is_variable_name(name: &str) -> bool {
     !name.is_empty() && name.chars().all(|c| c.is_ascii_uppercase() || c == '_')
 }
 
-/// Whether the bench understands `arguments`.
-pub(crate) fn parses(arguments: &[String]) -> Result<(), String> {
+/// Parses `arguments` of the bench.
+pub(crate) fn parse_arguments(arguments: &[String]) -> Result<(), String> {
     let words = std::iter::once("platebench".to_owned()).chain(arguments.iter().cloned());
     match platebench_cli::command().try_get_matches_from(words) {
         Ok(_) => Ok(()),
@@ -78,37 +81,38 @@ pub(crate) fn parses(arguments: &[String]) -> Result<(), String> {
     }
 }
 
-fn cargo(arguments: &[String]) -> Option<String> {
-    let configuration: toml::Table = fs::read_to_string(root().join(".cargo/config.toml")).unwrap().parse().unwrap();
+fn cargo_fault(arguments: &[String]) -> Option<String> {
+    let configuration: toml::Table =
+        fs::read_to_string(workspace_root().join(".cargo/config.toml")).unwrap().parse().unwrap();
     let command = arguments.first()?;
-    if !CARGO.contains(&&**command) && configuration["alias"].get(command).is_none() {
+    if !CARGO_COMMANDS.contains(&&**command) && configuration["alias"].get(command).is_none() {
         return Some(format!("cargo has no command `{command}`"));
     }
     arguments.windows(2).find_map(|pair| match pair {
         [flag, name] if flag == "-p" || flag == "--package" => {
-            let workspace = fs::read_to_string(root().join("Cargo.lock")).unwrap();
-            let there = workspace.contains(&format!("name = \"{name}\"\n"));
-            (!there).then(|| format!("there is no package `{name}`"))
+            let workspace = fs::read_to_string(workspace_root().join("Cargo.lock")).unwrap();
+            let exists = workspace.contains(&format!("name = \"{name}\"\n"));
+            (!exists).then(|| format!("the package `{name}` does not exist"))
         }
         _ => None,
     })
 }
 
-/// Something of the project that `word` names and that is not there.
-fn missing(word: &str, folder: &Path) -> Option<String> {
+/// Fault of a path of the project in `word` that does not exist.
+pub(crate) fn missing_path(word: &str, folder: &Path) -> Option<String> {
     let path = word.split_once("./").map_or(word, |(before, rest)| if before.is_empty() { rest } else { word });
-    if !FOLDERS.iter().any(|folder| path.starts_with(folder)) {
+    if !PROJECT_FOLDERS.iter().any(|folder| path.starts_with(folder)) {
         return None;
     }
-    let there = match path.split_once('*') {
-        Some((before, after)) => matches_one(folder, before, after),
+    let exists = match path.split_once('*') {
+        Some((before, after)) => exists_matching(folder, before, after),
         None => folder.join(path).exists(),
     };
-    (!there).then(|| format!("there is no `{path}`"))
+    (!exists).then(|| format!("`{path}` does not exist"))
 }
 
-/// Whether some file's path begins with `before` and ends with `after`.
-fn matches_one(folder: &Path, before: &str, after: &str) -> bool {
+/// True if the path of a file starts with `before` and ends with `after`.
+fn exists_matching(folder: &Path, before: &str, after: &str) -> bool {
     let (parent, start) = before.rsplit_once('/').unwrap_or(("", before));
     let entries = fs::read_dir(folder.join(parent)).into_iter().flatten().flatten();
     let mut names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
@@ -116,7 +120,7 @@ fn matches_one(folder: &Path, before: &str, after: &str) -> bool {
 }
 
 #[test]
-fn what_is_wrong_with_a_command_is_seen() {
+fn finds_faults_in_commands() {
     for good in [
         "platebench run scenarios/paper --rig hosted --trials 3   # a comment",
         "cargo platebench run scenarios/paper/fig14-*.toml",
@@ -126,7 +130,7 @@ fn what_is_wrong_with_a_command_is_seen() {
         "cargo test-all",
         "ci/release",
     ] {
-        assert_eq!(fault(good, &root()), None, "{good}");
+        assert_eq!(command_fault(good, &workspace_root()), None, "{good}");
     }
     for bad in [
         "platebench ran",
@@ -144,6 +148,6 @@ fn what_is_wrong_with_a_command_is_seen() {
         "platebench run 'x",
         "",
     ] {
-        assert!(fault(bad, &root()).is_some(), "{bad}");
+        assert!(command_fault(bad, &workspace_root()).is_some(), "{bad}");
     }
 }

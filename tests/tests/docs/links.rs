@@ -1,29 +1,34 @@
-//! Every link inside the project leads to a file that is there, and to a heading that is in it. A page of the book links to nothing outside of it, where its readers have nothing.
+//! Checks that links lead to existing files and headings, and that named files exist.
+//!
+//! Pages of the book link to nothing outside the book, because its readers have nothing else.
 
-use crate::page::{Page, pages, root};
+use crate::command::missing_path;
+use crate::page::{DocumentPage, read_pages, workspace_root};
 use std::path::Path;
 
-/// The book's pages, as `book.toml` says; `examples` below it are no pages of it.
+/// Folder of the book's pages, as in `book.toml`; its folder `examples` contains no pages.
 const BOOK: &str = "docs";
 
-/// What is wrong with a link of `page`.
-fn fault(page: &Page, link: &str) -> Option<String> {
+/// Fault of a link of `page`, if any.
+fn link_fault(page: &DocumentPage, link: &str) -> Option<String> {
     if link.contains("://") || link.starts_with("mailto:") {
         return None;
     }
     let (path, anchor) = link.split_once('#').map_or((link, None), |(path, anchor)| (path, Some(anchor)));
     let folder = page.file.parent().unwrap_or(Path::new(""));
     let file = if path.is_empty() { page.file.clone() } else { folder.join(path) };
-    let Ok(there) = root().join(&file).canonicalize() else { return Some(format!("there is no {}", file.display())) };
-    if !there.starts_with(root()) {
+    let Ok(there) = workspace_root().join(&file).canonicalize() else {
+        return Some(format!("{} does not exist", file.display()));
+    };
+    if !there.starts_with(workspace_root()) {
         return Some(format!("{} is not in the project", file.display()));
     }
-    if page.file.parent() == Some(Path::new(BOOK)) && !there.starts_with(root().join(BOOK)) {
+    if page.file.parent() == Some(Path::new(BOOK)) && !there.starts_with(workspace_root().join(BOOK)) {
         return Some(format!("{} is not in the book", file.display()));
     }
     let anchor = anchor?;
     if there.is_file() && there.extension().is_some_and(|extension| extension == "md") {
-        let target = Page::read(&there);
+        let target = DocumentPage::read(&there);
         let known = target.anchors.iter().any(|known| known == anchor);
         return (!known).then(|| format!("{} has no heading `{anchor}`, only {:?}", file.display(), target.anchors));
     }
@@ -31,13 +36,15 @@ fn fault(page: &Page, link: &str) -> Option<String> {
 }
 
 #[test]
-fn every_link_leads_somewhere() {
+fn every_link_has_a_target() {
     let mut checked = 0;
     let mut faults = Vec::new();
-    for page in pages() {
+    for page in read_pages() {
         for (link, line) in &page.links {
             checked += 1;
-            faults.extend(fault(&page, link).map(|fault| format!("{}:{line}: `{link}`: {fault}", page.file.display())));
+            faults.extend(
+                link_fault(&page, link).map(|fault| format!("{}:{line}: `{link}`: {fault}", page.file.display())),
+            );
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
@@ -45,10 +52,32 @@ fn every_link_leads_somewhere() {
 }
 
 #[test]
-fn links_that_lead_nowhere_are_seen() {
-    let page = Page { file: "docs/verdicts.md".into(), ..Page::default() };
+fn every_named_path_exists() {
+    let mut checked = 0;
+    let mut faults = Vec::new();
+    // The changelog describes earlier versions too.
+    for page in read_pages().into_iter().filter(|page| page.file != Path::new("CHANGELOG.md")) {
+        for (code, line) in &page.code_spans {
+            // Placeholders such as `scenarios/<name>` name no file.
+            let path = code.split_whitespace().next().unwrap_or_default();
+            if path.contains(['<', '{', '…']) {
+                continue;
+            }
+            checked += usize::from(path.contains('/'));
+            faults.extend(
+                missing_path(path, &workspace_root()).map(|it| format!("{}:{line}: {it}", page.file.display())),
+            );
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    assert!(checked > 100, "only {checked} paths were found");
+}
+
+#[test]
+fn finds_links_without_a_target() {
+    let page = DocumentPage { file: "docs/verdicts.md".into(), ..DocumentPage::default() };
     for good in ["#metrics", "verdicts.md", "report.md#plots", "examples/controller.py", "https://example.org/#x"] {
-        assert_eq!(fault(&page, good), None, "{good}");
+        assert_eq!(link_fault(&page, good), None, "{good}");
     }
     let outside = ["../README.md#two-commands", "../scenarios/paper"];
     let lost = [
@@ -61,8 +90,8 @@ fn links_that_lead_nowhere_are_seen() {
         "../../x",
     ];
     for bad in outside.into_iter().chain(lost) {
-        assert!(fault(&page, bad).is_some(), "{bad}");
+        assert!(link_fault(&page, bad).is_some(), "{bad}");
     }
-    let readme = Page { file: "docs/examples/native-tests/README.md".into(), ..Page::default() };
-    assert_eq!(fault(&readme, "../../../README.md#two-commands"), None, "no page of the book");
+    let readme = DocumentPage { file: "docs/examples/native-tests/README.md".into(), ..DocumentPage::default() };
+    assert_eq!(link_fault(&readme, "../../../README.md#two-commands"), None, "not a page of the book");
 }

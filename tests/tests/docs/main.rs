@@ -1,4 +1,4 @@
-//! The documentation is held to the program: links lead somewhere, commands parse, files load, the tutorial is played, and the reference is made from the code.
+//! Compares the documentation with the project: links, commands, files, the tutorial, and the generated reference.
 
 #![allow(
     clippy::unwrap_used,
@@ -11,6 +11,7 @@ mod blocks;
 mod book;
 mod command;
 mod examples;
+mod justfile;
 mod links;
 mod page;
 mod reference;

@@ -1,43 +1,45 @@
-//! A page of the documentation, taken apart.
+//! Parses a page of the documentation.
 
 use pulldown_cmark::{CodeBlockKind, Event, Options, Parser, Tag, TagEnd};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The workspace.
-pub(crate) fn root() -> PathBuf {
+/// Root folder of the workspace.
+pub(crate) fn workspace_root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
 }
 
 /// A code block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Block {
-    /// What stands behind the fence.
+    /// Word after the fence; `indented` without a fence.
     pub(crate) language: String,
     pub(crate) text: String,
-    /// Line of its text in the page, from 1.
+    /// Line of its text in the page, counted from 1.
     pub(crate) line: usize,
 }
 
-/// What a test looks at.
+/// A page with everything that the tests check.
 #[derive(Debug, Default)]
-pub(crate) struct Page {
+pub(crate) struct DocumentPage {
     /// Relative to the workspace.
     pub(crate) file: PathBuf,
     pub(crate) anchors: Vec<String>,
     /// Destination and line.
     pub(crate) links: Vec<(String, usize)>,
     pub(crate) blocks: Vec<Block>,
+    /// Inline code and its line.
+    pub(crate) code_spans: Vec<(String, usize)>,
 }
 
-impl Page {
+impl DocumentPage {
     pub(crate) fn read(file: &Path) -> Self {
-        let text = fs::read_to_string(root().join(file)).unwrap();
-        Self { file: file.to_owned(), ..Self::of(&text) }
+        let text = fs::read_to_string(workspace_root().join(file)).unwrap();
+        Self { file: file.to_owned(), ..Self::parse(&text) }
     }
 
-    pub(crate) fn of(text: &str) -> Self {
+    pub(crate) fn parse(text: &str) -> Self {
         let line = |at: usize| text.get(..at).unwrap_or_default().matches('\n').count() + 1;
         let mut page = Self::default();
         let mut heading: Option<String> = None;
@@ -54,20 +56,24 @@ impl Page {
                 Event::Start(Tag::Link { dest_url, .. } | Tag::Image { dest_url, .. }) => {
                     page.links.push((dest_url.into_string(), line(range.start)));
                 }
-                Event::Start(Tag::CodeBlock(CodeBlockKind::Fenced(language))) => {
-                    block = Some(Block {
-                        language: language.into_string(),
-                        text: String::new(),
-                        line: line(range.start) + 1,
-                    });
+                Event::Start(Tag::CodeBlock(kind)) => {
+                    let (language, line) = match kind {
+                        CodeBlockKind::Fenced(language) => (language.into_string(), line(range.start) + 1),
+                        CodeBlockKind::Indented => ("indented".to_owned(), line(range.start)),
+                    };
+                    block = Some(Block { language, text: String::new(), line });
                 }
                 Event::End(TagEnd::CodeBlock) => page.blocks.extend(block.take()),
-                Event::Text(words) | Event::Code(words) => {
-                    if let Some(block) = &mut block {
-                        block.text.push_str(&words);
-                    } else if let Some(heading) = &mut heading {
+                Event::Text(words) => match (&mut block, &mut heading) {
+                    (Some(block), _) => block.text.push_str(&words),
+                    (None, Some(heading)) => heading.push_str(&words),
+                    (None, None) => {}
+                },
+                Event::Code(words) => {
+                    if let Some(heading) = &mut heading {
                         heading.push_str(&words);
                     }
+                    page.code_spans.push((words.replace('\n', " "), line(range.start)));
                 }
                 _ => {}
             }
@@ -76,7 +82,7 @@ impl Page {
     }
 }
 
-/// What a forge calls a heading: lower case, no punctuation, hyphens for spaces; a second one of the same title gets a number.
+/// Anchor of a heading on GitHub: lower case, no punctuation, hyphens for spaces; a repeated title gets a number.
 fn anchor(title: &str, seen: &mut BTreeMap<String, usize>) -> String {
     let kept = title.trim().to_lowercase().replace(' ', "-");
     let name: String = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, '-' | '_')).collect();
@@ -85,21 +91,21 @@ fn anchor(title: &str, seen: &mut BTreeMap<String, usize>) -> String {
     if *times == 1 { name } else { format!("{name}-{}", *times - 1) }
 }
 
-/// Every page that people read: the README, what stands beside code, and `docs/`.
-pub(crate) fn pages() -> Vec<Page> {
+/// Reads every Markdown file of the project.
+pub(crate) fn read_pages() -> Vec<DocumentPage> {
     let mut files = Vec::new();
     collect(Path::new(""), &mut files);
     files.sort();
-    files.iter().map(|file| Page::read(file)).collect()
+    files.iter().map(|file| DocumentPage::read(file)).collect()
 }
 
 fn collect(folder: &Path, files: &mut Vec<PathBuf>) {
-    for entry in fs::read_dir(root().join(folder)).unwrap() {
+    for entry in fs::read_dir(workspace_root().join(folder)).unwrap() {
         let entry = entry.unwrap();
         let path = folder.join(entry.file_name());
         let name = entry.file_name().to_string_lossy().into_owned();
         if entry.file_type().unwrap().is_dir() {
-            // What is built, what is run, what is vendored.
+            // Skip folders with outputs and vendored files.
             if !name.starts_with('.') && !matches!(&*name, "target" | "runs" | "charts" | "node_modules" | "book") {
                 collect(&path, files);
             }
@@ -110,18 +116,19 @@ fn collect(folder: &Path, files: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn a_page_is_taken_apart() {
-    let page = Page::of(
+fn parses_a_page() {
+    let page = DocumentPage::parse(
         "# A `b` c: d!\n\n[x](y.md#z)\n\n## Same\n## Same\n\n```toml\na = 1\n```\n\n![i](j.png) `[no](link)`\n",
     );
     assert_eq!(page.anchors, ["a-b-c-d", "same", "same-1"]);
     assert_eq!(page.links, [("y.md#z".to_owned(), 3), ("j.png".to_owned(), 12)]);
+    assert_eq!(page.code_spans, [("b".to_owned(), 1), ("[no](link)".to_owned(), 12)]);
     assert_eq!(page.blocks, [Block { language: "toml".to_owned(), text: "a = 1\n".to_owned(), line: 9 }]);
 }
 
 #[test]
 fn the_pages_are_found() {
-    let files: Vec<_> = pages().into_iter().map(|page| page.file).collect();
+    let files: Vec<_> = read_pages().into_iter().map(|page| page.file).collect();
     for file in ["README.md", "CHANGELOG.md", "docs/verdicts.md", "firmware-under-test/stm32f4/README.md"] {
         assert!(files.iter().any(|found| found == Path::new(file)), "{file}");
     }

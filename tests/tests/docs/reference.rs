@@ -1,67 +1,71 @@
-//! The reference is made from the code: commands from clap, metrics from the table that the judge uses, keys from the types that serde reads.
+//! Generates the reference pages: commands from clap, metrics from `Metric`, keys from the types of serde.
 //!
-//! `ci/reference --update` writes it anew.
+//! `ci/reference --update` writes the pages; without it the tests compare them.
 
-use crate::page::root;
-use crate::source::{doc, has_default, type_words};
+use crate::page::workspace_root;
+use crate::source::{describe_type, doc_comment, has_default};
 use clap::Command;
-use platebench_scenario::{Metric, Over};
+use platebench_scenario::{Aggregation, Metric};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 use syn::{Fields, Item, ItemStruct};
 
-const HEAD: &str = "<!-- Written by `ci/reference --update`; a test holds it to the code. -->\n\n";
+const HEAD: &str = "<!-- Written by `ci/reference --update`; a test compares it with the code. -->\n\n";
 
 #[test]
-fn the_commands_are_what_the_program_says() {
-    let mut page = format!("{HEAD}# Commands\n\nWhat `--help` says of every command.\n");
-    let mut program = same_everywhere(platebench_cli::command()).color(clap::ColorChoice::Never).term_width(100);
+fn the_command_reference_matches_the_program() {
+    let mut page = format!("{HEAD}# Commands\n\nThe output of `--help` for every command.\n");
+    let mut program = without_environment(platebench_cli::command()).color(clap::ColorChoice::Never).term_width(100);
     program.build();
-    describe(&mut program, "platebench", &mut page);
-    hold("docs/reference-commands.md", &page);
+    append_command(&mut program, "platebench", &mut page);
+    check_or_update("docs/reference-commands.md", &page);
 }
 
-/// Without what the environment of whoever makes the page says.
-fn same_everywhere(command: Command) -> Command {
-    command.mut_args(|argument| argument.hide_env_values(true)).mut_subcommands(same_everywhere)
+/// Hides values of environment variables, which differ between machines.
+fn without_environment(command: Command) -> Command {
+    command.mut_args(|argument| argument.hide_env_values(true)).mut_subcommands(without_environment)
 }
 
-fn describe(command: &mut Command, name: &str, page: &mut String) {
+fn append_command(command: &mut Command, name: &str, page: &mut String) {
     let help = command.render_long_help().to_string();
     let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
     write!(page, "\n## {name}\n\n```text\n{}\n```\n", lines.join("\n").trim_end()).unwrap();
     for below in command.get_subcommands_mut().filter(|below| below.get_name() != "help" && !below.is_hide_set()) {
         let name = format!("{name} {}", below.get_name());
-        describe(below, &name, page);
+        append_command(below, &name, page);
     }
 }
 
 #[test]
-fn the_metrics_and_keys_are_what_the_loader_reads() {
+fn the_key_reference_matches_the_loader() {
     let mut page = format!("{HEAD}# Metrics and keys\n\n");
-    page.push_str("What a scenario may ask for and which keys the files may have. What they mean together: [scenarios](scenarios.md), [verdicts](verdicts.md),\n[acceptance](acceptance.md).\n\n");
-    metrics(&mut page);
+    page.push_str("Metrics, and the keys of all files. [Scenarios](scenarios.md), [verdicts](verdicts.md) and [acceptance](acceptance.md)\nexplain them.\n\n");
+    append_metrics(&mut page);
     for (title, file, top) in [
         ("Scenario file", "harness/scenario/src/raw.rs", "RawScenario"),
-        ("Plate file", "harness/plate/src/file.rs", "RawPlate"),
+        ("Plate file", "harness/plate/src/raw_plate.rs", "RawPlate"),
         ("Plan of an acceptance session", "harness/acceptance/src/plan.rs", "RawPlan"),
     ] {
         write!(page, "\n## {title}\n").unwrap();
-        let types = types(file);
-        keys(&types, top, "", &mut page);
+        let types = structs_by_name(file);
+        append_keys(&types, top, "", &mut page);
     }
-    hold("docs/reference-keys.md", &page);
+    check_or_update("docs/reference-keys.md", &page);
 }
 
-fn metrics(page: &mut String) {
-    let scenario = parsed("harness/scenario/src/expect.rs");
+fn append_metrics(page: &mut String) {
+    let scenario = parse_source("harness/scenario/src/expect.rs");
     let listed = scenario.items.iter().find_map(|item| match item {
         Item::Enum(metric) if metric.ident == "Metric" => Some(metric),
         _ => None,
     });
-    let docs: BTreeMap<_, _> =
-        listed.unwrap().variants.iter().map(|variant| (variant.ident.to_string(), doc(&variant.attrs))).collect();
+    let docs: BTreeMap<_, _> = listed
+        .unwrap()
+        .variants
+        .iter()
+        .map(|variant| (variant.ident.to_string(), doc_comment(&variant.attrs)))
+        .collect();
     assert_eq!(docs.len(), Metric::ALL.len(), "a metric is missing in `Metric::ALL`");
     page.push_str("## Metrics\n\n| metric | what | options | trials come to |\n|---|---|---|---|\n");
     for metric in Metric::ALL {
@@ -72,24 +76,24 @@ fn metrics(page: &mut String) {
             (metric.has_signal(), "`signal`"),
         ];
         let options: Vec<_> = options.iter().filter_map(|(has, name)| has.then_some(*name)).collect();
-        let over = match Over::default_of(metric) {
-            Over::Each => "each by itself",
-            Over::Mean => "their mean",
-            Over::Quantile(_) => "a quantile",
-            Over::Deviation => "their standard deviation",
+        let over = match Aggregation::default_for(metric) {
+            Aggregation::Each => "each by itself",
+            Aggregation::Mean => "their mean",
+            Aggregation::Quantile(_) => "a quantile",
+            Aggregation::StandardDeviation => "their standard deviation",
         };
         let what = docs[&format!("{metric:?}")].replace('|', "\\|");
         writeln!(page, "| `{metric}` | {what} | {} | {over} |", options.join(", ")).unwrap();
     }
 }
 
-fn parsed(file: &str) -> syn::File {
-    syn::parse_file(&fs::read_to_string(root().join(file)).unwrap()).unwrap()
+fn parse_source(file: &str) -> syn::File {
+    syn::parse_file(&fs::read_to_string(workspace_root().join(file)).unwrap()).unwrap()
 }
 
-/// The structs of a source file, by name.
-fn types(file: &str) -> BTreeMap<String, ItemStruct> {
-    let items = parsed(file).items.into_iter();
+/// Structs of a source file by name.
+fn structs_by_name(file: &str) -> BTreeMap<String, ItemStruct> {
+    let items = parse_source(file).items.into_iter();
     let structs = items.filter_map(|item| match item {
         Item::Struct(of) => Some((of.ident.to_string(), of)),
         _ => None,
@@ -97,9 +101,9 @@ fn types(file: &str) -> BTreeMap<String, ItemStruct> {
     structs.collect()
 }
 
-/// The keys of a type, then those of the types in it.
-fn keys(types: &BTreeMap<String, ItemStruct>, name: &str, path: &str, page: &mut String) {
-    let of = types.get(name).unwrap_or_else(|| panic!("there is no {name}"));
+/// Appends the keys of a type, then those of its fields' types.
+fn append_keys(types: &BTreeMap<String, ItemStruct>, name: &str, path: &str, page: &mut String) {
+    let of = types.get(name).unwrap_or_else(|| panic!("{name} does not exist"));
     let Fields::Named(fields) = &of.fields else { panic!("{name} has no keys") };
     if !path.is_empty() {
         write!(page, "\n### `{path}`\n").unwrap();
@@ -109,38 +113,38 @@ fn keys(types: &BTreeMap<String, ItemStruct>, name: &str, path: &str, page: &mut
     let mut below = Vec::new();
     for field in &fields.named {
         let key = field.ident.as_ref().unwrap().to_string();
-        let value = type_words(&field.ty);
+        let value = describe_type(&field.ty);
         let optional = all_optional || value.optional || has_default(&field.attrs);
-        let told = doc(&field.attrs).replace('|', "\\|");
-        assert!(!told.is_empty(), "nothing is said of `{key}` in {name}");
-        let shown = if types.contains_key(&value.name) { "table".to_owned() } else { value.words() };
-        let shown = if value.list && shown == "table" { "tables".to_owned() } else { shown };
-        writeln!(page, "| `{key}` | {shown} | {} | {told} |", if optional { "" } else { "required" }).unwrap();
+        let meaning = doc_comment(&field.attrs).replace('|', "\\|");
+        assert!(!meaning.is_empty(), "`{key}` in {name} has no docstring");
+        let kind = if types.contains_key(&value.name) { "table".to_owned() } else { value.describe() };
+        let kind = if value.list && kind == "table" { "tables".to_owned() } else { kind };
+        writeln!(page, "| `{key}` | {kind} | {} | {meaning} |", if optional { "" } else { "required" }).unwrap();
         if types.contains_key(&value.name) {
             let inner = if path.is_empty() { key } else { format!("{}.{key}", path.trim_matches(['[', ']'])) };
             below.push((value.name, if value.list { format!("[[{inner}]]") } else { format!("[{inner}]") }));
         }
     }
     for (name, path) in below {
-        keys(types, &name, &path, page);
+        append_keys(types, &name, &path, page);
     }
 }
 
-/// Holds a page to what was made; writes it where `ci/reference --update` asks for that.
+/// Compares a generated page with the committed one; writes it with `ci/reference --update`.
 #[track_caller]
-fn hold(file: &str, made: &str) {
-    let path = root().join(file);
-    if std::env::var_os("PLATEBENCH_REFERENCE").is_some_and(|wish| wish == "update") {
-        fs::write(&path, made).unwrap();
+fn check_or_update(file: &str, expected: &str) {
+    let path = workspace_root().join(file);
+    if std::env::var_os("PLATEBENCH_REFERENCE").is_some_and(|mode| mode == "update") {
+        fs::write(&path, expected).unwrap();
     }
     let committed = fs::read_to_string(&path).unwrap_or_default();
-    let differs = made.lines().zip(committed.lines()).position(|(made, committed)| made != committed);
-    let line = differs.unwrap_or_else(|| made.lines().count().min(committed.lines().count()));
+    let differs = expected.lines().zip(committed.lines()).position(|(expected, committed)| expected != committed);
+    let line = differs.unwrap_or_else(|| expected.lines().count().min(committed.lines().count()));
     assert!(
-        made == committed,
-        "{file}:{} is not what the code says, run `ci/reference --update`\nsays:   {}\nshould: {}",
+        expected == committed,
+        "{file}:{} differs from the code, run `ci/reference --update`\ncommitted: {}\nexpected:  {}",
         line + 1,
         committed.lines().nth(line).unwrap_or_default(),
-        made.lines().nth(line).unwrap_or_default()
+        expected.lines().nth(line).unwrap_or_default()
     );
 }

@@ -1,9 +1,9 @@
-//! Attributes and types of Rust source, in words.
+//! Describes attributes and types of Rust source in words.
 
 use syn::{Attribute, Expr, GenericArgument, Lit, Meta, PathArguments, Type};
 
 /// The documentation comment, in one line.
-pub(crate) fn doc(attributes: &[Attribute]) -> String {
+pub(crate) fn doc_comment(attributes: &[Attribute]) -> String {
     let lines = attributes.iter().filter_map(|attribute| match &attribute.meta {
         Meta::NameValue(pair) if pair.path.is_ident("doc") => match &pair.value {
             Expr::Lit(literal) => match &literal.lit {
@@ -17,7 +17,7 @@ pub(crate) fn doc(attributes: &[Attribute]) -> String {
     lines.collect::<Vec<_>>().join(" ").trim().to_owned()
 }
 
-/// True where serde fills in what is left out.
+/// True if serde has a default for a missing value.
 pub(crate) fn has_default(attributes: &[Attribute]) -> bool {
     let mut found = false;
     for attribute in attributes.iter().filter(|attribute| attribute.path().is_ident("serde")) {
@@ -35,15 +35,15 @@ pub(crate) fn has_default(attributes: &[Attribute]) -> bool {
 
 /// What a key holds.
 #[derive(Default)]
-pub(crate) struct Value {
+pub(crate) struct KeyType {
     pub(crate) name: String,
     pub(crate) optional: bool,
     pub(crate) list: bool,
     pair: bool,
 }
 
-impl Value {
-    pub(crate) fn words(&self) -> String {
+impl KeyType {
+    pub(crate) fn describe(&self) -> String {
         let word = match &*self.name {
             "f64" => "number",
             "i64" | "u32" => "whole number",
@@ -60,24 +60,24 @@ impl Value {
     }
 }
 
-pub(crate) fn type_words(of: &Type) -> Value {
+pub(crate) fn describe_type(of: &Type) -> KeyType {
     match of {
-        Type::Array(array) => Value { pair: true, ..type_words(&array.elem) },
+        Type::Array(array) => KeyType { pair: true, ..describe_type(&array.elem) },
         Type::Path(path) => {
             let last = path.path.segments.last().unwrap();
             let inner = match &last.arguments {
                 PathArguments::AngleBracketed(arguments) => match arguments.args.first() {
-                    Some(GenericArgument::Type(inner)) => Some(type_words(inner)),
+                    Some(GenericArgument::Type(inner)) => Some(describe_type(inner)),
                     _ => None,
                 },
                 _ => None,
             };
             match (inner, &*last.ident.to_string()) {
-                (Some(inner), "Option") => Value { optional: true, ..inner },
-                (Some(inner), "Vec") => Value { list: true, ..inner },
-                (_, name) => Value { name: name.to_owned(), ..Value::default() },
+                (Some(inner), "Option") => KeyType { optional: true, ..inner },
+                (Some(inner), "Vec") => KeyType { list: true, ..inner },
+                (_, name) => KeyType { name: name.to_owned(), ..KeyType::default() },
             }
         }
-        _ => panic!("a key has a type that has no words yet"),
+        _ => panic!("a key has an unknown type"),
     }
 }

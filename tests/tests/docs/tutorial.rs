@@ -1,17 +1,17 @@
-//! The tutorial, played from its first command to its last: what it says is shown is shown.
+//! Runs the tutorial from its first command to its last and compares the output.
 
-use crate::command::of_bench;
-use crate::page::{Page, root};
+use crate::command::bench_arguments;
+use crate::page::{DocumentPage, workspace_root};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// A folder as a fresh clone has it, as far as the tutorial goes. No links: a run keeps how its inputs lie to each other.
-fn clone() -> tempfile::TempDir {
+/// Copy of the parts of a clone that the tutorial uses. Copies, not links: a run keeps the relative paths of its inputs.
+fn example_clone() -> tempfile::TempDir {
     let clone = tempfile::tempdir().unwrap();
     for folder in ["scenarios/paper", "scenarios/plates"] {
         fs::create_dir_all(clone.path().join(folder)).unwrap();
-        for file in fs::read_dir(root().join(folder)).unwrap() {
+        for file in fs::read_dir(workspace_root().join(folder)).unwrap() {
             let path = file.unwrap().path();
             fs::copy(&path, clone.path().join(folder).join(path.file_name().unwrap())).unwrap();
         }
@@ -19,36 +19,37 @@ fn clone() -> tempfile::TempDir {
     clone
 }
 
-/// A command after its prompt, and the lines that it is said to show.
-fn told(text: &str) -> Vec<(String, Vec<String>)> {
-    let mut told: Vec<(String, Vec<String>)> = Vec::new();
+/// Commands and the lines of their documented output.
+fn commands_with_output(text: &str) -> Vec<(String, Vec<String>)> {
+    let mut typed: Vec<(String, Vec<String>)> = Vec::new();
     for line in text.lines() {
-        match (line.strip_prefix("$ "), told.last_mut()) {
-            (Some(command), _) => told.push((command.to_owned(), Vec::new())),
+        match (line.strip_prefix("$ "), typed.last_mut()) {
+            (Some(command), _) => typed.push((command.to_owned(), Vec::new())),
             (None, Some((_, lines))) => lines.push(line.trim_end().to_owned()),
-            (None, None) => panic!("`{line}` comes of no command"),
+            (None, None) => panic!("`{line}` has no command"),
         }
     }
-    told
+    typed
 }
 
-/// The first of `lines` that `shown` does not hold, in order; `…` stands for anything.
-fn missing<'a>(lines: &'a [String], shown: &str) -> Option<&'a String> {
-    let mut shown = shown.lines().map(str::trim_end);
+/// First of `lines` that `output` does not contain in this order; `…` matches any text.
+fn first_missing_line<'a>(lines: &'a [String], output: &str) -> Option<&'a String> {
+    let mut output_lines = output.lines().map(str::trim_end);
     lines.iter().find(|line| {
         let (start, end) = line.split_once('…').unwrap_or((line, ""));
         let open = line.contains('…');
         !line.is_empty()
-            && !shown.any(|shown| if open { shown.starts_with(start) && shown.ends_with(end) } else { shown == **line })
+            && !output_lines
+                .any(|text| if open { text.starts_with(start) && text.ends_with(end) } else { text == **line })
     })
 }
 
 #[test]
-fn the_tutorial_is_as_it_says() {
-    let clone = clone();
+fn the_tutorial_shows_the_actual_output() {
+    let clone = example_clone();
     let mut last_code = None;
     let mut played = 0;
-    for block in Page::read(Path::new("docs/tutorial.md")).blocks {
+    for block in DocumentPage::read(Path::new("docs/tutorial.md")).blocks {
         match &*block.language {
             "toml" => {
                 let name =
@@ -58,7 +59,7 @@ fn the_tutorial_is_as_it_says() {
                 fs::write(path, &block.text).unwrap();
             }
             "console" => {
-                for (line, lines) in told(&block.text) {
+                for (line, lines) in commands_with_output(&block.text) {
                     let words = shlex::split(&line).unwrap();
                     if line == "echo $?" {
                         assert_eq!(
@@ -67,14 +68,14 @@ fn the_tutorial_is_as_it_says() {
                             "{}",
                             block.line
                         );
-                    } else if let Some(arguments) = of_bench(&words) {
+                    } else if let Some(arguments) = bench_arguments(&words) {
                         let mut program = Command::new(env!("CARGO_BIN_EXE_platebench-under-test"));
                         let output = program.current_dir(clone.path()).args(arguments).output().unwrap();
-                        let shown = [&output.stdout[..], &output.stderr[..]].map(String::from_utf8_lossy).concat();
-                        let missing = missing(&lines, &shown);
+                        let text = [&output.stdout[..], &output.stderr[..]].map(String::from_utf8_lossy).concat();
+                        let missing = first_missing_line(&lines, &text);
                         assert!(
                             missing.is_none(),
-                            "docs/tutorial.md:{}: {line}: `{missing:?}` is not in\n{shown}",
+                            "docs/tutorial.md:{}: {line}: `{missing:?}` is not in\n{text}",
                             block.line
                         );
                         last_code = output.status.code();
@@ -89,9 +90,9 @@ fn the_tutorial_is_as_it_says() {
 }
 
 #[test]
-fn what_is_not_shown_is_seen() {
+fn finds_missing_output_lines() {
     let lines = |text: &str| text.lines().map(str::to_owned).collect::<Vec<_>>();
-    assert_eq!(missing(&lines("a\n\nc … e"), "a\nb\nc d e\n"), None);
-    assert_eq!(missing(&lines("c\na"), "a\nb\nc\n").map(String::as_str), Some("a"), "not in this order");
-    assert_eq!(missing(&lines("c … f"), "c d e").map(String::as_str), Some("c … f"));
+    assert_eq!(first_missing_line(&lines("a\n\nc … e"), "a\nb\nc d e\n"), None);
+    assert_eq!(first_missing_line(&lines("c\na"), "a\nb\nc\n").map(String::as_str), Some("a"), "not in this order");
+    assert_eq!(first_missing_line(&lines("c … f"), "c d e").map(String::as_str), Some("c … f"));
 }

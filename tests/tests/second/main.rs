@@ -6,22 +6,23 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on ends by panicking")]
 
 mod qemu;
-mod record;
+mod recorded_trials;
 
-use platebench_rig::{Emulated, Link};
-use platebench_wire::{Command, FrameReader, LawId, Message, Packet};
+use platebench_rig::{EmulatedLink, Link};
+use platebench_wire::{Command, LawId, Message, Packet, PacketReader};
 use qemu::Qemu;
-use record::{Conversation, Exchange};
+use recorded_trials::{RecordedExchange, RecordedTrial};
 
 /// Sent at once: far fewer bytes than the variant's ring holds.
-const AT_ONCE: usize = 64;
+const MAX_BYTES_PER_WRITE: usize = 64;
 
 /// Plays a conversation to QEMU and says where it answers otherwise. Its clock is that of the samples, so that every byte must agree.
-fn compare_with_qemu(qemu: &mut Qemu, conversation: &Conversation) -> Result<(), String> {
-    for part in conversation.exchanges.chunks(AT_ONCE) {
-        let questions: Vec<u8> = part.iter().flat_map(|exchange| exchange.question.clone()).collect();
+fn compare_with_qemu(qemu: &mut Qemu, conversation: &RecordedTrial) -> Result<(), String> {
+    for part in conversation.exchanges.chunks(MAX_BYTES_PER_WRITE) {
+        let questions: Vec<u8> = part.iter().flat_map(|exchange| exchange.request.clone()).collect();
         let length = part.iter().map(|exchange| exchange.answer.len()).sum();
-        let answers = qemu.ask(&questions, length).map_err(|problem| format!("{}: {problem}", conversation.name))?;
+        let answers =
+            qemu.exchange(&questions, length).map_err(|problem| format!("{}: {problem}", conversation.name))?;
         let mut at = 0;
         for exchange in part {
             let answer = &answers[at..at + exchange.answer.len()];
@@ -35,11 +36,11 @@ fn compare_with_qemu(qemu: &mut Qemu, conversation: &Conversation) -> Result<(),
 }
 
 /// Plays a conversation to the emulated board, which has a clock of its own: when it answered and how long that took are left out.
-fn compare_with_emulated(emulated: &mut Emulated, conversation: &Conversation) -> Result<(), String> {
+fn compare_with_emulated(emulated: &mut EmulatedLink, conversation: &RecordedTrial) -> Result<(), String> {
     emulated.restart().unwrap();
     for exchange in &conversation.exchanges {
         let mut answer = Vec::new();
-        emulated.exchange(exchange.now, &exchange.question, &mut answer).unwrap();
+        emulated.exchange(exchange.now, &exchange.request, &mut answer).unwrap();
         if without_times(&answer) != without_times(&exchange.answer) {
             return Err(difference(conversation, exchange, &answer));
         }
@@ -49,8 +50,7 @@ fn compare_with_emulated(emulated: &mut Emulated, conversation: &Conversation) -
 
 /// What was said.
 fn packets(bytes: &[u8]) -> Vec<Packet> {
-    let mut reader = FrameReader::new();
-    bytes.iter().filter_map(|&byte| reader.push(byte).map(|body| Packet::decode(body.unwrap()).unwrap())).collect()
+    PacketReader::new().packets(bytes).map(Result::unwrap).collect()
 }
 
 /// What was said without the target's times, as frames: two floats that are equal may differ in their bits.
@@ -65,28 +65,28 @@ fn without_times(bytes: &[u8]) -> Vec<Vec<u8>> {
     timeless.map(|packet| packet.encode().as_bytes().to_vec()).collect()
 }
 
-fn difference(conversation: &Conversation, exchange: &Exchange, answer: &[u8]) -> String {
+fn difference(conversation: &RecordedTrial, exchange: &RecordedExchange, answer: &[u8]) -> String {
     format!(
         "{} at {:?}: to {:?} the answer is {:?}, expected {:?}",
         conversation.name,
         exchange.now,
-        packets(&exchange.question),
+        packets(&exchange.request),
         packets(answer),
         packets(&exchange.answer)
     )
 }
 
-fn samples(conversations: &[Conversation]) -> usize {
+fn samples(conversations: &[RecordedTrial]) -> usize {
     conversations.iter().map(|conversation| conversation.exchanges.len()).sum()
 }
 
 #[test]
-fn the_paper_s_scenarios_give_the_same_bits_in_this_process_on_the_emulated_board_and_on_qemu() {
-    let Some(mut qemu) = Qemu::start_or_say_why_not() else { return };
-    let mut emulated = Emulated::built_in().unwrap();
+fn paper_scenarios_give_equal_bits_on_all_targets() {
+    let Some(mut qemu) = Qemu::start_if_installed() else { return };
+    let mut emulated = EmulatedLink::built_in().unwrap();
     let mut count = 0;
     for law in LawId::ALL {
-        let conversations = record::paper(law);
+        let conversations = recorded_trials::record_paper_scenarios(law);
         assert!(conversations.len() >= 20, "{} conversations under {}", conversations.len(), law.name());
         for conversation in &conversations {
             compare_with_emulated(&mut emulated, conversation).unwrap();
@@ -99,9 +99,9 @@ fn the_paper_s_scenarios_give_the_same_bits_in_this_process_on_the_emulated_boar
 }
 
 #[test]
-fn random_samples_under_random_designs_give_the_same_bits_on_qemu() {
-    let Some(mut qemu) = Qemu::start_or_say_why_not() else { return };
-    let conversations = record::random(3_000);
+fn random_samples_give_equal_bits_on_qemu() {
+    let Some(mut qemu) = Qemu::start_if_installed() else { return };
+    let conversations = recorded_trials::record_random_samples(3_000);
     for conversation in &conversations {
         compare_with_qemu(&mut qemu, conversation).unwrap();
     }
@@ -111,10 +111,10 @@ fn random_samples_under_random_designs_give_the_same_bits_on_qemu() {
 
 #[test]
 fn one_wrong_bit_is_found() {
-    let Some(mut qemu) = Qemu::start_or_say_why_not() else { return };
-    let mut conversation = record::random(100).remove(0);
+    let Some(mut qemu) = Qemu::start_if_installed() else { return };
+    let mut conversation = recorded_trials::record_random_samples(100).remove(0);
     compare_with_qemu(&mut qemu, &conversation).unwrap();
-    let mut emulated = Emulated::built_in().unwrap();
+    let mut emulated = EmulatedLink::built_in().unwrap();
     compare_with_emulated(&mut emulated, &conversation).unwrap();
     conversation.flip_a_bit_of_the_last_drive();
     let found = compare_with_qemu(&mut qemu, &conversation).unwrap_err();
@@ -123,9 +123,9 @@ fn one_wrong_bit_is_found() {
 }
 
 #[test]
-fn a_qemu_that_ends_is_noticed_at_once() {
-    let Some(mut qemu) = Qemu::start_or_say_why_not() else { return };
+fn a_terminated_qemu_is_reported() {
+    let Some(mut qemu) = Qemu::start_if_installed() else { return };
     qemu.kill();
-    let problem = qemu.ask(&[0], 1).unwrap_err();
+    let problem = qemu.exchange(&[0], 1).unwrap_err();
     assert!(problem.contains("QEMU"), "{problem}");
 }

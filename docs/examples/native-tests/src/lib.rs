@@ -1,1 +1,1 @@
-//! Where a project has its own code. Its scenarios are played by `tests/scenarios.rs`.
+//! Place of the project's own code. `tests/scenarios.rs` runs its scenarios.

@@ -1,28 +1,28 @@
-//! The law on the envelope that it reckons with, in f64. On the modal plate it is played by `harness/runner/tests`.
+//! Tests the law on its envelope model in f64. `harness/runner/tests` plays it on the modal plate.
 
 use super::Phase;
 use crate::law::example::CONFIGURE;
-use crate::law::tests::{Bench, FORCE, NINE_KELVIN, Period};
+use crate::law::tests::{FORCE, LawSimulation, NINE_KELVIN, SimulatedPeriod};
 use crate::law::{Law, Measurement};
 use platebench_wire::{Configure, Gains, LawId, flags};
 use std::vec::Vec;
 
 const DEADBEAT: Configure = Configure { law: LawId::Deadbeat, ..CONFIGURE };
 
-fn highest(periods: &[Period]) -> f64 {
+fn highest_drive(periods: &[SimulatedPeriod]) -> f64 {
     periods.iter().map(|period| period.amplitude).fold(0.0, f64::max)
 }
 
-fn raised(periods: &[Period]) -> u8 {
+fn raised_flags(periods: &[SimulatedPeriod]) -> u8 {
     periods.iter().fold(0, |all, period| all | period.actuation.flags)
 }
 
 /// Two periods, whatever finger up to 2 N and whatever detuning up to 9 K, with at most 800 Vpp.
 #[test]
-fn two_periods_are_enough() {
+fn settles_in_two_periods() {
     for damping in [1.0, 1.2, 1.5, 2.0, 7.0 / 3.0] {
         for resonance in [0.0, NINE_KELVIN, -NINE_KELVIN, 200.0] {
-            let played = Bench::new(&DEADBEAT, damping, resonance).play(2.0, 40);
+            let played = LawSimulation::new(&DEADBEAT, damping, resonance).run_periods(2.0, 40);
             let at_two = played[2];
             assert!((at_two.amplitude - 2.0).abs() < 1e-3, "σ × {damping}, {resonance} rad/s: {at_two:?}");
             // 628 rad/s per period are not always enough to turn W at once.
@@ -32,7 +32,7 @@ fn two_periods_are_enough() {
             assert!(played[2..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "{played:?}");
             let last = played[39];
             assert!(last.wq.abs() < 1e-3 && (last.amplitude - 2.0).abs() < 1e-4, "{last:?}");
-            assert_eq!(raised(&played) & (flags::SATURATED | flags::PREDICTION_MISSED), 0);
+            assert_eq!(raised_flags(&played) & (flags::SATURATED | flags::PREDICTION_MISSED), 0);
         }
     }
 }
@@ -40,7 +40,7 @@ fn two_periods_are_enough() {
 #[test]
 fn the_hand_over_has_no_bump() {
     for damping in [1.0, 7.0 / 3.0] {
-        let played = Bench::new(&DEADBEAT, damping, NINE_KELVIN).play(2.0, 40);
+        let played = LawSimulation::new(&DEADBEAT, damping, NINE_KELVIN).run_periods(2.0, 40);
         let holding = f64::from(played[39].actuation.drive_vpp);
         assert!((holding / (2.0 * damping / 0.00698) - 1.0).abs() < 1e-3, "{holding} Vpp");
         for period in &played[4..] {
@@ -51,24 +51,24 @@ fn the_hand_over_has_no_bump() {
 
 #[test]
 fn a_new_setpoint_is_there_a_period_later() {
-    let mut bench = Bench::new(&DEADBEAT, 1.5, 100.0);
-    bench.play(1.0, 20);
+    let mut bench = LawSimulation::new(&DEADBEAT, 1.5, 100.0);
+    bench.run_periods(1.0, 20);
     for setpoint in [1.5, 1.2, 1.6, 1.5] {
-        let played = bench.play(setpoint, 12);
+        let played = bench.run_periods(setpoint, 12);
         assert!((played[1].amplitude - setpoint).abs() < 0.005 * setpoint, "{setpoint} µm: {:?}", played[1]);
         assert!(played[1..].iter().all(|period| (period.amplitude - setpoint).abs() < 0.01 * setpoint), "{played:?}");
     }
     // Down by more than a period's decay: at 0 V until the last period, and no undershoot.
-    let played = bench.play(0.5, 12);
+    let played = bench.run_periods(0.5, 12);
     assert_eq!(played[0].actuation.drive_vpp, 0.0);
     assert!(played.iter().all(|period| period.amplitude > 0.495), "{played:?}");
     assert!((played[3].amplitude - 0.5).abs() < 0.01, "{played:?}");
 }
 
 #[test]
-fn at_its_limit_the_drive_stays_there_until_the_setpoint_is_in_reach() {
-    let mut bench = Bench::new(&Configure { drive_limit_vpp: 400.0, ..DEADBEAT }, 1.0, 0.0);
-    let played = bench.play(2.0, 20);
+fn drive_stays_at_its_limit_until_the_setpoint_is_near() {
+    let mut bench = LawSimulation::new(&Configure { drive_limit_vpp: 400.0, ..DEADBEAT }, 1.0, 0.0);
+    let played = bench.run_periods(2.0, 20);
     let drives: Vec<_> = played.iter().map(|period| period.actuation.drive_vpp).collect();
     assert_eq!(drives[..2], [400.0, 400.0]);
     assert!((300.0..340.0).contains(&drives[2]), "{drives:?}");
@@ -78,70 +78,70 @@ fn at_its_limit_the_drive_stays_there_until_the_setpoint_is_in_reach() {
 }
 
 #[test]
-fn out_of_reach_it_says_saturated_and_nothing_worse_and_comes_back() {
-    let mut bench = Bench::new(&Configure { drive_limit_vpp: 400.0, ..DEADBEAT }, 7.0 / 3.0, 0.0);
-    let played = bench.play(2.0, 60);
+fn out_of_reach_only_raises_saturated_and_recovers() {
+    let mut bench = LawSimulation::new(&Configure { drive_limit_vpp: 400.0, ..DEADBEAT }, 7.0 / 3.0, 0.0);
+    let played = bench.run_periods(2.0, 60);
     assert!(played[..50].iter().all(|period| period.actuation.drive_vpp == 400.0));
-    assert_eq!(raised(&played) & !flags::FREQUENCY_LIMITED, flags::SATURATED);
+    assert_eq!(raised_flags(&played) & !flags::FREQUENCY_LIMITED, flags::SATURATED);
     let Law::Deadbeat(law) = bench.law else { panic!("another law") };
     assert_eq!(law.phase, Phase::Holding);
     assert!((law.mode.sigma * CONFIGURE.time_constant_s * 3.0 / 7.0 - 1.0).abs() < 1e-3, "{:?}", law.mode);
     bench.damping = 1.0;
-    let played = bench.play(2.0, 30);
-    assert!(highest(&played) < 2.1, "{played:?}");
+    let played = bench.run_periods(2.0, 30);
+    assert!(highest_drive(&played) < 2.1, "{played:?}");
     assert!(played[6..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "{played:?}");
 }
 
-/// Nobody knows who left while there was no setpoint.
+/// A finger may leave while the setpoint is 0.
 #[test]
-fn every_start_from_rest_expects_an_untouched_plate_at_the_last_resonance() {
-    let mut bench = Bench::new(&DEADBEAT, 7.0 / 3.0, NINE_KELVIN);
-    bench.play(2.0, 30);
-    bench.play(0.0, 30);
+fn a_restart_assumes_an_untouched_plate() {
+    let mut bench = LawSimulation::new(&DEADBEAT, 7.0 / 3.0, NINE_KELVIN);
+    bench.run_periods(2.0, 30);
+    bench.run_periods(0.0, 30);
     bench.damping = 1.0;
-    let played = bench.play(2.0, 30);
-    assert!(highest(&played) < 2.01, "{played:?}");
+    let played = bench.run_periods(2.0, 30);
+    assert!(highest_drive(&played) < 2.01, "{played:?}");
     assert!(played[1].wq.abs() < 0.01, "{played:?}");
 }
 
 #[test]
-fn given_gains_hold() {
+fn given_gains_stay_fixed() {
     let gains = Gains { amplitude_kp: 50.0, amplitude_ki: 2.5e4, frequency_kp: 500.0, frequency_ki: 2e5 };
     let configure = Configure { gains: Some(gains), ..DEADBEAT };
     assert_eq!(Law::design(&configure).unwrap().1, gains);
-    let mut bench = Bench::new(&configure, 1.5, 0.0);
-    let before = *bench.play(2.0, 30).last().unwrap();
+    let mut bench = LawSimulation::new(&configure, 1.5, 0.0);
+    let before = *bench.run_periods(2.0, 30).last().unwrap();
     bench.w.0 += 0.01;
-    let change = bench.period(2.0).actuation.drive_vpp - before.actuation.drive_vpp;
+    let change = bench.run_period(2.0).actuation.drive_vpp - before.actuation.drive_vpp;
     assert!((change + 50.0 * 0.01).abs() < 0.01, "{change} Vpp");
 }
 
 #[test]
-fn a_finger_that_comes_or_goes_at_once_is_answered_at_once() {
+fn a_sudden_finger_is_corrected_at_once() {
     for (before, after) in [(1.0, 2.0), (1.0, 7.0 / 3.0), (2.0, 1.0), (7.0 / 3.0, 1.0)] {
-        let mut bench = Bench::new(&DEADBEAT, before, NINE_KELVIN);
-        bench.play(2.0, 30);
+        let mut bench = LawSimulation::new(&DEADBEAT, before, NINE_KELVIN);
+        bench.run_periods(2.0, 30);
         bench.damping = after;
-        let played = bench.play(2.0, 30);
+        let played = bench.run_periods(2.0, 30);
         // The first sample shows it, the second is on the setpoint again.
         assert!((played[1].amplitude - 2.0).abs() > 0.2, "{played:?}");
         assert!(
             played[2..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02),
             "σ × {before} to {after}: {played:?}"
         );
-        assert_eq!(raised(&played) & flags::PREDICTION_MISSED, 0);
+        assert_eq!(raised_flags(&played) & flags::PREDICTION_MISSED, 0);
     }
 }
 
 /// Within a period no single damping explains what happened; a delay would.
 #[test]
-fn a_finger_within_a_period_is_no_delay() {
+fn a_finger_within_a_period_is_not_taken_for_a_delay() {
     for (before, after) in [(1.0, 2.0), (7.0 / 3.0, 1.0)] {
         for share in [0.1, 0.3, 0.5, 0.7, 0.9] {
-            let mut bench = Bench::new(&DEADBEAT, before, 0.0);
-            bench.play(2.0, 30);
-            bench.changes_to(after, share);
-            let played = bench.play(2.0, 30);
+            let mut bench = LawSimulation::new(&DEADBEAT, before, 0.0);
+            bench.run_periods(2.0, 30);
+            bench.change_damping(after, share);
+            let played = bench.run_periods(2.0, 30);
             assert!(played[4..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.04), "{share}: {played:?}");
             let Law::Deadbeat(law) = bench.law else { panic!("another law") };
             assert_eq!(law.delay, 0.0, "σ × {before} to {after} after {share} of a period");
@@ -149,38 +149,38 @@ fn a_finger_within_a_period_is_no_delay() {
     }
 }
 
-/// A plate that swings by 3.3 %: there is nothing to arrive at.
+/// A plate that varies by 3.3 % never arrives.
 #[test]
-fn steering_comes_to_an_end() {
-    let mut bench = Bench::new(&DEADBEAT, 1.0, 0.0);
+fn steering_ends_on_an_unsteady_plate() {
+    let mut bench = LawSimulation::new(&DEADBEAT, 1.0, 0.0);
     for period in 0..6 {
-        bench.period(2.0);
+        bench.run_period(2.0);
         bench.w.0 *= if period % 2 == 0 { 1.033 } else { 0.967 };
     }
     let Law::Deadbeat(law) = bench.law else { panic!("another law") };
     assert_eq!(law.phase, Phase::Holding);
 }
 
-/// Nobody tells the law of a delay. It may cost the first start an overshoot, and never a second one.
+/// An unknown delay may cause an overshoot at the first start only.
 #[test]
-fn a_delay_is_found_and_from_then_on_reckoned_with() {
+fn an_unknown_delay_is_found_and_compensated() {
     for delay in [0.1e-3, 0.2e-3, 0.3e-3, 0.4e-3, 0.5e-3] {
         for (damping, resonance) in [(1.0, 0.0), (1.0, NINE_KELVIN), (1.5, 0.0)] {
-            let mut bench = Bench { delay, ..Bench::new(&DEADBEAT, damping, resonance) };
-            let first = bench.play(2.0, 30);
+            let mut bench = LawSimulation { delay, ..LawSimulation::new(&DEADBEAT, damping, resonance) };
+            let first = bench.run_periods(2.0, 30);
             assert!(
                 first[6..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1),
                 "{delay} s, σ × {damping}: {first:?}"
             );
-            assert_eq!(raised(&first) & flags::PREDICTION_MISSED, 0);
-            bench.play(0.0, 30);
-            let second = bench.play(2.0, 30);
-            assert!(highest(&second) < 2.04, "{delay} s, σ × {damping}: {second:?}");
+            assert_eq!(raised_flags(&first) & flags::PREDICTION_MISSED, 0);
+            bench.run_periods(0.0, 30);
+            let second = bench.run_periods(2.0, 30);
+            assert!(highest_drive(&second) < 2.04, "{delay} s, σ × {damping}: {second:?}");
             assert!(
                 second[4..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.04),
                 "{delay} s, σ × {damping}: {second:?}"
             );
-            let third = bench.play(2.4, 12);
+            let third = bench.run_periods(2.4, 12);
             assert!(
                 third[2..].iter().all(|period| (period.amplitude - 2.4).abs() < 0.05),
                 "{delay} s, σ × {damping}: {third:?}"
@@ -189,28 +189,29 @@ fn a_delay_is_found_and_from_then_on_reckoned_with() {
     }
 }
 
-/// The first sample is taken for a delay, the second one corrects that.
+/// The law assumes a delay after the first sample and corrects it after the second.
 #[test]
-fn a_finger_too_heavy_to_be_believed_costs_a_period() {
+fn a_very_heavy_finger_costs_one_period() {
     for damping in [2.6, 3.0, 4.0] {
         let configure = Configure { drive_limit_vpp: 1500.0, ..DEADBEAT };
-        let mut bench = Bench::new(&configure, damping, NINE_KELVIN);
-        let played = bench.play(2.0, 30);
+        let mut bench = LawSimulation::new(&configure, damping, NINE_KELVIN);
+        let played = bench.run_periods(2.0, 30);
         assert!(played[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "σ × {damping}: {played:?}");
-        assert_eq!(raised(&played) & flags::PREDICTION_MISSED, 0);
+        assert_eq!(raised_flags(&played) & flags::PREDICTION_MISSED, 0);
         let Law::Deadbeat(law) = bench.law else { panic!("another law") };
         assert_eq!(law.delay, 0.0);
     }
 }
 
-/// Without a delay none is found where the plate is not quite the nominal one, except that too little of it under 2 N
-/// is more damping than any finger's and becomes a tenth of a period.
+/// Without a delay none is found where the plate is not quite the nominal one, except that too
+/// little of it under 2 N is more damping than any finger's and becomes a tenth of a period.
 #[test]
-fn a_plate_of_another_gain_is_no_delay() {
+fn a_gain_error_is_not_taken_for_a_delay() {
     for gain in [0.9, 0.95, 1.05, 1.1] {
         for damping in [1.0, 1.5, 7.0 / 3.0] {
-            let mut bench = Bench { force: FORCE * gain, ..Bench::new(&DEADBEAT, damping, NINE_KELVIN) };
-            let played = bench.play(2.0, 40);
+            let mut bench =
+                LawSimulation { force: FORCE * gain, ..LawSimulation::new(&DEADBEAT, damping, NINE_KELVIN) };
+            let played = bench.run_periods(2.0, 40);
             assert!(
                 played[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1),
                 "K1 × {gain}, σ × {damping}: {played:?}"
@@ -223,70 +224,76 @@ fn a_plate_of_another_gain_is_no_delay() {
     }
 }
 
-/// A sensor that shows something else than the plate: no prediction holds, and the law says so and stays within its limits.
+/// With an unrelated sensor signal every prediction fails: the law raises its flag and keeps its
+/// limits.
 #[test]
-fn a_plate_that_obeys_nothing_ends_in_the_fallback() {
+fn an_unpredictable_plate_ends_in_the_fallback() {
     let mut law = Law::design(&DEADBEAT).unwrap().0;
-    let shown = [(0.3, 1.0), (2.5, -0.4), (1.0, 0.2), (0.4, -1.5), (3.0, 0.1)];
+    let samples = [(0.3, 1.0), (2.5, -0.4), (1.0, 0.2), (0.4, -1.5), (3.0, 0.1)];
     let mut flagged = 0;
-    for (wd_um, wq_um) in shown.into_iter().cycle().take(200) {
+    for (wd_um, wq_um) in samples.into_iter().cycle().take(200) {
         let actuation = law.step(&Measurement { setpoint_um: 2.0, wd_um, wq_um });
         assert!((0.0..=900.0).contains(&actuation.drive_vpp));
         flagged += u32::from(actuation.flags & flags::PREDICTION_MISSED != 0);
     }
     assert!(flagged > 100, "{flagged} of 200");
-    // A plate that behaves again is believed after the probation.
+    // After the fallback the law uses its predictions again.
     let Law::Deadbeat(law) = law else { panic!("another law") };
-    let mut bench = Bench { law: Law::Deadbeat(law), ..Bench::new(&DEADBEAT, 1.0, 0.0) };
-    bench.play(2.0, 60);
-    assert_eq!(raised(&bench.play(2.0, 10)) & flags::PREDICTION_MISSED, 0);
+    let mut bench = LawSimulation { law: Law::Deadbeat(law), ..LawSimulation::new(&DEADBEAT, 1.0, 0.0) };
+    bench.run_periods(2.0, 60);
+    assert_eq!(raised_flags(&bench.run_periods(2.0, 10)) & flags::PREDICTION_MISSED, 0);
 }
 
-/// A law that knows its delay steers as if there were none, later by just that: a start is over two periods after its drive began to act, whatever the finger.
+/// With a configured delay a start ends two periods after its drive began to act, under any finger.
 #[test]
-fn a_told_delay_never_overshoots() {
+fn a_given_delay_never_overshoots() {
     for loop_delay_us in [100, 300, 500, 550, 600, 800, 1_000] {
         let delay = f64::from(loop_delay_us) * 1e-6;
         // A first sample after less than 0.45 of a period of drive is not looked at.
         let arrived = if loop_delay_us <= 550 { 3 } else { 4 };
         for (damping, resonance) in [(1.0, 0.0), (1.0, NINE_KELVIN), (2.0, 0.0), (7.0 / 3.0, NINE_KELVIN)] {
             let configure = Configure { loop_delay_us, ..DEADBEAT };
-            let mut bench = Bench { delay, ..Bench::new(&configure, damping, resonance) };
+            let mut bench = LawSimulation { delay, ..LawSimulation::new(&configure, damping, resonance) };
             for setpoint in [2.0, 1.0, 2.0] {
-                let played = bench.play(setpoint, 30);
+                let played = bench.run_periods(setpoint, 30);
                 let case = std::format!("{delay} s, σ × {damping}, {resonance} rad/s");
                 if setpoint > 1.5 {
-                    assert!(highest(&played) < 2.04, "{case}: {played:?}");
+                    assert!(highest_drive(&played) < 2.04, "{case}: {played:?}");
                 }
-                let on_setpoint = |period: &Period| (period.amplitude - setpoint).abs() < 0.04;
+                let on_setpoint = |period: &SimulatedPeriod| (period.amplitude - setpoint).abs() < 0.04;
                 assert!(played[arrived..].iter().all(on_setpoint), "{case}: {played:?}");
-                assert_eq!(raised(&played) & flags::PREDICTION_MISSED, 0, "{case}");
+                assert_eq!(raised_flags(&played) & flags::PREDICTION_MISSED, 0, "{case}");
             }
         }
     }
 }
 
-/// What is told is where the search begins, not where it ends.
+/// The search starts at the configured delay.
 #[test]
-fn a_delay_told_wrong_is_put_right() {
+fn a_wrong_given_delay_is_corrected() {
     for (loop_delay_us, delay) in [(400, 0.3e-3), (400, 0.5e-3), (200, 0.4e-3)] {
-        let mut bench = Bench { delay, ..Bench::new(&Configure { loop_delay_us, ..DEADBEAT }, 1.0, 0.0) };
-        bench.play(2.0, 30);
-        bench.play(0.0, 30);
-        let second = bench.play(2.0, 30);
-        assert!(highest(&second) < 2.04, "{loop_delay_us} µs told, {delay} s: {second:?}");
+        let mut bench =
+            LawSimulation { delay, ..LawSimulation::new(&Configure { loop_delay_us, ..DEADBEAT }, 1.0, 0.0) };
+        bench.run_periods(2.0, 30);
+        bench.run_periods(0.0, 30);
+        let second = bench.run_periods(2.0, 30);
+        assert!(highest_drive(&second) < 2.04, "{loop_delay_us} µs configured, {delay} s: {second:?}");
         let Law::Deadbeat(law) = bench.law else { panic!("another law") };
-        assert!((f64::from(law.delay) - delay).abs() < 1e-5, "{loop_delay_us} µs told, {delay} s: {} s", law.delay);
+        assert!(
+            (f64::from(law.delay) - delay).abs() < 1e-5,
+            "{loop_delay_us} µs configured, {delay} s: {} s",
+            law.delay
+        );
     }
 }
 
-/// Nothing is taken for a delay where the delay is known.
+/// A configured delay prevents the wrong assumption of a delay.
 #[test]
-fn with_a_told_delay_the_heaviest_finger_costs_no_period() {
+fn a_heavy_finger_costs_nothing_with_a_given_delay() {
     for damping in [2.6, 3.0, 4.0] {
         let configure = Configure { drive_limit_vpp: 1500.0, loop_delay_us: 300, ..DEADBEAT };
-        let mut bench = Bench { delay: 0.3e-3, ..Bench::new(&configure, damping, NINE_KELVIN) };
-        let played = bench.play(2.0, 30);
+        let mut bench = LawSimulation { delay: 0.3e-3, ..LawSimulation::new(&configure, damping, NINE_KELVIN) };
+        let played = bench.run_periods(2.0, 30);
         assert!(played[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.06), "σ × {damping}: {played:?}");
     }
 }

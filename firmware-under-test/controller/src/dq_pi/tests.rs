@@ -1,26 +1,26 @@
-//! The schedule against the fixed gains that it starts from.
+//! Compares the scheduled gains with the fixed ones.
 
 use super::*;
 use crate::law::example::CONFIGURE;
-use crate::law::tests::{Bench, FORCE, NINE_KELVIN, Period};
+use crate::law::tests::{FORCE, LawSimulation, NINE_KELVIN, SimulatedPeriod};
 use platebench_wire::LawId;
 use std::vec::Vec;
 
-fn played(law: LawId, damping: f64, resonance: f64, delay: f64) -> Vec<Period> {
+fn simulate(law: LawId, damping: f64, resonance: f64, delay: f64) -> Vec<SimulatedPeriod> {
     let configure = Configure { law, ..CONFIGURE };
-    Bench { delay, ..Bench::new(&configure, damping, resonance) }.play(2.0, 40)
+    LawSimulation { delay, ..LawSimulation::new(&configure, damping, resonance) }.run_periods(2.0, 40)
 }
 
 /// The first period from which on |W| stays within 5 %.
-fn settled(played: &[Period]) -> usize {
+fn settling_period(played: &[SimulatedPeriod]) -> usize {
     played.iter().rposition(|period| (period.amplitude - 2.0).abs() > 0.1).map_or(0, |outside| outside + 1)
 }
 
 #[test]
-fn untouched_the_schedule_changes_nothing() {
+fn the_schedule_is_neutral_on_the_nominal_plate() {
     for (resonance, delay) in [(0.0, 0.0), (NINE_KELVIN, 0.0), (-NINE_KELVIN, 0.0), (0.0, 0.2e-3), (0.0, 0.5e-3)] {
-        let scheduled = played(LawId::DqPi, 1.0, resonance, delay);
-        let fixed = played(LawId::DqPiFixed, 1.0, resonance, delay);
+        let scheduled = simulate(LawId::DqPi, 1.0, resonance, delay);
+        let fixed = simulate(LawId::DqPiFixed, 1.0, resonance, delay);
         for (a, b) in scheduled.iter().zip(&fixed) {
             assert!((a.amplitude - b.amplitude).abs() < 0.002, "{resonance} rad/s, {delay} s: {a:?} instead of {b:?}");
         }
@@ -28,38 +28,41 @@ fn untouched_the_schedule_changes_nothing() {
 }
 
 #[test]
-fn under_a_finger_it_is_the_design_for_that_finger() {
+fn under_a_finger_it_uses_the_gains_for_that_finger() {
     for damping in [1.5, 2.0, 7.0 / 3.0] {
         for resonance in [0.0, NINE_KELVIN, -NINE_KELVIN] {
-            assert!(settled(&played(LawId::DqPi, damping, resonance, 0.0)) <= 4, "σ × {damping}, {resonance} rad/s");
+            assert!(
+                settling_period(&simulate(LawId::DqPi, damping, resonance, 0.0)) <= 4,
+                "σ × {damping}, {resonance} rad/s"
+            );
         }
     }
-    assert!(settled(&played(LawId::DqPiFixed, 7.0 / 3.0, 0.0, 0.0)) >= 9);
-    let wq = |law| played(law, 7.0 / 3.0, NINE_KELVIN, 0.0)[8].wq.abs();
+    assert!(settling_period(&simulate(LawId::DqPiFixed, 7.0 / 3.0, 0.0, 0.0)) >= 9);
+    let wq = |law| simulate(law, 7.0 / 3.0, NINE_KELVIN, 0.0)[8].wq.abs();
     assert!(wq(LawId::DqPi) < 0.2 * wq(LawId::DqPiFixed), "the frequency loop as well: {} µm", wq(LawId::DqPi));
-    assert!(settled(&played(LawId::DqPi, 7.0 / 3.0, 0.0, 0.4e-3)) <= 5, "with a delay as well");
+    assert!(settling_period(&simulate(LawId::DqPi, 7.0 / 3.0, 0.0, 0.4e-3)) <= 5, "with a delay as well");
 }
 
 #[test]
-fn a_single_sample_is_no_other_plate() {
+fn a_single_outlier_does_not_change_the_gains() {
     let configure = Configure { law: LawId::DqPi, ..CONFIGURE };
-    let mut bench = Bench::new(&configure, 1.0, 0.0);
-    bench.play(2.0, 30);
-    let gains = |bench: &Bench| {
+    let mut bench = LawSimulation::new(&configure, 1.0, 0.0);
+    bench.run_periods(2.0, 30);
+    let gains = |bench: &LawSimulation| {
         let Law::DqPi(law) = bench.law else { panic!("another law") };
         law.schedule.unwrap().sigma * CONFIGURE.time_constant_s
     };
     assert!((gains(&bench) - 1.0).abs() < 1e-3, "{}", gains(&bench));
     bench.damping = 2.0;
-    bench.period(2.0);
-    bench.period(2.0);
+    bench.run_period(2.0);
+    bench.run_period(2.0);
     assert!((gains(&bench) - 1.0).abs() < 1e-3, "one sample shows the finger: {}", gains(&bench));
-    bench.period(2.0);
+    bench.run_period(2.0);
     assert!((gains(&bench) - 2.0).abs() < 1e-2, "two do: {}", gains(&bench));
     // A slow finger is followed without that.
     for step in 0..1000 {
         bench.damping = 2.0 - f64::from(step) * 1e-3;
-        bench.period(2.0);
+        bench.run_period(2.0);
     }
     assert!((gains(&bench) - 1.0).abs() < 0.02, "{}", gains(&bench));
 }
@@ -67,43 +70,44 @@ fn a_single_sample_is_no_other_plate() {
 #[test]
 fn given_gains_stay_as_they_are() {
     let gains = Gains { amplitude_kp: 270.0, amplitude_ki: 1.1e5, frequency_kp: 1000.0, frequency_ki: 4e5 };
-    let scheduled =
-        Bench::new(&Configure { law: LawId::DqPi, gains: Some(gains), ..CONFIGURE }, 2.0, 0.0).play(2.0, 20);
-    let fixed =
-        Bench::new(&Configure { law: LawId::DqPiFixed, gains: Some(gains), ..CONFIGURE }, 2.0, 0.0).play(2.0, 20);
+    let scheduled = LawSimulation::new(&Configure { law: LawId::DqPi, gains: Some(gains), ..CONFIGURE }, 2.0, 0.0)
+        .run_periods(2.0, 20);
+    let fixed = LawSimulation::new(&Configure { law: LawId::DqPiFixed, gains: Some(gains), ..CONFIGURE }, 2.0, 0.0)
+        .run_periods(2.0, 20);
     for (a, b) in scheduled.iter().zip(&fixed) {
         assert_eq!(a.actuation, b.actuation);
     }
 }
 
-/// The loops see the plate where their drive will find it: the response is that without delay, later by just the delay.
+/// The loops use the predicted plate: the response is that without delay, later by the delay.
 #[test]
-fn a_told_delay_only_shifts_the_response() {
+fn a_given_delay_only_shifts_the_response() {
     for loop_delay_us in [100, 500, 900, 1_000] {
         let delay = f64::from(loop_delay_us) * 1e-6;
         let configure = Configure { law: LawId::DqPi, loop_delay_us, ..CONFIGURE };
-        let played = Bench { delay, ..Bench::new(&configure, 1.0, 0.0) }.play(2.0, 40);
-        let undelayed = Bench::new(&Configure { loop_delay_us: 0, ..configure }, 1.0, 0.0).play(2.0, 40);
+        let played = LawSimulation { delay, ..LawSimulation::new(&configure, 1.0, 0.0) }.run_periods(2.0, 40);
+        let undelayed = LawSimulation::new(&Configure { loop_delay_us: 0, ..configure }, 1.0, 0.0).run_periods(2.0, 40);
         for (a, b) in played.iter().zip(&undelayed) {
             let (a, b) = (a.actuation.drive_vpp, b.actuation.drive_vpp);
             assert!((a - b).abs() < 0.5, "{delay} s: {a} instead of {b} Vpp");
         }
         let untold = Configure { loop_delay_us: 0, ..configure };
-        let rings = Bench { delay, ..Bench::new(&untold, 1.0, 0.0) }.play(2.0, 40);
-        let highest = |played: &[Period]| played.iter().map(|period| period.amplitude).fold(0.0, f64::max);
+        let rings = LawSimulation { delay, ..LawSimulation::new(&untold, 1.0, 0.0) }.run_periods(2.0, 40);
+        let highest = |played: &[SimulatedPeriod]| played.iter().map(|period| period.amplitude).fold(0.0, f64::max);
         assert!(highest(&played) < 2.001, "{delay} s: {played:?}");
         assert!(highest(&rings) > if delay < 0.2e-3 { 2.02 } else { 2.3 }, "{delay} s: {rings:?}");
     }
 }
 
 #[test]
-fn a_told_delay_costs_no_static_error_under_a_finger_or_off_resonance() {
+fn a_given_delay_causes_no_static_error() {
     for loop_delay_us in [300, 700, 1_000] {
         for (damping, resonance) in [(2.0, 0.0), (1.0, NINE_KELVIN), (7.0 / 3.0, -NINE_KELVIN)] {
             let configure = Configure { law: LawId::DqPi, loop_delay_us, ..CONFIGURE };
             let delay = f64::from(loop_delay_us) * 1e-6;
-            let bench = Bench { delay, force: 0.95 * FORCE, ..Bench::new(&configure, damping, resonance) };
-            let played = { bench }.play(2.0, 120);
+            let bench =
+                LawSimulation { delay, force: 0.95 * FORCE, ..LawSimulation::new(&configure, damping, resonance) };
+            let played = { bench }.run_periods(2.0, 120);
             assert!(played[12..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1), "{delay} s: {played:?}");
             let last = played[119];
             assert!((last.amplitude - 2.0).abs() < 2e-4 && last.wq.abs() < 1e-3, "{delay} s: {last:?}");
@@ -111,13 +115,13 @@ fn a_told_delay_costs_no_static_error_under_a_finger_or_off_resonance() {
     }
 }
 
-/// Given gains are not touched by what is learnt, but look ahead all the same.
+/// Configured gains stay fixed but use the prediction too.
 #[test]
-fn given_gains_look_ahead_too() {
+fn given_gains_predict_over_the_delay_too() {
     let gains = Gains { amplitude_kp: 270.0, amplitude_ki: 1.1e5, frequency_kp: 1000.0, frequency_ki: 4e5 };
     let configure = Configure { law: LawId::DqPi, gains: Some(gains), loop_delay_us: 600, ..CONFIGURE };
-    let played = Bench { delay: 0.6e-3, ..Bench::new(&configure, 1.0, 0.0) }.play(2.0, 40);
-    let without = Bench::new(&Configure { loop_delay_us: 0, ..configure }, 1.0, 0.0).play(2.0, 40);
+    let played = LawSimulation { delay: 0.6e-3, ..LawSimulation::new(&configure, 1.0, 0.0) }.run_periods(2.0, 40);
+    let without = LawSimulation::new(&Configure { loop_delay_us: 0, ..configure }, 1.0, 0.0).run_periods(2.0, 40);
     for (a, b) in played.iter().zip(&without) {
         assert!((a.actuation.drive_vpp - b.actuation.drive_vpp).abs() < 0.5, "{a:?} instead of {b:?}");
     }

@@ -9,16 +9,16 @@ const TAU: f32 = 1.88e-3;
 const PERIOD: f32 = 1e-3;
 const RANGE: f32 = 1570.8;
 
-fn envelope() -> Envelope {
-    Envelope::new(K1, TAU, RANGE, PERIOD)
+fn envelope() -> EnvelopeModel {
+    EnvelopeModel::new(K1, TAU, RANGE, PERIOD)
 }
 
-fn bounds() -> Bounds {
-    Bounds { limit_vpp: 900.0, lowest_offset: -RANGE, highest_offset: RANGE }
+fn bounds() -> DriveBounds {
+    DriveBounds { limit_vpp: 900.0, lowest_offset: -RANGE, highest_offset: RANGE }
 }
 
 /// `e^z` and `φ(z)` in f64.
-fn reference(re: f64, im: f64) -> [(f64, f64); 2] {
+fn reference_exponentials(re: f64, im: f64) -> [(f64, f64); 2] {
     let (growth, (sin, cos)) = (libm::exp(re), (libm::sin(im), libm::cos(im)));
     let exp = (growth * cos, growth * sin);
     let (a, b, squared) = (exp.0 - 1.0, exp.1, re * re + im * im);
@@ -27,8 +27,15 @@ fn reference(re: f64, im: f64) -> [(f64, f64); 2] {
 }
 
 /// The envelope in f64: b in µm/s per Vpp, σ in 1/s, Δω in rad/s.
-pub(crate) fn moved(w: (f64, f64), force: f64, sigma: f64, detuning: f64, vpp: f64, seconds: f64) -> (f64, f64) {
-    let [exp, phi] = reference(-sigma * seconds, -detuning * seconds);
+pub(crate) fn reference_propagation(
+    w: (f64, f64),
+    force: f64,
+    sigma: f64,
+    detuning: f64,
+    vpp: f64,
+    seconds: f64,
+) -> (f64, f64) {
+    let [exp, phi] = reference_exponentials(-sigma * seconds, -detuning * seconds);
     let push = force * vpp * seconds;
     (exp.0 * w.0 - exp.1 * w.1 + phi.0 * push, exp.0 * w.1 + exp.1 * w.0 + phi.1 * push)
 }
@@ -43,12 +50,12 @@ fn the_polynomial_is_the_exponential() {
     assert_eq!(envelope().doublings, 4);
     let mut worst = 0.0_f64;
     for (re, im) in (0..=40).flat_map(|r| (-30..=30).map(move |i| (f64::from(r) * -0.08, f64::from(i) * 0.1))) {
-        let growth = Growth::of(Complex::new(re as f32, im as f32), 4);
-        let [exp, phi] = reference(f64::from(re as f32), f64::from(im as f32));
+        let growth = Exponentials::of(Complex::new(re as f32, im as f32), 4);
+        let [exp, phi] = reference_exponentials(f64::from(re as f32), f64::from(im as f32));
         worst = worst.max(distance(growth.exp, exp)).max(distance(growth.phi, phi));
         // φ' by a central difference.
-        let [_, (a, b)] = reference(re + 1e-4, im);
-        let [_, (c, d)] = reference(re - 1e-4, im);
+        let [_, (a, b)] = reference_exponentials(re + 1e-4, im);
+        let [_, (c, d)] = reference_exponentials(re - 1e-4, im);
         let slope = ((a - c) / 2e-4, (b - d) / 2e-4);
         assert!(distance(growth.slope, slope) < 1e-3, "φ'({re}, {im}): {:?} instead of {slope:?}", growth.slope);
     }
@@ -56,11 +63,11 @@ fn the_polynomial_is_the_exponential() {
 }
 
 #[test]
-fn long_periods_get_the_doublings_that_they_need() {
+fn long_periods_get_enough_doublings() {
     for period in [1e-5_f32, 1e-4, 1e-2, 0.1] {
-        let envelope = Envelope::new(K1, TAU, RANGE, period);
-        let untouched = Growth::of(Complex::new(-period / TAU, 0.0), envelope.doublings);
-        let [exp, phi] = reference(f64::from(-period / TAU), 0.0);
+        let envelope = EnvelopeModel::new(K1, TAU, RANGE, period);
+        let untouched = Exponentials::of(Complex::new(-period / TAU, 0.0), envelope.doublings);
+        let [exp, phi] = reference_exponentials(f64::from(-period / TAU), 0.0);
         assert!(
             distance(untouched.exp, exp) < 1e-4 && distance(untouched.phi, phi) < 1e-4,
             "{period} s: {untouched:?}"
@@ -79,7 +86,7 @@ fn the_larger_root_is_the_drive() {
 }
 
 #[test]
-fn nothing_is_learnt_from_a_plate_that_nothing_moves() {
+fn a_plate_at_rest_does_not_change_the_mode() {
     let envelope = envelope();
     let mode = envelope.nominal(12.0);
     let drives = [(Drive::default(), PERIOD), (Drive::default(), 0.0)];
@@ -87,7 +94,7 @@ fn nothing_is_learnt_from_a_plate_that_nothing_moves() {
 }
 
 #[test]
-fn whatever_was_sampled_the_mode_stays_in_its_range() {
+fn any_sample_leaves_the_mode_in_its_range() {
     let envelope = envelope();
     let wild: Vec<f32> = std::vec![-1e9, -3.0, 0.0, 1e-3, 5.0, 1e9];
     for (&re, &im) in wild.iter().flat_map(|re| wild.iter().map(move |im| (re, im))) {
@@ -99,7 +106,8 @@ fn whatever_was_sampled_the_mode_stays_in_its_range() {
 }
 
 proptest! {
-    /// One sample after a start at rest gives λ, whatever finger, detuning and delay (known) there are.
+    /// One sample after a start at rest gives λ, whatever finger, detuning and delay (known) there
+    /// are.
     #[test]
     fn one_sample_gives_the_mode(
         damping in 0.8_f64..3.0, detuning in -1000.0_f64..1000.0, vpp in 200.0_f64..900.0, late in 0.0_f64..0.6,
@@ -107,7 +115,7 @@ proptest! {
         let envelope = envelope();
         let (force, sigma) = (f64::from(envelope.force), damping / f64::from(TAU));
         let seconds = f64::from(PERIOD) * (1.0 - late);
-        let (re, im) = moved((0.0, 0.0), force, sigma, detuning, vpp, seconds);
+        let (re, im) = reference_propagation((0.0, 0.0), force, sigma, detuning, vpp, seconds);
         let drive = Drive { vpp: vpp as f32, offset: 0.0 };
         let drives = [(Drive::default(), PERIOD - seconds as f32), (drive, seconds as f32)];
         let mode = envelope.identify(envelope.nominal(0.0), Complex::default(), drives, Complex::new(re as f32, im as f32));
@@ -121,12 +129,12 @@ proptest! {
         damping in 0.8_f64..2.4, resonance in -600.0_f32..600.0, wd in 1.0_f64..2.0, wq in -0.6_f64..0.6,
     ) {
         let envelope = envelope();
-        let mode = Mode { sigma: (damping / f64::from(TAU)) as f32, resonance };
+        let mode = PlateMode { sigma: (damping / f64::from(TAU)) as f32, resonance };
         let w = Complex::new(wd as f32, wq as f32);
         let aim = envelope.steer(mode, w, 2.0, &bounds(), PERIOD);
         let detuning = f64::from(aim.drive.offset) - f64::from(resonance);
-        let reached = moved((wd, wq), f64::from(envelope.force), f64::from(mode.sigma), detuning, f64::from(aim.drive.vpp), f64::from(PERIOD));
-        prop_assert!(distance(aim.reached, reached) < 1e-5);
+        let reached = reference_propagation((wd, wq), f64::from(envelope.force), f64::from(mode.sigma), detuning, f64::from(aim.drive.vpp), f64::from(PERIOD));
+        prop_assert!(distance(aim.end, reached) < 1e-5);
         prop_assert!((reached.0.hypot(reached.1) - 2.0).abs() < 1e-5, "{reached:?} with {:?}", aim.drive);
         prop_assert!(reached.1.abs() < 2e-3, "{reached:?} with {:?}", aim.drive);
     }
@@ -135,12 +143,12 @@ proptest! {
     #[test]
     fn steering_keeps_to_its_bounds(limit in 50.0_f32..900.0, slew in 1.0_f32..300.0, wd in -2.5_f32..2.5, wq in -2.5_f32..2.5, target in 0.1_f32..3.0) {
         let envelope = envelope();
-        let bounds = Bounds { limit_vpp: limit, lowest_offset: -slew, highest_offset: slew };
+        let bounds = DriveBounds { limit_vpp: limit, lowest_offset: -slew, highest_offset: slew };
         let aim = envelope.steer(envelope.nominal(300.0), Complex::new(wd, wq), target, &bounds, PERIOD);
         prop_assert!((0.0..=limit).contains(&aim.drive.vpp));
         prop_assert!(aim.drive.offset.abs() <= slew);
         if aim.drive.vpp > 0.0 && aim.drive.vpp < limit && wd > 0.0 && wq.abs() < wd {
-            prop_assert!((aim.reached.norm() - target).abs() < 1e-3 * target, "{:?}", aim.reached);
+            prop_assert!((aim.end.norm() - target).abs() < 1e-3 * target, "{:?}", aim.end);
         }
     }
 }

@@ -1,42 +1,43 @@
-//! Each law's reaction to what it is given; what the loops do on a plate is played by `harness/runner/tests`.
+//! Tests each law's reaction to its samples. `harness/runner/tests` plays the laws on a plate.
 
 use super::example::CONFIGURE;
 use super::*;
-use crate::envelope::tests::moved;
+use crate::envelope::tests::reference_propagation;
 use core::f32::consts::TAU;
 use platebench_wire::flags;
 use std::vec::Vec;
 
 const REST: Measurement = Measurement { setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
 const ON_SETPOINT: Measurement = Measurement { wd_um: 2.0, ..REST };
-/// Still swinging, and asked to stop.
-const OFF: Measurement = Measurement { setpoint_um: 0.0, wd_um: 0.1, ..REST };
+/// Still vibrating at setpoint 0.
+const STOPPING: Measurement = Measurement { setpoint_um: 0.0, wd_um: 0.1, ..REST };
 
-fn law(id: LawId) -> Law {
+fn design_law(id: LawId) -> Law {
     Law::design(&Configure { law: id, ..CONFIGURE }).unwrap().0
 }
 
 #[test]
 fn every_law_starts_bounded_and_stops_at_a_setpoint_of_zero() {
     for id in LawId::ALL {
-        let mut law = law(id);
+        let mut law = design_law(id);
         let start = law.step(&REST);
         assert!(start.drive_vpp > 250.0 && start.drive_vpp <= CONFIGURE.drive_limit_vpp, "{}", id.name());
         for measurement in [ON_SETPOINT, REST, ON_SETPOINT] {
             law.step(&measurement);
         }
-        let last = (0..200).map(|_| law.step(&OFF)).last().unwrap();
+        let last = (0..200).map(|_| law.step(&STOPPING)).last().unwrap();
         assert!(last.drive_vpp < 1.0, "{}: {} Vpp", id.name(), last.drive_vpp);
     }
 }
 
 #[test]
-fn every_law_keeps_to_range_slew_and_limit_whatever_it_is_shown() {
+fn every_law_keeps_range_slew_and_limit_for_any_sample() {
     let extremes = [-1e9, -3.0, -1e-3, 0.0, 1e-3, 3.0, 1e9];
     for (id, loop_delay_us) in LawId::ALL.into_iter().flat_map(|id| [(id, 0), (id, 350), (id, 1_000)]) {
         let mut law = Law::design(&Configure { law: id, loop_delay_us, ..CONFIGURE }).unwrap().0;
         let mut before = 0.0;
-        // A fixed walk through all pairs of extremes, with the setpoint switched on and off in between.
+        // A fixed walk through all pairs of extremes, with the setpoint switched on and off in
+        // between.
         for (number, (wd_um, wq_um)) in
             extremes.iter().flat_map(|&wd| extremes.map(|wq| (wd, wq))).cycle().take(400).enumerate()
         {
@@ -57,18 +58,18 @@ fn every_law_keeps_to_range_slew_and_limit_whatever_it_is_shown() {
 }
 
 #[test]
-fn every_law_takes_a_delay_of_up_to_a_period_and_refuses_a_longer_one() {
+fn every_law_rejects_a_delay_above_one_period() {
     for id in LawId::ALL {
-        let told = |loop_delay_us| Law::design(&Configure { law: id, loop_delay_us, ..CONFIGURE });
-        assert!(told(1_000).is_ok(), "{}", id.name());
-        assert_eq!(told(1_001).err(), Some(Rejection::Value), "{}", id.name());
+        let design = |loop_delay_us| Law::design(&Configure { law: id, loop_delay_us, ..CONFIGURE });
+        assert!(design(1_000).is_ok(), "{}", id.name());
+        assert_eq!(design(1_001).err(), Some(Rejection::Value), "{}", id.name());
     }
 }
 
 #[test]
 fn laws_without_a_frequency_loop_leave_the_frequency_alone() {
     for id in [LawId::OpenLoop, LawId::VoltageOnly] {
-        let mut law = law(id);
+        let mut law = design_law(id);
         for wq_um in [-2.0, 0.5, 2.0] {
             assert_eq!(law.step(&Measurement { wq_um, ..ON_SETPOINT }).frequency_offset_hz, 0.0, "{}", id.name());
         }
@@ -79,13 +80,16 @@ fn laws_without_a_frequency_loop_leave_the_frequency_alone() {
 fn voltage_only_looks_at_the_whole_amplitude() {
     // |W| = 2 with hardly any Wd: nothing is missing.
     let turned = Measurement { wd_um: 1.2, wq_um: 1.6, ..REST };
-    assert_eq!(law(LawId::VoltageOnly).step(&turned).drive_vpp, law(LawId::VoltageOnly).step(&ON_SETPOINT).drive_vpp);
-    assert!(law(LawId::DqPi).step(&turned).drive_vpp > 200.0);
+    assert_eq!(
+        design_law(LawId::VoltageOnly).step(&turned).drive_vpp,
+        design_law(LawId::VoltageOnly).step(&ON_SETPOINT).drive_vpp
+    );
+    assert!(design_law(LawId::DqPi).step(&turned).drive_vpp > 200.0);
 }
 
 #[test]
-fn bang_bang_takes_one_step_whatever_the_distance() {
-    let mut law = law(LawId::BangBang);
+fn bang_bang_steps_are_constant() {
+    let mut law = design_law(LawId::BangBang);
     let step = 1.0 / (20.0 * CONFIGURE.time_constant_s) / TAU;
     for (number, wq_um) in [0.001, 1.0, 0.1].into_iter().enumerate() {
         let offset = law.step(&Measurement { wq_um, ..ON_SETPOINT }).frequency_offset_hz;
@@ -103,7 +107,7 @@ fn bang_bang_takes_one_step_whatever_the_distance() {
 #[test]
 fn the_pll_turns_towards_the_resonance_at_a_constant_voltage() {
     for wq_um in [0.3, -0.3] {
-        let mut law = law(LawId::Pll);
+        let mut law = design_law(LawId::Pll);
         // Wq > 0 is a drive below resonance.
         let actuation = law.step(&Measurement { wq_um, ..ON_SETPOINT });
         assert_eq!(actuation.frequency_offset_hz > 0.0, wq_um > 0.0);
@@ -112,13 +116,13 @@ fn the_pll_turns_towards_the_resonance_at_a_constant_voltage() {
         assert_eq!(low.drive_vpp, actuation.drive_vpp, "the amplitude is left to the plate");
     }
     // The phase is read in all four quadrants: nearly turned around is far off, not close.
-    let offset = |wd_um, wq_um| law(LawId::Pll).step(&Measurement { wd_um, wq_um, ..REST }).frequency_offset_hz;
+    let offset = |wd_um, wq_um| design_law(LawId::Pll).step(&Measurement { wd_um, wq_um, ..REST }).frequency_offset_hz;
     assert!(offset(-1.0, 0.1) > offset(1.0, 0.1) * 5.0);
 }
 
 #[test]
-fn frequency_only_starts_where_the_nominal_plate_has_the_setpoint_and_stays_above() {
-    let mut law = law(LawId::FrequencyOnly);
+fn frequency_only_stays_above_the_resonance() {
+    let mut law = design_law(LawId::FrequencyOnly);
     let first = law.step(&REST);
     // √((0.00698 · 450 / 2)² − 1) / (2π · 1.88 ms) = 102.58 Hz, reached at 100 Hz per period.
     assert_eq!((first.drive_vpp, first.frequency_offset_hz), (450.0, CONFIGURE.frequency_slew_hz));
@@ -132,8 +136,8 @@ fn frequency_only_starts_where_the_nominal_plate_has_the_setpoint_and_stays_abov
 fn given_gains_replace_every_designed_one() {
     let gains = Gains { amplitude_kp: 10.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 200.0 };
     for id in [LawId::VoltageOnly, LawId::BangBang] {
-        let (mut law, told) = Law::design(&Configure { law: id, gains: Some(gains), ..CONFIGURE }).unwrap();
-        assert_eq!(told.amplitude_kp, 10.0);
+        let (mut law, reported) = Law::design(&Configure { law: id, gains: Some(gains), ..CONFIGURE }).unwrap();
+        assert_eq!(reported.amplitude_kp, 10.0);
         assert_eq!(law.step(&REST).drive_vpp, 20.0, "{}", id.name());
     }
     let given = Configure { law: LawId::FrequencyOnly, gains: Some(gains), ..CONFIGURE };
@@ -144,7 +148,7 @@ fn given_gains_replace_every_designed_one() {
     assert!((moved + 0.1 / TAU).abs() < 1e-4, "{moved} Hz");
 }
 
-// A law on the envelope that the laws reckon with, in f64, for the laws' own tests.
+// Simulates a law on the envelope in f64, for the tests of the laws.
 
 pub(crate) const SIGMA: f64 = 1.0 / 1.88e-3;
 pub(crate) const FORCE: f64 = 0.00698 * SIGMA;
@@ -153,11 +157,11 @@ pub(crate) const PERIOD: f64 = 1e-3;
 pub(crate) const NINE_KELVIN: f64 = 544.8;
 
 /// Law and plate, one period after the other.
-pub(crate) struct Bench {
+pub(crate) struct LawSimulation {
     pub(crate) law: Law,
     pub(crate) w: (f64, f64),
-    /// What still acts at the start of a period: drive and offset in rad/s.
-    pub(crate) acting: (f64, f64),
+    /// The drive that acts at the start of a period: Vpp and offset in rad/s.
+    pub(crate) acting_drive: (f64, f64),
     /// σ/σ0
     pub(crate) damping: f64,
     /// The resonance above the start frequency, rad/s.
@@ -167,53 +171,62 @@ pub(crate) struct Bench {
     /// Sampling to actuation, s.
     pub(crate) delay: f64,
     /// The next damping, and when in the next period, s.
-    pub(crate) change: Option<(f64, f64)>,
+    pub(crate) next_damping: Option<(f64, f64)>,
 }
 
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Period {
-    /// |W| and Wq that the sample shows, µm.
+pub(crate) struct SimulatedPeriod {
+    /// |W| and Wq of the sample, µm.
     pub(crate) amplitude: f64,
     pub(crate) wq: f64,
     pub(crate) actuation: Actuation,
 }
 
-impl Bench {
+impl LawSimulation {
     /// At rest, with the law that `configure` asks for.
     pub(crate) fn new(configure: &Configure, damping: f64, resonance: f64) -> Self {
         let law = Law::design(configure).unwrap().0;
-        Self { law, w: (0.0, 0.0), acting: (0.0, 0.0), damping, resonance, force: FORCE, delay: 0.0, change: None }
+        Self {
+            law,
+            w: (0.0, 0.0),
+            acting_drive: (0.0, 0.0),
+            damping,
+            resonance,
+            force: FORCE,
+            delay: 0.0,
+            next_damping: None,
+        }
     }
 
     /// The damping changes after `share` of the next period.
-    pub(crate) fn changes_to(&mut self, damping: f64, share: f64) {
-        self.change = Some((damping, share * PERIOD));
+    pub(crate) fn change_damping(&mut self, damping: f64, share: f64) {
+        self.next_damping = Some((damping, share * PERIOD));
     }
 
-    fn pass(&mut self, seconds: f64) {
-        let (vpp, offset) = self.acting;
-        self.w = moved(self.w, self.force, self.damping * SIGMA, offset - self.resonance, vpp, seconds);
+    fn advance(&mut self, seconds: f64) {
+        let (vpp, offset) = self.acting_drive;
+        self.w = reference_propagation(self.w, self.force, self.damping * SIGMA, offset - self.resonance, vpp, seconds);
     }
 
-    pub(crate) fn play(&mut self, setpoint_um: f64, periods: u32) -> Vec<Period> {
-        (0..periods).map(|_| self.period(setpoint_um)).collect()
+    pub(crate) fn run_periods(&mut self, setpoint_um: f64, periods: u32) -> Vec<SimulatedPeriod> {
+        (0..periods).map(|_| self.run_period(setpoint_um)).collect()
     }
 
-    pub(crate) fn period(&mut self, setpoint_um: f64) -> Period {
+    pub(crate) fn run_period(&mut self, setpoint_um: f64) -> SimulatedPeriod {
         let (wd, wq) = self.w;
         let measurement = Measurement { setpoint_um: setpoint_um as f32, wd_um: wd as f32, wq_um: wq as f32 };
         let actuation = self.law.step(&measurement);
-        self.pass(self.delay);
-        self.acting =
+        self.advance(self.delay);
+        self.acting_drive =
             (f64::from(actuation.drive_vpp), f64::from(actuation.frequency_offset_hz) * core::f64::consts::TAU);
-        match self.change.take() {
+        match self.next_damping.take() {
             Some((damping, after)) => {
-                self.pass(after);
+                self.advance(after);
                 self.damping = damping;
-                self.pass(PERIOD - self.delay - after);
+                self.advance(PERIOD - self.delay - after);
             }
-            None => self.pass(PERIOD - self.delay),
+            None => self.advance(PERIOD - self.delay),
         }
-        Period { amplitude: wd.hypot(wq), wq, actuation }
+        SimulatedPeriod { amplitude: wd.hypot(wq), wq, actuation }
     }
 }

@@ -1,5 +1,5 @@
-use super::{NewError, PLATE, PLATE_FILE, written};
-use platebench_scenario::examine;
+use super::{NewError, PLATE, PLATE_FILE, write_files};
+use platebench_scenario::load_with_diagnostics;
 use platebench_wire::LawId;
 use rstest::rstest;
 use std::fs;
@@ -9,9 +9,10 @@ use tempfile::tempdir;
 fn what_is_written_can_be_read_for_every_law() {
     for law in LawId::ALL.map(LawId::name) {
         let folder = tempdir().unwrap();
-        let files = written(folder.path(), "mine", law).unwrap();
+        let files = write_files(folder.path(), "mine", law).unwrap();
         assert_eq!(files, [folder.path().join("mine.toml"), folder.path().join(PLATE_FILE)]);
-        let scenario = examine(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{law}: {faults:?}"));
+        let scenario =
+            load_with_diagnostics(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{law}: {faults:?}"));
         assert_eq!((scenario.controller.law.as_str(), scenario.title.as_str()), (law, "mine"));
     }
 }
@@ -20,7 +21,7 @@ fn what_is_written_can_be_read_for_every_law() {
 #[test]
 fn what_is_commented_out_can_be_read_as_well() {
     let folder = tempdir().unwrap();
-    let files = written(folder.path(), "mine", "dq-pi").unwrap();
+    let files = write_files(folder.path(), "mine", "dq-pi").unwrap();
     let is_key = |line: &str| {
         let key = line.strip_prefix("# ").filter(|line| line.starts_with(char::is_lowercase));
         line.starts_with("# [") || key.is_some_and(|line| line.contains(" = "))
@@ -29,7 +30,7 @@ fn what_is_commented_out_can_be_read_as_well() {
     let whole: Vec<_> = text.lines().map(|line| if is_key(line) { &line[2..] } else { line }).collect();
     assert!(whole.len() > 30 && whole.contains(&"[trials.spread]") && whole.contains(&"kind = \"drop\""));
     fs::write(&files[0], whole.join("\n")).unwrap();
-    let scenario = examine(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
+    let scenario = load_with_diagnostics(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
     assert_eq!((scenario.trials.count, scenario.faults.len()), (30, 1));
 }
 
@@ -40,10 +41,10 @@ fn nothing_is_ever_overwritten() {
     fs::write(folder.path().join(PLATE_FILE), "mine").unwrap();
     fs::write(folder.path().join("taken.toml"), "mine, too").unwrap();
     assert!(
-        matches!(written(folder.path(), "taken", "dq-pi"), Err(NewError::Taken(path)) if path.ends_with("taken.toml"))
+        matches!(write_files(folder.path(), "taken", "dq-pi"), Err(NewError::Taken(path)) if path.ends_with("taken.toml"))
     );
     assert_eq!(fs::read_to_string(folder.path().join("taken.toml")).unwrap(), "mine, too");
-    assert_eq!(written(folder.path(), "free", "dq-pi").unwrap(), [folder.path().join("free.toml")]);
+    assert_eq!(write_files(folder.path(), "free", "dq-pi").unwrap(), [folder.path().join("free.toml")]);
     assert_eq!(fs::read_to_string(folder.path().join(PLATE_FILE)).unwrap(), "mine");
 }
 
@@ -59,7 +60,7 @@ fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] fi
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, text).unwrap();
     }
-    let files = written(folder.path(), name, "dq-pi").unwrap();
+    let files = write_files(folder.path(), name, "dq-pi").unwrap();
     assert_eq!(files[0], folder.path().join(file));
     let text = fs::read_to_string(&files[0]).unwrap();
     assert!(text.contains(&format!("plate = \"{plate}aluminium")), "{text}");
@@ -67,7 +68,7 @@ fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] fi
         text.starts_with(&format!("#:schema {}schema/scenario.json\n", plate.trim_end_matches("plates/"))),
         files.len() == 1
     );
-    assert!(examine(&files[0], "a.toml").is_ok());
+    assert!(load_with_diagnostics(&files[0], "a.toml").is_ok());
 }
 
 #[rstest]
@@ -78,14 +79,14 @@ fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] fi
 #[case("two\nlines")]
 fn what_is_no_name_is_refused(#[case] name: &str) {
     let folder = tempdir().unwrap();
-    assert!(matches!(written(folder.path(), name, "dq-pi"), Err(NewError::Name(_))));
+    assert!(matches!(write_files(folder.path(), name, "dq-pi"), Err(NewError::Name(_))));
     assert_eq!(fs::read_dir(folder.path()).map(Iterator::count).unwrap_or_default(), 0);
 }
 
 #[test]
 fn a_name_with_quotes_is_a_title() {
     let folder = tempdir().unwrap();
-    let files = written(folder.path(), "a \"b\" \\c", "dq-pi").unwrap();
-    let scenario = examine(&files[0], "a.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
+    let files = write_files(folder.path(), "a \"b\" \\c", "dq-pi").unwrap();
+    let scenario = load_with_diagnostics(&files[0], "a.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
     assert_eq!(scenario.title, "a \"b\" \\c");
 }

@@ -1,10 +1,10 @@
 //! The command from its arguments to its files; what the loops come to is held where they are analysed.
 
 use super::*;
-use platebench_methods::Limit;
+use platebench_study::integration::StepLimit;
 
-fn arguments(out: Option<&Path>) -> Stability {
-    Stability {
+fn arguments(out: Option<&Path>) -> StabilityArgs {
+    StabilityArgs {
         out: out.map(Path::to_owned),
         laws: vec!["open-loop".to_owned()],
         plate: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/plates/aluminium-198x138.toml"),
@@ -19,7 +19,7 @@ fn arguments(out: Option<&Path>) -> Stability {
 fn the_largest_steps_of_methods_stand_beside_theory_everywhere() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("new");
-    let text = answer(&arguments(Some(&out))).unwrap();
+    let text = analyse(&arguments(Some(&out))).unwrap();
     let row = |method: &str, problem: &str| {
         let found = text.lines().find(|line| line.starts_with(method) && line.contains(problem));
         found.unwrap_or_else(|| panic!("{method}, {problem}: {text}")).to_owned()
@@ -34,12 +34,12 @@ fn the_largest_steps_of_methods_stand_beside_theory_everywhere() {
     assert!(row("Störmer-Verlet", "carrier").contains("3.142 points per period"), "{text}");
     assert!(row("exact", "modal").contains("no limit   no limit"), "{text}");
     assert!(text.find("Methods").unwrap() < text.find("Loops").unwrap(), "{text}");
-    let rows = limits(&crate::plate_file::read(&arguments(None).plate).unwrap());
+    let rows = step_limits(&crate::plate_file::read(&arguments(None).plate).unwrap());
     let csv = fs::read_to_string(out.join("methods.csv")).unwrap();
     assert_eq!(csv.lines().count(), 1 + rows.len());
     for row in &rows {
         assert!(row.deviation().is_none_or(|share| share.abs() < 0.02), "{row:?}");
-        assert_eq!(matches!(row.measured, Limit::Step(_)), matches!(row.predicted, Limit::Step(_)), "{row:?}");
+        assert_eq!(matches!(row.measured, StepLimit::Step(_)), matches!(row.predicted, StepLimit::Step(_)), "{row:?}");
         assert!(csv.contains(&row.problem), "{row:?}");
     }
     let page = fs::read_to_string(out.join("stability.html")).unwrap();

@@ -5,6 +5,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a helper that cannot set up its case has failed the case")]
 
+mod fixtures;
 mod folders;
-mod foreign;
-mod made;
+mod foreign_readers;

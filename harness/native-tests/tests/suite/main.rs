@@ -14,9 +14,9 @@ use std::process::{Command, Output};
 use tempfile::TempDir;
 
 /// A project with a plate and scenarios of its own.
-struct Project(TempDir);
+struct SuiteProject(TempDir);
 
-impl Project {
+impl SuiteProject {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let plates = folder.path().join("scenarios/plates");
@@ -34,12 +34,12 @@ impl Project {
     }
 
     /// Where the run of a scenario is.
-    fn run(&self, name: &str) -> PathBuf {
+    fn run_folder(&self, name: &str) -> PathBuf {
         self.path().join("out").join(name)
     }
 
     /// A step to 2 µm that has to settle within so many ms.
-    fn scenario(&self, name: &str, first: &str, at_most: f64) {
+    fn write_scenario(&self, name: &str, first: &str, at_most: f64) {
         let plate =
             self.path().join("scenarios/plates").join(if first.contains("weak") { "weak.toml" } else { "plate.toml" });
         let text = format!(
@@ -61,29 +61,29 @@ impl Project {
     }
 
     /// The exit code and everything that was said.
-    fn said(&self, arguments: &[&str]) -> (i32, String) {
-        told(&self.start(arguments, None))
+    fn run_tests(&self, arguments: &[&str]) -> (i32, String) {
+        exit_code_and_output(&self.start(arguments, None))
     }
 }
 
-fn told(output: &Output) -> (i32, String) {
+fn exit_code_and_output(output: &Output) -> (i32, String) {
     let text = [&output.stdout[..], &output.stderr[..]].map(String::from_utf8_lossy).concat();
     (output.status.code().expect("not ended by a signal"), text)
 }
 
-fn mixed() -> Project {
-    let project = Project::new();
-    project.scenario("good.toml", "", 20.0);
-    project.scenario("slow.toml", "", 0.5);
-    project.scenario("limits/slow.toml", "expected_exit = 1", 0.5);
+fn project_with_mixed_results() -> SuiteProject {
+    let project = SuiteProject::new();
+    project.write_scenario("good.toml", "", 20.0);
+    project.write_scenario("slow.toml", "", 0.5);
+    project.write_scenario("limits/slow.toml", "expected_exit = 1", 0.5);
     project
 }
 
 /// The two lists that nextest asks a test program for.
 #[test]
-fn is_listed_as_nextest_asks() {
-    let project = mixed();
-    let list = |arguments: &[&str]| project.said(arguments);
+fn lists_tests_in_the_format_of_nextest() {
+    let project = project_with_mixed_results();
+    let list = |arguments: &[&str]| project.run_tests(arguments);
     assert_eq!(list(&["--list", "--format", "terse"]), (0, "good: test\nlimits/slow: test\nslow: test\n".to_owned()));
     assert_eq!(list(&["--list", "--format", "terse", "--ignored"]), (0, "limits/slow: test\n".to_owned()));
     assert!(!project.path().join("out").exists(), "a list plays nothing");
@@ -91,34 +91,34 @@ fn is_listed_as_nextest_asks() {
 
 /// And how it starts one of them.
 #[test]
-fn one_is_played_by_its_exact_name() {
-    let project = mixed();
-    let (code, said) = project.said(&["good", "--exact", "--nocapture"]);
+fn runs_one_test_by_its_exact_name() {
+    let project = project_with_mixed_results();
+    let (code, said) = project.run_tests(&["good", "--exact", "--nocapture"]);
     assert_eq!(code, 0, "{said}");
     assert!(said.contains("1 passed; 0 failed; 0 ignored; 0 measured; 2 filtered out"), "{said}");
     for file in ["run.json", "junit.xml", "report.html", "traceability.csv", "traces/good/000.csv"] {
-        assert!(project.run("good").join(file).exists(), "{file}");
+        assert!(project.run_folder("good").join(file).exists(), "{file}");
     }
-    assert!(!project.run("slow").exists());
+    assert!(!project.run_folder("slow").exists());
 }
 
 #[test]
-fn what_fails_says_what_and_where() {
-    let project = mixed();
-    let (code, said) = project.said(&[]);
+fn a_failure_names_the_expectation_and_the_run_folder() {
+    let project = project_with_mixed_results();
+    let (code, said) = project.run_tests(&[]);
     assert_eq!(code, 101, "{said}");
     assert!(said.contains("1 passed; 1 failed; 1 ignored"), "{said}");
     assert!(said.contains("it ends with a failure (exit code 1), expected a pass (exit code 0)"), "{said}");
     assert!(said.contains("settling_time_ms") && said.contains("run folder: out/slow"), "{said}");
-    assert!(project.run("slow/report.html").exists());
+    assert!(project.run_folder("slow/report.html").exists());
 }
 
 /// What is not decided is not green: 2 N under 400 Vpp is more than any controller can do.
 #[test]
-fn what_is_inconclusive_does_not_pass() {
-    let project = Project::new();
-    project.scenario("weak.toml", "# weak", 2.0);
-    let (code, said) = project.said(&[]);
+fn an_inconclusive_scenario_does_not_pass() {
+    let project = SuiteProject::new();
+    project.write_scenario("weak.toml", "# weak", 2.0);
+    let (code, said) = project.run_tests(&[]);
     assert_eq!(code, 101, "{said}");
     assert!(
         said.contains("it ends with an inconclusive verdict (exit code 3)") && said.contains("infeasible"),
@@ -128,23 +128,23 @@ fn what_is_inconclusive_does_not_pass() {
 
 /// A scenario that shows a limit has to end as it says; it is ignored where its folder was not named.
 #[test]
-fn a_limit_is_played_where_asked_for_and_held_to_its_word() {
-    let project = mixed();
-    let (code, said) = project.said(&["--ignored"]);
+fn a_limit_scenario_runs_on_request_and_ends_as_expected() {
+    let project = project_with_mixed_results();
+    let (code, said) = project.run_tests(&["--ignored"]);
     assert_eq!(code, 0, "{said}");
-    assert!(project.run("limits/slow/run.json").exists(), "it keeps its name");
-    project.scenario("limits/slow.toml", "expected_exit = 1", 20.0);
-    let (code, said) = project.said(&["--include-ignored", "limits"]);
+    assert!(project.run_folder("limits/slow/run.json").exists(), "it keeps its name");
+    project.write_scenario("limits/slow.toml", "expected_exit = 1", 20.0);
+    let (code, said) = project.run_tests(&["--include-ignored", "limits"]);
     assert_eq!(code, 101);
     assert!(said.contains("it ends with a pass (exit code 0), expected a failure (exit code 1)"), "{said}");
-    project.scenario("limits/slow.toml", "expected_exit = 3", 0.5);
-    assert_eq!(project.said(&["--include-ignored", "limits"]).0, 101);
+    project.write_scenario("limits/slow.toml", "expected_exit = 3", 0.5);
+    assert_eq!(project.run_tests(&["--include-ignored", "limits"]).0, 101);
 }
 
 /// Names are paths below the folder that the suite names, whatever that is called.
 #[test]
 fn a_limit_keeps_its_name_in_a_folder_of_any_name() {
-    let project = mixed();
+    let project = project_with_mixed_results();
     fs::rename(project.path().join("scenarios/plates"), project.path().join("plates")).unwrap();
     fs::rename(project.path().join("scenarios"), project.path().join("checks")).unwrap();
     for file in ["good.toml", "slow.toml", "limits/slow.toml"] {
@@ -153,21 +153,21 @@ fn a_limit_keeps_its_name_in_a_folder_of_any_name() {
         fs::write(path, text.replace("/scenarios/plates", "/plates")).unwrap();
     }
     let list = ["--list", "--format", "terse", "--ignored"];
-    assert_eq!(told(&project.start_in("checks", &list, None)), (0, "limits/slow: test\n".to_owned()));
-    let (code, said) = told(&project.start_in("checks", &["--ignored"], None));
+    assert_eq!(exit_code_and_output(&project.start_in("checks", &list, None)), (0, "limits/slow: test\n".to_owned()));
+    let (code, said) = exit_code_and_output(&project.start_in("checks", &["--ignored"], None));
     assert_eq!(code, 0, "{said}");
-    assert!(project.run("limits/slow/run.json").exists());
+    assert!(project.run_folder("limits/slow/run.json").exists());
 }
 
 /// A filter must not hide that a file cannot be read, and neither may a list.
 #[rstest]
 #[case(&["good", "--exact"])]
 #[case(&["--list", "--format", "terse"])]
-fn a_broken_scenario_leaves_no_suite(#[case] arguments: &[&str]) {
-    let project = mixed();
-    project.scenario("broken.toml", "titel = \"step\"", 2.0);
-    project.scenario("limits/slow.toml", "expected_exit = 9", 2.0);
-    let (code, said) = project.said(arguments);
+fn an_invalid_scenario_stops_the_whole_suite(#[case] arguments: &[&str]) {
+    let project = project_with_mixed_results();
+    project.write_scenario("broken.toml", "titel = \"step\"", 2.0);
+    project.write_scenario("limits/slow.toml", "expected_exit = 9", 2.0);
+    let (code, said) = project.run_tests(arguments);
     assert_eq!(code, 2, "{said}");
     assert!(said.contains("broken.toml:1") && said.contains("unknown key `titel`"), "{said}");
     assert!(said.contains("limits/slow.toml:1"), "{said}");
@@ -175,9 +175,9 @@ fn a_broken_scenario_leaves_no_suite(#[case] arguments: &[&str]) {
 }
 
 #[test]
-fn an_empty_folder_is_not_green() {
-    let project = Project::new();
-    let (code, said) = project.said(&[]);
+fn an_empty_folder_is_an_error() {
+    let project = SuiteProject::new();
+    let (code, said) = project.run_tests(&[]);
     assert_eq!((code, &*said), (4, "error: there is nothing to run below scenarios\n"));
 }
 
@@ -186,27 +186,27 @@ fn an_empty_folder_is_not_green() {
 #[case("robot", 2, "robot")]
 #[case("exec:", 2, "error: ")]
 #[case("serial:/dev/not-there", 101, "/dev/not-there")]
-fn the_environment_names_another_rig(#[case] rig: &str, #[case] code: i32, #[case] says: &str) {
-    let project = mixed();
-    let (ended, said) = told(&project.start(&["good", "--exact"], Some(rig)));
+fn the_environment_variable_overrides_the_rig(#[case] rig: &str, #[case] code: i32, #[case] says: &str) {
+    let project = project_with_mixed_results();
+    let (ended, said) = exit_code_and_output(&project.start(&["good", "--exact"], Some(rig)));
     assert_eq!(ended, code, "{said}");
     assert!(said.contains(says), "{said}");
 }
 
 #[test]
-fn a_run_takes_the_place_of_the_one_before_and_of_nothing_else() {
-    let project = mixed();
-    assert_eq!(project.said(&["good", "--exact"]).0, 0);
-    fs::write(project.run("good/left-over"), "").unwrap();
-    assert_eq!(project.said(&["good", "--exact"]).0, 0);
-    assert!(!project.run("good/left-over").exists());
-    assert!(project.run("good/run.json").exists());
+fn a_run_replaces_only_an_earlier_run_folder() {
+    let project = project_with_mixed_results();
+    assert_eq!(project.run_tests(&["good", "--exact"]).0, 0);
+    fs::write(project.run_folder("good/left-over"), "").unwrap();
+    assert_eq!(project.run_tests(&["good", "--exact"]).0, 0);
+    assert!(!project.run_folder("good/left-over").exists());
+    assert!(project.run_folder("good/run.json").exists());
     // No run: somebody's own folder.
-    fs::remove_file(project.run("good/run.json")).unwrap();
-    let (code, said) = project.said(&["good", "--exact"]);
+    fs::remove_file(project.run_folder("good/run.json")).unwrap();
+    let (code, said) = project.run_tests(&["good", "--exact"]);
     assert_eq!(code, 101, "{said}");
     assert!(said.contains("out/good: "), "{said}");
-    assert!(project.run("good/report.html").exists());
+    assert!(project.run_folder("good/report.html").exists());
     let left = fs::read_dir(project.path().join("out")).unwrap().count();
     assert_eq!(left, 1, "nothing half played is left behind");
 }

@@ -1,21 +1,18 @@
-//! The steps that are timed and counted: one control period of a plate in each tier, at rest and under a ramp, a converter's sample, a
-//! period of a batch.
+//! Lists the steps that `cost` times and `counts` counts: a control period in each tier, at rest
+//! and under a ramp, and a sample.
 
 #![allow(clippy::expect_used, reason = "a plate file that ships with this is whole")]
 
-use platebench_plate::file::RawPlate;
-use platebench_plate::{Conditions, Drive, Envelopes, Flow, Lockin, Plant, Plate, Profile, Scene, State, Tier, Time};
+use platebench_plate::RawPlate;
+use platebench_plate::{ConditionProfiles, Conditions, Drive, Flow, Lockin, Plant, Plate, Profile, State, Tier, Time};
 use std::fmt;
 use std::hint::black_box;
 
 const PERIOD: Time = Time::from_nanos(1_000_000);
-/// Plates in a batch: their state stays within the first two caches.
-pub(crate) const PLATES: usize = 1_024;
-
 /// Something that is done again and again.
 pub(crate) struct Step {
     pub(crate) name: &'static str,
-    /// How many of what a cost is given for one step does: control periods, samples, plate-periods.
+    /// Control periods or samples per step.
     pub(crate) items: usize,
     make: fn() -> Box<dyn FnMut()>,
 }
@@ -43,8 +40,6 @@ pub(crate) static STEPS: &[Step] = &[
     // A sample per microsecond.
     Step { name: "carrier-sample", items: 1_000, make: || plant(Tier::Carrier) },
     Step { name: "lock-in-read", items: 1, make: read },
-    Step { name: "batch-drive-varies", items: PLATES, make: || batch(false) },
-    Step { name: "batch-all-varies", items: PLATES, make: || batch(true) },
 ];
 
 /// Damping and resonance that differ from step to step, so that nothing can be worked out once.
@@ -72,13 +67,14 @@ fn flow(tier: Tier) -> Box<dyn FnMut()> {
     })
 }
 
-fn moving(tier: Tier) -> Plant {
-    let scene = Scene { temperature_offset_k: Profile::constant(3.0), finger_force_n: Profile::constant(0.5) };
+fn moving_plant(tier: Tier) -> Plant {
+    let scene =
+        ConditionProfiles { temperature_offset_k: Profile::constant(3.0), finger_force_n: Profile::constant(0.5) };
     Plant::new(plate(), scene, tier)
 }
 
 fn plant(tier: Tier) -> Box<dyn FnMut()> {
-    let (mut plant, mut period, mut crossings) = (moving(tier), 0, Vec::new());
+    let (mut plant, mut period, mut crossings) = (moving_plant(tier), 0, Vec::new());
     Box::new(move || {
         period += 1;
         plant.set_drive(drive(plant.plate(), period));
@@ -90,8 +86,10 @@ fn plant(tier: Tier) -> Box<dyn FnMut()> {
 /// A finger that presses with 10 N/s for 0.1 s and lets go as slowly, again and again.
 fn ramp(tier: Tier) -> Box<dyn FnMut()> {
     let points = (0..=100).map(|turn| (PERIOD.times(100 * turn), f64::from(turn % 2 == 1)));
-    let scene =
-        Scene { temperature_offset_k: Profile::constant(3.0), finger_force_n: Profile::Linear(points.collect()) };
+    let scene = ConditionProfiles {
+        temperature_offset_k: Profile::constant(3.0),
+        finger_force_n: Profile::Linear(points.collect()),
+    };
     let fresh = Plant::new(plate(), scene, tier);
     let (mut plant, mut period, mut crossings) = (fresh.clone(), 0, Vec::new());
     Box::new(move || {
@@ -106,34 +104,10 @@ fn ramp(tier: Tier) -> Box<dyn FnMut()> {
 }
 
 fn read() -> Box<dyn FnMut()> {
-    let mut plant = moving(Tier::Carrier);
+    let mut plant = moving_plant(Tier::Carrier);
     plant.set_drive(drive(plant.plate(), 1));
     plant.advance(PERIOD, &[], &mut Vec::new());
     Box::new(move || {
-        black_box(black_box(&plant).seen());
-    })
-}
-
-fn batch(modes_vary: bool) -> Box<dyn FnMut()> {
-    let plate = plate();
-    let mode = move |plate: &Plate, number: usize| {
-        let turn = (number % 64) as f64;
-        plate.mode(&Conditions { temperature_offset_k: 0.1 * turn, finger_force_n: 0.02 * turn })
-    };
-    // What may come next, worked out beforehand: the plates cost, not whoever thinks of their parameters.
-    let modes: Vec<_> = (0..PLATES + 64).map(|number| mode(&plate, number)).collect();
-    let drives: Vec<_> = (0..PLATES + 64).map(|number| drive(&plate, number as u64)).collect();
-    let mut batch = Envelopes::new(modes.iter().take(PLATES).copied());
-    let mut period = 0;
-    Box::new(move || {
-        period = (period + 1) % 64;
-        for number in 0..PLATES {
-            batch.set_drive(number, &drives[number + period]);
-            if modes_vary {
-                batch.set_mode(number, &modes[number + period]);
-            }
-        }
-        batch.advance(black_box(1e-3));
-        black_box(&batch);
+        black_box(black_box(&plant).sensor_reading());
     })
 }

@@ -1,11 +1,16 @@
-//! The carrier tier: the modal plate bit for bit, its waveform, and what converter and demodulator show of it.
+//! The carrier tier: the modal plate bit for bit, its waveform, and what converter and demodulator
+//! show of it.
 
-use crate::reference::{Carrier, HOLD, Random, SETPOINT, calm, driven, paper_plate, state_at};
-use platebench_plate::{Complex64, Drive, Lockin, Plant, Plate, Profile, Resolution, Scene, Tier, Time};
+use crate::reference::{
+    HOLDING_DRIVE_VPP, Random, ReferencePlate, SETPOINT, constant_conditions, driven_plant, paper_plate, state_at,
+};
+use platebench_plate::{
+    Complex64, ConditionProfiles, ConverterResolution, Drive, Lockin, Plant, Plate, Profile, Tier, Time,
+};
 use rstest::rstest;
 use std::f64::consts::{PI, TAU};
 
-fn with_lockin(periods: u32, converter_hz: f64, resolution: Option<Resolution>) -> Plate {
+fn with_lockin(periods: u32, converter_hz: f64, resolution: Option<ConverterResolution>) -> Plate {
     Plate { lockin: Some(Lockin { converter_hz, periods, resolution }), ..paper_plate() }
 }
 
@@ -13,14 +18,14 @@ fn with_lockin(periods: u32, converter_hz: f64, resolution: Option<Resolution>) 
 fn random_drives(seed: u64, plate: &Plate, mut each: impl FnMut(f64, Drive)) {
     let mut random = Random::new(seed);
     for period in 1..=30 {
-        let omega = plate.omega0 + random.between(-600.0, 600.0);
-        each(f64::from(period), Drive { vpp: random.between(0.0, 800.0), omega });
+        let omega = plate.omega0 + random.in_range(-600.0, 600.0);
+        each(f64::from(period), Drive { vpp: random.in_range(0.0, 800.0), omega });
     }
 }
 
-fn moving() -> Scene {
+fn moving_conditions() -> ConditionProfiles {
     let ms = |ms| Time::from_ms(ms).unwrap();
-    Scene {
+    ConditionProfiles {
         temperature_offset_k: Profile::Linear(vec![(ms(0.0), 0.0), (ms(30.0), 9.0)]),
         finger_force_n: Profile::Hold(vec![(ms(0.0), 0.0), (ms(10.3), 1.5)]),
     }
@@ -29,8 +34,8 @@ fn moving() -> Scene {
 #[test]
 fn the_carrier_tier_is_the_modal_plate_bit_for_bit() {
     let plate = with_lockin(8, 1e6, None);
-    let mut modal = Plant::new(plate.clone(), moving(), Tier::Modal);
-    let mut carrier = Plant::new(plate.clone(), moving(), Tier::Carrier);
+    let mut modal = Plant::new(plate.clone(), moving_conditions(), Tier::Modal);
+    let mut carrier = Plant::new(plate.clone(), moving_conditions(), Tier::Carrier);
     random_drives(21, &plate, |ms, drive| {
         for plant in [&mut modal, &mut carrier] {
             plant.set_drive(drive);
@@ -38,23 +43,28 @@ fn the_carrier_tier_is_the_modal_plate_bit_for_bit() {
         }
         assert_eq!(modal.state(), carrier.state(), "at {ms} ms");
         assert_eq!(modal.phase(), carrier.phase(), "at {ms} ms");
-        assert_eq!(modal.seen(), modal.state().w);
-        assert_ne!(carrier.seen(), carrier.state().w);
+        assert_eq!(modal.sensor_reading(), modal.state().w);
+        assert_ne!(carrier.sensor_reading(), carrier.state().w);
     });
 }
 
 #[test]
 fn a_plate_without_electronics_is_seen_as_it_is() {
-    let mut plant = driven(&paper_plate(), &calm(), Tier::Carrier, Drive { vpp: HOLD, omega: 202_995.0 });
+    let mut plant = driven_plant(
+        &paper_plate(),
+        &constant_conditions(),
+        Tier::Carrier,
+        Drive { vpp: HOLDING_DRIVE_VPP, omega: 202_995.0 },
+    );
     let state = state_at(&mut plant, 3.0);
-    assert_eq!(plant.seen(), state.w);
+    assert_eq!(plant.sensor_reading(), state.w);
 }
 
 #[test]
 fn the_waveform_is_that_of_the_reference() {
     let plate = paper_plate();
-    let mut plant = Plant::new(plate.clone(), calm(), Tier::Carrier);
-    let mut reference = Carrier::at_rest(plate.omega0);
+    let mut plant = Plant::new(plate.clone(), constant_conditions(), Tier::Carrier);
+    let mut reference = ReferencePlate::at_rest(plate.omega0);
     let mut worst = 0.0_f64;
     let mode = plant.mode_at(Time::ZERO);
     random_drives(22, &plate, |ms, drive| {
@@ -67,27 +77,27 @@ fn the_waveform_is_that_of_the_reference() {
     assert!(worst <= 1e-10, "{worst:e}");
 }
 
-/// What drives the plate: the drive that holds the setpoint, or both loops of the paper matched to the zero-order hold (2 ms, no
-/// limit), given W itself or what the lock-in shows.
+/// What drives the plate: the drive that holds the setpoint, or both loops of the paper matched to
+/// the zero-order hold (2 ms, no limit), given W itself or what the lock-in shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Loop {
+enum ControlLoop {
     Open,
     Ideal,
     ThroughLockin,
 }
 
-/// W at the control instants of 40 ms from rest, and the largest distance of what the lock-in shows from W, at the control instants and
-/// at any time.
-fn played(control: Loop, plate: &Plate, detuning: f64) -> (Vec<Complex64>, [f64; 2]) {
+/// W at the control instants of 40 ms from rest, and the largest distance of what the lock-in shows
+/// from W, at the control instants and at any time.
+fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex64>, [f64; 2]) {
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
     let normalised = (1.0 - loop_pole) / (1.0 - plant_pole);
-    let mut drive = Drive { vpp: HOLD, omega: plate.omega0 + detuning };
-    let mut plant = driven(plate, &calm(), Tier::Carrier, drive);
+    let mut drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
+    let mut plant = driven_plant(plate, &constant_conditions(), Tier::Carrier, drive);
     let (mut voltage, mut frequency) = (0.0, drive.omega);
     let (mut at_instants, mut off) = (Vec::new(), [0.0_f64; 2]);
     for period in 0..40 {
-        if control != Loop::Open {
-            let w = if control == Loop::Ideal { plant.state().w } else { plant.seen() };
+        if control != ControlLoop::Open {
+            let w = if control == ControlLoop::Ideal { plant.state().w } else { plant.sensor_reading() };
             let error = SETPOINT - w.re;
             drive.vpp = normalised / plate.gain * error + voltage;
             voltage += normalised * (1.0 - plant_pole) / plate.gain * error;
@@ -100,7 +110,7 @@ fn played(control: Loop, plate: &Plate, detuning: f64) -> (Vec<Complex64>, [f64;
         }
         for step in 1..=100 {
             let w = state_at(&mut plant, f64::from(period) + f64::from(step) / 100.0).w;
-            let error = (plant.seen() - w).norm() / SETPOINT;
+            let error = (plant.sensor_reading() - w).norm() / SETPOINT;
             off[1] = off[1].max(error);
             if step == 100 {
                 off[0] = off[0].max(error);
@@ -111,22 +121,23 @@ fn played(control: Loop, plate: &Plate, detuning: f64) -> (Vec<Complex64>, [f64;
     (at_instants, off)
 }
 
-/// Expected, in 1/1000 of the setpoint: what a lock-in of one period shows is off by so much at the control instants, and at any time;
-/// and so much is W off at the control instants because the loop is given that.
+/// Expected, in 1/1000 of the setpoint: what a lock-in of one period shows is off by so much at the
+/// control instants, and at any time; and so much is W off at the control instants because the loop
+/// is given that.
 #[rstest]
-#[case::step_open(0.0, Loop::Open, [5.90, 10.36, 0.0])]
-#[case::step_closed(0.0, Loop::ThroughLockin, [11.11, 19.52, 8.65])]
-#[case::detuned_open(545.0, Loop::Open, [5.92, 10.34, 0.0])]
-#[case::detuned_closed(545.0, Loop::ThroughLockin, [11.15, 19.47, 7.35])]
+#[case::step_open(0.0, ControlLoop::Open, [5.90, 10.36, 0.0])]
+#[case::step_closed(0.0, ControlLoop::ThroughLockin, [11.11, 19.52, 8.65])]
+#[case::detuned_open(545.0, ControlLoop::Open, [5.92, 10.34, 0.0])]
+#[case::detuned_closed(545.0, ControlLoop::ThroughLockin, [11.15, 19.47, 7.35])]
 fn one_period_of_lock_in_is_as_wrong_as_it_is_said_to_be(
     #[case] detuning: f64,
-    #[case] control: Loop,
+    #[case] control: ControlLoop,
     #[case] expected: [f64; 3],
 ) {
     let plate = with_lockin(1, 4e6, None);
-    let (with, [at_instants, ever]) = played(control, &plate, detuning);
-    let other = if control == Loop::Open { Loop::Open } else { Loop::Ideal };
-    let (without, _) = played(other, &plate, detuning);
+    let (with, [at_instants, ever]) = run_loop(control, &plate, detuning);
+    let other = if control == ControlLoop::Open { ControlLoop::Open } else { ControlLoop::Ideal };
+    let (without, _) = run_loop(other, &plate, detuning);
     let moved = with.iter().zip(&without).map(|(a, b)| (a - b).norm() / SETPOINT).fold(0.0, f64::max);
     println!(
         "lock-in of one period, {detuning} rad/s off, {control:?}: {at_instants:.3e} at control instants, {ever:.3e} ever, W itself {moved:.3e}"
@@ -143,14 +154,15 @@ fn a_steady_plate_is_shown_to_within_the_product_at_twice_the_carrier(
 ) {
     let plate = with_lockin(periods, converter_hz, None);
     let omega = plate.omega0 + 300.0;
-    let mut plant = driven(&plate, &calm(), Tier::Carrier, Drive { vpp: HOLD, omega });
+    let mut plant =
+        driven_plant(&plate, &constant_conditions(), Tier::Carrier, Drive { vpp: HOLDING_DRIVE_VPP, omega });
     let window = f64::from(periods) * converter_hz * TAU / omega;
     let bound = PI * f64::from(periods) / (2.0 * window * window);
     let mut worst = 0.0_f64;
     state_at(&mut plant, 80.0);
     for step in 1..200 {
         let w = state_at(&mut plant, 80.0 + 0.013 * f64::from(step)).w;
-        worst = worst.max((plant.seen() - w).norm() / w.norm());
+        worst = worst.max((plant.sensor_reading() - w).norm() / w.norm());
     }
     println!("{periods} periods at {converter_hz} Hz, steady: {worst:.1e}, bound {bound:.1e}");
     // To first order in 1/L; at 6 samples per period the next order shows.
@@ -162,93 +174,106 @@ fn a_steady_plate_is_shown_to_within_the_product_at_twice_the_carrier(
 #[rstest]
 fn a_lock_in_shows_what_was_half_a_window_ago(#[values(1, 8, 32)] periods: u32) {
     let plate = with_lockin(periods, 2e6, None);
-    let drive = Drive { vpp: HOLD, omega: plate.omega0 };
-    let latency = plate.lockin.unwrap().latency(drive.omega);
+    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
+    // The mean age of the samples in the window, the newest taken at the instant of reading.
+    let latency = (f64::from(periods) * TAU / drive.omega - 0.5e-6) / 2.0;
     // Samples fall on multiples of 0.5 µs, so does the instant of reading.
-    let mut plant = driven(&plate, &calm(), Tier::Carrier, drive);
+    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Carrier, drive);
     state_at(&mut plant, 4.0);
-    let shown = plant.seen();
-    let mut then = driven(&plate, &calm(), Tier::Carrier, drive);
+    let shown = plant.sensor_reading();
+    let mut then = driven_plant(&plate, &constant_conditions(), Tier::Carrier, drive);
     let late = (shown - state_at(&mut then, 4.0 - latency * 1e3).w).norm();
     let prompt = (shown - plant.state().w).norm();
     println!(
         "{periods} periods: latency {:.1} µs, {late:.1e} µm from W then, {prompt:.1e} µm from W now",
         latency * 1e6
     );
-    assert!((latency - (f64::from(periods) * TAU / drive.omega - 0.5e-6) / 2.0).abs() < 1e-12);
-    // The product at twice the carrier, 1/2ω against half a window of π/ω, is what is left with one period.
+    // The product at twice the carrier, 1/2ω against half a window of π/ω, is what is left with one
+    // period.
     assert!(late < 0.35 * prompt, "{late:e} against {prompt:e}");
 }
 
 #[test]
 fn one_interval_or_many_show_the_same() {
     let plate = with_lockin(8, 1.234_567e6, None);
-    let drive = Drive { vpp: HOLD, omega: plate.omega0 + 545.0 };
-    let mut whole = driven(&plate, &calm(), Tier::Carrier, drive);
+    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 545.0 };
+    let mut whole = driven_plant(&plate, &constant_conditions(), Tier::Carrier, drive);
     let mut pieces = whole.clone();
     let mut random = Random::new(23);
     let mut ms = 0.0;
     while ms < 9.9 {
-        ms += random.between(0.0, 0.01);
+        ms += random.in_range(0.0, 0.01);
         state_at(&mut pieces, ms);
     }
     for plant in [&mut whole, &mut pieces] {
         state_at(plant, 10.0);
     }
-    let apart = (whole.seen() - pieces.seen()).norm();
+    let apart = (whole.sensor_reading() - pieces.sensor_reading()).norm();
     println!("10 ms in 2000 pieces against one: {apart:.1e} µm");
     assert!(apart < 1e-12, "{apart:e}");
 }
 
 #[test]
 fn a_converter_rounds_to_its_step_and_clips_at_its_range() {
-    let shown = |resolution: Option<Resolution>| {
+    let shown = |resolution: Option<ConverterResolution>| {
         let plate = with_lockin(8, 1e6, resolution);
-        let mut plant = driven(&plate, &calm(), Tier::Carrier, Drive { vpp: HOLD, omega: plate.omega0 + 150.0 });
+        let mut plant = driven_plant(
+            &plate,
+            &constant_conditions(),
+            Tier::Carrier,
+            Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 150.0 },
+        );
         state_at(&mut plant, 50.0);
-        plant.seen()
+        plant.sensor_reading()
     };
     let ideal = shown(None);
     for bits in [4, 8, 12, 16, 24] {
-        let resolution = Resolution { bits, range_um: 4.0 };
+        let resolution = ConverterResolution { bits, range_um: 4.0 };
         let off = (shown(Some(resolution)) - ideal).norm();
         println!("{bits} bits over 4 µm: {off:.1e} µm off, half a step is {:.1e} µm", resolution.step_um() / 2.0);
-        // Each product is off by at most 2 · step/2, their mean by far less than one alone, but by something.
+        // Each product is off by at most 2 · step/2, their mean by far less than one alone, but by
+        // something.
         assert!(off > 0.0 && off < resolution.step_um(), "{bits} bits: {off:e}");
     }
     let amplitude = ideal.norm();
-    let fits = shown(Some(Resolution { bits: 24, range_um: amplitude * 1.001 }));
+    let fits = shown(Some(ConverterResolution { bits: 24, range_um: amplitude * 1.001 }));
     assert!((fits - ideal).norm() < 1e-5);
-    let clipped = shown(Some(Resolution { bits: 24, range_um: amplitude * 0.8 }));
+    let clipped = shown(Some(ConverterResolution { bits: 24, range_um: amplitude * 0.8 }));
     assert!(clipped.norm() < 0.95 * amplitude, "{clipped}");
     // A sine clipped to a square wave: 4/π of what is left.
-    let square = shown(Some(Resolution { bits: 24, range_um: amplitude * 1e-3 }));
+    let square = shown(Some(ConverterResolution { bits: 24, range_um: amplitude * 1e-3 }));
     assert!((square.norm() / (amplitude * 1e-3) - 4.0 / PI).abs() < 0.03, "{square}");
 }
 
 #[test]
 fn before_the_start_the_plate_was_at_rest() {
     let plate = with_lockin(100, 1e6, None);
-    let plant = driven(&plate, &calm(), Tier::Carrier, Drive { vpp: HOLD, omega: plate.omega0 });
-    assert_eq!(plant.seen(), Complex64::ZERO);
+    let plant = driven_plant(
+        &plate,
+        &constant_conditions(),
+        Tier::Carrier,
+        Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 },
+    );
+    assert_eq!(plant.sensor_reading(), Complex64::ZERO);
     let mut plant = plant;
     // A third of the window: the mean counts the rest before as it was.
     let w = state_at(&mut plant, 1.0).w;
-    assert!(plant.seen().norm() < 0.3 * w.norm());
+    assert!(plant.sensor_reading().norm() < 0.3 * w.norm());
 }
 
 #[rstest]
 fn no_frequency_and_no_interval_makes_the_electronics_show_what_is_no_number(
     #[values(0.0, 1.0, 1e5, 4e5, 1e9, 1e12)] omega: f64,
 ) {
-    let resolution = Some(Resolution { bits: 12, range_um: 4.0 });
+    let resolution = Some(ConverterResolution { bits: 12, range_um: 4.0 });
     let plate = with_lockin(2, 1e6, resolution);
-    let mut plant = driven(&plate, &calm(), Tier::Carrier, Drive { vpp: 900.0, omega: plate.omega0 });
+    let mut plant =
+        driven_plant(&plate, &constant_conditions(), Tier::Carrier, Drive { vpp: 900.0, omega: plate.omega0 });
     for (step, ms) in [1e-6, 0.0309, 1.0, 1.000_001, 20.0, 2_000.0].into_iter().enumerate() {
         plant.set_drive(Drive { vpp: if step % 2 == 0 { 900.0 } else { 0.0 }, omega });
         assert!(state_at(&mut plant, ms).is_finite());
-        assert!(plant.seen().is_finite() && plant.waveform().is_finite());
-        assert!(plant.seen().norm() <= 8.0, "{}", plant.seen());
+        assert!(plant.sensor_reading().is_finite() && plant.waveform().is_finite());
+        assert!(plant.sensor_reading().norm() <= 8.0, "{}", plant.sensor_reading());
     }
 }
 
@@ -256,19 +281,19 @@ fn no_frequency_and_no_interval_makes_the_electronics_show_what_is_no_number(
 #[test]
 fn a_control_period_of_one_carrier_cycle_is_as_exact_as_any() {
     let plate = with_lockin(1, 1e6, None);
-    let mut plant = Plant::new(plate.clone(), calm(), Tier::Carrier);
-    let mut reference = Carrier::at_rest(plate.omega0);
+    let mut plant = Plant::new(plate.clone(), constant_conditions(), Tier::Carrier);
+    let mut reference = ReferencePlate::at_rest(plate.omega0);
     let mode = plant.mode_at(Time::ZERO);
     let mut random = Random::new(24);
     let mut worst = 0.0_f64;
     for _ in 0..300 {
-        let drive = Drive { vpp: random.between(0.0, 800.0), omega: plate.omega0 + random.between(-2e3, 2e3) };
+        let drive = Drive { vpp: random.in_range(0.0, 800.0), omega: plate.omega0 + random.in_range(-2e3, 2e3) };
         plant.set_drive(drive);
         plant.advance(plant.time() + Time::from_nanos(30_952), &[], &mut Vec::new());
         reference.advance(30_952e-9, plate.force_constant(), &drive, &|_| (mode.sigma, mode.omega0));
         worst = worst.max((plant.waveform() - reference.waveform()[0]).abs() / SETPOINT);
         worst = worst.max((plant.state().w - reference.state().w).norm() / SETPOINT);
-        assert!(plant.seen().is_finite());
+        assert!(plant.sensor_reading().is_finite());
     }
     println!("300 carrier cycles, a drive each: {worst:.1e}");
     assert!(worst <= 1e-10, "{worst:e}");

@@ -1,18 +1,22 @@
 //! Entering and leaving bands, to the nanosecond.
 
-use crate::reference::{Carrier, HOLD, Random, SETPOINT, calm, driven, paper_plate, surroundings};
-use platebench_plate::plant::Signal;
-use platebench_plate::{Conditions, Crossing, Drive, Flow, Plant, Plate, Profile, Scene, State, Tier, Time, Watch};
+use crate::reference::{
+    HOLDING_DRIVE_VPP, Random, ReferencePlate, SETPOINT, conditions, constant_conditions, driven_plant, paper_plate,
+};
+use platebench_plate::BandSignal;
+use platebench_plate::{
+    BandMonitor, ConditionProfiles, Conditions, Crossing, Drive, Flow, Plant, Plate, Profile, State, Tier, Time,
+};
 use rstest::rstest;
 
-fn band(signal: Signal, low: f64, high: f64) -> Watch {
-    Watch { signal, low, high }
+fn band(signal: BandSignal, low: f64, high: f64) -> BandMonitor {
+    BandMonitor { signal, low, high }
 }
 
-const FIVE_PERCENT: Watch = Watch { signal: Signal::Amplitude, low: 1.9, high: 2.1 };
+const FIVE_PERCENT: BandMonitor = BandMonitor { signal: BandSignal::Amplitude, low: 1.9, high: 2.1 };
 
 /// Everything that is crossed up to `end_ms`, in intervals of `interval_ns`.
-fn crossings(plant: &mut Plant, watches: &[Watch], end_ms: f64, interval_ns: u64) -> Vec<Crossing> {
+fn crossings(plant: &mut Plant, watches: &[BandMonitor], end_ms: f64, interval_ns: u64) -> Vec<Crossing> {
     let end = Time::from_ms(end_ms).unwrap();
     let mut found = Vec::new();
     while plant.time() < end {
@@ -24,10 +28,15 @@ fn crossings(plant: &mut Plant, watches: &[Watch], end_ms: f64, interval_ns: u64
 #[rstest]
 fn the_first_order_plate_settles_after_tau_ln_20(
     #[values(1_000_000, 50_000, 10_000_000, 333_333)] interval_ns: u64,
-    #[values(Signal::Amplitude, Signal::InPhase)] signal: Signal,
+    #[values(BandSignal::Amplitude, BandSignal::InPhase)] signal: BandSignal,
 ) {
     let plate = paper_plate();
-    let mut plant = driven(&plate, &calm(), Tier::Envelope, Drive { vpp: HOLD, omega: plate.omega0 });
+    let mut plant = driven_plant(
+        &plate,
+        &constant_conditions(),
+        Tier::Envelope,
+        Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 },
+    );
     let found = crossings(&mut plant, &[band(signal, 1.9, 2.1)], 10.0, interval_ns);
     let expected = 20.0_f64.ln() * 1.88e6;
     println!("{signal:?}, intervals of {interval_ns} ns: {} (τ ln 20 = {:.6} ms)", found[0].time, expected / 1e6);
@@ -37,13 +46,14 @@ fn the_first_order_plate_settles_after_tau_ln_20(
 }
 
 /// Every change of side on a grid of 50 ns, closed form.
-fn brackets(flow: &Flow, holds: impl Fn(&State) -> bool, end_ns: u64) -> Vec<u64> {
+fn crossing_intervals(flow: &Flow, holds: impl Fn(&State) -> bool, end_ns: u64) -> Vec<u64> {
     let side = |ns: u64| holds(&flow.after(ns as f64 / 1e9));
     (0..end_ns / 50).map(|step| 50 * step).filter(|ns| side(*ns) != side(ns + 50)).collect()
 }
 
-/// Leaves out pairs of brackets that nothing was found in, if they lie within the microsecond that `Plant::advance` may miss.
-fn without_unseen(brackets: &[u64], found: &[Crossing]) -> Vec<u64> {
+/// Leaves out pairs of brackets that nothing was found in, if they lie within the microsecond that
+/// `Plant::advance` may miss.
+fn without_short_excursions(brackets: &[u64], found: &[Crossing]) -> Vec<u64> {
     let mut kept = Vec::new();
     let mut rest = brackets;
     while let [first, others @ ..] = rest {
@@ -63,27 +73,27 @@ fn without_unseen(brackets: &[u64], found: &[Crossing]) -> Vec<u64> {
 }
 
 #[rstest]
-#[case::drive_at_resonance(HOLD, 0.0, FIVE_PERCENT)]
+#[case::drive_at_resonance(HOLDING_DRIVE_VPP, 0.0, FIVE_PERCENT)]
 #[case::more_drive(540.0, 0.0, FIVE_PERCENT)]
-#[case::detuned_beats(900.0, 3000.0, band(Signal::Amplitude, 1.5, 1.6))]
-#[case::quadrature(600.0, -545.0, band(Signal::Quadrature, 0.3, 0.9))]
-#[case::ripple_decides(HOLD, 0.0, band(Signal::Quadrature, -0.001, 0.001))]
+#[case::detuned_beats(900.0, 3000.0, band(BandSignal::Amplitude, 1.5, 1.6))]
+#[case::quadrature(600.0, -545.0, band(BandSignal::Quadrature, 0.3, 0.9))]
+#[case::ripple_decides(HOLDING_DRIVE_VPP, 0.0, band(BandSignal::Quadrature, -0.001, 0.001))]
 fn the_modal_plate_crosses_where_the_closed_form_and_the_reference_do(
     #[case] vpp: f64,
     #[case] detuning: f64,
-    #[case] watch: Watch,
+    #[case] watch: BandMonitor,
     #[values(1_000_000, 50_000)] interval_ns: u64,
 ) {
     let plate = paper_plate();
     let drive = Drive { vpp, omega: plate.omega0 + detuning };
-    let mut plant = driven(&plate, &calm(), Tier::Modal, drive);
+    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Modal, drive);
     let found = crossings(&mut plant, &[watch], 8.0, interval_ns);
-    let holds = |state: &State| (watch.low..=watch.high).contains(&watch.signal.of(state));
+    let holds = |state: &State| (watch.low..=watch.high).contains(&watch.signal.value(state));
     let flow = Flow::new(Tier::Modal, &plate.mode(&Conditions::default()), &drive, &State::default());
-    let brackets = brackets(&flow, holds, 8_000_000);
+    let brackets = crossing_intervals(&flow, holds, 8_000_000);
     println!("{watch:?} at {vpp} Vpp, {detuning} rad/s off: {} crossings", found.len());
     assert!(!found.is_empty());
-    let brackets = without_unseen(&brackets, &found);
+    let brackets = without_short_excursions(&brackets, &found);
     assert_eq!(found.len(), brackets.len());
     let mut inside = holds(&State::default());
     for (crossing, bracket) in found.iter().zip(brackets) {
@@ -92,7 +102,7 @@ fn the_modal_plate_crosses_where_the_closed_form_and_the_reference_do(
             "{crossing:?} not behind {bracket} ns"
         );
         // A nanosecond earlier the reference is on this side, now on the other.
-        let mut carrier = Carrier::at_rest(plate.omega0);
+        let mut carrier = ReferencePlate::at_rest(plate.omega0);
         let before = crossing.time - Time::from_nanos(1);
         carrier.advance(before.seconds(), plate.force_constant(), &drive, &|_| (plate.sigma0, plate.omega0));
         assert_eq!(holds(&carrier.state()), inside, "{crossing:?}");
@@ -106,7 +116,12 @@ fn the_modal_plate_crosses_where_the_closed_form_and_the_reference_do(
 #[test]
 fn what_is_entered_is_left_again() {
     let plate = paper_plate();
-    let mut plant = driven(&plate, &calm(), Tier::Envelope, Drive { vpp: HOLD, omega: plate.omega0 });
+    let mut plant = driven_plant(
+        &plate,
+        &constant_conditions(),
+        Tier::Envelope,
+        Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 },
+    );
     let mut found = crossings(&mut plant, &[FIVE_PERCENT], 10.0, 1_000_000);
     let from = plant.state().w.re;
     plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 });
@@ -143,8 +158,8 @@ fn a_peak_that_touches_a_band(
     let drive = Drive { vpp: 600.0, omega: plate.omega0 + 3000.0 };
     let flow = Flow::new(Tier::Envelope, &plate.mode(&Conditions::default()), &drive, &State::default());
     let (at, peak) = first_peak(&flow);
-    let watch = band(Signal::Amplitude, edge * peak, 10.0);
-    let mut plant = driven(&plate, &calm(), Tier::Envelope, drive);
+    let watch = band(BandSignal::Amplitude, edge * peak, 10.0);
+    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Envelope, drive);
     let found = crossings(&mut plant, &[watch], 5.0, interval_ns);
     assert_eq!(found.len(), count, "{found:?}");
     if let [entered, left] = found[..] {
@@ -164,14 +179,19 @@ fn several_watches_are_reported_in_order_of_time() {
     let plate = paper_plate();
     let watches = [
         FIVE_PERCENT,
-        band(Signal::Amplitude, 1.0, 9.0),
-        band(Signal::Amplitude, 1.98, 2.02),
-        band(Signal::InPhase, 0.2, 9.0),
-        band(Signal::Amplitude, 1.5, 1.6),
+        band(BandSignal::Amplitude, 1.0, 9.0),
+        band(BandSignal::Amplitude, 1.98, 2.02),
+        band(BandSignal::InPhase, 0.2, 9.0),
+        band(BandSignal::Amplitude, 1.5, 1.6),
         // Never entered.
-        band(Signal::Quadrature, 5.0, 6.0),
+        band(BandSignal::Quadrature, 5.0, 6.0),
     ];
-    let mut plant = driven(&plate, &calm(), Tier::Envelope, Drive { vpp: HOLD, omega: plate.omega0 });
+    let mut plant = driven_plant(
+        &plate,
+        &constant_conditions(),
+        Tier::Envelope,
+        Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 },
+    );
     // One interval holds all of them; what somebody else has put there stays where it is.
     let other = Crossing { time: Time::from_ms(99.0).unwrap(), state: State::default(), before: State::default() };
     let mut found = vec![other];
@@ -194,18 +214,19 @@ fn several_watches_are_reported_in_order_of_time() {
     assert_eq!(found.len(), 2 * before.len());
 }
 
-/// With many frozen substeps per interval, the way there does not depend on who is watching, nor the times on the intervals.
+/// With many frozen substeps per interval, the way there does not depend on who is watching, nor
+/// the times on the intervals.
 #[test]
 fn a_pressing_finger_pushes_the_amplitude_out_of_its_band() {
     let plate: Plate = paper_plate();
     let points = [(20.0, 0.0), (120.0, 1.0)].map(|(t, force)| (Time::from_ms(t).unwrap(), force));
-    let scene = Scene { finger_force_n: Profile::Linear(points.to_vec()), ..surroundings(0.0, 0.0) };
-    let drive = Drive { vpp: HOLD, omega: plate.omega0 };
+    let scene = ConditionProfiles { finger_force_n: Profile::Linear(points.to_vec()), ..conditions(0.0, 0.0) };
+    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
     let mut random = Random::new(7);
-    let mut unwatched = driven(&plate, &scene, Tier::Modal, drive);
+    let mut unwatched = driven_plant(&plate, &scene, Tier::Modal, drive);
     let mut times = Vec::new();
-    for interval_ns in [1_000_000, 50_000, random.between(1e5, 1e6) as u64] {
-        let mut plant = driven(&plate, &scene, Tier::Modal, drive);
+    for interval_ns in [1_000_000, 50_000, random.in_range(1e5, 1e6) as u64] {
+        let mut plant = driven_plant(&plate, &scene, Tier::Modal, drive);
         let found = crossings(&mut plant, &[FIVE_PERCENT], 60.0, interval_ns);
         let left = found.last().unwrap();
         assert!(left.time > Time::from_ms(20.0).unwrap() && left.state.amplitude() < 1.9);

@@ -1,6 +1,7 @@
-//! What must hold where numbers end: decay to nothing, detuning without measure, damping next to nothing.
+//! What must hold where numbers end: decay to nothing, detuning without measure, damping next to
+//! nothing.
 
-use crate::reference::{HOLD, calm, driven, paper_plate, state_at};
+use crate::reference::{HOLDING_DRIVE_VPP, constant_conditions, driven_plant, paper_plate, state_at};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plant, Plate, State, Tier};
 use rstest::rstest;
 use std::num::FpCategory;
@@ -21,7 +22,12 @@ fn a_plate_without_drive_comes_to_rest_and_not_to_subnormal_numbers(
     #[values(0.05, 1.0, 30.0)] interval_ms: f64,
 ) {
     let plate = paper_plate();
-    let mut plant = driven(&plate, &calm(), tier, Drive { vpp: HOLD, omega: plate.omega0 + 100.0 });
+    let mut plant = driven_plant(
+        &plate,
+        &constant_conditions(),
+        tier,
+        Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 100.0 },
+    );
     state_at(&mut plant, 30.0);
     plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 + 100.0 });
     let mut at_rest_from = None;
@@ -46,9 +52,14 @@ fn a_quadrature_that_decays_under_drive_does_not_become_subnormal(
     #[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier,
 ) {
     let plate = paper_plate();
-    let mut plant = driven(&plate, &calm(), tier, Drive { vpp: HOLD, omega: plate.omega0 + 545.0 });
+    let mut plant = driven_plant(
+        &plate,
+        &constant_conditions(),
+        tier,
+        Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 545.0 },
+    );
     state_at(&mut plant, 5.0);
-    plant.set_drive(Drive { vpp: HOLD, omega: plate.omega0 });
+    plant.set_drive(Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     for period in 6..=5_000 {
         state_at(&mut plant, f64::from(period));
         assert_normal(&plant);
@@ -83,7 +94,7 @@ fn no_excitation_frequency_makes_the_plate_diverge(
     let plate = paper_plate();
     let sigma0 = quality.map_or(plate.sigma0, |quality| plate.omega0 / (2.0 * quality));
     let plate = Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate };
-    let mut plant = driven(&plate, &calm(), tier, Drive { vpp: 900.0, omega: plate.omega0 });
+    let mut plant = driven_plant(&plate, &constant_conditions(), tier, Drive { vpp: 900.0, omega: plate.omega0 });
     let before = state_at(&mut plant, 10.0).amplitude();
     let mut largest = 0.0_f64;
     for period in 11..=60 {
@@ -93,12 +104,14 @@ fn no_excitation_frequency_makes_the_plate_diverge(
         largest = largest.max(state.amplitude());
     }
     if tier == Tier::Linear {
-        // It knows no resonance curve: Wd is what it would be at resonance and Wq is −τΔω times that, however large.
+        // It knows no resonance curve: Wd is what it would be at resonance and Wq is −τΔω times
+        // that, however large.
         let furthest = (omega - plate.omega0).abs() / plate.sigma0;
         assert!(largest <= plate.gain * 900.0 * (1.0 + furthest), "{largest} µm");
         return;
     }
-    // Far from resonance a drive does no more than its stiffness allows: (N/m) V/ω0² = 0.03 µm, twice in every step at worst.
+    // Far from resonance a drive does no more than its stiffness allows: (N/m) V/ω0² = 0.03 µm,
+    // twice in every step at worst.
     assert!(largest <= before + 1.0, "{largest} µm after {before} µm");
 }
 
@@ -107,7 +120,7 @@ fn at_quality_1e6_the_amplitude_grows_as_it_must() {
     let plate = paper_plate();
     let sigma0 = plate.omega0 / 2e6;
     let plate = Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate };
-    let mut plant = driven(&plate, &calm(), Tier::Modal, Drive { vpp: 10.0, omega: plate.omega0 });
+    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Modal, Drive { vpp: 10.0, omega: plate.omega0 });
     // τ is 9.85 s.
     for seconds in [1.0, 10.0, 100.0] {
         let w = state_at(&mut plant, 1e3 * seconds).w;

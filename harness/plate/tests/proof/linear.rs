@@ -1,6 +1,8 @@
 //! The linear tier: equations 13 and 19 and nothing else, and how wrong they are.
 
-use crate::reference::{HOLD, SETPOINT, calm, driven, paper_plate, state_at, surroundings};
+use crate::reference::{
+    HOLDING_DRIVE_VPP, SETPOINT, conditions, constant_conditions, driven_plant, paper_plate, state_at,
+};
 use platebench_plate::{Complex64, Drive, Tier};
 use rstest::rstest;
 
@@ -8,11 +10,11 @@ use rstest::rstest;
 fn it_is_the_two_transfer_functions(#[values(0.0, 1.5)] force: f64, #[values(-300.0, 0.0, 545.0)] detuning: f64) {
     let plate = paper_plate();
     let sigma = plate.sigma0 * plate.damping_ratio_at(force);
-    let drive = Drive { vpp: HOLD, omega: plate.omega0 + detuning };
-    let mut plant = driven(&plate, &surroundings(0.0, force), Tier::Linear, drive);
+    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
+    let mut plant = driven_plant(&plate, &conditions(0.0, force), Tier::Linear, drive);
     for ms in [0.01, 1.0, 1.88, 5.0, 50.0] {
         let risen = -(-sigma * ms * 1e-3).exp_m1();
-        let in_phase = plate.gain * plate.sigma0 / sigma * HOLD * risen;
+        let in_phase = plate.gain * plate.sigma0 / sigma * HOLDING_DRIVE_VPP * risen;
         let ratio = -detuning / sigma * risen;
         let state = state_at(&mut plant, ms);
         let expected = Complex64::new(in_phase, in_phase * ratio);
@@ -25,35 +27,36 @@ fn it_is_the_two_transfer_functions(#[values(0.0, 1.5)] force: f64, #[values(-30
 fn the_ratio_moves_without_a_vibration_and_outlives_one() {
     let plate = paper_plate();
     let off = Drive { vpp: 0.0, omega: plate.omega0 + 200.0 };
-    let mut plant = driven(&plate, &calm(), Tier::Linear, off);
+    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Linear, off);
     let state = state_at(&mut plant, 30.0);
     let settled = -200.0 / plate.sigma0;
     assert_eq!(state.w, Complex64::ZERO);
     assert!((state.u.re / settled - 1.0).abs() < 1e-6);
     // Driven from there, Wq follows Wd at once.
-    plant.set_drive(Drive { vpp: HOLD, ..off });
+    plant.set_drive(Drive { vpp: HOLDING_DRIVE_VPP, ..off });
     let w = state_at(&mut plant, 31.0).w;
     assert!(w.re > 0.5 && (w.im / w.re / settled - 1.0).abs() < 1e-6, "{w}");
 }
 
 /// How a run in closed loop begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Start {
+enum StartCondition {
     /// At rest.
     Rest,
     /// Settled at resonance, where equation 19 is meant: Wd is held while the frequency steps.
     Settled,
 }
 
-/// Both loops of the paper on the modal plate, matched to the zero-order hold (2 ms, no limit); the linear plate gets the same drives.
-/// Error relative to the setpoint at the control instants of the 40 ms from the detuning on.
-fn closed_loop_error(start: Start, detuning: f64) -> f64 {
+/// Both loops of the paper on the modal plate, matched to the zero-order hold (2 ms, no limit); the
+/// linear plate gets the same drives. Error relative to the setpoint at the control instants of the
+/// 40 ms from the detuning on.
+fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
     let plate = paper_plate();
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
     let normalised = (1.0 - loop_pole) / (1.0 - plant_pole);
-    let settling = if start == Start::Settled { 40 } else { 0 };
+    let settling = if start == StartCondition::Settled { 40 } else { 0 };
     let mut drive = Drive { vpp: 0.0, omega: plate.omega0 };
-    let mut plants = [Tier::Modal, Tier::Linear].map(|tier| driven(&plate, &calm(), tier, drive));
+    let mut plants = [Tier::Modal, Tier::Linear].map(|tier| driven_plant(&plate, &constant_conditions(), tier, drive));
     let (mut voltage, mut frequency) = (0.0, plate.omega0);
     let mut worst = 0.0_f64;
     for period in 0..settling + 40 {
@@ -79,25 +82,27 @@ fn closed_loop_error(start: Start, detuning: f64) -> f64 {
     worst
 }
 
-/// The modal plate and the linear one under a constant drive: error relative to the setpoint, and of the true |W|, once settled.
+/// The modal plate and the linear one under a constant drive: error relative to the setpoint, and
+/// of the true |W|, once settled.
 fn open_loop_error(detuning: f64) -> [f64; 2] {
     let plate = paper_plate();
-    let drive = Drive { vpp: HOLD, omega: plate.omega0 + detuning };
-    let [modal, linear] =
-        [Tier::Modal, Tier::Linear].map(|tier| state_at(&mut driven(&plate, &calm(), tier, drive), 60.0).w);
+    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
+    let [modal, linear] = [Tier::Modal, Tier::Linear]
+        .map(|tier| state_at(&mut driven_plant(&plate, &constant_conditions(), tier, drive), 60.0).w);
     let error = (linear - modal).norm();
     [error / SETPOINT, error / modal.norm()]
 }
 
-/// Expected: error of the closed loop from rest and from a settled plate relative to the setpoint, and of the settled open loop relative
-/// to the true |W|.
+/// Expected: error of the closed loop from rest and from a settled plate relative to the setpoint,
+/// and of the settled open loop relative to the true |W|.
 #[rstest]
 #[case::at_resonance(0.0, [3.44e-3, 0.0, 0.0])]
 #[case::one_step_of_figure_9(77.0, [2.24e-2, 2.19e-3, 2.13e-2])]
 #[case::detuned(545.0, [0.182, 0.105, 1.054])]
 #[case::far(2000.0, [1.357, 4.16, 14.22])]
 fn it_is_as_wrong_as_it_is_said_to_be(#[case] detuning: f64, #[case] expected: [f64; 3]) {
-    let [from_rest, from_settled] = [Start::Rest, Start::Settled].map(|start| closed_loop_error(start, detuning));
+    let [from_rest, from_settled] =
+        [StartCondition::Rest, StartCondition::Settled].map(|start| closed_loop_error(start, detuning));
     let [open, of_true] = open_loop_error(detuning);
     println!(
         "linear against modal, {detuning} rad/s off: closed loop {from_rest:.2e} from rest, {from_settled:.2e} from settled; \

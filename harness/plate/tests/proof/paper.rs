@@ -1,6 +1,6 @@
 //! The paper's steady numbers, and what the plate says to them.
 
-use crate::reference::{HOLD, SETPOINT, driven, paper_plate, state_at, surroundings};
+use crate::reference::{HOLDING_DRIVE_VPP, SETPOINT, conditions, driven_plant, paper_plate, state_at};
 use platebench_plate::{Complex64, Conditions, Drive, Mode, Plate, Tier};
 use rstest::rstest;
 use std::f64::consts::TAU;
@@ -10,8 +10,8 @@ fn mode(plate: &Plate, temperature_offset_k: f64, finger_force_n: f64) -> Mode {
 }
 
 /// W after 100 ms of a constant drive from rest.
-fn settled(plate: &Plate, tier: Tier, [offset_k, force_n]: [f64; 2], drive: Drive) -> Complex64 {
-    state_at(&mut driven(plate, &surroundings(offset_k, force_n), tier, drive), 100.0).w
+fn steady_state(plate: &Plate, tier: Tier, [offset_k, force_n]: [f64; 2], drive: Drive) -> Complex64 {
+    state_at(&mut driven_plant(plate, &conditions(offset_k, force_n), tier, drive), 100.0).w
 }
 
 #[test]
@@ -22,17 +22,17 @@ fn the_steady_state_lies_on_the_resonance_curve() {
         for force in [0.0, 2.0] {
             let omega = plate.omega0 + 250.0 * f64::from(step);
             let sigma = plate.sigma0 * (1.0 + force / 1.5);
-            let drive = Drive { vpp: HOLD, omega };
+            let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega };
             // Magnitude and phase of (N/m) jV / (ω0² − ω² + 2jσω), in real numbers.
             let (spring, damper) = (plate.omega0.powi(2) - omega.powi(2), 2.0 * sigma * omega);
-            let magnitude = plate.gain * 2.0 * plate.sigma0 * plate.omega0 * HOLD / spring.hypot(damper);
+            let magnitude = plate.gain * 2.0 * plate.sigma0 * plate.omega0 * HOLDING_DRIVE_VPP / spring.hypot(damper);
             let phase = TAU / 4.0 - damper.atan2(spring);
-            let modal = settled(&plate, Tier::Modal, [0.0, force], drive);
+            let modal = steady_state(&plate, Tier::Modal, [0.0, force], drive);
             worst = worst.max((modal - Complex64::from_polar(magnitude, phase)).norm() / SETPOINT);
             // First order: K1 V σ0 / (σ + jΔω).
             let detuning = omega - plate.omega0;
-            let lorentz = plate.gain * HOLD * plate.sigma0 / sigma.hypot(detuning);
-            let envelope = settled(&plate, Tier::Envelope, [0.0, force], drive);
+            let lorentz = plate.gain * HOLDING_DRIVE_VPP * plate.sigma0 / sigma.hypot(detuning);
+            let envelope = steady_state(&plate, Tier::Envelope, [0.0, force], drive);
             worst = worst.max((envelope.norm() - lorentz).abs() / SETPOINT);
             assert!((envelope.im / envelope.re + detuning / sigma).abs() < 1e-9, "Wq/Wd = −Δω/σ");
             widest = widest.max((modal - envelope).norm() / SETPOINT);
@@ -50,7 +50,7 @@ fn the_steady_state_lies_on_the_resonance_curve() {
 #[case::fig_16(2.0, 0.428_571)]
 fn a_finger_damps(#[case] force: f64, #[case] left: f64, #[values(Tier::Modal, Tier::Envelope)] tier: Tier) {
     let plate = paper_plate();
-    let w = settled(&plate, tier, [0.0, force], Drive { vpp: HOLD, omega: plate.omega0 });
+    let w = steady_state(&plate, tier, [0.0, force], Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     println!("{}, {force} N: |W| = {:.4} of the untouched", tier.name(), w.norm() / SETPOINT);
     assert!((w.norm() / SETPOINT - left).abs() < 1e-6, "{w}");
     assert!(w.im.abs() < 1e-12, "still at resonance: {w}");
@@ -63,15 +63,16 @@ fn nine_kelvin_move_the_resonance_as_in_fig_4() {
     println!("resonance {cold:.1} Hz at 24 °C, {warm:.1} Hz at 33 °C; paper: 32.3 and 32.2 kHz");
     assert!((cold - 32_307.6).abs() < 0.05 && (warm - 32_220.9).abs() < 0.05, "{cold} {warm}");
     // Where |W| is largest, within 1 rad/s.
-    let response = |omega: f64| settled(&plate, Tier::Modal, [9.0, 0.0], Drive { vpp: HOLD, omega }).norm();
+    let response =
+        |omega: f64| steady_state(&plate, Tier::Modal, [9.0, 0.0], Drive { vpp: HOLDING_DRIVE_VPP, omega }).norm();
     let resonance = mode(&plate, 9.0, 0.0).omega0;
     // The largest |W| of a damped mode lies σ²/ω0 = 1.4 rad/s below ω0.
     let top = resonance - plate.sigma0.powi(2) / resonance;
     assert!(response(top) > response(top + 5.0) && response(top) > response(top - 5.0));
 }
 
-/// Open loop, excited at 24 °C's resonance with the plate 9 K or 4 K warmer: −20 % and −8 % in the paper, which a linear
-/// resonator with the paper's own τ does not show.
+/// Open loop, excited at 24 °C's resonance with the plate 9 K or 4 K warmer: −20 % and −8 % in the
+/// paper, which a linear resonator with the paper's own τ does not show.
 #[rstest]
 #[case::tau1_9k(1.88, 9.0, 1.40, 1.6)]
 #[case::tau2_9k(1.62, 9.0, 1.50, 1.6)]
@@ -79,7 +80,7 @@ fn nine_kelvin_move_the_resonance_as_in_fig_4() {
 #[case::tau2_4k(1.62, 4.0, 1.86, 1.84)]
 fn detuned_open_loop_reaches(#[case] tau_ms: f64, #[case] offset_k: f64, #[case] ours: f64, #[case] paper: f64) {
     let plate = Plate { sigma0: 1e3 / tau_ms, ..paper_plate() };
-    let w = settled(&plate, Tier::Modal, [offset_k, 0.0], Drive { vpp: HOLD, omega: plate.omega0 });
+    let w = steady_state(&plate, Tier::Modal, [offset_k, 0.0], Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     println!("+{offset_k} K open loop, τ = {tau_ms} ms: {:.3} µm where the paper reports {paper} µm", w.norm());
     assert!((w.norm() - ours).abs() < 5e-3, "{w}");
 }
@@ -88,7 +89,7 @@ fn detuned_open_loop_reaches(#[case] tau_ms: f64, #[case] offset_k: f64, #[case]
 fn amplitude_is_linear_in_the_voltage_as_in_fig_7() {
     let plate = paper_plate();
     for vpp in [50.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0] {
-        let w = settled(&plate, Tier::Modal, [0.0, 0.0], Drive { vpp, omega: plate.omega0 });
+        let w = steady_state(&plate, Tier::Modal, [0.0, 0.0], Drive { vpp, omega: plate.omega0 });
         assert!((w.re / vpp / 6980e-6 - 1.0).abs() < 1e-12 && w.im.abs() < 1e-12, "{w} at {vpp} Vpp");
     }
 }
@@ -103,14 +104,14 @@ fn amplitude_is_linear_in_the_voltage_as_in_fig_7() {
 fn the_floor_of_the_settling_time(#[case] limit: f64, #[case] expected_ms: Option<f64>) {
     let plate = paper_plate();
     let mode = mode(&plate, 0.0, 0.0);
-    let floor = mode.time_floor(SETPOINT, 0.95, limit);
+    let floor = mode.min_rise_time(SETPOINT, 0.95, limit);
     println!("time floor at {limit} Vpp: {floor:?} s");
     assert_eq!(floor.is_some(), expected_ms.is_some());
     if let (Some(floor), Some(expected_ms)) = (floor, expected_ms) {
         assert!((1e3 * floor / expected_ms - 1.0).abs() < 1e-4, "{floor}");
         // An envelope under that drive is there by then.
         let mut plant =
-            driven(&plate, &surroundings(0.0, 0.0), Tier::Envelope, Drive { vpp: limit, omega: plate.omega0 });
+            driven_plant(&plate, &conditions(0.0, 0.0), Tier::Envelope, Drive { vpp: limit, omega: plate.omega0 });
         let reached = state_at(&mut plant, 1e3 * floor).amplitude();
         assert!((reached / (0.95 * SETPOINT) - 1.0).abs() < 1e-5, "{reached} µm");
     }
@@ -126,9 +127,9 @@ fn the_drive_that_holds_the_setpoint(#[case] force: f64, #[case] expected: f64) 
     let needed = mode.drive_for(SETPOINT);
     println!("{force} N: {needed:.2} Vpp hold 2 µm");
     assert!((needed - expected).abs() < 0.01, "{needed}");
-    let held = settled(&plate, Tier::Modal, [0.0, force], Drive { vpp: needed, omega: plate.omega0 }).norm();
+    let held = steady_state(&plate, Tier::Modal, [0.0, force], Drive { vpp: needed, omega: plate.omega0 }).norm();
     assert!((held / SETPOINT - 1.0).abs() < 1e-12, "{held}");
     // 95 % of the setpoint just within reach, and just not.
-    assert!(mode.time_floor(SETPOINT, 0.95, 0.95 * needed * 1.000_001).is_some());
-    assert_eq!(mode.time_floor(SETPOINT, 0.95, 0.95 * needed * 0.999_999), None);
+    assert!(mode.min_rise_time(SETPOINT, 0.95, 0.95 * needed * 1.000_001).is_some());
+    assert_eq!(mode.min_rise_time(SETPOINT, 0.95, 0.95 * needed * 0.999_999), None);
 }

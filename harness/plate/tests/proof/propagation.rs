@@ -1,30 +1,36 @@
 //! Constant parameters: each tier against the reference, and many steps against one.
 
-use crate::reference::{Carrier, HOLD, Random, SETPOINT, calm, distance, driven, paper_plate, state_at, surroundings};
-use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plant, Plate, Profile, Scene, State, Tier, Time};
+use crate::reference::{
+    HOLDING_DRIVE_VPP, Random, ReferencePlate, SETPOINT, conditions, constant_conditions, distance, driven_plant,
+    paper_plate, state_at,
+};
+use platebench_plate::{
+    Complex64, ConditionProfiles, Conditions, Drive, Flow, Mode, Plant, Plate, Profile, State, Tier, Time,
+};
 use rstest::rstest;
 
 fn calm_mode(plate: &Plate) -> Mode {
     plate.mode(&Conditions::default())
 }
 
-/// Largest error over 40 control periods of 1 ms with random drives, and with random jumps of force and temperature if asked for.
+/// Largest error over 40 control periods of 1 ms with random drives, and with random jumps of force
+/// and temperature if asked for.
 fn error_under_random_drives(seed: u64, detuning: f64, jumps: bool) -> f64 {
     let plate = paper_plate();
     let mut random = Random::new(seed);
     let mut jumping = |high: f64| {
         let points = (0..40)
-            .map(|period| (Time::from_nanos(period * 1_000_000), if jumps { random.between(0.0, high) } else { 0.0 }));
+            .map(|period| (Time::from_nanos(period * 1_000_000), if jumps { random.in_range(0.0, high) } else { 0.0 }));
         Profile::Hold(points.collect())
     };
-    let scene = Scene { temperature_offset_k: jumping(9.0), finger_force_n: jumping(2.0) };
+    let scene = ConditionProfiles { temperature_offset_k: jumping(9.0), finger_force_n: jumping(2.0) };
     let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
-    let mut carrier = Carrier::at_rest(plate.omega0);
+    let mut carrier = ReferencePlate::at_rest(plate.omega0);
     let mut worst = 0.0_f64;
     for period in 1..=40 {
         let mode = plant.mode_at(plant.time());
-        let omega = plate.omega0 + random.between(-detuning, detuning);
-        let drive = Drive { vpp: random.between(0.0, 800.0), omega };
+        let omega = plate.omega0 + random.in_range(-detuning, detuning);
+        let drive = Drive { vpp: random.in_range(0.0, 800.0), omega };
         plant.set_drive(drive);
         let state = state_at(&mut plant, f64::from(period));
         carrier.advance(1e-3, plate.force_constant(), &drive, &|_| (mode.sigma, mode.omega0));
@@ -55,8 +61,8 @@ fn plate_with_quality(quality: Option<f64>) -> Plate {
 }
 
 #[rstest]
-#[case::paper(None, 545.0, HOLD)]
-#[case::at_resonance(None, 0.0, HOLD)]
+#[case::paper(None, 545.0, HOLDING_DRIVE_VPP)]
+#[case::at_resonance(None, 0.0, HOLDING_DRIVE_VPP)]
 #[case::quality_1e6(Some(1e6), 545.0, 100.0)]
 fn a_minute_in_steps_is_a_minute_at_once(
     #[case] quality: Option<f64>,
@@ -68,16 +74,17 @@ fn a_minute_in_steps_is_a_minute_at_once(
     let plate = plate_with_quality(quality);
     let drive = Drive { vpp, omega: plate.omega0 + detuning };
     let whole = Flow::new(tier, &calm_mode(&plate), &drive, &State::default());
-    let mut plant = driven(&plate, &calm(), tier, drive);
+    let mut plant = driven_plant(&plate, &constant_conditions(), tier, drive);
     let mut random = Random::new(4);
     let end = Time::from_nanos(60_000_000_000);
     let (mut worst, mut steps) = (0.0_f64, 0);
     while plant.time() < end {
         // From nanoseconds to some milliseconds, evenly in the logarithm, or 60 000 times 1 ms.
-        let step = if irregular { random.between(0.0, 16.0).exp() as u64 } else { 1_000_000 };
+        let step = if irregular { random.in_range(0.0, 16.0).exp() as u64 } else { 1_000_000 };
         plant.advance((plant.time() + Time::from_nanos(step)).min(end), &[], &mut Vec::new());
         let expected = whole.after(plant.time().seconds());
-        // The linear tier knows no resonance curve: 545 rad/s off at quality 10⁶ are 5000 times the setpoint.
+        // The linear tier knows no resonance curve: 545 rad/s off at quality 10⁶ are 5000 times the
+        // setpoint.
         let scale = if tier == Tier::Linear { expected.amplitude().max(1.0) } else { 1.0 };
         worst = worst.max(distance(&plant.state(), &expected, plate.omega0) / scale);
         steps += 1;
@@ -97,10 +104,10 @@ fn splitting_an_interval_changes_nothing(#[values(Tier::Linear, Tier::Envelope, 
     let mut random = Random::new(5);
     let mut worst = 0.0_f64;
     for _ in 0..200 {
-        let omega = plate.omega0 + random.between(-5000.0, 5000.0);
-        let drive = Drive { vpp: random.between(0.0, 800.0), omega };
-        let mode = plate.mode(&Conditions { temperature_offset_k: random.between(0.0, 9.0), finger_force_n: 1.0 });
-        let mut component = || Complex64::new(random.between(-2.0, 2.0), random.between(-2.0, 2.0));
+        let omega = plate.omega0 + random.in_range(-5000.0, 5000.0);
+        let drive = Drive { vpp: random.in_range(0.0, 800.0), omega };
+        let mode = plate.mode(&Conditions { temperature_offset_k: random.in_range(0.0, 9.0), finger_force_n: 1.0 });
+        let mut component = || Complex64::new(random.in_range(-2.0, 2.0), random.in_range(-2.0, 2.0));
         let mut w = component();
         let u = match tier {
             Tier::Linear => (w.im / w.re).into(),
@@ -114,7 +121,7 @@ fn splitting_an_interval_changes_nothing(#[values(Tier::Linear, Tier::Envelope, 
         let flow = Flow::new(tier, &mode, &drive, &state);
         let mut elapsed = 0.0;
         while elapsed < 5e-3 {
-            let step = random.between(0.0, 2e-4);
+            let step = random.in_range(0.0, 2e-4);
             state = Flow::new(tier, &mode, &drive, &state).after(step);
             elapsed += step;
         }
@@ -124,36 +131,37 @@ fn splitting_an_interval_changes_nothing(#[values(Tier::Linear, Tier::Envelope, 
     assert!(worst <= 1e-12, "{worst:e}");
 }
 
-/// Drives that hold the setpoint at resonance, or those of equation 24 matched to a zero-order hold (2 ms, no limit).
+/// Drives that hold the setpoint at resonance, or those of equation 24 matched to a zero-order hold
+/// (2 ms, no limit).
 #[derive(Debug, Clone, Copy)]
-enum Loop {
+enum ControlLoop {
     Open,
     Closed,
 }
 
 /// Expected: largest distance in 1/1000 of the setpoint at the control instants, and at any time.
 #[rstest]
-#[case::step(0.0, Loop::Open, [1.83, 2.56])]
-#[case::step_closed(0.0, Loop::Closed, [3.44, 4.83])]
-#[case::detuned(545.0, Loop::Open, [1.57, 2.56])]
-#[case::detuned_closed(545.0, Loop::Closed, [3.01, 4.82])]
-#[case::far(2000.0, Loop::Open, [1.45, 2.54])]
+#[case::step(0.0, ControlLoop::Open, [1.83, 2.56])]
+#[case::step_closed(0.0, ControlLoop::Closed, [3.44, 4.83])]
+#[case::detuned(545.0, ControlLoop::Open, [1.57, 2.56])]
+#[case::detuned_closed(545.0, ControlLoop::Closed, [3.01, 4.82])]
+#[case::far(2000.0, ControlLoop::Open, [1.45, 2.54])]
 fn the_envelope_is_as_wrong_as_it_is_said_to_be(
     #[case] detuning: f64,
-    #[case] control: Loop,
+    #[case] control: ControlLoop,
     #[case] expected: [f64; 2],
 ) {
     let plate = paper_plate();
     let omega = plate.omega0 + detuning;
-    let hold = Drive { vpp: HOLD, omega };
+    let hold = Drive { vpp: HOLDING_DRIVE_VPP, omega };
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
     let proportional = (1.0 - loop_pole) / (plate.gain * (1.0 - plant_pole));
-    let mut modal = driven(&plate, &calm(), Tier::Modal, hold);
-    let mut envelope = driven(&plate, &calm(), Tier::Envelope, hold);
+    let mut modal = driven_plant(&plate, &constant_conditions(), Tier::Modal, hold);
+    let mut envelope = driven_plant(&plate, &constant_conditions(), Tier::Envelope, hold);
     let mut integral = 0.0;
     let (mut at_instants, mut ever) = (0.0_f64, 0.0_f64);
     for period in 0..40 {
-        if let Loop::Closed = control {
+        if let ControlLoop::Closed = control {
             let error = SETPOINT - modal.state().w.re;
             let drive = Drive { vpp: proportional * error + integral, omega };
             integral += proportional * (1.0 - plant_pole) * error;
@@ -186,7 +194,7 @@ fn the_envelope_is_as_wrong_as_it_is_said_to_be(
 fn u_and_not_the_derivative_of_w_outlives_a_frequency_step() {
     let plate = paper_plate();
     let mode = calm_mode(&plate);
-    let mut carrier = Carrier::at_rest(plate.omega0);
+    let mut carrier = ReferencePlate::at_rest(plate.omega0);
     let (mut ours, mut theirs) = (State::default(), State::default());
     let (mut our_error, mut their_error) = (0.0_f64, 0.0_f64);
     let mut omega = plate.omega0;
@@ -195,7 +203,7 @@ fn u_and_not_the_derivative_of_w_outlives_a_frequency_step() {
         // W' continuous: W' = U − jωW, before and after.
         theirs.u += Complex64::I * (next - omega) * theirs.w;
         omega = next;
-        let drive = Drive { vpp: HOLD, omega };
+        let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega };
         ours = Flow::new(Tier::Modal, &mode, &drive, &ours).after(1e-3);
         theirs = Flow::new(Tier::Modal, &mode, &drive, &theirs).after(1e-3);
         carrier.advance(1e-3, plate.force_constant(), &drive, &|_| (mode.sigma, mode.omega0));
@@ -210,7 +218,8 @@ fn u_and_not_the_derivative_of_w_outlives_a_frequency_step() {
 #[rstest]
 fn actuating_moves_nothing(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
     let plate = paper_plate();
-    let mut plant = driven(&plate, &surroundings(3.0, 1.0), tier, Drive { vpp: HOLD, omega: plate.omega0 });
+    let mut plant =
+        driven_plant(&plate, &conditions(3.0, 1.0), tier, Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     let before = state_at(&mut plant, 3.0);
     plant.set_drive(Drive { vpp: 10.0, omega: plate.omega0 - 300.0 });
     assert_eq!(plant.state(), before);

@@ -2,8 +2,8 @@
 
 use ode_solvers::dop_shared::OutputType;
 use ode_solvers::{Dop853, System, Vector5};
-use platebench_plate::file::RawPlate;
-use platebench_plate::{Complex64, Drive, Plant, Plate, Profile, Scene, State, Tier, Time};
+use platebench_plate::RawPlate;
+use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, Profile, State, Tier, Time};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};
@@ -12,7 +12,7 @@ use std::f64::consts::TAU;
 /// µm, peak to peak: what errors are relative to.
 pub(crate) const SETPOINT: f64 = 2.0;
 /// The drive that holds [`SETPOINT`] at resonance, Vpp.
-pub(crate) const HOLD: f64 = SETPOINT / 0.006_98;
+pub(crate) const HOLDING_DRIVE_VPP: f64 = SETPOINT / 0.006_98;
 
 /// The paper's plate.
 pub(crate) fn paper_plate() -> Plate {
@@ -21,17 +21,17 @@ pub(crate) fn paper_plate() -> Plate {
 }
 
 /// Nothing touches the plate and nothing warms it.
-pub(crate) fn calm() -> Scene {
-    surroundings(0.0, 0.0)
+pub(crate) fn constant_conditions() -> ConditionProfiles {
+    conditions(0.0, 0.0)
 }
 
 /// The same offset in K and force in N throughout.
-pub(crate) fn surroundings(offset_k: f64, force_n: f64) -> Scene {
-    Scene { temperature_offset_k: Profile::constant(offset_k), finger_force_n: Profile::constant(force_n) }
+pub(crate) fn conditions(offset_k: f64, force_n: f64) -> ConditionProfiles {
+    ConditionProfiles { temperature_offset_k: Profile::constant(offset_k), finger_force_n: Profile::constant(force_n) }
 }
 
 /// A plant that `drive` acts on from the start.
-pub(crate) fn driven(plate: &Plate, scene: &Scene, tier: Tier, drive: Drive) -> Plant {
+pub(crate) fn driven_plant(plate: &Plate, scene: &ConditionProfiles, tier: Tier, drive: Drive) -> Plant {
     let mut plant = Plant::new(plate.clone(), scene.clone(), tier);
     plant.set_drive(drive);
     plant
@@ -57,15 +57,17 @@ impl Random {
     }
 
     /// Even between `low` and `high`.
-    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub(crate) fn in_range(&mut self, low: f64, high: f64) -> f64 {
         Uniform::new(low, high).unwrap().sample(&mut self.0)
     }
 }
 
-/// `z'' + 2σ(t) z' + ω0(t)² z = (N/m) jV e^{jθ}`: its real part is equation 1, its imaginary part the same a quarter period on.
+/// `z'' + 2σ(t) z' + ω0(t)² z = (N/m) jV e^{jθ}`: its real part is equation 1, its imaginary part
+/// the same a quarter period on.
 ///
-/// Nothing here knows of a rotating frame: θ is accumulated, and only reading a state turns back by it.
-pub(crate) struct Carrier {
+/// Nothing here knows of a rotating frame: θ is accumulated, and only reading a state turns back by
+/// it.
+pub(crate) struct ReferencePlate {
     time: f64,
     theta: f64,
     /// Re z, Re z'/scale, Im z, Im z'/scale, seconds into the interval.
@@ -85,8 +87,9 @@ struct Equation1<'a> {
     scale: f64,
 }
 
-/// Autonomous, with time as the fifth component: `ode_solvers` 0.6.2 gives the twelfth stage of DOP853 the node 0 in place of 1,
-/// which costs seven digits wherever a right-hand side reads the integrator's own time.
+/// Autonomous, with time as the fifth component: `ode_solvers` 0.6.2 gives the twelfth stage of
+/// DOP853 the node 0 in place of 1, which costs seven digits wherever a right-hand side reads the
+/// integrator's own time.
 impl System<f64, Vector5<f64>> for Equation1<'_> {
     fn system(&self, _: f64, z: &Vector5<f64>, change: &mut Vector5<f64>) {
         let t = z[4];
@@ -102,8 +105,9 @@ impl System<f64, Vector5<f64>> for Equation1<'_> {
     }
 }
 
-impl Carrier {
-    /// At rest at time 0; `scale` is an angular frequency near the carrier's, so that z and z'/scale are alike.
+impl ReferencePlate {
+    /// At rest at time 0; `scale` is an angular frequency near the carrier's, so that z and
+    /// z'/scale are alike.
     pub(crate) fn at_rest(scale: f64) -> Self {
         Self { time: 0.0, theta: 0.0, z: Vector5::zeros(), scale }
     }
@@ -112,7 +116,8 @@ impl Carrier {
     pub(crate) fn advance(&mut self, seconds: f64, force_constant: f64, drive: &Drive, mode: ModeOverTime<'_>) {
         let (theta, omega, scale) = (self.theta, drive.omega, self.scale);
         let equation = Equation1 { mode, start: self.time, theta, omega, force: force_constant * drive.vpp, scale };
-        // No step beyond a fortieth of a carrier period, so that a small state cannot hide a bend of the drive.
+        // No step beyond a fortieth of a carrier period, so that a small state cannot hide a bend
+        // of the drive.
         let longest = TAU / scale / 40.0;
         let out = OutputType::Sparse;
         let mut solver = Dop853::from_param(

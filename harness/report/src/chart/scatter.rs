@@ -1,22 +1,30 @@
-//! Points by colour and shape in panels above each other, with limit lines: two logarithmic axes, the left to right one shared.
+//! Draws points by colour and shape in panels above each other, with limit lines; the panels share the horizontal axis, and both axes are logarithmic.
 
-use super::ink::{Area, Drawn, FINE, Role, decades, document, many, power, text};
+use super::svg::{
+    Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, decades, format_power_of_ten, length,
+    svg_document, text_style,
+};
 use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 use std::ops::Range;
 
-/// CSS pixels: width, height of a panel's plot, what stands above each and below the last, and the room for axis and legend at its sides.
+/// CSS pixels.
 const WIDTH: i32 = 900;
-const PLOT: i32 = 250;
-const ABOVE: i32 = 84;
-const BELOW: i32 = 56;
-const LEFT: i32 = 70;
-const RIGHT: i32 = 330;
-const TITLE: i32 = 30;
-/// CSS pixels from one line of the legend to the next.
-const LINE: i32 = 19;
-/// Corners of a shape in units of its radius; the first is all but a circle.
+/// Height of a panel's plot.
+const PLOT_HEIGHT: i32 = 250;
+const MARGIN_TOP: i32 = 84;
+const MARGIN_BOTTOM: i32 = 56;
+/// Space for the vertical axis.
+const MARGIN_LEFT: i32 = 70;
+/// Space for the legend.
+const MARGIN_RIGHT: i32 = 330;
+const TITLE_HEIGHT: i32 = 30;
+/// Distance of the legend's lines.
+const LINE_HEIGHT: i32 = 19;
+/// Radius of a shape.
+const RADIUS: f64 = 5.0;
+/// Corners of a shape in units of its radius; the first is almost a circle.
 const SHAPES: [&[(f64, f64)]; 5] = [
     &[
         (1.0, 0.0),
@@ -40,89 +48,85 @@ const SHAPES: [&[(f64, f64)]; 5] = [
 
 /// A point.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Point {
-    /// Whose it is: a colour of the drawing.
+pub struct ScatterPoint {
+    /// Index of its colour in the drawing.
     pub colour: usize,
-    /// In what it was found: a shape of its panel.
+    /// Index of its shape in the panel.
     pub shape: usize,
-    /// Left to right; none where there is no such number, and the point stands at the right edge.
+    /// Horizontal value; the point lies at the right edge without one.
     pub x: Option<f64>,
-    /// Bottom to top.
+    /// Vertical value.
     pub y: f64,
 }
 
-/// A part of the drawing with an upward axis of its own.
+/// A part of the drawing with a vertical axis of its own.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Panel {
-    /// What goes upwards, with its unit.
+pub struct ScatterPanel {
+    /// Label of the vertical axis, with its unit.
     pub y_label: String,
-    /// Smallest y that is told apart: what lies below stands on the lower edge.
-    pub least: f64,
-    /// Names of shapes.
+    /// Smallest y that is distinguished; smaller values lie on the lower edge.
+    pub floor: f64,
+    /// Names of the shapes.
     pub shapes: Vec<String>,
     /// Points.
-    pub points: Vec<Point>,
+    pub points: Vec<ScatterPoint>,
     /// Limits of x and their names.
-    pub across: Vec<(f64, String)>,
+    pub x_limits: Vec<(f64, String)>,
     /// Limits of y and their names.
-    pub up: Vec<(f64, String)>,
+    pub y_limits: Vec<(f64, String)>,
 }
 
-/// A drawing.
+/// Panels of points above each other.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Scatter {
-    /// What it shows.
+pub struct ScatterChart {
+    /// Title.
     pub title: String,
-    /// What goes from left to right, with its unit.
+    /// Label of the horizontal axis, with its unit.
     pub x_label: String,
-    /// Names of colours.
+    /// Names of the colours.
     pub colours: Vec<String>,
-    /// What a point at the right edge means.
+    /// Meaning of the right edge.
     pub edge_label: String,
-    /// From the top.
-    pub panels: Vec<Panel>,
+    /// Panels from the top.
+    pub panels: Vec<ScatterPanel>,
 }
 
-impl Scatter {
-    /// The drawing as an SVG document.
+impl ScatterChart {
+    /// The drawing as an SVG file.
     ///
     /// # Errors
-    /// [`ReportError::Plot`] where it cannot be drawn.
+    /// [`ReportError::Plot`].
     pub fn svg(&self) -> Result<String, ReportError> {
-        let (width, height) = self.size();
-        document(&self.title, (width * FINE, height * FINE), self.colours.len(), |root| self.draw(root))
+        let height = TITLE_HEIGHT + (MARGIN_TOP + PLOT_HEIGHT + MARGIN_BOTTOM) * count_factor(self.panels.len());
+        svg_document(&self.title, (WIDTH, height), |root| self.draw(root))
     }
 
-    /// CSS pixels.
-    fn size(&self) -> (i32, i32) {
-        (WIDTH, TITLE + (ABOVE + PLOT + BELOW) * many(self.panels.len()))
-    }
-
-    fn draw(&self, root: &Area<'_>) -> Drawn<()> {
-        root.draw_text(&self.title, &text(Role::Title, HPos::Left), (14 * FINE, 20 * FINE))?;
+    fn draw(&self, root: &DrawArea<'_>) -> DrawResult {
+        Canvas(root).text(Role::Title, HPos::Left, (14, 20), &self.title)?;
         let points = || self.panels.iter().flat_map(|panel| &panel.points);
-        let limits = self.panels.iter().flat_map(|panel| panel.across.iter().map(|(x, _)| *x));
-        let xs = around(points().filter_map(|point| point.x).chain(limits));
-        let (_, rest) = root.split_vertically(TITLE * FINE);
+        let limits = self.panels.iter().flat_map(|panel| panel.x_limits.iter().map(|(x, _)| *x));
+        let xs = padded_range(points().filter_map(|point| point.x).chain(limits));
+        let (_, rest) = root.split_vertically(TITLE_HEIGHT * UNITS_PER_PIXEL);
         for (number, (panel, area)) in self.panels.iter().zip(rest.split_evenly((self.panels.len(), 1))).enumerate() {
-            self.panel(panel, &area, &xs)?;
+            self.draw_panel(panel, &area, &xs)?;
             if number == 0 {
-                self.legend(&area)?;
+                self.draw_legend(&area)?;
             }
         }
         Ok(())
     }
 
-    fn panel(&self, panel: &Panel, area: &Area<'_>, xs: &Range<f64>) -> Drawn<()> {
-        let values = panel.points.iter().map(|point| point.y).chain(panel.up.iter().map(|(y, _)| *y));
-        let ys = decades(values.map(|y| if y.is_finite() { y.max(panel.least) } else { y }));
-        // Room at the right for what has no x.
+    fn draw_panel(&self, panel: &ScatterPanel, area: &DrawArea<'_>, xs: &Range<f64>) -> DrawResult {
+        let canvas = Canvas(area);
+        let values = panel.points.iter().map(|point| point.y).chain(panel.y_limits.iter().map(|(y, _)| *y));
+        let ys = decades(values.map(|y| if y.is_finite() { y.max(panel.floor) } else { y }));
+        // Points without x lie between the last x and the end of the axis.
         let (edge, right) = (xs.end * 1.35, xs.end * 1.8);
         let mut chart = ChartBuilder::on(area)
-            .margin_top(u32::try_from(ABOVE * FINE)?)
-            .margin_right(u32::try_from(RIGHT * FINE)?)
-            .set_label_area_size(LabelAreaPosition::Left, u32::try_from(LEFT * FINE)?)
-            .set_label_area_size(LabelAreaPosition::Bottom, u32::try_from(BELOW * FINE)?)
+            .margin_top(MARGIN_TOP * UNITS_PER_PIXEL)
+            .margin_right(MARGIN_RIGHT * UNITS_PER_PIXEL)
+            .set_label_area_size(LabelAreaPosition::Left, MARGIN_LEFT * UNITS_PER_PIXEL)
+            .set_label_area_size(LabelAreaPosition::Bottom, MARGIN_BOTTOM * UNITS_PER_PIXEL)
             .build_cartesian_2d((xs.start..right).log_scale(), (ys.start..ys.end).log_scale())?;
         let labels = (ys.end / ys.start).log10().round() as usize + 1;
         chart
@@ -131,115 +135,109 @@ impl Scatter {
             .x_labels(0)
             .y_labels(labels)
             .x_label_formatter(&|_| String::new())
-            .y_label_formatter(&|value| power(*value))
-            .label_style(text(Role::Text, HPos::Center))
+            .y_label_formatter(&|value| format_power_of_ten(*value))
+            .label_style(text_style(Role::Text, HPos::Center))
             .axis_style(Role::Axis.colour())
             .bold_line_style(Role::Grid.colour())
             .light_line_style(TRANSPARENT)
-            .set_all_tick_mark_size(u32::try_from(4 * FINE)?)
+            .set_all_tick_mark_size(length(4.0))
             .draw()?;
-        let log = |x: f64, range: &Range<f64>, end: f64| (x / range.start).log10() / (end / range.start).log10();
-        let column = |x: f64| LEFT + (log(x, xs, right) * f64::from(WIDTH - LEFT - RIGHT)).round() as i32;
-        let row = |y: f64| ABOVE + PLOT - (log(y, &ys, ys.end) * f64::from(PLOT)).round() as i32;
+        let log =
+            |value: f64, range: &Range<f64>, end: f64| (value / range.start).log10() / (end / range.start).log10();
+        let width = f64::from(WIDTH - MARGIN_LEFT - MARGIN_RIGHT);
+        let column = |x: f64| MARGIN_LEFT + (log(x, xs, right) * width).round() as i32;
+        let row = |y: f64| MARGIN_TOP + PLOT_HEIGHT - (log(y, &ys, ys.end) * f64::from(PLOT_HEIGHT)).round() as i32;
         for x in ticks(xs) {
             chart.draw_series([PathElement::new([(x, ys.start), (x, ys.end)], Role::Grid.colour())])?;
-            let at = (column(x) * FINE, (ABOVE + PLOT + 14) * FINE);
-            area.draw_text(&x.to_string(), &text(Role::Text, HPos::Center), at)?;
+            canvas.text(Role::Text, HPos::Center, (column(x), MARGIN_TOP + PLOT_HEIGHT + 14), &x.to_string())?;
         }
-        if ys.start <= panel.least * 1.01 {
-            let at = ((LEFT - 8) * FINE, (ABOVE + PLOT) * FINE);
-            area.draw_text(&format!("≤ {}", power(panel.least)), &text(Role::Text, HPos::Right), at)?;
+        if ys.start <= panel.floor * 1.01 {
+            let label = format!("≤ {}", format_power_of_ten(panel.floor));
+            canvas.text(Role::Text, HPos::Right, (MARGIN_LEFT - 8, MARGIN_TOP + PLOT_HEIGHT), &label)?;
         }
-        // Names of neighbours stand at different heights.
-        let mut across = panel.across.clone();
-        across.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (number, (x, name)) in across.iter().enumerate() {
+        // Names of neighbouring limits are written at different heights.
+        let mut x_limits = panel.x_limits.clone();
+        x_limits.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (number, (x, name)) in x_limits.iter().enumerate() {
             chart.draw_series([PathElement::new([(*x, ys.start), (*x, ys.end)], Role::Mark.colour())])?;
-            let height = ABOVE - 10 - 16 * many(number % 3);
-            area.draw_text(name, &text(Role::Text, HPos::Left), ((column(*x) - 3) * FINE, height * FINE))?;
+            let height = MARGIN_TOP - 10 - 16 * count_factor(number % 3);
+            canvas.text(Role::Text, HPos::Left, (column(*x) - 3, height), name)?;
         }
-        for (y, name) in panel.up.iter().filter(|(y, _)| ys.contains(y)) {
+        for (y, name) in panel.y_limits.iter().filter(|(y, _)| ys.contains(y)) {
             chart.draw_series([PathElement::new([(xs.start, *y), (right, *y)], Role::Mark.colour())])?;
-            let at = ((LEFT + 6) * FINE, (row(*y) - 8) * FINE);
-            area.draw_text(name, &text(Role::Text, HPos::Left), at)?;
+            canvas.text(Role::Text, HPos::Left, (MARGIN_LEFT + 6, row(*y) - 8), name)?;
         }
         let drawn = panel.points.iter().filter(|point| point.y.is_finite() && point.x.is_none_or(f64::is_finite));
         chart.draw_series(drawn.map(|point| {
-            let at = (point.x.unwrap_or(edge), point.y.max(panel.least));
-            EmptyElement::at(at) + shape(point.shape, (0, 0), Role::Series(point.colour))
+            let at = (point.x.unwrap_or(edge), point.y.max(panel.floor));
+            EmptyElement::at(at) + shape_polygon(point.shape, (0, 0), Role::Series(point.colour))
         }))?;
         drop(chart);
-        area.draw_text(&panel.y_label, &text(Role::Title, HPos::Left), (14 * FINE, (ABOVE - 62) * FINE))?;
-        let below = (ABOVE + PLOT + BELOW - 14) * FINE;
-        area.draw_text(&self.x_label, &text(Role::Text, HPos::Right), ((WIDTH - RIGHT) * FINE, below))?;
-        self.words(panel, area)
+        canvas.text(Role::Title, HPos::Left, (14, MARGIN_TOP - 62), &panel.y_label)?;
+        let below = MARGIN_TOP + PLOT_HEIGHT + MARGIN_BOTTOM - 14;
+        canvas.text(Role::Text, HPos::Right, (WIDTH - MARGIN_RIGHT, below), &self.x_label)?;
+        self.draw_labels(panel, area)
     }
 
-    /// Colours, beside the first panel.
-    fn legend(&self, area: &Area<'_>) -> Drawn<()> {
+    /// The colours, next to the first panel.
+    fn draw_legend(&self, area: &DrawArea<'_>) -> DrawResult {
         for (number, name) in self.colours.iter().enumerate() {
-            let (column, line) = (many(number % 2), many(number / 2));
-            let (x, y) = (WIDTH - RIGHT + 24 + 150 * column, ABOVE - 62 + LINE * line);
-            area.draw(&shape(0, (x * FINE, y * FINE), Role::Series(number)))?;
-            area.draw_text(name, &text(Role::Text, HPos::Left), ((x + 12) * FINE, y * FINE))?;
+            let (column, line) = (count_factor(number % 2), count_factor(number / 2));
+            let (x, y) = (WIDTH - MARGIN_RIGHT + 24 + 150 * column, MARGIN_TOP - 62 + LINE_HEIGHT * line);
+            area.draw(&shape_polygon(0, (x, y), Role::Series(number)))?;
+            Canvas(area).text(Role::Text, HPos::Left, (x + 12, y), name)?;
         }
         Ok(())
     }
 
-    /// Shapes, and what stands at the right edge by name, beside their panel.
-    fn words(&self, panel: &Panel, area: &Area<'_>) -> Drawn<()> {
-        let x = WIDTH - RIGHT + 24;
-        let mut y = ABOVE - 62 + LINE * (many(self.colours.len().div_ceil(2)) + 1);
+    /// The shapes, and the colours and shapes at the right edge, next to their panel.
+    fn draw_labels(&self, panel: &ScatterPanel, area: &DrawArea<'_>) -> DrawResult {
+        let canvas = Canvas(area);
+        let x = WIDTH - MARGIN_RIGHT + 24;
+        let mut y = MARGIN_TOP - 62 + LINE_HEIGHT * (count_factor(self.colours.len().div_ceil(2)) + 1);
         for (number, name) in panel.shapes.iter().enumerate() {
-            area.draw(&shape(number, (x * FINE, y * FINE), Role::Shape))?;
-            area.draw_text(name, &text(Role::Text, HPos::Left), ((x + 12) * FINE, y * FINE))?;
-            y += LINE;
+            area.draw(&shape_polygon(number, (x, y), Role::Shape))?;
+            canvas.text(Role::Text, HPos::Left, (x + 12, y), name)?;
+            y += LINE_HEIGHT;
         }
         if panel.points.iter().any(|point| point.x.is_none()) {
-            y += LINE / 2;
-            let head = format!("at the right edge, {}:", self.edge_label);
-            area.draw_text(&head, &text(Role::Text, HPos::Left), ((x - 6) * FINE, y * FINE))?;
+            y += LINE_HEIGHT / 2;
+            canvas.text(Role::Text, HPos::Left, (x - 6, y), &format!("at the right edge, {}:", self.edge_label))?;
         }
         for (colour, name) in self.colours.iter().enumerate() {
-            let shapes = panel.at_the_edge(colour);
+            let at_edge = panel.points.iter().filter(|point| point.colour == colour && point.x.is_none());
+            let shapes: Vec<usize> = at_edge.map(|point| point.shape).collect();
             if shapes.is_empty() {
                 continue;
             }
-            y += LINE - 2;
-            area.draw_text(name, &text(Role::Text, HPos::Left), ((x + 12) * FINE, y * FINE))?;
-            for (number, own) in shapes.into_iter().enumerate() {
-                let at = ((x + 130 + 18 * many(number)) * FINE, y * FINE);
-                area.draw(&shape(own, at, Role::Series(colour)))?;
+            y += LINE_HEIGHT - 2;
+            canvas.text(Role::Text, HPos::Left, (x + 12, y), name)?;
+            for (number, shape) in shapes.into_iter().enumerate() {
+                let at = (x + 130 + 18 * count_factor(number), y);
+                area.draw(&shape_polygon(shape, at, Role::Series(colour)))?;
             }
         }
         Ok(())
     }
 }
 
-impl Panel {
-    /// With which shapes a colour stands at the right edge.
-    fn at_the_edge(&self, colour: usize) -> Vec<usize> {
-        let own = self.points.iter().filter(|point| point.colour == colour && point.x.is_none());
-        own.map(|point| point.shape).collect()
-    }
-}
-
-/// A shape around a point in units of the drawing.
-fn shape(number: usize, at: (i32, i32), role: Role) -> Polygon<(i32, i32)> {
-    let radius = f64::from(5 * FINE);
-    let corner = |&(x, y): &(f64, f64)| (at.0 + (x * radius).round() as i32, at.1 + (y * radius).round() as i32);
+/// A shape around a point in CSS pixels.
+fn shape_polygon(number: usize, (x, y): (i32, i32), role: Role) -> Polygon<(i32, i32)> {
+    let corner = |corner: &(f64, f64)| {
+        (x * UNITS_PER_PIXEL + length(corner.0 * RADIUS), y * UNITS_PER_PIXEL + length(corner.1 * RADIUS))
+    };
     let corners: Vec<_> = SHAPES[number % SHAPES.len()].iter().map(corner).collect();
     Polygon::new(corners, role.colour().filled())
 }
 
-/// A range with some room at both ends.
-fn around(values: impl Iterator<Item = f64>) -> Range<f64> {
+/// The range of the positive finite values with a margin at both ends.
+fn padded_range(values: impl Iterator<Item = f64>) -> Range<f64> {
     let drawn = values.filter(|value| value.is_finite() && *value > 0.0);
     let (low, high) = drawn.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
     if low > high { 0.5..20.0 } else { low / 1.4..high * 1.4 }
 }
 
-/// 1, 2 and 5 times the decades within a range.
+/// 1, 2 and 5 times powers of ten within a range.
 fn ticks(range: &Range<f64>) -> Vec<f64> {
     let decades = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
     let of_decade = |decade: i32| {
@@ -253,94 +251,68 @@ fn ticks(range: &Range<f64>) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    fn point(colour: usize, shape: usize, x: Option<f64>, y: f64) -> Point {
-        Point { colour, shape, x, y }
+    fn point(colour: usize, shape: usize, x: Option<f64>, y: f64) -> ScatterPoint {
+        ScatterPoint { colour, shape, x, y }
     }
 
-    fn scatter(points: Vec<Point>) -> Scatter {
-        let panel = Panel {
+    fn scatter(points: Vec<ScatterPoint>) -> ScatterChart {
+        let panel = ScatterPanel {
             y_label: "error, %".to_owned(),
-            least: 1e-4,
+            floor: 1e-4,
             shapes: vec!["scene one".to_owned(), "scene two".to_owned()],
             points,
-            across: vec![(2.0, "two periods".to_owned())],
-            up: vec![(0.1, "noise floor".to_owned())],
+            x_limits: vec![(2.0, "two periods".to_owned())],
+            y_limits: vec![(0.1, "noise floor".to_owned())],
         };
-        Scatter {
+        ScatterChart {
             title: "a < b".to_owned(),
             x_label: "time, ms".to_owned(),
             colours: vec!["first".to_owned(), "second".to_owned()],
             edge_label: "never settles".to_owned(),
-            panels: vec![panel.clone(), panel],
+            panels: vec![panel],
         }
     }
 
-    /// Centres of the shapes of a colour, in panels' order: the legend's comes first.
-    fn centres(svg: &str, colour: usize) -> Vec<(f64, f64)> {
-        let own = svg.split("<polygon ").filter(|part| part.contains(&format!("class=\"f{colour}\"")));
-        own.map(|part| {
-            let corners: Vec<f64> = part
-                .split("points=\"")
-                .nth(1)
-                .and_then(|rest| rest.split('"').next())
-                .into_iter()
-                .flat_map(|list| list.split([' ', ',']).filter(|field| !field.is_empty()))
-                .map(|field| field.parse().unwrap())
-                .collect();
-            let middle = |offset: usize| {
-                let own: Vec<f64> = corners.iter().skip(offset).step_by(2).copied().collect();
-                own.iter().sum::<f64>() / own.len() as f64
-            };
-            (middle(0), middle(1))
-        })
-        .collect()
+    /// First corners of the shapes of a colour; the legend's come last to first: the last two lie in the legend.
+    fn corners(svg: &str, colour: usize) -> Vec<(i64, i64)> {
+        let class = format!("<path class=\"f-series-{colour}\" d=\"m");
+        let first = |path: &str| {
+            let (x, rest) = path.split_once([' ', '-']).unwrap();
+            (x.parse().unwrap(), rest.split(['l', ' ']).next().unwrap().parse().unwrap())
+        };
+        svg.split(&class).skip(1).map(first).collect()
     }
 
     #[test]
-    fn everything_has_a_role_and_limits_their_names() {
+    fn draws_points_limits_and_legend() {
         let svg = scatter(vec![point(0, 0, Some(3.0), 0.5), point(1, 1, None, 30.0)]).svg().unwrap();
-        let (_, body) = svg.split_once("</style>").unwrap();
-        assert!(!body.contains("=\"#"), "{body}");
-        for text in ["two periods", "noise floor", "at the right edge, never settles:", "time, ms"] {
-            assert_eq!(body.matches(text).count(), 2, "{text}: {body}");
-        }
-        // In the first panel's legend; and again in both panels who stands at the edge.
-        assert_eq!((body.matches("\nfirst\n").count(), body.matches("\nsecond\n").count()), (1, 3), "{body}");
+        insta::assert_snapshot!(svg.replace("><", ">\n<"));
     }
 
     #[test]
-    fn what_never_settles_stands_right_of_all_that_does_and_what_is_below_the_least_on_the_edge() {
-        let all = vec![
-            point(0, 0, Some(9.9), 1e-9),
-            point(0, 0, Some(9.9), 1e-4),
-            point(1, 1, None, 1e-2),
-            point(1, 1, Some(0.2), 1.0),
-        ];
-        let svg = scatter(all).svg().unwrap();
-        let (left, right) = (centres(&svg, 0), centres(&svg, 1));
-        // In the legend, and in two panels; one of the right ones also by name.
-        assert_eq!((left.len(), right.len()), (5, 7), "{svg}");
-        let in_panels = |found: &[(f64, f64)], x: f64| found.iter().filter(|point| (point.0 - x).abs() < 1.0).count();
-        let settled = left.iter().map(|point| point.0).filter(|x| in_panels(&left, *x) > 1).fold(0.0, f64::max);
-        // Left of the words.
-        let plot = f64::from((WIDTH - RIGHT) * FINE);
-        let never = right.iter().map(|point| point.0).filter(|x| *x < plot).fold(0.0, f64::max);
-        assert!(never > settled, "{left:?} {right:?}");
-        let low = |height: f64| left.iter().filter(|point| (point.1 - height).abs() < 4.0).count();
-        let lowest = left.iter().map(|point| point.1).fold(0.0, f64::max);
-        assert_eq!(low(lowest), 2, "what lies below the least and what is the least: {left:?}");
+    fn draws_points_without_x_at_the_right_edge() {
+        let svg = scatter(vec![point(0, 0, Some(9.9), 1e-2), point(1, 0, None, 1e-2)]).svg().unwrap();
+        let (settled, never) = (corners(&svg, 0)[0], corners(&svg, 1)[0]);
+        assert!(never.0 > settled.0 && never.1 == settled.1, "{settled:?} {never:?}");
     }
 
     #[test]
-    fn ticks_are_round_and_within() {
+    fn draws_points_below_the_floor_on_the_lower_edge() {
+        let svg = scatter(vec![point(0, 0, Some(2.0), 1e-9), point(0, 0, Some(9.0), 1e-4)]).svg().unwrap();
+        let found = corners(&svg, 0);
+        assert_eq!(found[0].1, found[1].1, "{found:?}");
+    }
+
+    #[test]
+    fn ticks_are_round_and_within_the_range() {
         assert_eq!(ticks(&(0.48..21.0)), [0.5, 1.0, 2.0, 5.0, 10.0, 20.0]);
         assert_eq!(ticks(&(0.02..0.0499)), [0.02]);
-        assert_eq!(around([f64::NAN, 0.0, 2.8].into_iter()), 2.8 / 1.4..2.8 * 1.4);
-        assert_eq!(around(std::iter::empty()), 0.5..20.0);
+        assert_eq!(padded_range([f64::NAN, 0.0, 2.8].into_iter()), 2.8 / 1.4..2.8 * 1.4);
+        assert_eq!(padded_range(std::iter::empty()), 0.5..20.0);
     }
 
     #[test]
-    fn a_drawing_without_points_is_still_one() {
-        assert!(scatter(Vec::new()).svg().unwrap().contains("noise floor"));
+    fn draws_a_chart_without_points() {
+        assert!(scatter(Vec::new()).svg().unwrap().contains(">noise floor<"));
     }
 }

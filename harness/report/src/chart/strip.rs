@@ -1,130 +1,122 @@
-//! A line of marks for each of many things, on one logarithmic axis: what was found, what was chosen, what was allowed.
+//! Draws one line of marks per item on one logarithmic axis: values, the chosen one, the limit.
 
-use super::ink::{Area, Drawn, FINE, Role, decades, document, many, power, text};
+use super::svg::{Canvas, DrawArea, DrawResult, Role, count_factor, decades, format_power_of_ten, svg_document};
 use crate::error::ReportError;
-use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 
 /// CSS pixels.
 const WIDTH: i32 = 980;
-const LEFT: i32 = 300;
-const RIGHT: i32 = 190;
-const ABOVE: i32 = 66;
-const BELOW: i32 = 60;
-const LINE: i32 = 16;
-/// Decades at the left for what is exactly 0.
-const ZERO: f64 = 10.0;
+const MARGIN_LEFT: i32 = 300;
+const MARGIN_RIGHT: i32 = 190;
+const MARGIN_TOP: i32 = 66;
+const MARGIN_BOTTOM: i32 = 60;
+const LINE_HEIGHT: i32 = 16;
+/// Height of the legend's centre.
+const LEGEND_Y: i32 = 44;
+/// Width at the left for values of exactly 0, in decades.
+const ZERO_DECADES: f64 = 10.0;
 
-/// A thing and its marks.
+/// An item and its marks.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
-    /// Its name.
+pub struct StripRow {
+    /// Name.
     pub name: String,
-    /// What is allowed: a stroke across the line; none where nothing is.
-    pub allowed: Option<f64>,
-    /// What was found of each colour; 0 stands at the left edge.
-    pub found: Vec<(usize, f64)>,
-    /// The colour that was chosen: it has a ring.
-    pub chosen: usize,
-    /// What has to be said of it, at the right.
-    pub remark: String,
+    /// Limit: a stroke across the line.
+    pub limit: Option<f64>,
+    /// Colour and value of each mark; 0 lies at the left edge.
+    pub values: Vec<(usize, f64)>,
+    /// Colour of the chosen mark, which has a ring.
+    pub chosen_colour: usize,
+    /// Text at the right; may be empty.
+    pub note: String,
 }
 
-/// A drawing.
+/// Lines of marks below each other.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Strip {
-    /// What it shows.
+pub struct StripChart {
+    /// Title.
     pub title: String,
-    /// What goes from left to right.
+    /// Label of the horizontal axis.
     pub x_label: String,
-    /// Smallest value that is told apart from 0.
-    pub least: f64,
-    /// Names of colours.
+    /// Smallest value that is distinguished from 0.
+    pub floor: f64,
+    /// Names of the colours.
     pub colours: Vec<String>,
-    /// What the ring means.
+    /// Meaning of the ring.
     pub chosen_label: String,
-    /// What the stroke means.
-    pub allowed_label: String,
-    /// From the top.
-    pub rows: Vec<Row>,
+    /// Meaning of the stroke.
+    pub limit_label: String,
+    /// Lines from the top.
+    pub rows: Vec<StripRow>,
 }
 
-impl Strip {
-    /// The drawing as an SVG document.
+impl StripChart {
+    /// The drawing as an SVG file.
     ///
     /// # Errors
-    /// [`ReportError::Plot`] where it cannot be drawn.
+    /// [`ReportError::Plot`].
     pub fn svg(&self) -> Result<String, ReportError> {
-        let (width, height) = self.size();
-        document(&self.title, (width * FINE, height * FINE), self.colours.len(), |root| self.draw(root))
+        let height = MARGIN_TOP + LINE_HEIGHT * count_factor(self.rows.len()) + MARGIN_BOTTOM;
+        svg_document(&self.title, (WIDTH, height), |root| self.draw(root))
     }
 
-    /// CSS pixels.
-    fn size(&self) -> (i32, i32) {
-        (WIDTH, ABOVE + LINE * many(self.rows.len()) + BELOW)
-    }
-
-    fn draw(&self, root: &Area<'_>) -> Drawn<()> {
-        let found = self.rows.iter().flat_map(|row| row.found.iter().map(|(_, value)| *value));
-        let told = found.chain(self.rows.iter().filter_map(|row| row.allowed)).filter(|value| *value > 0.0);
-        let xs = decades(told.map(|value| value.max(self.least)));
-        let left = xs.start / ZERO;
+    fn draw(&self, root: &DrawArea<'_>) -> DrawResult {
+        let canvas = Canvas(root);
+        let values = self.rows.iter().flat_map(|row| row.values.iter().map(|(_, value)| *value));
+        let positive = values.chain(self.rows.iter().filter_map(|row| row.limit)).filter(|value| *value > 0.0);
+        let xs = decades(positive.map(|value| value.max(self.floor)));
+        let left = xs.start / ZERO_DECADES;
         let span = (xs.end / left).log10();
         let column = |value: f64| {
-            let from_left = if value > 0.0 { (value.max(self.least) / left).log10() } else { 0.5 };
-            LEFT + (from_left / span * f64::from(WIDTH - LEFT - RIGHT)).round() as i32
+            let from_left = if value > 0.0 { (value.max(self.floor) / left).log10() } else { 0.5 };
+            MARGIN_LEFT + (from_left / span * f64::from(WIDTH - MARGIN_LEFT - MARGIN_RIGHT)).round() as i32
         };
-        let foot = ABOVE + LINE * many(self.rows.len());
+        let bottom = MARGIN_TOP + LINE_HEIGHT * count_factor(self.rows.len());
         for decade in 0..=(span.round() as i32) {
-            let x = column(left * 10.0_f64.powi(decade)) * FINE;
-            let ends = [(x, (ABOVE - 6) * FINE), (x, foot * FINE)];
-            root.draw(&PathElement::new(ends, if decade < 1 { Role::Axis } else { Role::Grid }.colour()))?;
+            let value = left * 10.0_f64.powi(decade);
+            let x = column(value);
+            canvas.line(if decade < 1 { Role::Axis } else { Role::Grid }, [(x, MARGIN_TOP - 6), (x, bottom)])?;
             if decade > 0 {
-                let name = power(left * 10.0_f64.powi(decade));
-                root.draw_text(&name, &text(Role::Text, HPos::Center), (x, (foot + 14) * FINE))?;
+                canvas.text(Role::Text, HPos::Center, (x, bottom + 14), &format_power_of_ten(value))?;
             }
         }
-        root.draw_text("0", &text(Role::Text, HPos::Center), (column(0.0) * FINE, (foot + 14) * FINE))?;
+        canvas.text(Role::Text, HPos::Center, (column(0.0), bottom + 14), "0")?;
         for (number, row) in self.rows.iter().enumerate() {
-            let y = (ABOVE + LINE * many(number) + LINE / 2) * FINE;
-            root.draw_text(&row.name, &text(Role::Text, HPos::Right), ((LEFT - 8) * FINE, y))?;
-            if !row.remark.is_empty() {
-                let at = ((WIDTH - RIGHT + 8) * FINE, y);
-                root.draw_text(&row.remark, &text(Role::Title, HPos::Left), at)?;
+            let y = MARGIN_TOP + LINE_HEIGHT * count_factor(number) + LINE_HEIGHT / 2;
+            canvas.text(Role::Text, HPos::Right, (MARGIN_LEFT - 8, y), &row.name)?;
+            if !row.note.is_empty() {
+                canvas.text(Role::Title, HPos::Left, (WIDTH - MARGIN_RIGHT + 8, y), &row.note)?;
             }
-            if let Some(allowed) = row.allowed {
-                let x = column(allowed) * FINE;
-                let half = (LINE / 2 - 1) * FINE;
-                root.draw(&Rectangle::new(
-                    [(x - FINE, y - half), (x + FINE, y + half)],
-                    Role::Shape.colour().filled(),
-                ))?;
+            if let Some(limit) = row.limit {
+                let half = LINE_HEIGHT / 2 - 1;
+                canvas.rectangle(Role::Shape, [(column(limit) - 1, y - half), (column(limit) + 1, y + half)])?;
             }
-            // The first on top and smallest, so that all are seen where they fall together.
-            for (colour, value) in row.found.iter().filter(|(_, value)| value.is_finite()).rev() {
-                let (at, ink) = ((column(*value) * FINE, y), Role::Series(*colour).colour());
-                root.draw(&Circle::new(at, (5 + 2 * many(*colour)) * FINE / 2, ink.filled()))?;
-                if *colour == row.chosen {
-                    root.draw(&Circle::new(at, 7 * FINE, ink))?;
+            // The first is the smallest and on top, so that all are visible at the same value.
+            for (colour, value) in row.values.iter().filter(|(_, value)| value.is_finite()).rev() {
+                let (at, role) = ((column(*value), y), Role::Series(*colour));
+                canvas.circle(role, at, 2.5 + f64::from(count_factor(*colour)))?;
+                if *colour == row.chosen_colour {
+                    canvas.ring(role, at, 7.0)?;
                 }
             }
         }
-        root.draw_text(&self.title, &text(Role::Title, HPos::Left), (14 * FINE, 20 * FINE))?;
-        let below = ((WIDTH - RIGHT) * FINE, (foot + 40) * FINE);
-        root.draw_text(&self.x_label, &text(Role::Text, HPos::Right), below)?;
+        canvas.text(Role::Title, HPos::Left, (14, 20), &self.title)?;
+        canvas.text(Role::Text, HPos::Right, (WIDTH - MARGIN_RIGHT, bottom + 40), &self.x_label)?;
+        self.draw_legend(&canvas)
+    }
+
+    fn draw_legend(&self, canvas: &Canvas<'_, '_>) -> DrawResult {
         let mut x = 20;
         for (number, name) in self.colours.iter().enumerate() {
-            root.draw(&Circle::new((x * FINE, 44 * FINE), 4 * FINE, Role::Series(number).colour().filled()))?;
-            root.draw_text(name, &text(Role::Text, HPos::Left), ((x + 10) * FINE, 44 * FINE))?;
+            canvas.circle(Role::Series(number), (x, LEGEND_Y), 4.0)?;
+            canvas.text(Role::Text, HPos::Left, (x + 10, LEGEND_Y), name)?;
             x += 90;
         }
-        root.draw(&Circle::new((x * FINE, 44 * FINE), 6 * FINE, Role::Series(0).colour()))?;
-        root.draw_text(&self.chosen_label, &text(Role::Text, HPos::Left), ((x + 14) * FINE, 44 * FINE))?;
+        canvas.ring(Role::Series(0), (x, LEGEND_Y), 6.0)?;
+        canvas.text(Role::Text, HPos::Left, (x + 14, LEGEND_Y), &self.chosen_label)?;
         x += 190;
-        let stroke = [((x - 1) * FINE, 37 * FINE), ((x + 1) * FINE, 51 * FINE)];
-        root.draw(&Rectangle::new(stroke, Role::Shape.colour().filled()))?;
-        root.draw_text(&self.allowed_label, &text(Role::Text, HPos::Left), ((x + 10) * FINE, 44 * FINE))?;
-        Ok(())
+        canvas.rectangle(Role::Shape, [(x - 1, LEGEND_Y - 7), (x + 1, LEGEND_Y + 7)])?;
+        canvas.text(Role::Text, HPos::Left, (x + 10, LEGEND_Y), &self.limit_label)
     }
 }
 
@@ -132,38 +124,36 @@ impl Strip {
 mod tests {
     use super::*;
 
-    fn strip(rows: Vec<Row>) -> Strip {
-        Strip {
+    fn chart(rows: Vec<StripRow>) -> StripChart {
+        StripChart {
             title: "a < b".to_owned(),
             x_label: "error".to_owned(),
-            least: 1e-9,
+            floor: 1e-9,
             colours: vec!["one".to_owned(), "two".to_owned()],
             chosen_label: "chosen".to_owned(),
-            allowed_label: "allowed".to_owned(),
+            limit_label: "limit".to_owned(),
             rows,
         }
     }
 
-    fn row(chosen: usize, remark: &str) -> Row {
-        let name = "scene".to_owned();
-        Row { name, allowed: Some(1e-3), found: vec![(0, 2e-2), (1, 0.0)], chosen, remark: remark.to_owned() }
+    fn row(chosen_colour: usize, note: &str) -> StripRow {
+        let (name, note) = ("scene".to_owned(), note.to_owned());
+        StripRow { name, limit: Some(1e-3), values: vec![(0, 2e-2), (1, 0.0)], chosen_colour, note }
     }
 
     #[test]
-    fn everything_has_a_role_and_what_is_chosen_a_ring() {
-        let svg = strip(vec![row(1, "dearer"), row(0, "")]).svg().unwrap();
-        let (_, body) = svg.split_once("</style>").unwrap();
-        assert!(!body.contains("=\"#"), "{body}");
-        assert_eq!(body.matches("dearer").count(), 1, "{body}");
-        // One ring in the legend, one for each row; the second row's is of the other colour.
-        let rings = |class: &str| body.matches(&format!("class=\"l s{class}\"")).count();
-        assert_eq!((rings("0"), rings("1")), (2, 1), "{body}");
+    fn draws_marks_limits_rings_and_legend() {
+        let svg = chart(vec![row(1, "dearer"), row(0, "")]).svg().unwrap();
+        // One ring in the legend and one per row; the ring of the first row has the second colour.
+        let rings = |class: &str| svg.matches(&format!("fill=\"none\" class=\"s-{class}\"")).count();
+        assert_eq!((rings("series-0"), rings("series-1")), (2, 1), "{svg}");
+        insta::assert_snapshot!(svg.replace("><", ">\n<"));
     }
 
     #[test]
-    fn nothing_at_all_can_be_drawn_and_so_can_what_is_no_number() {
-        assert!(strip(Vec::new()).svg().unwrap().contains("allowed"));
-        let odd = Row { found: vec![(0, f64::INFINITY), (1, f64::NAN)], allowed: None, ..row(1, "") };
-        assert!(strip(vec![odd]).svg().unwrap().contains("scene"));
+    fn draws_charts_without_rows_and_without_numbers() {
+        assert!(chart(Vec::new()).svg().unwrap().contains(">limit<"));
+        let odd = StripRow { values: vec![(0, f64::INFINITY), (1, f64::NAN)], limit: None, ..row(1, "") };
+        assert!(chart(vec![odd]).svg().unwrap().contains(">scene<"));
     }
 }

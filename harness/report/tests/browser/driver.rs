@@ -13,15 +13,15 @@ use ureq::Agent;
 
 const PROGRAM: &str = "chromedriver";
 const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
-static SAID: Once = Once::new();
+static NOTICE_ONCE: Once = Once::new();
 
 /// Generous: a busy machine starts programs slowly.
-const ANSWERS_WITHIN: Duration = Duration::from_mins(1);
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const DRIVER_TIMEOUT: Duration = Duration::from_mins(1);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// How the page is looked at.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Look {
+pub(crate) struct BrowserOptions {
     pub(crate) width: u32,
     pub(crate) height: u32,
     pub(crate) dark: bool,
@@ -38,31 +38,31 @@ pub(crate) struct Browser {
 }
 
 /// Kills the driver unless it is taken out.
-struct Guard(Option<Child>);
+struct ChildGuard(Option<Child>);
 
-impl Drop for Guard {
+impl Drop for ChildGuard {
     fn drop(&mut self) {
         if let Some(driver) = &mut self.0 {
-            end(driver);
+            kill_driver(driver);
         }
     }
 }
 
-fn end(driver: &mut Child) {
+fn kill_driver(driver: &mut Child) {
     let _ = driver.kill();
     let _ = driver.wait();
 }
 
 impl Browser {
     /// A fresh browser; `None`, with a line that nobody can miss, where the driver is not installed and nobody insists.
-    pub(crate) fn start_or_say_why_not(look: Look) -> Option<Self> {
+    pub(crate) fn start_if_installed(look: BrowserOptions) -> Option<Self> {
         match Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output() {
             Ok(_) => Some(Self::start(look)),
             Err(error) if error.kind() == ErrorKind::NotFound => {
                 let all = std::env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
                 assert!(!all, "{PROGRAM} is not installed and {REQUIRE_ALL}=1: ci/install-test-tools");
                 // Not by `eprintln!`, which the test harness keeps to itself while a test passes.
-                SAID.call_once(|| {
+                NOTICE_ONCE.call_once(|| {
                     let _ = writeln!(std::io::stderr(), "left out: {PROGRAM} is not installed (ci/install-test-tools)");
                 });
                 None
@@ -71,7 +71,7 @@ impl Browser {
         }
     }
 
-    fn start(look: Look) -> Self {
+    fn start(look: BrowserOptions) -> Self {
         let profile = TempDir::new().unwrap();
         let mut driver = Command::new("setpriv")
             .args(["--pdeathsig", "KILL", "--", PROGRAM, "--port=0"])
@@ -81,7 +81,7 @@ impl Browser {
             .spawn()
             .unwrap();
         let output = driver.stdout.take().unwrap();
-        let mut guard = Guard(Some(driver));
+        let mut guard = ChildGuard(Some(driver));
         let (sender, receiver) = mpsc::channel();
         // Ends with the driver, which closes its output.
         thread::spawn(move || {
@@ -94,8 +94,8 @@ impl Browser {
                 }
             }
         });
-        let port = receiver.recv_timeout(ANSWERS_WITHIN).expect("the driver says on which port it listens");
-        let agent = Agent::config_builder().timeout_global(Some(ANSWERS_WITHIN)).http_status_as_error(false).build();
+        let port = receiver.recv_timeout(DRIVER_TIMEOUT).expect("the driver says on which port it listens");
+        let agent = Agent::config_builder().timeout_global(Some(DRIVER_TIMEOUT)).http_status_as_error(false).build();
         let agent = Agent::new_with_config(agent);
         let profile_argument = format!("--user-data-dir={}", profile.path().display());
         // As root, as in containers, Chromium wants no sandbox; the only page that it sees is ours.
@@ -118,23 +118,23 @@ impl Browser {
         let session = format!("{root}/{}", made["sessionId"].as_str().unwrap_or_else(|| panic!("no session: {made}")));
         let driver = guard.0.take().unwrap();
         let browser = Self { driver, agent, session, _profile: profile };
-        let Look { width, height, dark, scripts } = look;
+        let BrowserOptions { width, height, dark, scripts } = look;
         let phone = width < 600;
-        browser.development(
+        browser.devtools_command(
             "Emulation.setDeviceMetricsOverride",
             &json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": phone }),
         );
         let scheme = if dark { "dark" } else { "light" };
-        browser.development(
+        browser.devtools_command(
             "Emulation.setEmulatedMedia",
             &json!({ "features": [{ "name": "prefers-color-scheme", "value": scheme }] }),
         );
-        browser.development("Emulation.setScriptExecutionDisabled", &json!({ "value": !scripts }));
+        browser.devtools_command("Emulation.setScriptExecutionDisabled", &json!({ "value": !scripts }));
         browser
     }
 
     /// A command of the browser's own protocol.
-    pub(crate) fn development(&self, command: &str, parameters: &Value) -> Value {
+    pub(crate) fn devtools_command(&self, command: &str, parameters: &Value) -> Value {
         self.post("goog/cdp/execute", &json!({ "cmd": command, "params": parameters }))
     }
 
@@ -147,9 +147,9 @@ impl Browser {
     }
 
     /// What `expression` is in the page, a promise's value when it comes.
-    pub(crate) fn value(&self, expression: &str) -> Value {
+    pub(crate) fn evaluate(&self, expression: &str) -> Value {
         let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
-        let answer = self.development("Runtime.evaluate", &parameters);
+        let answer = self.devtools_command("Runtime.evaluate", &parameters);
         assert!(answer.get("exceptionDetails").is_none(), "{expression:.200}: {answer}");
         answer["result"]["value"].clone()
     }
@@ -157,9 +157,9 @@ impl Browser {
     /// Waits until `expression` holds in the page.
     pub(crate) fn wait_for(&self, expression: &str) {
         let started = Instant::now();
-        while self.value(expression) != json!(true) {
-            assert!(started.elapsed() < ANSWERS_WITHIN, "it never came: {expression}");
-            thread::sleep(LOOK_EVERY);
+        while self.evaluate(expression) != json!(true) {
+            assert!(started.elapsed() < DRIVER_TIMEOUT, "it never came: {expression}");
+            thread::sleep(POLL_INTERVAL);
         }
     }
 
@@ -174,7 +174,7 @@ impl Browser {
     }
 
     /// Puts the pointer there.
-    pub(crate) fn point(&self, (x, y): (f64, f64)) {
+    pub(crate) fn move_pointer(&self, (x, y): (f64, f64)) {
         let acts = json!([{ "type": "pointerMove", "duration": 20, "x": x.round(), "y": y.round() }]);
         let pointer =
             json!({ "type": "pointer", "id": "mouse", "parameters": { "pointerType": "mouse" }, "actions": acts });
@@ -182,16 +182,16 @@ impl Browser {
     }
 
     /// What the page said on its console since this was last asked: warnings and errors.
-    pub(crate) fn complaints(&self) -> Vec<Value> {
+    pub(crate) fn console_messages(&self) -> Vec<Value> {
         let said = self.post("se/log", &json!({ "type": "browser" }));
         let said = said.as_array().unwrap_or_else(|| panic!("no log: {said}")).iter();
         said.filter(|entry| ["SEVERE", "WARNING"].contains(&entry["level"].as_str().unwrap())).cloned().collect()
     }
 
     /// Keeps what the window shows as `name`.png, where pictures are asked for.
-    pub(crate) fn picture(&self, name: &str) {
+    pub(crate) fn save_screenshot(&self, name: &str) {
         let Some(folder) = std::env::var_os("REPORT_PICTURES") else { return };
-        let answer = self.development("Page.captureScreenshot", &json!({ "format": "png" }));
+        let answer = self.devtools_command("Page.captureScreenshot", &json!({ "format": "png" }));
         let mut decoder =
             Command::new("base64").arg("--decode").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let mut input = decoder.stdin.take().unwrap();
@@ -208,7 +208,7 @@ impl Drop for Browser {
     fn drop(&mut self) {
         // The orderly way lets the browser clear its files away; the other one always works.
         let _ = self.agent.delete(&self.session).config().timeout_global(Some(Duration::from_secs(10))).build().call();
-        end(&mut self.driver);
+        kill_driver(&mut self.driver);
     }
 }
 

@@ -1,17 +1,17 @@
-//! The report as people meet it: in a browser, light and dark, on a phone and on a desk, with scripts and without.
+//! Tests `report.html` in a browser: light and dark, phone and desktop, with and without scripts.
 //!
-//! Needs `chromium` and `chromedriver` (`ci/install-test-tools`). Where they are missing the tests say so and pass, unless `PLATEBENCH_REQUIRE_ALL=1` asks for
-//! all of them. `REPORT_PICTURES=some/folder` keeps what the browser showed.
+//! Needs `chromium` and `chromedriver` (`ci/install-test-tools`). Without them the tests print a message and pass, unless
+//! `PLATEBENCH_REQUIRE_ALL=1`. `REPORT_PICTURES=FOLDER` keeps screenshots.
 
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::panic,
-    reason = "a helper that cannot set up its case has failed the case"
+    reason = "a test fixture that cannot set up its case fails the case"
 )]
 
 mod driver;
-#[path = "../report/made.rs"]
-#[allow(dead_code, reason = "these tests need a part of it")]
-mod made;
+#[path = "../report/fixtures.rs"]
+#[allow(dead_code, reason = "these tests use a part of it")]
+mod fixtures;
 mod page;

@@ -1,22 +1,22 @@
-//! The console's text.
+//! The text of the console.
 
-use crate::made;
+use crate::fixtures;
+use platebench_record::Overrides;
 use platebench_report::{Progress, Style, console};
-use platebench_verdict::record::Overrides;
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 
 #[test]
-fn every_outcome_in_one_table() {
-    let text = console::table(&made::mixed(), Style::default());
+fn shows_every_outcome() {
+    let text = console::run_table(&fixtures::mixed_run(), Style::default());
     insta::assert_snapshot!(text);
     assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
 }
 
 #[test]
-fn colour_changes_nothing_but_colour() {
-    let record = made::mixed();
-    let coloured = console::table(&record, Style { colour: true });
+fn colours_change_no_text() {
+    let record = fixtures::mixed_run();
+    let coloured = console::run_table(&record, Style { colour: true });
     assert!(
         coloured.contains("\u{1b}[1;31m✗ fail\u{1b}[0m") && coloured.contains("\u{1b}[33m? inconclusive: rig\u{1b}[0m")
     );
@@ -24,61 +24,59 @@ fn colour_changes_nothing_but_colour() {
     for code in ["0", "1", "2", "32", "33", "1;31"] {
         plain = plain.replace(&format!("\u{1b}[{code}m"), "");
     }
-    assert_eq!(plain, console::table(&record, Style::default()));
+    assert_eq!(plain, console::run_table(&record, Style::default()));
 }
 
 #[test]
-fn a_run_without_anything_does_not_look_green() {
-    let mut record = made::run(Vec::new());
+fn an_empty_run_does_not_pass() {
+    let mut record = fixtures::run(Vec::new());
     record.complete = false;
-    let text = console::table(&record, Style::default());
+    let text = console::run_table(&record, Style::default());
     assert_eq!(
         text,
         "0 scenarios: 0 passed, 0 failed, 0 inconclusive\n0 expectations: 0 passed, 0 failed, 0 inconclusive\n\
-         not as the scenarios have it: seed 7\nthe run was not finished\nverdict: ? inconclusive\n"
+         overridden: seed = 7\nthe run was not finished\nverdict: ? inconclusive\n"
     );
 }
 
-/// A variable of the environment may have changed what was played: nobody has to look for that.
 #[test]
-fn what_was_changed_in_the_scenarios_is_said_beside_the_verdict() {
-    let mut record = made::run(Vec::new());
-    let said = |record: &platebench_verdict::RunRecord| {
-        let text = console::table(record, Style::default());
-        text.lines().find(|line| line.starts_with("not as")).map(str::to_owned)
+fn lists_overrides() {
+    let mut record = fixtures::run(Vec::new());
+    let overrides = |record: &platebench_record::RunRecord| {
+        let text = console::run_table(record, Style::default());
+        text.lines().find(|line| line.starts_with("overridden")).map(str::to_owned)
     };
     record.overrides.law = Some("dq-pi".to_owned());
     record.overrides.trials = Some(1);
-    assert_eq!(said(&record).as_deref(), Some("not as the scenarios have it: law dq-pi, trials 1, seed 7"));
+    assert_eq!(overrides(&record).as_deref(), Some("overridden: law = dq-pi, trials = 1, seed = 7"));
     record.overrides = Overrides::default();
-    record.overrides = platebench_verdict::record::Overrides::default();
-    assert_eq!(said(&record), None);
+    assert_eq!(overrides(&record), None);
 }
 
 #[test]
-fn a_step_that_became_longer_is_told_below_the_counts() {
-    let mut record = made::run(Vec::new());
-    record.cost = made::costs();
-    let text = console::table(&record, Style::default());
-    let told: Vec<&str> = text.lines().skip(2).take_while(|line| !line.starts_with("verdict")).collect();
+fn shows_the_cost_of_a_step_and_its_change() {
+    let mut record = fixtures::run(Vec::new());
+    record.cost = fixtures::cost_trends();
+    let text = console::run_table(&record, Style::default());
+    let lines: Vec<&str> = text.lines().skip(2).take_while(|line| !line.starts_with("verdict")).collect();
     assert_eq!(
-        told,
+        lines,
         [
             "instructions per step: 3 332 worst (dq-pi), 2.0 % of the 168 000 of a 1 ms period",
             "  ↳ 30 % more than 2 563 of build 1a2b3c4d (run 20260301T093000Z-abcdef)",
             "instructions per step: 2 640 worst (dq-pi-euler), 1.6 % of the 168 000 of a 1 ms period",
-            "  ↳ mean 2 410 over the 42 trials that both played: 3.6 % less than 2 500 of build 00112233 (the",
-            "    image that comes with the bench)",
+            "  ↳ mean 2 410 over the 42 trials of both runs: 3.6 % less than 2 500 of build 00112233 (the image",
+            "    that comes with the bench)",
             "instructions per step: 2 494 worst (open-loop), 1.5 % of the 168 000 of a 1 ms period",
-            "not as the scenarios have it: seed 7",
+            "overridden: seed = 7",
         ]
     );
 }
 
 #[derive(Clone, Default)]
-struct Shared(Arc<Mutex<Vec<u8>>>);
+struct SharedBuffer(Arc<Mutex<Vec<u8>>>);
 
-impl Write for Shared {
+impl Write for SharedBuffer {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.lock().unwrap().write(bytes)
     }
@@ -89,10 +87,10 @@ impl Write for Shared {
 }
 
 #[test]
-fn progress_in_lines_says_when_a_scenario_starts_and_ends() {
-    let shared = Shared::default();
-    let record = made::mixed();
-    let mut progress = Progress::lines_to(shared.clone());
+fn progress_has_a_line_at_start_and_end() {
+    let shared = SharedBuffer::default();
+    let record = fixtures::mixed_run();
+    let mut progress = Progress::to_writer(shared.clone());
     progress.scenario_started("paper/fig13-open-loop.toml", 3);
     progress.trial_finished("paper/fig13-open-loop.toml", 0);
     progress.scenario_finished(&record.scenarios[1]);

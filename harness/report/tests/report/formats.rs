@@ -1,17 +1,17 @@
 //! TAP, Markdown, annotations and lines of JSON.
 
-use crate::made;
-use platebench_report::annotations::{self, Place};
-use platebench_report::events::Events;
+use crate::fixtures;
+use platebench_record::{MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict};
+use platebench_report::annotations::{self, SourceLocation};
+use platebench_report::events::EventWriter;
 use platebench_report::{markdown, tap};
-use platebench_verdict::{RunRecord, ScenarioRecord, Verdict};
 use serde_json::Value;
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 
-/// A run that was cut short before its first scenario was judged.
-fn cut_short() -> RunRecord {
-    let mut record = made::mixed();
+/// A run that ended before its first scenario was judged.
+fn cancelled_run() -> RunRecord {
+    let mut record = fixtures::mixed_run();
     record.complete = false;
     record.verdict = Verdict::Inconclusive;
     record.scenarios.truncate(1);
@@ -21,15 +21,14 @@ fn cut_short() -> RunRecord {
 }
 
 #[test]
-fn tap_is_what_it_was() {
-    insta::assert_snapshot!("tap", tap::text(&made::mixed()));
-    insta::assert_snapshot!("tap-cut-short", tap::text(&cut_short()));
+fn writes_tap() {
+    insta::assert_snapshot!("tap", tap::text(&fixtures::mixed_run()));
+    insta::assert_snapshot!("tap-cut-short", tap::text(&cancelled_run()));
 }
 
-/// Every level: a plan, and as many points as it says.
 #[test]
-fn tap_counts_its_points_and_passes_only_what_passed() {
-    for record in [made::mixed(), cut_short(), made::run(Vec::new())] {
+fn every_tap_plan_has_its_number_of_points() {
+    for record in [fixtures::mixed_run(), cancelled_run(), fixtures::run(Vec::new())] {
         let text = tap::text(&record);
         let mut plans = 0;
         for indent in ["", "    "] {
@@ -52,24 +51,29 @@ fn tap_counts_its_points_and_passes_only_what_passed() {
         let passed = passed.filter(|expectation| expectation.verdict == Verdict::Pass).count();
         assert_eq!(text.lines().filter(|line| line.starts_with("    ok ")).count(), passed);
     }
-    assert!(tap::text(&cut_short()).ends_with("Bail out! the run was not finished\n"));
+    assert!(tap::text(&cancelled_run()).ends_with("Bail out! the run was not finished\n"));
 }
 
 #[test]
-fn the_summary_is_what_it_was() {
-    insta::assert_snapshot!("summary", markdown::page(&made::mixed()));
-    insta::assert_snapshot!("summary-cut-short", markdown::page(&cut_short()));
+fn writes_a_summary() {
+    insta::assert_snapshot!("summary", markdown::render_page(&fixtures::mixed_run()));
+    insta::assert_snapshot!("summary-cut-short", markdown::render_page(&cancelled_run()));
 }
 
 #[test]
-fn a_summary_stays_below_what_is_refused() {
-    let mut record = made::mixed();
+fn a_summary_is_smaller_than_one_mebibyte() {
+    let mut record = fixtures::mixed_run();
     let many = std::iter::repeat_with(|| record.scenarios[1].clone()).take(2_000).collect();
     record.scenarios = many;
     for expectation in record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.expectations) {
-        expectation.reason = Some("µ|".repeat(10_000));
+        expectation.reason = Some(Reason::Trial {
+            trial: 0,
+            divergence: None,
+            finding: TrialFinding::Missing(MissingValue::NotRunning),
+            ended: Some("µ|".repeat(10_000)),
+        });
     }
-    let page = markdown::page(&record);
+    let page = markdown::render_page(&record);
     assert!(page.len() < 1 << 20, "{}", page.len());
     assert!(page.contains("… and 1800 more."));
 }
@@ -78,50 +82,50 @@ fn a_summary_stays_below_what_is_refused() {
 fn a_summary_is_appended_or_replaces() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("summary.md");
-    let page = markdown::page(&made::mixed());
-    markdown::append(&made::mixed(), &path).unwrap();
-    markdown::append(&made::mixed(), &path).unwrap();
+    let page = markdown::render_page(&fixtures::mixed_run());
+    markdown::append(&fixtures::mixed_run(), &path).unwrap();
+    markdown::append(&fixtures::mixed_run(), &path).unwrap();
     assert_eq!(std::fs::read_to_string(&path).unwrap(), format!("{page}\n{page}\n"));
-    markdown::write(&made::mixed(), &path).unwrap();
+    markdown::write(&fixtures::mixed_run(), &path).unwrap();
     assert_eq!(std::fs::read_to_string(&path).unwrap(), page);
 }
 
 #[test]
-fn annotations_point_at_what_expected_it() {
+fn annotations_point_at_expectations() {
     let place = |scenario: &ScenarioRecord, index: Option<usize>| {
-        Some(Place { file: format!("scenarios/{}", scenario.file), line: index.map_or(1, |index| 10 + index) })
+        Some(SourceLocation { file: format!("scenarios/{}", scenario.file), line: index.map_or(1, |index| 10 + index) })
     };
-    insta::assert_snapshot!("annotations", annotations::commands(&made::mixed(), &place));
-    insta::assert_snapshot!("annotations-cut-short", annotations::commands(&cut_short(), &|_, _| None));
-    let mut passed = made::mixed();
+    insta::assert_snapshot!("annotations", annotations::workflow_commands(&fixtures::mixed_run(), &place));
+    insta::assert_snapshot!("annotations-cut-short", annotations::workflow_commands(&cancelled_run(), &|_, _| None));
+    let mut passed = fixtures::mixed_run();
     passed.scenarios.truncate(1);
     passed.verdict = Verdict::Pass;
-    assert_eq!(annotations::commands(&passed, &place), "");
+    assert_eq!(annotations::workflow_commands(&passed, &place), "");
 }
 
-/// What was written, and how much of it at each flush.
+/// The written bytes, and their number at each flush.
 #[derive(Clone, Default)]
-struct Heard(Arc<Mutex<(Vec<u8>, Vec<usize>)>>);
+struct FlushLog(Arc<Mutex<(Vec<u8>, Vec<usize>)>>);
 
-impl Write for Heard {
+impl Write for FlushLog {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.lock().unwrap().0.extend(bytes);
         Ok(bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        let mut heard = self.0.lock().unwrap();
-        let length = heard.0.len();
-        heard.1.push(length);
+        let mut log = self.0.lock().unwrap();
+        let length = log.0.len();
+        log.1.push(length);
         Ok(())
     }
 }
 
 #[test]
-fn events_are_a_line_each_and_written_at_once() {
-    let record = made::mixed();
-    let heard = Heard::default();
-    let mut events = Events::new(heard.clone());
+fn every_event_is_one_flushed_line() {
+    let record = fixtures::mixed_run();
+    let log = FlushLog::default();
+    let mut events = EventWriter::new(log.clone());
     let scenario = &record.scenarios[0];
     events.run_started("runs/x", "hosted", "lockstep", &[(scenario.file.clone(), 1)]);
     events.scenario_started(&scenario.file, 1);
@@ -129,7 +133,7 @@ fn events_are_a_line_each_and_written_at_once() {
     events.scenario_finished(scenario);
     events.run_finished(Some(&record), None, 1);
     events.run_finished(None, Some("nothing to run"), 4);
-    let (bytes, flushes) = heard.0.lock().unwrap().clone();
+    let (bytes, flushes) = log.0.lock().unwrap().clone();
     let text = String::from_utf8(bytes).unwrap();
     let ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at + 1).collect();
     assert_eq!(ends, flushes);

@@ -1,16 +1,15 @@
-//! Reports over records and traces made by hand.
-//!
-//! `made` holds the material; each report has its file. `look` writes a page to look at and is ignored otherwise.
+//! Tests of the reports with records and traces of [`fixtures`].
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fixture that cannot set up its case fails the case")]
 
 mod console;
+mod fixtures;
 mod formats;
-mod html;
+mod hostile_text;
 mod junit;
-mod look;
-mod made;
 mod marks;
-mod since;
+mod not_passed_since;
+mod page;
+mod page_text;
 mod timing;
 mod traceability;

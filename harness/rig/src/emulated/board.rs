@@ -1,4 +1,4 @@
-//! The emulated board: an STM32F427 with a crystal, a supply and the bench's wire on USART2, in the emulator's terms.
+//! Describes the emulated board: an STM32F427 with crystal, supply and the bench's wire on USART2.
 
 use rigless::chip::{Timeline, uart};
 use rigless::cpu::armv7m::windows;
@@ -12,9 +12,9 @@ use rigless::time::VirtualNanos;
 use std::collections::VecDeque;
 use std::num::{NonZeroU32, NonZeroU64};
 
-use super::target::Heard;
+use super::target::ReceivedByte;
 
-/// Instructions per second of a processor at 168 MHz that takes one cycle for each. A fixed number, not a model of its pipeline and flash.
+/// 168 MHz with one cycle per instruction. A fixed rate, no model of pipeline and flash.
 pub(super) const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(168_000_000).unwrap();
 
 const INTERRUPT_PRIORITY_BITS: u8 = 4;
@@ -25,20 +25,20 @@ const USART2: usize = 1;
 
 /// The bench's end of the wire.
 #[derive(Debug, Default)]
-pub(super) struct Wire {
+pub(super) struct UartPeer {
     pub(super) to_target: VecDeque<u8>,
-    pub(super) heard: Vec<Heard>,
-    /// Frames that ended since somebody last looked.
+    pub(super) received: Vec<ReceivedByte>,
+    /// Frames that ended since the last [`std::mem::take`].
     pub(super) frames: u32,
     within_frame: bool,
 }
 
-impl Store for Wire {}
+impl Store for UartPeer {}
 
-impl uart::Peer for Wire {
+impl uart::Peer for UartPeer {
     fn receive(&mut self, word: u16, context: &mut Timeline<'_, '_>) {
         let byte = word as u8;
-        self.heard.push(Heard { byte, at_ns: context.now().0 });
+        self.received.push(ReceivedByte { byte, at_ns: context.now().0 });
         let ended = byte == 0 && self.within_frame;
         self.within_frame = byte != 0;
         self.frames += u32::from(ended);
@@ -49,42 +49,42 @@ impl uart::Peer for Wire {
     }
 }
 
-/// The part. Once the firmware has come up, models that it has never touched are not asked at every event any more: they are in their reset state and have
-/// nothing to say. That is worth a quarter of the speed. Until then they are, since they have to hear of the clocks.
+/// The microcontroller. After the start of the firmware it polls only the peripherals that the firmware
+/// has used, because the others stay in their reset state; this saves a quarter of the time. During the
+/// start all are polled, because a change of clocks concerns them.
 #[derive(Debug)]
-pub(super) struct Part {
-    whole: Stm32f427,
+pub(super) struct Microcontroller {
+    mcu: Stm32f427,
     usart2: usize,
     clocks: usize,
-    touched: Box<[bool]>,
-    /// Only what was touched is asked.
-    pub(super) came_up: bool,
-    /// Bytes wait on the wire: the one thing outside that a model has to be told of.
-    pub(super) bytes_wait: bool,
+    used: Box<[bool]>,
+    /// Poll used peripherals only.
+    pub(super) booted: bool,
+    /// The bench has sent bytes that the USART has not yet polled.
+    pub(super) has_pending_bytes: bool,
 }
 
-impl Part {
-    /// Notes that the firmware uses what answers at `address`. False where nothing does.
-    pub(super) fn touch(&mut self, address: u64) -> bool {
-        let Some(slot) = self.whole.bus().slot_at(address) else { return false };
-        if let Some(touched) = self.touched.get_mut(slot) {
-            *touched = true;
+impl Microcontroller {
+    /// Marks the peripheral at `address` as used. False if there is none.
+    pub(super) fn mark_used(&mut self, address: u64) -> bool {
+        let Some(slot) = self.mcu.bus().slot_at(address) else { return false };
+        if let Some(used) = self.used.get_mut(slot) {
+            *used = true;
         }
-        // A change of clocks is told to every model.
-        self.came_up &= slot != self.clocks;
+        // A change of clocks concerns all peripherals.
+        self.booted &= slot != self.clocks;
         true
     }
 
-    /// The instances that the firmware has touched.
-    pub(super) fn touched(&self) -> Vec<&'static str> {
-        let slots = self.whole.bus().slots().iter().zip(&self.touched);
-        let names = slots.filter(|(_, touched)| **touched).map(|(slot, _)| slot.peripheral().name);
-        names.collect()
+    /// Names of the peripherals that the firmware has used.
+    pub(super) fn used_instances(&self) -> Vec<&'static str> {
+        let slots = self.mcu.bus().slots().iter().zip(&self.used);
+        slots.filter(|(_, used)| **used).map(|(slot, _)| slot.peripheral().name).collect()
     }
 
-    /// What answers at `address`.
+    /// Name of the peripheral or memory at `address`.
     pub(super) fn instance_at(&self, address: u64) -> Option<&'static str> {
-        let bus = self.whole.bus();
+        let bus = self.mcu.bus();
         let slot = bus.slot_at(address).and_then(|slot| bus.slots().get(slot));
         slot.map(|slot| slot.peripheral().name).or_else(|| {
             bus.memory()
@@ -95,22 +95,22 @@ impl Part {
     }
 }
 
-impl Mcu for Part {
+impl Mcu for Microcontroller {
     fn bus(&self) -> &Bus {
-        self.whole.bus()
+        self.mcu.bus()
     }
 
     fn bus_mut(&mut self) -> &mut Bus {
-        self.whole.bus_mut()
+        self.mcu.bus_mut()
     }
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
-        self.whole.reset(at, cause);
+        self.mcu.reset(at, cause);
     }
 
     fn poll(&mut self, now: VirtualNanos) {
-        if std::mem::take(&mut self.bytes_wait) {
-            let (bus, model) = self.whole.split(self.usart2);
+        if std::mem::take(&mut self.has_pending_bytes) {
+            let (bus, model) = self.mcu.split(self.usart2);
             let (registers, mut context) = bus.drive(now, self.usart2);
             if let Some(model) = model {
                 model.poll(registers, &mut context);
@@ -119,43 +119,43 @@ impl Mcu for Part {
     }
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
-        if !self.came_up || self.touched.get(slot).copied().unwrap_or(false) {
-            self.whole.split(slot)
+        if !self.booted || self.used.get(slot).copied().unwrap_or(false) {
+            self.mcu.split(slot)
         } else {
-            (self.whole.bus_mut(), None)
+            (self.mcu.bus_mut(), None)
         }
     }
 }
 
-/// The part and what hangs on it.
+/// The microcontroller and its surroundings.
 #[derive(Debug)]
-pub(super) struct Bench {
-    pub(super) part: Part,
+pub(super) struct EmulatedBoard {
+    pub(super) part: Microcontroller,
 }
 
-impl Bench {
+impl EmulatedBoard {
     pub(super) fn new(crystal_hz: u64) -> Result<Self, Error> {
-        let mut whole = Stm32f427::new()?;
-        whole.rcc.attach_crystals(crystal_hz, Crystal::NONE.0);
-        whole.set_supply(SUPPLY_MV);
-        if let Some(usart) = whole.usart.get_mut(USART2) {
-            usart.attach(Wire::default());
+        let mut mcu = Stm32f427::new()?;
+        mcu.rcc.attach_crystals(crystal_hz, Crystal::NONE.0);
+        mcu.set_supply(SUPPLY_MV);
+        if let Some(usart) = mcu.usart.get_mut(USART2) {
+            usart.attach(UartPeer::default());
         }
-        let usart2 = whole.bus().slot("USART2")?;
-        let clocks = whole.bus().slot("RCC")?;
-        let touched = vec![false; whole.bus().slots().len()].into_boxed_slice();
-        Ok(Self { part: Part { whole, usart2, clocks, touched, came_up: false, bytes_wait: false } })
+        let usart2 = mcu.bus().slot("USART2")?;
+        let clocks = mcu.bus().slot("RCC")?;
+        let used = vec![false; mcu.bus().slots().len()].into_boxed_slice();
+        Ok(Self { part: Microcontroller { mcu, usart2, clocks, used, booted: false, has_pending_bytes: false } })
     }
 
-    /// The bench's end of the wire; `None` never happens, since `new` hung it there.
-    pub(super) fn wire(&mut self) -> Option<&mut Wire> {
-        self.part.whole.usart.get_mut(USART2).and_then(|usart| usart.chip_mut())
+    /// The bench's end of the wire; always there, because `new` attaches it.
+    pub(super) fn wire(&mut self) -> Option<&mut UartPeer> {
+        self.part.mcu.usart.get_mut(USART2).and_then(|usart| usart.chip_mut())
     }
 }
 
-impl Store for Bench {}
+impl Store for EmulatedBoard {}
 
-impl Board for Bench {
+impl Board for EmulatedBoard {
     fn name(&self) -> &'static str {
         "platebench"
     }

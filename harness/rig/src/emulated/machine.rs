@@ -1,13 +1,13 @@
-//! The emulator as a [`Target`]: one image on one board, run from event to event in virtual time.
+//! Runs an image on the emulated board from event to event in virtual time.
 
-use super::board::{Bench, INSTRUCTIONS_PER_SECOND};
-use super::fault::TargetFault;
+use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND};
+use super::bus::{BusGuard, SystemBus};
 use super::image::Image;
-use super::memory::{self, Memory, UNKNOWN};
-use super::post_mortem::{self, Handlers};
-use super::surroundings::{Lent, Surroundings};
-use super::target::{Heard, Target, Whereabouts};
-use crate::symbols::{Place, Symbols};
+use super::memory::{self, Memory, POWER_ON_FILL};
+use super::post_mortem::{self, FaultHandlers};
+use super::target::{ReceivedByte, Target, TargetStatus};
+use crate::symbols::{CodeLocation, Symbols};
+use crate::target_error::TargetError;
 use rigless::emulator::{Exit, Processor, Stop, StopReason};
 use rigless::machine::Board as _;
 use rigless::mcu::Operate as _;
@@ -15,32 +15,33 @@ use rigless::session::Session;
 use rigless::time::{NO_DEADLINE, VirtualNanos};
 use std::fmt;
 
-/// Rounds of the run loop without any time passing, after which it has hung. Some hundred are normal where many events meet.
-const ROUNDS_AT_ONE_INSTANT: u32 = 100_000;
+/// Rounds of the run loop at one instant before it counts as hung. Some hundred are normal if many events
+/// coincide.
+const MAX_ROUNDS_WITHOUT_PROGRESS: u32 = 100_000;
 
-/// In the factory's part of the flash: what the part says of itself.
+/// Device signature in the system memory. RM0090, chapter 39.
 const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
 const FLASH_KIB: (u64, [u8; 2]) = (0x1FFF_7A22, 2048_u16.to_le_bytes());
 
-/// What the machine is set up with.
+/// Options of a [`Machine`].
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Setup {
+pub(super) struct MachineConfig {
     pub(super) crystal_hz: u64,
     pub(super) stop_at_traps: bool,
 }
 
-/// See the module.
+/// The emulator with one image.
 pub(super) struct Machine {
-    // Declared before `surroundings`, whose memory it points into: fields are dropped in this order.
+    // Declared before `bus`, whose memory it points into: fields are dropped in this order.
     core: Box<dyn Processor>,
-    surroundings: Surroundings,
-    session: Session<Bench>,
+    bus: SystemBus,
+    session: Session<EmulatedBoard>,
     image: Image,
-    setup: Setup,
-    handlers: Handlers,
-    /// The processor's state right after power-on. Loading it is far cheaper than a reset of the emulator's, which drops all translated code.
-    fresh: Vec<u8>,
-    resets_seen: usize,
+    config: MachineConfig,
+    handlers: FaultHandlers,
+    /// The processor right after power-on. Loading this state keeps the translated code, unlike a reset.
+    power_on_state: Vec<u8>,
+    reported_resets: usize,
 }
 
 impl fmt::Debug for Machine {
@@ -49,147 +50,147 @@ impl fmt::Debug for Machine {
     }
 }
 
-fn failed(error: &dyn fmt::Display) -> TargetFault {
-    TargetFault::Emulator(error.to_string())
+fn emulator_error(error: &dyn fmt::Display) -> TargetError {
+    TargetError::Emulator(error.to_string())
 }
 
-fn session(setup: Setup) -> Result<Session<Bench>, TargetFault> {
-    let bench = Bench::new(setup.crystal_hz).map_err(|error| failed(&error))?;
-    Session::new(Box::new(bench), 0, NO_DEADLINE).map_err(|error| failed(&error))
+fn session(config: MachineConfig) -> Result<Session<EmulatedBoard>, TargetError> {
+    let board = EmulatedBoard::new(config.crystal_hz).map_err(|error| emulator_error(&error))?;
+    Session::new(Box::new(board), 0, NO_DEADLINE).map_err(|error| emulator_error(&error))
 }
 
 impl Machine {
-    /// A board with `image` in its flash, switched on.
-    pub(super) fn new(image: Image, setup: Setup) -> Result<Self, TargetFault> {
-        let mut session = session(setup)?;
+    /// A board with `image` in its flash, after power-on.
+    pub(super) fn new(image: Image, config: MachineConfig) -> Result<Self, TargetError> {
+        let mut session = session(config)?;
         let mut targets = session.board_mut().targets();
-        let target = targets.pop().ok_or_else(|| failed(&"the board has no processor"))?;
-        let mut core = (target.core.processor)(target.mcu.cpu().endian).map_err(|error| failed(&error))?;
+        let target = targets.pop().ok_or_else(|| emulator_error(&"the board has no processor"))?;
+        let mut core = (target.core.processor)(target.mcu.cpu().endian).map_err(|error| emulator_error(&error))?;
         let mut memory = Memory::new(target.mcu.bus().memory(), &target.core.aliases);
         let boot = target.core.boot.reset;
         drop(targets);
-        map_into(&memory, &mut *core)?;
+        map_memory(&memory, &mut *core)?;
 
         let segments = image.segments.iter().map(|segment| (segment.address, &*segment.bytes));
         for (address, bytes) in segments.chain([(UNIQUE_ID.0, &UNIQUE_ID.1[..]), (FLASH_KIB.0, &FLASH_KIB.1[..])]) {
-            if !memory.place(address, bytes) {
-                return Err(failed(&format_args!("no memory of {} bytes at {address:#010x}", bytes.len())));
+            if !memory.store(address, bytes) {
+                return Err(emulator_error(&format_args!("no memory of {} bytes at {address:#010x}", bytes.len())));
             }
         }
-        let handlers = if setup.stop_at_traps { Handlers::of(&memory, &image) } else { Handlers::none() };
-        handlers.watch(&mut *core);
-        let mut surroundings = Surroundings::new(memory, INSTRUCTIONS_PER_SECOND);
-        surroundings.tell(&mut *core);
-        core.boot(boot, &|address, width| surroundings.memory.value(address, width));
-        let fresh = core.save();
-        let mut machine = Self { core, surroundings, session, image, setup, handlers, fresh, resets_seen: 0 };
+        let handlers =
+            if config.stop_at_traps { FaultHandlers::from_image(&memory, &image) } else { FaultHandlers::none() };
+        handlers.set_breakpoints(&mut *core);
+        let mut bus = SystemBus::new(memory, INSTRUCTIONS_PER_SECOND);
+        bus.notify_core(&mut *core);
+        core.boot(boot, &|address, width| bus.memory.value(address, width));
+        let power_on_state = core.save();
+        let mut machine = Self { core, bus, session, image, config, handlers, power_on_state, reported_resets: 0 };
         machine.power_on()?;
         Ok(machine)
     }
 
     fn stop(&mut self, reason: StopReason) {
         let instruction_count = self.core.retired();
-        let stop = Stop { at: self.surroundings.time(instruction_count), instruction_count, reason };
-        self.surroundings.deadline = self.session.stop(stop, &mut self.surroundings);
-        self.surroundings.tell(&mut *self.core);
+        let stop = Stop { at: self.bus.time_at(instruction_count), instruction_count, reason };
+        self.bus.deadline = self.session.stop(stop, &mut self.bus);
+        self.bus.notify_core(&mut *self.core);
     }
 
-    /// The processor's part of a reset; the models have had theirs.
-    fn restart_core(&mut self) {
-        let Self { core, surroundings, .. } = self;
+    /// Resets the processor; the emulator has reset the peripherals.
+    fn reset_core(&mut self) {
+        let Self { core, bus, .. } = self;
         core.reset();
-        core.boot(super::image::FLASH_START, &|address, width| surroundings.memory.value(address, width));
+        core.boot(super::image::FLASH_START, &|address, width| bus.memory.value(address, width));
     }
 
     fn symbols(&self) -> Symbols {
         Symbols::read(&self.image.elf)
     }
 
-    fn place(&self) -> Place {
-        self.symbols().place(self.core.pc() as u32)
+    fn code_location(&self) -> CodeLocation {
+        self.symbols().locate(self.core.pc() as u32)
     }
 
-    fn frame_ended(&mut self) -> bool {
+    fn take_frame_end(&mut self) -> bool {
         self.session.board_mut().wire().is_some_and(|wire| std::mem::take(&mut wire.frames) > 0)
     }
 
-    /// What must end a trial although the firmware goes on.
-    fn check(&mut self) -> Result<(), TargetFault> {
+    /// Checks for errors that end the trial although the firmware runs on.
+    fn check_for_errors(&mut self) -> Result<(), TargetError> {
         if let Some(error) = self.session.take_error() {
-            return Err(failed(&error));
+            return Err(emulator_error(&error));
         }
-        if let Some(gap) = post_mortem::gap(&self.session, &self.image) {
-            return Err(TargetFault::Unsupported(gap));
+        if let Some(access) = post_mortem::first_unsupported_access(&self.session, &self.image) {
+            return Err(TargetError::Unsupported(access));
         }
-        // Without traps as stops, a reset is what a board does too.
         let resets = self.session.resets();
-        if let Some(reset) = resets.get(self.resets_seen) {
+        if let Some(reset) = resets.get(self.reported_resets) {
             let (cause, at_us) = (post_mortem::reset_cause(reset.cause), reset.at.0 / 1_000);
-            self.resets_seen = resets.len();
-            if self.setup.stop_at_traps {
-                return Err(TargetFault::Reset { cause, at_us, place: self.place() });
+            self.reported_resets = resets.len();
+            if self.config.stop_at_traps {
+                return Err(TargetError::Reset { cause, at_us, place: self.code_location() });
             }
         }
         Ok(())
     }
 
-    /// One round: to the next event, or until the processor comes back by itself.
-    fn step(&mut self) -> Result<(), TargetFault> {
-        let target = self.surroundings.next(self.core.next_event());
-        let budget = self.surroundings.instructions_until(self.core.retired(), target);
-        let mut lent = Lent { surroundings: &mut self.surroundings, session: &mut self.session };
-        let (exit, ran) = self.core.run(budget, &mut lent);
-        self.surroundings.tell(&mut *self.core);
+    /// Runs to the next event, or until the processor returns earlier.
+    fn step(&mut self) -> Result<(), TargetError> {
+        let target = self.bus.next_event(self.core.next_event());
+        let budget = self.bus.instructions_until(self.core.retired(), target);
+        let mut guard = BusGuard { bus: &mut self.bus, session: &mut self.session };
+        let (exit, ran) = self.core.run(budget, &mut guard);
+        self.bus.notify_core(&mut *self.core);
         match exit {
             Exit::Breakpoint => {
                 let pc = self.core.pc();
-                let trap = self.handlers.trap(&mut *self.core, &self.surroundings, &mut self.session, &self.image);
-                if let Some(trap) = trap {
-                    return Err(TargetFault::Trap(Box::new(trap)));
+                let crash = self.handlers.read_crash(&mut *self.core, &self.bus, &mut self.session, &self.image);
+                if let Some(crash) = crash {
+                    return Err(TargetError::Trap(Box::new(crash)));
                 }
                 self.core.pass_breakpoint(pc);
             }
-            // Semihosting without a debugger: the instruction does nothing.
+            // Semihosting without a debugger has no effect.
             Exit::HostCall => self.core.answer_host_call(None),
-            Exit::Lockup => return Err(TargetFault::Lockup(self.place())),
+            Exit::Lockup => return Err(TargetError::Lockup(self.code_location())),
             _ => {}
         }
         if ran == 0 && self.core.waiting() {
-            let now = self.surroundings.time(self.core.retired());
-            let target = self.surroundings.next(self.core.next_event());
+            let now = self.bus.time_at(self.core.retired());
+            let target = self.bus.next_event(self.core.next_event());
             if target > now && target != NO_DEADLINE {
-                self.surroundings.slept_ns += target.0 - now.0;
+                self.bus.slept_ns += target.0 - now.0;
             }
         }
         Ok(())
     }
 }
 
-#[allow(unsafe_code, reason = "the processor is given pointers to the memory")]
-fn map_into(memory: &Memory, core: &mut dyn Processor) -> Result<(), TargetFault> {
-    // SAFETY: `Machine::new` moves both into a `Machine`, which drops its processor first; the pages do not move with them. `Memory`'s borrows end
-    // before the processor runs, or begin in a callback while it stands still and end with it.
-    unsafe { memory::map(memory, core) }.map_err(|problem| failed(&problem))
+#[allow(unsafe_code, reason = "the processor holds pointers to the memory")]
+fn map_memory(memory: &Memory, core: &mut dyn Processor) -> Result<(), TargetError> {
+    // SAFETY: `Machine::new` moves both into a `Machine`, which drops its processor first; the pages do not
+    // move. Borrows of `Memory` end before the processor runs, or begin and end within a callback.
+    unsafe { memory::map_into_core(memory, core) }.map_err(|problem| emulator_error(&problem))
 }
 
 impl Target for Machine {
-    fn power_on(&mut self) -> Result<(), TargetFault> {
-        self.session = session(self.setup)?;
+    fn power_on(&mut self) -> Result<(), TargetError> {
+        self.session = session(self.config)?;
         let _ = self.core.take_reset_request();
-        self.core.load(&self.fresh).map_err(|error| failed(&error))?;
-        self.surroundings.forget();
-        self.surroundings.tell(&mut *self.core);
-        self.surroundings.deadline = self.session.next_deadline();
-        self.resets_seen = 0;
+        self.core.load(&self.power_on_state).map_err(|error| emulator_error(&error))?;
+        self.bus.reset();
+        self.bus.notify_core(&mut *self.core);
+        self.bus.deadline = self.session.next_deadline();
+        self.reported_resets = 0;
         Ok(())
     }
 
-    fn came_up(&mut self) {
-        self.session.board_mut().part.came_up = true;
+    fn mark_booted(&mut self) {
+        self.session.board_mut().part.booted = true;
     }
 
     fn now_ns(&self) -> u64 {
-        self.surroundings.time(self.core.retired()).0
+        self.bus.time_at(self.core.retired()).0
     }
 
     fn instructions(&self) -> u64 {
@@ -198,44 +199,48 @@ impl Target for Machine {
 
     fn send(&mut self, bytes: &[u8]) {
         let now = VirtualNanos(self.now_ns());
-        let bench = self.session.board_mut();
-        if let Some(wire) = bench.wire() {
+        let board = self.session.board_mut();
+        if let Some(wire) = board.wire() {
             wire.to_target.extend(bytes);
-            bench.part.bytes_wait = true;
+            board.part.has_pending_bytes = true;
         }
         let instructions = self.core.retired();
-        self.surroundings.deadline = self.session.resume(NO_DEADLINE, now, instructions, &mut self.surroundings);
-        self.surroundings.tell(&mut *self.core);
+        self.bus.deadline = self.session.resume(NO_DEADLINE, now, instructions, &mut self.bus);
+        self.bus.notify_core(&mut *self.core);
     }
 
-    fn run(&mut self, until_ns: u64) -> Result<bool, TargetFault> {
+    fn run(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let until = VirtualNanos(until_ns);
         self.session.run_until(until);
-        self.surroundings.deadline = self.session.next_deadline();
-        let mut instant = (VirtualNanos(u64::MAX), 0);
+        self.bus.deadline = self.session.next_deadline();
+        let mut rounds_at = (VirtualNanos(u64::MAX), 0);
         loop {
-            let now = self.surroundings.time(self.core.retired());
-            instant = if instant.0 == now { (now, instant.1 + 1) } else { (now, 0) };
-            if instant.1 > ROUNDS_AT_ONE_INSTANT {
-                return Err(failed(&format_args!("time stands still at {} ns, {}", now.0, self.place())));
+            let now = self.bus.time_at(self.core.retired());
+            rounds_at = if rounds_at.0 == now { (now, rounds_at.1 + 1) } else { (now, 0) };
+            if rounds_at.1 > MAX_ROUNDS_WITHOUT_PROGRESS {
+                return Err(emulator_error(&format_args!(
+                    "virtual time does not advance beyond {} ns, at {}",
+                    now.0,
+                    self.code_location()
+                )));
             }
-            if std::mem::take(&mut self.surroundings.restart) {
-                self.restart_core();
-                self.check()?;
+            if std::mem::take(&mut self.bus.reset_requested) {
+                self.reset_core();
+                self.check_for_errors()?;
             } else if self.core.take_reset_request() {
                 self.stop(StopReason::Reset);
-                self.restart_core();
-                self.check()?;
+                self.reset_core();
+                self.check_for_errors()?;
             } else if self.core.next_event().is_some_and(|event| event <= now) {
                 self.core.on_event(now);
-            } else if now >= self.surroundings.deadline {
+            } else if now >= self.bus.deadline {
                 self.stop(if self.core.waiting() { StopReason::Idle } else { StopReason::Deadline });
-                if self.frame_ended() {
-                    self.check()?;
+                if self.take_frame_end() {
+                    self.check_for_errors()?;
                     return Ok(true);
                 }
-                if now >= until && !self.surroundings.restart {
-                    self.check()?;
+                if now >= until && !self.bus.reset_requested {
+                    self.check_for_errors()?;
                     return Ok(false);
                 }
             } else {
@@ -244,22 +249,22 @@ impl Target for Machine {
         }
     }
 
-    fn take_heard(&mut self, into: &mut Vec<Heard>) {
+    fn take_received(&mut self, into: &mut Vec<ReceivedByte>) {
         if let Some(wire) = self.session.board_mut().wire() {
-            into.append(&mut wire.heard);
+            into.append(&mut wire.received);
         }
     }
 
-    fn whereabouts(&self) -> Whereabouts {
-        Whereabouts { place: self.place(), instances: self.session.board().part.touched() }
+    fn status(&self) -> TargetStatus {
+        TargetStatus { place: self.code_location(), instances: self.session.board().part.used_instances() }
     }
 
     fn stack_used(&self) -> Option<u32> {
         let symbols = self.symbols();
         let top = self.image.initial_stack;
         let bottom = u32::try_from(symbols.address("_stack_end")?).ok()?;
-        let memory = self.surroundings.memory.slice(u64::from(bottom), top.checked_sub(bottom)? as usize)?;
-        let unused = memory.iter().take_while(|&&byte| byte == UNKNOWN).count();
+        let memory = self.bus.memory.slice(u64::from(bottom), top.checked_sub(bottom)? as usize)?;
+        let unused = memory.iter().take_while(|&&byte| byte == POWER_ON_FILL).count();
         u32::try_from(memory.len() - unused).ok()
     }
 }

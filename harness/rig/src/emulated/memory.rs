@@ -1,14 +1,14 @@
-//! The target's memory: whole pages of this process that the translated code reads and writes directly.
+//! Holds the target's memory in pages that the translated code accesses directly.
 //!
-//! The one module of this crate with unsafe code: [`Mapped`] keeps the memory and the processor that points into it together.
-#![allow(unsafe_code, reason = "the emulator is given raw pointers to the target's memory")]
+//! Contains the crate's unsafe code.
+#![allow(unsafe_code, reason = "the emulator holds raw pointers to the target's memory")]
 
 use rigless::emulator::{Alias, Error, Memory as GuestMemory, Processor};
 use rigless::soc::{Region, Width};
 use std::ops::Range;
 
-/// What the memory holds at power-on, when nobody can know. Not zero, so that firmware that relies on zero fails here and not only on a board.
-pub(super) const UNKNOWN: u8 = 0xA5;
+/// Content of RAM at power-on. Not zero, so that firmware that relies on zero fails here, too.
+pub(super) const POWER_ON_FILL: u8 = 0xA5;
 
 const PAGE: usize = 4096;
 
@@ -16,19 +16,19 @@ const PAGE: usize = 4096;
 #[derive(Clone, Copy)]
 struct Page([u8; PAGE]);
 
-/// One region of the part and every address at which it answers.
+/// A memory region and all its start addresses.
 #[derive(Debug)]
-struct Bytes {
+struct MemoryRegion {
     starts: Vec<u64>,
     writable: bool,
     pages: *mut [Page],
     size: usize,
 }
 
-// SAFETY: the sole owner of its pages.
-unsafe impl Send for Bytes {}
+// SAFETY: it is the only owner of its pages.
+unsafe impl Send for MemoryRegion {}
 
-impl Bytes {
+impl MemoryRegion {
     fn new(region: &Region, starts: Vec<u64>) -> Self {
         let size = region.size as usize;
         let pages = Box::into_raw(vec![Page([region.erased; PAGE]); size.div_ceil(PAGE)].into_boxed_slice());
@@ -40,29 +40,30 @@ impl Bytes {
     }
 
     fn bytes(&self) -> &[u8] {
-        // SAFETY: `size` bytes lie within the pages; translated code writes to them only within `Mapped::split`'s processor, never while this borrow lives.
+        // SAFETY: `size` bytes lie within the pages; translated code writes to them only while the processor
+        // runs, and no borrow lives then.
         unsafe { std::slice::from_raw_parts(self.start(), self.size) }
     }
 
     fn bytes_mut(&mut self) -> &mut [u8] {
-        // SAFETY: as above, and `self` is borrowed alone.
+        // SAFETY: as above, and the borrow of `self` is exclusive.
         unsafe { std::slice::from_raw_parts_mut(self.start(), self.size) }
     }
 }
 
-impl Drop for Bytes {
+impl Drop for MemoryRegion {
     fn drop(&mut self) {
-        // SAFETY: made by `Box::into_raw`, given back once.
+        // SAFETY: comes from `Box::into_raw` and is freed once.
         drop(unsafe { Box::from_raw(self.pages) });
     }
 }
 
-/// All memory of the part.
+/// All memory of the microcontroller.
 #[derive(Debug)]
 pub(super) struct Memory {
-    regions: Vec<Bytes>,
-    /// What was written behind the processor's back since it last heard of that.
-    written: Vec<Range<u64>>,
+    regions: Vec<MemoryRegion>,
+    /// Addresses whose content changed without the processor; it must discard its translated code there.
+    dirty_ranges: Vec<Range<u64>>,
 }
 
 impl Memory {
@@ -72,10 +73,10 @@ impl Memory {
             .filter(|region| region.size > 0)
             .map(|region| {
                 let others = aliases.iter().filter(|alias| alias.region == region.name).map(|alias| alias.at);
-                Bytes::new(region, std::iter::once(region.base).chain(others).collect())
+                MemoryRegion::new(region, std::iter::once(region.base).chain(others).collect())
             })
             .collect();
-        Self { regions, written: Vec::new() }
+        Self { regions, dirty_ranges: Vec::new() }
     }
 
     fn find(&self, address: u64, length: usize) -> Option<(usize, usize)> {
@@ -87,7 +88,7 @@ impl Memory {
         })
     }
 
-    /// `length` bytes at `address`, where memory holds all of them.
+    /// `length` bytes at `address`, if one region holds them all.
     pub(super) fn slice(&self, address: u64, length: usize) -> Option<&[u8]> {
         let (index, offset) = self.find(address, length)?;
         self.regions.get(index)?.bytes().get(offset..offset + length)
@@ -102,13 +103,13 @@ impl Memory {
         Some(bytes.iter().rev().fold(0, |value, &byte| value << 8 | u64::from(byte)))
     }
 
-    /// Whether the firmware can write at `address`; `None` where there is no memory.
-    pub(super) fn writable(&self, address: u64) -> Option<bool> {
+    /// Whether the firmware can write at `address`; `None` without memory there.
+    pub(super) fn is_writable(&self, address: u64) -> Option<bool> {
         self.find(address, 1).and_then(|(index, _)| self.regions.get(index)).map(|region| region.writable)
     }
 
-    /// Stores `bytes`, in memory that only a programmer can write too. False where it does not all fit.
-    pub(super) fn place(&mut self, address: u64, bytes: &[u8]) -> bool {
+    /// Stores `bytes`, also in flash. False if no region holds all of them.
+    pub(super) fn store(&mut self, address: u64, bytes: &[u8]) -> bool {
         let Some((index, offset)) = self.find(address, bytes.len()) else { return false };
         let Some(place) =
             self.regions.get_mut(index).and_then(|region| region.bytes_mut().get_mut(offset..offset + bytes.len()))
@@ -117,25 +118,24 @@ impl Memory {
         };
         place.copy_from_slice(bytes);
         let range = address..address + bytes.len() as u64;
-        match self.written.last_mut() {
+        match self.dirty_ranges.last_mut() {
             Some(last) if last.end == range.start => last.end = range.end,
-            _ => self.written.push(range),
+            _ => self.dirty_ranges.push(range),
         }
         true
     }
 
-    /// What the supply's absence does to everything that the firmware can write.
-    pub(super) fn forget(&mut self) {
+    /// Fills all RAM with [`POWER_ON_FILL`].
+    pub(super) fn power_off(&mut self) {
         for region in self.regions.iter_mut().filter(|region| region.writable) {
-            region.bytes_mut().fill(UNKNOWN);
+            region.bytes_mut().fill(POWER_ON_FILL);
             let size = region.size as u64;
-            self.written.extend(region.starts.iter().map(|&start| start..start + size));
+            self.dirty_ranges.extend(region.starts.iter().map(|&start| start..start + size));
         }
     }
 
-    /// What the processor has to hear of.
-    pub(super) fn take_written(&mut self) -> std::vec::Drain<'_, Range<u64>> {
-        self.written.drain(..)
+    pub(super) fn take_dirty_ranges(&mut self) -> std::vec::Drain<'_, Range<u64>> {
+        self.dirty_ranges.drain(..)
     }
 }
 
@@ -146,17 +146,17 @@ impl GuestMemory for Memory {
 
     fn write(&mut self, address: u64, width: Width, value: u64) -> Result<(), Error> {
         let bytes = value.to_le_bytes();
-        let stored = self.writable(address) == Some(true)
-            && bytes.get(..width.bytes() as usize).is_some_and(|bytes| self.place(address, bytes));
+        let stored = self.is_writable(address) == Some(true)
+            && bytes.get(..width.bytes() as usize).is_some_and(|bytes| self.store(address, bytes));
         if stored { Ok(()) } else { Err(Error::Memory { address, width }) }
     }
 }
 
-/// Lets `core` read and write `memory` without asking.
+/// Lets `core` access `memory` directly.
 ///
 /// # Safety
-/// `memory` outlives `core`, wherever both are moved; and no borrow of its bytes lives while `core` runs.
-pub(super) unsafe fn map(memory: &Memory, core: &mut dyn Processor) -> Result<(), String> {
+/// `memory` outlives `core`, and no borrow of its bytes lives while `core` runs.
+pub(super) unsafe fn map_into_core(memory: &Memory, core: &mut dyn Processor) -> Result<(), String> {
     let page = core.page_size();
     for region in &memory.regions {
         for &start in &region.starts {
@@ -164,9 +164,9 @@ pub(super) unsafe fn map(memory: &Memory, core: &mut dyn Processor) -> Result<()
             if !core.maps(start, length) {
                 return Err(format!("{length} bytes at {start:#010x} cannot be mapped"));
             }
-            // What ends within a page is left to the bus.
+            // The bus serves regions that end within a page.
             if start.is_multiple_of(page) && length.is_multiple_of(page) {
-                // SAFETY: whole pages of an allocation that does not move and, says the caller, is kept.
+                // SAFETY: whole pages of an allocation that does not move and, by contract, outlives `core`.
                 unsafe { core.map(start, length, region.start(), region.writable) };
             }
         }

@@ -1,57 +1,42 @@
-//! What is read out of an emulated board when its firmware trapped, reset itself or reached for something that is not there.
+//! Reads the state of an emulated board after a crash, a reset or an unsupported access.
 
-use super::board::Bench;
-use super::fault::{Gap, Trap};
+use super::board::EmulatedBoard;
+use super::bus::SystemBus;
 use super::image::{FLASH_START, Image};
 use super::memory::Memory;
-use super::surroundings::Surroundings;
-use crate::symbols::{Place, Symbols};
+use crate::crash_report::{
+    CrashReport, FaultStatus, MAX_STACK_WORDS, StackReader, StoppedAt, callers, exception_frame, fault_handler,
+    fault_handlers,
+};
+use crate::symbols::Symbols;
+use crate::target_error::UnsupportedAccess;
 use rigless::device::ResetCause;
 use rigless::emulator::Processor;
 use rigless::session::Session;
 use rigless::soc::Width;
-use rigless::time::VirtualNanos;
+use std::convert::Infallible;
 
-const EXCEPTIONS: [(u32, &str); 5] =
-    [(2, "NMI"), (3, "HardFault"), (4, "MemManage"), (5, "BusFault"), (6, "UsageFault")];
-const PANIC: &str = "panic";
-
-/// The debugger's numbers of the registers.
+/// Register numbers of the debugger's protocol.
 const SP: usize = 13;
 const LR: usize = 14;
 const XPSR: usize = 16;
 
-const CFSR: u64 = 0xE000_ED28;
-const HFSR: u64 = 0xE000_ED2C;
-const MMFAR: u64 = 0xE000_ED34;
-const BFAR: u64 = 0xE000_ED38;
-const MEMORY_ADDRESS_VALID: u32 = 1 << 7;
-const BUS_ADDRESS_VALID: u32 = 1 << 15;
-
-/// Offsets of lr and pc in what the processor stacks.
-const STACKED_LR: u64 = 20;
-const STACKED_PC: u64 = 24;
-
-const LONGEST_BACKTRACE: usize = 6;
-const STACK_SEARCHED: usize = 4_096;
-
-/// The addresses at which an exception or a panic arrives.
+/// Addresses of the handlers for faults and panics.
 #[derive(Debug)]
-pub(super) struct Handlers {
+pub(super) struct FaultHandlers {
     exceptions: Vec<u64>,
     panic: Option<u64>,
 }
 
-impl Handlers {
+impl FaultHandlers {
     pub(super) fn none() -> Self {
         Self { exceptions: Vec::new(), panic: None }
     }
 
-    /// The handlers in the image's vector table, and its panic handler where it has one.
-    pub(super) fn of(memory: &Memory, image: &Image) -> Self {
-        let mut exceptions: Vec<_> = EXCEPTIONS
-            .iter()
-            .filter_map(|&(number, _)| memory.word(FLASH_START + 4 * u64::from(number)))
+    /// The handlers of the image's vector table, and its panic handler if it has one.
+    pub(super) fn from_image(memory: &Memory, image: &Image) -> Self {
+        let mut exceptions: Vec<_> = fault_handlers()
+            .filter_map(|number| memory.word(FLASH_START + 4 * u64::from(number)))
             .filter(|&vector| vector != 0 && vector != u32::MAX)
             .map(|vector| u64::from(vector & !1))
             .collect();
@@ -60,78 +45,53 @@ impl Handlers {
         Self { exceptions, panic: Symbols::read(&image.elf).panic_handler() }
     }
 
-    pub(super) fn watch(&self, core: &mut dyn Processor) {
+    pub(super) fn set_breakpoints(&self, core: &mut dyn Processor) {
         for &address in self.exceptions.iter().chain(&self.panic) {
             core.add_breakpoint(address);
         }
     }
 
-    /// The processor stands at a handler's first instruction: what happened; `None` where it came there for another exception that shares the handler.
-    pub(super) fn trap(
+    /// Reads the crash if the processor is at the first instruction of a handler; `None` if another
+    /// exception shares that handler.
+    pub(super) fn read_crash(
         &self,
         core: &mut dyn Processor,
-        surroundings: &Surroundings,
-        session: &mut Session<Bench>,
+        bus: &SystemBus,
+        session: &mut Session<EmulatedBoard>,
         image: &Image,
-    ) -> Option<Trap> {
+    ) -> Option<CrashReport> {
+        let is_panic = self.panic == Some(core.pc());
         let active = register(core, XPSR) & 0x1FF;
-        let exception = if self.panic == Some(core.pc()) {
-            PANIC
+        let exception = if is_panic { "panic" } else { fault_handler(active)? };
+        let now = bus.time_at(core.retired());
+        let read = |address| Ok(core.debugger_access(None, address, Width::W32, now).unwrap_or(0) as u32);
+        let Ok(status) = FaultStatus::read::<Infallible>(read);
+        let (lr, sp, symbols) = (register(core, LR), register(core, SP), Symbols::read(&image.elf));
+        let mut stack = EmulatedStack { memory: &bus.memory, top: image.initial_stack };
+        let frame = if is_panic || status.is_stacking_failure() {
+            None
         } else {
-            EXCEPTIONS.iter().find(|(number, _)| *number == active)?.1
+            // No handler of the firmware's kind uses the process stack.
+            exception_frame(&mut stack, StoppedAt::Entry, [lr, sp, sp])
         };
-        let now = surroundings.time(core.retired());
-        let mut system = |address| system_register(core, address, now);
-        let (cfsr, hfsr, mmfar, bfar) = (system(CFSR), system(HFSR), system(MMFAR), system(BFAR));
-        let address = if cfsr & BUS_ADDRESS_VALID != 0 {
-            Some(bfar)
-        } else {
-            (cfsr & MEMORY_ADDRESS_VALID != 0).then_some(mmfar)
-        };
-        let (sp, symbols) = (register(core, SP), Symbols::read(&image.elf));
-        let mut trap = Trap {
+        let lr = if is_panic { Some(lr) } else { frame.map(|frame| frame.lr) };
+        let mut place = frame.map(|frame| symbols.locate(frame.pc));
+        let mut callers = callers(&mut stack, &symbols, lr, frame.map_or(sp, |frame| frame.end), is_panic);
+        if place.is_none() && !callers.is_empty() {
+            place = Some(callers.remove(0));
+        }
+        let owner = |address| session.board().part.instance_at(u64::from(address)).unwrap_or("nothing answers there");
+        Some(CrashReport {
             exception,
-            place: None,
-            calls: Vec::new(),
-            address,
-            instance: address.and_then(|address| session.board().part.instance_at(u64::from(address))),
-            cfsr,
-            hfsr,
-            lr: None,
+            status,
+            place,
+            callers,
+            address_owner: status.address.map(owner),
             sp,
-            at_us: now.0 / 1_000,
-        };
-        let memory = &surroundings.memory;
-        let stacked = |offset| memory.word(u64::from(sp) + offset);
-        let mut from = u64::from(sp);
-        if exception == PANIC {
-            trap.lr = Some(register(core, LR));
-        } else if !trap.is_stacking_failure() {
-            trap.lr = stacked(STACKED_LR);
-            trap.place = stacked(STACKED_PC).map(|pc| symbols.place(pc));
-            from += 32;
-        }
-        let mut returns: Vec<u32> = trap.lr.into_iter().filter(|&lr| is_return(memory, &symbols, lr)).collect();
-        returns.extend(calls_on_stack(memory, &symbols, from, u64::from(image.initial_stack)));
-        returns.dedup();
-        trap.calls = returns.into_iter().map(|at| symbols.place((at & !1) - 2)).collect();
-        if exception == PANIC {
-            // The way through the library to the handler says nothing.
-            let own = trap.calls.iter().position(is_own).unwrap_or(0);
-            trap.calls.drain(..own);
-        }
-        trap.calls.dedup_by(|a, b| a.symbol == b.symbol);
-        trap.calls.truncate(LONGEST_BACKTRACE);
-        if trap.place.is_none() && !trap.calls.is_empty() {
-            trap.place = Some(trap.calls.remove(0));
-        }
-        Some(trap)
+            at_us: Some(now.0 / 1_000),
+            watchdog_reset: false,
+        })
     }
-}
-
-fn is_own(place: &Place) -> bool {
-    let library = |name: &str| name.starts_with("core::") || name.contains("panic");
-    place.symbol.as_deref().is_some_and(|symbol| !library(symbol))
 }
 
 fn register(core: &dyn Processor, number: usize) -> u32 {
@@ -139,33 +99,21 @@ fn register(core: &dyn Processor, number: usize) -> u32 {
     bytes.first_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes))
 }
 
-fn system_register(core: &mut dyn Processor, address: u64, now: VirtualNanos) -> u32 {
-    core.debugger_access(None, address, Width::W32, now).unwrap_or(0) as u32
+struct EmulatedStack<'a> {
+    memory: &'a Memory,
+    top: u32,
 }
 
-/// True where `word` can be the return address of a call: odd, in a function, right after a BL or BLX.
-fn is_return(memory: &Memory, symbols: &Symbols, word: u32) -> bool {
-    let at = u64::from(word & !1);
-    let half = |at: u64| memory.value(at, Width::W16).unwrap_or(0);
-    word & 1 == 1
-        && symbols.is_code(at.saturating_sub(2))
-        && (half(at - 4) >> 11 == 0b11110 && half(at - 2) >> 14 == 0b11 || half(at - 2) & 0xFF87 == 0x4780)
-}
-
-/// Return addresses on the stack, innermost first. A guess: what a function left behind looks like a call as well.
-fn calls_on_stack(memory: &Memory, symbols: &Symbols, from: u64, top: u64) -> Vec<u32> {
-    let words = (from..top).step_by(4).take(STACK_SEARCHED);
-    // Below the memory there is nothing to read; an overflowed stack begins above that.
-    let mut found: Vec<u32> = Vec::new();
-    for word in words.filter_map(|at| memory.word(at)) {
-        if found.last() != Some(&word) && is_return(memory, symbols, word) {
-            found.push(word);
-            if found.len() > 2 * LONGEST_BACKTRACE {
-                break;
-            }
-        }
+impl StackReader for EmulatedStack<'_> {
+    fn stack(&mut self, address: u32) -> Vec<(u32, u32)> {
+        // An overflowed stack begins below the memory.
+        let addresses = (address..self.top).step_by(4).take(MAX_STACK_WORDS);
+        addresses.filter_map(|at| Some((at, self.memory.word(u64::from(at))?))).collect()
     }
-    found
+
+    fn code(&self, address: u32) -> Option<u16> {
+        self.memory.value(u64::from(address), Width::W16).map(|value| value as u16)
+    }
 }
 
 pub(super) fn reset_cause(cause: ResetCause) -> String {
@@ -177,37 +125,43 @@ pub(super) fn reset_cause(cause: ResetCause) -> String {
     }
 }
 
-/// The first thing that the emulator answered without a model behind it.
-pub(super) fn gap(session: &Session<Bench>, image: &Image) -> Option<Gap> {
-    let place = |pc: u64| Some(Symbols::read(&image.elf).place(pc as u32));
+/// The first access that the emulator answered without a model.
+pub(super) fn first_unsupported_access(session: &Session<EmulatedBoard>, image: &Image) -> Option<UnsupportedAccess> {
+    let place = |pc: u64| Some(Symbols::read(&image.elf).locate(pc as u32));
     let part = &session.board().part;
-    let gap = |what, address: u64, place| Some(Gap { what, address: Some(address as u32), place });
+    let unsupported =
+        |access, address: u64, place| Some(UnsupportedAccess { access, address: Some(address as u32), place });
     if let Some((&address, access)) = session.unimplemented().first_key_value() {
-        let did = match (access.reads, access.writes) {
+        let kind = match (access.reads, access.writes) {
             (_, 0) => "read",
             (0, _) => "written",
             _ => "read and written",
         };
-        return gap(format!("{}.{} {did}", access.instance, access.register), address, place(access.program_counter));
+        return unsupported(
+            format!("{}.{} {kind}", access.instance, access.register),
+            address,
+            place(access.program_counter),
+        );
     }
     if let Some(access) = session.unmapped().first() {
         let what = match part.instance_at(access.address) {
-            Some(instance) => format!("this access to {instance}"),
-            None => "anything at this address".to_owned(),
+            Some(instance) => format!("{instance}, no such register"),
+            None => "no peripheral or memory".to_owned(),
         };
-        return gap(what, access.address, place(access.program_counter));
+        return unsupported(what, access.address, place(access.program_counter));
     }
     if let Some((&address, fault)) = session.refused().first_key_value() {
-        return gap(fault.to_string(), address, None);
+        return unsupported(fault.to_string(), address, None);
     }
     if let Some((&address, access)) = session.undefined().first_key_value() {
-        let what = format!("a register of {} that the manual does not have", access.instance);
-        return gap(what, address, place(access.program_counter));
+        let what = format!("{}, a register that the manual does not define", access.instance);
+        return unsupported(what, address, place(access.program_counter));
     }
     if let Some((instance, number)) = session.unrouted().first() {
-        let what = format!("interrupt {number} of {instance}, which leads nowhere");
-        return Some(Gap { what, address: None, place: None });
+        let what = format!("interrupt {number} of {instance} is not connected");
+        return Some(UnsupportedAccess { access: what, address: None, place: None });
     }
-    let told = session.told().next()?;
-    Some(Gap { what: format!("{}.{}: {}", told.instance, told.register, told.reason), address: None, place: None })
+    let report = session.told().next()?;
+    let access = format!("{}.{}: {}", report.instance, report.register, report.reason);
+    Some(UnsupportedAccess { access, address: None, place: None })
 }

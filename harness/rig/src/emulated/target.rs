@@ -1,22 +1,23 @@
-//! What the link needs of an emulated board; the emulator itself stays behind this.
+//! Defines what the link needs of an emulated board. Hides the emulator.
 
-use super::fault::TargetFault;
+use crate::symbols::CodeLocation;
+use crate::target_error::TargetError;
 use std::fmt;
 
-/// A byte from the target and the instant at which its stop bit ended, ns since power-on.
+/// A byte from the target, with the end of its stop bit in ns since power-on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Heard {
+pub(super) struct ReceivedByte {
     pub(super) byte: u8,
     pub(super) at_ns: u64,
 }
 
-/// One board with one image in its flash, in virtual time. Same calls, same answers, bit for bit.
+/// A board with an image in its flash, in virtual time. Equal calls give equal results, bit for bit.
 pub(super) trait Target: Send + fmt::Debug {
-    /// Takes the supply away and gives it back: time zero, memory unknown, nothing on the line.
-    fn power_on(&mut self) -> Result<(), TargetFault>;
+    /// Switches the supply off and on: time zero, RAM undefined, line idle.
+    fn power_on(&mut self) -> Result<(), TargetError>;
 
-    /// The firmware has come up and will hardly use what it has not used so far: a hint, without effect on anything but speed.
-    fn came_up(&mut self);
+    /// Notes that the firmware has started and will hardly use further peripherals. Affects only the speed.
+    fn mark_booted(&mut self);
 
     /// Virtual time since power-on.
     fn now_ns(&self) -> u64;
@@ -24,27 +25,26 @@ pub(super) trait Target: Send + fmt::Debug {
     /// Instructions executed since power-on.
     fn instructions(&self) -> u64;
 
-    /// Puts bytes on the line from now on, one after the other at the target's own baud rate.
+    /// Sends bytes from now on, at the target's baud rate.
     fn send(&mut self, bytes: &[u8]);
 
-    /// Runs to `until_ns`, or to the next zero byte that ends a frame from the target, whichever comes first; a frame's end is told by `true`.
-    ///
-    /// Bounded: it returns when the time is over, and finds out where that no longer passes.
-    fn run(&mut self, until_ns: u64) -> Result<bool, TargetFault>;
+    /// Runs to `until_ns`, or to the end of the next frame from the target. True at the end of a frame. Always
+    /// returns: reports time that does not advance as an error.
+    fn run(&mut self, until_ns: u64) -> Result<bool, TargetError>;
 
-    /// Hands over what was heard since the last call.
-    fn take_heard(&mut self, into: &mut Vec<Heard>);
+    /// Moves the bytes received since the last call.
+    fn take_received(&mut self, into: &mut Vec<ReceivedByte>);
 
-    /// Where the processor is, and what the image has set up of the part, for somebody who wonders why it is silent.
-    fn whereabouts(&self) -> Whereabouts;
+    /// The processor's place and the used peripherals, for the report of a silent target.
+    fn status(&self) -> TargetStatus;
 
-    /// Most bytes that the stack ever held since power-on, where the image says where its stack is.
+    /// Largest stack use since power-on, bytes, if the image defines `_stack_end`.
     fn stack_used(&self) -> Option<u32>;
 }
 
-/// See [`Target::whereabouts`].
+/// See [`Target::status`].
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Whereabouts {
-    pub(super) place: crate::symbols::Place,
+pub(super) struct TargetStatus {
+    pub(super) place: CodeLocation,
     pub(super) instances: Vec<&'static str>,
 }

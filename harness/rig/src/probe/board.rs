@@ -1,13 +1,15 @@
-//! What is done with probe-rs, on the probe's own thread.
+//! Works with a board through probe-rs, on the probe's thread.
 
+use super::crash::read_crash;
 use super::error::ProbeError;
-use super::fault::{Fault, inspect};
 use super::image::Image;
-use super::link::Channels;
+use super::rtt_link::RttChannels;
+use super::selection;
 use super::spec::ProbeSpec;
-use super::{Lister, choose};
+use crate::crash_report::CrashReport;
 use probe_rs::config::{MemoryRegion, Registry};
 use probe_rs::flashing::DownloadOptions;
+use probe_rs::probe::list::Lister;
 use probe_rs::rtt::{Rtt, ScanRegion, try_attach_to_rtt};
 use probe_rs::{Core, MemoryInterface, Permissions, Session, Target};
 use std::time::{Duration, Instant};
@@ -15,7 +17,7 @@ use tracing::{debug, warn};
 
 /// `DBGMCU_IDCODE`: device identity in the lower twelve bits, revision in the upper sixteen.
 const IDCODE: u64 = 0xe004_2000;
-/// Device identities of the STM32F4, from the reference manuals, and the starts of the names that go with them.
+/// Device identities of the STM32F4 from the reference manuals, with the prefixes of the chips' names.
 const DEVICES: [(u16, &str, &[&str]); 10] = [
     (0x413, "STM32F405/407/415/417", &["STM32F405", "STM32F407", "STM32F415", "STM32F417"]),
     (0x419, "STM32F427/429/437/439", &["STM32F427", "STM32F429", "STM32F437", "STM32F439"]),
@@ -36,25 +38,25 @@ const DEVICES: [(u16, &str, &[&str]); 10] = [
     (0x458, "STM32F410", &["STM32F410"]),
     (0x463, "STM32F413/423", &["STM32F413", "STM32F423"]),
 ];
-const UNKNOWN_FAMILY: &str = "not an STM32F4 that the bench knows";
+const UNKNOWN_FAMILY: &str = "not a known STM32F4";
 
-/// Who the chip is.
+/// Identity of a chip.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChipId {
-    /// The name in the chip description that is worked with.
+    /// Its name in the chip description.
     pub name: String,
-    /// `DBGMCU_IDCODE`, whole.
+    /// `DBGMCU_IDCODE`, all bits.
     pub idcode: u32,
-    /// The probe, as a user can write it into a selector.
+    /// The probe, in the form of a selector.
     pub probe: String,
 }
 
-/// What flashing did.
+/// Result of flashing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Flashed {
-    /// The flash held every byte of the image already.
-    AlreadyThere,
-    /// So many bytes were written and read back.
+pub enum FlashOutcome {
+    /// The flash already held the image.
+    Unchanged,
+    /// Number of bytes written and read back.
     Written(usize),
 }
 
@@ -66,24 +68,24 @@ pub(super) struct Board {
 }
 
 impl Board {
-    /// The device identity that the chip must have, and how it is worked with. Touches no probe.
-    pub(super) fn describe(spec: &ProbeSpec) -> Result<(u16, Target), ProbeError> {
-        let asked = spec.chip.to_ascii_uppercase();
-        let is_asked = |starts: &[&str]| starts.iter().any(|start| asked.starts_with(start));
+    /// The device identity and the description of the chip in `spec`. Does not use a probe.
+    pub(super) fn resolve_target(spec: &ProbeSpec) -> Result<(u16, Target), ProbeError> {
+        let chip = spec.chip.to_ascii_uppercase();
+        let matches = |prefixes: &[&str]| prefixes.iter().any(|prefix| chip.starts_with(prefix));
         let (expected, _, _) = *DEVICES
             .iter()
-            .find(|(_, _, starts)| is_asked(starts))
+            .find(|(_, _, prefixes)| matches(prefixes))
             .ok_or_else(|| ProbeError::UnsupportedChip { chip: spec.chip.clone() })?;
-        let target = Registry::from_builtin_families()
-            .get_target_by_name(&asked)
-            .map_err(|error| ProbeError::UnknownChip { chip: spec.chip.clone(), cause: super::error::chain(&error) })?;
+        let target = Registry::from_builtin_families().get_target_by_name(&chip).map_err(|error| {
+            ProbeError::UnknownChip { chip: spec.chip.clone(), cause: super::error::error_chain(&error) }
+        })?;
         Ok((expected, target))
     }
 
-    /// Finds probe and chip and checks who the chip is.
+    /// Finds the probe and checks the chip.
     pub(super) fn attach(spec: &ProbeSpec, lister: &Lister) -> Result<(Self, ChipId), ProbeError> {
-        let (expected, target) = Self::describe(spec)?;
-        let (probe, probe_name) = choose::open(spec, lister)?;
+        let (expected, target) = Self::resolve_target(spec)?;
+        let (probe, probe_name) = selection::open_probe(spec, lister)?;
         let chip = target.name.clone();
         let no_target =
             |cause| ProbeError::NoTarget { chip: chip.clone(), probe: probe_name.clone(), cause: Box::new(cause) };
@@ -92,7 +94,7 @@ impl Board {
         let found = (idcode & 0xfff) as u16;
         if found != expected {
             let family = DEVICES.iter().find(|(id, _, _)| *id == found).map_or(UNKNOWN_FAMILY, |(_, family, _)| family);
-            return Err(ProbeError::WrongChip { asked: chip, found, family });
+            return Err(ProbeError::WrongChip { expected: chip, found, family });
         }
         debug!(chip, idcode = format_args!("{idcode:#010x}"), probe = probe_name, "attached");
         let id = ChipId { name: chip.clone(), idcode, probe: probe_name };
@@ -100,14 +102,14 @@ impl Board {
     }
 
     fn core(&mut self) -> Result<Core<'_>, ProbeError> {
-        self.session.core(0).map_err(ProbeError::line("reaching the processor"))
+        self.session.core(0).map_err(ProbeError::line_error("reaching the processor"))
     }
 
-    /// Writes the image unless it is there, and reads it back.
-    pub(super) fn flash(&mut self, image: &Image) -> Result<Flashed, ProbeError> {
-        self.check_fit(image)?;
+    /// Writes the image unless the flash holds it, and reads it back.
+    pub(super) fn flash(&mut self, image: &Image) -> Result<FlashOutcome, ProbeError> {
+        self.check_flash_range(image)?;
         if self.first_difference(image)?.is_none() {
-            return Ok(Flashed::AlreadyThere);
+            return Ok(FlashOutcome::Unchanged);
         }
         let failed = |error| ProbeError::Flash(Box::new(error));
         let mut loader = self.session.target().flash_loader();
@@ -116,12 +118,12 @@ impl Board {
         }
         loader.commit(&mut self.session, DownloadOptions::default()).map_err(failed)?;
         match self.first_difference(image)? {
-            None => Ok(Flashed::Written(image.flash_bytes())),
+            None => Ok(FlashOutcome::Written(image.flash_bytes())),
             Some((address, expected, found)) => Err(ProbeError::Verify { address, expected, found }),
         }
     }
 
-    fn check_fit(&self, image: &Image) -> Result<(), ProbeError> {
+    fn check_flash_range(&self, image: &Image) -> Result<(), ProbeError> {
         let flash: Vec<_> = self.session.target().memory_map.iter().filter_map(MemoryRegion::as_nvm_region).collect();
         for segment in image.segments() {
             let start = u64::from(segment.address);
@@ -138,7 +140,7 @@ impl Board {
         let mut core = self.core()?;
         for segment in image.segments() {
             let mut found = vec![0; segment.bytes.len()];
-            core.read(u64::from(segment.address), &mut found).map_err(ProbeError::line("reading the flash"))?;
+            core.read(u64::from(segment.address), &mut found).map_err(ProbeError::line_error("reading the flash"))?;
             let different = (segment.address..).zip(segment.bytes.iter().zip(found)).find(|(_, (a, b))| *a != b);
             if let Some((address, (&expected, found))) = different {
                 return Ok(Some((address, expected, found)));
@@ -147,55 +149,55 @@ impl Board {
         Ok(None)
     }
 
-    /// Resets the chip and lets it run. What an earlier run left of RTT is wiped out first, so that only a new control block is believed.
-    pub(super) fn restart(&mut self, rtt: Option<u64>, patience: Duration) -> Result<(), ProbeError> {
-        let until = Instant::now() + patience;
+    /// Resets the chip and lets it run. Clears the RTT control block at `rtt` first, so that an old one is
+    /// not taken for a new one.
+    pub(super) fn restart(&mut self, rtt: Option<u64>, timeout: Duration) -> Result<(), ProbeError> {
+        let until = Instant::now() + timeout;
         let mut core = self.core()?;
         if let Some(address) = rtt {
-            core.halt(patience.min(Duration::from_millis(500))).map_err(ProbeError::line("halting the processor"))?;
+            core.halt(timeout.min(Duration::from_millis(500)))
+                .map_err(ProbeError::line_error("halting the processor"))?;
             Rtt::clear_control_block(&mut core, &ScanRegion::Exact(address))
-                .map_err(|error| ProbeError::Rtt(super::error::chain(&error)))?;
+                .map_err(|error| ProbeError::Rtt(super::error::error_chain(&error)))?;
         }
-        core.reset().map_err(ProbeError::line("resetting the chip"))?;
-        while core.core_halted().map_err(ProbeError::line("starting the firmware"))? {
+        core.reset().map_err(ProbeError::line_error("resetting the chip"))?;
+        while core.core_halted().map_err(ProbeError::line_error("starting the firmware"))? {
             if Instant::now() >= until {
-                return Err(ProbeError::Hung { doing: "starting the firmware", waited: patience });
+                return Err(ProbeError::CallTimedOut { doing: "starting the firmware", waited: timeout });
             }
-            core.run().map_err(ProbeError::line("starting the firmware"))?;
+            core.run().map_err(ProbeError::line_error("starting the firmware"))?;
         }
         Ok(())
     }
 
-    /// The trap that the processor is in, if it is in one.
-    pub(super) fn fault(&mut self, image: &Image) -> Result<Option<Fault>, ProbeError> {
-        inspect(&mut self.core()?, image)
+    pub(super) fn read_crash(&mut self, image: &Image) -> Result<Option<CrashReport>, ProbeError> {
+        read_crash(&mut self.core()?, image)
     }
 
-    /// Finds RTT at `address`.
-    pub(super) fn rtt(&mut self, address: u64, patience: Duration) -> Result<Channels, ProbeError> {
-        let rtt = try_attach_to_rtt(&mut self.core()?, patience, &ScanRegion::Exact(address)).map_err(|error| {
-            ProbeError::RttNotStarted { address, waited: patience, cause: super::error::chain(&error) }
+    /// Opens RTT with its control block at `address`.
+    pub(super) fn rtt(&mut self, address: u64, timeout: Duration) -> Result<RttChannels, ProbeError> {
+        let rtt = try_attach_to_rtt(&mut self.core()?, timeout, &ScanRegion::Exact(address)).map_err(|error| {
+            ProbeError::RttNotStarted { address, waited: timeout, cause: super::error::error_chain(&error) }
         })?;
-        Channels::of(rtt)
+        RttChannels::from_rtt(rtt)
     }
 
-    /// Sends `bytes`, then reads up to the end of the next frame, or only reads.
     pub(super) fn exchange(
         &mut self,
-        channels: &mut Channels,
+        channels: &mut RttChannels,
         bytes: &[u8],
-        patience: Duration,
+        timeout: Duration,
     ) -> Result<Vec<u8>, ProbeError> {
-        channels.exchange(&mut self.core()?, bytes, patience)
+        channels.exchange(&mut self.core()?, bytes, timeout)
     }
 }
 
 impl Drop for Board {
     fn drop(&mut self) {
-        // A halted processor does not feed its watchdog and does not drive 0 V either.
-        let let_run = |mut core: Core<'_>| if core.core_halted()? { core.run() } else { Ok(()) };
-        if let Err(error) = self.session.core(0).and_then(let_run) {
-            warn!(error = super::error::chain(&error), "the processor may be halted");
+        // A halted processor does not drive 0 V.
+        let resume = |mut core: Core<'_>| if core.core_halted()? { core.run() } else { Ok(()) };
+        if let Err(error) = self.session.core(0).and_then(resume) {
+            warn!(error = super::error::error_chain(&error), "the processor may be halted");
         }
     }
 }

@@ -1,214 +1,234 @@
-//! Why a board on a debug probe cannot be worked with.
+//! Defines the errors of a board on a debug probe.
 
-use super::fault::Fault;
-use crate::emulated::TargetFault;
+use crate::crash_report::CrashReport;
 use crate::link::LinkError;
+use crate::serial::SerialError;
+use crate::target_error::TargetError;
 use probe_rs::flashing::FlashError;
 use probe_rs::probe::DebugProbeError;
 use std::error::Error;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Why a board on a debug probe cannot be worked with. Messages carry the whole chain of causes, so there is no [`Error::source`] behind them.
+/// Why a board on a debug probe cannot be used. Messages contain the whole chain of causes; there is no
+/// [`Error::source`].
 #[derive(Debug, thiserror::Error)]
 pub enum ProbeError {
-    /// What stands after `probe:` is not understood.
+    /// The part after `probe:` has a wrong form.
     #[error(
-        "`probe:{text}`: expected probe:CHIP[@VID:PID[:SERIAL]] with VID and PID in hexadecimal, such as STM32F407VG@0483:374b"
+        "`probe:{text}`: expected probe:CHIP[@VID:PID[:SERIAL]] with VID and PID in hexadecimal, such as \
+         STM32F407VG@0483:374b"
     )]
     Spec {
-        /// As written.
+        /// As typed.
         text: String,
     },
-    /// The bench does not know how to check the identity of this chip.
+    /// The bench cannot check the identity of this chip.
     #[error(
-        "`{chip}` is none of the chips that the bench can check; it works with STM32F4, such as STM32F405RG, STM32F407VG or STM32F427VI"
+        "the bench cannot check the identity of a `{chip}`, expected an STM32F4 such as STM32F405RG, STM32F407VG \
+         or STM32F427VI"
     )]
     UnsupportedChip {
-        /// As written.
+        /// As typed.
         chip: String,
     },
     /// No chip description has this name, or several have.
     #[error("no description of a chip `{chip}`: {cause}")]
     UnknownChip {
-        /// As written.
+        /// As typed.
         chip: String,
-        /// What the registry of chips says.
+        /// Message of the chip registry.
         cause: String,
     },
-    /// No probe is connected, or none that was meant.
+    /// No probe is connected, or none that matches.
     #[error(
         "no debug probe {}; is it plugged in, and may this user open it (docs/attach-a-board.md)?{}",
         .wanted.as_ref().map_or_else(|| "was found".to_owned(), |wanted| format!("matches {wanted}")),
-        listed(.others)
+        format_list(.others)
     )]
     NoProbe {
-        /// The selector, where there was one.
+        /// The selector, if any.
         wanted: Option<String>,
-        /// Probes that are there all the same.
+        /// The connected probes.
         others: Vec<String>,
     },
-    /// More than one probe is meant.
-    #[error("{} debug probes could be meant; choose one with --rig probe:CHIP@VID:PID[:SERIAL]:{}", .found.len(), listed(.found))]
+    /// More than one probe matches.
+    #[error(
+        "{} debug probes match; choose one with --rig probe:CHIP@VID:PID[:SERIAL]:{}", .found.len(), format_list(.found)
+    )]
     SeveralProbes {
-        /// All that match.
+        /// The matching probes.
         found: Vec<String>,
     },
     /// The operating system does not let this user open the probe.
     #[error("no permission to open the debug probe {probe}; on Linux a udev rule is missing (docs/attach-a-board.md)")]
-    Denied {
-        /// Which one.
+    PermissionDenied {
+        /// Which probe.
         probe: String,
     },
-    /// Somebody else has the probe.
+    /// Another program uses the probe.
     #[error("the debug probe {probe} is in use by another program: {cause}")]
     Busy {
-        /// Which one.
+        /// Which probe.
         probe: String,
-        /// What the operating system says.
+        /// Message of the operating system.
         cause: String,
     },
     /// The probe cannot be opened for another reason.
-    #[error("the debug probe {probe} cannot be opened: {}; unplug it and plug it in again", chain(.cause))]
+    #[error("the debug probe {probe} cannot be opened: {}; unplug it and plug it in again", error_chain(.cause))]
     Open {
-        /// Which one.
+        /// Which probe.
         probe: String,
-        /// What the driver says.
+        /// Error of the driver.
         cause: Box<DebugProbeError>,
     },
-    /// The probe works, the chip does not answer.
-    #[error("no answer from a {chip} through the debug probe {probe}; check power, SWDIO, SWCLK and ground: {}", chain(.cause))]
+    /// The chip does not answer.
+    #[error(
+        "no answer from a {chip} through the debug probe {probe}; check power, SWDIO, SWCLK and ground: {}",
+        error_chain(.cause)
+    )]
     NoTarget {
-        /// Which chip was asked for.
+        /// The requested chip.
         chip: String,
         /// Which probe.
         probe: String,
-        /// What was tried.
+        /// Error of the driver.
         cause: Box<probe_rs::Error>,
     },
-    /// Another chip than the one asked for.
-    #[error("the chip says {found:#05x} ({family}), which is no {asked}; nothing was written to it")]
+    /// Another chip than the requested one.
+    #[error("the chip has identity {found:#05x} ({family}), expected a {expected}; nothing was written to it")]
     WrongChip {
-        /// Which chip was asked for.
-        asked: String,
-        /// Its device identity.
+        /// The requested chip.
+        expected: String,
+        /// The device identity.
         found: u16,
-        /// Which chips have this identity.
+        /// The chips with this identity.
         family: &'static str,
     },
-    /// The file is no firmware image.
-    #[error("this is no firmware image that can be flashed: {problem}")]
+    /// The file is not a firmware image.
+    #[error("the file is not a firmware image: {problem}")]
     Image {
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
-    /// The file with the firmware cannot be read.
+    /// The firmware file cannot be read.
     #[error("{}: {error}", path.display())]
     Read {
         /// Which file.
         path: PathBuf,
-        /// Why not.
+        /// The system's error.
         error: std::io::Error,
     },
     /// The image does not fit the chip.
-    #[error(
-        "the image puts {bytes} bytes at {address:#010x}, where {chip} has no flash; which chip was it linked for?"
-    )]
+    #[error("the image has {bytes} bytes at {address:#010x}, where {chip} has no flash; link it for this chip")]
     NotInFlash {
-        /// Which chip was asked for.
+        /// The requested chip.
         chip: String,
-        /// Where the image wants to be.
+        /// Address of the segment.
         address: u32,
-        /// How much of it.
+        /// Its length.
         bytes: usize,
     },
     /// Erasing or programming failed.
-    #[error("flashing failed: {}", chain(.0))]
+    #[error("flashing failed: {}", error_chain(.0))]
     Flash(Box<FlashError>),
-    /// Programming said that all was well, and the flash holds something else.
-    #[error("flash does not hold what was written: {found:#04x} at {address:#010x} instead of {expected:#04x}")]
+    /// The flash differs from the image after programming.
+    #[error("flash verification failed at {address:#010x}: found {found:#04x}, expected {expected:#04x}")]
     Verify {
-        /// The first byte that differs.
+        /// The first different byte.
         address: u32,
-        /// What the image has there.
+        /// Its value in the image.
         expected: u8,
-        /// What was read back.
+        /// Its value in the flash.
         found: u8,
     },
     /// The firmware has no RTT.
     #[error(
-        "the firmware has no RTT control block (no symbol _SEGGER_RTT); it talks over its serial port: name that port: --rig probe:CHIP,port=PORT[@BAUD]"
+        "the firmware has no RTT control block (no symbol _SEGGER_RTT), so it needs its serial port: \
+         --rig probe:CHIP,port=PORT[@BAUD]"
     )]
     NoRtt,
-    /// The firmware has RTT and did not start it.
-    #[error("no RTT control block at {address:#010x} within {} ms of the reset; does the firmware run? {cause}", .waited.as_millis())]
+    /// The firmware has RTT but did not start it.
+    #[error(
+        "no RTT control block at {address:#010x} within {} ms after the reset; does the firmware run? {cause}",
+        .waited.as_millis()
+    )]
     RttNotStarted {
-        /// Where it should be.
+        /// Its expected address.
         address: u64,
-        /// How long was waited.
+        /// The time-out.
         waited: Duration,
-        /// What was found instead.
+        /// Error of the driver.
         cause: String,
     },
-    /// The firmware was started, and nothing comes from the serial port.
+    /// The firmware does not answer on the serial port.
     #[error(
-        "the firmware did not introduce itself on {} within {} ms of the reset; is that the board's serial port, at the firmware's baud rate?", port.display(), waited.as_millis()
+        "the firmware did not answer the handshake on {} within {} ms after the reset; is that the board's serial \
+         port, at the firmware's baud rate?",
+        port.display(),
+        waited.as_millis()
     )]
-    NoIntroduction {
-        /// Where it was waited for.
+    NoHandshake {
+        /// The serial port.
         port: PathBuf,
-        /// How long.
+        /// The time-out.
         waited: Duration,
     },
-    /// The serial port went away while the firmware was waited for.
+    /// The serial port was lost during the handshake.
     #[error("{}: {cause}", port.display())]
     Port {
-        /// Which one.
+        /// Which probe.
         port: PathBuf,
-        /// What the line says.
+        /// Error of the line.
         cause: String,
     },
-    /// RTT without a channel 0 in both directions.
+    /// RTT lacks channel 0 in one direction.
     #[error("the firmware's RTT has no channel 0 {direction}")]
     RttChannel {
-        /// The direction that is missing.
+        /// The missing direction.
         direction: &'static str,
     },
-    /// RTT stopped making sense.
+    /// RTT returned invalid data.
     #[error("RTT failed: {0}")]
     Rtt(String),
     /// The line to the chip failed.
-    #[error("{doing} failed: {}", chain(.cause))]
+    #[error("{doing} failed: {}", error_chain(.cause))]
     Line {
-        /// What was being done.
+        /// The call.
         doing: &'static str,
-        /// What went wrong.
+        /// Error of the driver.
         cause: Box<probe_rs::Error>,
     },
-    /// A call into the probe did not come back.
-    #[error("the debug probe hangs: {doing} did not end within {} ms; unplug the probe and plug it in again", .waited.as_millis())]
-    Hung {
-        /// What was being done.
+    /// A call to the probe did not return.
+    #[error(
+        "the debug probe hangs: {doing} did not end within {} ms; unplug the probe and plug it in again",
+        .waited.as_millis()
+    )]
+    CallTimedOut {
+        /// The call.
         doing: &'static str,
-        /// How long was waited.
+        /// The time-out.
         waited: Duration,
     },
-    /// The thread of the probe is gone.
-    #[error("the debug probe's driver broke down during {doing}")]
-    Crashed {
-        /// What was being done.
+    /// The probe's thread ended.
+    #[error("the debug probe's driver ended during {doing}")]
+    ProbeThreadGone {
+        /// The call.
         doing: &'static str,
     },
-    /// The operating system gives no thread.
-    #[error("no thread for the debug probe: {0}")]
+    /// The system cannot start a thread.
+    #[error("cannot start a thread for the debug probe: {0}")]
     Thread(#[from] std::io::Error),
     /// The processor trapped.
     #[error("{0}")]
-    Trapped(Box<Fault>),
+    Trapped(Box<CrashReport>),
+    /// The board's serial port cannot be used.
+    #[error(transparent)]
+    Serial(#[from] SerialError),
 }
 
 impl ProbeError {
-    /// True where what the user named is at fault, not the board or the way to it.
+    /// True if the input is wrong, false if the board or the probe does not work.
     pub fn is_invalid_input(&self) -> bool {
         matches!(
             self,
@@ -223,36 +243,36 @@ impl ProbeError {
         )
     }
 
-    /// For `map_err`: a line failure while `doing` something.
-    pub(super) fn line(doing: &'static str) -> impl Fn(probe_rs::Error) -> Self {
+    /// For `map_err`: an error of the driver while `doing` something.
+    pub(super) fn line_error(doing: &'static str) -> impl Fn(probe_rs::Error) -> Self {
         move |cause| Self::Line { doing, cause: Box::new(cause) }
     }
 }
 
 impl From<ProbeError> for LinkError {
-    /// A trap is the firmware's doing; everything else means that the board is out of reach.
+    /// A trap is an error of the firmware; everything else means that the board is lost.
     fn from(error: ProbeError) -> Self {
         match error {
-            ProbeError::Trapped(fault) => Self::Target(Box::new(TargetFault::OnBoard(fault.to_string()))),
+            ProbeError::Trapped(crash) => Self::Target(Box::new(TargetError::Trap(crash))),
             lost => Self::Disconnected(lost.to_string()),
         }
     }
 }
 
-/// An error and everything behind it; probe-rs tells the reason in the sources only.
-pub(super) fn chain(error: &dyn Error) -> String {
+/// An error with all its sources, because only those of probe-rs name the reason.
+pub(super) fn error_chain(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut next = error.source();
     while let Some(cause) = next {
-        let said = cause.to_string();
-        if !text.ends_with(&said) {
-            text = format!("{}: {said}", text.trim_end_matches('.'));
+        let cause_text = cause.to_string();
+        if !text.ends_with(&cause_text) {
+            text = format!("{}: {cause_text}", text.trim_end_matches('.'));
         }
         next = cause.source();
     }
     text
 }
 
-fn listed(probes: &[String]) -> String {
+fn format_list(probes: &[String]) -> String {
     probes.iter().fold(String::new(), |text, probe| text + "\n  " + probe)
 }

@@ -1,43 +1,43 @@
-//! What an ELF puts where.
+//! Reads the flash content of an ELF.
 
 use super::error::ProbeError;
-use crate::symbols::{Place, Symbols};
+use crate::symbols::{CodeLocation, Symbols};
 use object::elf::{EM_ARM, FileHeader32, PT_LOAD};
 use object::read::elf::{FileHeader, ProgramHeader};
 use object::{Endianness, Object, ObjectSymbol};
 
-/// Bytes for one place in flash.
+/// Content of a part of the flash.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
-    /// Where they are stored, which for initialised data is not where they are used.
+    /// Its address in flash; initialised data is used at another one.
     pub address: u32,
-    /// What is stored.
+    /// Its content.
     pub bytes: Vec<u8>,
 }
 
-/// A firmware image, checked: for ARM, with something to flash.
+/// A checked firmware image: for ARM, with content to flash.
 #[derive(Debug, Clone)]
 pub struct Image {
     elf: Vec<u8>,
     segments: Vec<Segment>,
-    rtt: Option<u64>,
+    rtt_address: Option<u64>,
 }
 
 impl Image {
     /// Reads an ELF.
     ///
     /// # Errors
-    /// [`ProbeError::Image`] where it is none for a 32-bit ARM or holds nothing to flash.
+    /// [`ProbeError::Image`] if it is not for a 32-bit ARM or has no content to flash.
     pub fn parse(elf: &[u8]) -> Result<Self, ProbeError> {
         let refuse = |problem: &str| ProbeError::Image { problem: problem.to_owned() };
-        let unread = |error: object::Error| refuse(&error.to_string());
-        let header = FileHeader32::<Endianness>::parse(elf).map_err(unread)?;
-        let endian = header.endian().map_err(unread)?;
+        let invalid = |error: object::Error| refuse(&error.to_string());
+        let header = FileHeader32::<Endianness>::parse(elf).map_err(invalid)?;
+        let endian = header.endian().map_err(invalid)?;
         if header.e_machine(endian) != EM_ARM || endian != Endianness::Little {
             return Err(refuse("it is not for a little-endian ARM"));
         }
         let mut segments = Vec::new();
-        for program in header.program_headers(endian, elf).map_err(unread)? {
+        for program in header.program_headers(endian, elf).map_err(invalid)? {
             let bytes = program.data(endian, elf).map_err(|()| refuse("a segment lies outside the file"))?;
             if program.p_type(endian) == PT_LOAD && !bytes.is_empty() {
                 segments.push(Segment { address: program.p_paddr(endian), bytes: bytes.to_vec() });
@@ -46,32 +46,46 @@ impl Image {
         if segments.is_empty() {
             return Err(refuse("it has no segment to load"));
         }
-        let file = object::File::parse(elf).map_err(unread)?;
+        let file = object::File::parse(elf).map_err(invalid)?;
         let rtt = file.symbols().find(|symbol| symbol.name() == Ok("_SEGGER_RTT") && symbol.is_definition());
-        Ok(Self { rtt: rtt.map(|symbol| symbol.address()), segments, elf: elf.to_vec() })
+        Ok(Self { rtt_address: rtt.map(|symbol| symbol.address()), segments, elf: elf.to_vec() })
     }
 
-    /// What is to be in flash.
+    /// The content of the flash.
     pub fn segments(&self) -> &[Segment] {
         &self.segments
     }
 
-    /// How many bytes that is.
+    /// Number of bytes in all segments.
     pub fn flash_bytes(&self) -> usize {
         self.segments.iter().map(|segment| segment.bytes.len()).sum()
     }
 
-    /// Where the RTT control block is, where the firmware has one.
+    /// Address of the RTT control block, if the firmware has one.
     pub fn rtt(&self) -> Option<u64> {
-        self.rtt
+        self.rtt_address
     }
 
-    /// Function and source line of an address, as far as the image tells.
-    pub fn place(&self, address: u32) -> Place {
-        self.symbols().place(address)
+    /// Function and source line at `address`, as far as known.
+    pub fn locate(&self, address: u32) -> CodeLocation {
+        self.symbols().locate(address)
     }
 
     pub(super) fn symbols(&self) -> Symbols {
         Symbols::read(&self.elf)
+    }
+
+    /// The first word of the vector table, which is at the lowest address.
+    pub(super) fn initial_stack(&self) -> Option<u32> {
+        let first = self.segments.iter().min_by_key(|segment| segment.address)?;
+        first.bytes.first_chunk().map(|bytes| u32::from_le_bytes(*bytes))
+    }
+
+    /// The half-word of flash at `address`.
+    pub(super) fn half_word(&self, address: u32) -> Option<u16> {
+        self.segments.iter().find_map(|segment| {
+            let from = address.checked_sub(segment.address)? as usize;
+            Some(u16::from_le_bytes(*segment.bytes.get(from..)?.first_chunk()?))
+        })
     }
 }

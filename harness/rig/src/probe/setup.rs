@@ -1,39 +1,42 @@
-//! From what a user wrote to a line. What can be checked without the board is checked before anything of it is opened.
+//! Checks the input for a board on a debug probe and opens its link.
+//!
+//! Checks everything that needs no board first.
 
+use super::attached_board::AttachedBoard;
 use super::board::Board;
 use super::error::ProbeError;
-use super::handle::Attached;
 use super::image::Image;
-use super::link::RttLink;
-use super::port::PortLink;
+use super::port_link::PortLink;
+use super::rtt_link::RttLink;
 use super::spec::ProbeSpec;
-use super::{Lister, Patience};
-use crate::connect::{AnyLink, ConnectError};
-use crate::emulated::{BUILT_IN, read_elf};
-use crate::serial::{DEFAULT_BAUD, Serial};
+use super::timeouts::Timeouts;
+use crate::emulated::{BUILT_IN_IMAGE, read_elf};
+use crate::link::BoxedLink;
+use crate::serial::{DEFAULT_BAUD, SerialLink};
 use crate::spec::RigSpec;
+use probe_rs::probe::list::Lister;
 use std::path::PathBuf;
 use std::sync::Arc;
 use tracing::info;
 
-/// A serial port and its bits per second.
-pub type Port = (PathBuf, u32);
+/// Path and bits per second of a serial port.
+pub type SerialPort = (PathBuf, u32);
 
-/// Which board is to run which firmware, and what it talks over.
+/// A board, its firmware and its line.
 #[derive(Debug, Clone)]
-pub struct Setup {
+pub struct ProbeSetup {
     spec: ProbeSpec,
     image: Arc<Image>,
-    port: Option<Port>,
+    port: Option<SerialPort>,
 }
 
-impl Setup {
-    /// `elf` on the board that `spec` means, talked to over `port`, or over RTT where there is none.
+impl ProbeSetup {
+    /// The board `spec` with the firmware `elf`, over the serial port `port`, or over RTT without one.
     ///
     /// # Errors
-    /// [`ProbeError`] where the chip is unknown, the ELF cannot be flashed, or it has neither a port nor RTT to talk over.
-    pub fn new(spec: ProbeSpec, elf: &[u8], port: Option<Port>) -> Result<Self, ProbeError> {
-        Board::describe(&spec)?;
+    /// [`ProbeError`] if the chip is unknown, the ELF cannot be flashed, or there is neither a port nor RTT.
+    pub fn new(spec: ProbeSpec, elf: &[u8], port: Option<SerialPort>) -> Result<Self, ProbeError> {
+        Board::resolve_target(&spec)?;
         let image = Arc::new(Image::parse(elf)?);
         if port.is_none() && image.rtt().is_none() {
             return Err(ProbeError::NoRtt);
@@ -41,17 +44,17 @@ impl Setup {
         Ok(Self { spec, image, port })
     }
 
-    /// What `rig` asks for; the image that came with the bench where it names none.
+    /// The board that `rig` names; with the image of the bench by default.
     ///
     /// # Errors
-    /// As [`Setup::new`]; [`ProbeError::Read`] where the ELF cannot be read, [`ProbeError::Spec`] where `rig` is not on a probe.
-    pub fn of(rig: &RigSpec) -> Result<Self, ProbeError> {
+    /// As [`ProbeSetup::new`]; [`ProbeError::Read`] if the ELF cannot be read, [`ProbeError::Spec`] for other rigs.
+    pub fn from_spec(rig: &RigSpec) -> Result<Self, ProbeError> {
         let RigSpec::Probe { board, elf, port, baud } = rig else {
             return Err(ProbeError::Spec { text: rig.to_string() });
         };
         let port = port.as_ref().map(|port| (port.into(), baud.unwrap_or(DEFAULT_BAUD)));
         match elf {
-            None => Self::new(board.parse()?, BUILT_IN, port),
+            None => Self::new(board.parse()?, BUILT_IN_IMAGE, port),
             Some(path) => {
                 let elf = read_elf(path).map_err(|error| ProbeError::Read { path: path.clone(), error })?;
                 Self::new(board.parse()?, &elf, port)
@@ -59,51 +62,51 @@ impl Setup {
         }
     }
 
-    /// A line to the controller, over whatever it talks: attach, flash where the image is not there yet, reset, run.
+    /// Attaches, flashes if needed, resets and opens the link to the controller.
     ///
     /// # Errors
-    /// [`ConnectError`], of the probe or of the serial port.
+    /// [`ProbeError`].
     pub fn connect(
         self,
         list: impl FnOnce() -> Lister + Send + 'static,
-        patience: Patience,
-    ) -> Result<AnyLink, ConnectError> {
+        timeouts: Timeouts,
+    ) -> Result<BoxedLink, ProbeError> {
         match self.port.clone() {
-            None => Ok(Box::new(self.over_rtt(list, patience)?)),
-            Some(port) => Ok(Box::new(self.over_port(&port, list, patience)?)),
+            None => Ok(Box::new(self.connect_rtt(list, timeouts)?)),
+            Some(port) => Ok(Box::new(self.connect_port(&port, list, timeouts)?)),
         }
     }
 
-    /// The same over RTT.
+    /// As [`ProbeSetup::connect`], over RTT.
     ///
     /// # Errors
-    /// [`ProbeError`]; [`ProbeError::NoRtt`] where the firmware has none.
-    pub fn over_rtt(
+    /// [`ProbeError`]; [`ProbeError::NoRtt`] if the firmware has no RTT.
+    pub fn connect_rtt(
         self,
         list: impl FnOnce() -> Lister + Send + 'static,
-        patience: Patience,
+        timeouts: Timeouts,
     ) -> Result<RttLink, ProbeError> {
-        RttLink::open(self.start(list, patience)?, self.image)
+        RttLink::open(self.start_board(list, timeouts)?, self.image)
     }
 
-    fn over_port(
+    fn connect_port(
         self,
-        (path, baud): &Port,
+        (path, baud): &SerialPort,
         list: impl FnOnce() -> Lister + Send + 'static,
-        patience: Patience,
-    ) -> Result<PortLink, ConnectError> {
-        // First, because a port that is not there must cost the board neither a reset nor a write.
-        let serial = Serial::open(path, *baud)?;
-        let board = self.start(list, patience)?;
-        Ok(PortLink::open(serial, path, board, self.image)?)
+        timeouts: Timeouts,
+    ) -> Result<PortLink, ProbeError> {
+        // First: without the port, the board must not be reset or written.
+        let serial = SerialLink::open(path, *baud)?;
+        let board = self.start_board(list, timeouts)?;
+        PortLink::open(serial, path, board, self.image)
     }
 
-    fn start(
+    fn start_board(
         &self,
         list: impl FnOnce() -> Lister + Send + 'static,
-        patience: Patience,
-    ) -> Result<Attached, ProbeError> {
-        let mut board = Attached::attach(&self.spec, list, patience)?;
+        timeouts: Timeouts,
+    ) -> Result<AttachedBoard, ProbeError> {
+        let mut board = AttachedBoard::attach(&self.spec, list, timeouts)?;
         info!(chip = board.chip().name, idcode = board.chip().idcode, probe = board.chip().probe, "board found");
         board.flash(&self.image)?;
         board.restart(&self.image)?;

@@ -1,16 +1,16 @@
-//! `CHIP[@VID:PID[:SERIAL]]`, as a user writes it after `probe:`.
+//! Parses `CHIP[@VID:PID[:SERIAL]]`, the board in `--rig probe:`.
 
 use super::error::ProbeError;
 use probe_rs::probe::DebugProbeSelector;
 use std::fmt;
 use std::str::FromStr;
 
-/// Which chip is expected, and on which probe where there are several.
+/// The expected chip and its probe.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ProbeSpec {
     /// The chip's name, for example `STM32F407VG`.
     pub chip: String,
-    /// USB vendor and product in hexadecimal, and a serial number where two are alike.
+    /// USB vendor and product in hexadecimal, and the serial number; `None` if there is one probe only.
     pub selector: Option<DebugProbeSelector>,
 }
 
@@ -40,14 +40,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn chip_and_selector_come_back_as_written() {
+    fn prints_chip_and_selector_as_parsed() {
         for text in ["STM32F407VG", "STM32F427VI@0483:374b", "STM32F405RG@0d28:0204:0240A1:B2"] {
             assert_eq!(text.parse::<ProbeSpec>().unwrap().to_string(), text);
         }
     }
 
     #[test]
-    fn what_names_no_chip_or_no_probe_is_refused_with_its_form() {
+    fn rejects_a_wrong_chip_or_selector() {
         for text in ["", "@0483:374b", "STM32F407VG@", "STM32F407VG@0483", "STM32F407VG@st:link"] {
             let error = text.parse::<ProbeSpec>().unwrap_err().to_string();
             assert!(error.contains("CHIP[@VID:PID[:SERIAL]]"), "{text}: {error}");

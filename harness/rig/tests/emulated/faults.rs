@@ -1,111 +1,62 @@
-//! Firmware that misbehaves on demand: each fault has its verdict, with address and function, within a bounded time.
+//! Tests firmware with planted faults: each is reported with address and function, in bounded time.
 
 use super::{CONFIGURE, PERIOD, image, sample};
-use platebench_rig::emulated::Options;
-use platebench_rig::{Emulated, LinkError, RigError, Session, TargetFault};
+use platebench_rig::emulated::EmulatedOptions;
+use platebench_rig::{EmulatedLink, LinkError, RigError, Session, TargetError};
 use platebench_wire::FaultReport;
+use rstest::rstest;
 use std::time::{Duration, Instant};
 
-const PLANTED: f32 = 900.0;
+const PLANTED_FAULT_SETPOINT_UM: f32 = 900.0;
 /// Most take milliseconds; unoptimised code on a busy machine takes a multiple.
-const SOON: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 
-fn session(options: Options) -> Session<Emulated> {
-    let mut session = Session::open(Emulated::new(&image("planted-faults.elf"), options).unwrap()).unwrap();
-    session.begin(&CONFIGURE).unwrap();
-    session.sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap().unwrap();
+fn session(options: EmulatedOptions) -> Session<EmulatedLink> {
+    let mut session = Session::open(EmulatedLink::new(&image("planted-faults.elf"), options).unwrap()).unwrap();
+    session.start_trial(&CONFIGURE).unwrap();
+    session.send_sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap().unwrap();
     session
 }
 
-fn fault(which: u8) -> TargetFault {
-    let mut session = session(Options::default());
-    let before = Instant::now();
-    let result = session.sample(PERIOD, &sample(PLANTED + f32::from(which), 0.0));
-    assert!(before.elapsed() < SOON, "{:?}", before.elapsed());
-    let Err(RigError::Link(LinkError::Target(fault))) = result else { panic!("fault {which}: {result:?}") };
-    // Dead is dead, until the next trial.
-    let Err(RigError::Link(LinkError::Target(again))) = session.sample(2 * PERIOD, &sample(2.0, 0.0)) else { panic!() };
-    assert_eq!(again, fault);
-    session.begin(&CONFIGURE).unwrap();
-    assert!(session.sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap().is_some());
-    *fault
+fn planted_fault(number: u8) -> platebench_wire::Sample {
+    sample(PLANTED_FAULT_SETPOINT_UM + f32::from(number), 0.0)
 }
 
-fn assert_says(which: u8, expected: &[&str]) {
-    let message = fault(which).to_string();
+#[rstest]
+#[case::unaligned_access(1, &["HardFault, unaligned access, at 0x08", "planted_faults::unaligned_access", "(firmware-under-test/stm32f4/src/planted_faults.rs:"])]
+#[case::division_by_zero(2, &["HardFault, division by zero, at 0x08", "planted_faults::division_by_zero", "(firmware-under-test/stm32f4/src/planted_faults.rs:"])]
+#[case::endless_loop(3, &["no answer", "µs after the message arrived", "planted_faults::endless_loop", "planted_faults.rs:"])]
+#[case::stack_overflow(4, &["the stack overflowed", "planted_faults::stack_overflow", "bus error while stacking", "address 0x1fff"])]
+#[case::undefined_instruction(5, &["HardFault, undefined instruction, at 0x08", "planted_faults::undefined_instruction", "(firmware-under-test/stm32f4/src/planted_faults.rs:"])]
+#[case::panic(6, &["panic, at 0x08", "planted_faults::index_out_of_bounds", "(firmware-under-test/stm32f4/src/planted_faults.rs:"])]
+#[case::read_of_nothing(7, &["data bus error", "planted_faults::read_of_nothing", "address 0x60000000 (nothing answers there)", "planted_faults.rs:"])]
+#[case::jump_into_nothing(8, &["instruction bus error, at 0x30000000", "called from", "planted_faults::jump_into_nothing"])]
+#[case::unmodelled_peripheral(9, &["has no model", "TIM6.ARR written, address 0x4000102c", "planted_faults::unmodelled_peripheral"])]
+#[case::hole_between_peripherals(10, &["data bus error", "planted_faults::hole_between_peripherals", "address 0x40002400 (nothing answers there)"])]
+#[case::reset(11, &["the target reset itself (request of the firmware)"])]
+#[case::sleep_without_end(12, &["no answer", "planted_faults::sleep_without_end"])]
+fn reports_a_planted_fault(#[case] number: u8, #[case] expected: &[&str]) {
+    let mut session = session(EmulatedOptions::default());
+    let start = Instant::now();
+    let result = session.send_sample(PERIOD, &planted_fault(number));
+    assert!(start.elapsed() < TIMEOUT, "{:?}", start.elapsed());
+    let Err(RigError::Link(LinkError::Target(error))) = result else { panic!("{result:?}") };
+    let message = error.to_string();
     for part in expected {
-        assert!(message.contains(part), "fault {which}: `{part}` is missing in: {message}");
+        assert!(message.contains(part), "`{part}` is missing in: {message}");
     }
+    assert_eq!(matches!(*error, TargetError::Unsupported(_)), number == 9);
+    assert_eq!(matches!(*error, TargetError::Reset { .. }), number == 11);
+    assert_eq!(matches!(*error, TargetError::Silent { .. }), [3, 12].contains(&number));
+    // The error persists until the next trial.
+    let again = session.send_sample(2 * PERIOD, &sample(2.0, 0.0));
+    let Err(RigError::Link(LinkError::Target(again))) = again else { panic!("{again:?}") };
+    assert_eq!(again, error);
+    session.start_trial(&CONFIGURE).unwrap();
+    assert!(session.send_sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap().is_some());
 }
 
-#[test]
-fn traps_name_cause_function_and_line() {
-    assert_says(
-        1,
-        &[
-            "HardFault, unaligned access, at 0x08",
-            "plant::unaligned_access",
-            "(firmware-under-test/stm32f4/src/plant.rs:",
-        ],
-    );
-    assert_says(
-        2,
-        &[
-            "HardFault, division by zero, at 0x08",
-            "plant::division_by_zero",
-            "(firmware-under-test/stm32f4/src/plant.rs:",
-        ],
-    );
-    assert_says(
-        5,
-        &[
-            "HardFault, undefined instruction, at 0x08",
-            "plant::undefined_instruction",
-            "(firmware-under-test/stm32f4/src/plant.rs:",
-        ],
-    );
-}
-
-#[test]
-fn accesses_to_nothing_name_the_address() {
-    let nothing = "address 0x60000000 (nothing answers there)";
-    assert_says(7, &["data bus error", "plant::read_of_nothing", nothing, "plant.rs:"]);
-    assert_says(
-        10,
-        &["data bus error", "plant::hole_between_peripherals", "address 0x40002400 (nothing answers there)"],
-    );
-    assert_says(8, &["instruction bus error, at 0x30000000", "called from", "plant::jump_into_nothing"]);
-}
-
-#[test]
-fn an_overflowed_stack_is_called_that_and_names_its_function() {
-    assert_says(4, &["the stack overflowed", "plant::stack_overflow", "bus error while stacking", "address 0x1fff"]);
-}
-
-#[test]
-fn a_panic_names_the_line_that_panicked() {
-    assert_says(6, &["panic, at 0x08", "plant::index_out_of_bounds", "(firmware-under-test/stm32f4/src/plant.rs:"]);
-}
-
-#[test]
-fn silence_names_where_the_processor_hangs() {
-    assert_says(3, &["no answer", "us after the message had arrived", "plant::endless_loop", "plant.rs:"]);
-    assert_says(12, &["no answer", "plant::sleep_without_end"]);
-}
-
-#[test]
-fn what_the_emulator_has_no_model_of_ends_the_trial() {
-    assert!(matches!(fault(9), TargetFault::Unsupported(_)));
-    assert_says(9, &["TIM6.ARR written, address 0x4000102c", "plant::unmodelled_peripheral"]);
-}
-
-#[test]
-fn a_reset_is_not_taken_for_an_answer() {
-    assert!(matches!(fault(11), TargetFault::Reset { .. }));
-    assert_says(11, &["reset itself (request of the firmware)"]);
-}
-
-fn trapped<T: std::fmt::Debug>(result: Result<T, RigError>) -> FaultReport {
+fn fault_report<T: std::fmt::Debug>(result: Result<T, RigError>) -> FaultReport {
     match result {
         Err(RigError::Trapped(report)) => report,
         other => panic!("{other:?}"),
@@ -113,36 +64,36 @@ fn trapped<T: std::fmt::Debug>(result: Result<T, RigError>) -> FaultReport {
 }
 
 #[test]
-fn the_firmware_reports_a_trap_itself_and_again_after_the_watchdog() {
-    let mut session = session(Options { stop_at_traps: false, ..Options::default() });
-    let report = trapped(session.sample(PERIOD, &sample(PLANTED + 2.0, 0.0)));
+fn receives_the_trap_report_of_the_firmware() {
+    let mut session = session(EmulatedOptions { stop_at_traps: false, ..EmulatedOptions::default() });
+    let report = fault_report(session.send_sample(PERIOD, &planted_fault(2)));
     assert_eq!((report.code, report.cfsr), (2, 1 << 25));
     assert!((0x0800_0000..0x0802_0000).contains(&report.pc), "{report:x?}");
-    // The watchdog ends it after half a second; the start after that remembers.
-    assert!(session.pass(Duration::from_millis(400)).unwrap().is_none());
-    let after = trapped(session.pass(Duration::from_secs(1)));
+    // The watchdog resets it after 0.5 s; the firmware reports the trap again after its start.
+    assert!(session.advance_to(Duration::from_millis(400)).unwrap().is_none());
+    let after = fault_report(session.advance_to(Duration::from_secs(1)));
     assert_eq!(after, FaultReport { code: 3, ..report });
 }
 
 #[test]
-fn the_firmware_reports_an_overflowed_stack_from_its_spare_one() {
-    let mut session = session(Options { stop_at_traps: false, ..Options::default() });
-    let report = trapped(session.sample(PERIOD, &sample(PLANTED + 4.0, 0.0)));
+fn receives_the_report_of_a_stack_overflow() {
+    let mut session = session(EmulatedOptions { stop_at_traps: false, ..EmulatedOptions::default() });
+    let report = fault_report(session.send_sample(PERIOD, &planted_fault(4)));
     assert_eq!((report.code, report.pc), (2, 0));
     assert!((0x1FFF_0000..0x2000_0000).contains(&report.address), "{report:x?}");
 }
 
 #[test]
-fn the_firmware_reports_a_panic_with_its_location() {
-    let mut session = session(Options { stop_at_traps: false, ..Options::default() });
-    let report = trapped(session.sample(PERIOD, &sample(PLANTED + 6.0, 0.0)));
+fn receives_the_report_of_a_panic() {
+    let mut session = session(EmulatedOptions { stop_at_traps: false, ..EmulatedOptions::default() });
+    let report = fault_report(session.send_sample(PERIOD, &planted_fault(6)));
     assert_eq!(report.code, 1);
     assert!((0x0800_0000..0x0802_0000).contains(&report.address), "{report:x?}");
     assert!((0x0800_0000..0x0802_0000).contains(&report.pc), "{report:x?}");
 }
 
 #[test]
-fn the_watchdog_ends_a_loop_without_end() {
-    let mut session = session(Options { stop_at_traps: false, ..Options::default() });
-    assert!(session.sample(PERIOD, &sample(PLANTED + 3.0, 0.0)).is_err());
+fn ends_an_endless_loop_by_the_watchdog() {
+    let mut session = session(EmulatedOptions { stop_at_traps: false, ..EmulatedOptions::default() });
+    assert!(session.send_sample(PERIOD, &planted_fault(3)).is_err());
 }

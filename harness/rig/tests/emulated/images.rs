@@ -1,8 +1,8 @@
-//! Files that are no firmware for this board, and firmware that does not come up.
+//! Tests files that are not a firmware for the board, and firmware that does not start.
 
 use super::image;
-use platebench_rig::emulated::{ImageError, Options};
-use platebench_rig::{Emulated, EmulatedError, TargetFault};
+use platebench_rig::emulated::{EmulatedOptions, ImageError};
+use platebench_rig::{EmulatedError, EmulatedLink, TargetError};
 use std::path::Path;
 
 const CLASS: usize = 4;
@@ -23,7 +23,7 @@ fn set_word(elf: &mut [u8], at: usize, value: u32) {
     elf[at..at + 4].copy_from_slice(&value.to_le_bytes());
 }
 
-/// Where the program header and the content of the segment that is stored at `address` stand in the file.
+/// File offsets of the program header and the content of the segment at `address`.
 fn segment(elf: &[u8], address: u32) -> (usize, usize) {
     let first = word(elf, PROGRAM_HEADERS) as usize;
     let header = (0..8).map(|index| first + 32 * index).find(|&at| {
@@ -34,54 +34,54 @@ fn segment(elf: &[u8], address: u32) -> (usize, usize) {
     (header, (word(elf, header + 4) + address - word(elf, header + 12)) as usize)
 }
 
-fn refused(change: impl FnOnce(&mut Vec<u8>)) -> ImageError {
+fn image_error(change: impl FnOnce(&mut Vec<u8>)) -> ImageError {
     let mut elf = image("platebench-stm32f4.elf");
     change(&mut elf);
-    match Emulated::new(&elf, Options::default()) {
+    match EmulatedLink::new(&elf, EmulatedOptions::default()) {
         Err(EmulatedError::Image(error)) => error,
         other => panic!("{other:?}"),
     }
 }
 
 #[test]
-fn what_is_no_elf_for_this_processor_is_told_apart() {
-    assert_eq!(refused(Vec::clear), ImageError::NotElf);
-    assert_eq!(refused(|elf| *elf = b"#!/bin/sh\n".to_vec()), ImageError::NotElf);
-    assert_eq!(refused(|elf| half(elf, MACHINE, 62)), ImageError::Machine(62));
-    let x86_64 = refused(|elf| {
+fn rejects_files_for_other_processors() {
+    assert_eq!(image_error(Vec::clear), ImageError::NotElf);
+    assert_eq!(image_error(|elf| *elf = b"#!/bin/sh\n".to_vec()), ImageError::NotElf);
+    assert_eq!(image_error(|elf| half(elf, MACHINE, 62)), ImageError::Machine(62));
+    let x86_64 = image_error(|elf| {
         elf[CLASS] = 2;
         half(elf, MACHINE, 62);
     });
     assert!(x86_64.to_string().starts_with("built for x86-64, expected ARM"), "{x86_64}");
-    assert_eq!(refused(|elf| elf[CLASS] = 2), ImageError::Class("64-bit"));
-    assert_eq!(refused(|elf| elf[DATA] = 2), ImageError::Class("big-endian"));
-    assert_eq!(refused(|elf| half(elf, KIND, 1)), ImageError::NotExecutable(1));
+    assert_eq!(image_error(|elf| elf[CLASS] = 2), ImageError::Class("64-bit"));
+    assert_eq!(image_error(|elf| elf[DATA] = 2), ImageError::Class("big-endian"));
+    assert_eq!(image_error(|elf| half(elf, KIND, 1)), ImageError::NotExecutable(1));
 }
 
 #[test]
-fn damage_is_told_and_never_fatal() {
-    assert!(matches!(refused(|elf| elf.truncate(10)), ImageError::Damaged(_)));
-    assert!(matches!(refused(|elf| elf.truncate(40)), ImageError::Damaged(_)));
-    assert!(matches!(refused(|elf| elf.truncate(8_000)), ImageError::Damaged(_)));
-    assert!(matches!(refused(|elf| set_word(elf, PROGRAM_HEADERS, 0xFFFF_FFF0)), ImageError::Damaged(_)));
-    // Any byte of the header may be wrong: an error or a firmware that runs, but no panic.
+fn rejects_damaged_files_without_a_panic() {
+    assert!(matches!(image_error(|elf| elf.truncate(10)), ImageError::Damaged(_)));
+    assert!(matches!(image_error(|elf| elf.truncate(40)), ImageError::Damaged(_)));
+    assert!(matches!(image_error(|elf| elf.truncate(8_000)), ImageError::Damaged(_)));
+    assert!(matches!(image_error(|elf| set_word(elf, PROGRAM_HEADERS, 0xFFFF_FFF0)), ImageError::Damaged(_)));
+    // Any byte of the header may be wrong: either an error or a running firmware.
     for at in 0..52 {
         let mut elf = image("platebench-stm32f4.elf");
         elf[at] ^= 0xFF;
-        if let Err(error) = Emulated::new(&elf, Options::default()) {
+        if let Err(error) = EmulatedLink::new(&elf, EmulatedOptions::default()) {
             assert!(!error.to_string().is_empty());
         }
     }
 }
 
 #[test]
-fn an_image_that_is_linked_elsewhere_says_where() {
-    let error = refused(|elf| {
+fn rejects_an_image_linked_elsewhere() {
+    let error = image_error(|elf| {
         let (header, _) = segment(elf, 0x0800_0000);
         set_word(elf, header + 12, 0x2000_0000);
     });
     assert!(matches!(error, ImageError::Misplaced { address: 0x2000_0000, .. }), "{error:?}");
-    let behind_a_bootloader = refused(|elf| {
+    let behind_a_bootloader = image_error(|elf| {
         let (header, _) = segment(elf, 0x0800_0000);
         set_word(elf, header + 12, 0x0810_0000);
     });
@@ -89,9 +89,9 @@ fn an_image_that_is_linked_elsewhere_says_where() {
 }
 
 #[test]
-fn a_vector_table_that_cannot_work_is_refused() {
+fn rejects_an_invalid_vector_table() {
     let vector = |number: usize, value| {
-        refused(move |elf| {
+        image_error(move |elf| {
             let (_, table) = segment(elf, 0x0800_0000);
             set_word(elf, table + 4 * number, value);
         })
@@ -103,33 +103,33 @@ fn a_vector_table_that_cannot_work_is_refused() {
 }
 
 #[test]
-fn firmware_that_never_answers_is_given_up_with_what_it_did() {
+fn reports_where_silent_firmware_hangs() {
     let mut elf = image("platebench-stm32f4.elf");
     let (_, table) = segment(&elf, 0x0800_0000);
     let reset = word(&elf, table + 4) & !1;
     let (_, at) = segment(&elf, reset);
     half(&mut elf, at, 0xE7FE); // b .
-    let Err(EmulatedError::Target(fault)) = Emulated::new(&elf, Options::default()) else { panic!() };
-    let TargetFault::NoHandshake { waited_ms: 1_000.., place, .. } = &fault else { panic!("{fault:?}") };
+    let Err(EmulatedError::Target(error)) = EmulatedLink::new(&elf, EmulatedOptions::default()) else { panic!() };
+    let TargetError::NoHandshake { waited_ms: 1_000.., place, .. } = &error else { panic!("{error:?}") };
     assert_eq!(place.address, reset);
-    assert!(fault.to_string().contains("did not introduce itself on USART2 (PA2, PA3)"), "{fault}");
+    assert!(error.to_string().contains("did not answer the handshake on USART2 (PA2, PA3)"), "{error}");
 }
 
 #[test]
-fn a_wrong_baud_rate_is_found() {
-    let options = Options { baud: Some(921_600), ..Options::default() };
-    let Err(error) = Emulated::new(&image("platebench-stm32f4.elf"), options) else { panic!() };
-    assert_eq!(error.to_string(), "the firmware sends at 1000000 baud instead of 921600");
+fn rejects_a_wrong_baud_rate() {
+    let options = EmulatedOptions { baud: Some(921_600), ..EmulatedOptions::default() };
+    let Err(error) = EmulatedLink::new(&image("platebench-stm32f4.elf"), options) else { panic!() };
+    assert_eq!(error.to_string(), "the firmware sends at 1000000 baud, expected 921600");
 }
 
 #[test]
-fn a_missing_file_is_named() {
-    let error = Emulated::open(Path::new("no/such.elf")).unwrap_err();
+fn names_a_missing_file() {
+    let error = EmulatedLink::open(Path::new("no/such.elf")).unwrap_err();
     assert!(matches!(&error, EmulatedError::Read { .. }) && error.to_string().starts_with("no/such.elf: "), "{error}");
 }
 
 #[test]
-fn a_file_of_the_user_works_like_the_one_built_in() {
+fn opens_a_firmware_file() {
     let path = super::firmware_under_test().join("images/platebench-stm32f4.elf");
-    assert_eq!(Emulated::open(&path).unwrap().baud(), 1_000_000);
+    assert_eq!(EmulatedLink::open(&path).unwrap().baud(), 1_000_000);
 }

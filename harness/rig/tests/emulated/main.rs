@@ -1,35 +1,19 @@
-//! The firmware image on the emulated board, against the same controller in this process, and against everything that can go wrong with an image.
+//! Tests the firmware image on the emulated board: equivalence with the hosted controller, crashes, invalid images.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-mod answers;
+mod equivalence;
 mod faults;
 mod images;
-mod paces;
+mod pacing;
 mod provenance;
 
 use platebench_rig::{Link, LinkError, Session};
-use platebench_wire::{Configure, LawId, Sample};
+use platebench_test_kit::CONFIGURE;
+use platebench_wire::Sample;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-
-const CONFIGURE: Configure = Configure {
-    law: LawId::DqPi,
-    paced_by_target: false,
-    drives_own_plate: false,
-    patience_ms: 0,
-    period_us: 1_000,
-    loop_delay_us: 0,
-    start_frequency_mhz: 32_307_600,
-    gain_um_per_vpp: 0.00698,
-    time_constant_s: 1.88e-3,
-    response_time_s: 0.0,
-    drive_limit_vpp: 900.0,
-    frequency_range_hz: 250.0,
-    frequency_slew_hz: 100.0,
-    gains: None,
-};
 
 const PERIOD: Duration = Duration::from_millis(1);
 
@@ -45,25 +29,25 @@ fn image(name: &str) -> Vec<u8> {
     std::fs::read(firmware_under_test().join("images").join(name)).unwrap()
 }
 
-/// Everything that passed over a link: what came back, how long it took, what it cost.
+/// Per call of a link: received bytes, delay, instructions.
 type Log = Arc<Mutex<Vec<(Vec<u8>, Duration, Option<u64>)>>>;
 
-/// A link that keeps a log.
-struct Logged<L> {
+/// A link with a log.
+struct LoggedLink<L> {
     link: L,
     log: Log,
 }
 
-impl<L: Link> Link for Logged<L> {
+impl<L: Link> Link for LoggedLink<L> {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let delay = self.link.exchange(now, bytes, answer)?;
-        self.log.lock().unwrap().push((answer.clone(), delay, self.link.cost()));
+        self.log.lock().unwrap().push((answer.clone(), delay, self.link.instruction_count()));
         Ok(delay)
     }
 
-    fn pass(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.link.pass(now, said)?;
-        self.log.lock().unwrap().push((said.clone(), Duration::ZERO, None));
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.link.advance_to(now, received)?;
+        self.log.lock().unwrap().push((received.clone(), Duration::ZERO, None));
         Ok(())
     }
 
@@ -72,12 +56,12 @@ impl<L: Link> Link for Logged<L> {
         self.link.restart()
     }
 
-    fn cost(&self) -> Option<u64> {
-        self.link.cost()
+    fn instruction_count(&self) -> Option<u64> {
+        self.link.instruction_count()
     }
 }
 
-fn logged<L: Link>(link: L) -> (Session<Logged<L>>, Log) {
+fn open_logged<L: Link>(link: L) -> (Session<LoggedLink<L>>, Log) {
     let log = Log::default();
-    (Session::open(Logged { link, log: log.clone() }).unwrap(), log)
+    (Session::open(LoggedLink { link, log: log.clone() }).unwrap(), log)
 }

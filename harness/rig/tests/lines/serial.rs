@@ -1,9 +1,9 @@
-//! A port with something at its other end.
+//! Tests serial ports with a pseudo-terminal as the cable.
 
-use super::{CONFIGURE, WITHIN, sample};
+use super::{CONFIGURE, RECEIVE_TIMEOUT, sample};
 use platebench_controller::Device;
-use platebench_rig::{Link, LinkError, RigError, RigSpec, Serial, SerialError, Session};
-use platebench_wire::{Identity, Message, State};
+use platebench_rig::{Link, LinkError, RigError, RigSpec, SerialError, SerialLink, Session};
+use platebench_wire::{ControllerState, Identity, Message};
 use rustix::fd::OwnedFd;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use std::fs::File;
@@ -22,7 +22,7 @@ const IDENTITY: Identity = Identity {
     name: *b"at the other end",
 };
 
-/// The other end of a cable, and the port at ours.
+/// The other end of a cable, and the path of the port.
 fn cable() -> (OwnedFd, PathBuf) {
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
     grantpt(&master).unwrap();
@@ -31,16 +31,16 @@ fn cable() -> (OwnedFd, PathBuf) {
     (master, name.into())
 }
 
-/// A board that answers until its line is gone, each answer said `times` times.
+/// A board that sends each answer `times` times, until its line hangs up.
 fn board(master: OwnedFd, times: usize) {
     let mut line = File::from(master);
     let mut device = Device::new(IDENTITY);
     thread::spawn(move || {
-        let since = Instant::now();
+        let start = Instant::now();
         let mut bytes = [0; 256];
         while let Ok(count @ 1..) = line.read(&mut bytes) {
             let mut answer = Vec::new();
-            device.receive(&bytes[..count], since.elapsed().as_micros() as u32, |frame| {
+            device.receive(&bytes[..count], start.elapsed().as_micros() as u32, |frame| {
                 answer.extend(frame.repeat(times));
             });
             if line.write_all(&answer).is_err() {
@@ -50,54 +50,58 @@ fn board(master: OwnedFd, times: usize) {
     });
 }
 
-fn open(port: &Path) -> Serial {
-    Serial::open(port, 1_000_000).unwrap()
+fn open(port: &Path) -> SerialLink {
+    SerialLink::open(port, 1_000_000).unwrap()
 }
 
 #[test]
-fn a_board_on_a_port_is_found_and_controls() {
+fn controls_with_a_board_on_a_port() {
     let (master, port) = cable();
     let serial = open(&port);
     board(master, 1);
     let mut session = Session::open(serial).unwrap();
     assert_eq!(session.identity(), &IDENTITY);
-    session.begin(&CONFIGURE).unwrap();
-    let reply = session.sample(Duration::ZERO, &sample(0)).unwrap().unwrap();
-    assert_eq!(reply.command.state, State::Running);
+    session.start_trial(&CONFIGURE).unwrap();
+    let reply = session.send_sample(Duration::ZERO, &sample(0)).unwrap().unwrap();
+    assert_eq!(reply.command.state, ControllerState::Running);
     for step in 1..50 {
-        let number = session.post(Message::Sample(sample(step))).unwrap();
-        let heard = session.listen(Instant::now() + WITHIN).unwrap().unwrap();
-        assert_eq!(heard.sequence, number);
+        let number = session.send(Message::Sample(sample(step))).unwrap();
+        let received = session.receive(Instant::now() + RECEIVE_TIMEOUT).unwrap().unwrap();
+        assert_eq!(received.sequence, number);
     }
-    assert!(session.safe());
-    assert_eq!(session.refused(), 0);
+    assert!(session.request_safe_state());
+    assert_eq!(session.rejected_frames(), 0);
 }
 
 #[test]
-fn frames_that_come_together_are_told_one_by_one() {
+fn returns_frames_one_by_one() {
     let (master, port) = cable();
     let serial = open(&port);
     board(master, 3);
     let mut session = Session::open(serial).unwrap();
-    session.begin(&CONFIGURE).unwrap();
-    let number = session.post(Message::Sample(sample(0))).unwrap();
-    let mut heard = Vec::new();
-    while heard.len() < 3 {
-        let next = session.listen(Instant::now() + WITHIN).unwrap().unwrap();
-        // Echoes of the handshake may still come.
-        heard.extend(Some(next).filter(|heard| heard.sequence == number));
+    session.start_trial(&CONFIGURE).unwrap();
+    let number = session.send(Message::Sample(sample(0))).unwrap();
+    let mut received = Vec::new();
+    while received.len() < 3 {
+        let next = session.receive(Instant::now() + RECEIVE_TIMEOUT).unwrap().unwrap();
+        // Repeated answers to the handshake may still arrive.
+        received.extend(Some(next).filter(|received| received.sequence == number));
     }
-    assert!(heard.windows(2).all(|pair| pair[0].message == pair[1].message && pair[0].at <= pair[1].at));
+    assert!(
+        received
+            .windows(2)
+            .all(|pair| pair[0].message == pair[1].message && pair[0].received_at <= pair[1].received_at)
+    );
 }
 
 #[test]
-fn a_port_in_use_names_its_holder_and_is_free_once_that_is_gone() {
+fn names_the_holder_of_a_port_in_use() {
     let (_master, port) = cable();
     let first = open(&port);
-    let refused = Serial::open(&port, 1_000_000).unwrap_err();
+    let refused = SerialLink::open(&port, 1_000_000).unwrap_err();
     let SerialError::InUse { holder, .. } = &refused else { panic!("{refused:?}") };
-    let told = holder.to_string();
-    assert!(told.contains(&format!("process {}", std::process::id())) && told.contains("lines"), "{told}");
+    let text = holder.to_string();
+    assert!(text.contains(&format!("process {}", std::process::id())) && text.contains("lines"), "{text}");
     let spec: RigSpec = format!("serial:{}", port.display()).parse().unwrap();
     let refused = spec.connect().err().unwrap();
     assert!(!refused.is_invalid_input(), "{refused}");
@@ -106,70 +110,70 @@ fn a_port_in_use_names_its_holder_and_is_free_once_that_is_gone() {
 }
 
 #[test]
-fn what_is_no_port_is_said() {
-    let absent = Serial::open(Path::new("/dev/there-is-no-port"), 9_600).unwrap_err();
+fn rejects_other_files_and_missing_ports() {
+    let absent = SerialLink::open(Path::new("/dev/there-is-no-port"), 9_600).unwrap_err();
     assert!(matches!(absent, SerialError::Open { .. }), "{absent}");
-    let null = Serial::open(Path::new("/dev/null"), 9_600).unwrap_err();
+    let null = SerialLink::open(Path::new("/dev/null"), 9_600).unwrap_err();
     assert_eq!(null.to_string(), "/dev/null is not a serial port");
-    let folder = Serial::open(Path::new("/dev"), 9_600).unwrap_err();
+    let folder = SerialLink::open(Path::new("/dev"), 9_600).unwrap_err();
     assert_eq!(folder.to_string(), "/dev is not a serial port");
     let error = |text: &str| text.parse::<RigSpec>().unwrap().connect().err().unwrap();
-    assert!(!error("serial:/dev/there-is-no-port").is_invalid_input(), "unplugged is not mistyped");
+    assert!(!error("serial:/dev/there-is-no-port").is_invalid_input(), "unplugged, not invalid input");
     assert!(error("serial:/dev/null@9600").is_invalid_input());
 }
 
 #[test]
-fn a_line_that_hangs_up_is_lost_whatever_is_done_with_it() {
+fn reports_a_line_that_hung_up_on_every_call() {
     let (master, port) = cable();
     let mut serial = open(&port);
     drop(master);
     let mut bytes = Vec::new();
-    let far = Instant::now() + WITHIN;
-    assert!(matches!(serial.line().unwrap().receive(far, &mut bytes), Err(LinkError::Disconnected(_))));
-    assert!(matches!(serial.line().unwrap().send(b"x"), Err(LinkError::Disconnected(_))));
+    let far = Instant::now() + RECEIVE_TIMEOUT;
+    assert!(matches!(serial.real_time_line().unwrap().receive(far, &mut bytes), Err(LinkError::Disconnected(_))));
+    assert!(matches!(serial.real_time_line().unwrap().send(b"x"), Err(LinkError::Disconnected(_))));
     assert!(matches!(serial.exchange(Duration::ZERO, b"x", &mut bytes), Err(LinkError::Disconnected(_))));
-    assert!(matches!(serial.pass(Duration::ZERO, &mut bytes), Err(LinkError::Disconnected(_))));
-    assert!(Instant::now() < far, "noticed, not waited for");
-    assert_eq!(bytes, []);
+    assert!(matches!(serial.advance_to(Duration::ZERO, &mut bytes), Err(LinkError::Disconnected(_))));
+    assert!(Instant::now() < far, "the wait did not end early");
+    assert!(bytes.is_empty(), "{bytes:?}");
 }
 
 #[test]
-fn silence_is_no_answer_and_ends() {
+fn ends_the_handshake_with_a_silent_port() {
     let (_master, port) = cable();
     assert!(matches!(Session::open(open(&port)), Err(RigError::NoAnswer { expected: "identity" })));
 }
 
 #[test]
-fn what_a_port_held_from_before_is_thrown_away() {
+fn discards_bytes_from_before_the_opening() {
     let (master, port) = cable();
-    let keeps_the_line = open(&port);
+    let first = open(&port);
     rustix::io::write(&master, b"from before").unwrap();
-    drop(keeps_the_line);
+    drop(first);
     let mut serial = open(&port);
     let mut bytes = Vec::new();
-    serial.pass(Duration::ZERO, &mut bytes).unwrap();
-    assert_eq!(bytes, []);
+    serial.advance_to(Duration::ZERO, &mut bytes).unwrap();
+    assert!(bytes.is_empty(), "{bytes:?}");
     rustix::io::write(&master, b"now").unwrap();
-    assert!(serial.line().unwrap().receive(Instant::now() + WITHIN, &mut bytes).unwrap().is_some());
+    assert!(serial.real_time_line().unwrap().receive(Instant::now() + RECEIVE_TIMEOUT, &mut bytes).unwrap().is_some());
     assert_eq!(bytes, b"now");
 }
 
 #[test]
-fn a_line_that_takes_nothing_and_one_that_babbles_hold_nobody_up() {
+fn ends_waits_on_a_full_line_and_on_garbage() {
     let (master, port) = cable();
     let mut serial = open(&port);
-    // Far more than a pseudo-terminal holds.
+    // More than a pseudo-terminal holds.
     for _ in 0..10_000 {
-        serial.line().unwrap().send(&[0x55; 24]).unwrap();
+        serial.real_time_line().unwrap().send(&[0x55; 24]).unwrap();
     }
     drop(serial);
 
     let serial = open(&port);
-    let babbler = File::from(master);
-    let mut reader = babbler.try_clone().unwrap();
-    thread::spawn(move || while (&babbler).write_all(&[1, 2, 3, 0].repeat(16)).is_ok() {});
+    let other_end = File::from(master);
+    let mut reader = other_end.try_clone().unwrap();
+    thread::spawn(move || while (&other_end).write_all(&[1, 2, 3, 0].repeat(16)).is_ok() {});
     thread::spawn(move || while reader.read(&mut [0; 256]).is_ok_and(|count| count > 0) {});
-    let far = Instant::now() + WITHIN;
+    let far = Instant::now() + RECEIVE_TIMEOUT;
     assert!(matches!(Session::open(serial), Err(RigError::NoAnswer { .. })));
     assert!(Instant::now() < far);
 }

@@ -1,9 +1,10 @@
-//! An STM32F407 as a debugger sees it: memory map, debug registers of a Cortex-M4, flash that is worked on by the flash algorithm's entry points.
+//! Emulates an STM32F407 for a debugger: memory map, debug registers of a Cortex-M4, flash.
 //!
-//! No instruction is executed. What a flash algorithm or a program would do is done at once when the processor is let run at its entry.
+//! Executes no instruction. The effect of a flash algorithm or a program happens when the processor is started at
+//! its entry point.
 
 use crate::image::{CONTROL_STEP, HANDLER, MAIN_LOOP, PROGRAM, Program};
-use crate::rtt::Rings;
+use crate::rtt_buffers::RttBuffers;
 use platebench_controller::Device;
 use platebench_wire::{FaultReport, Identity, Message, Packet};
 use probe_rs::config::Registry;
@@ -21,26 +22,26 @@ const LR: usize = 14;
 const PC: usize = 15;
 const XPSR: usize = 16;
 
-/// What a test can see and what it can spoil.
-#[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own for a test")]
+/// State for the tests, and faults.
+#[expect(clippy::struct_excessive_bools, reason = "each is an independent fault")]
 pub(crate) struct Chip {
     pub(crate) idcode: u32,
     pub(crate) resets: u32,
     pub(crate) erased_sectors: u32,
     pub(crate) programmed_pages: u32,
-    /// After each programmed page this byte of flash loses a bit.
-    pub(crate) weak_byte: Option<u32>,
+    /// Each programmed page flips a bit of this byte of flash.
+    pub(crate) failing_byte: Option<u32>,
     /// The flash algorithm never returns.
     pub(crate) algorithm_hangs: bool,
-    /// So many accesses to memory get no acknowledgement.
-    pub(crate) unacknowledged: u32,
-    /// Every access to memory blocks while this is set.
-    pub(crate) hangs: bool,
-    /// The watchdog resets the chip once the processor is halted.
-    pub(crate) watchdog_bites_when_halted: bool,
+    /// Number of memory accesses without acknowledgement.
+    pub(crate) failing_accesses: u32,
+    /// Memory accesses block.
+    pub(crate) memory_hangs: bool,
+    /// The watchdog resets the chip when the processor is halted.
+    pub(crate) watchdog_resets_when_halted: bool,
     pub(crate) device: Device,
-    /// So many pieces of what comes in on the serial port are lost.
-    pub(crate) deaf: u32,
+    /// Number of received chunks of the serial port that are lost.
+    pub(crate) lost_serial_chunks: u32,
     flash: Vec<u8>,
     ram: Vec<u8>,
     registers: HashMap<u32, u32>,
@@ -66,13 +67,13 @@ impl Chip {
             resets: 0,
             erased_sectors: 0,
             programmed_pages: 0,
-            weak_byte: None,
+            failing_byte: None,
             algorithm_hangs: false,
-            unacknowledged: 0,
-            hangs: false,
-            watchdog_bites_when_halted: false,
+            failing_accesses: 0,
+            memory_hangs: false,
+            watchdog_resets_when_halted: false,
             device: device(),
-            deaf: 0,
+            lost_serial_chunks: 0,
             flash: vec![0xff; FLASH_BYTES],
             ram: vec![0; RAM_BYTES],
             registers: HashMap::new(),
@@ -93,14 +94,13 @@ impl Chip {
         self.halted
     }
 
-    /// One byte of flash.
     pub(crate) fn flash_byte(&mut self, address: u32) -> &mut u8 {
         &mut self.flash[(address - FLASH) as usize]
     }
 
-    /// One access of a debugger; `None` where nothing answers.
+    /// An access by a debugger; `None` without memory there.
     pub(crate) fn read(&mut self, address: u32, size: u32) -> Option<u32> {
-        self.live();
+        self.run_firmware();
         if address >= 0xe000_0000 {
             return Some(self.read_register(address));
         }
@@ -116,12 +116,12 @@ impl Chip {
             self.write_register(address, value);
             return Some(());
         }
-        // Flash cannot be written like memory.
+        // Flash is not writable like RAM.
         (RAM..RAM + RAM_BYTES as u32).contains(&address).then_some(())?;
         for offset in 0..size {
             *self.byte(address + offset)? = value.to_le_bytes()[offset as usize];
         }
-        self.live();
+        self.run_firmware();
         Some(())
     }
 
@@ -165,7 +165,7 @@ impl Chip {
             0xe000_edf4 => self.transfer(value),
             0xe000_edf8 => self.dcrdr = value,
             0xe000_ed0c if value >> 16 == 0x05fa && value & 4 != 0 => self.reset(),
-            // Ones clear.
+            // Writing ones clears.
             0xe000_ed30 => *self.registers.entry(address).or_default() &= !value,
             _ => {
                 self.registers.insert(address, value);
@@ -192,7 +192,7 @@ impl Chip {
         } else if bits & HALT != 0 {
             let running = !self.halted;
             self.stop(1);
-            if running && self.watchdog_bites_when_halted {
+            if running && self.watchdog_resets_when_halted {
                 self.registers.remove(&0xe000_ed04);
             }
         } else if bits & STEP != 0 {
@@ -204,7 +204,7 @@ impl Chip {
         }
     }
 
-    /// Halted for one of the reasons in the debug fault status register.
+    /// Halts with a bit of the debug fault status register.
     fn stop(&mut self, reason: u32) {
         self.halted = true;
         self.control |= 3;
@@ -228,11 +228,11 @@ impl Chip {
         if catch { self.stop(8) } else { self.boot() }
     }
 
-    /// What the processor runs is written in flash.
+    /// Starts the program whose number is in flash.
     fn boot(&mut self) {
         self.program = Program::from_word(self.word(PROGRAM));
         if matches!(self.program, Some(Program::Controller | Program::Mute | Program::Traps)) {
-            Rings::start(self);
+            RttBuffers::start(self);
         }
     }
 
@@ -242,7 +242,7 @@ impl Chip {
         if entry == u64::from(self.word(FLASH + 4) & !1) {
             return self.boot();
         }
-        // The entry points carry the Thumb bit.
+        // Bit 0 of an entry point is the Thumb bit.
         let algorithm = &self.algorithm;
         let (program, erase) = (algorithm.pc_program_page & !1, algorithm.pc_erase_sector & !1);
         let [init, uninit] = [algorithm.pc_init, algorithm.pc_uninit].map(|entry| entry.map_or(0, |entry| entry & !1));
@@ -256,7 +256,7 @@ impl Chip {
             self.program_page(address, size, buffer);
         }
         self.core[0] = 0;
-        // It returns to the breakpoint that stands before it.
+        // It returns to the breakpoint of the flash loader.
         self.core[PC] = self.core[LR] & !1;
         self.stop(2);
     }
@@ -271,57 +271,57 @@ impl Chip {
         (address..address + size).for_each(|address| *self.flash_byte(address) = 0xff);
     }
 
-    /// Programming can only take ones away.
+    /// Programming only clears bits.
     fn program_page(&mut self, address: u32, size: u32, buffer: u32) {
         self.programmed_pages += 1;
         for offset in 0..size {
             let byte = *self.byte(buffer + offset).unwrap();
             *self.flash_byte(address + offset) &= byte;
         }
-        if let Some(weak) = self.weak_byte {
+        if let Some(weak) = self.failing_byte {
             *self.flash_byte(weak) ^= 0x10;
         }
     }
 
-    /// What the firmware does between two looks of the debugger.
-    fn live(&mut self) {
-        if !self.executes() {
+    /// Runs the firmware between two accesses of the debugger.
+    fn run_firmware(&mut self) {
+        if !self.is_running() {
             return;
         }
         let Some(program @ (Program::Controller | Program::Traps)) = self.program else { return };
-        let heard = Rings::take(self);
-        if heard.is_empty() {
+        let received = RttBuffers::read_down(self);
+        if received.is_empty() {
             return;
         }
         if program == Program::Traps {
             return self.trap();
         }
         let now = self.since.elapsed().as_micros() as u32;
-        let mut said = Vec::new();
-        self.device.receive(&heard, now, |frame| said.extend_from_slice(frame));
-        Rings::say(self, &said);
+        let mut answer = Vec::new();
+        self.device.receive(&received, now, |frame| answer.extend_from_slice(frame));
+        RttBuffers::write_up(self, &answer);
     }
 
-    fn executes(&self) -> bool {
+    fn is_running(&self) -> bool {
         let in_a_handler = self.registers.get(&0xe000_ed04).is_some_and(|active| active & 0x1ff != 0);
         !self.halted && !in_a_handler
     }
 
-    /// What the firmware says on its serial port to what comes in there.
-    pub(crate) fn serial_port(&mut self, heard: &[u8]) -> Vec<u8> {
-        let program = self.program.filter(|_| self.executes());
+    /// The answer of the firmware on its serial port.
+    pub(crate) fn serial_port(&mut self, received: &[u8]) -> Vec<u8> {
+        let program = self.program.filter(|_| self.is_running());
         let Some(program @ (Program::Port | Program::PortTraps | Program::PortReports)) = program else {
             return Vec::new();
         };
-        if self.deaf > 0 {
-            self.deaf -= 1;
+        if self.lost_serial_chunks > 0 {
+            self.lost_serial_chunks -= 1;
             return Vec::new();
         }
         let now = self.since.elapsed().as_micros() as u32;
-        let mut said = Vec::new();
-        self.device.receive(heard, now, |frame| said.extend_from_slice(frame));
+        let mut answer = Vec::new();
+        self.device.receive(received, now, |frame| answer.extend_from_slice(frame));
         if program != Program::Port && self.device.output().drive_vpp > 0.0 {
-            said.clear();
+            answer.clear();
             self.trap();
             if program == Program::PortReports {
                 let report = FaultReport {
@@ -331,13 +331,13 @@ impl Chip {
                     cfsr: 0x8200,
                     address: 0x4000_1000,
                 };
-                said.extend_from_slice(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());
+                answer.extend_from_slice(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());
             }
         }
-        said
+        answer
     }
 
-    /// A data access to `0x4000_1000` that nothing answers, in `control_step`, called from `main_loop`; the handler waits in a loop.
+    /// A data bus error at `0x4000_1000` in `control_step`, called from `main_loop`; the handler loops.
     fn trap(&mut self) {
         for (address, value) in
             [(0xe000_ed04, 3), (0xe000_ed28, 0x8200), (0xe000_ed2c, 1 << 30), (0xe000_ed38, 0x4000_1000)]

@@ -1,15 +1,15 @@
-//! Firmware images made by hand: an ELF with three functions, their call frame information and, if wished, an RTT control block.
+//! Builds firmware images: an ELF with three functions and optionally an RTT control block.
 
-/// Where the code starts.
+/// Start of the code.
 pub(crate) const FLASH: u32 = 0x0800_0000;
-/// Where the RTT control block is.
+/// Address of the RTT control block.
 pub(crate) const RTT: u32 = 0x2000_0400;
 /// Functions, each 0x40 bytes.
 pub(crate) const CONTROL_STEP: u32 = 0x0800_0200;
 pub(crate) const MAIN_LOOP: u32 = 0x0800_0240;
 pub(crate) const HANDLER: u32 = 0x0800_0280;
 const FUNCTION_BYTES: u32 = 0x40;
-/// Where in flash the emulated processor looks which program it runs.
+/// Address in flash of the number of the program.
 pub(crate) const PROGRAM: u32 = 0x0800_0010;
 
 /// What the emulated processor does with an image.
@@ -19,15 +19,15 @@ pub(crate) enum Program {
     Controller = 1,
     /// RTT that never answers.
     Mute = 2,
-    /// RTT, and a trap with the first byte that comes.
+    /// RTT, and a trap at the first received byte.
     Traps = 3,
-    /// A symbol for RTT, and nothing that starts it.
+    /// A symbol for RTT, which never starts.
     Asleep = 4,
     /// The controller crate behind a serial port; no RTT.
     Port = 5,
-    /// The same, and a trap with the first sample; its handler is too late to say so.
+    /// The same, and a trap at the first sample, without a report.
     PortTraps = 6,
-    /// The same, and the handler reports the trap.
+    /// The same, with a report.
     PortReports = 7,
 }
 
@@ -39,8 +39,8 @@ impl Program {
     }
 }
 
-/// Everything that may differ.
-pub(crate) struct Recipe {
+/// Variants of the image.
+pub(crate) struct ImageSpec {
     pub(crate) program: Program,
     pub(crate) rtt: bool,
     pub(crate) address: u32,
@@ -48,14 +48,13 @@ pub(crate) struct Recipe {
     pub(crate) machine: u16,
 }
 
-impl Default for Recipe {
+impl Default for ImageSpec {
     fn default() -> Self {
         Self { program: Program::Controller, rtt: true, address: FLASH, bytes: 0x9000, machine: 40 }
     }
 }
 
-impl Recipe {
-    /// The ELF.
+impl ImageSpec {
     pub(crate) fn elf(&self) -> Vec<u8> {
         let mut code: Vec<u8> = (0..self.bytes).map(|index| (index * 7 + index / 251) as u8).collect();
         let mut put = |at: u32, value: u32| {
@@ -65,13 +64,14 @@ impl Recipe {
         put(FLASH, 0x2002_0000);
         put(FLASH + 4, MAIN_LOOP | 1);
         put(PROGRAM, self.program as u32);
+        // BL, which makes the next address a return address.
+        put(MAIN_LOOP + 0xc, 0xf800_f000);
         assemble(self, &code)
     }
 }
 
-fn assemble(recipe: &Recipe, code: &[u8]) -> Vec<u8> {
+fn assemble(spec: &ImageSpec, code: &[u8]) -> Vec<u8> {
     const HEADERS: u32 = 52 + 32;
-    let frames = call_frames();
     let mut names = b"\0".to_vec();
     let mut symbols = vec![0; 16];
     let mut symbol = |name: &str, address: u32, size: u32, kind: u8, section: u16| {
@@ -87,65 +87,44 @@ fn assemble(recipe: &Recipe, code: &[u8]) -> Vec<u8> {
     for (name, address) in [("control_step", CONTROL_STEP), ("main_loop", MAIN_LOOP), ("HardFault", HANDLER)] {
         symbol(name, address | 1, FUNCTION_BYTES, 2, 1);
     }
-    if recipe.rtt {
+    if spec.rtt {
         symbol("_SEGGER_RTT", RTT, 120, 1, 2);
     }
-    let titles = b"\0.text\0.bss\0.debug_frame\0.symtab\0.strtab\0.shstrtab\0";
+    let titles = b"\0.text\0.bss\0.symtab\0.strtab\0.shstrtab\0";
     let title = |name: &str| titles.windows(name.len()).position(|part| part == name.as_bytes()).unwrap() as u32;
     let at_code = HEADERS;
-    let at_frames = at_code + code.len() as u32;
-    let at_symbols = at_frames + frames.len() as u32;
+    let at_symbols = at_code + code.len() as u32;
     let at_names = at_symbols + symbols.len() as u32;
     let at_titles = at_names + names.len() as u32;
     let at_sections = (at_titles + titles.len() as u32).next_multiple_of(4);
     let length = |bytes: &[u8]| bytes.len() as u32;
 
     let mut elf = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
-    half(&mut elf, &[2, recipe.machine]);
-    words(&mut elf, &[1, MAIN_LOOP | 1, 52, at_sections, 0x0500_0000]);
-    half(&mut elf, &[52, 32, 1, 40, 7, 6]);
-    words(&mut elf, &[1, at_code, recipe.address, recipe.address, length(code), length(code), 5, 4]);
-    for part in [code, &frames, &symbols, &names, titles] {
+    push_half_words(&mut elf, &[2, spec.machine]);
+    push_words(&mut elf, &[1, MAIN_LOOP | 1, 52, at_sections, 0x0500_0000]);
+    push_half_words(&mut elf, &[52, 32, 1, 40, 6, 5]);
+    push_words(&mut elf, &[1, at_code, spec.address, spec.address, length(code), length(code), 5, 4]);
+    for part in [code, &symbols, &names, titles] {
         elf.extend_from_slice(part);
     }
     elf.resize(at_sections as usize, 0);
-    words(&mut elf, &[0; 10]);
-    words(&mut elf, &[title(".text"), 1, 6, recipe.address, at_code, length(code), 0, 0, 4, 0]);
-    words(&mut elf, &[title(".bss"), 8, 3, RTT, at_frames, 120, 0, 0, 4, 0]);
-    words(&mut elf, &[title(".debug_frame"), 1, 0, 0, at_frames, length(&frames), 0, 0, 1, 0]);
-    words(&mut elf, &[title(".symtab"), 2, 0, 0, at_symbols, length(&symbols), 5, 1, 4, 16]);
-    words(&mut elf, &[title(".strtab"), 3, 0, 0, at_names, length(&names), 0, 0, 1, 0]);
-    words(&mut elf, &[title(".shstrtab"), 3, 0, 0, at_titles, length(titles), 0, 0, 1, 0]);
+    push_words(&mut elf, &[0; 10]);
+    push_words(&mut elf, &[title(".text"), 1, 6, spec.address, at_code, length(code), 0, 0, 4, 0]);
+    push_words(&mut elf, &[title(".bss"), 8, 3, RTT, at_symbols, 120, 0, 0, 4, 0]);
+    push_words(&mut elf, &[title(".symtab"), 2, 0, 0, at_symbols, length(&symbols), 4, 1, 4, 16]);
+    push_words(&mut elf, &[title(".strtab"), 3, 0, 0, at_names, length(&names), 0, 0, 1, 0]);
+    push_words(&mut elf, &[title(".shstrtab"), 3, 0, 0, at_titles, length(titles), 0, 0, 1, 0]);
     elf
 }
 
-fn words(to: &mut Vec<u8>, values: &[u32]) {
+fn push_words(to: &mut Vec<u8>, values: &[u32]) {
     for value in values {
         to.extend_from_slice(&value.to_le_bytes());
     }
 }
 
-fn half(to: &mut Vec<u8>, values: &[u16]) {
+fn push_half_words(to: &mut Vec<u8>, values: &[u16]) {
     for value in values {
         to.extend_from_slice(&value.to_le_bytes());
     }
-}
-
-/// The handler has pushed r7 and lr, `control_step` 16 bytes with lr on top, and `main_loop` is called by nobody.
-fn call_frames() -> Vec<u8> {
-    let mut frames = Vec::new();
-    // Version 3, code in steps of 1, data in steps of -4, return address in r14; the frame starts at r13.
-    entry(&mut frames, &[0xffff_ffff], &[3, 0, 1, 0x7c, 14, 0x0c, 13, 0]);
-    entry(&mut frames, &[0, HANDLER, FUNCTION_BYTES], &[0x0e, 8, 0x87, 2, 0x8e, 1]);
-    entry(&mut frames, &[0, CONTROL_STEP, FUNCTION_BYTES], &[0x0e, 16, 0x8e, 1]);
-    entry(&mut frames, &[0, MAIN_LOOP, FUNCTION_BYTES], &[0x07, 14]);
-    frames
-}
-
-fn entry(frames: &mut Vec<u8>, head: &[u32], body: &[u8]) {
-    let mut body = body.to_vec();
-    body.resize(body.len().next_multiple_of(4), 0);
-    words(frames, &[(4 * head.len() + body.len()) as u32]);
-    words(frames, head);
-    frames.extend_from_slice(&body);
 }

@@ -1,37 +1,38 @@
-//! `--rig probe` without a board: probe-rs's own debug port, Cortex-M, STM32, flash loader and RTT code works on an emulated memory map.
+//! Tests `--rig probe` without a board: probe-rs's code for debug port, Cortex-M, STM32, flash and RTT works on an
+//! emulated memory map.
 //!
-//! What this cannot show stands in `docs/attach-a-board.md`: USB, SWD signals, real flash algorithms.
+//! Not covered, see `docs/attach-a-board.md`: USB, SWD signals, real flash algorithms.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
+#![allow(clippy::unwrap_used, reason = "a failed fixture fails the test")]
 
 mod chip;
-mod emulated;
-mod ends;
-mod finds;
-mod flashes;
+mod discovery;
+mod emulated_probe;
+mod flashing;
 mod image;
 mod ports;
-mod rtt;
-mod setups;
-mod talks;
+mod rtt_buffers;
+mod rtt_exchange;
+mod setup;
+mod shutdown;
 mod traps;
 
 use chip::CHIP;
-use emulated::Bench;
-use image::Recipe;
-use platebench_rig::probe::{Attached, Patience, ProbeError, ProbeSpec, RttLink, Setup};
+use emulated_probe::SharedChip;
+use image::ImageSpec;
+use platebench_rig::probe::{AttachedBoard, ProbeError, ProbeSetup, ProbeSpec, RttLink, Timeouts};
 use std::time::Duration;
 
-/// Short waits, so that what hangs is seen to end.
-fn patience() -> Patience {
-    Patience {
+/// Short time-outs for the tests of hangs.
+fn timeouts() -> Timeouts {
+    Timeouts {
         attach: Duration::from_secs(10),
         flash: Duration::from_secs(20),
         reset: Duration::from_secs(2),
         rtt: Duration::from_millis(300),
-        introduction: Duration::from_millis(400),
+        handshake: Duration::from_millis(400),
         exchange: Duration::from_millis(100),
-        fault: Duration::from_secs(2),
+        crash: Duration::from_secs(2),
         grace: Duration::from_millis(300),
     }
 }
@@ -40,11 +41,11 @@ fn spec() -> ProbeSpec {
     CHIP.parse().unwrap()
 }
 
-fn attach(bench: &Bench) -> Result<Attached, ProbeError> {
-    Attached::attach(&spec(), bench.lister(), patience())
+fn attach(chip: &SharedChip) -> Result<AttachedBoard, ProbeError> {
+    AttachedBoard::attach(&spec(), chip.lister(), timeouts())
 }
 
-/// A link to a board that runs what `recipe` says.
-fn link(bench: &Bench, recipe: &Recipe) -> Result<RttLink, ProbeError> {
-    Setup::new(spec(), &recipe.elf(), None)?.over_rtt(bench.lister(), patience())
+/// A link to a board that runs the image `spec`.
+fn link(chip: &SharedChip, image: &ImageSpec) -> Result<RttLink, ProbeError> {
+    ProbeSetup::new(spec(), &image.elf(), None)?.connect_rtt(chip.lister(), timeouts())
 }

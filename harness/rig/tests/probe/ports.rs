@@ -1,44 +1,47 @@
-//! The wire protocol over the board's serial port: a pseudo-terminal with the emulated chip at its other end.
+//! Tests the wire protocol over the board's serial port, a pseudo-terminal with the emulated chip.
 
-use crate::emulated::Bench;
-use crate::image::{Program, Recipe};
-use crate::talks::configure;
-use crate::{patience, spec};
+use crate::emulated_probe::SharedChip;
+use crate::image::{ImageSpec, Program};
+use crate::rtt_exchange::CONFIGURE;
+use crate::{spec, timeouts};
 use platebench_rig::link::{Link, LinkError};
-use platebench_rig::probe::{ProbeError, Setup};
-use platebench_rig::{AnyLink, ConnectError, RigError, SerialError, Session, TargetFault, Terminal};
-use platebench_wire::{Message, Sample, State};
+use platebench_rig::probe::{ProbeError, ProbeSetup};
+use platebench_rig::{BoxedLink, ConnectError, PtyLink, RigError, SerialError, Session, TargetError};
+use platebench_wire::{ControllerState, Message, Sample};
 use std::path::Path;
 use std::sync::{Arc, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A cable from the chip's serial port to the path that is returned; it lasts as long as what comes with that.
-fn cable(bench: &Bench) -> (String, Arc<()>) {
-    let mut terminal = Terminal::open().unwrap();
+/// A cable from the chip's serial port to the returned path. It lasts until the returned guard is dropped.
+fn cable(bench: &SharedChip) -> (String, Arc<()>) {
+    let mut terminal = PtyLink::open().unwrap();
     let (path, bench, plugged) = (terminal.path().to_owned(), bench.clone(), Arc::new(()));
-    let still: Weak<()> = Arc::downgrade(&plugged);
+    let guard: Weak<()> = Arc::downgrade(&plugged);
     thread::spawn(move || {
-        let line = terminal.line().unwrap();
-        let mut heard = Vec::new();
-        while still.upgrade().is_some() {
-            heard.clear();
-            if line.receive(Instant::now() + Duration::from_millis(20), &mut heard).unwrap().is_some() {
-                let said = bench.chip().serial_port(&heard);
-                line.send(&said).unwrap();
+        let line = terminal.real_time_line().unwrap();
+        let mut received = Vec::new();
+        while guard.upgrade().is_some() {
+            received.clear();
+            if line.receive(Instant::now() + Duration::from_millis(20), &mut received).unwrap().is_some() {
+                let answer = bench.chip().serial_port(&received);
+                line.send(&answer).unwrap();
             }
         }
     });
     (path, plugged)
 }
 
-fn recipe(program: Program) -> Recipe {
-    Recipe { program, rtt: false, ..Recipe::default() }
+fn port_image(program: Program) -> ImageSpec {
+    ImageSpec { program, rtt: false, ..ImageSpec::default() }
 }
 
-fn connect(bench: &Bench, port: &str, program: Program) -> Result<AnyLink, ConnectError> {
+fn connect(bench: &SharedChip, port: &str, program: Program) -> Result<BoxedLink, ConnectError> {
     let port = (port.into(), 1_000_000);
-    Setup::new(spec(), &recipe(program).elf(), Some(port)).unwrap().connect(bench.lister(), patience())
+    ProbeSetup::new(spec(), &port_image(program).elf(), Some(port))
+        .unwrap()
+        .connect(bench.lister(), timeouts())
+        .map_err(ConnectError::from)
 }
 
 fn sample(step: u32) -> Sample {
@@ -46,19 +49,19 @@ fn sample(step: u32) -> Sample {
 }
 
 #[test]
-fn a_board_is_flashed_reset_and_talked_to_over_its_port_in_both_clocks_and_reset_at_the_end() {
-    let bench = Bench::new();
+fn controls_over_the_port_in_both_clocks() {
+    let bench = SharedChip::new();
     let (port, _plugged) = cable(&bench);
     let mut session = Session::open(connect(&bench, &port, Program::Port).unwrap()).unwrap();
     assert_eq!(session.firmware_name(), "emulated-board");
     assert_eq!(bench.written(), (3, 36));
-    session.begin(&configure()).unwrap();
-    let reply = session.sample(Duration::ZERO, &sample(0)).unwrap().unwrap();
-    assert_eq!(reply.command.state, State::Running);
-    assert!(session.is_live());
-    let number = session.post(Message::Sample(sample(1))).unwrap();
-    let heard = session.listen(Instant::now() + Duration::from_secs(10)).unwrap().unwrap();
-    assert_eq!(heard.sequence, number);
+    session.start_trial(&CONFIGURE).unwrap();
+    let reply = session.send_sample(Duration::ZERO, &sample(0)).unwrap().unwrap();
+    assert_eq!(reply.command.state, ControllerState::Running);
+    assert!(session.supports_real_time());
+    let number = session.send(Message::Sample(sample(1))).unwrap();
+    let received = session.receive(Instant::now() + Duration::from_secs(10)).unwrap().unwrap();
+    assert_eq!(received.sequence, number);
     assert!(bench.chip().device.output().drive_vpp > 0.0);
     let before = bench.chip().resets;
     drop(session);
@@ -68,34 +71,34 @@ fn a_board_is_flashed_reset_and_talked_to_over_its_port_in_both_clocks_and_reset
 }
 
 #[test]
-fn firmware_that_takes_its_time_after_the_reset_is_waited_for() {
-    let bench = Bench::new();
+fn waits_for_slow_firmware_after_the_reset() {
+    let bench = SharedChip::new();
     let (port, _plugged) = cable(&bench);
-    bench.chip().deaf = 2;
+    bench.chip().lost_serial_chunks = 2;
     let mut session = Session::open(connect(&bench, &port, Program::Port).unwrap()).unwrap();
-    assert!(session.safe());
+    assert!(session.request_safe_state());
 }
 
 #[test]
-fn silence_on_the_port_is_bounded_and_asks_whether_it_is_the_board_s() {
-    let bench = Bench::new();
+fn ends_the_handshake_with_a_silent_port() {
+    let bench = SharedChip::new();
     let (port, _plugged) = cable(&bench);
-    bench.chip().deaf = u32::MAX;
+    bench.chip().lost_serial_chunks = u32::MAX;
     let start = Instant::now();
     let error = connect(&bench, &port, Program::Port).err().unwrap();
     assert!(start.elapsed() < Duration::from_secs(10));
-    assert!(matches!(&error, ConnectError::Probe(ProbeError::NoIntroduction { .. })), "{error}");
+    assert!(matches!(&error, ConnectError::Probe(ProbeError::NoHandshake { .. })), "{error}");
     assert!(!error.is_invalid_input());
-    let told = error.to_string();
-    assert!(told.contains(&port) && told.contains("within 400 ms of the reset"), "{told}");
+    let text = error.to_string();
+    assert!(text.contains(&port) && text.contains("within 400 ms after the reset"), "{text}");
     // Port and board are free again.
-    bench.chip().deaf = 0;
+    bench.chip().lost_serial_chunks = 0;
     assert!(connect(&bench, &port, Program::Port).is_ok());
 }
 
 #[test]
-fn a_port_that_is_not_there_costs_the_board_nothing() {
-    let bench = Bench::new();
+fn does_not_touch_the_board_without_the_port() {
+    let bench = SharedChip::new();
     let error = connect(&bench, "/dev/no-such-port", Program::Port).err().unwrap();
     assert!(
         matches!(&error, ConnectError::Serial(SerialError::Open { port, .. }) if port == Path::new("/dev/no-such-port"))
@@ -104,18 +107,18 @@ fn a_port_that_is_not_there_costs_the_board_nothing() {
 }
 
 #[test]
-fn a_missing_answer_is_explained_by_the_trap_that_the_probe_sees() {
+fn explains_a_missing_answer_by_the_trap() {
     for program in [Program::PortTraps, Program::PortReports] {
-        let bench = Bench::new();
+        let bench = SharedChip::new();
         let (port, _plugged) = cable(&bench);
         let mut session = Session::open(connect(&bench, &port, program).unwrap()).unwrap();
-        session.begin(&configure()).unwrap();
-        let error = session.sample(Duration::ZERO, &sample(0)).unwrap_err();
+        session.start_trial(&CONFIGURE).unwrap();
+        let error = session.send_sample(Duration::ZERO, &sample(0)).unwrap_err();
         let RigError::Link(LinkError::Target(target)) = &error else { panic!("{program:?}: {error:?}") };
-        assert!(matches!(&**target, TargetFault::OnBoard(_)), "{target:?}");
-        let told = error.to_string();
-        for part in ["address 0x40001000", "at 0x08000212 in control_step", "called from 0x08000250 in main_loop"] {
-            assert!(told.contains(part), "{program:?}: {part} is missing in: {told}");
+        assert!(matches!(&**target, TargetError::Trap(_)), "{target:?}");
+        let text = error.to_string();
+        for part in ["address 0x40001000", "at 0x08000212 in control_step", "called from 0x0800024e in main_loop"] {
+            assert!(text.contains(part), "{program:?}: {part} is missing in: {text}");
         }
     }
 }

@@ -1,9 +1,9 @@
 //! The same exchange each millisecond, sample against command with the host controller, by a plain thread that blocks and by a task of a runtime.
 
-use super::limits::Guarded;
+use super::limits::ChildGuard;
 use super::table::{Quantiles, quantiles};
-use platebench_rig::{Exec, Faulty, Session};
-use platebench_wire::{Configure, FrameReader, LawId, Message, Packet, Sample};
+use platebench_rig::{ExecLink, FaultInjector, Session};
+use platebench_wire::{Configure, LawId, Message, Packet, PacketReader, Sample};
 use std::error::Error;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -11,11 +11,11 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_serial::{SerialPort, SerialStream};
 
 /// A command that is not there by then is missed.
-const PATIENCE: Duration = Duration::from_millis(100);
+const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
 const PERIOD: Duration = Duration::from_millis(1);
 
 /// What was measured.
-pub(crate) struct Exchange {
+pub(crate) struct ExchangeStats {
     /// How late the sample left.
     pub(crate) lateness: Quantiles,
     /// From then until the command was there.
@@ -28,7 +28,7 @@ fn configure() -> Configure {
         law: LawId::DqPi,
         paced_by_target: false,
         drives_own_plate: false,
-        patience_ms: 1_000,
+        watchdog_timeout_ms: 1_000,
         period_us: 1_000,
         loop_delay_us: 0,
         start_frequency_mhz: 32_307_600,
@@ -48,15 +48,15 @@ fn sample(number: u32) -> Sample {
 
 /// Lateness and round trips as they come.
 #[derive(Default)]
-struct Taken {
+struct ExchangeTimes {
     lateness: Vec<Duration>,
     round_trip: Vec<Duration>,
     missed: u32,
 }
 
-impl Taken {
-    fn finish(mut self) -> Exchange {
-        Exchange {
+impl ExchangeTimes {
+    fn finish(mut self) -> ExchangeStats {
+        ExchangeStats {
             lateness: quantiles(&mut self.lateness),
             round_trip: quantiles(&mut self.round_trip),
             missed: self.missed,
@@ -65,20 +65,20 @@ impl Taken {
 }
 
 /// A plain thread: it sleeps to the deadline and waits for the answer in `ppoll`.
-pub(crate) fn blocking(length: Duration) -> Result<Exchange, Box<dyn Error>> {
-    let mut session = Session::open(Faulty::new(Exec::start(&crate::other_side("")?)?))?;
-    session.begin(&configure())?;
-    let mut taken = Taken::default();
+pub(crate) fn measure_blocking(length: Duration) -> Result<ExchangeStats, Box<dyn Error>> {
+    let mut session = Session::open(FaultInjector::new(ExecLink::start(&crate::controller_command("")?)?))?;
+    session.start_trial(&configure())?;
+    let mut taken = ExchangeTimes::default();
     let start = Instant::now();
     for number in 1..=length.as_millis() as u32 {
         let due = start + PERIOD * number;
         std::thread::sleep(due.saturating_duration_since(Instant::now()));
         let sent = Instant::now();
         taken.lateness.push(sent.saturating_duration_since(due));
-        let sequence = session.post(Message::Sample(sample(number)))?;
+        let sequence = session.send(Message::Sample(sample(number)))?;
         let answered = loop {
-            match session.listen(sent + PATIENCE)? {
-                Some(heard) if heard.sequence == sequence => break Some(heard.at),
+            match session.receive(sent + ANSWER_TIMEOUT)? {
+                Some(heard) if heard.sequence == sequence => break Some(heard.received_at),
                 Some(_) => {}
                 None => break None,
             }
@@ -92,7 +92,7 @@ pub(crate) fn blocking(length: Duration) -> Result<Exchange, Box<dyn Error>> {
 }
 
 /// A task on a runtime of one thread, with the runtime's own timer and tokio-serial for the line.
-pub(crate) fn tokio(length: Duration) -> Result<Exchange, Box<dyn Error>> {
+pub(crate) fn measure_tokio(length: Duration) -> Result<ExchangeStats, Box<dyn Error>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let (mut port, other) = SerialStream::pair()?;
@@ -102,27 +102,27 @@ pub(crate) fn tokio(length: Duration) -> Result<Exchange, Box<dyn Error>> {
             other.set_exclusive(false)?;
         }
         let child = Command::new(std::env::current_exe()?).arg(&path).stdin(Stdio::null()).spawn()?;
-        let _child = Guarded(child);
-        let mut line = Line { port: &mut port, reader: FrameReader::new(), buffer: [0; 512], filled: 0, read: 0 };
+        let _child = ChildGuard(child);
+        let mut line = AsyncPort { port: &mut port, reader: PacketReader::new(), buffer: [0; 512], filled: 0, read: 0 };
         // The controller may not be up yet.
         let begun = Instant::now();
-        while !line.ask(0, Message::Hello).await? {
+        while !line.request(0, Message::Hello).await? {
             if begun.elapsed() > Duration::from_secs(5) {
                 return Err("the controller does not come up".into());
             }
         }
         drop(other);
-        if !line.ask(1, Message::Configure(configure())).await? {
+        if !line.request(1, Message::Configure(configure())).await? {
             return Err("the controller is not configured".into());
         }
-        let mut taken = Taken::default();
+        let mut taken = ExchangeTimes::default();
         let start = tokio::time::Instant::now();
         for number in 1..=length.as_millis() as u32 {
             let due = start + PERIOD * number;
             tokio::time::sleep_until(due).await;
             let sent = Instant::now();
             taken.lateness.push(sent.saturating_duration_since(due.into_std()));
-            if line.ask(number as u8, Message::Sample(sample(number))).await? {
+            if line.request(number as u8, Message::Sample(sample(number))).await? {
                 taken.round_trip.push(sent.elapsed());
             } else {
                 taken.missed += 1;
@@ -132,30 +132,29 @@ pub(crate) fn tokio(length: Duration) -> Result<Exchange, Box<dyn Error>> {
     })
 }
 
-struct Line<'a> {
+struct AsyncPort<'a> {
     port: &'a mut SerialStream,
-    reader: FrameReader,
+    reader: PacketReader,
     buffer: [u8; 512],
     filled: usize,
     read: usize,
 }
 
-impl Line<'_> {
+impl AsyncPort<'_> {
     /// True where the answer that carries the number came in time.
-    async fn ask(&mut self, sequence: u8, message: Message) -> std::io::Result<bool> {
+    async fn request(&mut self, sequence: u8, message: Message) -> std::io::Result<bool> {
         self.port.write_all(Packet { sequence, message }.encode().as_bytes()).await?;
-        match tokio::time::timeout(PATIENCE, self.answer(sequence)).await {
+        match tokio::time::timeout(ANSWER_TIMEOUT, self.await_answer(sequence)).await {
             Ok(answered) => answered.map(|()| true),
             Err(_) => Ok(false),
         }
     }
 
-    async fn answer(&mut self, sequence: u8) -> std::io::Result<()> {
+    async fn await_answer(&mut self, sequence: u8) -> std::io::Result<()> {
         loop {
             while let Some(&byte) = self.buffer.get(..self.filled).and_then(|bytes| bytes.get(self.read)) {
                 self.read += 1;
-                let packet = self.reader.push(byte).and_then(Result::ok).and_then(|body| Packet::decode(body).ok());
-                if packet.is_some_and(|packet| packet.sequence == sequence) {
+                if self.reader.push(byte).is_some_and(|packet| packet.is_ok_and(|it| it.sequence == sequence)) {
                     return Ok(());
                 }
             }

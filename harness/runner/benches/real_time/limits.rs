@@ -28,7 +28,7 @@ fn nanos(time: Timespec) -> i64 {
 }
 
 /// How late a thread wakes up that sleeps to an absolute instant each millisecond; `None` where it is to be preferred to others and that is not granted.
-pub(crate) fn sleeping(length: Duration, preferred: bool) -> Result<Option<Quantiles>, Box<dyn Error>> {
+pub(crate) fn measure_sleep(length: Duration, preferred: bool) -> Result<Option<Quantiles>, Box<dyn Error>> {
     // Of its own, because what it is granted is not taken back, and processes inherit it.
     let slept = std::thread::spawn(move || {
         let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
@@ -36,12 +36,12 @@ pub(crate) fn sleeping(length: Duration, preferred: bool) -> Result<Option<Quant
         let granted = priority.is_ok_and(|priority| {
             preferred && set_thread_priority_and_policy(thread_native_id(), priority, policy).is_ok()
         });
-        if granted == preferred { sleep_again_and_again(length).map(Some) } else { Ok(None) }
+        if granted == preferred { sleep_repeatedly(length).map(Some) } else { Ok(None) }
     });
     Ok(slept.join().map_err(|_| "the thread that sleeps has panicked")??)
 }
 
-fn sleep_again_and_again(length: Duration) -> std::io::Result<Quantiles> {
+fn sleep_repeatedly(length: Duration) -> std::io::Result<Quantiles> {
     let now = || clock_gettime(ClockId::Monotonic);
     let start = nanos(now());
     let count = length.as_nanos() as i64 / PERIOD_NS;
@@ -56,7 +56,7 @@ fn sleep_again_and_again(length: Duration) -> std::io::Result<Quantiles> {
 }
 
 /// The same by `cyclictest`, where it is installed and may be preferred.
-pub(crate) fn cyclictest(length: Duration) -> Result<Option<Reference>, Box<dyn Error>> {
+pub(crate) fn run_cyclictest(length: Duration) -> Result<Option<Reference>, Box<dyn Error>> {
     let loops = (length.as_millis()).to_string();
     let output =
         Command::new("cyclictest").args(["-q", "-p", "45", "-i", "1000", "-l", &loops, "-h", "100000"]).output();
@@ -85,9 +85,9 @@ pub(crate) fn cyclictest(length: Duration) -> Result<Option<Reference>, Box<dyn 
 }
 
 /// A process that ends with its measurement.
-pub(crate) struct Guarded(pub(crate) Child);
+pub(crate) struct ChildGuard(pub(crate) Child);
 
-impl Drop for Guarded {
+impl Drop for ChildGuard {
     fn drop(&mut self) {
         // It may have ended already.
         let _ = self.0.kill();
@@ -121,11 +121,11 @@ pub(crate) fn echo(path: &str) -> std::io::Result<()> {
 }
 
 /// How long a frame takes to a process that sends it back at once, each millisecond: `read` and `write`, nothing else.
-pub(crate) fn echoing(length: Duration) -> Result<Quantiles, Box<dyn Error>> {
+pub(crate) fn measure_echo(length: Duration) -> Result<Quantiles, Box<dyn Error>> {
     let (ours, other, path) = terminal()?;
     let program = std::env::current_exe()?;
     let child = Command::new(program).args(["--echo", &path]).stdin(Stdio::null()).spawn()?;
-    let _child = Guarded(child);
+    let _child = ChildGuard(child);
     let mut line = File::from(ours);
     let frame = [0x55; FRAME];
     let mut buffer = [0; FRAME];

@@ -1,8 +1,8 @@
 //! What was measured, as tables.
 
-use super::exchange::Exchange;
-pub(crate) use platebench_verdict::record::Quantiles;
-use platebench_verdict::record::Timing;
+use super::exchange::ExchangeStats;
+pub(crate) use platebench_record::Quantiles;
+use platebench_record::TimingRecord;
 use std::time::Duration;
 
 /// Sorts; in µs. All zero where nothing was taken.
@@ -40,18 +40,18 @@ pub(crate) fn references(references: &[Reference]) {
     println!();
 }
 
-pub(crate) fn exchanges(rows: &[(&str, &Exchange)], sleep: Quantiles, echo: Quantiles) {
+pub(crate) fn exchanges(rows: &[(&str, &ExchangeStats)], sleep: Quantiles, echo: Quantiles) {
     println!(
         "| exchange at 1 kHz, µs | p50 | p99 | p99.9 | max | p50 to the limit | missed |\n|---|---|---|---|---|---|---|"
     );
-    for (name, Exchange { lateness, round_trip, missed }) in rows {
+    for (name, ExchangeStats { lateness, round_trip, missed }) in rows {
         println!("| {name}: lateness | {} | {:.1} | |", cells(lateness), lateness.p50 / sleep.p50);
         println!("| {name}: sample to command | {} | {:.1} | {missed} |", cells(round_trip), round_trip.p50 / echo.p50);
     }
     println!();
 }
 
-pub(crate) fn loops(rows: &[(u32, Timing)], sleep: Quantiles, echo: Quantiles) {
+pub(crate) fn loops(rows: &[(u32, TimingRecord)], sleep: Quantiles, echo: Quantiles) {
     println!(
         "| loop | lateness p50 | p99 | p99.9 | max | p50 to sleep | loop delay p50 | p99 | p99.9 | max | p50 to echo | periods | overruns | skipped | missed |"
     );

@@ -1,41 +1,43 @@
-//! Control instants that a target's own timer makes.
+//! Measures the lateness of a target's ticks and counts missing ones.
 
 use platebench_plate::Time;
 use std::time::{Duration, Instant};
 
-/// The target's ticks beside their arrivals: the earliest of late is taken for punctual.
+/// Compares ticks with their arrivals; the earliest recent arrival counts as punctual.
 ///
-/// A tick carries the instant at which the target came to it, so that a target which is late itself cannot be told by that: its periods are counted instead.
+/// A tick carries the instant at which the target handled it, which does not show if the target itself was late, so
+/// its periods are counted instead.
 #[derive(Debug, Default)]
-pub(super) struct Ticks {
+pub(super) struct TickTracker {
     first: Option<Instant>,
     last_us: u32,
     /// On the target's clock since its first tick, µs, unwrapped.
     target_us: u64,
-    /// Number of the last period.
+    /// The last period's number.
     period: u64,
-    /// Arrival minus the beginning of the period on the target's clock, µs, smallest of this stretch of time and of the one before: clocks drift.
+    /// The least arrival minus start of period on the target's clock, µs, in this interval and the one before: clocks
+    /// drift.
     earliest: [Option<f64>; 2],
-    stretch: u64,
+    interval: u64,
 }
 
-impl Ticks {
-    /// How long a stretch is; two clocks drift by some 0.1 µs in a millisecond at most.
-    const STRETCH: Duration = Duration::from_millis(500);
+impl TickTracker {
+    /// Two clocks drift by at most some 0.1 µs per millisecond.
+    const DRIFT_INTERVAL: Duration = Duration::from_millis(500);
 
-    pub(super) fn any(&self) -> bool {
+    pub(super) fn has_ticks(&self) -> bool {
         self.first.is_some()
     }
 
-    /// Takes in a tick that was heard `at`. How much later than usual that was within its period (or earlier: then the punctual ones before were late by as
-    /// much), and how many periods went by without a tick since the last one.
-    pub(super) fn hear(&mut self, at: Instant, target_us: u32, period: Time) -> (Duration, u64) {
+    /// Records a tick that arrived at `at`. Returns its lateness within its period and the number of periods without a
+    /// tick since the last one. An unusually early tick gives the same lateness: the punctual ones before were late.
+    pub(super) fn record(&mut self, at: Instant, target_us: u32, period: Time) -> (Duration, u64) {
         if self.first.is_none() {
             self.last_us = target_us;
         }
         let since = at.saturating_duration_since(*self.first.get_or_insert(at));
         let step = target_us.wrapping_sub(std::mem::replace(&mut self.last_us, target_us));
-        // A clock that goes back looks an hour ahead.
+        // A step back of the counter looks like more than half its range.
         self.target_us += if step > u32::MAX / 2 { 0 } else { u64::from(step) };
         let period_us = period.seconds() * 1e6;
         let number = (self.target_us as f64 / period_us).round();
@@ -43,9 +45,9 @@ impl Ticks {
         let missing = self.period.saturating_sub(before + 1);
 
         let behind = since.as_secs_f64() * 1e6 - number * period_us;
-        let stretch = (since.as_nanos() / Self::STRETCH.as_nanos()) as u64;
-        if stretch != self.stretch {
-            self.stretch = stretch;
+        let interval = (since.as_nanos() / Self::DRIFT_INTERVAL.as_nanos()) as u64;
+        if interval != self.interval {
+            self.interval = interval;
             self.earliest = [None, self.earliest[0]];
         }
         let earliest = self.earliest.iter().flatten().copied().reduce(f64::min).unwrap_or(behind);
@@ -61,55 +63,55 @@ mod tests {
     const PERIOD: Time = Time::from_nanos(1_000_000);
 
     #[test]
-    fn a_tick_is_late_against_the_punctual_ones_before_it() {
+    fn measures_lateness_against_punctual_ticks() {
         let start = Instant::now();
-        let mut ticks = Ticks::default();
-        // The target's counter wraps in between and runs 50 ppm slow.
-        let mut hear = |number: u32, late_us: u64| {
+        let mut ticks = TickTracker::default();
+        // The target's counter wraps and runs 50 ppm slow.
+        let mut tick = |number: u32, late_us: u64| {
             let at = start + Duration::from_micros(u64::from(number) * 1_000 + 100 + late_us);
             let target = (f64::from(number) * 1_000.0 * (1.0 - 50e-6)) as u32;
-            ticks.hear(at, 0xFFFF_0000_u32.wrapping_add(target), PERIOD).0.as_micros()
+            ticks.record(at, 0xFFFF_0000_u32.wrapping_add(target), PERIOD).0.as_micros()
         };
-        assert_eq!(hear(0, 0), 0);
+        assert_eq!(tick(0, 0), 0);
         // The target counts whole microseconds.
-        assert!((299..=301).contains(&hear(1, 300)));
-        assert!(hear(2, 0) <= 1);
+        assert!((299..=301).contains(&tick(1, 300)));
+        assert!(tick(2, 0) <= 1);
         for number in 3..5_000 {
-            let lateness = hear(number, 0);
-            assert!(lateness <= 60, "tick {number}: drift of two stretches at most, not {lateness}");
+            let lateness = tick(number, 0);
+            assert!(lateness <= 60, "tick {number}: drift of two intervals at most, not {lateness}");
         }
-        let lateness = hear(5_000, 400);
+        let lateness = tick(5_000, 400);
         assert!((400..=460).contains(&lateness), "{lateness}");
     }
 
     #[test]
-    fn a_first_tick_that_was_late_shows_in_the_second() {
+    fn a_late_first_tick_shows_in_the_second() {
         let start = Instant::now();
-        let mut ticks = Ticks::default();
-        let mut hear = |number: u32, late_us: u64| {
+        let mut ticks = TickTracker::default();
+        let mut tick = |number: u32, late_us: u64| {
             let at = start + Duration::from_micros(u64::from(number) * 1_000 + late_us);
-            ticks.hear(at, number * 1_000, PERIOD).0.as_micros()
+            ticks.record(at, number * 1_000, PERIOD).0.as_micros()
         };
-        assert_eq!([hear(0, 900), hear(1, 500), hear(2, 0), hear(3, 0), hear(4, 10)], [0, 400, 500, 0, 10]);
+        assert_eq!([tick(0, 900), tick(1, 500), tick(2, 0), tick(3, 0), tick(4, 10)], [0, 400, 500, 0, 10]);
     }
 
     #[test]
-    fn periods_without_a_tick_are_counted_across_the_wrap() {
-        let mut ticks = Ticks::default();
+    fn counts_missing_ticks_across_the_wrap() {
+        let mut ticks = TickTracker::default();
         let start = 0xFFFF_FF00_u32;
-        let mut missing = |target_us: u32| ticks.hear(Instant::now(), start.wrapping_add(target_us), PERIOD).1;
+        let mut missing = |target_us: u32| ticks.record(Instant::now(), start.wrapping_add(target_us), PERIOD).1;
         assert_eq!([0, 1_000, 1_990, 3_000, 7_000, 8_499, 10_000].map(&mut missing), [0, 0, 0, 0, 3, 0, 1]);
-        assert_eq!([9_000, 10_000].map(&mut missing), [0, 0], "never back");
+        assert_eq!([9_000, 10_000].map(&mut missing), [0, 0], "the counter does not go back");
     }
 
     #[test]
-    fn a_target_that_comes_late_to_its_own_tick_is_late() {
+    fn a_target_that_handles_its_tick_late_is_late() {
         let start = Instant::now();
-        let mut ticks = Ticks::default();
-        let mut hear = |number: u32, late_us: u32| {
+        let mut ticks = TickTracker::default();
+        let mut tick = |number: u32, late_us: u32| {
             let target_us = number * 1_000 + late_us;
-            ticks.hear(start + Duration::from_micros(target_us.into()), target_us, PERIOD).0.as_micros()
+            ticks.record(start + Duration::from_micros(target_us.into()), target_us, PERIOD).0.as_micros()
         };
-        assert_eq!([hear(0, 0), hear(1, 220), hear(2, 0), hear(3, 450)], [0, 220, 0, 450]);
+        assert_eq!([tick(0, 0), tick(1, 220), tick(2, 0), tick(3, 450)], [0, 220, 0, 450]);
     }
 }

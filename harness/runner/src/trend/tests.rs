@@ -1,6 +1,6 @@
 use super::*;
-use platebench_verdict::record::{FILE, FORMAT, Firmware, Host, InputRecord, Overrides, Tool};
-use platebench_verdict::{Telemetry, TrialRecord, Verdict};
+use platebench_record::{ClockKind, FORMAT, Firmware, Host, InputRecord, Overrides, RECORD_FILE, Tool};
+use platebench_record::{Telemetry, TrialRecord, Verdict};
 use std::fs;
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -29,7 +29,7 @@ fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
         verdict: Verdict::Pass,
         law: law.to_owned(),
         model: "modal".to_owned(),
-        model_choice: None,
+
         inputs: vec![InputRecord { file: "inputs/s.toml".to_owned(), sha256: input.to_owned() }],
         expectations: Vec::new(),
         trials: worst.iter().enumerate().map(trial).collect(),
@@ -46,19 +46,20 @@ fn record(build: &str, second: u32, scenarios: Vec<ScenarioRecord>) -> RunRecord
         tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned() },
         started: format!("2026-01-01T00:00:{second:02}Z"),
         rig: RigRecord { name: format!("emulated:{build}.elf"), firmware: Some(firmware) },
-        clock: "lockstep".to_owned(),
+        clock: ClockKind::Lockstep,
         overrides: Overrides::default(),
         safe_confirmed: None,
         host: Host { os: String::new(), arch: String::new() },
         scenarios,
+        not_applicable: Vec::new(),
         cost: Vec::new(),
     }
 }
 
-/// Runs side by side in a folder; the last is the present one.
-struct Runs(TempDir);
+/// Runs in one folder; the last is the present one.
+struct RunsFolder(TempDir);
 
-impl Runs {
+impl RunsFolder {
     fn new(earlier: &[(&str, RunRecord)]) -> Self {
         let runs = Self(tempfile::tempdir().unwrap());
         for (name, record) in earlier {
@@ -76,35 +77,35 @@ impl Runs {
 
     fn cost(&self, record: &RunRecord) -> Vec<CostTrend> {
         record.write(&self.folder("now")).unwrap();
-        cost(record, &self.folder("now"))
+        cost_trends(record, &self.folder("now"))
     }
 }
 
 #[test]
-fn a_step_that_became_a_third_longer_is_told_with_the_build_that_it_was_shorter_in() {
-    let runs = Runs::new(&[
+fn names_the_build_in_which_a_step_was_shorter() {
+    let runs = RunsFolder::new(&[
         ("a", record("old", 1, vec![scenario("dq-pi", "1", &[1_000.0])])),
         ("b", record("new", 2, vec![scenario("dq-pi", "1", &[1_300.0])])),
     ]);
     let trends = runs.cost(&record("new", 3, vec![scenario("dq-pi", "1", &[1_300.0])]));
     let [trend] = &trends[..] else { panic!("{trends:?}") };
     assert_eq!((trend.law.as_str(), trend.build.as_str()), ("dq-pi", "new"));
-    assert_eq!(trend.cost, Cost { mean: 1_170.0, worst: 1_300.0 });
+    assert_eq!(trend.cost, StepCost { mean: 1_170.0, worst: 1_300.0 });
     let names: Vec<_> = trend.earlier.iter().map(|earlier| earlier.run.as_deref()).collect();
     assert_eq!(names, [Some("b"), Some("a")], "the newest first, and not the run itself");
-    let change = trend.change().unwrap();
-    assert_eq!((change.what, change.now, change.then), ("worst", 1_300.0, 1_000.0));
-    assert_eq!(change.against.build, "old");
+    let change = trend.significant_change().unwrap();
+    assert_eq!((change.statistic, change.now, change.then), ("worst", 1_300.0, 1_000.0));
+    assert_eq!(change.earlier.build, "old");
 }
 
 #[test]
-fn only_what_both_played_is_compared() {
+fn compares_equal_trials_only() {
     let earlier = vec![
         scenario("dq-pi", "1", &[1_000.0, 2_000.0]),
         scenario("open-loop", "1", &[500.0]),
         scenario("dq-pi", "changed since", &[9_000.0]),
     ];
-    let runs = Runs::new(&[("a", record("old", 1, earlier))]);
+    let runs = RunsFolder::new(&[("a", record("old", 1, earlier))]);
     let now = vec![
         scenario("dq-pi", "1", &[1_010.0]),
         scenario("dq-pi", "2", &[4_000.0]),
@@ -115,19 +116,19 @@ fn only_what_both_played_is_compared() {
     assert_eq!(laws, [("dq-pi", 4_000.0), ("dq-pi-euler", 7_000.0)]);
     let [earlier] = &trends[0].earlier[..] else { panic!("{trends:?}") };
     assert_eq!((earlier.trials, earlier.then.worst, earlier.now.worst), (1, 1_000.0, 1_010.0));
-    assert_eq!(trends[0].change(), None, "a percent is not worth a word");
+    assert_eq!(trends[0].significant_change(), None, "a percent is not worth a word");
     assert_eq!(trends[1].earlier, [], "another law is another matter");
 }
 
 #[test]
-fn other_firmware_other_rigs_and_damaged_records_are_left_out() {
+fn ignores_other_firmware_rigs_and_damaged_records() {
     let played = || vec![scenario("dq-pi", "1", &[1_000.0])];
     let mut hosted = record("x", 1, played());
     hosted.rig.name = "serial:/dev/ttyUSB0".to_owned();
     let mut other = record("x", 1, played());
     other.rig.firmware.as_mut().unwrap().name = "other".to_owned();
-    let runs = Runs::new(&[("hosted", hosted), ("other", other), ("damaged", record("x", 1, played()))]);
-    fs::write(runs.folder("damaged").join(FILE), "{ \"format\": 1, \"started\": \"2026\" }").unwrap();
+    let runs = RunsFolder::new(&[("hosted", hosted), ("other", other), ("damaged", record("x", 1, played()))]);
+    fs::write(runs.folder("damaged").join(RECORD_FILE), "{ \"format\": 1, \"started\": \"2026\" }").unwrap();
     fs::create_dir(runs.folder("no-run")).unwrap();
     fs::write(runs.folder("no-folder"), "").unwrap();
     let trends = runs.cost(&record("new", 2, played()));
@@ -136,19 +137,19 @@ fn other_firmware_other_rigs_and_damaged_records_are_left_out() {
 }
 
 #[test]
-fn no_more_than_the_twenty_newest_are_read() {
+fn reads_the_twenty_newest_runs() {
     let earlier: Vec<_> = (0..22).map(|second| record("old", second, vec![scenario("dq-pi", "1", &[1e3])])).collect();
-    // Named against the order of their times.
+    // Names are in reverse order of time.
     let names: Vec<String> = (0..22).map(|second| format!("run-{}", 99 - second)).collect();
     let named: Vec<_> = names.iter().map(String::as_str).zip(earlier).collect();
-    let trends = Runs::new(&named).cost(&record("new", 30, vec![scenario("dq-pi", "1", &[1e3])]));
+    let trends = RunsFolder::new(&named).cost(&record("new", 30, vec![scenario("dq-pi", "1", &[1e3])]));
     let started: Vec<_> = trends[0].earlier.iter().filter_map(|earlier| earlier.started.clone()).collect();
     assert_eq!(started.len(), 20);
     assert_eq!((started[0].as_str(), started[19].as_str()), ("2026-01-01T00:00:21Z", "2026-01-01T00:00:02Z"));
 }
 
 #[test]
-fn the_reference_comes_last_and_only_for_the_firmware_that_it_names_on_the_emulated_board() {
+fn reference_comes_last_and_for_its_firmware_only() {
     let played = || scenario("dq-pi", "1", &[2_000.0]);
     let reference = |firmware: &str| Reference {
         firmware: firmware.to_owned(),
@@ -162,21 +163,24 @@ fn the_reference_comes_last_and_only_for_the_firmware_that_it_names_on_the_emula
         }],
     };
     let now = record("new", 2, vec![played()]);
-    let earlier = || vec![known(("a".to_owned(), record("new", 1, vec![played()])))];
-    let trends = beside(&now, &costs(&now), earlier(), Some(reference("own")));
+    let earlier = || vec![earlier_run(("a".to_owned(), record("new", 1, vec![played()])))];
+    let trends = compare_costs(&now, &trial_costs(&now), earlier(), Some(reference("own")));
     let builds: Vec<_> = trends[0].earlier.iter().map(|earlier| earlier.build.as_str()).collect();
     assert_eq!(builds, ["new", "shipped"]);
-    let change = trends[0].change().unwrap();
-    assert_eq!((change.percent, change.against.run.as_ref()), (100.0, None));
+    let change = trends[0].significant_change().unwrap();
+    assert_eq!((change.percent, change.earlier.run.as_ref()), (100.0, None));
 
-    assert_eq!(beside(&now, &costs(&now), earlier(), Some(reference("other")))[0].earlier.len(), 1);
+    assert_eq!(compare_costs(&now, &trial_costs(&now), earlier(), Some(reference("other")))[0].earlier.len(), 1);
     let mut on_a_board = now.clone();
     on_a_board.rig.name = "probe:STM32F407VG".to_owned();
-    assert_eq!(beside(&on_a_board, &costs(&on_a_board), earlier(), Some(reference("own")))[0].earlier.len(), 1);
+    assert_eq!(
+        compare_costs(&on_a_board, &trial_costs(&on_a_board), earlier(), Some(reference("own")))[0].earlier.len(),
+        1
+    );
 }
 
 #[test]
-fn the_reference_can_be_read() {
-    let reference = reference().unwrap();
+fn reference_is_readable() {
+    let reference = load_reference().unwrap();
     assert!(reference.trial.len() >= 30, "{} trials", reference.trial.len());
 }

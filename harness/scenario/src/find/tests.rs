@@ -6,7 +6,7 @@ const GOOD: &str = "title = \"Good\"\nplate = \"PLATE\"\nduration_ms = 60.0\n[pr
                     [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n";
 
 /// A folder with a plate and good scenarios at the given paths; one whose name starts with `limit` must end with 1.
-fn tree(paths: &[&str]) -> TempDir {
+fn create_tree(paths: &[&str]) -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("plate"), PLATE).unwrap();
     let plate = folder.path().join("plate").display().to_string();
@@ -20,13 +20,13 @@ fn tree(paths: &[&str]) -> TempDir {
     folder
 }
 
-fn names(folder: &TempDir, arguments: &[&str]) -> (Vec<String>, Vec<String>) {
+fn found_names(folder: &TempDir, arguments: &[&str]) -> (Vec<String>, Vec<String>) {
     let arguments: Vec<_> = arguments.iter().map(|argument| folder.path().join(argument)).collect();
     let found = find(&arguments).unwrap();
-    (found.scenarios.into_iter().map(|scenario| scenario.file).collect(), found.left_out)
+    (found.scenarios.into_iter().map(|scenario| scenario.file).collect(), found.skipped)
 }
 
-fn faults(folder: &TempDir, arguments: &[&str]) -> Vec<String> {
+fn find_errors(folder: &TempDir, arguments: &[&str]) -> Vec<String> {
     let arguments: Vec<_> = arguments.iter().map(|argument| folder.path().join(argument)).collect();
     let root = format!("{}/", fs::canonicalize(folder.path()).unwrap().display());
     find(&arguments).unwrap_err().iter().map(|fault| fault.to_string().replace(&root, "")).collect()
@@ -34,7 +34,7 @@ fn faults(folder: &TempDir, arguments: &[&str]) -> Vec<String> {
 
 #[test]
 fn folders_are_taken_with_everything_below_and_without_what_is_no_scenario() {
-    let folder = tree(&[
+    let folder = create_tree(&[
         "a/z.toml",
         "a/b/c.toml",
         "a/plates/p.toml",
@@ -44,23 +44,23 @@ fn folders_are_taken_with_everything_below_and_without_what_is_no_scenario() {
         "a/.f.toml",
         "a/notes.md",
     ]);
-    assert_eq!(names(&folder, &["a"]).0, ["b/c.toml", "z.toml"]);
-    assert_eq!(names(&folder, &["a/"]).0, ["b/c.toml", "z.toml"]);
+    assert_eq!(found_names(&folder, &["a"]).0, ["b/c.toml", "z.toml"]);
+    assert_eq!(found_names(&folder, &["a/"]).0, ["b/c.toml", "z.toml"]);
 }
 
 #[test]
 fn nothing_is_found_in_an_empty_folder() {
-    let folder = tree(&["a/plates/p.toml"]);
-    assert_eq!(names(&folder, &["a"]), (vec![], vec![]));
-    assert_eq!(names(&folder, &[]), (vec![], vec![]));
+    let folder = create_tree(&["a/plates/p.toml"]);
+    assert_eq!(found_names(&folder, &["a"]), (vec![], vec![]));
+    assert_eq!(found_names(&folder, &[]), (vec![], vec![]));
 }
 
 #[test]
 fn a_folder_that_was_named_for_nothing_is_told() {
-    let folder = tree(&["a/x.toml", "limits/limit.toml", "b/plates/p.toml"]);
+    let folder = create_tree(&["a/x.toml", "limits/limit.toml", "b/plates/p.toml"]);
     let empty = |arguments: &[&str]| {
         let arguments: Vec<_> = arguments.iter().map(|argument| folder.path().join(argument)).collect();
-        let empty = find(&arguments).unwrap().empty;
+        let empty = find(&arguments).unwrap().empty_folders;
         empty.iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect::<Vec<_>>()
     };
     assert_eq!(empty(&["a", "b", "limits"]), ["b"]);
@@ -69,72 +69,72 @@ fn a_folder_that_was_named_for_nothing_is_told() {
 
 #[test]
 fn a_scenario_is_found_however_its_name_is_written() {
-    let folder = tree(&["a/x.TOML", "a/y.Toml"]);
-    assert_eq!(names(&folder, &["a"]).0, ["x.TOML", "y.Toml"]);
+    let folder = create_tree(&["a/x.TOML", "a/y.Toml"]);
+    assert_eq!(found_names(&folder, &["a"]).0, ["x.TOML", "y.Toml"]);
 }
 
 #[cfg(unix)]
 #[test]
 fn a_link_that_leads_nowhere_is_told() {
-    let folder = tree(&["a/x.toml"]);
+    let folder = create_tree(&["a/x.toml"]);
     for name in ["vendor", ".hidden"] {
         std::os::unix::fs::symlink(folder.path().join("gone"), folder.path().join("a").join(name)).unwrap();
     }
-    let told = faults(&folder, &["a"]);
+    let told = find_errors(&folder, &["a"]);
     assert_eq!(told.len(), 1, "{told:?}");
     assert!(told[0].starts_with("a/vendor: a link that leads nowhere"), "{told:?}");
 }
 
 #[test]
 fn what_is_named_twice_is_played_once() {
-    let folder = tree(&["a/x.toml", "a/y.toml"]);
-    assert_eq!(names(&folder, &["a", "a/x.toml", "a/../a/x.toml", "a"]).0, ["x.toml", "y.toml"]);
+    let folder = create_tree(&["a/x.toml", "a/y.toml"]);
+    assert_eq!(found_names(&folder, &["a", "a/x.toml", "a/../a/x.toml", "a"]).0, ["x.toml", "y.toml"]);
 }
 
 #[test]
 fn a_name_starts_below_the_nearest_folder_called_scenarios() {
-    let folder = tree(&["scenarios/old/scenarios/paper/x.toml", "scenarios/y.toml", "scenarios/scenarios"]);
-    assert_eq!(names(&folder, &["scenarios/old"]).0, ["paper/x.toml"]);
-    assert_eq!(names(&folder, &["scenarios/old/scenarios/paper/x.toml"]).0, ["paper/x.toml"]);
-    assert_eq!(names(&folder, &["scenarios"]).0, ["paper/x.toml", "y.toml"]);
-    assert_eq!(names(&folder, &["scenarios/scenarios"]).0, ["scenarios"], "a file of that name is not a folder");
+    let folder = create_tree(&["scenarios/old/scenarios/paper/x.toml", "scenarios/y.toml", "scenarios/scenarios"]);
+    assert_eq!(found_names(&folder, &["scenarios/old"]).0, ["paper/x.toml"]);
+    assert_eq!(found_names(&folder, &["scenarios/old/scenarios/paper/x.toml"]).0, ["paper/x.toml"]);
+    assert_eq!(found_names(&folder, &["scenarios"]).0, ["paper/x.toml", "y.toml"]);
+    assert_eq!(found_names(&folder, &["scenarios/scenarios"]).0, ["scenarios"], "a file of that name is not a folder");
 }
 
 #[test]
 fn a_name_elsewhere_is_the_path_below_the_named_folder_or_the_file_name() {
-    let folder = tree(&["a/b/x.toml"]);
-    assert_eq!(names(&folder, &["a"]).0, ["b/x.toml"]);
-    assert_eq!(names(&folder, &["a/b/x.toml"]).0, ["x.toml"]);
+    let folder = create_tree(&["a/b/x.toml"]);
+    assert_eq!(found_names(&folder, &["a"]).0, ["b/x.toml"]);
+    assert_eq!(found_names(&folder, &["a/b/x.toml"]).0, ["x.toml"]);
 }
 
 #[test]
 fn a_limit_is_only_played_where_it_or_its_own_folder_is_named() {
-    let folder = tree(&["scenarios/x.toml", "scenarios/limits/limit.toml"]);
+    let folder = create_tree(&["scenarios/x.toml", "scenarios/limits/limit.toml"]);
     let (x, limit) = (|| "x.toml".to_owned(), || "limits/limit.toml".to_owned());
-    assert_eq!(names(&folder, &["scenarios"]), (vec![x()], vec![limit()]));
-    assert_eq!(names(&folder, &["scenarios/limits"]), (vec![limit()], vec![]));
-    assert_eq!(names(&folder, &["scenarios/limits/"]), (vec![limit()], vec![]));
-    assert_eq!(names(&folder, &["scenarios/limits/limit.toml"]), (vec![limit()], vec![]));
-    assert_eq!(names(&folder, &["scenarios", "scenarios/limits/limit.toml"]), (vec![limit(), x()], vec![]));
-    assert_eq!(names(&folder, &["scenarios/limits/limit.toml", "scenarios"]), (vec![limit(), x()], vec![]));
+    assert_eq!(found_names(&folder, &["scenarios"]), (vec![x()], vec![limit()]));
+    assert_eq!(found_names(&folder, &["scenarios/limits"]), (vec![limit()], vec![]));
+    assert_eq!(found_names(&folder, &["scenarios/limits/"]), (vec![limit()], vec![]));
+    assert_eq!(found_names(&folder, &["scenarios/limits/limit.toml"]), (vec![limit()], vec![]));
+    assert_eq!(found_names(&folder, &["scenarios", "scenarios/limits/limit.toml"]), (vec![limit(), x()], vec![]));
+    assert_eq!(found_names(&folder, &["scenarios/limits/limit.toml", "scenarios"]), (vec![limit(), x()], vec![]));
 }
 
 #[test]
 fn two_files_of_one_name_are_refused() {
-    let folder = tree(&["a/x.toml", "b/x.toml", "c/x.toml"]);
-    let told = faults(&folder, &["a", "b", "c"]);
+    let folder = create_tree(&["a/x.toml", "b/x.toml", "c/x.toml"]);
+    let told = find_errors(&folder, &["a", "b", "c"]);
     assert_eq!(told.len(), 2, "{told:?}");
     assert_eq!(told[0], "b/x.toml:1:9: two scenarios would be filed as x.toml, the other one is a/x.toml");
 }
 
 #[test]
 fn every_broken_file_is_told_at_once() {
-    let folder = tree(&["a/good.toml"]);
+    let folder = create_tree(&["a/good.toml"]);
     fs::write(folder.path().join("a/bad.toml"), "title = 1").unwrap();
     fs::write(folder.path().join("a/limit-bad.toml"), "expected_exit = 1\ntitle = 1").unwrap();
     fs::create_dir(folder.path().join("a/sub")).unwrap();
     fs::write(folder.path().join("a/sub/worse.toml"), b"\xff").unwrap();
-    let told = faults(&folder, &["a", "no-such.toml"]);
+    let told = find_errors(&folder, &["a", "no-such.toml"]);
     assert_eq!(told.len(), 4, "{told:?}");
     for part in [
         "a/bad.toml:1:9: invalid type",
@@ -149,11 +149,11 @@ fn every_broken_file_is_told_at_once() {
 #[cfg(unix)]
 #[test]
 fn folders_that_contain_themselves_come_to_an_end() {
-    let folder = tree(&["a/b/x.toml"]);
+    let folder = create_tree(&["a/b/x.toml"]);
     for name in ["one", "two", "three"] {
         std::os::unix::fs::symlink(folder.path().join("a"), folder.path().join("a/b").join(name)).unwrap();
     }
-    assert_eq!(names(&folder, &["a"]).0, ["b/x.toml"]);
+    assert_eq!(found_names(&folder, &["a"]).0, ["b/x.toml"]);
 }
 
 #[test]
@@ -164,4 +164,19 @@ fn every_scenario_of_this_repository_can_be_run() {
         Ok(found) => assert!(!found.scenarios.is_empty()),
         Err(faults) => panic!("{}", faults.iter().map(|fault| fault.render(false)).collect::<Vec<_>>().join("\n")),
     }
+}
+
+#[test]
+fn only_the_copies_in_a_run_folder_are_skipped() {
+    let folder = create_tree(&["a/x.toml", "a/sub/y.toml", "a/sub/inputs/copy.toml"]);
+    let all = ["sub/inputs/copy.toml", "sub/y.toml", "x.toml"];
+    let record = folder.path().join("a/sub/run.json");
+    for stray in ["", "{}", "{\"scenarios\": []}"] {
+        fs::write(&record, stray).unwrap();
+        assert_eq!(found_names(&folder, &["a"]).0, all, "{stray}");
+    }
+    fs::create_dir(folder.path().join("a/sub/traces")).unwrap();
+    let found = find(&[folder.path().join("a")]).unwrap();
+    assert_eq!(found.scenarios.into_iter().map(|scenario| scenario.file).collect::<Vec<_>>(), ["sub/y.toml", "x.toml"]);
+    assert_eq!(found.copies, [folder.path().join("a/sub/inputs")]);
 }

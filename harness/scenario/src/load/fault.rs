@@ -1,6 +1,6 @@
 //! What a scenario may have go wrong: faults that strike at least one message, with the options that mean something to them.
 
-use super::{Checker, LONGEST_DELAY_PERIODS, quoted};
+use super::{Checker, MAX_DELAY_PERIODS, quoted_list};
 use crate::diagnostic::{Diagnostic, suggestion};
 use crate::fault::{Direction, Fault, FaultKind};
 use crate::raw::RawFault;
@@ -16,7 +16,7 @@ impl Checker<'_> {
     ) -> Result<Fault, Diagnostic> {
         let key = |name: &str| format!("fault.{index}.{name}");
         let kind = self.kind(&key, raw, period)?;
-        let wired = !kind.is_of_the_sensor();
+        let wired = !kind.affects_sensor();
         for (name, given, used) in [
             ("delay_ms", raw.delay_ms.is_some(), matches!(kind, FaultKind::Delay(_))),
             ("factor", raw.factor.is_some(), matches!(kind, FaultKind::Scale(_))),
@@ -30,11 +30,11 @@ impl Checker<'_> {
                 format!("`{name}` means nothing to a fault of kind `{}`{why}", raw.kind)
             })?;
         }
-        let from = self.span(&key("from_ms"), raw.from_ms)?;
+        let from = self.time_from_ms(&key("from_ms"), raw.from_ms)?;
         self.require(from < duration, &key("from_ms"), || {
             format!("{} ms, expected before the scenario's end at {duration}", raw.from_ms)
         })?;
-        let until = raw.until_ms.map(|ms| self.span(&key("until_ms"), ms)).transpose()?;
+        let until = raw.until_ms.map(|ms| self.time_from_ms(&key("until_ms"), ms)).transpose()?;
         self.require(until.is_some() || kind == FaultKind::Disconnect, &key("until_ms"), || {
             format!("`{}` without `until_ms`, expected the end of its window: only a disconnect may stay", raw.kind)
         })?;
@@ -43,7 +43,7 @@ impl Checker<'_> {
             format!("a window from {from} to {until} ms, expected a stretch within the scenario's {duration}")
         })?;
         let every = raw.every.unwrap_or(1);
-        let instants = control_instants(from, until.unwrap_or(duration), period);
+        let instants = count_control_instants(from, until.unwrap_or(duration), period);
         self.require((1..=i64::from(u32::MAX)).contains(&every), &key("every"), || {
             format!("{every}, expected 1 to {}: each so many-th message", u32::MAX)
         })?;
@@ -70,19 +70,17 @@ impl Checker<'_> {
             "freeze" => FaultKind::Freeze,
             "delay" => {
                 let Some(ms) = raw.delay_ms else {
-                    return self.refuse(&key("delay_ms"), "`delay` without `delay_ms`, expected how much");
+                    return self.error(&key("delay_ms"), "`delay` without `delay_ms`, expected how much");
                 };
-                let delay = self.span(&key("delay_ms"), self.positive(&key("delay_ms"), ms)?)?;
-                self.require(
-                    delay > Time::ZERO && delay <= period.times(LONGEST_DELAY_PERIODS),
-                    &key("delay_ms"),
-                    || format!("{ms} ms, expected 1 ns to {LONGEST_DELAY_PERIODS} control periods"),
-                )?;
+                let delay = self.time_from_ms(&key("delay_ms"), self.positive(&key("delay_ms"), ms)?)?;
+                self.require(delay > Time::ZERO && delay <= period.times(MAX_DELAY_PERIODS), &key("delay_ms"), || {
+                    format!("{ms} ms, expected 1 ns to {MAX_DELAY_PERIODS} control periods")
+                })?;
                 FaultKind::Delay(delay)
             }
             "scale" => {
                 let Some(factor) = raw.factor else {
-                    return self.refuse(&key("factor"), "`scale` without `factor`, expected how much");
+                    return self.error(&key("factor"), "`scale` without `factor`, expected how much");
                 };
                 let fits = (factor as f32).is_finite() && factor as f32 != 1.0;
                 self.require(fits, &key("factor"), || {
@@ -91,8 +89,8 @@ impl Checker<'_> {
                 FaultKind::Scale(factor)
             }
             name => {
-                let (known, hint) = (quoted(FaultKind::NAMES), suggestion(name, FaultKind::NAMES));
-                return self.refuse(&key("kind"), format!("unknown fault `{name}`, expected one of {known}{hint}"));
+                let (known, hint) = (quoted_list(FaultKind::NAMES), suggestion(name, FaultKind::NAMES));
+                return self.error(&key("kind"), format!("unknown fault `{name}`, expected one of {known}{hint}"));
             }
         })
     }
@@ -103,13 +101,13 @@ impl Checker<'_> {
             return Ok(direction);
         }
         let names = Direction::ALL.map(Direction::name);
-        let (known, hint) = (quoted(names), suggestion(name, names));
-        self.refuse(&key("direction"), format!("unknown direction `{name}`, expected one of {known}{hint}"))
+        let (known, hint) = (quoted_list(names), suggestion(name, names));
+        self.error(&key("direction"), format!("unknown direction `{name}`, expected one of {known}{hint}"))
     }
 }
 
 /// How many multiples of the period lie from `from` on and before `until`.
-fn control_instants(from: Time, until: Time, period: Time) -> u64 {
+fn count_control_instants(from: Time, until: Time, period: Time) -> u64 {
     let before = |time: Time| time.as_nanos().div_ceil(period.as_nanos());
     before(until) - before(from)
 }

@@ -1,30 +1,30 @@
 //! What is played: profiles with a pointer to the very number that is wrong, in the scenario or in the CSV file that it names, and a plate that
 //! exists under all of it.
 
-use super::{Checker, HIGHEST_QUALITY};
+use super::{Checker, MAX_QUALITY};
 use crate::diagnostic::Diagnostic;
 use crate::raw::RawProfiles;
-use crate::scenario::Input;
+use crate::scenario::InputFile;
 use crate::variation::Spread;
 use platebench_plate::input;
-use platebench_plate::profile::{RawProfile, RawShape};
-use platebench_plate::{Conditions, Plate, Profile, ProfileError, Scene};
+use platebench_plate::{ConditionProfiles, Conditions, Plate, Profile, ProfileError};
+use platebench_plate::{RawProfile, RawShape};
 use std::f64::consts::TAU;
 use std::ops::Range;
 use std::path::Path;
 
-const LARGEST_SETPOINT_UM: f64 = 1_000.0;
+const MAX_SETPOINT_UM: f64 = 1_000.0;
 const ABSOLUTE_ZERO_C: f64 = -273.15;
 /// The plate file's bound, under all surroundings: the wire carries the excitation frequency in millihertz.
-const HIGHEST_RESONANCE_HZ: f64 = 2.5e6;
+const MAX_RESONANCE_HZ: f64 = 2.5e6;
 /// What a plate without a resonance should have instead.
 const EXPECTED: &str = "expected one of at most 2.5e6 Hz with a quality factor from 0.5 to 1e9";
 /// No draw of a trial lies so many deviations off.
-const DEVIATIONS: f64 = 5.0;
+const SPREAD_SIGMAS: f64 = 5.0;
 
 /// Which number of a point is meant.
 #[derive(Clone, Copy)]
-enum Part {
+enum PointField {
     Time,
     Value,
 }
@@ -35,28 +35,28 @@ impl Checker<'_> {
         folder: &Path,
         key: &str,
         raw: &RawProfile,
-        inputs: &mut Vec<Input>,
+        inputs: &mut Vec<InputFile>,
     ) -> Result<Profile, Diagnostic> {
-        let profile = raw.check(folder).map_err(|error| self.profile_fault(folder, key, raw, &error))?;
+        let profile = raw.check(folder).map_err(|error| self.profile_error(folder, key, raw, &error))?;
         if let Some(path) = raw.file(folder) {
             let bytes =
-                input::read(&path).map_err(|error| Diagnostic::of_file(&path, format!("cannot be read: {error}")))?;
-            inputs.push(Input { path, bytes });
+                input::read(&path).map_err(|error| Diagnostic::for_file(&path, format!("cannot be read: {error}")))?;
+            inputs.push(InputFile { path, bytes });
         }
         Ok(profile)
     }
 
-    fn profile_fault(&self, folder: &Path, key: &str, raw: &RawProfile, error: &ProfileError) -> Diagnostic {
+    fn profile_error(&self, folder: &Path, key: &str, raw: &RawProfile, error: &ProfileError) -> Diagnostic {
         let (index, part) = match error {
-            ProfileError::NotFinite { index, .. } => (*index, Part::Value),
-            ProfileError::Time { index, .. } | ProfileError::Unordered { index, .. } => (*index, Part::Time),
-            ProfileError::Empty | ProfileError::Sine => (1, Part::Value),
-            ProfileError::Csv { path, source } => return self.csv_fault(key, path, source),
+            ProfileError::NotFinite { index, .. } => (*index, PointField::Value),
+            ProfileError::Time { index, .. } | ProfileError::Unordered { index, .. } => (*index, PointField::Time),
+            ProfileError::Empty | ProfileError::Sine => (1, PointField::Value),
+            ProfileError::Csv { path, source } => return self.csv_error(key, path, source),
         };
-        self.at_point(folder, key, raw, index, part, error.to_string())
+        self.point_error(folder, key, raw, index, part, error.to_string())
     }
 
-    fn csv_fault(&self, key: &str, path: &Path, error: &csv::Error) -> Diagnostic {
+    fn csv_error(&self, key: &str, path: &Path, error: &csv::Error) -> Diagnostic {
         let text = input::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
         match (error.kind(), text) {
             (csv::ErrorKind::Deserialize { pos: Some(position), err }, Ok(text)) => {
@@ -89,13 +89,13 @@ impl Checker<'_> {
     }
 
     /// A fault of the point with number `index`, counted from 1, wherever that stands.
-    fn at_point(
+    fn point_error(
         &self,
         folder: &Path,
         key: &str,
         raw: &RawProfile,
         index: usize,
-        part: Part,
+        part: PointField,
         message: String,
     ) -> Diagnostic {
         let place = |shape: &str| format!("{key}.{shape}.{}.{}", index - 1, part as usize);
@@ -107,9 +107,9 @@ impl Checker<'_> {
             RawProfile::Shape(RawShape::Csv(file)) => {
                 let path = folder.join(file);
                 let Ok(Ok(text)) = input::read(&path).map(String::from_utf8) else {
-                    return Diagnostic::of_file(&path, message);
+                    return Diagnostic::for_file(&path, message);
                 };
-                let span = csv_point(&text, index, part);
+                let span = csv_point_span(&text, index, part);
                 return Diagnostic::at_span(&path, &text, span, message);
             }
         };
@@ -130,28 +130,33 @@ impl Checker<'_> {
             Profile::Sine { .. } => vec![profile.range().0, profile.range().1],
         };
         match (1..).zip(values).find(|(_, value)| !good(*value)) {
-            Some((index, value)) => Err(self.at_point(folder, key, raw, index, Part::Value, message(value))),
+            Some((index, value)) => Err(self.point_error(folder, key, raw, index, PointField::Value, message(value))),
             None => Ok(()),
         }
     }
 
-    pub(super) fn setpoints(&self, folder: &Path, raw: &RawProfiles, setpoint: &Profile) -> Result<(), Diagnostic> {
+    pub(super) fn check_setpoints(
+        &self,
+        folder: &Path,
+        raw: &RawProfiles,
+        setpoint: &Profile,
+    ) -> Result<(), Diagnostic> {
         self.require_values(
             folder,
             "profile.setpoint_um",
             (&raw.setpoint_um, setpoint),
-            |value| (0.0..=LARGEST_SETPOINT_UM).contains(&value),
-            |value| format!("a setpoint of {value} µm, expected 0 to {LARGEST_SETPOINT_UM} µm"),
+            |value| (0.0..=MAX_SETPOINT_UM).contains(&value),
+            |value| format!("a setpoint of {value} µm, expected 0 to {MAX_SETPOINT_UM} µm"),
         )
     }
 
     /// Whether the plate exists under everything that is played to it.
-    pub(super) fn surroundings(
+    pub(super) fn check_conditions(
         &self,
         folder: &Path,
         raw: &RawProfiles,
         plate: &Plate,
-        scene: &Scene,
+        scene: &ConditionProfiles,
         spread: &Spread,
     ) -> Result<(), Diagnostic> {
         let force = (&raw.finger_force_n, &scene.finger_force_n);
@@ -172,13 +177,13 @@ impl Checker<'_> {
             |value| plate.reference_temperature_c + value > ABSOLUTE_ZERO_C,
             |value| format!("an offset of {value} K, expected a temperature above {ABSOLUTE_ZERO_C} °C"),
         )?;
-        let shortest = 1.0 - DEVIATIONS * spread.time_constant_percent / 100.0;
+        let shortest = 1.0 - SPREAD_SIGMAS * spread.time_constant_percent / 100.0;
         let worst = Plate { sigma0: plate.sigma0 / shortest.max(0.1), ..plate.clone() };
         let exists = |temperature_offset_k: f64, finger_force_n: f64| {
             let conditions = Conditions { temperature_offset_k, finger_force_n };
             let (mode, least) = (worst.mode(&conditions), plate.mode(&conditions).sigma);
             let quality = mode.omega0 / (2.0 * least);
-            mode.is_resonant() && quality <= HIGHEST_QUALITY && mode.omega0 <= HIGHEST_RESONANCE_HZ * TAU
+            mode.is_resonant() && quality <= MAX_QUALITY && mode.omega0 <= MAX_RESONANCE_HZ * TAU
         };
         self.require_values(
             folder,
@@ -192,7 +197,7 @@ impl Checker<'_> {
         let corners =
             plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (lightest..heaviest).contains(force));
         let forces: Vec<f64> = corners.chain([lightest, heaviest]).collect();
-        let margin = DEVIATIONS * spread.temperature_k;
+        let margin = SPREAD_SIGMAS * spread.temperature_k;
         self.require_values(
             folder,
             temperature_key,
@@ -238,11 +243,11 @@ fn field_span(text: &str, line: Range<usize>, column: usize) -> Range<usize> {
 }
 
 /// A number of the point with number `index`, counted from 1, of a CSV text.
-fn csv_point(text: &str, index: usize, part: Part) -> Range<usize> {
+fn csv_point_span(text: &str, index: usize, part: PointField) -> Range<usize> {
     let header = text.get(record_span(text, 0)).unwrap_or_default();
     let name = match part {
-        Part::Time => "t_ms",
-        Part::Value => "value",
+        PointField::Time => "t_ms",
+        PointField::Value => "value",
     };
     let column = header.split(',').position(|field| field.trim() == name).unwrap_or(0);
     field_span(text, record_span(text, index as u64), column)

@@ -1,6 +1,7 @@
 use super::*;
-use crate::expect::{Limit, Metric, Over, Window};
+use crate::expect::{Aggregation, Limit, Metric};
 use crate::fault::{Direction, FaultKind};
+use crate::window::Window;
 use insta::assert_snapshot;
 use rstest::{Context, rstest};
 use std::fmt::Write;
@@ -101,7 +102,7 @@ from_ms = 30.0
 const FORCE: &str = "# a finger\nt_ms, value\n20.0, 0.0\n\n  30.0, 1.0\n";
 
 /// A folder with the base scenario, each `(good, bad)` of `changes` made in whichever of its three files has the good piece.
-fn folder(changes: &[(&str, &str)]) -> TempDir {
+fn create_folder(changes: &[(&str, &str)]) -> TempDir {
     let folder = TempDir::new().unwrap();
     std::fs::create_dir(folder.path().join("plates")).unwrap();
     let is_of_faults = |(good, _): &(&str, &str)| FAULTS.contains(good) && !BASE.contains(good);
@@ -122,8 +123,8 @@ fn folder(changes: &[(&str, &str)]) -> TempDir {
     folder
 }
 
-fn loaded(changes: &[(&str, &str)]) -> Result<Scenario, Diagnostic> {
-    let folder = folder(changes);
+fn load_with_changes(changes: &[(&str, &str)]) -> Result<Scenario, Diagnostic> {
+    let folder = create_folder(changes);
     load(&folder.path().join("s.toml"), "s.toml").map_err(|mut fault| {
         let root = format!("{}/", folder.path().display());
         fault.message = fault.message.replace(&root, "");
@@ -132,20 +133,20 @@ fn loaded(changes: &[(&str, &str)]) -> Result<Scenario, Diagnostic> {
     })
 }
 
-fn with(good: &str, bad: &str) -> Result<Scenario, Diagnostic> {
-    loaded(&[(good, bad)])
+fn load_with_change(good: &str, bad: &str) -> Result<Scenario, Diagnostic> {
+    load_with_changes(&[(good, bad)])
 }
 
-fn shown(fault: &Diagnostic) -> String {
+fn render(fault: &Diagnostic) -> String {
     fault.render(false).lines().map(str::trim_end).collect::<Vec<_>>().join("\n")
 }
 
 /// Whether the schema of the faulty file refuses it.
 fn schema_refuses(fault: &Diagnostic, good: &str, bad: &str) -> bool {
-    let folder = folder(&[(good, bad)]);
+    let folder = create_folder(&[(good, bad)]);
     let schema = match fault.path.to_str().unwrap() {
-        "s.toml" => crate::schema::scenario(),
-        "plates/plate.toml" => crate::schema::plate(),
+        "s.toml" => crate::schema::scenario_schema(),
+        "plates/plate.toml" => crate::schema::plate_schema(),
         _ => return false,
     };
     let text = std::fs::read_to_string(folder.path().join(&fault.path)).unwrap();
@@ -164,35 +165,36 @@ fn schema_refuses(fault: &Diagnostic, good: &str, bad: &str) -> bool {
 }
 
 /// One readable table of everything that a group of files is told.
-fn table(cases: &[(&str, &str)]) -> String {
+fn message_table(cases: &[(&str, &str)]) -> String {
     let mut table = String::new();
     for (good, bad) in cases {
-        let fault = with(good, bad).err().unwrap_or_else(|| panic!("`{bad}` was taken"));
+        let fault = load_with_change(good, bad).err().unwrap_or_else(|| panic!("`{bad}` was taken"));
         let (line, column) = fault.position();
         let heading = if bad.is_empty() { format!("without {good}") } else { (*bad).to_owned() };
         let seen = if schema_refuses(&fault, good, bad) { "refuses it, too" } else { "does not see it" };
         let heading = heading.trim().replace('\n', " ⏎ ");
-        write!(table, "## {heading}\n{line}:{column}\n{}\nthe schema {seen}\n\n", shown(&fault)).unwrap();
+        write!(table, "## {heading}\n{line}:{column}\n{}\nthe schema {seen}\n\n", render(&fault)).unwrap();
     }
     table
 }
 
 #[test]
 fn the_base_is_good_and_says_what_it_says() {
-    let scenario = loaded(&[]).unwrap();
+    let scenario = load_with_changes(&[]).unwrap();
     assert_eq!(scenario.inputs.len(), 3);
     assert_eq!(scenario.inputs[2].bytes, FORCE.as_bytes());
     assert_eq!(scenario.expectations[0].from, Time::from_ms(1.0));
     assert_eq!(scenario.expectations[1].limit, Limit::Within(0.0, 1.0));
     assert_eq!(scenario.expectations[1].confidence, 0.9);
-    assert_eq!(scenario.expectations[2].limit, Limit::About { value: 2.0, tolerance_percent: 3.0 });
+    assert_eq!(scenario.expectations[2].limit, Limit::About(2.0));
+    assert_eq!(scenario.expectations[2].tolerance_percent, 3.0);
     assert_eq!(scenario.trials.max_count, 200);
-    assert_eq!(scenario.scene.finger_force_n.at(Time::from_ms(25.0).unwrap()), 0.5);
+    assert_eq!(scenario.conditions.finger_force_n.at(Time::from_ms(25.0).unwrap()), 0.5);
 }
 
 #[test]
 fn faults_say_what_they_say_and_have_their_documented_defaults() {
-    let scenario = with("seed = 5", "seed = 5").unwrap();
+    let scenario = load_with_change("seed = 5", "seed = 5").unwrap();
     let [flip, delay, scale, disconnect] = &scenario.faults[..] else { panic!("{:?}", scenario.faults) };
     let [ms_10, ms_20] = [10.0, 20.0].map(|ms| Time::from_ms(ms).unwrap());
     let expected = Fault {
@@ -213,7 +215,7 @@ fn faults_say_what_they_say_and_have_their_documented_defaults() {
 
 #[test]
 fn what_is_left_out_has_its_documented_default() {
-    let folder = folder(&[]);
+    let folder = create_folder(&[]);
     let path = folder.path().join("short.toml");
     let text = "title = \"Short\"\nplate = \"plates/plate.toml\"\nduration_ms = 60\n[profile]\nsetpoint_um = 2\n\
                 [[expect]]\nmetric = \"static_error_percent\"\nat_most = 1\n";
@@ -236,18 +238,18 @@ fn what_is_left_out_has_its_documented_default() {
 
 #[test]
 fn what_the_trials_come_to_can_be_chosen() {
-    let over = |more: &str| with("confidence = 0.9", more).unwrap().expectations[1].over;
-    assert_eq!(over(""), Over::Mean);
-    assert_eq!(over("over = \"each\""), Over::Each);
-    assert_eq!(over("over = \"mean\""), Over::Mean);
-    assert_eq!(over("over = \"quantile\""), Over::Quantile(0.95));
-    assert_eq!(over("over = \"quantile\"\nquantile = 0.5"), Over::Quantile(0.5));
-    let all = loaded(&[(
+    let over = |more: &str| load_with_change("confidence = 0.9", more).unwrap().expectations[1].aggregation;
+    assert_eq!(over(""), Aggregation::Mean);
+    assert_eq!(over("over = \"each\""), Aggregation::Each);
+    assert_eq!(over("over = \"mean\""), Aggregation::Mean);
+    assert_eq!(over("over = \"quantile\""), Aggregation::Quantile(0.95));
+    assert_eq!(over("over = \"quantile\"\nquantile = 0.5"), Aggregation::Quantile(0.5));
+    let all = load_with_changes(&[(
         "\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0",
         "\"repeatability_percent\"\nat_most = 2.0",
     )]);
-    let all: Vec<_> = all.unwrap().expectations.iter().map(|expectation| expectation.over).collect();
-    assert_eq!(all, [Over::Each, Over::Mean, Over::Deviation]);
+    let all: Vec<_> = all.unwrap().expectations.iter().map(|expectation| expectation.aggregation).collect();
+    assert_eq!(all, [Aggregation::Each, Aggregation::Mean, Aggregation::StandardDeviation]);
 }
 
 #[rstest]
@@ -408,7 +410,7 @@ fn what_the_trials_come_to_can_be_chosen() {
     ("tolerance_percent = 3.0", "tolerance_percent = 0.0"),
     ("tolerance_percent = 3.0", "band_percent = 3.0"),
     ("tolerance_percent = 3.0", "window_ms = 3.0"),
-    ("tolerance_percent = 3.0", "from_ms = 3.0"),
+    ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"loop_delay_us\"\nat_most = 5.0\nfrom_ms = 3.0"),
     ("tolerance_percent = 3.0", "signal = \"wd_um\""),
     ("paper = 2.0", "tolerance_percent = 2.0"),
     ("paper = 2.0", "paper = inf"),
@@ -443,7 +445,7 @@ fn what_the_trials_come_to_can_be_chosen() {
 ])]
 fn every_broken_rule_is_pointed_at(#[context] context: Context, #[case] cases: &[(&str, &str)]) {
     let group = context.description.unwrap();
-    assert_snapshot!(format!("refused_{group}"), table(cases));
+    assert_snapshot!(format!("refused_{group}"), message_table(cases));
 }
 
 #[test]
@@ -458,8 +460,8 @@ fn a_window_needs_a_resting_setpoint_whatever_its_shape() {
         // On its crest at both ends of the window.
         "{ sine = { mean = 500.0, amplitude = 0.1, frequency_hz = 50.0, phase_deg = 90.0 } }",
     ] {
-        let fault = with(hold, moving).unwrap_err();
-        assert!(fault.message.starts_with("the setpoint moves between 40 ms and 60 ms"), "{moving}: {fault}");
+        let fault = load_with_change(hold, moving).unwrap_err();
+        assert!(fault.message.starts_with("the setpoint changes between 40 ms and 60 ms"), "{moving}: {fault}");
     }
     for resting in [
         "{ linear = [[0.0, 0.0], [40.0, 2.0]] }",
@@ -467,24 +469,24 @@ fn a_window_needs_a_resting_setpoint_whatever_its_shape() {
         "{ hold = [[0.0, 2.0], [50.0, 2.0]] }",
         "{ sine = { mean = 2.0, amplitude = 0.0, frequency_hz = 50.0 } }",
     ] {
-        assert!(with(hold, resting).is_ok(), "{resting}");
+        assert!(load_with_change(hold, resting).is_ok(), "{resting}");
     }
 }
 
 #[test]
 fn so_many_expectations_are_pointed_at_and_no_more() {
-    let folder = folder(&[]);
+    let folder = create_folder(&[]);
     let wrong = "[[expect]]\nmetric = \"unknown\"\n".repeat(5_000);
     let path = folder.path().join("s.toml");
     std::fs::write(&path, format!("{BASE}\n{wrong}")).unwrap();
-    let faults = examine(&path, "s.toml").unwrap_err();
-    assert_eq!(faults.len(), MOST_FAULTS + 1);
+    let faults = load_with_diagnostics(&path, "s.toml").unwrap_err();
+    assert_eq!(faults.len(), MAX_DIAGNOSTICS + 1);
     assert!(faults.last().unwrap().message.starts_with("only the first"));
 }
 
 #[test]
 fn a_scenario_that_expects_nothing_is_refused() {
-    let folder = folder(&[]);
+    let folder = create_folder(&[]);
     let path = folder.path().join("s.toml");
     std::fs::write(&path, BASE.split("[[expect]]").next().unwrap()).unwrap();
     let fault = load(&path, "s.toml").unwrap_err();
@@ -544,13 +546,13 @@ fn a_scenario_that_expects_nothing_is_refused() {
 #[case("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"saturated_percent\"\nat_least = 100.0")]
 #[case("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"overruns\"\nat_most = 0.0")]
 fn the_last_good_value_is_taken(#[case] good: &str, #[case] last_good: &str) {
-    if let Err(fault) = with(good, last_good) {
-        panic!("{}", shown(&fault));
+    if let Err(fault) = load_with_change(good, last_good) {
+        panic!("{}", render(&fault));
     }
-    let folder = folder(&[(good, last_good)]);
+    let folder = create_folder(&[(good, last_good)]);
     let text = std::fs::read_to_string(folder.path().join("s.toml")).unwrap();
     let document = serde_json::to_value(toml::from_str::<toml::Table>(&text).unwrap()).unwrap();
-    if let Err(fault) = jsonschema::validate(crate::schema::scenario().as_value(), &document) {
+    if let Err(fault) = jsonschema::validate(crate::schema::scenario_schema().as_value(), &document) {
         panic!("the schema refuses what is good: {fault}");
     }
 }
@@ -560,16 +562,17 @@ fn a_trial_may_be_one_period_long_and_a_period_one_second() {
     let expectation = ("from_ms = 1.0", "from_ms = 0.0");
     let window = ("window_ms = 20.0", "window_ms = 0.5");
     let setpoint = ("{ hold = [[0.0, 0.0], [1.0, 2.0]] }", "2.0");
-    assert!(loaded(&[("duration_ms = 60.0", "duration_ms = 1.0"), expectation, window, setpoint]).is_ok());
+    assert!(load_with_changes(&[("duration_ms = 60.0", "duration_ms = 1.0"), expectation, window, setpoint]).is_ok());
     assert!(
-        loaded(&[("duration_ms = 60.0", "duration_ms = 1000.0"), ("period_ms = 1.0", "period_ms = 1000.0")]).is_ok()
+        load_with_changes(&[("duration_ms = 60.0", "duration_ms = 1000.0"), ("period_ms = 1.0", "period_ms = 1000.0")])
+            .is_ok()
     );
 }
 
 #[test]
 fn a_row_per_control_instant_counts_towards_the_rows() {
     let long = |duration: &str| {
-        loaded(&[
+        load_with_changes(&[
             ("duration_ms = 60.0", duration),
             ("trace_step_ms = 0.05", "trace_step_ms = 1e6"),
             ("period_ms = 1.0", "period_ms = 0.01"),
@@ -584,7 +587,7 @@ fn a_row_per_control_instant_counts_towards_the_rows() {
 #[test]
 fn long_scenarios_have_a_row_per_period() {
     let step = |duration: &str| {
-        loaded(&[("duration_ms = 60.0", duration), ("trace_step_ms = 0.05\n", "")]).unwrap().trace_step.ms()
+        load_with_changes(&[("duration_ms = 60.0", duration), ("trace_step_ms = 0.05\n", "")]).unwrap().trace_step.ms()
     };
     assert_eq!(step("duration_ms = 1000.0"), 0.05);
     assert_eq!(step("duration_ms = 1000.1"), 1.0);
@@ -593,15 +596,15 @@ fn long_scenarios_have_a_row_per_period() {
 #[test]
 fn a_damping_corner_between_the_forces_is_seen() {
     let curve = ("[[0.0, 1.0], [1.5, 2.0]]", "[[0.0, 1.0], [0.5, 400.0], [1.0, 2.0], [1.5, 2.0]]");
-    let fault = loaded(&[curve]).err().unwrap();
-    assert!(fault.message.contains("leave the plate without a resonance"), "{}", shown(&fault));
-    assert!(loaded(&[curve, ("  30.0, 1.0", "  30.0, 0.3")]).is_ok());
+    let fault = load_with_changes(&[curve]).err().unwrap();
+    assert!(fault.message.contains("leave the plate without a resonance"), "{}", render(&fault));
+    assert!(load_with_changes(&[curve, ("  30.0, 1.0", "  30.0, 0.3")]).is_ok());
     // Not on a corner, and only with the heat of the day: the lightest touch.
     let light = ("[[0.0, 1.0], [1.5, 2.0]]", "[[0.0, 560.0], [0.5, 2.0], [1.5, 2.0]]");
     let touch = ("20.0, 0.0", "20.0, 0.25");
-    assert!(loaded(&[light, touch]).is_ok());
-    let fault = loaded(&[light, touch, ("[60.0, 2.0]", "[60.0, 700.0]")]).err().unwrap();
-    assert_eq!(fault.position(), (28, 55), "{}", shown(&fault));
+    assert!(load_with_changes(&[light, touch]).is_ok());
+    let fault = load_with_changes(&[light, touch, ("[60.0, 2.0]", "[60.0, 700.0]")]).err().unwrap();
+    assert_eq!(fault.position(), (28, 55), "{}", render(&fault));
 }
 
 /// A stretch of the base text that the marked value should be.
@@ -614,19 +617,19 @@ fn a_damping_corner_between_the_forces_is_seen() {
 #[case("  30.0, 1.0", "  19.5, 1.0", "19.5")]
 #[case("time_constant_ms = 1.88", "time_constant_ms = -1.5", "-1.5")]
 fn the_offending_value_is_marked_and_nothing_else(#[case] good: &str, #[case] bad: &str, #[case] marked: &str) {
-    let fault = with(good, bad).unwrap_err();
+    let fault = load_with_change(good, bad).unwrap_err();
     let file = [BASE, PLATE, FORCE].into_iter().find(|text| text.contains(good)).unwrap().replacen(good, bad, 1);
     let start = file.find(bad).unwrap() + bad.rfind(marked).unwrap();
     let before = &file[..start];
     let column = before.chars().rev().take_while(|character| *character != '\n').count() + 1;
     assert_eq!(fault.position(), (before.matches('\n').count() + 1, column));
     let carets = "^".repeat(marked.chars().count());
-    let marks: String = shown(&fault).chars().filter(|character| *character == '^').collect();
-    assert_eq!(marks, carets, "{}", shown(&fault));
+    let marks: String = render(&fault).chars().filter(|character| *character == '^').collect();
+    assert_eq!(marks, carets, "{}", render(&fault));
 }
 
 fn loaded_bytes(bytes: &[u8]) -> Result<Scenario, Diagnostic> {
-    let folder = folder(&[]);
+    let folder = create_folder(&[]);
     let path = folder.path().join("s.toml");
     std::fs::write(&path, bytes).unwrap();
     load(&path, "s.toml").map_err(|mut fault| {
@@ -660,7 +663,7 @@ fn what_is_no_scenario_at_all_gets_a_diagnostic() {
     let mut table = String::new();
     for (name, bytes) in cases {
         let fault = loaded_bytes(bytes).unwrap_err();
-        write!(table, "## {name}\n{fault}\n{}\n\n", shown(&fault)).unwrap();
+        write!(table, "## {name}\n{fault}\n{}\n\n", render(&fault)).unwrap();
     }
     assert_snapshot!("no_scenario", table);
 }
@@ -669,14 +672,14 @@ fn what_is_no_scenario_at_all_gets_a_diagnostic() {
 fn files_that_are_not_there_are_named() {
     let nowhere = load(Path::new("no/such.toml"), "such.toml").unwrap_err();
     assert!(nowhere.to_string().starts_with("no/such.toml: cannot be read: "), "{nowhere}");
-    let folder = folder(&[]);
+    let folder = create_folder(&[]);
     let fault = load(folder.path(), "x").unwrap_err();
     assert!(fault.message.starts_with("cannot be read: "), "{fault}");
 }
 
 #[test]
 fn a_plate_file_that_is_not_text_is_pointed_into() {
-    let folder = folder(&[]);
+    let folder = create_folder(&[]);
     std::fs::write(folder.path().join("plates/plate.toml"), b"name = \"\xff\"\n").unwrap();
     let fault = load(&folder.path().join("s.toml"), "s.toml").unwrap_err();
     assert!(fault.path.ends_with("plates/plate.toml"));
@@ -695,7 +698,7 @@ fn a_shutdown_has_to_last_until_the_next_configuration_that_is_planned() {
     let window = |from_ms: f64| {
         let expectation = format!("\"shutdown_time_ms\"\nfrom_ms = {from_ms:?}\nat_most = 5.0");
         let other = ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", expectation.as_str());
-        let scenario = loaded(&[other, ("seed = 5", "seed = 5")]).unwrap();
+        let scenario = load_with_changes(&[other, ("seed = 5", "seed = 5")]).unwrap();
         let Window { from, to } = scenario.expectations[2].window;
         (from.ms(), to.ms())
     };
@@ -728,9 +731,31 @@ fn a_plate_that_cannot_be_computed_or_told_is_refused(
     #[case] message: &str,
 ) {
     let with = |other| {
-        loaded(&[(plain, other), ("temperature_k = 4.0", "temperature_k = 0.0"), ("[60.0, 2.0]", "[60.0, 22.0]")])
+        load_with_changes(&[
+            (plain, other),
+            ("temperature_k = 4.0", "temperature_k = 0.0"),
+            ("[60.0, 2.0]", "[60.0, 22.0]"),
+        ])
     };
-    assert!(with(good).is_ok(), "{}", shown(&with(good).err().unwrap()));
+    assert!(with(good).is_ok(), "{}", render(&with(good).err().unwrap()));
     let fault = with(bad).err().unwrap();
-    assert!(fault.message.contains(message), "{}", shown(&fault));
+    assert!(fault.message.contains(message), "{}", render(&fault));
+}
+
+#[rstest]
+#[case::plain("auto", "", Tier::Modal)]
+#[case::left_out("", "", Tier::Modal)]
+#[case::converter("auto", "demodulator_periods = 1\nconverter_hz = 1e6\n", Tier::Carrier)]
+#[case::linear("linear", "demodulator_periods = 1\nconverter_hz = 1e6\n", Tier::Linear)]
+#[case::envelope("envelope", "", Tier::Envelope)]
+#[case::modal("modal", "demodulator_periods = 1\nconverter_hz = 1e6\n", Tier::Modal)]
+#[case::carrier("carrier", "", Tier::Carrier)]
+fn auto_is_the_carrier_only_for_a_plate_with_a_demodulator(
+    #[case] model: &str,
+    #[case] sensor: &str,
+    #[case] tier: Tier,
+) {
+    let model = if model.is_empty() { String::new() } else { format!("model = \"{model}\"") };
+    let folder = create_folder(&[("model = \"modal\"", &model), ("[sensor]\n", &format!("[sensor]\n{sensor}"))]);
+    assert_eq!(load(&folder.path().join("s.toml"), "s.toml").unwrap().tier, tier);
 }

@@ -1,4 +1,4 @@
-use super::MOST_FAULTS;
+use super::MAX_DIAGNOSTICS;
 use crate::diagnostic::Diagnostic;
 use crate::raw::RawScenario;
 use rstest::rstest;
@@ -45,13 +45,18 @@ fn what_is_no_toml_is_told_with_all_its_places() {
 /// Each fault is found by reading all again: a file of nothing else would be looked at for hours.
 #[test]
 fn so_many_faults_are_told_and_no_more() {
-    for (wrong, expected) in
-        [(MOST_FAULTS - 1, MOST_FAULTS - 1), (MOST_FAULTS, MOST_FAULTS + 1), (20_000, MOST_FAULTS + 1)]
-    {
+    for (wrong, expected) in [
+        (MAX_DIAGNOSTICS - 1, MAX_DIAGNOSTICS - 1),
+        (MAX_DIAGNOSTICS, MAX_DIAGNOSTICS + 1),
+        (20_000, MAX_DIAGNOSTICS + 1),
+    ] {
         let keys = (0..wrong).fold(String::new(), |keys, number| keys + &format!("unknown{number} = 1\n"));
         let told = told(&format!("{keys}{BASE}"));
         assert_eq!(told.len(), expected, "of {wrong}");
-        assert_eq!(told.iter().any(|line| line == "s.toml: only the first 50 faults are told"), expected > MOST_FAULTS);
+        assert_eq!(
+            told.iter().any(|line| line == "s.toml: only the first 50 faults are told"),
+            expected > MAX_DIAGNOSTICS
+        );
     }
 }
 

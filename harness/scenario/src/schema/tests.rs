@@ -1,4 +1,4 @@
-use super::{plate, scenario};
+use super::{plate_schema, scenario_schema};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ fn every_scenario_and_plate_of_the_project_is_good() {
     let mut files = Vec::new();
     tomls(&root, &mut files);
     let validator = |schema: schemars::Schema| jsonschema::validator_for(schema.as_value()).unwrap();
-    let (scenario, plate) = (validator(scenario()), validator(plate()));
+    let (scenario, plate) = (validator(scenario_schema()), validator(plate_schema()));
     let mut counted = [0; 2];
     for file in files {
         let folder = file.strip_prefix(&root).unwrap().iter().next().unwrap().to_str().unwrap().to_owned();
@@ -40,7 +40,7 @@ fn every_scenario_and_plate_of_the_project_is_good() {
 /// What an editor shows beside a key.
 #[test]
 fn every_key_has_a_description() {
-    for schema in [scenario(), plate()] {
+    for schema in [scenario_schema(), plate_schema()] {
         let value = schema.as_value();
         let tables = value["$defs"].as_object().unwrap().values().chain([value]);
         for (key, about) in tables.filter_map(|table| table["properties"].as_object()).flatten() {

@@ -1,99 +1,118 @@
-//! Every fault is caught by its witness, and what makes no mistake is not.
+//! Checks that each mutant is caught by its witness, and that a correct controller is not.
 
-use crate::suite::{root, scenario};
+use crate::repository_scenarios::{load_scenario, workspace_root};
+use platebench_record::Verdict;
 use platebench_scenario::Metric;
-use platebench_trust::report::Outcome;
-use platebench_trust::{Entry, Order, Report, catalogue, measure};
-use platebench_verdict::Verdict;
+use platebench_trust::report::MutantOutcome;
+use platebench_trust::{MutantSpec, TrustConfig, TrustReport, catalogue, measure};
 use std::collections::BTreeSet;
 use std::fs;
 
-fn measured(scenarios: &[&str], faults: Vec<Entry>, clean: u32) -> Report {
-    let scenarios = scenarios.iter().map(|name| scenario(name)).collect();
-    measure(&Order { scenarios, faults, clean, seed: 1, jobs: 2 }).unwrap()
+fn measure_suite(scenarios: &[&str], faults: Vec<MutantSpec>, clean: u32) -> TrustReport {
+    let scenarios = scenarios.iter().map(|name| load_scenario(name)).collect();
+    measure(&TrustConfig { scenarios, mutants: faults, variants: Vec::new(), clean_runs: clean, seed: 1, jobs: 2 })
+        .unwrap()
 }
 
 #[test]
-fn there_are_enough_of_them_and_none_is_named_twice() {
+fn has_enough_mutants_with_unique_names() {
     let names: BTreeSet<_> = catalogue().iter().map(|entry| entry.name).collect();
     assert_eq!(names.len(), catalogue().len());
     assert!(names.len() >= 24);
 }
 
 #[test]
-fn every_fault_is_caught_by_its_witness_for_a_right_reason() {
+fn every_mutant_is_caught_by_its_witness_scenario() {
     let missed: Vec<_> = catalogue()
         .into_iter()
-        .filter(|entry| measured(&[entry.witness], vec![*entry], 0).faults[0].outcome != Outcome::Caught)
+        .filter(|entry| {
+            measure_suite(&[entry.witness_scenario], vec![*entry], 0).faults[0].outcome != MutantOutcome::Caught
+        })
         .map(|entry| entry.name)
         .collect();
     assert!(missed.is_empty(), "{missed:?}");
 }
 
 #[test]
-fn a_controller_without_a_mistake_survives_and_fails_the_suite() {
+fn an_unmutated_controller_survives_and_fails_the_suite() {
     let scenarios = ["paper/fig13-closed-loop.toml", "faults/doubled-messages.toml", "faults/flipped-bit.toml"];
-    let report = measured(&scenarios, vec![Entry::harmless()], 0);
-    assert_eq!(report.faults[0].outcome, Outcome::Survived, "{:?}", report.faults[0]);
+    let report = measure_suite(&scenarios, vec![MutantSpec::unmutated()], 0);
+    assert_eq!(report.faults[0].outcome, MutantOutcome::Survived, "{:?}", report.faults[0]);
     assert_eq!((report.kill_rate.seen, report.kill_rate.count, report.verdict), (0, 1, Verdict::Fail));
 }
 
 #[test]
-fn a_wrong_reason_does_not_count() {
+fn another_metric_than_the_expected_does_not_count() {
     let fault = catalogue().into_iter().find(|entry| entry.name == "setpoint-scale").unwrap();
-    let fault = Entry { metrics: &[Metric::ShutdownTime], ..fault };
-    let report = measured(&["paper/fig13-closed-loop.toml"], vec![fault], 0);
-    assert_eq!(report.faults[0].outcome, Outcome::WrongReason);
+    let fault = MutantSpec { detecting_metrics: &[Metric::ShutdownTime], ..fault };
+    let report = measure_suite(&["paper/fig13-closed-loop.toml"], vec![fault], 0);
+    assert_eq!(report.faults[0].outcome, MutantOutcome::WrongReason);
     assert_eq!((report.kill_rate.seen, report.verdict), (0, Verdict::Fail));
 }
 
 #[test]
-fn what_fails_without_the_mistake_as_well_catches_nobody() {
-    // Gains of the untouched plate settle too late under 2 N, whatever is missing in them.
+fn failures_of_the_reference_catch_no_mutant() {
+    // The reference too settles too late under 2 N: its gains are those of the untouched plate.
     let fault = catalogue().into_iter().find(|entry| entry.name == "no-anti-windup").unwrap();
-    let report = measured(&["paper/fig16-closed-loop.toml"], vec![fault], 0);
-    assert_eq!(report.faults[0].outcome, Outcome::Survived, "{:?}", report.faults[0]);
+    let report = measure_suite(&["paper/fig16-closed-loop.toml"], vec![fault], 0);
+    assert_eq!(report.faults[0].outcome, MutantOutcome::Survived, "{:?}", report.faults[0]);
 }
 
 #[test]
-fn a_clean_run_that_fails_is_a_false_alarm() {
-    let mut strict = scenario("paper/fig13-closed-loop.toml");
-    // What is left after two periods is 4.2 % of the nominal plate's step and a ripple, and more or less of others'..
+fn a_failed_clean_run_is_a_false_alarm() {
+    let mut strict = load_scenario("paper/fig13-closed-loop.toml");
+    // After two periods 4.2 % of the nominal plate's step and a ripple remain; other plates vary
+    // around it.
     strict.expectations[0].band_percent = 4.5;
     let faults = catalogue().into_iter().filter(|entry| entry.name == "setpoint-scale").collect::<Vec<_>>();
-    let order = |scenario| Order { scenarios: vec![scenario], faults: faults.clone(), clean: 20, seed: 1, jobs: 2 };
+    let order = |scenario| TrustConfig {
+        scenarios: vec![scenario],
+        mutants: faults.clone(),
+        variants: Vec::new(),
+        clean_runs: 20,
+        seed: 1,
+        jobs: 2,
+    };
     let report = measure(&order(strict)).unwrap();
     let rate = report.clean.false_alarm_rate;
     assert!(rate.seen > 0 && rate.seen < 20, "{rate:?}");
     assert_eq!((report.clean.alarms.len(), report.verdict), (rate.seen as usize, Verdict::Fail));
-    let report = measure(&order(scenario("paper/fig13-closed-loop.toml"))).unwrap();
+    let report = measure(&order(load_scenario("paper/fig13-closed-loop.toml"))).unwrap();
     assert_eq!((report.clean.false_alarm_rate.seen, report.verdict), (0, Verdict::Pass));
 }
 
 #[test]
-fn the_documented_matrix_is_that_of_a_rerun() {
-    let page = fs::read_to_string(root().join("docs/trust.md")).unwrap();
+fn documented_matrix_equals_a_rerun() {
+    let page = fs::read_to_string(workspace_root().join("docs/trust.md")).unwrap();
     let file = "faults/five-periods-of-silence.toml";
-    let report = measured(&[file], catalogue(), 0);
+    let report = measure_suite(&[file], catalogue(), 0);
     let mut names: Vec<_> =
         report.faults.iter().filter(|fault| !fault.right.is_empty()).map(|fault| fault.name.as_str()).collect();
     names.sort_unstable();
     let row = format!("| {file} | {} of {} | {} |", names.len(), catalogue().len(), names.join(", "));
     assert!(page.contains(&row), "not in docs/trust.md: {row}");
     for entry in catalogue() {
-        assert!(page.contains(&format!("| {} | {} |", entry.name, entry.mistake)), "{}", entry.name);
+        assert!(page.contains(&format!("| {} | {} |", entry.name, entry.description)), "{}", entry.name);
     }
 }
 
 #[test]
-fn a_doubt_catches_nobody_and_is_no_false_alarm() {
-    let mut doubtful = scenario("paper/fig13-closed-loop.toml");
-    // One trial of a plate that varies decides no mean.
+fn inconclusive_catches_no_mutant_and_is_no_false_alarm() {
+    let mut doubtful = load_scenario("paper/fig13-closed-loop.toml");
+    // One trial of a plate that varies does not decide a mean.
     doubtful.trials.spread.gain_percent = 0.3;
     doubtful.expectations.retain(|expectation| expectation.metric == Metric::StaticError);
     let faults = catalogue().into_iter().filter(|entry| entry.name == "setpoint-scale").collect();
-    let report = measure(&Order { scenarios: vec![doubtful], faults, clean: 3, seed: 1, jobs: 1 }).unwrap();
-    assert_eq!(report.faults[0].outcome, Outcome::Survived);
+    let report = measure(&TrustConfig {
+        scenarios: vec![doubtful],
+        mutants: faults,
+        variants: Vec::new(),
+        clean_runs: 3,
+        seed: 1,
+        jobs: 1,
+    })
+    .unwrap();
+    assert_eq!(report.faults[0].outcome, MutantOutcome::Survived);
     assert_eq!((report.clean.inconclusive, report.clean.false_alarm_rate.seen), (3, 0));
     assert!(report.clean.alarms.is_empty(), "{:?}", report.clean.alarms);
 }

@@ -1,12 +1,7 @@
-//! The catalogue against the scenarios of the repository.
+//! Plays the catalogue against the scenarios of the repository.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that cannot go on ends by panicking"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a panic fails the test")]
 
 mod catalogue;
-mod judged;
-mod suite;
+mod repository_scenarios;
+mod verdicts;

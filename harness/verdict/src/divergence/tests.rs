@@ -1,4 +1,5 @@
 use super::*;
+use platebench_record::NonFiniteDrive;
 use rstest::rstest;
 use std::f64::consts::TAU;
 
@@ -38,16 +39,16 @@ fn rows(end_ms: f64, deviation: impl Fn(f64) -> f64, quadrature: impl Fn(f64) ->
 }
 
 /// A swing of 200 Hz whose height is `size` of the time in ms.
-fn swing(size: impl Fn(f64) -> f64) -> impl Fn(f64) -> f64 {
+fn oscillation(size: impl Fn(f64) -> f64) -> impl Fn(f64) -> f64 {
     move |t_ms| size(t_ms) * (TAU * 0.2 * t_ms).sin()
 }
 
-fn none(_: f64) -> f64 {
+fn zero(_: f64) -> f64 {
     0.0
 }
 
-fn found(rows: &[Row]) -> Option<f64> {
-    diverged_at(&scenario(0.0, ""), rows)
+fn divergence_of(rows: &[Row]) -> Option<f64> {
+    divergence_time_s(&scenario(0.0, ""), rows)
 }
 
 /// Over 120 ms a third is 40 ms.
@@ -60,8 +61,8 @@ fn found(rows: &[Row]) -> Option<f64> {
 #[case::keeps_97_percent_per_third(0.2, 0.97_f64.ln() / 40.0, false)]
 #[case::grows_but_stays_within_the_band(0.001, 0.02, false)]
 fn a_swing_that_does_not_decay_is_a_divergence(#[case] size: f64, #[case] rate: f64, #[case] diverged: bool) {
-    let rows = rows(120.0, swing(|t_ms| size * (rate * t_ms).exp()), none);
-    assert_eq!(found(&rows).is_some(), diverged);
+    let rows = rows(120.0, oscillation(|t_ms| size * (rate * t_ms).exp()), zero);
+    assert_eq!(divergence_of(&rows).is_some(), diverged);
 }
 
 #[rstest]
@@ -71,35 +72,35 @@ fn a_swing_that_does_not_decay_is_a_divergence(#[case] size: f64, #[case] rate: 
 #[case::slow_drift_through_the_setpoint(|t_ms: f64| (t_ms - 60.0) / 100.0)]
 #[case::one_swing_per_third(|t_ms: f64| 0.3 * (TAU * t_ms / 40.0).sin())]
 fn what_does_not_swing_around_the_setpoint_is_something_else(#[case] deviation: fn(f64) -> f64) {
-    assert_eq!(found(&rows(120.0, deviation, none)), None);
+    assert_eq!(divergence_of(&rows(120.0, deviation, zero)), None);
 }
 
 /// A frequency loop on its way from one side of the resonance to the other leaves |W| above the setpoint, or below it.
 #[test]
 fn a_quadrature_component_that_swings_counts_where_the_amplitude_swings_with_it() {
     let one_sided = |t_ms: f64| 0.2 * (TAU * 0.2 * t_ms).sin().powi(2);
-    let quadrature = swing(|_| 0.6);
-    assert!(found(&rows(120.0, one_sided, &quadrature)).is_some());
-    assert_eq!(found(&rows(120.0, one_sided, none)), None);
+    let quadrature = oscillation(|_| 0.6);
+    assert!(divergence_of(&rows(120.0, one_sided, &quadrature)).is_some());
+    assert_eq!(divergence_of(&rows(120.0, one_sided, zero)), None);
     // Hunting around the resonance beside an offset: the amplitude itself hardly moves.
     let offset = |t_ms: f64| -0.3 + one_sided(t_ms) / 4.0;
-    assert_eq!(found(&rows(120.0, offset, &quadrature)), None);
+    assert_eq!(divergence_of(&rows(120.0, offset, &quadrature)), None);
 }
 
 #[test]
 fn what_noise_could_do_is_not_called_a_divergence() {
     // 25 times 8 nm are 10 % of 2 µm.
     let noisy = scenario(0.008, "");
-    assert!(diverged_at(&noisy, &rows(120.0, swing(|_| 0.101), none)).is_some());
-    assert_eq!(diverged_at(&noisy, &rows(120.0, swing(|_| 0.099), none)), None);
+    assert!(divergence_time_s(&noisy, &rows(120.0, oscillation(|_| 0.101), zero)).is_some());
+    assert_eq!(divergence_time_s(&noisy, &rows(120.0, oscillation(|_| 0.099), zero)), None);
 }
 
 /// Thirty periods after the last event have to be there.
 #[test]
 fn a_loop_is_given_time_after_the_last_event() {
-    let swinging = |end_ms| rows(end_ms, swing(|_| 0.2), none);
-    assert!(found(&swinging(30.0)).is_some());
-    assert_eq!(found(&swinging(29.9)), None);
+    let swinging = |end_ms| rows(end_ms, oscillation(|_| 0.2), zero);
+    assert!(divergence_of(&swinging(30.0)).is_some());
+    assert_eq!(divergence_of(&swinging(29.9)), None);
     let stepped = |at_ms: f64, change: fn(&mut Row)| {
         let mut rows = swinging(120.0);
         rows.iter_mut().filter(|row| row.t_s * 1e3 < at_ms - 1e-9).for_each(change);
@@ -108,22 +109,22 @@ fn a_loop_is_given_time_after_the_last_event() {
     let changes: [fn(&mut Row); 3] =
         [|row| row.finger_force_n = 1.0, |row| row.temperature_offset_k = 1.0, |row| row.setpoint_um = 1.9];
     for change in changes {
-        assert!(found(&stepped(90.0, change)).is_some());
-        assert_eq!(found(&stepped(90.1, change)), None);
+        assert!(divergence_of(&stepped(90.0, change)).is_some());
+        assert_eq!(divergence_of(&stepped(90.1, change)), None);
     }
     for flag in [Flags::SAFE, Flags::LINK_LOST, Flags::OVERRUN] {
         let mut rows = swinging(120.0);
         rows[1800].flags = flag;
-        assert_eq!(found(&rows), None, "{flag:?} at 90 ms");
+        assert_eq!(divergence_of(&rows), None, "{flag:?} at 90 ms");
         rows[1800].flags = Flags::CONTROL;
         rows[1200].flags = flag;
-        assert!(found(&rows).is_some(), "{flag:?} at 60 ms");
+        assert!(divergence_of(&rows).is_some(), "{flag:?} at 60 ms");
     }
     let mut at_rest = swinging(120.0);
     for row in &mut at_rest {
         row.setpoint_um = 0.0;
     }
-    assert_eq!(found(&at_rest), None);
+    assert_eq!(divergence_of(&at_rest), None);
 }
 
 #[test]
@@ -131,43 +132,43 @@ fn a_planned_fault_is_an_event_to_its_end() {
     let fault = |until: &str| {
         scenario(0.0, &format!("[[fault]]\nkind = \"delay\"\ndelay_ms = 0.5\nfrom_ms = 10.0\nuntil_ms = {until}\n"))
     };
-    let swinging = rows(120.0, swing(|_| 0.2), none);
-    assert!(diverged_at(&fault("80.0"), &swinging).is_some());
-    assert_eq!(diverged_at(&fault("100.0"), &swinging), None);
+    let swinging = rows(120.0, oscillation(|_| 0.2), zero);
+    assert!(divergence_time_s(&fault("80.0"), &swinging).is_some());
+    assert_eq!(divergence_time_s(&fault("100.0"), &swinging), None);
 }
 
 /// What an amplifier cuts off comes and goes; a drive that is thrown from one of its limits to the other is not about to come to rest.
 #[test]
 fn a_drive_thrown_between_its_limits_may_swing_unevenly() {
     let uneven = |keeps: f64, low: f64| {
-        let mut rows = rows(120.0, swing(|t_ms| if t_ms < 80.0 { 0.5 } else { 0.5 * keeps }), none);
+        let mut rows = rows(120.0, oscillation(|t_ms| if t_ms < 80.0 { 0.5 } else { 0.5 * keeps }), zero);
         for row in &mut rows {
             row.drive_vpp = if row.amplitude_um < 2.0 { 900.0 } else { low };
         }
         rows
     };
-    assert!(found(&uneven(0.92, 0.0)).is_some());
-    assert_eq!(found(&uneven(0.88, 0.0)), None);
-    assert_eq!(found(&uneven(0.92, 1.0)), None);
+    assert!(divergence_of(&uneven(0.92, 0.0)).is_some());
+    assert_eq!(divergence_of(&uneven(0.88, 0.0)), None);
+    assert_eq!(divergence_of(&uneven(0.92, 1.0)), None);
 }
 
 #[rstest]
 // Never in the band for ten periods in a row: since it first left it, a quarter of a swing after the start.
-#[case(swing(|_| 0.2), 0.25)]
+#[case(oscillation(|_| 0.2), 0.25)]
 // Comes to rest first, and grows out of the band at ln(50)/0.06 = 65.2 ms.
-#[case(swing(|t_ms| (0.001 * (0.06 * t_ms).exp()).min(0.4)), 66.0)]
+#[case(oscillation(|t_ms| (0.001 * (0.06 * t_ms).exp()).min(0.4)), 66.0)]
 fn it_diverged_when_it_left_the_band_for_good(#[case] deviation: impl Fn(f64) -> f64, #[case] expected_ms: f64) {
-    let at_ms = found(&rows(120.0, deviation, none)).unwrap() * 1e3;
+    let at_ms = divergence_of(&rows(120.0, deviation, zero)).unwrap() * 1e3;
     assert!((at_ms - expected_ms).abs() < 0.5, "{at_ms}");
 }
 
 #[test]
-fn a_command_that_is_no_number_is_named_before_what_came_of_it() {
+fn names_a_non_finite_command_before_a_swing() {
     let scenario = scenario(0.0, "");
-    let swinging = rows(120.0, swing(|_| 0.2), none);
-    let told = Telemetry { not_finite: Some(NotFinite { at_s: 0.012, count: 3 }), ..Telemetry::default() };
-    let named = divergence(&scenario, &swinging, &told).unwrap();
-    assert_eq!(named.to_string(), "diverged at t = 12.0 ms: the commanded drive is not a finite number");
-    let plain = divergence(&scenario, &swinging, &Telemetry::default()).unwrap();
+    let swinging = rows(120.0, oscillation(|_| 0.2), zero);
+    let telemetry = Telemetry { not_finite: Some(NonFiniteDrive { at_s: 0.012, count: 3 }), ..Telemetry::default() };
+    let named = detect_divergence(&scenario, &swinging, &telemetry).unwrap();
+    assert_eq!(named.to_string(), "diverged at t = 12.0 ms: the drive command was NaN or infinite");
+    let plain = detect_divergence(&scenario, &swinging, &Telemetry::default()).unwrap();
     assert_eq!(plain.to_string(), "diverged at t = 0.2 ms");
 }

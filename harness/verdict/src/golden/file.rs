@@ -1,14 +1,14 @@
-//! A baseline in two files, small enough to be read in a review: `<scenario>.csv` with the curves and `<scenario>.toml` with their tolerances and what they
-//! were made with.
+//! Reads and writes a baseline: `<scenario>.csv` with the curves, and `<scenario>.toml` with tolerances, features and
+//! origin. Both are small enough for a review.
 
-use super::Golden;
 use super::thin::thin;
+use super::tubes::GoldenTubes;
 use crate::metrics::{self, Measure};
-use crate::record::Telemetry;
-use crate::tube::{Point, SIGNALS, Signal, Tolerance, Tube};
+use crate::tube::{TUBE_SIGNALS, Tolerance, Tube, TubePoint, TubeSignal};
 use platebench_plate::Time;
-use platebench_scenario::{Expectation, Limit, Metric, Over, Window};
-use platebench_trace::Row;
+use platebench_record::{Telemetry, sha256};
+use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Window};
+use platebench_trace::{Row, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -16,22 +16,24 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Ends the name of a column that holds what was learned beside the tolerance.
+/// Suffix of a column with a learned width.
 const WIDTH: &str = "_width";
 const TIME: &str = "t_ms";
+/// Largest size of a baseline file.
+const MAX_BYTES: u64 = 64 << 20;
 
 /// Why a baseline cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum BaselineError {
-    /// What the system says.
+    /// A file cannot be read or written.
     #[error("{}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// The file is no baseline.
+    /// The content is not a baseline.
     #[error("{}:{line}: {message}", path.display())]
     Content {
         /// The file.
@@ -43,27 +45,27 @@ pub enum BaselineError {
     },
 }
 
-/// What was accepted of a scenario.
+/// The accepted response of a scenario.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Accepted {
+pub struct Baseline {
     /// The scenario's file below the scenario folder.
     pub scenario: String,
     /// The control law.
     pub law: String,
-    /// What it was made with.
-    pub build: Build,
-    /// What is read off the first trial.
-    pub features: Features,
-    /// Where the tubes were learned from trials that differ.
-    pub learned: Option<Learned>,
+    /// What it was recorded with.
+    pub build: BaselineBuild,
+    /// Features of the first trial.
+    pub features: ResponseFeatures,
+    /// Present if the tubes were learned from trials that differ.
+    pub learned: Option<LearningParameters>,
     /// The curves.
-    pub golden: Golden,
+    pub golden: GoldenTubes,
 }
 
-/// What a baseline was made with.
+/// What a baseline was recorded with.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Build {
+pub struct BaselineBuild {
     /// What the controller ran on.
     pub rig: String,
     /// Name and version of the firmware.
@@ -72,10 +74,10 @@ pub struct Build {
     pub id: String,
 }
 
-/// What people look at first, rounded to what is meaningful; nothing where the trial has no such number.
+/// Features of a response, rounded; `None` if the trial has no such number.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Features {
+pub struct ResponseFeatures {
     /// 5 % settling time of |W| after the first step, to 0.01 ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub settling_time_ms: Option<f64>,
@@ -87,50 +89,57 @@ pub struct Features {
     pub drive_peak_vpp: Option<f64>,
 }
 
-/// What a tube was learned from.
+/// Parameters of a learned tube.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Learned {
-    /// How many trials.
+pub struct LearningParameters {
+    /// Number of trials.
     pub trials: u32,
-    /// Share of further trials that leave it although nothing has changed, as declared.
+    /// Declared share of unchanged trials that leave the tube.
     pub false_alarm_rate: f64,
 }
 
-/// The TOML file.
+/// Content of the TOML file.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Head {
+struct BaselineHeader {
     scenario: String,
     law: String,
+    /// SHA-256 of the CSV file, hexadecimal.
+    curves_sha256: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     step_ms: Option<f64>,
-    build: Build,
+    build: BaselineBuild,
     #[serde(default)]
-    features: Features,
+    features: ResponseFeatures,
     #[serde(skip_serializing_if = "Option::is_none")]
-    learned: Option<Learned>,
+    learned: Option<LearningParameters>,
     tolerance: BTreeMap<String, Tolerance>,
 }
 
-impl Features {
+impl ResponseFeatures {
     /// The features of a trial.
     pub fn of(rows: &[Row]) -> Self {
+        let end = rows.last().and_then(|row| Time::from_seconds(row.t_s)).unwrap_or(Time::ZERO);
         let number = |metric: Metric, grain: f64| {
             let expectation = Expectation {
+                name: metric.name().to_owned(),
+                windows: vec![Window { from: Time::ZERO, to: end }],
+                after: None,
                 metric,
                 limit: Limit::AtLeast(0.0),
+                tolerance_percent: 0.0,
                 paper: None,
                 requirement: None,
                 confidence: 0.95,
-                over: Over::Each,
+                aggregation: Aggregation::Each,
                 band_percent: 5.0,
                 from: None,
                 window: Window { from: Time::ZERO, to: Time::ZERO },
                 signal: "amplitude_um",
             };
             match metrics::measure(&expectation, rows, &Telemetry::default()) {
-                // Divided, not multiplied: 195/100 is the double next to 1.95.
+                // A division gives the double next to the decimal number: 195/100 = 1.95.
                 Measure::Value(value) => Some((value * grain).round() / grain),
                 _ => None,
             }
@@ -143,7 +152,7 @@ impl Features {
     }
 
     /// Each feature by name.
-    pub fn named(&self) -> [(&'static str, Option<f64>); 3] {
+    pub fn by_name(&self) -> [(&'static str, Option<f64>); 3] {
         [
             ("settling_time_ms", self.settling_time_ms),
             ("overshoot_percent", self.overshoot_percent),
@@ -152,34 +161,23 @@ impl Features {
     }
 }
 
-impl Golden {
-    /// The curves of one trial, thinned to what it takes to draw them; looked at every `step_ms`.
-    pub fn of_trial(rows: &[Row], step_ms: f64) -> Option<Self> {
-        let mut golden = Self { step_ms: Some(step_ms), ..Self::of_rows(rows)? };
+impl GoldenTubes {
+    /// The curves of one trial, thinned, compared every `step_ms`.
+    pub fn from_trial(rows: &[Row], step_ms: f64) -> Option<Self> {
+        let mut golden = Self { step_ms: Some(step_ms), ..Self::from_rows(rows)? };
         thin(&mut golden.tubes);
         Some(golden)
     }
 }
 
-fn at(folder: &Path, scenario: &str, extension: &str) -> PathBuf {
+fn baseline_path(folder: &Path, scenario: &str, extension: &str) -> PathBuf {
     folder.join(format!("{}.{extension}", scenario.strip_suffix(".toml").unwrap_or(scenario)))
 }
 
-impl Accepted {
-    /// The two files, TOML and CSV, as they are written.
-    pub fn texts(&self) -> [String; 2] {
+impl Baseline {
+    /// Content of the two files: TOML and CSV.
+    pub fn to_texts(&self) -> [String; 2] {
         let tubes = &self.golden.tubes;
-        let head = Head {
-            scenario: self.scenario.clone(),
-            law: self.law.clone(),
-            step_ms: self.golden.step_ms,
-            build: self.build.clone(),
-            features: self.features.clone(),
-            learned: self.learned.clone(),
-            tolerance: tubes.iter().map(|tube| (tube.signal.clone(), tube.tolerance)).collect(),
-        };
-        // Strings, numbers and tables under names: nothing in it that TOML could not say.
-        let head = toml::to_string(&head).unwrap_or_default();
         let is_learned = self.learned.is_some();
         let names = tubes.iter().map(|tube| tube.signal.clone());
         let widths = tubes.iter().filter(|_| is_learned).map(|tube| format!("{}{WIDTH}", tube.signal));
@@ -188,45 +186,55 @@ impl Accepted {
         let count = tubes.first().map_or(0, |tube| tube.points.len());
         for index in 0..count {
             let points = || tubes.iter().filter_map(|tube| Some((tube, tube.points.get(index)?)));
-            let decimals = |tube: &Tube| Signal::named(&tube.signal).map_or(6, |signal| signal.decimals);
+            let decimals = |tube: &Tube| TubeSignal::from_name(&tube.signal).map_or(6, |signal| signal.decimals);
             let t_ms = points().next().map_or(0.0, |(_, point)| point.t_ms);
-            table.push_str(&short(t_ms, 6));
+            table.push_str(&format_decimal(t_ms, 6));
             for (tube, point) in points() {
-                let _ = write!(table, ",{}", short(point.value, decimals(tube)));
+                let _ = write!(table, ",{}", format_decimal(point.value, decimals(tube)));
             }
             for (tube, point) in points().filter(|_| is_learned) {
-                let _ = write!(table, ",{}", short(point.width, decimals(tube)));
+                let _ = write!(table, ",{}", format_decimal(point.width, decimals(tube)));
             }
             table.push('\n');
         }
-        [head, table]
+        let head = BaselineHeader {
+            scenario: self.scenario.clone(),
+            law: self.law.clone(),
+            curves_sha256: sha256(table.as_bytes()),
+            step_ms: self.golden.step_ms,
+            build: self.build.clone(),
+            features: self.features.clone(),
+            learned: self.learned.clone(),
+            tolerance: tubes.iter().map(|tube| (tube.signal.clone(), tube.tolerance)).collect(),
+        };
+        // Strings, numbers and tables with names: TOML can express all of it.
+        [toml::to_string(&head).unwrap_or_default(), table]
     }
 
-    /// Writes both files below `folder`, each as a whole.
+    /// Replaces both files below `folder`. The TOML file contains the hash of the CSV file, so a reader detects a pair of
+    /// which only one file was replaced.
     ///
     /// # Errors
     /// [`BaselineError::Io`].
     pub fn write(&self, folder: &Path) -> Result<(), BaselineError> {
-        let [head, table] = self.texts();
-        for (extension, text) in [("toml", head), ("csv", table)] {
-            let path = at(folder, &self.scenario, extension);
-            let provisional = path.with_extension(format!("{extension}.part"));
+        let [head, table] = self.to_texts();
+        for (extension, text) in [("csv", table), ("toml", head)] {
+            let path = baseline_path(folder, &self.scenario, extension);
             let written = path
                 .parent()
                 .map_or(Ok(()), fs::create_dir_all)
-                .and_then(|()| fs::write(&provisional, text))
-                .and_then(|()| fs::rename(&provisional, &path));
+                .and_then(|()| write_atomically(&path, text.as_bytes()));
             written.map_err(|source| BaselineError::Io { path, source })?;
         }
         Ok(())
     }
 
-    /// Reads what was accepted of the scenario in file `scenario`; `None` where nothing was.
+    /// Reads the baseline of the scenario in file `scenario`; `None` if there is none.
     ///
     /// # Errors
-    /// [`BaselineError`] where one of the two files is missing or is no baseline.
+    /// [`BaselineError`]: one of the two files is missing or is not a baseline.
     pub fn read(folder: &Path, scenario: &str) -> Result<Option<Self>, BaselineError> {
-        let (head, table) = (at(folder, scenario, "toml"), at(folder, scenario, "csv"));
+        let (head, table) = (baseline_path(folder, scenario, "toml"), baseline_path(folder, scenario, "csv"));
         if !head.exists() && !table.exists() { Ok(None) } else { Self::read_files(&head, &table).map(Some) }
     }
 
@@ -236,11 +244,11 @@ impl Accepted {
     /// [`BaselineError`].
     pub fn read_files(head_path: &Path, table_path: &Path) -> Result<Self, BaselineError> {
         let text = |path: &Path| {
-            fs::read_to_string(path).map_err(|source| BaselineError::Io { path: path.to_owned(), source })
+            read_text_file(path, MAX_BYTES).map_err(|source| BaselineError::Io { path: path.to_owned(), source })
         };
         let (head, table) = (text(head_path)?, text(table_path)?);
         let refused = |line, message| BaselineError::Content { path: head_path.to_owned(), line, message };
-        let parsed: Head = toml::from_str(&head).map_err(|error| {
+        let parsed: BaselineHeader = toml::from_str(&head).map_err(|error| {
             let before = error.span().and_then(|span| head.get(..span.start)).unwrap_or_default();
             refused(before.matches('\n').count() + 1, error.message().to_owned())
         })?;
@@ -248,8 +256,8 @@ impl Accepted {
         for (signal, tolerance) in &parsed.tolerance {
             let Tolerance { absolute, relative, time_ms } = *tolerance;
             let line = line_of(&format!("tolerance.{signal}"));
-            if Signal::named(signal).is_none() {
-                let known = SIGNALS.iter().map(|signal| signal.name).collect::<Vec<_>>().join(", ");
+            if TubeSignal::from_name(signal).is_none() {
+                let known = TUBE_SIGNALS.iter().map(|signal| signal.name).collect::<Vec<_>>().join(", ");
                 return Err(refused(line, format!("tolerance of `{signal}`, expected one of {known}")));
             }
             let fits = absolute > 0.0
@@ -258,8 +266,9 @@ impl Accepted {
                 && (0.0..1e6).contains(&time_ms);
             if !fits {
                 let message = format!(
-                    "tolerance of {signal}: absolute {absolute}, relative {relative}, time_ms {time_ms}; expected an absolute part above 0, \
-                     without which a signal near zero has no tolerance, a relative one from 0 to 1 and a time of 0 or more"
+                    "tolerance of {signal}: absolute {absolute}, relative {relative}, time_ms {time_ms}; expected an \
+                     absolute part above 0, without which a signal near zero has no tolerance, a relative one from 0 to 1 \
+                     and a time of 0 or more"
                 );
                 return Err(refused(line, message));
             }
@@ -274,20 +283,24 @@ impl Accepted {
         if parsed.step_ms.is_some_and(|step| !(1e-6..1e6).contains(&step)) {
             return Err(refused(line_of("step_ms"), "expected a step from 1e-6 to 1e6 ms".to_owned()));
         }
-        let tubes = tubes(&parsed, table_path, &table)?;
+        let tubes = parse_tubes(&parsed, table_path, &table)?;
+        if parsed.curves_sha256 != sha256(table.as_bytes()) {
+            let message = format!("the curves in {} changed; accept the baseline again", table_path.display());
+            return Err(refused(line_of("curves_sha256"), message));
+        }
         Ok(Self {
             scenario: parsed.scenario,
             law: parsed.law,
             build: parsed.build,
             features: parsed.features,
             learned: parsed.learned,
-            golden: Golden { tubes, step_ms: parsed.step_ms, false_alarm_rate: rate },
+            golden: GoldenTubes { tubes, step_ms: parsed.step_ms, false_alarm_rate: rate },
         })
     }
 }
 
-/// The curves out of the CSV file.
-fn tubes(head: &Head, path: &Path, table: &str) -> Result<Vec<Tube>, BaselineError> {
+/// Parses the curves of the CSV file.
+fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tube>, BaselineError> {
     let refused = |line: usize, message: String| BaselineError::Content { path: path.to_owned(), line, message };
     let mut lines = (1..).zip(table.lines()).filter(|(_, line)| !line.trim().is_empty());
     let columns: Vec<&str> = lines.next().map(|(_, line)| line.split(',').collect()).unwrap_or_default();
@@ -303,7 +316,7 @@ fn tubes(head: &Head, path: &Path, table: &str) -> Result<Vec<Tube>, BaselineErr
         return Err(refused(1, format!("column `{strange}` has no tolerance")));
     }
     let mut tubes = Vec::new();
-    for signal in SIGNALS.iter().filter(|signal| head.tolerance.contains_key(signal.name)) {
+    for signal in TUBE_SIGNALS.iter().filter(|signal| head.tolerance.contains_key(signal.name)) {
         let Some(value) = column(signal.name) else {
             return Err(refused(1, format!("no column `{}`, expected one for each tolerance", signal.name)));
         };
@@ -332,7 +345,7 @@ fn tubes(head: &Head, path: &Path, table: &str) -> Result<Vec<Tube>, BaselineErr
             if width < 0.0 {
                 return Err(refused(line, format!("a width of {width}, expected 0 or more")));
             }
-            tube.points.push(Point { t_ms, value: of(*value), width });
+            tube.points.push(TubePoint { t_ms, value: of(*value), width });
         }
     }
     if tubes.first().is_none_or(|(tube, ..)| tube.points.is_empty()) {
@@ -341,8 +354,8 @@ fn tubes(head: &Head, path: &Path, table: &str) -> Result<Vec<Tube>, BaselineErr
     Ok(tubes.into_iter().map(|(tube, ..)| tube).collect())
 }
 
-/// A number with at most so many decimals, without zeros at its end.
-fn short(value: f64, decimals: usize) -> String {
+/// A number with at most `decimals` decimals, without trailing zeros.
+fn format_decimal(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     if text == "-0" { "0".to_owned() } else { text.to_owned() }

@@ -1,5 +1,7 @@
 use super::*;
 use crate::tube::Tolerance;
+use platebench_record::Verdict;
+use platebench_trace::Row;
 use rstest::rstest;
 use std::fs;
 use tempfile::TempDir;
@@ -27,30 +29,30 @@ fn rows_to(last: u32, late: f64, factor: f64) -> Vec<Row> {
     (0..=last).map(row).collect()
 }
 
-fn golden() -> Golden {
-    Golden::of_trial(&rows(0.0, 1.0), 0.05).unwrap()
+fn golden() -> GoldenTubes {
+    GoldenTubes::from_trial(&rows(0.0, 1.0), 0.05).unwrap()
 }
 
-fn compare(golden: &Golden, trials: &[Vec<Row>]) -> Comparison {
+fn compare(golden: &GoldenTubes, trials: &[Vec<Row>]) -> TubeComparison {
     golden.compare((0..).zip(trials.iter().map(Vec::as_slice)))
 }
 
 #[test]
-fn a_trial_is_like_itself_and_so_is_its_thinned_curve() {
+fn matches_itself_and_its_thinned_curve() {
     let comparison = compare(&golden(), &[rows(0.0, 1.0)]);
     assert_eq!((comparison.verdict, comparison.worst, comparison.reason), (Verdict::Pass, None, None));
     assert!(golden().tubes[0].points.len() < 60);
-    assert_eq!(compare(&Golden::of_rows(&rows(0.0, 1.0)).unwrap(), &[rows(0.0, 1.0)]).verdict, Verdict::Pass);
-    assert_eq!(Golden::of_rows(&[]), None);
+    assert_eq!(compare(&GoldenTubes::from_rows(&rows(0.0, 1.0)).unwrap(), &[rows(0.0, 1.0)]).verdict, Verdict::Pass);
+    assert_eq!(GoldenTubes::from_rows(&[]), None);
 }
 
-/// 2 µm have a tolerance of 0.01 + 0.5 % = 0.02 µm, of which thinning the curve may have taken a tenth.
+/// 2 µm have a tolerance of 0.01 + 0.5 % = 0.02 µm; thinning may use a tenth of it.
 #[rstest]
 #[case::just_inside(1.0088, Verdict::Pass)]
 #[case::just_outside(1.0112, Verdict::Fail)]
 #[case::just_inside_below(0.9912, Verdict::Pass)]
 #[case::just_outside_below(0.9888, Verdict::Fail)]
-fn a_response_of_another_height_is_found(#[case] factor: f64, #[case] expected: Verdict) {
+fn detects_another_height(#[case] factor: f64, #[case] expected: Verdict) {
     assert_eq!(compare(&golden(), &[rows(0.0, factor)]).verdict, expected);
 }
 
@@ -59,13 +61,13 @@ fn a_response_of_another_height_is_found(#[case] factor: f64, #[case] expected: 
 #[case::early(-0.05, Verdict::Pass)]
 #[case::too_late(0.1, Verdict::Fail)]
 #[case::too_early(-0.1, Verdict::Fail)]
-fn a_response_that_comes_later_is_found(#[case] late: f64, #[case] expected: Verdict) {
+fn detects_a_delay(#[case] late: f64, #[case] expected: Verdict) {
     let comparison = compare(&golden(), &[rows(late, 1.0)]);
     assert_eq!(comparison.verdict, expected, "{comparison:?}");
 }
 
 #[test]
-fn the_worst_trial_is_named() {
+fn names_the_worst_trial() {
     let comparison = compare(&golden(), &[rows(0.0, 1.0), rows(0.0, 1.05), rows(0.0, 1.1), rows(0.0, 1.02)]);
     let (trial, worst) = comparison.worst.unwrap();
     assert_eq!((comparison.verdict, comparison.trials, comparison.outside, trial), (Verdict::Fail, 4, 3, 2));
@@ -80,15 +82,14 @@ fn the_worst_trial_is_named() {
 #[case::too_short(398, Verdict::Inconclusive)]
 #[case::longer(401, Verdict::Pass)]
 #[case::too_long(402, Verdict::Inconclusive)]
-fn what_was_not_compared_is_no_pass(#[case] last: u32, #[case] expected: Verdict) {
+fn does_not_pass_a_part_that_was_not_compared(#[case] last: u32, #[case] expected: Verdict) {
     let comparison = compare(&golden(), &[rows_to(last, 0.0, 1.0)]);
     assert_eq!(comparison.verdict, expected);
-    // What can be seen to be wrong is wrong all the same.
     assert_eq!(compare(&golden(), &[rows_to(last, 0.0, 1.1)]).verdict, Verdict::Fail);
 }
 
 #[test]
-fn nothing_to_compare_is_no_pass() {
+fn does_not_pass_without_trials() {
     assert_eq!(compare(&golden(), &[]).verdict, Verdict::Inconclusive);
     assert_eq!(compare(&golden(), &[Vec::new()]).verdict, Verdict::Inconclusive);
 }
@@ -102,57 +103,57 @@ fn nothing_to_compare_is_no_pass() {
 #[case(0.05, 1, 1, Verdict::Fail)]
 #[case(0.06, 1, 1, Verdict::Inconclusive)]
 #[case(0.05, 1, 0, Verdict::Pass)]
-fn of_a_learned_tube_so_many_trials_may_be_outside(
+fn allows_some_trials_outside_a_learned_tube(
     #[case] rate: f64,
     #[case] trials: usize,
     #[case] outside: usize,
     #[case] expected: Verdict,
 ) {
-    let golden = Golden { false_alarm_rate: Some(rate), ..golden() };
+    let golden = GoldenTubes { false_alarm_rate: Some(rate), ..golden() };
     let all: Vec<_> = (0..trials).map(|index| rows(0.0, if index < outside { 1.1 } else { 1.0 })).collect();
     assert_eq!(compare(&golden, &all).verdict, expected);
 }
 
-fn accepted() -> Accepted {
-    Accepted {
+fn baseline() -> Baseline {
+    Baseline {
         scenario: "paper/step.toml".to_owned(),
         law: "dq-pi".to_owned(),
-        build: Build { rig: "hosted".to_owned(), firmware: "dq 0.1.0".to_owned(), id: "0123abcd".to_owned() },
-        features: Features::of(&rows(0.0, 1.0)),
+        build: BaselineBuild { rig: "hosted".to_owned(), firmware: "dq 0.1.0".to_owned(), id: "0123abcd".to_owned() },
+        features: ResponseFeatures::of(&rows(0.0, 1.0)),
         learned: None,
         golden: golden(),
     }
 }
 
 #[test]
-fn features_are_rounded_to_what_is_meaningful() {
-    let Features { settling_time_ms, overshoot_percent, drive_peak_vpp } = accepted().features;
+fn rounds_features() {
+    let ResponseFeatures { settling_time_ms, overshoot_percent, drive_peak_vpp } = baseline().features;
     assert_eq!((settling_time_ms, overshoot_percent, drive_peak_vpp), (Some(5.63), Some(0.0), Some(287.0)));
-    assert_eq!(Features::of(&[]), Features::default());
+    assert_eq!(ResponseFeatures::of(&[]), ResponseFeatures::default());
 }
 
 #[test]
-fn the_two_files_are_the_documented_ones() {
-    let [head, table] = accepted().texts();
+fn writes_the_documented_files() {
+    let [head, table] = baseline().to_texts();
     insta::assert_snapshot!("head", head);
     insta::assert_snapshot!("table", table);
     assert!(table.len() < 4_000, "{} bytes", table.len());
 }
 
 #[test]
-fn a_baseline_comes_back_within_a_thousandth_of_its_tolerance() {
+fn round_trips_within_a_thousandth_of_the_tolerance() {
     let folder = TempDir::new().unwrap();
-    assert_eq!(Accepted::read(folder.path(), "paper/step.toml").unwrap(), None);
-    let (plain, learned) = (accepted(), Learned { trials: 30, false_alarm_rate: 0.05 });
-    let mut wide = Golden { false_alarm_rate: Some(0.05), ..golden() };
+    assert_eq!(Baseline::read(folder.path(), "paper/step.toml").unwrap(), None);
+    let (plain, learned) = (baseline(), LearningParameters { trials: 30, false_alarm_rate: 0.05 });
+    let mut wide = GoldenTubes { false_alarm_rate: Some(0.05), ..golden() };
     for (index, point) in (0..).zip(&mut wide.tubes[0].points) {
         point.width = f64::from(index) * 0.001;
     }
-    let wide = Accepted { learned: Some(learned), golden: wide, ..accepted() };
+    let wide = Baseline { learned: Some(learned), golden: wide, ..baseline() };
     for before in [plain, wide] {
         before.write(folder.path()).unwrap();
-        let after = Accepted::read(folder.path(), "paper/step.toml").unwrap().unwrap();
-        assert_eq!(after.texts(), before.texts());
+        let after = Baseline::read(folder.path(), "paper/step.toml").unwrap().unwrap();
+        assert_eq!(after.to_texts(), before.to_texts());
         assert_eq!((&after.features, &after.build, &after.learned), (&before.features, &before.build, &before.learned));
         assert_eq!(after.golden.false_alarm_rate, before.golden.false_alarm_rate);
         for (one, other) in before.golden.tubes.iter().zip(&after.golden.tubes) {
@@ -185,38 +186,38 @@ fn a_baseline_comes_back_within_a_thousandth_of_its_tolerance() {
 #[case::not_finite("csv", "\n0,0,", "\n0,inf,", ":2: expected 6 finite numbers")]
 #[case::too_few("csv", "\n0,0,", "\n0,", ":2: expected 6 finite numbers")]
 #[case::back_in_time("csv", "\n0,0,", "\n99,0,", ":3: `t_ms` is")]
-fn what_is_no_baseline_is_refused_with_its_place(
+fn rejects_a_damaged_baseline_with_its_position(
     #[case] extension: &str,
     #[case] good: &str,
     #[case] bad: &str,
     #[case] told: &str,
 ) {
     let folder = TempDir::new().unwrap();
-    accepted().write(folder.path()).unwrap();
+    baseline().write(folder.path()).unwrap();
     let path = folder.path().join(format!("paper/step.{extension}"));
     let text = fs::read_to_string(&path).unwrap();
     assert!(text.contains(good), "{text}");
     fs::write(&path, text.replacen(good, bad, 1)).unwrap();
-    let error = Accepted::read(folder.path(), "paper/step.toml").unwrap_err().to_string();
+    let error = Baseline::read(folder.path(), "paper/step.toml").unwrap_err().to_string();
     assert!(error.contains(told) && error.contains(&format!("step.{extension}:")), "{error}");
 }
 
 #[test]
-fn half_a_baseline_is_an_error() {
+fn rejects_half_a_baseline() {
     let folder = TempDir::new().unwrap();
-    accepted().write(folder.path()).unwrap();
+    baseline().write(folder.path()).unwrap();
     fs::remove_file(folder.path().join("paper/step.csv")).unwrap();
-    assert!(matches!(Accepted::read(folder.path(), "paper/step.toml"), Err(BaselineError::Io { .. })));
+    assert!(matches!(Baseline::read(folder.path(), "paper/step.toml"), Err(BaselineError::Io { .. })));
 }
 
 #[test]
 fn tolerances_of_a_baseline_are_its_own() {
     let folder = TempDir::new().unwrap();
-    let mut wide = accepted();
+    let mut wide = baseline();
     for tube in &mut wide.golden.tubes {
         tube.tolerance = Tolerance { absolute: 1e3, relative: 0.0, time_ms: 0.0 };
     }
     wide.write(folder.path()).unwrap();
-    let read = Accepted::read(folder.path(), "paper/step.toml").unwrap().unwrap();
+    let read = Baseline::read(folder.path(), "paper/step.toml").unwrap().unwrap();
     assert_eq!(compare(&read.golden, &[rows(0.0, 1.5)]).verdict, Verdict::Pass);
 }

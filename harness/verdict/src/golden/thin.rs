@@ -1,14 +1,14 @@
-//! A trace to the few points that draw it.
+//! Reduces curves to the points that are needed to draw them.
 
-use crate::tube::{Point, Tube};
+use crate::tube::{Tube, TubePoint};
 
-/// The share of the tolerance that leaving out points may cost.
-const SHARE: f64 = 0.1;
+/// Share of the tolerance that removed points may cost.
+const TOLERANCE_SHARE: f64 = 0.1;
 
-/// Leaves out, in all tubes alike, the points that lie on the line between their neighbours but for a tenth of the tolerance. All tubes have their points at the
-/// same instants, before and after.
+/// Removes, at the same instants of all tubes, the points that are on the line between their neighbours to a tenth of the
+/// tolerance.
 ///
-/// D. H. Douglas and T. K. Peucker, *Cartographica* 10, 1973, pp. 112-122, with the distance taken along the values.
+/// D. H. Douglas and T. K. Peucker, *Cartographica* 10, 1973, pp. 112-122, with the distance measured along the values.
 pub(super) fn thin(tubes: &mut [Tube]) {
     let count = tubes.first().map_or(0, |tube| tube.points.len());
     let mut kept = vec![false; count];
@@ -23,9 +23,9 @@ pub(super) fn thin(tubes: &mut [Tube]) {
     }
     while let Some((from, to)) = open.pop() {
         let farthest = (from + 1..to)
-            .map(|index| (index, tubes.iter().map(|tube| off(tube, from, index, to)).fold(0.0, f64::max)))
+            .map(|index| (index, tubes.iter().map(|tube| relative_distance(tube, from, index, to)).fold(0.0, f64::max)))
             .reduce(|worst, other| if other.1 > worst.1 { other } else { worst });
-        if let Some((index, _)) = farthest.filter(|(_, off)| *off > SHARE) {
+        if let Some((index, _)) = farthest.filter(|(_, off)| *off > TOLERANCE_SHARE) {
             if let Some(kept) = kept.get_mut(index) {
                 *kept = true;
             }
@@ -38,15 +38,15 @@ pub(super) fn thin(tubes: &mut [Tube]) {
     }
 }
 
-/// How far a point lies off the line between two others, in units of its tolerance.
-fn off(tube: &Tube, from: usize, index: usize, to: usize) -> f64 {
+/// Distance of a point from the line between two others, in units of its tolerance.
+fn relative_distance(tube: &Tube, from: usize, index: usize, to: usize) -> f64 {
     let [Some(left), Some(point), Some(right)] = [from, index, to].map(|at| tube.points.get(at)) else { return 0.0 };
     let length = right.t_ms - left.t_ms;
     let share = if length > 0.0 { (point.t_ms - left.t_ms) / length } else { 0.0 };
-    let line = |of: fn(&Point) -> f64| of(left) + (of(right) - of(left)) * share;
+    let line = |of: fn(&TubePoint) -> f64| of(left) + (of(right) - of(left)) * share;
     let value = (line(|point| point.value) - point.value).abs();
     let width = (line(|point| point.width) - point.width).abs();
-    value.max(width) / tube.half(*point)
+    value.max(width) / tube.half_height(*point)
 }
 
 #[cfg(test)]
@@ -59,12 +59,12 @@ mod tests {
         Tube {
             signal: "amplitude_um".to_owned(),
             tolerance: Tolerance { absolute: 0.01, relative: 0.0, time_ms: 0.0 },
-            points: points.map(|t_ms| Point { t_ms, value: value(t_ms), width: 0.0 }).collect(),
+            points: points.map(|t_ms| TubePoint { t_ms, value: value(t_ms), width: 0.0 }).collect(),
         }
     }
 
     #[test]
-    fn what_is_left_draws_the_same_curve() {
+    fn keeps_the_curve() {
         let response = tube(|t| 2.0 * (1.0 - (-t / 1.88_f64).exp()));
         let jump = tube(|t| if t < 30.0 { 0.0 } else { 5.0 });
         let mut thinned = [response.clone(), jump.clone()];
@@ -74,13 +74,13 @@ mod tests {
         assert_eq!(short.points.len(), steep.points.len());
         for (before, after) in [(&response, short), (&jump, steep)] {
             for point in &before.points {
-                assert!((after.at(point.t_ms).value - point.value).abs() <= 0.001 + 1e-12);
+                assert!((after.point_at(point.t_ms).value - point.value).abs() <= 0.001 + 1e-12);
             }
         }
     }
 
     #[test]
-    fn the_ends_stay_and_nothing_stays_nothing() {
+    fn keeps_the_ends() {
         let mut flat = [tube(|_| 1.0)];
         thin(&mut flat);
         assert_eq!(flat[0].points.len(), 2);

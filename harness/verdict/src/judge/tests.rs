@@ -1,39 +1,54 @@
 use super::*;
-use crate::statistics::Summary;
+use crate::metrics::Measure;
+use crate::statistics::SampleSummary;
+use crate::trial::{measure, trial_record};
 use platebench_plate::Time;
+use platebench_record::{
+    BestResponse, Divergence, Exclusion, Excuse, MissingValue, Reason, Statistic, Telemetry, TrialReason,
+    UndefinedValue, Violation, ViolationKind,
+};
+use platebench_scenario::Metric;
+use platebench_trace::{Flags, Row};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rstest::rstest;
 use tempfile::TempDir;
 
-mod looks;
 mod over_trials;
+mod sequential;
 
 const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
 
 /// A scenario with the given expectations, as TOML inline tables, and changes to the text.
-struct Build<'a> {
+struct ScenarioBuilder<'a> {
     expect: &'a [&'a str],
     trials: u32,
-    most: u32,
-    spread: bool,
+    max_count: u32,
+    is_varied: bool,
     limit_vpp: f64,
     setpoint: &'a str,
     force: &'a str,
 }
 
-const ONE: Build<'_> =
-    Build { expect: &[], trials: 1, most: 0, spread: false, limit_vpp: 900.0, setpoint: "2.0", force: "0.0" };
+const BASE: ScenarioBuilder<'_> = ScenarioBuilder {
+    expect: &[],
+    trials: 1,
+    max_count: 0,
+    is_varied: false,
+    limit_vpp: 900.0,
+    setpoint: "2.0",
+    force: "0.0",
+};
 
-impl Build<'_> {
+impl ScenarioBuilder<'_> {
     fn scenario(&self) -> Scenario {
         let folder = TempDir::new().unwrap();
         let limit = "limit_vpp = 900.0";
         assert!(PLATE.contains(limit));
         let plate = PLATE.replace(limit, &format!("limit_vpp = {:?}", self.limit_vpp));
         std::fs::write(folder.path().join("plate.toml"), plate).unwrap();
-        let spread = if self.spread { "[trials.spread]\nsensor_gain_percent = 1.2\n" } else { "" };
+        let spread = if self.is_varied { "[trials.spread]\nsensor_gain_percent = 1.2\n" } else { "" };
         let text = format!(
             "title = \"Synthetic\"\nplate = \"plate.toml\"\nduration_ms = 60.0\nexpect = [{}]\n[profile]\nsetpoint_um = {}\n\
              finger_force_n = {}\n[trials]\ncount = {}\nmax_count = {}\n{spread}",
@@ -41,7 +56,7 @@ impl Build<'_> {
             self.setpoint,
             self.force,
             self.trials,
-            self.most.max(self.trials)
+            self.max_count.max(self.trials)
         );
         let path = folder.path().join("s.toml");
         std::fs::write(&path, text).unwrap();
@@ -50,55 +65,60 @@ impl Build<'_> {
 }
 
 /// A scenario of `trials` trials that differ, with one expectation.
-fn spread(expect: &str, trials: u32) -> Scenario {
-    Build { expect: &[expect], trials, spread: true, ..ONE }.scenario()
+fn varied_scenario(expect: &str, trials: u32) -> Scenario {
+    ScenarioBuilder { expect: &[expect], trials, is_varied: true, ..BASE }.scenario()
 }
 
-fn trial(index: u32, measures: &[Measure]) -> TrialMeasures {
+fn trial_measures(index: u32, measures: &[Measure]) -> TrialMeasures {
     TrialMeasures {
         telemetry: Telemetry::default(),
         index,
         seed: u64::from(index) + 1,
         measures: measures.to_vec(),
         excuses: vec![None; measures.len()],
-        diverged: None,
-        cause: None,
-        sensed: false,
+        divergence: None,
+        exclusion: None,
+        is_real_plate: false,
     }
 }
 
-fn trials(values: &[f64]) -> Vec<TrialMeasures> {
-    (0..).zip(values).map(|(index, value)| trial(index, &[Measure::Value(*value)])).collect()
+fn trials_with_values(values: &[f64]) -> Vec<TrialMeasures> {
+    (0..).zip(values).map(|(index, value)| trial_measures(index, &[Measure::Value(*value)])).collect()
 }
 
-fn judged(scenario: &Scenario, trials: &[TrialMeasures]) -> ExpectationRecord {
+fn judge_single_expectation(scenario: &Scenario, trials: &[TrialMeasures]) -> ExpectationRecord {
     let judgement = judge(scenario, trials);
-    assert_eq!(judgement.verdict, Verdict::over(judgement.expectations.iter().map(|expectation| expectation.verdict)));
+    assert_eq!(
+        judgement.verdict,
+        Verdict::combine(judgement.expectations.iter().map(|expectation| expectation.verdict))
+    );
     judgement.expectations.into_iter().next().unwrap()
 }
 
-fn verdict(scenario: &Scenario, trials: &[TrialMeasures]) -> (Verdict, Option<Cause>) {
-    let record = judged(scenario, trials);
+fn verdict_and_cause(scenario: &Scenario, trials: &[TrialMeasures]) -> (Verdict, Option<Cause>) {
+    let record = judge_single_expectation(scenario, trials);
     assert_eq!(record.cause.is_some(), record.verdict == Verdict::Inconclusive, "{record:?}");
     assert_eq!(record.reason.is_none(), record.verdict == Verdict::Pass, "{record:?}");
     (record.verdict, record.cause)
 }
 
+const TOO_WEAK: Excuse =
+    Excuse::DriveLimited { limit_vpp: 400.0, best: BestResponse::Missing(MissingValue::NeverSettles) };
 const PASS: (Verdict, Option<Cause>) = (Verdict::Pass, None);
 const FAIL: (Verdict, Option<Cause>) = (Verdict::Fail, None);
-const fn doubt(cause: Cause) -> (Verdict, Option<Cause>) {
+const fn inconclusive(cause: Cause) -> (Verdict, Option<Cause>) {
     (Verdict::Inconclusive, Some(cause))
 }
 
 /// `count` values with exactly this mean and standard deviation.
-fn with_moments(count: usize, mean: f64, deviation: f64) -> Vec<f64> {
+fn values_with_moments(count: usize, mean: f64, deviation: f64) -> Vec<f64> {
     let raw: Vec<f64> = (0..count).map(|index| index as f64).collect();
-    let summary = Summary::of(&raw).unwrap();
+    let summary = SampleSummary::of(&raw).unwrap();
     raw.iter().map(|value| mean + (value - summary.mean) / summary.deviation * deviation).collect()
 }
 
 /// A trial whose amplitude follows `amplitude` of the time in ms, with a row every 0.05 ms.
-fn rows(scenario: &Scenario, amplitude: impl Fn(f64) -> f64) -> Vec<Row> {
+fn trace_rows(scenario: &Scenario, amplitude: impl Fn(f64) -> f64) -> Vec<Row> {
     let instants = (0..=1_200_u64).map(|index| Time::from_nanos(index * 50_000));
     let row = |time: Time| Row {
         t_s: time.seconds(),
@@ -111,13 +131,13 @@ fn rows(scenario: &Scenario, amplitude: impl Fn(f64) -> f64) -> Vec<Row> {
     instants.map(row).collect()
 }
 
-fn saturated(mut rows: Vec<Row>) -> Vec<Row> {
+fn set_saturated(mut rows: Vec<Row>) -> Vec<Row> {
     rows[0].flags |= Flags::SATURATED;
     rows
 }
 
-fn played(scenario: &Scenario, rows: &[Row]) -> (Verdict, Option<Cause>) {
-    verdict(scenario, &[measure(scenario, 0, rows, &Telemetry::default())])
+fn judge_rows(scenario: &Scenario, rows: &[Row]) -> (Verdict, Option<Cause>) {
+    verdict_and_cause(scenario, &[measure(scenario, 0, rows, &Telemetry::default())])
 }
 
 #[rstest]
@@ -134,25 +154,29 @@ fn played(scenario: &Scenario, rows: &[Row]) -> (Verdict, Option<Cause>) {
 #[case("about = 2.0, tolerance_percent = 50.0", 3.0, true)]
 #[case("about = 2.0, tolerance_percent = 50.0", 3.0_f64.next_up(), false)]
 fn exactly_at_the_limit_is_good_and_the_next_float_is_not(#[case] limit: &str, #[case] value: f64, #[case] good: bool) {
-    let scenario = Build { expect: &[&format!("metric = \"final_amplitude_um\", {limit}")], ..ONE }.scenario();
-    assert_eq!(verdict(&scenario, &trials(&[value])), if good { PASS } else { FAIL });
+    let scenario =
+        ScenarioBuilder { expect: &[&format!("metric = \"final_amplitude_um\", {limit}")], ..BASE }.scenario();
+    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[value])), if good { PASS } else { FAIL });
 }
 
 #[test]
 fn one_bad_trial_among_thirty_fails() {
-    let scenario = spread("metric = \"settling_time_ms\", at_most = 2.0", 30);
+    let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 30);
     let mut values = [1.9; 30];
-    assert_eq!(verdict(&scenario, &trials(&values)), PASS);
+    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&values)), PASS);
     values[17] = 2.1;
-    let record = judged(&scenario, &trials(&values));
+    let record = judge_single_expectation(&scenario, &trials_with_values(&values));
     assert_eq!((record.verdict, record.value, record.interval), (Verdict::Fail, Some(2.1), Some([1.9, 2.1])));
-    assert_eq!(record.reason.as_deref(), Some("trial 17: 2.1000, expected ≤ 2"));
-    assert_eq!((record.statistic.as_str(), record.confidence), ("worst", Some(0.95)));
-    let mut never = trials(&[1.9; 30]);
-    never[29].measures = vec![Measure::Missing("never stays inside the band")];
-    let record = judged(&scenario, &never);
+    assert_eq!(record.reason.map(|reason| reason.to_string()).as_deref(), Some("trial 17: 2.1000, expected ≤ 2"));
+    assert_eq!((record.statistic, record.confidence), (Statistic::Worst, Some(0.95)));
+    let mut never = trials_with_values(&[1.9; 30]);
+    never[29].measures = vec![Measure::Missing(MissingValue::NeverSettles)];
+    let record = judge_single_expectation(&scenario, &never);
     assert_eq!((record.verdict, record.value), (Verdict::Fail, None));
-    assert_eq!(record.reason.as_deref(), Some("trial 29: never stays inside the band"));
+    assert_eq!(
+        record.reason.map(|reason| reason.to_string()).as_deref(),
+        Some("trial 29: never stays inside the band")
+    );
 }
 
 /// It fails nothing by itself, whatever the statistic, and an excuse or a doubt stands as it did.
@@ -160,57 +184,84 @@ fn one_bad_trial_among_thirty_fails() {
 fn a_divergence_is_why_an_expectation_failed() {
     let diverged = |mut trials: Vec<TrialMeasures>, which: &[usize]| {
         for &index in which {
-            trials[index].diverged = Some(Divergence { at_s: 0.0125, not_finite: None });
+            trials[index].divergence = Some(Divergence { at_s: 0.0125, is_non_finite: false });
         }
         trials
     };
-    let each = spread("metric = \"settling_time_ms\", at_most = 2.0", 3);
-    assert_eq!(verdict(&each, &diverged(trials(&[1.9; 3]), &[1])), PASS);
-    let reason = |scenario: &Scenario, trials: &[TrialMeasures]| judged(scenario, trials).reason.unwrap();
-    let missed = diverged(trials(&[1.9, 2.1, 1.9]), &[1]);
+    let each = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 3);
+    assert_eq!(verdict_and_cause(&each, &diverged(trials_with_values(&[1.9; 3]), &[1])), PASS);
+    let reason = |scenario: &Scenario, trials: &[TrialMeasures]| {
+        judge_single_expectation(scenario, trials).reason.unwrap().to_string()
+    };
+    let missed = diverged(trials_with_values(&[1.9, 2.1, 1.9]), &[1]);
     assert_eq!(reason(&each, &missed), "trial 1: diverged at t = 12.5 ms: 2.1000, expected ≤ 2");
     let mut never = missed;
-    never[1].measures = vec![Measure::Missing("never stays inside the band")];
+    never[1].measures = vec![Measure::Missing(MissingValue::NeverSettles)];
     assert_eq!(reason(&each, &never), "trial 1: diverged at t = 12.5 ms: never stays inside the band");
-    never[1].measures = vec![Measure::Undefined("the setpoint never steps")];
+    never[1].measures = vec![Measure::Undefined(UndefinedValue::NoSetpointStep)];
     assert_eq!(reason(&each, &never), "trial 1: the setpoint never steps");
     never[1].measures = vec![Measure::Value(9.0)];
-    never[1].excuses = vec![Some(Excuse { cause: Cause::Infeasible, reason: "saturated".to_owned() })];
-    assert_eq!(reason(&each, &never), "saturated");
-    let mean = spread("metric = \"static_error_percent\", at_most = 2.0", 4);
+    never[1].excuses = vec![Some(TOO_WEAK)];
+    assert_eq!(reason(&each, &never), TOO_WEAK.to_string());
+    let mean = varied_scenario("metric = \"static_error_percent\", at_most = 2.0", 4);
     let values = [30.0, 31.0, 29.0, 30.5];
-    let plain = reason(&mean, &trials(&values));
-    let one = reason(&mean, &diverged(trials(&values), &[2]));
+    let plain = reason(&mean, &trials_with_values(&values));
+    let one = reason(&mean, &diverged(trials_with_values(&values), &[2]));
     assert_eq!(one, format!("{plain}: trial 2 diverged at t = 12.5 ms"));
-    let more = reason(&mean, &diverged(trials(&values), &[1, 2, 3]));
+    let more = reason(&mean, &diverged(trials_with_values(&values), &[1, 2, 3]));
     assert_eq!(more, format!("{plain}: trial 1 diverged at t = 12.5 ms, and 2 more trials diverged"));
-    assert_eq!(verdict(&mean, &diverged(trials(&[0.1, 0.11, 0.12, 0.1]), &[1, 2, 3])), PASS);
+    assert_eq!(verdict_and_cause(&mean, &diverged(trials_with_values(&[0.1, 0.11, 0.12, 0.1]), &[1, 2, 3])), PASS);
 }
 
 #[test]
 fn a_divergence_is_recorded_with_its_trial() {
-    let scenario = spread("metric = \"settling_time_ms\", at_most = 2.0", 1);
-    let mut trial = trial(0, &[Measure::Missing("never stays inside the band")]);
+    let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 1);
+    let mut trial = trial_measures(0, &[Measure::Missing(MissingValue::NeverSettles)]);
     let record = |trial: &TrialMeasures| trial_record(&scenario, trial, "traces/s/000.csv".to_owned(), None);
     assert!(!serde_json::to_string(&record(&trial)).unwrap().contains("diverged"));
-    trial.diverged = Some(Divergence { at_s: 0.003, not_finite: None });
+    trial.divergence = Some(Divergence { at_s: 0.003, is_non_finite: false });
     let text = serde_json::to_string(&record(&trial)).unwrap();
-    assert!(text.contains(r#""reason":"diverged at t = 3.0 ms","diverged_at_s":0.003"#), "{text}");
+    assert!(text.contains(
+        r#""reason":"diverged at t = 3.0 ms","reason_code":{"diverged":{"at_s":0.003,"is_non_finite":false}}"#
+    ));
+    assert!(text.contains(r#""diverged_at_s":0.003"#), "{text}");
+}
+
+#[test]
+fn a_violation_fails_a_trial_whatever_it_measured() {
+    let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 3);
+    let violation = Violation { kind: ViolationKind::WrongSequence, at_s: 0.012, count: 2, worst: None, limit: None };
+    let mut trials = trials_with_values(&[1.9; 3]);
+    assert_eq!(verdict_and_cause(&scenario, &trials), PASS);
+    trials[1].telemetry.violations = vec![violation];
+    assert_eq!(verdict_and_cause(&scenario, &trials), FAIL);
+    trials[1].exclusion = Some(Exclusion::NoAnswer { at_ms: 12.0 });
+    trials[1].excuses = vec![Some(TOO_WEAK)];
+    let record = judge_single_expectation(&scenario, &trials);
+    assert_eq!((record.verdict, record.reason), (Verdict::Fail, Some(Reason::Violation { trial: 1, violation })));
+    let trial = trial_record(&scenario, &trials[1], String::new(), None);
+    assert_eq!(trial.reason, Some(TrialReason::Violation(violation)));
 }
 
 #[test]
 fn a_failure_weighs_more_than_a_trial_without_a_number() {
-    let scenario = spread("metric = \"settling_time_ms\", at_most = 2.0", 3);
-    let undefined = Measure::Undefined("the setpoint never steps");
+    let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 3);
+    let undefined = Measure::Undefined(UndefinedValue::NoSetpointStep);
     let with = |others: [Measure; 2]| -> Vec<_> {
         (0..)
-            .zip([undefined.clone()].into_iter().chain(others))
-            .map(|(index, measure)| trial(index, &[measure]))
+            .zip([undefined].into_iter().chain(others))
+            .map(|(index, measure)| trial_measures(index, &[measure]))
             .collect()
     };
-    assert_eq!(verdict(&scenario, &with([Measure::Value(1.0), Measure::Value(1.0)])), doubt(Cause::Evidence));
-    assert_eq!(verdict(&scenario, &with([Measure::Value(1.0), Measure::Value(9.0)])), FAIL);
-    assert_eq!(verdict(&scenario, &with([Measure::Missing("never"), Measure::Value(1.0)])), FAIL);
+    assert_eq!(
+        verdict_and_cause(&scenario, &with([Measure::Value(1.0), Measure::Value(1.0)])),
+        inconclusive(Cause::Evidence)
+    );
+    assert_eq!(verdict_and_cause(&scenario, &with([Measure::Value(1.0), Measure::Value(9.0)])), FAIL);
+    assert_eq!(
+        verdict_and_cause(&scenario, &with([Measure::Missing(MissingValue::NotRunning), Measure::Value(1.0)])),
+        FAIL
+    );
 }
 
 #[rstest]
@@ -219,23 +270,26 @@ fn a_failure_weighs_more_than_a_trial_without_a_number() {
 #[case::deviation("metric = \"repeatability_percent\", at_most = 2.0")]
 fn nothing_measured_is_never_a_pass(#[case] expect: &str) {
     for count in [1, 30] {
-        assert_eq!(verdict(&spread(expect, count), &[]), doubt(Cause::Evidence));
+        assert_eq!(verdict_and_cause(&varied_scenario(expect, count), &[]), inconclusive(Cause::Evidence));
     }
-    let scenario = Build { expect: &[expect], ..ONE }.scenario();
-    assert_eq!(verdict(&scenario, &[]), doubt(Cause::Evidence));
-    let undefined = [trial(0, &[Measure::Undefined("nothing")]), trial(1, &[Measure::Undefined("nothing")])];
-    assert_eq!(verdict(&scenario, &undefined), doubt(Cause::Evidence));
+    let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
+    assert_eq!(verdict_and_cause(&scenario, &[]), inconclusive(Cause::Evidence));
+    let undefined = [
+        trial_measures(0, &[Measure::Undefined(UndefinedValue::NotReported)]),
+        trial_measures(1, &[Measure::Undefined(UndefinedValue::NotReported)]),
+    ];
+    assert_eq!(verdict_and_cause(&scenario, &undefined), inconclusive(Cause::Evidence));
     assert_eq!(judge(&Scenario { expectations: Vec::new(), ..scenario }, &undefined).verdict, Verdict::Inconclusive);
 }
 
 #[test]
 fn a_run_that_was_killed_has_passed_nothing_but_may_have_failed() {
-    let scenario = spread("metric = \"settling_time_ms\", at_most = 2.0", 30);
-    let record = judged(&scenario, &trials(&[1.0; 29]));
-    assert_eq!((record.verdict, record.cause), doubt(Cause::Evidence));
-    assert_eq!(record.reason.as_deref(), Some("29 of 30 trials were played"));
-    assert_eq!(verdict(&scenario, &trials(&[9.0; 29])), FAIL);
-    assert_eq!(verdict(&scenario, &trials(&[1.0; 30])), PASS);
+    let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 30);
+    let record = judge_single_expectation(&scenario, &trials_with_values(&[1.0; 29]));
+    assert_eq!((record.verdict, record.cause), inconclusive(Cause::Evidence));
+    assert_eq!(record.reason.map(|reason| reason.to_string()).as_deref(), Some("29 of 30 trials were played"));
+    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[9.0; 29])), FAIL);
+    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[1.0; 30])), PASS);
 }
 
 /// The quantile of Student's t at 95 % and 29 degrees of freedom, from a table.
@@ -244,9 +298,9 @@ const T_29: f64 = 1.699_127;
 #[rstest]
 #[case::pass(0.9, PASS)]
 #[case::just_pass(1.0 - 2e-4 - 1e-4, PASS)]
-#[case::just_not(1.0 - 2e-4 + 1e-4, doubt(Cause::Evidence))]
-#[case::on_the_limit(1.0 + 0.1, doubt(Cause::Evidence))]
-#[case::just_not_fail(1.2 + 2e-4 - 1e-4, doubt(Cause::Evidence))]
+#[case::just_not(1.0 - 2e-4 + 1e-4, inconclusive(Cause::Evidence))]
+#[case::on_the_limit(1.0 + 0.1, inconclusive(Cause::Evidence))]
+#[case::just_not_fail(1.2 + 2e-4 - 1e-4, inconclusive(Cause::Evidence))]
 #[case::just_fail(1.2 + 2e-4 + 1e-4, FAIL)]
 fn the_static_error_is_held_against_both_bounds(
     #[case] mean_plus_half: f64,
@@ -254,21 +308,21 @@ fn the_static_error_is_held_against_both_bounds(
 ) {
     // Half width 0.1, so that the mean lies 0.1 below.
     let deviation = 0.1 * 30.0_f64.sqrt() / T_29;
-    let scenario = spread("metric = \"static_error_percent\", at_most = 1.0", 30);
+    let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 30);
     for sign in [1.0, -1.0] {
-        let values = with_moments(30, sign * (mean_plus_half - 0.1), deviation);
-        assert_eq!(verdict(&scenario, &trials(&values)), expected);
-        let record = judged(&scenario, &trials(&values));
-        assert_eq!((record.statistic.as_str(), record.confidence), ("mean", Some(0.95)));
+        let values = values_with_moments(30, sign * (mean_plus_half - 0.1), deviation);
+        assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&values)), expected);
+        let record = judge_single_expectation(&scenario, &trials_with_values(&values));
+        assert_eq!((record.statistic, record.confidence), (Statistic::Mean, Some(0.95)));
         assert!((record.value.unwrap() - (mean_plus_half - 0.1).abs()).abs() < 1e-12);
     }
 }
 
 #[test]
 fn errors_of_opposite_sign_do_not_make_up_for_each_other() {
-    let scenario = spread("metric = \"static_error_percent\", at_most = 1.0", 30);
+    let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 30);
     let errors: Vec<f64> = (0..30).map(|index| if index % 2 == 0 { 5.0 } else { -5.0 }).collect();
-    let record = judged(&scenario, &trials(&errors));
+    let record = judge_single_expectation(&scenario, &trials_with_values(&errors));
     assert_eq!((record.verdict, record.value), (Verdict::Fail, Some(5.0)));
 }
 
@@ -276,54 +330,62 @@ fn errors_of_opposite_sign_do_not_make_up_for_each_other() {
 #[case("metric = \"static_error_percent\", at_most = 1.0")]
 #[case("metric = \"repeatability_percent\", at_most = 1.0")]
 fn over_trials_too_a_failure_weighs_more_than_a_doubt(#[case] expect: &str) {
-    let scenario = spread(expect, 3);
-    let measures = [Measure::Undefined("no number"), Measure::Value(0.0), Measure::Missing("not running")];
-    let trials: Vec<_> = (0..).zip(measures).map(|(index, measure)| trial(index, &[measure])).collect();
-    assert_eq!(verdict(&scenario, &trials), FAIL);
-    assert_eq!(verdict(&spread(expect, 2), &trials[..2]), doubt(Cause::Evidence));
+    let scenario = varied_scenario(expect, 3);
+    let measures = [
+        Measure::Undefined(UndefinedValue::NotReported),
+        Measure::Value(0.0),
+        Measure::Missing(MissingValue::NotRunning),
+    ];
+    let trials: Vec<_> = (0..).zip(measures).map(|(index, measure)| trial_measures(index, &[measure])).collect();
+    assert_eq!(verdict_and_cause(&scenario, &trials), FAIL);
+    assert_eq!(verdict_and_cause(&varied_scenario(expect, 2), &trials[..2]), inconclusive(Cause::Evidence));
 }
 
 #[test]
 fn one_trial_that_could_have_come_out_otherwise_shows_no_mean() {
-    let scenario = spread("metric = \"static_error_percent\", at_most = 1.0", 1);
-    let record = judged(&scenario, &trials(&[0.01]));
+    let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 1);
+    let record = judge_single_expectation(&scenario, &trials_with_values(&[0.01]));
     assert_eq!(
         (record.verdict, record.cause, record.value),
         (Verdict::Inconclusive, Some(Cause::Evidence), Some(0.01))
     );
-    assert_eq!(record.reason.as_deref(), Some("1 of the trials count, expected at least 2"));
+    assert_eq!(
+        record.reason.map(|reason| reason.to_string()).as_deref(),
+        Some("1 of the trials count, expected at least 2")
+    );
 }
 
 #[test]
 fn where_nothing_is_left_to_chance_one_trial_is_enough() {
-    let scenario = Build { expect: &["metric = \"static_error_percent\", at_most = 1.0"], ..ONE }.scenario();
+    let scenario = ScenarioBuilder { expect: &["metric = \"static_error_percent\", at_most = 1.0"], ..BASE }.scenario();
     for (error, expected) in [
         (0.5, PASS),
         (-0.5, PASS),
         (1.0 - 2e-4 - 1e-9, PASS),
-        (1.0, doubt(Cause::Evidence)),
+        (1.0, inconclusive(Cause::Evidence)),
         (1.001, FAIL),
         (-1.001, FAIL),
     ] {
-        assert_eq!(verdict(&scenario, &trials(&[error])), expected, "{error}");
+        assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[error])), expected, "{error}");
     }
     // Trials that differ although the scenario does not make them: chance is at work after all.
-    let scenario = Build { expect: &["metric = \"static_error_percent\", at_most = 1.0"], trials: 2, ..ONE }.scenario();
-    assert_eq!(verdict(&scenario, &trials(&[0.5, 0.5])), PASS);
-    assert_eq!(verdict(&scenario, &trials(&[0.2, 0.8])), doubt(Cause::Evidence));
+    let scenario =
+        ScenarioBuilder { expect: &["metric = \"static_error_percent\", at_most = 1.0"], trials: 2, ..BASE }.scenario();
+    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[0.5, 0.5])), PASS);
+    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[0.2, 0.8])), inconclusive(Cause::Evidence));
 }
 
 #[rstest]
 #[case("at_most = 1.3", 1.015, PASS)]
-#[case("at_most = 1.3", 1.017, doubt(Cause::Evidence))]
-#[case("at_most = 1.3", 1.3, doubt(Cause::Evidence))]
+#[case("at_most = 1.3", 1.017, inconclusive(Cause::Evidence))]
+#[case("at_most = 1.3", 1.3, inconclusive(Cause::Evidence))]
 // s √(29/χ²) at 95 %: 0.8254 s, so that 1.58 fails and 1.57 does not.
-#[case("at_most = 1.3", 1.57, doubt(Cause::Evidence))]
+#[case("at_most = 1.3", 1.57, inconclusive(Cause::Evidence))]
 #[case("at_most = 1.3", 1.58, FAIL)]
 #[case("at_least = 1.0", 1.22, PASS)]
-#[case("at_least = 1.0", 1.20, doubt(Cause::Evidence))]
+#[case("at_least = 1.0", 1.20, inconclusive(Cause::Evidence))]
 #[case("within = [0.5, 2.0]", 1.3, PASS)]
-#[case("within = [1.2, 1.4]", 1.3, doubt(Cause::Evidence))]
+#[case("within = [1.2, 1.4]", 1.3, inconclusive(Cause::Evidence))]
 // Two-sided at 95 %: from 0.7964 s to 1.3443 s.
 #[case("about = 1.3", 0.968, PASS)]
 #[case("about = 1.3", 0.966, FAIL)]
@@ -334,42 +396,47 @@ fn repeatability_has_to_be_demonstrated(
     #[case] deviation: f64,
     #[case] expected: (Verdict, Option<Cause>),
 ) {
-    let scenario = spread(&format!("metric = \"repeatability_percent\", {limit}"), 30);
-    let values = trials(&with_moments(30, 100.0, deviation));
-    assert_eq!(verdict(&scenario, &values), expected);
-    let record = judged(&scenario, &values);
+    let scenario = varied_scenario(&format!("metric = \"repeatability_percent\", {limit}"), 30);
+    let values = trials_with_values(&values_with_moments(30, 100.0, deviation));
+    assert_eq!(verdict_and_cause(&scenario, &values), expected);
+    let record = judge_single_expectation(&scenario, &values);
     assert!((record.value.unwrap() - deviation).abs() < 1e-9);
-    assert_eq!((record.statistic.as_str(), record.confidence), ("deviation", Some(0.95)));
+    assert_eq!((record.statistic, record.confidence), (Statistic::Deviation, Some(0.95)));
 }
 
 #[test]
 fn few_trials_agree_with_nothing() {
     for count in [2, 5, 14] {
-        let scenario = spread("metric = \"repeatability_percent\", about = 1.3", count);
+        let scenario = varied_scenario("metric = \"repeatability_percent\", about = 1.3", count);
         for deviation in [0.6, 0.9, 1.3, 2.0] {
-            let (verdict, _) = verdict(&scenario, &trials(&with_moments(count as usize, 100.0, deviation)));
+            let (verdict, _) = verdict_and_cause(
+                &scenario,
+                &trials_with_values(&values_with_moments(count as usize, 100.0, deviation)),
+            );
             assert!(verdict != Verdict::Pass || count == 14, "{deviation} over {count} trials");
         }
     }
-    let scenario = spread("metric = \"repeatability_percent\", about = 1.3", 1);
-    assert_eq!(verdict(&scenario, &trials(&[100.0])), doubt(Cause::Evidence));
+    let scenario = varied_scenario("metric = \"repeatability_percent\", about = 1.3", 1);
+    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[100.0])), inconclusive(Cause::Evidence));
 }
 
 #[test]
 fn what_never_varies_is_not_repeatable() {
-    let scenario = spread("metric = \"repeatability_percent\", at_most = 1.3", 30);
-    assert_eq!(verdict(&scenario, &trials(&[100.0; 30])), doubt(Cause::Evidence));
+    let scenario = varied_scenario("metric = \"repeatability_percent\", at_most = 1.3", 30);
+    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[100.0; 30])), inconclusive(Cause::Evidence));
     let scenario =
-        Build { expect: &["metric = \"repeatability_percent\", at_most = 1.3"], trials: 30, ..ONE }.scenario();
-    assert_eq!(verdict(&scenario, &trials(&[100.0; 30])), doubt(Cause::Evidence));
+        ScenarioBuilder { expect: &["metric = \"repeatability_percent\", at_most = 1.3"], trials: 30, ..BASE }
+            .scenario();
+    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[100.0; 30])), inconclusive(Cause::Evidence));
 }
 
 #[test]
 fn a_confidence_next_to_1_ends_in_doubt_and_in_json() {
     for metric in ["repeatability_percent", "static_error_percent"] {
-        let scenario = spread(&format!("metric = \"{metric}\", at_most = 1.3, confidence = 0.9999999999999999"), 3);
-        let record = judged(&scenario, &trials(&[0.1, 0.2, 0.3]));
-        assert_eq!((record.verdict, record.cause), doubt(Cause::Evidence));
+        let scenario =
+            varied_scenario(&format!("metric = \"{metric}\", at_most = 1.3, confidence = 0.9999999999999999"), 3);
+        let record = judge_single_expectation(&scenario, &trials_with_values(&[0.1, 0.2, 0.3]));
+        assert_eq!((record.verdict, record.cause), inconclusive(Cause::Evidence));
         let text = serde_json::to_string(&record).unwrap();
         assert_eq!(serde_json::from_str::<ExpectationRecord>(&text).unwrap().verdict, Verdict::Inconclusive, "{text}");
     }
@@ -377,8 +444,8 @@ fn a_confidence_next_to_1_ends_in_doubt_and_in_json() {
 
 #[test]
 fn a_number_beyond_all_bounds_still_makes_a_record_that_can_be_read() {
-    let scenario = spread("metric = \"static_error_percent\", at_most = 1.0", 2);
-    let record = judged(&scenario, &trials(&[f64::MAX, f64::MAX]));
+    let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 2);
+    let record = judge_single_expectation(&scenario, &trials_with_values(&[f64::MAX, f64::MAX]));
     assert_ne!(record.verdict, Verdict::Pass);
     let text = serde_json::to_string(&record).unwrap();
     assert!(serde_json::from_str::<ExpectationRecord>(&text).is_ok(), "{text}");
@@ -386,32 +453,33 @@ fn a_number_beyond_all_bounds_still_makes_a_record_that_can_be_read() {
 
 #[test]
 fn what_happened_on_the_way_is_never_a_pass_and_a_failure_stands() {
-    let scenario = spread("metric = \"settling_time_ms\", at_most = 2.0", 3);
-    let with_cause = |values: &[f64], cause| {
-        let mut trials = trials(values);
-        trials[1].cause = Some((cause, "it happened".to_owned()));
-        verdict(&scenario, &trials)
-    };
-    for cause in [Cause::Rig, Cause::Bench] {
-        assert_eq!(with_cause(&[1.0, 1.0, 1.0], cause), doubt(cause));
-        assert_eq!(with_cause(&[1.0, 9.0, 1.0], cause), doubt(cause), "a disturbed trial cannot fail");
-        assert_eq!(with_cause(&[1.0, 1.0, 9.0], cause), FAIL);
+    let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 3);
+    for exclusion in [Exclusion::NoAnswer { at_ms: 3.0 }, Exclusion::LateBench { count: 1, first_ms: 3.0 }] {
+        let cause = exclusion.cause();
+        let verdict_with = |values: &[f64]| {
+            let mut trials = trials_with_values(values);
+            trials[1].exclusion = Some(exclusion.clone());
+            verdict_and_cause(&scenario, &trials)
+        };
+        assert_eq!(verdict_with(&[1.0, 1.0, 1.0]), inconclusive(cause));
+        assert_eq!(verdict_with(&[1.0, 9.0, 1.0]), inconclusive(cause), "an excluded trial cannot fail");
+        assert_eq!(verdict_with(&[1.0, 1.0, 9.0]), FAIL);
     }
-    let mut all = trials(&[9.0, 9.0, 9.0]);
+    let mut all = trials_with_values(&[9.0, 9.0, 9.0]);
     for trial in &mut all {
-        trial.cause = Some((Cause::Rig, "no answer".to_owned()));
+        trial.exclusion = Some(Exclusion::NoAnswer { at_ms: 3.0 });
     }
-    assert_eq!(verdict(&scenario, &all), doubt(Cause::Rig));
+    assert_eq!(verdict_and_cause(&scenario, &all), inconclusive(Cause::Rig));
 }
 
 #[rstest]
 #[case::within("{ metric = \"overruns\", at_most = 2.0 }", 2, PASS)]
-#[case::beyond("{ metric = \"overruns\", at_most = 2.0 }", 3, doubt(Cause::Bench))]
-#[case::none_stated("{ metric = \"overshoot_percent\", at_most = 2.0 }", 1, doubt(Cause::Bench))]
+#[case::beyond("{ metric = \"overruns\", at_most = 2.0 }", 3, inconclusive(Cause::Bench))]
+#[case::none_stated("{ metric = \"overshoot_percent\", at_most = 2.0 }", 1, inconclusive(Cause::Bench))]
 #[case::the_smallest_counts(
     "{ metric = \"overruns\", at_most = 9.0 }, { metric = \"overruns\", at_most = 1.0 }",
     2,
-    doubt(Cause::Bench)
+    inconclusive(Cause::Bench)
 )]
 fn overruns_are_borne_up_to_what_the_scenario_states(
     #[case] expect: &str,
@@ -419,20 +487,20 @@ fn overruns_are_borne_up_to_what_the_scenario_states(
     #[case] expected: (Verdict, Option<Cause>),
 ) {
     let expect = expect.trim_start_matches("{ ").trim_end_matches(" }");
-    let scenario = Build { expect: &[expect], ..ONE }.scenario();
-    let mut rows = rows(&scenario, |_| 2.0);
+    let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
+    let mut rows = trace_rows(&scenario, |_| 2.0);
     rows.iter_mut().skip(100).step_by(20).take(overruns).for_each(|row| row.flags |= Flags::OVERRUN);
-    assert_eq!(played(&scenario, &rows), expected);
+    assert_eq!(judge_rows(&scenario, &rows), expected);
 }
 
 #[test]
 fn a_trial_that_lost_rows_on_their_way_does_not_count() {
-    let scenario = Build { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..ONE }.scenario();
-    let rows = rows(&scenario, |_| 2.0);
+    let scenario = ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..BASE }.scenario();
+    let rows = trace_rows(&scenario, |_| 2.0);
     let cause = |lost_rows| {
-        let timing = crate::record::Timing { lost_rows, ..Default::default() };
+        let timing = platebench_record::TimingRecord { lost_rows, ..Default::default() };
         let telemetry = Telemetry { timing: Some(timing), ..Telemetry::default() };
-        measure(&scenario, 0, &rows, &telemetry).cause.map(|(cause, _)| cause)
+        measure(&scenario, 0, &rows, &telemetry).exclusion.as_ref().map(Exclusion::cause)
     };
     assert_eq!((cause(0), cause(1)), (None, Some(Cause::Bench)));
 }
@@ -448,38 +516,38 @@ fn a_target_that_paces_by_a_wrong_clock_plays_another_scenario(
     #[case] ppm: f64,
     #[case] expected: Option<Cause>,
 ) {
-    let scenario = Build { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..ONE }.scenario();
-    let timing = crate::record::Timing {
+    let scenario = ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..BASE }.scenario();
+    let timing = platebench_record::TimingRecord {
         pacing: pacing.to_owned(),
         target_clock_ppm: Some(ppm),
         target_clock_error_ppm: Some(5_000.0),
         ..Default::default()
     };
     let telemetry = Telemetry { timing: Some(timing), ..Telemetry::default() };
-    let trial = measure(&scenario, 0, &rows(&scenario, |_| 2.0), &telemetry);
-    assert_eq!(trial.cause.map(|(cause, _)| cause), expected);
+    let trial = measure(&scenario, 0, &trace_rows(&scenario, |_| 2.0), &telemetry);
+    assert_eq!(trial.exclusion.as_ref().map(Exclusion::cause), expected);
 }
 
 #[test]
 fn disturbances_are_read_off_the_trace() {
-    let scenario = Build { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..ONE }.scenario();
-    let good = rows(&scenario, |_| 2.0);
-    assert_eq!(played(&scenario, &good), PASS);
+    let scenario = ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..BASE }.scenario();
+    let good = trace_rows(&scenario, |_| 2.0);
+    assert_eq!(judge_rows(&scenario, &good), PASS);
     let flagged = |flag| {
         let mut rows = good.clone();
         rows[700].flags |= flag;
-        played(&scenario, &rows)
+        judge_rows(&scenario, &rows)
     };
-    assert_eq!(flagged(Flags::LINK_LOST), doubt(Cause::Rig));
-    assert_eq!(flagged(Flags::OVERRUN), doubt(Cause::Bench));
-    assert_eq!(flagged(Flags::LINK_LOST | Flags::OVERRUN), doubt(Cause::Rig));
+    assert_eq!(flagged(Flags::LINK_LOST), inconclusive(Cause::Rig));
+    assert_eq!(flagged(Flags::OVERRUN), inconclusive(Cause::Bench));
+    assert_eq!(flagged(Flags::LINK_LOST | Flags::OVERRUN), inconclusive(Cause::Rig));
     assert_eq!(flagged(Flags::SATURATED), PASS);
-    assert_eq!(played(&scenario, &good[..1_200]), doubt(Cause::Bench), "the last row is missing");
-    assert_eq!(played(&scenario, &good[1..]), doubt(Cause::Bench), "the first row is missing");
-    assert_eq!(played(&scenario, &[]), doubt(Cause::Bench), "every row is missing");
+    assert_eq!(judge_rows(&scenario, &good[..1_200]), inconclusive(Cause::Bench), "the last row is missing");
+    assert_eq!(judge_rows(&scenario, &good[1..]), inconclusive(Cause::Bench), "the first row is missing");
+    assert_eq!(judge_rows(&scenario, &[]), inconclusive(Cause::Bench), "every row is missing");
     let mut gap = good.clone();
     gap.remove(600);
-    assert_eq!(played(&scenario, &gap), doubt(Cause::Bench), "a row in the middle is missing");
+    assert_eq!(judge_rows(&scenario, &gap), inconclusive(Cause::Bench), "a row in the middle is missing");
 }
 
 #[rstest]
@@ -505,13 +573,13 @@ fn an_answer_that_a_planned_fault_swallowed_is_no_disturbance(
     #[case] planned: bool,
 ) {
     let expect = "metric = \"settling_time_ms\", at_most = 2.0 }]\nfault = [{ ".to_owned() + fault;
-    let scenario = Build { expect: &[&expect], ..ONE }.scenario();
-    let mut rows = rows(&scenario, |_| 2.0);
+    let scenario = ScenarioBuilder { expect: &[&expect], ..BASE }.scenario();
+    let mut rows = trace_rows(&scenario, |_| 2.0);
     rows[at_ms * 20].flags |= Flags::LINK_LOST;
-    assert_eq!(played(&scenario, &rows), if planned { PASS } else { doubt(Cause::Rig) });
+    assert_eq!(judge_rows(&scenario, &rows), if planned { PASS } else { inconclusive(Cause::Rig) });
     // One that is planned does not hide one that is not.
     rows[100].flags |= Flags::LINK_LOST;
-    assert_eq!(played(&scenario, &rows), doubt(Cause::Rig));
+    assert_eq!(judge_rows(&scenario, &rows), inconclusive(Cause::Rig));
 }
 
 #[test]
@@ -519,17 +587,19 @@ fn a_controller_that_gave_up_has_failed() {
     let expect: Vec<String> = Metric::ALL
         .into_iter()
         // The last two are there for controllers that stop.
-        .filter(|metric| !matches!(metric, Metric::Overruns | Metric::ShutdownTime | Metric::MissedReplies))
+        .filter(|metric| {
+            !matches!(metric, Metric::Overruns | Metric::ShutdownTime | Metric::MissedReplies | Metric::RestDrive)
+        })
         .map(|metric| {
             format!(
                 "metric = \"{metric}\", at_most = 99.0{}",
-                if metric == Metric::RecoveryTime { ", from_ms = 1.0" } else { "" }
+                if matches!(metric, Metric::RecoveryTime | Metric::PeakDeviation) { ", from_ms = 1.0" } else { "" }
             )
         })
         .collect();
     let expect: Vec<_> = expect.iter().map(String::as_str).collect();
-    let scenario = Build { expect: &expect, ..ONE }.scenario();
-    let mut rows = rows(&scenario, |_| 2.0);
+    let scenario = ScenarioBuilder { expect: &expect, ..BASE }.scenario();
+    let mut rows = trace_rows(&scenario, |_| 2.0);
     for row in rows.iter_mut().skip(900) {
         (row.flags, row.drive_vpp) = (Flags::SAFE, 0.0);
     }
@@ -541,41 +611,49 @@ fn a_controller_that_gave_up_has_failed() {
 #[test]
 fn giving_up_at_the_limit_is_no_excuse_where_the_demand_could_be_met() {
     for expect in ["metric = \"settling_time_ms\", at_most = 3.0", "metric = \"static_error_percent\", at_most = 1.0"] {
-        let scenario = Build { expect: &[expect], ..ONE }.scenario();
-        let mut rows = saturated(rows(&scenario, |_| 2.0));
+        let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
+        let mut rows = set_saturated(trace_rows(&scenario, |_| 2.0));
         rows.last_mut().unwrap().flags = Flags::SAFE;
-        assert_eq!(played(&scenario, &rows), FAIL, "{expect}");
+        assert_eq!(judge_rows(&scenario, &rows), FAIL, "{expect}");
     }
 }
 
 /// The envelope from rest with all of the drive, then held at the setpoint.
-fn fastest(limit_vpp: f64) -> impl Fn(f64) -> f64 {
+fn fastest_envelope(limit_vpp: f64) -> impl Fn(f64) -> f64 {
     move |t| (0.006_98 * limit_vpp * (1.0 - (-t / 1.88).exp())).min(2.0)
 }
 
 #[test]
 fn two_newtons_at_400_vpp_cannot_be_held() {
     let expect = ["metric = \"static_error_percent\", at_most = 1.0", "metric = \"overshoot_percent\", at_most = 1.0"];
-    let scenario = Build { expect: &expect, limit_vpp: 400.0, force: "2.0", ..ONE }.scenario();
-    let low = rows(&scenario, |_| 1.19);
-    assert_eq!(played(&scenario, &low), FAIL, "never saturated: nobody but the controller");
-    let record = judged(&scenario, &[measure(&scenario, 0, &saturated(low), &Telemetry::default())]);
-    assert_eq!((record.verdict, record.cause), doubt(Cause::Infeasible));
-    let reason = record.reason.unwrap();
+    let scenario = ScenarioBuilder { expect: &expect, limit_vpp: 400.0, force: "2.0", ..BASE }.scenario();
+    let low = trace_rows(&scenario, |_| 1.19);
+    assert_eq!(judge_rows(&scenario, &low), FAIL, "never saturated: nobody but the controller");
+    let record =
+        judge_single_expectation(&scenario, &[measure(&scenario, 0, &set_saturated(low), &Telemetry::default())]);
+    assert_eq!((record.verdict, record.cause), inconclusive(Cause::Infeasible));
+    let reason = record.reason.unwrap().to_string();
     assert!(reason.contains("needs 669 Vpp, the amplifier gives 400 Vpp"), "{reason}");
-    let above = judge(&scenario, &[measure(&scenario, 0, &saturated(rows(&scenario, |_| 2.5)), &Telemetry::default())]);
+    let above = judge(
+        &scenario,
+        &[measure(&scenario, 0, &set_saturated(trace_rows(&scenario, |_| 2.5)), &Telemetry::default())],
+    );
     assert_eq!(above.expectations[1].verdict, Verdict::Fail, "too little drive is no reason to overshoot");
-    let feasible = Build { expect: &expect, limit_vpp: 700.0, force: "2.0", ..ONE }.scenario();
-    assert_eq!(played(&feasible, &saturated(rows(&feasible, |_| 1.19))), FAIL, "with 700 Vpp it can be held");
+    let feasible = ScenarioBuilder { expect: &expect, limit_vpp: 700.0, force: "2.0", ..BASE }.scenario();
+    assert_eq!(
+        judge_rows(&feasible, &set_saturated(trace_rows(&feasible, |_| 1.19))),
+        FAIL,
+        "with 700 Vpp it can be held"
+    );
 }
 
 #[test]
 fn what_the_drive_just_reaches_is_demanded() {
     // 2 N need 668.6 Vpp; 660 Vpp reach 1.974 µm, 1.28 % too low.
-    for (at_most, expected) in [(1.4, FAIL), (1.2, doubt(Cause::Infeasible))] {
+    for (at_most, expected) in [(1.4, FAIL), (1.2, inconclusive(Cause::Infeasible))] {
         let expect = format!("metric = \"static_error_percent\", at_most = {at_most:?}");
-        let scenario = Build { expect: &[&expect], limit_vpp: 660.0, force: "2.0", ..ONE }.scenario();
-        assert_eq!(played(&scenario, &saturated(rows(&scenario, |_| 1.6))), expected, "{at_most}");
+        let scenario = ScenarioBuilder { expect: &[&expect], limit_vpp: 660.0, force: "2.0", ..BASE }.scenario();
+        assert_eq!(judge_rows(&scenario, &set_saturated(trace_rows(&scenario, |_| 1.6))), expected, "{at_most}");
     }
 }
 
@@ -586,16 +664,16 @@ fn nobody_settles_within_less_than_2_14_ms_at_400_vpp() {
     assert!((floor - 2.145).abs() < 1e-3, "{floor}");
     for (at_most, late, expected) in [
         (floor + 1e-5, 3.0, FAIL),
-        (floor - 1e-5, 3.0, doubt(Cause::Infeasible)),
+        (floor - 1e-5, 3.0, inconclusive(Cause::Infeasible)),
         (floor + 1e-2, 0.0, PASS),
-        (2.0, 0.0, doubt(Cause::Infeasible)),
+        (2.0, 0.0, inconclusive(Cause::Infeasible)),
     ] {
         let expect = format!("metric = \"settling_time_ms\", at_most = {at_most:?}");
-        let scenario = Build { expect: &[&expect], limit_vpp: 400.0, ..ONE }.scenario();
-        let rows = rows(&scenario, |t| fastest(400.0)((t - late).max(0.0)));
-        assert_eq!(played(&scenario, &saturated(rows.clone())), expected, "{at_most} ms");
+        let scenario = ScenarioBuilder { expect: &[&expect], limit_vpp: 400.0, ..BASE }.scenario();
+        let rows = trace_rows(&scenario, |t| fastest_envelope(400.0)((t - late).max(0.0)));
+        assert_eq!(judge_rows(&scenario, &set_saturated(rows.clone())), expected, "{at_most} ms");
         assert_eq!(
-            played(&scenario, &rows),
+            judge_rows(&scenario, &rows),
             if expected == PASS { PASS } else { FAIL },
             "{at_most} ms, never saturated"
         );
@@ -607,11 +685,11 @@ fn a_later_step_has_its_own_floor() {
     let setpoint = "{ hold = [[0.0, 1.0], [30.0, 2.0]] }";
     // From 1 µm: −τ ln((S − 1.9)/(S − 1)), S = 2.792 µm.
     let floor = -1.88 * ((2.792_f64 - 1.9) / (2.792 - 1.0)).ln();
-    for (at_most, expected) in [(floor + 1e-5, FAIL), (floor - 1e-5, doubt(Cause::Infeasible))] {
+    for (at_most, expected) in [(floor + 1e-5, FAIL), (floor - 1e-5, inconclusive(Cause::Infeasible))] {
         let expect = format!("metric = \"settling_time_ms\", from_ms = 30.0, at_most = {at_most:?}");
-        let scenario = Build { expect: &[&expect], limit_vpp: 400.0, setpoint, ..ONE }.scenario();
-        let rows = rows(&scenario, |t| if t < 40.0 { 1.0 } else { 2.0 });
-        assert_eq!(played(&scenario, &saturated(rows)), expected, "{at_most} ms");
+        let scenario = ScenarioBuilder { expect: &[&expect], limit_vpp: 400.0, setpoint, ..BASE }.scenario();
+        let rows = trace_rows(&scenario, |t| if t < 40.0 { 1.0 } else { 2.0 });
+        assert_eq!(judge_rows(&scenario, &set_saturated(rows)), expected, "{at_most} ms");
     }
 }
 
@@ -619,22 +697,22 @@ fn a_later_step_has_its_own_floor() {
 fn a_plate_falls_no_faster_than_it_forgets() {
     let setpoint = "{ hold = [[0.0, 2.0], [30.0, 1.0]] }";
     let floor = 1.88 * (2.0_f64 / 1.05).ln();
-    for (at_most, expected) in [(floor + 1e-5, FAIL), (floor - 1e-5, doubt(Cause::Infeasible))] {
+    for (at_most, expected) in [(floor + 1e-5, FAIL), (floor - 1e-5, inconclusive(Cause::Infeasible))] {
         let expect = format!("metric = \"settling_time_ms\", from_ms = 30.0, at_most = {at_most:?}");
-        let scenario = Build { expect: &[&expect], setpoint, ..ONE }.scenario();
-        let driven = rows(&scenario, |t| if t < 35.0 { 2.0 } else { 1.0 });
-        assert_eq!(played(&scenario, &driven), FAIL, "it was driven on: nobody but the controller");
+        let scenario = ScenarioBuilder { expect: &[&expect], setpoint, ..BASE }.scenario();
+        let driven = trace_rows(&scenario, |t| if t < 35.0 { 2.0 } else { 1.0 });
+        assert_eq!(judge_rows(&scenario, &driven), FAIL, "it was driven on: nobody but the controller");
         let mut rested = driven.clone();
         for row in rested.iter_mut().filter(|row| row.t_s >= 0.03) {
             row.drive_vpp = 0.0;
         }
-        assert_eq!(played(&scenario, &rested), expected, "{at_most} ms");
+        assert_eq!(judge_rows(&scenario, &rested), expected, "{at_most} ms");
     }
 }
 
 #[test]
 fn an_excuse_is_for_too_little_amplitude_only() {
-    let build = |expect: &str| Build { expect: &[expect], limit_vpp: 400.0, force: "2.0", ..ONE }.scenario();
+    let build = |expect: &str| ScenarioBuilder { expect: &[expect], limit_vpp: 400.0, force: "2.0", ..BASE }.scenario();
     for expect in [
         "metric = \"overshoot_percent\", at_most = 1.0",
         "metric = \"frequency_error_hz\", at_most = 1.0",
@@ -643,9 +721,9 @@ fn an_excuse_is_for_too_little_amplitude_only() {
         "metric = \"final_amplitude_um\", at_most = 1.1",
     ] {
         let scenario = build(expect);
-        let mut rows = saturated(rows(&scenario, |t| if t < 30.0 { 2.5 } else { 1.19 }));
+        let mut rows = set_saturated(trace_rows(&scenario, |t| if t < 30.0 { 2.5 } else { 1.19 }));
         rows.last_mut().unwrap().frequency_hz = 9.0;
-        assert_eq!(played(&scenario, &rows), FAIL, "{expect}");
+        assert_eq!(judge_rows(&scenario, &rows), FAIL, "{expect}");
     }
     for expect in [
         "metric = \"final_amplitude_um\", at_least = 1.9",
@@ -654,33 +732,44 @@ fn an_excuse_is_for_too_little_amplitude_only() {
         "metric = \"settling_time_ms\", at_most = 10.0",
     ] {
         let scenario = build(expect);
-        assert_eq!(played(&scenario, &saturated(rows(&scenario, |_| 1.19))), doubt(Cause::Infeasible), "{expect}");
+        assert_eq!(
+            judge_rows(&scenario, &set_saturated(trace_rows(&scenario, |_| 1.19))),
+            inconclusive(Cause::Infeasible),
+            "{expect}"
+        );
     }
 }
 
 #[test]
 fn an_excused_trial_does_not_excuse_another() {
-    let each = spread("metric = \"settling_time_ms\", at_most = 2.0", 2);
+    let each = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 2);
     let excused = |values: &[f64], which: &[usize]| {
-        let mut trials = trials(values);
+        let mut trials = trials_with_values(values);
         for index in which {
-            trials[*index].excuses = vec![Some(Excuse { cause: Cause::Infeasible, reason: "too weak".to_owned() })];
+            trials[*index].excuses = vec![Some(TOO_WEAK)];
         }
         trials
     };
-    assert_eq!(verdict(&each, &excused(&[9.0, 1.0], &[0])), doubt(Cause::Infeasible));
-    assert_eq!(verdict(&each, &excused(&[9.0, 3.0], &[0])), FAIL, "the worst is excused, the other one is not");
-    assert_eq!(verdict(&each, &excused(&[1.0, 1.0], &[0])), PASS);
-    let mean = spread("metric = \"static_error_percent\", at_most = 1.0", 4);
-    assert_eq!(verdict(&mean, &excused(&[9.0, 9.1, 9.2, 9.3], &[0])), FAIL);
-    assert_eq!(verdict(&mean, &excused(&[9.0, 9.1, 9.2, 9.3], &[0, 1, 2, 3])), doubt(Cause::Infeasible));
-    assert_eq!(verdict(&mean, &excused(&[9.0, 9.1, 0.1, 0.2], &[0, 1])), doubt(Cause::Evidence));
+    assert_eq!(verdict_and_cause(&each, &excused(&[9.0, 1.0], &[0])), inconclusive(Cause::Infeasible));
+    assert_eq!(
+        verdict_and_cause(&each, &excused(&[9.0, 3.0], &[0])),
+        FAIL,
+        "the worst is excused, the other one is not"
+    );
+    assert_eq!(verdict_and_cause(&each, &excused(&[1.0, 1.0], &[0])), PASS);
+    let mean = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 4);
+    assert_eq!(verdict_and_cause(&mean, &excused(&[9.0, 9.1, 9.2, 9.3], &[0])), FAIL);
+    assert_eq!(
+        verdict_and_cause(&mean, &excused(&[9.0, 9.1, 9.2, 9.3], &[0, 1, 2, 3])),
+        inconclusive(Cause::Infeasible)
+    );
+    assert_eq!(verdict_and_cause(&mean, &excused(&[9.0, 9.1, 0.1, 0.2], &[0, 1])), inconclusive(Cause::Evidence));
 }
 
 #[test]
 fn a_better_drive_excuses_nothing_but_chance_draws_the_plates() {
-    let scenario = spread("metric = \"static_error_percent\", at_most = 1.0", 2);
-    let rows = saturated(rows(&scenario, |_| 1.5));
+    let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 2);
+    let rows = set_saturated(trace_rows(&scenario, |_| 1.5));
     let trials: Vec<_> = (0..2).map(|index| measure(&scenario, index, &rows, &Telemetry::default())).collect();
     assert_eq!(trials.iter().map(|trial| trial.seed).collect::<Vec<_>>(), [1, 2]);
     assert!(trials.iter().all(|trial| trial.excuses == [None]));
@@ -695,15 +784,15 @@ fn metrics_are_recorded_by_name_with_a_number_from_the_second_on() {
         "metric = \"repeatability_percent\", at_most = 2.0",
         "metric = \"settling_time_ms\", at_most = 5.0, from_ms = 30.0",
     ];
-    let scenario = Build { expect: &expect, ..ONE }.scenario();
+    let scenario = ScenarioBuilder { expect: &expect, ..BASE }.scenario();
     let measures = [
         Measure::Value(1.93),
         Measure::Value(-0.5),
-        Measure::Missing("never"),
+        Measure::Missing(MissingValue::NotRunning),
         Measure::Value(99.5),
         Measure::Value(4.0),
     ];
-    let record = trial_record(&scenario, &trial(0, &measures), "traces/s/000.csv".to_owned(), None);
+    let record = trial_record(&scenario, &trial_measures(0, &measures), "traces/s/000.csv".to_owned(), None);
     let text = serde_json::to_string(&record.metrics).unwrap();
     assert_eq!(
         text,
@@ -713,12 +802,12 @@ fn metrics_are_recorded_by_name_with_a_number_from_the_second_on() {
 
 /// How often a verdict is a pass, where the truth lies exactly on the limit.
 fn pass_rate(expect: &str, count: usize, draw: impl Fn(f64) -> f64) -> f64 {
-    let scenario = spread(expect, count as u32);
+    let scenario = varied_scenario(expect, count as u32);
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let runs = 2_000;
     let passed = (0..runs).filter(|_| {
         let values: Vec<f64> = (0..count).map(|_| draw(StandardNormal.sample(&mut random))).collect();
-        judge(&scenario, &trials(&values)).verdict == Verdict::Pass
+        judge(&scenario, &trials_with_values(&values)).verdict == Verdict::Pass
     });
     passed.count() as f64 / f64::from(runs)
 }
@@ -747,7 +836,7 @@ fn what_a_metric_was_measured_by_is_recorded(
     #[case] expect: &str,
     #[case] expected: (Option<f64>, Option<f64>, Option<&str>),
 ) {
-    let scenario = Build { expect: &[expect], ..ONE }.scenario();
-    let found = judged(&scenario, &trials(&[1.0])).definition;
+    let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
+    let found = judge_single_expectation(&scenario, &trials_with_values(&[1.0])).definition;
     assert_eq!((found.from_ms, found.band_percent, found.signal.as_deref()), expected);
 }

@@ -1,6 +1,6 @@
 use super::*;
-use crate::record::{Telemetry, Verdict};
 use crate::{judge, measure};
+use platebench_record::{Cause, Telemetry, Verdict};
 use tempfile::TempDir;
 
 fn scenario(duration_ms: f64, profile: &str, expect: &str) -> Scenario {
@@ -32,18 +32,18 @@ fn row(t_ms: f64, setpoint_um: f64, amplitude_um: f64) -> Row {
     }
 }
 
-/// A step at 210 ms, ten after it was due, that settles by the sample at `settled_ms`.
+/// A step at 210 ms, 10 ms late, that settles at the sample at `settled_ms`.
 fn rows(settled_ms: f64, end_ms: u32) -> Vec<Row> {
     let at = |t: f64| row(t, if t < 210.0 { 0.0 } else { 2.0 }, if t < settled_ms { 0.0 } else { 2.0 });
     (0..=end_ms).map(|t| at(f64::from(t))).collect()
 }
 
-fn cause(scenario: &Scenario, rows: &[Row]) -> Option<(Cause, String)> {
-    disturbance(scenario, rows, Some(&RealPlate::default()))
+fn exclusion(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
+    find_exclusion(scenario, rows, Some(&RealPlateRecord::default()))
 }
 
 #[test]
-fn two_milliseconds_are_passed_where_the_samples_prove_them_and_left_open_where_they_do_not() {
+fn decides_a_settling_time_only_if_the_samples_prove_it() {
     let scenario = scenario(400.0, STEP, SETTLES);
     let verdict = |settled_ms| {
         let trial = measure(&scenario, 0, &rows(settled_ms, 400), &Telemetry::default());
@@ -52,7 +52,7 @@ fn two_milliseconds_are_passed_where_the_samples_prove_them_and_left_open_where_
     let proved = verdict(212.0);
     assert_eq!((proved.verdict, proved.interval), (Verdict::Pass, Some([1.0, 2.0])));
     assert!(proved.evidence.observed.is_some_and(|by| by.contains("sensor")));
-    // One trial of a real plate is no certainty, though the scenario draws nothing.
+    // A real plate is random even if the scenario is not.
     assert!(proved.evidence.failure_rate.is_some());
     let open = verdict(213.0);
     assert_eq!((open.verdict, open.cause), (Verdict::Inconclusive, Some(Cause::Evidence)));
@@ -60,7 +60,7 @@ fn two_milliseconds_are_passed_where_the_samples_prove_them_and_left_open_where_
 }
 
 #[test]
-fn a_missed_demand_at_the_drive_s_limit_is_left_open() {
+fn excuses_a_miss_at_the_drive_limit() {
     let scenario = scenario(400.0, STEP, SETTLES);
     let mut rows = rows(300.0, 400);
     rows[220].flags |= Flags::SATURATED;
@@ -69,14 +69,14 @@ fn a_missed_demand_at_the_drive_s_limit_is_left_open() {
 }
 
 #[test]
-fn what_was_not_heard_leaves_a_trial_undecided() {
+fn excludes_a_trial_with_missing_telemetry() {
     let scenario = scenario(400.0, STEP, SETTLES);
     let whole = rows(212.0, 400);
-    assert_eq!(cause(&scenario, &whole), None);
+    assert_eq!(exclusion(&scenario, &whole), None);
     let told = |rows: &[Row]| {
-        let (cause, what) = cause(&scenario, rows).unwrap();
-        assert_eq!(cause, Cause::Rig);
-        what
+        let exclusion = exclusion(&scenario, rows).unwrap();
+        assert_eq!(exclusion.cause(), Cause::Rig);
+        exclusion.to_string()
     };
     assert_eq!(told(&whole[2..]), "the telemetry starts at 2 ms");
     assert_eq!(told(&whole[..400]), "the telemetry ends at 399 ms instead of 400 ms");
@@ -88,74 +88,78 @@ fn what_was_not_heard_leaves_a_trial_undecided() {
     assert_eq!(told(&deaf), "a setpoint was not acknowledged by 250 ms");
     let mut tardy = whole.clone();
     tardy[250].flags |= Flags::OVERRUN;
-    assert_eq!(super::disturbance(&scenario, &tardy, None).map(|(cause, _)| cause), Some(Cause::Bench));
-    // Jitter of a timer is no gap.
+    assert_eq!(find_exclusion(&scenario, &tardy, None).as_ref().map(Exclusion::cause), Some(Cause::Bench));
+    // Timer jitter is not a gap.
     let mut late = whole.clone();
     late[300].t_s += 4e-4;
-    assert_eq!(cause(&scenario, &late), None);
-    // One that stopped by itself has ended its own trial; that is judged.
+    assert_eq!(exclusion(&scenario, &late), None);
+    // The metrics judge a controller that stopped.
     let mut stopped = whole[..300].to_vec();
     stopped[299].flags |= Flags::SAFE;
-    assert_eq!(cause(&scenario, &stopped), None);
-    let lost = RealPlate { lost_rows: 1, ..RealPlate::default() };
-    assert_eq!(disturbance(&scenario, &whole, Some(&lost)).map(|(cause, _)| cause), Some(Cause::Bench));
+    assert_eq!(exclusion(&scenario, &stopped), None);
+    let lost = RealPlateRecord { lost_rows: 1, ..RealPlateRecord::default() };
+    assert_eq!(find_exclusion(&scenario, &whole, Some(&lost)).as_ref().map(Exclusion::cause), Some(Cause::Bench));
 }
 
 #[test]
-fn a_controller_that_holds_another_setpoint_does_not_count() {
+fn excludes_a_trial_with_a_wrong_setpoint() {
     let scenario = scenario(400.0, STEP, SETTLES);
     let mut other = rows(212.0, 400);
     other[399].setpoint_um = 1.0;
-    let (_, what) = cause(&scenario, &other).unwrap();
-    assert_eq!(what, "the controller held a setpoint of 1 µm at 399 ms, it was sent 2");
-    // Nothing between two levels, not even while either may still hold.
+    let sent_um = [2.0, 2.0];
+    let expected = Exclusion::WrongSetpoint { held_um: 1.0, at_ms: 399.0, sent_um };
+    assert_eq!(exclusion(&scenario, &other), Some(expected));
+    // No value between two levels is allowed.
     let mut between = rows(212.0, 400);
     between[205].setpoint_um = 1.0;
-    assert!(cause(&scenario, &between).is_some());
-    // The last instant at which the old one may still hold, and the first at which it may not.
+    assert!(exclusion(&scenario, &between).is_some());
+    // The old setpoint is allowed for 100 ms.
     let held_until = |last: usize| {
         let mut rows = rows(212.0, 400);
         rows[210..=last].iter_mut().for_each(|row| row.setpoint_um = 0.0);
-        cause(&scenario, &rows)
+        exclusion(&scenario, &rows)
     };
     assert_eq!(held_until(299), None);
     assert!(held_until(301).is_some());
 }
 
 #[test]
-fn a_finger_that_is_measured_has_to_be_the_scenario_s() {
+fn excludes_a_trial_with_a_wrong_force() {
     let pressed = |force: f64, profile: &str| {
         let scenario = scenario(3_000.0, &format!("setpoint_um = 2.0\n{profile}"), SETTLES);
         let rows: Vec<Row> =
             (0..=3_000_u32).map(|t| Row { finger_force_n: force, ..row(f64::from(t), 2.0, 2.0) }).collect();
-        cause(&scenario, &rows)
+        exclusion(&scenario, &rows)
     };
     assert_eq!(pressed(2.0, "finger_force_n = 2.0"), None);
     assert_eq!(pressed(2.69, "finger_force_n = 2.0"), None);
-    let (cause, what) = pressed(2.71, "finger_force_n = 2.0").unwrap();
-    assert_eq!(cause, Cause::Rig);
-    assert!(what.starts_with("the finger pressed with 2.71 N at 0 ms, the scenario asks for 2 to 2;"), "{what}");
+    let expected =
+        Exclusion::WrongForce { force_n: 2.71, at_ms: 0.0, expected_n: [2.0, 2.0], wrong_rows: 3_001, rows: 3_001 };
+    assert_eq!(pressed(2.71, "finger_force_n = 2.0"), Some(expected));
     assert!(pressed(0.0, "finger_force_n = 2.0").is_some());
-    assert!(pressed(2.0, "").is_some(), "a hand that rests on the plate unasked");
-    // Where it is not measured the person's word has to do.
+    assert!(pressed(2.0, "").is_some(), "a hand that rests on the plate");
+    // If force is not measured, the operator's confirmation counts.
     assert_eq!(pressed(f64::NAN, "finger_force_n = 2.0"), None);
-    // One that is to come after 1.5 s has to be there a second later.
+    // A force from 1.5 s must be present 1 s later.
     let late = "finger_force_n = { hold = [[0.0, 0.0], [1500.0, 2.0]] }";
     assert!(pressed(0.0, late).is_some() && pressed(2.0, late).is_some());
 }
 
 #[test]
-fn what_no_person_did_or_can_do_is_never_decided() {
+fn excludes_conditions_that_no_person_made() {
     let plain = |profile: &str, duration_ms| scenario(duration_ms, &format!("setpoint_um = 2.0\n{profile}"), SETTLES);
     let rows: Vec<Row> = (0..=3_000_u32).map(|t| row(f64::from(t), 2.0, 2.0)).collect();
     let warm = plain("temperature_offset_k = 9.0", 3_000.0);
-    assert!(needs_person(&warm) && !moves(&warm) && impossible(&warm).is_none());
-    assert_eq!(cause(&warm, &rows), None);
-    assert!(disturbance(&warm, &rows, None).is_some(), "a run whose record was never written");
-    let undone = RealPlate { undone: Some("nobody was there".to_owned()), ..RealPlate::default() };
-    assert_eq!(disturbance(&warm, &rows, Some(&undone)), Some((Cause::Rig, "nobody was there".to_owned())));
+    assert!(needs_operator(&warm) && !scene_changes(&warm) && operator_exclusion(&warm).is_none());
+    assert_eq!(exclusion(&warm, &rows), None);
+    assert!(find_exclusion(&warm, &rows, None).is_some(), "a run without a record");
+    let undone = RealPlateRecord { undone: Some("nobody was there".to_owned()), ..RealPlateRecord::default() };
+    assert_eq!(
+        find_exclusion(&warm, &rows, Some(&undone)),
+        Some(Exclusion::ConditionsNotMade { why: "nobody was there".to_owned() })
+    );
     let touch = "finger_force_n = { hold = [[0.0, 0.0], [20.0, 2.0]] }";
-    assert!(impossible(&plain(touch, 1_999.0)).is_some());
-    assert!(impossible(&plain(touch, 2_000.0)).is_none());
-    assert!(!needs_person(&plain("", 60.0)));
+    assert!(operator_exclusion(&plain(touch, 1_999.0)).is_some());
+    assert!(operator_exclusion(&plain(touch, 2_000.0)).is_none());
+    assert!(!needs_operator(&plain("", 60.0)));
 }

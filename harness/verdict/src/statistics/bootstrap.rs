@@ -2,17 +2,17 @@
 //!
 //! Resampling is seeded by nothing but the number of values, so that a stored run is judged as it was live.
 
-use super::Summary;
+use super::SampleSummary;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use statrs::distribution::{ContinuousCDF, Normal};
 
 /// Resamples at the least; of 1 999 a bound at 95 % leaves 100 outside.
-const RESAMPLES: usize = 1_999;
+const MIN_RESAMPLES: usize = 1_999;
 /// A bound rests on at least so many resamples beyond it.
-const LEAST_OUTSIDE: f64 = 10.0;
+const MIN_TAIL_RESAMPLES: f64 = 10.0;
 /// Where even these are too few, nothing is said.
-const MOST_RESAMPLES: usize = 20_000;
+const MAX_RESAMPLES: usize = 20_000;
 
 /// Bias-corrected and accelerated bounds of a statistic, each one-sided at `confidence`; `None` where there are fewer than three values or the statistic
 /// does not vary.
@@ -20,7 +20,7 @@ const MOST_RESAMPLES: usize = 20_000;
 /// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185: the percentile
 /// `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic, with the bias `z0` from the share of resamples below the statistic and the acceleration
 /// `a` from the jackknife.
-pub fn bca(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<[f64; 2]> {
+pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<[f64; 2]> {
     let estimate = statistic(values);
     let acceleration = acceleration(values, &statistic)?;
     let mut resampled = resample(values, &statistic, confidence)?;
@@ -56,7 +56,7 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
         without.push(statistic(&left));
         *left.get_mut(index)? = taken;
     }
-    let mean = Summary::of(&without)?.mean;
+    let mean = SampleSummary::of(&without)?.mean;
     let sum = |power: i32| without.iter().map(|value| (mean - value).powi(power)).sum::<f64>();
     let squares = sum(2);
     (squares > 0.0).then(|| sum(3) / (6.0 * squares.powf(1.5)))
@@ -67,7 +67,11 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
 ///
 /// P. Hall, "Theoretical comparison of bootstrap confidence intervals", *Ann. Stat.* 16, 1988, pp. 927-953: the pivot `(θ* − θ)/s*` of the resamples takes
 /// the place of Student's t. For the mean of skewed data, and for the logarithm of a deviation, it leaves less outside its upper end than BCa does.
-pub fn studentised(values: &[f64], estimate: impl Fn(&[f64]) -> (f64, f64), confidence: f64) -> Option<[f64; 2]> {
+pub fn studentised_bounds(
+    values: &[f64],
+    estimate: impl Fn(&[f64]) -> (f64, f64),
+    confidence: f64,
+) -> Option<[f64; 2]> {
     let (centre, error) = estimate(values);
     if values.len() < 3 || !centre.is_finite() || error <= 0.0 || !error.is_finite() {
         return None;
@@ -94,8 +98,8 @@ fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
 /// The statistic of resamples of `values`, so many that `confidence` leaves some of them outside; `None` where that would take too many.
 fn resample(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<Vec<f64>> {
     let outside = 1.0 - confidence;
-    let resamples = ((LEAST_OUTSIDE / outside).ceil() as usize).saturating_sub(1).max(RESAMPLES);
-    if resamples > MOST_RESAMPLES {
+    let resamples = ((MIN_TAIL_RESAMPLES / outside).ceil() as usize).saturating_sub(1).max(MIN_RESAMPLES);
+    if resamples > MAX_RESAMPLES {
         return None;
     }
     let count = values.len() as u64;
@@ -120,7 +124,7 @@ mod tests {
     }
 
     fn mean_and_error(values: &[f64]) -> (f64, f64) {
-        let summary = Summary::of(values).unwrap();
+        let summary = SampleSummary::of(values).unwrap();
         (summary.mean, summary.deviation / (summary.count as f64).sqrt())
     }
 
@@ -143,16 +147,18 @@ mod tests {
         resampled.sort_by(f64::total_cmp);
         let share = |value: f64| resampled.partition_point(|other| *other <= value) as f64 / resampled.len() as f64;
         let (bias, acceleration) = (normal.inverse_cdf(share(mean(&SKEWED))), acceleration(&SKEWED, &mean).unwrap());
-        for (bound, z) in bca(&SKEWED, mean, 0.95).unwrap().into_iter().zip([-1.644_854, 1.644_854]) {
+        for (bound, z) in bca_bounds(&SKEWED, mean, 0.95).unwrap().into_iter().zip([-1.644_854, 1.644_854]) {
             let percentile = normal.cdf(bias + (bias + z) / (1.0 - acceleration * (bias + z)));
             assert!((share(bound) - percentile).abs() < 1e-3, "{} {percentile}", share(bound));
         }
-        assert!(bias > 0.0 && share(bca(&SKEWED, mean, 0.95).unwrap()[1]) > 0.98);
+        assert!(bias > 0.0 && share(bca_bounds(&SKEWED, mean, 0.95).unwrap()[1]) > 0.98);
     }
 
     #[test]
     fn skewed_data_have_their_longer_side_above() {
-        for bounds in [bca(&SKEWED, mean, 0.95).unwrap(), studentised(&SKEWED, mean_and_error, 0.95).unwrap()] {
+        for bounds in
+            [bca_bounds(&SKEWED, mean, 0.95).unwrap(), studentised_bounds(&SKEWED, mean_and_error, 0.95).unwrap()]
+        {
             let below = mean(&SKEWED) - bounds[0];
             let above = bounds[1] - mean(&SKEWED);
             assert!(0.0 < below && below < above, "{bounds:?}");
@@ -161,18 +167,18 @@ mod tests {
 
     #[test]
     fn bounds_repeat_and_widen_with_the_confidence() {
-        let at = |confidence| bca(&SKEWED, mean, confidence).unwrap();
+        let at = |confidence| bca_bounds(&SKEWED, mean, confidence).unwrap();
         assert_eq!(at(0.95), at(0.95));
         assert!(at(0.999)[0] < at(0.95)[0] && at(0.95)[1] < at(0.999)[1]);
-        assert_eq!(bca(&SKEWED, mean, 0.999_999_9), None, "that would take more resamples than are made");
-        assert_eq!(studentised(&SKEWED, mean_and_error, 0.999_999_9), None);
+        assert_eq!(bca_bounds(&SKEWED, mean, 0.999_999_9), None, "that would take more resamples than are made");
+        assert_eq!(studentised_bounds(&SKEWED, mean_and_error, 0.999_999_9), None);
     }
 
     #[test]
     fn what_does_not_vary_has_no_bounds() {
-        assert_eq!(bca(&[1.0; 10], mean, 0.95), None);
-        assert_eq!(bca(&[1.0, 2.0], mean, 0.95), None);
-        assert_eq!(studentised(&[1.0; 10], mean_and_error, 0.95), None);
-        assert_eq!(studentised(&[1.0, 2.0], mean_and_error, 0.95), None);
+        assert_eq!(bca_bounds(&[1.0; 10], mean, 0.95), None);
+        assert_eq!(bca_bounds(&[1.0, 2.0], mean, 0.95), None);
+        assert_eq!(studentised_bounds(&[1.0; 10], mean_and_error, 0.95), None);
+        assert_eq!(studentised_bounds(&[1.0, 2.0], mean_and_error, 0.95), None);
     }
 }

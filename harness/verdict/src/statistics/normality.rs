@@ -1,20 +1,20 @@
 //! Whether data may be taken as normal.
 
-use super::Summary;
+use super::SampleSummary;
 use statrs::distribution::{ContinuousCDF, Normal};
 
 /// Where the modified statistic lies beyond this, normality is refused at the level of 5 % (Stephens 1986, table 4.7, case 3).
-const CRITICAL: f64 = 0.752;
+const CRITICAL_VALUE: f64 = 0.752;
 /// The correction for small samples holds from here on (Stephens 1986).
-const FEWEST: usize = 8;
+const MIN_VALUES: usize = 8;
 
 /// The modified statistic A²\* of Anderson and Darling for normal data of unknown mean and deviation; `None` below eight values or where all are the same.
 ///
 /// M. A. Stephens, "Tests based on EDF statistics", in D'Agostino and Stephens, *Goodness-of-Fit Techniques*, 1986, section 4.8.5:
 /// `A² = −n − Σ (2i − 1)/n · (ln Φ(z_i) + ln(1 − Φ(z_{n+1−i})))` over the sorted standardised values, times `1 + 0.75/n + 2.25/n²`.
 pub fn anderson_darling(values: &[f64]) -> Option<f64> {
-    let summary = Summary::of(values)?;
-    if values.len() < FEWEST || summary.deviation <= 0.0 || !summary.deviation.is_finite() {
+    let summary = SampleSummary::of(values)?;
+    if values.len() < MIN_VALUES || summary.deviation <= 0.0 || !summary.deviation.is_finite() {
         return None;
     }
     let normal = Normal::standard();
@@ -33,8 +33,8 @@ pub fn anderson_darling(values: &[f64]) -> Option<f64> {
 }
 
 /// True where normality is refused at the level of 5 %. Too few values refuse nothing.
-pub fn is_refused(values: &[f64]) -> bool {
-    anderson_darling(values).is_some_and(|statistic| statistic > CRITICAL)
+pub fn is_rejected(values: &[f64]) -> bool {
+    anderson_darling(values).is_some_and(|statistic| statistic > CRITICAL_VALUE)
 }
 
 #[cfg(test)]
@@ -48,7 +48,7 @@ mod tests {
         let weights = [148.0, 154.0, 158.0, 160.0, 161.0, 162.0, 166.0, 170.0, 182.0, 195.0, 236.0];
         let statistic = anderson_darling(&weights).unwrap();
         assert!((statistic - 0.947 * 1.086_78).abs() < 5e-3, "{statistic}");
-        assert!(is_refused(&weights));
+        assert!(is_rejected(&weights));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use statrs::function::beta::beta_reg;
 
 /// Halvings of the unit interval: as many as a double can tell apart.
-const HALVINGS: u32 = 60;
+const BISECTION_STEPS: u32 = 60;
 
 /// Bounds of the probability of something that was seen `seen` times in `count` independent trials, each one-sided at `confidence`; `None` where nothing
 /// was tried. They cover at least at that rate whatever the probability is, and where it is small, more.
@@ -15,13 +15,13 @@ pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2
         return None;
     }
     let tail = 1.0 - confidence;
-    let lower = if seen == 0 { 0.0 } else { root(|p| at_least(seen, count, p) >= tail) };
-    let upper = if seen == count { 1.0 } else { root(|p| at_most(seen, count, p) < tail) };
+    let lower = if seen == 0 { 0.0 } else { bisect(|p| probability_at_least(seen, count, p) >= tail) };
+    let upper = if seen == count { 1.0 } else { bisect(|p| probability_at_most(seen, count, p) < tail) };
     Some([lower, upper])
 }
 
 /// The probability that something of probability `p` happens at most `seen` times in `count` trials: `I_{1−p}(n − k, k + 1)`.
-pub fn at_most(seen: u32, count: u32, p: f64) -> f64 {
+pub fn probability_at_most(seen: u32, count: u32, p: f64) -> f64 {
     if seen >= count {
         1.0
     } else {
@@ -30,7 +30,7 @@ pub fn at_most(seen: u32, count: u32, p: f64) -> f64 {
 }
 
 /// The probability that something of probability `p` happens at least `seen` times in `count` trials: `I_p(k, n − k + 1)`.
-pub fn at_least(seen: u32, count: u32, p: f64) -> f64 {
+pub fn probability_at_least(seen: u32, count: u32, p: f64) -> f64 {
     match seen {
         0 => 1.0,
         _ if seen > count => 0.0,
@@ -39,9 +39,9 @@ pub fn at_least(seen: u32, count: u32, p: f64) -> f64 {
 }
 
 /// Where `holds` becomes true between 0 and 1.
-fn root(holds: impl Fn(f64) -> bool) -> f64 {
+fn bisect(holds: impl Fn(f64) -> bool) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
-    for _ in 0..HALVINGS {
+    for _ in 0..BISECTION_STEPS {
         let middle = f64::midpoint(low, high);
         if holds(middle) { high = middle } else { low = middle }
     }
@@ -78,9 +78,15 @@ mod tests {
     fn the_tails_are_the_binomial_sums() {
         // Three coins.
         for (seen, least, most) in [(0, 1.0, 0.125), (1, 0.875, 0.5), (2, 0.5, 0.875), (3, 0.125, 1.0)] {
-            assert!((at_least(seen, 3, 0.5) - least).abs() < 1e-12 && (at_most(seen, 3, 0.5) - most).abs() < 1e-12);
+            assert!(
+                (probability_at_least(seen, 3, 0.5) - least).abs() < 1e-12
+                    && (probability_at_most(seen, 3, 0.5) - most).abs() < 1e-12
+            );
         }
-        assert_eq!((at_least(4, 3, 0.5), at_most(2, 3, 0.0), at_least(1, 3, 0.0)), (0.0, 1.0, 0.0));
+        assert_eq!(
+            (probability_at_least(4, 3, 0.5), probability_at_most(2, 3, 0.0), probability_at_least(1, 3, 0.0)),
+            (0.0, 1.0, 0.0)
+        );
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What so many of a hundred trials keep to.
 
-use super::proportion::at_most;
+use super::proportion::probability_at_most;
 
 /// The quantile of `values` at `share` and its bounds, each one-sided at `confidence`: values of the sample itself, so that nothing is assumed about their
 /// distribution but that it is one. A bound is infinite where the sample is too small for it: an upper one of the 95 % quantile at 95 % takes 59 values.
@@ -15,9 +15,9 @@ pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f
     sorted.sort_by(f64::total_cmp);
     let ranked = |rank: u32| rank.checked_sub(1).and_then(|index| sorted.get(index as usize)).copied();
     // P(B ≤ r − 1) rises with r.
-    let below = |rank: u32| at_most(rank - 1, count, share);
-    let upper = first(1, count, |rank| below(rank) >= confidence).and_then(ranked);
-    let beyond = first(1, count, |rank| below(rank) > 1.0 - confidence).unwrap_or(count + 1);
+    let below = |rank: u32| probability_at_most(rank - 1, count, share);
+    let upper = bisect_index(1, count, |rank| below(rank) >= confidence).and_then(ranked);
+    let beyond = bisect_index(1, count, |rank| below(rank) > 1.0 - confidence).unwrap_or(count + 1);
     let lower = ranked(beyond - 1);
     // The smallest value that at least that share keeps to.
     let estimate = ranked(((f64::from(count) * share).ceil() as u32).clamp(1, count))?;
@@ -25,13 +25,13 @@ pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f
 }
 
 /// How many values it takes until the quantile at `share` has a bound on the side where fewer of them lie.
-pub fn fewest_for_bound(share: f64, confidence: f64) -> u32 {
+pub fn min_values_for_bound(share: f64, confidence: f64) -> u32 {
     let rarer = share.max(1.0 - share);
     ((1.0 - confidence).ln() / rarer.ln()).ceil().min(f64::from(u32::MAX)) as u32
 }
 
 /// The first number from `low` to `high` from which on `holds` is true.
-fn first(low: u32, high: u32, holds: impl Fn(u32) -> bool) -> Option<u32> {
+fn bisect_index(low: u32, high: u32, holds: impl Fn(u32) -> bool) -> Option<u32> {
     let (mut low, mut high) = (low, high.checked_add(1)?);
     let end = high;
     while low < high {
@@ -56,7 +56,7 @@ mod tests {
         // 95 % quantile: 59 values are needed for an upper bound, and then it is the largest.
         assert_eq!(quantile_bounds(&ramp(58), 0.95, 0.95).unwrap().1[1], f64::INFINITY);
         assert_eq!(quantile_bounds(&ramp(59), 0.95, 0.95).unwrap().1[1], 59.0);
-        assert_eq!((fewest_for_bound(0.95, 0.95), fewest_for_bound(0.05, 0.95)), (59, 59));
+        assert_eq!((min_values_for_bound(0.95, 0.95), min_values_for_bound(0.05, 0.95)), (59, 59));
         // The second largest takes 93.
         assert_eq!(quantile_bounds(&ramp(92), 0.95, 0.95).unwrap().1[1], 92.0);
         assert_eq!(quantile_bounds(&ramp(93), 0.95, 0.95).unwrap().1[1], 92.0);

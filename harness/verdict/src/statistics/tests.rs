@@ -11,7 +11,7 @@ use std::f64::consts::{FRAC_2_PI, SQRT_2};
 
 /// Data with known mean and standard deviation.
 #[derive(Debug, Clone, Copy)]
-enum Data {
+enum TestDistribution {
     Normal,
     /// What the sizes of normal errors look like.
     HalfNormal,
@@ -21,7 +21,7 @@ enum Data {
     Laplace,
 }
 
-impl Data {
+impl TestDistribution {
     fn draw(self, random: &mut ChaCha8Rng) -> f64 {
         let normal = |random: &mut ChaCha8Rng| -> f64 { StandardNormal.sample(random) };
         match self {
@@ -59,7 +59,7 @@ impl Data {
 }
 
 /// In how many percent of runs each lower and each upper end lies on its side of the truth: mean, then deviation.
-fn coverage(data: Data, count: usize, confidence: f64, runs: u32) -> [[f64; 2]; 2] {
+fn coverage(data: TestDistribution, count: usize, confidence: f64, runs: u32) -> [[f64; 2]; 2] {
     let mut random = ChaCha8Rng::seed_from_u64(2016);
     let mut held = [[0_u32; 2]; 2];
     for _ in 0..runs {
@@ -78,7 +78,7 @@ fn coverage(data: Data, count: usize, confidence: f64, runs: u32) -> [[f64; 2]; 
 #[case(30)]
 #[case(100)]
 fn normal_data_are_covered_at_the_nominal_rate(#[case] count: usize) {
-    for end in coverage(Data::Normal, count, 0.95, 6_000).as_flattened() {
+    for end in coverage(TestDistribution::Normal, count, 0.95, 6_000).as_flattened() {
         // 1 % is 3.5 standard errors of 95 % over 6 000 runs.
         assert!((94.0..=96.0).contains(end), "{count}: {end} %");
     }
@@ -87,7 +87,7 @@ fn normal_data_are_covered_at_the_nominal_rate(#[case] count: usize) {
 /// Both ends at 97.5 % make a two-sided interval of 95 %.
 #[test]
 fn two_sided_intervals_of_normal_data_are_too() {
-    for ends in coverage(Data::Normal, 30, 0.975, 6_000) {
+    for ends in coverage(TestDistribution::Normal, 30, 0.975, 6_000) {
         let both = ends[0] + ends[1] - 100.0;
         assert!((94.0..=96.0).contains(&both), "{ends:?}");
     }
@@ -95,11 +95,11 @@ fn two_sided_intervals_of_normal_data_are_too() {
 
 /// The lowest coverage of an end, mean and deviation, as `docs/verdicts.md` tells it, less two standard errors of the simulation.
 #[rstest]
-#[case(Data::HalfNormal, 30, 92.5, 91.0)]
-#[case(Data::Exponential, 30, 91.5, 84.5)]
-#[case(Data::Exponential, 100, 92.0, 90.0)]
+#[case(TestDistribution::HalfNormal, 30, 92.5, 91.0)]
+#[case(TestDistribution::Exponential, 30, 91.5, 84.5)]
+#[case(TestDistribution::Exponential, 100, 92.0, 90.0)]
 fn skewed_data_are_covered_as_documented(
-    #[case] data: Data,
+    #[case] data: TestDistribution,
     #[case] count: usize,
     #[case] mean: f64,
     #[case] deviation: f64,
@@ -115,7 +115,14 @@ fn skewed_data_are_covered_as_documented(
 #[test]
 #[ignore = "takes minutes; made for the documentation"]
 fn coverage_table() {
-    for data in [Data::Normal, Data::Uniform, Data::Laplace, Data::HalfNormal, Data::Gamma4, Data::Exponential] {
+    for data in [
+        TestDistribution::Normal,
+        TestDistribution::Uniform,
+        TestDistribution::Laplace,
+        TestDistribution::HalfNormal,
+        TestDistribution::Gamma4,
+        TestDistribution::Exponential,
+    ] {
         for count in [12, 30, 100, 300] {
             let [mean, deviation] = coverage(data, count, 0.95, 4_000.min(300_000 / count as u32));
             println!(
@@ -145,10 +152,14 @@ fn proportions_are_covered_at_least_at_the_nominal_rate(#[case] p: f64) {
 }
 
 #[rstest]
-#[case(Data::Normal, 0.5, 0.0)]
-#[case(Data::Exponential, 0.9, 10.0_f64.ln())]
-#[case(Data::Uniform, 0.95, 0.95)]
-fn quantiles_are_covered_at_least_at_the_nominal_rate(#[case] data: Data, #[case] share: f64, #[case] truth: f64) {
+#[case(TestDistribution::Normal, 0.5, 0.0)]
+#[case(TestDistribution::Exponential, 0.9, 10.0_f64.ln())]
+#[case(TestDistribution::Uniform, 0.95, 0.95)]
+fn quantiles_are_covered_at_least_at_the_nominal_rate(
+    #[case] data: TestDistribution,
+    #[case] share: f64,
+    #[case] truth: f64,
+) {
     let runs = 6_000;
     let mut random = ChaCha8Rng::seed_from_u64(4);
     let mut held = [0_u32; 2];
@@ -172,8 +183,8 @@ fn the_power_is_how_often_another_deviation_is_refused(#[case] ratio: f64) {
     let runs = 6_000;
     let mut random = ChaCha8Rng::seed_from_u64(5);
     let refused = (0..runs).filter(|_| {
-        let values: Vec<f64> = (0..10).map(|_| ratio * Data::Normal.draw(&mut random)).collect();
-        let [low, high] = Summary::of(&values).unwrap().deviation_bounds(0.975).unwrap();
+        let values: Vec<f64> = (0..10).map(|_| ratio * TestDistribution::Normal.draw(&mut random)).collect();
+        let [low, high] = SampleSummary::of(&values).unwrap().deviation_bounds(0.975).unwrap();
         !(low..=high).contains(&1.0)
     });
     let rate = refused.count() as f64 / f64::from(runs);

@@ -2,7 +2,7 @@ use super::*;
 use rstest::rstest;
 
 fn tube(tolerance: Tolerance, points: &[(f64, f64)]) -> Tube {
-    let points = points.iter().map(|&(t_ms, value)| Point { t_ms, value, width: 0.0 }).collect();
+    let points = points.iter().map(|&(t_ms, value)| TubePoint { t_ms, value, width: 0.0 }).collect();
     Tube { signal: "amplitude_um".to_owned(), tolerance, points }
 }
 
@@ -17,7 +17,7 @@ const STRICT: Tolerance = Tolerance { absolute: 0.25, relative: 0.0, time_ms: 0.
 #[case::no_number(f64::NAN, true)]
 fn the_edge_is_inside_and_the_next_float_is_not(#[case] value: f64, #[case] inside: bool) {
     let golden = tube(STRICT, &[(0.0, 2.0), (10.0, 2.0)]);
-    let found = golden.worst(&[(0.0, 2.0), (5.0, value), (10.0, 2.0)], Some(1.0));
+    let found = golden.worst_exceedance(&[(0.0, 2.0), (5.0, value), (10.0, 2.0)], Some(1.0));
     if value.is_nan() {
         // No trace holds one; where one came all the same it would be found.
         assert!(found.is_some());
@@ -29,10 +29,11 @@ fn the_edge_is_inside_and_the_next_float_is_not(#[case] value: f64, #[case] insi
 #[test]
 fn the_worst_is_named_with_its_place_and_its_size() {
     let golden = tube(STRICT, &[(0.0, 2.0), (10.0, 2.0)]);
-    let found = golden.worst(&[(0.0, 2.0), (3.0, 2.5), (4.0, 2.0), (7.0, 1.0), (8.0, 2.0), (10.0, 2.0)], Some(0.5));
+    let found =
+        golden.worst_exceedance(&[(0.0, 2.0), (3.0, 2.5), (4.0, 2.0), (7.0, 1.0), (8.0, 2.0), (10.0, 2.0)], Some(0.5));
     let found = found.unwrap();
     assert_eq!((found.t_ms, found.value, found.golden, found.distance, found.allowed), (7.0, 1.0, 2.0, 0.75, 0.25));
-    assert_eq!(found.severity(), 4.0);
+    assert_eq!(found.ratio(), 4.0);
 }
 
 /// The relative part goes with the golden value, not with the response; near zero only the absolute part is left.
@@ -46,11 +47,11 @@ fn the_worst_is_named_with_its_place_and_its_size() {
 #[case(0.0, (-1.0_f64).next_down(), false)]
 fn near_zero_the_absolute_part_remains(#[case] level: f64, #[case] value: f64, #[case] inside: bool) {
     let golden = tube(Tolerance { absolute: 1.0, relative: 0.1, time_ms: 0.0 }, &[(0.0, level), (1.0, level)]);
-    assert_eq!(golden.worst(&[(0.0, value), (1.0, value)], None).is_none(), inside);
+    assert_eq!(golden.worst_exceedance(&[(0.0, value), (1.0, value)], None).is_none(), inside);
 }
 
 /// A step of 2 in 0.05 ms, `late` ms late.
-fn step(late: f64) -> Vec<(f64, f64)> {
+fn late_step(late: f64) -> Vec<(f64, f64)> {
     vec![(0.0, 0.0), (4.95 + late, 0.0), (5.0 + late, 2.0), (10.0 + late, 2.0)]
 }
 
@@ -63,16 +64,16 @@ fn step(late: f64) -> Vec<(f64, f64)> {
 #[case::early_just_outside(-0.2503, false)]
 fn a_step_may_come_as_late_as_the_tolerance_in_time(#[case] late: f64, #[case] inside: bool) {
     let tolerance = Tolerance { absolute: 0.01, relative: 0.0, time_ms: 0.25 };
-    let golden = tube(tolerance, &step(0.0));
-    let response: Vec<_> = step(late);
-    let found = golden.worst(&response, Some(0.001));
+    let golden = tube(tolerance, &late_step(0.0));
+    let response: Vec<_> = late_step(late);
+    let found = golden.worst_exceedance(&response, Some(0.001));
     assert_eq!(found.is_none(), inside, "{found:?}");
 }
 
 #[test]
 fn without_tolerance_in_time_a_late_step_is_wrong_by_its_height() {
-    let golden = tube(Tolerance { absolute: 0.01, relative: 0.0, time_ms: 0.0 }, &step(0.0));
-    let found = golden.worst(&step(0.2), Some(0.05)).unwrap();
+    let golden = tube(Tolerance { absolute: 0.01, relative: 0.0, time_ms: 0.0 }, &late_step(0.0));
+    let found = golden.worst_exceedance(&late_step(0.2), Some(0.05)).unwrap();
     assert!((found.distance - 1.99).abs() < 1e-9, "{found:?}");
 }
 
@@ -80,24 +81,27 @@ fn without_tolerance_in_time_a_late_step_is_wrong_by_its_height() {
 fn a_spike_between_two_points_of_a_thinned_curve_is_seen_on_the_grid() {
     let golden = tube(STRICT, &[(0.0, 2.0), (10.0, 2.0)]);
     let spike = [(0.0, 2.0), (4.9, 2.0), (5.0, 9.0), (5.1, 2.0), (10.0, 2.0)];
-    assert!(golden.worst(&spike, Some(0.1)).is_some());
-    assert!(golden.worst(&spike, None).is_none(), "without a grid only the curve's own points are looked at");
+    assert!(golden.worst_exceedance(&spike, Some(0.1)).is_some());
+    assert!(
+        golden.worst_exceedance(&spike, None).is_none(),
+        "without a grid only the curve's own points are looked at"
+    );
 }
 
 #[test]
 fn what_was_learned_widens_the_tube_where_it_was_learned() {
     let mut golden = tube(STRICT, &[(0.0, 2.0), (5.0, 2.0), (10.0, 2.0)]);
     golden.points[1].width = 0.5;
-    assert!(golden.worst(&[(0.0, 2.0), (5.0, 2.75), (10.0, 2.0)], Some(5.0)).is_none());
-    assert!(golden.worst(&[(0.0, 2.0), (5.0, 2.75_f64.next_up()), (10.0, 2.0)], Some(5.0)).is_some());
-    assert!(golden.worst(&[(0.0, 2.75), (10.0, 2.0)], Some(5.0)).is_some());
+    assert!(golden.worst_exceedance(&[(0.0, 2.0), (5.0, 2.75), (10.0, 2.0)], Some(5.0)).is_none());
+    assert!(golden.worst_exceedance(&[(0.0, 2.0), (5.0, 2.75_f64.next_up()), (10.0, 2.0)], Some(5.0)).is_some());
+    assert!(golden.worst_exceedance(&[(0.0, 2.75), (10.0, 2.0)], Some(5.0)).is_some());
 }
 
 #[test]
 fn several_points_in_one_instant_are_borne() {
     let golden = tube(STRICT, &[(0.0, 0.0), (5.0, 0.0), (5.0, 2.0), (10.0, 2.0)]);
-    assert!(golden.worst(&[(0.0, 0.0), (5.0, 0.0), (5.0, 2.0), (10.0, 2.0)], Some(0.5)).is_none());
-    assert_eq!(golden.at(5.0).value, 2.0);
-    assert_eq!((golden.at(-1.0).value, golden.at(11.0).value), (0.0, 2.0));
-    assert_eq!(tube(STRICT, &[]).at(1.0).value, 0.0);
+    assert!(golden.worst_exceedance(&[(0.0, 0.0), (5.0, 0.0), (5.0, 2.0), (10.0, 2.0)], Some(0.5)).is_none());
+    assert_eq!(golden.point_at(5.0).value, 2.0);
+    assert_eq!((golden.point_at(-1.0).value, golden.point_at(11.0).value), (0.0, 2.0));
+    assert_eq!(tube(STRICT, &[]).point_at(1.0).value, 0.0);
 }

@@ -1,0 +1,160 @@
+//! Defines the configuration of a trial and its answer.
+
+use crate::field::{Field, MessageError, Reader, Writer, layout};
+use crate::identity::LawId;
+
+/// Proportional and integral gains of both loops.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gains {
+    /// Amplitude loop, Vpp per µm.
+    pub amplitude_kp: f32,
+    /// Amplitude loop, Vpp per µm and second.
+    pub amplitude_ki: f32,
+    /// Frequency loop, rad/s per unit of Wq/Wd.
+    pub frequency_kp: f32,
+    /// Frequency loop, rad/s per unit of Wq/Wd and second.
+    pub frequency_ki: f32,
+}
+layout!(Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki });
+
+impl Gains {
+    const NONE: Self = Self { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
+}
+
+/// Everything that a controller needs before a trial.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Configure {
+    /// The law to run.
+    pub law: LawId,
+    /// True: the target sends a [`Tick`](crate::Tick) in each period and the bench answers with a
+    /// sample. False: the bench's samples pace the control.
+    pub paced_by_target: bool,
+    /// True: the target drives its own plate. The bench sends [`Setpoint`](crate::Setpoint) instead
+    /// of samples and receives [`Telemetry`](crate::Telemetry). Requires
+    /// [`OWN_PLATE`](crate::capabilities::OWN_PLATE).
+    pub drives_own_plate: bool,
+    /// Time without a sample (or setpoint) on the target's clock until the drive goes to 0 V, ms;
+    /// zero: five periods.
+    pub watchdog_timeout_ms: u16,
+    /// Control period, µs.
+    pub period_us: u32,
+    /// Delay from sampling to actuation if the bench knows it, otherwise zero, µs. Only a target
+    /// with [`LOOP_DELAY`](crate::capabilities::LOOP_DELAY) accepts a value above zero.
+    pub loop_delay_us: u32,
+    /// Excitation frequency at the start, mHz.
+    pub start_frequency_mhz: u32,
+    /// Nominal gain K1 of the plate, µm per Vpp.
+    pub gain_um_per_vpp: f32,
+    /// Nominal time constant τ of the plate, s.
+    pub time_constant_s: f32,
+    /// Design value of the 5 % response time, s (equation 24); zero for the law's default.
+    pub response_time_s: f32,
+    /// Limit of the drive, Vpp.
+    pub drive_limit_vpp: f32,
+    /// Largest distance of the excitation frequency from the start frequency, Hz.
+    pub frequency_range_hz: f32,
+    /// Largest change of the excitation frequency per period, Hz.
+    pub frequency_slew_hz: f32,
+    /// Gains that replace the law's own design.
+    pub gains: Option<Gains>,
+}
+
+/// Bits of the second byte of a configuration.
+const HAS_GAINS: u8 = 1;
+const PACED_BY_TARGET: u8 = 2;
+/// Four more bytes at the end.
+const HAS_LOOP_DELAY: u8 = 4;
+const DRIVES_OWN_PLATE: u8 = 8;
+
+impl Field for Configure {
+    fn write(&self, writer: &mut Writer) {
+        writer.write(&self.law);
+        let bit = |is_set, bit| if is_set { bit } else { 0_u8 };
+        let bits = bit(self.gains.is_some(), HAS_GAINS)
+            | bit(self.paced_by_target, PACED_BY_TARGET)
+            | bit(self.loop_delay_us > 0, HAS_LOOP_DELAY)
+            | bit(self.drives_own_plate, DRIVES_OWN_PLATE);
+        writer.write(&bits);
+        writer.write(&self.watchdog_timeout_ms);
+        writer.write(&self.period_us);
+        writer.write(&self.start_frequency_mhz);
+        writer.write(&self.gain_um_per_vpp);
+        writer.write(&self.time_constant_s);
+        writer.write(&self.response_time_s);
+        writer.write(&self.drive_limit_vpp);
+        writer.write(&self.frequency_range_hz);
+        writer.write(&self.frequency_slew_hz);
+        writer.write(&self.gains.unwrap_or(Gains::NONE));
+        if self.loop_delay_us > 0 {
+            writer.write(&self.loop_delay_us);
+        }
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let law = reader.read()?;
+        let bits: u8 = reader.read()?;
+        if bits & !(HAS_GAINS | PACED_BY_TARGET | HAS_LOOP_DELAY | DRIVES_OWN_PLATE) != 0 {
+            return Err(MessageError::Field);
+        }
+        let without_delay = Self {
+            law,
+            paced_by_target: bits & PACED_BY_TARGET != 0,
+            drives_own_plate: bits & DRIVES_OWN_PLATE != 0,
+            watchdog_timeout_ms: reader.read()?,
+            period_us: reader.read()?,
+            loop_delay_us: 0,
+            start_frequency_mhz: reader.read()?,
+            gain_um_per_vpp: reader.read()?,
+            time_constant_s: reader.read()?,
+            response_time_s: reader.read()?,
+            drive_limit_vpp: reader.read()?,
+            frequency_range_hz: reader.read()?,
+            frequency_slew_hz: reader.read()?,
+            gains: Some(reader.read()?).filter(|_| bits & HAS_GAINS != 0),
+        };
+        if bits & HAS_LOOP_DELAY == 0 {
+            return Ok(without_delay);
+        }
+        match reader.read()? {
+            0 => Err(MessageError::Field),
+            loop_delay_us => Ok(Self { loop_delay_us, ..without_delay }),
+        }
+    }
+}
+
+/// Why the target rejected a configuration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Rejection {
+    /// A value is not finite, not positive or outside the law's range.
+    Value = 1,
+    /// The firmware does not have this law.
+    Law = 2,
+}
+
+/// The target's answer to [`Configure`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Configured {
+    /// The active gains, or the reason for the rejection.
+    pub outcome: Result<Gains, Rejection>,
+}
+
+impl Field for Configured {
+    fn write(&self, writer: &mut Writer) {
+        writer.write(&self.outcome.err().map_or(0, |rejection| rejection as u8));
+        writer.write(&0_u8);
+        writer.write(&self.outcome.unwrap_or(Gains::NONE));
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let [status, _] = reader.read::<[u8; 2]>()?;
+        let gains = reader.read()?;
+        let outcome = match status {
+            0 => Ok(gains),
+            1 => Err(Rejection::Value),
+            2 => Err(Rejection::Law),
+            _ => return Err(MessageError::Field),
+        };
+        Ok(Self { outcome })
+    }
+}

@@ -1,0 +1,223 @@
+//! Defines the messages of a running trial: samples, commands, ticks, telemetry and fault reports.
+
+use crate::field::{Field, MessageError, Reader, Writer, layout};
+
+/// One measurement of the plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Time of sampling on the bench's clock, µs; wraps.
+    pub time_us: u32,
+    /// Setpoint of the amplitude, µm peak to peak.
+    pub setpoint_um: f32,
+    /// In-phase component, µm.
+    pub wd_um: f32,
+    /// Quadrature component, µm.
+    pub wq_um: f32,
+}
+layout!(Sample { time_us, setpoint_um, wd_um, wq_um });
+
+/// State of the target.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ControllerState {
+    /// At 0 V, waiting for a configuration or a first sample.
+    Idle = 0,
+    /// Controlling.
+    Running = 1,
+    /// At 0 V after a fault; see [`StateCause`].
+    Fault = 2,
+    /// At 0 V on request of the bench.
+    Safe = 3,
+}
+
+impl Field for ControllerState {
+    fn write(&self, writer: &mut Writer) {
+        writer.write(&(*self as u8));
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let number: u8 = reader.read()?;
+        let states = [Self::Idle, Self::Running, Self::Fault, Self::Safe];
+        states.into_iter().find(|&state| state as u8 == number).ok_or(MessageError::Field)
+    }
+}
+
+/// Why the target left `Running`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[repr(u8)]
+pub enum StateCause {
+    /// No fault.
+    #[default]
+    None = 0,
+    /// No sample for the watchdog timeout.
+    SampleTimeout = 1,
+    /// Too many rejected frames.
+    LineNoise = 2,
+    /// A sample or a computed value was not finite.
+    NonFinite = 3,
+}
+
+impl StateCause {
+    fn from_number(number: u8) -> Result<Self, MessageError> {
+        let causes = [Self::None, Self::SampleTimeout, Self::LineNoise, Self::NonFinite];
+        causes.into_iter().find(|&cause| cause as u8 == number).ok_or(MessageError::Field)
+    }
+}
+
+/// Bits of [`Command::flags`].
+pub mod flags {
+    /// The law's drive is at the limit.
+    pub const SATURATED: u8 = 1;
+    /// The frequency is at the end of its range or changes at its largest rate.
+    pub const FREQUENCY_LIMITED: u8 = 2;
+    /// The frequency loop is inactive because the in-phase component is too small to divide by.
+    pub const FREQUENCY_HELD: u8 = 4;
+    /// The plate differs from the law's prediction, and the law uses its fallback.
+    pub const PREDICTION_MISSED: u8 = 8;
+}
+
+/// The target's answer to a [`Sample`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Command {
+    /// Time at which the sample was received, on the target's clock, µs; wraps.
+    pub target_time_us: u32,
+    /// Drive, Vpp.
+    pub drive_vpp: f32,
+    /// Excitation frequency, mHz.
+    pub frequency_mhz: u32,
+    /// State of the target.
+    pub state: ControllerState,
+    /// Cause of the state.
+    pub cause: StateCause,
+    /// See [`flags`]; four bits.
+    pub flags: u8,
+    /// Duration of the previous control step, µs; zero if not measured.
+    pub compute_us: u16,
+}
+
+fn cause_and_flags(cause: StateCause, flags: u8) -> u8 {
+    (cause as u8) << 4 | flags & 0x0f
+}
+
+impl Field for Command {
+    fn write(&self, writer: &mut Writer) {
+        writer.write(&self.target_time_us);
+        writer.write(&self.drive_vpp);
+        writer.write(&self.frequency_mhz);
+        writer.write(&self.state);
+        writer.write(&cause_and_flags(self.cause, self.flags));
+        writer.write(&self.compute_us);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let (target_time_us, drive_vpp, frequency_mhz) = (reader.read()?, reader.read()?, reader.read()?);
+        let state = reader.read()?;
+        let bits: u8 = reader.read()?;
+        let (cause, flags) = (StateCause::from_number(bits >> 4)?, bits & 0x0f);
+        Ok(Self { target_time_us, drive_vpp, frequency_mhz, state, cause, flags, compute_us: reader.read()? })
+    }
+}
+
+/// The processor's registers at a crash.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FaultReport {
+    /// 1 panic, 2 `HardFault`, 3 watchdog reset before this start.
+    pub code: u16,
+    /// Program counter.
+    pub pc: u32,
+    /// Link register.
+    pub lr: u32,
+    /// Configurable fault status register.
+    pub cfsr: u32,
+    /// Faulting address, zero if none is valid.
+    pub address: u32,
+}
+layout!(FaultReport { code, pc, lr, cfsr, address });
+
+/// Start of a control period that the target paces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Tick {
+    /// Time of sending on the target's clock, µs; wraps.
+    pub target_time_us: u32,
+}
+layout!(Tick { target_time_us });
+
+/// Setpoint for a target that drives its own plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Setpoint {
+    /// Setpoint of the amplitude, µm peak to peak.
+    pub setpoint_um: f32,
+}
+layout!(Setpoint { setpoint_um });
+
+/// One control period of a target that drives its own plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Telemetry {
+    /// Number of the period, counted from 0 at the first setpoint after the configuration; wraps.
+    pub period: u32,
+    /// Time of sampling on the target's clock, µs; wraps.
+    pub target_time_us: u32,
+    /// The setpoint of this control step, µm.
+    pub setpoint_um: f32,
+    /// In-phase component, measured by the target, µm.
+    pub wd_um: f32,
+    /// Quadrature component, measured by the target, µm.
+    pub wq_um: f32,
+    /// Drive from this control step on, Vpp.
+    pub drive_vpp: f32,
+    /// Excitation frequency from this control step on, mHz.
+    pub frequency_mhz: u32,
+    /// Normal force of the finger, N, if the target measures it.
+    pub force_n: Option<f32>,
+    /// State of the target.
+    pub state: ControllerState,
+    /// Cause of the state.
+    pub cause: StateCause,
+    /// See [`flags`]; four bits.
+    pub flags: u8,
+}
+
+/// Bit of the last byte of [`Telemetry`].
+const HAS_FORCE: u8 = 1;
+
+impl Field for Telemetry {
+    fn write(&self, writer: &mut Writer) {
+        writer.write(&self.period);
+        writer.write(&self.target_time_us);
+        writer.write(&self.setpoint_um);
+        writer.write(&self.wd_um);
+        writer.write(&self.wq_um);
+        writer.write(&self.drive_vpp);
+        writer.write(&self.frequency_mhz);
+        writer.write(&self.force_n.unwrap_or(0.0));
+        writer.write(&self.state);
+        writer.write(&cause_and_flags(self.cause, self.flags));
+        writer.write(&if self.force_n.is_some() { HAS_FORCE } else { 0 });
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError> {
+        let (period, target_time_us) = (reader.read()?, reader.read()?);
+        let (setpoint_um, wd_um, wq_um, drive_vpp) = (reader.read()?, reader.read()?, reader.read()?, reader.read()?);
+        let (frequency_mhz, force_n) = (reader.read()?, reader.read()?);
+        let state = reader.read()?;
+        let [bits, force_bits] = reader.read::<[u8; 2]>()?;
+        if force_bits & !HAS_FORCE != 0 {
+            return Err(MessageError::Field);
+        }
+        let force_n = Some(force_n).filter(|_| force_bits & HAS_FORCE != 0);
+        let (cause, flags) = (StateCause::from_number(bits >> 4)?, bits & 0x0f);
+        Ok(Self {
+            period,
+            target_time_us,
+            setpoint_um,
+            wd_um,
+            wq_um,
+            drive_vpp,
+            frequency_mhz,
+            force_n,
+            state,
+            cause,
+            flags,
+        })
+    }
+}

@@ -1,0 +1,155 @@
+//! What a session stands on: bench, rig, plan, inputs, firmware. It is written down at the start, and nobody goes on with anything else.
+
+use crate::config::SessionConfig;
+use crate::error::AcceptError;
+use crate::session_record::{
+    BenchRecord, ClockRecord, FORMAT, FirmwareRecord, PLAN, STEPS, SessionRecord, utc_timestamp,
+};
+use crate::steps::step_records;
+use platebench_record::sha256;
+use platebench_record::{self as record, Verdict};
+use platebench_record::{Firmware, Host, InputRecord, Tool};
+use platebench_rig::{EmulatedLink, RigSpec};
+use platebench_runner::{Clock, Pacing};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// What is known of a session before anything is done.
+pub(crate) fn new_session_record(order: &SessionConfig) -> Result<SessionRecord, AcceptError> {
+    let SessionConfig { plan, rig, clock, details: who, .. } = order;
+    let inputs = plan.scenarios.iter().flat_map(|planned| {
+        let scenario = &planned.scenario;
+        scenario.inputs.iter().enumerate().map(move |(number, input)| {
+            let name = input.path.file_name().unwrap_or_default().to_string_lossy();
+            let file = if number == 0 { scenario.file.clone() } else { format!("{}: {name}", scenario.file) };
+            InputRecord { file, sha256: sha256(&input.bytes) }
+        })
+    });
+    let clock = match clock {
+        Clock::Lockstep { .. } => {
+            ClockRecord { name: clock.kind().to_string(), time_scale: 1.0, pacing: "bench".to_owned() }
+        }
+        Clock::RealPlate => {
+            ClockRecord { name: clock.kind().to_string(), time_scale: 1.0, pacing: "target".to_owned() }
+        }
+        Clock::RealTime(pace) => ClockRecord {
+            name: clock.kind().to_string(),
+            time_scale: pace.time_scale,
+            pacing: if pace.pacing == Pacing::Target { "target" } else { "bench" }.to_owned(),
+        },
+    };
+    Ok(SessionRecord {
+        format: FORMAT,
+        verdict: Verdict::Inconclusive,
+        complete: false,
+        title: plan.title.clone(),
+        operator: who.operator.clone(),
+        place: who.place.clone(),
+        notes: who.notes.clone(),
+        started: utc_timestamp(),
+        finished: None,
+        resumed: Vec::new(),
+        bench: bench_record()?,
+        rig: rig.to_string(),
+        clock,
+        firmware: None,
+        plan: InputRecord { file: PLAN.to_owned(), sha256: sha256(&plan.bytes) },
+        inputs: inputs.collect(),
+        steps: step_records(plan),
+        requirements: Vec::new(),
+        signature: None,
+    })
+}
+
+fn bench_record() -> Result<BenchRecord, AcceptError> {
+    let unknown = |source: io::Error| AcceptError::Io { path: PathBuf::from("the bench's own program"), source };
+    // Also where the file was replaced meanwhile, it is the running program that counts.
+    let running = fs::read("/proc/self/exe").or_else(|_| std::env::current_exe().and_then(fs::read));
+    let program = running.map_err(unknown)?;
+    Ok(BenchRecord {
+        tool: Tool { name: "platebench".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
+        sha256: sha256(&program),
+        host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
+    })
+}
+
+/// SHA-256 of the image that the bench loads onto this rig; `None` where the rig brings its own.
+pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError> {
+    match rig {
+        RigSpec::Emulated(None) | RigSpec::Probe { elf: None, .. } => Ok(Some(sha256(EmulatedLink::built_in_image()))),
+        RigSpec::Emulated(Some(elf)) | RigSpec::Probe { elf: Some(elf), .. } => {
+            fs::read(elf).map(|bytes| Some(sha256(&bytes))).map_err(AcceptError::io(elf))
+        }
+        RigSpec::Hosted | RigSpec::Exec(_) | RigSpec::Serial { .. } => Ok(None),
+    }
+}
+
+/// What steps that are done left has to be what they left.
+pub(crate) fn check_run_hashes(folder: &Path, record: &SessionRecord) -> Result<(), AcceptError> {
+    for step in record.steps.iter().filter(|step| step.done) {
+        if let Some(then) = &step.run_sha256 {
+            let now = run_sha256(&folder.join(STEPS).join(&step.id))?;
+            if now != *then {
+                return Err(changed_error(&format!("{STEPS}/{}/{}", step.id, record::RECORD_FILE), then, &now));
+            }
+        }
+    }
+    Ok(())
+}
+
+pub(crate) fn run_sha256(folder: &Path) -> Result<String, AcceptError> {
+    let path = folder.join(record::RECORD_FILE);
+    fs::read(&path).map(|bytes| sha256(&bytes)).map_err(AcceptError::io(&path))
+}
+
+pub(crate) fn changed_error(what: &str, then: &str, now: &str) -> AcceptError {
+    AcceptError::Changed { what: what.to_owned(), then: then.to_owned(), now: now.to_owned() }
+}
+
+pub(crate) fn format_firmware(firmware: &Firmware) -> String {
+    let Firmware { name, version, build, chip } = firmware;
+    format!("{name} {version}, build {build}, chip {chip}")
+}
+
+/// Refuses to go on with anything else than what the session was begun with.
+pub(crate) fn check_unchanged(then: &SessionRecord, now: &SessionRecord) -> Result<(), AcceptError> {
+    let bench = |record: &SessionRecord| format!("{} {}", record.bench.tool.version, record.bench.sha256);
+    let clock = |record: &SessionRecord| {
+        let ClockRecord { name, time_scale, pacing } = &record.clock;
+        format!("{name}, time scale {time_scale}, paced by {pacing}")
+    };
+    let pairs = [
+        ("the bench", bench(then), bench(now)),
+        ("the plan", then.plan.sha256.clone(), now.plan.sha256.clone()),
+        ("the rig", then.rig.clone(), now.rig.clone()),
+        ("the clock", clock(then), clock(now)),
+    ];
+    for (what, then, now) in &pairs {
+        if then != now {
+            return Err(changed_error(what, then, now));
+        }
+    }
+    let names = |record: &SessionRecord| record.inputs.iter().map(|input| input.file.clone()).collect::<Vec<_>>();
+    if names(then) != names(now) {
+        return Err(changed_error("the list of scenarios and plates", &names(then).join(", "), &names(now).join(", ")));
+    }
+    for (then, now) in then.inputs.iter().zip(&now.inputs) {
+        if then.sha256 != now.sha256 {
+            return Err(changed_error(&then.file, &then.sha256, &now.sha256));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses another controller than the one that the session was begun with, where it is known.
+pub(crate) fn check_same_firmware(then: Option<&FirmwareRecord>, now: &FirmwareRecord) -> Result<(), AcceptError> {
+    let shown = |record: &FirmwareRecord| {
+        let image = record.image_sha256.as_deref().unwrap_or("none");
+        format!("{}, number {}, image {image}", format_firmware(&record.firmware), record.unique)
+    };
+    match then {
+        Some(then) if then != now => Err(changed_error("the firmware", &shown(then), &shown(now))),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,46 @@
+//! Plays one scenario of a session into its own run folder.
+
+use crate::config::SessionHooks;
+use crate::error::AcceptError;
+use platebench_record::{Overrides, RunFolder, RunRecord};
+use platebench_rig::RigSpec;
+use platebench_runner::{Clock, RunError, RunHooks, RunPlan, rejudge, run};
+use platebench_scenario::Scenario;
+use std::path::Path;
+
+/// A scenario to play.
+pub(crate) struct ScenarioRun<'a> {
+    pub(crate) scenario: &'a Scenario,
+    pub(crate) trials: u32,
+    pub(crate) rig: &'a RigSpec,
+    pub(crate) clock: Clock,
+    pub(crate) jobs: usize,
+}
+
+impl ScenarioRun<'_> {
+    /// Plays the scenario into the new run folder at `folder`.
+    pub(crate) fn play(&self, folder: &Path, hooks: &mut SessionHooks<'_>) -> Result<RunRecord, AcceptError> {
+        let overrides = Overrides { trials: Some(self.trials), ..Overrides::default() };
+        let mut scenario = self.scenario.clone();
+        rejudge::apply_overrides(&overrides, &mut scenario);
+        let plan = RunPlan {
+            scenarios: vec![scenario],
+            jobs: self.jobs,
+            clock: self.clock,
+            own_clock: self.rig.has_own_clock(),
+            rig: self.rig.to_string(),
+            overrides,
+        };
+        let folder = RunFolder::create(Some(folder)).map_err(RunError::from)?;
+        let run_hooks = RunHooks {
+            cancel: hooks.cancel.clone(),
+            live_tap: hooks.observer.live_tap(&plan),
+            on_event: Box::new(|event| hooks.observer.run_event(&event)),
+            ..RunHooks::default()
+        };
+        run(&plan, &folder, &|| self.clock.connect(self.rig), run_hooks).map_err(|error| match error {
+            RunError::Cancelled => AcceptError::Cancelled,
+            error => error.into(),
+        })
+    }
+}

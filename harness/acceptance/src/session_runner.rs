@@ -1,0 +1,298 @@
+//! Conducts a session step by step.
+//!
+//! ```text
+//! open ──► identity ──► questions ──► self-test ──► trust ──► scenarios ──► questions ──► seal
+//!            └── each step: started (written) → done (written, with its files) ──┘
+//! ```
+//!
+//! A resumed session repeats the step that was interrupted. It never repeats a step that is done, whatever its result.
+
+use crate::ask::ask_operator;
+use crate::config::{SessionConfig, SessionHooks};
+use crate::error::AcceptError;
+use crate::judge::judge_requirements;
+use crate::plan::PlannedScenario;
+use crate::provenance::{
+    changed_error, check_run_hashes, check_same_firmware, check_unchanged, format_firmware, image_sha256,
+    new_session_record, run_sha256,
+};
+use crate::scenario_run::ScenarioRun;
+use crate::session_record::{
+    Attempt, FILE, FirmwareRecord, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind, StepRecord, may_have_board,
+    utc_timestamp,
+};
+use crate::steps::{StepAction, step_actions};
+use crate::{manifest, page, self_test, signature};
+use platebench_record::{Firmware, RunRecord, Verdict, to_hex};
+use platebench_report::traceability;
+use platebench_runner::{Clock, Question, QuestionKind, RunError};
+use platebench_trace::{remove_temporary_files, sync_tree, write_atomically};
+use std::fs::{self, File, TryLockError};
+use std::path::Path;
+use tracing::info;
+
+/// Starts the session, or resumes it if it was interrupted, and brings it to its end.
+///
+/// # Errors
+/// [`AcceptError`]. The record then holds the steps that are done, and the same call resumes the session.
+pub fn conduct(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Result<SessionRecord, AcceptError> {
+    let mut session = SessionRunner::open(config, hooks)?;
+    let actions = step_actions(&config.plan);
+    if session.record.steps.len() != actions.len() {
+        let message = format!("{} steps, expected {}", session.record.steps.len(), actions.len());
+        return Err(AcceptError::InvalidRecord { path: config.out.join(FILE), message });
+    }
+    let is_open = session.record.steps.iter().any(|step| !step.done);
+    if is_open && session.record.firmware.is_some() {
+        check_same_firmware(session.record.firmware.as_ref(), &session.read_firmware_identity()?)?;
+    }
+    for (index, action) in actions.iter().enumerate() {
+        if session.record.steps.get(index).is_some_and(|step| step.done) {
+            continue;
+        }
+        if hooks.cancel.is_cancelled() {
+            return Err(AcceptError::Cancelled);
+        }
+        session.run_step(index, *action, hooks)?;
+    }
+    session.judge_and_seal()
+}
+
+/// A session whose folder is locked against other sessions.
+struct SessionRunner<'a> {
+    config: &'a SessionConfig,
+    record: SessionRecord,
+    _lock: File,
+}
+
+impl<'a> SessionRunner<'a> {
+    fn open(config: &'a SessionConfig, hooks: &SessionHooks<'_>) -> Result<Self, AcceptError> {
+        let folder = &config.out;
+        let exists = folder.join(FILE).exists();
+        if config.resume && !exists {
+            return Err(AcceptError::NoSession(folder.clone()));
+        }
+        fs::create_dir_all(folder).map_err(AcceptError::io(folder))?;
+        let lock = File::open(folder).map_err(AcceptError::io(folder))?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(AcceptError::InUse(folder.clone())),
+            Err(TryLockError::Error(source)) => return Err(AcceptError::io(folder)(source)),
+        }
+        remove_temporary_files(folder).map_err(|(path, error)| AcceptError::io(&path)(error))?;
+        let new = new_session_record(config)?;
+        let record = if folder.join(FILE).exists() {
+            resume(config, &new)?
+        } else {
+            if fs::read_dir(folder).map_err(AcceptError::io(folder))?.next().is_some() {
+                return Err(AcceptError::FolderNotEmpty(folder.clone()));
+            }
+            ask_details(new, hooks)
+        };
+        record.write(folder)?;
+        let path = folder.join(PLAN);
+        write_atomically(&path, &config.plan.bytes).map_err(AcceptError::io(&path))?;
+        Ok(Self { config, record, _lock: lock })
+    }
+
+    fn run_step(
+        &mut self,
+        index: usize,
+        action: StepAction<'_>,
+        hooks: &mut SessionHooks<'_>,
+    ) -> Result<(), AcceptError> {
+        let Some(stored) = self.record.steps.get_mut(index) else { return Ok(()) };
+        stored.attempts.push(Attempt { started: utc_timestamp(), ended: None, broken_off: None });
+        let mut step = stored.clone();
+        let folder = self.config.out.join(STEPS).join(&step.id);
+        if folder.exists() {
+            fs::remove_dir_all(&folder).map_err(AcceptError::io(&folder))?;
+        }
+        self.record.write(&self.config.out)?;
+        hooks.observer.step_started(&step);
+        let result = self.run_action(action, &folder, &mut step, hooks);
+        if let Some(attempt) = step.attempts.last_mut() {
+            attempt.ended = Some(utc_timestamp());
+            attempt.broken_off = result.as_ref().err().map(ToString::to_string);
+        }
+        if result.is_ok() {
+            if folder.exists() {
+                sync_tree(&folder).map_err(|(path, error)| AcceptError::io(&path)(error))?;
+            }
+            step.done = true;
+            hooks.observer.step_ended(&step);
+        }
+        let attempts = step.attempts.clone();
+        if let Some(stored) = self.record.steps.get_mut(index) {
+            // An attempt that failed leaves nothing but its own entry.
+            if result.is_ok() { *stored = step } else { stored.attempts = attempts }
+        }
+        self.record.write(&self.config.out)?;
+        result
+    }
+
+    fn run_action(
+        &mut self,
+        action: StepAction<'_>,
+        folder: &Path,
+        step: &mut StepRecord,
+        hooks: &mut SessionHooks<'_>,
+    ) -> Result<(), AcceptError> {
+        let plan = &self.config.plan;
+        match action {
+            StepAction::Identity => self.record_identity(step),
+            StepAction::Ask(ask) => ask_operator(ask, &self.config.rig, step, hooks.operator, hooks.cancel),
+            StepAction::SelfTest => {
+                let real_time = matches!(self.config.clock, Clock::RealTime(_));
+                self_test::run_self_test(plan, real_time, folder, step, hooks)
+            }
+            StepAction::Trust => self_test::measure_trust(plan, folder, step, hooks.cancel),
+            StepAction::Scenario(planned) => self.run_scenario(planned, folder, step, hooks),
+        }
+    }
+
+    fn record_identity(&mut self, step: &mut StepRecord) -> Result<(), AcceptError> {
+        let identity = self.read_firmware_identity()?;
+        let Firmware { name, version, build, chip } = &identity.firmware;
+        let board = if may_have_board(&self.config.rig) {
+            format!("chip {chip}, number {}", identity.unique)
+        } else {
+            "no board".to_owned()
+        };
+        step.reason = Some(format!("{name} {version}, build {build}, {board}"));
+        step.verdict = Some(Verdict::Pass);
+        self.record.firmware = Some(identity);
+        Ok(())
+    }
+
+    fn run_scenario(
+        &self,
+        planned: &PlannedScenario,
+        folder: &Path,
+        step: &mut StepRecord,
+        hooks: &mut SessionHooks<'_>,
+    ) -> Result<(), AcceptError> {
+        let SessionConfig { rig, clock, jobs, .. } = self.config;
+        let (scenario, trials) = (&planned.scenario, planned.repetitions);
+        let run = ScenarioRun { scenario, trials, rig, clock: *clock, jobs: *jobs };
+        let record = run.play(folder, hooks)?;
+        if let (Some(played), Some(known)) = (&record.rig.firmware, &self.record.firmware)
+            && *played != known.firmware
+        {
+            return Err(changed_error("the firmware", &format_firmware(&known.firmware), &format_firmware(played)));
+        }
+        platebench_report::page::write(&record, folder)?;
+        traceability::write(&record, folder)?;
+        step.run_sha256 = Some(run_sha256(folder)?);
+        step.lost = record.has_lost_controller() || record.safe_confirmed == Some(false);
+        step.verdict = Some(record.verdict);
+        let expectations: Vec<_> = record.scenarios.iter().flat_map(|scenario| &scenario.expectations).collect();
+        let passed = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Pass).count();
+        let trials: usize = record.scenarios.iter().map(|scenario| scenario.trials.len()).sum();
+        let s = if trials == 1 { "" } else { "s" };
+        step.reason = Some(format!("{passed} of {} expectations met in {trials} trial{s}", expectations.len()));
+        Ok(())
+    }
+
+    /// Connects to the controller and reads its identity.
+    fn read_firmware_identity(&self) -> Result<FirmwareRecord, AcceptError> {
+        let link = self.config.clock.connect(&self.config.rig).map_err(RunError::from)?;
+        let session = platebench_rig::Session::open(link).map_err(RunError::from)?;
+        let identity = *session.identity();
+        let name = session.firmware_name();
+        session.close();
+        let [major, minor, patch] = identity.version;
+        Ok(FirmwareRecord {
+            firmware: Firmware {
+                name,
+                version: format!("{major}.{minor}.{patch}"),
+                build: to_hex(&identity.build),
+                chip: format!("{:#010x}", identity.chip),
+            },
+            unique: to_hex(&identity.unique),
+            image_sha256: image_sha256(&self.config.rig)?,
+        })
+    }
+
+    fn judge_and_seal(mut self) -> Result<SessionRecord, AcceptError> {
+        let folder = &self.config.out;
+        for name in [manifest::FILE, signature::FILE] {
+            let path = folder.join(name);
+            if path.exists() {
+                fs::remove_file(&path).map_err(AcceptError::io(&path))?;
+            }
+        }
+        let runs = read_runs(folder, &self.record.steps)?;
+        let (requirements, verdict) = judge_requirements(&self.config.plan.requirements, &self.record.steps, &runs);
+        self.record.requirements = requirements;
+        self.record.verdict = verdict;
+        self.record.complete = true;
+        self.record.finished = Some(utc_timestamp());
+        self.record.signature = self
+            .config
+            .signing_key
+            .as_ref()
+            .map(|key| SignatureRecord { algorithm: "ed25519".to_owned(), public_key: key.public_key().to_pem() });
+        self.record.write(folder)?;
+        let page = page::render(&self.record).into_string();
+        let path = folder.join(page::FILE);
+        write_atomically(&path, page.as_bytes()).map_err(AcceptError::io(&path))?;
+        manifest::write(folder)?;
+        if let Some(key) = &self.config.signing_key {
+            let path = folder.join(manifest::FILE);
+            let manifest = fs::read(&path).map_err(AcceptError::io(&path))?;
+            let path = folder.join(signature::FILE);
+            write_atomically(&path, &key.sign(&manifest)).map_err(AcceptError::io(&path))?;
+        }
+        Ok(self.record)
+    }
+}
+
+/// Reads the record of an interrupted session. `new` is the record of a session that starts now.
+fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, AcceptError> {
+    let folder = &config.out;
+    let mut record = SessionRecord::read(folder)?;
+    if is_sealed(folder, &record) {
+        return Err(AcceptError::Finished(folder.clone()));
+    }
+    check_unchanged(&record, new)?;
+    check_run_hashes(folder, &record)?;
+    record.operator = record.operator.or_else(|| config.details.operator.clone());
+    record.place = record.place.or_else(|| config.details.place.clone());
+    record.notes = record.notes.or_else(|| config.details.notes.clone());
+    record.resumed.push(utc_timestamp());
+    info!(folder = %folder.display(), "session resumed");
+    Ok(record)
+}
+
+/// Asks for the details that the command line did not give.
+fn ask_details(mut record: SessionRecord, hooks: &SessionHooks<'_>) -> SessionRecord {
+    for (detail, text) in [
+        (&mut record.operator, "Who is the operator?"),
+        (&mut record.place, "Where is this?"),
+        (&mut record.notes, "Notes?"),
+    ] {
+        if detail.is_none() {
+            let answer = hooks.operator.ask(Question { text, kind: QuestionKind::Text }, hooks.cancel);
+            *detail = answer.text().filter(|text| !text.is_empty()).map(str::to_owned);
+        }
+    }
+    record
+}
+
+fn is_sealed(folder: &Path, record: &SessionRecord) -> bool {
+    let exists = |name: &str| folder.join(name).exists();
+    record.complete && exists(manifest::FILE) && (record.signature.is_none() || exists(signature::FILE))
+}
+
+/// The stored runs of the scenario steps, by step.
+fn read_runs(folder: &Path, steps: &[StepRecord]) -> Result<Vec<(String, RunRecord)>, AcceptError> {
+    let played = steps.iter().filter(|step| step.kind == StepKind::Scenario && step.done);
+    played
+        .map(|step| {
+            let run =
+                RunRecord::read(&folder.join(STEPS).join(&step.id)).map_err(platebench_runner::RejudgeError::from)?;
+            Ok((step.id.clone(), run))
+        })
+        .collect()
+}

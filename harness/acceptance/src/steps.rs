@@ -1,0 +1,50 @@
+//! Lists the steps of a session.
+
+use crate::plan::{Ask, Plan, PlannedScenario, When};
+use crate::session_record::{StepKind, StepRecord};
+
+/// What a step does.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum StepAction<'a> {
+    Identity,
+    Ask(&'a Ask),
+    SelfTest,
+    Trust,
+    Scenario(&'a PlannedScenario),
+}
+
+/// The steps of a plan, in order.
+pub(crate) fn step_actions(plan: &Plan) -> Vec<StepAction<'_>> {
+    let asks = |when| plan.asks.iter().filter(move |ask| ask.when == when).map(StepAction::Ask);
+    let mut actions = vec![StepAction::Identity];
+    actions.extend(asks(When::Before));
+    actions.extend([StepAction::SelfTest, StepAction::Trust]);
+    actions.extend(plan.scenarios.iter().map(StepAction::Scenario));
+    actions.extend(asks(When::After));
+    actions
+}
+
+/// The records of a plan's steps before the session starts.
+pub(crate) fn step_records(plan: &Plan) -> Vec<StepRecord> {
+    let describe = |action: StepAction<'_>| match action {
+        StepAction::Identity => ("identity".to_owned(), "Board and firmware".to_owned(), StepKind::Identity),
+        StepAction::Ask(ask) => (format!("ask-{}", ask.id), ask.question.clone(), StepKind::Ask),
+        StepAction::SelfTest => {
+            ("self-test".to_owned(), "Timing and repeatability of the bench".to_owned(), StepKind::SelfTest)
+        }
+        StepAction::Trust => {
+            ("trust".to_owned(), "How well the scenarios catch faulty controllers".to_owned(), StepKind::Trust)
+        }
+        StepAction::Scenario(planned) => {
+            let name = planned.scenario.name().replace(['/', '\\'], "-");
+            (name, planned.scenario.title.clone(), StepKind::Scenario)
+        }
+    };
+    let numbered = step_actions(plan).into_iter().enumerate();
+    numbered
+        .map(|(index, action)| {
+            let (name, title, kind) = describe(action);
+            StepRecord::new(format!("{:02}-{name}", index + 1), &title, kind)
+        })
+        .collect()
+}

@@ -1,0 +1,70 @@
+//! Shows the progress of a session.
+
+use crate::live::SessionView;
+use crate::run_plan::show_progress;
+use crate::stdio;
+use platebench_acceptance::SessionObserver;
+use platebench_acceptance::session_record::{StepKind, StepRecord};
+use platebench_report::{Progress, ProgressKind};
+use platebench_runner::{Event, LiveTap, RunPlan};
+
+/// The progress of a session on standard error.
+pub(crate) struct SessionProgress {
+    kind: ProgressKind,
+    progress: Option<Progress>,
+    is_self_test: bool,
+    live_view: SessionView,
+}
+
+impl SessionProgress {
+    pub(crate) fn new(kind: ProgressKind, live_view: SessionView) -> Self {
+        Self { kind, progress: None, is_self_test: false, live_view }
+    }
+
+    fn print(&self, text: &str) {
+        if self.kind != ProgressKind::Quiet {
+            stdio::note(text);
+        }
+    }
+}
+
+impl SessionObserver for SessionProgress {
+    fn step_started(&mut self, step: &StepRecord) {
+        self.print(&format!("{}  {}", step.id, step.title));
+        self.progress = Some(Progress::new(self.kind));
+        self.is_self_test = step.kind == StepKind::SelfTest;
+    }
+
+    fn step_ended(&mut self, step: &StepRecord) {
+        self.live_view.close();
+        if let Some(mut progress) = self.progress.take() {
+            progress.finish();
+        }
+        let verdict = step.verdict.map_or("done", |verdict| verdict.name());
+        let reason = step.reason.as_deref().map_or_else(String::new, |reason| format!(", {reason}"));
+        self.print(&format!("{}  {verdict}{reason}", step.id));
+    }
+
+    fn live_tap(&mut self, plan: &RunPlan) -> LiveTap {
+        let live_tap = if self.is_self_test { None } else { self.live_view.open(plan) };
+        if live_tap.is_some() {
+            self.progress = None;
+        }
+        live_tap.unwrap_or_default()
+    }
+
+    fn run_event(&mut self, event: &Event) {
+        self.live_view.send(event);
+        let Some(progress) = &mut self.progress else { return };
+        match event {
+            // The self-test measures the bench, so the scenario's verdict does not count.
+            Event::ScenarioFinished(record) if self.is_self_test => {
+                progress.finish();
+                self.progress = Some(Progress::new(self.kind));
+                let (trials, s) = (record.trials.len(), if record.trials.len() == 1 { "" } else { "s" });
+                self.print(&format!("  {} measured in {trials} trial{s}, not judged", record.file));
+            }
+            event => show_progress(progress, event),
+        }
+    }
+}

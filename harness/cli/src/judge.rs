@@ -1,0 +1,56 @@
+//! `platebench judge`: judges the traces of a stored run again.
+
+use crate::exit::Exit;
+use crate::options::OutputFormat;
+use crate::stdio;
+use clap::Args;
+use platebench_record::RunRecord;
+use platebench_runner::rejudge;
+use std::path::PathBuf;
+
+/// `platebench judge`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench judge runs/tonight
+  platebench judge runs/tonight --scenario scenarios/paper/fig13-closed-loop.toml    with the expectations of this file")]
+pub(crate) struct JudgeArgs {
+    /// The run folder
+    run: PathBuf,
+    /// Take the expectations from this scenario file instead of the stored copy
+    #[arg(long, value_name = "FILE")]
+    scenario: Option<PathBuf>,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+/// Judges a stored run again and prints the record.
+pub(crate) fn judge(arguments: &JudgeArgs) -> Exit {
+    let record = match rejudge(&arguments.run, arguments.scenario.as_deref()) {
+        Ok(record) => record,
+        Err(error) => return stdio::reject_stored_run(&error),
+    };
+    stdio::record(&record, arguments.format);
+    if arguments.scenario.is_none() {
+        note_changed_verdicts(arguments, &record);
+    }
+    Exit::of_record(&record)
+}
+
+/// Lists every expectation whose stored verdict differs.
+fn note_changed_verdicts(arguments: &JudgeArgs, again: &RunRecord) {
+    let Ok(stored) = RunRecord::read(&arguments.run) else { return };
+    if !stored.complete {
+        stdio::note("the run was interrupted; judged are its complete trials");
+        return;
+    }
+    for (then, now) in stored.scenarios.iter().zip(&again.scenarios) {
+        for (before, after) in then.expectations.iter().zip(&now.expectations) {
+            if before.verdict != after.verdict {
+                let (file, metric) = (&then.file, &before.metric);
+                stdio::note(&format!("{file}: {metric}: {} now, {} in the record", after.verdict, before.verdict));
+            }
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! Defines options and defaults that several commands share.
+
+use clap::ValueEnum;
+use std::num::NonZero;
+
+/// The scenarios if the command line names none.
+pub(crate) const SCENARIOS: &str = "scenarios";
+pub(crate) const BASELINES: &str = "scenarios/baselines";
+
+/// `--format`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum OutputFormat {
+    /// A table
+    Human,
+    /// JSON for programs
+    Json,
+}
+
+/// `--clock`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ClockArg {
+    /// The plate waits while a sample travels and the controller computes
+    Lockstep,
+    /// Every microsecond acts
+    RealTime,
+}
+
+/// `--plate-mode`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PlateModeArg {
+    /// The bench computes the plate
+    Emulated,
+    /// The controller drives its own plate, sensor and amplifier; the bench sends setpoints and asks the operator for finger and heat
+    Real,
+}
+
+/// `--pacing`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PacingArg {
+    /// The bench: a sample triggers a control step
+    Bench,
+    /// The controller: it requests each sample
+    Target,
+}
+
+pub(crate) fn parse_time_scale(text: &str) -> Result<f64, String> {
+    let scale = text.parse().ok().filter(|scale| (0.001..=10.0).contains(scale));
+    scale.ok_or_else(|| "expected a number from 0.001 to 10".to_owned())
+}
+
+/// The value of `--jobs`, or one job per core.
+pub(crate) fn job_count(jobs: Option<u16>) -> usize {
+    jobs.map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_scales_have_two_bounds() {
+        for (text, expected) in [("0.1", 0.1), ("0.001", 0.001), ("10", 10.0)] {
+            assert_eq!(parse_time_scale(text), Ok(expected));
+        }
+        for wrong in ["0", "-1", "0.0009", "10.1", "NaN", "inf", "fast", ""] {
+            assert!(parse_time_scale(wrong).is_err(), "{wrong}");
+        }
+    }
+}

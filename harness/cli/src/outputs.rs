@@ -1,0 +1,125 @@
+//! Writes the result of a run for other programs: Markdown summary, TAP, annotations on GitHub.
+//!
+//! `platebench-report` knows the formats; this module knows where they go.
+
+use crate::exit::Exit;
+use clap::{Args, ValueEnum};
+use platebench_record::{RunRecord, ScenarioRecord};
+use platebench_report::annotations::{self, SourceLocation};
+use platebench_report::{ReportError, markdown, tap};
+use platebench_scenario::{Diagnostic, Scenario};
+use std::env;
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Files and annotations.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct Outputs {
+    /// Write a summary in Markdown to FILE
+    #[arg(long, value_name = "FILE")]
+    summary: Option<PathBuf>,
+    /// Write the result as TAP 14 to FILE
+    #[arg(long, value_name = "FILE")]
+    tap: Option<PathBuf>,
+    /// Annotations on GitHub Actions and its step summary; auto: if `GITHUB_ACTIONS` is true
+    #[arg(long, value_enum, default_value_t, value_name = "WHEN")]
+    github: GithubMode,
+}
+
+/// `--github`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+enum GithubMode {
+    /// If `GITHUB_ACTIONS` is true
+    #[default]
+    Auto,
+    /// Always
+    On,
+    /// Never
+    Off,
+}
+
+impl Outputs {
+    /// Rejects files that cannot be written, before the run.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        for (option, file) in [("--summary", &self.summary), ("--tap", &self.tap)] {
+            let Some(file) = file else { continue };
+            let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
+            if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+                return Err(format!("{option} {}: there is no folder {}", file.display(), folder.display()));
+            }
+            if file.is_dir() {
+                return Err(format!("{option} {}: a folder, expected a file to write", file.display()));
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the files and annotations of a run.
+    pub(crate) fn write(&self, record: &RunRecord, locations: &ScenarioLocations) -> Result<(), ReportError> {
+        if let Some(file) = &self.summary {
+            markdown::write(record, file)?;
+        }
+        if let Some(file) = &self.tap {
+            tap::write(record, file)?;
+        }
+        let github = match self.github {
+            GithubMode::Auto => env::var("GITHUB_ACTIONS").is_ok_and(|value| value == "true"),
+            GithubMode::On => true,
+            GithubMode::Off => false,
+        };
+        if github {
+            let commands =
+                annotations::workflow_commands(record, &|scenario, index| locations.location_of(scenario, index));
+            // GitHub reads both streams; standard output may be JSON.
+            let _ = std::io::stderr().lock().write_all(commands.as_bytes());
+            if let Some(file) = env::var_os("GITHUB_STEP_SUMMARY").filter(|file| !file.is_empty()) {
+                markdown::append(record, Path::new(&file))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The files of the scenarios of a run with their text.
+pub(crate) struct ScenarioLocations(Vec<(String, PathBuf, String)>);
+
+impl ScenarioLocations {
+    pub(crate) fn new(scenarios: &[Scenario]) -> Self {
+        let read = scenarios.iter().filter_map(|scenario| {
+            let input = scenario.inputs.first()?;
+            let source = String::from_utf8_lossy(&input.bytes).into_owned();
+            Some((scenario.file.clone(), input.path.clone(), source))
+        });
+        Self(read.collect())
+    }
+
+    /// The line of an expectation, or the first line of the scenario.
+    fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
+        let (_, path, source) = self.0.iter().find(|(file, ..)| *file == scenario.file)?;
+        let line = index.map_or(1, |index| {
+            Diagnostic::at_key(path, source, &format!("expect.{index}.metric"), String::new()).position().0
+        });
+        Some(SourceLocation { file: repository_path(path), line })
+    }
+}
+
+/// The path relative to the checkout, or to the working directory.
+fn repository_path(path: &Path) -> String {
+    let whole = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let roots = [env::var_os("GITHUB_WORKSPACE").map(PathBuf::from), env::current_dir().ok()];
+    let mut roots = roots.into_iter().flatten().filter_map(|root| fs::canonicalize(root).ok());
+    let below = roots.find_map(|root| whole.strip_prefix(root).ok().map(Path::to_owned));
+    below.unwrap_or(whole).display().to_string().replace('\\', "/")
+}
+
+/// The reason in the last event of a run without a verdict.
+pub(crate) fn exit_reason(exit: Exit) -> &'static str {
+    match exit {
+        Exit::Invalid => "invalid input",
+        Exit::NothingToRun => "nothing to run",
+        Exit::Unreachable => "the rig could not be reached or was lost",
+        Exit::Signal(_) => "ended by a signal",
+        Exit::Passed | Exit::Failed | Exit::Inconclusive => "ended early",
+    }
+}

@@ -1,0 +1,64 @@
+//! Runs the program: parses arguments, dispatches the command, returns its exit code.
+
+use crate::args::{Arguments, Command};
+use crate::config::{self, Config};
+use crate::exit::Exit;
+use crate::{
+    accept, args, baseline, chart, check, compare, completions, emulate, export, identify, judge, logging, man, new,
+    report, run, schema, stability, stdio, trust, tune,
+};
+use clap::CommandFactory;
+use std::process::ExitCode;
+
+/// The definition of the command line, for the generated reference and the documentation tests.
+pub fn command() -> clap::Command {
+    Arguments::command()
+}
+
+/// Runs the program with the process's arguments.
+pub fn main() -> ExitCode {
+    std::panic::set_hook(Box::new(|panic| tracing::error!("{panic}")));
+    let (arguments, config) = match args::parse() {
+        Ok(parsed) => parsed,
+        Err(faults) => {
+            faults.iter().for_each(stdio::diagnostic);
+            return Exit::Invalid.into();
+        }
+    };
+    logging::start(&arguments.logging);
+    if let Some(path) = &config.path {
+        tracing::info!(path = %path.display(), "settings");
+    }
+    // A panic is a fault of the bench and decides nothing about the controller.
+    let exit = std::panic::catch_unwind(|| dispatch(&arguments)).unwrap_or_else(|_| {
+        stdio::error("internal fault of the bench; run again with -v and report what it prints");
+        Exit::Inconclusive
+    });
+    stdio::checked_exit(exit).into()
+}
+
+fn dispatch(arguments: &Arguments) -> Exit {
+    let quiet = arguments.logging.quiet;
+    // Without the values of `platebench.toml`, which belong to this folder only.
+    let definition = || config::with_settings(command(), &Config::default());
+    match &arguments.command {
+        Command::Run(arguments) => run::run(arguments, quiet),
+        Command::Emulate(arguments) => emulate::emulate(arguments),
+        Command::Judge(arguments) => judge::judge(arguments),
+        Command::Report(arguments) => report::report(arguments),
+        Command::Compare(arguments) => compare::compare(arguments),
+        Command::Baseline(arguments) => baseline::baseline(arguments),
+        Command::Trust(arguments) => trust::trust(arguments),
+        Command::Stability(arguments) => stability::stability(arguments),
+        Command::Identify(arguments) => identify::identify(arguments),
+        Command::Chart(arguments) => chart::chart(arguments),
+        Command::Accept(arguments) => accept::accept(arguments, quiet),
+        Command::Tune(arguments) => tune::tune(arguments),
+        Command::Export(arguments) => export::export(arguments),
+        Command::New(arguments) => new::new(arguments),
+        Command::Check(arguments) => check::check(arguments, &command()),
+        Command::Schema(arguments) => schema::schema(arguments),
+        Command::Completions(arguments) => completions::completions(arguments, definition()),
+        Command::Man(arguments) => man::man(arguments, definition()),
+    }
+}

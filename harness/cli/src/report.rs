@@ -1,0 +1,74 @@
+//! `platebench report`: renders the report of a stored run, or of two runs side by side.
+
+use crate::exit::Exit;
+use crate::options::BASELINES;
+use crate::stdio;
+use clap::Args;
+use platebench_record::RunRecord;
+use platebench_report::page::{self, ReportPage};
+use platebench_report::traceability;
+use platebench_runner::rejudge::check_trace;
+use platebench_runner::{RejudgeError, rejudge};
+use std::path::{Path, PathBuf};
+
+/// `platebench report`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench report runs/tonight                            runs/tonight/report.html
+  platebench report runs/tonight --against runs/yesterday   runs/tonight/comparison.html, both runs side by side")]
+pub(crate) struct ReportArgs {
+    /// The run folder
+    run: PathBuf,
+    /// Show another run side by side, in comparison.html
+    #[arg(long, value_name = "RUN")]
+    against: Option<PathBuf>,
+    /// Folder of the baselines
+    #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+    baselines: PathBuf,
+}
+
+/// Renders the report and prints its path.
+pub(crate) fn report(arguments: &ReportArgs) -> Exit {
+    let both = || {
+        let record = read_record(&arguments.run)?;
+        let other = arguments.against.as_deref().map(|folder| read_record(folder).map(|other| (folder, other)));
+        Ok((record, other.transpose()?))
+    };
+    let (record, other) = match both() {
+        Ok(records) => records,
+        Err(error) => return stdio::reject_stored_run(&error),
+    };
+    let page = ReportPage::new(&record, &arguments.run).with_baselines(&arguments.baselines).with_earlier_runs();
+    let page = page.without_changed_traces(|folder, trial| {
+        matches!(check_trace(folder, trial), Err(RejudgeError::Modified { .. }))
+    });
+    let (page, name) = match &other {
+        Some((folder, other)) => (page.with_other_run(other, folder), page::COMPARISON_FILE),
+        None => (page, page::FILE),
+    };
+    let path = arguments.run.join(name);
+    match page.write(&path).and_then(|()| traceability::write(&record, &arguments.run)) {
+        Ok(()) => {
+            stdio::show(&format!("{}\n", path.display()));
+            Exit::Passed
+        }
+        Err(error) => stdio::reject(&error),
+    }
+}
+
+/// The record in `folder`. The traces of an interrupted run are judged first, unless one of them was changed.
+fn read_record(folder: &Path) -> Result<RunRecord, RejudgeError> {
+    let mut record = RunRecord::read(folder)?;
+    if record.complete {
+        record.discount_missing_traces(folder);
+        return Ok(record);
+    }
+    match rejudge(folder, None) {
+        Err(changed @ RejudgeError::Modified { .. }) => {
+            stdio::note(&format!("{changed}; the report shows what was judged before the interruption"));
+            Ok(record)
+        }
+        judged => judged,
+    }
+}

@@ -1,0 +1,156 @@
+//! Defines the arguments of `platebench run`.
+
+use crate::clock::ClockRequest;
+use crate::options::{ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, parse_time_scale};
+use crate::outputs::Outputs;
+use clap::Args;
+use clap::builder::PossibleValuesParser;
+use platebench_plate::Tier;
+use platebench_record::Overrides;
+use platebench_rig::RigSpec;
+use platebench_scenario::AUTO_MODEL;
+use platebench_wire::LawId;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+/// `platebench run`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench run                                        every scenario below scenarios/ except known limits
+  platebench run scenarios/limits/one-period-delay.toml one scenario
+  platebench run scenarios/paper --law dq-pi-euler      another law of the firmware
+  platebench run --trials 300 --seed 7 --out /tmp/night
+  platebench run scenarios/paper --watch                run changed scenarios again")]
+#[expect(clippy::struct_excessive_bools, reason = "each is a flag of its own on the command line")]
+pub(crate) struct RunArgs {
+    /// Scenario files, or folders with everything below them
+    #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
+    pub(crate) scenarios: Vec<PathBuf>,
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
+    #[arg(long, default_value = "emulated")]
+    pub(crate) rig: RigSpec,
+    /// Control law of the firmware under test
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
+    pub(crate) law: Option<String>,
+    /// Model of the plate, instead of the scenario's
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(
+        std::iter::once(AUTO_MODEL).chain(Tier::ALL.map(Tier::name))))]
+    pub(crate) model: Option<String>,
+    /// Clock of the plate; default: real-time on a serial port, lockstep otherwise
+    #[arg(long, value_enum)]
+    pub(crate) clock: Option<ClockArg>,
+    /// Plate seconds per wall second: at 0.1 the delay of the line is ten times smaller for the plate
+    #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = parse_time_scale)]
+    pub(crate) time_scale: f64,
+    /// Timer of the control instants in real time
+    #[arg(long, value_enum, default_value_t = PacingArg::Bench)]
+    pub(crate) pacing: PacingArg,
+    /// Let the emulated line and computing time act on the plate as loop delay
+    #[arg(long)]
+    pub(crate) wire_time: bool,
+    /// Which plate is driven
+    #[arg(long, value_enum, default_value_t = PlateModeArg::Emulated, value_name = "MODE")]
+    pub(crate) plate_mode: PlateModeArg,
+    /// Ask no operator: with --plate-mode real, what needs a person stays inconclusive
+    #[arg(long)]
+    pub(crate) yes: bool,
+    /// The run folder; default: a new folder below --runs
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) out: Option<PathBuf>,
+    /// Parent folder of new run folders
+    #[arg(long, value_name = "FOLDER", default_value = "runs")]
+    pub(crate) runs: PathBuf,
+    /// Run changed scenarios again until Ctrl-C: a scenario if its file, plate or profile changed, all if the ELF changed
+    #[arg(long)]
+    pub(crate) watch: bool,
+    /// Trials of each scenario
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(crate) trials: Option<u32>,
+    /// Seed of each scenario's first trial
+    #[arg(long, value_name = "S")]
+    pub(crate) seed: Option<u64>,
+    /// Trials that run at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(crate) jobs: Option<u16>,
+    /// Run the K-th of N parts of the scenarios
+    #[arg(long, value_name = "K/N")]
+    pub(crate) shard: Option<Shard>,
+    /// Fail if the controller does not announce a law or capability that a scenario needs
+    #[arg(long)]
+    pub(crate) require_all: bool,
+    /// Live view in the terminal; ignored without a terminal
+    #[arg(long)]
+    pub(crate) live: bool,
+    /// Format of standard output; json: one event per line, the last is the verdict
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    pub(crate) format: OutputFormat,
+    #[command(flatten)]
+    pub(crate) outputs: Outputs,
+}
+
+impl RunArgs {
+    pub(super) fn clock(&self) -> ClockRequest<'_> {
+        ClockRequest {
+            rig: &self.rig,
+            clock: self.clock,
+            time_scale: self.time_scale,
+            pacing: self.pacing,
+            plate_mode: self.plate_mode,
+            wire_time: self.wire_time,
+        }
+    }
+
+    /// What the command line overrides in every scenario.
+    pub(crate) fn overrides(&self) -> Overrides {
+        Overrides {
+            law: self.law.clone(),
+            trials: self.trials,
+            seed: self.seed,
+            model: self.model.clone(),
+            require_all: self.require_all,
+        }
+    }
+}
+
+/// `--shard K/N`
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Shard {
+    number: usize,
+    count: usize,
+}
+
+impl Shard {
+    /// True if scenario `index`, counted from 0, belongs to this shard.
+    pub(crate) fn contains(self, index: usize) -> bool {
+        index % self.count == self.number - 1
+    }
+}
+
+impl FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
+        match parts {
+            Some((number, of)) if (1..=of).contains(&number) => Ok(Self { number, count: of }),
+            _ => Err("expected K/N with K from 1 to N".to_owned()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_scenario_is_in_one_shard() {
+        let shards = ["1/3", "2/3", "3/3"].map(|text| text.parse::<Shard>().unwrap());
+        for index in 0..20 {
+            assert_eq!(shards.iter().filter(|shard| shard.contains(index)).count(), 1, "{index}");
+        }
+        for wrong in ["0/3", "4/3", "1", "1/0", "a/b", ""] {
+            assert!(wrong.parse::<Shard>().is_err(), "{wrong}");
+        }
+    }
+}

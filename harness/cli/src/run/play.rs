@@ -1,0 +1,182 @@
+//! Plays scenarios into a new run folder and writes the reports.
+
+use super::arguments::RunArgs;
+use crate::clock::check_line_speed;
+use crate::exit::Exit;
+use crate::options::{BASELINES, OutputFormat, job_count};
+use crate::outputs::{self, ScenarioLocations};
+use crate::prompt::TerminalOperator;
+use crate::run_plan::{EventSinks, run_plan};
+use crate::{live, stdio};
+use platebench_record::{RunFolder, RunRecord};
+use platebench_report::events::EventWriter;
+use platebench_report::{Progress, ProgressKind, junit, page, traceability};
+use platebench_runner::{Clock, RunError, RunPlan, rejudge};
+use platebench_scenario::Scenario;
+use std::path::Path;
+use tracing::info;
+
+/// Checks clock, rig and output files before anything is played.
+///
+/// # Errors
+/// A contradiction, which is reported.
+pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Exit> {
+    let clock = arguments.clock().resolve().map_err(|fault| stdio::reject(&fault))?;
+    arguments.rig.check().map_err(|fault| stdio::reject(&fault))?;
+    arguments.outputs.check().map_err(|fault| stdio::reject(&fault))?;
+    Ok(clock)
+}
+
+/// The scenarios of this shard with the overrides of the command line.
+pub(super) fn prepare_scenarios(mut scenarios: Vec<Scenario>, arguments: &RunArgs) -> Vec<Scenario> {
+    let overrides = arguments.overrides();
+    for scenario in &mut scenarios {
+        rejudge::apply_overrides(&overrides, scenario);
+    }
+    let mut index = 0..;
+    scenarios.retain(|_| arguments.shard.zip(index.next()).is_none_or(|(shard, index)| shard.contains(index)));
+    scenarios
+}
+
+/// Calls `play` with the JSON event stream, if `--format json` asks for one, and ends the stream.
+pub(super) fn with_events(
+    arguments: &RunArgs,
+    play: impl FnOnce(&mut Option<EventWriter>) -> Result<(Exit, RunRecord), Exit>,
+) -> Exit {
+    let mut events = (arguments.format == OutputFormat::Json).then(|| EventWriter::new(stdio::CheckedStdout));
+    let (exit, record) = match play(&mut events) {
+        Ok((exit, record)) => (exit, Some(record)),
+        Err(exit) => (exit, None),
+    };
+    if let Some(events) = &mut events {
+        let error = record.is_none().then(|| outputs::exit_reason(exit));
+        events.run_finished(record.as_ref(), error, exit.code());
+    }
+    exit
+}
+
+/// Plays `scenarios` and writes the reports.
+///
+/// # Errors
+/// How a run without a record ends; the reason is reported.
+pub(super) fn play(
+    arguments: &RunArgs,
+    clock: Clock,
+    scenarios: Vec<Scenario>,
+    quiet: bool,
+    events: &mut Option<EventWriter>,
+) -> Result<(Exit, RunRecord), Exit> {
+    check_line_speed(&arguments.rig, clock, &scenarios).map_err(|fault| stdio::reject(&fault))?;
+    let folder = match &arguments.out {
+        Some(folder) => RunFolder::create(Some(folder)),
+        None => RunFolder::create_below(&arguments.runs),
+    };
+    let folder = folder.map_err(|fault| stdio::reject(&fault))?;
+    let is_real = clock == Clock::RealPlate;
+    // A serial line carries one trial. In real time nothing may compete with the control loop unless --jobs asks for it.
+    let jobs = match arguments.jobs {
+        _ if !arguments.rig.allows_parallel_links() || is_real => 1,
+        None if !matches!(clock, Clock::Lockstep { .. }) => 1,
+        jobs => job_count(jobs),
+    };
+    let plan = RunPlan {
+        scenarios,
+        jobs,
+        clock,
+        own_clock: arguments.rig.has_own_clock(),
+        rig: arguments.rig.to_string(),
+        overrides: arguments.overrides(),
+    };
+    info!(folder = %folder.path().display(), scenarios = plan.scenarios.len(), jobs = plan.jobs, "run starts");
+    if arguments.live && is_real {
+        stdio::note("no live view with --plate-mode real: the prompts use the terminal");
+    }
+    let opened = (arguments.live && !is_real).then(|| live::open_view(live::describe_run("run", live::KEYS, &plan)));
+    let (view, live_tap) = opened.unwrap_or_default();
+    if let Some(view) = &view {
+        view.quit_on_q();
+    }
+    let locations = ScenarioLocations::new(&plan.scenarios);
+    if let Some(events) = events {
+        let trials = |scenario: &Scenario| (scenario.file.clone(), scenario.trials.count);
+        let scenarios: Vec<_> = plan.scenarios.iter().map(trials).collect();
+        events.run_started(&folder.path().display().to_string(), &plan.rig, plan.clock.kind().name(), &scenarios);
+    }
+    let operator = TerminalOperator::at_plate(is_real && !arguments.yes);
+    let progress = match ProgressKind::detect() {
+        _ if quiet || view.is_some() => ProgressKind::Quiet,
+        // Prompts and bars would overwrite each other.
+        ProgressKind::Bars if is_real => ProgressKind::Lines,
+        kind => kind,
+    };
+    let sinks = EventSinks { progress: Progress::new(progress), view: view.as_ref(), events: events.as_mut() };
+    let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks);
+    // The messages below need the terminal.
+    drop(view);
+    match played {
+        Ok(record) => {
+            note_not_applicable(&record);
+            Ok((write_reports(&record, &folder, arguments, &locations), record))
+        }
+        Err((error, signal)) => {
+            report_run_error(&error, &folder);
+            Err(signal.map_or_else(|| Exit::of_error(&error), Exit::Signal))
+        }
+    }
+}
+
+fn write_reports(record: &RunRecord, folder: &RunFolder, arguments: &RunArgs, locations: &ScenarioLocations) -> Exit {
+    let page = folder.path().join(page::FILE);
+    let written = junit::write(record, &folder.path().join(junit::FILE))
+        .and_then(|()| {
+            page::ReportPage::new(record, folder.path())
+                .with_baselines(Path::new(BASELINES))
+                .with_earlier_runs()
+                .write(&page)
+        })
+        .and_then(|()| traceability::write(record, folder.path()))
+        .and_then(|()| arguments.outputs.write(record, locations));
+    if arguments.format == OutputFormat::Human {
+        stdio::record(record, arguments.format);
+    }
+    stdio::note(&format!("run folder: {}", folder.path().display()));
+    stdio::note(&format!("report: {}", page.display()));
+    warn_if_not_safe(record);
+    match written {
+        Ok(()) => Exit::of_record(record),
+        Err(error) => stdio::reject(&error),
+    }
+}
+
+fn report_run_error(error: &RunError, folder: &RunFolder) {
+    match error {
+        RunError::Scenario(diagnostic) => stdio::diagnostic(diagnostic),
+        error => stdio::error(&error.to_string()),
+    }
+    if folder.remove_if_empty() {
+        return;
+    }
+    stdio::note(&format!("run folder: {}", folder.path().display()));
+    if let Ok(record) = RunRecord::read(folder.path()) {
+        stdio::note(&format!("complete trials: platebench report {}", folder.path().display()));
+        warn_if_not_safe(&record);
+    }
+}
+
+/// Lists the scenarios that need what the controller does not announce.
+fn note_not_applicable(record: &RunRecord) {
+    for scenario in &record.not_applicable {
+        stdio::note(&format!("{}: not applicable, {}", scenario.file, scenario.reason));
+    }
+    match record.not_applicable.len() {
+        0 => {}
+        1 => stdio::note("1 scenario is not applicable to this controller"),
+        count => stdio::note(&format!("{count} scenarios are not applicable to this controller")),
+    }
+}
+
+fn warn_if_not_safe(record: &RunRecord) {
+    if record.safe_confirmed == Some(false) {
+        stdio::error("the controller did not confirm 0 V at the end: check the amplifier before you touch the plate");
+    }
+}

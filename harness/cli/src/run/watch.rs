@@ -1,0 +1,146 @@
+//! Runs scenarios again when they change.
+//!
+//! Time and length of each file are polled, which works on every file system. A scenario runs again if the content of
+//! its file, plate, profiles or firmware differs from its last run.
+
+use super::arguments::RunArgs;
+use super::play;
+use crate::exit::Exit;
+use crate::shutdown;
+use crate::stdio;
+use platebench_runner::Clock;
+use platebench_scenario::{Diagnostic, Scenario, find, input, list_files};
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::{Duration, Instant, SystemTime};
+
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
+/// Editors write in several steps: a change counts once nothing changed between two polls, or after this time.
+const MAX_SETTLE_TIME: Duration = Duration::from_secs(2);
+/// Files with a fault are read again after this time: a file outside the polled ones may have been missing.
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Time and length of each file.
+type FileStamps = BTreeMap<PathBuf, Option<(SystemTime, u64)>>;
+type FileContent = (PathBuf, Vec<u8>);
+/// The inputs of each scenario's last run, by the scenario's own file.
+type PlayedInputs = BTreeMap<PathBuf, Vec<FileContent>>;
+
+/// Runs scenarios, then the changed ones, until a signal.
+pub(super) fn watch(arguments: &RunArgs, clock: Clock, quiet: bool) -> Exit {
+    if arguments.out.is_some() {
+        return stdio::reject(&"--watch makes many runs, expected --runs FOLDER instead of --out");
+    }
+    match watch_loop(arguments, clock, quiet) {
+        Ok(exit) => exit,
+        Err(error) => {
+            stdio::error(&format!("signals are not available: {error}"));
+            Exit::Inconclusive
+        }
+    }
+}
+
+fn watch_loop(arguments: &RunArgs, clock: Clock, quiet: bool) -> io::Result<Exit> {
+    shutdown::listen()?;
+    let mut played = PlayedInputs::new();
+    let mut inputs = Vec::new();
+    let mut reported = Vec::new();
+    loop {
+        let before = file_stamps(arguments, &inputs);
+        let found = find(&arguments.scenarios)
+            .and_then(|found| Ok((found, read_firmware(arguments).map_err(|fault| vec![fault])?)));
+        let retry = found.is_err();
+        match found {
+            Err(faults) => {
+                if faults != reported {
+                    faults.iter().for_each(stdio::diagnostic);
+                    stdio::note("waiting for a correction; Ctrl-C ends");
+                }
+                reported = faults;
+            }
+            Ok((found, firmware)) => {
+                reported = Vec::new();
+                let scenarios = play::prepare_scenarios(found.scenarios, arguments);
+                inputs = scenarios.iter().flat_map(input_paths).collect();
+                let changed = changed_scenarios(scenarios, firmware.as_ref(), &mut played);
+                if !changed.is_empty() {
+                    let _ = play::with_events(arguments, |events| play::play(arguments, clock, changed, quiet, events));
+                    let s = if played.len() == 1 { "" } else { "s" };
+                    stdio::note(&format!("watching {} scenario{s}; Ctrl-C ends", played.len()));
+                }
+            }
+        }
+        if let Some(number) = wait_for_change(&before, || file_stamps(arguments, &inputs), retry) {
+            return Ok(Exit::Signal(number));
+        }
+    }
+}
+
+fn input_paths(scenario: &Scenario) -> Vec<PathBuf> {
+    scenario.inputs.iter().map(|input| input.path.clone()).collect()
+}
+
+/// The rig's image, if it is a file.
+fn read_firmware(arguments: &RunArgs) -> Result<Option<FileContent>, Diagnostic> {
+    let read = |path: &Path| match input::read(path) {
+        Ok(bytes) => Ok((path.to_owned(), bytes)),
+        Err(error) => Err(Diagnostic::for_file(path, format!("cannot be read: {error}"))),
+    };
+    arguments.rig.image().map(read).transpose()
+}
+
+/// The scenarios whose inputs differ from those in `played`; updates `played`.
+fn changed_scenarios(
+    scenarios: Vec<Scenario>,
+    firmware: Option<&FileContent>,
+    played: &mut PlayedInputs,
+) -> Vec<Scenario> {
+    let contents = |scenario: &Scenario| -> Vec<FileContent> {
+        let inputs = scenario.inputs.iter().map(|input| (input.path.clone(), input.bytes.clone()));
+        inputs.chain(firmware.cloned()).collect()
+    };
+    let by_file = |scenario: &Scenario| Some((scenario.inputs.first()?.path.clone(), contents(scenario)));
+    let now: PlayedInputs = scenarios.iter().filter_map(by_file).collect();
+    let before = std::mem::replace(played, now);
+    let is_changed = |scenario: &Scenario| {
+        by_file(scenario).is_none_or(|(path, contents)| before.get(&path).is_none_or(|last| *last != contents))
+    };
+    scenarios.into_iter().filter(is_changed).collect()
+}
+
+/// The stamps of every file of the command line, of the rig's image and of `inputs`.
+fn file_stamps(arguments: &RunArgs, inputs: &[PathBuf]) -> FileStamps {
+    let (files, _) = list_files(&arguments.scenarios);
+    let files = files.into_iter().map(|(path, _)| path).chain(inputs.iter().cloned());
+    let stamped = |path: PathBuf| {
+        let stamp = fs::metadata(&path).ok().and_then(|data| Some((data.modified().ok()?, data.len())));
+        (path, stamp)
+    };
+    files.chain(arguments.rig.image().map(Path::to_owned)).map(stamped).collect()
+}
+
+/// Waits for a signal, which it returns, or until `now` differs from `before` and is stable.
+fn wait_for_change(before: &FileStamps, now: impl Fn() -> FileStamps, retry: bool) -> Option<u8> {
+    let started = Instant::now();
+    let mut last = before.clone();
+    let mut changed: Option<Instant> = None;
+    loop {
+        if let Some(number) = shutdown::received_signal() {
+            return Some(number);
+        }
+        sleep(POLL_INTERVAL);
+        let next = now();
+        let is_stable = next == last;
+        if !is_stable {
+            changed.get_or_insert_with(Instant::now);
+        }
+        last = next;
+        let settled = changed.is_some_and(|changed| is_stable || changed.elapsed() > MAX_SETTLE_TIME);
+        if settled || (retry && started.elapsed() > RETRY_INTERVAL) {
+            return None;
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! Runs a plan: plays it on its own threads, passes its events on, ends it on a signal.
+
+use crate::prompt::TerminalOperator;
+use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use platebench_live::{LiveView, ViewEvent};
+use platebench_record::{RunFolder, RunRecord};
+use platebench_report::events::EventWriter;
+use platebench_report::{Progress, ProgressKind};
+use platebench_rig::RigSpec;
+use platebench_runner::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
+
+/// The receivers of a run's events.
+pub(crate) struct EventSinks<'a> {
+    pub(crate) progress: Progress,
+    pub(crate) view: Option<&'a LiveView>,
+    pub(crate) events: Option<&'a mut EventWriter>,
+}
+
+impl EventSinks<'_> {
+    pub(crate) fn none() -> Self {
+        Self { progress: Progress::new(ProgressKind::Quiet), view: None, events: None }
+    }
+
+    fn send(&mut self, event: &Event) {
+        show_progress(&mut self.progress, event);
+        if let (Some(view), Some(event)) = (self.view, ViewEvent::of(event)) {
+            view.send(event);
+        }
+        if let Some(events) = &mut self.events {
+            match event {
+                Event::ScenarioStarted { file, trials } => events.scenario_started(file, *trials),
+                Event::TrialFinished { file, trial } => events.trial_finished(file, trial),
+                Event::ScenarioFinished(record) => events.scenario_finished(record),
+            }
+        }
+    }
+}
+
+/// Plays the plan until its end or a signal.
+///
+/// # Errors
+/// The reason for an early end, with the signal that caused it.
+pub(crate) fn run_plan(
+    plan: RunPlan,
+    folder: &RunFolder,
+    rig: RigSpec,
+    operator: TerminalOperator,
+    live_tap: LiveTap,
+    mut sinks: EventSinks<'_>,
+) -> Result<RunRecord, (RunError, Option<u8>)> {
+    let cancel = CancelToken::default();
+    let (folder, run_cancel) = (folder.clone(), cancel.clone());
+    let run = move |events: &mut EventSender<_, Event>| {
+        let hooks = RunHooks {
+            cancel: run_cancel,
+            operator: &operator,
+            live_tap,
+            on_event: Box::new(|event| events.send(event)),
+        };
+        platebench_runner::run(&plan, &folder, &|| plan.clock.connect(&rig), hooks)
+    };
+    let result = run_until_signal(&cancel, None, run, |event| sinks.send(&event));
+    sinks.progress.finish();
+    match result {
+        Ok(WorkResult::Finished(result, signal)) => result.map_err(|error| (error, signal)),
+        Ok(WorkResult::Abandoned(signal)) => Err((RunError::Cancelled, Some(signal))),
+        Err(error) => Err((RunError::Internal(error.to_string()), None)),
+    }
+}
+
+/// Shows the progress of a run.
+pub(crate) fn show_progress(progress: &mut Progress, event: &Event) {
+    match event {
+        Event::ScenarioStarted { file, trials } => progress.scenario_started(file, *trials),
+        Event::TrialFinished { file, trial } => progress.trial_finished(file, trial.index),
+        Event::ScenarioFinished(record) => progress.scenario_finished(record),
+    }
+}

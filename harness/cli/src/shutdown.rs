@@ -1,0 +1,241 @@
+//! Runs work that a signal can end, with one listener for all signals.
+//!
+//! The listener is a thread with the program's only async runtime. It starts with the first work:
+//!
+//! ```text
+//! listening --signal--> cancelled --a signal after SHUTDOWN_TIMEOUT--> abandoned: the program ends without the work
+//!                           '--output not read for OUTPUT_TIMEOUT--> the process ends at once
+//! ```
+
+use crate::exit::Exit;
+use crate::stdio;
+use crossterm::terminal::disable_raw_mode;
+use platebench_runner::CancelToken;
+use std::future::poll_fn;
+use std::io;
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::task::Poll;
+use std::thread;
+use std::time::{Duration, Instant};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+
+const HANG_UP: u8 = 1;
+/// Terminal closed, Ctrl-C, Ctrl-\, SIGABRT, SIGTERM, SIGXCPU (`ulimit -t`).
+const TERMINATION_SIGNALS: [u8; 6] = [HANG_UP, 2, 3, 6, 15, 24];
+/// SIGXFSZ (`ulimit -f`): if it is caught, the write fails instead of the program.
+const FILE_SIZE: u8 = 25;
+/// The time that work has to end. A closing terminal sends two signals, so only a later signal abandons the work.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(3);
+/// The time that a reader of the output has after a signal.
+const OUTPUT_TIMEOUT: Duration = Duration::from_secs(1);
+/// The same while work may drive a plate: longer than a controller needs to confirm 0 V.
+const OUTPUT_TIMEOUT_WHILE_BUSY: Duration = Duration::from_secs(10);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+const MAX_QUEUED_EVENTS: usize = 64;
+/// The time that a full event queue has after cancellation.
+const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
+const RETRY_INTERVAL: Duration = Duration::from_millis(1);
+
+static STATE: Mutex<State> = Mutex::new(State { first: None, insistent: None, work: None, is_busy: false });
+
+/// What the listener and the work share.
+struct State {
+    /// The first signal and its time.
+    first: Option<(u8, Instant)>,
+    /// A signal that came more than [`SHUTDOWN_TIMEOUT`] after the first.
+    insistent: Option<u8>,
+    /// Cancels the work.
+    work: Option<CancelToken>,
+    /// True while the work may drive a plate.
+    is_busy: bool,
+}
+
+impl State {
+    fn lock() -> MutexGuard<'static, Self> {
+        STATE.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn receive(&mut self, number: u8) {
+        let (_, first) = *self.first.get_or_insert_with(|| (number, Instant::now()));
+        if first.elapsed() > SHUTDOWN_TIMEOUT {
+            self.insistent = Some(number);
+        }
+        if let Some(work) = &self.work {
+            work.cancel();
+        }
+    }
+}
+
+/// The first signal since the listener started.
+pub(crate) fn received_signal() -> Option<u8> {
+    State::lock().first.map(|(number, _)| number)
+}
+
+/// Starts the listener, once. From then on the signals do not end the program.
+///
+/// # Errors
+/// The system provides no thread or no signals.
+pub(crate) fn listen() -> io::Result<()> {
+    static STARTED: OnceLock<Result<(), String>> = OnceLock::new();
+    let started = STARTED.get_or_init(|| {
+        let (sender, receiver) = channel();
+        let listener = move || {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+            let _ = runtime.and_then(|runtime| {
+                let signals = runtime.block_on(async { Signals::register() });
+                let _ = sender.send(signals.as_ref().map(|_| ()).map_err(io::Error::to_string));
+                runtime.block_on(handle_signals(signals?));
+                Ok(())
+            });
+        };
+        thread::Builder::new().name("signals".to_owned()).spawn(listener).map_err(|error| error.to_string())?;
+        receiver.recv().map_err(|error| error.to_string())?
+    });
+    started.clone().map_err(io::Error::other)
+}
+
+struct Signals(Vec<(Signal, u8)>);
+
+impl Signals {
+    fn register() -> io::Result<Self> {
+        let register = |number: u8| Ok((signal(SignalKind::from_raw(number.into()))?, number));
+        // Under `nohup` the program outlives its terminal.
+        let wanted = TERMINATION_SIGNALS.into_iter().filter(|number| *number != HANG_UP || !is_ignored(HANG_UP));
+        let signals = wanted.map(register).collect::<io::Result<_>>().map(Self)?;
+        let _ = signal(SignalKind::from_raw(FILE_SIZE.into()))?;
+        Ok(signals)
+    }
+
+    async fn next(&mut self) -> u8 {
+        poll_fn(|context| {
+            let ready =
+                self.0.iter_mut().find_map(|(signal, number)| signal.poll_recv(context).is_ready().then_some(*number));
+            ready.map_or(Poll::Pending, Poll::Ready)
+        })
+        .await
+    }
+}
+
+/// True if the parent process set the signal to be ignored.
+fn is_ignored(number: u8) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask >> (number - 1) & 1 == 1
+}
+
+async fn handle_signals(mut signals: Signals) {
+    let first = signals.next().await;
+    State::lock().receive(first);
+    let mut last_read = Instant::now();
+    loop {
+        tokio::select! {
+            number = signals.next() => State::lock().receive(number),
+            () = tokio::time::sleep(POLL_INTERVAL) => {}
+        }
+        if stdio::is_read() {
+            last_read = Instant::now();
+        }
+        let timeout = if State::lock().is_busy { OUTPUT_TIMEOUT_WHILE_BUSY } else { OUTPUT_TIMEOUT };
+        if last_read.elapsed() > timeout {
+            let _ = disable_raw_mode();
+            std::process::exit(i32::from(Exit::Signal(first).code()));
+        }
+    }
+}
+
+/// Marks the work as busy until it is dropped.
+struct BusyGuard;
+
+impl BusyGuard {
+    fn new(cancel: &CancelToken) -> Self {
+        let mut state = State::lock();
+        if state.first.is_some() {
+            cancel.cancel();
+        }
+        (state.work, state.is_busy) = (Some(cancel.clone()), true);
+        Self
+    }
+}
+
+impl Drop for BusyGuard {
+    fn drop(&mut self) {
+        State::lock().is_busy = false;
+    }
+}
+
+/// How work ended.
+pub(crate) enum WorkResult<T> {
+    /// The work returned; a signal may have cancelled it.
+    Finished(T, Option<u8>),
+    /// The program ends without the work, because of this signal.
+    Abandoned(u8),
+}
+
+enum Message<T, E> {
+    Event(E),
+    Done(T),
+}
+
+/// Sends the events of work to the thread that shows them.
+pub(crate) struct EventSender<T, E> {
+    sender: SyncSender<Message<T, E>>,
+    cancel: CancelToken,
+    cancelled: Option<Instant>,
+}
+
+impl<T, E> EventSender<T, E> {
+    /// Sends `event`. Drops it if the receiver is gone, or still full after cancellation.
+    pub(crate) fn send(&mut self, event: E) {
+        let mut message = Message::Event(event);
+        while let Err(TrySendError::Full(back)) = self.sender.try_send(message) {
+            if self.cancel.is_cancelled() && self.cancelled.get_or_insert_with(Instant::now).elapsed() > DRAIN_TIMEOUT {
+                return;
+            }
+            message = back;
+            thread::sleep(RETRY_INTERVAL);
+        }
+    }
+}
+
+/// Runs `work` on its own thread until it returns. A signal, or the end of `max_duration`, cancels it. `on_event`
+/// receives its events on this thread.
+///
+/// # Errors
+/// The system provides no thread or no signals, or the work panicked.
+pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
+    cancel: &CancelToken,
+    max_duration: Option<Duration>,
+    work: impl FnOnce(&mut EventSender<T, E>) -> T + Send + 'static,
+    mut on_event: impl FnMut(E),
+) -> io::Result<WorkResult<T>> {
+    listen()?;
+    let (sender, messages) = sync_channel(MAX_QUEUED_EVENTS);
+    let busy = BusyGuard::new(cancel);
+    let mut events = EventSender { sender: sender.clone(), cancel: cancel.clone(), cancelled: None };
+    let worker = thread::Builder::new().name("work".to_owned()).spawn(move || {
+        let result = work(&mut events);
+        drop(busy);
+        // Without a receiver the work was abandoned.
+        let _ = sender.send(Message::Done(result));
+    })?;
+    let started = Instant::now();
+    loop {
+        match messages.recv_timeout(POLL_INTERVAL) {
+            Ok(Message::Event(event)) => on_event(event),
+            Ok(Message::Done(result)) => return Ok(WorkResult::Finished(result, received_signal())),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => {
+                let _ = worker.join();
+                return Err(io::Error::other("a thread of the bench panicked"));
+            }
+        }
+        if let Some(number) = State::lock().insistent {
+            return Ok(WorkResult::Abandoned(number));
+        }
+        if max_duration.is_some_and(|longest| started.elapsed() > longest) {
+            cancel.cancel();
+        }
+    }
+}

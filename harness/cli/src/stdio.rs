@@ -1,0 +1,154 @@
+//! Writes to standard output and standard error. A reader that closed its end is not an error.
+
+use crate::exit::Exit;
+use crate::options::OutputFormat;
+use platebench_record::RunRecord;
+use platebench_report::console;
+use platebench_runner::RejudgeError;
+use platebench_scenario::Diagnostic;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+use serde::Serialize;
+use std::fmt::Display;
+use std::io::{self, IsTerminal, Write, stderr, stdout};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// The first write error on standard output, unless the reader closed its end.
+static WRITE_ERROR: OnceLock<String> = OnceLock::new();
+/// True if the last log line was dropped because nothing read standard error.
+static LOG_BLOCKED: AtomicBool = AtomicBool::new(false);
+/// How long a log line waits for its reader. After a dropped line the next ones do not wait.
+const LOG_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
+const NO_WAIT: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
+/// `PIPE_BUF`: what a writable pipe takes in one write, bytes.
+const MAX_ATOMIC_WRITE: usize = 4096;
+
+/// Standard output that remembers its first write error.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct CheckedStdout;
+
+impl CheckedStdout {
+    fn record_failure<T>(result: io::Result<T>) -> io::Result<T> {
+        result.inspect_err(|error| {
+            // EIO: the terminal hung up.
+            let is_closed =
+                error.kind() == io::ErrorKind::BrokenPipe || error.raw_os_error() == Some(Errno::IO.raw_os_error());
+            if !is_closed && error.kind() != io::ErrorKind::Interrupted {
+                WRITE_ERROR.get_or_init(|| error.to_string());
+            }
+        })
+    }
+}
+
+impl Write for CheckedStdout {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        Self::record_failure(stdout().lock().write(bytes))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Self::record_failure(stdout().lock().flush())
+    }
+}
+
+/// Writes text to standard output. [`checked_exit`] reports a failure.
+pub(crate) fn show(text: &str) {
+    let _ = CheckedStdout.write_all(text.as_bytes()).and_then(|()| CheckedStdout.flush());
+}
+
+/// The exit code, or 2 if standard output is incomplete.
+pub(crate) fn checked_exit(exit: Exit) -> Exit {
+    let Some(why) = WRITE_ERROR.get() else { return exit };
+    error(&format!("standard output is incomplete: {why}"));
+    Exit::Invalid
+}
+
+/// Writes an error to standard error.
+pub(crate) fn error(message: &str) {
+    let _ = writeln!(stderr().lock(), "error: {message}");
+}
+
+/// Writes an error to standard error and ends with exit code 2.
+pub(crate) fn reject(error: &dyn Display) -> Exit {
+    self::error(&error.to_string());
+    Exit::Invalid
+}
+
+/// As [`reject`], with a pointer into the file if the error has one.
+pub(crate) fn reject_stored_run(error: &RejudgeError) -> Exit {
+    match error {
+        RejudgeError::Scenario(diagnostic) => reject_file(diagnostic),
+        error => reject(error),
+    }
+}
+
+/// Writes a note to standard error.
+pub(crate) fn note(message: &str) {
+    let _ = writeln!(stderr().lock(), "{message}");
+}
+
+/// Shows a fault of an input file with its position.
+pub(crate) fn diagnostic(diagnostic: &Diagnostic) {
+    let _ = writeln!(stderr().lock(), "{}\n", diagnostic.render(stderr().is_terminal()));
+}
+
+/// Shows a fault of an input file and ends with exit code 2.
+pub(crate) fn reject_file(fault: &Diagnostic) -> Exit {
+    diagnostic(fault);
+    Exit::Invalid
+}
+
+/// Shows every fault of the input files and ends with exit code 2.
+pub(crate) fn reject_files(faults: &[Diagnostic]) -> Exit {
+    faults.iter().for_each(diagnostic);
+    Exit::Invalid
+}
+
+/// Prints a value as JSON.
+pub(crate) fn show_json(value: &impl Serialize) {
+    match serde_json::to_string_pretty(value) {
+        Ok(text) => show(&format!("{text}\n")),
+        Err(fault) => error(&format!("the result cannot be written as JSON: {fault}")),
+    }
+}
+
+/// Prints the result of a run.
+pub(crate) fn record(record: &RunRecord, format: OutputFormat) {
+    match format {
+        OutputFormat::Human => show(&console::run_table(record, console::Style { colour: stdout().is_terminal() })),
+        OutputFormat::Json => show_json(record),
+    }
+}
+
+/// True if standard output and standard error take more bytes now.
+pub(crate) fn is_read() -> bool {
+    is_writable(stdout().as_fd(), NO_WAIT) && is_writable(stderr().as_fd(), NO_WAIT)
+}
+
+/// True if `output` takes bytes within `timeout`, or reports an error at once.
+fn is_writable(output: BorrowedFd<'_>, timeout: Timespec) -> bool {
+    poll(&mut [PollFd::new(&output, PollFlags::OUT)], Some(&timeout)).map_or(true, |ready| ready > 0)
+}
+
+/// Standard error for threads that must not wait: bytes that nothing reads are dropped.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct NonBlockingStderr;
+
+impl Write for NonBlockingStderr {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let error = stderr();
+        let timeout = if LOG_BLOCKED.load(Ordering::Relaxed) { NO_WAIT } else { LOG_TIMEOUT };
+        let is_read = is_writable(error.as_fd(), timeout);
+        LOG_BLOCKED.store(!is_read, Ordering::Relaxed);
+        if !is_read {
+            return Ok(bytes.len());
+        }
+        // Without the lock of standard error, which a blocked thread may hold.
+        rustix::io::write(error.as_fd(), bytes.get(..MAX_ATOMIC_WRITE).unwrap_or(bytes)).map_err(io::Error::from)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

@@ -1,0 +1,170 @@
+//! Finds reasons to doubt an identification: recordings that no single plate can produce.
+
+use crate::fit::{DirectFit, fit_direct};
+use crate::identification::Identification;
+use crate::recording::{RecordedSample, Recording};
+use platebench_plate::Complex64;
+use serde::Serialize;
+use std::f64::consts::PI;
+use std::fmt;
+
+/// Level of each test of whiteness.
+const LEVEL: f64 = 0.01;
+/// Share of the largest |W|. Smaller residuals are rounding (the wire carries single precision) and need not be white.
+const ROUNDING: f64 = 1e-5;
+/// A component that has its largest or smallest value in more than this share of its samples is clipped.
+const CLIPPED_SHARE: f64 = 0.02;
+/// At least so many samples at a limit, not counting a value of 0.
+const MIN_CLIPPED: usize = 5;
+/// Quality factors of plates: a hand on rubber to a bell in vacuum.
+const QUALITY: [f64; 2] = [5.0, 20_000.0];
+/// Change of K1 over the drives, percent, that still counts as linear.
+const LINEAR_PERCENT: f64 = 2.0;
+
+/// A reason to doubt the identified parameters.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case", tag = "kind")]
+pub enum Doubt {
+    /// Residuals are not white: the plate changed in a way that the model does not have.
+    Residuals {
+        /// Recordings with residuals that are not white.
+        rejected: usize,
+        /// Recordings that were tested.
+        tested: usize,
+    },
+    /// Samples stay at a limit.
+    Clipped {
+        /// The recording.
+        recording: String,
+        /// `Wd` or `Wq`.
+        component: &'static str,
+        /// The limit, µm.
+        limit_um: f64,
+        /// Samples at the limit.
+        samples: usize,
+    },
+    /// The recording fits better with Wd and Wq exchanged.
+    Swapped {
+        /// The recording.
+        recording: String,
+    },
+    /// The quality factor is outside the range of plates.
+    QualityFactor {
+        /// Its value, π · resonance · τ.
+        value: f64,
+    },
+    /// K1 depends on the amplitude.
+    NotLinear {
+        /// Change from the lowest to the highest drive, percent.
+        change_percent: f64,
+    },
+}
+
+impl fmt::Display for Doubt {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Residuals { rejected, tested } => write!(
+                formatter,
+                "{rejected} of {tested} recordings have residuals that are not white: the plate changed (drift, \
+                 amplitude-dependent damping) or the columns are wrong"
+            ),
+            Self::Clipped { recording, component, limit_um, samples } => {
+                write!(formatter, "{recording}: {component} is clipped at {limit_um} µm in {samples} samples")
+            }
+            Self::Swapped { recording } => {
+                write!(formatter, "{recording}: fits better with Wd and Wq exchanged; check the columns")
+            }
+            Self::QualityFactor { value } => write!(
+                formatter,
+                "the quality factor is {value:.3e}, expected {} to {}; check the units of time and frequency",
+                QUALITY[0], QUALITY[1]
+            ),
+            Self::NotLinear { change_percent } => write!(
+                formatter,
+                "K1 changes by {change_percent:.1} % from the lowest to the highest drive, expected a linear plate"
+            ),
+        }
+    }
+}
+
+/// Reasons to doubt the identification from `recordings`; `fits` are those of [`Identification::recordings`].
+pub(crate) fn doubts(found: &Identification, recordings: &[&Recording], fits: &[&DirectFit]) -> Vec<Doubt> {
+    let mut doubts: Vec<Doubt> = recordings.iter().flat_map(|recording| clipped(recording)).collect();
+    let pairs = || recordings.iter().zip(fits);
+    let coloured: Vec<_> = pairs().filter(|(recording, fit)| is_coloured(recording, fit)).collect();
+    let tested = fits.iter().filter(|fit| fit.whiteness.is_some()).count();
+    if !coloured.is_empty() && !is_explained_by_chance(coloured.len(), tested) {
+        doubts.push(Doubt::Residuals { rejected: coloured.len(), tested });
+        let swapped = coloured.iter().filter(|(recording, fit)| fits_better_exchanged(recording, fit));
+        doubts.extend(swapped.map(|(recording, _)| Doubt::Swapped { recording: recording.name.clone() }));
+    }
+    if let (Some(resonance), Some(tau)) = (found.resonance_hz, found.time_constant_s) {
+        let value = PI * resonance.value * tau.value;
+        if !(QUALITY[0]..=QUALITY[1]).contains(&value) {
+            doubts.push(Doubt::QualityFactor { value });
+        }
+    }
+    if let Some(change) = found.gain_change_percent
+        && change.value.abs() > LINEAR_PERCENT
+        && !change.contains(0.0)
+    {
+        doubts.push(Doubt::NotLinear { change_percent: change.value });
+    }
+    doubts
+}
+
+fn is_coloured(recording: &Recording, fit: &DirectFit) -> bool {
+    let largest = recording.outputs.iter().map(|output| output.w.norm()).fold(0.0, f64::max);
+    fit.whiteness.is_some_and(|white| white.is_rejected()) && fit.noise_um > ROUNDING * largest
+}
+
+fn clipped(recording: &Recording) -> Vec<Doubt> {
+    type Component = fn(&Complex64) -> f64;
+    let components: [(&str, Component); 2] = [("Wd", |w| w.re), ("Wq", |w| w.im)];
+    let mut doubts = Vec::new();
+    for (component, value) in components {
+        let values: Vec<f64> = recording.outputs.iter().map(|output| value(&output.w)).collect();
+        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        for limit_um in [low, high] {
+            let samples = values.iter().filter(|value| **value == limit_um).count();
+            // A plate at rest is at 0, and a constant column is not clipped.
+            let enough = samples >= MIN_CLIPPED && samples as f64 > CLIPPED_SHARE * values.len() as f64;
+            if limit_um != 0.0 && low < high && enough {
+                doubts.push(Doubt::Clipped { recording: recording.name.clone(), component, limit_um, samples });
+            }
+        }
+    }
+    doubts
+}
+
+fn fits_better_exchanged(recording: &Recording, fit: &DirectFit) -> bool {
+    let exchange = |output: &RecordedSample| RecordedSample { w: Complex64::new(output.w.im, output.w.re), ..*output };
+    let exchanged = Recording { outputs: recording.outputs.iter().map(exchange).collect(), ..recording.clone() };
+    fit_direct(&exchanged).is_ok_and(|other| other.noise_um < 0.5 * fit.noise_um)
+}
+
+/// True if so many rejections of `tests` independent tests, or more, have a probability above 1 % for white residuals.
+pub(crate) fn is_explained_by_chance(rejected: usize, tests: usize) -> bool {
+    let (mut fewer, mut term) = (0.0, (1.0 - LEVEL).powi(i32::try_from(tests).unwrap_or(i32::MAX)));
+    for count in 0..rejected {
+        fewer += term;
+        term *= (tests.saturating_sub(count)) as f64 / (count + 1) as f64 * LEVEL / (1.0 - LEVEL);
+    }
+    1.0 - fewer > LEVEL * (1.0 + 1e-9)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rejections_explained_by_chance() {
+        // Binomial: at least 1 of 1: 1.00 %; 1 of 2: 1.99 %; 2 of 15: 0.96 %, of 16: 1.09 %; 3 of 66: 2.9 %, 4 of 66: 0.44 %.
+        let cases =
+            [(1, 1, false), (1, 2, true), (2, 15, false), (2, 16, true), (3, 66, true), (4, 66, false), (0, 5, true)];
+        for (rejected, tests, expected) in cases {
+            assert_eq!(is_explained_by_chance(rejected, tests), expected, "{rejected} of {tests}");
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! Tables of other origin: a CSV whose columns are named, such as the 1 kHz telemetry of a real plate.
+
+use crate::recording::{RecordedInput, RecordedSample, Recording, RecordingError};
+use platebench_plate::{Complex64, Conditions};
+use std::f64::consts::TAU;
+use std::io::Read;
+use std::str::FromStr;
+
+/// What a column holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ColumnRole {
+    Time,
+    Drive,
+    Frequency,
+    Wd,
+    Wq,
+    Temperature,
+    Force,
+}
+
+/// Units with their factors to s, Vpp, rad/s, µm, K and N; the first is the one without a unit.
+type Units = &'static [(&'static str, f64)];
+/// Name, role, units, whether a table must have it.
+const ROLES: [(&str, ColumnRole, Units, bool); 7] = [
+    ("time", ColumnRole::Time, &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)], true),
+    ("drive", ColumnRole::Drive, &[("Vpp", 1.0), ("V", 2.0)], true),
+    ("frequency", ColumnRole::Frequency, &[("Hz", TAU), ("kHz", TAU * 1e3), ("rad/s", 1.0)], true),
+    ("wd", ColumnRole::Wd, &[("um", 1.0), ("nm", 1e-3), ("m", 1e6)], true),
+    ("wq", ColumnRole::Wq, &[("um", 1.0), ("nm", 1e-3), ("m", 1e6)], true),
+    ("temperature", ColumnRole::Temperature, &[("K", 1.0)], false),
+    ("force", ColumnRole::Force, &[("N", 1.0)], false),
+];
+
+/// `time=NAME[:UNIT],drive=…,frequency=…,wd=…,wq=…[,temperature=…][,force=…]`
+///
+/// Units: time s, ms, us · drive Vpp, V (amplitude: half of it) · frequency Hz, kHz, rad/s · wd and wq um, nm, m, peak to peak · temperature K above the
+/// reference · force N. The first is meant where none is given. Drive and frequency of a row act from its time on; Wd and Wq were seen at it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ColumnMapping(Vec<(ColumnRole, String, f64)>);
+
+impl FromStr for ColumnMapping {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut columns: Vec<(ColumnRole, String, f64)> = Vec::new();
+        for part in text.split(',') {
+            let known = ROLES.map(|role| role.0).join(", ");
+            let (key, rest) =
+                part.split_once('=').ok_or(format!("`{part}`, expected ROLE=NAME with a role of {known}"))?;
+            let found = ROLES.iter().find(|role| role.0 == key.trim());
+            let (_, role, units, _) = found.ok_or(format!("`{key}`, expected a role of {known}"))?;
+            let (name, factor) = match rest.rsplit_once(':') {
+                None => (rest, units.first().map_or(1.0, |unit| unit.1)),
+                Some((name, unit)) => {
+                    let listed = units.iter().map(|unit| unit.0).collect::<Vec<_>>().join(", ");
+                    let known = units.iter().find(|known| known.0 == unit);
+                    (name, known.ok_or(format!("unit `{unit}` of {key}, expected {listed}"))?.1)
+                }
+            };
+            if columns.iter().any(|(known, _, _)| known == role) {
+                return Err(format!("{key} is given twice"));
+            }
+            columns.push((*role, name.trim().to_owned(), factor));
+        }
+        let missing = ROLES.iter().find(|role| role.3 && !columns.iter().any(|column| column.0 == role.1));
+        missing.map_or(Ok(Self(columns)), |role| Err(format!("no column for {}", role.0)))
+    }
+}
+
+/// Why a table was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ExternalCsvError {
+    /// A cell or the header cannot be used.
+    #[error("{name}:{line}: {message}")]
+    Content {
+        /// The table.
+        name: String,
+        /// Counted from 1.
+        line: u64,
+        /// The column, what stands there and what was expected.
+        message: String,
+    },
+    /// All cells are well, but it is no recording of use.
+    #[error("{0}: {1}")]
+    Unusable(String, RecordingError),
+}
+
+/// Reads a table.
+///
+/// # Errors
+/// `TelemetryError` with line and column of what cannot be used.
+pub fn read(name: &str, table: impl Read, columns: &ColumnMapping) -> Result<Recording, ExternalCsvError> {
+    let refuse = |line: u64, message: String| ExternalCsvError::Content { name: name.to_owned(), line, message };
+    let broken = |error: csv::Error| refuse(error.position().map_or(1, csv::Position::line), error.to_string());
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(table);
+    let header = reader.headers().map_err(broken)?.clone();
+    let mut places = Vec::new();
+    for (role, wanted, factor) in &columns.0 {
+        let place = header.iter().position(|title| title == wanted);
+        let titles = || header.iter().collect::<Vec<_>>().join(", ");
+        places.push((
+            *role,
+            place.ok_or_else(|| refuse(1, format!("no column `{wanted}` in: {}", titles())))?,
+            *factor,
+        ));
+    }
+    let (mut inputs, mut outputs): (Vec<RecordedInput>, Vec<RecordedSample>) = (Vec::new(), Vec::new());
+    let mut record = csv::StringRecord::new();
+    while reader.read_record(&mut record).map_err(broken)? {
+        let line = record.position().map_or(0, csv::Position::line);
+        let mut values = [0.0; ROLES.len()];
+        for (role, place, factor) in &places {
+            let text = record.get(*place).unwrap_or("");
+            let value = text.parse().ok().filter(|value: &f64| value.is_finite());
+            let (column, title) = (place + 1, header.get(*place).unwrap_or(""));
+            let found =
+                |expected: &str| refuse(line, format!("column {column} (`{title}`) is `{text}`, expected {expected}"));
+            let value = value.ok_or_else(|| found("a finite number"))? * factor;
+            match role {
+                ColumnRole::Time if outputs.last().is_some_and(|last| last.t >= value) => {
+                    return Err(found("a time after that of the row above"));
+                }
+                ColumnRole::Drive if value < 0.0 => return Err(found("0 or more")),
+                ColumnRole::Frequency if value <= 0.0 => return Err(found("a frequency above 0")),
+                _ => values[*role as usize] = value,
+            }
+        }
+        let [t, vpp, omega, wd, wq, temperature_offset_k, finger_force_n] = values;
+        inputs.push(RecordedInput { t, vpp, omega, conditions: Conditions { temperature_offset_k, finger_force_n } });
+        outputs.push(RecordedSample { t, w: Complex64::new(wd, wq) });
+    }
+    Recording::new(name.to_owned(), inputs, outputs).map_err(|error| ExternalCsvError::Unusable(name.to_owned(), error))
+}

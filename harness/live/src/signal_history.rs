@@ -1,0 +1,167 @@
+//! Decimates a trial: keeps minimum and maximum of each signal per time slice.
+
+use platebench_trace::Row;
+use std::collections::VecDeque;
+
+/// Slices per window: two dots per character of the widest chart.
+const SLICES: f64 = 512.0;
+/// Rows further apart than this many row distances leave a gap in the curve.
+const GAP_SPACINGS: f64 = 3.5;
+
+/// Signals that are drawn over time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum LiveSignal {
+    Setpoint,
+    Amplitude,
+    Wd,
+    Wq,
+    Drive,
+    Frequency,
+    Resonance,
+}
+
+const SIGNALS: usize = 7;
+
+fn signal_values(row: &Row) -> [f64; SIGNALS] {
+    [row.setpoint_um, row.amplitude_um, row.wd_um, row.wq_um, row.drive_vpp, row.frequency_hz, row.resonance_hz]
+}
+
+#[derive(Debug, Clone, Copy)]
+struct HistorySlice {
+    number: i64,
+    low: [f64; SIGNALS],
+    high: [f64; SIGNALS],
+}
+
+/// Slices of one trial.
+#[derive(Debug)]
+pub(crate) struct SignalHistory {
+    /// Length of the window in s.
+    window_s: f64,
+    /// A longer distance between two slices is a gap, in s.
+    gap_s: f64,
+    slices: VecDeque<HistorySlice>,
+}
+
+impl SignalHistory {
+    /// `window_s` and the largest row distance `spacing_s` are in s and above 0.
+    pub(crate) fn new(window_s: f64, spacing_s: f64) -> Self {
+        let slice_s = window_s / SLICES;
+        Self { window_s, gap_s: GAP_SPACINGS * spacing_s.max(slice_s), slices: VecDeque::new() }
+    }
+
+    fn slice_s(&self) -> f64 {
+        self.window_s / SLICES
+    }
+
+    /// Adds a row that is not older than the last one; ignores rows without a finite time.
+    pub(crate) fn push(&mut self, row: &Row) {
+        let values = signal_values(row);
+        if !row.t_s.is_finite() || values.iter().any(|value| !value.is_finite()) {
+            return;
+        }
+        let number = (row.t_s / self.slice_s()) as i64;
+        match self.slices.back_mut() {
+            Some(last) if last.number == number => {
+                for (signal, value) in values.into_iter().enumerate() {
+                    last.low[signal] = last.low[signal].min(value);
+                    last.high[signal] = last.high[signal].max(value);
+                }
+            }
+            _ => self.slices.push_back(HistorySlice { number, low: values, high: values }),
+        }
+        while self.slices.front().is_some_and(|first| number - first.number > SLICES as i64) {
+            self.slices.pop_front();
+        }
+    }
+
+    /// Start and end of the visible window in s.
+    pub(crate) fn span_s(&self) -> [f64; 2] {
+        let newest = self.slices.back().map_or(0.0, |last| (last.number + 1) as f64 * self.slice_s());
+        let end = newest.max(self.window_s);
+        [end - self.window_s, end]
+    }
+
+    /// Minimum and maximum over `signals`; `None` without rows.
+    pub(crate) fn range(&self, signals: &[LiveSignal]) -> Option<[f64; 2]> {
+        let all = signals.iter().flat_map(|signal| {
+            let signal = *signal as usize;
+            self.slices.iter().map(move |slice| [slice.low[signal], slice.high[signal]])
+        });
+        all.reduce(|[low, high], [lower, higher]| [low.min(lower), high.max(higher)])
+    }
+
+    /// Curves of (s, `of(value)`), split at gaps.
+    pub(crate) fn lines(&self, signal: LiveSignal, of: impl Fn(f64) -> f64) -> Vec<Vec<(f64, f64)>> {
+        let signal = signal as usize;
+        let mut lines: Vec<Vec<(f64, f64)>> = Vec::new();
+        let mut last_s = f64::NEG_INFINITY;
+        for slice in &self.slices {
+            let at_s = (slice.number as f64 + 0.5) * self.slice_s();
+            if at_s - last_s > self.gap_s {
+                lines.push(Vec::new());
+            }
+            last_s = at_s;
+            if let Some(line) = lines.last_mut() {
+                line.push((at_s, of(slice.low[signal])));
+                if slice.high[signal] != slice.low[signal] {
+                    line.push((at_s, of(slice.high[signal])));
+                }
+            }
+        }
+        lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(t_s: f64, amplitude_um: f64) -> Row {
+        Row { t_s, amplitude_um, ..Row::default() }
+    }
+
+    #[test]
+    fn a_slice_keeps_its_lowest_and_its_highest_value() {
+        let mut history = SignalHistory::new(512.0, 0.1);
+        for (t_s, value) in [(0.1, 2.0), (0.5, -1.0), (0.9, 7.0), (1.1, 3.0)] {
+            history.push(&row(t_s, value));
+        }
+        assert_eq!(history.range(&[LiveSignal::Amplitude]), Some([-1.0, 7.0]));
+        assert_eq!(history.lines(LiveSignal::Amplitude, |value| value), [[(0.5, -1.0), (0.5, 7.0), (1.5, 3.0)]]);
+    }
+
+    #[test]
+    fn memory_and_time_are_those_of_the_window_however_much_passes() {
+        let mut history = SignalHistory::new(512.0, 1.0);
+        (0..100_000).for_each(|second| history.push(&row(f64::from(second), f64::from(second))));
+        assert!(history.slices.len() <= 513, "{}", history.slices.len());
+        assert_eq!(history.span_s(), [99_488.0, 100_000.0]);
+        assert_eq!(history.range(&[LiveSignal::Amplitude]).unwrap()[1], 99_999.0);
+    }
+
+    #[test]
+    fn a_line_is_apart_where_rows_are_missing_and_nowhere_else() {
+        let of_gap = |gap: f64| {
+            let mut history = SignalHistory::new(512.0, 1.0);
+            for t_s in [0.0, 1.0, 1.0 + gap] {
+                history.push(&row(t_s, 1.0));
+            }
+            history.lines(LiveSignal::Amplitude, |value| value).len()
+        };
+        assert_eq!([of_gap(1.0), of_gap(3.0), of_gap(4.0)], [1, 1, 2]);
+        // The row distance itself is large.
+        let mut sparse = SignalHistory::new(512.0, 20.0);
+        (0..5).for_each(|number| sparse.push(&row(f64::from(number) * 20.0, 1.0)));
+        assert_eq!(sparse.lines(LiveSignal::Amplitude, |value| value).len(), 1);
+    }
+
+    #[test]
+    fn what_is_no_number_is_left_out() {
+        let mut history = SignalHistory::new(1.0, 0.1);
+        history.push(&row(f64::NAN, 1.0));
+        history.push(&row(0.0, f64::INFINITY));
+        assert_eq!(history.range(&[LiveSignal::Amplitude]), None);
+        assert_eq!(history.span_s(), [0.0, 1.0]);
+    }
+}

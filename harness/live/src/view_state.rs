@@ -1,0 +1,77 @@
+//! Holds what the view draws.
+
+use crate::run_description::{RunDescription, ScenarioDescription};
+use crate::signal_history::SignalHistory;
+use crate::view::ViewEvent;
+use platebench_record::Verdict;
+use platebench_runner::live_tap::{TapCounts, TapRow};
+use platebench_trace::Row;
+
+/// Counts of finished scenarios and trials.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct FinishedCounts {
+    pub(crate) trials: u64,
+    pub(crate) passed: usize,
+    pub(crate) failed: usize,
+    pub(crate) inconclusive: usize,
+}
+
+/// State of the view.
+#[derive(Debug)]
+pub(crate) struct ViewState {
+    pub(crate) run: RunDescription,
+    /// Scenario and trial index of the newest row.
+    newest_trial: Option<(usize, u32)>,
+    pub(crate) newest_row: Option<Row>,
+    pub(crate) history: SignalHistory,
+    pub(crate) counts: TapCounts,
+    pub(crate) finished: FinishedCounts,
+    /// Last lines of standard error, oldest first.
+    pub(crate) messages: Vec<String>,
+}
+
+impl ViewState {
+    pub(crate) fn new(subject: RunDescription) -> Self {
+        Self {
+            run: subject,
+            newest_trial: None,
+            newest_row: None,
+            history: SignalHistory::new(1.0, 1.0),
+            counts: TapCounts::default(),
+            finished: FinishedCounts::default(),
+            messages: Vec::new(),
+        }
+    }
+
+    /// Adds a row. Another trial, or a time that runs backwards, starts a new history.
+    pub(crate) fn add_row(&mut self, sight: &TapRow) {
+        let playing = Some((sight.scenario, sight.trial));
+        let is_new = self.newest_trial != playing || self.newest_row.is_none_or(|newest| newest.t_s > sight.row.t_s);
+        self.newest_trial = playing;
+        self.newest_row = Some(sight.row);
+        if is_new && let Some(scenario) = self.current_scenario() {
+            self.history = SignalHistory::new(scenario.window_s(), scenario.spacing_s);
+        }
+        self.history.push(&sight.row);
+    }
+
+    /// Scenario of the newest row, and the number of its trial counted from 1.
+    pub(crate) fn current_trial(&self) -> Option<(&ScenarioDescription, u64)> {
+        self.newest_trial.and_then(|(_, trial)| Some((self.current_scenario()?, u64::from(trial) + 1)))
+    }
+
+    fn current_scenario(&self) -> Option<&ScenarioDescription> {
+        self.run.scenarios.get(self.newest_trial?.0)
+    }
+
+    /// Applies an event of the run.
+    pub(crate) fn apply_event(&mut self, news: ViewEvent) {
+        match news {
+            ViewEvent::RigLocation(place) => self.run.rig = place,
+            ViewEvent::TrialFinished => self.finished.trials += 1,
+            ViewEvent::ScenarioFinished(Verdict::Pass) => self.finished.passed += 1,
+            ViewEvent::ScenarioFinished(Verdict::Fail) => self.finished.failed += 1,
+            ViewEvent::ScenarioFinished(Verdict::Inconclusive) => self.finished.inconclusive += 1,
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Reads the keys of a plate file; [`crate::Plate`] checks their values.
+
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// The wire carries the frequency in mHz in 32 bits, at most 4.3 MHz; this leaves room for a range
+/// above the resonance.
+pub(crate) const HIGHEST_RESONANCE_HZ: f64 = 2.5e6;
+
+/// The plate file, unchecked.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawPlate {
+    /// Name of the plate.
+    pub name: String,
+    /// Source of the numbers.
+    pub source: String,
+    /// The bending mode.
+    pub mode: RawMode,
+    /// Effect of a finger; none by default.
+    #[serde(default)]
+    pub finger: RawFinger,
+    /// The amplifier.
+    pub drive: RawDrive,
+    /// The sensor; without noise by default.
+    #[serde(default)]
+    pub sensor: RawSensor,
+    /// Uncertainty of the numbers; unknown by default.
+    #[serde(default)]
+    pub uncertainty: RawUncertainty,
+}
+
+/// `[mode]`
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawMode {
+    /// Resonance at the reference temperature, Hz.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = HIGHEST_RESONANCE_HZ))]
+    pub resonance_hz: f64,
+    /// Reference of temperature offsets, °C.
+    #[schemars(extend("exclusiveMinimum" = -273.15))]
+    pub reference_temperature_c: f64,
+    /// Change of the resonance per kelvin, Hz.
+    pub resonance_slope_hz_per_k: f64,
+    /// τ = 1/σ untouched, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub time_constant_ms: f64,
+    /// K1 at resonance, untouched, µm/Vpp.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub gain_um_per_vpp: f64,
+}
+
+/// `[finger]`
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawFinger {
+    /// Points [force N, σ/σ0], linear in between; the last segment is extended.
+    #[serde(default = "undamped")]
+    #[schemars(length(min = 1))]
+    pub damping_ratio: Vec<[f64; 2]>,
+    /// Change of the resonance per newton, Hz.
+    #[serde(default)]
+    pub resonance_shift_hz_per_n: f64,
+}
+
+impl Default for RawFinger {
+    fn default() -> Self {
+        Self { damping_ratio: undamped(), resonance_shift_hz_per_n: 0.0 }
+    }
+}
+
+fn undamped() -> Vec<[f64; 2]> {
+    vec![[0.0, 1.0]]
+}
+
+/// `[drive]`
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawDrive {
+    /// Highest drive of the amplifier, Vpp.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub limit_vpp: f64,
+}
+
+/// `[sensor]`
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(extend("dependentRequired" = {
+    "demodulator_periods": ["converter_hz"],
+    "converter_hz": ["demodulator_periods"],
+    "converter_bits": ["demodulator_periods", "converter_range_um"],
+    "converter_range_um": ["demodulator_periods", "converter_bits"],
+}))]
+pub struct RawSensor {
+    /// Standard deviation of white noise on each demodulated component, µm.
+    #[serde(default)]
+    #[schemars(range(min = 0.0))]
+    pub noise_um_rms: f64,
+    /// Carrier periods over which the lock-in demodulator averages; without it W is sensed without
+    /// delay. This and the next three keys require the model `carrier`.
+    #[schemars(range(min = 1, max = 10_000))]
+    pub demodulator_periods: Option<i64>,
+    /// Samples per second of the converter.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e9))]
+    pub converter_hz: Option<f64>,
+    /// Bits of the converter, sign included; without it samples are not rounded.
+    #[schemars(range(min = 2, max = 32))]
+    pub converter_bits: Option<i64>,
+    /// The largest amplitude that the converter does not clip, µm.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub converter_range_um: Option<f64>,
+}
+
+/// `[uncertainty]`
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawUncertainty {
+    /// Half width of the 95 % interval of K1, percent.
+    #[schemars(range(min = 0.0))]
+    pub gain_percent: Option<f64>,
+    /// Half width of the 95 % interval of τ, percent.
+    #[schemars(range(min = 0.0))]
+    pub time_constant_percent: Option<f64>,
+}

@@ -1,0 +1,136 @@
+//! Compares instructions per control step with earlier runs. An expectation on `instructions_per_step` judges them.
+
+use serde::{Deserialize, Serialize};
+
+/// Changes up to this size are not reported, percent.
+const MIN_CHANGE_PERCENT: f64 = 1.0;
+
+/// Instructions per control step over some trials.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct StepCost {
+    /// Mean over the trials of each trial's mean.
+    pub mean: f64,
+    /// The most expensive step.
+    pub worst: f64,
+}
+
+/// Instructions per control step under one law.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CostTrend {
+    /// The control law.
+    pub law: String,
+    /// Build identity of the firmware, hexadecimal.
+    pub build: String,
+    /// Over all trials of the run under this law.
+    pub cost: StepCost,
+    /// Earlier runs of the same trials on the same kind of rig with firmware of the same name: newest first, reference
+    /// last.
+    pub earlier: Vec<EarlierCost>,
+}
+
+/// Cost in an earlier run. Only equal trials are compared: same law, inputs and seed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EarlierCost {
+    /// The run folder's name; `null` for the reference that came with the bench.
+    pub run: Option<String>,
+    /// When the run started, UTC, RFC 3339; `null` for the reference.
+    pub started: Option<String>,
+    /// Build identity of its firmware, hexadecimal.
+    pub build: String,
+    /// Number of trials in both runs.
+    pub trials: usize,
+    /// Their cost then.
+    pub then: StepCost,
+    /// Their cost now.
+    pub now: StepCost,
+}
+
+/// A change that is reported.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CostChange<'a> {
+    /// What is compared: `worst` or `mean`.
+    pub statistic: &'static str,
+    /// Instructions per step now.
+    pub now: f64,
+    /// Instructions per step then.
+    pub then: f64,
+    /// From then to now, percent; positive if it costs more.
+    pub percent: f64,
+    /// The earlier run.
+    pub earlier: &'a EarlierCost,
+}
+
+impl CostTrend {
+    /// The newest earlier run of another build, otherwise the newest: a second run of a new build does not hide what the
+    /// build changed.
+    pub fn comparison_run(&self) -> Option<&EarlierCost> {
+        self.earlier.iter().find(|earlier| earlier.build != self.build).or_else(|| self.earlier.first())
+    }
+
+    /// The change of the worst step against that run, or of the mean if only the mean changed by more than 1 %.
+    pub fn significant_change(&self) -> Option<CostChange<'_>> {
+        let against = self.comparison_run()?;
+        let EarlierCost { now, then, .. } = against;
+        [("worst", now.worst, then.worst), ("mean", now.mean, then.mean)].into_iter().find_map(|(what, now, then)| {
+            // Without a division, whole numbers compare exactly.
+            let is_significant = (now - then).abs() * 100.0 > then * MIN_CHANGE_PERCENT;
+            is_significant.then(|| CostChange {
+                statistic: what,
+                now,
+                then,
+                percent: (now / then - 1.0) * 100.0,
+                earlier: against,
+            })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    fn earlier(build: &str, then: [f64; 2], now: [f64; 2]) -> EarlierCost {
+        let cost = |[mean, worst]: [f64; 2]| StepCost { mean, worst };
+        EarlierCost {
+            run: Some("20260101T000000Z-abcdef".to_owned()),
+            started: Some("2026-01-01T00:00:00Z".to_owned()),
+            build: build.to_owned(),
+            trials: 3,
+            then: cost(then),
+            now: cost(now),
+        }
+    }
+
+    fn trend(earlier: Vec<EarlierCost>) -> CostTrend {
+        let cost = StepCost { mean: 2_000.0, worst: 2_600.0 };
+        CostTrend { law: "dq-pi".to_owned(), build: "new".to_owned(), cost, earlier }
+    }
+
+    #[rstest]
+    #[case::a_third_more([2_000.0, 2_000.0], [2_600.0, 2_600.0], Some(("worst", 30.0)))]
+    #[case::at_the_threshold([2_000.0, 2_000.0], [2_020.0, 2_020.0], None)]
+    #[case::just_beyond([2_000.0, 2_000.0], [2_020.0, 2_021.0], Some(("worst", 1.05)))]
+    #[case::less([2_000.0, 2_000.0], [1_980.0, 1_979.0], Some(("worst", -1.05)))]
+    #[case::at_the_lower_threshold([2_000.0, 2_000.0], [1_980.0, 1_980.0], None)]
+    #[case::the_mean_alone([2_000.0, 2_500.0], [2_100.0, 2_500.0], Some(("mean", 5.0)))]
+    #[case::the_same([2_000.0, 2_500.0], [2_000.0, 2_500.0], None)]
+    fn reports_a_change_of_more_than_a_percent(
+        #[case] then: [f64; 2],
+        #[case] now: [f64; 2],
+        #[case] expected: Option<(&str, f64)>,
+    ) {
+        let trend = trend(vec![earlier("old", then, now)]);
+        let change = trend.significant_change().map(|change| (change.statistic, (change.percent * 1e6).round() / 1e6));
+        assert_eq!(change, expected);
+    }
+
+    #[test]
+    fn prefers_another_build_for_the_comparison() {
+        let (same, old) = (earlier("new", [9.0; 2], [9.0; 2]), earlier("old", [5.0; 2], [9.0; 2]));
+        let older = EarlierCost { run: None, started: None, ..earlier("older", [1.0; 2], [9.0; 2]) };
+        assert_eq!(trend(vec![same.clone(), old.clone(), older]).comparison_run(), Some(&old));
+        assert_eq!(trend(vec![same.clone(), same.clone()]).comparison_run(), Some(&same));
+        assert_eq!(trend(Vec::new()).significant_change(), None);
+    }
+}

@@ -1,0 +1,108 @@
+//! Names why a missed expectation is not the controller's failure.
+
+use crate::missing_value::MissingValue;
+use crate::verdict::Cause;
+use platebench_scenario::Metric;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use thiserror::Error;
+
+/// Why a missed expectation is not the controller's failure.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
+#[serde(rename_all = "snake_case")]
+pub enum Excuse {
+    /// The setpoint needs more voltage than the amplifier has.
+    #[error(
+        "saturated: holding the setpoint needs {needed_vpp:.0} Vpp, the amplifier gives {limit_vpp:.0} Vpp: at best {best}"
+    )]
+    SetpointOutOfReach {
+        /// Drive that holds the setpoint at resonance.
+        needed_vpp: f64,
+        /// Limit of the amplifier.
+        limit_vpp: f64,
+        /// What the best possible controller reaches.
+        best: BestResponse,
+    },
+    /// The response is limited by the amplifier.
+    #[error("saturated: from 0 to {limit_vpp:.0} Vpp no controller does better than {best}")]
+    DriveLimited {
+        /// Limit of the amplifier.
+        limit_vpp: f64,
+        /// What the best possible controller reaches.
+        best: BestResponse,
+    },
+    /// Real plate: the drive was at its limit.
+    #[error("the drive was at its limit at {at_ms} ms; whether this plate can be driven better is not known")]
+    SaturatedRealPlate {
+        /// When for the first time.
+        at_ms: f64,
+    },
+    /// The law itself misses the limit at this rig's loop delay, and meets it without.
+    #[error(
+        "trial {trial}: at this rig's loop delay of {typical_us:.0} µs (longest {longest_us:.0} µs) the law itself \
+         gets {}, without it {}; a slower --time-scale makes the delay smaller",
+        value(*delayed),
+        value(*undelayed)
+    )]
+    LoopDelay {
+        /// Number of the trial.
+        trial: u32,
+        /// Median.
+        typical_us: f64,
+        /// Largest.
+        longest_us: f64,
+        /// Value of the metric with the delay.
+        delayed: Option<f64>,
+        /// Value of the metric without delay.
+        undelayed: Option<f64>,
+    },
+    /// In lockstep the controller's watchdog is longer than a planned silence.
+    #[error(
+        "in lockstep this controller waits {timeout_ms} ms of its own clock for a sample, and a planned silence is \
+         shorter; --clock real-time decides it"
+    )]
+    ExtendedWatchdog {
+        /// Configured time-out.
+        timeout_ms: u16,
+    },
+    /// In real time the loop delay includes line and bench.
+    #[error("in real time the loop delay includes line and bench, not the controller alone")]
+    RealTimeDelay,
+}
+
+impl Excuse {
+    /// What caused the miss instead.
+    pub const fn cause(&self) -> Cause {
+        match self {
+            Self::SetpointOutOfReach { .. } | Self::DriveLimited { .. } => Cause::Infeasible,
+            Self::SaturatedRealPlate { .. } => Cause::Evidence,
+            Self::LoopDelay { .. } | Self::ExtendedWatchdog { .. } | Self::RealTimeDelay => Cause::Rig,
+        }
+    }
+}
+
+fn value(value: Option<f64>) -> String {
+    value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.3}"))
+}
+
+/// What the best possible controller reaches.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BestResponse {
+    /// Value of the metric.
+    Value(Metric, f64),
+    /// Window mean, percent of the setpoint.
+    Mean(f64),
+    /// No value.
+    Missing(MissingValue),
+}
+
+impl fmt::Display for BestResponse {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Value(metric, value) => write!(formatter, "{metric} {value:.3}"),
+            Self::Mean(percent) => write!(formatter, "a mean of {percent:.3} % of the setpoint"),
+            Self::Missing(missing) => write!(formatter, "a signal that {missing}"),
+        }
+    }
+}

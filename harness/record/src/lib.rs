@@ -1,0 +1,49 @@
+//! Holds what a run leaves: its record, its events and its folder.
+//!
+//! * `run_record`, `expectation_record`, `trial_record`: `run.json` as types.
+//! * `verdict`, `reason`, `exclusion`, `excuse`, `missing_value`, `bounds`: verdicts and why something did not pass.
+//! * `violation`: breaches of the protocol, which fail a trial.
+//! * `cost`: instructions per control step.
+//! * `timing`: lateness and loop delay in real time.
+//! * `real_plate`: a trial on a plate that the controller drives itself.
+//! * `event`: what happens during a run.
+//! * `store`: reads and writes records, finds earlier runs.
+//! * `run_folder`: inputs, traces and record on disk.
+
+mod bounds;
+mod cost;
+mod event;
+mod exclusion;
+mod excuse;
+mod expectation_record;
+mod missing_value;
+mod real_plate;
+mod reason;
+mod run_folder;
+mod run_record;
+mod store;
+mod timing;
+mod trial_record;
+mod verdict;
+mod violation;
+
+pub use bounds::Bounds;
+pub use cost::{CostChange, CostTrend, EarlierCost, StepCost};
+pub use event::Event;
+pub use exclusion::Exclusion;
+pub use excuse::{BestResponse, Excuse};
+pub use expectation_record::{Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Statistic};
+pub use missing_value::{MissingValue, UndefinedValue};
+pub use platebench_scenario::{Limit, Metric};
+pub use real_plate::{OperatorRequest, RealPlateRecord};
+pub use reason::{DivergedTrials, Divergence, Reason, TrialFinding, TrialReason, WideBounds, percent};
+pub use run_folder::{FolderError, RunFolder, sha256, sha256_of_file, to_hex, trace_path};
+pub use run_record::{
+    ClockKind, FORMAT, Firmware, Host, InputRecord, NotApplicable, Overrides, RigRecord, RunRecord, ScenarioRecord,
+    Tool,
+};
+pub use store::{RECORD_FILE, RecordError};
+pub use timing::{Quantiles, TimingRecord};
+pub use trial_record::{NonFiniteDrive, Telemetry, TrialRecord};
+pub use verdict::{Cause, Verdict};
+pub use violation::{Violation, ViolationKind};

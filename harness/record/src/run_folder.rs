@@ -1,0 +1,211 @@
+//! Creates the run folder and stores the inputs in it.
+
+use crate::run_record::InputRecord;
+use jiff::Timestamp;
+use jiff::tz::TimeZone;
+use platebench_scenario::{InputFile, Scenario};
+use platebench_trace::open_regular_file;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::fs::{self, File, TryLockError};
+use std::io::{self, BufRead, BufReader};
+use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
+
+const INPUTS: &str = "inputs";
+const TRACES: &str = "traces";
+
+/// Why a run folder cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum FolderError {
+    /// It contains a run.
+    #[error("{} already contains a run, expected a new folder", .0.display())]
+    AlreadyUsed(PathBuf),
+    /// Another process writes a run into it.
+    #[error("{} is in use by another run, expected a new folder", .0.display())]
+    InUse(PathBuf),
+    /// It cannot be written or read.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// The operating system's error.
+        source: io::Error,
+    },
+}
+
+/// The folder of a run.
+#[derive(Debug, Clone)]
+pub struct RunFolder {
+    path: PathBuf,
+    started: Timestamp,
+    /// The open folder, locked until the run ends; other processes cannot create a run in it.
+    _lock: Arc<File>,
+}
+
+fn io_error(path: &Path) -> impl FnOnce(io::Error) -> FolderError + use<> {
+    let path = path.to_owned();
+    |source| FolderError::Io { path, source }
+}
+
+impl RunFolder {
+    /// Creates a folder at `path`; default: below `runs/`, with the time and a unique short id as name.
+    ///
+    /// # Errors
+    /// [`FolderError`]: the folder contains a run or cannot be created.
+    pub fn create(path: Option<&Path>) -> Result<Self, FolderError> {
+        let started = Timestamp::now();
+        let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
+        fs::create_dir_all(&path).map_err(io_error(&path))?;
+        let lock = File::open(&path).map_err(io_error(&path))?;
+        // A file system without locks returns another error.
+        if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
+            return Err(FolderError::InUse(path));
+        }
+        if fs::symlink_metadata(path.join(crate::store::RECORD_FILE)).is_ok() {
+            return Err(FolderError::AlreadyUsed(path));
+        }
+        Ok(Self { path, started, _lock: Arc::new(lock) })
+    }
+
+    /// Creates a folder below `runs`, with the time and a unique short id as name.
+    ///
+    /// # Errors
+    /// [`FolderError::Io`].
+    pub fn create_below(runs: &Path) -> Result<Self, FolderError> {
+        Self::create(Some(&runs.join(generate_name(Timestamp::now()))))
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Removes the folder if it is empty; returns true if it did.
+    pub fn remove_if_empty(&self) -> bool {
+        fs::remove_dir(&self.path).is_ok()
+    }
+
+    /// When it was created, UTC, RFC 3339 to the second.
+    pub fn started(&self) -> String {
+        self.started.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
+    }
+
+    /// Creates the folder of a scenario's traces.
+    ///
+    /// # Errors
+    /// [`FolderError::Io`].
+    pub fn create_trace_folder(&self, scenario: &Scenario) -> Result<(), FolderError> {
+        let folder = self.path.join(TRACES).join(scenario.name());
+        fs::create_dir_all(&folder).map_err(io_error(&folder))
+    }
+
+    /// Copies every input of every scenario, with their relative paths, and returns them by scenario.
+    ///
+    /// # Errors
+    /// [`FolderError::Io`].
+    pub fn store_inputs(&self, scenarios: &[Scenario]) -> Result<Vec<Vec<InputRecord>>, FolderError> {
+        let place = |input: &InputFile| fs::canonicalize(&input.path).map_err(io_error(&input.path));
+        let all =
+            scenarios.iter().flat_map(|scenario| &scenario.inputs).map(place).collect::<Result<BTreeSet<_>, _>>()?;
+        let root = common_folder(&all);
+        let store = |input: &InputFile| {
+            let below = place(input)?;
+            let relative = Path::new(INPUTS).join(below.strip_prefix(&root).unwrap_or(&below));
+            let target = self.path.join(&relative);
+            if let Some(folder) = target.parent() {
+                fs::create_dir_all(folder).map_err(io_error(folder))?;
+            }
+            fs::write(&target, &input.bytes).map_err(io_error(&target))?;
+            Ok(InputRecord { file: with_slashes(&relative), sha256: sha256(&input.bytes) })
+        };
+        scenarios.iter().map(|scenario| scenario.inputs.iter().map(store).collect()).collect()
+    }
+}
+
+/// Path of a trial's trace relative to the run folder, with `/`.
+pub fn trace_path(scenario: &str, index: u32) -> String {
+    format!("{TRACES}/{scenario}/{index:03}.csv")
+}
+
+/// SHA-256 in hexadecimal.
+pub fn sha256(bytes: &[u8]) -> String {
+    to_hex(&Sha256::digest(bytes))
+}
+
+/// SHA-256 of a regular file, hexadecimal.
+///
+/// # Errors
+/// The operating system's; not a regular file.
+pub fn sha256_of_file(path: &Path) -> io::Result<String> {
+    let mut file = BufReader::new(open_regular_file(path, u64::MAX)?);
+    let mut hash = Sha256::new();
+    loop {
+        let read = file.fill_buf()?;
+        if read.is_empty() {
+            return Ok(to_hex(&hash.finalize()));
+        }
+        hash.update(read);
+        let length = read.len();
+        file.consume(length);
+    }
+}
+
+/// Bytes in hexadecimal, two digits each.
+pub fn to_hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        // Writing to a string cannot fail.
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+fn generate_name(now: Timestamp) -> String {
+    let time = now.to_zoned(TimeZone::UTC).strftime("%Y%m%dT%H%M%SZ");
+    let unique = sha256(format!("{} {}", now.as_nanosecond(), std::process::id()).as_bytes());
+    format!("{time}-{}", unique.get(..6).unwrap_or_default())
+}
+
+/// The deepest folder that contains all files.
+fn common_folder(files: &BTreeSet<PathBuf>) -> PathBuf {
+    let mut folders = files.iter().filter_map(|file| file.parent());
+    let Some(first) = folders.next() else { return PathBuf::new() };
+    let mut common: Vec<Component<'_>> = first.components().collect();
+    for folder in folders {
+        let shared = common.iter().zip(folder.components()).take_while(|(a, b)| **a == *b).count();
+        common.truncate(shared);
+    }
+    common.into_iter().collect()
+}
+
+fn with_slashes(path: &Path) -> String {
+    path.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finds_the_deepest_common_folder() {
+        let of = |files: &[&str]| common_folder(&files.iter().map(PathBuf::from).collect());
+        assert_eq!(of(&["/a/b/c.toml"]), Path::new("/a/b"));
+        assert_eq!(of(&["/a/b/c.toml", "/a/bb/d.toml"]), Path::new("/a"));
+        assert_eq!(of(&["/a/b/c.toml", "/a/b/x/d.toml"]), Path::new("/a/b"));
+    }
+
+    #[test]
+    fn rejects_a_folder_with_a_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run");
+        RunFolder::create(Some(&path)).unwrap();
+        fs::write(path.join("run.json"), "{}").unwrap();
+        assert!(matches!(RunFolder::create(Some(&path)), Err(FolderError::AlreadyUsed(_))));
+    }
+
+    #[test]
+    fn hashes_with_sha256() {
+        assert_eq!(sha256(b""), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+    }
+}

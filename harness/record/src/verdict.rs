@@ -1,0 +1,71 @@
+//! Defines verdicts and the causes of inconclusive ones.
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Pass, fail or inconclusive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// Demonstrated.
+    Pass,
+    /// Refuted.
+    Fail,
+    /// Neither; see [`Cause`].
+    Inconclusive,
+}
+
+impl Verdict {
+    /// Combines verdicts: one failure fails all, one inconclusive verdict makes the rest inconclusive, and so does an
+    /// empty list.
+    pub fn combine(verdicts: impl IntoIterator<Item = Self>) -> Self {
+        verdicts
+            .into_iter()
+            .reduce(|a, b| match (a, b) {
+                (Self::Fail, _) | (_, Self::Fail) => Self::Fail,
+                (Self::Pass, Self::Pass) => Self::Pass,
+                _ => Self::Inconclusive,
+            })
+            .unwrap_or(Self::Inconclusive)
+    }
+
+    /// Its name in records.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Pass => "pass",
+            Self::Fail => "fail",
+            Self::Inconclusive => "inconclusive",
+        }
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.pad(self.name())
+    }
+}
+
+/// What made a verdict inconclusive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Cause {
+    /// The link to the controller, or its delay.
+    Rig,
+    /// The bench itself was too late or lost a row.
+    Bench,
+    /// No controller can meet the demand.
+    Infeasible,
+    /// Too few trials for the stated confidence.
+    Evidence,
+}
+
+impl fmt::Display for Cause {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Rig => "rig",
+            Self::Bench => "bench",
+            Self::Infeasible => "infeasible",
+            Self::Evidence => "evidence",
+        })
+    }
+}

@@ -1,0 +1,98 @@
+//! Breaches of the protocol that fail a trial, whatever its expectations are.
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// All breaches of one kind in a trial.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Violation {
+    /// What was breached.
+    pub kind: ViolationKind,
+    /// Time of the first breach, s.
+    pub at_s: f64,
+    /// Number of breaches.
+    pub count: u64,
+    /// The worst commanded value in the kind's unit; `null` if it has none or the value was not finite.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub worst: Option<f64>,
+    /// The limit that the value breached, in the same unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit: Option<f64>,
+}
+
+/// A rule of the protocol.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ViolationKind {
+    /// A drive above the configured limit, Vpp.
+    DriveAboveLimit,
+    /// A drive below 0 Vpp.
+    DriveBelowZero,
+    /// A frequency outside the configured range, Hz from the start frequency.
+    FrequencyOutOfRange,
+    /// A change of frequency above the configured slew, Hz per period.
+    FrequencySlew,
+    /// A reply with a sequence number that the bench has not sent.
+    WrongSequence,
+    /// A second reply to one sample.
+    SecondReply,
+    /// A configuration answered with other gains, or with gains that are not finite.
+    WrongConfiguration,
+    /// A drive above 0 V after the controller confirmed 0 V, Vpp.
+    DriveAfterSafe,
+}
+
+impl ViolationKind {
+    /// The number of kinds.
+    pub const COUNT: usize = 8;
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { kind, at_s, count, worst, limit } = *self;
+        let worst =
+            |unit| worst.map_or_else(|| "a value that is not finite".to_owned(), |value| format!("{value} {unit}"));
+        let limit = limit.unwrap_or(f64::NAN);
+        match kind {
+            ViolationKind::DriveAboveLimit => {
+                write!(formatter, "commanded drive of {} above the limit of {limit} Vpp", worst("Vpp"))
+            }
+            ViolationKind::DriveBelowZero => write!(formatter, "commanded drive of {} below 0", worst("Vpp")),
+            ViolationKind::FrequencyOutOfRange => {
+                write!(formatter, "commanded frequency {} from its start, limit {limit} Hz", worst("Hz"))
+            }
+            ViolationKind::FrequencySlew => {
+                write!(formatter, "commanded frequency changed by {} per period, limit {limit} Hz", worst("Hz"))
+            }
+            ViolationKind::WrongSequence => write!(formatter, "reply with a sequence number that was not sent"),
+            ViolationKind::SecondReply => write!(formatter, "second reply to one sample"),
+            ViolationKind::WrongConfiguration => {
+                write!(formatter, "configuration answered with other gains or gains that are not finite")
+            }
+            ViolationKind::DriveAfterSafe => {
+                write!(formatter, "commanded drive of {} after 0 V was confirmed", worst("Vpp"))
+            }
+        }?;
+        write!(formatter, ", first at {:.1} ms, {count} in total", at_s * 1e3)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn describes_value_limit_and_count() {
+        let violation = Violation {
+            kind: ViolationKind::DriveAboveLimit,
+            at_s: 0.012,
+            count: 3,
+            worst: Some(1_200.0),
+            limit: Some(900.0),
+        };
+        assert_eq!(
+            violation.to_string(),
+            "commanded drive of 1200 Vpp above the limit of 900 Vpp, first at 12.0 ms, 3 in total"
+        );
+    }
+}

@@ -1,0 +1,57 @@
+//! Draws a recording and the response of the plate that was fitted to it.
+
+use super::svg::Role;
+use super::time_chart::{CurvePoint, TimeChart, TimeWindow, padded_range};
+use crate::error::ReportError;
+
+/// Points of a curve that are drawn.
+const MAX_POINTS: usize = 2_000;
+
+/// A recording and its fitted response, both in order of time.
+#[derive(Debug, Clone)]
+pub struct FitChart {
+    /// Title of the drawing.
+    pub title: String,
+    /// Unit of the values.
+    pub unit: &'static str,
+    /// Recorded points, `(ms, value)`.
+    pub measured: Vec<(f64, f64)>,
+    /// Points of the fitted response, `(ms, value)`.
+    pub fitted: Vec<(f64, f64)>,
+}
+
+impl FitChart {
+    /// The drawing as an SVG file.
+    ///
+    /// # Errors
+    /// [`ReportError::Plot`].
+    pub fn svg(&self) -> Result<String, ReportError> {
+        let shorten = |points: &[CurvePoint]| points.iter().take(MAX_POINTS).copied().collect::<Vec<CurvePoint>>();
+        let (measured, fitted) = (shorten(&self.measured), shorten(&self.fitted));
+        let all = || measured.iter().chain(&fitted);
+        let (from_ms, to_ms) =
+            all().fold((f64::MAX, f64::MIN), |(from, to), (t_ms, _)| (from.min(*t_ms), to.max(*t_ms)));
+        let chart = TimeChart {
+            window: TimeWindow { from_ms, to_ms: to_ms.max(from_ms + 1e-6) },
+            range: padded_range(all().map(|point| point.1)),
+            unit: self.unit,
+            spans: Vec::new(),
+            areas: Vec::new(),
+            lines: vec![(Role::Other, measured.clone()), (Role::First, fitted.clone())],
+            marks: Vec::new(),
+        };
+        chart.document(&self.title)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn draws_both_curves() {
+        let (measured, fitted) = (vec![(0.0, 0.0), (1.0, 1.1)], vec![(0.0, 0.0), (1.0, 1.0)]);
+        let svg = FitChart { title: "W".to_owned(), unit: "µm", measured, fitted }.svg().unwrap();
+        assert_eq!((svg.matches("class=\"s-other\"").count(), svg.matches("class=\"s-first\"").count()), (1, 1));
+    }
+}

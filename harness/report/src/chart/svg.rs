@@ -1,0 +1,357 @@
+//! Draws with plotters in CSS pixels and writes SVG whose elements have classes instead of colours.
+//!
+//! Plotters knows colours only. Each [`Role`] therefore draws in a code colour, and the finished SVG has the role's
+//! class in its place: the style sheet decides about light, dark and paper.
+
+use super::colours;
+use crate::error::ReportError;
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use std::error::Error;
+use std::ops::Range;
+
+/// Units of a drawing per CSS pixel at natural size: plotters puts points on whole numbers only.
+pub(crate) const UNITS_PER_PIXEL: i32 = 4;
+
+pub(crate) type DrawArea<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(crate) type DrawResult = Result<(), Box<dyn Error + Send + Sync>>;
+
+/// What an element of a drawing is. The style sheet gives it colour, width and dashes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Role {
+    Text,
+    Title,
+    Grid,
+    Axis,
+    Mark,
+    Shape,
+    First,
+    Second,
+    Exhibit,
+    Other,
+    Setpoint,
+    Band,
+    Spread,
+    SecondSpread,
+    Saturated,
+    Settling,
+    Deadline,
+    Golden,
+    Tube,
+    Trial,
+    Median,
+    Resonance,
+    Overrun,
+    Lost,
+    Boundary,
+    Delay,
+    Measured,
+    /// A series by its number.
+    Series(usize),
+    /// A class of spectral radius by its number.
+    Radius(usize),
+}
+
+/// Colours of series and of classes of spectral radius; a higher number begins again with the first.
+const COLOURS: usize = 10;
+
+const NAMED: [(Role, &str); 27] = [
+    (Role::Text, "text"),
+    (Role::Title, "title"),
+    (Role::Grid, "grid"),
+    (Role::Axis, "axis"),
+    (Role::Mark, "mark"),
+    (Role::Shape, "shape"),
+    (Role::First, "first"),
+    (Role::Second, "second"),
+    (Role::Exhibit, "exhibit"),
+    (Role::Other, "other"),
+    (Role::Setpoint, "setpoint"),
+    (Role::Band, "band"),
+    (Role::Spread, "spread"),
+    (Role::SecondSpread, "second-spread"),
+    (Role::Saturated, "saturated"),
+    (Role::Settling, "settling"),
+    (Role::Deadline, "deadline"),
+    (Role::Golden, "golden"),
+    (Role::Tube, "tube"),
+    (Role::Trial, "trial"),
+    (Role::Median, "median"),
+    (Role::Resonance, "resonance"),
+    (Role::Overrun, "overrun"),
+    (Role::Lost, "lost"),
+    (Role::Boundary, "boundary"),
+    (Role::Delay, "delay"),
+    (Role::Measured, "measured"),
+];
+
+impl Role {
+    /// The class; drawings put `s-` before it for a stroke and `f-` for a filling.
+    pub(crate) fn name(self) -> String {
+        match self {
+            Self::Series(number) => format!("series-{}", number % COLOURS),
+            Self::Radius(number) => format!("radius-{}", number % COLOURS),
+            named => NAMED.iter().find(|(role, _)| *role == named).map_or("", |(_, name)| name).to_owned(),
+        }
+    }
+
+    /// The code colour.
+    pub(crate) fn colour(self) -> RGBColor {
+        match self {
+            Self::Series(number) => RGBColor(1, 1, (number % COLOURS) as u8),
+            Self::Radius(number) => RGBColor(1, 2, (number % COLOURS) as u8),
+            named => RGBColor(1, 0, NAMED.iter().position(|(role, _)| *role == named).unwrap_or(0) as u8),
+        }
+    }
+
+    /// The role behind green and blue of a code colour, four hexadecimal digits.
+    fn from_code(code: &str) -> Option<Self> {
+        let number = usize::from_str_radix(code.get(2..4)?, 16).ok()?;
+        match code.get(..2)? {
+            "01" => Some(Self::Series(number)),
+            "02" => Some(Self::Radius(number)),
+            _ => NAMED.get(number).map(|(role, _)| *role),
+        }
+    }
+}
+
+/// Draws on an area of `size` CSS pixels and returns the elements, for an `svg` element with the view box of [`view_box`].
+///
+/// # Errors
+/// [`ReportError::Plot`].
+pub(crate) fn svg_elements(
+    title: &str,
+    (width, height): (i32, i32),
+    draw: impl FnOnce(&DrawArea<'_>) -> DrawResult,
+) -> Result<String, ReportError> {
+    let mut svg = String::new();
+    let drawn = || {
+        let size = (u32::try_from(width * UNITS_PER_PIXEL)?, u32::try_from(height * UNITS_PER_PIXEL)?);
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        draw(&root)?;
+        root.present()?;
+        Ok(())
+    };
+    drawn().map_err(|source| ReportError::Plot { title: title.to_owned(), source })?;
+    Ok(compact_elements(&svg))
+}
+
+/// Like [`svg_elements`], as a file of its own with a background and the style of light and dark.
+///
+/// # Errors
+/// [`ReportError::Plot`].
+pub(crate) fn svg_document(
+    title: &str,
+    size: (i32, i32),
+    draw: impl FnOnce(&DrawArea<'_>) -> DrawResult,
+) -> Result<String, ReportError> {
+    let body = format!(r#"<rect class="f-card" width="100%" height="100%"/>{}"#, svg_elements(title, size, draw)?);
+    let (width, height) = size;
+    Ok(format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" width=\"{width}\" height=\"{height}\" viewBox=\"{}\">\n\
+         <title>{}</title>\n<style>{}</style>\n{body}\n</svg>\n",
+        view_box(size),
+        title.replace('&', "&amp;").replace('<', "&lt;"),
+        colours::document_style(&body),
+    ))
+}
+
+/// The view box of a drawing of `size` CSS pixels.
+pub(crate) fn view_box((width, height): (i32, i32)) -> String {
+    format!("0 0 {} {}", width * UNITS_PER_PIXEL, height * UNITS_PER_PIXEL)
+}
+
+/// An area that is drawn on in CSS pixels from its upper left corner.
+pub(crate) struct Canvas<'a, 'b>(pub(crate) &'a DrawArea<'b>);
+
+impl Canvas<'_, '_> {
+    pub(crate) fn text(&self, role: Role, side: HPos, at: (i32, i32), text: &str) -> DrawResult {
+        Ok(self.0.draw_text(text, &text_style(role, side), units(at))?)
+    }
+
+    pub(crate) fn line(&self, role: Role, ends: [(i32, i32); 2]) -> DrawResult {
+        Ok(self.0.draw(&PathElement::new(ends.map(units), role.colour()))?)
+    }
+
+    pub(crate) fn rectangle(&self, role: Role, corners: [(i32, i32); 2]) -> DrawResult {
+        Ok(self.0.draw(&Rectangle::new(corners.map(units), role.colour().filled()))?)
+    }
+
+    pub(crate) fn circle(&self, role: Role, at: (i32, i32), radius: f64) -> DrawResult {
+        Ok(self.0.draw(&Circle::new(units(at), length(radius), role.colour().filled()))?)
+    }
+
+    pub(crate) fn ring(&self, role: Role, at: (i32, i32), radius: f64) -> DrawResult {
+        Ok(self.0.draw(&Circle::new(units(at), length(radius), role.colour()))?)
+    }
+
+    pub(crate) fn cross(&self, role: Role, at: (i32, i32), radius: f64) -> DrawResult {
+        Ok(self.0.draw(&Cross::new(units(at), length(radius), role.colour()))?)
+    }
+}
+
+/// A length in CSS pixels in units of the drawing.
+pub(crate) fn length(pixels: f64) -> i32 {
+    (pixels * f64::from(UNITS_PER_PIXEL)).round() as i32
+}
+
+fn units((x, y): (i32, i32)) -> (i32, i32) {
+    (x * UNITS_PER_PIXEL, y * UNITS_PER_PIXEL)
+}
+
+/// Text of 12 px, centred vertically; `side` is the end that lies at the point.
+pub(crate) fn text_style(role: Role, side: HPos) -> TextStyle<'static> {
+    let font = ("sans-serif", f64::from(12 * UNITS_PER_PIXEL)).into_font();
+    let style = TextStyle::from(font).pos(Pos::new(side, VPos::Center));
+    TextStyle { color: role.colour().to_backend_color(), ..style }
+}
+
+/// More items are not drawn to scale.
+const MAX_COUNT: i32 = 20_000;
+
+/// A count as a factor of a length.
+pub(crate) fn count_factor(count: usize) -> i32 {
+    i32::try_from(count).map_or(MAX_COUNT, |count| count.min(MAX_COUNT))
+}
+
+/// The whole decades around the positive finite values.
+pub(crate) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let drawn = values.filter(|value| value.is_finite() && *value > 0.0);
+    let (low, high) = drawn.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
+    if low > high {
+        return 0.1..10.0;
+    }
+    let (from, to) = (low.log10().floor(), high.log10().ceil());
+    10.0_f64.powf(from)..10.0_f64.powf(to.max(from + 1.0))
+}
+
+/// `10⁻³`
+pub(crate) fn format_power_of_ten(value: f64) -> String {
+    // Through a whole number: there is no −0.
+    let digits = (value.log10().round() as i64).to_string();
+    let raised = |digit| match digit {
+        '-' => '⁻',
+        '1' => '¹',
+        '2' => '²',
+        '3' => '³',
+        '0' | '4'..='9' => char::from_u32(0x2070 + u32::from(digit) - u32::from('0')).unwrap_or(digit),
+        other => other,
+    };
+    format!("10{}", digits.chars().map(raised).collect::<String>())
+}
+
+/// The drawing without its outer element, with classes in place of code colours, and short.
+fn compact_elements(svg: &str) -> String {
+    let body = svg.split_once('>').map_or(svg, |(_, rest)| rest).trim_end().trim_end_matches("</svg>");
+    let mut body = body.replace("opacity=\"1\" ", "").replace("stroke-width=\"1\" ", "");
+    for plain in [" stroke=\"none\"", " stroke=\"#000000\"", " stroke-width=\"1\""] {
+        body = body.replace(plain, "");
+    }
+    for (attribute, prefix) in [("stroke", 's'), ("fill", 'f')] {
+        let code = format!("{attribute}=\"#01");
+        let mut parts = body.split(&code);
+        let first = parts.next().unwrap_or_default().to_owned();
+        body = parts.fold(first, |done, part| {
+            let role = part.get(..4).and_then(Role::from_code);
+            let rest = part.get(4..).unwrap_or_default();
+            format!("{done}class=\"{prefix}-{}{rest}", role.map(Role::name).unwrap_or_default())
+        });
+    }
+    body.replace(" \"/>", "\"/>").lines().map(|line| compact_element(line.trim())).collect()
+}
+
+/// Lines and areas as paths of differences, texts without the font that the style sheet gives them.
+fn compact_element(element: &str) -> String {
+    let outline = element.strip_prefix("<polyline fill=\"none\" ").or_else(|| element.strip_prefix("<polygon "));
+    if let Some((before, points)) = outline.and_then(|outline| outline.split_once("points=\""))
+        && let Some((points, _)) = points.split_once('"')
+    {
+        return format!("<path {before}d=\"{}\"/>", path_data(points));
+    }
+    match element.split_once(" font-family=").and_then(|(before, rest)| Some((before, rest.split_once(" class=")?.1))) {
+        Some((before, rest)) => format!("{before} class={rest}"),
+        None => element.to_owned(),
+    }
+}
+
+/// `x,y x,y` as the data of a path.
+fn path_data(points: &str) -> String {
+    let mut before = (0, 0);
+    let mut data = String::new();
+    let pairs = points.split_whitespace().filter_map(|pair| {
+        let (x, y) = pair.split_once(',')?;
+        Some((x.parse::<i64>().ok()?, y.parse::<i64>().ok()?))
+    });
+    for (number, (x, y)) in pairs.enumerate() {
+        let step = (x - before.0, y - before.1);
+        match number {
+            0 => data.push('m'),
+            1 => data.push('l'),
+            _ if step.0 < 0 => {}
+            _ => data.push(' '),
+        }
+        data.push_str(&step.0.to_string());
+        if step.1 >= 0 {
+            data.push(' ');
+        }
+        data.push_str(&step.1.to_string());
+        before = (x, y);
+    }
+    data
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    #[case("264,1023 295,1023 295,187 290,190", "m264 1023l31 0 0-836-5 3")]
+    #[case("7,8", "m7 8")]
+    #[case("", "")]
+    fn points_become_differences(#[case] points: &str, #[case] expected: &str) {
+        assert_eq!(path_data(points), expected);
+    }
+
+    #[test]
+    fn decades_surround_the_positive_values() {
+        assert_eq!(decades([0.0, 3e-3, f64::INFINITY, 20.0].into_iter()), 1e-3..100.0);
+        assert_eq!(decades([1.0].into_iter()), 1.0..10.0);
+        assert_eq!(decades([f64::NAN].into_iter()), 0.1..10.0);
+    }
+
+    #[rstest]
+    #[case(1e-12, "10⁻¹²")]
+    #[case(1e5, "10⁵")]
+    #[case(0.999, "10⁰")]
+    fn writes_powers_of_ten(#[case] value: f64, #[case] expected: &str) {
+        assert_eq!(format_power_of_ten(value), expected);
+    }
+
+    /// Every role comes back from its code colour and has a rule in the style sheet, unless it is drawn by the page's script only.
+    #[test]
+    fn every_role_has_its_own_class() {
+        let numbered = (0..COLOURS).flat_map(|number| [Role::Series(number), Role::Radius(number)]);
+        for role in NAMED.iter().map(|(role, _)| *role).chain(numbered) {
+            let RGBColor(_, green, blue) = role.colour();
+            assert_eq!(Role::from_code(&format!("{green:02X}{blue:02X}")), Some(role));
+            let name = role.name();
+            let styled =
+                [format!(".s-{name} "), format!(".f-{name} ")].iter().any(|rule| colours::RULES.contains(rule));
+            assert!(styled || role == Role::Trial, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_document_has_classes_and_the_rules_of_its_classes() {
+        let svg = svg_document("a < b", (40, 20), |root| {
+            let canvas = Canvas(root);
+            canvas.text(Role::Title, HPos::Left, (2, 10), "1 < 2")?;
+            canvas.line(Role::Series(11), [(0, 0), (40, 20)])?;
+            canvas.ring(Role::Series(1), (20, 10), 2.5)?;
+            canvas.circle(Role::Shape, (20, 10), 2.5)
+        });
+        insta::assert_snapshot!(svg.unwrap());
+    }
+}

@@ -1,0 +1,304 @@
+//! Formats numbers, limits, verdicts and counts, without layout or markup.
+
+use platebench_record::{ExpectationRecord, Limit, Metric, Reason, RunRecord, Statistic, TrialFinding, Verdict};
+use platebench_verdict::tube::{Exceedance, TubeSignal};
+use std::fmt;
+
+/// Number of items per verdict.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct VerdictCounts {
+    pub(crate) passed: usize,
+    pub(crate) failed: usize,
+    pub(crate) inconclusive: usize,
+}
+
+impl VerdictCounts {
+    /// Counts scenarios.
+    pub(crate) fn of_scenarios(record: &RunRecord) -> Self {
+        record.scenarios.iter().map(|scenario| scenario.verdict).collect()
+    }
+
+    /// Counts expectations.
+    pub(crate) fn of_expectations(record: &RunRecord) -> Self {
+        let expectations = record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
+        expectations.map(|expectation| expectation.verdict).collect()
+    }
+
+    pub(crate) fn total(self) -> usize {
+        self.passed + self.failed + self.inconclusive
+    }
+}
+
+impl FromIterator<Verdict> for VerdictCounts {
+    fn from_iter<I: IntoIterator<Item = Verdict>>(verdicts: I) -> Self {
+        verdicts.into_iter().fold(Self::default(), |mut counts, verdict| {
+            match verdict {
+                Verdict::Pass => counts.passed += 1,
+                Verdict::Fail => counts.failed += 1,
+                Verdict::Inconclusive => counts.inconclusive += 1,
+            }
+            counts
+        })
+    }
+}
+
+impl fmt::Display for VerdictCounts {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{} passed, {} failed, {} inconclusive", self.passed, self.failed, self.inconclusive)
+    }
+}
+
+/// Settings that the command line or the environment overrides: `law = dq-pi, trials = 1`.
+pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
+    let overrides = &record.overrides;
+    let changed = [
+        ("law", overrides.law.clone()),
+        ("model", overrides.model.clone()),
+        ("trials", overrides.trials.map(|trials| trials.to_string())),
+        ("seed", overrides.seed.map(|seed| seed.to_string())),
+    ];
+    let changed: Vec<_> =
+        changed.into_iter().filter_map(|(name, value)| Some(format!("{name} = {}", value?))).collect();
+    (!changed.is_empty()).then(|| changed.join(", "))
+}
+
+/// `1 trial`, `30 trials`.
+pub(crate) fn count(number: usize, one: &str) -> String {
+    if number == 1 { format!("1 {one}") } else { format!("{number} {one}s") }
+}
+
+/// A sign that distinguishes verdicts without colour.
+pub const fn sign(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Pass => "✓",
+        Verdict::Fail => "✗",
+        Verdict::Inconclusive => "?",
+    }
+}
+
+/// The verdict with its cause: `inconclusive: rig`.
+pub(crate) fn verdict(expectation: &ExpectationRecord) -> String {
+    match expectation.cause {
+        Some(cause) if expectation.verdict == Verdict::Inconclusive => format!("{}: {cause}", expectation.verdict),
+        _ => expectation.verdict.to_string(),
+    }
+}
+
+/// A number with four significant digits, without trailing zeros.
+pub(crate) fn number(value: f64) -> String {
+    significant_digits(value, 4)
+}
+
+/// The size of a change: two significant digits below 10, else three.
+pub(crate) fn percent(value: f64) -> String {
+    significant_digits(value.abs(), if value.abs() < 10.0 { 2 } else { 3 })
+}
+
+fn significant_digits(value: f64, significant: i32) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    let magnitude = value.abs().log10().floor() as i32;
+    if !(-3..=9).contains(&magnitude) {
+        let text = format!("{value:.*e}", usize::try_from(significant - 1).unwrap_or(0));
+        return match text.split_once('e') {
+            Some((mantissa, exponent)) => format!("{}e{exponent}", trim_zeros(mantissa)),
+            None => text,
+        };
+    }
+    let decimals = usize::try_from(significant - 1 - magnitude).unwrap_or(0);
+    trim_zeros(&format!("{value:.decimals$}")).to_owned()
+}
+
+fn trim_zeros(text: &str) -> &str {
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { text }
+}
+
+/// The value, with enough digits to lie on the correct side of its limit.
+pub fn value(expectation: &ExpectationRecord) -> Option<String> {
+    let value = expectation.value?;
+    let ends = match expectation.limit {
+        Limit::AtMost(limit) | Limit::AtLeast(limit) | Limit::About(limit) => [limit; 2],
+        Limit::Within(low, high) => [low, high],
+    };
+    let same_side = |text: &str| {
+        let rounded: f64 = text.parse().unwrap_or(f64::NAN);
+        ends.iter().all(|end| rounded.partial_cmp(end) == value.partial_cmp(end))
+    };
+    (4..=12)
+        .map(|significant| significant_digits(value, significant))
+        .find(|text| same_side(text))
+        .or_else(|| Some(number(value)))
+}
+
+/// The limit: `≤ 2`, `≥ 2`, `1 … 2` or `≈ 2`.
+pub fn limit(expectation: &ExpectationRecord) -> String {
+    match expectation.limit {
+        Limit::AtMost(value) => format!("≤ {}", number(value)),
+        Limit::AtLeast(value) => format!("≥ {}", number(value)),
+        Limit::About(value) => format!("≈ {}", number(value)),
+        Limit::Within(low, high) => format!("{} … {}", number(low), number(high)),
+    }
+}
+
+/// The value that decided, or `never` if the event that a metric times did not happen.
+pub(crate) fn value_or_not_reached(expectation: &ExpectationRecord) -> Option<String> {
+    let is_time = unit(expectation.metric) == "ms";
+    let missing = match &expectation.reason {
+        Some(Reason::Trial { finding: TrialFinding::Missing(missing), .. }) => Some(missing),
+        _ => None,
+    };
+    let never = is_time && missing.is_some_and(|missing| missing.is_not_reached());
+    value(expectation).or_else(|| never.then(|| "never".to_owned()))
+}
+
+/// The reason without the value and the limit, which the report shows next to it.
+pub(crate) fn remaining_reason(expectation: &ExpectationRecord) -> Option<String> {
+    match expectation.reason.as_ref()? {
+        Reason::Trial { divergence: None, finding: TrialFinding::Outside { .. }, ended: None, .. } => None,
+        Reason::Trial { trial, divergence: Some(divergence), finding: TrialFinding::Outside { .. }, ended: None } => {
+            Some(format!("trial {trial}: {divergence}"))
+        }
+        Reason::Trial { trial, divergence, finding: TrialFinding::IntervalOutside { bounds, .. }, ended: None } => {
+            let divergence = divergence.map_or_else(String::new, |divergence| format!("{divergence}: "));
+            Some(format!("trial {trial}: {divergence}{bounds}"))
+        }
+        other => Some(other.to_string()),
+    }
+}
+
+/// How the value follows from the trials' values.
+pub(crate) fn statistic(expectation: &ExpectationRecord) -> String {
+    let name = match (expectation.statistic, expectation.evidence.quantile) {
+        (Statistic::Worst, _) => "worst trial",
+        (Statistic::Mean, _) => "mean of trials",
+        (Statistic::Deviation, _) => "deviation over trials",
+        (Statistic::Quantile, Some(share)) => return format!("{} % quantile", number(share * 100.0)),
+        (Statistic::Quantile, None) => "quantile of trials",
+    };
+    name.to_owned()
+}
+
+/// `1.9 … 1.96 (95 %)`. The range of worst and best trial has no confidence.
+pub(crate) fn interval(expectation: &ExpectationRecord) -> Option<String> {
+    let [low, high] = expectation.interval?;
+    let confidence = expectation
+        .confidence
+        .filter(|_| expectation.statistic != Statistic::Worst)
+        .map(|confidence| format!(" ({} %)", number(confidence * 100.0)));
+    Some(format!("{} … {}{}", number(low), number(high), confidence.unwrap_or_default()))
+}
+
+/// The evidence of the record, and the look at which it was judged.
+pub(crate) fn evidence(expectation: &ExpectationRecord) -> Option<String> {
+    let evidence = &expectation.evidence;
+    let look = evidence.look.map(|[number, of]| format!("judged at look {number} of {of}"));
+    let parts: Vec<String> = evidence.says.iter().cloned().chain(look).collect();
+    (!parts.is_empty()).then(|| parts.join("; "))
+}
+
+/// The place where a trial is farthest outside its tolerance tube.
+pub fn exceedance(trial: u32, worst: &Exceedance) -> String {
+    let unit = TubeSignal::from_name(&worst.signal).map_or("", |signal| signal.unit);
+    format!(
+        "trial {trial}: {} is {} {unit} at {} ms, {} {unit} outside ± {} {unit} around {} {unit}",
+        worst.signal,
+        number(worst.value),
+        number(worst.t_ms),
+        number(worst.distance),
+        number(worst.allowed),
+        number(worst.golden)
+    )
+}
+
+/// The unit from the end of a metric's name; empty for a ratio or a count.
+pub fn unit(metric: Metric) -> &'static str {
+    match metric.name().rsplit_once('_').map(|(_, last)| last) {
+        Some("ms") => "ms",
+        Some("us") => "µs",
+        Some("percent") => "%",
+        Some("hz") => "Hz",
+        Some("um") => "µm",
+        Some("vpp") => "Vpp",
+        _ => "",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_record::{Bounds, Divergence, Evidence, MetricDefinition, MissingValue};
+    use rstest::rstest;
+
+    #[rstest]
+    #[case(0.0, "0")]
+    #[case(2.0, "2")]
+    #[case(1.948_71, "1.949")]
+    #[case(32_307.61, "32308")]
+    #[case(540.0, "540")]
+    #[case(-0.001_234_56, "-0.001235")]
+    #[case(0.000_012_3, "1.23e-5")]
+    #[case(1e-12, "1e-12")]
+    fn numbers_are_short(#[case] value: f64, #[case] expected: &str) {
+        assert_eq!(number(value), expected);
+    }
+
+    fn failed_settling_time() -> ExpectationRecord {
+        ExpectationRecord {
+            name: String::new(),
+            windows_ms: Vec::new(),
+            metric: Metric::SettlingTime,
+            verdict: Verdict::Fail,
+            value: Some(2.000_04),
+            statistic: Statistic::Worst,
+            limit: Limit::AtMost(2.0),
+            interval: None,
+            confidence: None,
+            cause: None,
+            reason: None,
+            paper: None,
+            requirement: None,
+            definition: MetricDefinition::default(),
+            evidence: Evidence::default(),
+        }
+    }
+
+    #[test]
+    fn a_value_never_rounds_onto_its_limit() {
+        let mut expectation = failed_settling_time();
+        assert_eq!(value(&expectation).unwrap(), "2.00004");
+        expectation.value = Some(2.0);
+        assert_eq!(value(&expectation).unwrap(), "2");
+    }
+
+    const OUTSIDE: TrialFinding = TrialFinding::Outside { value: Some(5.632), limit: Limit::AtMost(2.0) };
+    const INTERVAL_OUTSIDE: TrialFinding = TrialFinding::IntervalOutside {
+        bounds: Bounds { low: Some(5.6), high: Some(5.632) },
+        limit: Limit::AtMost(2.0),
+    };
+    const DIVERGED: Option<Divergence> = Some(Divergence { at_s: 0.0125, is_non_finite: false });
+
+    #[rstest]
+    #[case(OUTSIDE, None, None)]
+    #[case(INTERVAL_OUTSIDE, None, Some("trial 1: between 5.6000 and 5.6320"))]
+    #[case(OUTSIDE, DIVERGED, Some("trial 1: diverged at t = 12.5 ms"))]
+    #[case(TrialFinding::Missing(MissingValue::NeverSettles), None, Some("trial 1: never stays inside the band"))]
+    fn the_remaining_reason_omits_value_and_limit(
+        #[case] finding: TrialFinding,
+        #[case] divergence: Option<Divergence>,
+        #[case] expected: Option<&str>,
+    ) {
+        let reason = Some(Reason::Trial { trial: 1, divergence, finding, ended: None });
+        let expectation = ExpectationRecord { reason, ..failed_settling_time() };
+        assert_eq!(remaining_reason(&expectation).as_deref(), expected);
+    }
+
+    #[rstest]
+    #[case(Metric::SettlingTime, "ms")]
+    #[case(Metric::StaticError, "%")]
+    #[case(Metric::Overruns, "")]
+    #[case(Metric::QuadratureRatio, "")]
+    fn a_metric_names_its_unit(#[case] metric: Metric, #[case] expected: &str) {
+        assert_eq!(unit(metric), expected);
+    }
+}

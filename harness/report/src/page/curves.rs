@@ -1,0 +1,187 @@
+//! Reads signals, flagged windows and setpoint steps from the rows of a trace.
+
+use crate::chart::time_chart::{CurvePoint, TimeWindow};
+use platebench_trace::{Flags, Row};
+use platebench_verdict::metrics::setpoint_steps;
+
+/// A signal that figures show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum PlotSignal {
+    Amplitude,
+    InPhase,
+    Quadrature,
+    Setpoint,
+    Drive,
+    Frequency,
+    Resonance,
+    Force,
+    Temperature,
+}
+
+impl PlotSignal {
+    pub(crate) const ALL: [Self; 9] = [
+        Self::Amplitude,
+        Self::InPhase,
+        Self::Quadrature,
+        Self::Setpoint,
+        Self::Drive,
+        Self::Frequency,
+        Self::Resonance,
+        Self::Force,
+        Self::Temperature,
+    ];
+
+    fn value_in(self, row: &Row) -> f64 {
+        match self {
+            Self::Amplitude => row.amplitude_um,
+            Self::InPhase => row.wd_um,
+            Self::Quadrature => row.wq_um,
+            Self::Setpoint => row.setpoint_um,
+            Self::Drive => row.drive_vpp,
+            Self::Frequency => row.frequency_hz,
+            Self::Resonance => row.resonance_hz,
+            Self::Force => row.finger_force_n,
+            Self::Temperature => row.temperature_offset_k,
+        }
+    }
+
+    /// Applied values hold until the next row; the plate moves between rows.
+    pub(crate) fn is_zero_order_hold(self) -> bool {
+        matches!(self, Self::Setpoint | Self::Drive | Self::Frequency)
+    }
+}
+
+fn row_ms(row: &Row) -> f64 {
+    row.t_s * 1e3
+}
+
+/// The signal at the rows after `from_ms` up to and including `to_ms`.
+pub(crate) fn points_between(
+    rows: &[Row],
+    signal: PlotSignal,
+    from_ms: f64,
+    to_ms: f64,
+) -> impl Iterator<Item = CurvePoint> {
+    let start = rows.partition_point(|row| row_ms(row) <= from_ms);
+    let end = rows.partition_point(|row| row_ms(row) <= to_ms);
+    let between = rows.get(start..end).unwrap_or_default();
+    between.iter().map(move |row| (row_ms(row), signal.value_in(row)))
+}
+
+/// The signal at an instant; `None` outside the trace.
+pub(crate) fn value_at(rows: &[Row], signal: PlotSignal, at_ms: f64) -> Option<f64> {
+    let next = rows.partition_point(|row| row_ms(row) <= at_ms);
+    let before = rows.get(next.checked_sub(1)?)?;
+    let Some(after) = rows.get(next) else { return (row_ms(before) == at_ms).then(|| signal.value_in(before)) };
+    if signal.is_zero_order_hold() {
+        return Some(signal.value_in(before));
+    }
+    let share = (at_ms - row_ms(before)) / (row_ms(after) - row_ms(before));
+    Some(signal.value_in(before) + (signal.value_in(after) - signal.value_in(before)) * share)
+}
+
+/// A line of the signal at an instant; `None` outside the line.
+pub(crate) fn interpolate(points: &[CurvePoint], signal: PlotSignal, at_ms: f64) -> Option<f64> {
+    let next = points.partition_point(|point| point.0 <= at_ms);
+    let (before, after) = (points.get(next.checked_sub(1)?)?, points.get(next));
+    let Some(after) = after else { return (before.0 == at_ms).then_some(before.1) };
+    if signal.is_zero_order_hold() {
+        return Some(before.1);
+    }
+    Some(before.1 + (after.1 - before.1) * (at_ms - before.0) / (after.0 - before.0))
+}
+
+/// The windows in which one of `flags` is set, for example a saturated drive or a lost link.
+pub(crate) fn flagged_windows(rows: &[Row], flags: Flags) -> Vec<TimeWindow> {
+    let mut windows: Vec<TimeWindow> = Vec::new();
+    for pair in rows.windows(2) {
+        let [row, next] = pair else { continue };
+        let (from_ms, to_ms) = (row_ms(row), row_ms(next));
+        if row.flags.intersects(flags) && from_ms < to_ms {
+            windows.push(TimeWindow { from_ms, to_ms });
+        }
+    }
+    merge_windows(windows)
+}
+
+/// Control instants at which the bench was late, ms.
+pub(crate) fn overrun_instants(rows: &[Row]) -> impl Iterator<Item = f64> {
+    rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN)).map(row_ms)
+}
+
+/// Joins windows that touch or overlap.
+pub(crate) fn merge_windows(mut windows: Vec<TimeWindow>) -> Vec<TimeWindow> {
+    windows.sort_by(|a, b| a.from_ms.total_cmp(&b.from_ms));
+    let mut result: Vec<TimeWindow> = Vec::new();
+    for window in windows {
+        match result.last_mut() {
+            Some(last) if window.from_ms <= last.to_ms => last.to_ms = last.to_ms.max(window.to_ms),
+            _ => result.push(window),
+        }
+    }
+    result
+}
+
+/// The instants at which the setpoint starts to change, as the judge defines them, ms.
+pub(crate) fn setpoint_steps_ms(rows: &[Row]) -> Vec<f64> {
+    setpoint_steps(rows).into_iter().filter_map(|step| rows.get(step).map(row_ms)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows(values: &[(f64, f64)]) -> Vec<Row> {
+        let row = |&(t_ms, value): &(f64, f64)| Row {
+            t_s: t_ms / 1e3,
+            amplitude_um: value,
+            drive_vpp: value,
+            setpoint_um: value,
+            ..Row::default()
+        };
+        values.iter().map(row).collect()
+    }
+
+    #[test]
+    fn interpolates_the_plate_and_holds_the_drive() {
+        let rows = rows(&[(0.0, 0.0), (2.0, 4.0), (4.0, 4.0)]);
+        assert_eq!(value_at(&rows, PlotSignal::Amplitude, 1.0), Some(2.0));
+        assert_eq!(value_at(&rows, PlotSignal::Drive, 1.0), Some(0.0));
+        assert_eq!(value_at(&rows, PlotSignal::Drive, 4.5), None);
+    }
+
+    #[test]
+    fn interpolates_lines_like_their_signal() {
+        let points = [(0.0, 0.0), (2.0, 4.0)];
+        let at = |signal, at_ms| interpolate(&points, signal, at_ms);
+        assert_eq!((at(PlotSignal::Amplitude, 1.0), at(PlotSignal::Drive, 1.0)), (Some(2.0), Some(0.0)));
+        assert_eq!(
+            (at(PlotSignal::Drive, 2.0), at(PlotSignal::Drive, 2.1), at(PlotSignal::Drive, -0.1)),
+            (Some(4.0), None, None)
+        );
+    }
+
+    #[test]
+    fn a_ramp_is_one_step() {
+        let steps = setpoint_steps_ms(&rows(&[
+            (0.0, 0.0),
+            (1.0, 0.0),
+            (1.0, 2.0),
+            (2.0, 2.0),
+            (3.0, 2.5),
+            (3.5, 3.0),
+            (4.0, 3.0),
+        ]));
+        // A ramp begins at the row before the first change.
+        assert_eq!(steps, [1.0, 2.0]);
+        assert_eq!(setpoint_steps_ms(&rows(&[(0.0, 2.0), (1.0, 2.0)])), [0.0]);
+    }
+
+    #[test]
+    fn saturation_lasts_until_the_next_row() {
+        let mut rows = rows(&[(0.0, 1.0), (1.0, 1.0), (2.0, 1.0), (3.0, 1.0)]);
+        rows[1].flags = Flags::SATURATED | Flags::CONTROL;
+        rows[2].flags = Flags::SATURATED;
+        assert_eq!(flagged_windows(&rows, Flags::SATURATED), [TimeWindow { from_ms: 1.0, to_ms: 3.0 }]);
+    }
+}

@@ -1,0 +1,88 @@
+//! Writes the small parts of pages: badges, links, tables.
+
+use crate::format;
+use crate::text::Table;
+use maud::{Markup, html};
+use platebench_record::{RunRecord, ScenarioRecord, Verdict};
+use std::fmt::Write as _;
+
+/// The verdict with its sign.
+pub fn verdict_badge(verdict: Verdict, text: &str) -> Markup {
+    html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (format::sign(verdict)) } " " (text) } }
+}
+
+/// The id of a scenario's section.
+pub(super) fn scenario_anchor(index: usize) -> String {
+    format!("scenario-{index}")
+}
+
+/// Scenarios with their index in the record: failed, inconclusive, passed, each in the order of the record.
+pub(super) fn sorted_by_verdict(record: &RunRecord) -> Vec<(usize, &ScenarioRecord)> {
+    let mut scenarios: Vec<_> = record.scenarios.iter().enumerate().collect();
+    scenarios.sort_by_key(|(_, scenario)| match scenario.verdict {
+        Verdict::Fail => 0,
+        Verdict::Inconclusive => 1,
+        Verdict::Pass => 2,
+    });
+    scenarios
+}
+
+/// A link to a file of the run folder.
+pub(super) fn file_link(path: &str) -> Markup {
+    html! { @if !path.is_empty() { a href={ "./" (percent_encode_path(path)) } { (path) } } }
+}
+
+/// A relative path as a URL without scheme, query and fragment.
+fn percent_encode_path(path: &str) -> String {
+    path.bytes().fold(String::with_capacity(path.len()), |mut url, byte| {
+        if byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte) {
+            url.push(char::from(byte));
+        } else {
+            // Writing into a string does not fail.
+            let _ = write!(url, "%{byte:02X}");
+        }
+        url
+    })
+}
+
+/// Several names, the first ones in full.
+pub(super) const MAX_NAMED: usize = 5;
+
+/// A table that scrolls sideways, with `rows` below its header; a column that starts with `#` holds numbers.
+pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Markup) -> Markup {
+    html! {
+        div.scroll role="group" aria-label=(label) tabindex="0" {
+            table class=(class) {
+                thead { tr {
+                    @for column in columns {
+                        @match column.strip_prefix('#') {
+                            Some(name) => th.number scope="col" { (name) },
+                            None => th scope="col" { (column) },
+                        }
+                    }
+                } }
+                tbody { (rows) }
+            }
+        }
+    }
+}
+
+/// A table of plain texts.
+pub(super) fn text_table(table: &Table) -> Markup {
+    html! {
+        div.scroll {
+            table {
+                thead { tr { @for cell in &table.header { th scope="col" { (cell) } } } }
+                tbody { @for row in &table.rows { tr { @for cell in row { td { (cell) } } } } }
+            }
+        }
+    }
+}
+
+/// A value with its unit; a dash without a value.
+pub(super) fn with_unit(text: Option<String>, unit: &str) -> Markup {
+    html! { @match text {
+        Some(text) => span { (text) @if !unit.is_empty() { " " span.unit { (unit) } } },
+        None => { span.nothing { "–" } },
+    } }
+}

@@ -1,0 +1,205 @@
+//! Describes a figure once; the page's script and the SVG drawings show the same figures.
+
+use crate::chart::svg::Role;
+use crate::chart::time_chart::{CurvePoint, Mark, TimeChart, TimeWindow};
+
+/// Values at the instants of a scenario's grid.
+pub(crate) type SampledLine = Vec<Option<f64>>;
+
+/// Curves with one axis.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Figure {
+    pub(crate) title: &'static str,
+    pub(crate) unit: &'static str,
+    /// Whether the axis begins at zero.
+    pub(crate) from_zero: bool,
+    /// Least span of the axis.
+    pub(crate) min_span: f64,
+    /// From the back to the front.
+    pub(crate) layers: Vec<Layer>,
+}
+
+/// What is switched on and off together and has one entry in the legend.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Layer {
+    pub(crate) role: Role,
+    pub(crate) text: String,
+    pub(crate) content: Content,
+}
+
+/// The content of a layer.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Content {
+    /// Lines, stepped for a signal that holds its value.
+    Lines { is_stepped: bool, lines: Vec<SampledLine> },
+    /// The area between two lines.
+    Area { is_stepped: bool, upper: SampledLine, lower: SampledLine },
+    /// Parts of the time.
+    Spans(Vec<TimeWindow>),
+    /// Instants in ms, with an optional text next to the line.
+    Marks(Vec<(f64, Option<String>)>),
+}
+
+impl Layer {
+    /// Whether the legend shows an area.
+    pub(crate) fn is_area(&self) -> bool {
+        matches!(self.content, Content::Area { .. } | Content::Spans(_))
+    }
+
+    /// Whether an SVG drawing shows it: lines of all trials would make the page too large.
+    pub(crate) fn is_drawn(&self) -> bool {
+        self.role != Role::Trial
+    }
+}
+
+impl Figure {
+    pub(crate) fn new(title: &'static str, unit: &'static str, from_zero: bool, min_span: f64) -> Self {
+        Self { title, unit, from_zero, min_span, layers: Vec::new() }
+    }
+
+    /// Adds lines, spans, marks or an area unless there is nothing in them.
+    pub(crate) fn add(&mut self, role: Role, text: impl Into<String>, content: Content) {
+        let has_values = |line: &SampledLine| line.iter().any(Option::is_some);
+        let is_empty = match &content {
+            Content::Lines { lines, .. } => !lines.iter().any(has_values),
+            Content::Area { upper, .. } => !has_values(upper),
+            Content::Spans(spans) => spans.is_empty(),
+            Content::Marks(marks) => marks.is_empty(),
+        };
+        if !is_empty {
+            self.layers.push(Layer { role, text: text.into(), content });
+        }
+    }
+
+    /// The figure in a window, with lines of at most some `limit` points; `t_ms` are the instants of the grid.
+    pub(crate) fn chart(&self, t_ms: &[f64], window: TimeWindow, limit: usize) -> TimeChart {
+        let points = |line: &SampledLine, is_stepped| line_points(t_ms, line, is_stepped, window, limit);
+        let mut chart = TimeChart {
+            window,
+            range: (0.0, 1.0),
+            unit: self.unit,
+            spans: Vec::new(),
+            areas: Vec::new(),
+            lines: Vec::new(),
+            marks: Vec::new(),
+        };
+        for layer in self.layers.iter().filter(|layer| layer.is_drawn()) {
+            match &layer.content {
+                Content::Lines { is_stepped, lines } => {
+                    chart.lines.extend(lines.iter().map(|line| (layer.role, points(line, *is_stepped))));
+                }
+                Content::Area { is_stepped, upper, lower } => {
+                    chart.areas.push((layer.role, [points(upper, *is_stepped), points(lower, *is_stepped)]));
+                }
+                Content::Spans(spans) => chart.spans.extend(spans.iter().filter_map(|span| {
+                    let (from_ms, to_ms) = (span.from_ms.max(window.from_ms), span.to_ms.min(window.to_ms));
+                    (from_ms < to_ms).then_some((layer.role, TimeWindow { from_ms, to_ms }))
+                })),
+                Content::Marks(marks) => {
+                    let inside = marks.iter().filter(|(at_ms, _)| window.contains(*at_ms));
+                    chart.marks.extend(inside.cloned().map(|(at_ms, text)| Mark { role: layer.role, at_ms, text }));
+                }
+            }
+        }
+        chart.range = self.axis_range(&chart);
+        chart
+    }
+
+    /// The range of all values with a margin, at least as wide as the least span.
+    fn axis_range(&self, chart: &TimeChart) -> (f64, f64) {
+        let edges = chart.areas.iter().flat_map(|(_, edges)| edges).flatten();
+        let values = chart.lines.iter().flat_map(|(_, points)| points).chain(edges).map(|point| point.1);
+        let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+        let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
+        let (low, high) = if self.from_zero { (low.min(0.0), high.max(0.0)) } else { (low, high) };
+        let span = (high - low).max(self.min_span);
+        let centred = if self.from_zero { 0.0 } else { (span - (high - low)) / 2.0 };
+        let bottom = if self.from_zero && low >= 0.0 { 0.0 } else { low - centred - 0.06 * span };
+        (bottom, low - centred + span * 1.08)
+    }
+}
+
+/// The known values within the window as points, with corners if stepped.
+fn line_points(
+    t_ms: &[f64],
+    line: &SampledLine,
+    is_stepped: bool,
+    window: TimeWindow,
+    limit: usize,
+) -> Vec<CurvePoint> {
+    let known = t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
+    let mut points: Vec<CurvePoint> = Vec::new();
+    for point in known.filter(|point| window.contains(point.0)) {
+        match points.last() {
+            Some((_, before)) if is_stepped && *before != point.1 => points.push((point.0, *before)),
+            _ => {}
+        }
+        points.push(point);
+    }
+    decimate(&points, window, limit)
+}
+
+/// The lowest and the highest point of each of `limit / 2` parts of the window, in order of time, and both ends.
+fn decimate(points: &[CurvePoint], window: TimeWindow, limit: usize) -> Vec<CurvePoint> {
+    if points.len() <= limit {
+        return points.to_vec();
+    }
+    let buckets = (limit / 2).max(1) as f64;
+    let bucket = |point: &CurvePoint| ((point.0 - window.from_ms) / window.span_ms() * buckets).floor();
+    let mut kept: Vec<CurvePoint> = points.first().copied().into_iter().collect();
+    for part in points.chunk_by(|a, b| bucket(a) == bucket(b)) {
+        let by_value = |a: &&CurvePoint, b: &&CurvePoint| a.1.total_cmp(&b.1);
+        let extremes = [part.iter().min_by(by_value), part.iter().max_by(by_value)];
+        let mut extremes: Vec<CurvePoint> = extremes.into_iter().flatten().copied().collect();
+        extremes.sort_by(|a, b| a.0.total_cmp(&b.0));
+        kept.extend(extremes);
+    }
+    kept.extend(points.last());
+    kept.dedup();
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WINDOW: TimeWindow = TimeWindow { from_ms: 0.0, to_ms: 4.0 };
+
+    #[test]
+    fn decimation_keeps_a_single_peak() {
+        let mut many: Vec<CurvePoint> = (0..60_000).map(|n| (f64::from(n) * 4.0 / 60_000.0, 1.0)).collect();
+        many[31_234].1 = 9.0;
+        let thinned = decimate(&many, WINDOW, 400);
+        assert!(thinned.len() <= 402, "{}", thinned.len());
+        assert!(thinned.contains(&many[31_234]));
+        assert!(thinned.is_sorted_by(|a, b| a.0 <= b.0));
+    }
+
+    #[test]
+    fn a_stepped_line_has_corners() {
+        let t_ms = [0.0, 1.0, 2.0, 5.0];
+        let line = vec![Some(0.0), None, Some(4.0), Some(9.0)];
+        assert_eq!(line_points(&t_ms, &line, true, WINDOW, 10), [(0.0, 0.0), (2.0, 0.0), (2.0, 4.0)]);
+        assert_eq!(line_points(&t_ms, &line, false, WINDOW, 10), [(0.0, 0.0), (2.0, 4.0)]);
+    }
+
+    #[test]
+    fn draws_layers_within_the_window() {
+        let mut figure = Figure::new("Drive", "Vpp", true, 10.0);
+        let line = || vec![Some(2.0), Some(4.0), Some(100.0)];
+        figure.add(Role::First, "trial 0", Content::Lines { is_stepped: false, lines: vec![line()] });
+        figure.add(Role::Trial, "1 more trial", Content::Lines { is_stepped: false, lines: vec![line()] });
+        figure.add(Role::Other, "empty", Content::Lines { is_stepped: false, lines: vec![vec![None; 3]] });
+        figure.add(Role::Saturated, "saturated", Content::Spans(vec![TimeWindow { from_ms: 3.0, to_ms: 9.0 }]));
+        figure.add(Role::Settling, "settled", Content::Marks(vec![(2.0, None), (8.0, None)]));
+        assert_eq!(
+            figure.layers.iter().map(|layer| layer.role).collect::<Vec<_>>(),
+            [Role::First, Role::Trial, Role::Saturated, Role::Settling]
+        );
+        let chart = figure.chart(&[0.0, 1.0, 8.0], WINDOW, 10);
+        assert_eq!(chart.lines, [(Role::First, vec![(0.0, 2.0), (1.0, 4.0)])]);
+        assert_eq!(chart.spans, [(Role::Saturated, TimeWindow { from_ms: 3.0, to_ms: 4.0 })]);
+        assert_eq!(chart.marks.iter().map(|mark| mark.at_ms).collect::<Vec<_>>(), [2.0]);
+        assert_eq!(chart.range, (0.0, 10.8));
+    }
+}

@@ -1,0 +1,55 @@
+//! Samples the accepted response of a scenario and its tolerance tube at the instants of its figures.
+
+use super::curves::PlotSignal;
+use super::grid::TimeGrid;
+use platebench_verdict::golden::{Baseline, BaselineError};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Golden curves with their tubes.
+#[derive(Debug, Clone)]
+pub(crate) struct GoldenCurves {
+    /// Name in legends.
+    pub(crate) text: String,
+    tubes: BTreeMap<PlotSignal, SampledTube>,
+}
+
+/// A golden curve with the lower and the upper edge of its tube.
+#[derive(Debug, Clone)]
+pub(crate) struct SampledTube {
+    pub(crate) line: Vec<Option<f64>>,
+    pub(crate) edges: [Vec<Option<f64>>; 2],
+}
+
+impl GoldenCurves {
+    /// The baseline of the scenario in `file`; `None` if none was accepted.
+    ///
+    /// # Errors
+    /// [`BaselineError`] if the file is not a baseline.
+    pub(crate) fn read(folder: &Path, file: &str, grid: &TimeGrid) -> Result<Option<Self>, BaselineError> {
+        Ok(Baseline::read(folder, file)?.map(|accepted| Self::from_baseline(&accepted, grid)))
+    }
+
+    fn from_baseline(accepted: &Baseline, grid: &TimeGrid) -> Self {
+        let signals = [
+            ("amplitude_um", PlotSignal::Amplitude),
+            ("drive_vpp", PlotSignal::Drive),
+            ("frequency_hz", PlotSignal::Frequency),
+        ];
+        let tubes = accepted.golden.tubes.iter().filter_map(|tube| {
+            let (_, signal) = signals.iter().find(|(name, _)| *name == tube.signal)?;
+            let (from_ms, to_ms) = tube.span_ms();
+            let inside = |t_ms: &f64| (from_ms..=to_ms).contains(t_ms).then_some(*t_ms);
+            let sampled = |value: &dyn Fn(f64) -> f64| grid.t_ms.iter().map(|t_ms| inside(t_ms).map(value)).collect();
+            let [lower, upper]: [fn([f64; 2]) -> f64; 2] = [|[low, _]| low, |[_, high]| high];
+            let edges = [sampled(&|t_ms| lower(tube.edges(t_ms))), sampled(&|t_ms| upper(tube.edges(t_ms)))];
+            Some((*signal, SampledTube { line: sampled(&|t_ms| tube.point_at(t_ms).value), edges }))
+        });
+        Self { text: format!("golden trace ({})", accepted.law), tubes: tubes.collect() }
+    }
+
+    /// The curve of that signal.
+    pub(crate) fn tube_of(&self, signal: PlotSignal) -> Option<&SampledTube> {
+        self.tubes.get(&signal)
+    }
+}

@@ -1,0 +1,143 @@
+//! Finds the times that expectations measure in a trial: start, end and deadline of each, for the figures.
+
+use crate::{format, record_queries};
+use platebench_record::{ExpectationRecord, Limit, Metric, MetricDefinition, ScenarioRecord, TrialRecord, Verdict};
+use serde_json::Value;
+
+/// Metrics measured from `from_ms`, with labels for "reached" and "not reached".
+const ELAPSED_METRICS: [(Metric, &str, &str); 2] = [
+    (Metric::RecoveryTime, "recovered after", "does not recover"),
+    (Metric::ShutdownTime, "stopped after", "does not stop"),
+];
+
+/// A time that an expectation measures. Instants count from the start of the trial.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct TimeMarker {
+    /// Result: `settled after 1.949 ms`.
+    pub(crate) text: String,
+    /// Start of the time, if known.
+    pub(crate) from_ms: Option<f64>,
+    /// End of the time, if reached.
+    pub(crate) instant_ms: Option<f64>,
+    /// Latest allowed end, and the expectation.
+    pub(crate) deadline: Option<(f64, String)>,
+    /// Whether the drive's figure shows it instead of the amplitude's.
+    pub(crate) is_on_drive: bool,
+}
+
+/// Whether a trial settles.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Settling {
+    /// Not measured.
+    Unknown,
+    /// Measured, and not settled at the end.
+    Never,
+    /// Settled.
+    At {
+        /// Since the start of the trial.
+        instant_ms: f64,
+        /// Since the setpoint step.
+        after_ms: f64,
+    },
+}
+
+/// Index of the expectation whose band and settling time are drawn: the first settling time that did not pass, else the
+/// first settling time, else the first expectation with a band.
+pub(crate) fn settling_expectation(scenario: &ScenarioRecord) -> Option<usize> {
+    let all = || scenario.expectations.iter().enumerate();
+    let settling = || all().filter(|(_, found)| found.metric == Metric::SettlingTime);
+    let not_passed = settling().find(|(_, found)| found.verdict != Verdict::Pass);
+    let banded = all().find(|(_, found)| found.definition.band_percent.is_some());
+    not_passed.or_else(|| settling().next()).or(banded).map(|(index, _)| index)
+}
+
+/// Whether and when the trial settles, measured from the setpoint step of expectation `index`.
+pub(crate) fn settling(scenario: &ScenarioRecord, trial: &TrialRecord, index: usize, steps_ms: &[f64]) -> Settling {
+    let Some(expectation) = scenario.expectations.get(index).filter(|found| found.metric == Metric::SettlingTime)
+    else {
+        return Settling::Unknown;
+    };
+    match trial.metrics.get(&record_queries::metric_key(scenario, index)).map(Value::as_f64) {
+        None => Settling::Unknown,
+        Some(None) => Settling::Never,
+        Some(Some(after_ms)) => settling_start_ms(&expectation.definition, steps_ms)
+            .map_or(Settling::Unknown, |step_ms| Settling::At { instant_ms: step_ms + after_ms, after_ms }),
+    }
+}
+
+/// The last setpoint step up to `from_ms`, or the first step.
+fn settling_start_ms(definition: &MetricDefinition, steps_ms: &[f64]) -> Option<f64> {
+    let passed = definition.from_ms.map_or(1, |from_ms| steps_ms.partition_point(|step_ms| *step_ms <= from_ms));
+    steps_ms.get(passed.saturating_sub(1)).copied()
+}
+
+/// The times in `trial`: its settling, and of every other metric the expectations that did not pass, or else the first.
+pub(crate) fn time_markers(
+    scenario: &ScenarioRecord,
+    trial: &TrialRecord,
+    settling: Settling,
+    expected: Option<usize>,
+    steps_ms: &[f64],
+) -> Vec<TimeMarker> {
+    let mut found = Vec::new();
+    let settling_text = match settling {
+        Settling::Unknown => None,
+        Settling::Never => Some(("does not settle".to_owned(), None)),
+        Settling::At { instant_ms, after_ms } => {
+            Some((format!("settled after {} ms", format::number(after_ms)), Some(instant_ms)))
+        }
+    };
+    if let (Some((text, instant_ms)), Some(index)) = (settling_text, expected) {
+        let definition = scenario.expectations.get(index).map(|expectation| &expectation.definition);
+        let from_ms = definition.and_then(|definition| settling_start_ms(definition, steps_ms));
+        let deadline = from_ms.and_then(|from_ms| deadline(scenario, index, from_ms));
+        found.push(TimeMarker { text, from_ms, instant_ms, deadline, is_on_drive: false });
+    }
+    for (metric, reached, not_reached) in ELAPSED_METRICS {
+        let of_metric = || scenario.expectations.iter().enumerate().filter(|(_, found)| found.metric == metric);
+        let mut shown: Vec<usize> =
+            of_metric().filter(|(_, found)| found.verdict != Verdict::Pass).map(|(index, _)| index).collect();
+        if shown.is_empty() {
+            shown.extend(of_metric().next().map(|(index, _)| index));
+        }
+        let marker = |index| elapsed_marker(scenario, trial, index, reached, not_reached);
+        found.extend(shown.into_iter().filter_map(marker));
+    }
+    found
+}
+
+/// The time of expectation `index`; `None` if the trial has no result or the expectation no start.
+fn elapsed_marker(
+    scenario: &ScenarioRecord,
+    trial: &TrialRecord,
+    index: usize,
+    reached: &str,
+    not_reached: &str,
+) -> Option<TimeMarker> {
+    let expectation = scenario.expectations.get(index)?;
+    let from_ms = expectation.definition.from_ms?;
+    let after_ms = trial.metrics.get(&record_queries::metric_key(scenario, index)).map(Value::as_f64)?;
+    let text = after_ms
+        .map_or_else(|| not_reached.to_owned(), |after_ms| format!("{reached} {} ms", format::number(after_ms)));
+    Some(TimeMarker {
+        text,
+        from_ms: Some(from_ms),
+        instant_ms: after_ms.map(|after_ms| from_ms + after_ms),
+        deadline: deadline(scenario, index, from_ms),
+        is_on_drive: expectation.metric == Metric::ShutdownTime,
+    })
+}
+
+/// The last instant within an upper limit, and the expectation.
+fn deadline(scenario: &ScenarioRecord, index: usize, from_ms: f64) -> Option<(f64, String)> {
+    let expectation = scenario.expectations.get(index)?;
+    let at_ms = from_ms + upper_limit(expectation)?;
+    Some((at_ms, format!("{} {} ms", record_queries::metric_key(scenario, index), format::limit(expectation))))
+}
+
+fn upper_limit(expectation: &ExpectationRecord) -> Option<f64> {
+    match expectation.limit {
+        Limit::AtMost(limit) | Limit::Within(_, limit) => Some(limit),
+        Limit::AtLeast(_) | Limit::About(_) => None,
+    }
+}

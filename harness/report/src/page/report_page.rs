@@ -1,0 +1,172 @@
+//! Writes `report.html`: a run on one page, what did not pass first.
+
+use super::elements::sorted_by_verdict;
+use super::frame::report_page_frame;
+use super::golden::GoldenCurves;
+use super::resolution::PlotResolution;
+use super::run_comparison::{self, OtherRun};
+use super::scenario::{ScenarioParts, scenario_article};
+use super::scenario_figures::{ReferenceCurves, scenario_figures};
+use super::trace_data::{MAX_TRIALS, SampledTrial, TraceData};
+use super::{cost, environment, script, summary};
+use crate::error::{ReportError, write_file};
+use crate::record_queries;
+use crate::text::history::RunHistory;
+use maud::{Markup, html};
+use platebench_record::{RunRecord, ScenarioRecord, TrialRecord};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// The file's name in a run folder.
+pub const FILE: &str = "report.html";
+/// The file's name for a comparison of two runs.
+pub const COMPARISON_FILE: &str = "comparison.html";
+
+/// Writes the page of a run into its folder.
+///
+/// # Errors
+/// [`ReportError`] if the file cannot be written or a drawing cannot be made.
+pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
+    ReportPage::new(record, folder).write(&folder.join(FILE))
+}
+
+/// The page of a run, with optional baselines, earlier runs and another run.
+#[derive(Debug, Clone)]
+pub struct ReportPage<'a> {
+    record: &'a RunRecord,
+    folder: &'a Path,
+    baselines: Option<&'a Path>,
+    other: Option<(&'a RunRecord, &'a Path)>,
+    history: RunHistory,
+    is_trace_changed: Option<IsTraceChanged>,
+}
+
+/// Whether the trace of a trial in a run folder differs from the recorded one.
+pub type IsTraceChanged = fn(&Path, &TrialRecord) -> bool;
+
+impl<'a> ReportPage<'a> {
+    /// The page of the run in `folder`.
+    pub fn new(record: &'a RunRecord, folder: &'a Path) -> Self {
+        Self { record, folder, baselines: None, other: None, history: RunHistory::default(), is_trace_changed: None }
+    }
+
+    /// Adds the golden traces in `folder` with their tolerance tubes.
+    #[must_use]
+    pub fn with_baselines(self, folder: &'a Path) -> Self {
+        Self { baselines: Some(folder), ..self }
+    }
+
+    /// Adds since when an expectation does not pass, from the runs in neighbouring folders.
+    #[must_use]
+    pub fn with_earlier_runs(self) -> Self {
+        Self { history: RunHistory::read_sibling_runs(self.folder, self.record), ..self }
+    }
+
+    /// Lists traces that were changed after the run instead of drawing them.
+    #[must_use]
+    pub fn without_changed_traces(self, is_changed: IsTraceChanged) -> Self {
+        Self { is_trace_changed: Some(is_changed), ..self }
+    }
+
+    /// Adds a comparison with another run.
+    #[must_use]
+    pub fn with_other_run(self, record: &'a RunRecord, folder: &'a Path) -> Self {
+        Self { other: Some((record, folder)), ..self }
+    }
+
+    /// Writes the page. It lists traces and baselines that cannot be read.
+    ///
+    /// # Errors
+    /// [`ReportError`] if the file cannot be written or a drawing cannot be made.
+    pub fn write(&self, path: &Path) -> Result<(), ReportError> {
+        write_file(path, &self.html()?)
+    }
+
+    fn html(&self) -> Result<String, ReportError> {
+        let record = self.record;
+        let changed = self.changed_traces(self.folder, &record.scenarios);
+        let articles = self.scenario_articles(&changed)?;
+        let title = format!("{} · {} {}", record.verdict, record.tool.name, record.started);
+        let body = html! {
+            header { (summary::head(record)) }
+            main {
+                (summary::not_passed_section(record, &self.history, &changed))
+                @if let Some(other) = self.other_run() { (run_comparison::section(record, other)) }
+                (summary::scenarios(record))
+                (summary::requirements(record))
+                @for article in &articles { (article) }
+                (cost::section(record))
+                (environment::section(record))
+            }
+            footer { p { (record.tool.name) " " (record.tool.version) ". Plots: uPlot." } }
+            (script::end())
+        };
+        Ok(report_page_frame(&title, &script::head(), &body))
+    }
+
+    fn other_run(&self) -> Option<OtherRun<'a>> {
+        let (record, folder) = self.other?;
+        let name = folder.file_name().and_then(|name| name.to_str()).unwrap_or("the other run");
+        Some(OtherRun { name, record })
+    }
+
+    /// The traces of these scenarios in `folder` that differ from the recorded ones.
+    fn changed_traces(&self, folder: &Path, scenarios: &[ScenarioRecord]) -> BTreeSet<String> {
+        let Some(is_changed) = self.is_trace_changed else { return BTreeSet::new() };
+        let trials = scenarios.iter().flat_map(|scenario| &scenario.trials);
+        trials.filter(|trial| is_changed(folder, trial)).map(|trial| trial.trace.clone()).collect()
+    }
+
+    fn scenario_articles(&self, changed: &BTreeSet<String>) -> Result<Vec<Markup>, ReportError> {
+        let record = self.record;
+        let trials = record.scenarios.iter().map(|scenario| scenario.trials.len()).max().unwrap_or(0).min(MAX_TRIALS);
+        let resolution = PlotResolution::of(record.scenarios.len(), trials);
+        let read = |scenario| TraceData::read(scenario, self.folder, resolution, changed);
+        let all: Vec<TraceData> = record.scenarios.iter().map(read).collect();
+        let mut articles = Vec::new();
+        for (place, (index, scenario)) in sorted_by_verdict(record).into_iter().enumerate() {
+            let Some(data) = all.get(index) else { continue };
+            let open_loop = || {
+                let other = record_queries::open_loop_counterpart(record, scenario)?;
+                let text = format!("open loop ({})", record.scenarios.get(other)?.file);
+                Some((text, all.get(other)?.first_trial_on(&data.grid)?))
+            };
+            let other = self.other_run_trial(scenario, data, resolution).or_else(open_loop);
+            let golden = self.baselines.map(|folder| GoldenCurves::read(folder, &scenario.file, &data.grid));
+            let (golden, baseline_error) = match golden.transpose() {
+                Ok(golden) => (golden.flatten(), None),
+                Err(error) => (None, Some(error.to_string())),
+            };
+            let references = ReferenceCurves {
+                golden: golden.as_ref(),
+                other: other.as_ref().map(|(text, sampled)| (text.clone(), sampled)),
+            };
+            let parts = ScenarioParts {
+                data,
+                figures: scenario_figures(data, &references, resolution.overlaid_trials),
+                baseline_error,
+                line_points: resolution.line_points,
+                has_all_figures: place < resolution.full_scenarios,
+            };
+            articles.push(scenario_article(index, scenario, &parts)?);
+        }
+        Ok(articles)
+    }
+
+    /// A trial of the same scenario in the other run: the one that is drawn as a line here, or else the first.
+    fn other_run_trial(
+        &self,
+        scenario: &ScenarioRecord,
+        data: &TraceData,
+        resolution: PlotResolution,
+    ) -> Option<(String, SampledTrial)> {
+        let (other, (_, folder)) = (self.other_run()?, self.other?);
+        let theirs = other.scenario(&scenario.file)?;
+        let same = theirs.trials.iter().find(|trial| trial.index == data.first_trial);
+        let trial = same.or_else(|| theirs.trials.first())?;
+        let only = ScenarioRecord { trials: vec![trial.clone()], ..theirs.clone() };
+        let changed = self.changed_traces(folder, std::slice::from_ref(&only));
+        let sampled = TraceData::read(&only, folder, resolution, &changed).first_trial_on(&data.grid)?;
+        Some((format!("trial {} of {}", trial.index, other.name), sampled))
+    }
+}

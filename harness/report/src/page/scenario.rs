@@ -1,0 +1,175 @@
+//! Writes the section of a scenario: expectations, figures, trials.
+
+use super::drawing::drawings;
+use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, verdict_badge, with_unit};
+use super::figure::Figure;
+use super::script;
+use super::trace_data::TraceData;
+use crate::error::ReportError;
+use crate::text::timing;
+use crate::{format, record_queries};
+use maud::{Markup, html};
+use platebench_record::{ExpectationRecord, ScenarioRecord, Statistic};
+use serde_json::Value;
+
+/// The content of a section, next to the record.
+pub(super) struct ScenarioParts<'a> {
+    pub(super) data: &'a TraceData,
+    pub(super) figures: Vec<Figure>,
+    /// Why its baseline cannot be shown.
+    pub(super) baseline_error: Option<String>,
+    /// Points of a line in a drawing.
+    pub(super) line_points: usize,
+    /// Whether it has all drawings.
+    pub(super) has_all_figures: bool,
+}
+
+/// The section of the scenario with this index in the record.
+///
+/// # Errors
+/// [`ReportError::Plot`].
+pub(super) fn scenario_article(
+    index: usize,
+    scenario: &ScenarioRecord,
+    parts: &ScenarioParts<'_>,
+) -> Result<Markup, ReportError> {
+    let id = scenario_anchor(index);
+    let (t_ms, views) = (&parts.data.grid.t_ms, &parts.data.views);
+    let drawings = drawings(t_ms, views, &parts.figures, parts.line_points, parts.has_all_figures)?;
+    Ok(html! {
+        section class={ "scenario " (scenario.verdict) } id=(id) aria-labelledby={ (id) "-title" } {
+            p.eyebrow { (scenario.file) }
+            h2 id={ (id) "-title" } { (scenario.title) " " (verdict_badge(scenario.verdict, scenario.verdict.name())) }
+            p.facts {
+                @if let Some(source) = &scenario.source { span { "Source: " (source) } }
+                span { "Law: " (scenario.law) }
+                span { "Plate model: " (scenario.model) }
+                span { (format::count(scenario.trials.len(), "trial")) }
+            }
+            @if let Some(sentence) = timing::summary(scenario) { p { (sentence) } }
+            (expectations_table(scenario))
+            (unreadable_traces(parts.data))
+            @if let Some(reason) = &parts.baseline_error { p.notice { "The baseline cannot be shown: " (reason) } }
+            (drawings)
+            @if !parts.figures.is_empty() { (script::figure_data(&scenario.title, t_ms, views, &parts.figures)) }
+            (trials_table(scenario))
+        }
+    })
+}
+
+/// Whether the paper has a value for an expectation.
+fn has_paper(scenario: &ScenarioRecord) -> bool {
+    scenario.expectations.iter().any(|expectation| expectation.paper.is_some())
+}
+
+/// Whether an interval differs from its value.
+fn has_interval(scenario: &ScenarioRecord) -> bool {
+    scenario.expectations.iter().any(|expectation| interval(expectation).is_some())
+}
+
+/// The interval, unless all trials have the same value.
+fn interval(expectation: &ExpectationRecord) -> Option<String> {
+    let is_one =
+        expectation.statistic == Statistic::Worst && expectation.interval.is_some_and(|[low, high]| low == high);
+    format::interval(expectation).filter(|_| !is_one)
+}
+
+fn expectations_table(scenario: &ScenarioRecord) -> Markup {
+    let (has_paper, has_interval) = (has_paper(scenario), has_interval(scenario));
+    let columns = [
+        Some("Metric"),
+        Some("Verdict"),
+        Some("#Measured"),
+        has_paper.then_some("#Paper"),
+        Some("#Expected"),
+        has_interval.then_some("#Interval"),
+    ];
+    let columns: Vec<&str> = columns.into_iter().flatten().collect();
+    let row = |index: usize, expectation: &ExpectationRecord| {
+        let unit = format::unit(expectation.metric);
+        let unit_of_value = if expectation.value.is_some() { unit } else { "" };
+        html! {
+            tr {
+                th scope="row" {
+                    code { (record_queries::metric_key(scenario, index)) }
+                    @if let Some(requirement) = &expectation.requirement { span.file { (requirement) } }
+                }
+                td data-label="Verdict" { (verdict_badge(expectation.verdict, &format::verdict(expectation))) }
+                td.number data-label="Measured" {
+                    strong { (with_unit(format::value_or_not_reached(expectation), unit_of_value)) }
+                    @if scenario.trials.len() > 1 { span.statistic { (format::statistic(expectation)) } }
+                }
+                @if has_paper {
+                    td.number data-label="Paper" { (with_unit(expectation.paper.map(format::number), unit)) }
+                }
+                td.number data-label="Expected" { (with_unit(Some(format::limit(expectation)), unit)) }
+                @if has_interval {
+                    td.number data-label="Interval" { (with_unit(interval(expectation), "")) }
+                }
+            }
+            @if let Some(reason) = format::remaining_reason(expectation) {
+                tr.reason { td colspan=(columns.len()) { span { (reason) } } }
+            }
+            @if let Some(evidence) = format::evidence(expectation) {
+                tr.evidence { td colspan=(columns.len()) { span { (evidence) } } }
+            }
+        }
+    };
+    let rows = html! {
+        @for (index, expectation) in scenario.expectations.iter().enumerate() { (row(index, expectation)) }
+    };
+    html! {
+        h3 { "Expectations" }
+        @if scenario.expectations.is_empty() { p.notice { "No expectation was judged." } }
+        @else { (scroll_table("Expectations", "expectations stacked", &columns, &rows)) }
+    }
+}
+
+fn unreadable_traces(data: &TraceData) -> Markup {
+    let (named, further) = data.unreadable.split_at(data.unreadable.len().min(MAX_NAMED));
+    html! {
+        @if !named.is_empty() {
+            div.notice {
+                p { (format::count(data.unreadable.len(), "trace")) " cannot be shown:" }
+                ul {
+                    @for reason in named { li { (reason) } }
+                    @if !further.is_empty() { li { "and " (further.len()) " more" } }
+                }
+            }
+        }
+    }
+}
+
+/// Every trial with its numbers, folded.
+fn trials_table(scenario: &ScenarioRecord) -> Markup {
+    let metrics: Vec<String> = (0..scenario.expectations.len())
+        .map(|index| record_queries::metric_key(scenario, index))
+        .filter(|key| scenario.trials.iter().any(|trial| trial.metrics.contains_key(key)))
+        .collect();
+    let metric_columns: Vec<String> = metrics.iter().map(|metric| format!("#{metric}")).collect();
+    let columns = ["#Trial", "#Seed"].into_iter().chain(metric_columns.iter().map(String::as_str));
+    let columns: Vec<&str> = columns.chain(["Trace", "Remark"]).collect();
+    let number = |value: Option<&Value>| value.and_then(Value::as_f64).map(format::number);
+    let rows = html! {
+        @for trial in &scenario.trials {
+            tr {
+                th.number scope="row" { (trial.index) }
+                td.number { (trial.seed) }
+                @for metric in &metrics { td.number { (with_unit(number(trial.metrics.get(metric)), "")) } }
+                td.file { (file_link(&trial.trace)) }
+                td {
+                    @if let Some(cause) = trial.cause { strong { (cause) } }
+                    @if let Some(reason) = &trial.reason { " " (reason) }
+                }
+            }
+        }
+    };
+    html! {
+        @if !scenario.trials.is_empty() {
+            details {
+                summary { (format::count(scenario.trials.len(), "trial")) " in numbers" }
+                (scroll_table("Trials", "trials", &columns, &rows))
+            }
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! Builds the figures of a scenario from its traces.
+
+use super::curves::PlotSignal;
+use super::figure::{Content, Figure, SampledLine};
+use super::golden::GoldenCurves;
+use super::grid::percentiles;
+use super::trace_data::{SampledTrial, TraceData};
+use crate::chart::svg::Role;
+use crate::format;
+
+/// Fewer trials show their range: they have no outer percentiles.
+const MIN_PERCENTILE_TRIALS: usize = 20;
+
+/// Curves of other responses at the instants of the scenario's grid.
+#[derive(Debug, Default)]
+pub(crate) struct ReferenceCurves<'a> {
+    /// The accepted response.
+    pub(crate) golden: Option<&'a GoldenCurves>,
+    /// Name and first trial of another scenario or run.
+    pub(crate) other: Option<(String, &'a SampledTrial)>,
+}
+
+/// The figures in their order on the page; empty without a readable trace.
+pub(crate) fn scenario_figures(data: &TraceData, references: &ReferenceCurves<'_>, overlaid: usize) -> Vec<Figure> {
+    if data.views.is_empty() {
+        return Vec::new();
+    }
+    let builder = FigureBuilder { data, references, overlaid };
+    let mut figures = vec![builder.amplitude(), builder.drive(), builder.frequency(), builder.components()];
+    figures.extend(builder.profile(PlotSignal::Force, "Finger force", "N"));
+    figures.extend(builder.profile(PlotSignal::Temperature, "Temperature above the reference", "K"));
+    figures
+}
+
+struct FigureBuilder<'a> {
+    data: &'a TraceData,
+    references: &'a ReferenceCurves<'a>,
+    /// Trials with a line of their own.
+    overlaid: usize,
+}
+
+fn trial_line(trial: &SampledTrial, signal: PlotSignal) -> SampledLine {
+    trial.peak_lines.get(&signal).cloned().unwrap_or_default()
+}
+
+fn one_line(signal: PlotSignal, line: SampledLine) -> Content {
+    Content::Lines { is_stepped: signal.is_zero_order_hold(), lines: vec![line] }
+}
+
+impl FigureBuilder<'_> {
+    fn first_trial_line(&self, signal: PlotSignal) -> SampledLine {
+        self.data.sampled_trials.first().map(|trial| trial_line(trial, signal)).unwrap_or_default()
+    }
+
+    fn first_trial_name(&self) -> String {
+        format!("trial {}", self.data.first_trial)
+    }
+
+    fn add_setpoint(&self, figure: &mut Figure, with_band: bool) {
+        let setpoint = self.first_trial_line(PlotSignal::Setpoint);
+        let band = self.data.band;
+        if with_band && setpoint.iter().flatten().any(|value| *value != 0.0) {
+            let edge = |side: f64| setpoint.iter().map(|value| value.map(|value| band.edge(value, side))).collect();
+            let text = format!("{} % band", format::number(band.percent));
+            figure.add(Role::Band, text, Content::Area { is_stepped: true, upper: edge(1.0), lower: edge(-1.0) });
+        }
+        figure.add(Role::Setpoint, "setpoint", one_line(PlotSignal::Setpoint, setpoint));
+    }
+
+    fn add_references(&self, figure: &mut Figure, signal: PlotSignal) {
+        if let Some(golden) = self.references.golden
+            && let Some(tube) = golden.tube_of(signal)
+        {
+            let [lower, upper] = tube.edges.clone();
+            let area = Content::Area { is_stepped: signal.is_zero_order_hold(), upper, lower };
+            figure.add(Role::Tube, format!("tolerance tube of the {}", golden.text), area);
+            figure.add(Role::Golden, &golden.text, one_line(signal, tube.line.clone()));
+        }
+        if let Some((text, other)) = &self.references.other {
+            figure.add(Role::Other, text, one_line(signal, trial_line(other, signal)));
+        }
+    }
+
+    /// Percentiles of many trials, the range of few; nothing if all trials are equal. `name` distinguishes two signals.
+    fn add_spread(&self, figure: &mut Figure, signal: PlotSignal, role: Role, name: &str) {
+        let lines = self.data.sampled_trials.iter().filter_map(|trial| trial.values.get(&signal).map(Vec::as_slice));
+        let lines: Vec<&[Option<f64>]> = lines.collect();
+        if !lines.windows(2).any(|pair| matches!(pair, [one, other] if one != other)) {
+            return;
+        }
+        let count = lines.len();
+        let has_percentiles = count >= MIN_PERCENTILE_TRIALS;
+        let shares = if has_percentiles { [0.05, 0.5, 0.95] } else { [0.0, 0.5, 1.0] };
+        let [lower, middle, upper] = percentiles(&lines, shares);
+        let text =
+            if has_percentiles { format!("5 % to 95 % of {count} trials") } else { format!("range of {count} trials") };
+        let is_stepped = signal.is_zero_order_hold();
+        figure.add(role, format!("{name}{text}"), Content::Area { is_stepped, upper, lower });
+        if has_percentiles && role == Role::Spread {
+            figure.add(Role::Median, format!("{name}median"), one_line(signal, middle));
+        }
+    }
+
+    /// Spread, all trials if `all`, the first trial, and the trial that decided.
+    fn add_trials(&self, figure: &mut Figure, signal: PlotSignal, all: bool) {
+        self.add_spread(figure, signal, Role::Spread, "");
+        let trials = &self.data.sampled_trials;
+        let first = self.first_trial_line(signal);
+        if all {
+            let others = trials.iter().skip(1).take(self.overlaid.saturating_sub(1));
+            let lines: Vec<SampledLine> =
+                others.map(|trial| trial_line(trial, signal)).filter(|line| *line != first).collect();
+            let text = format::count(lines.len(), "more trial");
+            figure.add(Role::Trial, text, Content::Lines { is_stepped: signal.is_zero_order_hold(), lines });
+        }
+        figure.add(Role::First, self.first_trial_name(), one_line(signal, first.clone()));
+        if let Some((index, metric)) = &self.data.deciding_trial
+            && let Some(trial) = trials.iter().find(|trial| trial.index == *index)
+        {
+            let line = trial_line(trial, signal);
+            if line != first {
+                figure.add(Role::Exhibit, format!("trial {index}, decided {metric}"), one_line(signal, line));
+            }
+        }
+    }
+
+    /// Start, end and deadline of each time that is measured on this figure.
+    fn add_markers(&self, figure: &mut Figure, on_drive: bool) {
+        for marker in self.data.markers.iter().filter(|marker| marker.is_on_drive == on_drive) {
+            let start = marker.from_ms.map(|at_ms| (at_ms, None));
+            let end = marker.instant_ms.map(|at_ms| (at_ms, Some(marker.text.clone())));
+            let marks = start.into_iter().chain(end).collect();
+            figure.add(Role::Settling, format!("{} {}", self.first_trial_name(), marker.text), Content::Marks(marks));
+            if let Some((at_ms, demand)) = &marker.deadline {
+                let text = format!("{demand}: until {} ms", format::number(*at_ms));
+                figure.add(Role::Deadline, text, Content::Marks(vec![(*at_ms, None)]));
+            }
+        }
+    }
+
+    fn amplitude(&self) -> Figure {
+        let mut figure = Figure::new("Amplitude |W|", "µm", true, 0.1);
+        self.add_setpoint(&mut figure, !self.data.band.is_for_components);
+        self.add_references(&mut figure, PlotSignal::Amplitude);
+        self.add_trials(&mut figure, PlotSignal::Amplitude, true);
+        self.add_markers(&mut figure, false);
+        figure.add(Role::Lost, "link lost", Content::Spans(self.data.link_lost.clone()));
+        figure
+    }
+
+    fn drive(&self) -> Figure {
+        let mut figure = Figure::new("Drive", "Vpp", true, 10.0);
+        self.add_references(&mut figure, PlotSignal::Drive);
+        self.add_trials(&mut figure, PlotSignal::Drive, true);
+        let text = if self.data.trial_count > 1 { "saturated in a trial" } else { "saturated" };
+        figure.add(Role::Saturated, text, Content::Spans(self.data.saturated.clone()));
+        figure.add(Role::Lost, "link lost", Content::Spans(self.data.link_lost.clone()));
+        self.add_markers(&mut figure, true);
+        let overruns = &self.data.overruns;
+        let text = format!("overrun of the bench ({})", overruns.len());
+        figure.add(Role::Overrun, text, Content::Marks(overruns.iter().map(|at_ms| (*at_ms, None)).collect()));
+        figure
+    }
+
+    fn frequency(&self) -> Figure {
+        let mut figure = Figure::new("Excitation frequency against resonance", "Hz", false, 20.0);
+        self.add_references(&mut figure, PlotSignal::Frequency);
+        let first = self.first_trial_line(PlotSignal::Frequency);
+        // Before the first command there is no excitation; 0 Hz would flatten all other values.
+        if first.iter().flatten().all(|value| *value > 0.0) {
+            self.add_trials(&mut figure, PlotSignal::Frequency, false);
+        } else {
+            let excited = first.into_iter().map(|value| value.filter(|value| *value > 0.0)).collect();
+            figure.add(Role::First, self.first_trial_name(), one_line(PlotSignal::Frequency, excited));
+        }
+        let resonance = self.first_trial_line(PlotSignal::Resonance);
+        figure.add(Role::Resonance, "resonance", one_line(PlotSignal::Resonance, resonance));
+        figure
+    }
+
+    fn components(&self) -> Figure {
+        let mut figure = Figure::new("Components Wd and Wq", "µm", false, 0.1);
+        self.add_setpoint(&mut figure, self.data.band.is_for_components);
+        for (signal, role, spread, name) in [
+            (PlotSignal::InPhase, Role::First, Role::Spread, "Wd"),
+            (PlotSignal::Quadrature, Role::Second, Role::SecondSpread, "Wq"),
+        ] {
+            self.add_spread(&mut figure, signal, spread, &format!("{name}: "));
+            let text = format!("{name}, {}", self.first_trial_name());
+            figure.add(role, text, one_line(signal, self.first_trial_line(signal)));
+        }
+        figure
+    }
+
+    /// A profile of the scenario; `None` if it is zero throughout.
+    fn profile(&self, signal: PlotSignal, title: &'static str, unit: &'static str) -> Option<Figure> {
+        let mut values = self.data.sampled_trials.iter().filter_map(|trial| trial.peak_lines.get(&signal)).flatten();
+        values.any(|value| value.is_some_and(|value| value != 0.0)).then(|| {
+            let mut figure = Figure::new(title, unit, true, 0.1);
+            self.add_trials(&mut figure, signal, false);
+            figure
+        })
+    }
+}

@@ -1,0 +1,85 @@
+//! Adds interactive plots: the plotting library, the script that uses it, and the figures as data.
+//!
+//! Everything is in the page itself. Without scripts the page shows the same figures as drawings.
+
+use super::encode::{embed_json, encode_values};
+use super::figure::{Content, Figure};
+use crate::chart::time_chart::TimeWindow;
+use maud::{Markup, PreEscaped, html};
+use serde_json::{Value, json};
+
+/// uPlot 1.6.32, MIT.
+const LIBRARY: &str = include_str!("../../vendor/uPlot.iife.min.js");
+const LIBRARY_STYLE: &str = include_str!("../../vendor/uPlot.min.css");
+const LICENCE: &str = include_str!("../../vendor/uPlot-LICENSE");
+const PLOTS: &str = include_str!("plots.js");
+const STYLE: &str = include_str!("plots.css");
+
+/// The page loads nothing, whatever its texts contain.
+const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; \
+                      base-uri 'none'; form-action 'none'";
+
+/// For the page's head.
+pub(super) fn head() -> Markup {
+    html! {
+        meta http-equiv="Content-Security-Policy" content=(POLICY);
+        style { (PreEscaped(LIBRARY_STYLE)) (PreEscaped(STYLE)) }
+    }
+}
+
+/// The figures of a scenario, for its section; `views` are the response and the whole trial, or the whole trial alone.
+pub(super) fn figure_data(title: &str, t_ms: &[f64], views: &[TimeWindow], figures: &[Figure]) -> Markup {
+    let names = ["Response", "Whole trial"].into_iter().skip(2_usize.saturating_sub(views.len()));
+    let views: Vec<Value> = names.zip(views).map(|(name, view)| json!([name, view.from_ms, view.to_ms])).collect();
+    let data = json!({
+        "title": title,
+        "t": encode_values(t_ms.iter().copied().map(Some)),
+        "views": views,
+        "panels": figures.iter().map(panel).collect::<Vec<_>>(),
+    });
+    html! { script.curves type="application/json" { (PreEscaped(embed_json(&data))) } }
+}
+
+/// A figure as `plots.js` reads it: layers are groups, and every series, band, span and mark has the number of its group.
+fn panel(figure: &Figure) -> Value {
+    let (mut series, mut bands, mut spans, mut marks) = (vec![], vec![], vec![], vec![]);
+    for (group, layer) in figure.layers.iter().enumerate() {
+        let mut add_series = |line: &[Option<f64>], is_stepped: bool, role: &str| {
+            let y = encode_values(line.iter().copied());
+            series.push(json!({ "g": group, "step": is_stepped, "role": role, "y": y }));
+            series.len() - 1
+        };
+        match &layer.content {
+            Content::Lines { is_stepped, lines } => {
+                let role = if layer.is_drawn() { "line" } else { "trial" };
+                for line in lines {
+                    add_series(line, *is_stepped, role);
+                }
+            }
+            Content::Area { is_stepped, upper, lower } => {
+                let [upper, lower] = [upper, lower].map(|line| add_series(line, *is_stepped, "edge"));
+                bands.push(json!([upper, lower, group]));
+            }
+            Content::Spans(windows) => {
+                spans.extend(windows.iter().map(|window| json!([group, window.from_ms, window.to_ms])));
+            }
+            Content::Marks(instants) => marks.extend(instants.iter().map(|(at_ms, _)| json!([group, at_ms]))),
+        }
+    }
+    let groups = figure
+        .layers
+        .iter()
+        .map(|layer| json!({ "ink": layer.role.name(), "area": layer.is_area(), "text": layer.text }));
+    json!({
+        "title": figure.title, "unit": figure.unit, "zero": figure.from_zero, "least": figure.min_span,
+        "groups": groups.collect::<Vec<_>>(), "series": series, "bands": bands, "spans": spans, "marks": marks,
+    })
+}
+
+/// For the page's end.
+pub(super) fn end() -> Markup {
+    html! {
+        script { (PreEscaped("/* uPlot\n")) (PreEscaped(LICENCE)) (PreEscaped("*/\n")) (PreEscaped(LIBRARY)) }
+        script { (PreEscaped(PLOTS)) }
+    }
+}

@@ -1,0 +1,205 @@
+//! Reads the traces of a scenario, once each, and samples what its figures show.
+//!
+//! A trace that cannot be read is listed in the report; it is no error.
+
+use super::curves::{self, PlotSignal};
+use super::grid::TimeGrid;
+use super::markers::{self, Settling, TimeMarker};
+use super::resolution::PlotResolution;
+use crate::chart::time_chart::{CurvePoint, TimeWindow};
+use crate::record_queries;
+use platebench_record::{Metric, ScenarioRecord, TrialRecord, Verdict};
+use platebench_trace::{Flags, Row, TraceError};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// Trials whose traces are read, and the one that decided a verdict.
+pub(crate) const MAX_TRIALS: usize = 30;
+/// Reason for a trace whose content is not the recorded one.
+pub(crate) const TRACE_CHANGED: &str = "changed after the run";
+/// Half width of the band if no expectation has one, percent of the setpoint.
+const DEFAULT_BAND_PERCENT: f64 = 5.0;
+const MAX_OVERRUN_MARKS: usize = 200;
+
+/// The content of the figures of a scenario.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct TraceData {
+    /// The response to the setpoint step, if the trial is much longer, and the whole trial; empty without a trace.
+    pub(crate) views: Vec<TimeWindow>,
+    /// Number of the trial that is drawn as a line.
+    pub(crate) first_trial: u32,
+    /// Trial and metric that decided an expectation that did not pass, unless it is the first trial.
+    pub(crate) deciding_trial: Option<(u32, String)>,
+    /// Trials that were read.
+    pub(crate) trial_count: usize,
+    /// Times measured in the first trial.
+    pub(crate) markers: Vec<TimeMarker>,
+    /// Traces that cannot be shown, with the reason.
+    pub(crate) unreadable: Vec<String>,
+    /// The band around the setpoint.
+    pub(crate) band: Band,
+    /// Instants of the curves.
+    pub(crate) grid: TimeGrid,
+    /// The trials at these instants, in the order of the record.
+    pub(crate) sampled_trials: Vec<SampledTrial>,
+    /// The drive of a trial was at its limit.
+    pub(crate) saturated: Vec<TimeWindow>,
+    /// A trial lost its link.
+    pub(crate) link_lost: Vec<TimeWindow>,
+    /// Overruns of the bench in all trials, ms.
+    pub(crate) overruns: Vec<f64>,
+}
+
+/// A trial at the instants of the grid.
+#[derive(Debug, Clone)]
+pub(crate) struct SampledTrial {
+    pub(crate) index: u32,
+    /// With every peak.
+    pub(crate) peak_lines: BTreeMap<PlotSignal, Vec<Option<f64>>>,
+    /// Exactly at the instants.
+    pub(crate) values: BTreeMap<PlotSignal, Vec<Option<f64>>>,
+}
+
+/// A band around the setpoint.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Band {
+    /// Half width, percent of the setpoint.
+    pub(crate) percent: f64,
+    /// Whether it applies to a component of the vibration instead of |W|.
+    pub(crate) is_for_components: bool,
+}
+
+impl Default for Band {
+    fn default() -> Self {
+        Self { percent: DEFAULT_BAND_PERCENT, is_for_components: false }
+    }
+}
+
+impl Band {
+    /// The edge above (`side` 1) or below (`side` -1) a setpoint.
+    pub(crate) fn edge(self, setpoint: f64, side: f64) -> f64 {
+        setpoint + side * setpoint.abs() * self.percent / 100.0
+    }
+}
+
+impl TraceData {
+    /// Reads the traces of `scenario` in the run's `folder`, without those in `changed`.
+    pub(crate) fn read(
+        scenario: &ScenarioRecord,
+        folder: &Path,
+        resolution: PlotResolution,
+        changed: &BTreeSet<String>,
+    ) -> Self {
+        let mut data = Self::default();
+        let deciding = find_deciding_trial(scenario);
+        for (position, trial) in scenario.trials.iter().enumerate() {
+            let is_deciding = deciding.as_ref().is_some_and(|(index, _)| *index == trial.index);
+            if position >= MAX_TRIALS && !is_deciding {
+                continue;
+            }
+            if changed.contains(&trial.trace) {
+                data.unreadable.push(format!("{}: {TRACE_CHANGED}", trial.trace));
+                continue;
+            }
+            match platebench_trace::read_trace(&folder.join(&trial.trace)) {
+                Ok(rows) => data.add_trial(scenario, trial, &rows, resolution),
+                Err(error) => data.unreadable.push(format!("{}: {}", trial.trace, trace_error_reason(&error))),
+            }
+        }
+        data.deciding_trial = deciding.filter(|(index, _)| {
+            *index != data.first_trial && data.sampled_trials.iter().any(|trial| trial.index == *index)
+        });
+        data
+    }
+
+    /// The first trial at the instants of another scenario's grid.
+    pub(crate) fn first_trial_on(&self, grid: &TimeGrid) -> Option<SampledTrial> {
+        let first = self.sampled_trials.first()?;
+        let resample = |signal: PlotSignal, line: &Vec<Option<f64>>| {
+            let known = self.grid.t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
+            let known: Vec<CurvePoint> = known.collect();
+            grid.t_ms.iter().map(|t_ms| curves::interpolate(&known, signal, *t_ms)).collect()
+        };
+        let lines = first.peak_lines.iter().map(|(signal, line)| (*signal, resample(*signal, line))).collect();
+        Some(SampledTrial { index: first.index, peak_lines: lines, values: BTreeMap::new() })
+    }
+
+    fn add_trial(&mut self, scenario: &ScenarioRecord, trial: &TrialRecord, rows: &[Row], resolution: PlotResolution) {
+        if self.views.is_empty() {
+            self.add_first_trial(scenario, trial, rows, resolution);
+        }
+        for (windows, flag) in [(&mut self.saturated, Flags::SATURATED), (&mut self.link_lost, Flags::LINK_LOST)] {
+            let found = curves::flagged_windows(rows, flag);
+            *windows = curves::merge_windows(std::mem::take(windows).into_iter().chain(found).collect());
+        }
+        let room = MAX_OVERRUN_MARKS.saturating_sub(self.overruns.len());
+        self.overruns.extend(curves::overrun_instants(rows).take(room));
+        let grid = &self.grid;
+        let sampled = |sample: fn(&TimeGrid, &[Row], PlotSignal) -> Vec<Option<f64>>| {
+            PlotSignal::ALL.into_iter().map(|signal| (signal, sample(grid, rows, signal))).collect()
+        };
+        self.sampled_trials.push(SampledTrial {
+            index: trial.index,
+            peak_lines: sampled(TimeGrid::sample_peaks),
+            values: sampled(TimeGrid::sample),
+        });
+        self.trial_count += 1;
+    }
+
+    fn add_first_trial(
+        &mut self,
+        scenario: &ScenarioRecord,
+        trial: &TrialRecord,
+        rows: &[Row],
+        resolution: PlotResolution,
+    ) {
+        self.first_trial = trial.index;
+        let steps = curves::setpoint_steps_ms(rows);
+        let expected = markers::settling_expectation(scenario);
+        if let Some(definition) = expected.and_then(|index| Some(&scenario.expectations.get(index)?.definition)) {
+            self.band = Band {
+                percent: definition.band_percent.unwrap_or(DEFAULT_BAND_PERCENT),
+                is_for_components: definition.signal.as_ref().is_some_and(|signal| signal != "amplitude_um"),
+            };
+        }
+        let settling = expected.map_or(Settling::Unknown, |index| markers::settling(scenario, trial, index, &steps));
+        self.markers = markers::time_markers(scenario, trial, settling, expected, &steps);
+        let whole = whole_window(rows);
+        let response = response_window(scenario, settling, whole);
+        self.grid = TimeGrid::new(rows, whole, response, resolution.instants);
+        self.views = response.into_iter().chain([whole]).collect();
+    }
+}
+
+/// The trial and metric that decided the first failed expectation, or else the first inconclusive one.
+fn find_deciding_trial(scenario: &ScenarioRecord) -> Option<(u32, String)> {
+    let first = |verdict| scenario.expectations.iter().position(|expectation| expectation.verdict == verdict);
+    let index = first(Verdict::Fail).or_else(|| first(Verdict::Inconclusive))?;
+    Some((record_queries::trial_to_inspect(scenario, index)?.index, record_queries::metric_key(scenario, index)))
+}
+
+fn whole_window(rows: &[Row]) -> TimeWindow {
+    let ms = |row: Option<&Row>| row.map_or(0.0, |row| row.t_s * 1e3);
+    let (from_ms, to_ms) = (ms(rows.first()), ms(rows.last()));
+    TimeWindow { from_ms, to_ms: if to_ms > from_ms { to_ms } else { from_ms + 1.0 } }
+}
+
+/// The time around the setpoint step: four settling times, if the trial is at least three times as long.
+fn response_window(scenario: &ScenarioRecord, settling: Settling, whole: TimeWindow) -> Option<TimeWindow> {
+    let Settling::At { instant_ms, after_ms } = settling else { return None };
+    let step_ms = instant_ms - after_ms;
+    let times = scenario.trials.iter().filter_map(|trial| trial.metrics.get(Metric::SettlingTime.name())?.as_f64());
+    let longest_ms = times.fold(after_ms, f64::max);
+    let span_ms = (4.0 * longest_ms).max(5.0);
+    let from_ms = (step_ms - 0.1 * span_ms).max(whole.from_ms);
+    let window = TimeWindow { from_ms, to_ms: (step_ms + span_ms).min(whole.to_ms) };
+    (after_ms > 0.0 && window.span_ms() * 3.0 < whole.span_ms()).then_some(window)
+}
+
+/// The reason without the path, which the list already has.
+fn trace_error_reason(error: &TraceError) -> String {
+    match error {
+        TraceError::Io { source, .. } => source.to_string(),
+        TraceError::Content { line, message, .. } => format!("line {line}: {message}"),
+    }
+}

@@ -1,0 +1,134 @@
+//! Finds in a record what reports refer to: keys, trials, expectations that did not pass.
+
+use platebench_record::{Cause, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict};
+use serde_json::Value;
+
+/// The key of expectation `index` in a trial's metrics: the metric, with `[n]` for its n-th expectation.
+pub(crate) fn metric_key(scenario: &ScenarioRecord, index: usize) -> String {
+    let Some(expectation) = scenario.expectations.get(index) else { return String::new() };
+    let before = scenario.expectations.iter().take(index);
+    match before.filter(|earlier| earlier.metric == expectation.metric).count() {
+        0 => expectation.metric.to_string(),
+        earlier => format!("{}[{}]", expectation.metric, earlier + 1),
+    }
+}
+
+/// The trial to inspect for expectation `index`: the one that decided it, or else the first; `None` if it passed.
+pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
+    let expectation = scenario.expectations.get(index).filter(|found| found.verdict != Verdict::Pass)?;
+    let key = metric_key(scenario, index);
+    let number = |trial: &TrialRecord| trial.metrics.get(&key).and_then(Value::as_f64);
+    let decided = match (expectation.cause, expectation.value) {
+        (Some(cause @ (Cause::Rig | Cause::Bench)), _) => {
+            scenario.trials.iter().find(|trial| trial.cause == Some(cause))
+        }
+        (_, None) => scenario.trials.iter().find(|trial| trial.metrics.get(&key).is_some_and(Value::is_null)),
+        (_, value) if expectation.statistic == Statistic::Worst => {
+            scenario.trials.iter().find(|trial| trial.cause.is_none() && number(trial) == value)
+        }
+        (_, Some(_)) => {
+            let sized = scenario.trials.iter().filter_map(|trial| Some((trial, number(trial)?.abs())));
+            sized.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.index.cmp(&a.0.index))).map(|(trial, _)| trial)
+        }
+    };
+    decided.or_else(|| scenario.trials.first())
+}
+
+/// Scenario and index of every expectation that did not pass, failures first.
+pub(crate) fn expectations_not_passed(record: &RunRecord) -> Vec<(&ScenarioRecord, usize)> {
+    let of = |verdict: Verdict| {
+        record.scenarios.iter().flat_map(move |scenario| {
+            let numbered = scenario.expectations.iter().enumerate();
+            numbered.filter(move |(_, found)| found.verdict == verdict).map(move |(index, _)| (scenario, index))
+        })
+    };
+    of(Verdict::Fail).chain(of(Verdict::Inconclusive)).collect()
+}
+
+/// The reason why the run did not pass if no scenario has one.
+pub(crate) fn run_inconclusive_reason(record: &RunRecord) -> Option<&'static str> {
+    if !record.complete {
+        Some("the run was not finished")
+    } else if record.scenarios.is_empty() {
+        Some("the run has no scenarios")
+    } else if record.verdict != Verdict::Pass && record.scenarios.iter().all(|found| found.verdict == Verdict::Pass) {
+        Some("the run did not pass")
+    } else {
+        None
+    }
+}
+
+/// The reason why a scenario did not pass if no expectation has one.
+pub(crate) fn scenario_inconclusive_reason(scenario: &ScenarioRecord) -> Option<&'static str> {
+    let carried = scenario.expectations.iter().any(|expectation| expectation.verdict != Verdict::Pass);
+    if scenario.verdict == Verdict::Pass || carried {
+        None
+    } else if scenario.expectations.is_empty() {
+        Some("no expectation was judged")
+    } else {
+        Some("the scenario did not pass")
+    }
+}
+
+/// The scenario `X-open-loop` that belongs to the scenario `X-closed-loop`.
+pub(crate) fn open_loop_counterpart(record: &RunRecord, scenario: &ScenarioRecord) -> Option<usize> {
+    let bare = |file: &str| file.strip_suffix(".toml").unwrap_or(file).to_owned();
+    let wanted = format!("{}-open-loop", bare(&scenario.file).strip_suffix("-closed-loop")?);
+    record.scenarios.iter().position(|other| bare(&other.file) == wanted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_record::{Evidence, ExpectationRecord, Limit, Metric, MetricDefinition, Telemetry};
+    use serde_json::{Map, json};
+
+    #[test]
+    fn behind_a_mean_stands_the_trial_that_is_farthest_off() {
+        let expectation = ExpectationRecord {
+            name: String::new(),
+            windows_ms: Vec::new(),
+            metric: Metric::StaticError,
+            verdict: Verdict::Fail,
+            value: Some(2.0),
+            statistic: Statistic::Mean,
+            limit: Limit::AtMost(1.0),
+            interval: None,
+            confidence: None,
+            cause: None,
+            reason: None,
+            paper: None,
+            requirement: None,
+            definition: MetricDefinition::default(),
+            evidence: Evidence::default(),
+        };
+        let metrics = |value: f64| Map::from_iter([("static_error_percent".to_owned(), json!(value))]);
+        let trial_of = |index, value| TrialRecord {
+            index,
+            seed: 1,
+            trace: String::new(),
+            metrics: metrics(value),
+            cause: None,
+            reason: None,
+            sha256: None,
+            telemetry: Telemetry::default(),
+            diverged_at_s: None,
+            wall_ms: None,
+        };
+        let mut scenario = ScenarioRecord {
+            file: "a.toml".to_owned(),
+            title: String::new(),
+            source: None,
+            verdict: Verdict::Fail,
+            law: String::new(),
+            model: String::new(),
+
+            inputs: Vec::new(),
+            expectations: vec![expectation],
+            trials: vec![trial_of(0, 1.0), trial_of(1, 3.0), trial_of(2, 3.0), trial_of(3, 2.0)],
+        };
+        assert_eq!(trial_to_inspect(&scenario, 0).unwrap().index, 1);
+        scenario.expectations[0].verdict = Verdict::Pass;
+        assert!(trial_to_inspect(&scenario, 0).is_none(), "a pass needs no look");
+    }
+}

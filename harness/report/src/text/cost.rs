@@ -1,0 +1,88 @@
+//! Describes the instructions per control step, for console and page.
+
+use crate::format;
+use platebench_record::CostTrend;
+
+/// Instructions of an STM32F4 in a period of 1 ms at 168 MHz, one a cycle.
+const INSTRUCTIONS_PER_MS: f64 = 168_000.0;
+
+/// Name of the comparison without an earlier run.
+pub(crate) const SHIPPED_IMAGE: &str = "the image that comes with the bench";
+
+/// `3 332 worst (dq-pi), 2.0 % of the 168 000 of a 1 ms period`
+pub(crate) fn format_worst(trend: &CostTrend) -> String {
+    format!(
+        "{} worst ({}), {} of the 168 000 of a 1 ms period",
+        format_instructions(trend.cost.worst),
+        trend.law,
+        format_share(trend)
+    )
+}
+
+/// The worst step's share of a period of 1 ms at 168 MHz.
+pub(crate) fn format_share(trend: &CostTrend) -> String {
+    format!("{:.1} %", trend.cost.worst / INSTRUCTIONS_PER_MS * 100.0)
+}
+
+/// `30 % more than 2 563 of build 1a2b3c4d`; `None` without a significant change.
+pub(crate) fn describe_change(trend: &CostTrend) -> Option<String> {
+    let change = trend.significant_change()?;
+    let direction = if change.percent > 0.0 { "more" } else { "less" };
+    let subject = if change.statistic == "worst" && change.now == trend.cost.worst {
+        String::new()
+    } else {
+        let trials = format::count(change.earlier.trials, "trial");
+        format!("{} {} over the {trials} of both runs: ", change.statistic, format_instructions(change.now))
+    };
+    let build = match &change.earlier.run {
+        Some(run) => format!("build {} (run {run})", short_build_id(&change.earlier.build)),
+        None => format!("build {} ({SHIPPED_IMAGE})", short_build_id(&change.earlier.build)),
+    };
+    Some(format!(
+        "{subject}{} % {direction} than {} of {build}",
+        format::percent(change.percent),
+        format_instructions(change.then)
+    ))
+}
+
+/// The first eight digits of a build's identity.
+pub(crate) fn short_build_id(build: &str) -> &str {
+    build.get(..8).unwrap_or(build)
+}
+
+/// Whole instructions in groups of three digits.
+pub(crate) fn format_instructions(value: f64) -> String {
+    let digits = format!("{value:.0}");
+    let mut grouped = String::with_capacity(digits.len() + digits.len() / 3);
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            grouped.push(' ');
+        }
+        grouped.push(digit);
+    }
+    grouped
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    #[case(0.0, "0")]
+    #[case(999.4, "999")]
+    #[case(999.5, "1 000")]
+    #[case(12_345.0, "12 345")]
+    #[case(1_234_567.0, "1 234 567")]
+    fn groups_three_digits(#[case] value: f64, #[case] expected: &str) {
+        assert_eq!(format_instructions(value), expected);
+    }
+
+    #[rstest]
+    #[case("1a2b3c4d5e6f7a8b", "1a2b3c4d")]
+    #[case("1a2b", "1a2b")]
+    #[case("", "")]
+    fn shortens_builds_to_eight_digits(#[case] build: &str, #[case] expected: &str) {
+        assert_eq!(short_build_id(build), expected);
+    }
+}

@@ -1,0 +1,144 @@
+//! Escapes text from files and devices, so that it cannot act on a terminal, a table or a CI system.
+//!
+//! File names, titles, requirements and reasons may contain anything. [`printable`] is the base of every other function here.
+
+use std::borrow::Cow;
+use std::fmt::Write as _;
+
+/// The text with control characters and characters that change the direction of writing in visible form: `\u{1b}`.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    escape(text, is_active)
+}
+
+/// Like [`printable`] for a whole document: line feeds stay.
+pub(crate) fn printable_lines(text: &str) -> Cow<'_, str> {
+    escape(text, |character| character != '\n' && is_active(character))
+}
+
+fn escape(text: &str, is_escaped: fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(is_escaped) {
+        return Cow::Borrowed(text);
+    }
+    let mut escaped = String::with_capacity(text.len() + 8);
+    for character in text.chars() {
+        if is_escaped(character) {
+            escaped.extend(character.escape_default());
+        } else {
+            escaped.push(character);
+        }
+    }
+    Cow::Owned(escaped)
+}
+
+/// Control characters, line and paragraph separators, and marks, embeddings, overrides and isolates of the writing direction.
+fn is_active(character: char) -> bool {
+    character.is_control()
+        || matches!(character, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
+}
+
+/// Longest cell of a Markdown table, in characters.
+const MAX_CELL_CHARS: usize = 400;
+
+/// A cell of a Markdown table: no character is markup or ends the cell; the text has at most [`MAX_CELL_CHARS`] characters.
+pub(crate) fn markdown_cell(text: &str) -> String {
+    let mut cell = String::with_capacity(text.len());
+    for character in text.chars().take(MAX_CELL_CHARS) {
+        match character {
+            '\n' | '\r' => cell.push(' '),
+            '<' => cell.push_str("&lt;"),
+            '&' => cell.push_str("&amp;"),
+            '|' | '\\' | '`' | '*' | '_' | '[' | ']' | '~' | '#' | '@' => {
+                cell.push('\\');
+                cell.push(character);
+            }
+            other => cell.push_str(&printable(other.encode_utf8(&mut [0; 4]))),
+        }
+    }
+    if text.chars().nth(MAX_CELL_CHARS).is_some() {
+        cell.push('…');
+    }
+    cell
+}
+
+/// A field of CSV (RFC 4180). A spreadsheet takes a field that starts with `=`, `+`, `-` or `@` for a formula: such a text gets a `'` in front; a number does not.
+pub(crate) fn csv_field(text: &str) -> String {
+    let text = printable(text);
+    let is_formula = text.starts_with(['=', '+', '-', '@']) && text.parse::<f64>().is_err();
+    let text = if is_formula { Cow::Owned(format!("'{text}")) } else { text };
+    if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into_owned() }
+}
+
+/// A description in TAP: one line without directives.
+pub(crate) fn tap_description(text: &str) -> String {
+    printable(&text.replace('\\', "\\\\").replace('#', "\\#")).into_owned()
+}
+
+/// The message of a workflow command; line feeds stay.
+pub(crate) fn workflow_message(text: &str) -> String {
+    printable_lines(text).replace('%', "%25").replace('\n', "%0A")
+}
+
+/// A property of a workflow command.
+pub(crate) fn workflow_property(text: &str) -> String {
+    printable(text).replace('%', "%25").replace(':', "%3A").replace(',', "%2C")
+}
+
+/// JSON in one line whose texts hold no character that [`printable`] would escape.
+pub(crate) fn json_line(value: &serde_json::Value) -> String {
+    let text = value.to_string();
+    if !text.contains(is_active) {
+        return text;
+    }
+    text.chars().fold(String::with_capacity(text.len()), |mut line, character| {
+        if is_active(character) {
+            let mut units = [0; 2];
+            for unit in character.encode_utf16(&mut units) {
+                // Writing into a string does not fail.
+                let _ = write!(line, "\\u{unit:04x}");
+            }
+        } else {
+            line.push(character);
+        }
+        line
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    /// ESC, a right-to-left override, a line feed before a workflow command, and a formula.
+    const HOSTILE: &str = "=1\u{1b}[2J\u{202e}\n::error::#|";
+
+    #[rstest]
+    #[case(|text: &str| printable(text).into_owned(), "=1\\u{1b}[2J\\u{202e}\\n::error::#|")]
+    #[case(|text: &str| printable_lines(text).into_owned(), "=1\\u{1b}[2J\\u{202e}\n::error::#|")]
+    #[case(markdown_cell, "=1\\u{1b}\\[2J\\u{202e} ::error::\\#\\|")]
+    #[case(csv_field, "'=1\\u{1b}[2J\\u{202e}\\n::error::#|")]
+    #[case(tap_description, "=1\\u{1b}[2J\\u{202e}\\n::error::\\#|")]
+    #[case(workflow_message, "=1\\u{1b}[2J\\u{202e}%0A::error::#|")]
+    #[case(workflow_property, "=1\\u{1b}[2J\\u{202e}\\n%3A%3Aerror%3A%3A#|")]
+    #[case(|text: &str| json_line(&serde_json::json!(text)), "\"=1\\u001b[2J\\u202e\\n::error::#|\"")]
+    fn escapes_hostile_text(#[case] escape: fn(&str) -> String, #[case] expected: &str) {
+        assert_eq!(escape(HOSTILE), expected);
+        assert_eq!(escape("µm ≤ 2 …"), if expected.starts_with('"') { "\"µm ≤ 2 …\"" } else { "µm ≤ 2 …" });
+    }
+
+    #[rstest]
+    #[case("-0.5", "-0.5")]
+    #[case("-x", "'-x")]
+    #[case("@SUM(A1)", "'@SUM(A1)")]
+    #[case("+1,=2", "\"'+1,=2\"")]
+    #[case("a \"b\"", "\"a \"\"b\"\"\"")]
+    fn quotes_fields_and_defuses_formulas(#[case] text: &str, #[case] expected: &str) {
+        assert_eq!(csv_field(text), expected);
+    }
+
+    #[test]
+    fn a_markdown_cell_has_no_markup_and_an_end() {
+        assert_eq!(markdown_cell("a|b <img> & `x` [y](z)"), "a\\|b &lt;img> &amp; \\`x\\` \\[y\\](z)");
+        assert_eq!(markdown_cell(&"x".repeat(MAX_CELL_CHARS)), "x".repeat(MAX_CELL_CHARS));
+        assert_eq!(markdown_cell(&"x".repeat(MAX_CELL_CHARS + 1)), "x".repeat(MAX_CELL_CHARS) + "…");
+    }
+}

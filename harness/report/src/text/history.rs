@@ -1,0 +1,130 @@
+//! Finds since when an expectation does not pass, from the runs in neighbouring folders.
+//!
+//! Only runs on the same kind of rig and with the same law are compared. If the expectation differed, the text says how.
+
+use super::cost::short_build_id;
+use crate::{format, record_queries};
+use maud::{Markup, html};
+use platebench_record::{ExpectationRecord, MetricDefinition, RunRecord, ScenarioRecord, Verdict};
+use std::path::Path;
+
+/// Earlier runs, the newest first, with the names of their folders.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct RunHistory {
+    is_searched: bool,
+    runs: Vec<(String, RunRecord)>,
+}
+
+/// An expectation in an earlier run.
+struct EarlierExpectation<'a> {
+    run: &'a str,
+    record: &'a RunRecord,
+    expectation: &'a ExpectationRecord,
+}
+
+impl RunHistory {
+    /// Reads the runs in the folders next to `folder`.
+    pub(crate) fn read_sibling_runs(folder: &Path, record: &RunRecord) -> Self {
+        Self { is_searched: true, runs: record.earlier_runs(folder, |_, _| ()) }
+    }
+
+    /// Since when expectation `index` has not passed, as a sentence; `None` without a search.
+    pub(crate) fn not_passed_since(
+        &self,
+        record: &RunRecord,
+        scenario: &ScenarioRecord,
+        index: usize,
+    ) -> Option<Markup> {
+        let now = scenario.expectations.get(index).filter(|_| self.is_searched)?;
+        let mut elsewhere = false;
+        let mut known: Vec<EarlierExpectation<'_>> = Vec::new();
+        for (run, earlier) in &self.runs {
+            let Some(played) = earlier.scenarios.iter().find(|played| played.file == scenario.file) else { continue };
+            let Some(expectation) = matching_expectation(scenario, index, played) else { continue };
+            if earlier.rig.kind() == record.rig.kind() && played.law == scenario.law {
+                known.push(EarlierExpectation { run, record: earlier, expectation });
+            } else {
+                elsewhere = true;
+            }
+        }
+        let open = known.iter().take_while(|then| then.expectation.verdict != Verdict::Pass).count();
+        let (oldest_open, last_pass) = (open.checked_sub(1).and_then(|index| known.get(index)), known.get(open));
+        let comparable = html! { "on " code { (record.rig.kind()) } " with " code { (scenario.law) } };
+        Some(match (oldest_open, last_pass) {
+            (None, None) if elsewhere => html! { "First run of this scenario " (comparable) " in this folder." },
+            (None, None) => html! { "First run of this scenario in this folder." },
+            (None, Some(passed)) => {
+                html! { "New in this run. It last passed in " (passed.describe(now)) (describe_build_change(record, passed.record)) "." }
+            }
+            (Some(first), Some(passed)) => html! {
+                "Since " (first.describe(now)) ", " (format::count(open, "run")) " ago. It last passed in "
+                (passed.describe(now)) (describe_build_change(first.record, passed.record)) "."
+            },
+            (Some(first), None) => html! {
+                "Since " (first.describe(now)) " or before: no earlier run " (comparable) " in this folder passed it."
+            },
+        })
+    }
+}
+
+impl EarlierExpectation<'_> {
+    /// The run, its start, and how the expectation differed.
+    fn describe(&self, now: &ExpectationRecord) -> String {
+        let differs = differences(now, self.expectation);
+        let differs = if differs.is_empty() { String::new() } else { format!(", then with {}", differs.join(", ")) };
+        format!("{} ({}{differs})", self.run, self.record.started)
+    }
+}
+
+/// The expectation of `played` that corresponds to expectation `index`: an identical one, or else the one with the same key.
+fn matching_expectation<'a>(
+    scenario: &ScenarioRecord,
+    index: usize,
+    played: &'a ScenarioRecord,
+) -> Option<&'a ExpectationRecord> {
+    let now = scenario.expectations.get(index)?;
+    let key = record_queries::metric_key(scenario, index);
+    let number = (0..played.expectations.len()).find(|number| record_queries::metric_key(played, *number) == key);
+    let under_key = number.and_then(|number| played.expectations.get(number));
+    let same = |then: &&ExpectationRecord| then.metric == now.metric && differences(now, then).is_empty();
+    under_key.filter(same).or_else(|| played.expectations.iter().find(same)).or(under_key)
+}
+
+/// How the earlier expectation differed; empty if it was the same.
+fn differences(now: &ExpectationRecord, then: &ExpectationRecord) -> Vec<String> {
+    let unit = format::unit(now.metric);
+    let mut texts = Vec::new();
+    if now.limit != then.limit {
+        texts.push(format!("{} {unit}", format::limit(then)).trim_end().to_owned());
+    }
+    if (&now.statistic, now.evidence.quantile) != (&then.statistic, then.evidence.quantile) {
+        texts.push(format!("the {}", format::statistic(then)));
+    }
+    if then.definition == MetricDefinition::default() || now.definition == MetricDefinition::default() {
+        return texts;
+    }
+    if now.definition.band_percent != then.definition.band_percent {
+        texts.extend(then.definition.band_percent.map(|percent| format!("a band of {} %", format::number(percent))));
+    }
+    if now.definition.from_ms != then.definition.from_ms {
+        texts.push(
+            then.definition
+                .from_ms
+                .map_or_else(|| "no from_ms".to_owned(), |from_ms| format!("from_ms = {}", format::number(from_ms))),
+        );
+    }
+    if now.definition.signal != then.definition.signal {
+        texts.extend(then.definition.signal.as_ref().map(|signal| format!("signal {signal}")));
+    }
+    texts
+}
+
+/// Whether the firmware changed between the runs.
+fn describe_build_change(now: &RunRecord, then: &RunRecord) -> String {
+    let build = |record: &RunRecord| record.rig.firmware.as_ref().map(|firmware| firmware.build.clone());
+    match (build(now), build(then)) {
+        (Some(now), Some(then)) if now == then => ", with the same build of the firmware".to_owned(),
+        (Some(_), Some(then)) => format!(", with build {}", short_build_id(&then)),
+        _ => String::new(),
+    }
+}

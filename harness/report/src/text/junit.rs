@@ -1,0 +1,114 @@
+//! Writes `junit.xml`: a test suite per scenario, a test case per expectation.
+//!
+//! A failed expectation is a `failure`. An inconclusive one is an `error`, because readers count `skipped` as harmless.
+//! A run or scenario that did not pass although its expectations did (unfinished, or without expectations) has one more
+//! case with an error.
+//!
+//! The file follows the schema of Jenkins' xunit plugin (`tests/report/junit-10.xsd`). The schema allows properties of
+//! suites only, so requirements are properties `requirement.<metric>` of the suite, and the other facts of a case are
+//! lines in its `system-out`. Times come from the record, so that equal records give equal files.
+
+use super::escape::printable;
+use crate::error::{ReportError, write_file};
+use crate::{format, record_queries};
+use platebench_record::{RunRecord, ScenarioRecord, Verdict};
+use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
+use std::path::Path;
+use std::time::Duration;
+
+/// The file's name in a run folder.
+pub const FILE: &str = "junit.xml";
+
+/// Writes the run to `path`.
+///
+/// # Errors
+/// [`ReportError`] if the file cannot be written.
+pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
+    let text =
+        junit_report(record).to_string().map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
+    // The schema has no attribute `skipped` of all suites together, and no case is ever skipped.
+    write_file(path, &text.replacen(" skipped=\"0\"", "", 1))
+}
+
+fn junit_report(record: &RunRecord) -> Report {
+    let mut report = Report::new(record.tool.name.as_str());
+    report.add_test_suites(record.scenarios.iter().map(test_suite));
+    let Some(reason) = record_queries::run_inconclusive_reason(record) else { return report };
+    let mut suite = TestSuite::new("run");
+    suite.add_test_case(inconclusive_case("the whole run", "run", reason));
+    report.add_test_suite(suite);
+    report
+}
+
+fn test_suite(scenario: &ScenarioRecord) -> TestSuite {
+    let mut suite = TestSuite::new(printable(&scenario.file).as_ref());
+    suite.add_properties([
+        ("title", printable(&scenario.title).as_ref()),
+        ("law", printable(&scenario.law).as_ref()),
+        ("model", scenario.model.as_str()),
+        ("trials", scenario.trials.len().to_string().as_str()),
+    ]);
+    if let Some(source) = &scenario.source {
+        suite.add_property(("source", printable(source).as_ref()));
+    }
+    for (index, expectation) in scenario.expectations.iter().enumerate() {
+        if let Some(requirement) = &expectation.requirement {
+            let name = format!("requirement.{}", record_queries::metric_key(scenario, index));
+            suite.add_property((name.as_str(), printable(requirement).as_ref()));
+        }
+    }
+    let wall: Option<f64> = scenario.trials.iter().map(|trial| trial.wall_ms).sum();
+    if let Some(time) = wall.and_then(|ms| Duration::try_from_secs_f64(ms / 1e3).ok()) {
+        suite.set_time(time);
+    }
+    suite.add_test_cases((0..scenario.expectations.len()).filter_map(|index| test_case(scenario, index)));
+    if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
+        suite.add_test_case(inconclusive_case("the whole scenario", &printable(&scenario.file), reason));
+    }
+    suite
+}
+
+/// A case without an expectation that does not pass.
+fn inconclusive_case(name: &str, class: &str, reason: &str) -> TestCase {
+    let mut status = TestCaseStatus::non_success(NonSuccessKind::Error);
+    status.set_type(Verdict::Inconclusive.name()).set_message(reason);
+    let mut case = TestCase::new(name, status);
+    case.set_classname(class);
+    case
+}
+
+fn test_case(scenario: &ScenarioRecord, index: usize) -> Option<TestCase> {
+    let expectation = scenario.expectations.get(index)?;
+    let kind = match expectation.verdict {
+        Verdict::Pass => None,
+        Verdict::Fail => Some(NonSuccessKind::Failure),
+        Verdict::Inconclusive => Some(NonSuccessKind::Error),
+    };
+    let status = kind.map_or_else(TestCaseStatus::success, |kind| {
+        let mut status = TestCaseStatus::non_success(kind);
+        status.set_type(format::verdict(expectation));
+        if let Some(reason) = &expectation.reason {
+            status.set_message(printable(&reason.to_string()).as_ref());
+        }
+        status
+    });
+    let limit = format::limit(expectation);
+    let mut case = TestCase::new(format!("{} {limit}", record_queries::metric_key(scenario, index)), status);
+    case.set_classname(printable(&scenario.file).as_ref());
+    let trial = record_queries::trial_to_inspect(scenario, index).or_else(|| scenario.trials.first());
+    let properties = [
+        ("requirement", expectation.requirement.clone()),
+        ("value", expectation.value.map(|value| value.to_string())),
+        ("limit", Some(limit)),
+        ("interval", expectation.interval.map(|[low, high]| format!("{low} {high}"))),
+        ("confidence", expectation.confidence.map(|confidence| confidence.to_string())),
+        ("evidence", format::evidence(expectation)),
+        ("cause", expectation.cause.map(|cause| cause.to_string())),
+        ("paper", expectation.paper.map(|paper| paper.to_string())),
+        ("seed", trial.map(|trial| trial.seed.to_string())),
+        ("trace", trial.map(|trial| trial.trace.clone())),
+    ];
+    let lines = properties.into_iter().filter_map(|(name, value)| Some(format!("{name}: {}\n", printable(&value?))));
+    case.set_system_out(lines.collect::<String>());
+    Some(case)
+}

@@ -1,0 +1,110 @@
+//! Writes a run as one page of Markdown for summaries of CI, comments and mails: verdict, what did not pass, all scenarios.
+//!
+//! GitHub refuses a summary above 1 MiB. Each table therefore lists at most `MAX_ROWS` rows and the number of others.
+
+use super::escape::markdown_cell;
+use super::table::Table;
+use crate::error::{ReportError, write_file};
+use crate::{format, record_queries};
+use platebench_record::RunRecord;
+use std::fmt::Write as _;
+use std::fs;
+use std::io::Write as _;
+use std::path::Path;
+
+/// Rows of a table.
+const MAX_ROWS: usize = 200;
+
+/// Writes the page to `path`.
+///
+/// # Errors
+/// [`ReportError`] if the file cannot be written.
+pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
+    write_file(path, &render_page(record))
+}
+
+/// Appends the page to `path`, which need not exist.
+///
+/// # Errors
+/// [`ReportError`] if the file cannot be written.
+pub fn append(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
+    let file = fs::OpenOptions::new().append(true).create(true).open(path);
+    file.and_then(|mut file| file.write_all(format!("{}\n", render_page(record)).as_bytes()))
+        .map_err(ReportError::io(path))
+}
+
+/// The page.
+pub fn render_page(record: &RunRecord) -> String {
+    let mut text = String::new();
+    let counts = format::VerdictCounts::of_expectations(record);
+    let _ = writeln!(text, "## {} platebench: {}\n", format::sign(record.verdict), record.verdict);
+    let scenarios = format::count(record.scenarios.len(), "scenario");
+    let trials = format::count(record.scenarios.iter().map(|scenario| scenario.trials.len()).sum(), "trial");
+    let firmware = record.rig.firmware.as_ref();
+    let firmware = firmware.map_or_else(String::new, |found| format!(", firmware {} {}", found.name, found.version));
+    let rig = markdown_cell(&format!("{}{firmware}, {}, started {}", record.rig.name, record.clock, record.started));
+    let _ = writeln!(text, "{scenarios}, {trials}; expectations: {counts}. Rig {rig}.\n");
+    if let Some(overrides) = format::overrides(record) {
+        let _ = writeln!(text, "Overridden: {}.\n", markdown_cell(&overrides));
+    }
+    if let Some(reason) = record_queries::run_inconclusive_reason(record) {
+        let _ = writeln!(text, "**{reason}**\n");
+    }
+    if record.safe_confirmed == Some(false) {
+        text +=
+            "**The controller did not confirm 0 V at the end: check the amplifier before you touch the plate.**\n\n";
+    }
+    let not_passed = record_queries::expectations_not_passed(record).len();
+    if not_passed > 0 {
+        write_table(&mut text, &not_passed_table(record), not_passed);
+    }
+    write_table(&mut text, &scenarios_table(record), record.scenarios.len());
+    text
+}
+
+/// Expectations that did not pass, failures first.
+fn not_passed_table(record: &RunRecord) -> Table {
+    let mut table = Table::new(["", "Scenario", "Expected", "Measured", "Requirement", "Reason", "Trace"]);
+    for (scenario, index) in record_queries::expectations_not_passed(record).into_iter().take(MAX_ROWS) {
+        let Some(expectation) = scenario.expectations.get(index) else { continue };
+        let verdict = format::verdict(expectation);
+        let reason = expectation.reason.as_ref().map(|reason| format!("{verdict}: {reason}"));
+        let trace = record_queries::trial_to_inspect(scenario, index).map(|trial| trial.trace.clone());
+        table.rows.push(vec![
+            format::sign(expectation.verdict).to_owned(),
+            scenario.file.clone(),
+            format!("{} {}", record_queries::metric_key(scenario, index), format::limit(expectation)),
+            format::value_or_not_reached(expectation).unwrap_or_else(|| "none".to_owned()),
+            expectation.requirement.clone().unwrap_or_default(),
+            reason.unwrap_or(verdict),
+            trace.unwrap_or_default(),
+        ]);
+    }
+    table
+}
+
+fn scenarios_table(record: &RunRecord) -> Table {
+    let mut table = Table::new(["", "Scenario", "Verdict", "Law", "Trials", "Expectations"]);
+    for scenario in record.scenarios.iter().take(MAX_ROWS) {
+        let counts: format::VerdictCounts = scenario.expectations.iter().map(|found| found.verdict).collect();
+        let reason = record_queries::scenario_inconclusive_reason(scenario).map(str::to_owned);
+        table.rows.push(vec![
+            format::sign(scenario.verdict).to_owned(),
+            scenario.file.clone(),
+            scenario.verdict.to_string(),
+            scenario.law.clone(),
+            scenario.trials.len().to_string(),
+            reason.unwrap_or_else(|| counts.to_string()),
+        ]);
+    }
+    table
+}
+
+/// Writes a table and the number of rows of `all` that it does not list.
+fn write_table(text: &mut String, table: &Table, all: usize) {
+    *text += &table.markdown();
+    if all > table.rows.len() {
+        let _ = writeln!(text, "\n… and {} more.", all - table.rows.len());
+    }
+    text.push('\n');
+}

@@ -1,0 +1,86 @@
+//! Writes TAP 14, the Test Anything Protocol: a subtest per scenario, a test point per expectation.
+//!
+//! An inconclusive expectation is `not ok`, because readers count `SKIP` and `TODO` as passed. An unfinished run ends in
+//! `Bail out!`.
+
+use super::escape::tap_description;
+use crate::error::{ReportError, write_file};
+use crate::{format, record_queries};
+use platebench_record::{ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Writes the run to `path`.
+///
+/// # Errors
+/// [`ReportError`] if the file cannot be written.
+pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
+    write_file(path, &text(record))
+}
+
+/// The run as TAP.
+pub fn text(record: &RunRecord) -> String {
+    let reason = record_queries::run_inconclusive_reason(record);
+    let mut text = format!("TAP version 14\n1..{}\n", record.scenarios.len() + usize::from(reason.is_some()));
+    for (number, scenario) in (1..).zip(&record.scenarios) {
+        write_subtest(&mut text, scenario);
+        write_test_point(&mut text, "", scenario.verdict, number, &scenario.file);
+    }
+    if let Some(reason) = reason {
+        write_inconclusive(&mut text, "", record.scenarios.len() + 1, "the whole run", reason);
+    }
+    if !record.complete {
+        text += "Bail out! the run was not finished\n";
+    }
+    text
+}
+
+fn write_subtest(text: &mut String, scenario: &ScenarioRecord) {
+    const INDENT: &str = "    ";
+    let reason = record_queries::scenario_inconclusive_reason(scenario);
+    let points = scenario.expectations.len() + usize::from(reason.is_some());
+    let _ = writeln!(text, "# Subtest: {}\n{INDENT}1..{points}", tap_description(&scenario.file));
+    for (index, expectation) in scenario.expectations.iter().enumerate() {
+        let name = format!("{} {}", record_queries::metric_key(scenario, index), format::limit(expectation));
+        write_test_point(text, INDENT, expectation.verdict, index + 1, &name);
+        if expectation.verdict != Verdict::Pass {
+            write_yaml_block(text, INDENT, &diagnostics(scenario, index, expectation));
+        }
+    }
+    if let Some(reason) = reason {
+        write_inconclusive(text, INDENT, points, "the whole scenario", reason);
+    }
+}
+
+fn diagnostics(scenario: &ScenarioRecord, index: usize, expectation: &ExpectationRecord) -> [(&'static str, Value); 6] {
+    let trace = record_queries::trial_to_inspect(scenario, index).map(|trial| trial.trace.clone());
+    [
+        ("verdict", json!(expectation.verdict.name())),
+        ("cause", json!(expectation.cause)),
+        ("message", json!(expectation.reason.as_ref().map(ToString::to_string))),
+        ("value", json!(expectation.value)),
+        ("requirement", json!(expectation.requirement)),
+        ("trace", json!(trace)),
+    ]
+}
+
+fn write_inconclusive(text: &mut String, indent: &str, number: usize, name: &str, reason: &str) {
+    let verdict = Verdict::Inconclusive;
+    write_test_point(text, indent, verdict, number, name);
+    write_yaml_block(text, indent, &[("verdict", json!(verdict.name())), ("message", json!(reason))]);
+}
+
+fn write_test_point(text: &mut String, indent: &str, verdict: Verdict, number: usize, name: &str) {
+    let ok = if verdict == Verdict::Pass { "ok" } else { "not ok" };
+    let _ = writeln!(text, "{indent}{ok} {number} - {}", tap_description(name));
+}
+
+/// A block of YAML; every value is JSON, which is YAML in one line.
+fn write_yaml_block(text: &mut String, indent: &str, entries: &[(&str, Value)]) {
+    let _ = writeln!(text, "{indent}  ---");
+    for (name, value) in entries.iter().filter(|(_, value)| !value.is_null()) {
+        let _ = writeln!(text, "{indent}  {name}: {}", super::escape::json_line(value));
+    }
+    let _ = writeln!(text, "{indent}  ...");
+}

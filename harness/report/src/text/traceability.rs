@@ -1,0 +1,65 @@
+//! Writes `traceability.csv`: the expectations of each requirement with verdict, value and trace.
+
+use super::table::Table;
+use crate::error::{ReportError, write_file};
+use crate::{format, record_queries};
+use platebench_record::{RunRecord, Verdict};
+use std::path::Path;
+
+/// The file's name in a run folder.
+pub const FILE: &str = "traceability.csv";
+
+/// An expectation with a requirement.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct RequirementLink {
+    pub(crate) requirement: String,
+    pub(crate) expectation: String,
+    pub(crate) limit: String,
+    pub(crate) scenario: String,
+    pub(crate) scenario_index: usize,
+    pub(crate) verdict: Verdict,
+    pub(crate) value: String,
+    /// Of the trial that decided, or the first.
+    pub(crate) trace: String,
+}
+
+/// Every expectation with a requirement, sorted by requirement and then in the order of the record.
+pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink> {
+    let mut links = Vec::new();
+    for (scenario_index, scenario) in record.scenarios.iter().enumerate() {
+        for (index, expectation) in scenario.expectations.iter().enumerate() {
+            let Some(requirement) = &expectation.requirement else { continue };
+            let trial = record_queries::trial_to_inspect(scenario, index).or_else(|| scenario.trials.first());
+            links.push(RequirementLink {
+                requirement: requirement.clone(),
+                expectation: record_queries::metric_key(scenario, index),
+                limit: format::limit(expectation),
+                scenario: scenario.file.clone(),
+                scenario_index,
+                verdict: expectation.verdict,
+                value: format::value(expectation).unwrap_or_default(),
+                trace: trial.map(|trial| trial.trace.clone()).unwrap_or_default(),
+            });
+        }
+    }
+    links.sort_by(|a, b| a.requirement.cmp(&b.requirement));
+    links
+}
+
+/// Writes the table into the run folder.
+///
+/// # Errors
+/// [`ReportError`] if the file cannot be written.
+pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
+    write_file(&folder.join(FILE), &text(record))
+}
+
+/// The table as CSV.
+pub fn text(record: &RunRecord) -> String {
+    let mut table = Table::new(["requirement", "expectation", "limit", "scenario", "verdict", "value", "trace"]);
+    table.rows.extend(requirement_links(record).into_iter().map(|link| {
+        let verdict = link.verdict.to_string();
+        vec![link.requirement, link.expectation, link.limit, link.scenario, verdict, link.value, link.trace]
+    }));
+    table.csv()
+}

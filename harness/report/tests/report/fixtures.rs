@@ -1,0 +1,433 @@
+//! Makes records and traces for the tests of all reports.
+
+use platebench_record::{
+    BestResponse, Cause, ClockKind, CostTrend, EarlierCost, Evidence, Exclusion, Excuse, ExpectationRecord, FORMAT,
+    Firmware, Host, InputRecord, Limit, Metric, MetricDefinition, MissingValue, Overrides, Reason, RigRecord,
+    RunRecord, ScenarioRecord, Statistic, StepCost, Telemetry, Tool, TrialFinding, TrialReason, TrialRecord, Verdict,
+};
+use platebench_trace::{Flags, Row, TraceWriter};
+use serde_json::{Value, json};
+use std::fs;
+use std::path::Path;
+
+/// A run of these scenarios.
+pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
+    RunRecord {
+        format: FORMAT,
+        verdict: Verdict::combine(scenarios.iter().map(|scenario| scenario.verdict)),
+        complete: true,
+        tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned() },
+        started: "2026-03-02T09:30:00Z".to_owned(),
+        rig: RigRecord {
+            name: "hosted".to_owned(),
+            firmware: Some(Firmware {
+                name: "dq-pi".to_owned(),
+                version: "0.1.0".to_owned(),
+                build: "5f3a9c01".to_owned(),
+                chip: "0".to_owned(),
+            }),
+        },
+        clock: ClockKind::Lockstep,
+        overrides: Overrides { seed: Some(7), ..Overrides::default() },
+        safe_confirmed: Some(true),
+        host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
+        scenarios,
+        not_applicable: Vec::new(),
+        cost: Vec::new(),
+    }
+}
+
+/// A scenario without trials.
+pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<ExpectationRecord>) -> ScenarioRecord {
+    let input = |file: String, digit: &str| InputRecord { file, sha256: digit.repeat(64) };
+    ScenarioRecord {
+        file: file.to_owned(),
+        title: title.to_owned(),
+        source: Some("Fig. 13".to_owned()),
+        verdict: Verdict::combine(expectations.iter().map(|expectation| expectation.verdict)),
+        law: law.to_owned(),
+        model: "modal".to_owned(),
+
+        inputs: vec![
+            input(format!("inputs/{file}"), "3"),
+            input("inputs/plates/aluminium-198x138.toml".to_owned(), "a"),
+        ],
+        expectations,
+        trials: Vec::new(),
+    }
+}
+
+/// An expectation that passed.
+#[allow(clippy::needless_pass_by_value, reason = "short calls")]
+pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64) -> ExpectationRecord {
+    ExpectationRecord {
+        name: String::new(),
+        windows_ms: Vec::new(),
+        metric: Metric::from_name(metric).unwrap(),
+        verdict: Verdict::Pass,
+        value: Some(value),
+        statistic: Statistic::Worst,
+        limit: serde_json::from_value(json!({ limit.0: limit.1 })).unwrap(),
+        interval: Some([value * 0.98, value]),
+        confidence: None,
+        cause: None,
+        reason: None,
+        paper: None,
+        requirement: None,
+        definition: if metric == "settling_time_ms" {
+            settling_definition(5.0, "amplitude_um")
+        } else {
+            MetricDefinition::default()
+        },
+        evidence: Evidence::default(),
+    }
+}
+
+/// Settling time from the first setpoint step.
+pub(crate) fn settling_definition(band_percent: f64, signal: &str) -> MetricDefinition {
+    MetricDefinition { from_ms: None, band_percent: Some(band_percent), signal: Some(signal.to_owned()) }
+}
+
+pub(crate) fn closed_loop() -> ScenarioRecord {
+    let settling = passed_expectation("settling_time_ms", ("at_most", json!(2.0)), 1.949);
+    scenario("paper/fig13-closed-loop.toml", "Closed loop", "dq-pi", vec![settling])
+}
+
+pub(crate) fn open_loop() -> ScenarioRecord {
+    let settling = passed_expectation("settling_time_ms", ("at_most", json!(2.0)), 5.632);
+    let settling = failed_expectation(settling, outside(0, 5.632, 2.0));
+    scenario("paper/fig13-open-loop.toml", "Open loop", "open-loop", vec![settling])
+}
+
+/// The same, failed.
+pub(crate) fn failed_expectation(expectation: ExpectationRecord, reason: Reason) -> ExpectationRecord {
+    ExpectationRecord { verdict: Verdict::Fail, reason: Some(reason), ..expectation }
+}
+
+/// A trial whose value breaks an upper limit.
+pub(crate) fn outside(trial: u32, value: f64, limit: f64) -> Reason {
+    let finding = TrialFinding::Outside { value: Some(value), limit: Limit::AtMost(limit) };
+    Reason::Trial { trial, divergence: None, finding, ended: None }
+}
+
+/// A trial that never settles.
+pub(crate) fn never_settles(trial: u32) -> Reason {
+    let finding = TrialFinding::Missing(MissingValue::NeverSettles);
+    Reason::Trial { trial, divergence: None, finding, ended: None }
+}
+
+/// A setpoint that 400 Vpp cannot hold.
+fn out_of_reach(settling_ms: f64) -> Reason {
+    let best = BestResponse::Value(Metric::SettlingTime, settling_ms);
+    Reason::Excused(Excuse::SetpointOutOfReach { needed_vpp: 668.0, limit_vpp: 400.0, best })
+}
+
+/// The same, inconclusive.
+pub(crate) fn inconclusive_expectation(
+    expectation: ExpectationRecord,
+    cause: Cause,
+    reason: Reason,
+) -> ExpectationRecord {
+    ExpectationRecord { verdict: Verdict::Inconclusive, cause: Some(cause), reason: Some(reason), ..expectation }
+}
+
+/// A trial with these metrics.
+pub(crate) fn trial(file: &str, index: u32, metrics: &[(&str, Value)]) -> TrialRecord {
+    let name = file.strip_suffix(".toml").unwrap();
+    TrialRecord {
+        index,
+        seed: 7 + u64::from(index),
+        trace: format!("traces/{name}/{index:03}.csv"),
+        metrics: metrics.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect(),
+        cause: None,
+        reason: None,
+        sha256: None,
+        telemetry: Telemetry::default(),
+        diverged_at_s: None,
+        wall_ms: Some(12.5),
+    }
+}
+
+const NO_ANSWER: Exclusion = Exclusion::NoAnswer { at_ms: 12.0 };
+const LATE_BENCH: Exclusion = Exclusion::LateBench { count: 1, first_ms: 31.05 };
+
+/// A pass, a failure, and an inconclusive expectation of every cause.
+pub(crate) fn mixed_run() -> RunRecord {
+    let closed = "paper/fig13-closed-loop.toml";
+    let open = "paper/fig13-open-loop.toml";
+    let limits = "limits/drive-400.toml";
+    let settling = || ("at_most", json!(2.0));
+    let mut passing = scenario(
+        closed,
+        "Step of 2 µm at resonance, closed loop",
+        "dq-pi",
+        vec![
+            ExpectationRecord {
+                paper: Some(2.0),
+                requirement: Some("ACC-1".to_owned()),
+                ..passed_expectation("settling_time_ms", settling(), 1.949_31)
+            },
+            ExpectationRecord {
+                statistic: Statistic::Mean,
+                confidence: Some(0.95),
+                interval: Some([0.0, 0.031]),
+                ..passed_expectation("static_error_percent", ("at_most", json!(1.0)), 0.012)
+            },
+            passed_expectation("final_amplitude_um", ("within", json!([1.98, 2.02])), 1.9997),
+        ],
+    );
+    passing.trials = (0..3).map(|index| trial(closed, index, &[("settling_time_ms", json!(1.949_31))])).collect();
+    let mut failing = scenario(
+        open,
+        "Step of 2 µm at resonance, open loop",
+        "open-loop",
+        vec![
+            ExpectationRecord {
+                paper: Some(5.0),
+                requirement: Some("ACC-2".to_owned()),
+                ..failed_expectation(passed_expectation("settling_time_ms", settling(), 5.632), outside(1, 5.632, 2.0))
+            },
+            ExpectationRecord {
+                value: None,
+                interval: None,
+                ..failed_expectation(passed_expectation("settling_time_ms", settling(), 0.0), never_settles(2))
+            },
+        ],
+    );
+    failing.trials = [(5.6, json!(1.0)), (5.632, json!(1.0)), (5.61, Value::Null)]
+        .into_iter()
+        .zip(0..)
+        .map(|((first, second), index)| {
+            trial(open, index, &[("settling_time_ms", json!(first)), ("settling_time_ms[2]", second)])
+        })
+        .collect();
+    let mut doubted = scenario(
+        limits,
+        "A 2 N finger with 400 Vpp",
+        "dq-pi",
+        vec![
+            inconclusive_expectation(
+                passed_expectation("settling_time_ms", settling(), 9.1),
+                Cause::Infeasible,
+                out_of_reach(9.1),
+            ),
+            inconclusive_expectation(
+                passed_expectation("peak_deviation_percent", ("at_most", json!(5.0)), 3.2),
+                Cause::Rig,
+                Reason::Excluded { trial: 1, exclusion: NO_ANSWER },
+            ),
+            inconclusive_expectation(
+                passed_expectation("overruns", ("at_most", json!(0.0)), 0.0),
+                Cause::Bench,
+                Reason::Excluded { trial: 2, exclusion: LATE_BENCH },
+            ),
+            ExpectationRecord {
+                statistic: Statistic::Deviation,
+                confidence: Some(0.95),
+                interval: Some([1.01, 1.62]),
+                ..inconclusive_expectation(
+                    passed_expectation("repeatability_percent", ("at_most", json!(1.3)), 1.25),
+                    Cause::Evidence,
+                    Reason::Undecided {
+                        trials: 30,
+                        bounds: [1.01, 1.62].into(),
+                        limit: Limit::AtMost(1.3),
+                        cause: None,
+                    },
+                )
+            },
+            passed_expectation("quadrature_ratio", ("about", json!(0.0)), 0.000_012_3),
+        ],
+    );
+    doubted.trials = (0..3).map(|index| trial(limits, index, &[("settling_time_ms", json!(9.1))])).collect();
+    doubted.trials[1].cause = Some(Cause::Rig);
+    doubted.trials[1].reason = Some(TrialReason::Excluded(NO_ANSWER));
+    doubted.trials[2].cause = Some(Cause::Bench);
+    doubted.trials[2].reason = Some(TrialReason::Excluded(LATE_BENCH));
+    run(vec![passing, failing, doubted])
+}
+
+/// The cost of a step under three laws: a third more than in an earlier run, a lower mean, and no earlier run.
+pub(crate) fn cost_trends() -> Vec<CostTrend> {
+    let cost = |mean, worst| StepCost { mean, worst };
+    let earlier = |run: Option<&str>, build: &str, then, now| EarlierCost {
+        run: run.map(str::to_owned),
+        started: run.map(|_| "2026-03-01T09:30:00Z".to_owned()),
+        build: build.to_owned(),
+        trials: 42,
+        then,
+        now,
+    };
+    let trend = |law: &str, cost, earlier| CostTrend {
+        law: law.to_owned(),
+        build: "5f3a9c01aabbccdd".to_owned(),
+        cost,
+        earlier,
+    };
+    let slower = cost(3_280.5, 3_332.0);
+    vec![
+        trend(
+            "dq-pi",
+            slower,
+            vec![
+                earlier(Some("20260301T103000Z-0a0b0c"), "5f3a9c01aabbccdd", slower, slower),
+                earlier(Some("20260301T093000Z-abcdef"), "1a2b3c4d00000000", cost(2_523.0, 2_563.0), slower),
+            ],
+        ),
+        trend(
+            "dq-pi-euler",
+            cost(2_400.0, 2_640.0),
+            vec![earlier(None, "00112233", cost(2_500.0, 2_610.0), cost(2_410.0, 2_610.0))],
+        ),
+        trend("open-loop", cost(2_417.0, 2_494.0), Vec::new()),
+    ]
+}
+
+/// A first-order response to a step of 2 µm at 1 ms.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Response {
+    pub(crate) duration_ms: f64,
+    pub(crate) step_ms: f64,
+    pub(crate) time_constant_ms: f64,
+    /// Final value relative to the setpoint.
+    pub(crate) gain: f64,
+    /// Detuning at the start, Hz; the frequency then follows the resonance.
+    pub(crate) detuned_hz: f64,
+    pub(crate) follows: bool,
+    /// Force of the finger after a ramp from 20 ms to 40 ms.
+    pub(crate) force_n: f64,
+    pub(crate) temperature_k: f64,
+    pub(crate) drive_limit_vpp: f64,
+}
+
+impl Default for Response {
+    fn default() -> Self {
+        Self {
+            duration_ms: 60.0,
+            step_ms: 0.05,
+            time_constant_ms: 0.6504,
+            gain: 1.0,
+            detuned_hz: 0.0,
+            follows: true,
+            force_n: 0.0,
+            temperature_k: 0.0,
+            drive_limit_vpp: 900.0,
+        }
+    }
+}
+
+impl Response {
+    /// When it enters the 5 % band, counted from the step.
+    pub(crate) fn settling_ms(&self) -> f64 {
+        self.time_constant_ms * (1.0 / (1.0 - 0.95 / self.gain)).ln()
+    }
+
+    fn row(&self, t_ms: f64) -> Row {
+        let since = t_ms - 1.0;
+        let rise = if since > 0.0 { 1.0 - (-since / self.time_constant_ms).exp() } else { 0.0 };
+        let force = self.force_n * ((t_ms - 20.0) / 20.0).clamp(0.0, 1.0);
+        let dip =
+            if (20.0..45.0).contains(&t_ms) { 0.06 * (force / 2.0) * (-(t_ms - 40.0).max(0.0)).exp() } else { 0.0 };
+        let amplitude = 2.0 * self.gain * rise * (1.0 - dip);
+        let off = if self.follows { self.detuned_hz * (-since.max(0.0) / 3.0).exp() } else { self.detuned_hz };
+        let ratio = -1.88e-3 * std::f64::consts::TAU * off;
+        let in_phase = amplitude / ratio.hypot(1.0);
+        let held = (t_ms + 1e-9).floor() - 1.0;
+        let wanted = if held < 0.0 {
+            0.0
+        } else {
+            286.5 * self.gain * (1.0 + 0.9 * (-held / self.time_constant_ms).exp()) * (1.0 + force * 0.66)
+        };
+        let saturated = if wanted >= self.drive_limit_vpp { Flags::SATURATED } else { Flags::empty() };
+        Row {
+            t_s: t_ms / 1e3,
+            setpoint_um: if since >= 0.0 { 2.0 } else { 0.0 },
+            wd_um: in_phase,
+            wq_um: in_phase * ratio,
+            amplitude_um: amplitude,
+            drive_vpp: wanted.min(self.drive_limit_vpp),
+            frequency_hz: 32_307.6 - 9.638 * self.temperature_k + off,
+            resonance_hz: 32_307.6 - 9.638 * self.temperature_k,
+            temperature_offset_k: self.temperature_k,
+            finger_force_n: force,
+            flags: saturated,
+            ..Row::default()
+        }
+    }
+
+    /// Writes the trace of `trial` below `folder`.
+    pub(crate) fn write(&self, folder: &Path, trial: &TrialRecord) {
+        let path = folder.join(&trial.trace);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        let mut writer = TraceWriter::create(&path).unwrap();
+        let count = (self.duration_ms / self.step_ms).round() as u32;
+        for index in 0..=count {
+            writer.write(&self.row(f64::from(index) * self.step_ms)).unwrap();
+        }
+        writer.finish().unwrap();
+    }
+}
+
+/// Adds trials with traces to `scenario`, with gains within ±`spread` of that of `response`.
+pub(crate) fn write_trials(scenario: &mut ScenarioRecord, folder: &Path, trials: u32, response: Response, spread: f64) {
+    for index in 0..trials {
+        let offset = (f64::from(index) * 2.399_963).sin() * spread;
+        let response = Response { gain: response.gain * (1.0 + offset), ..response };
+        let settling = response.settling_ms();
+        let settling = if settling.is_finite() { json!(settling) } else { Value::Null };
+        let trial = trial(&scenario.file, index, &[("settling_time_ms", settling)]);
+        response.write(folder, &trial);
+        scenario.trials.push(trial);
+    }
+}
+
+/// A run of three scenarios with their traces below `folder`: one passed, one failed, one is inconclusive and saturated.
+pub(crate) fn run_with_traces(folder: &Path) -> RunRecord {
+    let settling = |value: f64, paper: f64| ExpectationRecord {
+        paper: Some(paper),
+        requirement: Some("ACC-1".to_owned()),
+        ..passed_expectation("settling_time_ms", ("at_most", json!(2.0)), value)
+    };
+    let mut closed = scenario(
+        "paper/fig13-closed-loop.toml",
+        "Step of 2 µm at resonance, closed loop",
+        "dq-pi",
+        vec![
+            settling(1.991, 2.0),
+            ExpectationRecord {
+                statistic: Statistic::Deviation,
+                interval: Some([0.58, 0.88]),
+                confidence: Some(0.95),
+                paper: Some(1.3),
+                ..passed_expectation("repeatability_percent", ("at_most", json!(1.3)), 0.7)
+            },
+            passed_expectation("quadrature_ratio", ("at_most", json!(0.01)), 0.000_012_3),
+        ],
+    );
+    write_trials(&mut closed, folder, 30, Response::default(), 0.01);
+    let mut open = scenario("paper/fig13-open-loop.toml", "Step of 2 µm at resonance, open loop", "open-loop", vec![]);
+    write_trials(&mut open, folder, 30, Response { time_constant_ms: 1.88, ..Response::default() }, 0.02);
+    let times = open.trials.iter().map(|trial| trial.metrics["settling_time_ms"].as_f64().unwrap());
+    let worst = times.fold(0.0, f64::max);
+    open.expectations = vec![failed_expectation(settling(worst, 5.0), outside(2, worst, 2.0))];
+    open.verdict = Verdict::Fail;
+    let mut finger = scenario(
+        "limits/fig16-400-vpp.toml",
+        "Tuned for 33 °C, plate at 24 °C, 2 N finger, amplifier of 400 Vpp",
+        "dq-pi",
+        vec![
+            inconclusive_expectation(settling(3.37, 2.0), Cause::Infeasible, out_of_reach(3.37)),
+            passed_expectation("frequency_error_hz", ("at_most", json!(5.0)), 0.3),
+        ],
+    );
+    let weak = Response {
+        force_n: 2.0,
+        temperature_k: 4.0,
+        detuned_hz: -86.7,
+        gain: 0.98,
+        drive_limit_vpp: 400.0,
+        ..Response::default()
+    };
+    write_trials(&mut finger, folder, 5, weak, 0.004);
+    run(vec![closed, open, finger])
+}

@@ -1,0 +1,91 @@
+//! Hostile texts in every report: ESC, right-to-left override, a line feed before a workflow command, a formula.
+
+use crate::fixtures;
+use platebench_record::{MissingValue, Reason, RunRecord, TrialFinding};
+use platebench_report::events::EventWriter;
+use platebench_report::{Progress, Style, annotations, console, junit, markdown, page, tap, traceability};
+use rstest::rstest;
+use std::fs;
+use std::io::{self, Write};
+use std::sync::{Arc, Mutex};
+
+const HOSTILE: &str = "=1\u{1b}[2J\u{202e}\u{9b}31m\n::error::x";
+
+fn hostile_run() -> RunRecord {
+    let mut record = fixtures::mixed_run();
+    let hostile = || HOSTILE.to_owned();
+    HOSTILE.clone_into(&mut record.rig.name);
+    for scenario in &mut record.scenarios {
+        (scenario.file, scenario.title, scenario.law, scenario.source) =
+            (hostile(), hostile(), hostile(), Some(hostile()));
+        for expectation in &mut scenario.expectations {
+            expectation.requirement = Some(hostile());
+            expectation.reason = expectation.reason.as_ref().map(|_| Reason::Trial {
+                trial: 0,
+                divergence: None,
+                finding: TrialFinding::Missing(MissingValue::NotRunning),
+                ended: Some(hostile()),
+            });
+        }
+        scenario.trials.iter_mut().for_each(|trial| trial.trace = hostile());
+    }
+    record
+}
+
+#[derive(Clone, Default)]
+struct SharedBuffer(Arc<Mutex<Vec<u8>>>);
+
+impl Write for SharedBuffer {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn written(write: impl FnOnce(SharedBuffer)) -> String {
+    let buffer = SharedBuffer::default();
+    write(buffer.clone());
+    String::from_utf8(buffer.0.lock().unwrap().clone()).unwrap()
+}
+
+fn file(write: impl FnOnce(&std::path::Path)) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report");
+    write(&path);
+    fs::read_to_string(path).unwrap()
+}
+
+#[rstest]
+#[case::console(|record: &RunRecord| console::run_table(record, Style::default()))]
+#[case::tap(|record: &RunRecord| tap::text(record))]
+#[case::markdown(|record: &RunRecord| markdown::render_page(record))]
+#[case::annotations(|record: &RunRecord| annotations::workflow_commands(record, &|_, _| None))]
+#[case::traceability(|record: &RunRecord| traceability::text(record))]
+#[case::junit(|record: &RunRecord| file(|path| junit::write(record, path).unwrap()))]
+#[case::page(|record: &RunRecord| file(|path| {
+    page::ReportPage::new(record, path.parent().unwrap()).write(path).unwrap();
+}))]
+#[case::events(|record: &RunRecord| written(|out| {
+    let mut events = EventWriter::new(out);
+    events.scenario_finished(&record.scenarios[1]);
+    events.run_finished(None, Some(HOSTILE), 2);
+}))]
+#[case::progress(|record: &RunRecord| written(|out| {
+    let mut progress = Progress::to_writer(out);
+    progress.scenario_started(HOSTILE, 1);
+    progress.scenario_finished(&record.scenarios[1]);
+}))]
+fn no_text_acts_on_a_terminal_a_ci_system_or_a_spreadsheet(#[case] render: fn(&RunRecord) -> String) {
+    let text = render(&hostile_run());
+    assert!(text.contains("error"), "the texts are there: {text}");
+    for character in ['\u{1b}', '\u{9b}', '\u{202e}'] {
+        assert!(!text.contains(character), "{character:?} in {text:?}");
+    }
+    // In HTML a line feed is a space.
+    let is_command = |line: &str| line.trim_start().starts_with("::") && !line.contains("title=");
+    assert!(text.starts_with("<!DOCTYPE html>") || !text.lines().any(is_command), "{text}");
+    assert!(!text.lines().flat_map(|line| line.split(',')).any(|field| field.starts_with('=')), "{text}");
+}

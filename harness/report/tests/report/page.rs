@@ -1,0 +1,357 @@
+//! `report.html`.
+
+use crate::fixtures::{self, Response, closed_loop, open_loop};
+use crate::page_text::{assert_balanced, page_text, section, strip_elements};
+use platebench_record::{
+    ExpectationRecord, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, TrialRecord, UndefinedValue, Verdict,
+};
+use platebench_report::page::{self, IsTraceChanged, ReportPage};
+use platebench_trace::{Flags, TraceWriter};
+use platebench_verdict::golden::{Baseline, BaselineBuild, GoldenTubes, ResponseFeatures};
+use rstest::rstest;
+use serde_json::{Value, json};
+use std::fs;
+use std::path::Path;
+
+pub(crate) fn write_page(record: &RunRecord, folder: &Path) -> String {
+    page::write(record, folder).unwrap();
+    fs::read_to_string(folder.join(page::FILE)).unwrap()
+}
+
+fn scenario_section(page: &str, index: usize) -> &str {
+    section(page, &format!("scenario-{index}"))
+}
+
+/// The figures of the scenarios as data, in the order of the page.
+pub(crate) fn plot_data(page: &str) -> Vec<Value> {
+    let parts = page.split("<script class=\"curves\" type=\"application/json\">").skip(1);
+    parts.map(|part| serde_json::from_str(part.split_once("</script>").unwrap().0).unwrap()).collect()
+}
+
+/// The legend of a figure.
+pub(crate) fn legend_texts(curves: &Value, figure: usize) -> Vec<String> {
+    let groups = curves["panels"][figure]["groups"].as_array().unwrap().iter();
+    groups.map(|group| group["text"].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn shows_every_outcome() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut record = fixtures::mixed_run();
+    record.complete = false;
+    record.cost = fixtures::cost_trends();
+    let page = write_page(&record, folder.path());
+    assert_balanced(&page);
+    insta::assert_snapshot!(page_text(&page));
+}
+
+#[test]
+fn shows_figures_of_every_kind() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = write_page(&fixtures::run_with_traces(folder.path()), folder.path());
+    assert_balanced(&page);
+    let figures = |index: usize| {
+        let part = scenario_section(&page, index);
+        let end = part.find("<details").unwrap();
+        page_text(&part[part.find("class=\"drawings\"").unwrap()..end])
+    };
+    insta::assert_snapshot!([1, 2, 0].map(figures).join("\n\n"));
+}
+
+#[test]
+fn loads_nothing_and_no_title_ends_its_data() {
+    const TITLE: &str = "</script><script>alert(1)</script> & \"more\" ' <!--";
+    let folder = tempfile::tempdir().unwrap();
+    let (mut closed, open) = (closed_loop(), open_loop());
+    fixtures::write_trials(&mut closed, folder.path(), 2, Response::default(), 0.01);
+    closed.title = TITLE.to_owned();
+    let page = write_page(&fixtures::run(vec![closed, open]), folder.path());
+    assert!(page.contains("&lt;/script&gt;&lt;script&gt;alert(1)&lt;/script&gt; &amp;"));
+    // The data of one scenario, the library, the script.
+    assert_eq!((page.matches("<script").count(), page.matches("</script>").count()), (3, 3));
+    assert_eq!(plot_data(&page)[0]["title"], TITLE);
+    let own = strip_elements(&page, "script");
+    for foreign in ["src=", "http:", "https:", "@import", "url(", "<link"] {
+        assert!(!own.contains(foreign), "{foreign}");
+    }
+    assert!(!page.contains(" src=") && page.contains("default-src 'none'"));
+    assert!(page.starts_with("<!DOCTYPE html><html lang=\"en\">"));
+    assert!(page.contains("Copyright (c) 2022 Leon Sorokin"), "the library's licence requires it");
+    assert_balanced(&page);
+}
+
+#[test]
+fn lists_missing_and_damaged_traces() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut closed, open) = (closed_loop(), open_loop());
+    fixtures::write_trials(&mut closed, folder.path(), 3, Response::default(), 0.01);
+    fs::remove_file(folder.path().join(&closed.trials[0].trace)).unwrap();
+    fs::write(folder.path().join(&closed.trials[1].trace), "no trace").unwrap();
+    let page = write_page(&fixtures::run(vec![closed, open]), folder.path());
+    let text = page_text(scenario_section(&page, 0));
+    let (_, notice) = text.split_once("2 traces cannot be shown:\n").unwrap();
+    let notice: Vec<&str> = notice.lines().take(2).collect();
+    assert_eq!(notice[0], "traces/paper/fig13-closed-loop/000.csv: No such file or directory (os error 2)");
+    assert!(notice[1].starts_with("traces/paper/fig13-closed-loop/001.csv: line 1: columns"), "{notice:?}");
+    assert!(!page.contains(&folder.path().display().to_string()), "a report is read elsewhere");
+    // The third trace is drawn; a scenario without trials has no figures.
+    assert!(text.contains("[Amplitude |W| in µm") && text.contains("trial 2"), "{text}");
+    assert!(!scenario_section(&page, 1).contains("<figure>"));
+}
+
+#[test]
+fn the_open_loop_is_behind_its_closed_loop_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut closed, mut open) = (closed_loop(), open_loop());
+    let mut other = ScenarioRecord { file: "limits/fig13-closed-loop.toml".to_owned(), ..closed.clone() };
+    let slow = Response { time_constant_ms: 1.88, ..Response::default() };
+    fixtures::write_trials(&mut closed, folder.path(), 2, Response::default(), 0.01);
+    fixtures::write_trials(&mut open, folder.path(), 2, slow, 0.01);
+    fixtures::write_trials(&mut other, folder.path(), 1, Response::default(), 0.0);
+    let page = write_page(&fixtures::run(vec![closed, open, other]), folder.path());
+    let lines = |index| scenario_section(&page, index).matches("class=\"s-other\" d=").count();
+    // A line and a swatch each: |W| and drive in the response; |W|, drive and frequency in the whole trial.
+    assert_eq!([lines(0), lines(1), lines(2)], [5, 0, 0]);
+    assert_eq!(scenario_section(&page, 0).matches("</svg>open loop (paper/fig13-open-loop.toml)").count(), 5);
+}
+
+#[test]
+fn reads_the_trial_that_decided_beyond_the_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut open = open_loop();
+    let slow = Response { time_constant_ms: 1.88, ..Response::default() };
+    fixtures::write_trials(&mut open, folder.path(), 40, slow, 0.01);
+    open.trials[35].metrics["settling_time_ms"] = json!(5.632);
+    let page = write_page(&fixtures::run(vec![open]), folder.path());
+    let open = scenario_section(&page, 0);
+    assert!(open.contains("5 % to 95 % of 31 trials"));
+    // In |W| and in the drive; its frequency equals that of the first trial.
+    assert_eq!(open.matches("</svg>trial 35, decided settling_time_ms").count(), 2);
+    assert_eq!(open.matches("class=\"s-exhibit\" d=").count(), 2);
+}
+
+#[rstest]
+#[case::ten(10)]
+#[case::forty(40)]
+#[case::hundred(100)]
+fn thirty_trials_of_many_scenarios_take_five_megabytes(#[case] count: usize) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut played = closed_loop();
+    let response = Response { force_n: 2.0, temperature_k: 9.0, detuned_hz: 87.0, step_ms: 0.1, ..Response::default() };
+    fixtures::write_trials(&mut played, folder.path(), 30, response, 0.02);
+    // All scenarios share the traces: the size depends on the figures.
+    let numbered = |number| ScenarioRecord { file: format!("paper/s{number}-closed-loop.toml"), ..played.clone() };
+    let page = write_page(&fixtures::run((0..count).map(numbered).collect()), folder.path());
+    let curves = plot_data(&page);
+    assert_eq!(curves.len(), count);
+    assert!(legend_texts(&curves[0], 0).contains(&"5 % to 95 % of 30 trials".to_owned()));
+    assert!(page.len() < 5_000_000, "{} bytes", page.len());
+}
+
+#[rstest]
+#[case("amplitude_um", 0)]
+#[case("wd_um", 3)]
+fn draws_the_band_of_the_expectation(#[case] signal: &str, #[case] figure: usize) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut closed = closed_loop();
+    closed.expectations[0].definition = fixtures::settling_definition(1.0, signal);
+    fixtures::write_trials(&mut closed, folder.path(), 1, Response::default(), 0.0);
+    let curves = &plot_data(&write_page(&fixtures::run(vec![closed]), folder.path()))[0];
+    for number in [0, 3] {
+        let has_band = legend_texts(curves, number).contains(&"1 % band".to_owned());
+        assert_eq!(has_band, number == figure, "figure {number}");
+    }
+}
+
+#[test]
+fn marks_overruns_and_lost_links() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut closed = closed_loop();
+    fixtures::write_trials(&mut closed, folder.path(), 2, Response::default(), 0.0);
+    // In the second trial, whose curves equal those of the first.
+    let path = folder.path().join(&closed.trials[1].trace);
+    let mut rows = platebench_trace::read_trace(&path).unwrap();
+    rows[400].flags |= Flags::OVERRUN;
+    for row in &mut rows[600..620] {
+        row.flags |= Flags::LINK_LOST;
+    }
+    let mut writer = TraceWriter::create(&path).unwrap();
+    for row in &rows {
+        writer.write(row).unwrap();
+    }
+    writer.finish().unwrap();
+    let curves = plot_data(&write_page(&fixtures::run(vec![closed]), folder.path()));
+    assert_eq!(legend_texts(&curves[0], 1), ["trial 0", "link lost", "overrun of the bench (1)"]);
+    let drive = &curves[0]["panels"][1];
+    assert_eq!(drive["marks"], json!([[2, rows[400].t_s * 1e3]]));
+    assert_eq!(drive["spans"], json!([[1, rows[600].t_s * 1e3, rows[620].t_s * 1e3]]));
+}
+
+#[test]
+fn shows_golden_traces_and_their_tubes() {
+    let (folder, baselines) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut closed = closed_loop();
+    fixtures::write_trials(&mut closed, folder.path(), 2, Response::default(), 0.01);
+    let rows = platebench_trace::read_trace(&folder.path().join(&closed.trials[0].trace)).unwrap();
+    let accepted = Baseline {
+        scenario: closed.file.clone(),
+        law: "dq-pi".to_owned(),
+        build: BaselineBuild {
+            rig: "hosted".to_owned(),
+            firmware: "dq-pi 0.1.0".to_owned(),
+            id: "5f3a9c01".to_owned(),
+        },
+        features: ResponseFeatures::of(&rows),
+        learned: None,
+        golden: GoldenTubes::from_rows(&rows).unwrap(),
+    };
+    accepted.write(baselines.path()).unwrap();
+    let record = fixtures::run(vec![closed, open_loop()]);
+    let path = folder.path().join(page::FILE);
+    ReportPage::new(&record, folder.path()).with_baselines(baselines.path()).write(&path).unwrap();
+    let page = fs::read_to_string(&path).unwrap();
+    for figure in 0..3 {
+        let keys = legend_texts(&plot_data(&page)[0], figure);
+        assert!(keys.contains(&"golden trace (dq-pi)".to_owned()), "{figure}: {keys:?}");
+        assert!(keys.contains(&"tolerance tube of the golden trace (dq-pi)".to_owned()), "{figure}: {keys:?}");
+    }
+    fs::write(baselines.path().join("paper/fig13-closed-loop.toml"), "no baseline").unwrap();
+    ReportPage::new(&record, folder.path()).with_baselines(baselines.path()).write(&path).unwrap();
+    assert!(fs::read_to_string(&path).unwrap().contains("The baseline cannot be shown: "));
+}
+
+#[test]
+fn compares_two_runs() {
+    let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let there = there.path().join("other");
+    let (mut now, mut then) = (closed_loop(), closed_loop());
+    then.expectations[0].value = Some(1.5);
+    let failed = fixtures::failed_expectation(now.expectations.remove(0), fixtures::never_settles(0));
+    now = ScenarioRecord { expectations: vec![failed], ..now };
+    fixtures::write_trials(&mut now, here.path(), 2, Response::default(), 0.01);
+    fixtures::write_trials(&mut then, &there, 2, Response { time_constant_ms: 0.5, ..Response::default() }, 0.01);
+    let same = ScenarioRecord { file: "a.toml".to_owned(), ..closed_loop() };
+    let (now, then) = (fixtures::run(vec![same.clone(), now]), fixtures::run(vec![same, then, open_loop()]));
+    let path = here.path().join(page::COMPARISON_FILE);
+    ReportPage::new(&now, here.path()).with_other_run(&then, &there).write(&path).unwrap();
+    let page = fs::read_to_string(&path).unwrap();
+    assert_balanced(&page);
+    insta::assert_snapshot!(page_text(section(&page, "against")));
+    assert!(legend_texts(&plot_data(&page)[0], 0).contains(&"trial 0 of other".to_owned()));
+    assert!(scenario_section(&page, 1).contains("</svg>trial 0 of other"), "also without scripts");
+}
+
+#[rstest]
+#[case::neither(|_: &mut ExpectationRecord| (), "Metric | Verdict | Measured | Expected")]
+#[case::paper(|found: &mut ExpectationRecord| found.paper = Some(2.0), "Metric | Verdict | Measured | Paper | Expected")]
+#[case::range(
+    |found: &mut ExpectationRecord| found.interval = Some([1.948, 1.949]),
+    "Metric | Verdict | Measured | Expected | Interval"
+)]
+#[case::bounds(
+    |found: &mut ExpectationRecord| found.statistic = Statistic::Mean,
+    "Metric | Verdict | Measured | Expected | Interval"
+)]
+fn leaves_out_columns_without_information(#[case] change: fn(&mut ExpectationRecord), #[case] expected: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut closed = closed_loop();
+    closed.expectations[0].interval = Some([1.949, 1.949]);
+    change(&mut closed.expectations[0]);
+    let page = write_page(&fixtures::run(vec![closed]), folder.path());
+    let text = page_text(scenario_section(&page, 0));
+    assert_eq!(text.lines().find(|line| line.starts_with("Metric")), Some(expected));
+}
+
+#[rstest]
+#[case("javascript:alert(1)", "./javascript%3Aalert%281%29")]
+#[case("//else.where/a b.csv", ".///else.where/a%20b.csv")]
+#[case("a#b?c%d\"µ.csv", "./a%23b%3Fc%25d%22%C2%B5.csv")]
+fn links_of_traces_stay_in_the_run_folder(#[case] name: &str, #[case] url: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut record = fixtures::mixed_run();
+    name.clone_into(&mut record.scenarios[1].trials[1].trace);
+    let page = write_page(&record, folder.path());
+    // Among what did not pass, the requirements and the trials.
+    assert_eq!(page.matches(&format!("href=\"{url}\"")).count(), 3);
+    assert_balanced(&page);
+}
+
+/// Changed are the trace of a trial that decided, and one that is not read.
+#[test]
+fn lists_changed_traces_instead_of_drawing_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut open, mut closed) = (open_loop(), closed_loop());
+    let slow = Response { time_constant_ms: 1.88, ..Response::default() };
+    fixtures::write_trials(&mut open, folder.path(), 40, slow, 0.01);
+    fixtures::write_trials(&mut closed, folder.path(), 1, Response::default(), 0.0);
+    open.trials[0].metrics["settling_time_ms"] = json!(5.632);
+    let record = fixtures::run(vec![open, closed]);
+    let render = |record: &RunRecord, is_changed: IsTraceChanged| {
+        let path = folder.path().join(page::FILE);
+        ReportPage::new(record, folder.path()).without_changed_traces(is_changed).write(&path).unwrap();
+        fs::read_to_string(path).unwrap()
+    };
+    assert!(!render(&record, |_, _| false).contains("changed after the run"));
+    let page = render(&record, |_, trial| trial.trace.contains("open") && (trial.index == 0 || trial.index == 39));
+    assert_balanced(&page);
+    insta::assert_snapshot!(page_text(section(&page, "open")));
+    let open = page_text(scenario_section(&page, 0));
+    let notice = "1 trace cannot be shown:\ntraces/paper/fig13-open-loop/000.csv: changed after the run\n";
+    assert!(open.contains(notice), "{open}");
+    assert!(legend_texts(&plot_data(&page)[0], 0).contains(&"trial 1".to_owned()), "the first unchanged trial");
+    // Also if all expectations passed.
+    let passed = fixtures::run(vec![record.scenarios[1].clone()]);
+    let page = render(&passed, |_, _| true);
+    assert!(page.contains(">Changed traces<") && !page.contains("What did not pass") && !page.contains("<figure>"));
+}
+
+/// The traces of the other run are compared with the record of the other run.
+#[rstest]
+#[case::unchanged(|_: &Path, _: &TrialRecord| false, true)]
+#[case::changed(|folder: &Path, _: &TrialRecord| !folder.join(page::FILE).exists(), false)]
+fn draws_the_other_run_unless_its_trace_changed(#[case] is_changed: IsTraceChanged, #[case] is_drawn: bool) {
+    let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut closed = closed_loop();
+    fixtures::write_trials(&mut closed, folder.path(), 1, Response::default(), 0.0);
+    let record = fixtures::run(vec![closed]);
+    write_page(&record, folder.path());
+    Response::default().write(elsewhere.path(), &record.scenarios[0].trials[0]);
+    let path = folder.path().join(page::COMPARISON_FILE);
+    let page = ReportPage::new(&record, folder.path()).without_changed_traces(is_changed);
+    page.with_other_run(&record.clone(), elsewhere.path()).write(&path).unwrap();
+    let keys = legend_texts(&plot_data(&fs::read_to_string(&path).unwrap())[0], 0);
+    assert_eq!(keys.iter().any(|key| key.starts_with("trial 0 of ")), is_drawn, "{keys:?}");
+}
+
+#[test]
+fn a_minute_takes_less_than_300_kilobytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut closed = closed_loop();
+    let minute = Response { duration_ms: 60_000.0, step_ms: 1.0, ..Response::default() };
+    fixtures::write_trials(&mut closed, folder.path(), 1, minute, 0.0);
+    let page = write_page(&fixtures::run(vec![closed]), folder.path());
+    assert!(page.len() < 300_000, "{} bytes", page.len());
+}
+
+#[test]
+fn a_missing_value_for_another_reason_is_not_never() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut record = fixtures::mixed_run();
+    assert!(write_page(&record, folder.path()).contains(">never"));
+    record.scenarios[1].expectations[1].reason = Some(Reason::Trial {
+        trial: 2,
+        divergence: None,
+        finding: TrialFinding::Undefined(UndefinedValue::NoSetpointStep),
+        ended: None,
+    });
+    assert!(!write_page(&record, folder.path()).contains(">never"));
+}
+
+#[test]
+fn lists_failed_scenarios_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = write_page(&fixtures::mixed_run(), folder.path());
+    let place = |index: usize| page.find(&format!("id=\"scenario-{index}\"")).unwrap();
+    assert!(place(1) < place(2) && place(2) < place(0), "failed, inconclusive, passed");
+    assert_eq!(fixtures::mixed_run().scenarios[1].verdict, Verdict::Fail);
+}

@@ -1,0 +1,143 @@
+//! Reports a crash of the firmware: fault status registers, place and callers.
+//!
+//! The emulator and the debug probe read the registers each in its own way; the report is the same.
+//! Registers: ARMv7-M Architecture Reference Manual, B1.5 and B3.2.
+
+mod backtrace;
+
+pub(crate) use backtrace::{MAX_STACK_WORDS, StackReader, StoppedAt, callers, exception_frame};
+
+use crate::symbols::CodeLocation;
+use std::fmt;
+
+/// System control block: interrupt control and state, the faults' status and the addresses.
+#[cfg(feature = "probe")]
+pub(crate) const ICSR: u64 = 0xE000_ED04;
+const CFSR: u64 = 0xE000_ED28;
+const HFSR: u64 = 0xE000_ED2C;
+const MMFAR: u64 = 0xE000_ED34;
+const BFAR: u64 = 0xE000_ED38;
+
+/// Bits of CFSR that say whether MMFAR and BFAR hold an address.
+const MMFAR_VALID: u32 = 1 << 7;
+const BFAR_VALID: u32 = 1 << 15;
+/// Bits of CFSR: the processor could not push its registers on the stack.
+const STACKING_FAILED: u32 = 1 << 12 | 1 << 4;
+
+/// Bits of CFSR. B3.2.15.
+const CAUSES: [(u32, &str); 17] = [
+    (0, "instruction access violation"),
+    (1, "data access violation"),
+    (3, "access violation while unstacking"),
+    (4, "access violation while stacking"),
+    (5, "access violation while stacking floats"),
+    (8, "instruction bus error"),
+    (9, "data bus error"),
+    (10, "imprecise data bus error"),
+    (11, "bus error while unstacking"),
+    (12, "bus error while stacking"),
+    (13, "bus error while stacking floats"),
+    (16, "undefined instruction"),
+    (17, "invalid state"),
+    (18, "invalid return address"),
+    (19, "no such coprocessor"),
+    (24, "unaligned access"),
+    (25, "division by zero"),
+];
+/// Bits of HFSR that have no bit in CFSR. B3.2.16.
+const HARD_CAUSES: [(u32, &str); 2] = [(1, "vector table not readable"), (31, "breakpoint without a debugger")];
+
+/// Exception numbers of the fault handlers.
+const EXCEPTIONS: [(u32, &str); 5] =
+    [(2, "NMI"), (3, "HardFault"), (4, "MemManage"), (5, "BusFault"), (6, "UsageFault")];
+
+/// The fault handler with exception number `number`; `None` for other exceptions.
+pub(crate) fn fault_handler(number: u32) -> Option<&'static str> {
+    EXCEPTIONS.iter().find(|(other, _)| *other == number).map(|&(_, name)| name)
+}
+
+/// Exception numbers of all fault handlers.
+pub(crate) fn fault_handlers() -> impl Iterator<Item = u32> {
+    EXCEPTIONS.iter().map(|&(number, _)| number)
+}
+
+/// The processor's fault registers.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct FaultStatus {
+    /// Configurable fault status register.
+    pub cfsr: u32,
+    /// Hard fault status register.
+    pub hfsr: u32,
+    /// Address of the failed data access, if the processor kept it.
+    pub address: Option<u32>,
+}
+
+impl FaultStatus {
+    pub(crate) fn read<E>(mut word: impl FnMut(u64) -> Result<u32, E>) -> Result<Self, E> {
+        let (cfsr, hfsr) = (word(CFSR)?, word(HFSR)?);
+        let register = if cfsr & BFAR_VALID != 0 { Some(BFAR) } else { (cfsr & MMFAR_VALID != 0).then_some(MMFAR) };
+        Ok(Self { cfsr, hfsr, address: register.map(word).transpose()? })
+    }
+
+    /// The causes that the registers name.
+    pub fn causes(&self) -> Vec<&'static str> {
+        let set = |table: &'static [(u32, &'static str)], bits: u32| {
+            table.iter().filter(move |(bit, _)| bits & 1 << bit != 0).map(|&(_, cause)| cause)
+        };
+        set(&CAUSES, self.cfsr).chain(set(&HARD_CAUSES, self.hfsr)).collect()
+    }
+
+    /// True if the processor could not push its registers, which leaves no exception frame.
+    pub fn is_stacking_failure(&self) -> bool {
+        self.cfsr & STACKING_FAILED != 0
+    }
+}
+
+/// A crash of the firmware.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CrashReport {
+    /// `HardFault`, `BusFault`, …, `lockup` or `panic`.
+    pub exception: &'static str,
+    /// Fault registers.
+    pub status: FaultStatus,
+    /// The failed instruction, or the innermost known call.
+    pub place: Option<CodeLocation>,
+    /// Callers of `place`, innermost first, as found on the stack.
+    pub callers: Vec<CodeLocation>,
+    /// The peripheral or memory at the failed address, if the rig knows.
+    pub address_owner: Option<&'static str>,
+    /// Stack pointer in the handler.
+    pub sp: u32,
+    /// Time since power-on, if the rig knows it.
+    pub at_us: Option<u64>,
+    /// True if the watchdog reset the chip during the reading; then place and callers are missing.
+    pub watchdog_reset: bool,
+}
+
+impl fmt::Display for CrashReport {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "the firmware trapped: {}", self.exception)?;
+        for cause in self.status.causes() {
+            write!(formatter, ", {cause}")?;
+        }
+        if let Some(place) = &self.place {
+            write!(formatter, ", at {place}")?;
+        }
+        if let Some(address) = self.status.address {
+            write!(formatter, ", address {address:#010x}")?;
+            self.address_owner.map_or(Ok(()), |owner| write!(formatter, " ({owner})"))?;
+        }
+        if self.status.is_stacking_failure() {
+            write!(formatter, ", stack pointer {:#010x}: the stack overflowed", self.sp)?;
+        }
+        for (index, call) in self.callers.iter().enumerate() {
+            write!(formatter, "{}{call}", if index == 0 { "; called from " } else { ", from " })?;
+        }
+        write!(formatter, "; cfsr {:#010x}, hfsr {:#010x}", self.status.cfsr, self.status.hfsr)?;
+        self.at_us.map_or(Ok(()), |at_us| write!(formatter, ", {at_us} µs after power-on"))?;
+        if self.watchdog_reset {
+            formatter.write_str("; the watchdog reset the chip before its stack was read")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,199 @@
+//! Connects the emulated processor to memory, peripherals and virtual time.
+
+use super::board::EmulatedBoard;
+use super::memory::Memory;
+use rigless::device::Level;
+use rigless::emulator::{
+    Access, AccessKind, CoreBus, Error, Host, InterruptLine, Memory as GuestMemory, Processor, Queued,
+};
+use rigless::session::Session;
+use rigless::soc::Width;
+use rigless::time::{NO_DEADLINE, VirtualNanos};
+use std::num::NonZeroU64;
+
+/// Longest run of the processor without a return to the event loop.
+const MAX_RUN_INSTRUCTIONS: u64 = 1 << 20;
+
+/// Memory, signals and time of the processor.
+#[derive(Debug)]
+pub(super) struct SystemBus {
+    pub(super) memory: Memory,
+    queued: Vec<Queued>,
+    rate: InstructionRate,
+    /// Time that passed while the processor slept.
+    pub(super) slept_ns: u64,
+    /// The next event of a peripheral.
+    pub(super) deadline: VirtualNanos,
+    pub(super) reset_requested: bool,
+}
+
+/// Duration of instructions as a fraction in lowest terms: years fit 64 bits, and the conversion is cheap
+/// enough for every event.
+#[derive(Debug, Clone, Copy)]
+struct InstructionRate {
+    nanoseconds: u64,
+    instructions: NonZeroU64,
+}
+
+impl InstructionRate {
+    fn new(instructions_per_second: NonZeroU64) -> Self {
+        const NS_PER_S: u64 = 1_000_000_000;
+        let (mut divisor, mut rest) = (NS_PER_S, instructions_per_second.get());
+        while rest > 0 {
+            (divisor, rest) = (rest, divisor % rest);
+        }
+        let instructions = NonZeroU64::new(instructions_per_second.get() / divisor).unwrap_or(instructions_per_second);
+        Self { nanoseconds: NS_PER_S / divisor, instructions }
+    }
+
+    /// Duration of `instructions`, rounded down.
+    fn nanoseconds(self, instructions: u64) -> u64 {
+        instructions.saturating_mul(self.nanoseconds) / self.instructions
+    }
+
+    /// The lowest instruction count that takes at least `nanoseconds`.
+    fn instructions(self, nanoseconds: u64) -> u64 {
+        nanoseconds.saturating_mul(self.instructions.get()).div_ceil(self.nanoseconds)
+    }
+}
+
+impl SystemBus {
+    pub(super) fn new(memory: Memory, instructions_per_second: NonZeroU64) -> Self {
+        let (rate, deadline) = (InstructionRate::new(instructions_per_second), NO_DEADLINE);
+        Self { memory, queued: Vec::new(), rate, slept_ns: 0, deadline, reset_requested: false }
+    }
+
+    pub(super) fn reset(&mut self) {
+        self.memory.power_off();
+        self.queued.clear();
+        self.slept_ns = 0;
+        self.deadline = NO_DEADLINE;
+        self.reset_requested = false;
+    }
+
+    /// The instant after so many instructions.
+    pub(super) fn time_at(&self, instructions: u64) -> VirtualNanos {
+        VirtualNanos(self.slept_ns + self.rate.nanoseconds(instructions))
+    }
+
+    /// Number of further instructions up to `target`, at least one.
+    pub(super) fn instructions_until(&self, instructions: u64, target: VirtualNanos) -> u32 {
+        let needed = self.rate.instructions(target.0.saturating_sub(self.slept_ns));
+        needed.saturating_sub(instructions).clamp(1, MAX_RUN_INSTRUCTIONS) as u32
+    }
+
+    /// The earlier of the processor's next event and that of the peripherals.
+    pub(super) fn next_event(&self, event: Option<VirtualNanos>) -> VirtualNanos {
+        event.map_or(self.deadline, |event| event.min(self.deadline))
+    }
+
+    /// Passes signals and changes of memory to the processor.
+    pub(super) fn notify_core(&mut self, core: &mut dyn Processor) {
+        for queued in self.queued.drain(..) {
+            core.ask(queued);
+        }
+        for range in self.memory.take_dirty_ranges() {
+            core.ask(Queued::Invalidate(range.start, range.end));
+        }
+    }
+}
+
+impl GuestMemory for SystemBus {
+    fn read(&mut self, address: u64, width: Width) -> Result<u64, Error> {
+        GuestMemory::read(&mut self.memory, address, width)
+    }
+
+    fn write(&mut self, address: u64, width: Width, value: u64) -> Result<(), Error> {
+        GuestMemory::write(&mut self.memory, address, width, value)
+    }
+}
+
+impl Host for SystemBus {
+    fn set_interrupt(&mut self, line: InterruptLine, level: Level) {
+        self.queued.push(Queued::Line(line, level));
+    }
+
+    fn request_reset(&mut self) {
+        self.reset_requested = true;
+        self.queued.push(Queued::Return);
+    }
+}
+
+/// The bus with the peripherals, for one run of the processor.
+pub(super) struct BusGuard<'a> {
+    pub(super) bus: &'a mut SystemBus,
+    pub(super) session: &'a mut Session<EmulatedBoard>,
+}
+
+impl CoreBus for BusGuard<'_> {
+    fn access(&mut self, access: Access, _from_code: bool) -> Option<u64> {
+        let memory = &mut self.bus.memory;
+        let writable = memory.is_writable(access.address);
+        match (writable, access.kind) {
+            (Some(_), AccessKind::Read) => {
+                if let Some(value) = memory.value(access.address, access.width) {
+                    return Some(value);
+                }
+            }
+            (Some(true), AccessKind::Write) => {
+                let bytes = access.value.to_le_bytes();
+                memory.store(access.address, bytes.get(..access.width.bytes() as usize)?);
+                return Some(access.value);
+            }
+            (Some(false), AccessKind::Write) | (None, _) => {}
+        }
+        // The chip raises a bus error if nothing answers; the emulator would ignore the access.
+        let answers = self.session.board_mut().part.mark_used(access.address);
+        if !answers && writable.is_none() {
+            return None;
+        }
+        let (value, next) = self.session.access(access, self.bus);
+        self.bus.deadline = next;
+        (!self.session.take_failure()).then_some(value)
+    }
+
+    fn time(&self, instructions: u64) -> VirtualNanos {
+        self.bus.time_at(instructions)
+    }
+
+    fn queued(&mut self) -> Vec<Queued> {
+        let SystemBus { memory, queued, .. } = &mut *self.bus;
+        queued.extend(memory.take_dirty_ranges().map(|range| Queued::Invalidate(range.start, range.end)));
+        std::mem::take(queued)
+    }
+
+    fn carry_on(&mut self, instructions: u64, event: Option<VirtualNanos>) -> Option<u32> {
+        if self.bus.reset_requested {
+            return None;
+        }
+        let target = self.bus.next_event(event);
+        let time_left = target > self.bus.time_at(instructions);
+        time_left.then(|| self.bus.instructions_until(instructions, target))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn converts_time_and_instructions_exactly() {
+        const NS_PER_S: u128 = 1_000_000_000;
+        for per_second in [168_000_000, 1, 7, 999_999_937, 1_000_000_000, 3_000_000_000] {
+            let rate = InstructionRate::new(NonZeroU64::new(per_second).unwrap());
+            for count in [0, 1, 20, 21, 22, 167_999_999, 168_000_000, 168_000_001, 9_000_000_000] {
+                let exact = u128::from(count) * NS_PER_S / u128::from(per_second);
+                assert_eq!(u128::from(rate.nanoseconds(count)), exact, "{count} instructions at {per_second}/s");
+                let exact = (u128::from(count) * u128::from(per_second)).div_ceil(NS_PER_S);
+                assert_eq!(u128::from(rate.instructions(count)), exact, "{count} ns at {per_second}/s");
+            }
+        }
+    }
+
+    #[test]
+    fn saturates_for_a_deadline_that_never_comes() {
+        let rate = InstructionRate::new(NonZeroU64::new(168_000_000).unwrap());
+        assert!(rate.instructions(u64::MAX) > u64::from(u32::MAX));
+        assert!(rate.nanoseconds(u64::MAX) > 1 << 57);
+    }
+}

@@ -1,0 +1,138 @@
+//! Applies the faults of a trial to one message.
+
+use super::packet::{QueuedPacket, decode_first_packet};
+use super::wire_fault::{Direction, WireFault, WireFaultKind};
+use platebench_wire::{Message, Packet, Sample};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::time::Duration;
+
+/// Streams 0 and 1 of a trial's seed belong to the sensor's noise and the plate's spread.
+const FIRST_STREAM: u64 = 2;
+
+/// Babble: so many invalid frames of so many bytes, delimiter included.
+const NOISE_FRAMES: usize = 4;
+const NOISE_FRAME_BYTES: usize = 16;
+
+/// The faults of a trial and their state.
+#[derive(Debug, Default)]
+pub(super) struct ActiveFaults {
+    /// Faults of the sensor first: it precedes the line.
+    faults: Vec<ActiveFault>,
+    /// Components of the last sample that the bench sent.
+    last_sample: Option<[f32; 2]>,
+    counts: [Option<(&'static str, u64)>; WireFaultKind::COUNT],
+}
+
+#[derive(Debug)]
+struct ActiveFault {
+    fault: WireFault,
+    random: ChaCha8Rng,
+    /// Messages in the window: to the controller, from it.
+    message_counts: [u64; 2],
+    frozen: Option<[f32; 2]>,
+}
+
+impl ActiveFaults {
+    pub(super) fn new(faults: &[WireFault]) -> Self {
+        let mut faults: Vec<_> =
+            (FIRST_STREAM..).zip(faults).map(|(stream, fault)| ActiveFault::new(*fault, stream)).collect();
+        faults.sort_by_key(|active| !active.fault.kind.affects_sensor());
+        Self { faults, ..Self::default() }
+    }
+
+    pub(super) fn has_faults(&self) -> bool {
+        !self.faults.is_empty()
+    }
+
+    pub(super) fn counts(&self) -> [Option<(&'static str, u64)>; WireFaultKind::COUNT] {
+        self.counts
+    }
+
+    /// The message as it arrives if it is sent at `now`; `None` if it is lost.
+    pub(super) fn apply(&mut self, direction: Direction, now: Duration, frame: &[u8]) -> Option<QueuedPacket> {
+        let mut packet = QueuedPacket::new(now, frame);
+        let Self { faults, last_sample, counts } = self;
+        for active in faults {
+            if !active.selects(direction, now, *last_sample) {
+                continue;
+            }
+            let name = active.fault.kind.name();
+            let place = counts.iter_mut().find(|place| place.is_none_or(|(known, _)| known == name));
+            if let Some(place) = place {
+                place.get_or_insert((name, 0)).1 += 1;
+            }
+            packet = packet.and_then(|packet| active.apply(packet));
+        }
+        if let Some(Packet { message: Message::Sample(sample), .. }) = decode_first_packet(frame) {
+            *last_sample = Some([sample.wd_um, sample.wq_um]);
+        }
+        packet
+    }
+}
+
+impl ActiveFault {
+    fn new(fault: WireFault, stream: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(fault.seed);
+        random.set_stream(stream);
+        Self { fault, random, message_counts: [0; 2], frozen: None }
+    }
+
+    /// True if the fault affects the message that is sent now.
+    fn selects(&mut self, direction: Direction, now: Duration, last_sample: Option<[f32; 2]>) -> bool {
+        let applies = if self.fault.kind.affects_sensor() {
+            direction == Direction::ToController
+        } else {
+            self.fault.direction == Direction::Both || self.fault.direction == direction
+        };
+        if !applies || !self.fault.is_active_at(now) {
+            return false;
+        }
+        let [to, from] = &mut self.message_counts;
+        let count = if direction == Direction::ToController { to } else { from };
+        *count += 1;
+        if *count == 1 {
+            self.frozen = last_sample;
+        }
+        count.checked_rem(u64::from(self.fault.every)) == Some(0)
+    }
+
+    fn apply(&mut self, mut packet: QueuedPacket) -> Option<QueuedPacket> {
+        let length = packet.bytes().len();
+        match self.fault.kind {
+            WireFaultKind::Drop | WireFaultKind::Disconnect => return None,
+            WireFaultKind::Flip => packet.flip(self.random.next_u32() as usize % (8 * length)),
+            WireFaultKind::Duplicate => packet.duplicate(),
+            WireFaultKind::Delay(delay) => packet.due += delay,
+            WireFaultKind::Truncate => packet.truncate(length / 2),
+            WireFaultKind::Babble => packet.prepend(&self.noise()),
+            WireFaultKind::Freeze => {
+                let frozen = &mut self.frozen;
+                return with_components(packet, |sensed| *frozen.get_or_insert(sensed));
+            }
+            WireFaultKind::Scale(factor) => {
+                return with_components(packet, |sensed| sensed.map(|value| value * factor));
+            }
+        }
+        Some(packet)
+    }
+
+    fn noise(&mut self) -> [u8; NOISE_FRAMES * NOISE_FRAME_BYTES] {
+        let mut noise = [0; NOISE_FRAMES * NOISE_FRAME_BYTES];
+        for frame in noise.chunks_mut(NOISE_FRAME_BYTES) {
+            let (_, garbage) = frame.split_last_mut().unwrap_or((&mut 0, &mut []));
+            garbage.fill_with(|| (self.random.next_u32() % 255) as u8 + 1);
+        }
+        noise
+    }
+}
+
+/// The sample in `packet` with other components.
+fn with_components(packet: QueuedPacket, change: impl FnOnce([f32; 2]) -> [f32; 2]) -> Option<QueuedPacket> {
+    let Some(Packet { sequence, message: Message::Sample(sample) }) = decode_first_packet(packet.bytes()) else {
+        return Some(packet);
+    };
+    let [wd_um, wq_um] = change([sample.wd_um, sample.wq_um]);
+    let changed = Packet { sequence, message: Message::Sample(Sample { wd_um, wq_um, ..sample }) };
+    QueuedPacket::new(packet.due, changed.encode().as_bytes())
+}

@@ -1,0 +1,89 @@
+//! Reads a crash of the firmware through the debug probe.
+//!
+//! The processor runs until its fault handler has taken the drive to 0 V. The fault registers are read while
+//! it runs; it is halted only for its core registers and stack. The chip's watchdog may reset it meanwhile.
+
+use super::error::ProbeError;
+use super::image::Image;
+use crate::crash_report::{
+    CrashReport, FaultStatus, ICSR, StackReader, StoppedAt, callers, exception_frame, fault_handler,
+};
+use probe_rs::{Core, MemoryInterface, RegisterId};
+use std::time::Duration;
+
+/// Debug halting control and status; its bit for a fault within a fault handler. ARMv7-M ARM, C1.6.2.
+const DHCSR: u64 = 0xE000_EDF0;
+const LOCKED_UP: u32 = 1 << 19;
+const SP: RegisterId = RegisterId(13);
+const LR: RegisterId = RegisterId(14);
+const PC: RegisterId = RegisterId(15);
+const PSP: RegisterId = RegisterId(18);
+/// The processor stops within some cycles or never.
+const HALT_TIMEOUT: Duration = Duration::from_millis(100);
+/// Words of the stack that are read: some 10 ms at 1 MHz.
+const STACK_WORDS: usize = 512;
+
+/// Reads the crash if the processor is in a fault handler.
+pub(super) fn read_crash(core: &mut Core<'_>, image: &Image) -> Result<Option<CrashReport>, ProbeError> {
+    let Some(exception) = active_handler(core)? else { return Ok(None) };
+    let status = FaultStatus::read(|address| core.read_word_32(address))
+        .map_err(ProbeError::line_error("reading the fault registers"))?;
+    core.halt(HALT_TIMEOUT).map_err(ProbeError::line_error("halting the processor"))?;
+    let [lr, sp, psp, pc] = read_registers(core)?;
+    let symbols = image.symbols();
+    let mut stack = ProbeStack { core, image };
+    let frame = exception_frame(&mut stack, StoppedAt::Body, [lr, sp, psp]);
+    let from = frame.map_or((pc, lr, sp), |frame| (frame.pc, frame.lr, frame.end));
+    let callers = callers(&mut stack, &symbols, Some(from.1), from.2, false);
+    let crash = CrashReport {
+        exception,
+        status,
+        place: Some(symbols.locate(from.0 & !1)),
+        callers,
+        address_owner: None,
+        sp,
+        at_us: None,
+        watchdog_reset: false,
+    };
+    if active_handler(core)? == Some(exception) {
+        return Ok(Some(crash));
+    }
+    Ok(Some(CrashReport { place: None, callers: Vec::new(), watchdog_reset: true, ..crash }))
+}
+
+fn active_handler(core: &mut Core<'_>) -> Result<Option<&'static str>, ProbeError> {
+    let mut read = |address| core.read_word_32(address).map_err(ProbeError::line_error("looking for a fault"));
+    if read(DHCSR)? & LOCKED_UP != 0 {
+        return Ok(Some("lockup"));
+    }
+    // NMI is no trap of the firmware's own.
+    Ok(Some(read(ICSR)? & 0x1FF).filter(|&number| number > 2).and_then(fault_handler))
+}
+
+fn read_registers(core: &mut Core<'_>) -> Result<[u32; 4], ProbeError> {
+    let mut values = [0; 4];
+    for (value, register) in values.iter_mut().zip([LR, SP, PSP, PC]) {
+        *value = core.read_core_reg(register).map_err(ProbeError::line_error("reading a core register"))?;
+    }
+    Ok(values)
+}
+
+struct ProbeStack<'a, 'core> {
+    core: &'a mut Core<'core>,
+    image: &'a Image,
+}
+
+impl StackReader for ProbeStack<'_, '_> {
+    fn stack(&mut self, address: u32) -> Vec<(u32, u32)> {
+        let top = self.image.initial_stack().unwrap_or(u32::MAX);
+        let mut words = vec![0; STACK_WORDS.min(top.saturating_sub(address) as usize / 4)];
+        match self.core.read_32(u64::from(address), &mut words) {
+            Ok(()) => (address..).step_by(4).zip(words).collect(),
+            Err(_) => Vec::new(),
+        }
+    }
+
+    fn code(&self, address: u32) -> Option<u16> {
+        self.image.half_word(address)
+    }
+}

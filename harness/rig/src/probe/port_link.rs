@@ -1,0 +1,84 @@
+//! Speaks the wire protocol over a board's serial port; the debug probe flashes, resets and reads crashes.
+
+use super::attached_board::AttachedBoard;
+use super::error::ProbeError;
+use super::image::Image;
+use crate::link::{Link, LinkError, RealTimeLine};
+use crate::serial::SerialLink;
+use platebench_wire::{Message, Packet, PacketReader};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tracing::debug;
+
+/// A controller on a serial port whose board is on a debug probe. Dropping it resets the chip, which
+/// boots at 0 V, and releases port and probe.
+#[derive(Debug)]
+pub struct PortLink {
+    serial: SerialLink,
+    board: AttachedBoard,
+    image: Arc<Image>,
+    answers: PacketReader,
+}
+
+impl PortLink {
+    /// Waits for the handshake of the firmware after its start. Discards earlier bytes: noise of the
+    /// reset, and the report of an earlier trap.
+    ///
+    /// # Errors
+    /// [`ProbeError::NoHandshake`] on time-out, [`ProbeError::Trapped`] if the firmware trapped.
+    pub(super) fn open(
+        serial: SerialLink,
+        path: &Path,
+        board: AttachedBoard,
+        image: Arc<Image>,
+    ) -> Result<Self, ProbeError> {
+        let mut link = Self { serial, board, image, answers: PacketReader::new() };
+        let timeout = link.board.timeouts().handshake;
+        let until = Instant::now() + timeout;
+        let mut sequence = 0;
+        loop {
+            sequence = u8::wrapping_add(sequence, 1);
+            let mut received = Vec::new();
+            let hello = Packet { sequence, message: Message::Hello }.encode();
+            let lost = |error: LinkError| ProbeError::Port { port: path.to_owned(), cause: error.to_string() };
+            link.serial.exchange(Duration::ZERO, hello.as_bytes(), &mut received).map_err(lost)?;
+            if link.contains_message(&received, |message| matches!(message, Message::Identity(_))) {
+                debug!(sequence, "the firmware on the serial port answered the handshake");
+                return Ok(link);
+            }
+            if Instant::now() >= until {
+                let silent = ProbeError::NoHandshake { port: path.to_owned(), waited: timeout };
+                return Err(link.board.trap_error(&link.image).unwrap_or(silent));
+            }
+        }
+    }
+
+    fn contains_message(&mut self, received: &[u8], matches: impl Fn(&Message) -> bool) -> bool {
+        // Reads all bytes, because the reader keeps an incomplete frame.
+        self.answers.packets(received).flatten().filter(|packet| matches(&packet.message)).count() > 0
+    }
+}
+
+impl Link for PortLink {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let before = answer.len();
+        let delay = self.serial.exchange(now, bytes, answer)?;
+        let received = answer.get(before..).unwrap_or_default();
+        // A trapped processor sends one report at most, with less than the probe can read.
+        if (received.is_empty() || self.contains_message(received, |message| matches!(message, Message::Fault(_))))
+            && let Some(error) = self.board.trap_error(&self.image)
+        {
+            return Err(error.into());
+        }
+        Ok(delay)
+    }
+
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.serial.advance_to(now, received)
+    }
+
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+        self.serial.real_time_line()
+    }
+}

@@ -1,0 +1,64 @@
+//! Opens pseudo-terminals, for a program or for a controller that is started by hand.
+
+use crate::link::{Link, LinkError, RealTimeLine};
+use crate::tty::Port;
+use rustix::fd::OwnedFd;
+use rustix::fs::{Mode, OFlags};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use std::io;
+use std::time::Duration;
+
+/// Opens a pseudo-terminal in raw mode: the bench's end, the controller's end and its path.
+pub(crate) fn open_pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, OwnedFd, String)> {
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+    grantpt(&master)?;
+    unlockpt(&master)?;
+    let name = ptsname(&master, Vec::new())?;
+    // Stays open until the controller has opened it: a line without another end counts as hung up.
+    let slave = rustix::fs::open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+    let mut settings = tcgetattr(&slave)?;
+    settings.make_raw();
+    tcsetattr(&slave, OptionalActions::Now, &settings)?;
+    Ok((Port::from_fd(master)?, slave, name.to_string_lossy().into_owned()))
+}
+
+/// A pseudo-terminal for a controller that is started by hand. It may come and go: without a
+/// controller the line is silent, not lost.
+#[derive(Debug)]
+pub struct PtyLink {
+    port: Port<OwnedFd>,
+    path: String,
+    /// Keeps the line up between two controllers.
+    _other_end: OwnedFd,
+}
+
+impl PtyLink {
+    /// Opens a new pseudo-terminal.
+    ///
+    /// # Errors
+    /// The system's error if it has none.
+    pub fn open() -> io::Result<Self> {
+        let (port, other_end, path) = open_pseudo_terminal()?;
+        Ok(Self { port, path, _other_end: other_end })
+    }
+
+    /// The path that the controller opens as its serial port.
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+}
+
+impl Link for PtyLink {
+    fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        self.port.exchange(bytes, answer)
+    }
+
+    fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.port.read_available(received)
+    }
+
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+        Some(&mut self.port)
+    }
+}

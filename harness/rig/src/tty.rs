@@ -1,0 +1,185 @@
+//! Exchanges bytes over an open terminal: a serial port, or the bench's end of a pseudo-terminal.
+//!
+//! Waits have nanosecond deadlines. End of file, `EIO`, a broken pipe and a hang-up all become
+//! [`LinkError::Disconnected`]. A successful write does not prove that the other side is there.
+
+use crate::link::{LinkError, RealTimeLine};
+use crate::pending_requests::PendingRequests;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fd::OwnedFd;
+use rustix::io::Errno;
+use serialport::{SerialPort as _, TTYPort};
+use std::io::{self, Read, Write};
+use std::time::{Duration, Instant};
+
+/// Time for an answer from the last byte of the question on.
+const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
+/// Time for an answer to a message that needs none.
+const OPTIONAL_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
+/// After this time without progress a full line is given up.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
+const READ_CHUNK_BYTES: usize = 512;
+
+/// A terminal with bounded waits.
+pub(crate) trait Tty: Send {
+    /// Waits for bytes and reads them; `None` if none arrive by `until`.
+    fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError>;
+
+    /// Writes as much as fits; `None` if nothing fits by `until`.
+    fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError>;
+}
+
+/// A terminal in non-blocking mode.
+impl Tty for OwnedFd {
+    fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        let read = retry_until(self, PollFlags::IN, until, |file| rustix::io::read(file, &mut *buffer));
+        match read {
+            Ok(Some(0)) | Err(Errno::IO) => Err(disconnected("the other side has hung up")),
+            result => result.map_err(disconnected),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        retry_until(self, PollFlags::OUT, until, |file| rustix::io::write(file, bytes)).map_err(disconnected)
+    }
+}
+
+/// Repeats `transfer`, which does not block, until it succeeds; `None` after `until`.
+fn retry_until(
+    file: &OwnedFd,
+    events: PollFlags,
+    until: Instant,
+    mut transfer: impl FnMut(&OwnedFd) -> rustix::io::Result<usize>,
+) -> rustix::io::Result<Option<usize>> {
+    let mut is_over = false;
+    loop {
+        match transfer(file) {
+            Ok(count) => return Ok(Some(count)),
+            Err(Errno::INTR) => {}
+            Err(Errno::AGAIN) if is_over => return Ok(None),
+            Err(Errno::AGAIN) => is_over = !poll_until(file, events, until)?,
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Waits for `events` until `instant`. True if there may be some: the next read or write finds out.
+fn poll_until(file: &OwnedFd, events: PollFlags, instant: Instant) -> rustix::io::Result<bool> {
+    let left = instant.saturating_duration_since(Instant::now());
+    let left =
+        Timespec { tv_sec: i64::try_from(left.as_secs()).unwrap_or(i64::MAX), tv_nsec: left.subsec_nanos().into() };
+    match poll(&mut [PollFd::new(file, events)], Some(&left)) {
+        Ok(count) => Ok(count > 0),
+        Err(Errno::INTR) => Ok(true),
+        Err(error) => Err(error),
+    }
+}
+
+/// A serial port, which has its own time-out.
+impl Tty for TTYPort {
+    fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        match with_timeout(self, until, |port| Read::read(port, buffer)) {
+            Ok(Some(0)) => Err(disconnected("the other side has hung up")),
+            result => result,
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        with_timeout(self, until, |port| Write::write(port, bytes))
+    }
+}
+
+fn with_timeout(
+    port: &mut TTYPort,
+    until: Instant,
+    mut transfer: impl FnMut(&mut TTYPort) -> io::Result<usize>,
+) -> Result<Option<usize>, LinkError> {
+    loop {
+        port.set_timeout(until.saturating_duration_since(Instant::now())).map_err(disconnected)?;
+        match transfer(port) {
+            Ok(count) => return Ok(Some(count)),
+            Err(error) if error.kind() == io::ErrorKind::TimedOut => return Ok(None),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(disconnected(error)),
+        }
+    }
+}
+
+fn disconnected(cause: impl std::fmt::Display) -> LinkError {
+    LinkError::Disconnected(cause.to_string())
+}
+
+/// An open terminal in raw mode.
+#[derive(Debug)]
+pub(crate) struct Port<T> {
+    terminal: T,
+    pending_requests: PendingRequests,
+}
+
+impl Port<OwnedFd> {
+    pub(crate) fn from_fd(file: OwnedFd) -> rustix::io::Result<Self> {
+        rustix::io::ioctl_fionbio(&file, true)?;
+        Ok(Self::new(file))
+    }
+}
+
+impl<T: Tty> Port<T> {
+    pub(crate) fn new(terminal: T) -> Self {
+        Self { terminal, pending_requests: PendingRequests::default() }
+    }
+
+    /// Writes as much of `bytes` as the line takes by `deadline`.
+    fn write(&mut self, mut bytes: &[u8], deadline: Instant) -> Result<(), LinkError> {
+        while !bytes.is_empty() {
+            match self.terminal.write(bytes, deadline)? {
+                Some(written) => bytes = bytes.get(written..).unwrap_or_default(),
+                None => return Ok(()),
+            }
+        }
+        Ok(())
+    }
+
+    /// As [`crate::Link::exchange`]; the delay is wall time up to the last byte of the answer.
+    pub(crate) fn exchange(&mut self, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let asks = self.pending_requests.send(bytes);
+        let start = Instant::now();
+        self.write(bytes, start + WRITE_TIMEOUT)?;
+        let deadline = Instant::now() + if asks { ANSWER_TIMEOUT } else { OPTIONAL_ANSWER_TIMEOUT };
+        let mut read = answer.len();
+        while let Some(at) = self.receive(deadline, answer)? {
+            let mut is_answered = false;
+            for &byte in answer.get(read..).unwrap_or_default() {
+                is_answered |= self.pending_requests.is_answered_by(byte);
+            }
+            if is_answered {
+                return Ok(at.saturating_duration_since(start));
+            }
+            if at >= deadline {
+                break;
+            }
+            read = answer.len();
+        }
+        Ok(Duration::ZERO)
+    }
+
+    /// As [`crate::Link::advance_to`]; reads what has arrived.
+    pub(crate) fn read_available(&mut self, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        let now = Instant::now();
+        while self.receive(now, received)?.is_some_and(|at| at < now + OPTIONAL_ANSWER_TIMEOUT) {}
+        Ok(())
+    }
+}
+
+impl<T: Tty> RealTimeLine for Port<T> {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.write(bytes, Instant::now())
+    }
+
+    fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
+        let mut chunk = [0; READ_CHUNK_BYTES];
+        let Some(count) = self.terminal.read(&mut chunk, until)? else { return Ok(None) };
+        let at = Instant::now();
+        bytes.extend_from_slice(chunk.get(..count).unwrap_or_default());
+        Ok(Some(at))
+    }
+}

@@ -1,0 +1,216 @@
+//! Runs a link in virtual time by the wall clock.
+//!
+//! The target's only clock is its argument `now`; this link passes it the time since the trial began. An
+//! answer arrives at that instant plus the inner link's delay. While the bench waits, the target's time
+//! advances in small steps to the end of the wait or to its next message; only then the thread sleeps.
+//! Nothing can be sent in between, because the thread that sends is the one that waits.
+
+use crate::link::{Link, LinkError, RealTimeLine};
+use std::collections::VecDeque;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Step of the target's time: the largest error of the instant of an unsolicited message.
+const TIME_STEP: Duration = Duration::from_micros(20);
+const MAX_FRAMES_IN_FLIGHT: usize = 64;
+
+/// A link in virtual time that follows the wall clock.
+#[derive(Debug)]
+pub struct WallClockLink<L> {
+    link: L,
+    /// Wall instant of the trial's time zero.
+    trial_start: Instant,
+    /// The target's time since then.
+    target_time: Duration,
+    /// Arrival of each frame, and its number of bytes in `bytes`.
+    in_flight: VecDeque<(Instant, usize)>,
+    bytes: VecDeque<u8>,
+    received: Vec<u8>,
+}
+
+impl<L: Link> WallClockLink<L> {
+    /// Wraps `link`; time zero is now.
+    pub fn new(link: L) -> Self {
+        Self {
+            link,
+            trial_start: Instant::now(),
+            target_time: Duration::ZERO,
+            in_flight: VecDeque::with_capacity(MAX_FRAMES_IN_FLIGHT),
+            bytes: VecDeque::with_capacity(MAX_FRAMES_IN_FLIGHT * platebench_wire::MAX_ENCODED),
+            received: Vec::with_capacity(MAX_FRAMES_IN_FLIGHT * platebench_wire::MAX_ENCODED),
+        }
+    }
+
+    /// Moves the target's time up to the wall clock, never back.
+    fn elapsed(&mut self) -> Duration {
+        self.target_time = self.target_time.max(self.trial_start.elapsed());
+        self.target_time
+    }
+
+    /// Lets the bytes in `received` arrive at trial time `at`.
+    fn queue_received(&mut self, at: Duration) {
+        let at = self.trial_start + at;
+        if !self.received.is_empty() {
+            self.in_flight.push_back((at, self.received.len()));
+            self.bytes.extend(self.received.drain(..));
+        }
+    }
+
+    /// Advances the target to `until` or to its next message.
+    fn advance_target(&mut self, until: Duration) -> Result<(), LinkError> {
+        while self.target_time < until && self.in_flight.is_empty() {
+            self.target_time = until.min(self.target_time + TIME_STEP);
+            self.link.advance_to(self.target_time, &mut self.received)?;
+            self.queue_received(self.target_time);
+        }
+        Ok(())
+    }
+}
+
+fn sleep_until(instant: Instant) {
+    thread::sleep(instant.saturating_duration_since(Instant::now()));
+}
+
+impl<L: Link> Link for WallClockLink<L> {
+    fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        answer.extend(self.bytes.drain(..));
+        self.in_flight.clear();
+        let now = self.elapsed();
+        let delay = self.link.exchange(now, bytes, answer)?;
+        self.target_time = now + delay;
+        Ok(delay)
+    }
+
+    fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        received.extend(self.bytes.drain(..));
+        self.in_flight.clear();
+        let now = self.elapsed();
+        self.link.advance_to(now, received)
+    }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        let restarted = self.link.restart()?;
+        if restarted {
+            self.bytes.clear();
+            self.in_flight.clear();
+            self.target_time = Duration::ZERO;
+            self.trial_start = Instant::now();
+        }
+        Ok(restarted)
+    }
+
+    fn instruction_count(&self) -> Option<u64> {
+        self.link.instruction_count()
+    }
+
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+        Some(self)
+    }
+}
+
+impl<L: Link> RealTimeLine for WallClockLink<L> {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        let since = self.target_time;
+        let now = self.elapsed();
+        if now > since {
+            // Its unsolicited messages up to now arrive before its answer.
+            self.link.advance_to(now, &mut self.received)?;
+            self.queue_received(now);
+        }
+        let delay = self.link.exchange(now, bytes, &mut self.received)?;
+        // A message that is sent earlier waits until the target listens again.
+        self.target_time = now + delay;
+        self.queue_received(self.target_time);
+        Ok(())
+    }
+
+    fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
+        // Takes bytes that have arrived, even if `until` is past.
+        let until = until.max(Instant::now());
+        self.advance_target(until.saturating_duration_since(self.trial_start))?;
+        let Some(&(at, count)) = self.in_flight.front().filter(|(at, _)| *at <= until) else {
+            sleep_until(until);
+            return Ok(None);
+        };
+        sleep_until(at);
+        self.in_flight.pop_front();
+        bytes.extend(self.bytes.drain(..count));
+        Ok(Some(at))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hosted::HostedLink;
+    use crate::session::Session;
+    use platebench_test_kit::CONFIGURE;
+    use platebench_wire::{Configure, Message, Sample, Tick};
+
+    /// Echoes each message after a fixed delay on its own clock.
+    struct EchoLink(Duration);
+
+    impl Link for EchoLink {
+        fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            answer.extend_from_slice(bytes);
+            Ok(self.0)
+        }
+
+        fn advance_to(&mut self, _now: Duration, _received: &mut Vec<u8>) -> Result<(), LinkError> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn delivers_an_answer_after_the_links_delay() {
+        let delay = Duration::from_millis(40);
+        let mut line = WallClockLink::new(EchoLink(delay));
+        let mut bytes = Vec::new();
+        let before = Instant::now();
+        line.send(b"one").unwrap();
+        let after = Instant::now();
+        assert_eq!(line.receive(before + delay / 2, &mut bytes).unwrap(), None);
+        assert!(Instant::now() >= before + delay / 2, "the wait ended early");
+        let at = line.receive(after + 10 * delay, &mut bytes).unwrap().unwrap();
+        assert!((before + delay..=after + delay).contains(&at));
+        assert!(Instant::now() >= at, "delivered before its arrival");
+        assert_eq!(bytes, b"one");
+    }
+
+    #[test]
+    fn queues_a_message_while_the_target_is_busy() {
+        let delay = Duration::from_millis(20);
+        let mut line = WallClockLink::new(EchoLink(delay));
+        let mut bytes = Vec::new();
+        line.send(b"one").unwrap();
+        line.send(b"two").unwrap();
+        let far = Instant::now() + 100 * delay;
+        let first = line.receive(far, &mut bytes).unwrap().unwrap();
+        let second = line.receive(far, &mut bytes).unwrap().unwrap();
+        assert_eq!((bytes.as_slice(), second - first), (&b"onetwo"[..], delay));
+    }
+
+    #[test]
+    fn runs_a_target_paced_device_in_real_time() {
+        let mut session = Session::open(WallClockLink::new(HostedLink::new())).unwrap();
+        let start = Instant::now();
+        let configure = Configure { paced_by_target: true, watchdog_timeout_ms: 1_000, ..CONFIGURE };
+        session.start_trial(&configure).unwrap();
+        let mut ticks = Vec::new();
+        while ticks.len() < 20 {
+            let received = session.receive(start + Duration::from_secs(10)).unwrap().unwrap();
+            assert!(received.received_at <= Instant::now());
+            if let Message::Tick(Tick { target_time_us }) = received.message {
+                ticks.push((received.received_at, target_time_us));
+                let sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 1.9, wq_um: 0.0 };
+                session.send(Message::Sample(sample)).unwrap();
+            }
+        }
+        for pair in ticks.windows(2) {
+            // Both clocks agree to the resolution of the wire, 1 µs.
+            let (wall, target) = (pair[1].0 - pair[0].0, Duration::from_micros((pair[1].1 - pair[0].1).into()));
+            assert!(wall.abs_diff(target) <= Duration::from_micros(2), "{wall:?} {target:?}");
+        }
+        assert!(session.request_safe_state());
+    }
+}

@@ -1,0 +1,99 @@
+//! Tests the wire protocol over RTT.
+
+use crate::emulated_probe::SharedChip;
+use crate::image::{ImageSpec, Program};
+use crate::rtt_buffers::RttBuffers;
+use crate::{attach, link};
+use platebench_rig::link::{Link, LinkError};
+use platebench_rig::probe::{Image, ProbeError, RttLink};
+use platebench_rig::{RigError, Session};
+use platebench_wire::{Configure, ControllerState, Sample};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// A long period: the emulated chip has the wall clock.
+pub(crate) const CONFIGURE: Configure = Configure { period_us: 1_000_000, ..platebench_test_kit::CONFIGURE };
+
+#[test]
+fn controls_over_rtt() {
+    let bench = SharedChip::new();
+    let mut session = Session::open(link(&bench, &ImageSpec::default()).unwrap()).unwrap();
+    assert_eq!(session.firmware_name(), "emulated-board");
+    assert_eq!(session.identity().chip, 0x1007_6413);
+    session.start_trial(&CONFIGURE).unwrap();
+    // More samples than fit into the buffers.
+    for step in 0..40 {
+        let sample = Sample { time_us: step * 1000, setpoint_um: 2.0, wd_um: 0.5, wq_um: 0.0 };
+        let reply = session.send_sample(Duration::from_millis(u64::from(step)), &sample).unwrap().unwrap();
+        assert_eq!(reply.command.state, ControllerState::Running);
+        assert!(reply.command.drive_vpp > 0.0);
+    }
+    assert!(bench.chip().device.output().drive_vpp > 0.0);
+    assert!(session.request_safe_state());
+    assert_eq!(bench.chip().device.output().drive_vpp, 0.0);
+}
+
+#[test]
+fn rejects_firmware_without_rtt_before_the_flash() {
+    let bench = SharedChip::new();
+    let error = link(&bench, &ImageSpec { rtt: false, ..ImageSpec::default() }).unwrap_err();
+    assert!(matches!(error, ProbeError::NoRtt));
+    assert!(error.to_string().contains("--rig probe:CHIP,port=PORT"), "{error}");
+    assert_eq!(bench.written(), (0, 0));
+    assert_eq!(bench.chip().resets, 0);
+}
+
+#[test]
+fn ignores_an_old_rtt_control_block() {
+    let bench = SharedChip::new();
+    let image = Arc::new(Image::parse(&ImageSpec { program: Program::Asleep, ..ImageSpec::default() }.elf()).unwrap());
+    let mut board = attach(&bench).unwrap();
+    board.flash(&image).unwrap();
+    RttBuffers::start(&mut bench.chip());
+    let start = Instant::now();
+    board.restart(&image).unwrap();
+    let error = RttLink::open(board, image).unwrap_err();
+    assert!(matches!(error, ProbeError::RttNotStarted { address: 0x2000_0400, .. }), "{error}");
+    assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
+}
+
+#[test]
+fn ends_an_exchange_without_an_answer() {
+    let bench = SharedChip::new();
+    let mut link = link(&bench, &ImageSpec { program: Program::Mute, ..ImageSpec::default() }).unwrap();
+    let start = Instant::now();
+    let mut answer = Vec::new();
+    link.exchange(Duration::ZERO, &[1, 2, 0], &mut answer).unwrap();
+    assert!(answer.is_empty());
+    assert!((Duration::from_millis(100)..Duration::from_secs(2)).contains(&start.elapsed()), "{:?}", start.elapsed());
+    assert!(matches!(Session::open(link), Err(RigError::NoAnswer { .. })));
+}
+
+#[test]
+fn reports_a_missing_acknowledgement_for_good() {
+    let bench = SharedChip::new();
+    let mut link = link(&bench, &ImageSpec::default()).unwrap();
+    bench.chip().failing_accesses = 1;
+    let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err();
+    assert!(matches!(error, LinkError::Disconnected(_)), "{error:?}");
+    let error = error.to_string();
+    assert!(error.contains("an exchange failed") && error.contains("did not respond"), "{error}");
+    // The line works again, but the session has lost bytes.
+    assert!(link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string().contains("earlier error"));
+    let before = bench.chip().resets;
+    assert!(link.shut_down().reset.is_ok());
+    assert_eq!(bench.chip().resets, before + 1);
+}
+
+#[test]
+fn abandons_a_probe_that_hangs() {
+    let bench = SharedChip::new();
+    let mut link = link(&bench, &ImageSpec::default()).unwrap();
+    bench.chip().memory_hangs = true;
+    let start = Instant::now();
+    let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string();
+    assert!(error.contains("the debug probe hangs: an exchange did not end within 400 ms"), "{error}");
+    drop(link);
+    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
+    bench.chip().memory_hangs = false;
+}

@@ -1,0 +1,199 @@
+//! Checks every command against the configured limits, before it is clipped. Does not allocate.
+
+use crate::configure::start_frequency_mhz;
+use platebench_plate::Time;
+use platebench_record::{Violation, ViolationKind};
+use platebench_scenario::Scenario;
+use platebench_wire::{Command, Configure, ControllerState, Gains};
+
+/// A controller that computes in f32 rounds 32 kHz to 2 mHz, and the wire rounds to 1 mHz; a difference has two errors.
+const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
+/// The wire carries gains as f32.
+const GAIN_TOLERANCE: f32 = 1e-5;
+
+/// The violations of a trial.
+#[derive(Debug)]
+pub(crate) struct CommandChecks {
+    drive_limit_vpp: f32,
+    start_hz: f64,
+    range_hz: f64,
+    slew_hz: f64,
+    /// The frequency of the last command; `None` after a stop, from which the frequency may start anew.
+    last_hz: Option<f64>,
+    violations: [Option<Violation>; ViolationKind::COUNT],
+}
+
+impl CommandChecks {
+    pub(crate) fn new(scenario: &Scenario) -> Self {
+        let start_hz = f64::from(start_frequency_mhz(scenario)) / 1e3;
+        Self {
+            drive_limit_vpp: scenario.plate.drive_limit_vpp as f32,
+            start_hz,
+            range_hz: scenario.controller.frequency_range_hz,
+            slew_hz: scenario.controller.frequency_slew_hz,
+            last_hz: Some(start_hz),
+            violations: [None; ViolationKind::COUNT],
+        }
+    }
+
+    /// Checks a command that answers at most `samples` samples since the last one.
+    pub(crate) fn check_command(&mut self, command: &Command, samples: u32, now: Time) {
+        let drive = command.drive_vpp;
+        // The plant simulation records a drive that is NaN or infinite.
+        if drive.is_finite() && drive > self.drive_limit_vpp {
+            let limit = f64::from(self.drive_limit_vpp);
+            self.record(ViolationKind::DriveAboveLimit, now, Some(drive.into()), Some(limit));
+        } else if drive.is_finite() && drive < 0.0 {
+            self.record(ViolationKind::DriveBelowZero, now, Some(drive.into()), Some(0.0));
+        }
+        if command.state != ControllerState::Running {
+            self.last_hz = None;
+            return;
+        }
+        let frequency_hz = f64::from(command.frequency_mhz) / 1e3;
+        let distance = frequency_hz - self.start_hz;
+        if distance.abs() > self.range_hz + FREQUENCY_TOLERANCE_HZ {
+            self.record(ViolationKind::FrequencyOutOfRange, now, Some(distance), Some(self.range_hz));
+        }
+        if let Some(last_hz) = self.last_hz.replace(frequency_hz) {
+            let samples = f64::from(samples.max(1));
+            let change = frequency_hz - last_hz;
+            if change.abs() > samples * self.slew_hz + FREQUENCY_TOLERANCE_HZ {
+                self.record(ViolationKind::FrequencySlew, now, Some(change / samples), Some(self.slew_hz));
+            }
+        }
+    }
+
+    /// Checks the gains of a configuration that was accepted. A gain of 0 means that the law does not use it.
+    pub(crate) fn check_gains(&mut self, configure: &Configure, gains: &Gains, now: Time) {
+        let values = |gains: &Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
+        let matches = |asked: f32, answered: f32| {
+            answered == 0.0 || (answered - asked).abs() <= GAIN_TOLERANCE * asked.abs().max(answered.abs())
+        };
+        let answered = values(gains);
+        let differs = configure.gains.as_ref().is_some_and(|asked| {
+            values(asked).into_iter().zip(answered).any(|(asked, answered)| !matches(asked, answered))
+        });
+        if differs || !answered.iter().all(|gain| gain.is_finite()) {
+            self.record(ViolationKind::WrongConfiguration, now, None, None);
+        }
+        self.last_hz = None;
+    }
+
+    /// Sets the number of breaches of a kind that the session counts.
+    pub(crate) fn set_count(&mut self, kind: ViolationKind, count: u64, now: Time) {
+        if count > 0 {
+            let first = Violation { kind, at_s: now.seconds(), count, worst: None, limit: None };
+            if let Some(slot) = self.violations.get_mut(kind as usize) {
+                slot.get_or_insert(first).count = count;
+            }
+        }
+    }
+
+    /// The violations so far, one for each kind.
+    pub(crate) fn violations(&self) -> Vec<Violation> {
+        self.violations.iter().flatten().copied().collect()
+    }
+
+    fn record(&mut self, kind: ViolationKind, now: Time, value: Option<f64>, limit: Option<f64>) {
+        let value = value.filter(|value| value.is_finite());
+        let Some(slot) = self.violations.get_mut(kind as usize) else { return };
+        let first = Violation { kind, at_s: now.seconds(), count: 0, worst: value, limit };
+        let violation = slot.get_or_insert(first);
+        violation.count += 1;
+        if let (Some(worst), Some(value)) = (&mut violation.worst, value)
+            && value.abs() > worst.abs()
+        {
+            *worst = value;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::configure::configure;
+    use platebench_wire::{LawId, StateCause};
+    use rstest::rstest;
+    use std::path::Path;
+
+    fn scenario() -> Scenario {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
+        let mut scenario = platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        scenario.plate.drive_limit_vpp = 900.0;
+        scenario.controller.frequency_range_hz = 250.0;
+        scenario.controller.frequency_slew_hz = 100.0;
+        scenario
+    }
+
+    fn command(drive_vpp: f32, offset_mhz: i32, state: ControllerState) -> Command {
+        let frequency_mhz = start_frequency_mhz(&scenario()).wrapping_add_signed(offset_mhz);
+        Command { drive_vpp, frequency_mhz, state, cause: StateCause::None, flags: 0, target_time_us: 0, compute_us: 0 }
+    }
+
+    fn at(ms: u64) -> Time {
+        Time::from_nanos(ms * 1_000_000)
+    }
+
+    /// Each case: drive, offset from the start frequency, and samples since the last command of a sequence.
+    #[rstest]
+    #[case::within_limits(&[(0.0, 0, 1), (900.0, 100_004, 1), (900.0, 0, 1)], &[])]
+    #[case::above_limit(&[(900.1, 0, 1), (1e30, 0, 1)], &[(ViolationKind::DriveAboveLimit, 2)])]
+    #[case::below_zero(&[(-0.1, 0, 1)], &[(ViolationKind::DriveBelowZero, 1)])]
+    #[case::not_finite(&[(f32::NAN, 0, 1), (f32::INFINITY, 0, 1)], &[])]
+    #[case::slew(&[(0.0, 100_006, 1)], &[(ViolationKind::FrequencySlew, 1)])]
+    #[case::slew_over_lost_replies(&[(0.0, 200_000, 2)], &[])]
+    #[case::range(&[(0.0, -250_006, 3)], &[(ViolationKind::FrequencyOutOfRange, 1)])]
+    fn checks_commands(#[case] commands: &[(f32, i32, u32)], #[case] expected: &[(ViolationKind, u64)]) {
+        let mut checks = CommandChecks::new(&scenario());
+        for (number, &(drive, offset, samples)) in (1..).zip(commands) {
+            checks.check_command(&command(drive, offset, ControllerState::Running), samples, at(number));
+        }
+        let found: Vec<_> = checks.violations().iter().map(|violation| (violation.kind, violation.count)).collect();
+        assert_eq!(found, expected);
+        assert!(checks.violations().iter().all(|violation| violation.at_s == 1e-3));
+    }
+
+    #[test]
+    fn records_the_worst_value_and_the_first_time() {
+        let mut checks = CommandChecks::new(&scenario());
+        for (ms, drive) in [(3, 1_000.0), (4, 4_000.0), (5, 2_000.0)] {
+            checks.check_command(&command(drive, 0, ControllerState::Running), 1, at(ms));
+        }
+        let expected = Violation {
+            kind: ViolationKind::DriveAboveLimit,
+            at_s: 3e-3,
+            count: 3,
+            worst: Some(4_000.0),
+            limit: Some(900.0),
+        };
+        assert_eq!(checks.violations(), [expected]);
+    }
+
+    #[test]
+    fn allows_any_frequency_in_range_after_a_stop() {
+        let mut checks = CommandChecks::new(&scenario());
+        checks.check_command(&command(0.0, 0, ControllerState::Fault), 1, at(1));
+        checks.check_command(&command(0.0, 240_000, ControllerState::Running), 1, at(2));
+        assert_eq!(checks.violations(), []);
+    }
+
+    #[rstest]
+    #[case::as_asked(Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 4.0], false)]
+    #[case::unused(Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 0.0, 0.0], false)]
+    #[case::other(Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.1, 3.0, 4.0], true)]
+    #[case::own_design(None, [5.0, 6.0, 7.0, 8.0], false)]
+    #[case::not_finite(None, [5.0, f32::NAN, 7.0, 8.0], true)]
+    fn checks_gains(#[case] asked: Option<[f32; 4]>, #[case] answered: [f32; 4], #[case] wrong: bool) {
+        let gains = |[amplitude_kp, amplitude_ki, frequency_kp, frequency_ki]: [f32; 4]| Gains {
+            amplitude_kp,
+            amplitude_ki,
+            frequency_kp,
+            frequency_ki,
+        };
+        let configure = Configure { gains: asked.map(gains), ..configure(&scenario(), LawId::DqPi) };
+        let mut checks = CommandChecks::new(&scenario());
+        checks.check_gains(&configure, &gains(answered), Time::ZERO);
+        assert_eq!(!checks.violations().is_empty(), wrong);
+    }
+}

@@ -1,0 +1,159 @@
+//! Records what a controller does during a trial, for both trial loops.
+
+use crate::command_checks::CommandChecks;
+use crate::configure::configure;
+use crate::fault::needs_reconfiguration;
+use platebench_plate::Time;
+use platebench_record::{Telemetry, ViolationKind};
+use platebench_rig::{FaultInjector, Link, RigError, Session};
+use platebench_scenario::{FaultKind, Scenario};
+use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, StateCause};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// A controller is lost after this many control instants without a reply: enough for its own watchdog, which takes
+/// five periods, and for several repetitions.
+pub(crate) const MAX_MISSED_REPLIES: u32 = 20;
+/// How long the bench watches a controller that confirmed 0 V.
+const WATCHED_PERIODS: u64 = 10;
+
+/// The state of a trial's controller as its commands report it.
+#[derive(Debug)]
+pub(crate) struct ControllerLog<'a> {
+    scenario: &'a Scenario,
+    law: LawId,
+    /// Control instants since the last command.
+    missed_replies: u32,
+    /// When the controller reported that it stopped; `None` while it runs.
+    stopped_at: Option<Time>,
+    /// The cause of the first stop.
+    stop_cause: Option<StateCause>,
+    /// Samples since the last command.
+    samples: u32,
+    checks: CommandChecks,
+}
+
+impl<'a> ControllerLog<'a> {
+    pub(crate) fn new(scenario: &'a Scenario, law: LawId) -> Self {
+        let checks = CommandChecks::new(scenario);
+        Self { scenario, law, missed_replies: 0, stopped_at: None, stop_cause: None, samples: 0, checks }
+    }
+
+    pub(crate) fn record_sample(&mut self) {
+        self.samples += 1;
+    }
+
+    pub(crate) fn record_command(&mut self, command: &Command, now: Time) {
+        self.missed_replies = 0;
+        self.checks.check_command(command, std::mem::take(&mut self.samples), now);
+        if command.state == ControllerState::Running {
+            self.stopped_at = None;
+        } else {
+            self.stopped_at.get_or_insert(now);
+            self.stop_cause.get_or_insert(command.cause);
+        }
+    }
+
+    pub(crate) fn record_missed_reply(&mut self) {
+        self.missed_replies += 1;
+    }
+
+    pub(crate) fn reset_missed_replies(&mut self) {
+        self.missed_replies = 0;
+    }
+
+    pub(crate) fn missed_replies(&self) -> u32 {
+        self.missed_replies
+    }
+
+    pub(crate) fn is_stopped(&self) -> bool {
+        self.stopped_at.is_some()
+    }
+
+    /// The cause of the first stop.
+    pub(crate) fn stop_cause(&self) -> Option<StateCause> {
+        self.stop_cause
+    }
+
+    /// The controller's configuration in lockstep.
+    pub(crate) fn configuration(&self) -> Configure {
+        configure(self.scenario, self.law)
+    }
+
+    /// The configuration to repeat at `now`, because a fault that stopped the controller is over.
+    pub(crate) fn reconfiguration(&self, now: Time) -> Option<Configure> {
+        let stopped = self.stopped_at?;
+        needs_reconfiguration(self.scenario, stopped, now).then(|| self.configuration())
+    }
+
+    /// Checks the gains in the reply to a configuration, if it arrived.
+    pub(crate) fn record_configuration(&mut self, configure: &Configure, gains: Option<&Gains>, now: Time) {
+        self.stopped_at = None;
+        if let Some(gains) = gains {
+            self.checks.check_gains(configure, gains, now);
+        }
+    }
+
+    /// Takes over what the session counts. A planned duplicate is not a second reply.
+    pub(crate) fn record_session<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
+        self.checks.set_count(ViolationKind::WrongSequence, session.wrong_sequences(), now);
+        if !self.scenario.faults.iter().any(|fault| fault.kind == FaultKind::Duplicate) {
+            self.checks.set_count(ViolationKind::SecondReply, session.second_replies(), now);
+        }
+    }
+
+    /// Watches a controller in lockstep that confirmed 0 V at `now`; one with its own clock gets the wall time.
+    pub(crate) fn watch_after_safe<L: Link>(
+        &mut self,
+        session: &mut Session<FaultInjector<L>>,
+        own_clock: bool,
+        now: Time,
+    ) {
+        let period = self.scenario.controller.period;
+        let mut time = now;
+        for _ in 0..WATCHED_PERIODS {
+            if own_clock {
+                thread::sleep(Duration::from_nanos(period.as_nanos()));
+            }
+            time = time + period;
+            if session.advance_to(Duration::from_nanos(time.as_nanos())).is_err() {
+                break;
+            }
+        }
+        self.checks.set_count(ViolationKind::DriveAfterSafe, session.drives_after_safe(), now);
+    }
+
+    /// Watches a controller in real time that confirmed 0 V at `now`.
+    pub(crate) fn watch_after_safe_in_real_time<L: Link>(
+        &mut self,
+        session: &mut Session<FaultInjector<L>>,
+        now: Time,
+    ) {
+        let watched = self.scenario.controller.period.times(WATCHED_PERIODS);
+        let until = Instant::now() + Duration::from_nanos(watched.as_nanos());
+        while Instant::now() < until && matches!(session.receive(until), Ok(Some(_))) {}
+        self.checks.set_count(ViolationKind::DriveAfterSafe, session.drives_after_safe(), now);
+    }
+
+    /// The telemetry that both clocks record. `lost` is why the controller was lost, if it was.
+    pub(crate) fn telemetry<L: Link>(&self, session: &Session<FaultInjector<L>>, lost: Option<&RigError>) -> Telemetry {
+        Telemetry {
+            ended: lost.map(ToString::to_string),
+            stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
+            faults: session.link().fault_counts().map(|(kind, count)| (kind.to_owned(), count)).collect(),
+            contradictions: session.contradictions(),
+            violations: self.checks.violations(),
+            ..Telemetry::default()
+        }
+    }
+}
+
+/// Why a controller stopped, as it reports it.
+pub(crate) const fn stop_reason(cause: StateCause) -> &'static str {
+    match cause {
+        StateCause::SampleTimeout => "no sample for five periods",
+        StateCause::LineNoise => "too many refused frames",
+        StateCause::NonFinite => "a value that is not finite",
+        StateCause::None => "no cause given",
+    }
+}

@@ -1,0 +1,348 @@
+//! Simulates the plate, sensor and drive of a trial and writes its rows, for both clocks.
+//!
+//! Nothing changes between events. If a profile varies, the plant divides the interval itself.
+
+use crate::configure::start_frequency_mhz;
+use crate::live_tap::TapWriter;
+use platebench_plate::BandSignal;
+use platebench_plate::{BandMonitor, Conditions, Crossing, Drive, Plant, Sensor, State, Time};
+use platebench_record::NonFiniteDrive;
+use platebench_scenario::{Metric, Scenario};
+use platebench_trace::{Flags, Row};
+use platebench_wire::{Command, ControllerState as Mode, Sample};
+use std::f64::consts::TAU;
+
+/// The drive counts as saturated from this fraction of its limit: the wire carries the limit as f32.
+const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
+
+/// Receives rows.
+pub(crate) trait RowSink {
+    /// Must not wait.
+    fn push(&mut self, row: Row);
+}
+
+impl RowSink for Vec<Row> {
+    fn push(&mut self, row: Row) {
+        Self::push(self, row);
+    }
+}
+
+/// The approximate number of rows: one per trace step and some per control instant.
+pub(crate) fn expected_rows(scenario: &Scenario) -> usize {
+    let of = |span: Time| (scenario.duration.seconds() / span.seconds()) as usize;
+    of(scenario.trace_step) + 2 * of(scenario.controller.period) + 64
+}
+
+/// Inputs that a user changes by hand.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ManualInputs {
+    /// Setpoint, µm.
+    pub setpoint_um: f64,
+    /// Kelvin above the plate's reference temperature.
+    pub temperature_offset_k: f64,
+    /// Normal force of the finger, N.
+    pub finger_force_n: f64,
+}
+
+pub(crate) struct PlantSimulation<'a, R> {
+    scenario: &'a Scenario,
+    plant: Plant,
+    sensor: Sensor,
+    sink: R,
+    /// A live view gets the same rows, as long as it has room.
+    tap: Option<&'a mut TapWriter>,
+    /// The last row, which further events of its instant change.
+    pending_row: Option<Row>,
+    crossings: Vec<Crossing>,
+    bands: Vec<BandMonitor>,
+    /// The setpoint that `bands` belong to.
+    bands_setpoint_um: Option<f64>,
+    /// Replaces the scenario's setpoint.
+    manual_setpoint_um: Option<f64>,
+    /// The time stamp of the first sample.
+    clock_start_us: u32,
+    frequency_hz: f64,
+    sensed: [f64; 2],
+    safe: bool,
+    not_finite: Option<NonFiniteDrive>,
+}
+
+impl<'a, R: RowSink> PlantSimulation<'a, R> {
+    pub(crate) fn new(scenario: &'a Scenario, index: u32, rows: R, tap: Option<&'a mut TapWriter>) -> Self {
+        let variation = scenario.variation(index);
+        let mut plant = variation.plant(scenario);
+        let frequency_hz = f64::from(start_frequency_mhz(scenario)) / 1e3;
+        plant.set_drive(Drive { vpp: 0.0, omega: TAU * frequency_hz });
+        Self {
+            scenario,
+            plant,
+            sensor: variation.sensor(scenario),
+            sink: rows,
+            tap,
+            pending_row: None,
+            crossings: Vec::with_capacity(64),
+            bands: Vec::with_capacity(scenario.expectations.len()),
+            bands_setpoint_um: None,
+            manual_setpoint_um: None,
+            clock_start_us: clock_start_us(scenario, index),
+            frequency_hz,
+            sensed: [0.0; 2],
+            safe: false,
+            not_finite: None,
+        }
+    }
+
+    pub(crate) fn time(&self) -> Time {
+        self.plant.time()
+    }
+
+    pub(crate) fn is_finished(&self) -> bool {
+        self.time() >= self.scenario.duration
+    }
+
+    pub(crate) fn into_rows(mut self) -> R {
+        if let Some(last) = self.pending_row.take() {
+            self.emit_row(last);
+        }
+        self.sink
+    }
+
+    /// Replaces the scenario's setpoint, temperature and force from now on. Allocates.
+    pub(crate) fn set_manual_inputs(&mut self, held: &ManualInputs) {
+        let ManualInputs { setpoint_um, temperature_offset_k, finger_force_n } = *held;
+        self.manual_setpoint_um = Some(setpoint_um);
+        self.plant.hold_conditions(Conditions { temperature_offset_k, finger_force_n });
+    }
+
+    fn setpoint_at(&self, time: Time) -> f64 {
+        self.manual_setpoint_um.unwrap_or_else(|| self.scenario.setpoint.at(time))
+    }
+
+    /// Samples the plate for the controller.
+    pub(crate) fn sense(&mut self) -> Sample {
+        let now = self.time();
+        let sensed = self.sensor.measure(self.plant.sensor_reading());
+        let sample = Sample {
+            time_us: self.clock_start_us.wrapping_add(now.wrapping_micros()),
+            setpoint_um: self.setpoint_at(now) as f32,
+            wd_um: to_wire(sensed.re),
+            wq_um: to_wire(sensed.im),
+        };
+        self.sensed = [f64::from(sample.wd_um), f64::from(sample.wq_um)];
+        sample
+    }
+
+    /// Applies a command from now on. A drive that is NaN or infinite becomes 0 V and is counted.
+    pub(crate) fn actuate(&mut self, command: &Command) {
+        self.safe = command.state != Mode::Running;
+        let commanded = f64::from(command.drive_vpp);
+        let vpp = if commanded.is_finite() {
+            commanded.clamp(0.0, self.scenario.plate.drive_limit_vpp)
+        } else {
+            let first = NonFiniteDrive { at_s: self.time().seconds(), count: 0 };
+            self.not_finite.get_or_insert(first).count += 1;
+            0.0
+        };
+        self.frequency_hz = f64::from(command.frequency_mhz) / 1e3;
+        self.plant.set_drive(Drive { vpp, omega: TAU * self.frequency_hz });
+    }
+
+    /// The commands so far whose drive was NaN or infinite.
+    pub(crate) fn not_finite(&self) -> Option<NonFiniteDrive> {
+        self.not_finite
+    }
+
+    /// Sets the drive to 0 V.
+    pub(crate) fn stop_drive(&mut self) {
+        self.safe = true;
+        self.plant.set_drive(Drive { vpp: 0.0, ..self.plant.drive() });
+    }
+
+    /// The next instant of a trace step or profile point.
+    pub(crate) fn next_scheduled_row(&self) -> Time {
+        let now = self.time();
+        let points = [self.plant.next_point_after(now), self.scenario.setpoint.next_point_after(now)];
+        let step = self.scenario.trace_step.next_multiple_after(now).min(self.scenario.duration);
+        points.into_iter().flatten().fold(step, Time::min)
+    }
+
+    /// Moves the plate to `end`, with a row before and after each crossing of a band that an expectation uses. No
+    /// scheduled row may lie between.
+    pub(crate) fn advance(&mut self, end: Time) {
+        self.update_bands();
+        self.plant.advance(end, &self.bands, &mut self.crossings);
+        let mut crossings = std::mem::take(&mut self.crossings);
+        for crossing in crossings.drain(..) {
+            let last = Time::from_nanos(crossing.time.as_nanos().saturating_sub(1));
+            for (time, state) in [(last, crossing.before), (crossing.time, crossing.state)] {
+                // The interval's ends have their own rows.
+                if self.pending_row.is_none_or(|last| last.t_s < time.seconds()) && time < end {
+                    self.push(time, &state, 0.0, Flags::empty());
+                }
+            }
+        }
+        self.crossings = crossings;
+    }
+
+    /// Moves the plate to `end` with every scheduled row before it.
+    pub(crate) fn advance_through(&mut self, end: Time) {
+        let end = end.min(self.scenario.duration);
+        while self.time() < end {
+            let next = self.next_scheduled_row().min(end);
+            self.advance(next);
+            if next < end {
+                self.push_row(0.0, Flags::empty());
+            }
+        }
+    }
+
+    /// Records the sample that a fault changed on its way to the controller.
+    pub(crate) fn set_delivered_sample(&mut self, sensed: [f32; 2]) {
+        self.sensed = sensed.map(|value| f64::from(to_wire(value.into())));
+    }
+
+    /// Adds a row for now, or extends the last one if it has the same instant.
+    pub(crate) fn push_row(&mut self, lateness_us: f64, flags: Flags) {
+        let (now, state) = (self.time(), self.plant.state());
+        self.push(now, &state, lateness_us, flags);
+    }
+
+    fn push(&mut self, time: Time, state: &State, lateness_us: f64, flags: Flags) {
+        let drive = self.plant.drive();
+        let conditions = self.plant.conditions_at(time);
+        let resonance_hz = self.plant.mode_at(time).omega0 / TAU;
+        if !state.is_finite() || !resonance_hz.is_finite() {
+            // A state that is not finite is a defect of the bench. Its trace ends here, and the judge refuses it.
+            return;
+        }
+        let saturated = drive.vpp >= self.scenario.plate.drive_limit_vpp * SATURATION_THRESHOLD;
+        let also = [(saturated, Flags::SATURATED), (self.safe, Flags::SAFE)];
+        let row = Row {
+            t_s: time.seconds(),
+            setpoint_um: self.setpoint_at(time),
+            wd_um: state.w.re,
+            wq_um: state.w.im,
+            amplitude_um: state.amplitude(),
+            drive_vpp: drive.vpp,
+            frequency_hz: self.frequency_hz,
+            resonance_hz,
+            temperature_offset_k: conditions.temperature_offset_k,
+            finger_force_n: conditions.finger_force_n,
+            sensed_wd_um: self.sensed[0],
+            sensed_wq_um: self.sensed[1],
+            lateness_us,
+            flags: also.into_iter().filter(|(holds, _)| *holds).fold(flags, |flags, (_, flag)| flags | flag),
+        };
+        match &mut self.pending_row {
+            // Several events at one instant: the final state, and the flags of all events.
+            Some(last) if last.t_s == row.t_s => {
+                let happened = last.flags & (Flags::CONTROL | Flags::OVERRUN | Flags::LINK_LOST);
+                *last = Row { lateness_us: row.lateness_us.max(last.lateness_us), flags: row.flags | happened, ..row };
+            }
+            held => {
+                if let Some(last) = held.replace(row) {
+                    self.emit_row(last);
+                }
+            }
+        }
+    }
+
+    /// Passes on a row that no event changes any more.
+    fn emit_row(&mut self, row: Row) {
+        if let Some(tap) = &mut self.tap {
+            tap.push(&row);
+        }
+        self.sink.push(row);
+    }
+
+    /// Reports new missed replies and the total of refused frames to the live view.
+    pub(crate) fn report_counts(&mut self, missed: u64, refused: u64) {
+        if let Some(tap) = &mut self.tap {
+            tap.count_missed_replies(missed);
+            tap.set_refused_frames(refused);
+        }
+    }
+
+    /// Sets the bands of the scenario's expectations around the present setpoint.
+    fn update_bands(&mut self) {
+        let setpoint = self.setpoint_at(self.time());
+        if self.bands_setpoint_um.replace(setpoint) == Some(setpoint) {
+            return;
+        }
+        self.bands.clear();
+        for expectation in &self.scenario.expectations {
+            let signal = match expectation.signal {
+                "wd_um" => BandSignal::InPhase,
+                "wq_um" => BandSignal::Quadrature,
+                "amplitude_um" => BandSignal::Amplitude,
+                _ => continue,
+            };
+            if !matches!(expectation.metric, Metric::SettlingTime | Metric::RecoveryTime | Metric::PeakDeviation) {
+                continue;
+            }
+            let (low, high) = expectation.band(setpoint);
+            let band = BandMonitor { signal, low, high };
+            if setpoint > 0.0 && !self.bands.contains(&band) {
+                self.bands.push(band);
+            }
+        }
+    }
+}
+
+/// The first time stamp of trial `index`: 0 or just before 2^16 ms, 2^31 µs or 2^32 µs, so that counters of these widths
+/// overflow within the trial.
+fn clock_start_us(scenario: &Scenario, index: u32) -> u32 {
+    let before_us = (scenario.duration.wrapping_micros() / 2).min(20_000);
+    match index % 4 {
+        1 => (1 << 16) * 1_000 - before_us,
+        2 => (1 << 31) - before_us,
+        3 => before_us.wrapping_neg(),
+        _ => 0,
+    }
+}
+
+/// Limits a sensor value to the range of f32, which the wire carries.
+fn to_wire(value: f64) -> f32 {
+    value.clamp(f32::MIN.into(), f32::MAX.into()) as f32
+}
+
+impl PlantSimulation<'_, Vec<Row>> {
+    /// The number of rows so far, without the row of this instant.
+    pub(crate) fn row_count(&self) -> usize {
+        self.sink.len() + usize::from(self.pending_row.is_some())
+    }
+
+    /// Adds to the flags of the row with this number.
+    pub(crate) fn add_flags(&mut self, number: usize, flags: Flags) {
+        let row = if number == self.sink.len() { self.pending_row.as_mut() } else { self.sink.get_mut(number) };
+        if let Some(row) = row {
+            row.flags |= flags;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn time_stamps_overflow_within_some_trials() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
+        let scenario = platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let stamps = [0, 1, 2, 3, 4].map(|index| {
+            let mut plant = PlantSimulation::new(&scenario, index, Vec::new(), None);
+            let first = plant.sense().time_us;
+            plant.advance_through(Time::from_nanos(30_000_000));
+            (first, plant.sense().time_us)
+        });
+        let expected = [
+            (0, 30_000),
+            (65_516_000, 65_546_000),
+            (2_147_463_648, 2_147_493_648),
+            (4_294_947_296, 10_000),
+            (0, 30_000),
+        ];
+        assert_eq!(stamps, expected);
+    }
+}

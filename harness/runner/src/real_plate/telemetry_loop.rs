@@ -1,0 +1,244 @@
+//! Exchanges setpoints and telemetry with a controller that drives its own plate.
+//!
+//! One thread, without allocation from the first setpoint on. Setpoints are sent when the profile changes, by the
+//! controller's clock, and repeated to keep it alive. Every trial ends with a request for 0 V.
+
+use super::telemetry_rows::{TelemetryRows, TelemetryUpdate};
+use crate::abort::TrialAbort;
+use crate::configure::configure;
+use crate::controller_log::stop_reason;
+use crate::plant_simulation::RowSink as _;
+use crate::row_queue::RowQueue;
+use crate::timing_stats::{ClockDrift, DurationHistogram};
+use crate::trial::{TrialSpec, is_controller_failure};
+use platebench_plate::Time;
+use platebench_record::RealPlateRecord;
+use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
+use platebench_scenario::Scenario;
+use platebench_trace::Flags;
+use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Setpoint, StateCause};
+use std::time::{Duration, Instant};
+
+/// Without a setpoint for this long the controller goes to 0 V.
+const WATCHDOG_TIMEOUT_MS: u16 = 250;
+/// A constant setpoint is repeated after this long.
+const KEEP_ALIVE_INTERVAL: Duration = Duration::from_millis(50);
+/// A repetition later than this is an overrun of the bench.
+const LATE_SETPOINT: Duration = Duration::from_millis(200);
+/// A setpoint without an acknowledgement for this long is unacknowledged.
+const ACKNOWLEDGE_TIMEOUT: Duration = Duration::from_millis(100);
+/// Without telemetry for this long the controller is lost.
+const SILENCE_TIMEOUT: Duration = Duration::from_millis(500);
+/// Cancellation is checked at least this often.
+const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
+
+/// The end of a telemetry loop.
+pub(super) struct TelemetryLoopResult {
+    pub(super) abort: Option<TrialAbort>,
+    /// Why the controller stopped, as it reports it.
+    pub(super) stop_reason: Option<&'static str>,
+    pub(super) real_plate: RealPlateRecord,
+}
+
+/// A setpoint without an acknowledgement.
+#[derive(Clone, Copy)]
+struct PendingSetpoint {
+    sent_at: Instant,
+    /// The time of the last telemetry before it.
+    telemetry_time: Time,
+}
+
+pub(super) struct TelemetryLoop<'a, L: Link> {
+    session: &'a mut Session<FaultInjector<L>>,
+    scenario: &'a Scenario,
+    law: LawId,
+    telemetry: TelemetryRows,
+    queue: RowQueue,
+    /// Flags for the next row.
+    next_flags: Flags,
+    last_telemetry: Instant,
+    /// The last setpoint and when it was sent.
+    last_setpoint: Option<(f32, Instant)>,
+    /// By sequence number: setpoints without an acknowledgement.
+    pending_setpoints: [Option<PendingSetpoint>; 256],
+    acknowledge_time: DurationHistogram,
+    setpoints: u64,
+    unacknowledged: u64,
+    /// Since the first telemetry.
+    drift: ClockDrift,
+    first_telemetry: Option<Instant>,
+    stop_reason: Option<&'static str>,
+}
+
+impl<'a, L: Link> TelemetryLoop<'a, L> {
+    pub(super) fn new(session: &'a mut Session<FaultInjector<L>>, order: &TrialSpec<'a>, queue: RowQueue) -> Self {
+        let scenario = order.scenario;
+        Self {
+            session,
+            scenario,
+            law: order.law,
+            telemetry: TelemetryRows::new(scenario.controller.period.wrapping_micros(), scenario.plate.drive_limit_vpp),
+            queue,
+            next_flags: Flags::empty(),
+            last_telemetry: Instant::now(),
+            last_setpoint: None,
+            pending_setpoints: [None; 256],
+            acknowledge_time: DurationHistogram::new(),
+            setpoints: 0,
+            unacknowledged: 0,
+            drift: ClockDrift::default(),
+            first_telemetry: None,
+            stop_reason: None,
+        }
+    }
+
+    /// Plays the trial from the configuration to 0 V.
+    pub(super) fn run(mut self, cancel: &CancelToken) -> TelemetryLoopResult {
+        let ended = self.exchange_until_end(cancel).err();
+        let safe_confirmed = self.session.request_safe_state();
+        let controller_failed = matches!(&ended, Some(TrialAbort::Lost(error)) if is_controller_failure(error));
+        if (self.stop_reason.is_some() || controller_failed)
+            && let Some(row) = self.telemetry.stop_row()
+        {
+            self.queue.push(row);
+        }
+        let real_plate = RealPlateRecord {
+            periods: self.telemetry.received,
+            missing: self.telemetry.missing,
+            setpoints: self.setpoints,
+            unacknowledged: self.unacknowledged,
+            acknowledged_us: self.acknowledge_time.quantiles_us(),
+            refused_frames: self.session.rejected_frames(),
+            lost_rows: self.queue.lost(),
+            clock_ppm: self.drift.ppm().map(|(ppm, error)| [ppm, error]),
+            force_measured: self.telemetry.force_measured,
+            safe_confirmed,
+            ..RealPlateRecord::default()
+        };
+        TelemetryLoopResult { abort: ended, stop_reason: self.stop_reason, real_plate }
+    }
+
+    fn exchange_until_end(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
+        let configure = configure(self.scenario, self.law);
+        self.session.start_trial(&Configure {
+            drives_own_plate: true,
+            watchdog_timeout_ms: WATCHDOG_TIMEOUT_MS,
+            ..configure
+        })?;
+        self.last_telemetry = Instant::now();
+        loop {
+            if cancel.is_cancelled() {
+                return Err(TrialAbort::Cancelled);
+            }
+            let now = Instant::now();
+            self.count_unacknowledged(now);
+            self.send_setpoint(now)?;
+            let received = self.session.receive(self.next_instant(now))?;
+            if let Some(received) = &received {
+                self.handle_message(received.sequence, &received.message, received.received_at)?;
+            }
+            if self.telemetry.time().is_some_and(|time| time >= self.scenario.duration) {
+                return Ok(());
+            }
+            // Silence counts only once all messages are read.
+            if received.is_none() && self.last_telemetry.elapsed() > SILENCE_TIMEOUT {
+                // A stopped controller may send nothing more.
+                let silent = RigError::NoAnswer { expected: "telemetry" };
+                return if self.stop_reason.is_some() { Ok(()) } else { Err(silent.into()) };
+            }
+        }
+    }
+
+    /// The trial's time at `now`, extrapolated from the last telemetry.
+    fn trial_time(&self, now: Instant) -> Time {
+        let since = now.saturating_duration_since(self.last_telemetry).as_nanos();
+        self.telemetry.time().map_or(Time::ZERO, |last| last + Time::from_nanos(since as u64))
+    }
+
+    /// The next instant of a setpoint or a check.
+    fn next_instant(&self, now: Instant) -> Instant {
+        let trial = self.trial_time(now);
+        let point = self.scenario.setpoint.next_point_after(trial).filter(|_| self.telemetry.time().is_some());
+        let to_point = point.map_or(CANCEL_POLL_INTERVAL, |point| Duration::from_nanos(point.since(trial).as_nanos()));
+        now + to_point.min(CANCEL_POLL_INTERVAL)
+    }
+
+    /// Sends the setpoint if it changed or is due again.
+    fn send_setpoint(&mut self, now: Instant) -> Result<(), TrialAbort> {
+        let setpoint_um = self.scenario.setpoint.at(self.trial_time(now)) as f32;
+        let since = self.last_setpoint.map(|(_, sent)| now.saturating_duration_since(sent));
+        let has_moved = self.last_setpoint.is_none_or(|(last, _)| last != setpoint_um);
+        if !has_moved && since.is_some_and(|since| since < KEEP_ALIVE_INTERVAL) {
+            return Ok(());
+        }
+        if since.is_some_and(|since| since > LATE_SETPOINT) {
+            self.next_flags |= Flags::OVERRUN;
+        }
+        let sequence = self.session.send(Message::Setpoint(Setpoint { setpoint_um }))?;
+        self.setpoints += 1;
+        self.last_setpoint = Some((setpoint_um, now));
+        if let Some(open) = self.pending_setpoints.get_mut(usize::from(sequence)) {
+            *open = Some(PendingSetpoint { sent_at: now, telemetry_time: self.telemetry.time().unwrap_or(Time::ZERO) });
+        }
+        Ok(())
+    }
+
+    /// Counts expired setpoints. Telemetry that is newer than the time-out shows that the bench has read the line.
+    fn count_unacknowledged(&mut self, now: Instant) {
+        let within = Time::from_nanos(ACKNOWLEDGE_TIMEOUT.as_nanos() as u64);
+        let last = self.telemetry.time().unwrap_or(Time::ZERO);
+        let is_missed = |open: &mut PendingSetpoint| {
+            now.saturating_duration_since(open.sent_at) > ACKNOWLEDGE_TIMEOUT
+                && last.since(open.telemetry_time) > within
+        };
+        for open in &mut self.pending_setpoints {
+            if open.take_if(is_missed).is_some() {
+                self.unacknowledged += 1;
+                self.next_flags |= Flags::LINK_LOST;
+            }
+        }
+    }
+
+    fn handle_message(&mut self, sequence: u8, message: &Message, at: Instant) -> Result<(), TrialAbort> {
+        match message {
+            Message::Telemetry(telemetry) => {
+                let TelemetryUpdate::Row(row) = self.telemetry.accept(telemetry) else { return Ok(()) };
+                self.last_telemetry = at;
+                let since = at.saturating_duration_since(*self.first_telemetry.get_or_insert(at));
+                self.drift.record(since, telemetry.target_time_us);
+                if telemetry.state != ControllerState::Running {
+                    self.stop_reason.get_or_insert(setpoint_stop_reason(telemetry.cause));
+                }
+                let flags = row.flags | std::mem::take(&mut self.next_flags);
+                self.queue.push(platebench_trace::Row { flags, ..row });
+                Ok(())
+            }
+            Message::Command(command) => self.handle_acknowledgement(sequence, command, at),
+            _ => Ok(()),
+        }
+    }
+
+    fn handle_acknowledgement(&mut self, sequence: u8, command: &Command, at: Instant) -> Result<(), TrialAbort> {
+        let sent = self.pending_setpoints.get_mut(usize::from(sequence)).and_then(Option::take);
+        if let Some(sent) = sent {
+            self.acknowledge_time.record(at.saturating_duration_since(sent.sent_at));
+        }
+        match command.state {
+            // A configured controller that is idle has lost its configuration.
+            ControllerState::Idle if sent.is_some() => Err(RigError::Restarted.into()),
+            ControllerState::Fault | ControllerState::Safe => {
+                self.stop_reason.get_or_insert(setpoint_stop_reason(command.cause));
+                Ok(())
+            }
+            ControllerState::Idle | ControllerState::Running => Ok(()),
+        }
+    }
+}
+
+/// Why a controller that receives setpoints stopped.
+const fn setpoint_stop_reason(cause: StateCause) -> &'static str {
+    match cause {
+        StateCause::SampleTimeout => "no setpoint before its watchdog expired",
+        StateCause::LineNoise | StateCause::NonFinite | StateCause::None => stop_reason(cause),
+    }
+}

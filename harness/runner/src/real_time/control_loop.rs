@@ -1,0 +1,377 @@
+//! Runs the real-time loop: control instants, received messages, and the end.
+
+use super::manual_control::ManualControl;
+use super::ticks::TickTracker;
+use super::time_base::{Pacing, TimeBase};
+use crate::abort::TrialAbort;
+use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES};
+use crate::plant_simulation::PlantSimulation;
+use crate::row_queue::RowQueue;
+use crate::scheduling::ThreadScheduling;
+use crate::timing_stats::TimingStats;
+use crate::trial::{TrialSpec, is_controller_failure};
+use platebench_plate::Time;
+use platebench_record::Telemetry;
+use platebench_rig::{CancelToken, FaultInjector, Link, ReceivedMessage, RigError, Session};
+use platebench_scenario::Scenario;
+use platebench_trace::Flags;
+use platebench_wire::{Configure, ControllerState, Gains, Message, StateCause};
+use std::time::{Duration, Instant};
+
+/// Cancellation is checked at least this often.
+const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Before a deadline the thread polls instead of sleeping: a timer wakes it some tens of microseconds late.
+const SPIN_TIME: Duration = Duration::from_micros(80);
+/// A sample that leaves later than this share of the period is an overrun of the bench.
+const OVERRUN_SHARE: f64 = 0.25;
+/// A controller is lost only after at least this silence: a shared host may stall for some ten milliseconds.
+const MIN_SILENT_TIME: Duration = Duration::from_millis(250);
+/// From the configuration to the first control instant.
+const START_DELAY: Duration = Duration::from_millis(2);
+
+pub(super) struct RealTimeLoop<'a, L: Link> {
+    session: &'a mut Session<FaultInjector<L>>,
+    scenario: &'a Scenario,
+    controller: ControllerLog<'a>,
+    plant: PlantSimulation<'a, RowQueue>,
+    /// With the number of its changes that have acted.
+    manual_control: Option<(&'a ManualControl, u64)>,
+    time_base: TimeBase,
+    period: Time,
+    duration: Time,
+    start: Instant,
+    next_control: Time,
+    /// By sequence number: the control instants whose samples are not answered yet.
+    unanswered: [Option<Time>; 256],
+    last_sent: Option<u8>,
+    last_received: Instant,
+    timing: TimingStats,
+}
+
+impl<'a, L: Link> RealTimeLoop<'a, L> {
+    pub(super) fn new(
+        session: &'a mut Session<FaultInjector<L>>,
+        spec: &TrialSpec<'a>,
+        time_base: TimeBase,
+        plant: PlantSimulation<'a, RowQueue>,
+        manual: Option<&'a ManualControl>,
+    ) -> Self {
+        let now = Instant::now();
+        Self {
+            session,
+            scenario: spec.scenario,
+            controller: ControllerLog::new(spec.scenario, spec.law),
+            plant,
+            manual_control: manual.map(|manual| (manual, 0)),
+            time_base,
+            period: spec.scenario.controller.period,
+            duration: spec.scenario.duration,
+            start: now + START_DELAY,
+            next_control: Time::ZERO,
+            unanswered: [None; 256],
+            last_sent: None,
+            last_received: now,
+            timing: TimingStats::new(),
+        }
+    }
+
+    /// Plays the trial of a controller that accepted `configuration` with `gains`.
+    pub(super) fn run(
+        &mut self,
+        configuration: &Configure,
+        gains: &Gains,
+        cancel: &CancelToken,
+    ) -> Result<(), TrialAbort> {
+        self.controller.record_configuration(configuration, Some(gains), Time::ZERO);
+        match self.time_base.pacing {
+            Pacing::Bench => self.run_bench_paced(cancel),
+            Pacing::Target => self.run_target_paced(cancel),
+        }
+    }
+
+    fn wall_instant(&self, plate: Time) -> Instant {
+        self.start + self.time_base.wall_duration(plate)
+    }
+
+    fn plate_time(&self, at: Instant) -> Time {
+        self.time_base.plate_time(at.saturating_duration_since(self.start))
+    }
+
+    /// Control instants are multiples of the period.
+    fn run_bench_paced(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
+        self.session.link_mut().start_real_time(self.start, self.time_base.time_scale);
+        while self.next_control < self.duration {
+            if self.is_emulation_stopped() {
+                return Ok(());
+            }
+            if cancel.is_cancelled() {
+                return Err(TrialAbort::Cancelled);
+            }
+            let deadline = self.wall_instant(self.next_control);
+            let now = Instant::now();
+            if now >= deadline {
+                self.control_at_deadline(now)?;
+                continue;
+            }
+            let until =
+                deadline.checked_sub(SPIN_TIME).map_or(now, |until| until.max(now)).min(now + CANCEL_POLL_INTERVAL);
+            if let Some(received) = self.session.receive(until)? {
+                // A command that arrived after a deadline acts after that deadline's sample.
+                while self.next_control < self.duration && self.wall_instant(self.next_control) <= received.received_at
+                {
+                    self.control_at_deadline(received.received_at)?;
+                }
+                self.handle_message(&received)?;
+            }
+        }
+        self.receive_until_end(cancel)
+    }
+
+    /// Handles the control instant that is due at or before `now`.
+    fn control_at_deadline(&mut self, now: Instant) -> Result<(), TrialAbort> {
+        let due = self.next_control;
+        self.next_control = due + self.period;
+        let lateness = now.saturating_duration_since(self.wall_instant(due));
+        self.plant.advance_through(due);
+        if now >= self.wall_instant(self.next_control) {
+            // The next sample is already due; this one would only add to the delay.
+            self.timing.periods += 1;
+            self.timing.overruns += 1;
+            self.timing.skipped += 1;
+            self.timing.lateness.record(lateness);
+            self.plant.push_row(to_micros(lateness), Flags::OVERRUN);
+            return Ok(());
+        }
+        self.send_sample(lateness, 0)
+    }
+
+    /// Control instants are the arrivals of the target's ticks; the trial starts with the first one.
+    fn run_target_paced(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
+        let mut ticks = TickTracker::default();
+        let first = Instant::now() + MIN_SILENT_TIME;
+        let mut last_tick = Time::ZERO;
+        while !self.is_finished() {
+            if self.is_emulation_stopped() {
+                return Ok(());
+            }
+            if cancel.is_cancelled() {
+                return Err(TrialAbort::Cancelled);
+            }
+            let until = Instant::now() + self.time_base.wall_duration(self.period).min(CANCEL_POLL_INTERVAL);
+            let until = if ticks.has_ticks() { until.min(self.wall_instant(self.duration)) } else { until };
+            let Some(received) = self.session.receive(until)? else {
+                if Instant::now() >= if ticks.has_ticks() { self.last_received + MIN_SILENT_TIME } else { first } {
+                    return Err(RigError::NoAnswer { expected: "tick" }.into());
+                }
+                continue;
+            };
+            let Message::Tick(tick) = received.message else {
+                self.handle_message(&received)?;
+                continue;
+            };
+            if !ticks.has_ticks() {
+                self.start = received.received_at;
+                self.session.link_mut().start_real_time(self.start, self.time_base.time_scale);
+            }
+            self.last_received = received.received_at;
+            let instant = self.plate_time(received.received_at);
+            if instant >= self.duration {
+                break;
+            }
+            self.plant.advance_through(instant);
+            last_tick = instant;
+            // A missing tick was skipped by the target or lost on the line; the bench cannot distinguish them.
+            let (lateness, missing) = ticks.record(received.received_at, tick.target_time_us, self.period);
+            self.send_sample(lateness, missing)?;
+        }
+        self.receive_until_end(cancel)?;
+        self.count_missed_ticks(last_tick);
+        Ok(())
+    }
+
+    /// Counts the ticks that are missing at the end, unless the controller reported that it stopped.
+    fn count_missed_ticks(&mut self, last_tick: Time) {
+        let periods = (self.duration - last_tick).as_nanos() / self.period.as_nanos().max(1);
+        let has_stopped = self.controller.stop_cause().is_some_and(|cause| cause != StateCause::SampleTimeout);
+        let missing = periods.saturating_sub(2);
+        if missing > 0 && !has_stopped {
+            self.timing.missed_replies += missing;
+            self.plant.report_counts(missing, self.session.rejected_frames());
+            self.plant.push_row(0.0, Flags::LINK_LOST);
+        }
+    }
+
+    fn is_finished(&self) -> bool {
+        Instant::now() >= self.wall_instant(self.duration)
+    }
+
+    /// Samples the plate, which is at the control instant, and sends the sample. `missing` control instants before it
+    /// had no tick.
+    fn send_sample(&mut self, lateness: Duration, missing: u64) -> Result<(), TrialAbort> {
+        let now = self.plant.time();
+        if let Some(inputs) = self.manual_control.as_mut().and_then(|(manual, seen)| manual.changed_inputs(seen)) {
+            self.plant.set_manual_inputs(&inputs);
+        }
+        let sample = self.plant.sense();
+        let sent = Instant::now();
+        if let Some(configure) = self.controller.reconfiguration(now) {
+            // Its reply is not waited for.
+            self.session.send(Message::Configure(self.time_base.with_target_timing(configure)))?;
+            self.controller.record_configuration(&configure, None, now);
+        }
+        let outcome = self.session.send(Message::Sample(sample));
+        if let Some(sample) = self.session.link().delivered_sample() {
+            self.plant.set_delivered_sample(sample);
+        }
+        let overrun = lateness.as_secs_f64() > OVERRUN_SHARE * self.time_base.wall_duration(self.period).as_secs_f64();
+        let missed =
+            self.last_sent.is_some_and(|last| self.unanswered.get(usize::from(last)).is_some_and(Option::is_some));
+        self.timing.periods += 1;
+        self.timing.overruns += u64::from(overrun);
+        let misses = u64::from(missed) + missing;
+        self.timing.missed_replies += misses;
+        self.plant.report_counts(misses, self.session.rejected_frames());
+        self.timing.lateness.record(lateness);
+        self.controller.record_missed_reply();
+        self.controller.record_sample();
+        let mut flags = Flags::CONTROL;
+        flags.set(Flags::OVERRUN, overrun);
+        flags.set(Flags::LINK_LOST, misses > 0);
+        self.plant.push_row(to_micros(lateness), flags);
+        let sequence = outcome?;
+        if let Some(unanswered) = self.unanswered.get_mut(usize::from(sequence)) {
+            // Sequence numbers repeat after 256 samples: an older reply would be taken for this sample's.
+            self.timing.lost_replies += u64::from(unanswered.replace(now).is_some());
+        }
+        self.last_sent = Some(sequence);
+        if self.scenario.explains_silence(now) {
+            // The bench waits for a planned silence to end.
+            self.last_received = sent;
+            self.controller.reset_missed_replies();
+        }
+        let silence = sent.saturating_duration_since(self.last_received);
+        if self.controller.missed_replies() > MAX_MISSED_REPLIES && silence > MIN_SILENT_TIME {
+            return Err(RigError::NoAnswer { expected: "command" }.into());
+        }
+        Ok(())
+    }
+
+    fn handle_message(&mut self, received: &ReceivedMessage) -> Result<(), TrialAbort> {
+        let Message::Command(command) = received.message else { return Ok(()) };
+        self.last_received = received.received_at;
+        self.controller.reset_missed_replies();
+        let sampled = self.unanswered.get_mut(usize::from(received.sequence)).and_then(Option::take);
+        // A second reply to a sample is a duplicated frame, unless it reports a stop.
+        if sampled.is_none() && command.state == ControllerState::Running {
+            return Ok(());
+        }
+        // A configured controller that is idle has lost its configuration.
+        if sampled.is_some() && command.state == ControllerState::Idle {
+            return Err(RigError::Restarted.into());
+        }
+        let instant = self.plate_time(received.received_at).min(self.duration);
+        self.plant.advance_through(instant);
+        if let Some(sampled) = sampled {
+            let delay = instant.since(sampled);
+            self.timing.loop_delay.record(Duration::from_nanos(delay.as_nanos()));
+            let wall_delay = received.received_at.saturating_duration_since(self.wall_instant(sampled));
+            self.timing.longest_rig_delay = self.timing.longest_rig_delay.max(wall_delay);
+            let bench = self.wall_instant(sampled).saturating_duration_since(self.start);
+            self.timing.drift.record(bench, command.target_time_us);
+        }
+        self.controller.record_command(&command, instant);
+        self.plant.actuate(&command);
+        if !self.plant.is_finished() {
+            self.plant.push_row(0.0, Flags::empty());
+        }
+        Ok(())
+    }
+
+    /// True if the plate is emulated for a controller that has stopped.
+    fn is_emulation_stopped(&self) -> bool {
+        self.controller.is_stopped() && self.manual_control.is_some()
+    }
+
+    /// Applies the replies to the last samples.
+    fn receive_until_end(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
+        let end = self.wall_instant(self.duration);
+        while Instant::now() < end {
+            if cancel.is_cancelled() {
+                return Err(TrialAbort::Cancelled);
+            }
+            let soon = Instant::now() + Duration::from_millis(50);
+            if let Some(received) = self.session.receive(soon.min(end))? {
+                self.handle_message(&received)?;
+            }
+        }
+        // Messages that arrived in time may not be read yet. The bound ends a controller that never stops sending.
+        for _ in 0..self.unanswered.len() {
+            let Some(received) = self.session.receive(Instant::now())? else { break };
+            self.handle_message(&received)?;
+        }
+        self.plant.advance_through(self.duration);
+        let missed = u64::from(self.is_last_reply_missing());
+        self.timing.missed_replies += missed;
+        self.plant.report_counts(missed, self.session.rejected_frames());
+        self.plant.push_row(0.0, if missed > 0 { Flags::LINK_LOST } else { Flags::empty() });
+        Ok(())
+    }
+
+    /// True if the last sample has no reply after a whole period. No later control instant would notice.
+    fn is_last_reply_missing(&self) -> bool {
+        let sampled = self.last_sent.and_then(|last| self.unanswered.get(usize::from(last)).copied().flatten());
+        sampled.is_some_and(|sampled| self.duration.since(sampled) >= self.period)
+    }
+
+    /// Requests 0 V and returns telemetry and the error that lost the controller. `None` if the trial was cancelled.
+    pub(super) fn finish(
+        mut self,
+        abort: Option<TrialAbort>,
+        scheduling: &ThreadScheduling,
+    ) -> Option<(Telemetry, Option<RigError>)> {
+        self.controller.record_session(self.session, self.plant.time());
+        let safe_confirmed = self.session.request_safe_state();
+        if safe_confirmed {
+            self.controller.watch_after_safe_in_real_time(self.session, self.plant.time());
+        }
+        let lost = match abort {
+            None => None,
+            Some(TrialAbort::Cancelled) => return None,
+            Some(TrialAbort::Lost(error)) => Some(error),
+        };
+        if let Some(error) = &lost {
+            // The rest of the trial is played at 0 V, without waiting.
+            let flags = if is_controller_failure(error) { Flags::empty() } else { Flags::LINK_LOST };
+            self.plant.stop_drive();
+            self.plant.push_row(0.0, flags);
+            self.plant.advance_through(self.duration);
+            self.plant.push_row(0.0, flags);
+        }
+        self.timing.lost_replies += self.unanswered.iter().flatten().count() as u64;
+        self.plant.report_counts(0, self.session.rejected_frames());
+        let mut timing = self.timing.timing();
+        timing.time_scale = self.time_base.time_scale;
+        self.time_base.pacing.name().clone_into(&mut timing.pacing);
+        scheduling.scheduling.clone_into(&mut timing.scheduling);
+        timing.memory_locked = scheduling.memory_locked;
+        timing.refused_frames = self.session.rejected_frames();
+        timing.safe_confirmed = safe_confirmed;
+        let not_finite = self.plant.not_finite();
+        timing.lost_rows = self.plant.into_rows().lost();
+        let telemetry = Telemetry {
+            not_finite,
+            loop_delay_us: timing.loop_delay_us.map(|quantiles| quantiles.max),
+            rig_delay_us: timing.loop_delay_us.map(|_| self.timing.longest_rig_delay.as_secs_f64() * 1e6),
+            timing: Some(timing),
+            ..self.controller.telemetry(self.session, lost.as_ref())
+        };
+        Some((telemetry, lost))
+    }
+}
+
+fn to_micros(span: Duration) -> f64 {
+    span.as_secs_f64() * 1e6
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,169 @@
+use super::*;
+use crate::configure::configure;
+use crate::fault::wire_faults;
+use crate::live_tap::LiveTap;
+use crate::row_queue::collect_rows;
+use allocation_counter::{AllocationInfo, measure, opt_out};
+use platebench_rig::{CancelToken, HostedLink, LinkError, PtyLink, SerialLink, WallClockLink};
+use platebench_scenario::load;
+use platebench_wire::LawId;
+use platebench_wire::PacketReader;
+use std::path::Path;
+use std::thread;
+
+/// The target's own allocations are not the bench's.
+struct UncountedLink(HostedLink);
+
+impl Link for UncountedLink {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let mut outcome = Ok(Duration::ZERO);
+        opt_out(|| outcome = self.0.exchange(now, bytes, answer));
+        outcome
+    }
+
+    fn advance_to(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
+        let mut outcome = Ok(());
+        opt_out(|| outcome = self.0.advance_to(now, said));
+        outcome
+    }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        self.0.restart()
+    }
+}
+
+fn scenario(name: &str) -> Scenario {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
+    load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
+}
+
+/// What the loop's thread allocates from its first control instant to the last while somebody looks on, and in how many periods.
+fn count_allocations<L: Link>(
+    scenario: &Scenario,
+    session: &mut Session<FaultInjector<L>>,
+    pacing: Pacing,
+) -> (AllocationInfo, u64) {
+    let (watch, mut viewer) = LiveTap::new();
+    let mut lent = watch.acquire(0, 0);
+    let law = crate::configure::law(scenario).unwrap();
+    let order = TrialSpec { scenario, law, index: 0, wire_time: false, own_clock: true };
+    let pace = TimeBase { time_scale: 1.0, pacing };
+    let (queue, consumer) = RowQueue::new();
+    let collector = thread::spawn(|| collect_rows(consumer, 0));
+    let stage = PlantSimulation::new(scenario, 0, queue, lent.tap());
+    session.link_mut().set_faults(&wire_faults(scenario, 0));
+    let configuration = pace.with_target_timing(configure(scenario, law));
+    let gains = session.start_trial(&configuration).unwrap();
+    let mut live = RealTimeLoop::new(session, &order, pace, stage, None);
+    let mut outcome = Ok(());
+    let cancel = CancelToken::never();
+    let allocated = measure(|| outcome = live.run(&configuration, &gains, &cancel));
+    assert!(outcome.is_ok(), "it came to its end");
+    let periods = live.timing.periods;
+    drop(live);
+    let rows = collector.join().unwrap();
+    assert!(rows.len() as u64 > periods);
+    let seen = std::iter::from_fn(|| viewer.next_row()).map(|sight| sight.row).collect::<Vec<_>>();
+    assert!(!seen.is_empty() && rows.starts_with(&seen), "whoever looks on gets the rows of the record");
+    (allocated, periods)
+}
+
+#[test]
+fn the_loop_allocates_nothing_in_process() {
+    for (name, pacing) in [
+        ("paper/fig13-closed-loop.toml", Pacing::Bench),
+        ("paper/fig13-closed-loop.toml", Pacing::Target),
+        ("faults/disconnect-and-reconnect.toml", Pacing::Bench),
+        ("faults/noise-storm.toml", Pacing::Bench),
+        ("faults/late-commands.toml", Pacing::Bench),
+    ] {
+        let scenario = scenario(name);
+        let mut session =
+            Session::open(FaultInjector::new(WallClockLink::new(UncountedLink(HostedLink::new())))).unwrap();
+        let (allocated, periods) = count_allocations(&scenario, &mut session, pacing);
+        assert!(periods > 10, "{name}: {periods}");
+        assert_eq!(allocated, AllocationInfo::default(), "{name}, paced by {}", pacing.name());
+    }
+}
+
+/// Plays the board until the line hangs up.
+fn run_controller(mut port: SerialLink) {
+    let start = Instant::now();
+    let mut device = HostedLink::new();
+    let (mut bytes, mut answer) = (Vec::new(), Vec::new());
+    loop {
+        let soon = Instant::now() + Duration::from_micros(250);
+        let Ok(arrived) = port.real_time_line().unwrap().receive(soon, &mut bytes) else { return };
+        if arrived.is_some() {
+            device.exchange(start.elapsed(), &bytes, &mut answer).unwrap();
+            bytes.clear();
+        }
+        device.advance_to(start.elapsed(), &mut answer).unwrap();
+        if port.real_time_line().unwrap().send(&answer).is_err() {
+            return;
+        }
+        answer.clear();
+    }
+}
+
+#[test]
+fn the_loop_allocates_nothing_over_a_terminal() {
+    let mut terminal = PtyLink::open().unwrap();
+    let port = SerialLink::open(Path::new(terminal.path()), 1_000_000).unwrap();
+    let board = thread::spawn(|| run_controller(port));
+    // A busy machine lets the first calls go unheard.
+    let called = (0..100).find_map(|_| Session::open(FaultInjector::new(&mut terminal)).ok().map(|_| ()));
+    assert!(called.is_some(), "nobody introduces itself");
+    let mut session = Session::open(FaultInjector::new(terminal)).unwrap();
+    let (allocated, periods) =
+        count_allocations(&scenario("paper/fig13-closed-loop.toml"), &mut session, Pacing::Bench);
+    assert!(periods > 10, "{periods}");
+    assert_eq!(allocated, AllocationInfo::default());
+    drop(session);
+    board.join().unwrap();
+}
+
+/// Answers every sample but the one at the last control instant.
+struct SilentAtLastSample {
+    inner: HostedLink,
+    last_us: u32,
+}
+
+impl Link for SilentAtLastSample {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let is_last = PacketReader::new()
+            .packets(bytes)
+            .flatten()
+            .any(|packet| matches!(packet.message, Message::Sample(sample) if sample.time_us == self.last_us));
+        let before = answer.len();
+        let took = self.inner.exchange(now, bytes, answer);
+        if is_last {
+            answer.truncate(before);
+        }
+        took
+    }
+
+    fn advance_to(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.inner.advance_to(now, said)
+    }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        self.inner.restart()
+    }
+}
+
+/// No further control instant would notice.
+#[test]
+fn a_last_sample_without_an_answer_is_a_missing_answer() {
+    let scenario = scenario("paper/fig13-closed-loop.toml");
+    let link = SilentAtLastSample { inner: HostedLink::new(), last_us: 59_000 };
+    let mut session = Session::open(FaultInjector::new(WallClockLink::new(link))).unwrap();
+    let order = TrialSpec { scenario: &scenario, law: LawId::DqPi, index: 0, wire_time: false, own_clock: true };
+    let pace = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
+    let played = crate::real_time::play(&mut session, &order, pace, &CancelToken::never(), None).unwrap();
+    let last = played.trace_rows.last().unwrap();
+    assert!(last.flags.contains(Flags::LINK_LOST) && played.link_error.is_none(), "{last:?}");
+    let timing = played.telemetry.timing.unwrap();
+    // A computer that stalls may have skipped it; then its instant is an overrun.
+    assert!(timing.missed_replies > 0 || timing.skipped > 0, "{timing:?}");
+}

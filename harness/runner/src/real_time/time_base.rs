@@ -1,0 +1,97 @@
+//! Converts between plate time and wall time.
+
+use platebench_plate::Time;
+use platebench_wire::Configure;
+use std::time::Duration;
+
+/// Whose timer sets the control instants.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Pacing {
+    /// The bench's: its sample triggers a control step.
+    #[default]
+    Bench,
+    /// The target's: its tick requests a sample.
+    Target,
+}
+
+impl Pacing {
+    /// The name in records.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Bench => "bench",
+            Self::Target => "target",
+        }
+    }
+}
+
+/// The relation of plate time to wall time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimeBase {
+    /// Plate seconds per wall second, above 0.
+    pub time_scale: f64,
+    /// Whose timer sets the control instants.
+    pub pacing: Pacing,
+}
+
+impl TimeBase {
+    /// The wall time of a plate time.
+    pub fn wall_duration(&self, span: Time) -> Duration {
+        Duration::from_nanos((span.as_nanos() as f64 / self.time_scale).round() as u64)
+    }
+
+    /// The plate time of a wall time.
+    pub fn plate_time(&self, span: Duration) -> Time {
+        Time::from_nanos((span.as_nanos() as f64 * self.time_scale).round() as u64)
+    }
+
+    /// Adds pacing and watchdog, both on the wall clock, to a configuration.
+    pub(super) fn with_target_timing(&self, configure: Configure) -> Configure {
+        let period = Duration::from_micros(u64::from(configure.period_us)).as_secs_f64();
+        // 0 leaves the controller's default of five periods.
+        let watchdog_ms = if self.time_scale == 1.0 { 0.0 } else { (5.0 * period * 1e3 / self.time_scale).ceil() };
+        let paced_by_target = self.pacing == Pacing::Target;
+        Configure { watchdog_timeout_ms: watchdog_ms as u16, paced_by_target, ..configure }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_scale_relates_plate_and_wall() {
+        let base = |time_scale| TimeBase { time_scale, pacing: Pacing::Bench };
+        let period = Time::from_nanos(1_000_000);
+        assert_eq!(base(1.0).wall_duration(period), Duration::from_millis(1));
+        assert_eq!(base(0.1).wall_duration(period), Duration::from_millis(10));
+        assert_eq!(base(0.1).plate_time(Duration::from_millis(10)), period);
+        // Three hours, to the nanosecond.
+        let long = Time::from_nanos(3 * 3_600_000_000_000 + 1);
+        assert_eq!(base(1.0).plate_time(base(1.0).wall_duration(long)), long);
+    }
+
+    #[test]
+    fn the_watchdog_runs_in_wall_time() {
+        let configure = Configure {
+            law: platebench_wire::LawId::DqPi,
+            paced_by_target: false,
+            drives_own_plate: false,
+            watchdog_timeout_ms: 0,
+            period_us: 1_000,
+            loop_delay_us: 0,
+            start_frequency_mhz: 32_307_600,
+            gain_um_per_vpp: 0.00698,
+            time_constant_s: 1.88e-3,
+            response_time_s: 0.0,
+            drive_limit_vpp: 900.0,
+            frequency_range_hz: 250.0,
+            frequency_slew_hz: 100.0,
+            gains: None,
+        };
+        let with_timing = |time_scale, pacing| TimeBase { time_scale, pacing }.with_target_timing(configure);
+        assert_eq!(with_timing(1.0, Pacing::Bench).watchdog_timeout_ms, 0);
+        assert_eq!(with_timing(0.1, Pacing::Bench).watchdog_timeout_ms, 50);
+        assert_eq!(with_timing(0.3, Pacing::Bench).watchdog_timeout_ms, 17);
+        assert!(!with_timing(1.0, Pacing::Bench).paced_by_target && with_timing(1.0, Pacing::Target).paced_by_target);
+    }
+}

@@ -1,0 +1,92 @@
+//! Passes rows out of a loop that must not wait, through a bounded queue without locks.
+
+use crate::plant_simulation::RowSink;
+use platebench_trace::Row;
+use rtrb::{Consumer, Producer, RingBuffer};
+use std::thread;
+use std::time::Duration;
+
+/// More than a second of the densest default trace at 1 kHz.
+const CAPACITY: usize = 1 << 15;
+/// Filling the queue takes hundreds of times longer.
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
+
+/// The loop's end of the queue.
+pub(crate) struct RowQueue {
+    producer: Producer<Row>,
+    lost_rows: u64,
+}
+
+impl RowQueue {
+    /// Both ends of a queue.
+    pub(crate) fn new() -> (Self, Consumer<Row>) {
+        Self::with_capacity(CAPACITY)
+    }
+
+    fn with_capacity(capacity: usize) -> (Self, Consumer<Row>) {
+        let (producer, consumer) = RingBuffer::new(capacity);
+        (Self { producer, lost_rows: 0 }, consumer)
+    }
+
+    /// The rows that did not fit.
+    pub(crate) fn lost(&self) -> u64 {
+        self.lost_rows
+    }
+}
+
+impl RowSink for RowQueue {
+    fn push(&mut self, row: Row) {
+        self.lost_rows += u64::from(self.producer.push(row).is_err());
+    }
+}
+
+/// Takes every row until the producer is dropped; `expected` rows are allocated first.
+pub(crate) fn collect_rows(mut consumer: Consumer<Row>, expected: usize) -> Vec<Row> {
+    let mut rows = Vec::with_capacity(expected);
+    loop {
+        // Checked before the queue is emptied, so that the last rows are not missed.
+        let is_over = consumer.is_abandoned();
+        while let Ok(row) = consumer.pop() {
+            rows.push(row);
+        }
+        if is_over {
+            return rows;
+        }
+        thread::sleep(POLL_INTERVAL);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(t_s: f64) -> Row {
+        Row { t_s, ..Row::default() }
+    }
+
+    #[test]
+    fn returns_all_rows_in_order() {
+        let (mut queue, consumer) = RowQueue::new();
+        let collector = thread::spawn(|| collect_rows(consumer, 10));
+        for number in 0..100_000_u32 {
+            while queue.producer.is_full() {
+                thread::yield_now();
+            }
+            queue.push(row(f64::from(number)));
+        }
+        assert_eq!(queue.lost(), 0);
+        drop(queue);
+        let rows = collector.join().unwrap();
+        assert_eq!(rows.len(), 100_000);
+        assert!(rows.windows(2).all(|pair| pair[1].t_s == pair[0].t_s + 1.0));
+    }
+
+    #[test]
+    fn a_full_queue_counts_the_rows_it_loses() {
+        let (mut queue, consumer) = RowQueue::with_capacity(4);
+        (0..7_u32).for_each(|number| queue.push(row(f64::from(number))));
+        assert_eq!(queue.lost(), 3);
+        drop(queue);
+        assert_eq!(collect_rows(consumer, 0).len(), 4);
+    }
+}

@@ -1,0 +1,174 @@
+//! Collects the timing of a real-time loop without allocating.
+
+use hdrhistogram::Histogram;
+use platebench_record::{Quantiles, TimingRecord};
+use std::time::Duration;
+
+/// Three significant digits up to a minute.
+const MAX_DURATION_NS: u64 = 60_000_000_000;
+
+/// A distribution of durations.
+pub(crate) struct DurationHistogram(Histogram<u64>);
+
+impl DurationHistogram {
+    pub(crate) fn new() -> Self {
+        let histogram = Histogram::new_with_bounds(1, MAX_DURATION_NS, 3);
+        // The bounds are valid constants.
+        Self(histogram.unwrap_or_else(|_| unreachable!()))
+    }
+
+    pub(crate) fn record(&mut self, span: Duration) {
+        self.0.saturating_record(u64::try_from(span.as_nanos()).unwrap_or(u64::MAX).max(1));
+    }
+
+    /// In µs; `None` without a value.
+    pub(crate) fn quantiles_us(&self) -> Option<Quantiles> {
+        let at = |share: f64| self.0.value_at_quantile(share) as f64 / 1e3;
+        (!self.0.is_empty()).then(|| Quantiles {
+            p50: at(0.5),
+            p99: at(0.99),
+            p999: at(0.999),
+            max: self.0.max() as f64 / 1e3,
+        })
+    }
+}
+
+/// The drift of a target's clock against the bench's: least squares over the instants of samples.
+///
+/// A line with occasional delays widens the standard error. A line that slows down steadily looks like drift.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct ClockDrift {
+    last_target_us: Option<u32>,
+    /// Unwrapped.
+    target_us: f64,
+    count: f64,
+    mean_bench: f64,
+    mean_ahead: f64,
+    square_bench: f64,
+    product: f64,
+    square_ahead: f64,
+}
+
+impl ClockDrift {
+    /// Adds a pair of readings; `target_us` wraps.
+    pub(crate) fn record(&mut self, bench: Duration, target_us: u32) {
+        let step = self.last_target_us.replace(target_us).map_or(0, |last| target_us.wrapping_sub(last));
+        self.target_us += f64::from(step);
+        let bench_us = bench.as_secs_f64() * 1e6;
+        let ahead = self.target_us - bench_us;
+        // Welford's update of means and products.
+        self.count += 1.0;
+        let (from_bench, from_ahead) = (bench_us - self.mean_bench, ahead - self.mean_ahead);
+        self.mean_bench += from_bench / self.count;
+        self.mean_ahead += from_ahead / self.count;
+        self.square_bench += from_bench * (bench_us - self.mean_bench);
+        self.product += from_bench * (ahead - self.mean_ahead);
+        self.square_ahead += from_ahead * (ahead - self.mean_ahead);
+    }
+
+    /// The drift and its standard error, ppm, positive if the target's clock is fast; `None` with fewer than three pairs.
+    pub(crate) fn ppm(&self) -> Option<(f64, f64)> {
+        if self.count < 3.0 || self.square_bench <= 0.0 {
+            return None;
+        }
+        let slope = self.product / self.square_bench;
+        let residual = (self.square_ahead - slope * self.product).max(0.0) / (self.count - 2.0);
+        Some((slope * 1e6, (residual / self.square_bench).sqrt() * 1e6))
+    }
+}
+
+/// The timing of a trial.
+pub(crate) struct TimingStats {
+    pub(crate) periods: u64,
+    pub(crate) overruns: u64,
+    pub(crate) skipped: u64,
+    pub(crate) missed_replies: u64,
+    pub(crate) lost_replies: u64,
+    pub(crate) lateness: DurationHistogram,
+    /// Plate time.
+    pub(crate) loop_delay: DurationHistogram,
+    /// Wall time.
+    pub(crate) longest_rig_delay: Duration,
+    pub(crate) drift: ClockDrift,
+}
+
+impl TimingStats {
+    pub(crate) fn new() -> Self {
+        Self {
+            periods: 0,
+            overruns: 0,
+            skipped: 0,
+            missed_replies: 0,
+            lost_replies: 0,
+            lateness: DurationHistogram::new(),
+            loop_delay: DurationHistogram::new(),
+            longest_rig_delay: Duration::ZERO,
+            drift: ClockDrift::default(),
+        }
+    }
+
+    /// The record's part that these counts determine.
+    pub(crate) fn timing(&self) -> TimingRecord {
+        let drift = self.drift.ppm();
+        TimingRecord {
+            periods: self.periods,
+            overruns: self.overruns,
+            skipped: self.skipped,
+            missed_replies: self.missed_replies,
+            lost_replies: self.lost_replies,
+            lateness_us: self.lateness.quantiles_us().unwrap_or_default(),
+            loop_delay_us: self.loop_delay.quantiles_us(),
+            target_clock_ppm: drift.map(|(ppm, _)| ppm),
+            target_clock_error_ppm: drift.map(|(_, error)| error),
+            ..TimingRecord::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_match_the_values() {
+        let mut spans = DurationHistogram::new();
+        assert_eq!(spans.quantiles_us(), None);
+        (1..=1000).for_each(|micros| spans.record(Duration::from_micros(micros)));
+        let found = spans.quantiles_us().unwrap();
+        for (value, expected) in [(found.p50, 500.0), (found.p99, 990.0), (found.p999, 999.0), (found.max, 1000.0)] {
+            assert!((value / expected - 1.0).abs() < 2e-3, "{value}, expected {expected}");
+        }
+        spans.record(Duration::from_hours(1));
+        assert!((spans.quantiles_us().unwrap().max / 60e6 - 1.0).abs() < 2e-3, "values beyond the range are clamped");
+    }
+
+    /// A target that starts at `offset_us` and runs `ppm` fast, with `jitter_us` of delay on every second sample.
+    fn drift(offset_us: f64, ppm: f64, jitter_us: f64, count: u32) -> ClockDrift {
+        let mut drift = ClockDrift::default();
+        for number in 0..count {
+            let bench = Duration::from_millis(u64::from(number));
+            let late = if number % 2 == 0 { 0.0 } else { jitter_us };
+            let target = offset_us + (bench.as_secs_f64() * 1e6 + late) * (1.0 + ppm * 1e-6);
+            drift.record(bench, (target.round() as u64) as u32);
+        }
+        drift
+    }
+
+    #[test]
+    fn finds_the_drift_across_the_wrap() {
+        for ppm in [-80.0, 0.0, 40.0] {
+            // The counter wraps half-way.
+            let (found, error) = drift(4_294_967_296.0 - 5e6, ppm, 30.0, 10_000).ppm().unwrap();
+            assert!((found - ppm).abs() < 4.0 * error.max(0.01), "{found} ± {error}, expected {ppm}");
+            assert!(error < 0.1, "{error}");
+        }
+    }
+
+    #[test]
+    fn jitter_widens_the_standard_error() {
+        let quiet = drift(0.0, 10.0, 0.0, 1_000).ppm().unwrap().1;
+        let noisy = drift(0.0, 10.0, 100.0, 1_000).ppm().unwrap().1;
+        assert!(noisy > 10.0 * quiet, "{quiet} {noisy}");
+        assert_eq!(drift(0.0, 0.0, 0.0, 2).ppm(), None);
+    }
+}

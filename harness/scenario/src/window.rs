@@ -1,0 +1,131 @@
+//! Derives the windows in which an expectation is judged.
+
+use platebench_plate::{Profile, Time};
+
+/// An interval of a trial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Window {
+    /// Its start.
+    pub from: Time,
+    /// Its end, at most the end of the trial.
+    pub to: Time,
+}
+
+impl Window {
+    /// True if `time` is inside; the end is not.
+    pub fn contains(&self, time: Time) -> bool {
+        self.from <= time && time < self.to
+    }
+
+    /// The last third, over which a mean is taken.
+    #[must_use]
+    pub fn last_third(self) -> Self {
+        Self { from: self.from + Time::from_nanos((self.to - self.from).as_nanos() / 3 * 2), to: self.to }
+    }
+}
+
+/// The profile whose changes start windows: the key `after`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ChangingProfile {
+    /// Setpoint.
+    Setpoint,
+    /// Finger force.
+    Force,
+    /// Temperature offset.
+    Temperature,
+}
+
+impl ChangingProfile {
+    /// Every profile.
+    pub const ALL: [Self; 3] = [Self::Setpoint, Self::Force, Self::Temperature];
+
+    /// Its name in scenario files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Setpoint => "setpoint",
+            Self::Force => "force",
+            Self::Temperature => "temperature",
+        }
+    }
+}
+
+/// Start times of all changes of the profiles before the end of a trial, in rising order.
+#[derive(Debug, Clone)]
+pub(crate) struct ProfileChanges {
+    /// Of setpoint, force and temperature.
+    starts: [Vec<Time>; 3],
+    /// Of all of them.
+    all: Vec<Time>,
+    duration: Time,
+}
+
+impl ProfileChanges {
+    /// The plate starts at rest, so a setpoint above 0 at the start is a change. A force or temperature at the start is not.
+    pub(crate) fn new(setpoint: &Profile, force: &Profile, temperature: &Profile, duration: Time) -> Self {
+        let starts = [(setpoint, true), (force, false), (temperature, false)].map(|(profile, from_rest)| {
+            let mut starts = change_starts(profile, from_rest);
+            starts.retain(|start| *start < duration);
+            starts
+        });
+        let mut all = starts.concat();
+        all.sort_unstable();
+        all.dedup();
+        Self { starts, all, duration }
+    }
+
+    /// Start times of the changes of `profile`.
+    pub(crate) fn starts(&self, profile: ChangingProfile) -> &[Time] {
+        let [setpoint, force, temperature] = &self.starts;
+        match profile {
+            ChangingProfile::Setpoint => setpoint,
+            ChangingProfile::Force => force,
+            ChangingProfile::Temperature => temperature,
+        }
+    }
+
+    /// A window from each change of `profile` to the next change of any profile or the end of the trial.
+    pub(crate) fn windows(&self, profile: ChangingProfile) -> impl Iterator<Item = Window> + '_ {
+        self.starts(profile).iter().map(|&from| {
+            let next = self.all.get(self.all.partition_point(|start| *start <= from));
+            Window { from, to: next.copied().unwrap_or(self.duration) }
+        })
+    }
+
+    /// From the last setpoint change at or before `from`, else from the first one, to the next one or the end of the trial.
+    pub(crate) fn response_window(&self, from: Option<Time>) -> Option<Window> {
+        let starts = self.starts(ChangingProfile::Setpoint);
+        let passed = from.map_or(0, |from| starts.partition_point(|start| *start <= from));
+        let chosen = passed.saturating_sub(1);
+        let to = starts.get(chosen + 1).copied().unwrap_or(self.duration);
+        starts.get(chosen).map(|&from| Window { from, to })
+    }
+}
+
+/// Consecutive segments of a `linear` profile that are not constant are one change, at their first point; so is a sine.
+fn change_starts(profile: &Profile, from_rest: bool) -> Vec<Time> {
+    let at_start = from_rest && profile.at(Time::ZERO) != 0.0;
+    let mut starts = if at_start { vec![Time::ZERO] } else { Vec::new() };
+    match profile {
+        Profile::Hold(points) => {
+            let pairs = points.windows(2).filter_map(|pair| <[_; 2]>::try_from(pair).ok());
+            starts.extend(pairs.filter(|[before, after]| before.1 != after.1).map(|[_, after]| after.0));
+        }
+        Profile::Linear(points) => {
+            let mut moved = false;
+            for pair in points.windows(2) {
+                let [before, after] = pair else { continue };
+                let moves = before.1 != after.1;
+                if moves && !moved && starts.last() != Some(&before.0) {
+                    starts.push(before.0);
+                }
+                moved = moves;
+            }
+        }
+        Profile::Sine { amplitude, .. } if *amplitude != 0.0 && !at_start => starts.push(Time::ZERO),
+        Profile::Sine { .. } => {}
+    }
+    starts
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,174 @@
+//! Adapts the published crates with adaptive steps.
+
+use crate::integration::method::MethodFailure;
+use crate::integration::problem::Problem;
+use differential_equations::control::ControlFlag;
+use differential_equations::error::Error;
+use differential_equations::interpolate::Interpolation;
+use differential_equations::methods::ExplicitRungeKutta;
+use differential_equations::ode::{ODE, OrdinaryNumericalMethod, solve_ode};
+use differential_equations::solout::Solout;
+use differential_equations::solution::Solution;
+use ode_solvers::dop_shared::IntegrationError;
+use ode_solvers::{Dop853, Dopri5, OutputType, SVector, System};
+
+/// Largest number of steps per interval.
+const MAX_STEPS: u32 = 100_000;
+
+/// A method of a published crate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum AdaptiveMethod {
+    /// Dormand and Prince 5(4) of `ode_solvers`.
+    Dopri5,
+    /// Dormand and Prince 8(5,3) of `ode_solvers`.
+    Dop853,
+    /// Dormand and Prince 8(5,3) of `differential-equations`.
+    DeDop853,
+    /// Verner 9(8), "most efficient", of `differential-equations`.
+    DeVerner98,
+}
+
+impl AdaptiveMethod {
+    /// Every method.
+    pub const ALL: [Self; 4] = [Self::Dopri5, Self::Dop853, Self::DeDop853, Self::DeVerner98];
+
+    /// Integrates over `seconds` with `tolerance`, relative and in µm.
+    ///
+    /// # Errors
+    /// [`MethodFailure::CrateError`] with the crate's reason.
+    pub fn advance<const N: usize, P: Problem<N>>(
+        self,
+        problem: &P,
+        x: [f64; N],
+        seconds: f64,
+        tolerance: f64,
+    ) -> Result<[f64; N], MethodFailure> {
+        // Output at every step: dense output over the whole interval has an error that no tolerance
+        // changes (0.6).
+        let out = OutputType::Sparse;
+        let start = SVector::from(x);
+        match self {
+            Self::Dopri5 => {
+                let mut solver = Dopri5::from_param(
+                    CrateAdapter(problem),
+                    0.0,
+                    seconds,
+                    seconds,
+                    start,
+                    tolerance,
+                    tolerance,
+                    0.9,
+                    0.04,
+                    0.2,
+                    10.0,
+                    seconds,
+                    0.0,
+                    MAX_STEPS,
+                    MAX_STEPS,
+                    out,
+                );
+                solver.integrate().map_err(|error| crate_failure(&error))?;
+                last_state(solver.y_out())
+            }
+            Self::Dop853 => {
+                let mut solver = Dop853::from_param(
+                    CrateAdapter(problem),
+                    0.0,
+                    seconds,
+                    seconds,
+                    start,
+                    tolerance,
+                    tolerance,
+                    0.9,
+                    0.0,
+                    0.333,
+                    6.0,
+                    seconds,
+                    0.0,
+                    MAX_STEPS,
+                    MAX_STEPS,
+                    out,
+                );
+                solver.integrate().map_err(|error| crate_failure(&error))?;
+                last_state(solver.y_out())
+            }
+            Self::DeDop853 => {
+                let method = ExplicitRungeKutta::dop853().rtol(tolerance).atol(tolerance);
+                solve(method.max_steps(MAX_STEPS as usize), problem, seconds, x)
+            }
+            Self::DeVerner98 => {
+                let method = ExplicitRungeKutta::rkv988e().rtol(tolerance).atol(tolerance);
+                solve(method.max_steps(MAX_STEPS as usize), problem, seconds, x)
+            }
+        }
+    }
+}
+
+/// Implements the crates' traits for a problem.
+struct CrateAdapter<'a, P>(&'a P);
+
+impl<const N: usize, P: Problem<N>> System<f64, SVector<f64, N>> for CrateAdapter<'_, P> {
+    #[inline]
+    fn system(&self, _: f64, x: &SVector<f64, N>, rate: &mut SVector<f64, N>) {
+        *rate = SVector::from(self.0.rate(&x.data.0[0]));
+    }
+}
+
+impl<const N: usize, P: Problem<N>> ODE<f64, [f64; N]> for CrateAdapter<'_, P> {
+    #[inline]
+    fn diff(&self, _: f64, x: &[f64; N], rate: &mut [f64; N]) {
+        *rate = self.0.rate(x);
+    }
+}
+
+/// Ignores intermediate steps.
+struct NoStepOutput;
+
+impl<const N: usize> Solout<f64, [f64; N]> for NoStepOutput {
+    fn solout<I>(
+        &mut self,
+        _: f64,
+        _: f64,
+        _: &[f64; N],
+        _: &[f64; N],
+        _: &mut I,
+        _: &mut Solution<f64, [f64; N]>,
+    ) -> ControlFlag<f64, [f64; N]>
+    where
+        I: Interpolation<f64, [f64; N]> + ?Sized,
+    {
+        ControlFlag::Continue
+    }
+}
+
+fn solve<const N: usize, P, M>(mut method: M, problem: &P, seconds: f64, x: [f64; N]) -> Result<[f64; N], MethodFailure>
+where
+    P: Problem<N>,
+    M: OrdinaryNumericalMethod<f64, [f64; N]> + Interpolation<f64, [f64; N]>,
+{
+    match solve_ode(&mut method, &CrateAdapter(problem), 0.0, seconds, &x, &mut NoStepOutput) {
+        Ok(_) => Ok(*method.y()),
+        Err(error) => Err(MethodFailure::CrateError(match error {
+            Error::MaxSteps { .. } => "too many steps",
+            Error::StepSize { .. } => "step too small",
+            Error::Stiffness { .. } => "taken for stiff",
+            Error::BadInput { .. } => "refused its input",
+            Error::OutOfBounds { .. }
+            | Error::NoLags
+            | Error::InsufficientHistory { .. }
+            | Error::LinearAlgebra { .. } => "a fault of its own",
+        })),
+    }
+}
+
+fn crate_failure(error: &IntegrationError) -> MethodFailure {
+    MethodFailure::CrateError(match error {
+        IntegrationError::MaxNumStepReached { .. } => "too many steps",
+        IntegrationError::StepSizeUnderflow { .. } => "step too small",
+        IntegrationError::StiffnessDetected { .. } => "taken for stiff",
+    })
+}
+
+fn last_state<const N: usize>(states: &[SVector<f64, N>]) -> Result<[f64; N], MethodFailure> {
+    states.last().map(|state| state.data.0[0]).ok_or(MethodFailure::CrateError("no result"))
+}

@@ -1,0 +1,108 @@
+//! Provides one interface to all methods.
+
+use crate::integration::adaptive::AdaptiveMethod;
+use crate::integration::fixed::FixedStepMethod;
+use crate::integration::problem::Problem;
+
+/// Largest magnitude of a component, µm.
+const DIVERGENCE_LIMIT_UM: f64 = 1e6;
+
+/// Why a method has no result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum MethodFailure {
+    /// A component is not finite or beyond a metre.
+    #[error("diverged")]
+    Diverged,
+    /// The method does not support this form of problem.
+    #[error("unsupported form of problem")]
+    UnsupportedProblem,
+    /// The linear system of an implicit step has no solution.
+    #[error("singular linear system")]
+    Singular,
+    /// The crate reports an error.
+    #[error("{0}")]
+    CrateError(&'static str),
+}
+
+/// A general method.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum IntegrationMethod {
+    /// With a fixed step.
+    Fixed(FixedStepMethod),
+    /// From a published crate, with a tolerance.
+    Adaptive(AdaptiveMethod),
+}
+
+impl IntegrationMethod {
+    /// Every method.
+    pub fn all() -> impl Iterator<Item = Self> {
+        FixedStepMethod::ALL.map(Self::Fixed).into_iter().chain(AdaptiveMethod::ALL.map(Self::Adaptive))
+    }
+
+    /// The name in tables and legends.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Fixed(FixedStepMethod::Euler) => "explicit Euler",
+            Self::Fixed(FixedStepMethod::RungeKutta4) => "RK4",
+            Self::Fixed(FixedStepMethod::Midpoint) => "implicit midpoint",
+            Self::Fixed(FixedStepMethod::Verlet) => "Störmer-Verlet",
+            Self::Adaptive(AdaptiveMethod::Dopri5) => "ode_solvers DOPRI5",
+            Self::Adaptive(AdaptiveMethod::Dop853) => "ode_solvers DOP853",
+            Self::Adaptive(AdaptiveMethod::DeDop853) => "differential-equations DOP853",
+            Self::Adaptive(AdaptiveMethod::DeVerner98) => "differential-equations RKV98",
+        }
+    }
+
+    /// True for a method of a published crate.
+    pub const fn is_from_a_crate(self) -> bool {
+        match self {
+            Self::Fixed(_) => false,
+            Self::Adaptive(_) => true,
+        }
+    }
+
+    /// The state after `seconds` of `problem`. `setting` is the longest step in s of a fixed-step
+    /// method, shortened to a whole number of steps, or the tolerance, relative and in µm, of an
+    /// adaptive one.
+    ///
+    /// # Errors
+    /// [`MethodFailure`] without a result.
+    #[inline]
+    pub fn advance<const N: usize, P: Problem<N>>(
+        self,
+        problem: &P,
+        x: [f64; N],
+        seconds: f64,
+        setting: f64,
+    ) -> Result<[f64; N], MethodFailure> {
+        let x = match self {
+            Self::Fixed(method) => method.advance(problem, x, seconds, step_count(seconds, setting))?,
+            Self::Adaptive(method) => method.advance(problem, x, seconds, setting)?,
+        };
+        if x.iter().all(|component| component.abs() < DIVERGENCE_LIMIT_UM) {
+            Ok(x)
+        } else {
+            Err(MethodFailure::Diverged)
+        }
+    }
+}
+
+/// Number of equal steps of at most `step` in `seconds`; tolerates a relative rounding error of
+/// 1e-9.
+fn step_count(seconds: f64, step: f64) -> u32 {
+    (seconds / step - 1e-9).ceil().max(1.0) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_shortened_and_never_lengthened() {
+        for (seconds, step, steps) in
+            [(1e-3, 1e-3, 1), (1e-3, 1.01e-3, 1), (1e-3, 0.99e-3, 2), (1e-3, 1e-4, 10), (3e-3, 1e-3, 3), (1e-3, 1.0, 1)]
+        {
+            assert_eq!(step_count(seconds, step), steps, "{seconds} {step}");
+        }
+    }
+}

@@ -1,0 +1,296 @@
+//! Defines the plate's equations for general integrators: a vector and its rate.
+//!
+//! Vectors are real. Velocities are divided by a fixed angular frequency near the carrier's, so
+//! that all components are µm of similar size and one tolerance suits all. Problems are autonomous:
+//! a right-hand side that needs the time has it as a component, because `ode_solvers` 0.6.2 uses a
+//! wrong node in the twelfth stage of DOP853.
+
+use platebench_plate::{Complex64, Drive, Mode, State};
+
+const J: Complex64 = Complex64::I;
+
+/// `x' = A x + b`, with A and b constant, or varying if a component is the time.
+pub trait Problem<const N: usize>: Copy {
+    /// The component that is the time in s since the start of the interval, if any.
+    const CLOCK: Option<usize> = None;
+
+    /// x', per s.
+    fn rate(&self, x: &[f64; N]) -> [f64; N];
+
+    /// A at the time of `x`, per s; row and column of the clock are zero.
+    fn matrix(&self, x: &[f64; N]) -> [[f64; N]; N];
+
+    /// One Störmer-Verlet step of `step` s; `None` if the problem is not of second order in a real
+    /// position.
+    fn leapfrog(&self, _x: &[f64; N], _step: f64) -> Option<[f64; N]> {
+        None
+    }
+}
+
+/// Parameters of a problem.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProblemParameters {
+    /// The mode at the start of the interval.
+    pub mode: Mode,
+    /// Rate of its damping, 1/s².
+    pub sigma_rate: f64,
+    /// Rate of its resonance, rad/s².
+    pub omega0_rate: f64,
+    /// The drive, constant.
+    pub drive: Drive,
+}
+
+impl ProblemParameters {
+    /// A constant mode.
+    pub fn constant(mode: Mode, drive: Drive) -> Self {
+        Self { mode, sigma_rate: 0.0, omega0_rate: 0.0, drive }
+    }
+
+    /// True if the mode changes within the interval.
+    pub fn is_time_varying(&self) -> bool {
+        self.sigma_rate != 0.0 || self.omega0_rate != 0.0
+    }
+}
+
+/// A problem with σ and ω0 linear in time, which is the last component.
+#[derive(Debug, Clone, Copy)]
+pub struct TimeVarying<P> {
+    problem: P,
+    sigma_rate: f64,
+    omega0_rate: f64,
+}
+
+impl<P> TimeVarying<P> {
+    /// `problem` with the rates of `situation`.
+    pub fn new(problem: P, situation: &ProblemParameters) -> Self {
+        Self { problem, sigma_rate: situation.sigma_rate, omega0_rate: situation.omega0_rate }
+    }
+}
+
+/// `W' = λW + bV`: Re W and Im W, µm.
+#[derive(Debug, Clone, Copy)]
+pub struct EnvelopeProblem {
+    sigma: f64,
+    omega0: f64,
+    omega: f64,
+    force: f64,
+}
+
+impl EnvelopeProblem {
+    /// The envelope at the start of `situation`.
+    pub fn new(situation: &ProblemParameters) -> Self {
+        let Mode { sigma, omega0, envelope_constant, .. } = situation.mode;
+        Self { sigma, omega0, omega: situation.drive.omega, force: envelope_constant * situation.drive.vpp }
+    }
+
+    /// A plate's state as a vector.
+    pub fn pack(state: &State) -> [f64; 2] {
+        [state.w.re, state.w.im]
+    }
+
+    /// A vector as a plate's state.
+    pub fn unpack(x: &[f64; 2]) -> State {
+        State { w: Complex64::new(x[0], x[1]), u: Complex64::ZERO }
+    }
+}
+
+impl Problem<2> for EnvelopeProblem {
+    #[inline]
+    fn rate(&self, x: &[f64; 2]) -> [f64; 2] {
+        let detuning = self.omega - self.omega0;
+        [self.force - self.sigma * x[0] + detuning * x[1], -detuning * x[0] - self.sigma * x[1]]
+    }
+
+    fn matrix(&self, _: &[f64; 2]) -> [[f64; 2]; 2] {
+        let detuning = self.omega - self.omega0;
+        [[-self.sigma, detuning], [-detuning, -self.sigma]]
+    }
+}
+
+impl Problem<3> for TimeVarying<EnvelopeProblem> {
+    const CLOCK: Option<usize> = Some(2);
+
+    #[inline]
+    fn rate(&self, &[re, im, t]: &[f64; 3]) -> [f64; 3] {
+        let [re, im] = self.at(t).rate(&[re, im]);
+        [re, im, 1.0]
+    }
+
+    fn matrix(&self, &[re, im, t]: &[f64; 3]) -> [[f64; 3]; 3] {
+        with_clock_row(&self.at(t).matrix(&[re, im]))
+    }
+}
+
+impl TimeVarying<EnvelopeProblem> {
+    #[inline]
+    fn at(&self, t: f64) -> EnvelopeProblem {
+        let EnvelopeProblem { sigma, omega0, .. } = self.problem;
+        EnvelopeProblem { sigma: sigma + self.sigma_rate * t, omega0: omega0 + self.omega0_rate * t, ..self.problem }
+    }
+}
+
+/// The mode in the rotating frame: `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`; Re W, Im W,
+/// Re U/scale, Im U/scale, µm.
+#[derive(Debug, Clone, Copy)]
+pub struct ModalProblem {
+    sigma: f64,
+    omega0: f64,
+    omega: f64,
+    force: f64,
+    scale: f64,
+}
+
+impl ModalProblem {
+    /// The mode at the start of `situation`; `scale` in rad/s.
+    pub fn new(situation: &ProblemParameters, scale: f64) -> Self {
+        let Mode { sigma, omega0, force_constant, .. } = situation.mode;
+        Self { sigma, omega0, omega: situation.drive.omega, force: force_constant * situation.drive.vpp, scale }
+    }
+
+    /// A plate's state as a vector.
+    pub fn pack(state: &State, scale: f64) -> [f64; 4] {
+        [state.w.re, state.w.im, state.u.re / scale, state.u.im / scale]
+    }
+
+    /// A vector as a plate's state.
+    pub fn unpack(x: &[f64; 4], scale: f64) -> State {
+        State { w: Complex64::new(x[0], x[1]), u: Complex64::new(x[2], x[3]) * scale }
+    }
+}
+
+impl Problem<4> for ModalProblem {
+    #[inline]
+    fn rate(&self, x: &[f64; 4]) -> [f64; 4] {
+        let Self { sigma, omega0, omega, force, scale } = *self;
+        let (damping, stiffness) = (2.0 * sigma, omega0 * omega0 / scale);
+        [
+            scale * x[2] + omega * x[1],
+            scale * x[3] - omega * x[0],
+            omega * x[3] - damping * x[2] - stiffness * x[0],
+            force / scale - omega * x[2] - damping * x[3] - stiffness * x[1],
+        ]
+    }
+
+    fn matrix(&self, _: &[f64; 4]) -> [[f64; 4]; 4] {
+        let Self { sigma, omega0, omega, scale, .. } = *self;
+        let (damping, stiffness) = (2.0 * sigma, omega0 * omega0 / scale);
+        [
+            [0.0, omega, scale, 0.0],
+            [-omega, 0.0, 0.0, scale],
+            [-stiffness, 0.0, -damping, omega],
+            [0.0, -stiffness, -omega, -damping],
+        ]
+    }
+}
+
+impl Problem<5> for TimeVarying<ModalProblem> {
+    const CLOCK: Option<usize> = Some(4);
+
+    #[inline]
+    fn rate(&self, &[a, b, c, d, t]: &[f64; 5]) -> [f64; 5] {
+        let [a, b, c, d] = self.at(t).rate(&[a, b, c, d]);
+        [a, b, c, d, 1.0]
+    }
+
+    fn matrix(&self, &[a, b, c, d, t]: &[f64; 5]) -> [[f64; 5]; 5] {
+        with_clock_row(&self.at(t).matrix(&[a, b, c, d]))
+    }
+}
+
+impl TimeVarying<ModalProblem> {
+    #[inline]
+    fn at(&self, t: f64) -> ModalProblem {
+        let ModalProblem { sigma, omega0, .. } = self.problem;
+        ModalProblem { sigma: sigma + self.sigma_rate * t, omega0: omega0 + self.omega0_rate * t, ..self.problem }
+    }
+}
+
+/// Equation 1 on the carrier: `y'' + 2σy' + ω0²y = (N/m) v(t)`, `v = Re(jV e^{jθ})`; y, y'/scale,
+/// µm, and the time in s.
+#[derive(Debug, Clone, Copy)]
+pub struct CarrierProblem {
+    sigma: f64,
+    omega0: f64,
+    sigma_rate: f64,
+    omega0_rate: f64,
+    omega: f64,
+    theta: f64,
+    force: f64,
+    scale: f64,
+}
+
+impl CarrierProblem {
+    /// The mode in `situation`, which starts at the phase `theta` of the excitation, rad; `scale`
+    /// in rad/s.
+    pub fn new(situation: &ProblemParameters, theta: f64, scale: f64) -> Self {
+        let ProblemParameters { mode, sigma_rate, omega0_rate, drive } = *situation;
+        let Mode { sigma, omega0, force_constant, .. } = mode;
+        let force = force_constant * drive.vpp;
+        Self { sigma, omega0, sigma_rate, omega0_rate, omega: drive.omega, theta, force, scale }
+    }
+
+    /// A plate's state on the carrier at the phase `theta`.
+    pub fn pack(state: &State, theta: f64, scale: f64) -> [f64; 3] {
+        let ahead = Complex64::cis(theta);
+        [(state.w * ahead).re, (state.u * ahead).re / scale, 0.0]
+    }
+
+    /// The phasor `(y − jy'/ω) e^{−jθ}`: W plus a ripple that one real oscillation cannot separate.
+    pub fn phasor(&self, x: &[f64; 3]) -> Complex64 {
+        let theta = self.theta + self.omega * x[2];
+        (x[0] - J * (x[1] * self.scale / self.omega)) * Complex64::cis(-theta)
+    }
+
+    #[inline]
+    fn mode_at(&self, t: f64) -> (f64, f64) {
+        (self.sigma + self.sigma_rate * t, self.omega0 + self.omega0_rate * t)
+    }
+
+    /// `(N/m) v(t)`, µm/s².
+    #[inline]
+    fn drive_at(&self, t: f64) -> f64 {
+        -self.force * (self.theta + self.omega * t).sin()
+    }
+}
+
+impl Problem<3> for CarrierProblem {
+    const CLOCK: Option<usize> = Some(2);
+
+    #[inline]
+    fn rate(&self, x: &[f64; 3]) -> [f64; 3] {
+        let (sigma, omega0) = self.mode_at(x[2]);
+        let pull = self.drive_at(x[2]) - omega0 * omega0 * x[0];
+        [self.scale * x[1], pull / self.scale - 2.0 * sigma * x[1], 1.0]
+    }
+
+    fn matrix(&self, x: &[f64; 3]) -> [[f64; 3]; 3] {
+        let (sigma, omega0) = self.mode_at(x[2]);
+        [[0.0, self.scale, 0.0], [-omega0 * omega0 / self.scale, -2.0 * sigma, 0.0], [0.0; 3]]
+    }
+
+    /// Kick, drift, kick, with the damping taken at the middle:
+    /// `(y₊ − 2y + y₋)/h² + 2σ(y₊ − y₋)/2h + ω0²y = (N/m)v`.
+    #[inline]
+    fn leapfrog(&self, x: &[f64; 3], step: f64) -> Option<[f64; 3]> {
+        let [y, v, t] = *x;
+        let half = 0.5 * step;
+        let pull = |y: f64, t: f64| {
+            let (sigma, omega0) = self.mode_at(t);
+            (sigma, (self.drive_at(t) - omega0 * omega0 * y) / self.scale)
+        };
+        let (sigma, first) = pull(y, t);
+        let middle = (v + half * first) / (1.0 + sigma * step);
+        let after = y + step * self.scale * middle;
+        let (sigma, second) = pull(after, t + step);
+        Some([after, middle * (1.0 - sigma * step) + half * second, t + step])
+    }
+}
+
+/// A matrix with a row and a column of zeros for the clock.
+fn with_clock_row<const N: usize, const M: usize>(inner: &[[f64; N]; N]) -> [[f64; M]; M] {
+    let mut outer = [[0.0; M]; M];
+    for (row, values) in outer.iter_mut().zip(inner) {
+        row.iter_mut().zip(values).for_each(|(to, from)| *to = *from);
+    }
+    outer
+}

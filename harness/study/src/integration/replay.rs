@@ -1,0 +1,285 @@
+//! Integrates a part of a trial with known drives by any tier and any method.
+
+use crate::integration::method::{IntegrationMethod, MethodFailure};
+use crate::integration::problem::{CarrierProblem, EnvelopeProblem, ModalProblem, ProblemParameters, TimeVarying};
+use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, State, Tier, Time};
+use std::f64::consts::TAU;
+
+/// Form of the plate's equations for a general method.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum EquationForm {
+    /// First order in the rotating frame.
+    Envelope,
+    /// Second order in the rotating frame.
+    Modal,
+    /// Second order on the carrier.
+    Carrier,
+}
+
+impl EquationForm {
+    /// Every form.
+    pub const ALL: [Self; 3] = [Self::Envelope, Self::Modal, Self::Carrier];
+
+    /// Its name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Envelope => "envelope",
+            Self::Modal => "modal",
+            Self::Carrier => "carrier",
+        }
+    }
+
+    /// The tier whose closed form solves the same equations.
+    pub const fn tier(self) -> Tier {
+        match self {
+            Self::Envelope => Tier::Envelope,
+            Self::Modal | Self::Carrier => Tier::Modal,
+        }
+    }
+}
+
+/// An interval without a jump.
+#[derive(Debug, Clone, Copy)]
+struct ReplayInterval {
+    end: Time,
+    seconds: f64,
+    situation: ProblemParameters,
+    /// Phase of the excitation at the start, rad.
+    theta: f64,
+    /// True if it ends at a control instant.
+    ends_at_control: bool,
+}
+
+impl ReplayInterval {
+    fn end_theta(&self) -> f64 {
+        self.theta + self.situation.drive.omega * self.seconds
+    }
+}
+
+/// Parameters of a replay.
+#[derive(Debug, Clone, Copy)]
+pub struct ReplaySpec<'a> {
+    /// The plate.
+    pub plate: &'a Plate,
+    /// Temperature and force.
+    pub scene: &'a ConditionProfiles,
+    /// Drives with the time from which they act, in order.
+    pub drives: &'a [(Time, Drive)],
+    /// Control period, above zero.
+    pub period: Time,
+    /// End of the replay.
+    pub end: Time,
+    /// Reference of relative errors, µm.
+    pub setpoint_um: f64,
+}
+
+/// A part of a trial, from rest, with its drives.
+#[derive(Debug, Clone)]
+pub struct Replay {
+    plate: Plate,
+    scene: ConditionProfiles,
+    intervals: Vec<ReplayInterval>,
+    setpoint_um: f64,
+    scale: f64,
+}
+
+/// Result of a method.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReplayResult {
+    /// W at the control instants, µm; on the carrier the phasor of y and y'.
+    pub samples: Vec<Complex64>,
+    /// Simulated seconds.
+    pub seconds: f64,
+    /// Why the method stopped before the end.
+    pub failure: Option<MethodFailure>,
+}
+
+impl Replay {
+    /// Splits the trial at every control instant, change of the drive and point of a profile. In
+    /// between, σ and ω0 are assumed linear, as profile and damping curve usually are.
+    pub fn new(course: &ReplaySpec<'_>) -> Self {
+        let ReplaySpec { plate, scene, drives, period, end, setpoint_um } = *course;
+        let mut drives = drives.iter().copied().peekable();
+        let (mut now, mut drive, mut theta) = (Time::ZERO, Drive::default(), 0.0);
+        let mut pieces = Vec::new();
+        while now < end {
+            while let Some((_, next)) = drives.next_if(|(from, _)| *from <= now) {
+                drive = next;
+            }
+            let control = period.next_multiple_after(now);
+            let also = [drives.peek().map(|(from, _)| *from), scene.next_point_after(now)];
+            let until = also.into_iter().flatten().fold(control.min(end), Time::min);
+            let seconds = (until - now).seconds();
+            // The last instant before a jump at `until` belongs to this interval.
+            let (from, to) = (plate.mode(&scene.at(now)), plate.mode(&scene.at(now.midpoint(until))));
+            let rate = |from: f64, to: f64| 2.0 * (to - from) / seconds;
+            let situation = ProblemParameters {
+                mode: from,
+                sigma_rate: rate(from.sigma, to.sigma),
+                omega0_rate: rate(from.omega0, to.omega0),
+                drive,
+            };
+            let piece = ReplayInterval { end: until, seconds, situation, theta, ends_at_control: until == control };
+            theta = piece.end_theta() % TAU;
+            pieces.push(piece);
+            now = until;
+        }
+        Self { plate: plate.clone(), scene: scene.clone(), intervals: pieces, setpoint_um, scale: plate.omega0 }
+    }
+
+    /// True if a profile changes the mode within an interval, so that the exact propagation needs
+    /// substeps.
+    pub fn is_time_varying(&self) -> bool {
+        self.intervals.iter().any(|piece| piece.situation.is_time_varying())
+    }
+
+    /// Duration, s.
+    pub fn seconds(&self) -> f64 {
+        self.intervals.iter().map(|piece| piece.seconds).sum()
+    }
+
+    /// A plate at rest at the start.
+    pub fn plant(&self, tier: Tier) -> Plant {
+        Plant::new(self.plate.clone(), self.scene.clone(), tier)
+    }
+
+    /// Advances `plant` to the end; calls `see` with the state at each control instant.
+    pub fn advance_plant(&self, plant: &mut Plant, mut see: impl FnMut(State)) {
+        let mut crossings = Vec::new();
+        for piece in &self.intervals {
+            plant.set_drive(piece.situation.drive);
+            plant.advance(piece.end, &[], &mut crossings);
+            if piece.ends_at_control {
+                see(plant.state());
+            }
+        }
+    }
+
+    /// The exact propagation in the form `frame`.
+    pub fn exact_samples(&self, frame: EquationForm) -> Vec<Complex64> {
+        self.propagate_samples(frame.tier(), frame)
+    }
+
+    /// W by `tier`.
+    pub fn tier_samples(&self, tier: Tier) -> Vec<Complex64> {
+        self.propagate_samples(tier, EquationForm::Modal)
+    }
+
+    fn propagate_samples(&self, tier: Tier, frame: EquationForm) -> Vec<Complex64> {
+        let mut states = Vec::new();
+        self.advance_plant(&mut self.plant(tier), |state| states.push(state));
+        let ends = self.intervals.iter().filter(|piece| piece.ends_at_control);
+        let seen = |(state, piece): (State, &ReplayInterval)| match frame {
+            EquationForm::Envelope | EquationForm::Modal => state.w,
+            EquationForm::Carrier => {
+                let theta = piece.end_theta();
+                let problem = CarrierProblem::new(&piece.situation, theta, self.scale);
+                problem.phasor(&CarrierProblem::pack(&state, theta, self.scale))
+            }
+        };
+        states.into_iter().zip(ends).map(seen).collect()
+    }
+
+    /// Integrates the equations of `frame` by `method`; `setting` as in
+    /// [`IntegrationMethod::advance`]. Reuses the memory of `outcome`.
+    pub fn integrate(&self, frame: EquationForm, method: IntegrationMethod, setting: f64, outcome: &mut ReplayResult) {
+        outcome.samples.clear();
+        (outcome.seconds, outcome.failure) = (0.0, None);
+        let played = match frame {
+            EquationForm::Envelope => self.integrate_envelope(method, setting, outcome),
+            EquationForm::Modal => self.integrate_modal(method, setting, outcome),
+            EquationForm::Carrier => self.integrate_carrier(method, setting, outcome),
+        };
+        outcome.failure = played.err();
+    }
+
+    fn integrate_envelope(
+        &self,
+        method: IntegrationMethod,
+        setting: f64,
+        outcome: &mut ReplayResult,
+    ) -> Result<(), MethodFailure> {
+        let mut x = [0.0; 2];
+        for ReplayInterval { seconds, situation, ends_at_control, .. } in &self.intervals {
+            outcome.seconds += seconds;
+            let problem = EnvelopeProblem::new(situation);
+            x = if situation.is_time_varying() {
+                let [re, im, _] =
+                    method.advance(&TimeVarying::new(problem, situation), [x[0], x[1], 0.0], *seconds, setting)?;
+                [re, im]
+            } else {
+                method.advance(&problem, x, *seconds, setting)?
+            };
+            if *ends_at_control {
+                outcome.samples.push(EnvelopeProblem::unpack(&x).w);
+            }
+        }
+        Ok(())
+    }
+
+    fn integrate_modal(
+        &self,
+        method: IntegrationMethod,
+        setting: f64,
+        outcome: &mut ReplayResult,
+    ) -> Result<(), MethodFailure> {
+        let mut x = [0.0; 4];
+        for ReplayInterval { seconds, situation, ends_at_control, .. } in &self.intervals {
+            outcome.seconds += seconds;
+            let problem = ModalProblem::new(situation, self.scale);
+            x = if situation.is_time_varying() {
+                let [a, b, c, d] = x;
+                let [a, b, c, d, _] =
+                    method.advance(&TimeVarying::new(problem, situation), [a, b, c, d, 0.0], *seconds, setting)?;
+                [a, b, c, d]
+            } else {
+                method.advance(&problem, x, *seconds, setting)?
+            };
+            if *ends_at_control {
+                outcome.samples.push(ModalProblem::unpack(&x, self.scale).w);
+            }
+        }
+        Ok(())
+    }
+
+    fn integrate_carrier(
+        &self,
+        method: IntegrationMethod,
+        setting: f64,
+        outcome: &mut ReplayResult,
+    ) -> Result<(), MethodFailure> {
+        let mut x = [0.0; 3];
+        for ReplayInterval { seconds, situation, theta, ends_at_control, .. } in &self.intervals {
+            outcome.seconds += seconds;
+            let problem = CarrierProblem::new(situation, *theta, self.scale);
+            x = method.advance(&problem, x, *seconds, setting)?;
+            if *ends_at_control {
+                outcome.samples.push(problem.phasor(&x));
+            }
+            x[2] = 0.0;
+        }
+        Ok(())
+    }
+
+    /// max |ΔW|/setpoint; infinite if `samples` has fewer samples than `truth`.
+    pub fn relative_error(&self, samples: &[Complex64], truth: &[Complex64]) -> f64 {
+        if samples.len() < truth.len() {
+            return f64::INFINITY;
+        }
+        let largest = samples.iter().zip(truth).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+        largest / self.setpoint_um
+    }
+}
+
+impl ReplayResult {
+    /// An empty result.
+    pub fn new() -> Self {
+        Self { samples: Vec::new(), seconds: 0.0, failure: None }
+    }
+}
+
+impl Default for ReplayResult {
+    fn default() -> Self {
+        Self::new()
+    }
+}

@@ -1,0 +1,358 @@
+//! Finds the largest step at which a method's free motion decays, by bisection, and compares it
+//! with theory.
+//!
+//! The free motion of a step is a linear map. Steps of unit vectors give its matrix, squaring gives
+//! its spectral radius.
+
+use crate::integration::fixed::FixedStepMethod::{self, Euler, Midpoint, RungeKutta4, Verlet};
+use crate::integration::method::IntegrationMethod;
+use crate::integration::problem::{CarrierProblem, EnvelopeProblem, ModalProblem, Problem, ProblemParameters};
+use platebench_plate::{Conditions, Drive, Flow, Mode, Plate, Tier};
+use std::array::from_fn;
+use std::fmt::Write as _;
+
+/// Range of the search, s.
+const STEP_RANGE_S: [f64; 2] = [1e-9, 1.0];
+/// Rounding error of a spectral radius of 1.
+const ROUNDING: f64 = 1e-11;
+/// Steps of the growth measurement on either side of a limit.
+const GROWTH_STEPS: u32 = 4_000;
+/// rad/s: tuned for 33 °C, at 24 °C.
+const DETUNING: f64 = -545.0;
+
+/// Steps at which a method is stable.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum StepLimit {
+    /// None.
+    Never,
+    /// Up to this one, s.
+    Step(f64),
+    /// All.
+    Always,
+}
+
+/// A method's limit on a problem.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepLimitRow {
+    /// The method.
+    pub method: &'static str,
+    /// The problem.
+    pub problem: String,
+    /// By bisection on the method's steps.
+    pub measured: StepLimit,
+    /// By theory.
+    pub predicted: StepLimit,
+    /// Source of the prediction.
+    pub source: &'static str,
+    /// The measured limit in its usual unit.
+    pub in_usual_unit: String,
+    /// Growth of the motion in 4 000 steps of 99 and 101 % of the limit, decades; `None` if too
+    /// small to measure.
+    pub growth_decades: Option<[f64; 2]>,
+}
+
+impl StepLimitRow {
+    /// measured/predicted − 1 if both are steps.
+    pub fn deviation(&self) -> Option<f64> {
+        match (self.measured, self.predicted) {
+            (StepLimit::Step(measured), StepLimit::Step(predicted)) => Some(measured / predicted - 1.0),
+            _ => None,
+        }
+    }
+}
+
+/// The step limit of each method on `plate`.
+pub fn step_limits(plate: &Plate) -> Vec<StepLimitRow> {
+    let free = plate.mode(&Conditions::default());
+    let pressed = plate.mode(&Conditions { finger_force_n: 2.0, ..Conditions::default() });
+    let undamped = Mode { sigma: 0.0, ..free };
+    let at = |mode: Mode, detuning: f64| {
+        ProblemParameters::constant(mode, Drive { vpp: 0.0, omega: mode.omega0 + detuning })
+    };
+    let scale = free.omega0;
+    let envelope = |mode, detuning| EnvelopeProblem::new(&at(mode, detuning));
+    let modal = ModalProblem::new(&at(free, 0.0), scale);
+    let carrier = |mode| CarrierProblem::new(&at(mode, 0.0), 0.0, scale);
+    let turning = free.omega0 + free.omega0;
+    let euler = |sigma: f64, frequency: f64| StepLimit::Step(2.0 * sigma / sigma.mul_add(sigma, frequency * frequency));
+    let none = |_: f64| String::new();
+    let ms = |step: f64| format!("{:.3} ms", step * 1e3);
+    let fast = |step: f64| format!("h·2ω0 = {:.3}", step * turning);
+    let slow = |step: f64| format!("h·ω0 = {:.3}", step * free.omega0);
+    let points = |step: f64| format!("{:.3} points per period", std::f64::consts::TAU / (free.omega0 * step));
+    let circle = "|1 + hλ| = 1: h = 2σ/|λ|²";
+    let imaginary = "RK4 on the imaginary axis: h|λ| = 2√2 (Hairer, Wanner: Solving ODEs II, IV.2)";
+    let a_stable = "A-stable: no limit (Hairer, Wanner: Solving ODEs II, IV.3)";
+    let mut rows = vec![
+        limit_row(Euler, "envelope, resonant", &envelope(free, 0.0), euler(free.sigma, 0.0), circle, ms),
+        limit_row(Euler, "envelope, 545 rad/s off", &envelope(free, DETUNING), euler(free.sigma, DETUNING), circle, ms),
+        limit_row(
+            Euler,
+            "envelope, 2 N, 545 rad/s off",
+            &envelope(pressed, DETUNING),
+            euler(pressed.sigma, DETUNING),
+            circle,
+            ms,
+        ),
+        closed_loop_limit(&free, &pressed),
+        limit_row(Euler, "modal, resonant", &modal, euler(free.sigma, turning), circle, fast),
+        limit_row(
+            Euler,
+            "carrier",
+            &carrier(free),
+            euler(free.sigma, (free.omega0.powi(2) - free.sigma.powi(2)).sqrt()),
+            circle,
+            slow,
+        ),
+        limit_row(Euler, "carrier, undamped", &carrier(undamped), StepLimit::Never, circle, none),
+        limit_row(
+            RungeKutta4,
+            "envelope, resonant",
+            &envelope(free, 0.0),
+            StepLimit::Step(2.785_293_563_405_282 / free.sigma),
+            "RK4 on the real axis: h|λ| = 2.7853 (Hairer, Wanner: Solving ODEs II, IV.2)",
+            ms,
+        ),
+        limit_row(RungeKutta4, "modal, resonant", &modal, StepLimit::Step(8.0_f64.sqrt() / turning), imaginary, fast),
+        limit_row(
+            RungeKutta4,
+            "carrier",
+            &carrier(free),
+            StepLimit::Step(8.0_f64.sqrt() / free.omega0),
+            imaginary,
+            slow,
+        ),
+        limit_row(
+            Verlet,
+            "carrier",
+            &carrier(free),
+            StepLimit::Step(2.0 / free.omega0),
+            "hω0 = 2: π points per period (Hairer, Lubich, Wanner: Geometric Numerical Integration, I.1)",
+            points,
+        ),
+        limit_row(Midpoint, "envelope, resonant", &envelope(free, 0.0), StepLimit::Always, a_stable, none),
+        limit_row(Midpoint, "modal, resonant", &modal, StepLimit::Always, a_stable, none),
+        limit_row(Midpoint, "carrier, undamped", &carrier(undamped), StepLimit::Always, a_stable, none),
+    ];
+    rows.extend([Tier::Envelope, Tier::Modal].map(|tier| exact_form_limit(tier, &free)));
+    rows
+}
+
+/// The rows as CSV, with a header; steps in s.
+pub fn to_csv(rows: &[StepLimitRow]) -> String {
+    let mut text = "method,problem,measured_step_s,predicted_step_s,deviation_percent,told_as,decades_at_99_percent,decades_at_101_percent,source\n".to_owned();
+    let quoted = |field: &str| format!("\"{}\"", field.replace('"', "\"\""));
+    let limit = |limit: StepLimit| match limit {
+        StepLimit::Never => "never".to_owned(),
+        StepLimit::Step(step) => format!("{step:e}"),
+        StepLimit::Always => "always".to_owned(),
+    };
+    for row in rows {
+        let deviation = row.deviation().map_or_else(String::new, |share| format!("{:.4}", share * 100.0));
+        let [below, above] =
+            row.growth_decades.map_or_else(Default::default, |both| both.map(|decades| format!("{decades:.2}")));
+        // Writing into a string does not fail.
+        let _ = writeln!(
+            text,
+            "{},{},{},{},{deviation},{},{below},{above},{}",
+            quoted(row.method),
+            quoted(&row.problem),
+            limit(row.measured),
+            limit(row.predicted),
+            quoted(&row.in_usual_unit),
+            quoted(row.source)
+        );
+    }
+    text
+}
+
+fn limit_row<const N: usize, P: Problem<N>>(
+    method: FixedStepMethod,
+    name: &str,
+    problem: &P,
+    predicted: StepLimit,
+    source: &'static str,
+    format_limit: impl Fn(f64) -> String,
+) -> StepLimitRow {
+    let measured = find_step_limit(|step| spectral_radius(&matrix_of(|x| free_step(method, problem, x, step))));
+    let (in_usual_unit, growth_decades) = match measured {
+        StepLimit::Step(limit) => {
+            let run = |share: f64| measure_growth_decades(|x| free_step(method, problem, x, limit * share));
+            let slowest = spectral_radius(&matrix_of(|x| free_step(method, problem, x, limit * 1.01)));
+            (format_limit(limit), is_growth_measurable(slowest).then(|| [0.99, 1.01].map(run)))
+        }
+        StepLimit::Never | StepLimit::Always => (String::new(), None),
+    };
+    let method = IntegrationMethod::Fixed(method).name();
+    StepLimitRow { method, problem: name.to_owned(), measured, predicted, source, in_usual_unit, growth_decades }
+}
+
+/// The step limit of the exact propagation.
+fn exact_form_limit(tier: Tier, mode: &Mode) -> StepLimitRow {
+    let drive = Drive { vpp: 0.0, omega: mode.omega0 + DETUNING };
+    let scale = mode.omega0;
+    let step = |x: [f64; 4], step: f64| {
+        ModalProblem::pack(&Flow::new(tier, mode, &drive, &ModalProblem::unpack(&x, scale)).after(step), scale)
+    };
+    let problem = match tier {
+        Tier::Linear | Tier::Envelope => "envelope, 545 rad/s off",
+        Tier::Modal | Tier::Carrier => "modal, 545 rad/s off",
+    };
+    let measured = find_step_limit(|seconds| spectral_radius(&matrix_of(|x| step(x, seconds))));
+    StepLimitRow {
+        method: "exact",
+        problem: problem.to_owned(),
+        measured,
+        predicted: StepLimit::Always,
+        source: "closed form: its step is e^{λh}",
+        in_usual_unit: String::new(),
+        growth_decades: None,
+    }
+}
+
+/// True if a growth by `factor` per step exceeds the beat of the components after [`GROWTH_STEPS`]
+/// steps.
+fn is_growth_measurable(factor: f64) -> bool {
+    f64::from(GROWTH_STEPS) * factor.log10() > 1.0
+}
+
+/// One step of `method` from `x` with the clock's component at 0.
+fn free_step<const N: usize, P: Problem<N>>(
+    method: FixedStepMethod,
+    problem: &P,
+    mut x: [f64; N],
+    step: f64,
+) -> [f64; N] {
+    let reset = |x: &mut [f64; N]| {
+        if let Some(clock) = P::CLOCK.and_then(|clock| x.get_mut(clock)) {
+            *clock = 0.0;
+        }
+    };
+    reset(&mut x);
+    let mut after = method.advance(problem, x, step, 1).unwrap_or([f64::NAN; N]);
+    reset(&mut after);
+    after
+}
+
+/// The matched amplitude loop, tuned for the untouched plate, with the explicit Euler plate under 2
+/// N; one step per period.
+fn closed_loop_limit(free: &Mode, pressed: &Mode) -> StepLimitRow {
+    let limit_of = |stable: &dyn Fn(f64) -> f64| find_step_limit(stable);
+    let measured =
+        limit_of(&|period| spectral_radius(&matrix_of(|x| MatchedPiLoop::new(free, period).step(pressed, x))));
+    // Jury: the characteristic polynomial (z − α)(z − 1) + g(z − a) is positive at −1, α = 1 − σh,
+    // g = b h Kp.
+    let predicted = limit_of(&|period| {
+        let pi = MatchedPiLoop::new(free, period);
+        let gain = pressed.envelope_constant * period * pi.kp;
+        let at_minus_one = 2.0 * (2.0 - pressed.sigma * period) - gain * (1.0 + pi.zero);
+        if at_minus_one >= 0.0 { 0.0 } else { 2.0 }
+    });
+    let (in_usual_unit, growth_decades) = match measured {
+        StepLimit::Step(limit) => {
+            let run = |share: f64| measure_growth_decades(|x| MatchedPiLoop::new(free, limit * share).step(pressed, x));
+            (format!("{:.3} ms", limit * 1e3), Some([0.99, 1.01].map(run)))
+        }
+        StepLimit::Never | StepLimit::Always => (String::new(), None),
+    };
+    StepLimitRow {
+        method: IntegrationMethod::Fixed(FixedStepMethod::Euler).name(),
+        problem: "envelope, 2 N, amplitude loop closed".to_owned(),
+        measured,
+        predicted,
+        source: "Jury at z = −1 for the matched PI of 1.9 ms, one step per period",
+        in_usual_unit,
+        growth_decades,
+    }
+}
+
+/// A PI matched to the zero-order hold (`docs/mathematics.md`), with setpoint 0.
+#[derive(Debug, Clone, Copy)]
+struct MatchedPiLoop {
+    period: f64,
+    kp: f64,
+    /// On the untouched plate's pole.
+    zero: f64,
+}
+
+impl MatchedPiLoop {
+    /// 5 % settling time of the design, s.
+    const RESPONSE: f64 = 1.9e-3;
+
+    fn new(free: &Mode, period: f64) -> Self {
+        let zero = (-free.sigma * period).exp();
+        let pole = (-3.0 * period / Self::RESPONSE).exp();
+        let gain = free.envelope_constant / free.sigma;
+        Self { period, kp: (1.0 - pole) / (gain * (1.0 - zero)), zero }
+    }
+
+    /// One period: Wd in µm and the integral in Vpp.
+    fn step(&self, mode: &Mode, [w, integral]: [f64; 2]) -> [f64; 2] {
+        let drive = Drive { vpp: integral - self.kp * w, omega: mode.omega0 };
+        let problem = EnvelopeProblem::new(&ProblemParameters::constant(*mode, drive));
+        let [after, _] = FixedStepMethod::Euler.advance(&problem, [w, 0.0], self.period, 1).unwrap_or([f64::NAN; 2]);
+        [after, integral - self.kp * (1.0 - self.zero) * w]
+    }
+}
+
+/// The matrix of a linear map.
+fn matrix_of<const N: usize>(mut map: impl FnMut([f64; N]) -> [f64; N]) -> [[f64; N]; N] {
+    let columns: [[f64; N]; N] = from_fn(|column| map(from_fn(|row| if row == column { 1.0 } else { 0.0 })));
+    from_fn(|row| from_fn(|column| columns[column][row]))
+}
+
+/// The step at which `radius` exceeds 1, by scan and bisection to a relative error of 1e-9.
+fn find_step_limit(radius: impl Fn(f64) -> f64) -> StepLimit {
+    let is_stable = |step: f64| radius(step) <= 1.0 + ROUNDING;
+    let [mut low, longest] = STEP_RANGE_S;
+    if !is_stable(low) {
+        return StepLimit::Never;
+    }
+    let mut high = low;
+    while is_stable(high) {
+        if high >= longest {
+            return StepLimit::Always;
+        }
+        (low, high) = (high, high * 1.25);
+    }
+    while high - low > 1e-9 * low {
+        let middle = 0.5 * (low + high);
+        if is_stable(middle) { low = middle } else { high = middle }
+    }
+    StepLimit::Step(low)
+}
+
+/// The spectral radius from repeated squaring; infinite if the matrix is not finite.
+fn spectral_radius<const N: usize>(matrix: &[[f64; N]; N]) -> f64 {
+    let (mut power, mut share, mut logarithm) = (*matrix, 1.0, 0.0);
+    for _ in 0..48 {
+        let largest = power
+            .iter()
+            .flatten()
+            .fold(0.0_f64, |largest, value| if value.is_nan() { f64::INFINITY } else { largest.max(value.abs()) });
+        if largest == 0.0 || largest.is_infinite() {
+            return largest;
+        }
+        logarithm += share * largest.ln();
+        share *= 0.5;
+        let scaled = power.map(|row| row.map(|value| value / largest));
+        power = from_fn(|row| from_fn(|column| (0..N).map(|k| scaled[row][k] * scaled[k][column]).sum()));
+    }
+    logarithm.exp()
+}
+
+/// Growth of a motion in [`GROWTH_STEPS`] steps, decades.
+fn measure_growth_decades<const N: usize>(mut step: impl FnMut([f64; N]) -> [f64; N]) -> f64 {
+    let mut x: [f64; N] = from_fn(|component| 1.0 / (1.0 + component as f64));
+    let mut decades = 0.0;
+    for _ in 0..GROWTH_STEPS {
+        x = step(x);
+        let size = x.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+        if size == 0.0 || !size.is_finite() {
+            break;
+        }
+        decades += size.log10();
+        x = x.map(|value| value / size);
+    }
+    decades
+}

@@ -1,0 +1,324 @@
+//! Measures cost against error of every method, over its steps or tolerances on one replay.
+
+use crate::integration::adaptive::AdaptiveMethod;
+use crate::integration::fixed::FixedStepMethod;
+use crate::integration::method::IntegrationMethod;
+use crate::integration::replay::{EquationForm, Replay, ReplayResult};
+use platebench_plate::{Complex64, Plant, Tier};
+use rustix::time::{ClockId, clock_gettime};
+use std::hint::black_box;
+use std::time::Duration;
+
+/// Larger errors, in setpoints, count as a divergence: a plate at rest would be closer.
+const MAX_USEFUL_ERROR: f64 = 2.0;
+/// Reference of the exact propagation, and its replacement if a profile changes the mode.
+const REFERENCE: (IntegrationMethod, f64) = (IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-13);
+/// A slower replay is measured once.
+const SLOW_REPLAY: Duration = Duration::from_millis(20);
+/// Largest number of plates prepared before the timer starts.
+const MAX_PLANTS: u32 = 4_096;
+
+/// Extent of a measurement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SweepConfig {
+    /// Rounds over all solvers; the median counts.
+    pub rounds: u32,
+    /// Shortest duration of a measurement.
+    pub batch: Duration,
+    /// Takes every n-th setting.
+    pub stride: usize,
+}
+
+/// Status of a setting.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SolverStatus {
+    /// Has a result.
+    Ok,
+    /// Diverged.
+    Diverged,
+    /// No result, for this reason.
+    Failed(String),
+}
+
+impl std::fmt::Display for SolverStatus {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Ok => formatter.write_str("ok"),
+            Self::Diverged => formatter.write_str("diverged"),
+            Self::Failed(why) => write!(formatter, "failed: {why}"),
+        }
+    }
+}
+
+/// A solver with its setting.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Solver {
+    /// The exact propagation.
+    Exact(Tier),
+    /// A general method on a form of the equations, with its step in s or its tolerance.
+    General(EquationForm, IntegrationMethod, f64),
+}
+
+impl Solver {
+    /// The method's name.
+    pub const fn method(&self) -> &'static str {
+        match self {
+            Self::Exact(_) => "exact",
+            Self::General(_, method, _) => method.name(),
+        }
+    }
+
+    /// The name of the equations.
+    pub const fn problem(&self) -> &'static str {
+        match self {
+            Self::Exact(tier) => tier.name(),
+            Self::General(frame, ..) => frame.name(),
+        }
+    }
+
+    /// True for a method of a published crate.
+    pub const fn is_from_a_crate(&self) -> bool {
+        match self {
+            Self::Exact(_) => false,
+            Self::General(_, method, _) => method.is_from_a_crate(),
+        }
+    }
+}
+
+/// Result of one setting.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SweepResult {
+    /// The solver.
+    pub solver: Solver,
+    /// Its status.
+    pub status: SolverStatus,
+    /// max |ΔW|/setpoint at the control instants against the exact solution of the same equations;
+    /// infinite without a result.
+    pub numerical_error: f64,
+    /// The same for the exact solution of these equations against that of the mode; independent of
+    /// the step.
+    pub model_error: f64,
+    /// The same for the result against the exact solution of the mode.
+    pub total_error: f64,
+    /// Processor time per simulated time, ns/ms.
+    pub ns_per_ms: f64,
+}
+
+/// Measures the cost of a solver.
+struct SolverTimer<'a> {
+    passage: &'a Replay,
+    solver: Solver,
+    repeats: u32,
+    /// True if one replay takes longer than [`SLOW_REPLAY`].
+    is_slow: bool,
+    costs: Vec<f64>,
+    outcome: ReplayResult,
+}
+
+impl SolverTimer<'_> {
+    /// ns per simulated ms over `repeats` replays.
+    fn measure_cost(&mut self) -> f64 {
+        let repeats = self.repeats;
+        let (elapsed, seconds) = match self.solver {
+            Solver::Exact(tier) => {
+                // Prepared before the timer starts.
+                let mut plants: Vec<Plant> = (0..repeats).map(|_| self.passage.plant(tier)).collect();
+                let started = thread_cpu_time();
+                for plant in &mut plants {
+                    self.passage.advance_plant(plant, |state| {
+                        black_box(state);
+                    });
+                }
+                (thread_cpu_time().saturating_sub(started), self.passage.seconds())
+            }
+            Solver::General(frame, method, setting) => {
+                let started = thread_cpu_time();
+                for _ in 0..repeats {
+                    self.passage.integrate(frame, method, black_box(setting), &mut self.outcome);
+                    black_box(&self.outcome);
+                }
+                (thread_cpu_time().saturating_sub(started), self.outcome.seconds)
+            }
+        };
+        elapsed.as_nanos() as f64 / (f64::from(repeats) * seconds * 1e3)
+    }
+
+    /// Determines the number of replays per batch; also the warm-up.
+    fn calibrate(&mut self, batch: Duration) {
+        self.repeats = 1;
+        let once = self.measure_cost();
+        let simulated = self.passage.seconds() * 1e3;
+        self.is_slow = once * simulated > SLOW_REPLAY.as_nanos() as f64;
+        self.repeats = (batch.as_nanos() as f64 / (once * simulated)).ceil().clamp(1.0, f64::from(MAX_PLANTS)) as u32;
+    }
+}
+
+/// Measures the exact propagation of every tier and every method on `passage`.
+pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
+    let truths = ReferenceSolutions::new(passage);
+    let exact = Tier::ALL.map(Solver::Exact);
+    let general = EquationForm::ALL.into_iter().flat_map(|frame| {
+        IntegrationMethod::all().flat_map(move |method| {
+            settings(frame, method)
+                .into_iter()
+                .step_by(effort.stride.max(1))
+                .map(move |setting| Solver::General(frame, method, setting))
+        })
+    });
+    let mut runners: Vec<SolverTimer<'_>> = exact
+        .into_iter()
+        .chain(general)
+        .map(|contender| SolverTimer {
+            passage,
+            solver: contender,
+            repeats: 1,
+            is_slow: false,
+            costs: Vec::new(),
+            outcome: ReplayResult::new(),
+        })
+        .collect();
+    for runner in &mut runners {
+        runner.calibrate(effort.batch);
+    }
+    // In turn, so that other load affects all solvers equally.
+    for round in 0..effort.rounds.max(1) {
+        // A slow replay is measured once: it averages by itself.
+        for runner in runners.iter_mut().filter(|runner| round == 0 || !runner.is_slow) {
+            let cost = runner.measure_cost();
+            runner.costs.push(cost);
+        }
+    }
+    runners.into_iter().map(|runner| truths.measure_errors(runner)).collect()
+}
+
+/// Reference solutions of each form of the equations.
+struct ReferenceSolutions<'a> {
+    passage: &'a Replay,
+    /// Exact propagation and tightest integration, in the order of [`EquationForm::ALL`].
+    by_form: Vec<(EquationForm, [Vec<Complex64>; 2])>,
+}
+
+impl<'a> ReferenceSolutions<'a> {
+    fn new(passage: &'a Replay) -> Self {
+        let of_frame = |frame: EquationForm| {
+            let mut tight = ReplayResult::new();
+            let (method, tolerance) = REFERENCE;
+            passage.integrate(frame, method, tolerance, &mut tight);
+            (frame, [passage.exact_samples(frame), tight.samples])
+        };
+        Self { passage, by_form: EquationForm::ALL.map(of_frame).into() }
+    }
+
+    fn of(&self, frame: EquationForm) -> [&[Complex64]; 2] {
+        let found = self.by_form.iter().find(|(known, _)| *known == frame);
+        found.map_or([&[], &[]], |(_, [exact, tight])| [exact, tight])
+    }
+
+    /// The exact propagation; the tightest integration if the mode varies, because the former then
+    /// needs substeps.
+    fn best(&self, frame: EquationForm) -> &[Complex64] {
+        let [exact, tight] = self.of(frame);
+        if self.passage.is_time_varying() { tight } else { exact }
+    }
+
+    fn measure_errors(&self, runner: SolverTimer<'_>) -> SweepResult {
+        let passage = self.passage;
+        let (samples, frame, failure) = match runner.solver {
+            Solver::Exact(tier) => (passage.tier_samples(tier), form_of_tier(tier), None),
+            Solver::General(frame, ..) => (runner.outcome.samples, frame, runner.outcome.failure),
+        };
+        let own = match runner.solver {
+            // No general method solves the decoupled equations; their error is the model's.
+            Solver::Exact(Tier::Linear) => &samples,
+            // Not compared with itself.
+            Solver::Exact(_) => self.of(frame)[1],
+            Solver::General(..) => self.best(frame),
+        };
+        // The carrier's phasor differs from W, so its reference is the phasor of the same motion.
+        let truth = match frame {
+            EquationForm::Envelope | EquationForm::Modal => EquationForm::Modal,
+            EquationForm::Carrier => EquationForm::Carrier,
+        };
+        let error = |truth| if failure.is_some() { f64::INFINITY } else { passage.relative_error(&samples, truth) };
+        let numerical_error = error(own);
+        let status = match failure {
+            Some(crate::integration::MethodFailure::Diverged) => SolverStatus::Diverged,
+            Some(failure) => SolverStatus::Failed(failure.to_string()),
+            None if numerical_error < MAX_USEFUL_ERROR => SolverStatus::Ok,
+            None => SolverStatus::Diverged,
+        };
+        SweepResult {
+            solver: runner.solver,
+            status,
+            numerical_error,
+            model_error: match runner.solver {
+                Solver::Exact(Tier::Linear) => error(self.best(truth)),
+                _ => passage.relative_error(self.best(frame), self.best(truth)),
+            },
+            total_error: error(self.best(truth)),
+            ns_per_ms: median(runner.costs),
+        }
+    }
+}
+
+/// The equations of a tier: for the linear tier those that it simplifies, for the carrier those of
+/// its W.
+const fn form_of_tier(tier: Tier) -> EquationForm {
+    match tier {
+        Tier::Linear | Tier::Envelope => EquationForm::Envelope,
+        Tier::Modal | Tier::Carrier => EquationForm::Modal,
+    }
+}
+
+/// Steps in s or tolerances, from coarse to fine; empty if the method does not support the form.
+fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
+    let halved = |powers: &[i32]| powers.iter().map(|power| 1e-3 * 0.5_f64.powi(*power)).collect();
+    let decades = |from: i32, to: i32| (from..=to).map(|decade| 10.0_f64.powi(-decade)).collect();
+    match (method, frame) {
+        (IntegrationMethod::Fixed(FixedStepMethod::Verlet), EquationForm::Envelope | EquationForm::Modal) => Vec::new(),
+        (IntegrationMethod::Fixed(_), EquationForm::Envelope) => halved(&[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12]),
+        // Stable from 155 000 steps per ms; 39 000 on the carrier.
+        (IntegrationMethod::Fixed(FixedStepMethod::Euler), EquationForm::Modal) => halved(&[8, 12, 16, 17, 18, 19]),
+        (IntegrationMethod::Fixed(FixedStepMethod::Euler), EquationForm::Carrier) => halved(&[8, 12, 15, 16, 17, 18]),
+        (IntegrationMethod::Fixed(FixedStepMethod::RungeKutta4 | FixedStepMethod::Midpoint), EquationForm::Modal)
+        | (
+            IntegrationMethod::Fixed(
+                FixedStepMethod::RungeKutta4 | FixedStepMethod::Midpoint | FixedStepMethod::Verlet,
+            ),
+            EquationForm::Carrier,
+        ) => halved(&[5, 6, 7, 8, 9, 10, 11, 12, 13, 14]),
+        (
+            IntegrationMethod::Adaptive(AdaptiveMethod::Dopri5),
+            EquationForm::Envelope | EquationForm::Modal | EquationForm::Carrier,
+        ) => decades(2, 11),
+        (
+            IntegrationMethod::Adaptive(AdaptiveMethod::Dop853 | AdaptiveMethod::DeDop853 | AdaptiveMethod::DeVerner98),
+            EquationForm::Envelope | EquationForm::Modal | EquationForm::Carrier,
+        ) => decades(2, 12),
+    }
+}
+
+/// Processor time of this thread.
+fn thread_cpu_time() -> Duration {
+    let now = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(now.tv_sec.unsigned_abs(), now.tv_nsec.unsigned_abs() as u32)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let middle = values.len() / 2;
+    let upper = values.get(middle).copied().unwrap_or(f64::NAN);
+    let lower = if values.len().is_multiple_of(2) { values.get(middle.wrapping_sub(1)).copied() } else { None };
+    lower.map_or(upper, |lower| 0.5 * (lower + upper))
+}
+
+/// The cheapest method of a published crate on `frame` whose numerical error is at most `error`.
+pub fn cheapest_from_a_crate<'a>(measured: &'a [SweepResult], problem: &str, error: f64) -> Option<&'a SweepResult> {
+    let fits = |candidate: &&SweepResult| {
+        candidate.solver.is_from_a_crate()
+            && candidate.solver.problem() == problem
+            && candidate.status == SolverStatus::Ok
+            && candidate.numerical_error <= error
+    };
+    measured.iter().filter(fits).min_by(|a, b| a.ns_per_ms.total_cmp(&b.ns_per_ms))
+}

@@ -1,0 +1,241 @@
+//! Defines a case (law, plate, condition) and derives the law's linear form.
+
+use crate::loops::controller::{IntegralMethod, LinearController, LoopChannel, PiGains};
+use crate::loops::plant::{LinearPlant, steady_state};
+use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
+use platebench_wire::{Configure, Gains, LawId};
+use std::f64::consts::TAU;
+
+/// 5 % response times of the firmware's designs, s: the paper's (section V), the matched loops',
+/// the holding loops' of `deadbeat`, and that of `frequency-only`.
+const PRINTED_RESPONSE: f64 = 2e-3;
+const MATCHED_RESPONSE: f64 = 1.9e-3;
+const HOLDING_RESPONSE: f64 = 3e-3;
+const FREQUENCY_ONLY_RESPONSE: f64 = 10e-3;
+/// Drive of `frequency-only` as a share of the limit.
+const FREQUENCY_ONLY_SHARE: f64 = 0.5;
+/// Smallest detuning of the design of `frequency-only`, half bandwidths.
+const SMALLEST_DETUNING: f64 = 0.5;
+/// A drive limit that no small motion reaches, Vpp.
+const UNREACHED_LIMIT_VPP: f64 = 1e5;
+/// Range of the excitation frequency, Hz: a start 9 K off and, for `frequency-only`, the flank
+/// beyond it.
+const RANGE_HZ: f64 = 400.0;
+const BISECTIONS: u32 = 60;
+
+/// Condition of the plate and the excitation at the start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum OperatingCondition {
+    /// Untouched, excitation starting at the resonance.
+    Resonant,
+    /// Untouched, excitation starting where the resonance is at 33 °C: 545 rad/s too low (Fig. 14).
+    Detuned,
+    /// Under a finger of 2 N, excitation starting at the resonance (Fig. 16).
+    Finger,
+}
+
+impl OperatingCondition {
+    /// Every condition.
+    pub const ALL: [Self; 3] = [Self::Resonant, Self::Detuned, Self::Finger];
+
+    /// The name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Resonant => "resonant",
+            Self::Detuned => "detuned",
+            Self::Finger => "finger",
+        }
+    }
+
+    /// Temperature and force.
+    pub fn conditions(self) -> Conditions {
+        let finger_force_n = if self == Self::Finger { 2.0 } else { 0.0 };
+        Conditions { temperature_offset_k: 0.0, finger_force_n }
+    }
+
+    /// Excitation at the start, rad/s.
+    pub fn start_omega(self, plate: &Plate) -> f64 {
+        let mode = plate.mode(&self.conditions());
+        let warmer_k = if self == Self::Detuned { 9.0 } else { 0.0 };
+        mode.omega0 + warmer_k * plate.omega0_per_k
+    }
+}
+
+/// A law on a plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoopCase<'a> {
+    /// The plate.
+    pub plate: &'a Plate,
+    /// The law of the firmware under test.
+    pub law: LawId,
+    /// The condition.
+    pub condition: OperatingCondition,
+    /// Control period, µs, above 0.
+    pub period_us: u32,
+    /// 5 % response time of the design, s; the law's default if `None`.
+    pub response_s: Option<f64>,
+    /// Gains that replace the law's design.
+    pub gains: Option<Gains>,
+}
+
+impl<'a> LoopCase<'a> {
+    /// A law with its own design at 1 kHz.
+    pub fn new(plate: &'a Plate, law: LawId, condition: OperatingCondition) -> Self {
+        Self { plate, law, condition, period_us: 1_000, response_s: None, gains: None }
+    }
+
+    /// The control period, s.
+    pub fn period(&self) -> f64 {
+        f64::from(self.period_us) * 1e-6
+    }
+
+    /// The response time of the design, s.
+    pub fn response(&self) -> f64 {
+        self.response_s.unwrap_or(match self.law {
+            LawId::DqPiEuler => PRINTED_RESPONSE,
+            LawId::FrequencyOnly => FREQUENCY_ONLY_RESPONSE,
+            LawId::Deadbeat => HOLDING_RESPONSE,
+            _ => MATCHED_RESPONSE,
+        })
+    }
+
+    /// The mode under the case's condition.
+    pub fn mode(&self) -> Mode {
+        self.plate.mode(&self.condition.conditions())
+    }
+
+    /// The setpoint, µm: 2 as in the paper; 1 for `frequency-only`, whose fixed drive reaches no
+    /// more under the finger.
+    pub fn setpoint(&self) -> f64 {
+        if self.law == LawId::FrequencyOnly { 1.0 } else { 2.0 }
+    }
+
+    /// The drive limit, Vpp: unreachable, except for `frequency-only`, whose drive is half of it.
+    pub fn limit(&self) -> f64 {
+        if self.law == LawId::FrequencyOnly { self.plate.drive_limit_vpp } else { UNREACHED_LIMIT_VPP }
+    }
+
+    /// The controller's configuration: the nominal plate, not the condition.
+    pub fn configure(&self) -> Configure {
+        Configure {
+            law: self.law,
+            paced_by_target: false,
+            drives_own_plate: false,
+            watchdog_timeout_ms: 0,
+            loop_delay_us: 0,
+            period_us: self.period_us,
+            start_frequency_mhz: (self.condition.start_omega(self.plate) / TAU * 1e3).round() as u32,
+            gain_um_per_vpp: self.plate.gain as f32,
+            time_constant_s: (1.0 / self.plate.sigma0) as f32,
+            response_time_s: self.response_s.map_or(0.0, |seconds| seconds as f32),
+            drive_limit_vpp: self.limit() as f32,
+            frequency_range_hz: RANGE_HZ as f32,
+            frequency_slew_hz: RANGE_HZ as f32,
+            gains: self.gains,
+        }
+    }
+
+    /// Drive and excitation of the law's steady state; `None` if it cannot be reached.
+    pub fn steady_drive(&self, tier: Tier) -> Option<Drive> {
+        let (mode, setpoint) = (self.mode(), self.setpoint());
+        let start = self.condition.start_omega(self.plate);
+        let undisturbed = setpoint / self.plate.gain;
+        Some(match self.law {
+            LawId::OpenLoop => Drive { vpp: undisturbed, omega: start },
+            LawId::Pll => Drive { vpp: undisturbed, omega: mode.omega0 },
+            LawId::VoltageOnly => {
+                let per_volt = steady_state(tier, &mode, &Drive { vpp: 1.0, omega: start }).norm();
+                Drive { vpp: setpoint / per_volt, omega: start }
+            }
+            LawId::FrequencyOnly => {
+                let vpp = FREQUENCY_ONLY_SHARE * self.limit();
+                let (mut low, mut high) = (mode.omega0, start + RANGE_HZ * TAU);
+                let reaches = |omega| steady_state(tier, &mode, &Drive { vpp, omega }).norm() >= setpoint;
+                if !reaches(low) || reaches(high) {
+                    return None;
+                }
+                for _ in 0..BISECTIONS {
+                    let middle = f64::midpoint(low, high);
+                    *(if reaches(middle) { &mut low } else { &mut high }) = middle;
+                }
+                Drive { vpp, omega: low }
+            }
+            LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed | LawId::BangBang | LawId::Deadbeat => {
+                Drive { vpp: mode.drive_for(setpoint), omega: mode.omega0 }
+            }
+        })
+    }
+
+    /// Plate and law, linearised around the steady state; `None` without one.
+    ///
+    /// * `dq-pi` and `deadbeat` adapt to the plate's damping. In steady state they know it, and a
+    ///   small motion changes gains that act on a small error: to first order they are loops
+    ///   matched to the present plate.
+    /// * `deadbeat` is in its holding phase and knows no delay.
+    /// * The relay of `bang-bang` has no linear form; only its amplitude loop is analysed.
+    pub fn linearise(&self, tier: Tier) -> Option<(LinearPlant, LinearController)> {
+        let drive = self.steady_drive(tier)?;
+        let plant = LinearPlant::linearised_at(tier, &self.mode(), &drive);
+        let at = plant.at();
+        let size = at.norm();
+        // δ(Wq/Wd) at Wd = W0, Wq = 0; δ arg W at any phase; δ|W|.
+        let ratio = [0.0, 1.0 / at.re];
+        let phase = [-at.im / (size * size), at.re / (size * size)];
+        let magnitude = [at.re / size, at.im / size];
+        let [amplitude, frequency] = self.loop_gains();
+        let error_of = |sees: [f64; 2]| LoopChannel { pi: amplitude, error_weights: sees.map(|part| -part) };
+        let follows = |sees| Some(LoopChannel { pi: frequency, error_weights: sees });
+        let controller = match self.law {
+            LawId::OpenLoop => LinearController { feedforward: 1.0 / self.plate.gain, ..LinearController::default() },
+            LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed | LawId::Deadbeat => {
+                LinearController { drive: Some(error_of([1.0, 0.0])), frequency: follows(ratio), feedforward: 0.0 }
+            }
+            LawId::VoltageOnly | LawId::BangBang => {
+                LinearController { drive: Some(error_of(magnitude)), ..LinearController::default() }
+            }
+            LawId::FrequencyOnly => {
+                let sees = magnitude.map(|part| part / self.setpoint());
+                LinearController { frequency: follows(sees), ..LinearController::default() }
+            }
+            LawId::Pll => LinearController {
+                frequency: follows(phase),
+                feedforward: 1.0 / self.plate.gain,
+                ..LinearController::default()
+            },
+        };
+        Some((plant, controller))
+    }
+
+    /// Gains of amplitude and frequency loop: plants K1/(1 + τp) and −τ/(1 + τp), of the untouched
+    /// or the present plate.
+    fn loop_gains(&self) -> [PiGains; 2] {
+        let period = self.period();
+        if let Some(gains) = self.gains {
+            let given =
+                |kp: f32, ki: f32| PiGains { proportional: f64::from(kp), integral_per_period: f64::from(ki) * period };
+            let frequency = given(gains.frequency_kp, gains.frequency_ki);
+            let frequency = match self.law {
+                LawId::FrequencyOnly => PiGains::integral_only(frequency.integral_per_period),
+                _ => frequency,
+            };
+            return [given(gains.amplitude_kp, gains.amplitude_ki), frequency];
+        }
+        let (gain, tau, response) = (self.plate.gain, 1.0 / self.plate.sigma0, self.response());
+        match self.law {
+            LawId::DqPiEuler => {
+                [gain, tau].map(|gain| PiGains::as_printed(IntegralMethod::Forward, gain, tau, response, period))
+            }
+            LawId::DqPi | LawId::Deadbeat => {
+                let there = 1.0 / self.mode().sigma;
+                [gain * there / tau, there].map(|gain| PiGains::matched(gain, there, response, period))
+            }
+            LawId::FrequencyOnly => {
+                let ratio = FREQUENCY_ONLY_SHARE * self.limit() * gain / self.setpoint();
+                let x = (ratio * ratio - 1.0).max(0.0).sqrt().max(SMALLEST_DETUNING);
+                let share = 1.0 - (-3.0 * period / response).exp();
+                [gain, tau].map(|_| PiGains::integral_only(share * (1.0 + x * x) / (x * tau)))
+            }
+            _ => [gain, tau].map(|gain| PiGains::matched(gain, tau, response, period)),
+        }
+    }
+}

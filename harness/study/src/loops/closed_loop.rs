@@ -1,0 +1,185 @@
+//! Builds the closed loop in the z plane: plant, pending commands and integrals as one real matrix
+//! per period.
+//!
+//! A command computed at k acts from `kTs + delay`. With `delay = m Ts + r`, u(k−m−1) acts for the
+//! first `r` of a period and u(k−m) for the rest; pending commands are part of the state. The state
+//! is `[re, im of each pole | u(k−1), u(k−2) … | integrals]`, u = (drive, frequency).
+
+use crate::loops::controller::LinearController;
+use crate::loops::plant::LinearPlant;
+use nalgebra::linalg::balancing::balance_parlett_reinsch;
+use nalgebra::{DMatrix, Schur};
+use platebench_plate::Complex64;
+
+/// Limit of the eigenvalue solver's iterations per state; it needs two or three.
+const ITERATIONS_PER_STATE: usize = 100;
+
+/// When a controller samples and when its command acts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoopTiming {
+    /// Control period Ts, s, above 0.
+    pub period: f64,
+    /// Delay from sampling to actuation, s, 0 or more; may exceed a period.
+    pub delay: f64,
+}
+
+impl LoopTiming {
+    /// Whole periods of the delay, and the rest in s.
+    pub(crate) fn split_delay(&self) -> (usize, f64) {
+        let whole = (self.delay / self.period).floor();
+        let rest = self.delay - whole * self.period;
+        // A rest within rounding is none.
+        if rest < 1e-9 * self.period {
+            (whole as usize, 0.0)
+        } else if rest > (1.0 - 1e-9) * self.period {
+            (whole as usize + 1, 0.0)
+        } else {
+            (whole as usize, rest)
+        }
+    }
+}
+
+/// Why a loop cannot be analysed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum AnalysisError {
+    /// A gain, pole or time is not finite, or a period not above 0.
+    #[error("a number of the loop is not finite, or its period is not above 0")]
+    NotFinite,
+    /// The eigenvalues were not found.
+    #[error("the poles of the loop were not found")]
+    NoConvergence,
+}
+
+/// A closed loop.
+#[derive(Debug, Clone)]
+pub struct ClosedLoop {
+    pub(crate) plant: LinearPlant,
+    pub(crate) controller: LinearController,
+    pub(crate) timing: LoopTiming,
+    /// State after one period without a new command.
+    free_motion: DMatrix<f64>,
+    /// Effect of each command on the next state.
+    inputs: DMatrix<f64>,
+    /// Commands as functions of the state.
+    outputs: DMatrix<f64>,
+}
+
+impl ClosedLoop {
+    /// The loop of `controller` around `plant`.
+    ///
+    /// # Errors
+    /// [`AnalysisError::NotFinite`].
+    pub fn new(plant: LinearPlant, controller: LinearController, timing: LoopTiming) -> Result<Self, AnalysisError> {
+        let usable = timing.period > 0.0 && timing.delay >= 0.0 && (timing.delay / timing.period).is_finite();
+        if !usable {
+            return Err(AnalysisError::NotFinite);
+        }
+        let (whole, rest) = timing.split_delay();
+        let on_the_way = whole + usize::from(rest > 0.0);
+        let poles = plant.poles().len();
+        let (pipe, integrals) = (2 * poles, 2 * poles + 2 * on_the_way);
+        let size = integrals + 2;
+        let mut free = DMatrix::zeros(size, size);
+        let mut inputs = DMatrix::zeros(size, 2);
+        let mut outputs = DMatrix::zeros(2, size);
+        let [direct, integral] = controller.matrices();
+        for (n, pole) in plant.poles().iter().enumerate() {
+            let Complex64 { re, im } = pole.transition(timing.period);
+            let (row, late) = (2 * n, pole.transition(timing.period - rest));
+            free.view_mut((row, row), (2, 2)).copy_from_slice(&[re, im, -im, re]);
+            let recent = pole.input_effects(timing.period - rest);
+            for (kind, push) in recent.into_iter().enumerate() {
+                add_command_effect(&mut free, &mut inputs, row, (whole, pipe, kind), push);
+            }
+            if rest > 0.0 {
+                for (kind, push) in pole.input_effects(rest).into_iter().enumerate() {
+                    add_command_effect(&mut free, &mut inputs, row, (whole + 1, pipe, kind), late * push);
+                }
+            }
+            outputs.view_mut((0, row), (2, 2)).copy_from(&direct);
+            free.view_mut((integrals, row), (2, 2)).copy_from(&integral);
+        }
+        for kind in 0..2 {
+            if on_the_way > 0 {
+                inputs[(pipe + kind, kind)] = 1.0;
+            }
+            for step in 1..on_the_way {
+                free[(pipe + 2 * step + kind, pipe + 2 * (step - 1) + kind)] = 1.0;
+            }
+            // A missing loop has no integral, whose pole would be at 1.
+            let closed = f64::from(u8::from(controller.closed_channels()[kind]));
+            free[(integrals + kind, integrals + kind)] = closed;
+            outputs[(kind, integrals + kind)] = closed;
+        }
+        let all = free.iter().chain(inputs.iter()).chain(outputs.iter());
+        if all.into_iter().all(|value| value.is_finite()) {
+            Ok(Self { plant, controller, timing, free_motion: free, inputs, outputs })
+        } else {
+            Err(AnalysisError::NotFinite)
+        }
+    }
+
+    /// The matrix of one period.
+    pub fn matrix(&self) -> DMatrix<f64> {
+        &self.free_motion + &self.inputs * &self.outputs
+    }
+
+    /// The poles of the closed loop in the z plane. Those of pending commands are at or near 0.
+    ///
+    /// # Errors
+    /// [`AnalysisError::NoConvergence`].
+    pub fn poles(&self) -> Result<Vec<Complex64>, AnalysisError> {
+        let matrix = self.matrix();
+        let mut balanced = matrix.clone();
+        balance_parlett_reinsch(&mut balanced);
+        let limit = ITERATIONS_PER_STATE * matrix.nrows();
+        // For a few matrices the solver's shifts cycle; the transpose has the same eigenvalues and
+        // converges.
+        let forms = [balanced.clone(), balanced.transpose(), matrix.clone(), matrix.transpose()];
+        let schur = forms.into_iter().find_map(|form| Schur::try_new(form, f64::EPSILON, limit));
+        Ok(schur.ok_or(AnalysisError::NoConvergence)?.complex_eigenvalues().iter().copied().collect())
+    }
+
+    /// The largest magnitude of a pole: below 1 the loop is stable.
+    ///
+    /// # Errors
+    /// [`AnalysisError::NoConvergence`].
+    pub fn spectral_radius(&self) -> Result<f64, AnalysisError> {
+        Ok(self.poles()?.iter().fold(0.0, |largest, pole| pole.norm().max(largest)))
+    }
+
+    /// The loop transfer function L(z) of the drive (0) or the frequency (1) with the other loop
+    /// closed; the poles of the closed loop satisfy `L = −1`. `None` without such a loop, or at a
+    /// pole of L.
+    pub(crate) fn open_loop_transfer(&self, kind: usize) -> Option<impl Fn(Complex64) -> Option<Complex64>> {
+        self.controller.closed_channels().get(kind).copied().filter(|closes| *closes)?;
+        let other = 1 - kind;
+        let matrix = &self.free_motion + self.inputs.column(other) * self.outputs.row(other);
+        let complex = |matrix: &DMatrix<f64>| matrix.map(Complex64::from);
+        let (matrix, size) = (complex(&matrix), matrix.nrows());
+        let input = self.inputs.column(kind).map(Complex64::from);
+        let output = self.outputs.row(kind).map(Complex64::from);
+        Some(move |z: Complex64| {
+            let resolvent = DMatrix::from_diagonal_element(size, size, z) - &matrix;
+            let state = resolvent.lu().solve(&input)?;
+            let value = -(&output * state).x;
+            value.is_finite().then_some(value)
+        })
+    }
+}
+
+/// Adds the effect of the command `age` periods ago on the pole at `row`.
+fn add_command_effect(
+    free: &mut DMatrix<f64>,
+    inputs: &mut DMatrix<f64>,
+    row: usize,
+    (age, pipe, kind): (usize, usize, usize),
+    push: Complex64,
+) {
+    for (part, value) in [push.re, push.im].into_iter().enumerate() {
+        match age.checked_sub(1) {
+            None => inputs[(row + part, kind)] += value,
+            Some(place) => free[(row + part, pipe + 2 * place + kind)] += value,
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Computes gain, phase and delay margins.
+
+use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
+use crate::loops::controller::LinearController;
+use crate::loops::plant::LinearPlant;
+use platebench_plate::Complex64;
+use std::f64::consts::PI;
+
+/// Number of frequencies from the lowest to half the sampling frequency, logarithmically spaced.
+const FREQUENCIES: u32 = 400;
+/// rad per period.
+const LOWEST_FREQUENCY: f64 = 1e-3;
+const BISECTIONS: u32 = 40;
+/// Step of the delay scan as a share of a period.
+const SCAN_STEP: f64 = 0.05;
+
+/// Gain and phase margin of the worse of both channels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StabilityMargins {
+    /// Factor by which the gain may rise; below 1 it must fall. `None` if no gain makes the loop
+    /// unstable.
+    pub gain: Option<f64>,
+    /// Phase margin at |L| = 1, degrees; `None` if |L| is never 1.
+    pub phase_deg: Option<f64>,
+}
+
+impl ClosedLoop {
+    /// Gain and phase margin on the unit circle: the smaller of both loops, each with the other
+    /// closed.
+    ///
+    /// These loops are stable at small gain, so a rising gain meets the outermost crossing of the
+    /// negative real axis; half the sampling frequency, where L is real, counts.
+    pub fn margins(&self) -> StabilityMargins {
+        let mut margins = StabilityMargins { gain: None, phase_deg: None };
+        let smaller = |known: Option<f64>, new: f64| Some(known.map_or(new, |known| known.min(new)));
+        for kind in 0..2 {
+            let Some(open) = self.open_loop_transfer(kind) else { continue };
+            let at = |theta: f64| open(Complex64::from_polar(1.0, theta));
+            for pair in frequency_grid().windows(2) {
+                let [low, high] = [pair[0], pair[1]];
+                let (Some(before), Some(after)) = (at(low), at(high)) else { continue };
+                if before.im * after.im < 0.0
+                    && let Some(crossing) = at(bisect(low, high, |theta| at(theta).map(|l| l.im)))
+                    && crossing.re < 0.0
+                {
+                    margins.gain = smaller(margins.gain, 1.0 / crossing.norm());
+                }
+                if (before.norm() - 1.0) * (after.norm() - 1.0) < 0.0
+                    && let Some(crossing) = at(bisect(low, high, |theta| at(theta).map(|l| l.norm() - 1.0)))
+                {
+                    margins.phase_deg = smaller(margins.phase_deg, (-crossing).arg().to_degrees());
+                }
+            }
+            if let Some(end) = at(PI)
+                && end.re < 0.0
+            {
+                margins.gain = smaller(margins.gain, 1.0 / end.norm());
+            }
+        }
+        margins
+    }
+}
+
+/// rad per period, rising, the last just below half the sampling frequency.
+fn frequency_grid() -> Vec<f64> {
+    let last = PI * (1.0 - 1e-9);
+    let ratio = (last / LOWEST_FREQUENCY).ln();
+    (0..=FREQUENCIES).map(|n| LOWEST_FREQUENCY * (ratio * f64::from(n) / f64::from(FREQUENCIES)).exp()).collect()
+}
+
+/// The argument between `low` and `high` at which `value` changes its sign.
+fn bisect(mut low: f64, mut high: f64, value: impl Fn(f64) -> Option<f64>) -> f64 {
+    let sign = value(low).unwrap_or(0.0).signum();
+    for _ in 0..BISECTIONS {
+        let middle = f64::midpoint(low, high);
+        if value(middle).unwrap_or(0.0).signum() == sign {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    f64::midpoint(low, high)
+}
+
+/// Longest delay at which a loop is stable.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum DelayBoundary {
+    /// Unstable without any delay.
+    Unstable,
+    /// Stable up to this delay, s.
+    At(f64),
+    /// Stable up to the end of the search, s.
+    Beyond(f64),
+}
+
+impl DelayBoundary {
+    /// The boundary in s, if one was found.
+    pub fn seconds(self) -> Option<f64> {
+        match self {
+            Self::At(seconds) => Some(seconds),
+            Self::Unstable | Self::Beyond(_) => None,
+        }
+    }
+}
+
+/// The first delay at which the spectral radius reaches 1, up to `longest` s. Fractions of a period
+/// are exact. The delay margin at a given delay is the difference.
+///
+/// # Errors
+/// As [`ClosedLoop::new`] and [`ClosedLoop::poles`].
+pub fn delay_boundary(
+    plant: &LinearPlant,
+    controller: &LinearController,
+    period: f64,
+    longest: f64,
+) -> Result<DelayBoundary, AnalysisError> {
+    let stable = |delay: f64| {
+        ClosedLoop::new(plant.clone(), *controller, LoopTiming { period, delay })?.spectral_radius().map(|r| r < 1.0)
+    };
+    if !stable(0.0)? {
+        return Ok(DelayBoundary::Unstable);
+    }
+    let steps = (longest / (SCAN_STEP * period)).ceil() as u32;
+    let mut low = 0.0;
+    for step in 1..=steps {
+        let mut high = (f64::from(step) * SCAN_STEP * period).min(longest);
+        if !stable(high)? {
+            for _ in 0..BISECTIONS {
+                let middle = f64::midpoint(low, high);
+                if stable(middle)? {
+                    low = middle;
+                } else {
+                    high = middle;
+                }
+            }
+            return Ok(DelayBoundary::At(low));
+        }
+        low = high;
+    }
+    Ok(DelayBoundary::Beyond(longest))
+}

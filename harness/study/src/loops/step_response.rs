@@ -1,0 +1,95 @@
+//! Simulates a setpoint step of the linear loop: settling, overshoot, drive.
+
+use crate::loops::closed_loop::ClosedLoop;
+use nalgebra::Vector2;
+use platebench_plate::Complex64;
+use std::collections::VecDeque;
+
+/// Points per period at which the response is read.
+const POINTS_PER_PERIOD: u32 = 40;
+/// Half the band of the settling time.
+const BAND: f64 = 0.05;
+/// Amplitude of a divergence in setpoints.
+const DIVERGENCE_LIMIT: f64 = 1e3;
+
+/// Result of a setpoint step from rest, without limits of drive, range or slew.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepResponse {
+    /// 5 % settling time, s; `None` if the response is outside at the end.
+    pub settling: Option<f64>,
+    /// Overshoot as a share of the step.
+    pub overshoot: f64,
+    /// Highest drive, Vpp.
+    pub peak_drive: f64,
+    /// True if the response diverged.
+    pub diverged: bool,
+}
+
+impl ClosedLoop {
+    /// The response of W, along the phase of its steady state, to a setpoint step from 0 to
+    /// `setpoint` µm at the first control instant, over `periods`.
+    ///
+    /// At resonance the loop is linear in the amplitude, so the response from rest is exact.
+    /// Otherwise it is the scaled response to a small step.
+    pub fn step_response(&self, setpoint: f64, periods: u32) -> StepResponse {
+        let [direct, integral] = self.controller.matrices();
+        let along = self.output_direction();
+        // A higher setpoint acts as a deviation in the opposite direction.
+        let setpoint_deviation = -Vector2::from(along) * setpoint;
+        let (whole, rest) = self.timing.split_delay();
+        let mut states = vec![Complex64::ZERO; self.plant.poles().len()];
+        let mut commands: VecDeque<Vector2<f64>> = vec![Vector2::zeros(); whole + 2].into();
+        let mut integrals = Vector2::zeros();
+        let mut response = StepResponse { settling: None, overshoot: 0.0, peak_drive: 0.0, diverged: false };
+        let (mut before, mut entered) = (0.0_f64, None);
+        for period in 0..periods {
+            let w: Complex64 = states.iter().sum();
+            let deviation = Vector2::new(w.re, w.im) + setpoint_deviation;
+            let mut command: Vector2<f64> = direct * deviation + integrals;
+            command.x += self.controller.feedforward * setpoint;
+            integrals += integral * deviation;
+            response.peak_drive = response.peak_drive.max(command.x);
+            commands.push_front(command);
+            commands.truncate(whole + 2);
+            let [late, now] = [whole + 1, whole].map(|age| commands.get(age).copied().unwrap_or_default());
+            for (command, span, from) in [(late, rest, 0.0), (now, self.timing.period - rest, rest)] {
+                let start = states.clone();
+                for point in 1..=POINTS_PER_PERIOD {
+                    let seconds = span * f64::from(point) / f64::from(POINTS_PER_PERIOD);
+                    if seconds == 0.0 {
+                        continue;
+                    }
+                    for ((state, start), pole) in states.iter_mut().zip(&start).zip(self.plant.poles()) {
+                        let [drive, frequency] = pole.input_effects(seconds);
+                        *state = pole.transition(seconds) * start + drive * command.x + frequency * command.y;
+                    }
+                    let w: Complex64 = states.iter().sum();
+                    let share = (w.re * along[0] + w.im * along[1]) / setpoint;
+                    response.overshoot = response.overshoot.max(share - 1.0);
+                    let (was, is) = ((before - 1.0).abs() <= BAND, (share - 1.0).abs() <= BAND);
+                    if is && !was {
+                        // Linear interpolation of the crossing.
+                        let edge = if before < 1.0 { 1.0 - BAND } else { 1.0 + BAND };
+                        let part = ((edge - before) / (share - before)).clamp(0.0, 1.0);
+                        let step = span / f64::from(POINTS_PER_PERIOD);
+                        entered = Some(f64::from(period) * self.timing.period + from + seconds - step * (1.0 - part));
+                    } else if !is {
+                        entered = None;
+                    }
+                    before = share;
+                }
+            }
+            if !before.is_finite() || before.abs() > DIVERGENCE_LIMIT {
+                return StepResponse { settling: None, diverged: true, ..response };
+            }
+        }
+        StepResponse { settling: entered, ..response }
+    }
+
+    /// The direction of W0; that of Wd if the plate is at rest.
+    fn output_direction(&self) -> [f64; 2] {
+        let at = self.plant.at();
+        let size = at.norm();
+        if size > 0.0 { [at.re / size, at.im / size] } else { [1.0, 0.0] }
+    }
+}

@@ -1,0 +1,222 @@
+//! Studies all laws under all conditions: boundaries, and maps over period, delay and response
+//! time.
+
+use crate::loops::case::{LoopCase, OperatingCondition};
+use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
+use crate::loops::margins::{DelayBoundary, delay_boundary};
+use crate::loops::measured_boundary;
+use platebench_plate::{Plate, Tier};
+use platebench_wire::LawId;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Longest delay of the table, s.
+pub const MAX_DELAY_S: f64 = 12e-3;
+/// Ranges of a map: periods in µs, delays in s.
+const MAP_PERIODS_US: [u32; 2] = [200, 2_000];
+const MAX_MAP_DELAY_S: f64 = 3e-3;
+const MAP_COLUMNS: u32 = 37;
+const MAP_ROWS: u32 = 40;
+/// Periods of the measured boundary of a map.
+const MEASURED_PERIODS_US: [u32; 7] = [250, 500, 750, 1_000, 1_300, 1_600, 1_900];
+/// Response times of the maps relative to the law's default.
+const MAP_RESPONSE_FACTORS: [f64; 3] = [0.75, 1.0, 2.0];
+
+/// Settings of a study.
+#[derive(Debug, Clone)]
+pub struct StudyConfig {
+    /// The plate.
+    pub plate: Plate,
+    /// The laws.
+    pub laws: Vec<LawId>,
+    /// Loop delay of the margins, s; 0 if unknown.
+    pub delay: f64,
+    /// True to compute maps.
+    pub maps: bool,
+    /// Number of threads.
+    pub jobs: usize,
+}
+
+/// A law under a condition, at 1 kHz, with its own design.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StudyRow {
+    /// The law.
+    pub law: LawId,
+    /// The condition.
+    pub condition: OperatingCondition,
+    /// Control period, µs.
+    pub period_us: u32,
+    /// Response time of the design, s.
+    pub response: f64,
+    /// Spectral radius at the delay of the margins.
+    pub spectral_radius: f64,
+    /// Delay boundary of the linear loop.
+    pub predicted: DelayBoundary,
+    /// Delay boundary of the firmware's code; `None` without a steady state.
+    pub measured: Option<DelayBoundary>,
+    /// Longest delay with which the firmware reaches its setpoint from rest.
+    pub from_rest: DelayBoundary,
+    /// Gain margin.
+    pub gain_margin: Option<f64>,
+    /// Phase margin, degrees.
+    pub phase_margin_deg: Option<f64>,
+    /// Predicted boundary − delay, s.
+    pub delay_margin: Option<f64>,
+}
+
+impl StudyRow {
+    /// Difference of measured and predicted boundary, percent.
+    pub fn difference_percent(&self) -> Option<f64> {
+        let measured = self.measured?.seconds()?;
+        Some((measured / self.predicted.seconds()? - 1.0) * 100.0)
+    }
+}
+
+/// Spectral radius over period and delay, for one law, condition and response time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StabilityMap {
+    /// The law.
+    pub law: LawId,
+    /// The condition.
+    pub condition: OperatingCondition,
+    /// Response time of the design, s.
+    pub response: f64,
+    /// Periods of the columns, s.
+    pub periods: Vec<f64>,
+    /// Delays of the rows, s.
+    pub delays: Vec<f64>,
+    /// Spectral radius, by column and then by row.
+    pub spectral_radius: Vec<Vec<f64>>,
+    /// Measured boundaries within the map: period and delay, s.
+    pub measured: Vec<(f64, f64)>,
+}
+
+/// Result of a study.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Study {
+    /// Rows by law and condition with a steady state.
+    pub rows: Vec<StudyRow>,
+    /// Laws and conditions without a reachable steady state.
+    pub out_of_reach: Vec<(LawId, OperatingCondition)>,
+    /// Maps by law with a loop, condition and response time.
+    pub maps: Vec<StabilityMap>,
+}
+
+enum StudyTask {
+    Row(LawId, OperatingCondition),
+    Map(LawId, OperatingCondition, f64),
+}
+
+enum TaskResult {
+    Row(Option<StudyRow>),
+    Map(Option<StabilityMap>),
+}
+
+/// Runs the study.
+///
+/// # Errors
+/// [`AnalysisError`] of a loop.
+pub fn study(order: &StudyConfig) -> Result<Study, AnalysisError> {
+    let pairs = order.laws.iter().flat_map(|&law| OperatingCondition::ALL.map(|condition| (law, condition)));
+    let rows = pairs.clone().map(|(law, condition)| StudyTask::Row(law, condition));
+    let wanted = pairs.filter(|(law, _)| order.maps && *law != LawId::OpenLoop);
+    let maps = wanted.flat_map(|(law, condition)| {
+        let own = LoopCase::new(&order.plate, law, condition).response();
+        MAP_RESPONSE_FACTORS.map(|share| StudyTask::Map(law, condition, share * own))
+    });
+    let tasks: Vec<StudyTask> = rows.chain(maps).collect();
+    let mut study = Study::default();
+    for (task, done) in tasks.iter().zip(run_tasks(order, &tasks)) {
+        match (task, done?) {
+            (_, TaskResult::Row(Some(row))) => study.rows.push(row),
+            (StudyTask::Row(law, condition), TaskResult::Row(None)) => study.out_of_reach.push((*law, *condition)),
+            (_, TaskResult::Map(map)) => study.maps.extend(map),
+            (StudyTask::Map(..), TaskResult::Row(None)) => {}
+        }
+    }
+    Ok(study)
+}
+
+/// Runs the tasks on several threads; results in the order of the tasks.
+fn run_tasks(order: &StudyConfig, tasks: &[StudyTask]) -> Vec<Result<TaskResult, AnalysisError>> {
+    let next = AtomicUsize::new(0);
+    let outcomes = Mutex::new(Vec::with_capacity(tasks.len()));
+    std::thread::scope(|scope| {
+        for _ in 0..order.jobs.max(1) {
+            scope.spawn(|| {
+                loop {
+                    let number = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(task) = tasks.get(number) else { break };
+                    let done = match *task {
+                        StudyTask::Row(law, condition) => study_row(order, law, condition).map(TaskResult::Row),
+                        StudyTask::Map(law, condition, response) => {
+                            stability_map(order, law, condition, response).map(TaskResult::Map)
+                        }
+                    };
+                    if let Ok(mut outcomes) = outcomes.lock() {
+                        outcomes.push((number, done));
+                    }
+                }
+            });
+        }
+    });
+    let mut outcomes = outcomes.into_inner().unwrap_or_default();
+    outcomes.sort_by_key(|(number, _)| *number);
+    outcomes.into_iter().map(|(_, done)| done).collect()
+}
+
+fn study_row(
+    order: &StudyConfig,
+    law: LawId,
+    condition: OperatingCondition,
+) -> Result<Option<StudyRow>, AnalysisError> {
+    let case = LoopCase::new(&order.plate, law, condition);
+    let Some((plant, controller)) = case.linearise(Tier::Modal) else { return Ok(None) };
+    let predicted = delay_boundary(&plant, &controller, case.period(), MAX_DELAY_S)?;
+    let closed = ClosedLoop::new(plant, controller, LoopTiming { period: case.period(), delay: order.delay })?;
+    let margins = closed.margins();
+    Ok(Some(StudyRow {
+        law,
+        condition,
+        period_us: case.period_us,
+        response: case.response(),
+        spectral_radius: closed.spectral_radius()?,
+        predicted,
+        measured: measured_boundary::measure_delay_boundary(&case, MAX_DELAY_S),
+        from_rest: measured_boundary::measure_delay_boundary_from_rest(&case, MAX_DELAY_S),
+        gain_margin: margins.gain,
+        phase_margin_deg: margins.phase_deg,
+        delay_margin: predicted.seconds().map(|boundary| boundary - order.delay),
+    }))
+}
+
+fn stability_map(
+    order: &StudyConfig,
+    law: LawId,
+    condition: OperatingCondition,
+    response: f64,
+) -> Result<Option<StabilityMap>, AnalysisError> {
+    let case = LoopCase { response_s: Some(response), ..LoopCase::new(&order.plate, law, condition) };
+    let [first, last] = MAP_PERIODS_US;
+    let periods: Vec<u32> =
+        (0..MAP_COLUMNS).map(|column| first + (last - first) * column / (MAP_COLUMNS - 1)).collect();
+    let delays: Vec<f64> =
+        (0..MAP_ROWS).map(|row| MAX_MAP_DELAY_S * f64::from(row) / f64::from(MAP_ROWS - 1)).collect();
+    let mut radius = Vec::with_capacity(periods.len());
+    for &period_us in &periods {
+        let case = LoopCase { period_us, ..case };
+        let Some((plant, controller)) = case.linearise(Tier::Modal) else { return Ok(None) };
+        let of = |&delay: &f64| {
+            let timing = LoopTiming { period: case.period(), delay };
+            ClosedLoop::new(plant.clone(), controller, timing)?.spectral_radius()
+        };
+        radius.push(delays.iter().map(of).collect::<Result<_, _>>()?);
+    }
+    let at = |&period_us: &u32| {
+        let case = LoopCase { period_us, ..case };
+        Some((case.period(), measured_boundary::measure_delay_boundary(&case, MAX_MAP_DELAY_S)?.seconds()?))
+    };
+    let measured = MEASURED_PERIODS_US.iter().filter_map(at).collect();
+    let periods = periods.into_iter().map(|period_us| f64::from(period_us) * 1e-6).collect();
+    Ok(Some(StabilityMap { law, condition, response, periods, delays, spectral_radius: radius, measured }))
+}

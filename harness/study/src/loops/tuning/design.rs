@@ -1,0 +1,170 @@
+//! Designs gains by equation 24 in three discretisations.
+
+use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
+use crate::loops::controller::{IntegralMethod, LinearController, LoopChannel, PiGains};
+use crate::loops::plant::LinearPlant;
+use crate::loops::tuning::transient::{StepSimulation, TransientResponse};
+use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
+use platebench_wire::Gains;
+
+/// Horizon of a response: the longest of these numbers of periods, response times and time
+/// constants, plus delays.
+const HORIZON_PERIODS: f64 = 60.0;
+const HORIZON_RESPONSES: f64 = 6.0;
+const HORIZON_TIME_CONSTANTS: f64 = 20.0;
+const HORIZON_DELAYS: f64 = 20.0;
+
+/// Reading (discretisation) of equation 24.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Reading {
+    /// As printed, with a forward-Euler integral.
+    Forward,
+    /// As printed, with a backward-Euler integral.
+    Backward,
+    /// Matched to the zero-order hold.
+    Matched,
+}
+
+impl Reading {
+    /// Every reading.
+    pub const ALL: [Self; 3] = [Self::Forward, Self::Backward, Self::Matched];
+
+    /// The name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Forward => "forward Euler, as printed",
+            Self::Backward => "backward Euler, as printed",
+            Self::Matched => "zero-order-hold match",
+        }
+    }
+
+    /// The loop of a plant K/(1 + τp): `gain` K, all times in s.
+    fn pi(self, gain: f64, time_constant: f64, response: f64, period: f64) -> PiGains {
+        match self {
+            Self::Forward => PiGains::as_printed(IntegralMethod::Forward, gain, time_constant, response, period),
+            Self::Backward => PiGains::as_printed(IntegralMethod::Backward, gain, time_constant, response, period),
+            Self::Matched => PiGains::matched(gain, time_constant, response, period),
+        }
+    }
+}
+
+/// Target of a tuning.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TuningTarget<'a> {
+    /// The plate of the design, with its drive limit.
+    pub plate: &'a Plate,
+    /// Force of the finger of the design, N.
+    pub force_n: f64,
+    /// Setpoint, µm, above 0.
+    pub setpoint: f64,
+    /// 5 % response time of |W|, s, above 0.
+    pub response: f64,
+    /// Control period, µs, above 0.
+    pub period_us: u32,
+    /// Delay from sampling to actuation, s, 0 or more.
+    pub delay: f64,
+    /// Smallest phase margin of both loops, degrees.
+    pub phase_margin_deg: f64,
+}
+
+impl TuningTarget<'_> {
+    /// The control period, s.
+    pub fn period(&self) -> f64 {
+        f64::from(self.period_us) * 1e-6
+    }
+
+    /// The mode under the finger.
+    pub fn mode(&self) -> Mode {
+        self.plate.mode(&Conditions { temperature_offset_k: 0.0, finger_force_n: self.force_n })
+    }
+
+    /// Shortest time from rest to the edge of the band with the drive limit, s; `None` if out of
+    /// reach.
+    pub fn time_floor(&self) -> Option<f64> {
+        self.mode().min_rise_time(self.setpoint, 0.95, self.plate.drive_limit_vpp)
+    }
+
+    /// Horizon of a response, periods.
+    pub fn horizon(&self) -> u32 {
+        let slowest = (HORIZON_RESPONSES * self.response).max(HORIZON_TIME_CONSTANTS / self.mode().sigma);
+        let seconds = (HORIZON_PERIODS * self.period()).max(slowest) + HORIZON_DELAYS * self.delay;
+        (seconds / self.period()).ceil() as u32
+    }
+}
+
+/// Both loops of a design.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GainDesign {
+    /// The reading of equation 24.
+    pub reading: Reading,
+    /// Response time of the design, s.
+    pub response: f64,
+    /// Drive from the error of Wd, Vpp per µm.
+    pub amplitude: PiGains,
+    /// Excitation from Wq/Wd, rad/s.
+    pub frequency: PiGains,
+}
+
+impl GainDesign {
+    /// Equation 24 for the plate under the target's finger and `response` s. With that plate's σ, K
+    /// = b/σ and τ = 1/σ for the amplitude, K = τ for the frequency.
+    pub fn new(target: &TuningTarget<'_>, reading: Reading, response: f64) -> Self {
+        let mode = target.mode();
+        let tau = 1.0 / mode.sigma;
+        let [amplitude, frequency] =
+            [mode.envelope_constant * tau, tau].map(|gain| reading.pi(gain, tau, response, target.period()));
+        Self { reading, response, amplitude, frequency }
+    }
+
+    /// The gains for the firmware's forward integral.
+    pub fn firmware_gains(&self, period: f64) -> Gains {
+        Gains {
+            amplitude_kp: self.amplitude.proportional as f32,
+            amplitude_ki: (self.amplitude.integral_per_period / period) as f32,
+            frequency_kp: self.frequency.proportional as f32,
+            frequency_ki: (self.frequency.integral_per_period / period) as f32,
+        }
+    }
+
+    /// Both loops, or one of them, around the steady state at the setpoint, on `plate` under the
+    /// target's finger.
+    ///
+    /// # Errors
+    /// [`AnalysisError::NotFinite`].
+    pub fn closed_loop(
+        &self,
+        target: &TuningTarget<'_>,
+        plate: &Plate,
+        tier: Tier,
+        [drive, frequency]: [bool; 2],
+    ) -> Result<ClosedLoop, AnalysisError> {
+        let (plant, controller) = self.linear_parts(&TuningTarget { plate, ..*target }, tier);
+        let controller = LinearController {
+            drive: controller.drive.filter(|_| drive),
+            frequency: controller.frequency.filter(|_| frequency),
+            ..controller
+        };
+        ClosedLoop::new(plant, controller, LoopTiming { period: target.period(), delay: target.delay })
+    }
+
+    /// The plate around its steady state, and the loops.
+    pub(crate) fn linear_parts(&self, target: &TuningTarget<'_>, tier: Tier) -> (LinearPlant, LinearController) {
+        let mode = target.mode();
+        let drive = Drive { vpp: mode.drive_for(target.setpoint), omega: mode.omega0 };
+        let plant = LinearPlant::linearised_at(tier, &mode, &drive);
+        let controller = LinearController {
+            drive: Some(LoopChannel { pi: self.amplitude, error_weights: [-1.0, 0.0] }),
+            frequency: Some(LoopChannel { pi: self.frequency, error_weights: [0.0, 1.0 / plant.at().re] }),
+            feedforward: 0.0,
+        };
+        (plant, controller)
+    }
+
+    /// A step from rest on `plate` under `force_n`.
+    pub fn simulate_step(&self, target: &TuningTarget<'_>, plate: &Plate, force_n: f64) -> TransientResponse {
+        let TuningTarget { period_us, delay, setpoint, .. } = *target;
+        let Self { amplitude, frequency, .. } = *self;
+        StepSimulation { plate, force_n, amplitude, frequency, period_us, delay, setpoint }.step(target.horizon())
+    }
+}

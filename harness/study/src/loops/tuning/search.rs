@@ -1,0 +1,141 @@
+//! Searches the response time for equation 24 with which the plate meets the target, and the
+//! fastest design.
+//!
+//! The response differs from the design: equation 24 ignores the length of the period, the ripple
+//! of the fast mode, the delay and the drive limit, and the response is not a smooth function of
+//! the design. Therefore designs with logarithmically spaced response times are simulated on the
+//! plate.
+
+use crate::loops::closed_loop::AnalysisError;
+use crate::loops::tuning::design::{GainDesign, Reading, TuningTarget};
+use crate::loops::tuning::transient::BAND;
+use platebench_plate::Tier;
+
+/// Number of simulated designs, and refinement around the fastest.
+const DESIGNS: u32 = 160;
+const REFINEMENT: u32 = 24;
+/// The fastest design in periods: the error after a period is e^(−15).
+const FASTEST_RESPONSE_PERIODS: f64 = 0.2;
+/// The slowest design in responses of the plate or of the target, and in periods with delay.
+const LAST: f64 = 3.0;
+const LAST_PERIODS: f64 = 30.0;
+const BISECTIONS: u32 = 20;
+/// Safety factors of the response time: a design at the limit of the target meets it on no other
+/// plate.
+const RESPONSE_FACTORS: [f64; 3] = [0.97, 0.99, 1.0];
+
+/// An overshoot between this share of the band and the whole band settles on no other plate.
+const MAX_BAND_SHARE: f64 = 0.8;
+
+/// A design with its response.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DesignCandidate {
+    /// The design.
+    pub design: GainDesign,
+    /// 5 % settling time of |W|, s.
+    pub settling: f64,
+}
+
+/// All designs of one reading.
+#[derive(Debug, Clone)]
+pub struct DesignSearch<'a> {
+    target: TuningTarget<'a>,
+    reading: Reading,
+    /// Response times of the designs, rising, with their results.
+    candidates: Vec<(f64, Option<DesignCandidate>)>,
+}
+
+impl<'a> DesignSearch<'a> {
+    /// Simulates all designs.
+    pub fn new(target: &TuningTarget<'a>, reading: Reading) -> Self {
+        let first = FASTEST_RESPONSE_PERIODS * target.period();
+        let own = 20.0_f64.ln() / target.mode().sigma;
+        let last = (LAST * own.max(target.response)).max(LAST_PERIODS * (target.period() + target.delay));
+        let mut search = Self { target: *target, reading, candidates: Vec::new() };
+        let ratio = (last / first).ln() / f64::from(DESIGNS);
+        let responses = (0..=DESIGNS).map(|number| first * (ratio * f64::from(number)).exp());
+        search.candidates = responses.map(|response| (response, search.evaluate(response))).collect();
+        search
+    }
+
+    /// Simulates the design for `response` s; `None` if it does not settle or its overshoot almost
+    /// fills the band.
+    fn evaluate(&self, response: f64) -> Option<DesignCandidate> {
+        let design = GainDesign::new(&self.target, self.reading, response);
+        let transient = design.simulate_step(&self.target, self.target.plate, self.target.force_n);
+        let by_a_hair = (MAX_BAND_SHARE * BAND..=BAND).contains(&transient.overshoot);
+        Some(DesignCandidate { design, settling: transient.settling.filter(|_| !by_a_hair)? })
+    }
+
+    /// True if the candidate's loops are stable with a phase margin of `phase_deg`.
+    fn has_margin(&self, candidate: &DesignCandidate, phase_deg: f64) -> Result<bool, AnalysisError> {
+        let closed = candidate.design.closed_loop(&self.target, self.target.plate, Tier::Modal, [true; 2])?;
+        Ok(closed.spectral_radius()? < 1.0 && closed.margins().phase_deg.is_none_or(|found| found >= phase_deg))
+    }
+
+    /// The fastest design with a phase margin of `phase_deg`.
+    ///
+    /// # Errors
+    /// [`AnalysisError`] of a loop.
+    pub fn fastest(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
+        let mut ranked: Vec<(usize, DesignCandidate)> = Vec::new();
+        ranked
+            .extend(self.candidates.iter().enumerate().filter_map(|(number, (_, played))| Some((number, (*played)?))));
+        ranked.sort_by(|(_, a), (_, b)| a.settling.total_cmp(&b.settling));
+        for (number, coarse) in ranked {
+            if !self.has_margin(&coarse, phase_deg)? {
+                continue;
+            }
+            let at = |number: usize| self.candidates.get(number).map(|(response, _)| *response);
+            let low = number.checked_sub(1).and_then(at).unwrap_or(coarse.design.response);
+            let high = at(number + 1).unwrap_or(coarse.design.response);
+            let between = (1..REFINEMENT).map(|part| low + (high - low) * f64::from(part) / f64::from(REFINEMENT));
+            let mut finer: Vec<_> = between.filter_map(|response| self.evaluate(response)).collect();
+            finer.retain(|candidate| candidate.settling < coarse.settling);
+            finer.sort_by(|a, b| a.settling.total_cmp(&b.settling));
+            for candidate in finer {
+                if self.has_margin(&candidate, phase_deg)? {
+                    return Ok(Some(candidate));
+                }
+            }
+            return Ok(Some(coarse));
+        }
+        Ok(None)
+    }
+
+    /// The design that meets the target with a phase margin of `phase_deg`: equation 24 for the
+    /// target's response time if it does, otherwise the slowest that does, with a safety factor.
+    ///
+    /// # Errors
+    /// [`AnalysisError`] of a loop.
+    pub fn meeting_target(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
+        let meets = |response: f64| -> Result<Option<DesignCandidate>, AnalysisError> {
+            match self.evaluate(response).filter(|candidate| candidate.settling <= self.target.response) {
+                Some(candidate) => Ok(self.has_margin(&candidate, phase_deg)?.then_some(candidate)),
+                None => Ok(None),
+            }
+        };
+        if let Some(itself) = meets(self.target.response)? {
+            return Ok(Some(itself));
+        }
+        let mut slower = None;
+        for (response, played) in self.candidates.iter().rev() {
+            let in_time = played.is_some_and(|candidate| candidate.settling <= self.target.response);
+            if !in_time || meets(*response)?.is_none() {
+                slower = Some(*response);
+                continue;
+            }
+            let (mut low, mut high) = (*response, slower.unwrap_or(*response));
+            for _ in 0..BISECTIONS {
+                let middle = f64::midpoint(low, high);
+                *(if meets(middle)?.is_some() { &mut low } else { &mut high }) = middle;
+            }
+            for inside in RESPONSE_FACTORS {
+                if let Some(candidate) = meets(inside * low)? {
+                    return Ok(Some(candidate));
+                }
+            }
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,144 @@
+//! Evaluates a design on plates that differ from the plate of the design.
+
+use crate::loops::closed_loop::AnalysisError;
+use crate::loops::tuning::design::{GainDesign, TuningTarget};
+use crate::loops::tuning::transient::TransientResponse;
+use crate::loops::tuning::{StepEvaluation, delay_margin_ms, design_delay_boundary};
+use platebench_plate::{Plate, Tier};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, Uniform};
+use serde::Serialize;
+
+/// Spread of the plate and number of random plates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlateSpread {
+    /// ±K1, percent.
+    pub gain_percent: f64,
+    /// ±τ, percent.
+    pub time_constant_percent: f64,
+    /// Number of random plates, uniform between the corners.
+    pub samples: u32,
+    /// Their seed.
+    pub seed: u64,
+}
+
+/// A plate and the behaviour of the gains on it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PlateVariant {
+    /// Deviation of K1 from the plate file.
+    pub gain_percent: f64,
+    /// Deviation of τ from the plate file.
+    pub time_constant_percent: f64,
+    /// Normal force of a finger, N.
+    pub force_n: f64,
+    /// |W| within the drive limit.
+    pub plate: StepEvaluation,
+    /// The smaller gain margin of both loops, each with the other closed.
+    pub gain_margin: Option<f64>,
+    /// The smaller phase margin, degrees.
+    pub phase_margin_deg: Option<f64>,
+    /// Allowed growth of the delay, ms; 0 or less if unstable, `None` if stable up to the end of
+    /// the search.
+    pub delay_margin_ms: Option<f64>,
+}
+
+/// The worst of several plates. `None` if a plate does not settle, or if no plate has a bounded
+/// margin.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct WorstCase {
+    /// Number of plates.
+    pub plates: usize,
+    /// Number of plates that meet the target.
+    pub meeting: usize,
+    /// Longest 5 % settling time.
+    pub settling_ms: Option<f64>,
+    /// Largest overshoot.
+    pub overshoot_percent: f64,
+    /// Smallest gain margin.
+    pub gain_margin: Option<f64>,
+    /// Smallest phase margin, degrees.
+    pub phase_margin_deg: Option<f64>,
+    /// Smallest delay margin, ms.
+    pub delay_margin_ms: Option<f64>,
+}
+
+/// Behaviour of the gains on other plates.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Sensitivity {
+    /// Corners and edges of the spread.
+    pub corners: Vec<PlateVariant>,
+    /// The worst of them.
+    pub worst_corner: WorstCase,
+    /// The worst random plate.
+    pub worst_sample: Option<WorstCase>,
+    /// The nominal plate without the design's finger; under 2 N if the design has no finger.
+    pub other_finger: PlateVariant,
+}
+
+/// Finger that the design does not know, N (Fig. 16).
+const FINGER: f64 = 2.0;
+
+/// Evaluates the design on corners, random plates and another finger.
+///
+/// # Errors
+/// [`AnalysisError`] of a loop.
+pub fn evaluate_sensitivity(
+    target: &TuningTarget<'_>,
+    design: &GainDesign,
+    spread: &PlateSpread,
+) -> Result<Sensitivity, AnalysisError> {
+    let PlateSpread { gain_percent, time_constant_percent, samples, seed } = *spread;
+    let shares = [-1.0, 0.0, 1.0];
+    let pairs = shares.into_iter().flat_map(|gain| shares.map(|tau| [gain, tau]));
+    let at =
+        |[gain, tau]: [f64; 2]| evaluate_variant(target, design, [gain * gain_percent, tau * time_constant_percent]);
+    let corners = pairs.filter(|pair| *pair != [0.0; 2]).map(at).collect::<Result<Vec<_>, _>>()?;
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let even = Uniform::new_inclusive(-1.0, 1.0).map_err(|_| AnalysisError::NotFinite)?;
+    let drawn = (0..samples).map(|_| at([even.sample(&mut random), even.sample(&mut random)]));
+    let drawn = drawn.collect::<Result<Vec<_>, _>>()?;
+    let force_n = if target.force_n > 0.0 { 0.0 } else { FINGER };
+    Ok(Sensitivity {
+        worst_corner: worst_case(target, &corners),
+        worst_sample: (!drawn.is_empty()).then(|| worst_case(target, &drawn)),
+        corners,
+        other_finger: evaluate_variant(&TuningTarget { force_n, ..*target }, design, [0.0; 2])?,
+    })
+}
+
+/// The design on one plate.
+fn evaluate_variant(
+    target: &TuningTarget<'_>,
+    design: &GainDesign,
+    [gain, tau]: [f64; 2],
+) -> Result<PlateVariant, AnalysisError> {
+    let nominal = target.plate;
+    let factor = |percent: f64| 1.0 + percent / 100.0;
+    let plate = Plate { gain: nominal.gain * factor(gain), sigma0: nominal.sigma0 / factor(tau), ..nominal.clone() };
+    let transient: TransientResponse = design.simulate_step(target, &plate, target.force_n);
+    let margins = design.closed_loop(target, &plate, Tier::Modal, [true; 2])?.margins();
+    Ok(PlateVariant {
+        gain_percent: gain,
+        time_constant_percent: tau,
+        force_n: target.force_n,
+        plate: transient.into(),
+        gain_margin: margins.gain,
+        phase_margin_deg: margins.phase_deg,
+        delay_margin_ms: delay_margin_ms(target, design_delay_boundary(target, &plate, design)?),
+    })
+}
+
+fn worst_case(target: &TuningTarget<'_>, others: &[PlateVariant]) -> WorstCase {
+    let settling = || others.iter().map(|other| other.plate.settling_ms);
+    let smallest = |of: fn(&PlateVariant) -> Option<f64>| others.iter().filter_map(of).reduce(f64::min);
+    WorstCase {
+        plates: others.len(),
+        meeting: settling().flatten().filter(|ms| *ms <= target.response * 1e3).count(),
+        settling_ms: settling().try_fold(0.0, |longest: f64, ms| Some(longest.max(ms?))),
+        overshoot_percent: others.iter().map(|other| other.plate.overshoot_percent).fold(0.0, f64::max),
+        gain_margin: smallest(|other| other.gain_margin),
+        phase_margin_deg: smallest(|other| other.phase_margin_deg),
+        delay_margin_ms: smallest(|other| other.delay_margin_ms),
+    }
+}

@@ -1,0 +1,23 @@
+//! Loops, held against known figures, against each other and against the firmware's own code.
+#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
+
+mod detuned_start;
+mod firmware_agreement;
+mod known_values;
+mod linear_plant;
+mod tables;
+mod tuning;
+
+use platebench_plate::Plate;
+use platebench_plate::RawPlate;
+
+/// The paper's plate.
+fn paper_plate() -> Plate {
+    let text = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
+    toml::from_str::<RawPlate>(text).unwrap().check().unwrap()
+}
+
+#[track_caller]
+fn assert_close(found: f64, expected: f64, tolerance: f64) {
+    assert!((found - expected).abs() <= tolerance, "{found} instead of {expected} ± {tolerance}");
+}

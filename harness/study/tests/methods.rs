@@ -1,0 +1,263 @@
+//! The methods keep what their books promise: order, stability, tolerance.
+
+#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
+
+use platebench_plate::RawPlate;
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plate, Profile, Tier, Time};
+use platebench_study::integration::problem::ProblemParameters;
+use platebench_study::integration::stability::{self, StepLimitRow};
+use platebench_study::integration::sweep::cheapest_from_a_crate;
+use platebench_study::integration::{
+    AdaptiveMethod, EquationForm, FixedStepMethod, IntegrationMethod, Replay, ReplayResult, ReplaySpec, Solver,
+    SolverStatus, StepLimit, SweepConfig, sweep,
+};
+use rstest::rstest;
+use std::time::Duration;
+
+fn paper_plate() -> Plate {
+    let text = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
+    toml::from_str::<RawPlate>(text).unwrap().check().unwrap()
+}
+
+fn ms(ms: f64) -> Time {
+    Time::from_ms(ms).unwrap()
+}
+
+fn constant_scene() -> ConditionProfiles {
+    ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.5) }
+}
+
+/// From rest through drives that change every period, one of them in the middle of one.
+fn replay_from_rest(scene: &ConditionProfiles, periods: u32) -> Replay {
+    let plate = paper_plate();
+    let drive = |vpp: f64, detuning: f64| Drive { vpp, omega: plate.omega0 + detuning };
+    let drives = [(ms(0.0), drive(500.0, -545.0)), (ms(1.0), drive(200.0, -200.0)), (ms(2.4), drive(290.0, 30.0))];
+    let course = ReplaySpec {
+        plate: &plate,
+        scene,
+        drives: &drives,
+        period: ms(1.0),
+        end: ms(f64::from(periods)),
+        setpoint_um: 2.0,
+    };
+    Replay::new(&course)
+}
+
+fn integrate_replay(passage: &Replay, frame: EquationForm, method: IntegrationMethod, setting: f64) -> ReplayResult {
+    let mut outcome = ReplayResult::new();
+    passage.integrate(frame, method, setting, &mut outcome);
+    outcome
+}
+
+fn integration_error(
+    passage: &Replay,
+    frame: EquationForm,
+    method: IntegrationMethod,
+    setting: f64,
+    truth: &[Complex64],
+) -> f64 {
+    let outcome = integrate_replay(passage, frame, method, setting);
+    assert_eq!(outcome.failure, None);
+    passage.relative_error(&outcome.samples, truth)
+}
+
+/// The slope of log error over log step where halving is in the asymptotic range of both.
+#[rstest]
+#[case(EquationForm::Envelope, FixedStepMethod::Euler, 6)]
+#[case(EquationForm::Envelope, FixedStepMethod::RungeKutta4, 3)]
+#[case(EquationForm::Envelope, FixedStepMethod::Midpoint, 5)]
+#[case(EquationForm::Modal, FixedStepMethod::RungeKutta4, 12)]
+#[case(EquationForm::Modal, FixedStepMethod::Midpoint, 13)]
+#[case(EquationForm::Carrier, FixedStepMethod::RungeKutta4, 12)]
+#[case(EquationForm::Carrier, FixedStepMethod::Midpoint, 13)]
+#[case(EquationForm::Carrier, FixedStepMethod::Verlet, 13)]
+fn each_method_converges_with_its_order(
+    #[case] frame: EquationForm,
+    #[case] method: FixedStepMethod,
+    #[case] power: i32,
+) {
+    let passage = replay_from_rest(&constant_scene(), 3);
+    let truth = passage.exact_samples(frame);
+    let error = |power: i32| {
+        integration_error(&passage, frame, IntegrationMethod::Fixed(method), 1e-3 * 0.5_f64.powi(power), &truth)
+    };
+    let slope = (error(power) / error(power + 1)).log2();
+    assert!((slope - f64::from(method.order())).abs() < 0.12, "{slope}");
+}
+
+/// Where a mode moves the order stays: the clock is where it should be in every stage.
+#[rstest]
+#[case(EquationForm::Envelope, FixedStepMethod::RungeKutta4, 3)]
+#[case(EquationForm::Envelope, FixedStepMethod::Midpoint, 5)]
+#[case(EquationForm::Modal, FixedStepMethod::RungeKutta4, 12)]
+#[case(EquationForm::Carrier, FixedStepMethod::Verlet, 13)]
+fn a_varying_mode_keeps_the_order(#[case] frame: EquationForm, #[case] method: FixedStepMethod, #[case] power: i32) {
+    let passage = replay_from_rest(&varying_scene(), 2);
+    assert!(passage.is_time_varying());
+    let truth = integrate_replay(&passage, frame, IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-13).samples;
+    let error = |power: i32| {
+        integration_error(&passage, frame, IntegrationMethod::Fixed(method), 1e-3 * 0.5_f64.powi(power), &truth)
+    };
+    let slope = (error(power) / error(power + 1)).log2();
+    assert!((slope - f64::from(method.order())).abs() < 0.15, "{slope}");
+}
+
+/// 1 N in 5 ms: twenty times as fast as the paper's finger.
+fn varying_scene() -> ConditionProfiles {
+    let line = toml::from_str::<Document>("p = { linear = [[0.0, 0.0], [5.0, 1.0]] }").unwrap().p;
+    ConditionProfiles {
+        temperature_offset_k: Profile::constant(0.0),
+        finger_force_n: line.check(std::path::Path::new(".")).unwrap(),
+    }
+}
+
+#[derive(serde::Deserialize)]
+struct Document {
+    p: platebench_plate::RawProfile,
+}
+
+/// Each crate gets as far as it is asked to, within what accumulates over 65 turns per millisecond.
+#[rstest]
+fn crates_reach_their_tolerance(
+    #[values(EquationForm::Envelope, EquationForm::Modal, EquationForm::Carrier)] frame: EquationForm,
+    #[values(AdaptiveMethod::Dopri5, AdaptiveMethod::Dop853, AdaptiveMethod::DeDop853, AdaptiveMethod::DeVerner98)]
+    method: AdaptiveMethod,
+) {
+    let passage = replay_from_rest(&constant_scene(), 3);
+    let truth = passage.exact_samples(frame);
+    let error = |tolerance| integration_error(&passage, frame, IntegrationMethod::Adaptive(method), tolerance, &truth);
+    let [coarse, fine] = [1e-7, 1e-10].map(error);
+    assert!(fine < 200.0 * 1e-10, "{fine:e}");
+    // A tolerance that changes nothing is the trap that this crate walks around.
+    assert!(fine < 0.01 * coarse || coarse < 1e-9, "{coarse:e} {fine:e}");
+}
+
+#[test]
+fn closed_form_and_integrator_agree_on_a_varying_mode() {
+    let passage = replay_from_rest(&varying_scene(), 3);
+    for frame in EquationForm::ALL {
+        let tight =
+            integrate_replay(&passage, frame, IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-13).samples;
+        // What a moving mode may cost, `docs/mathematics.md`.
+        let error = passage.relative_error(&passage.exact_samples(frame), &tight);
+        assert!(error < 8.4e-7, "{frame:?} {error:e}");
+    }
+}
+
+fn limits() -> Vec<StepLimitRow> {
+    stability::step_limits(&paper_plate())
+}
+
+#[test]
+fn measured_limits_match_theory() {
+    for row in limits() {
+        match (row.measured, row.predicted) {
+            (StepLimit::Step(_), StepLimit::Step(_)) => assert!(row.deviation().unwrap().abs() < 0.02, "{row:?}"),
+            (measured, predicted) => assert_eq!(measured, predicted, "{row:?}"),
+        }
+    }
+}
+
+#[test]
+fn motion_decays_below_the_limit_and_grows_above() {
+    let rows = limits();
+    let seen: Vec<_> = rows.iter().filter_map(|row| Some((row, row.growth_decades?))).collect();
+    assert_eq!(seen.len(), 8, "{seen:?}");
+    for (row, [below, above]) in seen {
+        assert!(below < -1.0 && above > 1.0, "{row:?}");
+    }
+}
+
+#[rstest]
+#[case("explicit Euler", "envelope, 545 rad/s off", 1.834e-3)]
+#[case("explicit Euler", "envelope, 2 N, amplitude loop closed", 0.967e-3)]
+#[case("RK4", "modal, resonant", 6.97e-6)]
+#[case("Störmer-Verlet", "carrier", 9.852e-6)]
+fn limits_known_by_number(#[case] method: &str, #[case] problem: &str, #[case] step: f64) {
+    let rows = limits();
+    let row = rows.iter().find(|row| row.method == method && row.problem == problem).unwrap();
+    let StepLimit::Step(measured) = row.measured else { panic!("{row:?}") };
+    assert!((measured / step - 1.0).abs() < 1e-3, "{measured}");
+}
+
+/// The period of the paper's controller lies between both limits under 2 N: the plate alone is
+/// stable in Euler's hands, the loop is not.
+#[test]
+fn a_closed_loop_is_unstable_before_its_plate() {
+    let rows = limits();
+    let limit = |problem: &str| match rows.iter().find(|row| row.problem == problem).unwrap().measured {
+        StepLimit::Step(step) => step,
+        other => panic!("{other:?}"),
+    };
+    assert!(limit("envelope, 2 N, amplitude loop closed") < 1e-3 && 1e-3 < limit("envelope, 2 N, 545 rad/s off"));
+}
+
+#[test]
+fn limits_as_csv_have_a_field_for_every_column() {
+    let csv = stability::to_csv(&limits());
+    let fields = |line: &str| line.split('"').step_by(2).map(|outside| outside.matches(',').count()).sum::<usize>() + 1;
+    assert!(csv.lines().all(|line| fields(line) == 9), "{csv}");
+    assert!(csv.contains("never") && csv.contains("always"));
+}
+
+#[test]
+fn failures_are_reported() {
+    let passage = replay_from_rest(&constant_scene(), 3);
+    let failed = |frame, method, setting| {
+        integrate_replay(&passage, frame, method, setting).failure.map(|failure| failure.to_string())
+    };
+    assert_eq!(
+        failed(EquationForm::Modal, IntegrationMethod::Fixed(FixedStepMethod::RungeKutta4), 7.1e-6).as_deref(),
+        Some("diverged")
+    );
+    assert_eq!(failed(EquationForm::Modal, IntegrationMethod::Fixed(FixedStepMethod::RungeKutta4), 6.9e-6), None);
+    assert_eq!(
+        failed(EquationForm::Envelope, IntegrationMethod::Fixed(FixedStepMethod::Verlet), 1e-3).as_deref(),
+        Some("unsupported form of problem")
+    );
+    // A tolerance that no double can keep ends, and says why.
+    assert!(failed(EquationForm::Modal, IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-30).is_some());
+    let stuck =
+        integrate_replay(&passage, EquationForm::Modal, IntegrationMethod::Fixed(FixedStepMethod::RungeKutta4), 7.1e-6);
+    assert!(
+        stuck.samples.len() < 3
+            && passage.relative_error(&stuck.samples, &passage.exact_samples(EquationForm::Modal)).is_infinite()
+    );
+}
+
+#[test]
+fn a_sweep_covers_every_problem_and_marks_failures() {
+    let passage = replay_from_rest(&constant_scene(), 3);
+    let measured = sweep(&passage, &SweepConfig { rounds: 1, batch: Duration::ZERO, stride: 4 });
+    for tier in Tier::ALL {
+        let exact = measured.iter().find(|row| row.solver == Solver::Exact(tier)).unwrap();
+        assert!(exact.numerical_error < 1e-9 && exact.status == SolverStatus::Ok, "{exact:?}");
+    }
+    for row in &measured {
+        assert!(row.ns_per_ms > 0.0 && row.ns_per_ms.is_finite(), "{row:?}");
+        assert_eq!(
+            row.status == SolverStatus::Ok,
+            row.numerical_error.is_finite() && row.numerical_error < 2.0,
+            "{row:?}"
+        );
+        assert!(
+            row.total_error <= row.numerical_error + row.model_error + 1e-9 || row.total_error.is_infinite(),
+            "{row:?}"
+        );
+    }
+    assert!(measured.iter().any(|row| row.status == SolverStatus::Diverged));
+    let peer = cheapest_from_a_crate(&measured, "modal", 1e-6).unwrap();
+    assert!(peer.solver.is_from_a_crate() && peer.numerical_error <= 1e-6);
+    assert!(cheapest_from_a_crate(&measured, "modal", 0.0).is_none());
+}
+
+#[test]
+fn only_varying_conditions_make_a_mode_vary() {
+    let mode = paper_plate().mode(&Conditions::default());
+    let still = ProblemParameters::constant(mode, Drive::default());
+    assert!(
+        !still.is_time_varying()
+            && ProblemParameters { sigma_rate: 1.0, ..still }.is_time_varying()
+            && ProblemParameters { omega0_rate: -1.0, ..still }.is_time_varying()
+    );
+}

@@ -1,0 +1,159 @@
+//! Replaces a file as a whole: after a kill or a power cut it has its old content or its new one.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// Ends the name of a file that is not whole yet.
+const TEMPORARY_SUFFIX: &str = ".part";
+
+/// A file that gets its name once it is whole; removed if it is dropped before.
+#[derive(Debug)]
+pub struct AtomicFile {
+    file: File,
+    temporary: TemporaryPath,
+    path: PathBuf,
+}
+
+/// Removes its file when dropped. After the rename there is nothing to remove.
+#[derive(Debug)]
+struct TemporaryPath(PathBuf);
+
+impl Drop for TemporaryPath {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+impl AtomicFile {
+    /// Starts the file that replaces `path`. Its folder must exist.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        let mut temporary = path.to_owned().into_os_string();
+        temporary.push(TEMPORARY_SUFFIX);
+        let temporary = TemporaryPath(temporary.into());
+        Ok(Self { file: File::create(&temporary.0)?, temporary, path: path.to_owned() })
+    }
+
+    /// Gives the file its name and brings both to the disk.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn commit(self) -> io::Result<()> {
+        self.file.sync_all()?;
+        fs::rename(&self.temporary.0, &self.path)?;
+        self.path.parent().map_or(Ok(()), sync)
+    }
+
+    /// Gives the file its name without waiting for the disk: a kill leaves it whole, a power cut may not.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn commit_without_sync(self) -> io::Result<()> {
+        fs::rename(&self.temporary.0, &self.path)
+    }
+}
+
+impl Write for AtomicFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// Replaces the file at `path` by one with this content.
+///
+/// # Errors
+/// The operating system's. The earlier file is then still there.
+pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
+    let mut file = AtomicFile::create(path)?;
+    file.write_all(content)?;
+    file.commit()
+}
+
+/// Brings everything below `folder`, and its own entry, to the disk.
+///
+/// # Errors
+/// The path that failed, with the operating system's error.
+pub fn sync_tree(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
+    let at = |path: &Path| {
+        let path = path.to_owned();
+        |error| (path, error)
+    };
+    for entry in fs::read_dir(folder).map_err(at(folder))? {
+        let entry = entry.map_err(at(folder))?;
+        let path = entry.path();
+        if entry.file_type().map_err(at(&path))?.is_dir() {
+            sync_tree(&path)?;
+        } else {
+            sync(&path).map_err(at(&path))?;
+        }
+    }
+    sync(folder).map_err(at(folder))?;
+    folder.parent().map_or(Ok(()), sync).map_err(at(folder))
+}
+
+/// Removes the files directly in `folder` that a kill left unfinished.
+///
+/// # Errors
+/// The path that failed, with the operating system's error.
+pub fn remove_temporary_files(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
+    for entry in fs::read_dir(folder).map_err(|error| (folder.to_owned(), error))? {
+        let path = entry.map_err(|error| (folder.to_owned(), error))?.path();
+        if path.is_file() && path.as_os_str().to_string_lossy().ends_with(TEMPORARY_SUFFIX) {
+            fs::remove_file(&path).map_err(|error| (path, error))?;
+        }
+    }
+    Ok(())
+}
+
+fn sync(path: &Path) -> io::Result<()> {
+    // The parent of a bare file name is the empty path.
+    let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
+    File::open(path)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn replaces_the_content_and_leaves_no_other_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        for content in ["first", "2"] {
+            write_atomically(&path, content.as_bytes()).unwrap();
+            assert_eq!(fs::read_to_string(&path).unwrap(), content);
+        }
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn keeps_the_old_content_until_the_commit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        write_atomically(&path, b"old").unwrap();
+        let mut file = AtomicFile::create(&path).unwrap();
+        file.write_all(b"new").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        drop(file);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn removes_unfinished_files_only() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.json", "b.json.part"] {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        remove_temporary_files(folder.path()).unwrap();
+        sync_tree(folder.path()).unwrap();
+        assert!(folder.path().join("a.json").exists() && !folder.path().join("b.json.part").exists());
+    }
+}

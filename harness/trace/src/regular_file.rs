@@ -1,0 +1,78 @@
+//! Opens files that a person or another program may have replaced.
+//!
+//! A FIFO blocks, a device may never end, and a huge file exhausts the memory. Every file of a run folder, every
+//! baseline and every key is therefore read through this module.
+
+use rustix::fs::OFlags;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+/// Opens a regular file of at most `max_bytes`. Reading ends there even if the file grows.
+///
+/// # Errors
+/// The operating system's; [`io::ErrorKind::InvalidInput`] for a FIFO, a device, a folder or a larger file.
+pub fn open_regular_file(path: &Path, max_bytes: u64) -> io::Result<io::Take<File>> {
+    // Without this flag opening a FIFO waits for a writer.
+    let nonblock = OFlags::NONBLOCK.bits().cast_signed();
+    let file = OpenOptions::new().read(true).custom_flags(nonblock).open(path)?;
+    let metadata = file.metadata()?;
+    let refuse = |what: String| Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+    if !metadata.is_file() {
+        return refuse("not a regular file".to_owned());
+    }
+    if metadata.len() > max_bytes {
+        return refuse(format!("{} bytes, expected at most {max_bytes}", metadata.len()));
+    }
+    Ok(file.take(max_bytes))
+}
+
+/// Reads a regular file of at most `max_bytes`.
+///
+/// # Errors
+/// See [`open_regular_file`].
+pub fn read_regular_file(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+    let mut content = Vec::new();
+    open_regular_file(path, max_bytes)?.read_to_end(&mut content)?;
+    Ok(content)
+}
+
+/// Reads a regular file of at most `max_bytes` as UTF-8.
+///
+/// # Errors
+/// See [`open_regular_file`]; [`io::ErrorKind::InvalidData`] if it is not UTF-8.
+pub fn read_text_file(path: &Path, max_bytes: u64) -> io::Result<String> {
+    let mut text = String::new();
+    open_regular_file(path, max_bytes)?.read_to_string(&mut text)?;
+    Ok(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rustix::fs::{CWD, FileType, Mode, mknodat};
+    use std::fs;
+
+    #[test]
+    fn reads_a_file_up_to_its_limit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        fs::write(&path, "12345").unwrap();
+        assert_eq!(read_text_file(&path, 5).unwrap(), "12345");
+        assert_eq!(read_regular_file(&path, 4).unwrap_err().to_string(), "5 bytes, expected at most 4");
+    }
+
+    #[test]
+    fn rejects_what_is_not_a_regular_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let fifo = folder.path().join("fifo");
+        mknodat(CWD, &fifo, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("/dev/zero", &link).unwrap();
+        for path in [fifo.as_path(), &link, folder.path(), Path::new("/dev/zero")] {
+            let error = open_regular_file(path, 1_000).unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::InvalidInput, "{}", path.display());
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! Wraps the link to a correct controller and changes messages in both directions.
+
+use platebench_rig::{Link, LinkError};
+use platebench_wire::{Command, Configure, Configured, ControllerState, Gains, Message, Packet, PacketReader, Sample};
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// A mistake with its state. The default of each method changes nothing.
+pub trait Mutant: Send {
+    /// Changes a message to the controller.
+    fn on_receive(&mut self, packet: &mut Packet) {
+        match &mut packet.message {
+            Message::Configure(configure) => self.on_configure(configure),
+            Message::Sample(sample) => self.on_sample(sample),
+            _ => {}
+        }
+    }
+
+    /// Changes a message to the bench. By default only commands in state `Running` are changed.
+    fn on_send(&mut self, packet: &mut Packet) {
+        match &mut packet.message {
+            Message::Configured(Configured { outcome: Ok(gains) }) => self.on_configured(gains),
+            Message::Command(command) if command.state == ControllerState::Running => self.on_command(command),
+            _ => {}
+        }
+    }
+
+    /// Changes the configuration.
+    fn on_configure(&mut self, _configure: &mut Configure) {}
+
+    /// Receives the gains that the controller designed.
+    fn on_configured(&mut self, _gains: &Gains) {}
+
+    /// Changes a sample.
+    fn on_sample(&mut self, _sample: &mut Sample) {}
+
+    /// Changes a command.
+    fn on_command(&mut self, _command: &mut Command) {}
+
+    /// Replaces an undecodable frame, delimiter included; `None` drops it.
+    fn on_unreadable_frame(&mut self, frame: &[u8]) -> Option<Vec<u8>> {
+        Some(frame.to_vec())
+    }
+
+    /// A packet that the controller receives before the sample with this sequence number.
+    fn before_sample(&mut self, _sequence: u8) -> Option<Packet> {
+        None
+    }
+
+    /// True if the controller reads its line byte by byte.
+    fn reads_bytewise(&self) -> bool {
+        false
+    }
+
+    /// Delay of the next command.
+    fn command_delay(&mut self) -> Duration {
+        Duration::ZERO
+    }
+}
+
+/// Longest run of bytes without a delimiter that is stored before it is passed on.
+const MAX_UNDELIMITED_BYTES: usize = 4096;
+
+/// The controller behind `inner` with a mistake. In lockstep only.
+pub struct MutantController<L> {
+    inner: L,
+    build: fn() -> Box<dyn Mutant>,
+    mutant: Box<dyn Mutant>,
+    received: Vec<u8>,
+    reader: PacketReader,
+    scratch: Vec<u8>,
+    /// Packets to the bench in order, with their time of arrival.
+    outgoing: VecDeque<(Duration, Packet)>,
+}
+
+impl<L: Link> MutantController<L> {
+    /// Wraps `inner`; calls `build` for every trial.
+    pub fn new(inner: L, build: fn() -> Box<dyn Mutant>) -> Self {
+        Self {
+            inner,
+            build,
+            mutant: build(),
+            received: Vec::new(),
+            reader: PacketReader::new(),
+            scratch: Vec::new(),
+            outgoing: VecDeque::new(),
+        }
+    }
+
+    /// Passes a frame with its delimiter to the controller. Returns the controller's compute time.
+    fn deliver(&mut self, now: Duration, frame: &[u8]) -> Result<Duration, LinkError> {
+        let Some(mut packet) = decode(frame) else {
+            let kept = if frame.len() > 1 { self.mutant.on_unreadable_frame(frame) } else { Some(frame.to_vec()) };
+            return kept.map_or(Ok(Duration::ZERO), |bytes| self.exchange_raw(now, &bytes));
+        };
+        match packet.message {
+            Message::Configure(_) => self.outgoing.clear(),
+            Message::Sample(_) => {
+                if let Some(own) = self.mutant.before_sample(packet.sequence) {
+                    self.exchange_raw(now, own.encode().as_bytes())?;
+                }
+            }
+            _ => {}
+        }
+        self.mutant.on_receive(&mut packet);
+        self.exchange_raw(now, packet.encode().as_bytes())
+    }
+
+    fn exchange_raw(&mut self, now: Duration, bytes: &[u8]) -> Result<Duration, LinkError> {
+        let chunk = if self.mutant.reads_bytewise() { 1 } else { bytes.len().max(1) };
+        let mut took = Duration::ZERO;
+        for chunk in bytes.chunks(chunk) {
+            took += self.inner.exchange(now, chunk, &mut self.scratch)?;
+            self.queue_answers(now);
+        }
+        Ok(took)
+    }
+
+    /// Queues the controller's answers from `scratch`.
+    fn queue_answers(&mut self, now: Duration) {
+        for byte in self.scratch.drain(..) {
+            let Some(Ok(mut packet)) = self.reader.push(byte) else { continue };
+            self.mutant.on_send(&mut packet);
+            let acts = matches!(packet.message, Message::Command(Command { state: ControllerState::Running, .. }));
+            let due = now + if acts { self.mutant.command_delay() } else { Duration::ZERO };
+            let due = self.outgoing.back().map_or(due, |(before, _)| due.max(*before));
+            self.outgoing.push_back((due, packet));
+        }
+    }
+
+    fn send_due(&mut self, now: Duration, answer: &mut Vec<u8>) {
+        while let Some((_, packet)) = self.outgoing.pop_front_if(|(due, _)| *due <= now) {
+            answer.extend_from_slice(packet.encode().as_bytes());
+        }
+    }
+}
+
+impl<L: Link> Link for MutantController<L> {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let mut took = Duration::ZERO;
+        for &byte in bytes {
+            self.received.push(byte);
+            if byte == 0 || self.received.len() >= MAX_UNDELIMITED_BYTES {
+                let frame = std::mem::take(&mut self.received);
+                took += self.deliver(now, &frame)?;
+            }
+        }
+        self.send_due(now, answer);
+        Ok(took)
+    }
+
+    fn advance_to(&mut self, now: Duration, answer: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.inner.advance_to(now, &mut self.scratch)?;
+        self.queue_answers(now);
+        self.send_due(now, answer);
+        Ok(())
+    }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        let restarted = self.inner.restart()?;
+        self.mutant = (self.build)();
+        self.received.clear();
+        self.scratch.clear();
+        self.outgoing.clear();
+        self.reader = PacketReader::new();
+        Ok(restarted)
+    }
+
+    fn instruction_count(&self) -> Option<u64> {
+        self.inner.instruction_count()
+    }
+}
+
+/// The packet of a frame with its delimiter.
+fn decode(frame: &[u8]) -> Option<Packet> {
+    PacketReader::new().packets(frame).next().and_then(Result::ok)
+}

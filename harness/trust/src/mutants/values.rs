@@ -1,0 +1,69 @@
+//! Mutates the numbers of configurations, samples and commands.
+
+use crate::mutant_controller::Mutant;
+use platebench_wire::{Command, Configure, Sample};
+
+/// Changes nothing.
+pub(crate) struct NoMutation;
+
+impl Mutant for NoMutation {}
+
+/// Changes the configuration.
+pub(crate) struct OnConfigure(pub(crate) fn(&mut Configure));
+
+impl Mutant for OnConfigure {
+    fn on_configure(&mut self, configure: &mut Configure) {
+        (self.0)(configure);
+    }
+}
+
+/// Changes samples.
+pub(crate) struct OnSample(pub(crate) fn(&mut Sample));
+
+impl Mutant for OnSample {
+    fn on_sample(&mut self, sample: &mut Sample) {
+        (self.0)(sample);
+    }
+}
+
+/// Changes commands.
+pub(crate) struct OnCommand(pub(crate) fn(&mut Command));
+
+impl Mutant for OnCommand {
+    fn on_command(&mut self, command: &mut Command) {
+        (self.0)(command);
+    }
+}
+
+/// Limits the drive to `share` of the untouched plate's: a plausibility check that ignores the
+/// finger.
+pub(crate) struct TightPlausibilityLimit {
+    share: f32,
+    gain: f32,
+    setpoint: f32,
+}
+
+impl TightPlausibilityLimit {
+    pub(crate) fn new(share: f32) -> Self {
+        Self { share, gain: 1.0, setpoint: 0.0 }
+    }
+}
+
+impl Mutant for TightPlausibilityLimit {
+    fn on_configure(&mut self, configure: &mut Configure) {
+        self.gain = configure.gain_um_per_vpp;
+    }
+
+    fn on_sample(&mut self, sample: &mut Sample) {
+        self.setpoint = sample.setpoint_um;
+    }
+
+    fn on_command(&mut self, command: &mut Command) {
+        command.drive_vpp = command.drive_vpp.min(self.share * self.setpoint / self.gain);
+    }
+}
+
+/// The nearest multiple of `step`.
+pub(crate) fn round_to_step(value: f32, step: f32) -> f32 {
+    (value / step).round() * step
+}

@@ -1,0 +1,72 @@
+//! Decides whether a trial on the simulated plate counts.
+
+use platebench_plate::Time;
+use platebench_record::{Exclusion, Telemetry};
+use platebench_scenario::{Metric, Scenario};
+use platebench_trace::{Flags, Row};
+
+/// An oscillator on the chip is off by 1 %, a crystal by some 100 ppm; a wrongly configured timer is off by a factor.
+const CLOCK_TOLERANCE_PPM: f64 = 20_000.0;
+/// One stall of the computer at either end of a trial, s.
+const STALL_S: f64 = 0.05;
+/// Half a nanosecond: instants are whole nanoseconds.
+const INSTANT_ROUNDING_S: f64 = 0.5e-9;
+
+/// An instant in ms, rounded to 1 ns.
+pub(crate) fn rounded_ms(t_s: f64) -> f64 {
+    (t_s * 1e9).round() / 1e6
+}
+
+/// Why a trial does not count, if a disturbance was not the controller's.
+pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<Exclusion> {
+    let timing = telemetry.timing.as_ref();
+    let clock = timing.filter(|timing| timing.pacing == "target");
+    let clock = clock.and_then(|timing| timing.target_clock_ppm.zip(timing.target_clock_error_ppm));
+    unplanned_silence(scenario, rows)
+        .or_else(|| late_bench(scenario, rows))
+        .or_else(|| clock.and_then(|(ppm, error)| wrong_clock(scenario, ppm, error)))
+        .or_else(|| lost_rows(timing.map_or(0, |timing| timing.lost_rows)))
+        .or_else(|| incomplete_trace(scenario, rows))
+}
+
+/// A missing answer, unless a planned fault explains it.
+fn unplanned_silence(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
+    let is_planned = |row: &&Row| Time::from_seconds(row.t_s).is_some_and(|time| scenario.explains_silence(time));
+    let mut flagged = rows.iter().filter(|row| row.flags.contains(Flags::LINK_LOST));
+    flagged.find(|row| !is_planned(row)).map(|row| Exclusion::NoAnswer { at_ms: rounded_ms(row.t_s) })
+}
+
+/// Overruns beyond the number that the scenario allows.
+fn late_bench(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
+    let late = || rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN));
+    let expectations = scenario.expectations.iter();
+    let limits = expectations.filter(|expectation| expectation.metric == Metric::Overruns);
+    let allowed = limits.map(|expectation| expectation.range().1).reduce(f64::min).unwrap_or(0.0);
+    let (count, first) = (late().count(), late().next()?);
+    (count as f64 > allowed).then(|| Exclusion::LateBench { count, first_ms: rounded_ms(first.t_s) })
+}
+
+/// A controller whose timer makes other control instants than those of the scenario.
+pub(crate) fn wrong_clock(scenario: &Scenario, ppm: f64, error_ppm: f64) -> Option<Exclusion> {
+    let allowed = CLOCK_TOLERANCE_PPM + 4.0 * error_ppm + STALL_S / scenario.duration.seconds() * 1e6;
+    (ppm.abs() > allowed).then_some(Exclusion::WrongClock { ppm })
+}
+
+pub(crate) fn lost_rows(count: u64) -> Option<Exclusion> {
+    (count > 0).then_some(Exclusion::LostRows { count })
+}
+
+fn incomplete_trace(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
+    if let Some(first) = rows.first().filter(|row| row.t_s > 0.0) {
+        return Some(Exclusion::LateStart { at_ms: rounded_ms(first.t_s) });
+    }
+    let widest = scenario.trace_step.seconds() + INSTANT_ROUNDING_S;
+    let gap = rows.windows(2).find(|pair| matches!(pair, [left, right] if right.t_s - left.t_s > widest));
+    if let Some([left, right]) = gap {
+        let [from_ms, to_ms] = [left, right].map(|row| rounded_ms(row.t_s));
+        return Some(Exclusion::Gap { from_ms, to_ms, step_ms: scenario.trace_step.ms() });
+    }
+    let end = rows.last().map_or(0.0, |row| row.t_s);
+    (end < scenario.duration.seconds())
+        .then(|| Exclusion::EarlyEnd { at_ms: rounded_ms(end), duration_ms: scenario.duration.ms() })
+}

@@ -1,0 +1,154 @@
+//! Holds golden curves and compares trials with them. `docs/verdicts.md` explains their width.
+
+use crate::statistics::proportion::probability_at_least;
+use crate::tube::{Exceedance, TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
+use platebench_record::Verdict;
+use platebench_trace::Row;
+use serde::Serialize;
+
+/// More trials outside a learned tube than this probability allows are a failure.
+const SIGNIFICANCE_LEVEL: f64 = 0.05;
+/// Rounding error of a probability.
+const PROBABILITY_ROUNDING: f64 = 1e-12;
+
+/// The golden curves of a scenario.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GoldenTubes {
+    /// One per signal.
+    pub tubes: Vec<Tube>,
+    /// Spacing of the instants that are compared in addition to the curves' own, ms.
+    pub step_ms: Option<f64>,
+    /// Share of unchanged trials that leave a learned tube; `None` for a tube that was not learned.
+    pub false_alarm_rate: Option<f64>,
+}
+
+/// Result of comparing one trial.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TubeMatch {
+    /// Inside every tube.
+    Inside,
+    /// Outside at least one tube; the worst exceedance.
+    Outside(Exceedance),
+    /// Starts or ends at another instant, so a part is not compared.
+    Length {
+        /// First and last instant of the trial, ms.
+        trial_ms: [f64; 2],
+        /// Of the golden curves, ms.
+        golden_ms: [f64; 2],
+    },
+}
+
+/// Result of comparing the trials of a scenario.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TubeComparison {
+    /// Over all trials.
+    pub verdict: Verdict,
+    /// Number of trials.
+    pub trials: usize,
+    /// Number of trials outside.
+    pub outside: usize,
+    /// The trial that is farthest outside, and where.
+    pub worst: Option<(u32, Exceedance)>,
+    /// Why it is not a pass.
+    pub reason: Option<String>,
+}
+
+impl GoldenTubes {
+    /// The curves of a trace with the default tolerances; `None` without rows.
+    pub fn from_rows(rows: &[Row]) -> Option<Self> {
+        let points = |signal: &TubeSignal| {
+            signal_response(signal, rows)
+                .into_iter()
+                .map(|(t_ms, value)| TubePoint { t_ms, value, width: 0.0 })
+                .collect()
+        };
+        let tube = |signal: &TubeSignal| Tube {
+            signal: signal.name.to_owned(),
+            tolerance: signal.tolerance,
+            points: points(signal),
+        };
+        (!rows.is_empty()).then(|| Self {
+            tubes: TUBE_SIGNALS.iter().map(tube).collect(),
+            step_ms: None,
+            false_alarm_rate: None,
+        })
+    }
+
+    /// Compares a trial with the curves.
+    pub fn match_trial(&self, rows: &[Row]) -> TubeMatch {
+        let exceedances = self.tubes.iter().filter_map(|tube| {
+            let signal = TubeSignal::from_name(&tube.signal)?;
+            tube.worst_exceedance(&signal_response(signal, rows), self.step_ms)
+        });
+        if let Some(worst) =
+            exceedances.reduce(|worst, other| if other.ratio() > worst.ratio() { other } else { worst })
+        {
+            return TubeMatch::Outside(worst);
+        }
+        let ms = |row: Option<&Row>| row.map_or(f64::NAN, |row| row.t_s * 1e3);
+        let trial_ms = [ms(rows.first()), ms(rows.last())];
+        let other_length = self.tubes.iter().find(|tube| {
+            let (from, to) = tube.span_ms();
+            // Instants are whole nanoseconds.
+            let near = |one: f64, other: f64| (one - other).abs() <= tube.tolerance.time_ms + 0.5e-6;
+            !(near(from, trial_ms[0]) && near(to, trial_ms[1]))
+        });
+        match other_length {
+            Some(tube) => TubeMatch::Length { trial_ms, golden_ms: [tube.span_ms().0, tube.span_ms().1] },
+            None => TubeMatch::Inside,
+        }
+    }
+
+    /// Compares trials (number, rows) with the curves.
+    ///
+    /// Every trial must be inside. A learned tube fails if the probability of so many trials outside is at most 5 %.
+    pub fn compare<R: AsRef<[Row]>>(&self, trials: impl IntoIterator<Item = (u32, R)>) -> TubeComparison {
+        let mut comparison =
+            TubeComparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: None };
+        let mut other_length = None;
+        for (index, rows) in trials {
+            comparison.trials += 1;
+            match self.match_trial(rows.as_ref()) {
+                TubeMatch::Inside => {}
+                TubeMatch::Outside(found) => {
+                    comparison.outside += 1;
+                    let is_worst = comparison.worst.as_ref().is_none_or(|(_, worst)| found.ratio() > worst.ratio());
+                    if is_worst {
+                        comparison.worst = Some((index, found));
+                    }
+                }
+                TubeMatch::Length { trial_ms: [from, to], golden_ms: [begin, end] } => {
+                    other_length.get_or_insert_with(|| {
+                        format!("trial {index} runs from {from} to {to} ms, the baseline from {begin} to {end} ms")
+                    });
+                }
+            }
+        }
+        let (verdict, reason) = self.decide_verdict(&comparison, other_length);
+        TubeComparison { verdict, reason, ..comparison }
+    }
+
+    fn decide_verdict(&self, comparison: &TubeComparison, other_length: Option<String>) -> (Verdict, Option<String>) {
+        let (outside, trials) = (comparison.outside as u32, comparison.trials as u32);
+        let rate = self.false_alarm_rate.unwrap_or(0.0);
+        let expected = rate * f64::from(trials);
+        let summary = match self.false_alarm_rate {
+            Some(_) => format!("{outside} of {trials} trials lie outside, expected {expected:.1} by chance"),
+            None => format!("{outside} of {trials} trials lie outside"),
+        };
+        if trials == 0 {
+            (Verdict::Inconclusive, Some("no trial to compare".to_owned()))
+        } else if outside > 0
+            && probability_at_least(outside, trials, rate) <= SIGNIFICANCE_LEVEL + PROBABILITY_ROUNDING
+        {
+            (Verdict::Fail, Some(summary))
+        } else if f64::from(outside) > expected {
+            (Verdict::Inconclusive, Some(summary))
+        } else if other_length.is_some() {
+            (Verdict::Inconclusive, other_length)
+        } else {
+            (Verdict::Pass, None)
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! Judges the mean, a quantile or the standard deviation over trials.
+
+use super::outcome::{Containment, Outcome, containment};
+use crate::statistics::equivalence::widen_bounds;
+use crate::statistics::quantile::{min_values_for_bound, quantile_bounds};
+use crate::statistics::summary::agreement_power;
+use crate::statistics::{SampleSummary, deviation_bounds, mean_bounds};
+use platebench_record::{Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, WideBounds, percent};
+use platebench_scenario::{Aggregation, Expectation, Limit};
+
+/// A deviation agrees with a value if its interval excludes this multiple and this fraction of the value.
+const DISTINGUISHABLE_RATIO: f64 = 2.0;
+
+/// One statistic over trials.
+pub(super) struct OverTrials<'a> {
+    pub(super) expectation: &'a Expectation,
+    pub(super) statistic: Statistic,
+    /// Number of trials that count.
+    pub(super) counted: usize,
+    /// Confidence of each bound at this look.
+    pub(super) confidence: f64,
+    /// Error of the bench itself, in units of the metric.
+    pub(super) simulation_error: f64,
+    /// True if nothing in the scenario is random.
+    pub(super) is_deterministic: bool,
+    pub(super) diverged: Option<DivergedTrials>,
+}
+
+/// A statistic with bounds.
+struct Estimate {
+    value: f64,
+    bounds: [f64; 2],
+    evidence: Evidence,
+    wide: Option<WideBounds>,
+}
+
+/// True if all intervals are the same.
+pub(super) fn all_equal(spans: &[[f64; 2]]) -> bool {
+    spans.windows(2).all(|pair| matches!(pair, [one, other] if one == other))
+}
+
+fn column(spans: &[[f64; 2]], end: usize) -> Vec<f64> {
+    spans.iter().filter_map(|span| span.get(end)).copied().collect()
+}
+
+impl OverTrials<'_> {
+    /// Judges the intervals of the trials' values.
+    pub(super) fn judge(&self, spans: &[[f64; 2]]) -> Outcome {
+        match self.expectation.aggregation {
+            Aggregation::StandardDeviation => self.judge_deviation(spans),
+            Aggregation::Quantile(share) => self.judge_quantile(spans, share),
+            Aggregation::Mean | Aggregation::Each => self.judge_mean(spans),
+        }
+    }
+
+    fn too_few_trials(&self, value: Option<f64>, needed: usize) -> Outcome {
+        let reason = Reason::TooFewTrials { counted: self.counted, needed };
+        Outcome { value, ..Outcome::pass(self.statistic) }.inconclusive(Cause::Evidence, reason)
+    }
+
+    /// The common interval of all trials, if they cannot differ.
+    fn certain_interval(&self, spans: &[[f64; 2]]) -> Option<[f64; 2]> {
+        spans.first().copied().filter(|_| self.is_deterministic && all_equal(spans))
+    }
+
+    /// Mean of each trial's absolute value: errors of opposite sign do not cancel.
+    fn judge_mean(&self, spans: &[[f64; 2]]) -> Outcome {
+        let (lows, highs) = (column(spans, 0), column(spans, 1));
+        let Some(summary) = SampleSummary::of(&highs) else { return self.too_few_trials(None, 1) };
+        let (bounds, method) = if let Some(certain) = self.certain_interval(spans) {
+            (certain, None)
+        } else {
+            let bounds = mean_bounds(&lows, self.confidence).zip(mean_bounds(&highs, self.confidence));
+            let Some((([low, _], _), ([_, high], method))) = bounds else {
+                return self.too_few_trials(Some(summary.mean), 2);
+            };
+            ([low, high], Some(method))
+        };
+        let bounds = widen_bounds(bounds, self.simulation_error);
+        let (evidence, wide) = evidence_of_method(method);
+        self.judge_interval(&Estimate { value: summary.mean, bounds, evidence, wide })
+    }
+
+    /// A quantile of the trials, by order statistics.
+    fn judge_quantile(&self, spans: &[[f64; 2]], share: f64) -> Outcome {
+        let [lows, highs] = [0, 1].map(|end| quantile_bounds(&column(spans, end), share, self.confidence));
+        let Some(((_, [low, _]), (value, [_, high]))) = lows.zip(highs) else { return self.too_few_trials(None, 1) };
+        let certain = self.certain_interval(spans);
+        let bounds = widen_bounds(certain.unwrap_or([low, high]), self.simulation_error);
+        let (needed, trials) = (min_values_for_bound(share, self.confidence), spans.len());
+        let wide = (trials < needed as usize && certain.is_none()).then_some(WideBounds::TooFewForQuantile {
+            share,
+            needed,
+            trials,
+        });
+        let evidence = Evidence {
+            method: certain.is_none().then_some(EvidenceMethod::OrderStatistics),
+            quantile: Some(share),
+            says: wide.map(|wide| wide.to_string()),
+            ..Evidence::default()
+        };
+        self.judge_interval(&Estimate { value, bounds, evidence, wide })
+    }
+
+    /// The standard deviation over trials.
+    fn judge_deviation(&self, spans: &[[f64; 2]]) -> Outcome {
+        let values = column(spans, 1);
+        // Agreement with a value is a two-sided question.
+        let per_side = match self.expectation.limit {
+            Limit::About(_) => f64::midpoint(1.0, self.confidence),
+            _ => self.confidence,
+        };
+        let Some((summary, (bounds, method))) = SampleSummary::of(&values).zip(deviation_bounds(&values, per_side))
+        else {
+            return self.too_few_trials(None, 2);
+        };
+        let (value, trials) = (summary.deviation, summary.count);
+        let (evidence, wide) = evidence_of_method(Some(method));
+        let estimate = Estimate { value, bounds, evidence, wide };
+        if value == 0.0 {
+            return self.outcome_of(&estimate).inconclusive(Cause::Evidence, Reason::NoVariation { trials });
+        }
+        match self.expectation.limit {
+            Limit::About(expected) => self.judge_agreement(&estimate, trials, expected, method, per_side),
+            _ => self.judge_interval(&estimate),
+        }
+    }
+
+    fn outcome_of(&self, estimate: &Estimate) -> Outcome {
+        Outcome {
+            value: Some(estimate.value),
+            interval: Some(estimate.bounds),
+            confidence: Some(self.expectation.confidence),
+            evidence: estimate.evidence.clone(),
+            ..Outcome::pass(self.statistic)
+        }
+    }
+
+    /// Pass if the whole interval meets the limit, fail if no part of it does.
+    fn judge_interval(&self, estimate: &Estimate) -> Outcome {
+        let (limit, outcome) = (self.expectation.limit, self.outcome_of(estimate));
+        let (value, bounds) = (estimate.value, estimate.bounds.into());
+        match containment(self.expectation.range(), estimate.bounds) {
+            Containment::Inside => outcome,
+            Containment::Outside => {
+                let value = value.is_finite().then_some(value);
+                outcome.fail(Reason::Outside { value, bounds, limit, diverged: self.diverged })
+            }
+            Containment::Straddles => {
+                let reason = Reason::Undecided { trials: self.counted, bounds, limit, cause: estimate.wide };
+                outcome.inconclusive(Cause::Evidence, reason)
+            }
+        }
+    }
+
+    /// Pass if the interval of a deviation contains `expected` and excludes its half and double.
+    fn judge_agreement(
+        &self,
+        estimate: &Estimate,
+        trials: usize,
+        expected: f64,
+        method: EvidenceMethod,
+        per_side: f64,
+    ) -> Outcome {
+        let power_at = |ratio| agreement_power(trials, per_side, ratio);
+        let power = power_at(DISTINGUISHABLE_RATIO)
+            .zip(power_at(1.0 / DISTINGUISHABLE_RATIO))
+            .map(|(double, half)| double.min(half));
+        let says = power.map(|power| {
+            let condition = if method == EvidenceMethod::Bootstrap { ", if the trials were normal" } else { "" };
+            format!("half or double of {expected} would be detected in {} of runs{condition}", percent(power))
+        });
+        let outcome = self.outcome_of(estimate);
+        let outcome = Outcome { evidence: Evidence { power, says, ..outcome.evidence }, ..outcome };
+        let [low, high] = estimate.bounds;
+        let (value, bounds) = (estimate.value, estimate.bounds.into());
+        if expected < low || high < expected {
+            return outcome.fail(Reason::Disagrees { value, bounds, expected, diverged: self.diverged });
+        }
+        if low < expected / DISTINGUISHABLE_RATIO || expected * DISTINGUISHABLE_RATIO < high {
+            return outcome.inconclusive(Cause::Evidence, Reason::Indistinct { trials, value, bounds, expected });
+        }
+        outcome
+    }
+}
+
+fn evidence_of_method(method: Option<EvidenceMethod>) -> (Evidence, Option<WideBounds>) {
+    let wide = (method == Some(EvidenceMethod::Bootstrap)).then_some(WideBounds::NotNormal);
+    (Evidence { method, says: wide.map(|wide| wide.to_string()), ..Evidence::default() }, wide)
+}

@@ -1,0 +1,12 @@
+//! Measures the ripple of a signal.
+
+use platebench_trace::Row;
+
+/// Largest minus smallest value of a signal, µm; `None` without rows.
+pub(super) fn ripple_um(rows: &[Row], value: impl Fn(&Row) -> f64) -> Option<f64> {
+    let (low, high) = rows
+        .iter()
+        .map(value)
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+    (low <= high).then_some(high - low)
+}

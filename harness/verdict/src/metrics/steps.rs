@@ -1,0 +1,63 @@
+//! Finds the setpoint steps of a trace.
+
+use platebench_scenario::Window;
+use platebench_trace::{Flags, Row};
+
+/// Index of each row at which a setpoint step starts. A constant setpoint above 0 steps at the start.
+///
+/// A ramp or curve is one step; it starts at the row before the first change. It ends when two instants in a row do not
+/// change: a curve may rest for one instant at its crest.
+pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
+    let mut steps = Vec::new();
+    let mut before = 0.0;
+    let mut start = 0;
+    let (mut moved, mut rested) = (0_u32, 0_u32);
+    // Several rows may share an instant.
+    for instant in rows.chunk_by(|a, b| a.t_s == b.t_s) {
+        let first_moved = instant.iter().position(|row| row.setpoint_um != before);
+        before = instant.last().map_or(before, |row| row.setpoint_um);
+        match first_moved {
+            Some(offset) => {
+                let continues = moved > 0 && (rested == 0 || (moved > 1 && rested == 1));
+                if continues {
+                    moved += 1;
+                } else {
+                    steps.push(start + offset);
+                    // The setpoint at the start of the trace is not a movement that could continue.
+                    moved = u32::from(start > 0);
+                }
+                if moved == 2 && continues {
+                    // A ramp, not a jump: it moves since the row before.
+                    let began = steps.pop().map_or(0, |step| step.saturating_sub(1));
+                    if steps.last() != Some(&began) {
+                        steps.push(began);
+                    }
+                }
+                rested = 0;
+            }
+            None => rested += 1,
+        }
+        start += instant.len();
+    }
+    steps
+}
+
+/// The telemetry of a real plate shows a setpoint this much later than the profile, s.
+const MAX_TELEMETRY_DELAY_S: f64 = 0.1;
+
+/// The response to the setpoint step at the start of `window`, and the setpoint before the step.
+///
+/// The response ends at the next setpoint step or at the end of the window.
+pub(super) fn step_response<'a>(window: &Window, rows: &'a [Row]) -> Option<(&'a [Row], f64)> {
+    let delay = if rows.iter().any(|row| row.flags.contains(Flags::SENSED)) { MAX_TELEMETRY_DELAY_S } else { 0.0 };
+    let (from, to) = (window.from.seconds(), window.to.seconds() + delay);
+    let steps = setpoint_steps(rows);
+    let is_after = |step: &&usize| rows.get(**step).is_some_and(|row| row.t_s >= from);
+    let position = steps.iter().position(|step| is_after(&step)).unwrap_or(steps.len().saturating_sub(1));
+    let start = *steps.get(position)?;
+    let is_last = rows.last().is_none_or(|row| to >= row.t_s);
+    let window_end = if is_last { rows.len() } else { rows.partition_point(|row| row.t_s < to) };
+    let end = steps.get(position + 1).copied().unwrap_or(rows.len()).min(window_end);
+    let before = start.checked_sub(1).and_then(|index| rows.get(index)).map_or(0.0, |row| row.setpoint_um);
+    rows.get(start..end).map(|part| (part, before))
+}

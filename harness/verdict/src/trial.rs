@@ -1,0 +1,96 @@
+//! Measures one trial and decides whether it counts.
+
+use crate::divergence::detect_divergence;
+use crate::exclusion::find_exclusion;
+use crate::feasibility::infeasibility_excuse;
+use crate::metrics::{self, Measure};
+use crate::real_plate;
+use platebench_record::{Divergence, Exclusion, Excuse, Telemetry, TrialReason, TrialRecord};
+use platebench_scenario::{Metric, Scenario};
+use platebench_trace::{Flags, Row};
+use serde_json::{Map, json};
+use std::collections::BTreeMap;
+
+/// Everything about a trial that verdicts depend on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrialMeasures {
+    /// Counted from 0.
+    pub index: u32,
+    /// Seed of its plate and noise.
+    pub seed: u64,
+    /// One measure per expectation of the scenario.
+    pub measures: Vec<Measure>,
+    /// Per expectation, why a miss is not the controller's failure.
+    pub excuses: Vec<Option<Excuse>>,
+    /// What the rig reported.
+    pub telemetry: Telemetry,
+    /// When the loop diverged; explains a failure.
+    pub divergence: Option<Divergence>,
+    /// Why the trial does not count.
+    pub exclusion: Option<Exclusion>,
+    /// True if the controller drove a real plate, which only its own sensor observes.
+    pub is_real_plate: bool,
+}
+
+/// Measures the trial with number `index`.
+pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Telemetry) -> TrialMeasures {
+    let variation = scenario.variation(index);
+    let plant = variation.plant(scenario);
+    let expectations = &scenario.expectations;
+    let is_real_plate = rows.iter().any(|row| row.flags.contains(Flags::SENSED));
+    let excuses = expectations.iter().map(|expectation| {
+        if is_real_plate {
+            real_plate::saturation_excuse(expectation, rows)
+        } else {
+            infeasibility_excuse(scenario, expectation, &plant, rows)
+        }
+    });
+    TrialMeasures {
+        index,
+        seed: variation.seed,
+        measures: expectations.iter().map(|expectation| metrics::measure(expectation, rows, telemetry)).collect(),
+        excuses: excuses.collect(),
+        telemetry: telemetry.clone(),
+        divergence: detect_divergence(scenario, rows, telemetry),
+        exclusion: if is_real_plate {
+            real_plate::find_exclusion(scenario, rows, telemetry.real_plate.as_ref())
+        } else {
+            find_exclusion(scenario, rows, telemetry)
+        },
+        is_real_plate,
+    }
+}
+
+/// The record of a trial, with its metrics by name.
+pub fn trial_record(scenario: &Scenario, trial: &TrialMeasures, trace: String, wall_ms: Option<f64>) -> TrialRecord {
+    let mut counts: BTreeMap<Metric, u32> = BTreeMap::new();
+    let mut by_name = Map::new();
+    for (expectation, measure) in scenario.expectations.iter().zip(&trial.measures) {
+        let metric = expectation.metric;
+        // A single trial has no repeatability.
+        if metric == Metric::Repeatability {
+            continue;
+        }
+        let count = counts.entry(metric).or_default();
+        *count += 1;
+        let name = if *count == 1 { metric.to_string() } else { format!("{metric}[{count}]") };
+        let value = measure.value().map(|value| if metric == Metric::StaticError { value.abs() } else { value });
+        by_name.insert(name, json!(value));
+    }
+    let excluded = trial.exclusion.clone().map(TrialReason::Excluded);
+    let ended = || trial.telemetry.ended.clone().map(TrialReason::Ended);
+    let diverged = || trial.divergence.map(TrialReason::Diverged);
+    let violation = trial.telemetry.violations.first().copied().map(TrialReason::Violation);
+    TrialRecord {
+        index: trial.index,
+        seed: trial.seed,
+        trace,
+        sha256: None,
+        metrics: by_name,
+        telemetry: trial.telemetry.clone(),
+        cause: trial.exclusion.as_ref().filter(|_| violation.is_none()).map(Exclusion::cause),
+        reason: violation.or(excluded).or_else(ended).or_else(diverged),
+        diverged_at_s: trial.divergence.map(|divergence| divergence.at_s),
+        wall_ms,
+    }
+}

@@ -1,0 +1,49 @@
+//! Loads the repository's scenarios and scenarios from text.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on ends by panicking")]
+
+use platebench_scenario::{Scenario, load};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The file of the paper's plate.
+pub const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
+
+/// The root of the workspace.
+///
+/// # Panics
+/// If the sources have been moved since the build.
+#[must_use]
+pub fn workspace_root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+}
+
+/// The path of a file below `scenarios`, for example `paper/fig13-closed-loop.toml`.
+#[must_use]
+pub fn scenario_path(name: &str) -> PathBuf {
+    workspace_root().join("scenarios").join(name)
+}
+
+/// Loads the scenario `name` from below `scenarios`.
+///
+/// # Panics
+/// If the file is not a valid scenario.
+#[must_use]
+#[track_caller]
+pub fn load_scenario(name: &str) -> Scenario {
+    load(&scenario_path(name), name).unwrap_or_else(|fault| panic!("{}", fault.render(false)))
+}
+
+/// Loads the scenario `s.toml` from text; its `plate = "plate.toml"` has the text `plate`.
+///
+/// # Panics
+/// If one of the two is invalid.
+#[must_use]
+#[track_caller]
+pub fn parse_scenario(text: &str, plate: &str) -> Scenario {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("plate.toml"), plate).unwrap();
+    let path = folder.path().join("s.toml");
+    fs::write(&path, text).unwrap();
+    load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
+}

@@ -1,0 +1,175 @@
+//! The program in a terminal of its own, whose screen can be read.
+
+use crate::test_folder::{ChildGuard, wait_until};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags, open};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{LocalModes, SpecialCodeIndex, Termios, Winsize, tcgetattr, tcsetwinsize};
+use std::ffi::OsStr;
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Write};
+use std::num::NonZero;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::thread::{self, JoinHandle};
+use vt100::{Color, Parser};
+
+/// Columns and rows.
+pub(super) const SMALL: [u16; 2] = [80, 24];
+pub(super) const LARGE: [u16; 2] = [200, 50];
+
+/// A terminal and the program in it.
+pub(super) struct TestTerminal {
+    pub(super) child: ChildGuard,
+    keys: Option<File>,
+    /// The program's end, whose modes tell whether it was given back.
+    line: Option<File>,
+    initial_modes: Termios,
+    screen: Arc<Mutex<Parser>>,
+    closed: Arc<AtomicBool>,
+    reader: Option<JoinHandle<()>>,
+}
+
+impl TestTerminal {
+    pub(super) fn start<A: AsRef<OsStr>>(
+        folder: &Path,
+        size: [u16; 2],
+        arguments: impl IntoIterator<Item = A>,
+        environment: &[(&str, &str)],
+    ) -> Self {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let path = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+        let line = File::from(open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty()).unwrap());
+        let before = tcgetattr(&line).unwrap();
+        let master = File::from(master);
+        set_size(&master, size);
+        let end = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
+        // A session of its own, so that the terminal is its own: then Ctrl-C and hanging up are signals.
+        let mut command = Command::new("setsid");
+        command.args(["--ctty", env!("CARGO_BIN_EXE_platebench-under-test")]).args(arguments).current_dir(folder);
+        command.env_remove("PLATEBENCH_LOG").env_remove("NO_COLOR").env("TERM", "xterm-256color");
+        command.envs(environment.iter().copied()).stdin(end()).stdout(end()).stderr(end());
+        let child = ChildGuard(command.spawn().unwrap());
+        let screen = Arc::new(Mutex::new(Parser::new(non_zero(size[1]), non_zero(size[0]), 0)));
+        let closed = Arc::new(AtomicBool::new(false));
+        let reader = {
+            let (output, screen, closed) = (master.try_clone().unwrap(), Arc::clone(&screen), Arc::clone(&closed));
+            thread::spawn(move || read_until_closed(output, &screen, &closed))
+        };
+        Self {
+            child,
+            keys: Some(master),
+            line: Some(line),
+            initial_modes: before,
+            screen,
+            closed,
+            reader: Some(reader),
+        }
+    }
+
+    fn screen(&self) -> MutexGuard<'_, Parser> {
+        self.screen.lock().unwrap()
+    }
+
+    /// What the screen shows.
+    pub(super) fn text(&self) -> String {
+        self.screen().screen().contents()
+    }
+
+    pub(super) fn is_alternate(&self) -> bool {
+        self.screen().screen().alternate_screen()
+    }
+
+    pub(super) fn has_colour(&self) -> bool {
+        let parser = self.screen();
+        let (rows, columns) = parser.screen().size();
+        let mut cells = (0..rows.get()).flat_map(|row| (0..columns.get()).map(move |column| (row, column)));
+        cells.any(|(row, column)| {
+            let cell = parser.screen().cell(row, column);
+            cell.is_some_and(|cell| cell.fgcolor() != Color::Default || cell.bgcolor() != Color::Default)
+        })
+    }
+
+    /// Waits until the picture shows `text`.
+    #[track_caller]
+    pub(super) fn wait_for_view_text(&mut self, text: &str) {
+        self.wait_for_text(text, true);
+    }
+
+    /// Waits until `text` is there, while the terminal is the user's.
+    #[track_caller]
+    pub(super) fn wait_for_terminal_text(&mut self, text: &str) {
+        self.wait_for_text(text, false);
+    }
+
+    #[track_caller]
+    fn wait_for_text(&mut self, text: &str, in_view: bool) {
+        wait_until(&format!("the screen never shows `{text}`"), || {
+            let ended = self.child.0.try_wait().unwrap();
+            assert!(ended.is_none(), "it ended before it showed `{text}`:\n{}", self.text());
+            self.is_alternate() == in_view && self.text().contains(text)
+        });
+    }
+
+    pub(super) fn type_keys(&mut self, keys: &str) {
+        self.keys.as_mut().unwrap().write_all(keys.as_bytes()).unwrap();
+    }
+
+    pub(super) fn resize(&mut self, size: [u16; 2]) {
+        self.screen().screen_mut().set_size(non_zero(size[1]), non_zero(size[0]));
+        set_size(self.keys.as_ref().unwrap(), size);
+    }
+
+    /// Waits until the program has ended with one of these exit codes, and left the terminal as it was.
+    #[track_caller]
+    pub(super) fn wait_for_exit(&mut self, expected: &[i32]) {
+        wait_until("it does not end", || self.child.0.try_wait().unwrap().is_some());
+        let code = self.child.0.wait().unwrap().code();
+        let after = tcgetattr(self.line.as_ref().unwrap()).unwrap();
+        // With the last open end goes the terminal, and the reader comes to its end.
+        self.line = None;
+        self.reader.take().unwrap().join().unwrap();
+        assert!(code.is_some_and(|code| expected.contains(&code)), "{code:?}\n{}", self.text());
+        let modes = |termios: &Termios| {
+            let keys = [SpecialCodeIndex::VSUSP, SpecialCodeIndex::VQUIT, SpecialCodeIndex::VMIN];
+            (termios.input_modes, termios.local_modes, keys.map(|key| termios.special_codes[key]))
+        };
+        assert!(self.initial_modes.local_modes.contains(LocalModes::ICANON | LocalModes::ECHO));
+        assert_eq!(modes(&after), modes(&self.initial_modes));
+        assert!(!self.is_alternate(), "{}", self.text());
+        assert!(!self.screen().screen().hide_cursor());
+    }
+
+    /// Closes the terminal as its window does.
+    pub(super) fn close(mut self) -> ChildGuard {
+        self.closed.store(true, Ordering::Relaxed);
+        self.reader.take().unwrap().join().unwrap();
+        (self.keys, self.line) = (None, None);
+        self.child
+    }
+}
+
+fn non_zero(count: u16) -> NonZero<u16> {
+    NonZero::new(count).unwrap()
+}
+
+fn set_size(terminal: &File, [columns, rows]: [u16; 2]) {
+    tcsetwinsize(terminal, Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 }).unwrap();
+}
+
+/// Reads until nobody has the terminal open any more.
+fn read_until_closed(mut output: File, screen: &Mutex<Parser>, closed: &AtomicBool) {
+    let mut bytes = [0; 4096];
+    let soon = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
+    while !closed.load(Ordering::Relaxed) {
+        if poll(&mut [PollFd::new(&output, PollFlags::IN)], Some(&soon)).unwrap() == 0 {
+            continue;
+        }
+        let Ok(count @ 1..) = output.read(&mut bytes) else { return };
+        screen.lock().unwrap().process(&bytes[..count]);
+    }
+}
