@@ -129,9 +129,12 @@ impl Demodulator {
         let window = if window.is_nan() { 1.0 } else { window.clamp(1.0, (self.products.len() - 1) as f64) };
         let whole = window as usize;
         let (newer, older) = self.products.split_at(self.oldest.min(self.products.len()));
-        let mut newest_first = newer.iter().rev().chain(older.iter().rev());
-        let sum: Complex64 = newest_first.by_ref().take(whole).sum();
-        let partly = newest_first.next().map_or(Complex64::ZERO, |oldest| oldest * window.fract());
+        let from_newer = whole.min(newer.len());
+        let (before_newer, newer) = newer.split_at(newer.len() - from_newer);
+        let (before_older, older) = older.split_at(older.len().saturating_sub(whole - from_newer));
+        let sum: Complex64 = newer.iter().rev().chain(older.iter().rev()).sum();
+        let next = before_newer.last().or(before_older.last());
+        let partly = next.map_or(Complex64::ZERO, |sample| sample * window.fract());
         (sum + partly) / window
     }
 }
