@@ -10,7 +10,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ExpectationRecord {
     /// Unique in the scenario; it does not depend on the limit.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub name: String,
     /// What is measured.
     pub metric: Metric,

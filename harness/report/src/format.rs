@@ -141,6 +141,20 @@ pub fn limit(expectation: &ExpectationRecord) -> String {
     }
 }
 
+/// The judged windows: `1 … 60 ms`, `1 … 10, 30 … 40 ms` or `12 windows, 1 … 190 ms`.
+pub(crate) fn windows(expectation: &ExpectationRecord) -> Option<String> {
+    let range = |from: f64, until: f64| format!("{} … {}", number(from), number(until));
+    let windows = &expectation.windows_ms;
+    match (windows.as_slice(), windows.len()) {
+        ([], _) => None,
+        ([[from, _], .., [_, until]], count @ 4..) => Some(format!("{count} windows, {} ms", range(*from, *until))),
+        (few, _) => {
+            let few: Vec<String> = few.iter().map(|[from, until]| range(*from, *until)).collect();
+            Some(format!("{} ms", few.join(", ")))
+        }
+    }
+}
+
 /// The value that decided, or `never` if the event that a metric times did not happen.
 pub(crate) fn value_or_not_reached(expectation: &ExpectationRecord) -> Option<String> {
     let is_time = unit(expectation.metric) == "ms";
@@ -261,6 +275,17 @@ mod tests {
             definition: MetricDefinition::default(),
             evidence: Evidence::default(),
         }
+    }
+
+    #[rstest]
+    #[case(&[], None)]
+    #[case(&[[0.0, 60.0]], Some("0 … 60 ms"))]
+    #[case(&[[1.0, 10.0], [10.0, 20.5]], Some("1 … 10, 10 … 20.5 ms"))]
+    #[case(&[[1.0, 2.0], [2.0, 3.0], [3.0, 4.0]], Some("1 … 2, 2 … 3, 3 … 4 ms"))]
+    #[case(&[[1.0, 2.0], [2.0, 3.0], [3.0, 4.0], [4.0, 9.0]], Some("4 windows, 1 … 9 ms"))]
+    fn windows_are_listed_up_to_three(#[case] windows_ms: &[[f64; 2]], #[case] expected: Option<&str>) {
+        let expectation = ExpectationRecord { windows_ms: windows_ms.to_vec(), ..failed_settling_time() };
+        assert_eq!(windows(&expectation).as_deref(), expected);
     }
 
     #[test]

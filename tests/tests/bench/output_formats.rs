@@ -76,7 +76,7 @@ fn github_annotations_point_at_the_expectation() {
     let text = format!("{}\n[[expect]]\n{BAD}\n", step_text(GOOD));
     workshop.write_scenario("s.toml", &text);
     let line = text.lines().position(|line| line == "at_most = 0.5").unwrap();
-    let expected = format!("::error file=scenarios/s.toml,line={line},title=s.toml%3A fail::settling_time_ms[2] ≤ 0.5");
+    let expected = format!("::error file=scenarios/s.toml,line={line},title=s.toml%3A fail::settling_time_ms 2 ≤ 0.5");
     let run = |out: &str, more: &[&str], on_github: Option<&str>| {
         let mut command = bench_command(workshop.path());
         command.args(["run", "--rig", "hosted", "--out", out]).args(more).env("GITHUB_STEP_SUMMARY", "step.md");

@@ -132,7 +132,7 @@ fn elapsed_marker(
 fn deadline(scenario: &ScenarioRecord, index: usize, from_ms: f64) -> Option<(f64, String)> {
     let expectation = scenario.expectations.get(index)?;
     let at_ms = from_ms + upper_limit(expectation)?;
-    Some((at_ms, format!("{} {} ms", record_queries::metric_key(scenario, index), format::limit(expectation))))
+    Some((at_ms, format!("{} {} ms", expectation.name, format::limit(expectation))))
 }
 
 fn upper_limit(expectation: &ExpectationRecord) -> Option<f64> {

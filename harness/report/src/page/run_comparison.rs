@@ -1,8 +1,8 @@
 //! Writes the comparison of two runs: every expectation of either, with both values.
 
 use super::elements::{scenario_anchor, scroll_table, verdict_badge};
+use crate::format;
 use crate::text::cost;
-use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_record::{ExpectationRecord, Metric, RunRecord, ScenarioRecord};
 
@@ -25,7 +25,7 @@ struct ExpectationPair<'a> {
     /// Index of the scenario in this run's record, if it is there.
     scenario_index: Option<usize>,
     file: &'a str,
-    key: String,
+    name: &'a str,
     this_run: Option<&'a ExpectationRecord>,
     other_run: Option<&'a ExpectationRecord>,
 }
@@ -48,14 +48,6 @@ impl ExpectationPair<'_> {
     }
 }
 
-fn expectations_by_key<'a>(scenario: Option<&'a ScenarioRecord>) -> Vec<(String, &'a ExpectationRecord)> {
-    let of = |scenario: &'a ScenarioRecord| {
-        let numbered = scenario.expectations.iter().enumerate();
-        numbered.map(|(index, found)| (record_queries::metric_key(scenario, index), found)).collect()
-    };
-    scenario.map(of).unwrap_or_default()
-}
-
 /// The expectations of both runs, those with changed verdicts first.
 fn expectation_pairs<'a>(record: &'a RunRecord, other: OtherRun<'a>) -> Vec<ExpectationPair<'a>> {
     let here = record.scenarios.iter().enumerate().map(|(number, scenario)| (Some(number), scenario.file.as_str()));
@@ -64,23 +56,19 @@ fn expectation_pairs<'a>(record: &'a RunRecord, other: OtherRun<'a>) -> Vec<Expe
     let files = here.chain(there.map(|scenario| (None, scenario.file.as_str())));
     let mut pairs: Vec<ExpectationPair<'a>> = files
         .flat_map(|(number, file)| {
-            let of_this = expectations_by_key(number.and_then(|number| record.scenarios.get(number)));
-            let of_other = expectations_by_key(other.scenario(file));
-            let mut keys: Vec<String> = of_this.iter().map(|(key, _)| key.clone()).collect();
-            keys.extend(
-                of_other.iter().map(|(key, _)| key.clone()).filter(|key| !keys.contains(key)).collect::<Vec<_>>(),
-            );
-            let find = |all: &[(String, &'a ExpectationRecord)], key: &str| {
-                all.iter().find(|(known, _)| known == key).map(|(_, found)| *found)
-            };
-            let pair = |key: String| ExpectationPair {
+            let of_this = number.and_then(|number| record.scenarios.get(number));
+            let this_run = of_this.map_or(&[][..], |scenario| &scenario.expectations);
+            let other_run = other.scenario(file).map_or(&[][..], |scenario| &scenario.expectations);
+            let find = |all: &'a [ExpectationRecord], name: &str| all.iter().find(|found| found.name == name);
+            let only_other = other_run.iter().filter(|found| find(this_run, &found.name).is_none());
+            let pair = |found: &'a ExpectationRecord| ExpectationPair {
                 scenario_index: number,
                 file,
-                this_run: find(&of_this, &key),
-                other_run: find(&of_other, &key),
-                key,
+                this_run: find(this_run, &found.name),
+                other_run: find(other_run, &found.name),
+                name: &found.name,
             };
-            keys.into_iter().map(pair).collect::<Vec<_>>()
+            this_run.iter().chain(only_other).map(pair).collect::<Vec<_>>()
         })
         .collect();
     pairs.sort_by_key(|pair| !pair.verdict_changed());
@@ -136,7 +124,7 @@ fn table_row(pair: &ExpectationPair<'_>) -> Markup {
                     None => (pair.file),
                 }
             }
-            td data-label="Metric" { code { (pair.key) } }
+            td data-label="Metric" { code { (pair.name) } }
             td data-label="Other run" { (verdict(pair.other_run)) }
             td.number data-label="Other run measured" { span { (value(pair.other_run)) } }
             td data-label="This run" { (verdict(pair.this_run)) }

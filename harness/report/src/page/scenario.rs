@@ -83,15 +83,16 @@ fn expectations_table(scenario: &ScenarioRecord) -> Markup {
         has_paper.then_some("#Paper"),
         Some("#Expected"),
         has_interval.then_some("#Interval"),
+        Some("#Window"),
     ];
     let columns: Vec<&str> = columns.into_iter().flatten().collect();
-    let row = |index: usize, expectation: &ExpectationRecord| {
+    let row = |expectation: &ExpectationRecord| {
         let unit = format::unit(expectation.metric);
         let unit_of_value = if expectation.value.is_some() { unit } else { "" };
         html! {
             tr {
                 th scope="row" {
-                    code { (record_queries::metric_key(scenario, index)) }
+                    code { (expectation.name) }
                     @if let Some(requirement) = &expectation.requirement { span.file { (requirement) } }
                 }
                 td data-label="Verdict" { (verdict_badge(expectation.verdict, &format::verdict(expectation))) }
@@ -106,6 +107,7 @@ fn expectations_table(scenario: &ScenarioRecord) -> Markup {
                 @if has_interval {
                     td.number data-label="Interval" { (with_unit(interval(expectation), "")) }
                 }
+                td.number data-label="Window" { (with_unit(format::windows(expectation), "")) }
             }
             @if let Some(reason) = format::remaining_reason(expectation) {
                 tr.reason { td colspan=(columns.len()) { span { (reason) } } }
@@ -116,7 +118,7 @@ fn expectations_table(scenario: &ScenarioRecord) -> Markup {
         }
     };
     let rows = html! {
-        @for (index, expectation) in scenario.expectations.iter().enumerate() { (row(index, expectation)) }
+        @for expectation in &scenario.expectations { (row(expectation)) }
     };
     html! {
         h3 { "Expectations" }

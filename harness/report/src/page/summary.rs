@@ -98,7 +98,7 @@ fn not_passed_item(
                 " " a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
             }
             p.why {
-                code { (expectation.metric) } " "
+                code { (expectation.name) } " "
                 @match (format::value(expectation), format::value_or_not_reached(expectation)) {
                     (Some(value), _) => { strong { (value) @if !unit.is_empty() { " " (unit) } } @if let Some(index) = decided { " in trial " (index) } ", expected " },
                     (None, Some(text)) => { strong { (text) } ", expected " },
@@ -146,6 +146,21 @@ pub(super) fn scenarios(record: &RunRecord) -> Markup {
             h2 id="scenarios" { "Scenarios" }
             @if record.scenarios.is_empty() { p.notice { "The run has no scenarios." } }
             @else { (scroll_table("Scenarios", "contents stacked", &columns, &rows)) }
+            @if !record.not_applicable.is_empty() { (not_applicable(record)) }
+        }
+    }
+}
+
+/// Scenarios that the controller cannot play; they change no verdict.
+fn not_applicable(record: &RunRecord) -> Markup {
+    html! {
+        div.notice {
+            p { (format::count(record.not_applicable.len(), "scenario")) " not applicable to this controller:" }
+            ul {
+                @for scenario in &record.not_applicable {
+                    li { (scenario.title) " (" (scenario.file) "): " (scenario.reason) }
+                }
+            }
         }
     }
 }

@@ -27,8 +27,7 @@ pub fn workflow_commands(
         let Some(expectation) = scenario.expectations.get(index) else { continue };
         let title = format!("{}: {}", scenario.file, format::verdict(expectation));
         let value = format::value(expectation).unwrap_or_else(|| "no value".to_owned());
-        let mut message =
-            format!("{} {}, measured {value}", record_queries::metric_key(scenario, index), format::limit(expectation));
+        let mut message = format!("{} {}, measured {value}", expectation.name, format::limit(expectation));
         if let Some(requirement) = &expectation.requirement {
             let _ = write!(message, ", requirement {requirement}");
         }

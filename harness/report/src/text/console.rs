@@ -83,16 +83,20 @@ fn write_expectations(text: &mut String, scenario: &ScenarioRecord, style: Style
         return;
     }
     let dash = || "–".to_owned();
-    let mut table = Table::new(["metric", "verdict", "value", "limit", "interval", "paper"]);
-    for (index, expectation) in scenario.expectations.iter().enumerate() {
-        table.rows.push(vec![
-            record_queries::metric_key(scenario, index),
+    let has_paper = scenario.expectations.iter().any(|expectation| expectation.paper.is_some());
+    let columns = ["metric", "verdict", "value", "limit", "interval", "window"].into_iter();
+    let mut table = Table::new(columns.chain(has_paper.then_some("paper")));
+    for expectation in &scenario.expectations {
+        let mut row = vec![
+            printable(&expectation.name).into_owned(),
             format!("{} {}", format::sign(expectation.verdict), format::verdict(expectation)),
             format::value_or_not_reached(expectation).unwrap_or_else(dash),
             format::limit(expectation),
             format::interval(expectation).unwrap_or_else(dash),
-            expectation.paper.map_or_else(dash, format::number),
-        ]);
+            format::windows(expectation).unwrap_or_else(dash),
+        ];
+        row.extend(has_paper.then(|| expectation.paper.map_or_else(dash, format::number)));
+        table.rows.push(row);
     }
     let lines = table.lines();
     let mut lines = lines.iter();
@@ -103,14 +107,17 @@ fn write_expectations(text: &mut String, scenario: &ScenarioRecord, style: Style
         let coloured = line.replacen(verdict, &style.paint_verdict(expectation.verdict, verdict), 1);
         let _ = writeln!(text, "  {coloured}");
     }
-    for (index, expectation) in scenario.expectations.iter().enumerate() {
+    for expectation in &scenario.expectations {
         if let Some(reason) = &expectation.reason {
-            write_wrapped(text, "  ↳ ", "    ", &format!("{}: {reason}", record_queries::metric_key(scenario, index)));
+            write_wrapped(text, "  ↳ ", "    ", &format!("{}: {reason}", expectation.name));
         }
     }
 }
 
 fn write_summary(text: &mut String, record: &RunRecord, style: Style) {
+    for scenario in &record.not_applicable {
+        write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
+    }
     for (name, counts) in [
         ("scenario", format::VerdictCounts::of_scenarios(record)),
         ("expectation", format::VerdictCounts::of_expectations(record)),
@@ -139,8 +146,8 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style) {
         let Some(expectation) = scenario.expectations.get(index) else { continue };
         let sign = style.paint_verdict(expectation.verdict, format::sign(expectation.verdict));
         let trace = record_queries::trial_to_inspect(scenario, index).map_or("no trace", |trial| trial.trace.as_str());
-        let (file, metric) = (printable(&scenario.file), record_queries::metric_key(scenario, index));
-        let _ = writeln!(text, "  {sign} {file}: {metric}  {}", printable(trace));
+        let (file, name) = (printable(&scenario.file), printable(&expectation.name));
+        let _ = writeln!(text, "  {sign} {file}: {name}  {}", printable(trace));
     }
 }
 

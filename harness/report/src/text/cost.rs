@@ -9,10 +9,10 @@ const INSTRUCTIONS_PER_MS: f64 = 168_000.0;
 /// Name of the comparison without an earlier run.
 pub(crate) const SHIPPED_IMAGE: &str = "the image that comes with the bench";
 
-/// `3 332 worst (dq-pi), 2.0 % of the 168 000 of a 1 ms period`
+/// `3 332 worst (dq-pi), 2.0 % of 1 ms at 168 MHz`
 pub(crate) fn format_worst(trend: &CostTrend) -> String {
     format!(
-        "{} worst ({}), {} of the 168 000 of a 1 ms period",
+        "{} worst ({}), {} of 1 ms at 168 MHz",
         format_instructions(trend.cost.worst),
         trend.law,
         format_share(trend)

@@ -3,7 +3,7 @@
 //! Only runs on the same kind of rig and with the same law are compared. If the expectation differed, the text says how.
 
 use super::cost::short_build_id;
-use crate::{format, record_queries};
+use crate::format;
 use maud::{Markup, html};
 use platebench_record::{ExpectationRecord, MetricDefinition, RunRecord, ScenarioRecord, Verdict};
 use std::path::Path;
@@ -76,18 +76,16 @@ impl EarlierExpectation<'_> {
     }
 }
 
-/// The expectation of `played` that corresponds to expectation `index`: an identical one, or else the one with the same key.
+/// The expectation of `played` that corresponds to expectation `index`: an identical one, or else the one with the same name.
 fn matching_expectation<'a>(
     scenario: &ScenarioRecord,
     index: usize,
     played: &'a ScenarioRecord,
 ) -> Option<&'a ExpectationRecord> {
     let now = scenario.expectations.get(index)?;
-    let key = record_queries::metric_key(scenario, index);
-    let number = (0..played.expectations.len()).find(|number| record_queries::metric_key(played, *number) == key);
-    let under_key = number.and_then(|number| played.expectations.get(number));
+    let namesake = played.expectations.iter().find(|then| then.name == now.name);
     let same = |then: &&ExpectationRecord| then.metric == now.metric && differences(now, then).is_empty();
-    under_key.filter(same).or_else(|| played.expectations.iter().find(same)).or(under_key)
+    namesake.filter(same).or_else(|| played.expectations.iter().find(same)).or(namesake)
 }
 
 /// How the earlier expectation differed; empty if it was the same.

@@ -2,16 +2,16 @@
 //!
 //! A failed expectation is a `failure`. An inconclusive one is an `error`, because readers count `skipped` as harmless.
 //! A run or scenario that did not pass although its expectations did (unfinished, or without expectations) has one more
-//! case with an error.
+//! case with an error. A scenario that is not applicable has one case, `skipped`.
 //!
 //! The file follows the schema of Jenkins' xunit plugin (`tests/report/junit-10.xsd`). The schema allows properties of
-//! suites only, so requirements are properties `requirement.<metric>` of the suite, and the other facts of a case are
+//! suites only, so requirements are properties `requirement.<name>` of the suite, and the other facts of a case are
 //! lines in its `system-out`. Times come from the record, so that equal records give equal files.
 
 use super::escape::printable;
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
-use platebench_record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_record::{NotApplicable, RunRecord, ScenarioRecord, Verdict};
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 use std::path::Path;
 use std::time::Duration;
@@ -26,13 +26,14 @@ pub const FILE: &str = "junit.xml";
 pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     let text =
         junit_report(record).to_string().map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
-    // The schema has no attribute `skipped` of all suites together, and no case is ever skipped.
-    write_file(path, &text.replacen(" skipped=\"0\"", "", 1))
+    // The schema has no attribute `skipped` of all suites together.
+    write_file(path, &text.replacen(&format!(" skipped=\"{}\"", record.not_applicable.len()), "", 1))
 }
 
 fn junit_report(record: &RunRecord) -> Report {
     let mut report = Report::new(record.tool.name.as_str());
     report.add_test_suites(record.scenarios.iter().map(test_suite));
+    report.add_test_suites(record.not_applicable.iter().map(not_applicable_suite));
     let Some(reason) = record_queries::run_inconclusive_reason(record) else { return report };
     let mut suite = TestSuite::new("run");
     suite.add_test_case(inconclusive_case("the whole run", "run", reason));
@@ -51,9 +52,9 @@ fn test_suite(scenario: &ScenarioRecord) -> TestSuite {
     if let Some(source) = &scenario.source {
         suite.add_property(("source", printable(source).as_ref()));
     }
-    for (index, expectation) in scenario.expectations.iter().enumerate() {
+    for expectation in &scenario.expectations {
         if let Some(requirement) = &expectation.requirement {
-            let name = format!("requirement.{}", record_queries::metric_key(scenario, index));
+            let name = format!("requirement.{}", printable(&expectation.name));
             suite.add_property((name.as_str(), printable(requirement).as_ref()));
         }
     }
@@ -63,9 +64,25 @@ fn test_suite(scenario: &ScenarioRecord) -> TestSuite {
     }
     suite.add_test_cases((0..scenario.expectations.len()).filter_map(|index| test_case(scenario, index)));
     if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
-        suite.add_test_case(inconclusive_case("the whole scenario", &printable(&scenario.file), reason));
+        suite.add_test_case(inconclusive_case("the whole scenario", &class_name(&scenario.file), reason));
     }
     suite
+}
+
+fn not_applicable_suite(scenario: &NotApplicable) -> TestSuite {
+    let mut status = TestCaseStatus::skipped();
+    status.set_message(printable(&scenario.reason).as_ref());
+    let mut case = TestCase::new("not applicable", status);
+    case.set_classname(class_name(&scenario.file));
+    let mut suite = TestSuite::new(printable(&scenario.file).as_ref());
+    suite.add_property(("title", printable(&scenario.title).as_ref()));
+    suite.add_test_case(case);
+    suite
+}
+
+/// The file without `.toml`. Jenkins splits a class name at its last dot, so dots become `_`.
+fn class_name(file: &str) -> String {
+    printable(file.strip_suffix(".toml").unwrap_or(file)).replace('.', "_")
 }
 
 /// A case without an expectation that does not pass.
@@ -92,14 +109,14 @@ fn test_case(scenario: &ScenarioRecord, index: usize) -> Option<TestCase> {
         }
         status
     });
-    let limit = format::limit(expectation);
-    let mut case = TestCase::new(format!("{} {limit}", record_queries::metric_key(scenario, index)), status);
-    case.set_classname(printable(&scenario.file).as_ref());
+    let mut case = TestCase::new(printable(&expectation.name).as_ref(), status);
+    case.set_classname(class_name(&scenario.file));
     let trial = record_queries::trial_to_inspect(scenario, index).or_else(|| scenario.trials.first());
     let properties = [
         ("requirement", expectation.requirement.clone()),
         ("value", expectation.value.map(|value| value.to_string())),
-        ("limit", Some(limit)),
+        ("limit", Some(format::limit(expectation))),
+        ("window", format::windows(expectation)),
         ("interval", expectation.interval.map(|[low, high]| format!("{low} {high}"))),
         ("confidence", expectation.confidence.map(|confidence| confidence.to_string())),
         ("evidence", format::evidence(expectation)),

@@ -59,6 +59,9 @@ pub fn render_page(record: &RunRecord) -> String {
         write_table(&mut text, &not_passed_table(record), not_passed);
     }
     write_table(&mut text, &scenarios_table(record), record.scenarios.len());
+    if !record.not_applicable.is_empty() {
+        write_table(&mut text, &not_applicable_table(record), record.not_applicable.len());
+    }
     text
 }
 
@@ -73,7 +76,7 @@ fn not_passed_table(record: &RunRecord) -> Table {
         table.rows.push(vec![
             format::sign(expectation.verdict).to_owned(),
             scenario.file.clone(),
-            format!("{} {}", record_queries::metric_key(scenario, index), format::limit(expectation)),
+            format!("{} {}", expectation.name, format::limit(expectation)),
             format::value_or_not_reached(expectation).unwrap_or_else(|| "none".to_owned()),
             expectation.requirement.clone().unwrap_or_default(),
             reason.unwrap_or(verdict),
@@ -97,6 +100,13 @@ fn scenarios_table(record: &RunRecord) -> Table {
             reason.unwrap_or_else(|| counts.to_string()),
         ]);
     }
+    table
+}
+
+fn not_applicable_table(record: &RunRecord) -> Table {
+    let mut table = Table::new(["Not applicable", "Because"]);
+    let listed = record.not_applicable.iter().take(MAX_ROWS);
+    table.rows.extend(listed.map(|scenario| vec![scenario.file.clone(), scenario.reason.clone()]));
     table
 }
 

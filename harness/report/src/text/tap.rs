@@ -1,6 +1,7 @@
 //! Writes TAP 14, the Test Anything Protocol: a subtest per scenario, a test point per expectation.
 //!
-//! An inconclusive expectation is `not ok`, because readers count `SKIP` and `TODO` as passed. An unfinished run ends in
+//! An inconclusive expectation is `not ok`, because readers count `SKIP` and `TODO` as passed. `SKIP` marks scenarios
+//! that are not applicable. An unfinished run ends in
 //! `Bail out!`.
 
 use super::escape::tap_description;
@@ -22,13 +23,18 @@ pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
 /// The run as TAP.
 pub fn text(record: &RunRecord) -> String {
     let reason = record_queries::run_inconclusive_reason(record);
-    let mut text = format!("TAP version 14\n1..{}\n", record.scenarios.len() + usize::from(reason.is_some()));
+    let listed = record.scenarios.len() + record.not_applicable.len();
+    let mut text = format!("TAP version 14\n1..{}\n", listed + usize::from(reason.is_some()));
     for (number, scenario) in (1..).zip(&record.scenarios) {
         write_subtest(&mut text, scenario);
         write_test_point(&mut text, "", scenario.verdict, number, &scenario.file);
     }
+    for (number, scenario) in (record.scenarios.len() + 1..).zip(&record.not_applicable) {
+        let (file, reason) = (tap_description(&scenario.file), tap_description(&scenario.reason));
+        let _ = writeln!(text, "ok {number} - {file} # SKIP not applicable: {reason}");
+    }
     if let Some(reason) = reason {
-        write_inconclusive(&mut text, "", record.scenarios.len() + 1, "the whole run", reason);
+        write_inconclusive(&mut text, "", listed + 1, "the whole run", reason);
     }
     if !record.complete {
         text += "Bail out! the run was not finished\n";
@@ -42,7 +48,7 @@ fn write_subtest(text: &mut String, scenario: &ScenarioRecord) {
     let points = scenario.expectations.len() + usize::from(reason.is_some());
     let _ = writeln!(text, "# Subtest: {}\n{INDENT}1..{points}", tap_description(&scenario.file));
     for (index, expectation) in scenario.expectations.iter().enumerate() {
-        let name = format!("{} {}", record_queries::metric_key(scenario, index), format::limit(expectation));
+        let name = format!("{} {}", expectation.name, format::limit(expectation));
         write_test_point(text, INDENT, expectation.verdict, index + 1, &name);
         if expectation.verdict != Verdict::Pass {
             write_yaml_block(text, INDENT, &diagnostics(scenario, index, expectation));

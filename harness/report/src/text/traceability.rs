@@ -32,7 +32,7 @@ pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink> {
             let trial = record_queries::trial_to_inspect(scenario, index).or_else(|| scenario.trials.first());
             links.push(RequirementLink {
                 requirement: requirement.clone(),
-                expectation: record_queries::metric_key(scenario, index),
+                expectation: expectation.name.clone(),
                 limit: format::limit(expectation),
                 scenario: scenario.file.clone(),
                 scenario_index,

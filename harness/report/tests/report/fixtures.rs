@@ -2,8 +2,9 @@
 
 use platebench_record::{
     BestResponse, Cause, ClockKind, CostTrend, EarlierCost, Evidence, Exclusion, Excuse, ExpectationRecord, FORMAT,
-    Firmware, Host, InputRecord, Limit, Metric, MetricDefinition, MissingValue, Overrides, Reason, RigRecord,
-    RunRecord, ScenarioRecord, Statistic, StepCost, Telemetry, Tool, TrialFinding, TrialReason, TrialRecord, Verdict,
+    Firmware, Host, InputRecord, Limit, Metric, MetricDefinition, MissingValue, NotApplicable, Overrides, Reason,
+    RigRecord, RunRecord, ScenarioRecord, Statistic, StepCost, Telemetry, Tool, TrialFinding, TrialReason, TrialRecord,
+    Verdict,
 };
 use platebench_trace::{Flags, Row, TraceWriter};
 use serde_json::{Value, json};
@@ -52,9 +53,19 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
             input(format!("inputs/{file}"), "3"),
             input("inputs/plates/aluminium-198x138.toml".to_owned(), "a"),
         ],
-        expectations,
+        expectations: with_default_names(expectations),
         trials: Vec::new(),
     }
+}
+
+/// As the scenario's reader names them: the metric, `metric 2`, `metric 3`.
+fn with_default_names(mut expectations: Vec<ExpectationRecord>) -> Vec<ExpectationRecord> {
+    for index in 0..expectations.len() {
+        let metric = expectations[index].metric;
+        let number = expectations[..=index].iter().filter(|other| other.metric == metric).count();
+        expectations[index].name = if number == 1 { metric.to_string() } else { format!("{metric} {number}") };
+    }
+    expectations
 }
 
 /// An expectation that passed.
@@ -62,7 +73,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
 pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64) -> ExpectationRecord {
     ExpectationRecord {
         name: String::new(),
-        windows_ms: Vec::new(),
+        windows_ms: vec![[0.0, 60.0]],
         metric: Metric::from_name(metric).unwrap(),
         verdict: Verdict::Pass,
         value: Some(value),
@@ -244,7 +255,12 @@ pub(crate) fn mixed_run() -> RunRecord {
     doubted.trials[1].reason = Some(TrialReason::Excluded(NO_ANSWER));
     doubted.trials[2].cause = Some(Cause::Bench);
     doubted.trials[2].reason = Some(TrialReason::Excluded(LATE_BENCH));
-    run(vec![passing, failing, doubted])
+    let not_applicable = NotApplicable {
+        file: "laws/foreign.toml".to_owned(),
+        title: "Gains from the file".to_owned(),
+        reason: "the controller does not announce the law `deadbeat`".to_owned(),
+    };
+    RunRecord { not_applicable: vec![not_applicable], ..run(vec![passing, failing, doubted]) }
 }
 
 /// The cost of a step under three laws: a third more than in an earlier run, a lower mean, and no earlier run.

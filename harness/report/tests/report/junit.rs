@@ -1,7 +1,7 @@
 //! `junit.xml`.
 
 use crate::fixtures;
-use platebench_record::{MissingValue, Reason, RunRecord, TrialFinding, Verdict};
+use platebench_record::{Limit, MissingValue, Reason, RunRecord, TrialFinding, Verdict};
 use platebench_report::junit;
 use quick_xml::events::Event;
 use quick_xml::reader::Reader;
@@ -43,9 +43,25 @@ fn count_elements(text: &str) -> BTreeMap<String, usize> {
 fn writes_a_case_per_expectation() {
     let text = write_junit(&fixtures::mixed_run());
     let counts = count_elements(&text);
-    assert_eq!(["testsuite", "testcase", "failure", "error"].map(|name| counts[name]), [3, 10, 2, 4]);
-    assert!(!counts.contains_key("skipped"));
+    assert_eq!(["testsuite", "testcase", "failure", "error", "skipped"].map(|name| counts[name]), [4, 11, 2, 4, 1]);
     insta::assert_snapshot!(text);
+}
+
+#[test]
+fn a_changed_limit_changes_no_name() {
+    let names = |record: &RunRecord| {
+        let text = write_junit(record);
+        let names: Vec<String> = text.lines().filter(|line| line.contains("<testcase")).map(str::to_owned).collect();
+        names
+    };
+    let mut record = fixtures::mixed_run();
+    let before = names(&record);
+    for expectation in record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.expectations) {
+        expectation.limit = Limit::AtMost(77.0);
+    }
+    assert_eq!(names(&record), before);
+    let first = r#"<testcase name="settling_time_ms" classname="paper/fig13-closed-loop">"#;
+    assert_eq!(before[0].trim(), first);
 }
 
 #[rstest]
@@ -76,7 +92,7 @@ fn markup_in_titles_and_reasons_is_text() {
         ended: Some("1 < 2 & \"3\" > \u{0}2".to_owned()),
     });
     let text = write_junit(&record);
-    assert_eq!(count_elements(&text)["testcase"], 10);
+    assert_eq!(count_elements(&text)["testcase"], 11);
     assert!(!text.contains("<script"));
 }
 

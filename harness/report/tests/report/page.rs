@@ -242,15 +242,15 @@ fn compares_two_runs() {
 }
 
 #[rstest]
-#[case::neither(|_: &mut ExpectationRecord| (), "Metric | Verdict | Measured | Expected")]
-#[case::paper(|found: &mut ExpectationRecord| found.paper = Some(2.0), "Metric | Verdict | Measured | Paper | Expected")]
+#[case::neither(|_: &mut ExpectationRecord| (), "Metric | Verdict | Measured | Expected | Window")]
+#[case::paper(|found: &mut ExpectationRecord| found.paper = Some(2.0), "Metric | Verdict | Measured | Paper | Expected | Window")]
 #[case::range(
     |found: &mut ExpectationRecord| found.interval = Some([1.948, 1.949]),
-    "Metric | Verdict | Measured | Expected | Interval"
+    "Metric | Verdict | Measured | Expected | Interval | Window"
 )]
 #[case::bounds(
     |found: &mut ExpectationRecord| found.statistic = Statistic::Mean,
-    "Metric | Verdict | Measured | Expected | Interval"
+    "Metric | Verdict | Measured | Expected | Interval | Window"
 )]
 fn leaves_out_columns_without_information(#[case] change: fn(&mut ExpectationRecord), #[case] expected: &str) {
     let folder = tempfile::tempdir().unwrap();
