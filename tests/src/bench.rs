@@ -1,4 +1,4 @@
-//! The bench, once more, for tests that start it as a process.
+//! Starts the bench for tests.
 
 use std::process::ExitCode;
 

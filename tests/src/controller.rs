@@ -1,4 +1,4 @@
-//! The controller that plays the board, once more, for tests that start it as a process.
+//! Starts the host controller for tests.
 
 use std::process::ExitCode;
 

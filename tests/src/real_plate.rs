@@ -1,26 +1,26 @@
-//! A board with a plate of its own, for tests of `--plate-mode real`: plate, sensor, amplifier and controller in one program behind a serial line, as a laboratory has them.
+//! Simulates a board with its own plate behind a serial line, for tests of `--plate-mode real`.
 //!
-//! `real-plate-under-test PORT [KEY=VALUE]...`; its timer is virtual and never late: periods that the computer missed are made up for, so that a busy machine leaves no gap.
-//! The plate is the paper's. What goes wrong on purpose, with periods of a trial counted from 0:
+//! `real-plate-under-test PORT [KEY=VALUE]...` contains plate, sensor, amplifier and controller.
+//! Its timer is virtual: a period that a busy machine missed is computed later, without a gap. The
+//! plate is the paper's. Options, with the periods of a trial counted from 0:
 //!
-//! | key | |
+//! | key | effect |
 //! |---|---|
-//! | `surroundings=FILE` | force in N and kelvin above reference, read again and again: what a hand does to the plate |
+//! | `conditions=FILE` | force in N and offset in K, read in every period |
 //! | `log=FILE` | every change of state, as `PERIOD STATE DRIVE` |
-//! | `force=no` | the board does not measure it |
-//! | `capability=no` | it does not say that it has a plate |
+//! | `force=no` | the board does not measure the force |
+//! | `capability=no` | the board does not announce its plate |
 //! | `skip=N` | the telemetry of this period is lost |
-//! | `mute=N` | from this period on there is none |
-//! | `deaf=N` | from this period on setpoints are heeded and not acknowledged |
+//! | `mute=N` | no telemetry from this period on |
+//! | `deaf=N` | setpoints act but are not acknowledged from this period on |
 //! | `reset=N` | the board restarts |
 //! | `trap=N` | the processor traps |
 //! | `stop=N` | the board stops by itself |
-//! | `hold=UM` | this setpoint is held, whatever is asked for |
-//! | `clock=X` | the board's timer runs so many times as fast as it believes |
+//! | `hold=UM` | the board keeps this setpoint |
+//! | `clock=X` | the board's timer runs faster by this factor |
 
 use platebench_controller::StateMachine;
-use platebench_plate::RawPlate;
-use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Tier, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, RawPlate, Tier, Time};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Identity, LawId, Message, Packet, PacketReader,
     Rejection, Sample, Telemetry, capabilities,
@@ -34,23 +34,23 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, channel, sync_chan
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Frames that wait for the line at most.
+/// Frames in the queue of the line.
 const MAX_QUEUED_FRAMES: usize = 256;
 const PLATE: &str = include_str!("../../scenarios/plates/aluminium-198x138.toml");
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let mut words = std::env::args().skip(1);
-    let port = words.next().ok_or("expected PORT [KEY=VALUE]...")?;
-    let wishes = words
-        .map(|word| word.split_once('=').map(|(key, value)| (key.to_owned(), value.to_owned())))
+    let mut arguments = std::env::args().skip(1);
+    let port = arguments.next().ok_or("expected PORT [KEY=VALUE]...")?;
+    let options = arguments
+        .map(|pair| pair.split_once('=').map(|(key, value)| (key.to_owned(), value.to_owned())))
         .collect::<Option<BTreeMap<_, _>>>()
         .ok_or("expected KEY=VALUE")?;
     let line = OpenOptions::new().read(true).write(true).open(port)?;
     let bytes = spawn_reader(line.try_clone()?);
-    SimulatedBoard::new(spawn_writer(line), wishes)?.run(&bytes)
+    SimulatedBoard::new(spawn_writer(line), options)?.run(&bytes)
 }
 
-/// What the line brings, until it hangs up.
+/// Reads from the line until it hangs up.
 fn spawn_reader(mut line: File) -> Receiver<Vec<u8>> {
     let (sender, receiver) = channel();
     thread::spawn(move || {
@@ -64,7 +64,7 @@ fn spawn_reader(mut line: File) -> Receiver<Vec<u8>> {
     receiver
 }
 
-/// What is to be said; a line that takes no more loses the rest, as a UART would.
+/// Writes frames to the line; a full queue drops frames, like a UART.
 fn spawn_writer(mut line: File) -> SyncSender<Vec<u8>> {
     let (sender, frames) = sync_channel::<Vec<u8>>(MAX_QUEUED_FRAMES);
     thread::spawn(move || {
@@ -89,7 +89,7 @@ struct SimulatedBoard {
     last_state: Option<ControllerState>,
 }
 
-/// A plate that is driven, from its first setpoint on.
+/// A configured trial, which starts with its first setpoint.
 struct BoardTrial {
     configure: Configure,
     plant: Plant,
@@ -101,12 +101,12 @@ struct BoardTrial {
 }
 
 impl SimulatedBoard {
-    fn new(line: SyncSender<Vec<u8>>, wishes: BTreeMap<String, String>) -> Result<Self, Box<dyn Error>> {
+    fn new(line: SyncSender<Vec<u8>>, options: BTreeMap<String, String>) -> Result<Self, Box<dyn Error>> {
         let plate = toml::from_str::<RawPlate>(PLATE)?.check()?;
-        let log = wishes.get("log").map(File::create).transpose()?;
+        let log = options.get("log").map(File::create).transpose()?;
         Ok(Self {
             line,
-            options: wishes,
+            options,
             log,
             reader: PacketReader::new(),
             plate,
@@ -119,10 +119,10 @@ impl SimulatedBoard {
 
     fn run(mut self, bytes: &Receiver<Vec<u8>>) -> Result<(), Box<dyn Error>> {
         loop {
-            let patience = self
+            let timeout = self
                 .next_period()
                 .map_or(Duration::from_millis(50), |next| next.saturating_duration_since(Instant::now()));
-            match bytes.recv_timeout(patience) {
+            match bytes.recv_timeout(timeout) {
                 Ok(bytes) => self.receive(&bytes)?,
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
@@ -133,7 +133,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// The number behind `key`.
+    /// The number of an option.
     fn option<T: std::str::FromStr>(&self, key: &str) -> Option<T> {
         self.options.get(key).and_then(|value| value.parse().ok())
     }
@@ -171,8 +171,8 @@ impl SimulatedBoard {
                 Message::Hello => Some(Message::Identity(self.identity())),
                 Message::Configure(configure) => Some(Message::Configured(self.configure(&configure))),
                 Message::Setpoint(setpoint) => {
-                    let heeded = self.apply_setpoint(sequence, setpoint.setpoint_um);
-                    Some(Message::Command(heeded)).filter(|_| !self.is_due("deaf", period))
+                    let command = self.apply_setpoint(sequence, setpoint.setpoint_um);
+                    Some(Message::Command(command)).filter(|_| !self.is_due("deaf", period))
                 }
                 Message::Safe => {
                     self.trial = None;
@@ -222,27 +222,27 @@ impl SimulatedBoard {
     }
 
     fn apply_setpoint(&mut self, sequence: u8, setpoint_um: f32) -> Command {
-        let held = self.option("hold").unwrap_or(setpoint_um);
+        let setpoint_um = self.option("hold").unwrap_or(setpoint_um);
         let Some(trial) = &mut self.trial else { return *self.machine.output() };
-        trial.setpoint_um = held;
+        trial.setpoint_um = setpoint_um;
         trial.last_setpoint = Instant::now();
         trial.last_sequence = sequence;
         let starts = trial.started.is_none();
         trial.started.get_or_insert_with(Instant::now);
         let output = *self.machine.output();
-        // It runs from its first control step on, which begins now.
+        // The first control step begins now.
         if starts { Command { state: ControllerState::Running, ..output } } else { output }
     }
 
-    /// Force in N and kelvin above the reference, as the hand at the plate has it.
+    /// Reads force in N and offset in K.
     fn read_conditions(&self) -> Conditions {
-        let text = self.options.get("surroundings").and_then(|file| fs::read_to_string(file).ok()).unwrap_or_default();
-        let mut numbers = text.split_whitespace().map(|word| word.parse().unwrap_or(0.0));
+        let text = self.options.get("conditions").and_then(|file| fs::read_to_string(file).ok()).unwrap_or_default();
+        let mut numbers = text.split_whitespace().map(|number| number.parse().unwrap_or(0.0));
         let mut next = || numbers.next().unwrap_or(0.0);
         Conditions { finger_force_n: next(), temperature_offset_k: next() }
     }
 
-    /// A control period of the board's own timer.
+    /// Runs one control period.
     fn step(&mut self) -> Result<(), Box<dyn Error>> {
         let Some(mut trial) = self.trial.take() else { return Ok(()) };
         let period = trial.period;
@@ -265,12 +265,12 @@ impl SimulatedBoard {
         let now_us = period.wrapping_mul(trial.configure.period_us);
         trial.plant.advance(Time::from_nanos(u64::from(now_us) * 1_000), &[], &mut Vec::new());
         let Complex64 { re, im } = trial.plant.state().w;
-        let patience = Duration::from_millis(trial.configure.watchdog_timeout_ms.into());
+        let watchdog = Duration::from_millis(trial.configure.watchdog_timeout_ms.into());
         let sample = Sample { time_us: now_us, setpoint_um: trial.setpoint_um, wd_um: re as f32, wq_um: im as f32 };
         if self.option("stop") == Some(period) {
             self.machine.sample(&Sample { wd_um: f32::NAN, ..sample }, now_us);
-        } else if trial.last_setpoint.elapsed() >= patience {
-            // No setpoint for as long as that is, for the machine, no sample.
+        } else if trial.last_setpoint.elapsed() >= watchdog {
+            // The state machine knows samples instead of setpoints.
             if let Some(command) = self.machine.tick(now_us.wrapping_add(u32::MAX / 2)) {
                 self.send(trial.last_sequence, Message::Command(command));
             }

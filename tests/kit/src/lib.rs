@@ -1,6 +1,7 @@
-//! Provides fixtures that the tests of several crates share: the paper's plate, its configuration and the repository's scenarios.
+//! Provides fixtures for the tests of several crates: plate, configuration, scenarios.
 //!
-//! A dev-dependency only. The unit tests of `wire` and `scenario` cannot use it: they would see two versions of their own types.
+//! A dev-dependency only. Unit tests of `wire` and `scenario` cannot use it, because they would see
+//! two versions of their own types.
 
 mod configuration;
 mod python;

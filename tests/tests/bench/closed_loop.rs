@@ -1,13 +1,12 @@
-//! The control laws on the plate: just stable and just not, saturated and free, against what was derived for them.
+//! Compares the control laws on the plate with derived values, at and beyond their stability limits.
 
-use crate::test_folder::{TestFolder, step_scenario};
+use crate::test_folder::{PLATE, TestFolder, step_scenario, step_text};
 use rstest::rstest;
 
 const SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 100.0";
 const OVERSHOOT: &str = "metric = \"overshoot_percent\"\nat_most = 1000.0";
 const DRIVE_PEAK: &str = "metric = \"drive_peak_vpp\"\nat_most = 1000.0";
 
-/// Scenario that is played with the paper's plate unless a plate is written for it.
 fn value_on_the_paper_plate(controller: &str, profile: &str, expect: &str) -> Option<f64> {
     TestFolder::new().first_value(&step_scenario("aluminium-198x138", controller, profile, expect))
 }
@@ -45,26 +44,22 @@ fn step_responses_match_the_derived_values(
     }
 }
 
-/// Budgets of loop delay at 1 kHz and 2 ms: 0.83 period for equation 24 as printed. Beyond it the amplitude never comes to rest.
+/// At 1 kHz and 2 ms the delay budget of equation 24 as printed is 0.83 periods.
 #[rstest]
 #[case::just_stable(0.80, true)]
 #[case::just_unstable(0.86, false)]
 fn equation_24_as_printed_tolerates_its_delay_budget(#[case] delay_ms: f64, #[case] settles: bool) {
     let controller = format!("law = \"dq-pi-euler\"\nloop_delay_ms = {delay_ms}");
-    // Room to swing: with the amplifier's limit in the way a loop beyond its budget ends in a limit cycle instead.
     let text = step_scenario("aluminium-198x138", &controller, "", SETTLING)
         .replace("duration_ms = 60.0", "duration_ms = 900.0");
-    // A limit cycle may be inside the band when the trial ends: an entry that late is none.
+    // The drive limit makes a limit cycle of an unstable loop, which may end inside the band.
     assert_eq!(TestFolder::new().first_value(&text).is_some_and(|ms| ms < 300.0), settles);
 }
 
 fn value_with_drive_limit(limit_vpp: f64, expect: &str) -> f64 {
-    let workshop = TestFolder::new();
-    let plate = std::fs::read_to_string(workshop.path().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
-    assert!(plate.contains("limit_vpp = 900.0"));
-    let plate = plate.replace("limit_vpp = 900.0", &format!("limit_vpp = {limit_vpp:?}"));
-    std::fs::write(workshop.path().join("scenarios/plates/limited.toml"), plate).unwrap();
-    workshop.first_value(&step_scenario("limited", "law = \"dq-pi\"", "", expect)).unwrap()
+    let folder = TestFolder::new();
+    folder.replace(PLATE, "limit_vpp = 900.0", &format!("limit_vpp = {limit_vpp:?}"));
+    folder.first_value(&step_text(expect)).unwrap()
 }
 
 /// `t = −τ ln(1 − 0.95 W_ref / (K1 Vmax))`
@@ -84,21 +79,20 @@ fn leaving_saturation_costs_little_over_the_time_floor(
     assert!(overshoot < 4.0, "{overshoot} %");
 }
 
-/// From 2.5 to 0.5 µm the plate falls by itself: τ ln(2.5 / 0.525) = 2.93 ms at best.
+/// Without drive the plate falls from 2.5 to 0.525 µm in τ ln(2.5 / 0.525) = 2.93 ms.
 #[test]
 fn a_falling_setpoint_is_reached_without_undershoot() {
-    let text = |expect: &str| {
-        step_scenario("aluminium-198x138", "law = \"dq-pi\"", "", expect)
-            .replace("setpoint_um = 2.0", "setpoint_um = { hold = [[0.0, 2.5], [30.0, 0.5]] }")
+    let value = |expect: &str| {
+        let text = step_text(&format!("{expect}\nfrom_ms = 30.0"));
+        let text = text.replace("setpoint_um = 2.0", "setpoint_um = { hold = [[0.0, 2.5], [30.0, 0.5]] }");
+        TestFolder::new().first_value(&text).unwrap()
     };
-    let workshop = TestFolder::new();
-    let settling = workshop.first_value(&text(&format!("{SETTLING}\nfrom_ms = 30.0"))).unwrap();
+    let settling = value(SETTLING);
     assert!((2.93..4.0).contains(&settling), "{settling} ms");
-    let undershoot = workshop.first_value(&text(&format!("{OVERSHOOT}\nfrom_ms = 30.0"))).unwrap();
+    let undershoot = value(OVERSHOOT);
     assert!(undershoot < 0.1, "{undershoot} %");
 }
 
-/// Whatever the start, the frequency loop never leaves its range, and it ends at the resonance or says that it cannot get there.
 #[rstest]
 #[case::within_range(32_307.6 - 249.0, true)]
 #[case::out_of_range(32_307.6 - 260.0, false)]
@@ -112,7 +106,7 @@ fn the_frequency_loop_keeps_to_its_range(#[case] start_hz: f64, #[case] reaches:
     assert!(furthest <= 250.001, "{furthest} Hz");
 }
 
-/// A setpoint that starts again at rest must not find a frequency loop that chased noise meanwhile.
+/// At rest the phase is noise; the frequency must not follow it.
 #[test]
 fn a_plate_at_rest_does_not_move_the_frequency() {
     let text = step_scenario("aluminium-198x138-noisy", "law = \"dq-pi\"", "", SETTLING)

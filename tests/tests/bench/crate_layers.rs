@@ -1,4 +1,4 @@
-//! Checks which way imports run: between crates by their manifests, between modules by their source.
+//! Checks the direction of imports between crates and between modules.
 
 mod modules;
 
@@ -79,7 +79,7 @@ fn crate_offences() -> Vec<String> {
     offences
 }
 
-/// Compares with the open offences, and lists every difference.
+/// Compares with the open offences.
 #[track_caller]
 fn assert_only_open(offences: Vec<String>, is_of_this_test: impl Fn(&str) -> bool) {
     let found: BTreeSet<String> = offences.into_iter().collect();

@@ -1,32 +1,35 @@
-//! The ends of what a scenario may ask for: whole runs whose files hold numbers only, and pointed refusals beyond.
+//! Tests scenarios and plates at the limits of their ranges, and beyond.
 
-use crate::test_folder::{TestFolder, exit_code, run_bench, workspace_root};
+use crate::test_folder::{PLATE, TestFolder, run_bench, workspace_root};
 use platebench_record::RunRecord;
 use platebench_runner::rejudge;
 use rstest::rstest;
 use std::fs;
 use std::path::Path;
 
-/// A scenario of 60 ms unless `head` says otherwise, with the metrics that divide by something.
+const CHANGED_PLATE: &str = "scenarios/plates/plate.toml";
+
+/// A scenario with every metric that divides; 60 ms long unless `head` sets the duration.
 fn scenario_text(head: &str, controller: &str) -> String {
     let duration = if head.contains("duration_ms") { "" } else { "duration_ms = 60.0\n" };
     let metrics =
         ["settling_time_ms", "overshoot_percent", "quadrature_ratio", "frequency_error_hz", "final_amplitude_um"];
     let expect = metrics.map(|metric| format!("[[expect]]\nmetric = \"{metric}\"\nat_most = 1.0\n")).concat();
     format!(
-        "title = \"Extreme\"\nplate = \"plates/plate.toml\"\n{duration}{head}\n[controller]\n{controller}\n[profile]\nsetpoint_um = 2.0\n\
-         [[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\n{expect}"
+        "title = \"Extreme\"\nplate = \"plates/plate.toml\"\n{duration}{head}\n[controller]\n{controller}\n\
+         [profile]\nsetpoint_um = 2.0\n[[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\n{expect}"
     )
 }
 
-/// The paper's plate with one line changed.
-fn changed_plate(from: &str, to: &str) -> String {
-    let text = fs::read_to_string(workspace_root().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
-    assert!(text.contains(from), "{from}");
-    text.replace(from, to)
+/// A folder with [`scenario_text`] and a changed copy of the paper's plate.
+fn extreme_folder(head: &str, controller: &str, (from, to): (&str, &str)) -> TestFolder {
+    let folder = TestFolder::with_scenario(&scenario_text(head, controller));
+    fs::copy(folder.join(PLATE), folder.join(CHANGED_PLATE)).unwrap();
+    folder.replace(CHANGED_PLATE, from, to);
+    folder
 }
 
-/// Every file that the run wrote; what words mean in a style sheet or a script is no number of the run's.
+/// Checks the numbers in every file; style sheets and scripts are skipped.
 fn assert_no_nan_in_files(folder: &Path) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -42,8 +45,8 @@ fn assert_no_nan_in_files(folder: &Path) {
                 text.replace_range(start..end, "");
             }
         }
-        let none = text.split(|c: char| !c.is_alphanumeric()).find(|word| ["nan", "inf", "infinity"].contains(word));
-        assert_eq!(none, None, "{}", path.display());
+        let found = text.split(|c: char| !c.is_alphanumeric()).find(|word| ["nan", "inf", "infinity"].contains(word));
+        assert_eq!(found, None, "{}", path.display());
     }
 }
 
@@ -78,41 +81,18 @@ const RINGING_FOR_HOURS: (&str, &str) = ("time_constant_ms = 1.88", "time_consta
     "",
     "[controller.gains]\namplitude_kp = 3e38\namplitude_ki = 3e38\nfrequency_kp = -3e38\nfrequency_ki = 3e38"
 )]
-fn files_of_an_extreme_run_hold_finite_numbers(
-    #[case] (from, to): (&str, &str),
-    #[case] head: &str,
-    #[case] controller: &str,
-) {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &scenario_text(head, controller));
-    fs::write(workshop.path().join("scenarios/plates/plate.toml"), changed_plate(from, to)).unwrap();
-    let output = run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "run"]);
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert!([0, 1, 3].contains(&exit_code(&output)), "{told}");
-    let out = workshop.path().join("run");
+fn an_extreme_run_writes_finite_numbers(#[case] change: (&str, &str), #[case] head: &str, #[case] controller: &str) {
+    let folder = extreme_folder(head, controller, change);
+    folder.run_hosted("run").assert_exit_in(&[0, 1, 3]);
+    let out = folder.join("run");
     assert_no_nan_in_files(&out);
-    assert_eq!(RunRecord::read(&out).unwrap(), rejudge(&out, None).unwrap());
+    assert_eq!(folder.record("run"), rejudge(&out, None).unwrap());
 }
 
 #[rstest]
-#[case::no_damping(
-    "time_constant_ms = 1.88",
-    "time_constant_ms = inf",
-    "plates/plate.toml:9:20",
-    "expected a finite number above 0"
-)]
-#[case::negative_damping(
-    "time_constant_ms = 1.88",
-    "time_constant_ms = -1.88",
-    "plates/plate.toml:9:20",
-    "expected a finite number above 0"
-)]
-#[case::next_to_no_damping(
-    "time_constant_ms = 1.88",
-    "time_constant_ms = 1e300",
-    "plates/plate.toml:9:20",
-    "a quality factor of "
-)]
+#[case::no_damping("= 1.88", "= inf", "plates/plate.toml:9:20", "expected a finite number above 0")]
+#[case::negative_damping("= 1.88", "= -1.88", "plates/plate.toml:9:20", "expected a finite number above 0")]
+#[case::tiny_damping("= 1.88", "= 1e300", "plates/plate.toml:9:20", "a quality factor of ")]
 #[case::a_finger_that_undamps("[1.5, 2.0]", "[1.5, 0.0]", "plates/plate.toml:13:17", "expected ratios above 0")]
 #[case::a_finger_that_drives("[0.0, 1.0]", "[0.0, -1.0]", "plates/plate.toml:13:17", "expected ratios above 0")]
 #[case::a_gain_beyond_the_wire("0.00698", "1e60", "plates/plate.toml:10:19", "single precision")]
@@ -122,27 +102,18 @@ fn an_impossible_plate_is_reported_with_its_line(
     #[case] place: &str,
     #[case] message: &str,
 ) {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &scenario_text("", ""));
-    fs::write(workshop.path().join("scenarios/plates/plate.toml"), changed_plate(from, to)).unwrap();
-    let output = run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "run"]);
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(exit_code(&output), 2, "{told}");
-    assert!(told.contains(place) && told.contains(message), "{told}");
+    let folder = extreme_folder("", "", (from, to));
+    folder.run_hosted("run").assert_exit(2).assert_stderr(&[place, message]);
 }
 
 /// One cycle of the carrier is 30.95 µs; the wire carries whole microseconds.
 #[test]
-fn a_period_between_two_microseconds_is_refused() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &scenario_text("", "period_ms = 0.030952"));
-    fs::write(workshop.path().join("scenarios/plates/plate.toml"), changed_plate("", "")).unwrap();
-    let output = run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "run"]);
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert!(exit_code(&output) == 2 && told.contains("expected whole microseconds"), "{told}");
+fn rejects_a_period_between_two_microseconds() {
+    let folder = extreme_folder("", "period_ms = 0.030952", UNCHANGED);
+    folder.run_hosted("run").assert_exit(2).assert_stderr(&["expected whole microseconds"]);
 }
 
-/// The console, JUnit and the report say what the record says, and the same when judged again.
+/// In the console, JUnit and `report.html`, live and judged again.
 #[rstest]
 #[case("past-the-delay-budget.toml")]
 #[case("backward-euler.toml")]
@@ -150,19 +121,19 @@ fn every_report_format_shows_a_divergence(#[case] name: &str) {
     let folder = tempfile::tempdir().unwrap();
     let path = workspace_root().join("scenarios/limits").join(name);
     let output = run_bench(folder.path(), ["run", path.to_str().unwrap(), "--rig", "hosted", "--out", "run"]);
-    assert_eq!(exit_code(&output), 1);
+    let stdout = output.assert_exit(1).stdout;
     let out = folder.path().join("run");
     let live = RunRecord::read(&out).unwrap();
     let scenario = &live.scenarios[0];
     assert!(scenario.trials[0].diverged_at_s.is_some_and(|at_s| at_s < 0.1), "{:?}", scenario.trials);
+    let [junit, page] = ["junit.xml", "report.html"].map(|file| fs::read_to_string(out.join(file)).unwrap());
     for expectation in &scenario.expectations {
         let reason = expectation.reason.as_ref().unwrap().to_string();
         let at = reason.find("diverged at t = ").unwrap_or_else(|| panic!("{reason}"));
-        let said = &reason[at..reason.find(" ms").unwrap()];
-        for file in ["junit.xml", "report.html"] {
-            assert!(fs::read_to_string(out.join(file)).unwrap().contains(said), "{file}: {said}");
+        let divergence = &reason[at..reason.find(" ms").unwrap()];
+        for (format, text) in [("JUnit", &junit), ("page", &page), ("console", &stdout)] {
+            assert!(text.contains(divergence), "{format}: {divergence}");
         }
-        assert!(String::from_utf8_lossy(&output.stdout).contains(said), "{said}");
     }
     assert_eq!(live, rejudge(&out, None).unwrap());
 }

@@ -1,18 +1,18 @@
-//! Recordings of the repository's own scenarios, played and identified: Tables I and II, the plate file, and input that cannot be used.
+//! Identifies the plate from recordings of the repository's scenarios: Tables I and II, the plate file, invalid input.
 
-use crate::test_folder::{exit_code, run_bench, workspace_root};
+use crate::test_folder::{run_bench, workspace_root};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
 fn run_recordings(folder: &Path) {
     let scenarios = workspace_root().join("scenarios/identify");
-    let output = run_bench(folder, ["run", scenarios.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"]);
-    assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stdout));
+    run_bench(folder, ["run", scenarios.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"])
+        .assert_exit(0);
 }
 
-/// A share of the numbers' mean: their standard deviation.
-fn scatter(values: &[f64]) -> f64 {
+/// Standard deviation relative to the mean.
+fn relative_deviation(values: &[f64]) -> f64 {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (values.len() - 1) as f64).sqrt() / mean
 }
@@ -21,13 +21,11 @@ fn scatter(values: &[f64]) -> f64 {
 fn identified_tables_match_the_paper() {
     let folder = tempfile::tempdir().unwrap();
     run_recordings(folder.path());
-    let asked =
+    let arguments =
         ["identify", "run", "--format", "json", "--out", "plate.toml", "--page", "page.html", "--name", "found"];
-    let output = run_bench(folder.path(), asked);
-    assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
-    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let identified = run_bench(folder.path(), arguments).assert_exit(0).json();
     let steps = |key: &str, keep: &dyn Fn(&Value) -> bool, index: usize| -> Vec<f64> {
-        let steps = found[key].as_array().unwrap().iter().filter(|step| keep(step));
+        let steps = identified[key].as_array().unwrap().iter().filter(|step| keep(step));
         steps.filter_map(|step| step["direct"][index]["value"].as_f64()).collect()
     };
     for vpp in [120.0, 208.0, 312.0, 370.0] {
@@ -37,47 +35,42 @@ fn identified_tables_match_the_paper() {
         };
         let (gains, taus) = (steps("voltage_steps", &here, 0), steps("voltage_steps", &here, 1));
         assert_eq!((gains.len(), taus.len()), (30, 30), "{vpp} Vpp");
-        // A deviation of 30 values lies within 26 % of the true one in 95 of 100 cases; 5 % of K1 and 6 % of τ1 were drawn.
-        assert!((0.03..0.07).contains(&scatter(&gains)), "{vpp} Vpp: K1 {}", scatter(&gains));
-        assert!((0.036..0.084).contains(&scatter(&taus)), "{vpp} Vpp: τ1 {}", scatter(&taus));
+        // The deviation of 30 values is within 26 % of the true one at 95 %; drawn: 5 % of K1, 6 % of τ1.
+        assert!((0.03..0.07).contains(&relative_deviation(&gains)), "{vpp} Vpp: K1 {}", relative_deviation(&gains));
+        assert!((0.036..0.084).contains(&relative_deviation(&taus)), "{vpp} Vpp: τ1 {}", relative_deviation(&taus));
     }
-    let value = |key: &str| found[key]["value"].as_f64().unwrap();
+    let value = |key: &str| identified[key]["value"].as_f64().unwrap();
     // Means over 30 plates, three standard errors: 2.7 % of K1, 3.3 % of τ.
     assert!((value("gain_um_per_vpp") / 0.006_98 - 1.0).abs() < 0.027, "{}", value("gain_um_per_vpp"));
     assert!((value("time_constant_s") / 1.88e-3 - 1.0).abs() < 0.033, "{}", value("time_constant_s"));
     assert!((value("frequency_gain_s") / 1.88e-3 - 1.0).abs() < 0.033, "{}", value("frequency_gain_s"));
-    assert_eq!(found["frequency_steps"].as_array().unwrap().len(), 180, "six steps of thirty plates");
+    assert_eq!(identified["frequency_steps"].as_array().unwrap().len(), 180, "six steps of thirty plates");
     let plate = fs::read_to_string(folder.path().join("plate.toml")).unwrap();
     assert!(plate.starts_with("name = \"found\"\n"), "{plate}");
     let page = fs::read_to_string(folder.path().join("page.html")).unwrap();
     assert!(page.contains("Table II") && page.contains("s-first") && page.contains("6844.5"));
-    // What came out is a plate that can be played on.
-    let scenario = "title = \"again\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[controller]\nlaw = \"dq-pi\"\n[profile]\n\
-                    setpoint_um = 2.0\n[[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\n";
-    fs::write(folder.path().join("again.toml"), scenario.replace("[[expect]]", "[trials]\ncount = 5\n[[expect]]"))
-        .unwrap();
-    let output = run_bench(folder.path(), ["run", "again.toml", "--rig", "hosted", "--out", "again"]);
-    assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stdout));
+    // The result is a valid plate file.
+    let scenario = "title = \"again\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[controller]\nlaw = \"dq-pi\"\n\
+                    [profile]\nsetpoint_um = 2.0\n[trials]\ncount = 5\n\
+                    [[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\n";
+    fs::write(folder.path().join("again.toml"), scenario).unwrap();
+    run_bench(folder.path(), ["run", "again.toml", "--rig", "hosted", "--out", "again"]).assert_exit(0);
 }
 
 #[test]
 fn unusable_input_is_reported_with_its_line() {
     let folder = tempfile::tempdir().unwrap();
-    let refused = |arguments: &[&str], expected: &str| {
-        let output = run_bench(folder.path(), arguments);
-        let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(exit_code(&output) == 2 && told.contains(expected), "{told}");
-    };
-    refused(&["identify", "nothing.csv"], "nothing.csv");
-    refused(&["identify"], "required");
     fs::write(folder.path().join("t.csv"), "t,V,f,d,q\n0,0,32000,0,0\n1,300,32000,oops,0\n").unwrap();
-    refused(&["identify", "t.csv"], "t.csv:1: columns `t,V,f,d,q`, expected");
     let columns = "time=t:ms,drive=V,frequency=f,wd=d,wq=q";
-    refused(
-        &["identify", "t.csv", "--columns", columns],
-        "t.csv:3: column 4 (`d`) is `oops`, expected a finite number",
-    );
-    refused(&["identify", "t.csv", "--columns", "time=t"], "no column for drive");
+    for (arguments, message) in [
+        (&["nothing.csv"][..], "nothing.csv"),
+        (&[], "required"),
+        (&["t.csv"], "t.csv:1: columns `t,V,f,d,q`, expected"),
+        (&["t.csv", "--columns", columns], "t.csv:3: column 4 (`d`) is `oops`, expected a finite number"),
+        (&["t.csv", "--columns", "time=t"], "no column for drive"),
+    ] {
+        run_bench(folder.path(), ["identify"].iter().chain(arguments)).assert_exit(2).assert_stderr(&[message]);
+    }
     fs::create_dir(folder.path().join("empty")).unwrap();
-    assert_eq!(exit_code(&run_bench(folder.path(), ["identify", "empty"])), 4);
+    run_bench(folder.path(), ["identify", "empty"]).assert_exit(4);
 }

@@ -1,6 +1,6 @@
-//! Faults on the line: what the controller does about them, and what the bench does.
+//! Tests how controller and bench react to faults on the line.
 
-use crate::test_folder::{TestFolder, exit_code, run_bench, step_scenario, workspace_root};
+use crate::test_folder::{TestFolder, run_bench, step_scenario, step_text, workspace_root};
 use platebench_record::{Cause, RunRecord, Telemetry, Verdict};
 use platebench_trace::{Flags, Row};
 use rstest::rstest;
@@ -9,17 +9,16 @@ use std::path::Path;
 
 const MISSED: &str = "metric = \"missed_replies\"\nat_most = 100.0";
 
-/// A step to 2 µm at the start with faults, hosted.
+/// A step to 2 µm with faults, hosted.
 fn run_with_faults(faults: &str) -> (RunRecord, Vec<Row>) {
-    let text = step_scenario("aluminium-198x138", "", "", MISSED) + faults;
-    TestFolder::new().run_scenario(&text)
+    TestFolder::new().run_scenario(&(step_text(MISSED) + faults))
 }
 
 fn telemetry(record: &RunRecord) -> &Telemetry {
     &record.scenarios[0].trials[0].telemetry
 }
 
-/// The first row at 0 V once the controller runs, ms.
+/// The first row at 0 V after the start, ms.
 fn first_zero_drive_ms(rows: &[Row]) -> Option<f64> {
     rows.iter().find(|row| row.t_s > 0.0 && row.drive_vpp == 0.0).map(|row| row.t_s * 1e3)
 }
@@ -28,23 +27,22 @@ fn times_with_flag_ms(rows: &[Row], flag: Flags) -> Vec<f64> {
     rows.iter().filter(|row| row.flags.contains(flag)).map(|row| (row.t_s * 1e3).round()).collect()
 }
 
-fn run_and_read(folder: &Path, arguments: &[&str]) -> RunRecord {
-    let out = arguments.iter().skip_while(|argument| **argument != "--out").nth(1).unwrap();
-    let output = run_bench(folder, ["run"].iter().chain(arguments));
-    assert!(exit_code(&output) < 2, "{}", String::from_utf8_lossy(&output.stderr));
+/// Runs `scenarios/faults/<name>` into the run folder `out`.
+fn run_faults(folder: &Path, name: &str, out: &str, more: &[&str]) -> RunRecord {
+    let scenarios = workspace_root().join("scenarios/faults").join(name);
+    let output = run_bench(folder, ["run", scenarios.to_str().unwrap(), "--out", out].iter().chain(more));
+    output.assert_exit_in(&[0, 1]);
     RunRecord::read(&folder.join(out)).unwrap()
 }
 
 #[test]
 fn the_fault_suite_passes_with_any_number_of_jobs() {
     let folder = tempfile::tempdir().unwrap();
-    let suite = workspace_root().join("scenarios/faults");
-    let suite = suite.to_str().unwrap();
     for jobs in ["1", "2"] {
-        let record = run_and_read(folder.path(), &[suite, "--rig", "hosted", "--jobs", jobs, "--out", jobs]);
+        let record = run_faults(folder.path(), "", jobs, &["--rig", "hosted", "--jobs", jobs]);
         assert_eq!(record.verdict, Verdict::Pass);
-        let struck = |record: &RunRecord| record.scenarios.iter().all(|it| !it.trials[0].telemetry.faults.is_empty());
-        assert!(record.scenarios.len() > 10 && struck(&record), "every scenario's fault has struck something");
+        let all_applied = record.scenarios.iter().all(|it| !it.trials[0].telemetry.faults.is_empty());
+        assert!(record.scenarios.len() > 10 && all_applied, "every scenario applied its fault");
         for scenario in &record.scenarios {
             let trace = |run: &str| fs::read(folder.path().join(run).join(&scenario.trials[0].trace)).unwrap();
             assert!(trace("1") == trace(jobs), "{}", scenario.file);
@@ -58,8 +56,7 @@ fn the_fault_suite_passes_with_any_number_of_jobs() {
 fn a_flipped_bit_has_the_effect_of_a_lost_sample(#[case] rig: &str) {
     let folder = tempfile::tempdir().unwrap();
     let traces = ["lost-sample", "flipped-bit"].map(|name| {
-        let scenario = workspace_root().join(format!("scenarios/faults/{name}.toml"));
-        let record = run_and_read(folder.path(), &[scenario.to_str().unwrap(), "--rig", rig, "--out", name]);
+        let record = run_faults(folder.path(), &format!("{name}.toml"), name, &["--rig", rig]);
         fs::read(folder.path().join(name).join(&record.scenarios[0].trials[0].trace)).unwrap()
     });
     assert!(traces[0] == traces[1]);
@@ -68,10 +65,9 @@ fn a_flipped_bit_has_the_effect_of_a_lost_sample(#[case] rig: &str) {
 #[rstest]
 #[case::hosted("hosted")]
 #[case::emulated("emulated")]
-fn the_record_holds_the_controller_s_stop_cause(#[case] rig: &str) {
+fn the_record_has_the_cause_of_the_controller_s_stop(#[case] rig: &str) {
     let folder = tempfile::tempdir().unwrap();
-    let suite = workspace_root().join("scenarios/faults");
-    let record = run_and_read(folder.path(), &[suite.to_str().unwrap(), "--rig", rig, "--out", "run"]);
+    let record = run_faults(folder.path(), "", "run", &["--rig", rig]);
     let stopped = |name: &str| {
         let scenario = record.scenarios.iter().find(|scenario| scenario.file.contains(name)).unwrap();
         scenario.trials[0].telemetry.stopped.as_deref()
@@ -96,14 +92,14 @@ fn the_watchdog_acts_on_the_fifth_missing_sample() {
     assert_eq!((first_zero_drive_ms(&rows), telemetry(&record).stopped.as_deref()), (None, None));
     assert_eq!(times_with_flag_ms(&rows, Flags::LINK_LOST), [30.0, 31.0, 32.0]);
     assert_eq!((record.verdict, record.scenarios[0].expectations[0].value), (Verdict::Pass, Some(3.0)));
-    // The drive of the last command is held meanwhile.
+    // The controller holds the last drive meanwhile.
     let held: Vec<_> = rows.iter().filter(|row| (0.029..0.033).contains(&row.t_s)).map(|row| row.drive_vpp).collect();
     assert!(held.iter().all(|drive| *drive == held[0] && *drive > 280.0));
 
     let (record, rows) = silence(34);
     assert_eq!(first_zero_drive_ms(&rows), Some(34.0), "five periods after the last sample");
     assert_eq!(telemetry(&record).stopped.as_deref(), Some("no sample for five periods"));
-    assert!(rows.last().unwrap().flags.contains(Flags::SAFE), "nobody configured it anew");
+    assert!(rows.last().unwrap().flags.contains(Flags::SAFE), "not configured again");
 }
 
 #[test]
@@ -117,8 +113,8 @@ fn a_stopped_controller_is_reconfigured_once_on_request() {
             .is_some_and(|row| row.flags.contains(Flags::SAFE) && row.drive_vpp == 0.0)
     };
     assert_eq!([13.9, 14.0, 19.9].map(stopped), [false, true, true]);
-    assert_eq!([20.0, 33.9].map(stopped), [false, false], "configured anew at the end of the window");
-    assert_eq!([34.0, 40.0, 60.0].map(stopped), [true, true, true], "the second fault does not say so");
+    assert_eq!([20.0, 33.9].map(stopped), [false, false], "configured again at the end of the window");
+    assert_eq!([34.0, 40.0, 60.0].map(stopped), [true, true, true], "the second fault has no reconfigure");
 }
 
 #[test]
@@ -127,27 +123,28 @@ fn a_dead_line_is_lost_after_twenty_periods() {
     assert_eq!(first_zero_drive_ms(&rows), Some(50.0));
     assert_eq!(record.scenarios[0].expectations[0].cause, Some(Cause::Rig));
     assert!(telemetry(&record).ended.is_some());
-    assert_eq!(telemetry(&record).faults["disconnect"], 21, "20 samples and the controller's word that it stopped");
+    assert_eq!(telemetry(&record).faults["disconnect"], 21, "20 samples and the controller's stop message");
 
-    // One that comes back is waited for, however long it takes.
+    // A fault with an end is waited for.
     let (record, rows) = run_with_faults("[[fault]]\nkind = \"disconnect\"\nfrom_ms = 20.0\nuntil_ms = 50.0\n");
     assert_eq!((first_zero_drive_ms(&rows), record.verdict), (Some(50.0), Verdict::Pass));
     assert_eq!((telemetry(&record).ended.as_deref(), rows.last().unwrap().drive_vpp), (None, 0.0));
 
     let folder = tempfile::tempdir().unwrap();
     let scenario = workspace_root().join("scenarios/limits/disconnect-for-good.toml");
-    assert_eq!(exit_code(&run_bench(folder.path(), ["run", scenario.to_str().unwrap()])), 5);
+    run_bench(folder.path(), ["run", scenario.to_str().unwrap()]).assert_exit(5);
 }
 
 #[test]
 fn a_command_late_within_its_period_is_not_missed() {
     let (record, rows) = run_with_faults(
-        "[[fault]]\nkind = \"delay\"\ndelay_ms = 0.3125\ndirection = \"from-controller\"\nfrom_ms = 0.0\nuntil_ms = 60.0\n",
+        "[[fault]]\nkind = \"delay\"\ndelay_ms = 0.3125\ndirection = \"from-controller\"\n\
+         from_ms = 0.0\nuntil_ms = 60.0\n",
     );
     assert_eq!(times_with_flag_ms(&rows, Flags::LINK_LOST), [0.0; 0]);
     assert_eq!(rows.iter().find(|row| row.drive_vpp > 0.0).unwrap().t_s, 0.000_312_5);
     assert_eq!(telemetry(&record).loop_delay_us, Some(312.5));
-    // As long as the loop delay of the same length is.
+    // Equal to a loop delay of the same length.
     let delayed = step_scenario("aluminium-198x138", "loop_delay_ms = 0.3125", "", MISSED);
     let (_, expected) = TestFolder::new().run_scenario(&delayed);
     let drives = |rows: &[Row]| rows.iter().map(|row| (row.t_s, row.drive_vpp, row.wd_um)).collect::<Vec<_>>();
@@ -157,15 +154,16 @@ fn a_command_late_within_its_period_is_not_missed() {
 #[test]
 fn a_command_later_than_a_period_is_missed_but_acts() {
     let (record, rows) = run_with_faults(
-        "[[fault]]\nkind = \"delay\"\ndelay_ms = 1.5\ndirection = \"from-controller\"\nfrom_ms = 30.0\nuntil_ms = 31.0\n",
+        "[[fault]]\nkind = \"delay\"\ndelay_ms = 1.5\ndirection = \"from-controller\"\n\
+         from_ms = 30.0\nuntil_ms = 31.0\n",
     );
     assert_eq!(times_with_flag_ms(&rows, Flags::LINK_LOST), [30.0]);
-    // The next one waits behind it on the line.
+    // The next command waits behind it on the line and is in time.
     assert_eq!((record.scenarios[0].expectations[0].value, record.verdict), (Some(1.0), Verdict::Pass));
 }
 
 #[test]
-fn the_trace_holds_the_samples_of_the_controller() {
+fn the_trace_has_the_samples_of_the_controller() {
     let (_, rows) = run_with_faults("[[fault]]\nkind = \"freeze\"\nfrom_ms = 1.0\nuntil_ms = 4.0\n");
     let sensed: Vec<_> =
         rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).map(|row| row.sensed_wd_um).take(5).collect();
@@ -175,14 +173,10 @@ fn the_trace_holds_the_samples_of_the_controller() {
 
 #[test]
 fn stored_traces_are_not_judged_with_other_faults() {
-    let workshop = TestFolder::new();
-    let text = step_scenario("aluminium-198x138", "", "", MISSED);
     let fault = "[[fault]]\nkind = \"drop\"\nfrom_ms = 30.0\nuntil_ms = 31.0\n";
-    workshop.write_scenario("s.toml", &format!("{text}{fault}"));
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["run", "--out", "run"])), 0);
-    workshop.write_scenario("other.toml", &text);
-    let output = run_bench(workshop.path(), ["judge", "run", "--scenario", "scenarios/other.toml"]);
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(exit_code(&output), 2, "{told}");
-    assert!(told.contains("[[fault]]"), "{told}");
+    let folder = TestFolder::with_scenario(&(step_text(MISSED) + fault));
+    folder.bench(["run", "--out", "run"]).assert_exit(0);
+    folder.write_scenario("other.toml", &step_text(MISSED));
+    let judge = folder.bench(["judge", "run", "--scenario", "scenarios/other.toml"]);
+    judge.assert_exit(2).assert_stderr(&["[[fault]]"]);
 }

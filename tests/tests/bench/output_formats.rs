@@ -1,44 +1,32 @@
-//! What a run tells other programs, and what is exported of it.
+//! Tests the output for other programs and the exports of a run.
 
-use crate::test_folder::{TestFolder, bench_command, exit_code, run_bench, step_scenario};
+use crate::test_folder::{ProgramOutput, SETTLING, TestFolder, bench_command, step_text};
+use rstest::rstest;
 use serde_json::Value;
 use std::fs;
-use std::path::Path;
-use std::process::Output;
 
-const GOOD: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
 const BAD: &str = "metric = \"settling_time_ms\"\nat_most = 0.5\nrequirement = \"ACC-1\"";
+const TRACE: &str = "run/traces/s/000.csv";
 
-fn step_text(expect: &str) -> String {
-    step_scenario("aluminium-198x138", "", "", expect)
+fn json_lines(output: &ProgramOutput) -> Vec<Value> {
+    let parse = |line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+    output.stdout.lines().map(parse).collect()
 }
 
-fn json_lines(output: &Output) -> Vec<Value> {
-    let text = String::from_utf8(output.stdout.clone()).unwrap();
-    text.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))).collect()
-}
-
-fn event_names(lines: &[Value]) -> Vec<&str> {
-    lines.iter().map(|line| line["event"].as_str().unwrap()).collect()
-}
-
-fn stored_record(folder: &Path) -> Value {
-    serde_json::from_slice(&fs::read(folder.join("run/run.json")).unwrap()).unwrap()
+fn stored_record(folder: &TestFolder) -> Value {
+    serde_json::from_str(&folder.read("run/run.json")).unwrap()
 }
 
 #[test]
 fn json_lines_end_with_the_verdict() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_text(GOOD));
+    let folder = TestFolder::with_step(SETTLING);
     let run = ["run", "--rig", "hosted", "--trials", "2", "--jobs", "1", "--format", "json", "--out", "run"];
-    let output = run_bench(workshop.path(), run);
-    assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
-    let lines = json_lines(&output);
+    let lines = json_lines(&folder.bench(run).assert_exit(0));
     assert_eq!(
-        event_names(&lines),
+        lines.iter().map(|line| line["event"].as_str().unwrap()).collect::<Vec<_>>(),
         ["run-started", "scenario-started", "trial-finished", "trial-finished", "scenario-finished", "run-finished"]
     );
-    let record = stored_record(workshop.path());
+    let record = stored_record(&folder);
     let scenario = &record["scenarios"][0];
     assert_eq!(lines[0]["folder"], "run");
     assert_eq!(lines[0]["scenarios"], serde_json::json!([{"scenario": "s.toml", "trials": 2}]));
@@ -48,149 +36,124 @@ fn json_lines_end_with_the_verdict() {
     assert_eq!((&lines[5]["verdict"], &lines[5]["exit_code"]), (&record["verdict"], &Value::from(0)));
 }
 
-#[test]
-fn the_last_line_is_written_on_every_exit() {
-    for (text, rig, expected) in [
-        (step_text(BAD), "hosted", 1),
-        ("title = 3".to_owned(), "hosted", 2),
-        (step_text(GOOD), "exec:true {port}", 5),
-        (String::new(), "hosted", 4),
-    ] {
-        let workshop = TestFolder::new();
-        if !text.is_empty() {
-            workshop.write_scenario("s.toml", &text);
-        }
-        let output = run_bench(workshop.path(), ["run", "--rig", rig, "--format", "json", "--out", "run"]);
-        assert_eq!(exit_code(&output), expected, "{}", String::from_utf8_lossy(&output.stderr));
-        let lines = json_lines(&output);
-        let last = lines.last().unwrap();
-        assert_eq!((&last["event"], &last["exit_code"]), (&Value::from("run-finished"), &Value::from(expected)));
-        assert_eq!(last["error"].is_null(), expected == 1, "{last}");
-        assert_ne!(last["verdict"], "pass");
+#[rstest]
+#[case::failed(Some(step_text(BAD)), "hosted", 1)]
+#[case::invalid(Some("title = 3".to_owned()), "hosted", 2)]
+#[case::absent_rig(Some(step_text(SETTLING)), "exec:true {port}", 5)]
+#[case::no_scenario(None, "hosted", 4)]
+fn the_last_line_is_written_on_every_exit(#[case] text: Option<String>, #[case] rig: &str, #[case] expected: i32) {
+    let folder = TestFolder::new();
+    if let Some(text) = text {
+        folder.write_scenario("s.toml", &text);
     }
+    let output = folder.bench(["run", "--rig", rig, "--format", "json", "--out", "run"]).assert_exit(expected);
+    let lines = json_lines(&output);
+    let last = lines.last().unwrap();
+    assert_eq!((&last["event"], &last["exit_code"]), (&Value::from("run-finished"), &Value::from(expected)));
+    assert_eq!(last["error"].is_null(), expected == 1, "{last}");
+    assert_ne!(last["verdict"], "pass");
 }
 
-#[test]
-fn github_annotations_point_at_the_expectation() {
-    let workshop = TestFolder::new();
-    let text = format!("{}\n[[expect]]\n{BAD}\n", step_text(GOOD));
-    workshop.write_scenario("s.toml", &text);
+#[rstest]
+#[case::elsewhere(&[], None, false)]
+#[case::variable_false(&[], Some("false"), false)]
+#[case::off(&["--github", "off"], Some("true"), false)]
+#[case::variable(&[], Some("true"), true)]
+#[case::on(&["--github", "on"], None, true)]
+fn github_annotations_point_at_the_expectation(
+    #[case] more: &[&str],
+    #[case] variable: Option<&str>,
+    #[case] annotates: bool,
+) {
+    let text = format!("{}\n[[expect]]\n{BAD}\n", step_text(SETTLING));
+    let folder = TestFolder::with_scenario(&text);
     let line = text.lines().position(|line| line == "at_most = 0.5").unwrap();
     let expected = format!("::error file=scenarios/s.toml,line={line},title=s.toml%3A fail::settling_time_ms 2 ≤ 0.5");
-    let run = |out: &str, more: &[&str], on_github: Option<&str>| {
-        let mut command = bench_command(workshop.path());
-        command.args(["run", "--rig", "hosted", "--out", out]).args(more).env("GITHUB_STEP_SUMMARY", "step.md");
-        if let Some(value) = on_github {
-            command.env("GITHUB_ACTIONS", value);
-        }
-        let output = command.output().unwrap();
-        assert_eq!(exit_code(&output), 1);
-        let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        (told.lines().any(|line| line.starts_with(&expected)), workshop.path().join("step.md").exists())
-    };
-    assert_eq!(run("a", &[], None), (false, false));
-    assert_eq!(run("b", &[], Some("false")), (false, false));
-    assert_eq!(run("c", &["--github", "off"], Some("true")), (false, false));
-    assert_eq!(run("d", &[], Some("true")), (true, true));
-    fs::remove_file(workshop.path().join("step.md")).unwrap();
-    assert_eq!(run("e", &["--github", "on"], None), (true, true));
+    let mut command = bench_command(folder.path());
+    command.args(["run", "--rig", "hosted", "--out", "run"]).args(more).env("GITHUB_STEP_SUMMARY", "step.md");
+    command.envs(variable.map(|value| ("GITHUB_ACTIONS", value)));
+    let output = ProgramOutput::from(command.output().unwrap()).assert_exit(1);
+    assert_eq!(output.stderr.lines().any(|line| line.starts_with(&expected)), annotates, "{}", output.stderr);
+    assert_eq!(folder.exists("step.md"), annotates);
 }
 
 #[test]
 fn summary_and_tap_are_files() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_text(BAD));
-    let output = run_bench(
-        workshop.path(),
-        ["run", "--rig", "hosted", "--out", "run", "--summary", "summary.md", "--tap", "run.tap"],
-    );
-    assert_eq!(exit_code(&output), 1);
-    let summary = fs::read_to_string(workshop.path().join("summary.md")).unwrap();
+    let folder = TestFolder::with_step(BAD);
+    folder
+        .bench(["run", "--rig", "hosted", "--out", "run", "--summary", "summary.md", "--tap", "run.tap"])
+        .assert_exit(1);
+    let summary = folder.read("summary.md");
     assert!(summary.starts_with("## ✗ platebench: fail\n") && summary.contains("ACC-1"), "{summary}");
-    let tap = fs::read_to_string(workshop.path().join("run.tap")).unwrap();
+    let tap = folder.read("run.tap");
     assert!(tap.starts_with("TAP version 14\n1..1\n") && tap.ends_with("\nnot ok 1 - s.toml\n"), "{tap}");
-    let output = run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "again", "--tap", "no/such/folder"]);
-    assert_eq!(exit_code(&output), 2);
+    folder.bench(["run", "--rig", "hosted", "--out", "again", "--tap", "no/such/folder"]).assert_exit(2);
 }
 
-/// A file that is not there, one that is in the way, a scenario that nobody knows.
 #[test]
 fn a_run_is_exported_once() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_text(GOOD));
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "run"])), 0);
+    let folder = TestFolder::with_step(SETTLING);
+    folder.run_hosted("run").assert_exit(0);
     for (format, file) in [("parquet", "s.parquet"), ("mf4", "s.mf4"), ("csv", "traces.csv"), ("mcap", "s.mcap")] {
-        let export = ["export", "run", "--format", format];
-        let output = run_bench(workshop.path(), export);
-        assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
-        let written = workshop.path().join("run/export").join(file);
-        assert!(String::from_utf8_lossy(&output.stdout).starts_with(&format!("run/export/{file}\n")));
-        let before = fs::read(&written).unwrap();
-        assert_eq!(exit_code(&run_bench(workshop.path(), export)), 2);
-        assert_eq!(fs::read(&written).unwrap(), before);
+        let export = || folder.bench(["export", "run", "--format", format]);
+        let output = export().assert_exit(0);
+        assert!(output.stdout.starts_with(&format!("run/export/{file}\n")), "{}", output.stdout);
+        let path = folder.join("run/export").join(file);
+        let before = fs::read(&path).unwrap();
+        export().assert_exit(2);
+        assert_eq!(fs::read(&path).unwrap(), before);
     }
+    // An unknown scenario and a missing run.
     for wrong in [&["export", "run", "--format", "csv", "t"][..], &["export", "nothing", "--format", "csv"]] {
-        assert_eq!(exit_code(&run_bench(workshop.path(), wrong)), 2, "{wrong:?}");
+        folder.bench(wrong).assert_exit(2);
     }
-    let trace = workshop.path().join("run/traces/s/000.csv");
-    let broken = fs::read_to_string(&trace).unwrap().replacen("\n0.0,", "\nx,", 1);
-    fs::write(&trace, broken).unwrap();
-    let output = run_bench(workshop.path(), ["export", "run", "--format", "parquet", "--out", "other"]);
-    assert_eq!(exit_code(&output), 2);
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(told.contains("run/traces/s/000.csv: SHA-256"), "{told}");
-    assert!(!workshop.path().join("other").exists(), "and nothing is written");
+    folder.replace(TRACE, "\n0.0,", "\nx,");
+    folder
+        .bench(["export", "run", "--format", "parquet", "--out", "other"])
+        .assert_exit(2)
+        .assert_stderr(&["run/traces/s/000.csv: SHA-256"]);
+    assert!(!folder.exists("other"));
 }
 
-/// Of two scenarios one has a trace that was changed: neither both nor that one is exported, the other one is.
+/// One of two scenarios has a changed trace; only the other one can be exported.
 #[test]
 fn a_tampered_trace_is_not_exported() {
-    let workshop = TestFolder::new();
-    for name in ["s.toml", "t.toml"] {
-        workshop.write_scenario(name, &step_text(GOOD));
-    }
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "run"])), 0);
-    let trace = workshop.path().join("run/traces/s/000.csv");
-    let text = fs::read_to_string(&trace).unwrap();
-    fs::write(&trace, text.replacen("control", "", 1)).unwrap();
-    for (format, asked, expected) in [
+    let folder = TestFolder::with_step(SETTLING);
+    folder.write_scenario("t.toml", &step_text(SETTLING));
+    folder.run_hosted("run").assert_exit(0);
+    folder.tamper_with_trace();
+    for (format, scenarios, expected) in [
         ("csv", &[][..], 2),
-        ("parquet", &["s"][..], 2),
-        ("mf4", &["t", "s.toml"][..], 2),
-        ("mcap", &["s"][..], 2),
-        ("parquet", &["t"][..], 0),
+        ("parquet", &["s"], 2),
+        ("mf4", &["t", "s.toml"], 2),
+        ("mcap", &["s"], 2),
+        ("parquet", &["t"], 0),
     ] {
-        let output = run_bench(workshop.path(), [&["export", "run", "--format", format], asked].concat());
-        let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert_eq!(exit_code(&output), expected, "{format} {asked:?}: {told}");
-        assert_eq!(told.contains("run/traces/s/000.csv: SHA-256"), expected == 2, "{format} {asked:?}: {told}");
+        let output = folder.bench([&["export", "run", "--format", format], scenarios].concat()).assert_exit(expected);
+        assert_eq!(output.stderr.contains("run/traces/s/000.csv: SHA-256"), expected == 2, "{}", output.stderr);
     }
-    assert_eq!(fs::read_dir(workshop.path().join("run/export")).unwrap().count(), 1);
+    assert_eq!(fs::read_dir(folder.join("run/export")).unwrap().count(), 1);
 }
 
-/// A run that was killed: the record names no trial, one trace is whole and the next is not.
+/// After a kill the record has no trials, and the second trace is incomplete.
 #[test]
 fn complete_trials_of_a_killed_run_are_exported() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_text(GOOD));
-    let run = ["run", "--rig", "hosted", "--trials", "2", "--out", "run"];
-    assert_eq!(exit_code(&run_bench(workshop.path(), run)), 0);
-    let mut record = stored_record(workshop.path());
+    let folder = TestFolder::with_step(SETTLING);
+    folder.bench(["run", "--rig", "hosted", "--trials", "2", "--out", "run"]).assert_exit(0);
+    let mut record = stored_record(&folder);
     record["complete"] = Value::from(false);
     record["scenarios"][0]["trials"] = Value::Array(Vec::new());
     record["scenarios"][0]["expectations"] = Value::Array(Vec::new());
-    fs::write(workshop.path().join("run/run.json"), record.to_string()).unwrap();
-    let traces = workshop.path().join("run/traces/s");
+    folder.write("run/run.json", &record.to_string());
+    let traces = folder.join("run/traces/s");
     fs::rename(traces.join("001.csv"), traces.join("001.csv.part")).unwrap();
-    let output = run_bench(workshop.path(), ["export", "run", "--format", "csv"]);
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(exit_code(&output), 0, "{told}");
-    assert!(told.contains("the run was interrupted; exported are its complete trials"), "{told}");
-    let table = fs::read_to_string(workshop.path().join("run/export/traces.csv")).unwrap();
-    let rows = fs::read_to_string(traces.join("000.csv")).unwrap().lines().count();
-    assert_eq!(table.lines().count(), rows);
+    folder
+        .bench(["export", "run", "--format", "csv"])
+        .assert_exit(0)
+        .assert_stderr(&["the run was interrupted; exported are its complete trials"]);
+    let table = folder.read("run/export/traces.csv");
+    assert_eq!(table.lines().count(), folder.read(TRACE).lines().count());
     assert!(table.lines().skip(1).all(|line| line.starts_with("s,0,")));
-    fs::remove_file(traces.join("000.csv")).unwrap();
-    let output = run_bench(workshop.path(), ["export", "run", "--format", "csv", "--out", "other"]);
-    assert_eq!(exit_code(&output), 4, "{}", String::from_utf8_lossy(&output.stderr));
+    fs::remove_file(folder.join(TRACE)).unwrap();
+    folder.bench(["export", "run", "--format", "csv", "--out", "other"]).assert_exit(4);
 }

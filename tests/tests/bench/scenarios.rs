@@ -1,9 +1,10 @@
-//! Every scenario of the repository ends as it says it does.
+//! Runs every scenario of the repository and compares the result with its `expected_exit`.
 
-use crate::test_folder::{exit_code, run_bench, workspace_root};
+use crate::test_folder::{ProgramOutput, run_bench, workspace_root};
+use platebench_record::{RunRecord, Verdict};
 use rstest::rstest;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 fn expected_exit(path: &PathBuf) -> i32 {
     let document: toml::Table = fs::read_to_string(path).unwrap().parse().unwrap();
@@ -21,15 +22,12 @@ fn each_scenario_has_its_expected_exit_code(
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();
-    let output = run_bench(folder.path(), ["run", path.to_str().unwrap(), "--out", "run"]);
-    let told = String::from_utf8_lossy(&output.stdout);
-    assert_eq!(exit_code(&output), expected_exit(&path), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
+    run_bench(folder.path(), ["run", path.to_str().unwrap(), "--out", "run"]).assert_exit(expected_exit(&path));
     for file in ["run.json", "junit.xml", "report.html", "traceability.csv"] {
         assert!(folder.path().join("run").join(file).exists(), "{file}");
     }
 }
 
-/// Every expectation of the paper's scenarios says which requirement it holds.
 #[rstest]
 fn paper_expectations_name_their_requirements(#[files("../scenarios/paper/*.toml")] path: PathBuf) {
     let scenario = platebench_scenario::load(&path, "s.toml").unwrap();
@@ -38,35 +36,33 @@ fn paper_expectations_name_their_requirements(#[files("../scenarios/paper/*.toml
     }
 }
 
+fn run_all(folder: &Path, more: &[&str]) -> ProgramOutput {
+    let scenarios = workspace_root().join("scenarios");
+    run_bench(folder, ["run", scenarios.to_str().unwrap(), "--out", "run"].iter().chain(more))
+}
+
 #[test]
 fn the_default_run_excludes_limits() {
     let folder = tempfile::tempdir().unwrap();
-    let output = run_bench(
-        folder.path(),
-        ["run", workspace_root().join("scenarios").to_str().unwrap(), "--out", "run", "--trials", "2"],
-    );
+    let output = run_all(folder.path(), &["--trials", "2"]);
     let record = fs::read_to_string(folder.path().join("run/run.json")).unwrap();
     assert!(record.contains("paper/fig16-closed-loop.toml"));
-    assert!(!record.contains("\"file\": \"limits/"), "{}", String::from_utf8_lossy(&output.stdout));
+    assert!(!record.contains("\"file\": \"limits/"), "{}", output.stdout);
 }
 
 #[test]
 fn the_table_of_the_default_run() {
     let folder = tempfile::tempdir().unwrap();
-    let output = run_bench(
-        folder.path(),
-        ["run", workspace_root().join("scenarios").to_str().unwrap(), "--out", "run", "--quiet"],
-    );
-    assert_eq!(exit_code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
-    // What is zero but for rounding differs from one mathematics library to the next, and with it the columns' widths.
-    // What a step costs changes with every image; `images/cost.toml` is where that is held.
+    let output = run_all(folder.path(), &["--quiet"]).assert_exit(0);
+    // Rounding errors depend on the mathematics library, and the column widths on them. The cost of
+    // a step changes with every image and is checked with `images/cost.toml`.
     let cost = (r"step: [\d ]+ worst (.*), [\d.]+ %", "step: # worst $1, # %");
     insta::with_settings!({ filters => vec![(r"\d(\.\d+)?e-\d+", "tiny"), (" {2,}", "  "), cost] }, {
-        insta::assert_snapshot!(String::from_utf8(output.stdout).unwrap());
+        insta::assert_snapshot!(output.stdout);
     });
 }
 
-/// What a law is said to do it does, whether or not that is what is demanded: of the scenes in which every law is measured, each expectation without a requirement holds.
+/// In the scenarios that compare all laws, expectations without a requirement document a law.
 #[rstest]
 fn each_law_behaves_as_documented(
     #[files("../scenarios/laws/drive-*.toml")]
@@ -75,12 +71,11 @@ fn each_law_behaves_as_documented(
 ) {
     let folder = tempfile::tempdir().unwrap();
     run_bench(folder.path(), ["run", path.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"]);
-    let record: serde_json::Value =
-        serde_json::from_str(&fs::read_to_string(folder.path().join("run/run.json")).unwrap()).unwrap();
+    let record = RunRecord::read(&folder.path().join("run")).unwrap();
     let scenario = platebench_scenario::load(&path, "s.toml").unwrap();
-    let played = record["scenarios"][0]["expectations"].as_array().unwrap();
-    assert_eq!(played.len(), scenario.expectations.len());
-    for (expected, played) in scenario.expectations.iter().zip(played) {
-        assert!(expected.requirement.is_some() || played["verdict"] == "pass", "{played}");
+    let results = &record.scenarios[0].expectations;
+    assert_eq!(results.len(), scenario.expectations.len());
+    for (expected, result) in scenario.expectations.iter().zip(results) {
+        assert!(expected.requirement.is_some() || result.verdict == Verdict::Pass, "{result:?}");
     }
 }

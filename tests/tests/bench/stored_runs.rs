@@ -1,70 +1,73 @@
-//! Stored runs: judged again, reported again, cut off, doctored.
+//! Tests stored runs: judged again, reported again, interrupted, changed.
 
-use crate::test_folder::{TestFolder, exit_code, run_bench, step_scenario, workspace_root};
+use crate::test_folder::{
+    FAILED_SETTLING, PLATE, SETTLING, TestFolder, run_bench, step_scenario, step_text, workspace_root,
+};
 use platebench_record::{Cause, RunRecord, Verdict};
 use platebench_runner::rejudge;
 use rstest::rstest;
 use std::fs;
+use std::os::unix::fs::symlink;
 
-const GOOD: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
-
-fn three_trial_scenario() -> String {
-    step_scenario("aluminium-198x138-noisy", "", "", "metric = \"settling_time_ms\"\nat_most = 4.0")
-        + "[trials]\ncount = 3\n[trials.spread]\nsensor_gain_percent = 1.0\n"
+/// A hosted run of the paper's step.
+fn step_run() -> TestFolder {
+    let folder = TestFolder::with_step(SETTLING);
+    folder.run_hosted("run").assert_exit(0);
+    folder
 }
 
 #[test]
 fn judging_again_gives_identical_results() {
     let folder = tempfile::tempdir().unwrap();
-    for (part, out) in [("scenarios/paper", "paper"), ("scenarios/limits", "limits"), ("scenarios/faults", "faults")] {
-        run_bench(folder.path(), ["run", workspace_root().join(part).to_str().unwrap(), "--out", out]);
-        let live = RunRecord::read(&folder.path().join(out)).unwrap();
-        let again = rejudge(&folder.path().join(out), None).unwrap();
+    for part in ["paper", "limits", "faults"] {
+        let scenarios = workspace_root().join("scenarios").join(part);
+        run_bench(folder.path(), ["run", scenarios.to_str().unwrap(), "--out", part]);
+        let live = RunRecord::read(&folder.path().join(part)).unwrap();
         assert!(live.complete && live.scenarios.len() >= 4);
-        assert_eq!(live, again);
+        assert_eq!(live, rejudge(&folder.path().join(part), None).unwrap());
     }
 }
 
-/// Goes on from 4 to 8 to 16 trials: the mean error of a sensor that is 1 % off is not told from 0.8 % any earlier.
+/// Decides after 8 or 16 trials: 4 do not tell a sensor error of 1 % from 0.8 %.
 fn sequential_scenario() -> String {
-    let expect = "metric = \"static_error_percent\"\nat_most = 1.4\n[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 6.0\n\
-                  over = \"quantile\"\nquantile = 0.6\n[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 6.0\nsignal = \"sensed_wd_um\"";
+    let expect = "metric = \"static_error_percent\"\nat_most = 1.4\n\
+                  [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 6.0\nover = \"quantile\"\nquantile = 0.6\n\
+                  [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 6.0\nsignal = \"sensed_wd_um\"";
     step_scenario("aluminium-198x138-noisy", "", "", expect)
         + "[trials]\ncount = 4\nmax_count = 100\nseed = 3\n[trials.spread]\nsensor_gain_percent = 1.0\n"
 }
 
 #[test]
 fn rejudging_repeats_the_sequential_decision() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &sequential_scenario());
-    let read = |out: &str| RunRecord::read(&workshop.path().join(out)).unwrap();
-    run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "one", "--jobs", "1"]);
-    run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "five", "--jobs", "5"]);
-    let (one, five) = (read("one"), read("five"));
-    let of = |record: &RunRecord| (record.scenarios[0].expectations.clone(), record.scenarios[0].trials.len());
-    assert_eq!(of(&one), of(&five));
-    let (expectations, trials) = of(&one);
+    let folder = TestFolder::with_scenario(&sequential_scenario());
+    let run = |out: &str, jobs: &str| {
+        folder.bench(["run", "--rig", "hosted", "--out", out, "--jobs", jobs]);
+        folder.record(out)
+    };
+    let (one, five) = (run("one", "1"), run("five", "5"));
+    let results = |record: &RunRecord| (record.scenarios[0].expectations.clone(), record.scenarios[0].trials.len());
+    assert_eq!(results(&one), results(&five));
+    let (expectations, trials) = results(&one);
     let [number, planned] = expectations[0].evidence.look.unwrap();
     assert!(1 < number && number < planned && trials == 4 << (number - 1), "{number} of {planned}: {trials} trials");
     assert_eq!(one.verdict, Verdict::Pass, "{expectations:?}");
     for (live, out) in [(one, "one"), (five, "five")] {
-        assert_eq!(live, rejudge(&workshop.path().join(out), None).unwrap());
+        assert_eq!(live, rejudge(&folder.join(out), None).unwrap());
     }
-    // A stricter demand would have gone on; what was played does not decide it, and nobody is to blame.
-    workshop.write_scenario("stricter.toml", &sequential_scenario().replace("at_most = 1.4", "at_most = 0.8"));
+    // A stricter limit needs more trials than the stored ones.
     let stricter =
-        rejudge(&workshop.path().join("one"), Some(&workshop.path().join("scenarios/stricter.toml"))).unwrap();
-    let found = &stricter.scenarios[0].expectations[0];
-    assert_eq!((found.verdict, found.cause), (Verdict::Inconclusive, Some(Cause::Evidence)), "{found:?}");
+        folder.write_scenario("stricter.toml", &sequential_scenario().replace("at_most = 1.4", "at_most = 0.8"));
+    let stricter = rejudge(&folder.join("one"), Some(&stricter)).unwrap();
+    let result = &stricter.scenarios[0].expectations[0];
+    assert_eq!((result.verdict, result.cause), (Verdict::Inconclusive, Some(Cause::Evidence)), "{result:?}");
 }
 
 #[test]
 fn a_run_killed_between_interim_analyses_is_inconclusive() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &sequential_scenario());
-    run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "run"]);
-    let run = workshop.path().join("run");
-    let mut record = RunRecord::read(&run).unwrap();
+    let folder = TestFolder::with_scenario(&sequential_scenario());
+    folder.run_hosted("run");
+    let run = folder.join("run");
+    let mut record = folder.record("run");
     assert!(record.scenarios[0].trials.len() > 4);
     record.complete = false;
     for trial in record.scenarios[0].trials.drain(..).skip(4) {
@@ -73,17 +76,18 @@ fn a_run_killed_between_interim_analyses_is_inconclusive() {
     record.write(&run).unwrap();
     let again = rejudge(&run, None).unwrap();
     assert_eq!(again.scenarios[0].trials.len(), 4);
-    assert!(again.scenarios[0].expectations.iter().all(|found| found.cause == Some(Cause::Bench)));
+    assert!(again.scenarios[0].expectations.iter().all(|it| it.cause == Some(Cause::Bench)));
 }
 
+/// After a kill the record has no verdicts, and one trace is incomplete.
 #[test]
 fn an_interrupted_run_can_be_judged_and_reported() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &three_trial_scenario());
-    run_bench(workshop.path(), ["run", "--out", "run"]);
-    let run = workshop.path().join("run");
-    // What a kill leaves behind: a record without verdicts, whole traces and a provisional one.
-    let mut record = RunRecord::read(&run).unwrap();
+    let expect = "metric = \"settling_time_ms\"\nat_most = 4.0";
+    let trials = "[trials]\ncount = 3\n[trials.spread]\nsensor_gain_percent = 1.0\n";
+    let folder = TestFolder::with_scenario(&(step_scenario("aluminium-198x138-noisy", "", "", expect) + trials));
+    folder.bench(["run", "--out", "run"]);
+    let run = folder.join("run");
+    let mut record = folder.record("run");
     assert_eq!(record.verdict, Verdict::Pass);
     record.complete = false;
     record.scenarios[0].trials.clear();
@@ -96,134 +100,92 @@ fn an_interrupted_run_can_be_judged_and_reported() {
     assert_eq!(again.verdict, Verdict::Inconclusive);
     assert_eq!(again.scenarios[0].trials.len(), 2);
     assert_eq!(again.scenarios[0].expectations[0].cause, Some(Cause::Bench));
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["judge", "run"])), 3);
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["report", "run"])), 0);
-    assert!(fs::read_to_string(run.join("report.html")).unwrap().contains("inconclusive"));
+    folder.bench(["judge", "run"]).assert_exit(3);
+    folder.bench(["report", "run"]).assert_exit(0);
+    assert!(folder.read("run/report.html").contains("inconclusive"));
 }
 
-/// All trials are whole and good, but nobody has seen the end: not a pass, wherever it is read.
+/// All trials are complete, but 0 V was not confirmed at the end.
 #[test]
 fn a_run_killed_after_its_last_trial_does_not_pass() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
-    run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "run"]);
-    let run = workshop.path().join("run");
-    let mut record = RunRecord::read(&run).unwrap();
+    let folder = step_run();
+    let mut record = folder.record("run");
     (record.complete, record.safe_confirmed) = (false, None);
-    record.write(&run).unwrap();
-    let output = run_bench(workshop.path(), ["judge", "run"]);
-    let told = String::from_utf8_lossy(&output.stdout);
-    assert_eq!(exit_code(&output), 3, "{told}");
-    assert!(told.contains("the run was not finished") && told.contains("? inconclusive"), "{told}");
+    record.write(&folder.join("run")).unwrap();
+    let judge = folder.bench(["judge", "run"]).assert_exit(3);
+    judge.assert_stdout(&["the run was not finished", "? inconclusive"]);
 }
 
 #[test]
 fn the_report_dates_a_failure_from_earlier_runs() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario(
-        "s.toml",
-        &step_scenario("aluminium-198x138", "", "", "metric = \"settling_time_ms\"\nat_most = 0.1"),
-    );
+    let folder = TestFolder::with_step("metric = \"settling_time_ms\"\nat_most = 0.1");
     for out in ["runs/one", "runs/two"] {
-        assert_eq!(exit_code(&run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", out])), 1);
+        folder.run_hosted(out).assert_exit(1);
     }
     // Two runs may start in the same second.
-    let one = workshop.path().join("runs/one");
-    let mut record = RunRecord::read(&one).unwrap();
+    let mut record = folder.record("runs/one");
     record.started = "2020-01-01T00:00:00Z".to_owned();
-    record.write(&one).unwrap();
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["report", "runs/two"])), 0);
-    let two = workshop.path().join("runs/two");
-    assert!(
-        fs::read_to_string(two.join("report.html")).unwrap().contains("Since one (2020-01-01T00:00:00Z) or before")
-    );
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["report", "runs/two", "--against", "runs/one"])), 0);
-    let page = fs::read_to_string(two.join("comparison.html")).unwrap();
+    record.write(&folder.join("runs/one")).unwrap();
+    folder.bench(["report", "runs/two"]).assert_exit(0);
+    assert!(folder.read("runs/two/report.html").contains("Since one (2020-01-01T00:00:00Z) or before"));
+    folder.bench(["report", "runs/two", "--against", "runs/one"]).assert_exit(0);
+    let page = folder.read("runs/two/comparison.html");
     assert!(page.contains("Comparison with the run of 2020-01-01T00:00:00Z") && page.contains("No verdict differs."));
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["report", "runs/two", "--against", "runs/nowhere"])), 2);
+    folder.bench(["report", "runs/two", "--against", "runs/nowhere"]).assert_exit(2);
 }
 
 #[test]
 fn stored_traces_can_be_judged_by_other_expectations() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
-    run_bench(workshop.path(), ["run", "--out", "run"]);
-    let stricter = step_scenario("aluminium-198x138", "", "", "metric = \"settling_time_ms\"\nat_most = 1.9");
-    workshop.write_scenario("stricter.toml", &stricter);
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["judge", "run"])), 0);
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["judge", "run", "--scenario", "scenarios/stricter.toml"])), 1);
+    let folder = step_run();
+    folder.write_scenario("stricter.toml", &step_text(FAILED_SETTLING));
+    folder.bench(["judge", "run"]).assert_exit(0);
+    folder.bench(["judge", "run", "--scenario", "scenarios/stricter.toml"]).assert_exit(1);
 }
 
-#[test]
-fn changed_inputs_are_rejected() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
-    run_bench(workshop.path(), ["run", "--out", "run"]);
-    let stored = workshop.path().join("run/inputs/s.toml");
-    let text = fs::read_to_string(&stored).unwrap();
-    fs::write(&stored, text.replace("at_most = 2.0", "at_most = 9.0")).unwrap();
-    let output = run_bench(workshop.path(), ["judge", "run"]);
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(exit_code(&output), 2, "{told}");
-    assert!(told.contains("s.toml") && told.contains("SHA-256"), "{told}");
+#[rstest]
+#[case::scenario("run/inputs/s.toml", "at_most = 2.0", "at_most = 9.0", "s.toml")]
+#[case::trace("run/traces/s/000.csv", "control", "", "000.csv")]
+fn a_changed_file_is_rejected_by_name(#[case] file: &str, #[case] from: &str, #[case] to: &str, #[case] name: &str) {
+    let folder = step_run();
+    folder.replace(file, from, to);
+    folder.bench(["judge", "run"]).assert_exit(2).assert_stderr(&[name, "SHA-256"]);
 }
 
-#[test]
-fn a_tampered_trace_is_rejected_by_name() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
-    run_bench(workshop.path(), ["run", "--out", "run"]);
-    let trace = workshop.path().join("run/traces/s/000.csv");
-    let text = fs::read_to_string(&trace).unwrap();
-    fs::write(&trace, text.replacen("control", "", 1)).unwrap();
-    let output = run_bench(workshop.path(), ["judge", "run"]);
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(exit_code(&output), 2, "{told}");
-    assert!(told.contains("000.csv") && told.contains("SHA-256"), "{told}");
-}
-
-/// A report can still be read; what it would draw is not drawn, of a run that was cut off neither.
+/// The report lists changed traces instead of drawing them, also of an interrupted run.
 #[test]
 fn a_tampered_trace_is_named_and_not_drawn() {
-    const SAID: &str = "traces/s/000.csv: changed after the run";
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
-    workshop.write_scenario("t.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
-    run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "run"]);
-    let run = workshop.path().join("run");
+    const NOTICE: &str = "traces/s/000.csv: changed after the run";
+    let folder = TestFolder::with_step(SETTLING);
+    folder.write_scenario("t.toml", &step_text(SETTLING));
+    folder.run_hosted("run");
     let report = || {
-        let output = run_bench(workshop.path(), ["report", "run"]);
-        assert_eq!(exit_code(&output), 0);
-        (fs::read_to_string(run.join("report.html")).unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
+        let stderr = folder.bench(["report", "run"]).assert_exit(0).stderr;
+        (folder.read("run/report.html"), stderr)
     };
     let (clean, _) = report();
     let drawings = |page: &str| page.matches("Amplitude |W|</figcaption>").count();
     assert!(!clean.contains("changed after") && drawings(&clean) >= 2);
-    let trace = run.join("traces/s/000.csv");
-    let text = fs::read_to_string(&trace).unwrap();
-    fs::write(&trace, text.replacen("control", "", 1)).unwrap();
+    folder.tamper_with_trace();
     let (page, _) = report();
-    assert!(page.contains(SAID) && page.contains("1 trace changed after the run"));
+    assert!(page.contains(NOTICE) && page.contains("1 trace changed after the run"));
     assert_eq!(drawings(&page) * 2, drawings(&clean), "of t.toml only");
 
-    let mut record = RunRecord::read(&run).unwrap();
+    let mut record = folder.record("run");
     record.complete = false;
     record.scenarios[1].trials.clear();
     record.scenarios[1].expectations.clear();
-    record.write(&run).unwrap();
-    let (page, told) = report();
-    assert!(told.contains("000.csv: SHA-256"), "{told}");
-    assert!(page.contains(SAID) && page.contains("was not finished") && drawings(&page) == 0);
+    record.write(&folder.join("run")).unwrap();
+    let (page, stderr) = report();
+    assert!(stderr.contains("000.csv: SHA-256"), "{stderr}");
+    assert!(page.contains(NOTICE) && page.contains("was not finished") && drawings(&page) == 0);
 }
 
 #[test]
 fn rejects_a_record_of_another_format() {
-    let workshop = TestFolder::new();
-    fs::create_dir(workshop.path().join("run")).unwrap();
-    fs::write(workshop.path().join("run/run.json"), "{\n  \"format\": 2\n}").unwrap();
-    let output = run_bench(workshop.path(), ["judge", "run"]);
-    assert_eq!(exit_code(&output), 2);
-    assert!(String::from_utf8_lossy(&output.stderr).contains("format 2, expected 1"));
+    let folder = TestFolder::new();
+    fs::create_dir(folder.join("run")).unwrap();
+    folder.write("run/run.json", "{\n  \"format\": 2\n}");
+    folder.bench(["judge", "run"]).assert_exit(2).assert_stderr(&["format 2, expected 1"]);
 }
 
 #[rstest]
@@ -233,66 +195,46 @@ fn rejects_a_record_of_another_format() {
 #[case::trials("[profile]", "[trials]\nseed = 9\n[profile]", "[trials]")]
 #[case::plate("aluminium-198x138.toml", "aluminium-198x138-noisy.toml", "the plate")]
 fn stored_traces_reject_another_experiment(#[case] good: &str, #[case] other: &str, #[case] named: &str) {
-    let workshop = TestFolder::new();
-    let text = step_scenario("aluminium-198x138", "", "", GOOD);
+    let folder = step_run();
+    let text = step_text(SETTLING);
     assert!(text.contains(good));
-    workshop.write_scenario("s.toml", &text);
-    run_bench(workshop.path(), ["run", "--out", "run"]);
-    workshop.write_scenario("other.toml", &text.replacen(good, other, 1));
-    let output = run_bench(workshop.path(), ["judge", "run", "--scenario", "scenarios/other.toml"]);
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(exit_code(&output), 2, "{told}");
-    assert!(told.contains(named) && told.contains("differs from the scenario that was played"), "{told}");
-}
-
-#[test]
-fn scenarios_inside_a_run_folder_are_not_run() {
-    let workshop = TestFolder::new();
-    workshop.write_scenario("s.toml", &step_scenario("aluminium-198x138", "", "", GOOD));
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["run", "--out", "scenarios/kept"])), 0);
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["run", "--out", "again"])), 0);
-    assert_eq!(RunRecord::read(&workshop.path().join("again")).unwrap().scenarios.len(), 1);
+    folder.write_scenario("other.toml", &text.replacen(good, other, 1));
+    let judge = folder.bench(["judge", "run", "--scenario", "scenarios/other.toml"]);
+    judge.assert_exit(2).assert_stderr(&[named, "differs from the scenario that was played"]);
 }
 
 #[test]
 fn an_absolute_plate_path_is_judged_by_its_copy() {
-    let workshop = TestFolder::new();
-    let plate = workshop.path().join("elsewhere.toml");
-    let text = fs::read_to_string(workshop.path().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
-    fs::write(&plate, &text).unwrap();
-    let scenario = step_scenario("aluminium-198x138", "", "", GOOD);
-    let absolute = scenario.replace("plates/aluminium-198x138.toml", plate.to_str().unwrap());
-    workshop.write_scenario("s.toml", &absolute);
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["run", "--rig", "hosted", "--out", "run"])), 0);
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["judge", "run"])), 0);
-    // What the laboratory does with the original afterwards is nothing to a run that was played.
-    fs::write(&plate, text.replace("limit_vpp = 900.0", "limit_vpp = 500.0")).unwrap();
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["judge", "run"])), 0);
+    let folder = TestFolder::new();
+    let plate = folder.join("elsewhere.toml");
+    fs::copy(folder.join(PLATE), &plate).unwrap();
+    folder.write_scenario(
+        "s.toml",
+        &step_text(SETTLING).replace("plates/aluminium-198x138.toml", plate.to_str().unwrap()),
+    );
+    folder.run_hosted("run").assert_exit(0);
+    folder.bench(["judge", "run"]).assert_exit(0);
+    // A change of the original does not change the run, a change of the copy does.
+    folder.replace("elsewhere.toml", "limit_vpp = 900.0", "limit_vpp = 500.0");
+    folder.bench(["judge", "run"]).assert_exit(0);
     fs::remove_file(&plate).unwrap();
-    assert_eq!(exit_code(&run_bench(workshop.path(), ["judge", "run"])), 0);
-    let copy = workshop.path().join("run/inputs/elsewhere.toml");
-    fs::write(&copy, text.replace("limit_vpp = 900.0", "limit_vpp = 500.0")).unwrap();
-    let output = run_bench(workshop.path(), ["judge", "run"]);
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(exit_code(&output), 2, "{told}");
-    assert!(told.contains("elsewhere.toml") && told.contains("SHA-256"), "{told}");
+    folder.bench(["judge", "run"]).assert_exit(0);
+    folder.replace("run/inputs/elsewhere.toml", "limit_vpp = 900.0", "limit_vpp = 500.0");
+    folder.bench(["judge", "run"]).assert_exit(2).assert_stderr(&["elsewhere.toml", "SHA-256"]);
 }
 
 #[test]
 fn a_scenario_behind_a_symlink_can_be_judged() {
-    let workshop = TestFolder::new();
-    let text = step_scenario("aluminium-198x138", "", "", GOOD)
+    let folder = TestFolder::new();
+    let text = step_text(SETTLING)
         .replace("plates/", "../plates/")
         .replace("setpoint_um = 2.0", "setpoint_um = { csv = \"../setpoint.csv\" }");
-    let at = |name: &str| workshop.path().join(name);
-    fs::create_dir_all(at("elsewhere/deep")).unwrap();
-    fs::write(at("elsewhere/deep/s.toml"), text).unwrap();
-    fs::write(at("elsewhere/setpoint.csv"), "t_ms,value\n0,2\n").unwrap();
-    // The name above a link is not the name above what it leads to, and both lead to the same.
-    std::os::unix::fs::symlink(at("scenarios/plates"), at("elsewhere/plates")).unwrap();
-    std::os::unix::fs::symlink(at("elsewhere/deep"), at("scenarios/linked")).unwrap();
-    let run = run_bench(workshop.path(), ["run", "scenarios/linked/s.toml", "--rig", "hosted", "--out", "run"]);
-    assert_eq!(exit_code(&run), 0, "{}", String::from_utf8_lossy(&run.stderr));
-    let judged = run_bench(workshop.path(), ["judge", "run"]);
-    assert_eq!(exit_code(&judged), 0, "{}", String::from_utf8_lossy(&judged.stderr));
+    fs::create_dir_all(folder.join("elsewhere/deep")).unwrap();
+    folder.write("elsewhere/deep/s.toml", &text);
+    folder.write("elsewhere/setpoint.csv", "t_ms,value\n0,2\n");
+    // `..` after a link differs between the path and its target; here both exist.
+    symlink(folder.join("scenarios/plates"), folder.join("elsewhere/plates")).unwrap();
+    symlink(folder.join("elsewhere/deep"), folder.join("scenarios/linked")).unwrap();
+    folder.bench(["run", "scenarios/linked/s.toml", "--rig", "hosted", "--out", "run"]).assert_exit(0);
+    folder.bench(["judge", "run"]).assert_exit(0);
 }

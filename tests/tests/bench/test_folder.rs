@@ -1,49 +1,139 @@
-//! The bench as the tests hold it.
+//! Starts the bench in a folder of its own and checks its output.
 
-use platebench_record::Overrides;
-use platebench_record::RunFolder;
-use platebench_record::RunRecord;
+use platebench_record::{Overrides, RunFolder, RunRecord, TrialRecord};
 use platebench_rig::RigSpec;
-use platebench_runner::{RunHooks, RunPlan};
+use platebench_runner::{Clock, RunHooks, RunPlan};
 use platebench_scenario::load;
-use platebench_trace::Row;
+use platebench_trace::{Row, read_trace};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output};
+use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 pub(crate) use platebench_test_kit::workspace_root;
 
-/// The program, in a folder where a run may leave its traces.
+/// The paper's plate in a [`TestFolder`].
+pub(crate) const PLATE: &str = "scenarios/plates/aluminium-198x138.toml";
+/// An expectation that `dq-pi` meets on the paper's plate.
+pub(crate) const SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
+/// The drive of the paper's plate settles in 1.96 ms.
+pub(crate) const FAILED_SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 1.9";
+
+/// The program in `folder`, without the environment of the tests.
 pub(crate) fn bench_command(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_platebench-under-test"));
     command.current_dir(folder);
-    // What surrounds the tests is not what they test.
     for variable in ["PLATEBENCH_LOG", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "GITHUB_WORKSPACE"] {
         command.env_remove(variable);
     }
     command
 }
 
-/// Starts the program with `arguments` in `folder` and waits for its end.
-pub(crate) fn run_bench<A: AsRef<std::ffi::OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> Output {
-    bench_command(folder).args(arguments).output().unwrap()
+/// Runs the program with `arguments` in `folder`.
+#[track_caller]
+pub(crate) fn run_bench<A: AsRef<OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> ProgramOutput {
+    bench_command(folder).args(arguments).output().unwrap().into()
 }
 
-/// `--rig` for the controller program that plays the board, writing down what it does where a file is named.
+/// Starts the program without input; only standard error is kept.
+pub(crate) fn start_bench<A: AsRef<OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> ChildGuard {
+    let mut bench = bench_command(folder);
+    bench.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    ChildGuard(bench.spawn().unwrap())
+}
+
+/// `--rig` for the controller as a program, which writes its states to `log`.
 pub(crate) fn controller_rig(log: Option<&Path>) -> String {
     let log = log.map_or_else(String::new, |file| format!(" --log '{}'", file.display()));
     format!("exec:'{}' {{port}}{log}", env!("CARGO_BIN_EXE_controller-under-test"))
 }
 
-/// Waits for `there`, which comes soon or is missed.
+/// Exit code and output of a program.
+#[derive(Debug)]
+pub(crate) struct ProgramOutput {
+    pub(crate) exit: i32,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+impl From<Output> for ProgramOutput {
+    #[track_caller]
+    fn from(output: Output) -> Self {
+        let [stdout, stderr] = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+        let exit = output.status.code().unwrap_or_else(|| panic!("ended by a signal: {stderr}"));
+        Self { exit, stdout, stderr }
+    }
+}
+
+impl ProgramOutput {
+    /// Standard output and standard error.
+    pub(crate) fn text(&self) -> String {
+        format!("{}{}", self.stdout, self.stderr)
+    }
+
+    #[track_caller]
+    pub(crate) fn assert_exit(self, expected: i32) -> Self {
+        assert_eq!(self.exit, expected, "{}", self.text());
+        self
+    }
+
+    #[track_caller]
+    pub(crate) fn assert_exit_in(self, expected: &[i32]) -> Self {
+        assert!(expected.contains(&self.exit), "{}: {}", self.exit, self.text());
+        self
+    }
+
+    #[track_caller]
+    pub(crate) fn assert_stdout(self, parts: &[&str]) -> Self {
+        assert_parts(&self.stdout, parts);
+        self
+    }
+
+    #[track_caller]
+    pub(crate) fn assert_stderr(self, parts: &[&str]) -> Self {
+        assert_parts(&self.stderr, parts);
+        self
+    }
+
+    /// Checks standard output and standard error together.
+    #[track_caller]
+    pub(crate) fn assert_output(self, parts: &[&str]) -> Self {
+        assert_parts(&self.text(), parts);
+        self
+    }
+
+    #[track_caller]
+    pub(crate) fn assert_output_without(self, part: &str) -> Self {
+        assert!(!self.text().contains(part), "{part:?} is in: {}", self.text());
+        self
+    }
+
+    /// Standard output as JSON.
+    #[track_caller]
+    pub(crate) fn json(&self) -> Value {
+        serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
+    }
+}
+
 #[track_caller]
-pub(crate) fn wait_until(what: &str, mut there: impl FnMut() -> bool) {
+fn assert_parts(text: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(text.contains(part), "{part:?} is not in: {text}");
+    }
+}
+
+/// Waits up to a minute for `condition`.
+#[track_caller]
+pub(crate) fn wait_until(failure: &str, mut condition: impl FnMut() -> bool) {
     let started = Instant::now();
-    while !there() {
-        assert!(started.elapsed() < Duration::from_mins(1), "{what}");
+    while !condition() {
+        assert!(started.elapsed() < Duration::from_mins(1), "{failure}");
         sleep(Duration::from_millis(5));
     }
 }
@@ -59,29 +149,79 @@ impl Drop for ChildGuard {
     }
 }
 
-/// The number of the process that `parent` has started.
+impl ChildGuard {
+    pub(crate) fn has_ended(&mut self) -> bool {
+        self.0.try_wait().unwrap().is_some()
+    }
+
+    /// Sends the signal with this name.
+    #[track_caller]
+    pub(crate) fn signal(&self, name: &str) {
+        let id = self.0.id().to_string();
+        assert!(Command::new("kill").args([&format!("-{name}"), &id]).status().unwrap().success());
+    }
+
+    pub(crate) fn kill(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+
+    /// Waits for the end; standard output must not be a pipe.
+    #[track_caller]
+    pub(crate) fn finish(mut self) -> ProgramOutput {
+        let mut stderr = Vec::new();
+        if let Some(mut pipe) = self.0.stderr.take() {
+            pipe.read_to_end(&mut stderr).unwrap();
+        }
+        Output { status: self.0.wait().unwrap(), stdout: Vec::new(), stderr }.into()
+    }
+
+    /// Waits up to a minute for one of these exit codes.
+    #[track_caller]
+    pub(crate) fn wait_for_exit(&mut self, expected: &[i32]) {
+        wait_until("the process does not end", || self.has_ended());
+        let code = self.0.wait().unwrap().code();
+        assert!(code.is_some_and(|code| expected.contains(&code)), "{code:?}");
+    }
+
+    /// The process that this process started.
+    #[track_caller]
+    pub(crate) fn child_id(&self) -> String {
+        let tasks = fs::read_dir(format!("/proc/{}/task", self.0.id())).unwrap();
+        // A task that ends meanwhile has no children.
+        let children = tasks.flatten().filter_map(|task| fs::read_to_string(task.path().join("children")).ok());
+        children.collect::<String>().split_whitespace().next().expect("a child process").to_owned()
+    }
+}
+
+/// Every trace below `folder`, by its path.
+pub(crate) fn read_traces(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut traces = BTreeMap::new();
+    let mut open = vec![folder.join("traces")];
+    while let Some(below) = open.pop() {
+        for entry in fs::read_dir(below).unwrap().map(|entry| entry.unwrap().path()) {
+            if entry.is_dir() {
+                open.push(entry);
+            } else {
+                traces.insert(entry.strip_prefix(folder).unwrap().to_owned(), fs::read(&entry).unwrap());
+            }
+        }
+    }
+    traces
+}
+
+/// Asserts that two runs of more than 20 trials have identical traces.
 #[track_caller]
-pub(crate) fn child_process_id(parent: &Child) -> String {
-    let tasks = fs::read_dir(format!("/proc/{}/task", parent.id())).unwrap();
-    // One that ends meanwhile has no children.
-    let children = tasks.flatten().filter_map(|task| fs::read_to_string(task.path().join("children")).ok());
-    children.collect::<String>().split_whitespace().next().expect("it has a child").to_owned()
+pub(crate) fn assert_same_traces(folder: &Path, [first, second]: [&str; 2]) {
+    let [first, second] = [first, second].map(|run| read_traces(&folder.join(run)));
+    assert!(first.len() > 20, "{} traces", first.len());
+    assert_eq!(first.keys().collect::<Vec<_>>(), second.keys().collect::<Vec<_>>());
+    for (path, bytes) in &first {
+        assert!(second[path] == *bytes, "{} differs", path.display());
+    }
 }
 
-/// Sends `child` the signal of that name.
-pub(crate) fn send_signal(child: &Child, name: &str) {
-    let status = Command::new("kill").args([&format!("-{name}"), &child.id().to_string()]).status().unwrap();
-    assert!(status.success());
-}
-
-/// The program's exit code.
-#[track_caller]
-pub(crate) fn exit_code(output: &Output) -> i32 {
-    let code = output.status.code();
-    code.unwrap_or_else(|| panic!("ended by a signal: {}", String::from_utf8_lossy(&output.stderr)))
-}
-
-/// A folder with the repository's plates and scenarios of the test's own.
+/// A folder with the repository's plates and a test's own scenarios.
 pub(crate) struct TestFolder {
     folder: TempDir,
 }
@@ -98,18 +238,90 @@ impl TestFolder {
         Self { folder }
     }
 
+    /// With the scenario `s.toml`.
+    pub(crate) fn with_scenario(text: &str) -> Self {
+        let folder = Self::new();
+        folder.write_scenario("s.toml", text);
+        folder
+    }
+
+    /// With [`step_text`] of `expect` as `s.toml`.
+    pub(crate) fn with_step(expect: &str) -> Self {
+        Self::with_scenario(&step_text(expect))
+    }
+
+    /// With a step of a minute as `s.toml`, which ends by a signal.
+    pub(crate) fn with_minute() -> Self {
+        let text = step_text("metric = \"overshoot_percent\"\nat_most = 100.0");
+        Self::with_scenario(&text.replace("duration_ms = 60.0", "duration_ms = 60000.0"))
+    }
+
     pub(crate) fn path(&self) -> &Path {
         self.folder.path()
     }
 
+    pub(crate) fn join(&self, name: &str) -> PathBuf {
+        self.path().join(name)
+    }
+
+    pub(crate) fn exists(&self, name: &str) -> bool {
+        self.join(name).exists()
+    }
+
+    #[track_caller]
+    pub(crate) fn read(&self, name: &str) -> String {
+        fs::read_to_string(self.join(name)).unwrap()
+    }
+
+    #[track_caller]
+    pub(crate) fn write(&self, name: &str, text: &str) {
+        fs::write(self.join(name), text).unwrap();
+    }
+
+    /// Replaces the first `from`, which must exist, in a file.
+    #[track_caller]
+    pub(crate) fn replace(&self, name: &str, from: &str, to: &str) {
+        let text = self.read(name);
+        assert!(text.contains(from), "{from:?} is not in {name}");
+        self.write(name, &text.replacen(from, to, 1));
+    }
+
     /// Writes `scenarios/<name>` and returns its path.
     pub(crate) fn write_scenario(&self, name: &str, text: &str) -> PathBuf {
-        let path = self.path().join("scenarios").join(name);
+        let path = self.join("scenarios").join(name);
         fs::write(&path, text).unwrap();
         path
     }
 
-    /// Plays a scenario text on the hosted rig and returns its record and its first trace.
+    #[track_caller]
+    pub(crate) fn bench<A: AsRef<OsStr>>(&self, arguments: impl IntoIterator<Item = A>) -> ProgramOutput {
+        run_bench(self.path(), arguments)
+    }
+
+    /// Runs the scenarios on the hosted rig into the run folder `out`.
+    #[track_caller]
+    pub(crate) fn run_hosted(&self, out: &str) -> ProgramOutput {
+        self.bench(["run", "--rig", "hosted", "--out", out])
+    }
+
+    /// The record of the run folder `run`.
+    #[track_caller]
+    pub(crate) fn record(&self, run: &str) -> RunRecord {
+        RunRecord::read(&self.join(run)).unwrap()
+    }
+
+    #[track_caller]
+    pub(crate) fn rows(&self, run: &str, trial: &TrialRecord) -> Vec<Row> {
+        read_trace(&self.join(run).join(&trial.trace)).unwrap()
+    }
+
+    /// Removes the word "control" from the first trace of `s.toml`.
+    #[track_caller]
+    pub(crate) fn tamper_with_trace(&self) {
+        self.replace("run/traces/s/000.csv", "control", "");
+    }
+
+    /// Runs a scenario on the hosted rig and returns its record and its first trace.
     pub(crate) fn run_scenario(&self, text: &str) -> (RunRecord, Vec<Row>) {
         let path = self.write_scenario("played.toml", text);
         let scenario = load(&path, "played.toml").unwrap_or_else(|fault| panic!("{fault}"));
@@ -118,7 +330,7 @@ impl TestFolder {
         let plan = RunPlan {
             scenarios: vec![scenario],
             jobs: 1,
-            clock: platebench_runner::Clock::Lockstep { wire_time: false },
+            clock: Clock::Lockstep { wire_time: false },
             own_clock: false,
             rig: "hosted".to_owned(),
             overrides: Overrides::default(),
@@ -126,19 +338,24 @@ impl TestFolder {
         let record =
             platebench_runner::run(&plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap();
         let trace = out.path().join(&record.scenarios[0].trials[0].trace);
-        (record, platebench_trace::read_trace(&trace).unwrap())
+        (record, read_trace(&trace).unwrap())
     }
 
-    /// The first expectation's value of a scenario text.
+    /// The value of the first expectation of a scenario.
     pub(crate) fn first_value(&self, text: &str) -> Option<f64> {
         self.run_scenario(text).0.scenarios[0].expectations[0].value
     }
 }
 
-/// A scenario of the paper's plate with a step to 2 µm at the start; `controller`, `more` and `expect` are TOML.
+/// A step to 2 µm at the start; `controller`, `profile` and `expect` are TOML.
 pub(crate) fn step_scenario(plate: &str, controller: &str, profile: &str, expect: &str) -> String {
     format!(
         "title = \"step\"\nplate = \"plates/{plate}.toml\"\nduration_ms = 60.0\n\
          [controller]\n{controller}\n[profile]\nsetpoint_um = 2.0\n{profile}\n[[expect]]\n{expect}\n"
     )
+}
+
+/// [`step_scenario`] of the default law on the paper's plate.
+pub(crate) fn step_text(expect: &str) -> String {
+    step_scenario("aluminium-198x138", "", "", expect)
 }

@@ -71,7 +71,8 @@ fn check_toml(text: &str) -> Result<TomlKind, String> {
 /// Loads a plate through a scenario that names it.
 fn check_plate(plate: &Path, folder: &Path) -> Result<(), String> {
     let text = format!(
-        "title = \"t\"\nplate = \"{}\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 1.0\n[[expect]]\nmetric = \"overruns\"\nat_most = 0\n",
+        "title = \"t\"\nplate = \"{}\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 1.0\n\
+         [[expect]]\nmetric = \"overruns\"\nat_most = 0\n",
         plate.display()
     );
     let scenario = folder.join("scenario.toml");

@@ -5,10 +5,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Root folder of the workspace.
-pub(crate) fn workspace_root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
-}
+pub(crate) use platebench_test_kit::workspace_root;
 
 /// A code block.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -127,7 +124,7 @@ fn parses_a_page() {
 }
 
 #[test]
-fn the_pages_are_found() {
+fn finds_the_pages() {
     let files: Vec<_> = read_pages().into_iter().map(|page| page.file).collect();
     for file in ["README.md", "CHANGELOG.md", "docs/verdicts.md", "firmware-under-test/stm32f4/README.md"] {
         assert!(files.iter().any(|found| found == Path::new(file)), "{file}");

@@ -40,7 +40,10 @@ fn append_command(command: &mut Command, name: &str, page: &mut String) {
 #[test]
 fn the_key_reference_matches_the_loader() {
     let mut page = format!("{HEAD}# Metrics and keys\n\n");
-    page.push_str("Metrics, and the keys of all files. [Scenarios](scenarios.md), [verdicts](verdicts.md) and [acceptance](acceptance.md)\nexplain them.\n\n");
+    page.push_str(
+        "Metrics, and the keys of all files. [Scenarios](scenarios.md), [verdicts](verdicts.md) and \
+         [acceptance](acceptance.md)\nexplain them.\n\n",
+    );
     append_metrics(&mut page);
     for (title, file, top) in [
         ("Scenario file", "harness/scenario/src/raw.rs", "RawScenario"),

@@ -21,7 +21,7 @@ pub(crate) fn doc_comment(attributes: &[Attribute]) -> String {
 pub(crate) fn has_default(attributes: &[Attribute]) -> bool {
     let mut found = false;
     for attribute in attributes.iter().filter(|attribute| attribute.path().is_ident("serde")) {
-        // What follows the key, such as the name of a function, is read over.
+        // A value, such as the name of a function, is skipped.
         let _ = attribute.parse_nested_meta(|meta| {
             found |= meta.path.is_ident("default");
             if meta.input.peek(syn::Token![=]) {
@@ -33,7 +33,7 @@ pub(crate) fn has_default(attributes: &[Attribute]) -> bool {
     found
 }
 
-/// What a key holds.
+/// The type of a key's value.
 #[derive(Default)]
 pub(crate) struct KeyType {
     pub(crate) name: String,

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Copy of the parts of a clone that the tutorial uses. Copies, not links: a run keeps the relative paths of its inputs.
+/// Copy of the parts of a clone that the tutorial uses. No links: a run keeps relative paths.
 fn example_clone() -> tempfile::TempDir {
     let clone = tempfile::tempdir().unwrap();
     for folder in ["scenarios/paper", "scenarios/plates"] {
@@ -48,7 +48,7 @@ fn first_missing_line<'a>(lines: &'a [String], output: &str) -> Option<&'a Strin
 fn the_tutorial_shows_the_actual_output() {
     let clone = example_clone();
     let mut last_code = None;
-    let mut played = 0;
+    let mut run_count = 0;
     for block in DocumentPage::read(Path::new("docs/tutorial.md")).blocks {
         match &*block.language {
             "toml" => {
@@ -79,14 +79,14 @@ fn the_tutorial_shows_the_actual_output() {
                             block.line
                         );
                         last_code = output.status.code();
-                        played += 1;
+                        run_count += 1;
                     }
                 }
             }
             _ => {}
         }
     }
-    assert!(played >= 5, "only {played} commands were played");
+    assert!(run_count >= 5, "only {run_count} commands were run_count");
 }
 
 #[test]

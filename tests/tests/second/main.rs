@@ -1,7 +1,7 @@
-//! A second opinion on every bit: the same samples to the controller in this process, to the firmware image on the emulated board, and to the same controller executed
-//! by QEMU, an implementation of the processor that shares nothing with the first.
+//! Compares the hosted controller, the emulated board and QEMU bit for bit on the same samples.
 //!
-//! Needs `qemu-system-arm` (`ci/install-test-tools`). Where it is missing the tests say so and pass, unless `PLATEBENCH_REQUIRE_ALL=1` asks for all of them.
+//! QEMU is an independent implementation of the processor. Without `qemu-system-arm`
+//! (`ci/install-test-tools`) the tests print a message and pass, unless `PLATEBENCH_REQUIRE_ALL=1`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on ends by panicking")]
 
@@ -13,47 +13,45 @@ use platebench_wire::{Command, LawId, Message, Packet, PacketReader};
 use qemu::Qemu;
 use recorded_trials::{RecordedExchange, RecordedTrial};
 
-/// Sent at once: far fewer bytes than the variant's ring holds.
-const MAX_BYTES_PER_WRITE: usize = 64;
+/// Far fewer bytes than the receive ring of the image holds.
+const EXCHANGES_PER_WRITE: usize = 64;
 
-/// Plays a conversation to QEMU and says where it answers otherwise. Its clock is that of the samples, so that every byte must agree.
-fn compare_with_qemu(qemu: &mut Qemu, conversation: &RecordedTrial) -> Result<(), String> {
-    for part in conversation.exchanges.chunks(MAX_BYTES_PER_WRITE) {
-        let questions: Vec<u8> = part.iter().flat_map(|exchange| exchange.request.clone()).collect();
+/// Repeats a trial on QEMU, whose clock is that of the samples: every byte must agree.
+fn compare_with_qemu(qemu: &mut Qemu, trial: &RecordedTrial) -> Result<(), String> {
+    for part in trial.exchanges.chunks(EXCHANGES_PER_WRITE) {
+        let requests: Vec<u8> = part.iter().flat_map(|exchange| exchange.request.clone()).collect();
         let length = part.iter().map(|exchange| exchange.answer.len()).sum();
-        let answers =
-            qemu.exchange(&questions, length).map_err(|problem| format!("{}: {problem}", conversation.name))?;
+        let answers = qemu.exchange(&requests, length).map_err(|error| format!("{}: {error}", trial.name))?;
         let mut at = 0;
         for exchange in part {
             let answer = &answers[at..at + exchange.answer.len()];
             at += answer.len();
             if answer != exchange.answer {
-                return Err(difference(conversation, exchange, answer));
+                return Err(difference(trial, exchange, answer));
             }
         }
     }
     Ok(())
 }
 
-/// Plays a conversation to the emulated board, which has a clock of its own: when it answered and how long that took are left out.
-fn compare_with_emulated(emulated: &mut EmulatedLink, conversation: &RecordedTrial) -> Result<(), String> {
+/// Repeats a trial on the emulated board; times of its own clock are not compared.
+fn compare_with_emulated(emulated: &mut EmulatedLink, trial: &RecordedTrial) -> Result<(), String> {
     emulated.restart().unwrap();
-    for exchange in &conversation.exchanges {
+    for exchange in &trial.exchanges {
         let mut answer = Vec::new();
         emulated.exchange(exchange.now, &exchange.request, &mut answer).unwrap();
         if without_times(&answer) != without_times(&exchange.answer) {
-            return Err(difference(conversation, exchange, &answer));
+            return Err(difference(trial, exchange, &answer));
         }
     }
     Ok(())
 }
 
-/// What was said.
 fn packets(bytes: &[u8]) -> Vec<Packet> {
     PacketReader::new().packets(bytes).map(Result::unwrap).collect()
 }
 
-/// What was said without the target's times, as frames: two floats that are equal may differ in their bits.
+/// Frames without the target's times. Frames, because equal floats may differ in their bits.
 fn without_times(bytes: &[u8]) -> Vec<Vec<u8>> {
     let timeless = packets(bytes).into_iter().map(|packet| match packet.message {
         Message::Command(command) => {
@@ -65,10 +63,10 @@ fn without_times(bytes: &[u8]) -> Vec<Vec<u8>> {
     timeless.map(|packet| packet.encode().as_bytes().to_vec()).collect()
 }
 
-fn difference(conversation: &RecordedTrial, exchange: &RecordedExchange, answer: &[u8]) -> String {
+fn difference(trial: &RecordedTrial, exchange: &RecordedExchange, answer: &[u8]) -> String {
     format!(
         "{} at {:?}: to {:?} the answer is {:?}, expected {:?}",
-        conversation.name,
+        trial.name,
         exchange.now,
         packets(&exchange.request),
         packets(answer),
@@ -76,8 +74,8 @@ fn difference(conversation: &RecordedTrial, exchange: &RecordedExchange, answer:
     )
 }
 
-fn samples(conversations: &[RecordedTrial]) -> usize {
-    conversations.iter().map(|conversation| conversation.exchanges.len()).sum()
+fn samples(trials: &[RecordedTrial]) -> usize {
+    trials.iter().map(|trial| trial.exchanges.len()).sum()
 }
 
 #[test]
@@ -86,13 +84,13 @@ fn paper_scenarios_give_equal_bits_on_all_targets() {
     let mut emulated = EmulatedLink::built_in().unwrap();
     let mut count = 0;
     for law in LawId::ALL {
-        let conversations = recorded_trials::record_paper_scenarios(law);
-        assert!(conversations.len() >= 20, "{} conversations under {}", conversations.len(), law.name());
-        for conversation in &conversations {
-            compare_with_emulated(&mut emulated, conversation).unwrap();
-            compare_with_qemu(&mut qemu, conversation).unwrap();
+        let trials = recorded_trials::record_paper_scenarios(law);
+        assert!(trials.len() >= 20, "{} trials under {}", trials.len(), law.name());
+        for trial in &trials {
+            compare_with_emulated(&mut emulated, trial).unwrap();
+            compare_with_qemu(&mut qemu, trial).unwrap();
         }
-        count += samples(&conversations);
+        count += samples(&trials);
     }
     assert!(count >= 10_000, "only {count} exchanges");
     qemu.finish().unwrap();
@@ -101,31 +99,31 @@ fn paper_scenarios_give_equal_bits_on_all_targets() {
 #[test]
 fn random_samples_give_equal_bits_on_qemu() {
     let Some(mut qemu) = Qemu::start_if_installed() else { return };
-    let conversations = recorded_trials::record_random_samples(3_000);
-    for conversation in &conversations {
-        compare_with_qemu(&mut qemu, conversation).unwrap();
+    let trials = recorded_trials::record_random_samples(3_000);
+    for trial in &trials {
+        compare_with_qemu(&mut qemu, trial).unwrap();
     }
-    assert!(samples(&conversations) >= 3_000);
+    assert!(samples(&trials) >= 3_000);
     qemu.finish().unwrap();
 }
 
 #[test]
 fn one_wrong_bit_is_found() {
     let Some(mut qemu) = Qemu::start_if_installed() else { return };
-    let mut conversation = recorded_trials::record_random_samples(100).remove(0);
-    compare_with_qemu(&mut qemu, &conversation).unwrap();
+    let mut trial = recorded_trials::record_random_samples(100).remove(0);
+    compare_with_qemu(&mut qemu, &trial).unwrap();
     let mut emulated = EmulatedLink::built_in().unwrap();
-    compare_with_emulated(&mut emulated, &conversation).unwrap();
-    conversation.flip_a_bit_of_the_last_drive();
-    let found = compare_with_qemu(&mut qemu, &conversation).unwrap_err();
-    assert!(found.contains("the answer is") && found.contains("drive_vpp"), "{found}");
-    compare_with_emulated(&mut emulated, &conversation).unwrap_err();
+    compare_with_emulated(&mut emulated, &trial).unwrap();
+    trial.flip_a_bit_of_the_last_drive();
+    let message = compare_with_qemu(&mut qemu, &trial).unwrap_err();
+    assert!(message.contains("the answer is") && message.contains("drive_vpp"), "{message}");
+    compare_with_emulated(&mut emulated, &trial).unwrap_err();
 }
 
 #[test]
 fn a_terminated_qemu_is_reported() {
     let Some(mut qemu) = Qemu::start_if_installed() else { return };
     qemu.kill();
-    let problem = qemu.exchange(&[0], 1).unwrap_err();
-    assert!(problem.contains("QEMU"), "{problem}");
+    let error = qemu.exchange(&[0], 1).unwrap_err();
+    assert!(error.contains("QEMU"), "{error}");
 }

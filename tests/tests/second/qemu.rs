@@ -1,4 +1,4 @@
-//! QEMU's `netduinoplus2` with the image `qemu.elf`, on a Unix socket. Nothing waits without an end, and the child dies with its owner.
+//! Runs the image `qemu.elf` on QEMU's `netduinoplus2`, with its line on a Unix socket.
 
 use platebench_wire::{Message, Packet, PacketReader};
 use std::fs;
@@ -15,7 +15,7 @@ const IMAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware-under-test
 const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
 static WARN_ONCE: Once = Once::new();
 
-/// Generous: a busy machine starts programs slowly.
+/// Long enough for a busy machine.
 const START_TIMEOUT: Duration = Duration::from_secs(30);
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 const HELLO_INTERVAL: Duration = Duration::from_millis(200);
@@ -23,29 +23,23 @@ const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
 /// A running QEMU.
 pub(crate) struct Qemu {
-    child: Child,
+    child: ChildGuard,
     line: UnixStream,
     folder: TempDir,
 }
 
-/// Kills what it holds unless it is taken out.
-struct ChildGuard(Option<Child>);
+/// A process that ends with its owner.
+struct ChildGuard(Child);
 
 impl Drop for ChildGuard {
     fn drop(&mut self) {
-        if let Some(child) = &mut self.0 {
-            kill_and_wait(child);
-        }
+        let _ = self.0.kill();
+        let _ = self.0.wait();
     }
 }
 
-fn kill_and_wait(child: &mut Child) {
-    let _ = child.kill();
-    let _ = child.wait();
-}
-
 impl Qemu {
-    /// A fresh machine; `None`, with a line that nobody can miss, where QEMU is not installed and nobody insists.
+    /// A new machine; `None`, with a message, if QEMU is neither installed nor required.
     pub(crate) fn start_if_installed() -> Option<Self> {
         let version = Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output();
         match version {
@@ -53,9 +47,10 @@ impl Qemu {
             Err(error) if error.kind() == ErrorKind::NotFound => {
                 let all = std::env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
                 assert!(!all, "{PROGRAM} is not installed and {REQUIRE_ALL}=1: ci/install-test-tools");
-                // Not by `eprintln!`, which the test harness keeps to itself while a test passes.
+                // `eprintln!` of a passing test is not shown.
                 WARN_ONCE.call_once(|| {
-                    let _ = writeln!(std::io::stderr(), "left out: {PROGRAM} is not installed (ci/install-test-tools)");
+                    let _ =
+                        writeln!(std::io::stderr(), "NOT TESTED: {PROGRAM} is not installed (ci/install-test-tools)");
                 });
                 None
             }
@@ -76,17 +71,16 @@ impl Qemu {
             .stderr(log)
             .spawn()
             .map_err(|error| format!("{PROGRAM}: {error}"))?;
-        let mut guard = ChildGuard(Some(child));
-        let line = connect(&socket, &mut guard, folder.path())?;
+        let mut child = ChildGuard(child);
+        let line = connect(&socket, &mut child.0, folder.path())?;
         line.set_read_timeout(Some(POLL_INTERVAL)).unwrap();
         line.set_write_timeout(Some(ANSWER_TIMEOUT)).unwrap();
-        let child = guard.0.take().ok_or("no child")?;
         let mut qemu = Self { child, line, folder };
         qemu.wait_for_identity()?;
         Ok(qemu)
     }
 
-    /// The line is there before the firmware has switched its end on, so the first words may be lost.
+    /// Repeats the handshake, because the line exists before the firmware reads from it.
     fn wait_for_identity(&mut self) -> Result<(), String> {
         let deadline = Instant::now() + START_TIMEOUT;
         let mut reader = PacketReader::new();
@@ -101,8 +95,8 @@ impl Qemu {
                     Ok(_) => {}
                     Err(_) => continue,
                 }
-                let said = reader.push(byte[0]).and_then(Result::ok);
-                if let Some(Packet { sequence: answered, message: Message::Identity(identity) }) = said
+                let packet = reader.push(byte[0]).and_then(Result::ok);
+                if let Some(Packet { sequence: answered, message: Message::Identity(identity) }) = packet
                     && answered == sequence
                 {
                     assert_eq!(&identity.name, b"platebench-qemu\0");
@@ -114,14 +108,14 @@ impl Qemu {
             }
         }
         Err(format!(
-            "the firmware on QEMU does not introduce itself within {START_TIMEOUT:?}; {}",
+            "the firmware on QEMU did not answer the handshake within {START_TIMEOUT:?}; {}",
             log_text(self.folder.path())
         ))
     }
 
-    /// Sends `questions` and reads `length` bytes of answers.
-    pub(crate) fn exchange(&mut self, questions: &[u8], length: usize) -> Result<Vec<u8>, String> {
-        self.line.write_all(questions).map_err(|error| self.exit_message(&error))?;
+    /// Sends `requests` and reads `length` bytes of answers.
+    pub(crate) fn exchange(&mut self, requests: &[u8], length: usize) -> Result<Vec<u8>, String> {
+        self.line.write_all(requests).map_err(|error| self.exit_message(&error))?;
         let mut answers = vec![0; length];
         let mut read = 0;
         let deadline = Instant::now() + ANSWER_TIMEOUT;
@@ -140,33 +134,27 @@ impl Qemu {
         Ok(answers)
     }
 
-    /// Ends the machine; an error where it had something more to say.
+    /// Ends the machine; an error if it sent further bytes.
     pub(crate) fn finish(mut self) -> Result<(), String> {
         let mut rest = [0; 64];
         match self.line.read(&mut rest) {
             Ok(0) => Err(self.exit_message(&"the line is closed")),
-            Ok(more) => Err(format!("{more} bytes from QEMU that nobody asked for: {:02x?}", &rest[..more])),
+            Ok(more) => Err(format!("{more} unexpected bytes from QEMU: {:02x?}", &rest[..more])),
             Err(_) => Ok(()),
         }
     }
 
-    /// Ends the machine under way.
     pub(crate) fn kill(&mut self) {
-        kill_and_wait(&mut self.child);
+        let _ = self.child.0.kill();
+        let _ = self.child.0.wait();
     }
 
     fn exit_message(&self, cause: &dyn std::fmt::Display) -> String {
-        format!("QEMU is gone: {cause}; {}", log_text(self.folder.path()))
+        format!("QEMU has ended: {cause}; {}", log_text(self.folder.path()))
     }
 }
 
-impl Drop for Qemu {
-    fn drop(&mut self) {
-        kill_and_wait(&mut self.child);
-    }
-}
-
-fn connect(socket: &Path, guard: &mut ChildGuard, folder: &Path) -> Result<UnixStream, String> {
+fn connect(socket: &Path, child: &mut Child, folder: &Path) -> Result<UnixStream, String> {
     let deadline = Instant::now() + START_TIMEOUT;
     loop {
         match UnixStream::connect(socket) {
@@ -176,9 +164,7 @@ fn connect(socket: &Path, guard: &mut ChildGuard, folder: &Path) -> Result<UnixS
             }
             Err(_) => {}
         }
-        if let Some(child) = &mut guard.0
-            && let Ok(Some(status)) = child.try_wait()
-        {
+        if let Ok(Some(status)) = child.try_wait() {
             return Err(format!("QEMU ended with {status}; {}", log_text(folder)));
         }
         std::thread::sleep(POLL_INTERVAL);
@@ -187,5 +173,5 @@ fn connect(socket: &Path, guard: &mut ChildGuard, folder: &Path) -> Result<UnixS
 
 fn log_text(folder: &Path) -> String {
     let log = fs::read_to_string(folder.join("log")).unwrap_or_default();
-    if log.trim().is_empty() { "it said nothing".to_owned() } else { format!("it said: {}", log.trim()) }
+    if log.trim().is_empty() { "no message".to_owned() } else { format!("its message: {}", log.trim()) }
 }

@@ -1,4 +1,4 @@
-//! Conversations with the controller in this process, byte for byte.
+//! Records trials of the hosted controller byte for byte.
 
 use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, LinkError, Session};
 use platebench_runner::trial::{TrialSpec, play};
@@ -10,26 +10,26 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// Of each scenario, and of a long one its beginning.
 const TRIALS_PER_SCENARIO: u32 = 2;
+/// Per trial; the rest of a long scenario is left out.
 const MAX_EXCHANGES: usize = 900;
 const PERIOD: Duration = Duration::from_millis(1);
 
-/// What was said at an instant, and what the controller in this process answered.
+/// A request and the answer of the hosted controller.
 pub(crate) struct RecordedExchange {
     pub(crate) now: Duration,
     pub(crate) request: Vec<u8>,
     pub(crate) answer: Vec<u8>,
 }
 
-/// One trial, from its configuration on.
+/// One trial, from its configuration.
 pub(crate) struct RecordedTrial {
     pub(crate) name: String,
     pub(crate) exchanges: Vec<RecordedExchange>,
 }
 
 impl RecordedTrial {
-    /// Makes the expected answer wrong by the least that a drive can be wrong by.
+    /// Changes the last bit of the last expected drive.
     pub(crate) fn flip_a_bit_of_the_last_drive(&mut self) {
         let decode = |bytes: &[u8]| PacketReader::new().packets(bytes).flatten().next();
         let driven = self.exchanges.iter_mut().rev().find_map(|exchange| match decode(&exchange.answer)? {
@@ -64,8 +64,8 @@ impl Link for RecordingLink {
         Ok(delay)
     }
 
-    fn advance_to(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.link.advance_to(now, said)
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.link.advance_to(now, received)
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {
@@ -75,36 +75,36 @@ impl Link for RecordingLink {
     }
 }
 
-/// The paper's scenarios under `law`, in lockstep with the plate.
+/// Records the paper's scenarios under `law`.
 pub(crate) fn record_paper_scenarios(law: LawId) -> Vec<RecordedTrial> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios/paper");
     let scenarios = find(&[folder]).unwrap_or_else(|faults| panic!("{}", faults[0])).scenarios;
     let recorder = RecordingLink::default();
     let (log, limit) = (recorder.log.clone(), recorder.cancel.clone());
     let mut session = Session::open(FaultInjector::new(recorder)).unwrap();
-    let mut conversations = Vec::new();
+    let mut trials = Vec::new();
     for scenario in &scenarios {
-        // The time stamps of every fourth trial start at 0, as the clock of the hosted device does.
+        // Time stamps of every fourth trial start at 0, like the clock of the hosted device.
         for index in (0..TRIALS_PER_SCENARIO).map(|number| 4 * number) {
-            let order = TrialSpec { scenario, law, index, wire_time: false, own_clock: false };
+            let spec = TrialSpec { scenario, law, index, wire_time: false, own_clock: false };
             let cancel = CancelToken::default();
             limit.lock().unwrap().clone_from(&cancel);
-            let played = play(&mut session, &order, &cancel, None);
-            assert!(played.is_none_or(|played| played.link_error.is_none()), "{}", scenario.file);
+            let result = play(&mut session, &spec, &cancel, None);
+            assert!(result.is_none_or(|result| result.link_error.is_none()), "{}", scenario.file);
             let exchanges = std::mem::take(&mut *log.lock().unwrap());
-            conversations.push(RecordedTrial { name: format!("{}, {}", scenario.file, law.name()), exchanges });
+            trials.push(RecordedTrial { name: format!("{}, {}", scenario.file, law.name()), exchanges });
         }
     }
-    conversations
+    trials
 }
 
-/// Samples from far outside what a plate does, under designs from far outside what anybody wants: at least `count` of them, each law in turn.
+/// Records at least `count` random samples under random designs, each law in turn.
 pub(crate) fn record_random_samples(count: u32) -> Vec<RecordedTrial> {
     const PER_DESIGN: u32 = 100;
     let recorder = RecordingLink::default();
     let log = recorder.log.clone();
     let mut session = Session::open(recorder).unwrap();
-    let conversation = |design: u32| {
+    let trial = |design: u32| {
         let mut random = ChaCha8Rng::seed_from_u64(u64::from(design));
         let law = LawId::ALL[design as usize % LawId::ALL.len()];
         session.start_trial(&random_configure(law, &mut random)).unwrap();
@@ -114,7 +114,7 @@ pub(crate) fn record_random_samples(count: u32) -> Vec<RecordedTrial> {
         let exchanges = std::mem::take(&mut *log.lock().unwrap());
         RecordedTrial { name: format!("design {design}, {}", law.name()), exchanges }
     };
-    (0..count.div_ceil(PER_DESIGN)).map(conversation).collect()
+    (0..count.div_ceil(PER_DESIGN)).map(trial).collect()
 }
 
 fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
@@ -152,7 +152,7 @@ fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
 
 fn random_sample(random: &mut ChaCha8Rng, time_us: u32) -> Sample {
     let setpoint_um = if one_in(random, 32) { 0.0 } else { uniform(random, 0.0, 4.0) };
-    // Now and then nothing to divide by, the smallest numbers that there are, and what a torn sensor cable would give.
+    // Sometimes almost zero, a subnormal number, or a value of a broken sensor cable.
     let wd_um = match random.next_u32() % 32 {
         0 => 1e-9,
         1 => f32::from_bits(random.next_u32() % 0x80_0000),

@@ -1,13 +1,15 @@
-//! A record that somebody changed is refused, and the file is named.
+//! Checks that a changed record is rejected with the name of the file.
 
-use super::{assert_output, copy_folder, read_session_record, run_session, session_folder};
-use crate::test_folder::{TestFolder, run_bench};
+use super::{copy_folder, read_session_record, run_session, session_folder, verify};
 use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Command;
 
 const TRACE: &str = "steps/05-s/traces/s/001.csv";
+const SESSION: &str = "session.json";
+const PASS: &str = "\"verdict\": \"pass\"";
+const FAIL: &str = "\"verdict\": \"fail\"";
 
 fn replace_text(path: &Path, from: &str, to: &str) {
     let text = fs::read_to_string(path).unwrap();
@@ -15,9 +17,10 @@ fn replace_text(path: &Path, from: &str, to: &str) {
     fs::write(path, text.replacen(from, to, 1)).unwrap();
 }
 
-/// Seals the folder again, as somebody without the key would.
+/// Writes the manifest again, which needs no key.
 fn reseal(folder: &Path) {
-    let script = "find . -type f ! -name 'manifest.sha256*' -printf '%P\\n' | LC_ALL=C sort | xargs -d '\\n' sha256sum > manifest.sha256";
+    let script = "find . -type f ! -name 'manifest.sha256*' -printf '%P\\n' | LC_ALL=C sort \
+                  | xargs -d '\\n' sha256sum > manifest.sha256";
     assert!(Command::new("sh").args(["-c", script]).current_dir(folder).status().unwrap().success());
 }
 
@@ -28,44 +31,42 @@ fn flip_one_byte(path: &Path) {
     fs::write(path, bytes).unwrap();
 }
 
-/// What somebody does to a record, and what is said of it.
+/// A change of a record, and its message.
 type TamperCase = (fn(&Path), &'static str);
 
 const CASES: [TamperCase; 13] = [
     (|folder| flip_one_byte(&folder.join(TRACE)), "steps/05-s/traces/s/001.csv: changed"),
-    (
-        |folder| replace_text(&folder.join("session.json"), "\"verdict\": \"pass\"", "\"verdict\": \"fail\""),
-        "session.json: changed",
-    ),
-    (|folder| replace_text(&folder.join("session.json"), "Lab 2", "Lab 3"), "session.json: changed"),
+    (|folder| replace_text(&folder.join(SESSION), PASS, FAIL), "session.json: changed"),
+    (|folder| replace_text(&folder.join(SESSION), "Lab 2", "Lab 3"), "session.json: changed"),
     (|folder| fs::write(folder.join("steps/more.txt"), "").unwrap(), "steps/more.txt: added"),
-    (|folder| symlink("session.json", folder.join("link")).unwrap(), "link: neither a file nor a folder"),
+    (|folder| symlink(SESSION, folder.join("link")).unwrap(), "link: neither a file nor a folder"),
     (|folder| fs::remove_file(folder.join(TRACE)).unwrap(), "steps/05-s/traces/s/001.csv: missing"),
-    (|folder| fs::remove_file(folder.join("session.json")).unwrap(), "session.json: missing"),
+    (|folder| fs::remove_file(folder.join(SESSION)).unwrap(), "session.json: missing"),
     (
         |folder| {
             let path = folder.join("manifest.sha256");
             let text = fs::read_to_string(&path).unwrap();
-            fs::write(&path, text.split_inclusive('\n').filter(|line| !line.contains(TRACE)).collect::<String>())
-                .unwrap();
+            let kept: String = text.split_inclusive('\n').filter(|line| !line.contains(TRACE)).collect();
+            fs::write(&path, kept).unwrap();
         },
         "steps/05-s/traces/s/001.csv: added",
     ),
     (|folder| fs::remove_file(folder.join("manifest.sha256")).unwrap(), "manifest.sha256: missing"),
     (|folder| fs::remove_file(folder.join("manifest.sha256.sig")).unwrap(), "manifest.sha256.sig: missing"),
     (|folder| flip_one_byte(&folder.join("manifest.sha256.sig")), "manifest.sha256.sig: wrong"),
-    // Sealed again, its signature does not fit; what its traces do not bear out is seen even so.
+    // The signature does not match a new manifest.
     (
         |folder| {
-            replace_text(&folder.join("session.json"), "Lab 2", "Lab 3");
+            replace_text(&folder.join(SESSION), "Lab 2", "Lab 3");
             reseal(folder);
         },
         "manifest.sha256.sig: wrong",
     ),
+    // Without a signature, the evidence contradicts the verdict.
     (
         |folder| {
-            replace_text(&folder.join("session.json"), "\"signature\": {", "\"signature\": null, \"was\": {");
-            replace_text(&folder.join("session.json"), "\"verdict\": \"pass\"", "\"verdict\": \"fail\"");
+            replace_text(&folder.join(SESSION), "\"signature\": {", "\"signature\": null, \"was\": {");
+            replace_text(&folder.join(SESSION), PASS, FAIL);
             fs::remove_file(folder.join("manifest.sha256.sig")).unwrap();
             reseal(folder);
         },
@@ -73,52 +74,47 @@ const CASES: [TamperCase; 13] = [
     ),
 ];
 
-fn sealed_session() -> TestFolder {
-    let workshop = session_folder();
-    assert_output(&run_session(&workshop, &["--yes", "--sign", "key.pem", "--place", "Lab 2"]), 0, &[]);
-    assert!(read_session_record(&workshop).signature.is_some());
-    workshop
-}
-
 #[test]
 fn every_change_is_rejected_with_its_file() {
-    let workshop = sealed_session();
-    for (number, (change, named)) in CASES.into_iter().enumerate() {
-        let name = format!("doctored-{number}");
-        let copy = workshop.path().join(&name);
-        copy_folder(&workshop.path().join("record"), &copy);
-        assert_output(&run_bench(workshop.path(), ["accept", "verify", &name]), 0, &["intact"]);
+    let folder = session_folder();
+    run_session(&folder, &["--yes", "--sign", "key.pem", "--place", "Lab 2"]).assert_exit(0);
+    assert!(read_session_record(&folder).signature.is_some());
+    for (number, (change, message)) in CASES.into_iter().enumerate() {
+        let name = format!("changed-{number}");
+        let copy = folder.join(&name);
+        copy_folder(&folder.join("record"), &copy);
+        verify(&folder, &name, &[]).assert_exit(0).assert_output(&["intact"]);
         change(&copy);
-        assert_output(&run_bench(workshop.path(), ["accept", "verify", &name]), 1, &[named, "rejected"]);
+        verify(&folder, &name, &[]).assert_exit(1).assert_output(&[message, "rejected"]);
     }
 }
 
+/// No trace contains the place, so only a signature protects it.
 #[test]
 fn a_resealed_record_is_checked_against_its_traces() {
-    let workshop = session_folder();
-    assert_output(&run_session(&workshop, &["--yes", "--place", "Lab 2"]), 0, &[]);
-    let folder = workshop.path().join("record");
-    let verify = || run_bench(workshop.path(), ["accept", "verify", "record"]);
-    // Nothing in the traces knows where the lab is: this is what a signature is for.
-    replace_text(&folder.join("session.json"), "Lab 2", "Lab 3");
-    reseal(&folder);
-    assert_output(&verify(), 0, &["not signed"]);
-    // A verdict it is not.
-    let run = folder.join("steps/05-s/run.json");
-    let before = fs::read_to_string(&run).unwrap();
-    replace_text(&run, "\"verdict\": \"pass\"", "\"verdict\": \"fail\"");
-    reseal(&folder);
-    assert_output(&verify(), 1, &["steps/05-s/run.json: the traces, judged again, do not bear it out"]);
-    fs::write(&run, before).unwrap();
-    // Nor what a requirement says.
-    replace_text(&folder.join("session.json"), "\"text\": \"It settles.\"", "\"text\": \"It hums.\"");
-    reseal(&folder);
-    assert_output(&verify(), 1, &["session.json: R-1: text or evidence is not what plan and traces say"]);
-    replace_text(&folder.join("session.json"), "\"text\": \"It hums.\"", "\"text\": \"It settles.\"");
-    reseal(&folder);
-    assert_output(&verify(), 0, &[]);
-    // Nor a trace.
-    flip_one_byte(&folder.join(TRACE));
-    reseal(&folder);
-    assert_output(&verify(), 1, &["steps/05-s/run.json: its traces cannot be judged again", "001.csv"]);
+    let folder = session_folder();
+    run_session(&folder, &["--yes", "--place", "Lab 2"]).assert_exit(0);
+    let record = folder.join("record");
+    let verify_resealed = || {
+        reseal(&record);
+        verify(&folder, "record", &[])
+    };
+    replace_text(&record.join(SESSION), "Lab 2", "Lab 3");
+    verify_resealed().assert_exit(0).assert_output(&["not signed"]);
+    let run = folder.read("record/steps/05-s/run.json");
+    replace_text(&record.join("steps/05-s/run.json"), PASS, FAIL);
+    verify_resealed()
+        .assert_exit(1)
+        .assert_output(&["steps/05-s/run.json: the traces, judged again, do not bear it out"]);
+    folder.write("record/steps/05-s/run.json", &run);
+    replace_text(&record.join(SESSION), "\"text\": \"It settles.\"", "\"text\": \"It hums.\"");
+    verify_resealed()
+        .assert_exit(1)
+        .assert_output(&["session.json: R-1: text or evidence is not what plan and traces say"]);
+    replace_text(&record.join(SESSION), "\"text\": \"It hums.\"", "\"text\": \"It settles.\"");
+    verify_resealed().assert_exit(0);
+    flip_one_byte(&record.join(TRACE));
+    verify_resealed()
+        .assert_exit(1)
+        .assert_output(&["steps/05-s/run.json: its traces cannot be judged again", "001.csv"]);
 }

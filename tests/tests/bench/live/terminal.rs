@@ -1,4 +1,4 @@
-//! The program in a terminal of its own, whose screen can be read.
+//! Runs the program in a terminal and reads its screen.
 
 use crate::test_folder::{ChildGuard, wait_until};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -24,7 +24,7 @@ pub(super) const LARGE: [u16; 2] = [200, 50];
 pub(super) struct TestTerminal {
     pub(super) child: ChildGuard,
     keys: Option<File>,
-    /// The program's end, whose modes tell whether it was given back.
+    /// The program's end, for its modes.
     line: Option<File>,
     initial_modes: Termios,
     screen: Arc<Mutex<Parser>>,
@@ -48,7 +48,7 @@ impl TestTerminal {
         let master = File::from(master);
         set_size(&master, size);
         let end = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
-        // A session of its own, so that the terminal is its own: then Ctrl-C and hanging up are signals.
+        // With a session of its own, Ctrl-C and hang-up of the terminal are signals.
         let mut command = Command::new("setsid");
         command.args(["--ctty", env!("CARGO_BIN_EXE_platebench-under-test")]).args(arguments).current_dir(folder);
         command.env_remove("PLATEBENCH_LOG").env_remove("NO_COLOR").env("TERM", "xterm-256color");
@@ -75,7 +75,7 @@ impl TestTerminal {
         self.screen.lock().unwrap()
     }
 
-    /// What the screen shows.
+    /// The text on the screen.
     pub(super) fn text(&self) -> String {
         self.screen().screen().contents()
     }
@@ -94,13 +94,18 @@ impl TestTerminal {
         })
     }
 
-    /// Waits until the picture shows `text`.
+    #[track_caller]
+    pub(super) fn assert_text(&self, text: &str) {
+        assert!(self.text().contains(text), "{text} is not in:\n{}", self.text());
+    }
+
+    /// Waits until the view shows `text`.
     #[track_caller]
     pub(super) fn wait_for_view_text(&mut self, text: &str) {
         self.wait_for_text(text, true);
     }
 
-    /// Waits until `text` is there, while the terminal is the user's.
+    /// Waits until `text` is on the normal screen.
     #[track_caller]
     pub(super) fn wait_for_terminal_text(&mut self, text: &str) {
         self.wait_for_text(text, false);
@@ -109,8 +114,7 @@ impl TestTerminal {
     #[track_caller]
     fn wait_for_text(&mut self, text: &str, in_view: bool) {
         wait_until(&format!("the screen never shows `{text}`"), || {
-            let ended = self.child.0.try_wait().unwrap();
-            assert!(ended.is_none(), "it ended before it showed `{text}`:\n{}", self.text());
+            assert!(!self.child.has_ended(), "the program ended before it showed `{text}`:\n{}", self.text());
             self.is_alternate() == in_view && self.text().contains(text)
         });
     }
@@ -124,13 +128,13 @@ impl TestTerminal {
         set_size(self.keys.as_ref().unwrap(), size);
     }
 
-    /// Waits until the program has ended with one of these exit codes, and left the terminal as it was.
+    /// Waits for one of these exit codes and checks that the terminal is restored.
     #[track_caller]
     pub(super) fn wait_for_exit(&mut self, expected: &[i32]) {
-        wait_until("it does not end", || self.child.0.try_wait().unwrap().is_some());
+        wait_until("the program does not end", || self.child.has_ended());
         let code = self.child.0.wait().unwrap().code();
         let after = tcgetattr(self.line.as_ref().unwrap()).unwrap();
-        // With the last open end goes the terminal, and the reader comes to its end.
+        // The reader ends when no end of the terminal is open.
         self.line = None;
         self.reader.take().unwrap().join().unwrap();
         assert!(code.is_some_and(|code| expected.contains(&code)), "{code:?}\n{}", self.text());
@@ -144,7 +148,7 @@ impl TestTerminal {
         assert!(!self.screen().screen().hide_cursor());
     }
 
-    /// Closes the terminal as its window does.
+    /// Closes the terminal like a window.
     pub(super) fn close(mut self) -> ChildGuard {
         self.closed.store(true, Ordering::Relaxed);
         self.reader.take().unwrap().join().unwrap();
@@ -161,7 +165,7 @@ fn set_size(terminal: &File, [columns, rows]: [u16; 2]) {
     tcsetwinsize(terminal, Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 }).unwrap();
 }
 
-/// Reads until nobody has the terminal open any more.
+/// Reads until no process has the terminal open.
 fn read_until_closed(mut output: File, screen: &Mutex<Parser>, closed: &AtomicBool) {
     let mut bytes = [0; 4096];
     let soon = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
