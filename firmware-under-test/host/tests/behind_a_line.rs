@@ -11,24 +11,10 @@ use std::time::{Duration, Instant};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_platebench-host-controller");
 
-const CONFIGURE: Configure = Configure {
-    law: LawId::DqPi,
-    paced_by_target: false,
-    drives_own_plate: false,
-    watchdog_timeout_ms: 1_000,
-    period_us: 1_000,
-    loop_delay_us: 0,
-    start_frequency_mhz: 32_307_600,
-    gain_um_per_vpp: 0.00698,
-    time_constant_s: 1.88e-3,
-    response_time_s: 0.0,
-    drive_limit_vpp: 900.0,
-    frequency_range_hz: 250.0,
-    frequency_slew_hz: 100.0,
-    gains: None,
-};
+/// With a sample time-out for a busy machine.
+const CONFIGURE: Configure = Configure { watchdog_timeout_ms: 1_000, ..platebench_test_kit::CONFIGURE };
 
-/// Generous, for a busy machine.
+/// Long enough for a busy machine.
 const TIMEOUT: Duration = Duration::from_secs(5);
 
 fn start(log: Option<&Path>) -> ExecLink {

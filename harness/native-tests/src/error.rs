@@ -1,4 +1,4 @@
-//! Why there is no suite.
+//! Defines the errors of an invalid suite.
 
 use platebench_rig::ConnectError;
 use platebench_rig::spec::SpecError;
@@ -6,16 +6,16 @@ use platebench_scenario::Diagnostic;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Why no test of a suite can be played. None of them is played then, whatever filter was given: a suite that is half there would be green for the wrong reason.
+/// An error that stops the whole suite, for any filter: a partial suite could pass by mistake.
 #[derive(Debug, thiserror::Error)]
 pub enum SuiteError {
-    /// The rig is not one.
+    /// The rig has invalid syntax.
     #[error("{0}")]
     Rig(SpecError),
-    /// There is no such rig in this build, or its words make no command.
+    /// The rig is not part of this build, or its command is invalid.
     #[error(transparent)]
     Connect(ConnectError),
-    /// Scenarios that cannot be played, with every fault of every file.
+    /// Invalid scenarios, with all faults of all files.
     #[error("{}", render_all(.0))]
     Scenarios(Vec<Diagnostic>),
     /// There is no scenario.
@@ -24,7 +24,7 @@ pub enum SuiteError {
 }
 
 impl SuiteError {
-    /// How the test program ends, by the codes of `platebench run`: 2 for invalid input, 4 where there is nothing to run.
+    /// Exit code of the test program, as of `platebench run`: 2 for invalid input, 4 without scenarios.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Rig(_) | Self::Connect(_) | Self::Scenarios(_) => 2,

@@ -1,4 +1,4 @@
-//! A folder of scenarios as the tests of another project: `cargo test` plays them, one test each.
+//! Runs a folder of scenarios as tests of another project: one `cargo test` case per scenario.
 //!
 //! ```no_run
 //! // tests/scenarios.rs, with `harness = false` in Cargo.toml
@@ -10,12 +10,12 @@
 //! }
 //! ```
 //!
-//! * [`suite`]: what is played to what, and the test program that comes of it.
-//! * [`error`]: why there is no suite, and how the program ends then.
+//! * [`suite`]: the test program of a folder and a rig.
+//! * [`error`]: errors of an invalid suite and their exit codes.
 //! * `play`: one test.
 //!
-//! The program understands the arguments of any Rust test and what `cargo nextest` asks for. How to use it: `docs/native-tests.md`.
-//! What is played and how it is judged is none of this crate's business: it only says `ok` or `FAILED`.
+//! The program takes the arguments of a Rust test program and of `cargo nextest`. See
+//! `docs/native-tests.md`.
 
 pub mod error;
 mod play;

@@ -1,8 +1,6 @@
-//! One test: a scenario played into a run folder of its own.
+//! Runs one scenario as a test, with its own run folder.
 
-use platebench_record::{FolderError, RunFolder};
-use platebench_record::{Overrides, RECORD_FILE};
-use platebench_record::{RunRecord, Verdict};
+use platebench_record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord, Verdict};
 use platebench_report::console::{self, Style};
 use platebench_report::{ReportError, junit, page, traceability};
 use platebench_rig::RigSpec;
@@ -13,7 +11,7 @@ use std::io;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-/// What every test of a suite shares.
+/// Rig, clock and output folder of all tests of a suite.
 #[derive(Debug)]
 pub(crate) struct TestContext {
     rig: RigSpec,
@@ -21,19 +19,24 @@ pub(crate) struct TestContext {
     out: PathBuf,
 }
 
-/// Why a test did not pass.
+/// A test that did not pass.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TestFailure {
-    /// It ended, but not as it should have.
-    #[error("it ends with {}, expected {}\n\n{table}\nrun folder: {}", describe_exit_code(*code), describe_exit_code(*expected), folder.display())]
+    /// Another exit code than expected.
+    #[error(
+        "it ends with {}, expected {}\n\n{table}\nrun folder: {}",
+        describe_exit_code(*code),
+        describe_exit_code(*expected),
+        folder.display()
+    )]
     Verdict { code: u8, expected: u8, table: String, folder: PathBuf },
-    /// It did not get to a verdict.
+    /// An error before the verdict.
     #[error("{0}")]
     Run(#[from] RunError),
-    /// Its report could not be written.
+    /// The report could not be written.
     #[error("{0}")]
     Report(#[from] ReportError),
-    /// There is no place for its run folder.
+    /// The run folder could not be created.
     #[error("{}: {source}", path.display())]
     Folder { path: PathBuf, source: io::Error },
 }
@@ -45,7 +48,7 @@ impl From<FolderError> for TestFailure {
 }
 
 impl TestContext {
-    /// Real time where the board has a line that does not wait, lockstep otherwise; as `platebench run` does without `--clock`.
+    /// Uses real time on a serial line of a board and lockstep otherwise, like `platebench run`.
     pub(crate) fn new(rig: RigSpec, out: PathBuf) -> Self {
         let clock = match rig {
             RigSpec::Serial { .. } | RigSpec::Probe { port: Some(_), .. } => {
@@ -58,7 +61,7 @@ impl TestContext {
         Self { rig, clock, out }
     }
 
-    /// Plays `scenario` and holds how it ended to what it says.
+    /// Runs `scenario` and compares the exit code with `expected_exit`.
     pub(crate) fn run_scenario(&self, mut scenario: Scenario) -> Result<(), TestFailure> {
         let overrides = Overrides::default();
         rejudge::apply_overrides(&overrides, &mut scenario);
@@ -81,22 +84,22 @@ impl TestContext {
         Err(TestFailure::Verdict { code, expected, table, folder })
     }
 
-    /// Plays `plan` beside `folder` and puts what came of it in its place, so that what lies there is always of one run.
+    /// Runs `plan` into a temporary folder and then replaces `folder`, which so contains one run only.
     fn run_and_replace(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let parent = folder.parent().unwrap_or(&self.out);
         fs::create_dir_all(parent).map_err(folder_error(parent))?;
         let readable = Permissions::from_mode(0o755);
-        let new = tempfile::Builder::new().prefix(".playing-").permissions(readable).tempdir_in(parent);
+        let new = tempfile::Builder::new().prefix(".running-").permissions(readable).tempdir_in(parent);
         let new = new.map_err(folder_error(parent))?;
-        let played = self.run_into(plan, new.path());
+        let result = self.run_into(plan, new.path());
         if new.path().join(RECORD_FILE).exists() {
-            // Only what is a run's is taken away.
+            // Never delete a folder that is not a run folder.
             if folder.join(RECORD_FILE).exists() {
                 fs::remove_dir_all(folder).map_err(folder_error(folder))?;
             }
             fs::rename(new.path(), folder).map_err(folder_error(folder))?;
         }
-        played
+        result
     }
 
     fn run_into(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
@@ -118,7 +121,7 @@ fn folder_error(path: &Path) -> impl FnOnce(io::Error) -> TestFailure + use<> {
     |source| TestFailure::Folder { path, source }
 }
 
-/// How `platebench run` ends with this record.
+/// The exit code of `platebench run` for this record.
 fn exit_code(record: &RunRecord) -> u8 {
     let unsafe_end = record.verdict == Verdict::Inconclusive && record.safe_confirmed == Some(false);
     match record.verdict {

@@ -1,4 +1,4 @@
-//! What is played to what, and the test program that comes of it.
+//! Builds the test program of a folder of scenarios and a rig.
 
 use crate::error::SuiteError;
 use crate::play::TestContext;
@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
-/// The environment variable that names another rig than the suite's own: the same tests on a board.
+/// Environment variable that replaces the rig of the suite, for example by a board.
 pub const RIG_VARIABLE: &str = "PLATEBENCH_RIG";
 
-/// A folder of scenarios and the rig that they are played to.
+/// A folder of scenarios and their rig.
 #[derive(Debug, Clone)]
 pub struct Suite {
     scenarios: PathBuf,
@@ -21,22 +21,24 @@ pub struct Suite {
 }
 
 impl Suite {
-    /// The scenarios in `scenarios` and below it, or one file, with a run folder for each of them below `out`. Relative paths start where Cargo starts tests: in
-    /// the folder of the package.
+    /// Takes the scenarios below `scenarios`, or one file. Run folders are created below `out`.
+    /// Relative paths start in the folder of the package, as in every Cargo test.
     pub fn new(scenarios: impl Into<PathBuf>, out: impl Into<PathBuf>) -> Self {
         Self { scenarios: scenarios.into(), out: out.into(), rig: "emulated".to_owned() }
     }
 
-    /// What the controller runs on, in the words of `platebench run --rig`; `emulated` where not said. [`RIG_VARIABLE`] overrides it.
+    /// Sets the rig, in the syntax of `platebench run --rig`; `emulated` by default. [`RIG_VARIABLE`]
+    /// overrides it.
     #[must_use]
     pub fn rig(mut self, rig: impl Into<String>) -> Self {
         self.rig = rig.into();
         self
     }
 
-    /// The test program: reads its arguments and the environment, plays what they ask for, and tells how it ended.
+    /// Runs the test program with the arguments and the environment of the process.
     ///
-    /// 0: every test passed; 101: one did not; 2: no suite, because a scenario or the rig is invalid; 4: no suite, because there is no scenario.
+    /// Exit codes: 0 all tests passed; 101 a test failed; 2 a scenario or the rig is invalid; 4 no
+    /// scenario.
     pub fn run(mut self) -> ExitCode {
         if let Ok(rig) = std::env::var(RIG_VARIABLE) {
             self.rig = rig;
@@ -50,15 +52,14 @@ impl Suite {
                 libtest_mimic::run(&arguments, tests.trials).exit_code()
             }
             Err(error) => {
-                // Faults of files are shown as such.
-                let is_shown = matches!(error, SuiteError::Scenarios(_));
-                eprintln!("{}{error}", if is_shown { "" } else { "error: " });
+                // Diagnostics of scenarios have their own prefix.
+                let prefix = if matches!(error, SuiteError::Scenarios(_)) { "" } else { "error: " };
+                eprintln!("{prefix}{error}");
                 ExitCode::from(error.exit_code())
             }
         }
     }
 
-    /// The tests, by name.
     fn tests(&self) -> Result<SuiteTests, SuiteError> {
         let rig: RigSpec = self.rig.parse().map_err(SuiteError::Rig)?;
         rig.check().map_err(SuiteError::Connect)?;
@@ -70,32 +71,31 @@ impl Suite {
             return Err(SuiteError::NoScenarios(self.scenarios.clone()));
         }
         let one_at_a_time = !rig.allows_parallel_links();
-        let stage = Arc::new(TestContext::new(rig, self.out.clone()));
+        let context = Arc::new(TestContext::new(rig, self.out.clone()));
         let judged = found.scenarios.into_iter().map(|scenario| (scenario, false));
         let mut scenarios: Vec<_> = judged.chain(limits.into_iter().map(|scenario| (scenario, true))).collect();
         scenarios.sort_by(|(a, _), (b, _)| a.file.cmp(&b.file));
         let test = |(scenario, ignored): (Scenario, bool)| {
-            let stage = Arc::clone(&stage);
+            let context = Arc::clone(&context);
             let name = scenario.name().to_owned();
-            Trial::test(name, move || stage.run_scenario(scenario).map_err(Into::into)).with_ignored_flag(ignored)
+            Trial::test(name, move || context.run_scenario(scenario).map_err(Into::into)).with_ignored_flag(ignored)
         };
         let trials = scenarios.into_iter().map(test).collect();
         Ok(SuiteTests { trials, one_at_a_time })
     }
 }
 
-/// What a suite comes to.
 struct SuiteTests {
     trials: Vec<Trial>,
-    /// True where all of them need the same line.
+    /// True if all tests need the same line.
     one_at_a_time: bool,
 }
 
-/// The scenario called `name` that shows a limit and that [`find`] left out below `folder`.
+/// Loads a scenario of a known limit, which [`find`] skipped below `folder`.
 fn load_limit_scenario(folder: &Path, name: &str) -> Result<Scenario, Vec<Diagnostic>> {
-    let missing = || vec![Diagnostic::for_file(folder, format!("{name} was here a moment ago"))];
+    let missing = || vec![Diagnostic::for_file(folder, format!("{name} was deleted during the search"))];
     let canonical = std::fs::canonicalize(folder).map_err(|_| missing())?;
-    // A name is a path below the folder or below one that it lies in.
+    // A name is a path below the folder or below a parent of it.
     let path = canonical.ancestors().map(|folder| folder.join(name)).find(|path| path.is_file()).ok_or_else(missing)?;
     let mut scenario = find(&[path])?.scenarios.pop().ok_or_else(missing)?;
     name.clone_into(&mut scenario.file);

@@ -1,5 +1,6 @@
-//! What a step of each tier costs: `cargo bench -p platebench-plate --bench cost`. Times; what a
-//! build is held to are the instruction counts of `counts.rs`.
+//! Measures the time of a step of each tier: `cargo bench -p platebench-plate --bench cost`.
+//!
+//! Builds are checked by the instruction counts of `counts.rs`.
 
 mod steps;
 

@@ -1,10 +1,8 @@
-//! How many instructions a step takes, and whether that is more than it was: `ci/counts`, which
-//! runs this, holds `counts.toml`.
+//! Counts the instructions of a step and compares them with `counts.toml`; `ci/counts` runs it.
 //!
-//! Callgrind counts what a step executes, the same number in every run: no clock and no load of the
-//! machine comes in. A step is run some hundred times and twice as often, in a process each; the
-//! difference leaves out start and end. Numbers compare only where compiler, C library, Valgrind
-//! and vector instructions are the same; where they are not, that is said and nothing is judged.
+//! Callgrind counts do not depend on clock or load. A step runs 200 times in one process and 400
+//! times in another; the difference excludes start and end. Counts are compared only if compiler,
+//! C library, Valgrind and vector instructions are the same; otherwise a message is printed.
 
 #![allow(clippy::format_push_string, reason = "twenty lines, once")]
 
@@ -18,7 +16,7 @@ use std::process::{Command, ExitCode};
 use steps::{STEPS, Step};
 use toml::{Table, Value};
 
-/// What a step may take more than it did.
+/// Allowed increase.
 const TOLERANCE: f64 = 0.03;
 /// Runs of a step.
 const RUNS: u64 = 200;
@@ -40,7 +38,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// What Callgrind looks at.
+/// The process that Callgrind counts.
 fn run(name: &str, runs: &str) -> Result<(), String> {
     let step = STEPS.iter().find(|step| step.name == name).ok_or("no such step")?;
     let mut step = step.prepare();
@@ -59,7 +57,7 @@ fn instructions(step: &Step, runs: u64) -> Result<u64, String> {
         text.lines().find_map(|line| line.split_once("Collected : ")).and_then(|(_, count)| count.trim().parse().ok());
     match counted {
         Some(counted) if output.status.success() => Ok(counted),
-        _ => Err(format!("valgrind says nothing of {}:\n{text}", step.name)),
+        _ => Err(format!("valgrind printed no count for {}:\n{text}", step.name)),
     }
 }
 
@@ -80,7 +78,7 @@ fn command_output(program: &str, arguments: &[&str]) -> String {
     text.lines().next().unwrap_or("unknown").trim().to_owned()
 }
 
-/// What counts depend on beside the code.
+/// Tools and features on which counts depend.
 fn environment() -> BTreeMap<&'static str, String> {
     let vectors = if cfg!(target_arch = "x86_64") && has_vectors() { "avx2 and fma" } else { "baseline" };
     BTreeMap::from([
@@ -125,7 +123,7 @@ fn check() -> Result<(), String> {
     for (name, now) in environment() {
         let then = known.get(name).and_then(Value::as_str).unwrap_or("unknown");
         if then != now {
-            eprintln!("counts: {name} is {now}, and was {then}");
+            eprintln!("counts: {name} is {now}, expected {then}");
             comparable = false;
         }
     }
@@ -140,20 +138,20 @@ fn check() -> Result<(), String> {
         let change = count / before - 1.0;
         println!("{name:<20} {count:>9.1} {:>+6.1} %", 100.0 * change);
         if change > TOLERANCE {
-            wrong.push(format!("{name} takes {count} instructions and took {before}: {:+.1} %", 100.0 * change));
+            wrong.push(format!("{name} takes {count} instructions, expected {before}: {:+.1} %", 100.0 * change));
         }
     }
     wrong.extend(
         known
             .keys()
             .filter(|name| !measured.contains_key(name.as_str()))
-            .map(|name| format!("{name} is no step any more")),
+            .map(|name| format!("{name} is in counts.toml but is no step")),
     );
     if !comparable {
         println!(
-            "counts: NOT COMPARED: counts.toml was made with something else, see above; ci/counts --update makes it anew"
+            "counts: NOT COMPARED: counts.toml was written with the other tools listed above; update: ci/counts --update"
         );
         return Ok(());
     }
-    if wrong.is_empty() { Ok(()) } else { Err(wrong.join("\ncounts: ") + "\nmeant? then ci/counts --update") }
+    if wrong.is_empty() { Ok(()) } else { Err(wrong.join("\ncounts: ") + "\nif this is intended: ci/counts --update") }
 }

@@ -1,11 +1,11 @@
 //! Checks that no step of plate or sensor allocates memory.
 
-#![allow(clippy::unwrap_used, reason = "a case that cannot be set up has failed")]
+#![allow(clippy::unwrap_used, reason = "a failed fixture fails the test")]
 
 use allocation_counter::measure;
-use platebench_plate::BandSignal;
-use platebench_plate::RawPlate;
-use platebench_plate::{BandMonitor, ConditionProfiles, Drive, Lockin, Plant, Plate, Profile, Sensor, Tier, Time};
+use platebench_plate::{
+    BandMonitor, BandSignal, ConditionProfiles, Drive, Lockin, Plant, Plate, Profile, RawPlate, Sensor, Tier, Time,
+};
 use rstest::rstest;
 use std::hint::black_box;
 
@@ -16,11 +16,11 @@ fn plate() -> Plate {
 }
 
 #[test]
-fn an_allocation_would_be_seen() {
+fn detects_an_allocation() {
     assert_eq!(measure(|| drop(black_box(vec![1_u8; 3]))).count_total, 1);
 }
 
-/// A force that ramps, a band that is watched, a sensor with noise.
+/// With a ramp of force, a monitored band and a noisy sensor.
 #[rstest]
 fn no_control_period_allocates(#[values(Tier::Linear, Tier::Envelope, Tier::Modal, Tier::Carrier)] tier: Tier) {
     let ms = |ms| Time::from_ms(ms).unwrap();
@@ -33,15 +33,15 @@ fn no_control_period_allocates(#[values(Tier::Linear, Tier::Envelope, Tier::Moda
     let mut plant = Plant::new(plate, scene, tier);
     let mut sensor = Sensor::new(1.0, 0.01, 1);
     let mut crossings = Vec::with_capacity(64);
-    let watches = [BandMonitor { signal: BandSignal::Amplitude, low: 0.5, high: 1.5 }];
-    let taken = measure(|| {
+    let monitors = [BandMonitor { signal: BandSignal::Amplitude, low: 0.5, high: 1.5 }];
+    let allocations = measure(|| {
         for period in 1..=40_u32 {
             plant.set_drive(Drive { vpp: 10.0 * f64::from(period), omega: omega + f64::from(period) });
-            plant.advance(ms(f64::from(period)), &watches, &mut crossings);
+            plant.advance(ms(f64::from(period)), &monitors, &mut crossings);
             black_box(sensor.measure(plant.sensor_reading()));
             black_box(plant.waveform());
         }
     });
     assert!(!crossings.is_empty() && crossings.capacity() == 64);
-    assert_eq!(taken.count_total, 0, "{}: {taken:?}", tier.name());
+    assert_eq!(allocations.count_total, 0, "{}: {allocations:?}", tier.name());
 }

@@ -1,7 +1,8 @@
-//! What it costs the loop that somebody looks on: the table of `docs/live-view.md`.
+//! Measures the cost of a live view for the loop, for the table of `docs/live-view.md`.
 //!
-//! `cargo bench --ignore-rust-version -p platebench-runner --bench live-view`. All ways are played in turn within the same run, and processor time of the loop's thread is counted, so that ratios hold where
-//! the computer does something else besides. In lockstep nothing waits, so that the loop's own work is all there is.
+//! `cargo bench --ignore-rust-version -p platebench-runner --bench live-view`. Variants alternate
+//! within one run and processor time is measured, so that ratios also hold on a busy computer.
+//! Lockstep has no waits, so only the work of the loop counts.
 
 use platebench_rig::{FaultInjector, HostedLink, Session};
 use platebench_runner::live_tap::{TapGuard, TapReader};
@@ -17,81 +18,81 @@ use std::thread;
 use std::time::Duration;
 
 const SCENARIO: &str = "paper/fig13-closed-loop.toml";
-/// Each one plays every way once.
+/// Every variant runs once per round.
 const ROUNDS: usize = 60;
-/// Of one way in a round.
+/// Of a variant per round.
 const TRIALS: usize = 20;
-/// As the live view looks.
+/// As of the live view.
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
 const VARIANTS: [&str; 4] =
-    ["nobody looks on", "nobody looks on, once more", "a view looks on", "a view that never looks: the queue is full"];
+    ["without a view", "without a view, repeated", "with a view", "with a view that never reads: the queue is full"];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(SCENARIO);
     let scenario = load(&path, SCENARIO).map_err(|fault| fault.to_string())?;
-    let order = TrialSpec { scenario: &scenario, law: LawId::DqPi, index: 0, wire_time: false, own_clock: false };
+    let spec = TrialSpec { scenario: &scenario, law: LawId::DqPi, index: 0, wire_time: false, own_clock: false };
     let mut session = Session::open(FaultInjector::new(HostedLink::new()))?;
-    let (looked_at, viewer) = LiveTap::new();
-    let (stalled, never_looks) = LiveTap::new();
-    let over = AtomicBool::new(false);
+    let (active, reader) = LiveTap::new();
+    let (stalled, idle_reader) = LiveTap::new();
+    let is_finished = AtomicBool::new(false);
     let mut spent: [Vec<f64>; VARIANTS.len()] = Default::default();
     thread::scope(|scope| {
-        scope.spawn(|| drain_until(viewer, &over));
-        let watches = [LiveTap::default(), LiveTap::default(), looked_at, stalled];
-        let mut taps = watches.each_ref().map(|watch| watch.acquire(0, 0));
+        scope.spawn(|| drain_until(reader, &is_finished));
+        let live_taps = [LiveTap::default(), LiveTap::default(), active, stalled];
+        let mut taps = live_taps.each_ref().map(|tap| tap.acquire(0, 0));
         let cancel = CancelToken::default();
-        // The first round warms up, and fills the queue that nobody empties.
+        // The first round warms up and fills the queue of the stalled tap.
         for round in 0..=ROUNDS {
-            // Each way comes first as often as any other one.
+            // Every variant is first equally often.
             for place in 0..VARIANTS.len() {
-                let way = (place + round) % VARIANTS.len();
-                let (Some(tap), Some(of_way)) = (taps.get_mut(way), spent.get_mut(way)) else { continue };
-                let took = time_trials(&mut session, &order, &cancel, tap);
+                let variant = (place + round) % VARIANTS.len();
+                let (Some(tap), Some(times)) = (taps.get_mut(variant), spent.get_mut(variant)) else { continue };
+                let time = time_trials(&mut session, &spec, &cancel, tap);
                 if round > 0 {
-                    of_way.push(took);
+                    times.push(time);
                 }
             }
         }
-        over.store(true, Ordering::Relaxed);
+        is_finished.store(true, Ordering::Relaxed);
     });
-    let lost = never_looks.counts().dropped_rows;
+    let lost = idle_reader.counts().dropped_rows;
     let baseline = spent.first().cloned().unwrap_or_default();
     println!("| lockstep, hosted, {SCENARIO} | ns per row, median | ratio, median | quartiles |\n|---|---|---|---|");
-    for (way, of_way) in VARIANTS.iter().zip(&mut spent) {
-        let mut ratios: Vec<f64> = of_way.iter().zip(&baseline).map(|(took, base)| took / base).collect();
+    for (variant, times) in VARIANTS.iter().zip(&mut spent) {
+        let mut ratios: Vec<f64> = times.iter().zip(&baseline).map(|(time, base)| time / base).collect();
         let [q1, median, q3] = quartiles(&mut ratios);
-        let [_, ns, _] = quartiles(of_way);
-        println!("| {way} | {ns:.0} | {median:.3} | {q1:.3} to {q3:.3} |");
+        let [_, ns, _] = quartiles(times);
+        println!("| {variant} | {ns:.0} | {median:.3} | {q1:.3} to {q3:.3} |");
     }
-    println!("\n{ROUNDS} rounds of {TRIALS} trials; {lost} rows found no room in the queue that nobody emptied");
+    println!("\n{ROUNDS} rounds of {TRIALS} trials; {lost} rows were dropped by the full queue");
     Ok(())
 }
 
 /// Processor time per row, ns.
 fn time_trials(
     session: &mut Session<FaultInjector<HostedLink>>,
-    order: &TrialSpec<'_>,
+    spec: &TrialSpec<'_>,
     cancel: &CancelToken,
-    lent: &mut TapGuard<'_>,
+    tap: &mut TapGuard<'_>,
 ) -> f64 {
     let mut rows = 0;
     let begun = processor_s();
     for _ in 0..TRIALS {
-        rows += play(session, order, cancel, lent.tap()).map_or(0, |played| played.trace_rows.len());
+        rows += play(session, spec, cancel, tap.tap()).map_or(0, |result| result.trace_rows.len());
     }
     (processor_s() - begun) * 1e9 / rows.max(1) as f64
 }
 
-/// Of this thread.
+/// Processor time of this thread.
 fn processor_s() -> f64 {
     let spent = clock_gettime(ClockId::ThreadCPUTime);
     spent.tv_sec as f64 + spent.tv_nsec as f64 / 1e9
 }
 
-fn drain_until(mut viewer: TapReader, over: &AtomicBool) {
-    while !over.load(Ordering::Relaxed) {
-        while viewer.next_row().is_some() {}
+fn drain_until(mut reader: TapReader, is_finished: &AtomicBool) {
+    while !is_finished.load(Ordering::Relaxed) {
+        while reader.next_row().is_some() {}
         thread::sleep(POLL_INTERVAL);
     }
 }

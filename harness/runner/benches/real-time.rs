@@ -1,7 +1,8 @@
-//! How punctual the real-time clock is, beside what this computer can do at all: the tables of `docs/real-time.md`.
+//! Compares the lateness of the real-time clock with the limits of the computer, for `docs/real-time.md`.
 //!
-//! `cargo bench --ignore-rust-version -p platebench-runner --bench real-time`. Everything is measured in the same run, so that shares hold where the computer does something else besides.
-//! Started with a path it plays the controller on that port, started with `--echo` and a path it sends back what comes.
+//! `cargo bench --ignore-rust-version -p platebench-runner --bench real-time`. All measurements are
+//! in one run, so that ratios also hold on a busy computer. With a path as argument the program is
+//! the controller on that port; with `--echo` and a path it echoes.
 
 mod real_time {
     pub(crate) mod exchange;
@@ -22,7 +23,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// Of each measurement.
+/// Duration of each measurement.
 const LENGTH: Duration = Duration::from_secs(4);
 /// Periods of the bench's loop, µs.
 const PERIODS_US: [u32; 4] = [1_000, 500, 200, 100];
@@ -52,10 +53,10 @@ fn measure() -> Result<(), Box<dyn Error>> {
     );
 
     let sleep = limits::measure_sleep(LENGTH, false)?.ok_or("not scheduled as usual")?;
-    let preferred = limits::measure_sleep(LENGTH, true)?;
+    let realtime = limits::measure_sleep(LENGTH, true)?;
     let mut references = vec![table::Reference::new("`clock_nanosleep`, absolute, SCHED_OTHER: lateness", sleep)];
     references.extend(
-        preferred.map(|slept| table::Reference::new("`clock_nanosleep`, absolute, SCHED_FIFO: lateness", slept)),
+        realtime.map(|lateness| table::Reference::new("`clock_nanosleep`, absolute, SCHED_FIFO: lateness", lateness)),
     );
     references.extend(limits::run_cyclictest(LENGTH)?);
     let echo = limits::measure_echo(LENGTH)?;
@@ -70,11 +71,11 @@ fn measure() -> Result<(), Box<dyn Error>> {
     for period_us in PERIODS_US {
         loops.push((period_us, play_at(period_us)?));
     }
-    table::loops(&loops, preferred.unwrap_or(sleep), echo);
+    table::loops(&loops, realtime.unwrap_or(sleep), echo);
     Ok(())
 }
 
-/// The command that starts this program as the other side of a line.
+/// The command that starts this program at the other end of a line.
 fn controller_command(option: &str) -> Result<String, Box<dyn Error>> {
     let program = std::env::current_exe()?;
     Ok(format!("'{}' {option}{{port}}", program.display()))
@@ -83,22 +84,22 @@ fn controller_command(option: &str) -> Result<String, Box<dyn Error>> {
 /// A trial of the paper's step over a pseudo-terminal to the host controller.
 fn play_at(period_us: u32) -> Result<TimingRecord, Box<dyn Error>> {
     let scenario = scenario(period_us)?;
-    let order = TrialSpec { scenario: &scenario, law: LawId::DqPi, index: 0, wire_time: false, own_clock: true };
+    let spec = TrialSpec { scenario: &scenario, law: LawId::DqPi, index: 0, wire_time: false, own_clock: true };
     let link: BoxedLink = Box::new(ExecLink::start(&controller_command("")?)?);
     let mut session = Session::open(FaultInjector::new(link))?;
-    let pace = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
-    let played = play(&mut session, &order, pace, &CancelToken::never(), None).ok_or("given up")?;
-    if let Some(error) = played.link_error {
+    let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
+    let result = play(&mut session, &spec, time_base, &CancelToken::never(), None).ok_or("the trial was cancelled")?;
+    if let Some(error) = result.link_error {
         return Err(error.into());
     }
-    let safe = played.trace_rows.iter().filter(|row| row.t_s > 0.01 && row.flags.contains(Flags::SAFE)).count();
+    let safe = result.trace_rows.iter().filter(|row| row.t_s > 0.01 && row.flags.contains(Flags::SAFE)).count();
     if safe > 0 {
-        println!("at {period_us} µs the controller stopped: {}\n", played.telemetry.stopped.unwrap_or_default());
+        println!("at {period_us} µs the controller stopped: {}\n", result.telemetry.stopped.unwrap_or_default());
     }
-    played.telemetry.timing.ok_or_else(|| "no timing".into())
+    result.telemetry.timing.ok_or_else(|| "no timing".into())
 }
 
-/// The paper's step with another period and as long as a measurement.
+/// The paper's step with this period, for the duration of a measurement.
 fn scenario(period_us: u32) -> Result<Scenario, Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
     let mut scenario = load(&path, "fig13-closed-loop.toml").map_err(|fault| fault.to_string())?;

@@ -4,9 +4,11 @@
 //! two versions of their own types.
 
 mod configuration;
+mod identity;
 mod python;
 mod scenarios;
 
 pub use configuration::CONFIGURE;
+pub use identity::IDENTITY;
 pub use python::python_with_pyserial;
 pub use scenarios::{PLATE, load_scenario, parse_scenario, scenario_path, workspace_root};

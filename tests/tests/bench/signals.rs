@@ -83,8 +83,8 @@ fn a_blocked_output_does_not_block_the_exit() {
 
 #[test]
 fn a_file_size_limit_is_a_reported_error() {
-    let bench = start_by_shell(&long_folder(), "ulimit -f 20");
-    bench.finish().assert_exit(2).assert_stderr(&["File too large"]);
+    let folder = long_folder();
+    start_by_shell(&folder, "ulimit -f 20").finish().assert_exit(2).assert_stderr(&["File too large"]);
 }
 
 /// Longer than the watchdog timeout of 10 s that the bench states to a controller with its own clock.

@@ -12,8 +12,8 @@ fn simulate(law: LawId, damping: f64, resonance: f64, delay: f64) -> Vec<Simulat
 }
 
 /// The first period from which on |W| stays within 5 %.
-fn settling_period(played: &[SimulatedPeriod]) -> usize {
-    played.iter().rposition(|period| (period.amplitude - 2.0).abs() > 0.1).map_or(0, |outside| outside + 1)
+fn settling_period(periods: &[SimulatedPeriod]) -> usize {
+    periods.iter().rposition(|period| (period.amplitude - 2.0).abs() > 0.1).map_or(0, |outside| outside + 1)
 }
 
 #[test]
@@ -59,7 +59,7 @@ fn a_single_outlier_does_not_change_the_gains() {
     assert!((gains(&bench) - 1.0).abs() < 1e-3, "one sample shows the finger: {}", gains(&bench));
     bench.run_period(2.0);
     assert!((gains(&bench) - 2.0).abs() < 1e-2, "two do: {}", gains(&bench));
-    // A slow finger is followed without that.
+    // A slow change is followed at once.
     for step in 0..1000 {
         bench.damping = 2.0 - f64::from(step) * 1e-3;
         bench.run_period(2.0);
@@ -85,16 +85,16 @@ fn a_given_delay_only_shifts_the_response() {
     for loop_delay_us in [100, 500, 900, 1_000] {
         let delay = f64::from(loop_delay_us) * 1e-6;
         let configure = Configure { law: LawId::DqPi, loop_delay_us, ..CONFIGURE };
-        let played = LawSimulation { delay, ..LawSimulation::new(&configure, 1.0, 0.0) }.run_periods(2.0, 40);
+        let periods = LawSimulation { delay, ..LawSimulation::new(&configure, 1.0, 0.0) }.run_periods(2.0, 40);
         let undelayed = LawSimulation::new(&Configure { loop_delay_us: 0, ..configure }, 1.0, 0.0).run_periods(2.0, 40);
-        for (a, b) in played.iter().zip(&undelayed) {
+        for (a, b) in periods.iter().zip(&undelayed) {
             let (a, b) = (a.actuation.drive_vpp, b.actuation.drive_vpp);
             assert!((a - b).abs() < 0.5, "{delay} s: {a} instead of {b} Vpp");
         }
-        let untold = Configure { loop_delay_us: 0, ..configure };
-        let rings = LawSimulation { delay, ..LawSimulation::new(&untold, 1.0, 0.0) }.run_periods(2.0, 40);
-        let highest = |played: &[SimulatedPeriod]| played.iter().map(|period| period.amplitude).fold(0.0, f64::max);
-        assert!(highest(&played) < 2.001, "{delay} s: {played:?}");
+        let unconfigured = Configure { loop_delay_us: 0, ..configure };
+        let rings = LawSimulation { delay, ..LawSimulation::new(&unconfigured, 1.0, 0.0) }.run_periods(2.0, 40);
+        let highest = |periods: &[SimulatedPeriod]| periods.iter().map(|period| period.amplitude).fold(0.0, f64::max);
+        assert!(highest(&periods) < 2.001, "{delay} s: {periods:?}");
         assert!(highest(&rings) > if delay < 0.2e-3 { 2.02 } else { 2.3 }, "{delay} s: {rings:?}");
     }
 }
@@ -107,9 +107,9 @@ fn a_given_delay_causes_no_static_error() {
             let delay = f64::from(loop_delay_us) * 1e-6;
             let bench =
                 LawSimulation { delay, force: 0.95 * FORCE, ..LawSimulation::new(&configure, damping, resonance) };
-            let played = { bench }.run_periods(2.0, 120);
-            assert!(played[12..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1), "{delay} s: {played:?}");
-            let last = played[119];
+            let periods = { bench }.run_periods(2.0, 120);
+            assert!(periods[12..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1), "{delay} s: {periods:?}");
+            let last = periods[119];
             assert!((last.amplitude - 2.0).abs() < 2e-4 && last.wq.abs() < 1e-3, "{delay} s: {last:?}");
         }
     }
@@ -120,9 +120,9 @@ fn a_given_delay_causes_no_static_error() {
 fn given_gains_predict_over_the_delay_too() {
     let gains = Gains { amplitude_kp: 270.0, amplitude_ki: 1.1e5, frequency_kp: 1000.0, frequency_ki: 4e5 };
     let configure = Configure { law: LawId::DqPi, gains: Some(gains), loop_delay_us: 600, ..CONFIGURE };
-    let played = LawSimulation { delay: 0.6e-3, ..LawSimulation::new(&configure, 1.0, 0.0) }.run_periods(2.0, 40);
+    let periods = LawSimulation { delay: 0.6e-3, ..LawSimulation::new(&configure, 1.0, 0.0) }.run_periods(2.0, 40);
     let without = LawSimulation::new(&Configure { loop_delay_us: 0, ..configure }, 1.0, 0.0).run_periods(2.0, 40);
-    for (a, b) in played.iter().zip(&without) {
+    for (a, b) in periods.iter().zip(&without) {
         assert!((a.actuation.drive_vpp - b.actuation.drive_vpp).abs() < 0.5, "{a:?} instead of {b:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! The polynomial, the identification and the steering against the same envelope in f64.
+//! Compares polynomial, identification and steering with the envelope in f64.
 
 use super::*;
 use proptest::prelude::*;
@@ -46,7 +46,7 @@ fn distance(a: Complex, b: (f64, f64)) -> f64 {
 
 #[test]
 fn the_polynomial_is_the_exponential() {
-    // The largest |z| that four doublings are made for, at 1 ms.
+    // The largest |z| for four doublings, at 1 ms.
     assert_eq!(envelope().doublings, 4);
     let mut worst = 0.0_f64;
     for (re, im) in (0..=40).flat_map(|r| (-30..=30).map(move |i| (f64::from(r) * -0.08, f64::from(i) * 0.1))) {
@@ -79,9 +79,9 @@ fn long_periods_get_enough_doublings() {
 fn the_larger_root_is_the_drive() {
     // |0.5 + 0.01 V| = 2: V = 150 rather than −250.
     assert!((drive_to(Complex::new(0.5, 0.0), Complex::new(0.01, 0.0), 2.0) - 150.0).abs() < 1e-3);
-    // More than the setpoint is there without a drive.
+    // Above the setpoint without a drive.
     assert!(drive_to(Complex::new(2.5, 0.0), Complex::new(0.01, 0.0), 2.0) < 0.0);
-    // No drive has an effect, and none is asked for.
+    // A drive without effect.
     assert_eq!(drive_to(Complex::new(0.5, 0.0), Complex::default(), 2.0), 0.0);
 }
 
@@ -106,8 +106,7 @@ fn any_sample_leaves_the_mode_in_its_range() {
 }
 
 proptest! {
-    /// One sample after a start at rest gives λ, whatever finger, detuning and delay (known) there
-    /// are.
+    /// One sample after a start at rest gives λ for any finger, detuning and known delay.
     #[test]
     fn one_sample_gives_the_mode(
         damping in 0.8_f64..3.0, detuning in -1000.0_f64..1000.0, vpp in 200.0_f64..900.0, late in 0.0_f64..0.6,
@@ -123,7 +122,7 @@ proptest! {
         prop_assert!((f64::from(mode.resonance) + detuning).abs() < 0.2, "{} instead of {}", mode.resonance, -detuning);
     }
 
-    /// Within the limits one period is enough to be on the setpoint with Wq = 0.
+    /// Within the limits one period reaches the setpoint with Wq = 0.
     #[test]
     fn steering_ends_on_the_setpoint(
         damping in 0.8_f64..2.4, resonance in -600.0_f32..600.0, wd in 1.0_f64..2.0, wq in -0.6_f64..0.6,
@@ -139,9 +138,15 @@ proptest! {
         prop_assert!(reached.1.abs() < 2e-3, "{reached:?} with {:?}", aim.drive);
     }
 
-    /// Beyond the limits: nothing outside them, and |W| before its angle.
+    /// At the limits |W| has priority over its angle.
     #[test]
-    fn steering_keeps_to_its_bounds(limit in 50.0_f32..900.0, slew in 1.0_f32..300.0, wd in -2.5_f32..2.5, wq in -2.5_f32..2.5, target in 0.1_f32..3.0) {
+    fn steering_keeps_to_its_bounds(
+        limit in 50.0_f32..900.0,
+        slew in 1.0_f32..300.0,
+        wd in -2.5_f32..2.5,
+        wq in -2.5_f32..2.5,
+        target in 0.1_f32..3.0,
+    ) {
         let envelope = envelope();
         let bounds = DriveBounds { limit_vpp: limit, lowest_offset: -slew, highest_offset: slew };
         let aim = envelope.steer(envelope.nominal(300.0), Complex::new(wd, wq), target, &bounds, PERIOD);

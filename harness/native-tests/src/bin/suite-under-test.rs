@@ -1,9 +1,9 @@
-//! A suite as another project has it, for the tests to start: `SUITE` names its scenarios, `OUT` where its runs go.
+//! Runs a suite for the tests: `SUITE` names its scenarios, `OUT` the folder of its runs.
 
 use platebench_native_tests::Suite;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let named = |name: &str| std::env::var_os(name).unwrap_or_default();
-    Suite::new(named("SUITE"), named("OUT")).rig("hosted").run()
+    let variable = |name: &str| std::env::var_os(name).unwrap_or_default();
+    Suite::new(variable("SUITE"), variable("OUT")).rig("hosted").run()
 }

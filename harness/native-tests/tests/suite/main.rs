@@ -1,19 +1,15 @@
-//! A suite, started as Cargo and nextest start it.
+//! Starts a suite like Cargo and nextest.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that cannot go on ends by panicking"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a failed fixture fails the test")]
 
+use platebench_test_kit::PLATE;
 use rstest::rstest;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// A project with a plate and scenarios of its own.
+/// A project with plates and scenarios.
 struct SuiteProject(TempDir);
 
 impl SuiteProject {
@@ -22,10 +18,8 @@ impl SuiteProject {
         let plates = folder.path().join("scenarios/plates");
         fs::create_dir_all(&plates).unwrap();
         fs::create_dir_all(folder.path().join("scenarios/limits")).unwrap();
-        let plate = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/plates/aluminium-198x138.toml");
-        let text = fs::read_to_string(plate).unwrap();
-        fs::write(plates.join("weak.toml"), text.replace("limit_vpp = 900.0", "limit_vpp = 400.0")).unwrap();
-        fs::write(plates.join("plate.toml"), text).unwrap();
+        fs::write(plates.join("weak.toml"), PLATE.replace("limit_vpp = 900.0", "limit_vpp = 400.0")).unwrap();
+        fs::write(plates.join("plate.toml"), PLATE).unwrap();
         Self(folder)
     }
 
@@ -33,18 +27,17 @@ impl SuiteProject {
         self.0.path()
     }
 
-    /// Where the run of a scenario is.
     fn run_folder(&self, name: &str) -> PathBuf {
         self.path().join("out").join(name)
     }
 
-    /// A step to 2 µm that has to settle within so many ms.
+    /// Writes a step to 2 µm with a limit of the settling time in ms.
     fn write_scenario(&self, name: &str, first: &str, at_most: f64) {
         let plate =
             self.path().join("scenarios/plates").join(if first.contains("weak") { "weak.toml" } else { "plate.toml" });
         let text = format!(
-            "{first}\ntitle = \"step\"\nplate = \"{}\"\nduration_ms = 30.0\n[profile]\nsetpoint_um = 2.0\nfinger_force_n = 2.0\n\
-             [[expect]]\nmetric = \"settling_time_ms\"\nat_most = {at_most}\n",
+            "{first}\ntitle = \"step\"\nplate = \"{}\"\nduration_ms = 30.0\n[profile]\nsetpoint_um = 2.0\n\
+             finger_force_n = 2.0\n[[expect]]\nmetric = \"settling_time_ms\"\nat_most = {at_most}\n",
             plate.display()
         );
         fs::write(self.path().join("scenarios").join(name), text).unwrap();
@@ -60,7 +53,7 @@ impl SuiteProject {
         command.args(arguments).envs(rig.map(|rig| ("PLATEBENCH_RIG", rig))).output().unwrap()
     }
 
-    /// The exit code and everything that was said.
+    /// Exit code and output.
     fn run_tests(&self, arguments: &[&str]) -> (i32, String) {
         exit_code_and_output(&self.start(arguments, None))
     }
@@ -68,7 +61,7 @@ impl SuiteProject {
 
 fn exit_code_and_output(output: &Output) -> (i32, String) {
     let text = [&output.stdout[..], &output.stderr[..]].map(String::from_utf8_lossy).concat();
-    (output.status.code().expect("not ended by a signal"), text)
+    (output.status.code().expect("an exit code"), text)
 }
 
 fn project_with_mixed_results() -> SuiteProject {
@@ -79,23 +72,21 @@ fn project_with_mixed_results() -> SuiteProject {
     project
 }
 
-/// The two lists that nextest asks a test program for.
 #[test]
 fn lists_tests_in_the_format_of_nextest() {
     let project = project_with_mixed_results();
     let list = |arguments: &[&str]| project.run_tests(arguments);
     assert_eq!(list(&["--list", "--format", "terse"]), (0, "good: test\nlimits/slow: test\nslow: test\n".to_owned()));
     assert_eq!(list(&["--list", "--format", "terse", "--ignored"]), (0, "limits/slow: test\n".to_owned()));
-    assert!(!project.path().join("out").exists(), "a list plays nothing");
+    assert!(!project.path().join("out").exists(), "a list runs nothing");
 }
 
-/// And how it starts one of them.
 #[test]
 fn runs_one_test_by_its_exact_name() {
     let project = project_with_mixed_results();
-    let (code, said) = project.run_tests(&["good", "--exact", "--nocapture"]);
-    assert_eq!(code, 0, "{said}");
-    assert!(said.contains("1 passed; 0 failed; 0 ignored; 0 measured; 2 filtered out"), "{said}");
+    let (code, output) = project.run_tests(&["good", "--exact", "--nocapture"]);
+    assert_eq!(code, 0, "{output}");
+    assert!(output.contains("1 passed; 0 failed; 0 ignored; 0 measured; 2 filtered out"), "{output}");
     for file in ["run.json", "junit.xml", "report.html", "traceability.csv", "traces/good/000.csv"] {
         assert!(project.run_folder("good").join(file).exists(), "{file}");
     }
@@ -105,43 +96,42 @@ fn runs_one_test_by_its_exact_name() {
 #[test]
 fn a_failure_names_the_expectation_and_the_run_folder() {
     let project = project_with_mixed_results();
-    let (code, said) = project.run_tests(&[]);
-    assert_eq!(code, 101, "{said}");
-    assert!(said.contains("1 passed; 1 failed; 1 ignored"), "{said}");
-    assert!(said.contains("it ends with a failure (exit code 1), expected a pass (exit code 0)"), "{said}");
-    assert!(said.contains("settling_time_ms") && said.contains("run folder: out/slow"), "{said}");
+    let (code, output) = project.run_tests(&[]);
+    assert_eq!(code, 101, "{output}");
+    assert!(output.contains("1 passed; 1 failed; 1 ignored"), "{output}");
+    assert!(output.contains("it ends with a failure (exit code 1), expected a pass (exit code 0)"), "{output}");
+    assert!(output.contains("settling_time_ms") && output.contains("run folder: out/slow"), "{output}");
     assert!(project.run_folder("slow/report.html").exists());
 }
 
-/// What is not decided is not green: 2 N under 400 Vpp is more than any controller can do.
+/// No controller can hold the setpoint under 2 N with 400 Vpp.
 #[test]
 fn an_inconclusive_scenario_does_not_pass() {
     let project = SuiteProject::new();
     project.write_scenario("weak.toml", "# weak", 2.0);
-    let (code, said) = project.run_tests(&[]);
-    assert_eq!(code, 101, "{said}");
+    let (code, output) = project.run_tests(&[]);
+    assert_eq!(code, 101, "{output}");
     assert!(
-        said.contains("it ends with an inconclusive verdict (exit code 3)") && said.contains("infeasible"),
-        "{said}"
+        output.contains("it ends with an inconclusive verdict (exit code 3)") && output.contains("infeasible"),
+        "{output}"
     );
 }
 
-/// A scenario that shows a limit has to end as it says; it is ignored where its folder was not named.
+/// A scenario of a known limit is ignored by default and must end with its `expected_exit`.
 #[test]
 fn a_limit_scenario_runs_on_request_and_ends_as_expected() {
     let project = project_with_mixed_results();
-    let (code, said) = project.run_tests(&["--ignored"]);
-    assert_eq!(code, 0, "{said}");
-    assert!(project.run_folder("limits/slow/run.json").exists(), "it keeps its name");
+    let (code, output) = project.run_tests(&["--ignored"]);
+    assert_eq!(code, 0, "{output}");
+    assert!(project.run_folder("limits/slow/run.json").exists(), "a run folder with the same name");
     project.write_scenario("limits/slow.toml", "expected_exit = 1", 20.0);
-    let (code, said) = project.run_tests(&["--include-ignored", "limits"]);
+    let (code, output) = project.run_tests(&["--include-ignored", "limits"]);
     assert_eq!(code, 101);
-    assert!(said.contains("it ends with a pass (exit code 0), expected a failure (exit code 1)"), "{said}");
+    assert!(output.contains("it ends with a pass (exit code 0), expected a failure (exit code 1)"), "{output}");
     project.write_scenario("limits/slow.toml", "expected_exit = 3", 0.5);
     assert_eq!(project.run_tests(&["--include-ignored", "limits"]).0, 101);
 }
 
-/// Names are paths below the folder that the suite names, whatever that is called.
 #[test]
 fn a_limit_keeps_its_name_in_a_folder_of_any_name() {
     let project = project_with_mixed_results();
@@ -154,12 +144,12 @@ fn a_limit_keeps_its_name_in_a_folder_of_any_name() {
     }
     let list = ["--list", "--format", "terse", "--ignored"];
     assert_eq!(exit_code_and_output(&project.start_in("checks", &list, None)), (0, "limits/slow: test\n".to_owned()));
-    let (code, said) = exit_code_and_output(&project.start_in("checks", &["--ignored"], None));
-    assert_eq!(code, 0, "{said}");
+    let (code, output) = exit_code_and_output(&project.start_in("checks", &["--ignored"], None));
+    assert_eq!(code, 0, "{output}");
     assert!(project.run_folder("limits/slow/run.json").exists());
 }
 
-/// A filter must not hide that a file cannot be read, and neither may a list.
+/// Also with a filter, and for a list.
 #[rstest]
 #[case(&["good", "--exact"])]
 #[case(&["--list", "--format", "terse"])]
@@ -167,18 +157,18 @@ fn an_invalid_scenario_stops_the_whole_suite(#[case] arguments: &[&str]) {
     let project = project_with_mixed_results();
     project.write_scenario("broken.toml", "titel = \"step\"", 2.0);
     project.write_scenario("limits/slow.toml", "expected_exit = 9", 2.0);
-    let (code, said) = project.run_tests(arguments);
-    assert_eq!(code, 2, "{said}");
-    assert!(said.contains("broken.toml:1") && said.contains("unknown key `titel`"), "{said}");
-    assert!(said.contains("limits/slow.toml:1"), "{said}");
+    let (code, output) = project.run_tests(arguments);
+    assert_eq!(code, 2, "{output}");
+    assert!(output.contains("broken.toml:1") && output.contains("unknown key `titel`"), "{output}");
+    assert!(output.contains("limits/slow.toml:1"), "{output}");
     assert!(!project.path().join("out").exists());
 }
 
 #[test]
 fn an_empty_folder_is_an_error() {
     let project = SuiteProject::new();
-    let (code, said) = project.run_tests(&[]);
-    assert_eq!((code, &*said), (4, "error: there is nothing to run below scenarios\n"));
+    let (code, output) = project.run_tests(&[]);
+    assert_eq!((code, &*output), (4, "error: there is nothing to run below scenarios\n"));
 }
 
 #[rstest]
@@ -186,27 +176,27 @@ fn an_empty_folder_is_an_error() {
 #[case("robot", 2, "robot")]
 #[case("exec:", 2, "error: ")]
 #[case("serial:/dev/not-there", 101, "/dev/not-there")]
-fn the_environment_variable_overrides_the_rig(#[case] rig: &str, #[case] code: i32, #[case] says: &str) {
+fn the_environment_variable_overrides_the_rig(#[case] rig: &str, #[case] code: i32, #[case] message: &str) {
     let project = project_with_mixed_results();
-    let (ended, said) = exit_code_and_output(&project.start(&["good", "--exact"], Some(rig)));
-    assert_eq!(ended, code, "{said}");
-    assert!(said.contains(says), "{said}");
+    let (exit, output) = exit_code_and_output(&project.start(&["good", "--exact"], Some(rig)));
+    assert_eq!(exit, code, "{output}");
+    assert!(output.contains(message), "{output}");
 }
 
 #[test]
 fn a_run_replaces_only_an_earlier_run_folder() {
     let project = project_with_mixed_results();
     assert_eq!(project.run_tests(&["good", "--exact"]).0, 0);
-    fs::write(project.run_folder("good/left-over"), "").unwrap();
+    fs::write(project.run_folder("good/old-file"), "").unwrap();
     assert_eq!(project.run_tests(&["good", "--exact"]).0, 0);
-    assert!(!project.run_folder("good/left-over").exists());
+    assert!(!project.run_folder("good/old-file").exists());
     assert!(project.run_folder("good/run.json").exists());
-    // No run: somebody's own folder.
+    // Without a record it is not a run folder.
     fs::remove_file(project.run_folder("good/run.json")).unwrap();
-    let (code, said) = project.run_tests(&["good", "--exact"]);
-    assert_eq!(code, 101, "{said}");
-    assert!(said.contains("out/good: "), "{said}");
+    let (code, output) = project.run_tests(&["good", "--exact"]);
+    assert_eq!(code, 101, "{output}");
+    assert!(output.contains("out/good: "), "{output}");
     assert!(project.run_folder("good/report.html").exists());
-    let left = fs::read_dir(project.path().join("out")).unwrap().count();
-    assert_eq!(left, 1, "nothing half played is left behind");
+    let count = fs::read_dir(project.path().join("out")).unwrap().count();
+    assert_eq!(count, 1, "no temporary folder remains");
 }

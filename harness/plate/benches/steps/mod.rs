@@ -1,15 +1,16 @@
-//! Lists the steps that `cost` times and `counts` counts: a control period in each tier, at rest
-//! and under a ramp, and a sample.
+//! Lists the steps that `cost` and `counts` measure: a control period in each tier, with constant
+//! conditions and with a ramp, and a sample.
 
-#![allow(clippy::expect_used, reason = "a plate file that ships with this is whole")]
+#![allow(clippy::expect_used, reason = "the repository's plate file is valid")]
 
-use platebench_plate::RawPlate;
-use platebench_plate::{ConditionProfiles, Conditions, Drive, Flow, Lockin, Plant, Plate, Profile, State, Tier, Time};
+use platebench_plate::{
+    ConditionProfiles, Conditions, Drive, Flow, Lockin, Plant, Plate, Profile, RawPlate, State, Tier, Time,
+};
 use std::fmt;
 use std::hint::black_box;
 
 const PERIOD: Time = Time::from_nanos(1_000_000);
-/// Something that is done again and again.
+/// A repeated operation.
 pub(crate) struct Step {
     pub(crate) name: &'static str,
     /// Control periods or samples per step.
@@ -42,7 +43,7 @@ pub(crate) static STEPS: &[Step] = &[
     Step { name: "lock-in-read", items: 1, make: read },
 ];
 
-/// Damping and resonance that differ from step to step, so that nothing can be worked out once.
+/// The paper's plate with a lock-in.
 fn plate() -> Plate {
     let text = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
     let lockin = Some(Lockin { converter_hz: 1e6, periods: 8, resolution: None });
@@ -50,7 +51,7 @@ fn plate() -> Plate {
     Plate { lockin, ..raw.check().expect("a plate file of this repository") }
 }
 
-/// A drive that is another in every period, as a controller's is.
+/// A drive that changes in every period, like that of a controller.
 fn drive(plate: &Plate, period: u64) -> Drive {
     let turn = (period % 64) as f64;
     Drive { vpp: 200.0 + turn, omega: plate.omega0 + 10.0 * turn }
@@ -83,7 +84,7 @@ fn plant(tier: Tier) -> Box<dyn FnMut()> {
     })
 }
 
-/// A finger that presses with 10 N/s for 0.1 s and lets go as slowly, again and again.
+/// A force that rises and falls with 10 N/s, 0.1 s each.
 fn ramp(tier: Tier) -> Box<dyn FnMut()> {
     let points = (0..=100).map(|turn| (PERIOD.times(100 * turn), f64::from(turn % 2 == 1)));
     let scene = ConditionProfiles {

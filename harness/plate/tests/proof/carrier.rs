@@ -1,8 +1,8 @@
-//! The carrier tier: the modal plate bit for bit, its waveform, and what converter and demodulator
-//! show of it.
+//! Tests the carrier tier: state, waveform, converter and lock-in.
 
 use crate::reference::{
-    HOLDING_DRIVE_VPP, Random, ReferencePlate, SETPOINT, constant_conditions, driven_plant, paper_plate, state_at,
+    HOLDING_DRIVE_VPP, Random, ReferencePlate, SETPOINT, constant_conditions, driven_plant, holding_plant, paper_plate,
+    state_at,
 };
 use platebench_plate::{
     Complex64, ConditionProfiles, ConverterResolution, Drive, Lockin, Plant, Plate, Profile, Tier, Time,
@@ -14,7 +14,7 @@ fn with_lockin(periods: u32, converter_hz: f64, resolution: Option<ConverterReso
     Plate { lockin: Some(Lockin { converter_hz, periods, resolution }), ..paper_plate() }
 }
 
-/// Force and temperature on the move, drives at random.
+/// Calls `each` with the end of a period in ms and a random drive.
 fn random_drives(seed: u64, plate: &Plate, mut each: impl FnMut(f64, Drive)) {
     let mut random = Random::new(seed);
     for period in 1..=30 {
@@ -49,19 +49,14 @@ fn the_carrier_tier_is_the_modal_plate_bit_for_bit() {
 }
 
 #[test]
-fn a_plate_without_electronics_is_seen_as_it_is() {
-    let mut plant = driven_plant(
-        &paper_plate(),
-        &constant_conditions(),
-        Tier::Carrier,
-        Drive { vpp: HOLDING_DRIVE_VPP, omega: 202_995.0 },
-    );
+fn without_a_lock_in_the_reading_is_w() {
+    let mut plant = holding_plant(&paper_plate(), Tier::Carrier, 0.0);
     let state = state_at(&mut plant, 3.0);
     assert_eq!(plant.sensor_reading(), state.w);
 }
 
 #[test]
-fn the_waveform_is_that_of_the_reference() {
+fn the_waveform_equals_the_reference() {
     let plate = paper_plate();
     let mut plant = Plant::new(plate.clone(), constant_conditions(), Tier::Carrier);
     let mut reference = ReferencePlate::at_rest(plate.omega0);
@@ -77,8 +72,8 @@ fn the_waveform_is_that_of_the_reference() {
     assert!(worst <= 1e-10, "{worst:e}");
 }
 
-/// What drives the plate: the drive that holds the setpoint, or both loops of the paper matched to
-/// the zero-order hold (2 ms, no limit), given W itself or what the lock-in shows.
+/// The constant drive for the setpoint, or both loops of the paper matched to the zero-order hold
+/// (2 ms, no limit) with samples of W or of the lock-in.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum ControlLoop {
     Open,
@@ -86,15 +81,15 @@ enum ControlLoop {
     ThroughLockin,
 }
 
-/// W at the control instants of 40 ms from rest, and the largest distance of what the lock-in shows
-/// from W, at the control instants and at any time.
+/// W at the control instants of 40 ms from rest, and the largest error of the lock-in at the control
+/// instants and at any time.
 fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex64>, [f64; 2]) {
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
     let normalised = (1.0 - loop_pole) / (1.0 - plant_pole);
     let mut drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
     let mut plant = driven_plant(plate, &constant_conditions(), Tier::Carrier, drive);
     let (mut voltage, mut frequency) = (0.0, drive.omega);
-    let (mut at_instants, mut off) = (Vec::new(), [0.0_f64; 2]);
+    let (mut at_instants, mut worst) = (Vec::new(), [0.0_f64; 2]);
     for period in 0..40 {
         if control != ControlLoop::Open {
             let w = if control == ControlLoop::Ideal { plant.state().w } else { plant.sensor_reading() };
@@ -111,25 +106,24 @@ fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex6
         for step in 1..=100 {
             let w = state_at(&mut plant, f64::from(period) + f64::from(step) / 100.0).w;
             let error = (plant.sensor_reading() - w).norm() / SETPOINT;
-            off[1] = off[1].max(error);
+            worst[1] = worst[1].max(error);
             if step == 100 {
-                off[0] = off[0].max(error);
+                worst[0] = worst[0].max(error);
                 at_instants.push(w);
             }
         }
     }
-    (at_instants, off)
+    (at_instants, worst)
 }
 
-/// Expected, in 1/1000 of the setpoint: what a lock-in of one period shows is off by so much at the
-/// control instants, and at any time; and so much is W off at the control instants because the loop
-/// is given that.
+/// Expected, in 1/1000 of the setpoint: the error of a lock-in of one period at the control instants
+/// and at any time, and the change of W at the control instants by that error.
 #[rstest]
 #[case::step_open(0.0, ControlLoop::Open, [5.90, 10.36, 0.0])]
 #[case::step_closed(0.0, ControlLoop::ThroughLockin, [11.11, 19.52, 8.65])]
 #[case::detuned_open(545.0, ControlLoop::Open, [5.92, 10.34, 0.0])]
 #[case::detuned_closed(545.0, ControlLoop::ThroughLockin, [11.15, 19.47, 7.35])]
-fn one_period_of_lock_in_is_as_wrong_as_it_is_said_to_be(
+fn a_lock_in_of_one_period_has_the_documented_error(
     #[case] detuning: f64,
     #[case] control: ControlLoop,
     #[case] expected: [f64; 3],
@@ -140,7 +134,8 @@ fn one_period_of_lock_in_is_as_wrong_as_it_is_said_to_be(
     let (without, _) = run_loop(other, &plate, detuning);
     let moved = with.iter().zip(&without).map(|(a, b)| (a - b).norm() / SETPOINT).fold(0.0, f64::max);
     println!(
-        "lock-in of one period, {detuning} rad/s off, {control:?}: {at_instants:.3e} at control instants, {ever:.3e} ever, W itself {moved:.3e}"
+        "lock-in of one period, {detuning} rad/s off, {control:?}: {at_instants:.3e} at control instants, \
+         {ever:.3e} ever, W itself {moved:.3e}"
     );
     for (found, expected) in [at_instants, ever, moved].into_iter().zip(expected) {
         assert!((found - 1e-3 * expected).abs() <= 0.02 * found, "{found:e} instead of {expected}e-3");
@@ -148,15 +143,13 @@ fn one_period_of_lock_in_is_as_wrong_as_it_is_said_to_be(
 }
 
 #[rstest]
-fn a_steady_plate_is_shown_to_within_the_product_at_twice_the_carrier(
+fn the_ripple_of_a_steady_reading_is_bounded(
     #[values(1, 2, 8, 100)] periods: u32,
     #[values(2.0e5, 1e6, 1.234_567e6, 7e6)] converter_hz: f64,
 ) {
     let plate = with_lockin(periods, converter_hz, None);
-    let omega = plate.omega0 + 300.0;
-    let mut plant =
-        driven_plant(&plate, &constant_conditions(), Tier::Carrier, Drive { vpp: HOLDING_DRIVE_VPP, omega });
-    let window = f64::from(periods) * converter_hz * TAU / omega;
+    let mut plant = holding_plant(&plate, Tier::Carrier, 300.0);
+    let window = f64::from(periods) * converter_hz * TAU / (plate.omega0 + 300.0);
     let bound = PI * f64::from(periods) / (2.0 * window * window);
     let mut worst = 0.0_f64;
     state_at(&mut plant, 80.0);
@@ -165,39 +158,36 @@ fn a_steady_plate_is_shown_to_within_the_product_at_twice_the_carrier(
         worst = worst.max((plant.sensor_reading() - w).norm() / w.norm());
     }
     println!("{periods} periods at {converter_hz} Hz, steady: {worst:.1e}, bound {bound:.1e}");
-    // To first order in 1/L; at 6 samples per period the next order shows.
+    // The bound is of first order in 1/L; 20 % for higher orders at 6 samples per period.
     assert!(worst <= 1.2 * bound + 1e-12, "{worst:e} > {bound:e}");
-    // And not by far less: the bound is what the demodulator does, somewhere.
+    // The bound is not far too large.
     assert!(periods > 8 || worst >= 0.02 * bound, "{worst:e} << {bound:e}");
 }
 
 #[rstest]
-fn a_lock_in_shows_what_was_half_a_window_ago(#[values(1, 8, 32)] periods: u32) {
+fn a_lock_in_delays_by_half_its_window(#[values(1, 8, 32)] periods: u32) {
     let plate = with_lockin(periods, 2e6, None);
-    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
-    // The mean age of the samples in the window, the newest taken at the instant of reading.
-    let latency = (f64::from(periods) * TAU / drive.omega - 0.5e-6) / 2.0;
-    // Samples fall on multiples of 0.5 µs, so does the instant of reading.
-    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Carrier, drive);
+    // The mean age of the samples in the window; the newest has age 0.
+    let latency = (f64::from(periods) * TAU / plate.omega0 - 0.5e-6) / 2.0;
+    // Samples are at multiples of 0.5 µs, like the instant of reading.
+    let mut plant = holding_plant(&plate, Tier::Carrier, 0.0);
+    let mut earlier = plant.clone();
     state_at(&mut plant, 4.0);
-    let shown = plant.sensor_reading();
-    let mut then = driven_plant(&plate, &constant_conditions(), Tier::Carrier, drive);
-    let late = (shown - state_at(&mut then, 4.0 - latency * 1e3).w).norm();
-    let prompt = (shown - plant.state().w).norm();
+    let reading = plant.sensor_reading();
+    let late = (reading - state_at(&mut earlier, 4.0 - latency * 1e3).w).norm();
+    let prompt = (reading - plant.state().w).norm();
     println!(
-        "{periods} periods: latency {:.1} µs, {late:.1e} µm from W then, {prompt:.1e} µm from W now",
+        "{periods} periods: latency {:.1} µs, {late:.1e} µm from the earlier W, {prompt:.1e} µm from W",
         latency * 1e6
     );
-    // The product at twice the carrier, 1/2ω against half a window of π/ω, is what is left with one
-    // period.
+    // With one period the ripple at twice the carrier remains: 1/2ω against half a window of π/ω.
     assert!(late < 0.35 * prompt, "{late:e} against {prompt:e}");
 }
 
 #[test]
-fn one_interval_or_many_show_the_same() {
+fn the_reading_does_not_depend_on_intervals() {
     let plate = with_lockin(8, 1.234_567e6, None);
-    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 545.0 };
-    let mut whole = driven_plant(&plate, &constant_conditions(), Tier::Carrier, drive);
+    let mut whole = holding_plant(&plate, Tier::Carrier, 545.0);
     let mut pieces = whole.clone();
     let mut random = Random::new(23);
     let mut ms = 0.0;
@@ -208,63 +198,49 @@ fn one_interval_or_many_show_the_same() {
     for plant in [&mut whole, &mut pieces] {
         state_at(plant, 10.0);
     }
-    let apart = (whole.sensor_reading() - pieces.sensor_reading()).norm();
-    println!("10 ms in 2000 pieces against one: {apart:.1e} µm");
-    assert!(apart < 1e-12, "{apart:e}");
+    let error = (whole.sensor_reading() - pieces.sensor_reading()).norm();
+    println!("10 ms in 2000 pieces against one: {error:.1e} µm");
+    assert!(error < 1e-12, "{error:e}");
 }
 
 #[test]
-fn a_converter_rounds_to_its_step_and_clips_at_its_range() {
-    let shown = |resolution: Option<ConverterResolution>| {
+fn a_converter_rounds_and_clips() {
+    let reading = |resolution: Option<ConverterResolution>| {
         let plate = with_lockin(8, 1e6, resolution);
-        let mut plant = driven_plant(
-            &plate,
-            &constant_conditions(),
-            Tier::Carrier,
-            Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 150.0 },
-        );
+        let mut plant = holding_plant(&plate, Tier::Carrier, 150.0);
         state_at(&mut plant, 50.0);
         plant.sensor_reading()
     };
-    let ideal = shown(None);
+    let ideal = reading(None);
     for bits in [4, 8, 12, 16, 24] {
         let resolution = ConverterResolution { bits, range_um: 4.0 };
-        let off = (shown(Some(resolution)) - ideal).norm();
-        println!("{bits} bits over 4 µm: {off:.1e} µm off, half a step is {:.1e} µm", resolution.step_um() / 2.0);
-        // Each product is off by at most 2 · step/2, their mean by far less than one alone, but by
-        // something.
-        assert!(off > 0.0 && off < resolution.step_um(), "{bits} bits: {off:e}");
+        let error = (reading(Some(resolution)) - ideal).norm();
+        println!("{bits} bits over 4 µm: {error:.1e} µm off, half a step is {:.1e} µm", resolution.step_um() / 2.0);
+        // Each product has an error of at most 2 · step/2, their mean a smaller one.
+        assert!(error > 0.0 && error < resolution.step_um(), "{bits} bits: {error:e}");
     }
     let amplitude = ideal.norm();
-    let fits = shown(Some(ConverterResolution { bits: 24, range_um: amplitude * 1.001 }));
+    let fits = reading(Some(ConverterResolution { bits: 24, range_um: amplitude * 1.001 }));
     assert!((fits - ideal).norm() < 1e-5);
-    let clipped = shown(Some(ConverterResolution { bits: 24, range_um: amplitude * 0.8 }));
+    let clipped = reading(Some(ConverterResolution { bits: 24, range_um: amplitude * 0.8 }));
     assert!(clipped.norm() < 0.95 * amplitude, "{clipped}");
-    // A sine clipped to a square wave: 4/π of what is left.
-    let square = shown(Some(ConverterResolution { bits: 24, range_um: amplitude * 1e-3 }));
+    // The fundamental of a square wave is 4/π of its amplitude.
+    let square = reading(Some(ConverterResolution { bits: 24, range_um: amplitude * 1e-3 }));
     assert!((square.norm() / (amplitude * 1e-3) - 4.0 / PI).abs() < 0.03, "{square}");
 }
 
 #[test]
-fn before_the_start_the_plate_was_at_rest() {
+fn the_first_window_contains_the_rest_before_the_start() {
     let plate = with_lockin(100, 1e6, None);
-    let plant = driven_plant(
-        &plate,
-        &constant_conditions(),
-        Tier::Carrier,
-        Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 },
-    );
+    let mut plant = holding_plant(&plate, Tier::Carrier, 0.0);
     assert_eq!(plant.sensor_reading(), Complex64::ZERO);
-    let mut plant = plant;
-    // A third of the window: the mean counts the rest before as it was.
+    // A third of the window.
     let w = state_at(&mut plant, 1.0).w;
     assert!(plant.sensor_reading().norm() < 0.3 * w.norm());
 }
 
 #[rstest]
-fn no_frequency_and_no_interval_makes_the_electronics_show_what_is_no_number(
-    #[values(0.0, 1.0, 1e5, 4e5, 1e9, 1e12)] omega: f64,
-) {
+fn readings_are_finite_for_any_frequency_and_interval(#[values(0.0, 1.0, 1e5, 4e5, 1e9, 1e12)] omega: f64) {
     let resolution = Some(ConverterResolution { bits: 12, range_um: 4.0 });
     let plate = with_lockin(2, 1e6, resolution);
     let mut plant =
@@ -277,9 +253,9 @@ fn no_frequency_and_no_interval_makes_the_electronics_show_what_is_no_number(
     }
 }
 
-/// A drive that changes every carrier cycle, 31 µs, against the reference.
+/// The drive changes every carrier cycle, 31 µs.
 #[test]
-fn a_control_period_of_one_carrier_cycle_is_as_exact_as_any() {
+fn a_control_period_of_one_carrier_cycle_is_exact() {
     let plate = with_lockin(1, 1e6, None);
     let mut plant = Plant::new(plate.clone(), constant_conditions(), Tier::Carrier);
     let mut reference = ReferencePlate::at_rest(plate.omega0);

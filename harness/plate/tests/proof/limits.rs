@@ -1,7 +1,6 @@
-//! What must hold where numbers end: decay to nothing, detuning without measure, damping next to
-//! nothing.
+//! Tests extreme values: decay to zero, large detuning, small damping.
 
-use crate::reference::{HOLDING_DRIVE_VPP, constant_conditions, driven_plant, paper_plate, state_at};
+use crate::reference::{HOLDING_DRIVE_VPP, constant_conditions, driven_plant, holding_plant, paper_plate, state_at};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plant, Plate, State, Tier};
 use rstest::rstest;
 use std::num::FpCategory;
@@ -17,24 +16,19 @@ fn assert_normal(plant: &Plant) {
 }
 
 #[rstest]
-fn a_plate_without_drive_comes_to_rest_and_not_to_subnormal_numbers(
+fn without_drive_the_plate_reaches_exactly_zero(
     #[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier,
     #[values(0.05, 1.0, 30.0)] interval_ms: f64,
 ) {
     let plate = paper_plate();
-    let mut plant = driven_plant(
-        &plate,
-        &constant_conditions(),
-        tier,
-        Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 100.0 },
-    );
+    let mut plant = holding_plant(&plate, tier, 100.0);
     state_at(&mut plant, 30.0);
     plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 + 100.0 });
     let mut at_rest_from = None;
     for step in 1..=(5_000.0 / interval_ms) as u32 {
         let state = state_at(&mut plant, 30.0 + f64::from(step) * interval_ms);
         assert_normal(&plant);
-        // The linear tier's ratio is a state of its own and outlives W.
+        // In the linear tier U is the ratio Wq/Wd, which decays independently of W.
         let state = if tier == Tier::Linear { State { u: Complex64::ZERO, ..state } } else { state };
         if state == State::default() && at_rest_from.is_none() {
             at_rest_from = Some(plant.time());
@@ -42,22 +36,15 @@ fn a_plate_without_drive_comes_to_rest_and_not_to_subnormal_numbers(
     }
     let from = at_rest_from.unwrap();
     println!("{}, intervals of {interval_ms} ms: exactly at rest from {from} on", tier.name());
-    // From 2 µm to 1e-150 µm takes τ · 346 = 0.65 s; U, in µm/s, some 20 ms longer.
+    // From 2 µm to 1e-150 µm in τ · 346 = 0.65 s; U, in µm/s, about 20 ms later.
     assert!((600.0..800.0).contains(&from.ms()));
     assert_eq!(plant.state().w, Complex64::ZERO);
 }
 
 #[rstest]
-fn a_quadrature_that_decays_under_drive_does_not_become_subnormal(
-    #[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier,
-) {
+fn a_decaying_quadrature_does_not_become_subnormal(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
     let plate = paper_plate();
-    let mut plant = driven_plant(
-        &plate,
-        &constant_conditions(),
-        tier,
-        Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 545.0 },
-    );
+    let mut plant = holding_plant(&plate, tier, 545.0);
     state_at(&mut plant, 5.0);
     plant.set_drive(Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     for period in 6..=5_000 {
@@ -70,15 +57,15 @@ fn a_quadrature_that_decays_under_drive_does_not_become_subnormal(
 }
 
 #[test]
-fn a_state_knows_when_it_is_not_finite() {
-    let whole = State { w: Complex64::new(1.0, 2.0), u: Complex64::new(3.0, 4.0) };
-    assert!(whole.is_finite());
+fn is_finite_detects_every_component() {
+    let finite = State { w: Complex64::new(1.0, 2.0), u: Complex64::new(3.0, 4.0) };
+    assert!(finite.is_finite());
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         for state in [
-            State { w: Complex64::new(bad, 0.0), ..whole },
-            State { w: Complex64::new(0.0, bad), ..whole },
-            State { u: Complex64::new(bad, 0.0), ..whole },
-            State { u: Complex64::new(0.0, bad), ..whole },
+            State { w: Complex64::new(bad, 0.0), ..finite },
+            State { w: Complex64::new(0.0, bad), ..finite },
+            State { u: Complex64::new(bad, 0.0), ..finite },
+            State { u: Complex64::new(0.0, bad), ..finite },
         ] {
             assert!(!state.is_finite(), "{state:?}");
         }
@@ -104,19 +91,17 @@ fn no_excitation_frequency_makes_the_plate_diverge(
         largest = largest.max(state.amplitude());
     }
     if tier == Tier::Linear {
-        // It knows no resonance curve: Wd is what it would be at resonance and Wq is −τΔω times
-        // that, however large.
+        // No resonance curve: Wd is that at resonance, and Wq = −τΔω Wd.
         let furthest = (omega - plate.omega0).abs() / plate.sigma0;
         assert!(largest <= plate.gain * 900.0 * (1.0 + furthest), "{largest} µm");
         return;
     }
-    // Far from resonance a drive does no more than its stiffness allows: (N/m) V/ω0² = 0.03 µm,
-    // twice in every step at worst.
+    // Far from resonance the static response is (N/m) V/ω0² = 0.03 µm, at most twice per step.
     assert!(largest <= before + 1.0, "{largest} µm after {before} µm");
 }
 
 #[test]
-fn at_quality_1e6_the_amplitude_grows_as_it_must() {
+fn at_quality_1e6_the_amplitude_follows_the_closed_form() {
     let plate = paper_plate();
     let sigma0 = plate.omega0 / 2e6;
     let plate = Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate };
@@ -126,13 +111,13 @@ fn at_quality_1e6_the_amplitude_grows_as_it_must() {
         let w = state_at(&mut plant, 1e3 * seconds).w;
         let expected = plate.gain * 10.0 * -(-sigma0 * seconds).exp_m1();
         println!("quality 1e6, {seconds} s: {:.1e} off", (w.re / expected - 1.0).abs());
-        // The fast pole's share is Δω-free: σ/2ω0 of the steady state.
+        // The fast pole contributes σ/2ω0 of the steady state.
         assert!((w.re / expected - 1.0).abs() < 1e-5 && w.im.abs() < 1e-5 * expected, "{w} instead of {expected}");
     }
 }
 
 #[test]
-fn every_checked_mode_is_resonant_and_others_are_told_apart() {
+fn is_resonant_rejects_other_modes() {
     let plate = paper_plate();
     let mode = plate.mode(&Conditions::default());
     assert!(mode.is_resonant());
@@ -145,8 +130,8 @@ fn every_checked_mode_is_resonant_and_others_are_told_apart() {
     ] {
         assert!(!overdamped.is_resonant(), "{overdamped:?}");
     }
-    let next_to = Mode { sigma: mode.omega0 * 0.999, ..mode };
-    assert!(next_to.is_resonant());
-    let flow = Flow::new(Tier::Modal, &next_to, &Drive { vpp: 400.0, omega: mode.omega0 }, &State::default());
+    let almost = Mode { sigma: mode.omega0 * 0.999, ..mode };
+    assert!(almost.is_resonant());
+    let flow = Flow::new(Tier::Modal, &almost, &Drive { vpp: 400.0, omega: mode.omega0 }, &State::default());
     assert!(flow.after(1e-5).is_finite());
 }

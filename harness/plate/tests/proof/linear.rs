@@ -1,4 +1,4 @@
-//! The linear tier: equations 13 and 19 and nothing else, and how wrong they are.
+//! Tests the linear tier, equations 13 and 19, and its error.
 
 use crate::reference::{
     HOLDING_DRIVE_VPP, SETPOINT, conditions, constant_conditions, driven_plant, paper_plate, state_at,
@@ -7,7 +7,10 @@ use platebench_plate::{Complex64, Drive, Tier};
 use rstest::rstest;
 
 #[rstest]
-fn it_is_the_two_transfer_functions(#[values(0.0, 1.5)] force: f64, #[values(-300.0, 0.0, 545.0)] detuning: f64) {
+fn the_linear_tier_is_the_two_transfer_functions(
+    #[values(0.0, 1.5)] force: f64,
+    #[values(-300.0, 0.0, 545.0)] detuning: f64,
+) {
     let plate = paper_plate();
     let sigma = plate.sigma0 * plate.damping_ratio_at(force);
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
@@ -24,7 +27,7 @@ fn it_is_the_two_transfer_functions(#[values(0.0, 1.5)] force: f64, #[values(-30
 }
 
 #[test]
-fn the_ratio_moves_without_a_vibration_and_outlives_one() {
+fn the_ratio_does_not_depend_on_the_vibration() {
     let plate = paper_plate();
     let off = Drive { vpp: 0.0, omega: plate.omega0 + 200.0 };
     let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Linear, off);
@@ -32,24 +35,24 @@ fn the_ratio_moves_without_a_vibration_and_outlives_one() {
     let settled = -200.0 / plate.sigma0;
     assert_eq!(state.w, Complex64::ZERO);
     assert!((state.u.re / settled - 1.0).abs() < 1e-6);
-    // Driven from there, Wq follows Wd at once.
+    // Wq follows Wd at once.
     plant.set_drive(Drive { vpp: HOLDING_DRIVE_VPP, ..off });
     let w = state_at(&mut plant, 31.0).w;
     assert!(w.re > 0.5 && (w.im / w.re / settled - 1.0).abs() < 1e-6, "{w}");
 }
 
-/// How a run in closed loop begins.
+/// Start of a run in closed loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum StartCondition {
     /// At rest.
     Rest,
-    /// Settled at resonance, where equation 19 is meant: Wd is held while the frequency steps.
+    /// Settled at resonance, as assumed by equation 19.
     Settled,
 }
 
-/// Both loops of the paper on the modal plate, matched to the zero-order hold (2 ms, no limit); the
-/// linear plate gets the same drives. Error relative to the setpoint at the control instants of the
-/// 40 ms from the detuning on.
+/// Error relative to the setpoint at the control instants of 40 ms after the detuning. Both loops of
+/// the paper, matched to the zero-order hold (2 ms, no limit), control the modal plate; the linear
+/// plate gets the same drives.
 fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
     let plate = paper_plate();
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
@@ -67,7 +70,7 @@ fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
         let error = SETPOINT - w.re;
         drive.vpp = normalised / plate.gain * error + voltage;
         voltage += normalised * (1.0 - plant_pole) / plate.gain * error;
-        // Its gain is −τ: ω moves with the ratio, once there is one.
+        // The gain of the plant is −τ. Near rest the ratio is undefined.
         let ratio = if w.re > 0.1 { w.im / w.re * plate.sigma0 } else { 0.0 };
         drive.omega = frequency + normalised * ratio;
         frequency += normalised * (1.0 - plant_pole) * ratio;
@@ -82,8 +85,7 @@ fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
     worst
 }
 
-/// The modal plate and the linear one under a constant drive: error relative to the setpoint, and
-/// of the true |W|, once settled.
+/// Error after settling with a constant drive, relative to the setpoint and to |W|.
 fn open_loop_error(detuning: f64) -> [f64; 2] {
     let plate = paper_plate();
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
@@ -93,20 +95,20 @@ fn open_loop_error(detuning: f64) -> [f64; 2] {
     [error / SETPOINT, error / modal.norm()]
 }
 
-/// Expected: error of the closed loop from rest and from a settled plate relative to the setpoint,
-/// and of the settled open loop relative to the true |W|.
+/// Expected: errors of the closed loop from rest and from a settled plate, relative to the setpoint,
+/// and of the settled open loop relative to |W|.
 #[rstest]
 #[case::at_resonance(0.0, [3.44e-3, 0.0, 0.0])]
 #[case::one_step_of_figure_9(77.0, [2.24e-2, 2.19e-3, 2.13e-2])]
 #[case::detuned(545.0, [0.182, 0.105, 1.054])]
 #[case::far(2000.0, [1.357, 4.16, 14.22])]
-fn it_is_as_wrong_as_it_is_said_to_be(#[case] detuning: f64, #[case] expected: [f64; 3]) {
+fn the_linear_tier_has_the_documented_error(#[case] detuning: f64, #[case] expected: [f64; 3]) {
     let [from_rest, from_settled] =
         [StartCondition::Rest, StartCondition::Settled].map(|start| closed_loop_error(start, detuning));
     let [open, of_true] = open_loop_error(detuning);
     println!(
-        "linear against modal, {detuning} rad/s off: closed loop {from_rest:.2e} from rest, {from_settled:.2e} from settled; \
-         open loop {open:.2e}, {of_true:.2e} of |W|"
+        "linear against modal, {detuning} rad/s off: closed loop {from_rest:.2e} from rest, \
+         {from_settled:.2e} from settled; open loop {open:.2e}, {of_true:.2e} of |W|"
     );
     for (found, expected) in [from_rest, from_settled, of_true].into_iter().zip(expected) {
         assert!((found - expected).abs() <= 0.02 * expected + 1e-11, "{found:e} instead of {expected:e}");

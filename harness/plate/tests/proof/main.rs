@@ -1,13 +1,14 @@
-//! The plate against a reference that shares nothing with it: equation 1 on the real carrier,
-//! integrated with order 8.
+//! Compares the plate with an independent reference: equation 1 on the real carrier, integrated with
+//! order 8.
 //!
-//! Every test prints the error that it measured: `cargo test -p platebench-plate -- --nocapture`.
-//! The table of `docs/mathematics.md` is made of these lines.
+//! Every test prints its error (`cargo test -p platebench-plate -- --nocapture`), for the table of
+//! `docs/mathematics.md`.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
+#![allow(clippy::unwrap_used, reason = "a failed fixture fails the test")]
 
 mod carrier;
 mod crossings;
+mod intervals;
 mod limits;
 mod linear;
 mod paper;

@@ -1,4 +1,4 @@
-//! The paper's steady numbers, and what the plate says to them.
+//! Compares steady states of the plate with the paper.
 
 use crate::reference::{HOLDING_DRIVE_VPP, SETPOINT, conditions, driven_plant, paper_plate, state_at};
 use platebench_plate::{Complex64, Conditions, Drive, Mode, Plate, Tier};
@@ -15,7 +15,7 @@ fn steady_state(plate: &Plate, tier: Tier, [offset_k, force_n]: [f64; 2], drive:
 }
 
 #[test]
-fn the_steady_state_lies_on_the_resonance_curve() {
+fn the_steady_state_is_on_the_resonance_curve() {
     let plate = paper_plate();
     let (mut worst, mut widest) = (0.0_f64, 0.0_f64);
     for step in -20..=20 {
@@ -57,12 +57,11 @@ fn a_finger_damps(#[case] force: f64, #[case] left: f64, #[values(Tier::Modal, T
 }
 
 #[test]
-fn nine_kelvin_move_the_resonance_as_in_fig_4() {
+fn nine_kelvin_shift_the_resonance_as_in_fig_4() {
     let plate = paper_plate();
     let [cold, warm] = [0.0, 9.0].map(|offset| mode(&plate, offset, 0.0).omega0 / TAU);
     println!("resonance {cold:.1} Hz at 24 °C, {warm:.1} Hz at 33 °C; paper: 32.3 and 32.2 kHz");
     assert!((cold - 32_307.6).abs() < 0.05 && (warm - 32_220.9).abs() < 0.05, "{cold} {warm}");
-    // Where |W| is largest, within 1 rad/s.
     let response =
         |omega: f64| steady_state(&plate, Tier::Modal, [9.0, 0.0], Drive { vpp: HOLDING_DRIVE_VPP, omega }).norm();
     let resonance = mode(&plate, 9.0, 0.0).omega0;
@@ -71,17 +70,22 @@ fn nine_kelvin_move_the_resonance_as_in_fig_4() {
     assert!(response(top) > response(top + 5.0) && response(top) > response(top - 5.0));
 }
 
-/// Open loop, excited at 24 °C's resonance with the plate 9 K or 4 K warmer: −20 % and −8 % in the
-/// paper, which a linear resonator with the paper's own τ does not show.
+/// Open loop at the resonance of 24 °C with the plate 9 K or 4 K warmer: −20 % and −8 % in the paper.
+/// A linear resonator with the paper's τ differs.
 #[rstest]
 #[case::tau1_9k(1.88, 9.0, 1.40, 1.6)]
 #[case::tau2_9k(1.62, 9.0, 1.50, 1.6)]
 #[case::tau1_4k(1.88, 4.0, 1.82, 1.84)]
 #[case::tau2_4k(1.62, 4.0, 1.86, 1.84)]
-fn detuned_open_loop_reaches(#[case] tau_ms: f64, #[case] offset_k: f64, #[case] ours: f64, #[case] paper: f64) {
+fn amplitude_of_the_detuned_open_loop(
+    #[case] tau_ms: f64,
+    #[case] offset_k: f64,
+    #[case] ours: f64,
+    #[case] paper: f64,
+) {
     let plate = Plate { sigma0: 1e3 / tau_ms, ..paper_plate() };
     let w = steady_state(&plate, Tier::Modal, [offset_k, 0.0], Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
-    println!("+{offset_k} K open loop, τ = {tau_ms} ms: {:.3} µm where the paper reports {paper} µm", w.norm());
+    println!("+{offset_k} K open loop, τ = {tau_ms} ms: {:.3} µm, {paper} µm in the paper", w.norm());
     assert!((w.norm() - ours).abs() < 5e-3, "{w}");
 }
 
@@ -101,7 +105,7 @@ fn amplitude_is_linear_in_the_voltage_as_in_fig_7() {
 #[case(272.3, Some(14.992))]
 #[case(272.2, None)]
 #[case(0.0, None)]
-fn the_floor_of_the_settling_time(#[case] limit: f64, #[case] expected_ms: Option<f64>) {
+fn the_shortest_settling_time(#[case] limit: f64, #[case] expected_ms: Option<f64>) {
     let plate = paper_plate();
     let mode = mode(&plate, 0.0, 0.0);
     let floor = mode.min_rise_time(SETPOINT, 0.95, limit);
@@ -109,7 +113,7 @@ fn the_floor_of_the_settling_time(#[case] limit: f64, #[case] expected_ms: Optio
     assert_eq!(floor.is_some(), expected_ms.is_some());
     if let (Some(floor), Some(expected_ms)) = (floor, expected_ms) {
         assert!((1e3 * floor / expected_ms - 1.0).abs() < 1e-4, "{floor}");
-        // An envelope under that drive is there by then.
+        // The envelope reaches the band by then.
         let mut plant =
             driven_plant(&plate, &conditions(0.0, 0.0), Tier::Envelope, Drive { vpp: limit, omega: plate.omega0 });
         let reached = state_at(&mut plant, 1e3 * floor).amplitude();
@@ -127,9 +131,9 @@ fn the_drive_that_holds_the_setpoint(#[case] force: f64, #[case] expected: f64) 
     let needed = mode.drive_for(SETPOINT);
     println!("{force} N: {needed:.2} Vpp hold 2 µm");
     assert!((needed - expected).abs() < 0.01, "{needed}");
-    let held = steady_state(&plate, Tier::Modal, [0.0, force], Drive { vpp: needed, omega: plate.omega0 }).norm();
-    assert!((held / SETPOINT - 1.0).abs() < 1e-12, "{held}");
-    // 95 % of the setpoint just within reach, and just not.
+    let amplitude = steady_state(&plate, Tier::Modal, [0.0, force], Drive { vpp: needed, omega: plate.omega0 }).norm();
+    assert!((amplitude / SETPOINT - 1.0).abs() < 1e-12, "{amplitude}");
+    // 95 % of the setpoint is just reachable, and just not.
     assert!(mode.min_rise_time(SETPOINT, 0.95, 0.95 * needed * 1.000_001).is_some());
     assert_eq!(mode.min_rise_time(SETPOINT, 0.95, 0.95 * needed * 0.999_999), None);
 }

@@ -1,4 +1,4 @@
-//! Constant parameters: each tier against the reference, and many steps against one.
+//! Compares each tier with the reference and with itself in other steps, for constant parameters.
 
 use crate::reference::{
     HOLDING_DRIVE_VPP, Random, ReferencePlate, SETPOINT, conditions, constant_conditions, distance, driven_plant,
@@ -9,12 +9,12 @@ use platebench_plate::{
 };
 use rstest::rstest;
 
-fn calm_mode(plate: &Plate) -> Mode {
+fn nominal_mode(plate: &Plate) -> Mode {
     plate.mode(&Conditions::default())
 }
 
-/// Largest error over 40 control periods of 1 ms with random drives, and with random jumps of force
-/// and temperature if asked for.
+/// Largest error in 40 control periods of 1 ms with random drives and, if `jumps`, random force and
+/// temperature.
 fn error_under_random_drives(seed: u64, detuning: f64, jumps: bool) -> f64 {
     let plate = paper_plate();
     let mut random = Random::new(seed);
@@ -45,14 +45,14 @@ fn error_under_random_drives(seed: u64, detuning: f64, jumps: bool) -> f64 {
 #[rstest]
 #[case::near_resonance(1, 600.0, false)]
 #[case::far_off(2, 20_000.0, false)]
-#[case::jumping_surroundings(3, 600.0, true)]
-fn modal_is_the_reference(#[case] seed: u64, #[case] detuning: f64, #[case] jumps: bool) {
+#[case::jumping_conditions(3, 600.0, true)]
+fn modal_equals_the_reference(#[case] seed: u64, #[case] detuning: f64, #[case] jumps: bool) {
     let error = error_under_random_drives(seed, detuning, jumps);
     println!("modal against reference, 40 periods, ±{detuning} rad/s, jumps: {jumps}: {error:.1e}");
     assert!(error <= 1e-10, "{error:e}");
 }
 
-/// The paper's plate, and one of quality 10⁶ that is still swinging after a minute.
+/// The paper's plate with another quality.
 fn plate_with_quality(quality: Option<f64>) -> Plate {
     let plate = paper_plate();
     let sigma0 = quality.map_or(plate.sigma0, |quality| plate.omega0 / (2.0 * quality));
@@ -64,7 +64,7 @@ fn plate_with_quality(quality: Option<f64>) -> Plate {
 #[case::paper(None, 545.0, HOLDING_DRIVE_VPP)]
 #[case::at_resonance(None, 0.0, HOLDING_DRIVE_VPP)]
 #[case::quality_1e6(Some(1e6), 545.0, 100.0)]
-fn a_minute_in_steps_is_a_minute_at_once(
+fn a_minute_in_steps_equals_one_step(
     #[case] quality: Option<f64>,
     #[case] detuning: f64,
     #[case] vpp: f64,
@@ -73,18 +73,17 @@ fn a_minute_in_steps_is_a_minute_at_once(
 ) {
     let plate = plate_with_quality(quality);
     let drive = Drive { vpp, omega: plate.omega0 + detuning };
-    let whole = Flow::new(tier, &calm_mode(&plate), &drive, &State::default());
+    let whole = Flow::new(tier, &nominal_mode(&plate), &drive, &State::default());
     let mut plant = driven_plant(&plate, &constant_conditions(), tier, drive);
     let mut random = Random::new(4);
     let end = Time::from_nanos(60_000_000_000);
     let (mut worst, mut steps) = (0.0_f64, 0);
     while plant.time() < end {
-        // From nanoseconds to some milliseconds, evenly in the logarithm, or 60 000 times 1 ms.
+        // Log-uniform from nanoseconds to milliseconds, or 60 000 times 1 ms.
         let step = if irregular { random.in_range(0.0, 16.0).exp() as u64 } else { 1_000_000 };
         plant.advance((plant.time() + Time::from_nanos(step)).min(end), &[], &mut Vec::new());
         let expected = whole.after(plant.time().seconds());
-        // The linear tier knows no resonance curve: 545 rad/s off at quality 10⁶ are 5000 times the
-        // setpoint.
+        // The linear tier has no resonance curve: at quality 10⁶, 545 rad/s make 5000 times the setpoint.
         let scale = if tier == Tier::Linear { expected.amplitude().max(1.0) } else { 1.0 };
         worst = worst.max(distance(&plant.state(), &expected, plate.omega0) / scale);
         steps += 1;
@@ -131,22 +130,21 @@ fn splitting_an_interval_changes_nothing(#[values(Tier::Linear, Tier::Envelope, 
     assert!(worst <= 1e-12, "{worst:e}");
 }
 
-/// Drives that hold the setpoint at resonance, or those of equation 24 matched to a zero-order hold
-/// (2 ms, no limit).
+/// The constant drive for the setpoint, or equation 24 matched to a zero-order hold (2 ms, no limit).
 #[derive(Debug, Clone, Copy)]
 enum ControlLoop {
     Open,
     Closed,
 }
 
-/// Expected: largest distance in 1/1000 of the setpoint at the control instants, and at any time.
+/// Expected: largest error in 1/1000 of the setpoint, at the control instants and at any time.
 #[rstest]
 #[case::step(0.0, ControlLoop::Open, [1.83, 2.56])]
 #[case::step_closed(0.0, ControlLoop::Closed, [3.44, 4.83])]
 #[case::detuned(545.0, ControlLoop::Open, [1.57, 2.56])]
 #[case::detuned_closed(545.0, ControlLoop::Closed, [3.01, 4.82])]
 #[case::far(2000.0, ControlLoop::Open, [1.45, 2.54])]
-fn the_envelope_is_as_wrong_as_it_is_said_to_be(
+fn the_envelope_has_the_documented_error(
     #[case] detuning: f64,
     #[case] control: ControlLoop,
     #[case] expected: [f64; 2],
@@ -179,7 +177,8 @@ fn the_envelope_is_as_wrong_as_it_is_said_to_be(
     }
     let of_steady = ever * SETPOINT / modal.state().amplitude();
     println!(
-        "envelope against modal, {detuning} rad/s off, {control:?}: {at_instants:.2e} at control instants, {ever:.2e} ever"
+        "envelope against modal, {detuning} rad/s off, {control:?}: {at_instants:.2e} at control instants, \
+         {ever:.2e} ever"
     );
     println!("    {of_steady:.2e} of the steady |W|");
     for (found, expected) in [at_instants, ever].into_iter().zip(expected) {
@@ -191,16 +190,16 @@ fn the_envelope_is_as_wrong_as_it_is_said_to_be(
 }
 
 #[test]
-fn u_and_not_the_derivative_of_w_outlives_a_frequency_step() {
+fn u_and_not_the_derivative_of_w_is_continuous() {
     let plate = paper_plate();
-    let mode = calm_mode(&plate);
+    let mode = nominal_mode(&plate);
     let mut carrier = ReferencePlate::at_rest(plate.omega0);
     let (mut ours, mut theirs) = (State::default(), State::default());
     let (mut our_error, mut their_error) = (0.0_f64, 0.0_f64);
     let mut omega = plate.omega0;
     for period in 0..40 {
         let next = plate.omega0 + if period / 10 % 2 == 0 { 0.0 } else { 545.0 };
-        // W' continuous: W' = U − jωW, before and after.
+        // With W' = U − jωW continuous instead.
         theirs.u += Complex64::I * (next - omega) * theirs.w;
         omega = next;
         let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega };
@@ -216,14 +215,14 @@ fn u_and_not_the_derivative_of_w_outlives_a_frequency_step() {
 }
 
 #[rstest]
-fn actuating_moves_nothing(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
+fn a_new_drive_does_not_change_the_state(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
     let plate = paper_plate();
     let mut plant =
         driven_plant(&plate, &conditions(3.0, 1.0), tier, Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     let before = state_at(&mut plant, 3.0);
     plant.set_drive(Drive { vpp: 10.0, omega: plate.omega0 - 300.0 });
     assert_eq!(plant.state(), before);
-    // Backwards is nowhere.
+    // An earlier time is ignored.
     plant.advance(Time::from_ms(1.0).unwrap(), &[], &mut Vec::new());
     assert_eq!((plant.time(), plant.state()), (Time::from_ms(3.0).unwrap(), before));
 }

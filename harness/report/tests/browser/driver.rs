@@ -1,5 +1,7 @@
-//! A headless Chromium behind its driver, spoken to by the `WebDriver` protocol (<https://www.w3.org/TR/webdriver2/>). Nothing waits without an end, and driver and
-//! browser die with their owner: the kernel ends the driver with the thread that started it, and the browser ends when its pipe to the driver closes.
+//! Controls a headless Chromium by the `WebDriver` protocol (<https://www.w3.org/TR/webdriver2/>).
+//!
+//! The kernel ends the driver with the thread that started it; the browser ends when its pipe to the
+//! driver closes.
 
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, ErrorKind, Write};
@@ -15,11 +17,11 @@ const PROGRAM: &str = "chromedriver";
 const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
 static NOTICE_ONCE: Once = Once::new();
 
-/// Generous: a busy machine starts programs slowly.
+/// Long enough for a busy machine.
 const DRIVER_TIMEOUT: Duration = Duration::from_mins(1);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// How the page is looked at.
+/// Window and settings of the browser.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BrowserOptions {
     pub(crate) width: u32,
@@ -30,40 +32,35 @@ pub(crate) struct BrowserOptions {
 
 /// A running browser with one window.
 pub(crate) struct Browser {
-    driver: Child,
+    _driver: ChildGuard,
     agent: Agent,
     session: String,
     /// The browser's own files.
     _profile: TempDir,
 }
 
-/// Kills the driver unless it is taken out.
-struct ChildGuard(Option<Child>);
+/// A process that ends with its owner.
+struct ChildGuard(Child);
 
 impl Drop for ChildGuard {
     fn drop(&mut self) {
-        if let Some(driver) = &mut self.0 {
-            kill_driver(driver);
-        }
+        let _ = self.0.kill();
+        let _ = self.0.wait();
     }
 }
 
-fn kill_driver(driver: &mut Child) {
-    let _ = driver.kill();
-    let _ = driver.wait();
-}
-
 impl Browser {
-    /// A fresh browser; `None`, with a line that nobody can miss, where the driver is not installed and nobody insists.
-    pub(crate) fn start_if_installed(look: BrowserOptions) -> Option<Self> {
+    /// A new browser; `None`, with a message, if the driver is neither installed nor required.
+    pub(crate) fn start_if_installed(options: BrowserOptions) -> Option<Self> {
         match Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output() {
-            Ok(_) => Some(Self::start(look)),
+            Ok(_) => Some(Self::start(options)),
             Err(error) if error.kind() == ErrorKind::NotFound => {
                 let all = std::env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
                 assert!(!all, "{PROGRAM} is not installed and {REQUIRE_ALL}=1: ci/install-test-tools");
-                // Not by `eprintln!`, which the test harness keeps to itself while a test passes.
+                // `eprintln!` of a passing test is not shown.
                 NOTICE_ONCE.call_once(|| {
-                    let _ = writeln!(std::io::stderr(), "left out: {PROGRAM} is not installed (ci/install-test-tools)");
+                    let _ =
+                        writeln!(std::io::stderr(), "NOT TESTED: {PROGRAM} is not installed (ci/install-test-tools)");
                 });
                 None
             }
@@ -71,7 +68,7 @@ impl Browser {
         }
     }
 
-    fn start(look: BrowserOptions) -> Self {
+    fn start(options: BrowserOptions) -> Self {
         let profile = TempDir::new().unwrap();
         let mut driver = Command::new("setpriv")
             .args(["--pdeathsig", "KILL", "--", PROGRAM, "--port=0"])
@@ -81,12 +78,12 @@ impl Browser {
             .spawn()
             .unwrap();
         let output = driver.stdout.take().unwrap();
-        let mut guard = ChildGuard(Some(driver));
+        let driver = ChildGuard(driver);
         let (sender, receiver) = mpsc::channel();
-        // Ends with the driver, which closes its output.
+        // Ends when the driver closes its output.
         thread::spawn(move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
-                // Before, it says that it starts on the port that it was asked for, which is 0.
+                // An earlier line names the requested port 0.
                 let port = line.rsplit_once("successfully on port ");
                 let port = port.and_then(|(_, port)| port.trim_end_matches('.').parse::<u16>().ok());
                 if let Some(port) = port {
@@ -94,11 +91,11 @@ impl Browser {
                 }
             }
         });
-        let port = receiver.recv_timeout(DRIVER_TIMEOUT).expect("the driver says on which port it listens");
+        let port = receiver.recv_timeout(DRIVER_TIMEOUT).expect("the driver names its port");
         let agent = Agent::config_builder().timeout_global(Some(DRIVER_TIMEOUT)).http_status_as_error(false).build();
         let agent = Agent::new_with_config(agent);
         let profile_argument = format!("--user-data-dir={}", profile.path().display());
-        // As root, as in containers, Chromium wants no sandbox; the only page that it sees is ours.
+        // As root, as in containers, Chromium needs `--no-sandbox`.
         let arguments = [
             "--headless=new",
             "--no-sandbox",
@@ -109,16 +106,16 @@ impl Browser {
             "--hide-scrollbars",
             &profile_argument,
         ];
-        let wanted = json!({ "capabilities": { "alwaysMatch": {
+        let capabilities = json!({ "capabilities": { "alwaysMatch": {
             "goog:chromeOptions": { "args": arguments },
             "goog:loggingPrefs": { "browser": "ALL" },
         } } });
         let root = format!("http://127.0.0.1:{port}/session");
-        let made = post(&agent, &root, &wanted);
-        let session = format!("{root}/{}", made["sessionId"].as_str().unwrap_or_else(|| panic!("no session: {made}")));
-        let driver = guard.0.take().unwrap();
-        let browser = Self { driver, agent, session, _profile: profile };
-        let BrowserOptions { width, height, dark, scripts } = look;
+        let created = post(&agent, &root, &capabilities);
+        let session =
+            format!("{root}/{}", created["sessionId"].as_str().unwrap_or_else(|| panic!("no session: {created}")));
+        let browser = Self { _driver: driver, agent, session, _profile: profile };
+        let BrowserOptions { width, height, dark, scripts } = options;
         let phone = width < 600;
         browser.devtools_command(
             "Emulation.setDeviceMetricsOverride",
@@ -133,7 +130,7 @@ impl Browser {
         browser
     }
 
-    /// A command of the browser's own protocol.
+    /// Sends a command of the `DevTools` protocol.
     pub(crate) fn devtools_command(&self, command: &str, parameters: &Value) -> Value {
         self.post("goog/cdp/execute", &json!({ "cmd": command, "params": parameters }))
     }
@@ -146,7 +143,7 @@ impl Browser {
         self.post("url", &json!({ "url": format!("file://{}", page.display()) }));
     }
 
-    /// What `expression` is in the page, a promise's value when it comes.
+    /// Evaluates an expression in the page and awaits a promise.
     pub(crate) fn evaluate(&self, expression: &str) -> Value {
         let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
         let answer = self.devtools_command("Runtime.evaluate", &parameters);
@@ -154,41 +151,43 @@ impl Browser {
         answer["result"]["value"].clone()
     }
 
-    /// Waits until `expression` holds in the page.
+    /// Waits until `expression` is true in the page.
     pub(crate) fn wait_for(&self, expression: &str) {
         let started = Instant::now();
         while self.evaluate(expression) != json!(true) {
-            assert!(started.elapsed() < DRIVER_TIMEOUT, "it never came: {expression}");
+            assert!(started.elapsed() < DRIVER_TIMEOUT, "never true: {expression}");
             thread::sleep(POLL_INTERVAL);
         }
     }
 
-    /// Presses at `from`, moves to `to` and lets go; places in the window.
+    /// Drags the pointer; coordinates in the window.
     pub(crate) fn drag(&self, from: (f64, f64), to: (f64, f64)) {
-        let go = |(x, y): (f64, f64)| json!({ "type": "pointerMove", "duration": 50, "x": x.round(), "y": y.round() });
+        let pointer_to =
+            |(x, y): (f64, f64)| json!({ "type": "pointerMove", "duration": 50, "x": x.round(), "y": y.round() });
         let middle = (f64::midpoint(from.0, to.0), to.1);
-        let acts = json!([go(from), { "type": "pointerDown", "button": 0 }, go(middle), go(to), { "type": "pointerUp", "button": 0 }]);
-        let pointer =
-            json!({ "type": "pointer", "id": "mouse", "parameters": { "pointerType": "mouse" }, "actions": acts });
-        self.post("actions", &json!({ "actions": [pointer] }));
+        let (down, up) = (json!({ "type": "pointerDown", "button": 0 }), json!({ "type": "pointerUp", "button": 0 }));
+        self.act(&json!([pointer_to(from), down, pointer_to(middle), pointer_to(to), up]));
     }
 
-    /// Puts the pointer there.
     pub(crate) fn move_pointer(&self, (x, y): (f64, f64)) {
-        let acts = json!([{ "type": "pointerMove", "duration": 20, "x": x.round(), "y": y.round() }]);
-        let pointer =
-            json!({ "type": "pointer", "id": "mouse", "parameters": { "pointerType": "mouse" }, "actions": acts });
+        self.act(&json!([{ "type": "pointerMove", "duration": 20, "x": x.round(), "y": y.round() }]));
+    }
+
+    /// Performs actions of the mouse.
+    fn act(&self, actions: &Value) {
+        let parameters = json!({ "pointerType": "mouse" });
+        let pointer = json!({ "type": "pointer", "id": "mouse", "parameters": parameters, "actions": actions });
         self.post("actions", &json!({ "actions": [pointer] }));
     }
 
-    /// What the page said on its console since this was last asked: warnings and errors.
+    /// Warnings and errors on the console since the last call.
     pub(crate) fn console_messages(&self) -> Vec<Value> {
-        let said = self.post("se/log", &json!({ "type": "browser" }));
-        let said = said.as_array().unwrap_or_else(|| panic!("no log: {said}")).iter();
-        said.filter(|entry| ["SEVERE", "WARNING"].contains(&entry["level"].as_str().unwrap())).cloned().collect()
+        let log = self.post("se/log", &json!({ "type": "browser" }));
+        let entries = log.as_array().unwrap_or_else(|| panic!("no log: {log}")).iter();
+        entries.filter(|entry| ["SEVERE", "WARNING"].contains(&entry["level"].as_str().unwrap())).cloned().collect()
     }
 
-    /// Keeps what the window shows as `name`.png, where pictures are asked for.
+    /// Writes a screenshot `name`.png if `REPORT_PICTURES` names a folder.
     pub(crate) fn save_screenshot(&self, name: &str) {
         let Some(folder) = std::env::var_os("REPORT_PICTURES") else { return };
         let answer = self.devtools_command("Page.captureScreenshot", &json!({ "format": "png" }));
@@ -206,9 +205,8 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // The orderly way lets the browser clear its files away; the other one always works.
+        // Lets the browser delete its files before the driver is killed.
         let _ = self.agent.delete(&self.session).config().timeout_global(Some(Duration::from_secs(10))).build().call();
-        kill_driver(&mut self.driver);
     }
 }
 

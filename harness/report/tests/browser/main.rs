@@ -15,3 +15,5 @@ mod driver;
 #[allow(dead_code, reason = "these tests use a part of it")]
 mod fixtures;
 mod page;
+#[path = "../report/response.rs"]
+mod response;

@@ -1,10 +1,9 @@
-//! Behaviour of the page.
+//! Tests the interaction with the page.
 
 use crate::driver::{Browser, BrowserOptions};
 use crate::fixtures;
 use platebench_record::Verdict;
 use platebench_report::page;
-use platebench_verdict::golden::{Baseline, BaselineBuild, GoldenTubes, ResponseFeatures};
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -16,6 +15,8 @@ const PHONE: BrowserOptions = BrowserOptions { width: 390, height: 844, ..DESKTO
 const TITLE: &str = "</script><b>\"A\" & 'B'</b>";
 /// True once the plots of the first scenario are drawn.
 const READY: &str = "document.querySelector('.plots').dataset.ready === 'true'";
+/// The button of the first trial in the legend.
+const KEY: &str = "[...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('trial 0'))";
 /// Start and end of the plots of the first scenario, ms.
 const RANGE: &str = "(({from, to}) => [+from, +to])(document.querySelector('.tools').dataset)";
 
@@ -27,21 +28,7 @@ fn write_page(folder: &Path) -> PathBuf {
     let (other_folder, baselines) = (folder.join("other"), folder.join("baselines"));
     let mut other = fixtures::run_with_traces(&other_folder);
     other.scenarios[1].expectations[0].verdict = Verdict::Pass;
-    let closed = &record.scenarios[0];
-    let rows = platebench_trace::read_trace(&folder.join(&closed.trials[0].trace)).unwrap();
-    let accepted = Baseline {
-        scenario: closed.file.clone(),
-        law: closed.law.clone(),
-        build: BaselineBuild {
-            rig: "hosted".to_owned(),
-            firmware: "dq-pi 0.1.0".to_owned(),
-            id: "5f3a9c01".to_owned(),
-        },
-        features: ResponseFeatures::of(&rows),
-        learned: None,
-        golden: GoldenTubes::from_rows(&rows).unwrap(),
-    };
-    accepted.write(&baselines).unwrap();
+    fixtures::write_baseline(&record.scenarios[0], folder, &baselines);
     let path = folder.join(page::FILE);
     let report =
         page::ReportPage::new(&record, folder).with_baselines(&baselines).with_other_run(&other, &other_folder);
@@ -49,8 +36,8 @@ fn write_page(folder: &Path) -> PathBuf {
     path
 }
 
-fn open_page(look: BrowserOptions) -> Option<(Browser, TempDir)> {
-    let browser = Browser::start_if_installed(look)?;
+fn open_page(options: BrowserOptions) -> Option<(Browser, TempDir)> {
+    let browser = Browser::start_if_installed(options)?;
     let folder = TempDir::new().unwrap();
     browser.open(&write_page(folder.path()));
     Some((browser, folder))
@@ -78,7 +65,7 @@ fn element_rect(browser: &Browser, selector: &str) -> [f64; 4] {
 fn plots_zoom_move_and_switch() {
     let Some((browser, _folder)) = open_page(DESKTOP) else { return };
     let first = browser.evaluate("document.querySelector('.scenario').className");
-    assert_eq!(first, "scenario fail moving", "what failed comes first");
+    assert_eq!(first, "scenario fail moving", "failed scenarios are first");
     element_rect(&browser, ".plots");
     browser.wait_for(READY);
     assert_eq!(browser.evaluate("getComputedStyle(document.querySelector('.drawings')).display"), "none");
@@ -87,7 +74,7 @@ fn plots_zoom_move_and_switch() {
     assert!(titles.as_str().unwrap().contains(TITLE), "{titles}");
     assert_eq!(browser.evaluate("document.querySelectorAll('.scenario h2 b').length"), 0);
 
-    // The response first; then by buttons, by dragging over a stretch, by a double click and by keys.
+    // Zoom by buttons, by dragging and by keys.
     let start = plot_range(&browser);
     let pixels = "document.querySelector('.canvas canvas').toDataURL()";
     let frame = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))";
@@ -96,9 +83,11 @@ fn plots_zoom_move_and_switch() {
     browser.evaluate("document.querySelector('[aria-label=\"Zoom in\"]').click()");
     let closer = plot_range(&browser);
     browser.evaluate(frame);
-    assert_ne!(browser.evaluate(pixels), far, "the picture follows");
+    assert_ne!(browser.evaluate(pixels), far, "the plot changes");
     assert!((closer[1] - closer[0] - (start[1] - start[0]) / 2.0).abs() < 1e-9, "{start:?} {closer:?}");
-    browser.evaluate("[...document.querySelectorAll('.tools button')].find((button) => button.textContent === 'Whole trial').click()");
+    browser.evaluate(
+        "[...document.querySelectorAll('.tools button')].find((button) => button.textContent === 'Whole trial').click()",
+    );
     assert_eq!(plot_range(&browser), [0.0, 60.0], "the whole trial");
     let [left, top, width, height] = element_rect(&browser, ".canvas .u-over");
     let at = |share: f64| (left + share * width, top + height / 2.0);
@@ -123,33 +112,32 @@ fn plots_zoom_move_and_switch() {
     assert!(deep[0] >= 0.0 && deep[1] <= 60.0 && deep[1] > deep[0], "{deep:?}");
     press("0");
 
-    // The cursor reads values off: the first trial of the open loop has settled at some 2 µm.
+    // The cursor shows values: the first trial of the open loop settles near 2 µm.
     browser.move_pointer(at(0.9));
-    let value = "[...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('trial 0')).querySelector('.value').textContent";
+    let value = format!("{KEY}.querySelector('.value').textContent");
     browser.wait_for(&format!("{value} !== ''"));
-    let shown: f64 = browser.evaluate(value).as_str().unwrap().parse().unwrap();
+    let shown: f64 = browser.evaluate(&value).as_str().unwrap().parse().unwrap();
     assert!((shown - 2.0).abs() < 0.06, "{shown}");
 
-    // A signal off and on again.
+    // Hide a signal and show it again.
     browser.move_pointer((1.0, 1.0));
-    let key = "[...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('trial 0'))";
     browser.evaluate(frame);
     let on = browser.evaluate(pixels);
-    browser.evaluate(&format!("{key}.click()"));
+    browser.evaluate(&format!("{KEY}.click()"));
     browser.evaluate(frame);
     let off = browser.evaluate(pixels);
-    assert_eq!(browser.evaluate(&format!("{key}.getAttribute('aria-pressed')")), "false");
+    assert_eq!(browser.evaluate(&format!("{KEY}.getAttribute('aria-pressed')")), "false");
     assert_ne!(on, off);
-    browser.evaluate(&format!("{key}.click()"));
+    browser.evaluate(&format!("{KEY}.click()"));
     browser.evaluate(frame);
     assert_eq!(browser.evaluate(pixels), on);
 
-    // Paper shows the drawings.
+    // Print shows the drawings.
     browser.devtools_command("Emulation.setEmulatedMedia", &json!({ "media": "print" }));
     let shown = "['.plots', '.drawings'].map((part) => getComputedStyle(document.querySelector(part)).display)";
     assert_eq!(browser.evaluate(shown), json!(["none", "block"]));
 
-    assert_eq!(browser.evaluate("performance.getEntriesByType('resource').length"), 0, "nothing is fetched");
+    assert_eq!(browser.evaluate("performance.getEntriesByType('resource').length"), 0, "no resource is loaded");
     assert_no_console_messages(&browser);
 }
 
@@ -171,8 +159,8 @@ fn shows_drawings_without_scripts() {
 #[case::phone_dark(BrowserOptions { dark: true, ..PHONE }, "phone-dark")]
 #[case::desk_light(DESKTOP, "desk-light")]
 #[case::desk_dark(BrowserOptions { dark: true, ..DESKTOP }, "desk-dark")]
-fn fits_every_screen_and_is_accessible(#[case] look: BrowserOptions, #[case] name: &str) {
-    let Some((browser, _folder)) = open_page(look) else { return };
+fn fits_every_screen_and_is_accessible(#[case] options: BrowserOptions, #[case] name: &str) {
+    let Some((browser, _folder)) = open_page(options) else { return };
     browser.save_screenshot(&format!("{name}-top"));
     for number in 0..3 {
         let plots = format!("document.querySelectorAll('.plots')[{number}]");
@@ -181,23 +169,26 @@ fn fits_every_screen_and_is_accessible(#[case] look: BrowserOptions, #[case] nam
         browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))");
         browser.save_screenshot(&format!("{name}-{number}"));
     }
-    assert_eq!(browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), true, "nothing sticks out");
-    // Two runs side by side may be wider than a desk; on a phone no row of these tables is.
+    assert_eq!(browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), true, "no horizontal scroll");
+    // Only the comparison of runs may be wider than the window, except on a phone.
     let cut = "[...document.querySelectorAll('main .stacked')].map((table) => table.parentElement).filter((part) => \
-               part.scrollWidth > part.clientWidth && (innerWidth < 640 || part.getAttribute('aria-label') !== 'Comparison of both runs')).length";
+               part.scrollWidth > part.clientWidth \
+               && (innerWidth < 640 || part.getAttribute('aria-label') !== 'Comparison of both runs')).length";
     assert_eq!(
         browser.evaluate("document.querySelectorAll('main .stacked').length"),
         6,
         "scenarios, requirements, both runs, expectations"
     );
-    assert_eq!(browser.evaluate(cut), 0, "no table has to be moved sideways");
-    let band = "getComputedStyle([...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('5 % band')).querySelector('.mark')).backgroundColor";
-    let (band, opacity) = (browser.evaluate(band), if look.dark { "0.3" } else { "0.2" });
+    assert_eq!(browser.evaluate(cut), 0, "no table needs a horizontal scroll");
+    let band = "getComputedStyle([...document.querySelectorAll('.keys button')].find((key) => \
+                key.textContent.startsWith('5 % band')).querySelector('.mark')).backgroundColor";
+    let (band, opacity) = (browser.evaluate(band), if options.dark { "0.3" } else { "0.2" });
     assert!(band.as_str().unwrap().contains(&format!(", {opacity}")), "{band}");
     browser.evaluate(&format!("{};true", axe_source()));
     let found = browser.evaluate(
         "axe.run().then(({ violations }) => violations.map(({ id, help, nodes }) => \
-         `${id}: ${help}: ` + nodes.slice(0, 3).map(({ html, failureSummary }) => html.slice(0, 200) + failureSummary).join(' | ')))",
+         `${id}: ${help}: ` + nodes.slice(0, 3).map(({ html, failureSummary }) => \
+         html.slice(0, 200) + failureSummary).join(' | ')))",
     );
     assert_eq!(found, json!([]), "{found:#}");
     assert_no_console_messages(&browser);
@@ -214,16 +205,16 @@ fn shows_drawings_if_the_library_fails() {
     element_rect(&browser, ".plots");
     browser.wait_for("!document.querySelector('.scenario').classList.contains('moving')");
     assert_eq!(browser.evaluate("getComputedStyle(document.querySelector('.drawings')).display"), "block");
-    assert!(!browser.console_messages().is_empty(), "and the console says why");
+    assert!(!browser.console_messages().is_empty(), "the console has the reason");
 }
 
-/// The picture of a report in the documentation: see docs/report.md.
+/// Makes the picture in `docs/report.md`.
 #[test]
-#[ignore = "makes a picture of REPORT_PAGE for people"]
+#[ignore = "makes a picture of REPORT_PAGE for the documentation"]
 fn picture() {
     let page = PathBuf::from(std::env::var_os("REPORT_PAGE").expect("REPORT_PAGE names a report"));
-    let look = BrowserOptions { width: 1100, height: 1900, ..DESKTOP };
-    let browser = Browser::start_if_installed(look).unwrap();
+    let options = BrowserOptions { width: 1100, height: 1900, ..DESKTOP };
+    let browser = Browser::start_if_installed(options).unwrap();
     browser.open(&page.canonicalize().unwrap());
     browser.evaluate("document.querySelector('.scenario').scrollIntoView({ block: 'start', behavior: 'instant' })");
     browser.wait_for(READY);

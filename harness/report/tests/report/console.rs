@@ -1,10 +1,9 @@
-//! The text of the console.
+//! Tests the text of the console.
 
 use crate::fixtures;
+use crate::hostile_text::written;
 use platebench_record::Overrides;
 use platebench_report::{Progress, Style, console};
-use std::io::{self, Write};
-use std::sync::{Arc, Mutex};
 
 #[test]
 fn shows_every_outcome() {
@@ -73,28 +72,15 @@ fn shows_the_cost_of_a_step_and_its_change() {
     );
 }
 
-#[derive(Clone, Default)]
-struct SharedBuffer(Arc<Mutex<Vec<u8>>>);
-
-impl Write for SharedBuffer {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().unwrap().write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
 #[test]
 fn progress_has_a_line_at_start_and_end() {
-    let shared = SharedBuffer::default();
     let record = fixtures::mixed_run();
-    let mut progress = Progress::to_writer(shared.clone());
-    progress.scenario_started("paper/fig13-open-loop.toml", 3);
-    progress.trial_finished("paper/fig13-open-loop.toml", 0);
-    progress.scenario_finished(&record.scenarios[1]);
-    progress.finish();
-    let text = String::from_utf8(shared.0.lock().unwrap().clone()).unwrap();
+    let text = written(|out| {
+        let mut progress = Progress::to_writer(out);
+        progress.scenario_started("paper/fig13-open-loop.toml", 3);
+        progress.trial_finished("paper/fig13-open-loop.toml", 0);
+        progress.scenario_finished(&record.scenarios[1]);
+        progress.finish();
+    });
     assert_eq!(text, "… paper/fig13-open-loop.toml: 3 trials\n✗ paper/fig13-open-loop.toml: fail, 3 trials\n");
 }

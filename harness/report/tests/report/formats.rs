@@ -1,4 +1,4 @@
-//! TAP, Markdown, annotations and lines of JSON.
+//! Tests TAP, Markdown, annotations and JSON lines.
 
 use crate::fixtures;
 use platebench_record::{MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict};

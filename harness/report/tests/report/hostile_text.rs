@@ -1,4 +1,4 @@
-//! Hostile texts in every report: ESC, right-to-left override, a line feed before a workflow command, a formula.
+//! Tests hostile texts in every report: ESC, right-to-left override, a line feed before a workflow command, a formula.
 
 use crate::fixtures;
 use platebench_record::{MissingValue, Reason, RunRecord, TrialFinding};
@@ -33,7 +33,7 @@ fn hostile_run() -> RunRecord {
 }
 
 #[derive(Clone, Default)]
-struct SharedBuffer(Arc<Mutex<Vec<u8>>>);
+pub(crate) struct SharedBuffer(Arc<Mutex<Vec<u8>>>);
 
 impl Write for SharedBuffer {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
@@ -45,7 +45,8 @@ impl Write for SharedBuffer {
     }
 }
 
-fn written(write: impl FnOnce(SharedBuffer)) -> String {
+/// The text that `write` writes.
+pub(crate) fn written(write: impl FnOnce(SharedBuffer)) -> String {
     let buffer = SharedBuffer::default();
     write(buffer.clone());
     String::from_utf8(buffer.0.lock().unwrap().clone()).unwrap()

@@ -1,4 +1,4 @@
-//! `junit.xml`.
+//! Tests `junit.xml`.
 
 use crate::fixtures;
 use platebench_record::{Limit, MissingValue, Reason, RunRecord, TrialFinding, Verdict};

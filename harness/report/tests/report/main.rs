@@ -11,5 +11,6 @@ mod marks;
 mod not_passed_since;
 mod page;
 mod page_text;
+mod response;
 mod timing;
 mod traceability;

@@ -1,4 +1,4 @@
-//! Marks in the figures of `report.html`: start, end and deadline of measured times.
+//! Tests marks in the figures of `report.html`: start, end and deadline of measured times.
 
 use crate::fixtures::{self, Response, closed_loop};
 use crate::page::{legend_texts, plot_data, write_page};

@@ -1,4 +1,4 @@
-//! Since when an expectation does not pass, in `report.html`.
+//! Tests the sentence in `report.html` that dates a failure.
 
 use crate::fixtures;
 use crate::fixtures::open_loop;

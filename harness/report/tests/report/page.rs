@@ -1,4 +1,4 @@
-//! `report.html`.
+//! Tests `report.html`.
 
 use crate::fixtures::{self, Response, closed_loop, open_loop};
 use crate::page_text::{assert_balanced, page_text, section, strip_elements};
@@ -7,7 +7,6 @@ use platebench_record::{
 };
 use platebench_report::page::{self, IsTraceChanged, ReportPage};
 use platebench_trace::{Flags, TraceWriter};
-use platebench_verdict::golden::{Baseline, BaselineBuild, GoldenTubes, ResponseFeatures};
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::fs;
@@ -192,20 +191,7 @@ fn shows_golden_traces_and_their_tubes() {
     let (folder, baselines) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let mut closed = closed_loop();
     fixtures::write_trials(&mut closed, folder.path(), 2, Response::default(), 0.01);
-    let rows = platebench_trace::read_trace(&folder.path().join(&closed.trials[0].trace)).unwrap();
-    let accepted = Baseline {
-        scenario: closed.file.clone(),
-        law: "dq-pi".to_owned(),
-        build: BaselineBuild {
-            rig: "hosted".to_owned(),
-            firmware: "dq-pi 0.1.0".to_owned(),
-            id: "5f3a9c01".to_owned(),
-        },
-        features: ResponseFeatures::of(&rows),
-        learned: None,
-        golden: GoldenTubes::from_rows(&rows).unwrap(),
-    };
-    accepted.write(baselines.path()).unwrap();
+    fixtures::write_baseline(&closed, folder.path(), baselines.path());
     let record = fixtures::run(vec![closed, open_loop()]);
     let path = folder.path().join(page::FILE);
     ReportPage::new(&record, folder.path()).with_baselines(baselines.path()).write(&path).unwrap();
@@ -271,12 +257,12 @@ fn links_of_traces_stay_in_the_run_folder(#[case] name: &str, #[case] url: &str)
     let mut record = fixtures::mixed_run();
     name.clone_into(&mut record.scenarios[1].trials[1].trace);
     let page = write_page(&record, folder.path());
-    // Among what did not pass, the requirements and the trials.
+    // In the open items, the requirements and the trials.
     assert_eq!(page.matches(&format!("href=\"{url}\"")).count(), 3);
     assert_balanced(&page);
 }
 
-/// Changed are the trace of a trial that decided, and one that is not read.
+/// The trace of a decisive trial and an unread trace are changed.
 #[test]
 fn lists_changed_traces_instead_of_drawing_them() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,8 +1,7 @@
-//! How real time was kept, in the console.
+//! Tests the summary of real-time runs in the console.
 
 use super::fixtures;
-use platebench_record::{Quantiles, TimingRecord};
-use platebench_record::{Telemetry, TrialRecord};
+use platebench_record::{Quantiles, Telemetry, TimingRecord, TrialRecord};
 use platebench_report::{Style, console};
 
 fn timing() -> TimingRecord {
@@ -64,7 +63,7 @@ fn compares_the_delay_with_the_budget() {
 }
 
 #[test]
-fn names_what_was_not_kept() {
+fn names_missing_permissions_and_confirmations() {
     let refused = TimingRecord {
         scheduling: "SCHED_OTHER, because SCHED_FIFO was not granted: 1".to_owned(),
         safe_confirmed: false,

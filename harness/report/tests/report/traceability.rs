@@ -1,4 +1,4 @@
-//! `traceability.csv` and the same table in the report.
+//! Tests `traceability.csv` and the same table in `report.html`.
 
 use crate::fixtures;
 use crate::page::write_page;
@@ -18,7 +18,7 @@ fn every_requirement_has_a_verdict_and_a_trace() {
 }
 
 #[test]
-fn without_requirements_there_is_a_header_and_no_section() {
+fn without_requirements_there_is_only_a_header() {
     let folder = tempfile::tempdir().unwrap();
     let mut record = fixtures::mixed_run();
     for expectation in record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.expectations) {

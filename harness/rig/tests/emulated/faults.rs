@@ -8,6 +8,8 @@ use rstest::rstest;
 use std::time::{Duration, Instant};
 
 const PLANTED_FAULT_SETPOINT_UM: f32 = 900.0;
+/// The place of the faults.
+const SOURCE: &str = "(firmware-under-test/stm32f4/src/planted_faults.rs:";
 /// Most take milliseconds; unoptimised code on a busy machine takes a multiple.
 const TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -23,16 +25,33 @@ fn planted_fault(number: u8) -> platebench_wire::Sample {
 }
 
 #[rstest]
-#[case::unaligned_access(1, &["HardFault, unaligned access, at 0x08", "planted_faults::unaligned_access", "(firmware-under-test/stm32f4/src/planted_faults.rs:"])]
-#[case::division_by_zero(2, &["HardFault, division by zero, at 0x08", "planted_faults::division_by_zero", "(firmware-under-test/stm32f4/src/planted_faults.rs:"])]
-#[case::endless_loop(3, &["no answer", "µs after the message arrived", "planted_faults::endless_loop", "planted_faults.rs:"])]
-#[case::stack_overflow(4, &["the stack overflowed", "planted_faults::stack_overflow", "bus error while stacking", "address 0x1fff"])]
-#[case::undefined_instruction(5, &["HardFault, undefined instruction, at 0x08", "planted_faults::undefined_instruction", "(firmware-under-test/stm32f4/src/planted_faults.rs:"])]
-#[case::panic(6, &["panic, at 0x08", "planted_faults::index_out_of_bounds", "(firmware-under-test/stm32f4/src/planted_faults.rs:"])]
-#[case::read_of_nothing(7, &["data bus error", "planted_faults::read_of_nothing", "address 0x60000000 (nothing answers there)", "planted_faults.rs:"])]
-#[case::jump_into_nothing(8, &["instruction bus error, at 0x30000000", "called from", "planted_faults::jump_into_nothing"])]
-#[case::unmodelled_peripheral(9, &["has no model", "TIM6.ARR written, address 0x4000102c", "planted_faults::unmodelled_peripheral"])]
-#[case::hole_between_peripherals(10, &["data bus error", "planted_faults::hole_between_peripherals", "address 0x40002400 (nothing answers there)"])]
+#[case::unaligned_access(1, &["HardFault, unaligned access, at 0x08", "planted_faults::unaligned_access", SOURCE])]
+#[case::division_by_zero(2, &["HardFault, division by zero, at 0x08", "planted_faults::division_by_zero", SOURCE])]
+#[case::endless_loop(3, &[
+    "no answer", "µs after the message arrived", "planted_faults::endless_loop", "planted_faults.rs:",
+])]
+#[case::stack_overflow(4, &[
+    "the stack overflowed", "planted_faults::stack_overflow", "bus error while stacking", "address 0x1fff",
+])]
+#[case::undefined_instruction(5, &[
+    "HardFault, undefined instruction, at 0x08", "planted_faults::undefined_instruction", SOURCE,
+])]
+#[case::panic(6, &["panic, at 0x08", "planted_faults::index_out_of_bounds", SOURCE])]
+#[case::read_of_nothing(7, &[
+    "data bus error",
+    "planted_faults::read_of_nothing",
+    "address 0x60000000 (nothing answers there)",
+    "planted_faults.rs:",
+])]
+#[case::jump_into_nothing(8, &[
+    "instruction bus error, at 0x30000000", "called from", "planted_faults::jump_into_nothing",
+])]
+#[case::unmodelled_peripheral(9, &[
+    "has no model", "TIM6.ARR written, address 0x4000102c", "planted_faults::unmodelled_peripheral",
+])]
+#[case::hole_between_peripherals(10, &[
+    "data bus error", "planted_faults::hole_between_peripherals", "address 0x40002400 (nothing answers there)",
+])]
 #[case::reset(11, &["the target reset itself (request of the firmware)"])]
 #[case::sleep_without_end(12, &["no answer", "planted_faults::sleep_without_end"])]
 fn reports_a_planted_fault(#[case] number: u8, #[case] expected: &[&str]) {

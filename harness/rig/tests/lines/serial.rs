@@ -3,7 +3,8 @@
 use super::{CONFIGURE, RECEIVE_TIMEOUT, sample};
 use platebench_controller::Device;
 use platebench_rig::{Link, LinkError, RigError, RigSpec, SerialError, SerialLink, Session};
-use platebench_wire::{ControllerState, Identity, Message};
+use platebench_test_kit::IDENTITY;
+use platebench_wire::{ControllerState, Message};
 use rustix::fd::OwnedFd;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use std::fs::File;
@@ -11,16 +12,6 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
-
-const IDENTITY: Identity = Identity {
-    version: [0, 1, 0],
-    capabilities: 0,
-    laws: 0b111,
-    build: [0; 8],
-    chip: 0,
-    unique: [0; 12],
-    name: *b"at the other end",
-};
 
 /// The other end of a cable, and the path of the port.
 fn cable() -> (OwnedFd, PathBuf) {

@@ -359,12 +359,10 @@ impl Chip {
 
 fn device() -> Device {
     Device::new(Identity {
-        version: [0, 1, 0],
-        capabilities: 0,
-        laws: 7,
         build: [9; 8],
         chip: 0x1007_6413,
         unique: [7; 12],
         name: *b"emulated-board\0\0",
+        ..platebench_test_kit::IDENTITY
     })
 }

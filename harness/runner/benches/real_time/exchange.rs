@@ -1,52 +1,35 @@
-//! The same exchange each millisecond, sample against command with the host controller, by a plain thread that blocks and by a task of a runtime.
+//! Measures one exchange per millisecond with the host controller, by a blocking thread and by a tokio task.
 
 use super::limits::ChildGuard;
 use super::table::{Quantiles, quantiles};
 use platebench_rig::{ExecLink, FaultInjector, Session};
-use platebench_wire::{Configure, LawId, Message, Packet, PacketReader, Sample};
+use platebench_wire::{Configure, Message, Packet, PacketReader, Sample};
 use std::error::Error;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_serial::{SerialPort, SerialStream};
 
-/// A command that is not there by then is missed.
+/// A later command is missed.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
 const PERIOD: Duration = Duration::from_millis(1);
 
-/// What was measured.
 pub(crate) struct ExchangeStats {
-    /// How late the sample left.
+    /// Of the sample.
     pub(crate) lateness: Quantiles,
-    /// From then until the command was there.
+    /// From the sample to the command.
     pub(crate) round_trip: Quantiles,
     pub(crate) missed: u32,
 }
 
-fn configure() -> Configure {
-    Configure {
-        law: LawId::DqPi,
-        paced_by_target: false,
-        drives_own_plate: false,
-        watchdog_timeout_ms: 1_000,
-        period_us: 1_000,
-        loop_delay_us: 0,
-        start_frequency_mhz: 32_307_600,
-        gain_um_per_vpp: 0.00698,
-        time_constant_s: 1.88e-3,
-        response_time_s: 0.0,
-        drive_limit_vpp: 900.0,
-        frequency_range_hz: 250.0,
-        frequency_slew_hz: 100.0,
-        gains: None,
-    }
-}
+/// With a sample time-out for a busy machine.
+const CONFIGURE: Configure = Configure { watchdog_timeout_ms: 1_000, ..platebench_test_kit::CONFIGURE };
 
 fn sample(number: u32) -> Sample {
     Sample { time_us: number * 1_000, setpoint_um: 2.0, wd_um: 1.9, wq_um: 0.0 }
 }
 
-/// Lateness and round trips as they come.
+/// Measured values.
 #[derive(Default)]
 struct ExchangeTimes {
     lateness: Vec<Duration>,
@@ -64,34 +47,34 @@ impl ExchangeTimes {
     }
 }
 
-/// A plain thread: it sleeps to the deadline and waits for the answer in `ppoll`.
+/// A thread that sleeps to the deadline and waits for the answer in `ppoll`.
 pub(crate) fn measure_blocking(length: Duration) -> Result<ExchangeStats, Box<dyn Error>> {
     let mut session = Session::open(FaultInjector::new(ExecLink::start(&crate::controller_command("")?)?))?;
-    session.start_trial(&configure())?;
-    let mut taken = ExchangeTimes::default();
+    session.start_trial(&CONFIGURE)?;
+    let mut times = ExchangeTimes::default();
     let start = Instant::now();
     for number in 1..=length.as_millis() as u32 {
         let due = start + PERIOD * number;
         std::thread::sleep(due.saturating_duration_since(Instant::now()));
         let sent = Instant::now();
-        taken.lateness.push(sent.saturating_duration_since(due));
+        times.lateness.push(sent.saturating_duration_since(due));
         let sequence = session.send(Message::Sample(sample(number)))?;
         let answered = loop {
             match session.receive(sent + ANSWER_TIMEOUT)? {
-                Some(heard) if heard.sequence == sequence => break Some(heard.received_at),
+                Some(received) if received.sequence == sequence => break Some(received.received_at),
                 Some(_) => {}
                 None => break None,
             }
         };
         match answered {
-            Some(at) => taken.round_trip.push(at.saturating_duration_since(sent)),
-            None => taken.missed += 1,
+            Some(at) => times.round_trip.push(at.saturating_duration_since(sent)),
+            None => times.missed += 1,
         }
     }
-    Ok(taken.finish())
+    Ok(times.finish())
 }
 
-/// A task on a runtime of one thread, with the runtime's own timer and tokio-serial for the line.
+/// A task on a runtime of one thread, with its timer and tokio-serial.
 pub(crate) fn measure_tokio(length: Duration) -> Result<ExchangeStats, Box<dyn Error>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
@@ -104,31 +87,31 @@ pub(crate) fn measure_tokio(length: Duration) -> Result<ExchangeStats, Box<dyn E
         let child = Command::new(std::env::current_exe()?).arg(&path).stdin(Stdio::null()).spawn()?;
         let _child = ChildGuard(child);
         let mut line = AsyncPort { port: &mut port, reader: PacketReader::new(), buffer: [0; 512], filled: 0, read: 0 };
-        // The controller may not be up yet.
+        // The controller may still be starting.
         let begun = Instant::now();
         while !line.request(0, Message::Hello).await? {
             if begun.elapsed() > Duration::from_secs(5) {
-                return Err("the controller does not come up".into());
+                return Err("the controller does not answer".into());
             }
         }
         drop(other);
-        if !line.request(1, Message::Configure(configure())).await? {
+        if !line.request(1, Message::Configure(CONFIGURE)).await? {
             return Err("the controller is not configured".into());
         }
-        let mut taken = ExchangeTimes::default();
+        let mut times = ExchangeTimes::default();
         let start = tokio::time::Instant::now();
         for number in 1..=length.as_millis() as u32 {
             let due = start + PERIOD * number;
             tokio::time::sleep_until(due).await;
             let sent = Instant::now();
-            taken.lateness.push(sent.saturating_duration_since(due.into_std()));
+            times.lateness.push(sent.saturating_duration_since(due.into_std()));
             if line.request(number as u8, Message::Sample(sample(number))).await? {
-                taken.round_trip.push(sent.elapsed());
+                times.round_trip.push(sent.elapsed());
             } else {
-                taken.missed += 1;
+                times.missed += 1;
             }
         }
-        Ok(taken.finish())
+        Ok(times.finish())
     })
 }
 
@@ -141,7 +124,7 @@ struct AsyncPort<'a> {
 }
 
 impl AsyncPort<'_> {
-    /// True where the answer that carries the number came in time.
+    /// True if the answer with this sequence number arrived in time.
     async fn request(&mut self, sequence: u8, message: Message) -> std::io::Result<bool> {
         self.port.write_all(Packet { sequence, message }.encode().as_bytes()).await?;
         match tokio::time::timeout(ANSWER_TIMEOUT, self.await_answer(sequence)).await {

@@ -1,4 +1,4 @@
-//! What this computer can do at all: wake up at an instant, and pass bytes through a pseudo-terminal.
+//! Measures limits of the computer: wake-up time, and echo over a pseudo-terminal.
 
 use super::table::{Quantiles, Reference, quantiles};
 use rustix::event::{PollFd, PollFlags, poll};
@@ -18,27 +18,28 @@ use thread_priority::unix::{
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 const PERIOD_NS: i64 = 1_000_000;
-/// The loop's own.
+/// As of the control loop.
 const PRIORITY: u8 = 45;
-/// A sample's frame.
+/// Bytes of a sample's frame.
 const FRAME: usize = 24;
 
 fn nanos(time: Timespec) -> i64 {
     time.tv_sec * 1_000_000_000 + time.tv_nsec
 }
 
-/// How late a thread wakes up that sleeps to an absolute instant each millisecond; `None` where it is to be preferred to others and that is not granted.
-pub(crate) fn measure_sleep(length: Duration, preferred: bool) -> Result<Option<Quantiles>, Box<dyn Error>> {
-    // Of its own, because what it is granted is not taken back, and processes inherit it.
-    let slept = std::thread::spawn(move || {
+/// Lateness of a thread that sleeps to an absolute instant every millisecond. `None` if `realtime`
+/// scheduling is not permitted.
+pub(crate) fn measure_sleep(length: Duration, realtime: bool) -> Result<Option<Quantiles>, Box<dyn Error>> {
+    // In a thread of its own, because processes would inherit its priority.
+    let thread = std::thread::spawn(move || {
         let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
         let priority = ThreadPriorityValue::try_from(PRIORITY).map(ThreadPriority::Crossplatform);
         let granted = priority.is_ok_and(|priority| {
-            preferred && set_thread_priority_and_policy(thread_native_id(), priority, policy).is_ok()
+            realtime && set_thread_priority_and_policy(thread_native_id(), priority, policy).is_ok()
         });
-        if granted == preferred { sleep_repeatedly(length).map(Some) } else { Ok(None) }
+        if granted == realtime { sleep_repeatedly(length).map(Some) } else { Ok(None) }
     });
-    Ok(slept.join().map_err(|_| "the thread that sleeps has panicked")??)
+    Ok(thread.join().map_err(|_| "the sleeping thread has panicked")??)
 }
 
 fn sleep_repeatedly(length: Duration) -> std::io::Result<Quantiles> {
@@ -55,30 +56,30 @@ fn sleep_repeatedly(length: Duration) -> std::io::Result<Quantiles> {
     Ok(quantiles(&mut late))
 }
 
-/// The same by `cyclictest`, where it is installed and may be preferred.
+/// Lateness by `cyclictest`; `None` if it is not installed or not permitted.
 pub(crate) fn run_cyclictest(length: Duration) -> Result<Option<Reference>, Box<dyn Error>> {
     let loops = (length.as_millis()).to_string();
     let output =
         Command::new("cyclictest").args(["-q", "-p", "45", "-i", "1000", "-l", &loops, "-h", "100000"]).output();
     let output = match output {
         Err(error) if error.kind() == ErrorKind::NotFound => {
-            println!("cyclictest is not installed (`ci/install-test-tools` does): its row is left out.\n");
+            println!("NOT MEASURED: cyclictest is not installed (ci/install-test-tools)\n");
             return Ok(None);
         }
         output => output?,
     };
     let mut late = Vec::new();
     for line in String::from_utf8_lossy(&output.stdout).lines() {
-        let mut words = line.split_whitespace();
+        let mut columns = line.split_whitespace();
         let (Some(Ok(micros)), Some(Ok(count))) =
-            (words.next().map(str::parse::<u64>), words.next().map(str::parse::<usize>))
+            (columns.next().map(str::parse::<u64>), columns.next().map(str::parse::<usize>))
         else {
             continue;
         };
         late.extend(std::iter::repeat_n(Duration::from_micros(micros), count));
     }
     if late.is_empty() {
-        println!("cyclictest found nothing: {}\n", String::from_utf8_lossy(&output.stderr).trim());
+        println!("NOT MEASURED: cyclictest printed no histogram: {}\n", String::from_utf8_lossy(&output.stderr).trim());
         return Ok(None);
     }
     Ok(Some(Reference::new("`cyclictest`, SCHED_FIFO: lateness", quantiles(&mut late))))
@@ -95,7 +96,7 @@ impl Drop for ChildGuard {
     }
 }
 
-/// Our end of a pseudo-terminal in raw mode, and the path of the other.
+/// Both ends of a pseudo-terminal in raw mode, and the path of the other end.
 fn terminal() -> Result<(OwnedFd, OwnedFd, String), Box<dyn Error>> {
     let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
     grantpt(&ours)?;
@@ -108,7 +109,7 @@ fn terminal() -> Result<(OwnedFd, OwnedFd, String), Box<dyn Error>> {
     Ok((ours, other, path))
 }
 
-/// Sends back what comes until the line hangs up.
+/// Sends back all bytes until the line hangs up.
 pub(crate) fn echo(path: &str) -> std::io::Result<()> {
     let mut port = OpenOptions::new().read(true).write(true).open(path)?;
     let mut buffer = [0; 512];
@@ -120,7 +121,7 @@ pub(crate) fn echo(path: &str) -> std::io::Result<()> {
     }
 }
 
-/// How long a frame takes to a process that sends it back at once, each millisecond: `read` and `write`, nothing else.
+/// Round trip of a frame to a process that echoes it, every millisecond.
 pub(crate) fn measure_echo(length: Duration) -> Result<Quantiles, Box<dyn Error>> {
     let (ours, other, path) = terminal()?;
     let program = std::env::current_exe()?;
@@ -129,23 +130,23 @@ pub(crate) fn measure_echo(length: Duration) -> Result<Quantiles, Box<dyn Error>
     let mut line = File::from(ours);
     let frame = [0x55; FRAME];
     let mut buffer = [0; FRAME];
-    // The first answer says that the other side is up.
+    // The first echo shows that the process has started.
     line.write_all(&frame)?;
     if poll(&mut [PollFd::new(&line, PollFlags::IN)], Some(&Timespec { tv_sec: 5, tv_nsec: 0 }))? == 0 {
-        return Err("the other side does not come up".into());
+        return Err("the other process does not answer".into());
     }
     line.read_exact(&mut buffer)?;
-    // From here on the line hangs up with the other side.
+    // The line hangs up when the other process ends.
     drop(other);
     let count = length.as_millis() as u32;
-    let mut took = Vec::with_capacity(count as usize);
+    let mut times = Vec::with_capacity(count as usize);
     let start = Instant::now();
     for number in 1..=count {
         std::thread::sleep((start + Duration::from_millis(number.into())).saturating_duration_since(Instant::now()));
         let sent = Instant::now();
         line.write_all(&frame)?;
         line.read_exact(&mut buffer)?;
-        took.push(sent.elapsed());
+        times.push(sent.elapsed());
     }
-    Ok(quantiles(&mut took))
+    Ok(quantiles(&mut times))
 }

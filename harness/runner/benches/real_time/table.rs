@@ -1,11 +1,11 @@
-//! What was measured, as tables.
+//! Prints the measurements as tables.
 
 use super::exchange::ExchangeStats;
 pub(crate) use platebench_record::Quantiles;
 use platebench_record::TimingRecord;
 use std::time::Duration;
 
-/// Sorts; in µs. All zero where nothing was taken.
+/// Quantiles in µs; sorts `spans`. Zeros without values.
 pub(crate) fn quantiles(spans: &mut [Duration]) -> Quantiles {
     spans.sort_unstable();
     let at = |share: f64| {
@@ -15,7 +15,7 @@ pub(crate) fn quantiles(spans: &mut [Duration]) -> Quantiles {
     Quantiles { p50: at(0.5), p99: at(0.99), p999: at(0.999), max: at(1.0) }
 }
 
-/// Something that nobody can be better than.
+/// A limit of the computer.
 pub(crate) struct Reference {
     name: &'static str,
     measured: Quantiles,
@@ -53,7 +53,8 @@ pub(crate) fn exchanges(rows: &[(&str, &ExchangeStats)], sleep: Quantiles, echo:
 
 pub(crate) fn loops(rows: &[(u32, TimingRecord)], sleep: Quantiles, echo: Quantiles) {
     println!(
-        "| loop | lateness p50 | p99 | p99.9 | max | p50 to sleep | loop delay p50 | p99 | p99.9 | max | p50 to echo | periods | overruns | skipped | missed |"
+        "| loop | lateness p50 | p99 | p99.9 | max | p50 to sleep | loop delay p50 | p99 | p99.9 | max | p50 to echo \
+         | periods | overruns | skipped | missed |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     for (period_us, timing) in rows {

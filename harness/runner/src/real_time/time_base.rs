@@ -57,6 +57,7 @@ impl TimeBase {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use platebench_test_kit::CONFIGURE;
 
     #[test]
     fn time_scale_relates_plate_and_wall() {
@@ -72,23 +73,7 @@ mod tests {
 
     #[test]
     fn the_watchdog_runs_in_wall_time() {
-        let configure = Configure {
-            law: platebench_wire::LawId::DqPi,
-            paced_by_target: false,
-            drives_own_plate: false,
-            watchdog_timeout_ms: 0,
-            period_us: 1_000,
-            loop_delay_us: 0,
-            start_frequency_mhz: 32_307_600,
-            gain_um_per_vpp: 0.00698,
-            time_constant_s: 1.88e-3,
-            response_time_s: 0.0,
-            drive_limit_vpp: 900.0,
-            frequency_range_hz: 250.0,
-            frequency_slew_hz: 100.0,
-            gains: None,
-        };
-        let with_timing = |time_scale, pacing| TimeBase { time_scale, pacing }.with_target_timing(configure);
+        let with_timing = |time_scale, pacing| TimeBase { time_scale, pacing }.with_target_timing(CONFIGURE);
         assert_eq!(with_timing(1.0, Pacing::Bench).watchdog_timeout_ms, 0);
         assert_eq!(with_timing(0.1, Pacing::Bench).watchdog_timeout_ms, 50);
         assert_eq!(with_timing(0.3, Pacing::Bench).watchdog_timeout_ms, 17);

@@ -1,52 +1,42 @@
-//! Where loops stop converging, what is and what is not called a divergence, and that no such trial leaves a number behind that is none.
+//! Tests the detection of divergence: beyond the stability limit, and no false alarm before it.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
-
+use crate::fixtures::FIG13;
 use platebench_plate::{Profile, Time};
-use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, Session};
-use platebench_runner::trial::{self, TrialResult, TrialSpec};
-use platebench_scenario::{Scenario, load};
+use platebench_rig::{CancelToken, FaultInjector, HostedLink, Session};
+use platebench_runner::trial::{self, TrialSpec};
+use platebench_scenario::Scenario;
+use platebench_test_kit::{load_scenario, scenario_path};
 use platebench_verdict::divergence_time_s;
 use platebench_wire::LawId;
 use std::fs;
-use std::path::{Path, PathBuf};
-
-fn scenarios() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios")
-}
-
-fn scenario(name: &str) -> Scenario {
-    load(&scenarios().join(name), name).unwrap_or_else(|fault| panic!("{fault}"))
-}
-
-fn play_over<L: Link>(link: L, scenario: &Scenario, law: LawId) -> TrialResult {
-    let mut session = Session::open(FaultInjector::new(link)).unwrap();
-    let order = TrialSpec { scenario, law, index: 0, wire_time: false, own_clock: false };
-    trial::play(&mut session, &order, &CancelToken::never(), None).unwrap()
-}
+use std::path::Path;
 
 fn divergence_time(scenario: &Scenario, law: LawId) -> Option<f64> {
-    divergence_time_s(scenario, &play_over(HostedLink::new(), scenario, law).trace_rows)
+    let mut session = Session::open(FaultInjector::new(HostedLink::new())).unwrap();
+    let spec = TrialSpec { scenario, law, index: 0, wire_time: false, own_clock: false };
+    let result = trial::play(&mut session, &spec, &CancelToken::never(), None).unwrap();
+    divergence_time_s(scenario, &result.trace_rows)
 }
 
-/// Fig. 13's step with a design response time of 2 ms, a drive that is not in the way, and a delay in periods.
+/// Fig. 13's step with a loop delay in periods.
 fn scenario_with_delay(periods: f64, duration_ms: f64) -> Scenario {
-    let mut scenario = scenario("paper/fig13-closed-loop.toml");
-    scenario.controller.response_time_ms = Some(2.0);
+    let mut scenario = load_scenario(FIG13);
     scenario.controller.loop_delay = Time::from_ms(periods).unwrap();
     scenario.duration = Time::from_ms(duration_ms).unwrap();
     scenario
 }
 
-/// Where the linear loop's spectral radius is 1, in periods of 1 ms: forward Euler, and the design that is matched to the zero-order hold. Far enough from the
-/// boundary to tell within two seconds: at 1.5 % from it a swing changes by 0.5 to 0.9 % per period.
+/// At the boundary, in periods of 1 ms, the spectral radius of the linear loop is 1. At 1.5 % from
+/// it an oscillation changes by 0.5 to 0.9 % per period, so two seconds decide.
 #[test]
-fn a_loop_just_past_its_boundary_diverges_and_one_just_before_it_does_not() {
+fn a_loop_diverges_just_past_its_stability_limit() {
     for (law, boundary) in [(LawId::DqPiEuler, 0.8302), (LawId::DqPiFixed, 1.6685)] {
         for start_hz in [32307.6, 32306.0] {
             let at = |share: f64| {
                 let mut scenario = scenario_with_delay(share * boundary, 2000.0);
+                scenario.controller.response_time_ms = Some(2.0);
                 scenario.controller.start_frequency_hz = start_hz;
+                // Large enough not to limit.
                 scenario.plate.drive_limit_vpp = 1e5;
                 divergence_time(&scenario, law)
             };
@@ -56,9 +46,9 @@ fn a_loop_just_past_its_boundary_diverges_and_one_just_before_it_does_not() {
     }
 }
 
-/// Behind the amplifier of 900 Vpp what swings up ends in a swing from limit to limit. The first second is enough.
+/// With the drive limit of 900 Vpp an unstable loop ends in a limit cycle.
 #[test]
-fn an_unstable_loop_is_told_by_what_its_limits_leave_of_it() {
+fn a_limit_cycle_of_an_unstable_loop_is_a_divergence() {
     for (law, periods) in [
         (LawId::DqPiEuler, 0.9),
         (LawId::DqPiEuler, 2.0),
@@ -81,32 +71,31 @@ fn an_unstable_loop_is_told_by_what_its_limits_leave_of_it() {
 }
 
 fn files(folder: &str) -> impl Iterator<Item = String> {
-    let mut names: Vec<_> = fs::read_dir(scenarios().join(folder)).unwrap().map(|entry| entry.unwrap()).collect();
+    let mut names: Vec<_> = fs::read_dir(scenario_path(folder)).unwrap().map(|entry| entry.unwrap()).collect();
     names.sort_by_key(std::fs::DirEntry::file_name);
     names.into_iter().map(move |entry| format!("{folder}/{}", entry.file_name().into_string().unwrap()))
 }
 
-/// Slow laws, offsets, saturated drives, fingers, faults: every scenario under every law, and none of them diverges but the loops that are past their boundary.
-/// The forward-Euler integral bears 0.83 periods, not one.
+/// Every scenario under every law. Only loops beyond their stability limit diverge: that of the
+/// forward-Euler integral is 0.83 periods.
 #[test]
-fn no_scenario_raises_a_false_alarm_under_any_law() {
+fn scenarios_raise_no_false_alarm_under_any_law() {
     let names = ["paper", "guards", "laws", "faults", "limits"].into_iter().flat_map(files);
-    let mut found = Vec::new();
-    let mut played = 0;
-    for name in names.filter(|name| Path::new(name).extension().is_some_and(|ending| ending == "toml")) {
-        let scenario = scenario(&name);
+    let mut diverging = Vec::new();
+    let mut count = 0;
+    for name in names.filter(|name| Path::new(name).extension().is_some_and(|extension| extension == "toml")) {
+        let scenario = load_scenario(&name);
         for law in LawId::ALL {
             let at_s = divergence_time(&scenario, law);
-            found.extend(at_s.map(|_| format!("{name} {}", law.name())));
-            played += 1;
+            diverging.extend(at_s.map(|_| format!("{name} {}", law.name())));
+            count += 1;
         }
     }
-    assert!(played > 400, "{played}");
-    found.retain(|found| {
-        !found.starts_with("limits/backward-euler") && !found.starts_with("limits/past-the-delay-budget")
-    });
+    assert!(count > 400, "{count}");
+    diverging
+        .retain(|name| !name.starts_with("limits/backward-euler") && !name.starts_with("limits/past-the-delay-budget"));
     assert_eq!(
-        found,
+        diverging,
         [
             "laws/told-one-period-deadbeat.toml dq-pi-euler",
             "laws/told-one-period-dq-pi.toml dq-pi-euler",
@@ -115,7 +104,7 @@ fn no_scenario_raises_a_false_alarm_under_any_law() {
     );
 }
 
-/// 0.4 % to half of the setpoint on each component, at resonance, detuned, under a finger, and at a delay that each law bears.
+/// Noise of 0.4 % to 50 % of the setpoint: at resonance, detuned, under a finger, with a small delay.
 #[test]
 fn noise_raises_no_false_alarm() {
     for law in LawId::ALL {

@@ -1,23 +1,17 @@
 //! Checks which model of the plate a run plays, records and judges.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
-
+use crate::fixtures::{FIG13, LOCKSTEP, plan, run_hosted};
 use platebench_plate::Tier;
-use platebench_record::{Overrides, RunFolder, RunRecord};
-use platebench_rig::RigSpec;
-use platebench_runner::fidelity;
-use platebench_runner::{CancelToken, Clock, RejudgeError, RunHooks, RunPlan, rejudge};
-use platebench_scenario::load;
+use platebench_record::{Overrides, RunRecord};
+use platebench_runner::{CancelToken, RejudgeError, RunPlan, fidelity, rejudge};
+use platebench_test_kit::{PLATE, load_scenario, parse_scenario};
 use platebench_trace::{Flags, Row};
-use std::path::{Path, PathBuf};
-
-fn scenarios() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios")
-}
+use std::fs;
+use std::path::Path;
 
 #[test]
 fn every_model_has_a_row_at_every_control_instant() {
-    let scenario = load(&scenarios().join("paper/fig13-closed-loop.toml"), "fig13.toml").unwrap();
+    let scenario = load_scenario(FIG13);
     let [exact, cheap] =
         [Tier::Modal, Tier::Envelope].map(|tier| fidelity::rows(&scenario, tier, &CancelToken::default()).unwrap());
     let controls = |rows: &[Row]| rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).count();
@@ -33,31 +27,19 @@ const STEP: &str = "title = \"step\"\nplate = \"plate.toml\"\nduration_ms = 30.0
 
 /// Plays [`STEP`] with `--model`.
 fn run_step(folder: &Path, model: Option<&str>) -> RunRecord {
-    std::fs::copy(scenarios().join("plates/aluminium-198x138.toml"), folder.join("plate.toml")).unwrap();
-    let path = folder.join("step.toml");
-    std::fs::write(&path, STEP).unwrap();
-    let mut scenario = load(&path, "step.toml").unwrap_or_else(|error| panic!("{error}"));
+    let mut scenario = parse_scenario(STEP, PLATE);
     let overrides = Overrides { model: model.map(ToOwned::to_owned), ..Overrides::default() };
-    platebench_runner::rejudge::apply_overrides(&overrides, &mut scenario);
-    let plan = RunPlan {
-        scenarios: vec![scenario],
-        jobs: 1,
-        clock: Clock::Lockstep { wire_time: false },
-        own_clock: false,
-        rig: "hosted".to_owned(),
-        overrides,
-    };
-    let run = RunFolder::create(Some(&folder.join("run"))).unwrap();
-    platebench_runner::run(&plan, &run, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap()
+    rejudge::apply_overrides(&overrides, &mut scenario);
+    run_hosted(&RunPlan { overrides, ..plan(vec![scenario], LOCKSTEP) }, &folder.join("run"))
 }
 
 #[test]
 fn the_record_names_the_model() {
-    for (asked, model) in
+    for (option, model) in
         [(None, "modal"), (Some("auto"), "modal"), (Some("carrier"), "carrier"), (Some("envelope"), "envelope")]
     {
         let folder = tempfile::tempdir().unwrap();
-        let record = run_step(folder.path(), asked);
+        let record = run_step(folder.path(), option);
         assert_eq!(record.scenarios[0].model, model);
         let judged = rejudge(&folder.path().join("run"), None).unwrap();
         assert_eq!(judged.scenarios[0].model, model);
@@ -66,15 +48,16 @@ fn the_record_names_the_model() {
 }
 
 #[test]
-fn refuses_to_judge_by_a_scenario_with_another_model() {
+fn rejects_a_scenario_with_another_model() {
     let folder = tempfile::tempdir().unwrap();
     run_step(folder.path(), None);
+    fs::write(folder.path().join("plate.toml"), PLATE).unwrap();
     let path = folder.path().join("step.toml");
-    for (model, good) in [("auto", true), ("modal", true), ("envelope", false), ("carrier", false)] {
-        std::fs::write(&path, format!("model = \"{model}\"\n{STEP}")).unwrap();
+    for (model, is_same) in [("auto", true), ("modal", true), ("envelope", false), ("carrier", false)] {
+        fs::write(&path, format!("model = \"{model}\"\n{STEP}")).unwrap();
         match rejudge(&folder.path().join("run"), Some(&path)) {
-            Ok(_) => assert!(good, "{model}"),
-            Err(RejudgeError::DifferentExperiment { what, .. }) => assert!(!good && what == "model", "{what}"),
+            Ok(_) => assert!(is_same, "{model}"),
+            Err(RejudgeError::DifferentExperiment { what, .. }) => assert!(!is_same && what == "model", "{what}"),
             Err(other) => panic!("{other}"),
         }
     }

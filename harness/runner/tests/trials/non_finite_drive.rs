@@ -1,21 +1,17 @@
-//! A controller whose drive is no number: the plate rests, the record says why, and no file of the run holds such a value.
+//! Tests a controller whose drive is NaN or infinite: 0 V, a reason, and finite numbers in all files.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
-
-use platebench_record::{
-    Cause, Exclusion, NonFiniteDrive, Overrides, RunFolder, RunRecord, ScenarioRecord, TrialReason, Verdict,
-};
+use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
+use platebench_record::{Cause, Exclusion, NonFiniteDrive, RunFolder, RunRecord, ScenarioRecord, TrialReason, Verdict};
 use platebench_rig::{HostedLink, Link, LinkError};
-use platebench_runner::{Clock, RunHooks, RunPlan, rejudge, run};
-use platebench_scenario::{Scenario, load};
-use platebench_wire::{Message, PacketReader};
+use platebench_runner::{RunHooks, rejudge, run};
+use platebench_scenario::Scenario;
+use platebench_test_kit::load_scenario;
+use platebench_wire::Message;
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-const FIG13: &str = "../../scenarios/paper/fig13-closed-loop.toml";
-
-/// Answers `drive` instead of what the law wants, from a control instant on.
+/// Replaces the drive of the law from a control instant on.
 struct FixedDriveLink {
     inner: HostedLink,
     drive_vpp: f32,
@@ -26,8 +22,7 @@ impl Link for FixedDriveLink {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let mut plain = Vec::new();
         let took = self.inner.exchange(now, bytes, &mut plain)?;
-        for packet in PacketReader::new().packets(&plain) {
-            let mut packet = packet.unwrap();
+        for mut packet in packets(&plain) {
             if let Message::Command(command) = &mut packet.message
                 && now >= self.from
             {
@@ -38,8 +33,8 @@ impl Link for FixedDriveLink {
         Ok(took)
     }
 
-    fn advance_to(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.inner.advance_to(now, said)
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.inner.advance_to(now, received)
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {
@@ -63,41 +58,31 @@ fn assert_finite_numbers(folder: &Path) {
 }
 
 fn run_with_drive(drive: f32) -> RunRecord {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(FIG13);
-    let (live, again) = run_and_rejudge(load(&path, "fig13.toml").unwrap(), drive, 10);
+    let (live, again) = run_and_rejudge(load_scenario(FIG13), drive, 10);
     assert_eq!(live.scenarios, again);
     live
 }
 
-/// The record of a run over [`Instead`], and its scenarios as they are judged again.
-fn run_and_rejudge(scenario: Scenario, drive: f32, from_ms: u64) -> (RunRecord, Vec<ScenarioRecord>) {
+/// The record of a run over a [`FixedDriveLink`], and its scenarios judged again.
+fn run_and_rejudge(scenario: Scenario, drive_vpp: f32, from_ms: u64) -> (RunRecord, Vec<ScenarioRecord>) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let plan = RunPlan {
-        scenarios: vec![scenario],
-        jobs: 1,
-        clock: Clock::Lockstep { wire_time: false },
-        own_clock: false,
-        rig: "hosted".to_owned(),
-        overrides: Overrides::default(),
-    };
-    let run_folder = RunFolder::create(Some(&out)).unwrap();
     let connect = || {
-        let link = FixedDriveLink { inner: HostedLink::new(), drive_vpp: drive, from: Duration::from_millis(from_ms) };
+        let link = FixedDriveLink { inner: HostedLink::new(), drive_vpp, from: Duration::from_millis(from_ms) };
         Ok(Box::new(link) as Box<dyn Link>)
     };
-    let live = run(&plan, &run_folder, &connect, RunHooks::default()).unwrap();
+    let run_folder = RunFolder::create(Some(&out)).unwrap();
+    let live = run(&plan(vec![scenario], LOCKSTEP), &run_folder, &connect, RunHooks::default()).unwrap();
     assert_finite_numbers(&out);
-    let again = rejudge(&out, None).unwrap().scenarios;
-    (live, again)
+    (live, rejudge(&out, None).unwrap().scenarios)
 }
 
 #[test]
-fn a_drive_that_is_no_number_is_named_as_the_reason() {
+fn a_non_finite_drive_is_the_reason_of_the_failure() {
     for drive in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let record = run_with_drive(drive);
         let trial = &record.scenarios[0].trials[0];
-        // One a millisecond, from 10 to 59 ms.
+        // Every millisecond from 10 to 59 ms.
         assert_eq!(trial.telemetry.not_finite, Some(NonFiniteDrive { at_s: 0.01, count: 50 }), "{drive}");
         assert_eq!(trial.diverged_at_s, Some(0.01));
         assert_eq!(record.verdict, Verdict::Fail);
@@ -113,7 +98,7 @@ fn a_drive_that_is_no_number_is_named_as_the_reason() {
     }
 }
 
-/// More than the amplifier gives is the limit, less than nothing is 0 V: both are numbers.
+/// The drive is clamped to 0 V and the limit.
 #[test]
 fn a_drive_beyond_the_amplifier_is_no_divergence() {
     for drive in [f32::MAX, f32::MIN] {
@@ -123,23 +108,18 @@ fn a_drive_beyond_the_amplifier_is_no_divergence() {
     }
 }
 
-/// It says that it has stopped, and the plate rests: because the bench gave 0 V for what was no drive.
+/// The plate rests only because the bench applied 0 V instead of NaN.
 #[test]
-fn a_stop_at_a_drive_that_is_no_number_is_none() {
-    let storm = || {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/faults/noise-storm.toml");
-        load(&path, "noise-storm.toml").unwrap()
-    };
-    // It stops at 41 ms.
-    let verdict = |drive| run_and_rejudge(storm(), drive, 42).0.verdict;
+fn a_stop_with_a_non_finite_drive_fails() {
+    // The controller stops at 41 ms.
+    let verdict = |drive| run_and_rejudge(load_scenario("faults/noise-storm.toml"), drive, 42).0.verdict;
     assert_eq!([verdict(0.0), verdict(f32::NAN)], [Verdict::Pass, Verdict::Fail]);
 }
 
-/// No file can ask for such a plate; whoever makes one all the same has a trace that ends where it stops being numbers, and a trial that does not count.
+/// No plate file is that extreme. The trace ends at the last finite state; the trial does not count.
 #[test]
-fn a_plate_that_cannot_be_computed_is_the_bench_s_fault() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(FIG13);
-    let mut scenario = load(&path, "fig13.toml").unwrap();
+fn a_plate_that_overflows_excludes_the_trial() {
+    let mut scenario = load_scenario(FIG13);
     scenario.plate.damping_ratio = vec![[0.0, 1e-300]];
     let (live, _) = run_and_rejudge(scenario, 100.0, 10);
     let trial = &live.scenarios[0].trials[0];

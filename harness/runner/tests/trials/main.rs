@@ -1,0 +1,13 @@
+//! Runs trials and whole runs through the library: laws, models, failures of board, line and plate.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a failed fixture fails the test")]
+
+mod divergence;
+mod fixtures;
+mod laws;
+mod live_tap;
+mod lock_in;
+mod model;
+mod non_finite_drive;
+mod replaced_board;
+mod safe_end;
