@@ -24,7 +24,8 @@ pub enum SuiteError {
 }
 
 impl SuiteError {
-    /// Exit code of the test program, as of `platebench run`: 2 for invalid input, 4 without scenarios.
+    /// Exit code of the test program, as of `platebench run`: 2 for invalid input, 4 without
+    /// scenarios.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Rig(_) | Self::Connect(_) | Self::Scenarios(_) => 2,

@@ -84,7 +84,8 @@ impl TestContext {
         Err(TestFailure::Verdict { code, expected, table, folder })
     }
 
-    /// Runs `plan` into a temporary folder and then replaces `folder`, which so contains one run only.
+    /// Runs `plan` into a temporary folder and then replaces `folder`, which so contains one run
+    /// only.
     fn run_and_replace(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let parent = folder.parent().unwrap_or(&self.out);
         fs::create_dir_all(parent).map_err(folder_error(parent))?;

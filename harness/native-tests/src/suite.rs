@@ -27,7 +27,8 @@ impl Suite {
         Self { scenarios: scenarios.into(), out: out.into(), rig: "emulated".to_owned() }
     }
 
-    /// Sets the rig, in the syntax of `platebench run --rig`; `emulated` by default. [`RIG_VARIABLE`]
+    /// Sets the rig, in the syntax of `platebench run --rig`; `emulated` by default.
+    /// [`RIG_VARIABLE`]
     /// overrides it.
     #[must_use]
     pub fn rig(mut self, rig: impl Into<String>) -> Self {

@@ -148,9 +148,7 @@ fn check() -> Result<(), String> {
             .map(|name| format!("{name} is in counts.toml but is no step")),
     );
     if !comparable {
-        println!(
-            "counts: NOT COMPARED: counts.toml was written with the other tools listed above; update: ci/counts --update"
-        );
+        println!("counts: NOT COMPARED: counts.toml is of the other tools listed above; update: ci/counts --update");
         return Ok(());
     }
     if wrong.is_empty() { Ok(()) } else { Err(wrong.join("\ncounts: ") + "\nif this is intended: ci/counts --update") }

@@ -1,4 +1,5 @@
-//! Compares the lateness of the real-time clock with the limits of the computer, for `docs/real-time.md`.
+//! Compares the lateness of the real-time clock with the limits of the computer, for
+//! `docs/real-time.md`.
 //!
 //! `cargo bench --ignore-rust-version -p platebench-runner --bench real-time`. All measurements are
 //! in one run, so that ratios also hold on a busy computer. With a path as argument the program is

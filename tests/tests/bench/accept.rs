@@ -302,7 +302,8 @@ fn the_supplied_plan_has_every_acceptance_scenario() {
     assert!(plan.requirements.iter().all(|requirement| named.contains(&requirement.id.as_str())));
 }
 
-/// The text of a requirement states the limits of its expectations, unless it refers to the scenario.
+/// The text of a requirement states the limits of its expectations, unless it refers to the
+/// scenario.
 #[test]
 fn the_supplied_plan_states_the_limits_of_its_scenarios() {
     let plan = supplied_plan();

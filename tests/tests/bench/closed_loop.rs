@@ -1,4 +1,5 @@
-//! Compares the control laws on the plate with derived values, at and beyond their stability limits.
+//! Compares the control laws on the plate with derived values, at and beyond their stability
+//! limits.
 
 use crate::test_folder::{PLATE, TestFolder, step_scenario, step_text};
 use rstest::rstest;

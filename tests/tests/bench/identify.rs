@@ -1,4 +1,5 @@
-//! Identifies the plate from recordings of the repository's scenarios: Tables I and II, the plate file, invalid input.
+//! Identifies the plate from recordings of the repository's scenarios: Tables I and II, the plate
+//! file, invalid input.
 
 use crate::test_folder::{run_bench, workspace_root};
 use serde_json::Value;
@@ -35,7 +36,8 @@ fn identified_tables_match_the_paper() {
         };
         let (gains, taus) = (steps("voltage_steps", &here, 0), steps("voltage_steps", &here, 1));
         assert_eq!((gains.len(), taus.len()), (30, 30), "{vpp} Vpp");
-        // The deviation of 30 values is within 26 % of the true one at 95 %; drawn: 5 % of K1, 6 % of τ1.
+        // The deviation of 30 values is within 26 % of the true one at 95 %; drawn: 5 % of K1, 6 %
+        // of τ1.
         assert!((0.03..0.07).contains(&relative_deviation(&gains)), "{vpp} Vpp: K1 {}", relative_deviation(&gains));
         assert!((0.036..0.084).contains(&relative_deviation(&taus)), "{vpp} Vpp: τ1 {}", relative_deviation(&taus));
     }

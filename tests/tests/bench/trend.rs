@@ -1,4 +1,5 @@
-//! Compares the instructions of a control step with earlier runs and with the reference of the shipped image.
+//! Compares the instructions of a control step with earlier runs and with the reference of the
+//! shipped image.
 
 use crate::test_folder::{SETTLING, TestFolder, workspace_root};
 use platebench_record::{Overrides, RECORD_FILE, RunFolder, RunRecord};
@@ -50,7 +51,8 @@ fn append_reference_lines(record: &RunRecord, text: &mut String) {
     }
 }
 
-/// Compares `firmware-under-test/images/cost.toml` with the image; `PLATEBENCH_COST=update` writes it.
+/// Compares `firmware-under-test/images/cost.toml` with the image; `PLATEBENCH_COST=update` writes
+/// it.
 #[test]
 fn the_cost_reference_matches_the_image() {
     let mut scenarios =

@@ -1,4 +1,5 @@
-//! Checks commands in the documentation: the bench's arguments parse, and programs, packages and files exist.
+//! Checks commands in the documentation: the bench's arguments parse, and programs, packages and
+//! files exist.
 
 use crate::page::workspace_root;
 use std::fs;

@@ -1,4 +1,5 @@
-//! Compares the documentation with the project: links, commands, files, the tutorial, and the generated reference.
+//! Compares the documentation with the project: links, commands, files, the tutorial, and the
+//! generated reference.
 
 #![allow(
     clippy::unwrap_used,

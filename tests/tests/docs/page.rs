@@ -79,7 +79,8 @@ impl DocumentPage {
     }
 }
 
-/// Anchor of a heading on GitHub: lower case, no punctuation, hyphens for spaces; a repeated title gets a number.
+/// Anchor of a heading on GitHub: lower case, no punctuation, hyphens for spaces; a repeated title
+/// gets a number.
 fn anchor(title: &str, seen: &mut BTreeMap<String, usize>) -> String {
     let kept = title.trim().to_lowercase().replace(' ', "-");
     let name: String = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, '-' | '_')).collect();

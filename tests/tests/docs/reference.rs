@@ -1,4 +1,5 @@
-//! Generates the reference pages: commands from clap, metrics from `Metric`, keys from the types of serde.
+//! Generates the reference pages: commands from clap, metrics from `Metric`, keys from the types of
+//! serde.
 //!
 //! `ci/reference --update` writes the pages; without it the tests compare them.
 

@@ -117,7 +117,8 @@ proptest! {
         let (re, im) = reference_propagation((0.0, 0.0), force, sigma, detuning, vpp, seconds);
         let drive = Drive { vpp: vpp as f32, offset: 0.0 };
         let drives = [(Drive::default(), PERIOD - seconds as f32), (drive, seconds as f32)];
-        let mode = envelope.identify(envelope.nominal(0.0), Complex::default(), drives, Complex::new(re as f32, im as f32));
+        let w = Complex::new(re as f32, im as f32);
+        let mode = envelope.identify(envelope.nominal(0.0), Complex::default(), drives, w);
         prop_assert!((f64::from(mode.sigma) / sigma - 1.0).abs() < 2e-4, "σ {} instead of {sigma}", mode.sigma);
         prop_assert!((f64::from(mode.resonance) + detuning).abs() < 0.2, "{} instead of {}", mode.resonance, -detuning);
     }
@@ -132,7 +133,8 @@ proptest! {
         let w = Complex::new(wd as f32, wq as f32);
         let aim = envelope.steer(mode, w, 2.0, &bounds(), PERIOD);
         let detuning = f64::from(aim.drive.offset) - f64::from(resonance);
-        let reached = reference_propagation((wd, wq), f64::from(envelope.force), f64::from(mode.sigma), detuning, f64::from(aim.drive.vpp), f64::from(PERIOD));
+        let [force, sigma, vpp, period] = [envelope.force, mode.sigma, aim.drive.vpp, PERIOD].map(f64::from);
+        let reached = reference_propagation((wd, wq), force, sigma, detuning, vpp, period);
         prop_assert!(distance(aim.end, reached) < 1e-5);
         prop_assert!((reached.0.hypot(reached.1) - 2.0).abs() < 1e-5, "{reached:?} with {:?}", aim.drive);
         prop_assert!(reached.1.abs() < 2e-3, "{reached:?} with {:?}", aim.drive);

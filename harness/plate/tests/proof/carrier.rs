@@ -81,7 +81,8 @@ enum ControlLoop {
     ThroughLockin,
 }
 
-/// W at the control instants of 40 ms from rest, and the largest error of the lock-in at the control
+/// W at the control instants of 40 ms from rest, and the largest error of the lock-in at the
+/// control
 /// instants and at any time.
 fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex64>, [f64; 2]) {
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
@@ -116,7 +117,8 @@ fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex6
     (at_instants, worst)
 }
 
-/// Expected, in 1/1000 of the setpoint: the error of a lock-in of one period at the control instants
+/// Expected, in 1/1000 of the setpoint: the error of a lock-in of one period at the control
+/// instants
 /// and at any time, and the change of W at the control instants by that error.
 #[rstest]
 #[case::step_open(0.0, ControlLoop::Open, [5.90, 10.36, 0.0])]

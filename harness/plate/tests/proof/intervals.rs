@@ -1,4 +1,5 @@
-//! Checks that the length of intervals changes nothing while the mode varies, and that jumps act at their time.
+//! Checks that the length of intervals changes nothing while the mode varies, and that jumps act at
+//! their time.
 
 use crate::reference::{
     HOLDING_DRIVE_VPP, ReferencePlate, SETPOINT, distance, driven_plant, finger_profile, line, paper_plate, state_at,

@@ -50,7 +50,8 @@ enum StartCondition {
     Settled,
 }
 
-/// Error relative to the setpoint at the control instants of 40 ms after the detuning. Both loops of
+/// Error relative to the setpoint at the control instants of 40 ms after the detuning. Both loops
+/// of
 /// the paper, matched to the zero-order hold (2 ms, no limit), control the modal plate; the linear
 /// plate gets the same drives.
 fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
@@ -95,7 +96,8 @@ fn open_loop_error(detuning: f64) -> [f64; 2] {
     [error / SETPOINT, error / modal.norm()]
 }
 
-/// Expected: errors of the closed loop from rest and from a settled plate, relative to the setpoint,
+/// Expected: errors of the closed loop from rest and from a settled plate, relative to the
+/// setpoint,
 /// and of the settled open loop relative to |W|.
 #[rstest]
 #[case::at_resonance(0.0, [3.44e-3, 0.0, 0.0])]

@@ -1,4 +1,5 @@
-//! Compares the plate with an independent reference: equation 1 on the real carrier, integrated with
+//! Compares the plate with an independent reference: equation 1 on the real carrier, integrated
+//! with
 //! order 8.
 //!
 //! Every test prints its error (`cargo test -p platebench-plate -- --nocapture`), for the table of

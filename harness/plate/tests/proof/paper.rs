@@ -70,7 +70,8 @@ fn nine_kelvin_shift_the_resonance_as_in_fig_4() {
     assert!(response(top) > response(top + 5.0) && response(top) > response(top - 5.0));
 }
 
-/// Open loop at the resonance of 24 °C with the plate 9 K or 4 K warmer: −20 % and −8 % in the paper.
+/// Open loop at the resonance of 24 °C with the plate 9 K or 4 K warmer: −20 % and −8 % in the
+/// paper.
 /// A linear resonator with the paper's τ differs.
 #[rstest]
 #[case::tau1_9k(1.88, 9.0, 1.40, 1.6)]

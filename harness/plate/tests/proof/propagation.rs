@@ -83,7 +83,8 @@ fn a_minute_in_steps_equals_one_step(
         let step = if irregular { random.in_range(0.0, 16.0).exp() as u64 } else { 1_000_000 };
         plant.advance((plant.time() + Time::from_nanos(step)).min(end), &[], &mut Vec::new());
         let expected = whole.after(plant.time().seconds());
-        // The linear tier has no resonance curve: at quality 10⁶, 545 rad/s make 5000 times the setpoint.
+        // The linear tier has no resonance curve: at quality 10⁶, 545 rad/s make 5000 times the
+        // setpoint.
         let scale = if tier == Tier::Linear { expected.amplitude().max(1.0) } else { 1.0 };
         worst = worst.max(distance(&plant.state(), &expected, plate.omega0) / scale);
         steps += 1;
@@ -130,7 +131,8 @@ fn splitting_an_interval_changes_nothing(#[values(Tier::Linear, Tier::Envelope, 
     assert!(worst <= 1e-12, "{worst:e}");
 }
 
-/// The constant drive for the setpoint, or equation 24 matched to a zero-order hold (2 ms, no limit).
+/// The constant drive for the setpoint, or equation 24 matched to a zero-order hold (2 ms, no
+/// limit).
 #[derive(Debug, Clone, Copy)]
 enum ControlLoop {
     Open,

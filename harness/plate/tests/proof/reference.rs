@@ -132,7 +132,8 @@ impl ReferencePlate {
     pub(crate) fn advance(&mut self, seconds: f64, force_constant: f64, drive: &Drive, mode: ModeOverTime<'_>) {
         let (theta, omega, scale) = (self.theta, drive.omega, self.scale);
         let equation = Equation1 { mode, start: self.time, theta, omega, force: force_constant * drive.vpp, scale };
-        // At most a fortieth of a carrier period: at rest the error estimate does not see the drive.
+        // At most a fortieth of a carrier period: at rest the error estimate does not see the
+        // drive.
         let longest = TAU / scale / 40.0;
         let out = OutputType::Sparse;
         let mut solver = Dop853::from_param(

@@ -1,6 +1,7 @@
 //! Controls a headless Chromium by the `WebDriver` protocol (<https://www.w3.org/TR/webdriver2/>).
 //!
-//! The kernel ends the driver with the thread that started it; the browser ends when its pipe to the
+//! The kernel ends the driver with the thread that started it; the browser ends when its pipe to
+//! the
 //! driver closes.
 
 use serde_json::{Value, json};

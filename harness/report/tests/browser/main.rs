@@ -1,6 +1,7 @@
 //! Tests `report.html` in a browser: light and dark, phone and desktop, with and without scripts.
 //!
-//! Needs `chromium` and `chromedriver` (`ci/install-test-tools`). Without them the tests print a message and pass, unless
+//! Needs `chromium` and `chromedriver` (`ci/install-test-tools`). Without them the tests print a
+//! message and pass, unless
 //! `PLATEBENCH_REQUIRE_ALL=1`. `REPORT_PICTURES=FOLDER` keeps screenshots.
 
 #![allow(

@@ -54,8 +54,10 @@ fn plot_range(browser: &Browser) -> [f64; 2] {
 /// Left edge, upper edge, width and height of an element in the window.
 fn element_rect(browser: &Browser, selector: &str) -> [f64; 4] {
     let expression = format!(
-        "(() => {{ const found = document.querySelector({}); found.scrollIntoView({{ block: 'center', behavior: 'instant' }}); \
-         const {{ left, top, width, height }} = found.getBoundingClientRect(); return [left, top, width, height]; }})()",
+        "(() => {{ const found = document.querySelector({}); \
+         found.scrollIntoView({{ block: 'center', behavior: 'instant' }}); \
+         const {{ left, top, width, height }} = found.getBoundingClientRect(); \
+         return [left, top, width, height]; }})()",
         json!(selector)
     );
     serde_json::from_value(browser.evaluate(&expression)).unwrap()
@@ -86,7 +88,8 @@ fn plots_zoom_move_and_switch() {
     assert_ne!(browser.evaluate(pixels), far, "the plot changes");
     assert!((closer[1] - closer[0] - (start[1] - start[0]) / 2.0).abs() < 1e-9, "{start:?} {closer:?}");
     browser.evaluate(
-        "[...document.querySelectorAll('.tools button')].find((button) => button.textContent === 'Whole trial').click()",
+        "[...document.querySelectorAll('.tools button')].find((button) => \
+         button.textContent === 'Whole trial').click()",
     );
     assert_eq!(plot_range(&browser), [0.0, 60.0], "the whole trial");
     let [left, top, width, height] = element_rect(&browser, ".canvas .u-over");
@@ -96,7 +99,8 @@ fn plots_zoom_move_and_switch() {
     assert!((dragged[0] - 15.0).abs() < 0.3 && (dragged[1] - 30.0).abs() < 0.3, "{dragged:?}");
     let press = |key: &str| {
         browser.evaluate(&format!(
-            "document.querySelector('.canvas').dispatchEvent(new KeyboardEvent('keydown', {{ key: '{key}', bubbles: true }}))"
+            "document.querySelector('.canvas').dispatchEvent(\
+             new KeyboardEvent('keydown', {{ key: '{key}', bubbles: true }}))"
         ))
     };
     press("ArrowRight");

@@ -264,7 +264,8 @@ pub(crate) fn mixed_run() -> RunRecord {
     RunRecord { not_applicable: vec![not_applicable], ..run(vec![passing, failing, doubted]) }
 }
 
-/// The cost of a step under three laws: a third more than in an earlier run, a lower mean, and no earlier run.
+/// The cost of a step under three laws: a third more than in an earlier run, a lower mean, and no
+/// earlier run.
 pub(crate) fn cost_trends() -> Vec<CostTrend> {
     let cost = |mean, worst| StepCost { mean, worst };
     let earlier = |run: Option<&str>, build: &str, then, now| EarlierCost {
@@ -313,7 +314,8 @@ pub(crate) fn write_trials(scenario: &mut ScenarioRecord, folder: &Path, trials:
     }
 }
 
-/// A run of three scenarios with their traces below `folder`: one passed, one failed, one is inconclusive and saturated.
+/// A run of three scenarios with their traces below `folder`: one passed, one failed, one is
+/// inconclusive and saturated.
 pub(crate) fn run_with_traces(folder: &Path) -> RunRecord {
     let settling = |value: f64, paper: f64| ExpectationRecord {
         paper: Some(paper),

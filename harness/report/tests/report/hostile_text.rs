@@ -1,4 +1,5 @@
-//! Tests hostile texts in every report: ESC, right-to-left override, a line feed before a workflow command, a formula.
+//! Tests hostile texts in every report: ESC, right-to-left override, a line feed before a workflow
+//! command, a formula.
 
 use crate::fixtures;
 use platebench_record::{MissingValue, Reason, RunRecord, TrialFinding};

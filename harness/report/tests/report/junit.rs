@@ -106,7 +106,8 @@ schema = etree.XMLSchema(etree.parse(sys.argv[1]))
 schema.validate(etree.parse(sys.argv[2]))
 print(schema.error_log)";
 
-/// The violations of the schema; `None` with a message if the validator is not installed and not required.
+/// The violations of the schema; `None` with a message if the validator is not installed and not
+/// required.
 fn schema_errors(text: &str) -> Option<String> {
     if !std::path::Path::new(PYTHON).exists() {
         let all = std::env::var("PLATEBENCH_REQUIRE_ALL").is_ok_and(|value| value == "1");

@@ -23,12 +23,28 @@ fn panel_marks(curves: &Value, panel: usize) -> Vec<(String, f64)> {
 }
 
 #[rstest]
-#[case::recovered("recovery_time_ms", ("at_most", json!(6.0)), json!(9.614), 0, "recovered after 9.614 ms", &[40.0, 49.6], &[46.0])]
+#[case::recovered(
+    "recovery_time_ms", ("at_most", json!(6.0)), json!(9.614), 0, "recovered after 9.614 ms", &[40.0, 49.6], &[46.0]
+)]
 #[case::never("recovery_time_ms", ("at_most", json!(6.0)), Value::Null, 0, "does not recover", &[40.0], &[46.0])]
-#[case::within("recovery_time_ms", ("within", json!([1.0, 7.0])), json!(9.614), 0, "recovered after 9.614 ms", &[40.0, 49.6], &[47.0])]
-#[case::no_deadline("recovery_time_ms", ("at_least", json!(10.0)), json!(9.614), 0, "recovered after 9.614 ms", &[40.0, 49.6], &[])]
-#[case::beyond_the_end("recovery_time_ms", ("at_most", json!(25.0)), json!(9.614), 0, "recovered after 9.614 ms", &[40.0, 49.6], &[])]
-#[case::stopped("shutdown_time_ms", ("at_most", json!(5.0)), json!(7.5), 1, "stopped after 7.5 ms", &[40.0, 47.5], &[45.0])]
+#[case::within(
+    "recovery_time_ms",
+    ("within", json!([1.0, 7.0])),
+    json!(9.614),
+    0,
+    "recovered after 9.614 ms",
+    &[40.0, 49.6],
+    &[47.0],
+)]
+#[case::no_deadline(
+    "recovery_time_ms", ("at_least", json!(10.0)), json!(9.614), 0, "recovered after 9.614 ms", &[40.0, 49.6], &[]
+)]
+#[case::beyond_the_end(
+    "recovery_time_ms", ("at_most", json!(25.0)), json!(9.614), 0, "recovered after 9.614 ms", &[40.0, 49.6], &[]
+)]
+#[case::stopped(
+    "shutdown_time_ms", ("at_most", json!(5.0)), json!(7.5), 1, "stopped after 7.5 ms", &[40.0, 47.5], &[45.0]
+)]
 #[case::runs_on("shutdown_time_ms", ("at_most", json!(5.0)), Value::Null, 1, "does not stop", &[40.0], &[45.0])]
 fn marks_start_end_and_deadline(
     #[case] metric: &str,

@@ -110,7 +110,9 @@ fn compares_only_the_same_kind_of_rig_and_law() {
 #[case::statistic(|then: &mut ExpectationRecord| then.statistic = Statistic::Mean, ", then with the mean of trials")]
 #[case::band(|then: &mut ExpectationRecord| then.definition.band_percent = Some(2.0), ", then with a band of 2 %")]
 #[case::from(|then: &mut ExpectationRecord| then.definition.from_ms = Some(40.0), ", then with from_ms = 40")]
-#[case::signal(|then: &mut ExpectationRecord| then.definition.signal = Some("wd_um".to_owned()), ", then with signal wd_um")]
+#[case::signal(
+    |then: &mut ExpectationRecord| then.definition.signal = Some("wd_um".to_owned()), ", then with signal wd_um"
+)]
 #[case::from_nowhere(|then: &mut ExpectationRecord| then.definition.from_ms = None, ", then with no from_ms")]
 #[case::silent(|then: &mut ExpectationRecord| then.definition = MetricDefinition::default(), "")]
 fn names_how_the_earlier_expectation_differed(#[case] change: fn(&mut ExpectationRecord), #[case] expected: &str) {

@@ -109,7 +109,8 @@ fn the_open_loop_is_behind_its_closed_loop_only() {
     fixtures::write_trials(&mut other, folder.path(), 1, Response::default(), 0.0);
     let page = write_page(&fixtures::run(vec![closed, open, other]), folder.path());
     let lines = |index| scenario_section(&page, index).matches("class=\"s-other\" d=").count();
-    // A line and a swatch each: |W| and drive in the response; |W|, drive and frequency in the whole trial.
+    // A line and a swatch each: |W| and drive in the response; |W|, drive and frequency in the
+    // whole trial.
     assert_eq!([lines(0), lines(1), lines(2)], [5, 0, 0]);
     assert_eq!(scenario_section(&page, 0).matches("</svg>open loop (paper/fig13-open-loop.toml)").count(), 5);
 }
@@ -229,7 +230,9 @@ fn compares_two_runs() {
 
 #[rstest]
 #[case::neither(|_: &mut ExpectationRecord| (), "Metric | Verdict | Measured | Expected | Window")]
-#[case::paper(|found: &mut ExpectationRecord| found.paper = Some(2.0), "Metric | Verdict | Measured | Paper | Expected | Window")]
+#[case::paper(
+    |found: &mut ExpectationRecord| found.paper = Some(2.0), "Metric | Verdict | Measured | Paper | Expected | Window"
+)]
 #[case::range(
     |found: &mut ExpectationRecord| found.interval = Some([1.948, 1.949]),
     "Metric | Verdict | Measured | Expected | Interval | Window"

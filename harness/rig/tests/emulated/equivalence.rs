@@ -9,7 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
 
-/// Two frames of 24 bytes, and the idle line of one byte that ends the first; 10 µs per byte at 1 Mbaud.
+/// Two frames of 24 bytes, and the idle line of one byte that ends the first; 10 µs per byte at 1
+/// Mbaud.
 const SAMPLE_AND_COMMAND: Duration = Duration::from_micros((24 + 1 + 24) * 10);
 
 #[test]

@@ -1,4 +1,5 @@
-//! Tests the firmware image on the emulated board: equivalence with the hosted controller, crashes, invalid images.
+//! Tests the firmware image on the emulated board: equivalence with the hosted controller, crashes,
+//! invalid images.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 

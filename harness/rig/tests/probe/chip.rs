@@ -1,6 +1,7 @@
 //! Emulates an STM32F407 for a debugger: memory map, debug registers of a Cortex-M4, flash.
 //!
-//! Executes no instruction. The effect of a flash algorithm or a program happens when the processor is started at
+//! Executes no instruction. The effect of a flash algorithm or a program happens when the processor
+//! is started at
 //! its entry point.
 
 use crate::image::{CONTROL_STEP, HANDLER, MAIN_LOOP, PROGRAM, Program};
@@ -337,7 +338,8 @@ impl Chip {
         answer
     }
 
-    /// A data bus error at `0x4000_1000` in `control_step`, called from `main_loop`; the handler loops.
+    /// A data bus error at `0x4000_1000` in `control_step`, called from `main_loop`; the handler
+    /// loops.
     fn trap(&mut self) {
         for (address, value) in
             [(0xe000_ed04, 3), (0xe000_ed28, 0x8200), (0xe000_ed2c, 1 << 30), (0xe000_ed38, 0x4000_1000)]

@@ -1,4 +1,5 @@
-//! Tests `--rig probe` without a board: probe-rs's code for debug port, Cortex-M, STM32, flash and RTT works on an
+//! Tests `--rig probe` without a board: probe-rs's code for debug port, Cortex-M, STM32, flash and
+//! RTT works on an
 //! emulated memory map.
 //!
 //! Not covered, see `docs/attach-a-board.md`: USB, SWD signals, real flash algorithms.

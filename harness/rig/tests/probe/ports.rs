@@ -13,7 +13,8 @@ use std::sync::{Arc, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A cable from the chip's serial port to the returned path. It lasts until the returned guard is dropped.
+/// A cable from the chip's serial port to the returned path. It lasts until the returned guard is
+/// dropped.
 fn cable(bench: &SharedChip) -> (String, Arc<()>) {
     let mut terminal = PtyLink::open().unwrap();
     let (path, bench, plugged) = (terminal.path().to_owned(), bench.clone(), Arc::new(()));

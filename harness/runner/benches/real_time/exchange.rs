@@ -1,4 +1,5 @@
-//! Measures one exchange per millisecond with the host controller, by a blocking thread and by a tokio task.
+//! Measures one exchange per millisecond with the host controller, by a blocking thread and by a
+//! tokio task.
 
 use super::limits::ChildGuard;
 use super::table::{Quantiles, quantiles};

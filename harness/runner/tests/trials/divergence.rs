@@ -104,7 +104,8 @@ fn scenarios_raise_no_false_alarm_under_any_law() {
     );
 }
 
-/// Noise of 0.4 % to 50 % of the setpoint: at resonance, detuned, under a finger, with a small delay.
+/// Noise of 0.4 % to 50 % of the setpoint: at resonance, detuned, under a finger, with a small
+/// delay.
 #[test]
 fn noise_raises_no_false_alarm() {
     for law in LawId::ALL {

@@ -144,7 +144,8 @@ fn noise_in_the_first_sample_is_not_identified_as_a_mode() {
     }
 }
 
-/// With 0.5 ms configured `dq-pi` settles up to a delay of 1.85 ms, without up to 1 ms. Limit cycles
+/// With 0.5 ms configured `dq-pi` settles up to a delay of 1.85 ms, without up to 1 ms. Limit
+/// cycles
 /// of the gain schedule make the limit uncertain by about a tenth of a period.
 #[test]
 fn a_configured_delay_shifts_the_stability_limit() {

@@ -1,4 +1,5 @@
-//! Checks that a reader of live rows does not change a run, and that it sees the rows of the record.
+//! Checks that a reader of live rows does not change a run, and that it sees the rows of the
+//! record.
 
 use crate::fixtures::{LOCKSTEP, plan};
 use platebench_record::{RunFolder, RunRecord};

@@ -1,4 +1,5 @@
-//! Tests a controller whose drive is NaN or infinite: 0 V, a reason, and finite numbers in all files.
+//! Tests a controller whose drive is NaN or infinite: 0 V, a reason, and finite numbers in all
+//! files.
 
 use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
 use platebench_record::{Cause, Exclusion, NonFiniteDrive, RunFolder, RunRecord, ScenarioRecord, TrialReason, Verdict};
@@ -116,7 +117,8 @@ fn a_stop_with_a_non_finite_drive_fails() {
     assert_eq!([verdict(0.0), verdict(f32::NAN)], [Verdict::Pass, Verdict::Fail]);
 }
 
-/// No plate file is that extreme. The trace ends at the last finite state; the trial does not count.
+/// No plate file is that extreme. The trace ends at the last finite state; the trial does not
+/// count.
 #[test]
 fn a_plate_that_overflows_excludes_the_trial() {
     let mut scenario = load_scenario(FIG13);

@@ -1,4 +1,5 @@
-//! Checks that a failed trial ends with a request for 0 V, and that the record has the confirmation.
+//! Checks that a failed trial ends with a request for 0 V, and that the record has the
+//! confirmation.
 
 use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
 use platebench_record::{RunFolder, RunRecord};

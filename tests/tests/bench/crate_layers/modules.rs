@@ -82,7 +82,8 @@ impl SourceTree {
         }
     }
 
-    /// The module that defines what `path` names, re-exports followed. `None` if it is outside the crate.
+    /// The module that defines what `path` names, re-exports followed. `None` if it is outside the
+    /// crate.
     fn defining_module(&self, path: &[String], depth: u8) -> Option<ModulePath> {
         let known = (0..=path.len()).rev().find(|&count| self.modules.contains_key(&path[..count]))?;
         let (module_path, rest) = path.split_at(known);
