@@ -3,7 +3,7 @@
 use crate::config::SessionHooks;
 use crate::error::AcceptError;
 use platebench_record::{Overrides, RunFolder, RunRecord};
-use platebench_rig::RigSpec;
+use platebench_rig::{ConnectOptions, RigSpec};
 use platebench_runner::{Clock, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_scenario::Scenario;
 use std::path::Path;
@@ -32,13 +32,14 @@ impl ScenarioRun<'_> {
             overrides,
         };
         let folder = RunFolder::create(Some(folder)).map_err(RunError::from)?;
+        let options = ConnectOptions { cancel: hooks.cancel.clone(), ..ConnectOptions::default() };
         let run_hooks = RunHooks {
             cancel: hooks.cancel.clone(),
             live_tap: hooks.observer.live_tap(&plan),
             on_event: Box::new(|event| hooks.observer.run_event(&event)),
             ..RunHooks::default()
         };
-        run(&plan, &folder, &|| self.clock.connect(self.rig), run_hooks).map_err(|error| match error {
+        run(&plan, &folder, &|| self.clock.connect(self.rig, &options), run_hooks).map_err(|error| match error {
             RunError::Cancelled => AcceptError::Cancelled,
             error => error.into(),
         })

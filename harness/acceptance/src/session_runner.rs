@@ -196,7 +196,11 @@ impl<'a> SessionRunner<'a> {
 
     /// Connects to the controller and reads its identity.
     fn read_firmware_identity(&self) -> Result<FirmwareRecord, AcceptError> {
-        let link = self.config.clock.connect(&self.config.rig).map_err(RunError::from)?;
+        let link = self
+            .config
+            .clock
+            .connect(&self.config.rig, &platebench_rig::ConnectOptions::default())
+            .map_err(RunError::from)?;
         let session = platebench_rig::Session::open(link).map_err(RunError::from)?;
         let identity = *session.identity();
         let name = session.firmware_name();

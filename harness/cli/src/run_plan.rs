@@ -6,8 +6,9 @@ use platebench_live::{LiveView, ViewEvent};
 use platebench_record::{RunFolder, RunRecord};
 use platebench_report::events::EventWriter;
 use platebench_report::{Progress, ProgressKind};
-use platebench_rig::RigSpec;
+use platebench_rig::{ConnectOptions, RigSpec};
 use platebench_runner::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
+use std::time::Duration;
 
 /// The receivers of a run's events.
 pub(crate) struct EventSinks<'a> {
@@ -47,9 +48,11 @@ pub(crate) fn run_plan(
     operator: TerminalOperator,
     live_tap: LiveTap,
     mut sinks: EventSinks<'_>,
+    reply_timeout: Duration,
 ) -> Result<RunRecord, (RunError, Option<u8>)> {
     let cancel = CancelToken::default();
     let (folder, run_cancel) = (folder.clone(), cancel.clone());
+    let connect_options = ConnectOptions { reply_timeout, cancel: cancel.clone() };
     let run = move |events: &mut EventSender<_, Event>| {
         let hooks = RunHooks {
             cancel: run_cancel,
@@ -57,7 +60,7 @@ pub(crate) fn run_plan(
             live_tap,
             on_event: Box::new(|event| events.send(event)),
         };
-        platebench_runner::run(&plan, &folder, &|| plan.clock.connect(&rig), hooks)
+        platebench_runner::run(&plan, &folder, &|| plan.clock.connect(&rig, &connect_options), hooks)
     };
     let result = run_until_signal(&cancel, None, run, |event| sinks.send(&event));
     sinks.progress.finish();

@@ -40,11 +40,13 @@ pub enum ViolationKind {
     WrongConfiguration,
     /// A drive above 0 V after the controller confirmed 0 V, Vpp.
     DriveAfterSafe,
+    /// A running state or a drive in the answer to the request for 0 V.
+    IgnoredSafe,
 }
 
 impl ViolationKind {
     /// The number of kinds.
-    pub const COUNT: usize = 8;
+    pub const COUNT: usize = 9;
 }
 
 impl fmt::Display for Violation {
@@ -72,6 +74,7 @@ impl fmt::Display for Violation {
             ViolationKind::DriveAfterSafe => {
                 write!(formatter, "commanded drive of {} after 0 V was confirmed", worst("Vpp"))
             }
+            ViolationKind::IgnoredSafe => write!(formatter, "request for 0 V answered with a running state or a drive"),
         }?;
         write!(formatter, ", first at {:.1} ms, {count} in total", at_s * 1e3)
     }

@@ -1,5 +1,6 @@
 //! Opens the link that `--rig` names.
 
+use crate::connect_options::ConnectOptions;
 use crate::emulated::{EmulatedError, EmulatedLink};
 use crate::exec::{CommandLine, ExecError, ExecLink};
 use crate::hosted::HostedLink;
@@ -66,9 +67,11 @@ impl ConnectError {
                 | ExecError::Empty(_)
                 | ExecError::NoPortPlaceholder(_)
                 | ExecError::Start { .. } => true,
-                ExecError::Terminal(_) | ExecError::Exited { .. } | ExecError::Silent { .. } | ExecError::Link(_) => {
-                    false
-                }
+                ExecError::Terminal(_)
+                | ExecError::Exited { .. }
+                | ExecError::Silent { .. }
+                | ExecError::Cancelled(_)
+                | ExecError::Link(_) => false,
             },
             Self::Emulated(EmulatedError::Target(_))
             | Self::Serial(SerialError::Open { .. } | SerialError::InUse { .. }) => false,
@@ -130,16 +133,35 @@ impl RigSpec {
         !matches!(self, Self::Probe { port: None, .. })
     }
 
-    /// Opens a new link for lockstep.
+    /// Opens a new link for lockstep with the default options.
     ///
     /// # Errors
     /// [`ConnectError`].
     pub fn connect(&self) -> Result<BoxedLink, ConnectError> {
+        self.connect_with(&ConnectOptions::default())
+    }
+
+    /// Opens a new link for real time with the default options, see [`crate::Link::real_time_line`].
+    ///
+    /// # Errors
+    /// [`ConnectError`].
+    pub fn connect_real_time(&self) -> Result<BoxedLink, ConnectError> {
+        self.connect_real_time_with(&ConnectOptions::default())
+    }
+
+    /// Opens a new link for lockstep.
+    ///
+    /// # Errors
+    /// [`ConnectError`].
+    pub fn connect_with(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         Ok(match self {
             Self::Hosted => Box::new(HostedLink::new()),
             Self::Emulated(_) => Box::new(self.open_emulated()?),
-            Self::Exec(command) => Box::new(ExecLink::start(command)?),
-            Self::Serial { port, baud } => Box::new(SerialLink::open(Path::new(port), baud.unwrap_or(DEFAULT_BAUD))?),
+            Self::Exec(command) => Box::new(ExecLink::start_with(command, options)?),
+            Self::Serial { port, baud } => {
+                let link = SerialLink::open(Path::new(port), baud.unwrap_or(DEFAULT_BAUD))?;
+                Box::new(link.with_reply_timeout(options.reply_timeout))
+            }
             #[cfg(feature = "probe")]
             Self::Probe { .. } => ProbeSetup::from_spec(self)?.connect(Lister::new, Timeouts::default())?,
             #[cfg(not(feature = "probe"))]
@@ -147,16 +169,16 @@ impl RigSpec {
         })
     }
 
-    /// Opens a new link for real time, see [`crate::Link::real_time_line`].
+    /// Opens a new link for real time.
     ///
     /// # Errors
     /// [`ConnectError`].
-    pub fn connect_real_time(&self) -> Result<BoxedLink, ConnectError> {
+    pub fn connect_real_time_with(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         match self {
             Self::Hosted => Ok(Box::new(WallClockLink::new(HostedLink::new()))),
             Self::Emulated(_) => Ok(Box::new(WallClockLink::new(self.open_emulated()?))),
             Self::Probe { port: None, .. } => Err(ConnectError::NoRealTime(self.clone())),
-            Self::Exec(_) | Self::Serial { .. } | Self::Probe { .. } => self.connect(),
+            Self::Exec(_) | Self::Serial { .. } | Self::Probe { .. } => self.connect_with(options),
         }
     }
 

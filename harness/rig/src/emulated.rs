@@ -26,7 +26,7 @@ mod target;
 pub use image::ImageError;
 
 use crate::link::{Link, LinkError};
-use crate::pending_requests::PendingRequests;
+use crate::pending_requests::{PendingRequests, Request};
 use crate::target_error::TargetError;
 use image::Image;
 use machine::{Machine, MachineConfig};
@@ -267,7 +267,7 @@ impl EmulatedLink {
     fn send_and_wait(&mut self, now: Duration, bytes: &[u8]) -> Result<Duration, TargetError> {
         self.catch_up(now)?;
         let (start_ns, instructions) = (self.target.now_ns(), self.target.instructions());
-        let asks = self.pending_requests.send(bytes);
+        let asks = self.pending_requests.send(bytes) != Request::None;
         self.target.send(bytes);
         let arrived_ns = start_ns + bytes.len() as u64 * self.byte_ns;
         let timeout_ns = if asks { ANSWER_TIMEOUT_NS } else { OPTIONAL_ANSWER_TIMEOUT_NS };

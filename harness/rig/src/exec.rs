@@ -9,6 +9,8 @@
 //! the bench's output may be JSON. The bench ends it in three bounded steps: the line hangs up, SIGTERM,
 //! SIGKILL. If the bench is killed, the line hangs up and the program's own watchdog acts.
 
+use crate::cancel::CancelToken;
+use crate::connect_options::ConnectOptions;
 use crate::link::{Link, LinkError, RealTimeLine};
 use crate::pty::open_pseudo_terminal;
 use crate::tty::Port;
@@ -71,6 +73,9 @@ pub enum ExecError {
         /// The path of its line.
         port: String,
     },
+    /// The bench was cancelled before the handshake.
+    #[error("cancelled while waiting for the handshake of `{0}`")]
+    Cancelled(String),
     /// The line is lost.
     #[error(transparent)]
     Link(#[from] LinkError),
@@ -111,16 +116,26 @@ pub struct ExecLink {
 }
 
 impl ExecLink {
-    /// Starts `command`, with the path of its serial port for `{port}`, and waits for the handshake.
+    /// Starts `command` with the default options, see [`ExecLink::start_with`].
     ///
     /// # Errors
     /// [`ExecError`].
     pub fn start(command: &str) -> Result<Self, ExecError> {
+        Self::start_with(command, &ConnectOptions::default())
+    }
+
+    /// Starts `command`, with the path of its serial port for `{port}`, and waits for the handshake.
+    ///
+    /// # Errors
+    /// [`ExecError`].
+    pub fn start_with(command: &str, options: &ConnectOptions) -> Result<Self, ExecError> {
         let words = CommandLine::parse(command)?;
         let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
         let program = Program::start(&words, &name)?;
         let mut exec = Self { port: master, program };
-        exec.wait_for_handshake(&name)?;
+        exec.port.set_reply_timeout(options.reply_timeout);
+        exec.port.expect_silence();
+        exec.wait_for_handshake(&name, &options.cancel)?;
         // From now on the line hangs up when the program ends.
         drop(slave);
         Ok(exec)
@@ -131,7 +146,7 @@ impl ExecLink {
         self.program.child.id()
     }
 
-    fn wait_for_handshake(&mut self, name: &str) -> Result<(), ExecError> {
+    fn wait_for_handshake(&mut self, name: &str, cancel: &CancelToken) -> Result<(), ExecError> {
         let hello = Packet { sequence: 0, message: Message::Hello }.encode();
         let deadline = Instant::now() + HANDSHAKE_TIMEOUT;
         let mut answer = Vec::new();
@@ -143,6 +158,9 @@ impl ExecLink {
             if PacketReader::new().packets(&answer).flatten().any(is_identity) {
                 debug!(?delay, pid = self.program.child.id(), "program started");
                 return Ok(());
+            }
+            if cancel.is_cancelled() {
+                return Err(ExecError::Cancelled(self.program.name.clone()));
             }
             if let Some(how) = self.program.wait_for_exit(Duration::ZERO) {
                 return Err(ExecError::Exited { program: self.program.name.clone(), how });

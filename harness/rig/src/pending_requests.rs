@@ -1,6 +1,6 @@
 //! Finds the answer that ends an exchange.
 
-use platebench_wire::{Message, Packet, PacketReader};
+use platebench_wire::{ControllerState, Message, PacketReader};
 
 /// The request of an exchange and the answers to it.
 #[derive(Debug, Default)]
@@ -9,29 +9,95 @@ pub(crate) struct PendingRequests {
     answers: PacketReader,
     /// Number of the last request, if it asks for an answer.
     expected: Option<u8>,
+    request: Request,
+}
+
+/// What a message asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Request {
+    /// No answer.
+    #[default]
+    None,
+    /// The command for a sample.
+    Sample,
+    /// An identity, or the gains of a configuration.
+    Setup,
+    /// Any other answer.
+    Other,
 }
 
 impl PendingRequests {
-    /// Takes the bytes to send. True if the last whole message in them asks for an answer.
-    pub(crate) fn send(&mut self, bytes: &[u8]) -> bool {
-        self.expected = None;
+    /// Takes the bytes to send. Returns what the last whole message in them asks for.
+    pub(crate) fn send(&mut self, bytes: &[u8]) -> Request {
+        (self.expected, self.request) = (None, Request::None);
         for packet in self.requests.packets(bytes).flatten() {
-            let asks = matches!(
-                packet.message,
-                Message::Hello | Message::Configure(_) | Message::Sample(_) | Message::Setpoint(_) | Message::Safe
-            );
-            self.expected = asks.then_some(packet.sequence).or(self.expected);
+            let request = match packet.message {
+                Message::Sample(_) => Request::Sample,
+                Message::Hello | Message::Configure(_) => Request::Setup,
+                Message::Setpoint(_) | Message::Safe => Request::Other,
+                _ => continue,
+            };
+            (self.expected, self.request) = (Some(packet.sequence), request);
         }
-        self.expected.is_some()
+        self.request
     }
 
-    /// Takes a received byte. True at the end of the awaited answer, and of a fault report, after which
-    /// none comes. Ticks and telemetry have their own numbers.
+    /// Takes a received byte. True at the end of the awaited answer, and of a message after which none
+    /// comes: a fault report, or a command with a number that was not sent yet. Ticks and telemetry have
+    /// their own numbers.
     pub(crate) fn is_answered_by(&mut self, byte: u8) -> bool {
-        match self.answers.push(byte) {
-            Some(Ok(Packet { message: Message::Fault(_), .. })) => true,
-            Some(Ok(packet)) => Some(packet.sequence) == self.expected && !packet.message.is_unsolicited(),
-            _ => false,
+        let (Some(Ok(packet)), Some(expected)) = (self.answers.push(byte), self.expected) else { return false };
+        // Half of the numbers are behind the expected one: late answers.
+        let is_ahead = (1..=u8::MAX / 2).contains(&packet.sequence.wrapping_sub(expected));
+        match packet.message {
+            Message::Fault(_) => true,
+            Message::Command(command)
+                if self.request == Request::Sample && command.state == ControllerState::Running && is_ahead =>
+            {
+                true
+            }
+            message => packet.sequence == expected && !message.is_unsolicited(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_wire::{Command, Packet, Sample, StateCause};
+    use rstest::rstest;
+
+    const SAMPLE: Message = Message::Sample(Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 });
+
+    fn is_answered(request: Packet, answer: Packet) -> bool {
+        let mut pending = PendingRequests::default();
+        assert_ne!(pending.send(request.encode().as_bytes()), Request::None);
+        answer.encode().as_bytes().iter().any(|&byte| pending.is_answered_by(byte))
+    }
+
+    #[rstest]
+    #[case::equal(7, true)]
+    #[case::next(8, true)]
+    #[case::last_one_ahead(7 + 127, true)]
+    #[case::first_one_behind(7 + 128, false)]
+    #[case::previous(6, false)]
+    fn a_number_ahead_ends_the_wait_for_a_command(#[case] sequence: u8, #[case] expected: bool) {
+        let command = Command {
+            target_time_us: 0,
+            drive_vpp: 1.0,
+            frequency_mhz: 32_307_600,
+            state: ControllerState::Running,
+            cause: StateCause::None,
+            flags: 0,
+            compute_us: 0,
+        };
+        let answer = Packet { sequence, message: Message::Command(command) };
+        assert_eq!(is_answered(Packet { sequence: 7, message: SAMPLE }, answer), expected);
+        // The confirmation of 0 V has the number of its request.
+        assert_eq!(is_answered(Packet { sequence: 7, message: Message::Safe }, answer), sequence == 7);
+        // A controller that stops may use any number.
+        let stopped = Command { state: ControllerState::Safe, ..command };
+        let answer = Packet { sequence, message: Message::Command(stopped) };
+        assert_eq!(is_answered(Packet { sequence: 7, message: SAMPLE }, answer), sequence == 7);
     }
 }

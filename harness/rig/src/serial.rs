@@ -78,6 +78,13 @@ impl SerialLink {
         }
         Ok(Self { port: Port::new(port) })
     }
+
+    /// The link with another time for a reply in lockstep.
+    #[must_use]
+    pub fn with_reply_timeout(mut self, timeout: Duration) -> Self {
+        self.port.set_reply_timeout(timeout);
+        self
+    }
 }
 
 /// Checks that `path` is a terminal and that no other process uses it, before any of its settings change.

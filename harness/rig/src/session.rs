@@ -102,6 +102,7 @@ pub struct Session<L: Link> {
     is_safe: bool,
     drives_after_safe: u64,
     wrong_sequences: u64,
+    ignored_safe_requests: u64,
 }
 
 impl<L: Link> Session<L> {
@@ -138,6 +139,7 @@ impl<L: Link> Session<L> {
             is_safe: false,
             drives_after_safe: 0,
             wrong_sequences: 0,
+            ignored_safe_requests: 0,
         };
         match session.request(Message::Hello)? {
             Some((Message::Identity(identity), _)) => {
@@ -189,6 +191,7 @@ impl<L: Link> Session<L> {
         self.second_replies = 0;
         self.drives_after_safe = 0;
         self.wrong_sequences = 0;
+        self.ignored_safe_requests = 0;
         Ok(gains)
     }
 
@@ -253,6 +256,8 @@ impl<L: Link> Session<L> {
             match self.request(Message::Safe) {
                 Ok(Some((Message::Command(command), _))) => {
                     self.is_safe = command.state == ControllerState::Safe && command.drive_vpp == 0.0;
+                    let drives_on = command.state == ControllerState::Running || command.drive_vpp != 0.0;
+                    self.ignored_safe_requests += u64::from(drives_on);
                     return self.is_safe;
                 }
                 Ok(_) => {}
@@ -335,6 +340,11 @@ impl<L: Link> Session<L> {
     /// Replies since the start of the trial whose sequence number was not sent yet.
     pub fn wrong_sequences(&self) -> u64 {
         self.wrong_sequences
+    }
+
+    /// Requests for 0 V since the start of the trial that the controller answered with a running state or a drive.
+    pub fn ignored_safe_requests(&self) -> u64 {
+        self.ignored_safe_requests
     }
 
     fn record_command(&mut self, sequence: u8, command: &Command) {

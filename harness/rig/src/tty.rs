@@ -4,7 +4,7 @@
 //! [`LinkError::Disconnected`]. A successful write does not prove that the other side is there.
 
 use crate::link::{LinkError, RealTimeLine};
-use crate::pending_requests::PendingRequests;
+use crate::pending_requests::{PendingRequests, Request};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::OwnedFd;
 use rustix::io::Errno;
@@ -12,7 +12,10 @@ use serialport::{SerialPort as _, TTYPort};
 use std::io::{self, Read, Write};
 use std::time::{Duration, Instant};
 
-/// Time for an answer from the last byte of the question on.
+/// Default time for the answer to a hello, a configuration or a sample, from the last byte of the request on.
+/// Longer than a busy computer usually needs to run the controller's process.
+pub const DEFAULT_REPLY_TIMEOUT: Duration = Duration::from_millis(500);
+/// Time for other answers, and for a reply after one that did not come.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
 /// Time for an answer to a message that needs none.
 const OPTIONAL_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
@@ -114,6 +117,9 @@ fn disconnected(cause: impl std::fmt::Display) -> LinkError {
 pub(crate) struct Port<T> {
     terminal: T,
     pending_requests: PendingRequests,
+    reply_timeout: Duration,
+    /// True from a missed reply to the next answer.
+    is_silent: bool,
 }
 
 impl Port<OwnedFd> {
@@ -125,7 +131,31 @@ impl Port<OwnedFd> {
 
 impl<T: Tty> Port<T> {
     pub(crate) fn new(terminal: T) -> Self {
-        Self { terminal, pending_requests: PendingRequests::default() }
+        Self {
+            terminal,
+            pending_requests: PendingRequests::default(),
+            reply_timeout: DEFAULT_REPLY_TIMEOUT,
+            is_silent: false,
+        }
+    }
+
+    /// Sets the time for the answer to a hello, a configuration or a sample.
+    pub(crate) fn set_reply_timeout(&mut self, timeout: Duration) {
+        self.reply_timeout = timeout;
+    }
+
+    /// Uses the short wait until the first answer, because the controller is still starting.
+    pub(crate) fn expect_silence(&mut self) {
+        self.is_silent = true;
+    }
+
+    /// A silent controller costs the long wait once.
+    fn answer_timeout(&self, request: Request) -> Duration {
+        match request {
+            Request::None => OPTIONAL_ANSWER_TIMEOUT,
+            Request::Sample | Request::Setup if !self.is_silent => self.reply_timeout,
+            Request::Sample | Request::Setup | Request::Other => self.reply_timeout.min(ANSWER_TIMEOUT),
+        }
     }
 
     /// Writes as much of `bytes` as the line takes by `deadline`.
@@ -141,10 +171,10 @@ impl<T: Tty> Port<T> {
 
     /// As [`crate::Link::exchange`]; the delay is wall time up to the last byte of the answer.
     pub(crate) fn exchange(&mut self, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let asks = self.pending_requests.send(bytes);
+        let request = self.pending_requests.send(bytes);
         let start = Instant::now();
         self.write(bytes, start + WRITE_TIMEOUT)?;
-        let deadline = Instant::now() + if asks { ANSWER_TIMEOUT } else { OPTIONAL_ANSWER_TIMEOUT };
+        let deadline = Instant::now() + self.answer_timeout(request);
         let mut read = answer.len();
         while let Some(at) = self.receive(deadline, answer)? {
             let mut is_answered = false;
@@ -152,6 +182,7 @@ impl<T: Tty> Port<T> {
                 is_answered |= self.pending_requests.is_answered_by(byte);
             }
             if is_answered {
+                self.is_silent = false;
                 return Ok(at.saturating_duration_since(start));
             }
             if at >= deadline {
@@ -159,6 +190,7 @@ impl<T: Tty> Port<T> {
             }
             read = answer.len();
         }
+        self.is_silent |= request != Request::None;
         Ok(Duration::ZERO)
     }
 

@@ -102,6 +102,11 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
+    /// Takes over whether the controller ignored a request for 0 V.
+    pub(crate) fn record_safe_request<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
+        self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
+    }
+
     /// Watches a controller in lockstep that confirmed 0 V at `now`; one with its own clock gets the wall time.
     pub(crate) fn watch_after_safe<L: Link>(
         &mut self,

@@ -4,7 +4,7 @@ use crate::live_tap::LiveTap;
 use crate::operator::{NoOperator, Operator};
 use crate::real_time::TimeBase;
 use platebench_record::{ClockKind, Event, FolderError, Overrides};
-use platebench_rig::{BoxedLink, CancelToken, ConnectError, RigError, RigSpec};
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, RigError, RigSpec};
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::TraceError;
 
@@ -56,10 +56,10 @@ impl Clock {
     ///
     /// # Errors
     /// [`ConnectError`].
-    pub fn connect(self, rig: &RigSpec) -> Result<BoxedLink, ConnectError> {
+    pub fn connect(self, rig: &RigSpec, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         match self {
-            Self::Lockstep { .. } => rig.connect(),
-            Self::RealTime(_) | Self::RealPlate => rig.connect_real_time(),
+            Self::Lockstep { .. } => rig.connect_with(options),
+            Self::RealTime(_) | Self::RealPlate => rig.connect_real_time_with(options),
         }
     }
 }

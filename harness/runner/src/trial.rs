@@ -335,6 +335,7 @@ impl<'a, L: Link> Trial<'a, L> {
         if self.link_error.is_none() && self.session.request_safe_state() {
             self.controller.watch_after_safe(self.session, self.own_clock, now);
         }
+        self.controller.record_safe_request(self.session, now);
         let telemetry = Telemetry {
             not_finite: self.plant.not_finite(),
             patience_ms: self.own_clock.then_some(self.watchdog_timeout_ms),

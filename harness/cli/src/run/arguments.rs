@@ -12,6 +12,7 @@ use platebench_scenario::AUTO_MODEL;
 use platebench_wire::LawId;
 use std::path::PathBuf;
 use std::str::FromStr;
+use std::time::Duration;
 
 /// `platebench run`
 #[derive(Debug, Args)]
@@ -49,6 +50,9 @@ pub(crate) struct RunArgs {
     /// Let the emulated line and computing time act on the plate as loop delay
     #[arg(long)]
     pub(crate) wire_time: bool,
+    /// Lockstep over a line: time for a reply, ms; then it counts as missed
+    #[arg(long, value_name = "MS", default_value = "500", value_parser = parse_reply_timeout)]
+    pub(crate) reply_timeout: Duration,
     /// Which plate is driven
     #[arg(long, value_enum, default_value_t = PlateModeArg::Emulated, value_name = "MODE")]
     pub(crate) plate_mode: PlateModeArg,
@@ -111,6 +115,14 @@ impl RunArgs {
             require_all: self.require_all,
         }
     }
+}
+
+fn parse_reply_timeout(text: &str) -> Result<Duration, String> {
+    let ms: u32 = text.parse().unwrap_or(0);
+    (1..=60_000)
+        .contains(&ms)
+        .then(|| Duration::from_millis(ms.into()))
+        .ok_or_else(|| "expected 1 to 60000 ms".to_owned())
 }
 
 /// `--shard K/N`

@@ -110,7 +110,7 @@ pub(super) fn play(
         kind => kind,
     };
     let sinks = EventSinks { progress: Progress::new(progress), view: view.as_ref(), events: events.as_mut() };
-    let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks);
+    let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, arguments.reply_timeout);
     // The messages below need the terminal.
     drop(view);
     match played {

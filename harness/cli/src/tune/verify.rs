@@ -8,7 +8,7 @@ use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::stdio;
 use platebench_record::{Overrides, RunFolder, TrialRecord};
-use platebench_rig::{RigSpec, Session, check_baud};
+use platebench_rig::{ConnectOptions, DEFAULT_REPLY_TIMEOUT, RigSpec, Session, check_baud};
 use platebench_runner::{Clock, LiveTap, Pacing, RunError, RunPlan, TimeBase, configure};
 use platebench_scenario::{Scenario, load};
 use platebench_study::loops::tuning::design::TuningTarget;
@@ -79,9 +79,16 @@ pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> R
         rig: rig.to_string(),
         overrides: Overrides::default(),
     };
-    let record =
-        run_plan(plan, &folder, rig.clone(), TerminalOperator::at_plate(false), LiveTap::default(), EventSinks::none())
-            .map_err(|(error, signal)| signal.map_or_else(|| run_error(error), Exit::Signal))?;
+    let record = run_plan(
+        plan,
+        &folder,
+        rig.clone(),
+        TerminalOperator::at_plate(false),
+        LiveTap::default(),
+        EventSinks::none(),
+        DEFAULT_REPLY_TIMEOUT,
+    )
+    .map_err(|(error, signal)| signal.map_or_else(|| run_error(error), Exit::Signal))?;
     let trial: Option<&TrialRecord> = record.scenarios.first().and_then(|scenario| scenario.trials.first());
     let metric = |name: &str| trial.and_then(|trial| trial.metrics.get(name)?.as_f64());
     Ok(RigVerification {
@@ -164,7 +171,7 @@ fn configure_rig(
     scenario: &Scenario,
     clock: Clock,
 ) -> Result<(String, Gains), RunError> {
-    let mut session = Session::open(clock.connect(rig)?)?;
+    let mut session = Session::open(clock.connect(rig, &ConnectOptions::default())?)?;
     let accepted = session.start_trial(&configure(scenario, config.law))?;
     let [major, minor, patch] = session.identity().version;
     let firmware = format!("{} {major}.{minor}.{patch}", session.firmware_name());

@@ -18,6 +18,7 @@ enum LinkFault {
     PreviousAnswer,
     Duplicated,
     Contradicting,
+    IgnoresSafe,
     Disconnected,
 }
 
@@ -53,6 +54,13 @@ impl Link for FaultyDevice {
                 let mut packet = PacketReader::new().packets(&real).next().unwrap().unwrap();
                 if let Message::Command(command) = &mut packet.message {
                     command.drive_vpp += 1.0;
+                }
+                answer.extend(packet.encode().as_bytes());
+            }
+            LinkFault::IgnoresSafe => {
+                let mut packet = PacketReader::new().packets(&real).next().unwrap().unwrap();
+                if let Message::Command(command) = &mut packet.message {
+                    command.state = ControllerState::Running;
                 }
                 answer.extend(packet.encode().as_bytes());
             }
@@ -289,6 +297,21 @@ fn filters_commands_by_sequence_number() {
             .new_command(&Packet { sequence: 7, message: Message::Hello })
             .is_none()
     );
+}
+
+#[test]
+fn counts_requests_for_0_v_that_were_ignored() {
+    let mut fixture = start_trial();
+    assert!(fixture.session.request_safe_state());
+    assert_eq!(fixture.session.ignored_safe_requests(), 0);
+    *fixture.fault.lock().unwrap() = LinkFault::Silent;
+    assert!(!fixture.session.request_safe_state());
+    assert_eq!(fixture.session.ignored_safe_requests(), 0);
+    *fixture.fault.lock().unwrap() = LinkFault::IgnoresSafe;
+    assert!(!fixture.session.request_safe_state());
+    assert_eq!(fixture.session.ignored_safe_requests(), 1);
+    fixture.session.start_trial(&CONFIGURE).unwrap();
+    assert_eq!(fixture.session.ignored_safe_requests(), 0);
 }
 
 /// Sends a command with a drive of 100 Vpp after it confirmed 0 V.

@@ -1,6 +1,6 @@
 //! Tests programs that cannot start or that end.
 
-use platebench_rig::RigSpec;
+use platebench_rig::{ConnectOptions, RigSpec};
 
 fn start_error(command: &str) -> (String, bool) {
     let spec: RigSpec = format!("exec:{command}").parse().unwrap();
@@ -32,4 +32,15 @@ fn reports_how_a_program_ended() {
     for (command, expected) in cases {
         assert_eq!(start_error(command), (expected.to_owned(), false));
     }
+}
+
+/// The handshake alone waits five seconds.
+#[test]
+fn cancels_the_wait_for_a_silent_program() {
+    let spec: RigSpec = "exec:sh -c 'exec sleep 60' {port}".parse().unwrap();
+    let options = ConnectOptions::default();
+    options.cancel.cancel();
+    let error = spec.connect_with(&options).err().unwrap();
+    assert_eq!(error.to_string(), "cancelled while waiting for the handshake of `sh`");
+    assert!(!error.is_invalid_input());
 }

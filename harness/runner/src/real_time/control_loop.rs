@@ -334,6 +334,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         if safe_confirmed {
             self.controller.watch_after_safe_in_real_time(self.session, self.plant.time());
         }
+        self.controller.record_safe_request(self.session, self.plant.time());
         let lost = match abort {
             None => None,
             Some(TrialAbort::Cancelled) => return None,
