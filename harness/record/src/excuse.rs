@@ -56,15 +56,6 @@ pub enum Excuse {
         /// Value of the metric without delay.
         undelayed: Option<f64>,
     },
-    /// In lockstep the controller's watchdog is longer than a planned silence.
-    #[error(
-        "in lockstep this controller waits {timeout_ms} ms of its own clock for a sample, and a planned silence is \
-         shorter; --clock real-time decides it"
-    )]
-    ExtendedWatchdog {
-        /// Configured time-out.
-        timeout_ms: u16,
-    },
     /// In real time the loop delay includes line and bench.
     #[error("in real time the loop delay includes line and bench, not the controller alone")]
     RealTimeDelay,
@@ -76,7 +67,7 @@ impl Excuse {
         match self {
             Self::SetpointOutOfReach { .. } | Self::DriveLimited { .. } => Cause::Infeasible,
             Self::SaturatedRealPlate { .. } => Cause::Evidence,
-            Self::LoopDelay { .. } | Self::ExtendedWatchdog { .. } | Self::RealTimeDelay => Cause::Rig,
+            Self::LoopDelay { .. } | Self::RealTimeDelay => Cause::Rig,
         }
     }
 }

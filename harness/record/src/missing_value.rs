@@ -31,9 +31,6 @@ pub enum MissingValue {
     /// The bench replaced a NaN or infinite drive by 0 V, so the trace does not show what was commanded.
     #[error("the drive command was NaN or infinite; 0 V was applied")]
     NonFiniteDrive,
-    /// Two answers to one sample differ.
-    #[error("answered one sample with two different commands")]
-    ContradictingCommands,
 }
 
 impl MissingValue {

@@ -17,7 +17,7 @@ pub struct RealPlateRecord {
     /// From sending a setpoint to its acknowledgement, µs; `None` if there was none.
     pub acknowledged_us: Option<Quantiles>,
     /// Frames that were rejected.
-    pub refused_frames: u64,
+    pub rejected_frames: u64,
     /// Rows that were lost between control loop and trace.
     pub lost_rows: u64,
     /// Deviation of the controller's clock from the bench's, positive if fast, and its standard error, parts per million.

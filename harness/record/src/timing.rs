@@ -25,7 +25,7 @@ pub struct TimingRecord {
     #[serde(default)]
     pub lost_replies: u64,
     /// Frames that were rejected.
-    pub refused_frames: u64,
+    pub rejected_frames: u64,
     /// Rows that were lost between control loop and trace.
     pub lost_rows: u64,
     /// Delay of a sample after its deadline, µs.

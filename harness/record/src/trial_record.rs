@@ -69,18 +69,10 @@ pub struct Telemetry {
     pub not_finite: Option<NonFiniteDrive>,
     /// Watchdog time-out of a controller whose clock runs while the plate waits, ms.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub patience_ms: Option<u16>,
-    /// Commands that differ from the previous answer to the same sample.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub contradictions: u64,
+    pub watchdog_timeout_ms: Option<u16>,
     /// Breaches of the protocol; any of them fails the trial.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub violations: Vec<Violation>,
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
-fn is_zero(count: &u64) -> bool {
-    *count == 0
 }
 
 /// Drive commands that were NaN or infinite. The bench applied 0 V instead, so the trace does not contain them.

@@ -94,12 +94,12 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// Takes over what the session counts. A planned duplicate is not a second reply.
+    /// Takes over what the session counts. A planned duplicate repeats a reply, but does not change it.
     pub(crate) fn record_session<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
         self.checks.set_count(ViolationKind::WrongSequence, session.wrong_sequences(), now);
-        if !self.scenario.faults.iter().any(|fault| fault.kind == FaultKind::Duplicate) {
-            self.checks.set_count(ViolationKind::SecondReply, session.second_replies(), now);
-        }
+        let is_planned = self.scenario.faults.iter().any(|fault| fault.kind == FaultKind::Duplicate);
+        let repeated = if is_planned { 0 } else { session.second_replies() };
+        self.checks.set_count(ViolationKind::SecondReply, session.contradictions() + repeated, now);
     }
 
     /// Takes over whether the controller ignored a request for 0 V.
@@ -146,7 +146,6 @@ impl<'a> ControllerLog<'a> {
             ended: lost.map(ToString::to_string),
             stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
             faults: session.link().fault_counts().map(|(kind, count)| (kind.to_owned(), count)).collect(),
-            contradictions: session.contradictions(),
             violations: self.checks.violations(),
             ..Telemetry::default()
         }
@@ -157,7 +156,7 @@ impl<'a> ControllerLog<'a> {
 pub(crate) const fn stop_reason(cause: StateCause) -> &'static str {
     match cause {
         StateCause::SampleTimeout => "no sample for five periods",
-        StateCause::LineNoise => "too many refused frames",
+        StateCause::LineNoise => "too many rejected frames",
         StateCause::NonFinite => "a value that is not finite",
         StateCause::None => "no cause given",
     }

@@ -2,12 +2,12 @@
 
 use platebench_plate::Time;
 use platebench_rig::{Direction as Way, WireFault, WireFaultKind};
-use platebench_scenario::{Direction, Fault, FaultKind, Scenario};
+use platebench_scenario::{Direction, Fault, FaultKind, Scenario, Variation};
 use std::time::Duration;
 
 /// The faults of trial `index`.
 pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
-    let seed = scenario.variation(index).seed;
+    let seed = Variation::of_trial(scenario, index).seed;
     scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
 }
 

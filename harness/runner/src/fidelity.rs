@@ -70,7 +70,8 @@ pub fn rows(scenario: &Scenario, tier: Tier, cancel: &CancelToken) -> Result<Vec
 fn is_judged(scenario: &Scenario, row: &Row) -> bool {
     scenario.expectations.iter().any(|expectation| match expectation.metric {
         Metric::StaticError | Metric::Repeatability => {
-            (expectation.window.from.seconds()..=expectation.window.to.seconds()).contains(&row.t_s)
+            let windows = &mut expectation.windows.iter();
+            windows.any(|window| (window.from.seconds()..=window.to.seconds()).contains(&row.t_s))
         }
         Metric::FinalAmplitude | Metric::QuadratureRatio | Metric::FrequencyError => {
             row.t_s >= scenario.duration.seconds()

@@ -107,8 +107,8 @@ impl TapWriter {
         add_unshared(&self.counters.missed_replies, count);
     }
 
-    /// Sets the total of refused frames of this trial.
-    pub(crate) fn set_refused_frames(&mut self, of_trial: u64) {
+    /// Sets the total of rejected frames of this trial.
+    pub(crate) fn set_rejected_frames(&mut self, of_trial: u64) {
         add_unshared(&self.counters.rejected_frames, of_trial.saturating_sub(self.rejected_frames));
         self.rejected_frames = of_trial;
     }

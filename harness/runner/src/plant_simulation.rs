@@ -7,7 +7,7 @@ use crate::live_tap::TapWriter;
 use platebench_plate::BandSignal;
 use platebench_plate::{BandMonitor, Conditions, Crossing, Drive, Plant, Sensor, State, Time};
 use platebench_record::NonFiniteDrive;
-use platebench_scenario::{Metric, Scenario};
+use platebench_scenario::{Metric, Scenario, Variation};
 use platebench_trace::{Flags, Row};
 use platebench_wire::{Command, ControllerState as Mode, Sample};
 use std::f64::consts::TAU;
@@ -69,7 +69,7 @@ pub(crate) struct PlantSimulation<'a, R> {
 
 impl<'a, R: RowSink> PlantSimulation<'a, R> {
     pub(crate) fn new(scenario: &'a Scenario, index: u32, rows: R, tap: Option<&'a mut TapWriter>) -> Self {
-        let variation = scenario.variation(index);
+        let variation = Variation::of_trial(scenario, index);
         let mut plant = variation.plant(scenario);
         let frequency_hz = f64::from(start_frequency_mhz(scenario)) / 1e3;
         plant.set_drive(Drive { vpp: 0.0, omega: TAU * frequency_hz });
@@ -255,11 +255,11 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.sink.push(row);
     }
 
-    /// Reports new missed replies and the total of refused frames to the live view.
+    /// Reports new missed replies and the total of rejected frames to the live view.
     pub(crate) fn report_counts(&mut self, missed: u64, refused: u64) {
         if let Some(tap) = &mut self.tap {
             tap.count_missed_replies(missed);
-            tap.set_refused_frames(refused);
+            tap.set_rejected_frames(refused);
         }
     }
 

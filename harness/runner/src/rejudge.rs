@@ -8,7 +8,7 @@ use platebench_plate::Tier;
 use platebench_record::{Exclusion, Overrides, RecordError};
 use platebench_record::{FolderError, sha256, sha256_of_file, trace_path};
 use platebench_record::{RunRecord, ScenarioRecord, Telemetry, TrialRecord};
-use platebench_scenario::{Diagnostic, Expectation, Scenario, load, load_copies};
+use platebench_scenario::{Diagnostic, Expectation, Scenario, Variation, load, load_copies};
 use platebench_trace::{Row, TraceError, read_trace};
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
 use std::collections::BTreeMap;
@@ -324,7 +324,7 @@ fn rejudge_trial(
 fn incomplete_trial(scenario: &Scenario, index: u32) -> TrialMeasures {
     TrialMeasures {
         index,
-        seed: scenario.variation(index).seed,
+        seed: Variation::of_trial(scenario, index).seed,
         measures: Vec::new(),
         excuses: Vec::new(),
         telemetry: Telemetry::default(),

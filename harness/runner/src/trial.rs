@@ -338,7 +338,7 @@ impl<'a, L: Link> Trial<'a, L> {
         self.controller.record_safe_request(self.session, now);
         let telemetry = Telemetry {
             not_finite: self.plant.not_finite(),
-            patience_ms: self.own_clock.then_some(self.watchdog_timeout_ms),
+            watchdog_timeout_ms: self.own_clock.then_some(self.watchdog_timeout_ms),
             ..self.controller.telemetry(self.session, self.link_error.as_ref())
         };
         TrialResult {

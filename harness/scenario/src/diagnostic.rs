@@ -1,4 +1,4 @@
-//! Where a file is wrong and what was expected, shown with the line itself.
+//! Reports an error of an input file with its position.
 
 use annotate_snippets::{AnnotationKind, Level, Renderer, Snippet};
 use std::fmt;
@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 
-/// What serde says, and what it is called in a TOML file.
+/// Terms of serde and of TOML files.
 const SERDE_WORDS: [(&str, &str); 6] = [
     ("unknown field", "unknown key"),
     ("missing field", "missing key"),
@@ -16,44 +16,44 @@ const SERDE_WORDS: [(&str, &str); 6] = [
     ("a sequence", "a list"),
 ];
 
-/// One fault of an input file.
+/// An error of an input file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
     /// The file.
     pub path: PathBuf,
-    /// Its text; empty where it could not be read.
+    /// Its text; empty if it could not be read.
     source: String,
-    /// Bytes of the text that are meant.
+    /// The wrong bytes of the text.
     span: Range<usize>,
-    /// What is wrong and what was expected, in one sentence.
+    /// What is wrong and what was expected.
     pub message: String,
 }
 
 impl Diagnostic {
-    /// A fault of a file as a whole, such as that it is not there.
+    /// An error of a file as a whole, such as a missing file.
     pub fn for_file(path: &Path, message: impl Into<String>) -> Self {
         Self { path: path.to_owned(), source: String::new(), span: 0..0, message: message.into() }
     }
 
-    /// A fault at a byte range of `source`.
+    /// An error at a byte range of `source`.
     pub fn at_span(path: &Path, source: &str, span: Range<usize>, message: impl Into<String>) -> Self {
         Self { path: path.to_owned(), source: source.to_owned(), span, message: message.into() }
     }
 
-    /// A fault of the value at a dotted `key` of a TOML document, with array elements by number: `expect.0.metric`. Where the
-    /// key is not there, its nearest parent is meant.
+    /// An error of the value at a dotted `key` of a TOML document, with array elements by number: `expect.0.metric`. Points
+    /// at the nearest parent if the key is missing.
     pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
         Self::at_span(path, source, span_of_key(source, key), message)
     }
 
-    /// What the reader of TOML says of `source`, in the words of a TOML file and with what may have been meant.
+    /// An error of the TOML parser, in terms of TOML, with a suggestion for an unknown key.
     pub fn from_toml(path: &Path, source: &str, error: &toml::de::Error) -> Self {
         let span = error.span().unwrap_or(0..0);
         let mut message = error.message().trim().to_owned();
         for (serde, ours) in SERDE_WORDS {
             message = message.replace(serde, ours);
         }
-        // The key that is not known and all that are, in backticks.
+        // serde quotes the unknown key and all known ones in backticks.
         let mut quoted = message.split('`').skip(1).step_by(2);
         let hint = match quoted.next() {
             Some(name) if message.starts_with("unknown key") => suggestion(name, quoted),
@@ -62,7 +62,7 @@ impl Diagnostic {
         Self::at_span(path, source, span, format!("{message}{hint}"))
     }
 
-    /// Line and column of the fault, both counted from 1, columns in characters.
+    /// Line and column, counted from 1, columns in characters.
     pub fn position(&self) -> (usize, usize) {
         let before = self.source.get(..self.span.start).unwrap_or_default();
         let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
@@ -70,14 +70,14 @@ impl Diagnostic {
         (before.matches('\n').count() + 1, column)
     }
 
-    /// The fault with the line it stands in, marked; in colour where `colour` is set.
+    /// The error with its marked line.
     pub fn render(&self, colour: bool) -> String {
         let path = self.path.display().to_string();
         if self.source.is_empty() {
             return format!("error: {path}: {}", self.message);
         }
         let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
-        // An empty span would not be drawn, and the renderer cannot draw half a character.
+        // The renderer draws neither an empty span nor half a character.
         let boundary = |from: usize| (from..=self.source.len()).find(|at| self.source.is_char_boundary(*at));
         let end = self.span.end.max(self.span.start + 1);
         let span = self.span.start..boundary(end).unwrap_or(self.source.len());
@@ -99,7 +99,7 @@ impl fmt::Display for Diagnostic {
 
 impl std::error::Error for Diagnostic {}
 
-/// `; did you mean …?` where one of `known` is close to `name`, or is the same quantity in another unit.
+/// `; did you mean …?` if one of `known` is similar to `name`, or the same quantity in another unit.
 pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     const CLOSE: f64 = 0.85;
     let known: Vec<_> = known.into_iter().collect();
@@ -120,9 +120,9 @@ pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> S
     }
 }
 
-/// Units at the end of our keys.
+/// Units at the end of keys.
 const UNITS: [&str; 9] = ["ms", "us", "um", "hz", "k", "c", "n", "vpp", "percent"];
-/// Units that somebody else would have put there.
+/// Units at the end of misspelt keys.
 const FOREIGN_UNITS: [&str; 24] = [
     "s", "sec", "seconds", "min", "ns", "m", "mm", "nm", "micron", "khz", "mhz", "rad", "mn", "newton", "v", "mv",
     "volt", "volts", "kelvin", "celsius", "degc", "pct", "ratio", "rms",

@@ -1,4 +1,4 @@
-//! What is expected of a controller.
+//! Defines metrics, limits and expectations.
 
 use crate::window::{ChangingProfile, Window};
 use platebench_plate::Time;
@@ -6,7 +6,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
-/// What can be measured in a trial or over trials. Definitions: `docs/verdicts.md`.
+/// A quantity that is measured in a trial or over trials. Definitions: `docs/verdicts.md`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {
     /// From the setpoint step to the last entry into the band.
@@ -15,7 +15,7 @@ pub enum Metric {
     StaticError,
     /// Standard deviation over trials of the window's mean, relative to the setpoint.
     Repeatability,
-    /// How far beyond the setpoint, relative to the step.
+    /// Largest excess over the setpoint, relative to the step.
     Overshoot,
     /// Largest distance from the setpoint once the band was entered.
     PeakDeviation,
@@ -29,13 +29,13 @@ pub enum Metric {
     FinalAmplitude,
     /// Highest drive.
     DrivePeak,
-    /// Share of the time at the amplifier's limit.
+    /// Share of time at the limit of the amplifier.
     Saturated,
     /// Sampling to actuation.
     LoopDelay,
-    /// Instructions that the target executed for a sample, worst of the trial.
+    /// Instructions per sample on the target, worst of the trial.
     InstructionsPerStep,
-    /// Instants for which the bench was too late.
+    /// Control instants at which the bench was too late.
     Overruns,
     /// From a disturbance to 0 V.
     ShutdownTime,
@@ -103,7 +103,7 @@ impl Metric {
         Self::ALL.into_iter().find(|metric| metric.name() == name)
     }
 
-    /// The smallest and the largest value that it can take.
+    /// Smallest and largest possible value.
     pub const fn value_range(self) -> (f64, f64) {
         match self {
             Self::Saturated => (0.0, 100.0),
@@ -111,7 +111,7 @@ impl Metric {
         }
     }
 
-    /// True where a band around the setpoint is part of the definition.
+    /// True if a band around the setpoint is part of the definition.
     pub const fn has_band(self) -> bool {
         matches!(self, Self::SettlingTime | Self::RecoveryTime | Self::PeakDeviation)
     }
@@ -157,7 +157,7 @@ impl Metric {
         )
     }
 
-    /// True where the signal can be chosen.
+    /// True if the signal can be chosen.
     pub const fn has_signal(self) -> bool {
         self.has_band() || self.has_window() || matches!(self, Self::Overshoot)
     }
@@ -182,7 +182,7 @@ impl<'de> Deserialize<'de> for Metric {
     }
 }
 
-/// What a metric is compared with.
+/// The required range of a metric.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Limit {
@@ -192,12 +192,12 @@ pub enum Limit {
     AtLeast(f64),
     /// Between both, inclusive.
     Within(f64, f64),
-    /// Agreement with a value, within the tolerance of the expectation.
+    /// Within the tolerance of the expectation around a value.
     About(f64),
 }
 
 impl Limit {
-    /// The smallest and the largest value that meet it; `tolerance_percent` is that of [`Self::About`].
+    /// The smallest and the largest value that meet it; `tolerance_percent` is for [`Self::About`].
     pub fn range(self, tolerance_percent: f64) -> (f64, f64) {
         match self {
             Self::AtMost(high) => (f64::NEG_INFINITY, high),
@@ -222,16 +222,16 @@ impl fmt::Display for Limit {
     }
 }
 
-/// What the trials of a scenario come to, before it is held against the limit.
+/// The statistic over trials that is compared with the limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Aggregation {
-    /// Each trial has to keep the limit by itself.
+    /// Every trial must meet the limit.
     Each,
-    /// Their mean has to.
+    /// The mean.
     Mean,
-    /// That share of all trials lies at or below what has to.
+    /// The quantile at this share of the trials.
     Quantile(f64),
-    /// Their standard deviation has to; only [`Metric::Repeatability`].
+    /// The standard deviation; only [`Metric::Repeatability`].
     StandardDeviation,
 }
 
@@ -239,7 +239,7 @@ impl Aggregation {
     /// Names in scenario files.
     pub const NAMES: [&str; 3] = ["each", "mean", "quantile"];
 
-    /// What a metric comes to unless the scenario says otherwise.
+    /// The default of a metric.
     pub const fn default_for(metric: Metric) -> Self {
         match metric {
             Metric::Repeatability => Self::StandardDeviation,
@@ -254,11 +254,11 @@ impl Aggregation {
 pub struct Expectation {
     /// Unique in the scenario: the key `name`, else the metric, `metric 2`, `metric 3`.
     pub name: String,
-    /// What is measured.
+    /// The measured quantity.
     pub metric: Metric,
-    /// What it is compared with.
+    /// The required range.
     pub limit: Limit,
-    /// Tolerance of [`Limit::About`], percent of the value; without meaning for [`Metric::Repeatability`].
+    /// Tolerance of [`Limit::About`], percent of the value; not used for [`Metric::Repeatability`].
     pub tolerance_percent: f64,
     /// The paper's value.
     pub paper: Option<f64>,
@@ -266,7 +266,7 @@ pub struct Expectation {
     pub requirement: Option<String>,
     /// Confidence at which a verdict over trials is made.
     pub confidence: f64,
-    /// What the trials come to.
+    /// The statistic over trials.
     pub aggregation: Aggregation,
     /// Half width of the band around the setpoint, percent.
     pub band_percent: f64,
@@ -274,15 +274,13 @@ pub struct Expectation {
     pub windows: Vec<Window>,
     /// The profile whose changes start the windows, if the key `after` is given.
     pub after: Option<ChangingProfile>,
-    /// From when on to look.
+    /// The key `from_ms`, if given.
     pub from: Option<Time>,
-    /// The window of a mean; of a shutdown, from when to when it has to happen and last.
-    pub window: Window,
-    /// Name of the column to look at.
+    /// Name of the judged column.
     pub signal: &'static str,
 }
 
-/// Columns that an expectation may look at: those that are held against the setpoint.
+/// Columns that can be judged: those that follow the setpoint.
 pub const SIGNALS: [&str; 5] = ["amplitude_um", "wd_um", "wq_um", "sensed_wd_um", "sensed_wq_um"];
 
 impl Expectation {
@@ -297,7 +295,7 @@ impl Expectation {
         (low..=high).contains(&value)
     }
 
-    /// The two edges of the band around `setpoint`, both still inside.
+    /// The edges of the band around `setpoint`, both inclusive.
     pub fn band(&self, setpoint: f64) -> (f64, f64) {
         let half = setpoint.abs() * self.band_percent / 100.0;
         (setpoint - half, setpoint + half)

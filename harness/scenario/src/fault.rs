@@ -1,28 +1,27 @@
-//! What goes wrong on the line to the controller, on purpose. What each fault does to a message: `docs/scenarios.md`; the middleware that does it lives
-//! with the rigs.
+//! Defines planned faults of line and sensor. `docs/scenarios.md` describes their effects; `platebench-rig` applies them.
 
 use platebench_plate::Time;
 
-/// What a fault does.
+/// The effect of a fault.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FaultKind {
     /// The message is lost.
     Drop,
     /// One of its bits is flipped.
     Flip,
-    /// It comes twice.
+    /// The message is doubled.
     Duplicate,
-    /// It comes so much later.
+    /// The message is delayed.
     Delay(Time),
-    /// Its second half is lost, and the delimiter with it.
+    /// The second half is lost, including the delimiter.
     Truncate,
-    /// Noise stands before it, four frames' worth.
+    /// Noise of four frames precedes the message.
     Babble,
-    /// Nothing passes.
+    /// Every message is lost.
     Disconnect,
-    /// The sensor shows what it showed before the window.
+    /// The sensor keeps its reading from before the window.
     Freeze,
-    /// The sensor shows so many times what there is.
+    /// The sensor's reading is multiplied.
     Scale(f64),
 }
 
@@ -31,25 +30,25 @@ impl FaultKind {
     pub const NAMES: [&'static str; 9] =
         ["drop", "flip", "duplicate", "delay", "truncate", "babble", "disconnect", "freeze", "scale"];
 
-    /// True where it acts on the sensor instead of the line.
+    /// True if it acts on the sensor instead of the line.
     pub const fn affects_sensor(self) -> bool {
         matches!(self, Self::Freeze | Self::Scale(_))
     }
 
-    /// True where something about it is left to chance.
+    /// True if its effect is random.
     pub const fn is_random(self) -> bool {
         matches!(self, Self::Flip | Self::Babble)
     }
 }
 
-/// Which way the messages go that a fault strikes.
+/// Direction of the messages that a fault acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Direction {
     /// Samples.
     ToController,
     /// Commands.
     FromController,
-    /// Samples and commands, each counted by themselves.
+    /// Samples and commands, counted separately.
     #[default]
     Both,
 }
@@ -71,19 +70,19 @@ impl Direction {
 /// One fault with its window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fault {
-    /// What it does.
+    /// Its effect.
     pub kind: FaultKind,
     /// Start of the window.
     pub from: Time,
-    /// End of the window, no longer inside; `None` for a line that stays dead.
+    /// End of the window, exclusive; `None` for a line that stays dead.
     pub until: Option<Time>,
-    /// Which messages it strikes.
+    /// The messages that it acts on.
     pub direction: Direction,
     /// The n-th, 2n-th, … message of a direction in the window.
     pub every: u32,
-    /// Of what is left to chance; the trial's own where not given.
+    /// Seed of random effects; `None` for the trial's.
     pub seed: Option<u64>,
-    /// True where a controller that stopped because of it is configured anew after the window.
+    /// True if a controller that stopped because of it is configured again after the window.
     pub reconfigure: bool,
 }
 
@@ -93,19 +92,19 @@ impl Fault {
         self.from <= time && self.until.is_none_or(|until| time < until)
     }
 
-    /// True where this fault is near enough to be the reason for a missing answer or a stop at `time`: within the window and for one period after it, in which a frame without
-    /// a delimiter takes the next one with it and a controller that stopped unheard says so; after a delay, also while what was held up still comes in. A
-    /// line that stays dead explains nothing: its controller is lost.
+    /// True if the fault can cause a missing answer or a stop at `time`: in the window, for one period after it, and
+    /// while delayed messages arrive. One period, because a frame without a delimiter destroys the next one, and a stop
+    /// is reported then. A line that stays dead explains nothing: its controller is lost.
     pub fn can_explain(&self, time: Time, period: Time) -> bool {
-        let held = match self.kind {
+        let delay = match self.kind {
             FaultKind::Delay(delay) => delay,
             _ => Time::ZERO,
         };
-        self.until.is_some_and(|until| self.from <= time && time < until + period + held)
+        self.until.is_some_and(|until| self.from <= time && time < until + period + delay)
     }
 
-    /// True where this fault may be the reason for an answer that is missing at `time`: near enough, and of a kind that loses answers, or holds them up for a
-    /// period. What only doubles, disturbs or delays a little, or falsifies what is sensed, is no reason to say nothing.
+    /// True if the fault can cause a missing answer at `time`: [`Self::can_explain`], and it loses messages or delays them
+    /// by a period.
     pub fn can_explain_silence(&self, time: Time, period: Time) -> bool {
         let loses = match self.kind {
             FaultKind::Drop | FaultKind::Flip | FaultKind::Truncate | FaultKind::Disconnect => true,
@@ -115,17 +114,17 @@ impl Fault {
         loses && self.can_explain(time, period)
     }
 
-    /// True where it keeps every sample from the controller for so long that a patience of `patience` is over before the next one comes.
-    pub fn exceeds_watchdog(&self, patience: Time, period: Time) -> bool {
+    /// True if the controller gets no sample for at least `timeout`.
+    pub fn exceeds_watchdog(&self, timeout: Time, period: Time) -> bool {
         let silent = match self.kind {
             FaultKind::Delay(delay) => Some(delay),
             FaultKind::Drop | FaultKind::Disconnect => self.until.map(|until| until - self.from),
             _ => return false,
         };
-        // Since the last sample that came.
+        // The last sample arrived one period before the window.
         self.direction != Direction::FromController
             && self.every == 1
-            && silent.is_none_or(|silent| silent + period >= patience)
+            && silent.is_none_or(|silent| silent + period >= timeout)
     }
 }
 
@@ -134,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_silence_outlasts_a_patience_from_the_last_sample_on() {
+    fn a_silence_counts_from_the_last_sample() {
         let ms = |ms: u64| Time::from_nanos(ms * 1_000_000);
         let until = |until| Some(ms(40) + until);
         let drop = Fault {
@@ -146,19 +145,19 @@ mod tests {
             seed: None,
             reconfigure: false,
         };
-        // The last sample came at 39 ms, the next one comes at 44 ms.
-        let outlasts = |fault: Fault| fault.exceeds_watchdog(ms(5), ms(1));
-        assert!(outlasts(drop));
-        assert!(!outlasts(Fault { until: until(ms(4) - Time::from_nanos(1)), ..drop }));
-        assert!(outlasts(Fault { kind: FaultKind::Disconnect, until: None, direction: Direction::Both, ..drop }));
-        assert!(outlasts(Fault { kind: FaultKind::Delay(ms(4)), ..drop }));
-        assert!(!outlasts(Fault { kind: FaultKind::Delay(ms(3)), ..drop }));
-        for still_heard in [
+        // The last sample arrives at 39 ms, the next one at 44 ms.
+        let exceeds = |fault: Fault| fault.exceeds_watchdog(ms(5), ms(1));
+        assert!(exceeds(drop));
+        assert!(!exceeds(Fault { until: until(ms(4) - Time::from_nanos(1)), ..drop }));
+        assert!(exceeds(Fault { kind: FaultKind::Disconnect, until: None, direction: Direction::Both, ..drop }));
+        assert!(exceeds(Fault { kind: FaultKind::Delay(ms(4)), ..drop }));
+        assert!(!exceeds(Fault { kind: FaultKind::Delay(ms(3)), ..drop }));
+        for unaffected in [
             Fault { direction: Direction::FromController, ..drop },
             Fault { every: 2, ..drop },
             Fault { kind: FaultKind::Babble, ..drop },
         ] {
-            assert!(!outlasts(still_heard), "{still_heard:?}");
+            assert!(!exceeds(unaffected), "{unaffected:?}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Which scenario files a command line means.
+//! Searches for scenario files.
 
 use crate::diagnostic::Diagnostic;
 use crate::load::load_with_diagnostics;
@@ -8,26 +8,26 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folders that are only looked into where they are named themselves: they hold other things than scenarios, or scenarios that are played to record a plate
-/// and not to judge a controller.
+/// Folders that are searched only if they are named: they contain other files, or scenarios that record a plate for
+/// `identify`.
 const NON_SCENARIO_FOLDERS: [&str; 4] = ["plates", "baselines", "plans", "identify"];
-/// Folders without anything that people write.
+/// Folders with generated files.
 const GENERATED_FOLDERS: [&str; 1] = ["baselines"];
-/// The record and the folders of a run folder; the scenarios in `inputs` are copies.
+/// Content of a run folder; the scenarios in `inputs` are copies.
 const RUN_RECORD: &str = "run.json";
 const RUN_TRACES: &str = "traces";
 const RUN_INPUTS: &str = "inputs";
-/// Scenarios are called by their path below a folder of this name.
+/// The name of a scenario is its path below a folder of this name.
 const SCENARIOS_FOLDER: &str = "scenarios";
 
-/// What was found.
+/// Result of a search.
 #[derive(Debug)]
 pub struct FoundScenarios {
     /// The scenarios, by name.
     pub scenarios: Vec<Scenario>,
-    /// Scenarios that show a limit and were left out because neither they nor their own folder were named.
+    /// Scenarios of known limits that were skipped, because neither they nor their folder were named.
     pub skipped: Vec<String>,
-    /// Folders that were named and hold no scenario file: whoever named them meant something else.
+    /// Named folders without a scenario file.
     pub empty_folders: Vec<PathBuf>,
     /// Folders of copies in run folders, which are not searched.
     pub copies: Vec<PathBuf>,
@@ -49,15 +49,15 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Loads every scenario that `arguments` name: files as they are, folders with everything below them.
+/// Loads the named scenarios and all scenarios below the named folders.
 ///
-/// A scenario with `expected_exit` is meant to end otherwise than in a pass; it is only taken where it or its own folder is named.
+/// A scenario with `expected_exit` is not meant to pass; it is loaded only if it or its own folder is named.
 ///
 /// # Errors
-/// Every [`Diagnostic`] of every file, so that all can be mended at once.
+/// Every [`Diagnostic`] of every file.
 pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     let mut search = Search::new(&NON_SCENARIO_FOLDERS);
-    // By canonical path: a file that is named twice is played once.
+    // By canonical path, so that a file is loaded once.
     let mut files: BTreeMap<PathBuf, (PathBuf, String, bool)> = BTreeMap::new();
     let mut empty = Vec::new();
     for argument in arguments {
@@ -90,15 +90,15 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
             && first.name() == second.name()
         {
             let other = first.inputs.first().map_or(Path::new(""), |input| &input.path).display();
-            let message = format!("two scenarios would be filed as {}, the other one is {other}", first.file);
+            let message = format!("two scenarios are named {}, the other one is {other}", first.file);
             faults.push(second.diagnostic("title", message));
         }
     }
     if faults.is_empty() { Ok(found) } else { Err(faults) }
 }
 
-/// Every TOML file that `arguments` name or that stands below a folder that they name, scenario or not, with the name that it has in records; baselines and
-/// what lies in run folders are left out. And the folders that cannot be read.
+/// Every named TOML file and every TOML file below a named folder, with its name in records, except baselines and the
+/// inputs of run folders; and the errors of folders that cannot be read.
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
     let mut search = Search::new(&GENERATED_FOLDERS);
     let mut files = BTreeMap::new();
@@ -139,9 +139,9 @@ impl Search<'_> {
                     files.extend(self.files_below(&path));
                 }
             } else if name.starts_with('.') {
-                // Hidden, as editors leave them.
+                // Temporary files of editors.
             } else if path.is_symlink() && !path.exists() {
-                let message = "a link that leads nowhere: nobody knows what is not played";
+                let message = "a broken symbolic link, expected a file";
                 self.faults.push(Diagnostic::for_file(&path, message));
             } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
                 files.push(path);
@@ -159,8 +159,8 @@ fn is_run_folder(folder: &Path) -> bool {
     folder.join(RUN_TRACES).is_dir() && input::read(&folder.join(RUN_RECORD)).is_ok_and(parses)
 }
 
-/// What a scenario is called in records: its path below the nearest folder called `scenarios`, else below the folder that was
-/// named, else its file name.
+/// The name of a scenario in records: its path below the nearest folder `scenarios`, else below the named folder, else
+/// its file name.
 fn record_name(path: &Path, argument: &Path) -> String {
     let components: Vec<_> = path.components().map(|component| component.as_os_str().to_string_lossy()).collect();
     let folders = components.len().saturating_sub(1);

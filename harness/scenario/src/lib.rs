@@ -1,16 +1,17 @@
-//! Scenarios: what is played to a controller and what is expected of it.
+//! Reads and checks scenario files.
 //!
-//! * [`raw`]: the file as serde reads it; every key it may have.
-//! * [`mod@load`]: raw to [`Scenario`], which cannot hold a wrong value; every rule that a file can break.
-//! * [`mod@schema`]: the same as JSON Schema, for editors.
-//! * [`diagnostic`]: where a file is wrong and what was expected.
+//! * [`raw`]: the file as serde reads it, with every key.
+//! * [`mod@load`]: raw to [`Scenario`], which is always valid.
+//! * [`mod@schema`]: JSON Schemas for editors.
+//! * [`diagnostic`]: an error with its position in a file.
 //! * [`expect`]: metrics, limits, expectations.
-//! * [`fault`]: what goes wrong on the line, on purpose.
-//! * [`variation`]: what differs from trial to trial.
-//! * [`mod@find`]: which files a command line means.
+//! * [`fault`]: planned faults of line and sensor.
+//! * [`variation`]: the plate and sensor of a trial.
+//! * [`mod@find`]: searches for scenario files.
 //!
-//! Nothing is run and nothing is judged here.
+//! `platebench-runner` runs scenarios, and `platebench-verdict` judges them.
 
+mod bounds;
 pub mod diagnostic;
 pub mod expect;
 pub mod fault;
@@ -31,7 +32,7 @@ pub use find::{FoundScenarios, find, list_files};
 pub use load::{load, load_copies, load_with_diagnostics};
 pub use parse::parse;
 pub use platebench_plate::input;
-pub use scenario::{AUTO_MODEL, Controller, Gains, InputFile, Scenario, Trials};
+pub use scenario::{AUTO_MODEL, Controller, Gains, InputFile, Scenario, Spread, Trials};
 pub use unjudged::unjudged_changes;
-pub use variation::{Spread, Variation};
+pub use variation::Variation;
 pub use window::{ChangingProfile, Window};

@@ -1,4 +1,4 @@
-//! TOML to a raw type, with every key that is wrong and not only the first.
+//! Parses TOML to a raw type and reports every wrong key.
 
 use crate::diagnostic::Diagnostic;
 use serde::de::DeserializeOwned;
@@ -7,13 +7,14 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 
-/// Faults of a file that are told: nobody mends more at once, and each costs another look at the whole file.
+/// Largest number of reported errors. Each one takes another pass over the whole file.
 pub(crate) const MAX_DIAGNOSTICS: usize = 50;
 
 /// Reads `text`, the content of the file at `path`.
 ///
 /// # Errors
-/// Every fault of its syntax; where there is none, every unknown key and every value of a wrong kind, in the order of the file, then every missing key.
+/// Every syntax error; if there is none, every unknown key and every value of a wrong type in the order of the file, then
+/// every missing key.
 pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
     let (document, errors) = DeTable::parse_recoverable(text);
     let mut faults: Vec<_> =
@@ -21,7 +22,7 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
     if !faults.is_empty() {
         return Err(with_truncation_note(path, faults));
     }
-    // serde stops at the first fault: it is taken out and the rest read again, until nothing is wrong or nothing can be taken out.
+    // serde stops at the first error. It is removed and the rest read again, until nothing is wrong or removable.
     let mut rest = document;
     let mut holes: Vec<Range<usize>> = Vec::new();
     loop {
@@ -31,7 +32,7 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
             Err(error) => error,
         };
         let span = error.span().unwrap_or(0..0);
-        // What was taken out is missing now, and that is no fault of the file.
+        // A removed key is missing now, which is no error of the file.
         let is_hole = error.message().starts_with("missing field") && holes.contains(&span);
         if !is_hole {
             faults.push(Diagnostic::from_toml(path, text, &error));
@@ -41,28 +42,28 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
             break;
         }
     }
-    // Why a key is missing may stand further down, where it is written otherwise.
+    // A misspelt key further down may explain a missing one.
     faults.sort_by_key(|fault| (fault.message.starts_with("missing key"), fault.position()));
     Err(with_truncation_note(path, faults))
 }
 
-/// Says of as many faults as are told that there may be more.
+/// Adds a note if the list is full.
 pub(crate) fn with_truncation_note(path: &Path, mut faults: Vec<Diagnostic>) -> Vec<Diagnostic> {
     if faults.len() >= MAX_DIAGNOSTICS {
-        faults.push(Diagnostic::for_file(path, format!("only the first {MAX_DIAGNOSTICS} faults are told")));
+        faults.push(Diagnostic::for_file(path, format!("only the first {MAX_DIAGNOSTICS} errors are listed")));
     }
     faults
 }
 
-/// Takes out of `table`, which stands at `own`, whatever is meant by `span`; true where there was something.
+/// Removes the element at `span` from `table`, whose own span is `own`; true if there was one.
 fn remove_span(
     table: &mut DeTable<'_>,
     own: &Range<usize>,
     span: &Range<usize>,
     holes: &mut Vec<Range<usize>>,
 ) -> bool {
-    let meant = table.iter().find(|(key, value)| key.span() == *span || matches_span(value, span));
-    if let Some(key) = meant.map(|(key, _)| key.get_ref().clone()) {
+    let found = table.iter().find(|(key, value)| key.span() == *span || matches_span(value, span));
+    if let Some(key) = found.map(|(key, _)| key.get_ref().clone()) {
         holes.push(own.clone());
         return table.remove(&*key).is_some();
     }
@@ -83,7 +84,7 @@ fn remove_span_in_value(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>, h
     }
 }
 
-/// A list of numbers without one of them would be another list: it is meant as a whole. A list of tables stands where its first one stands.
+/// A list of numbers is removed as a whole. A list of tables has the span of its first table.
 fn matches_span(value: &Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
     let own = value.span();
     match value.get_ref() {

@@ -1,6 +1,6 @@
-//! The scenario file as serde reads it: every key that it may have, none of them checked yet.
+//! Defines the scenario file as serde reads it, before any check.
 
-use crate::load::{LARGEST_SPREAD_PERCENT, LONGEST_PERIOD_MS, MOST_TRIALS};
+use crate::bounds::{MAX_PERIOD_MS, MAX_SPREAD_PERCENT, MAX_TRIALS};
 use platebench_plate::RawProfile;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -10,11 +10,10 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawScenario {
-    /// One line that says what is played.
+    /// Title, one line.
     #[schemars(length(min = 1))]
     pub title: String,
-    /// Where it comes from, such as a figure of the paper.
-    #[serde(default)]
+    /// Source, such as a figure of the paper.
     pub source: Option<String>,
     /// Plate file, relative to this file.
     pub plate: PathBuf,
@@ -25,36 +24,33 @@ pub struct RawScenario {
     #[serde(default)]
     pub tags: Vec<String>,
     /// Largest spacing of trace rows, ms.
-    #[serde(default)]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub trace_step_ms: Option<f64>,
-    /// Which tier of the plate to run; `auto` where not given.
-    #[serde(default)]
+    /// Model of the plate; `auto` by default.
     #[schemars(schema_with = "crate::schema::models")]
     pub model: Option<String>,
-    /// For scenarios that show a limit: the exit code that they must end with.
-    #[serde(default)]
+    /// For scenarios of a known limit: the exit code that they must end with.
     #[schemars(extend("enum" = [1, 3, 5]))]
     pub expected_exit: Option<i64>,
     /// The controller and its timing.
     #[serde(default)]
     pub controller: RawController,
-    /// What is played.
+    /// Setpoint and conditions.
     pub profile: RawProfiles,
-    /// How often, and what differs from trial to trial.
+    /// Number and spread of the trials.
     #[serde(default)]
     pub trials: RawTrials,
-    /// What goes wrong on the line to the controller.
+    /// Planned faults of line and sensor.
     #[serde(default)]
     pub fault: Vec<RawFault>,
-    /// What is expected.
+    /// Expectations; at least one.
     #[serde(default)]
     #[schemars(length(min = 1))]
     pub expect: Vec<RawExpectation>,
 }
 
 impl RawScenario {
-    /// The files that it names, in the order in which they are read.
+    /// The named files, in the order in which they are read.
     pub(crate) fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let RawProfiles { setpoint_um, temperature_offset_k, finger_force_n } = &mut self.profile;
         let profiles = [setpoint_um, temperature_offset_k, finger_force_n].into_iter();
@@ -70,7 +66,7 @@ pub struct RawController {
     #[schemars(length(min = 1))]
     pub law: Option<String>,
     /// Control period, ms.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = LONGEST_PERIOD_MS))]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = MAX_PERIOD_MS))]
     pub period_ms: Option<f64>,
     /// Excitation frequency at the start, Hz.
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -78,16 +74,16 @@ pub struct RawController {
     /// Sampling to actuation, ms.
     #[schemars(range(min = 0.0))]
     pub loop_delay_ms: f64,
-    /// Loop delay that the law is told of and designs for, ms.
+    /// Loop delay that the law is designed for, ms.
     #[schemars(range(min = 0.0))]
     pub design_delay_ms: f64,
     /// Design value of the 5 % response time, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub response_time_ms: Option<f64>,
-    /// The excitation frequency stays within this much of the start frequency, Hz.
+    /// Largest deviation of the excitation frequency from its start, Hz.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub frequency_range_hz: Option<f64>,
-    /// The excitation frequency moves at most this much per period, Hz.
+    /// Largest change of the excitation frequency per period, Hz.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub frequency_slew_hz: Option<f64>,
     /// Gains instead of the law's own design.
@@ -112,7 +108,7 @@ pub struct RawGains {
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawProfiles {
-    /// Wished amplitude, µm.
+    /// Setpoint of the amplitude, µm.
     pub setpoint_um: RawProfile,
     /// Kelvin above the plate's reference temperature.
     #[serde(default = "zero")]
@@ -130,16 +126,16 @@ fn zero() -> RawProfile {
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RawTrials {
-    /// How many.
-    #[schemars(range(min = 1, max = MOST_TRIALS))]
+    /// Number of trials.
+    #[schemars(range(min = 1, max = MAX_TRIALS))]
     pub count: i64,
-    /// Up to how many, where a verdict needs more.
-    #[schemars(range(min = 1, max = MOST_TRIALS))]
+    /// Largest number of trials, if a verdict needs more.
+    #[schemars(range(min = 1, max = MAX_TRIALS))]
     pub max_count: Option<i64>,
     /// Seed of the first trial; each further one has the next number.
     #[schemars(range(min = 0))]
     pub seed: i64,
-    /// What differs from trial to trial.
+    /// Differences between trials.
     pub spread: RawSpread,
 }
 
@@ -154,16 +150,16 @@ impl Default for RawTrials {
 #[serde(deny_unknown_fields, default)]
 pub struct RawSpread {
     /// Of the plate's gain K1, percent.
-    #[schemars(range(min = 0.0, max = LARGEST_SPREAD_PERCENT))]
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub gain_percent: f64,
     /// Of the plate's time constant, percent.
-    #[schemars(range(min = 0.0, max = LARGEST_SPREAD_PERCENT))]
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub time_constant_percent: f64,
     /// Of the sensor's gain, percent.
-    #[schemars(range(min = 0.0, max = LARGEST_SPREAD_PERCENT))]
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub sensor_gain_percent: f64,
     /// Of the temperature, kelvin.
-    #[schemars(range(min = 0.0, max = LARGEST_SPREAD_PERCENT))]
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub temperature_k: f64,
 }
 
@@ -172,36 +168,30 @@ pub struct RawSpread {
 #[serde(deny_unknown_fields)]
 #[schemars(transform = crate::schema::faults)]
 pub struct RawFault {
-    /// What goes wrong.
+    /// Kind of fault.
     #[schemars(schema_with = "crate::schema::kinds")]
     pub kind: String,
     /// Start of the window, ms.
     #[schemars(range(min = 0.0))]
     pub from_ms: f64,
-    /// End of the window, ms, no longer inside.
-    #[serde(default)]
+    /// End of the window, exclusive, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
-    /// Which way the messages go that it strikes.
-    #[serde(default)]
+    /// Direction of the messages that it acts on.
     #[schemars(schema_with = "crate::schema::directions")]
     pub direction: Option<String>,
-    /// It strikes each so many-th message.
-    #[serde(default)]
+    /// It acts on every n-th message of a direction.
     #[schemars(range(min = 1, max = u32::MAX))]
     pub every: Option<i64>,
-    /// How long a message is held up, ms.
-    #[serde(default)]
+    /// Delay of a message, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub delay_ms: Option<f64>,
-    /// What the sensed components are multiplied with.
-    #[serde(default)]
+    /// Factor on the sensed components.
     pub factor: Option<f64>,
-    /// Seed of what is left to chance.
-    #[serde(default)]
+    /// Seed of random effects.
     #[schemars(range(min = 0))]
     pub seed: Option<i64>,
-    /// Configure a controller anew that stopped because of it.
+    /// Configure a controller that stopped because of it again after the window.
     #[serde(default)]
     pub reconfigure: bool,
 }
@@ -215,64 +205,47 @@ pub struct RawExpectation {
     #[schemars(schema_with = "crate::schema::metrics")]
     pub metric: String,
     /// Name in report and JUnit, unique in the file; by default the metric, then `metric 2`, `metric 3`.
-    #[serde(default)]
     pub name: Option<String>,
     /// Upper limit.
-    #[serde(default)]
     pub at_most: Option<f64>,
     /// Lower limit.
-    #[serde(default)]
     pub at_least: Option<f64>,
     /// Both limits.
-    #[serde(default)]
     pub within: Option<[f64; 2]>,
-    /// A value to agree with.
-    #[serde(default)]
+    /// Expected value.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub about: Option<f64>,
-    /// How far from `about` a value may lie, percent of it.
-    #[serde(default)]
+    /// Tolerance around `about`, percent of it.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_percent: Option<f64>,
-    /// The paper's value, shown beside ours.
-    #[serde(default)]
+    /// The paper's value, for comparison.
     pub paper: Option<f64>,
     /// Identifier of a requirement.
-    #[serde(default)]
     pub requirement: Option<String>,
-    /// Confidence at which a verdict over trials is made.
-    #[serde(default)]
+    /// Confidence of a verdict over trials.
     #[schemars(range(min = 0.5), extend("exclusiveMaximum" = 1))]
     pub confidence: Option<f64>,
-    /// What the trials come to: `each`, `mean` or `quantile`.
-    #[serde(default)]
+    /// Statistic over trials: `each`, `mean` or `quantile`.
     #[schemars(schema_with = "crate::schema::overs")]
     pub over: Option<String>,
-    /// Which quantile.
-    #[serde(default)]
+    /// Share of the trials for `over = "quantile"`.
     #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1))]
     pub quantile: Option<f64>,
     /// Half width of the band around the setpoint, percent.
-    #[serde(default)]
     #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 100))]
     pub band_percent: Option<f64>,
     /// Start of the judged window, ms.
-    #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub from_ms: Option<f64>,
     /// End of the judged window, ms; by default the end of the trial, or the next setpoint step for settling and overshoot.
-    #[serde(default)]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
     /// Judge after each change of this profile, up to the next change of any profile.
-    #[serde(default)]
     #[schemars(schema_with = "crate::schema::changing_profiles")]
     pub after: Option<String>,
-    /// The window of a mean: its length at the end, or its two ends, ms.
-    #[serde(default)]
+    /// Window of a mean: its length at the end, or its two ends, ms.
     pub window_ms: Option<RawWindow>,
-    /// Which column to look at.
-    #[serde(default)]
+    /// Judged column.
     #[schemars(schema_with = "crate::schema::signals")]
     pub signal: Option<String>,
 }
@@ -281,8 +254,8 @@ pub struct RawExpectation {
 #[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected a length in ms, counted back from the end, or [from_ms, to_ms]")]
 pub enum RawWindow {
-    /// The last so many ms.
+    /// Its length at the end of the trial, ms.
     Last(#[schemars(extend("exclusiveMinimum" = 0))] f64),
-    /// From, to.
+    /// Start and end, ms.
     Between([f64; 2]),
 }

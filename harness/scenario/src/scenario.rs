@@ -1,21 +1,20 @@
-//! A scenario that can be run: no value in it is wrong.
+//! Defines a checked scenario.
 
 use crate::diagnostic::Diagnostic;
 use crate::expect::Expectation;
 use crate::fault::Fault;
-use crate::variation::{Spread, Variation};
 use platebench_plate::{ConditionProfiles, Plate, Profile, Tier, Time};
 use std::path::PathBuf;
 
 /// The name of the model that is exact for the plate file.
 pub const AUTO_MODEL: &str = "auto";
 
-/// A file that went into a scenario.
+/// An input file of a scenario.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InputFile {
     /// Where it was read.
     pub path: PathBuf,
-    /// What stood in it.
+    /// Its content.
     pub bytes: Vec<u8>,
 }
 
@@ -24,11 +23,11 @@ pub struct InputFile {
 pub struct Scenario {
     /// The file's name below the scenario folder, with `/`: `paper/fig13-closed-loop.toml`.
     pub file: String,
-    /// Every file that went into it; the scenario file is the first.
+    /// Every input file; the scenario file is the first.
     pub inputs: Vec<InputFile>,
-    /// One line that says what is played.
+    /// One line of text.
     pub title: String,
-    /// Where it comes from.
+    /// Its source, such as a figure of the paper.
     pub source: Option<String>,
     /// Words to select scenarios by.
     pub tags: Vec<String>,
@@ -40,19 +39,19 @@ pub struct Scenario {
     pub duration: Time,
     /// Largest spacing of trace rows.
     pub trace_step: Time,
-    /// The exit code that a scenario which shows a limit must end with.
+    /// The exit code of a scenario of a known limit.
     pub expected_exit: Option<u8>,
     /// The controller and its timing.
     pub controller: Controller,
-    /// Wished amplitude, µm.
+    /// Setpoint of the amplitude, µm.
     pub setpoint: Profile,
-    /// What surrounds the plate.
+    /// Temperature and finger force.
     pub conditions: ConditionProfiles,
-    /// How often, and what differs.
+    /// Number and spread of the trials.
     pub trials: Trials,
-    /// What goes wrong on the line to the controller, on purpose.
+    /// Planned faults of line and sensor.
     pub faults: Vec<Fault>,
-    /// What is expected; at least one.
+    /// At least one.
     pub expectations: Vec<Expectation>,
 }
 
@@ -67,9 +66,9 @@ pub struct Controller {
     pub start_frequency_hz: f64,
     /// Sampling to actuation.
     pub loop_delay: Time,
-    /// What the law is told of it, whole microseconds, at most one period; zero for nothing.
+    /// Loop delay that the law is designed for, whole microseconds, at most one period.
     pub design_delay: Time,
-    /// Design value of the 5 % response time, ms; the law's own where not given.
+    /// Design value of the 5 % response time, ms; `None` for the law's own.
     pub response_time_ms: Option<f64>,
     /// Bound on the excitation frequency around its start, Hz.
     pub frequency_range_hz: f64,
@@ -92,21 +91,34 @@ pub struct Gains {
     pub frequency_ki: f64,
 }
 
-/// How often a scenario is played.
+/// Number and spread of the trials.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Trials {
-    /// How often.
+    /// Planned number.
     pub count: u32,
-    /// Up to how often, where a verdict needs more.
+    /// Largest number, if a verdict needs more.
     pub max_count: u32,
     /// Seed of the first trial.
     pub seed: u64,
-    /// What differs from trial to trial.
+    /// Differences between trials.
     pub spread: Spread,
 }
 
+/// Standard deviations from trial to trial.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Spread {
+    /// Of the plate's gain K1, percent.
+    pub gain_percent: f64,
+    /// Of the plate's time constant, percent.
+    pub time_constant_percent: f64,
+    /// Of the sensor's gain, percent.
+    pub sensor_gain_percent: f64,
+    /// Of the temperature, kelvin.
+    pub temperature_k: f64,
+}
+
 impl Scenario {
-    /// The file's name without its ending: what its traces are filed under.
+    /// The file's name without its extension, as in the run folder.
     pub fn name(&self) -> &str {
         self.file.strip_suffix(".toml").unwrap_or(&self.file)
     }
@@ -116,17 +128,12 @@ impl Scenario {
         if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
     }
 
-    /// What differs from the nominal in the trial with number `index`, counted from 0.
-    pub fn variation(&self, index: u32) -> Variation {
-        Variation::draw(&self.trials.spread, self.trials.seed.wrapping_add(u64::from(index)))
-    }
-
-    /// True where no trial differs from another: nothing spreads and the sensor is silent.
+    /// True if all trials are equal: no spread and no sensor noise.
     pub fn is_deterministic(&self) -> bool {
         self.trials.spread == Spread::default() && self.plate.noise_um_rms == 0.0
     }
 
-    /// True where a fault that was planned, and that ends, explains that the controller did not answer at `time`.
+    /// True if a planned fault that ends explains a missing answer at `time`.
     pub fn explains_silence(&self, time: Time) -> bool {
         self.faults.iter().any(|fault| fault.can_explain_silence(time, self.controller.period))
     }

@@ -1,7 +1,8 @@
-//! JSON Schema of the input files, derived from what serde reads: keys, kinds, bounds and descriptions have one source.
+//! Derives JSON Schemas of the input files from the raw types.
 //!
-//! A schema refuses what can be seen without arithmetic: unknown and missing keys, wrong kinds, names that are none, numbers beyond fixed bounds, options
-//! that mean nothing to a metric or a fault. What depends on other values, such as a window that ends after the trial, only [`crate::load()`] sees.
+//! A schema rejects unknown and missing keys, wrong types, unknown names, numbers outside fixed bounds, and options that
+//! do not apply to a metric or a fault. Only [`crate::load()`] checks what depends on other values, such as a window that
+//! ends after the trial.
 
 use crate::expect::{Aggregation, Metric, SIGNALS};
 use crate::fault::{Direction, FaultKind};
@@ -13,7 +14,7 @@ use platebench_plate::Tier;
 use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 
-/// The schema of a file that serde reads as `T`, with keys that may be left out instead of `null`, which TOML does not know.
+/// The schema of a file that serde reads as `T`. Optional keys are not required; TOML has no `null`.
 pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
     let mut schema = schemars::generate::SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>();
     schema.insert("title".to_owned(), title.into());
@@ -24,7 +25,7 @@ pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
 /// The schema of scenario files.
 pub fn scenario_schema() -> Schema {
     let mut schema = schema_of::<RawScenario>("platebench scenario");
-    // A scenario without an expectation is read, to be refused with a reason.
+    // `load` rejects a scenario without expectations with a reason.
     if let Some(required) = schema.get_mut("required").and_then(|required| required.as_array_mut()) {
         required.push("expect".into());
     }
@@ -36,13 +37,13 @@ pub fn plate_schema() -> Schema {
     schema_of::<RawPlate>("platebench plate")
 }
 
-/// What JSON has and TOML has not.
+/// Removes parts that do not apply to TOML.
 #[derive(Debug, Clone)]
 struct TomlTransform;
 
 impl Transform for TomlTransform {
     fn transform(&mut self, schema: &mut Schema) {
-        // Formats say how wide a number is in memory, not what it may be.
+        // Formats describe the size of a number in memory.
         schema.remove("format");
         if schema.get("default").is_some_and(|default| default.is_null() || default.is_object()) {
             schema.remove("default");
@@ -102,17 +103,17 @@ pub(crate) fn signals(_: &mut SchemaGenerator) -> Schema {
     name_schema(SIGNALS)
 }
 
-/// A rule: where `key` is none of `names`, none of `refused` may be there.
-fn only_for_rule<'a>(key: &str, names: impl Iterator<Item = &'a str>, refused: &[&str]) -> Schema {
+/// Rule: if `key` is none of `names`, none of `rejected` may be present.
+fn only_for_rule<'a>(key: &str, names: impl Iterator<Item = &'a str>, rejected: &[&str]) -> Schema {
     let names: Vec<_> = names.collect();
-    let refused: serde_json::Map<_, _> = refused.iter().map(|name| ((*name).to_owned(), false.into())).collect();
+    let rejected: serde_json::Map<_, _> = rejected.iter().map(|name| ((*name).to_owned(), false.into())).collect();
     json_schema!({
         "if": { "required": [key], "properties": { (key): { "not": { "enum": names } } } },
-        "then": { "properties": refused },
+        "then": { "properties": rejected },
     })
 }
 
-/// A rule: where `key` is `name`, `needed` has to be there.
+/// Rule: if `key` is `name`, `needed` must be present.
 fn required_for_rule(key: &str, name: &str, needed: &str) -> Schema {
     json_schema!({
         "if": { "required": [key], "properties": { (key): { "const": name } } },

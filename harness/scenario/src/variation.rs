@@ -1,27 +1,14 @@
-//! What differs from trial to trial: a plate and a sensor that are never quite the nominal ones.
+//! Draws the plate, sensor and temperature of a trial from its seed.
 
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, Spread};
 use platebench_plate::{ConditionProfiles, Plant, Plate, Profile, Sensor};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Standard deviations from trial to trial.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Spread {
-    /// Of the plate's gain K1, percent.
-    pub gain_percent: f64,
-    /// Of the plate's time constant, percent.
-    pub time_constant_percent: f64,
-    /// Of the sensor's gain, percent.
-    pub sensor_gain_percent: f64,
-    /// Of the temperature, kelvin.
-    pub temperature_k: f64,
-}
-
-/// A stream of the generator apart from the sensor's noise, so that one can be switched off without changing the other.
+/// Another stream of the generator than the sensor's noise, so that each can be switched off alone.
 const SPREAD_STREAM: u64 = 1;
-/// A drawn factor is kept within this much of one, far outside what a permitted spread draws.
+/// Largest deviation of a factor from 1; a permitted spread never reaches it.
 const MAX_DEVIATION: f64 = 0.9;
 
 /// One trial's plate, sensor and temperature, drawn from its seed.
@@ -33,13 +20,18 @@ pub struct Variation {
     pub gain: f64,
     /// Factor on τ.
     pub time_constant: f64,
-    /// Factor on what the sensor shows.
+    /// Factor on the sensor's readings.
     pub sensor_gain: f64,
-    /// Kelvin on top of the profile.
+    /// Added to the temperature profile, K.
     pub temperature_k: f64,
 }
 
 impl Variation {
+    /// The variation of trial `index`, counted from 0.
+    pub fn of_trial(scenario: &Scenario, index: u32) -> Self {
+        Self::draw(&scenario.trials.spread, scenario.trials.seed.wrapping_add(u64::from(index)))
+    }
+
     /// Draws from normal distributions. The same seed gives the same trial.
     pub fn draw(spread: &Spread, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);

@@ -60,7 +60,8 @@ pub(crate) struct ProfileChanges {
 }
 
 impl ProfileChanges {
-    /// The plate starts at rest, so a setpoint above 0 at the start is a change. A force or temperature at the start is not.
+    /// The plate starts at rest, so a setpoint above 0 at the start is a change. A force or temperature at the start is
+    /// not.
     pub(crate) fn new(setpoint: &Profile, force: &Profile, temperature: &Profile, duration: Time) -> Self {
         let starts = [(setpoint, true), (force, false), (temperature, false)].map(|(profile, from_rest)| {
             let mut starts = change_starts(profile, from_rest);

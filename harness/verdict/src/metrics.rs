@@ -31,18 +31,10 @@ use window_rows::{window_rows, window_rows_with_previous};
 pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let measure = measure_trace(expectation, rows, telemetry);
     let has_number = measure.value().is_some();
-    match invalid_command(telemetry).filter(|_| has_number && expectation.metric != Metric::MissedReplies) {
-        Some(invalid) => Measure::Missing(invalid),
-        None => measure,
+    if telemetry.not_finite.is_some() && has_number && expectation.metric != Metric::MissedReplies {
+        return Measure::Missing(MissingValue::NonFiniteDrive);
     }
-}
-
-fn invalid_command(telemetry: &Telemetry) -> Option<MissingValue> {
-    if telemetry.not_finite.is_some() {
-        Some(MissingValue::NonFiniteDrive)
-    } else {
-        (telemetry.contradictions > 0).then_some(MissingValue::ContradictingCommands)
-    }
+    measure
 }
 
 fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {

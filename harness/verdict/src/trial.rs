@@ -6,7 +6,7 @@ use crate::feasibility::infeasibility_excuse;
 use crate::metrics::{self, Measure};
 use crate::real_plate;
 use platebench_record::{Divergence, Exclusion, Excuse, Telemetry, TrialReason, TrialRecord};
-use platebench_scenario::{Metric, Scenario};
+use platebench_scenario::{Metric, Scenario, Variation};
 use platebench_trace::{Flags, Row};
 use serde_json::{Map, json};
 use std::collections::BTreeMap;
@@ -34,7 +34,7 @@ pub struct TrialMeasures {
 
 /// Measures the trial with number `index`.
 pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Telemetry) -> TrialMeasures {
-    let variation = scenario.variation(index);
+    let variation = Variation::of_trial(scenario, index);
     let plant = variation.plant(scenario);
     let expectations = &scenario.expectations;
     let is_real_plate = rows.iter().any(|row| row.flags.contains(Flags::SENSED));

@@ -74,7 +74,7 @@ fn the_record_has_the_cause_of_the_controller_s_stop(#[case] rig: &str) {
     };
     assert_eq!(stopped("five-periods-of-silence"), Some("no sample for five periods"));
     assert_eq!(stopped("disconnect-and-reconnect"), Some("no sample for five periods"));
-    assert_eq!(stopped("noise-storm"), Some("too many refused frames"));
+    assert_eq!(stopped("noise-storm"), Some("too many rejected frames"));
     for runs in ["four-periods-of-silence", "noise-borne", "flipped-bit", "truncated-messages", "frozen-sensor"] {
         assert_eq!(stopped(runs), None, "{runs}");
     }

@@ -55,7 +55,7 @@ fn real_time_timing_counts_add_up(#[case] rig: String) {
     let (folder, record) = run_real_time(&["--rig", &rig]);
     let timing = timing(&record);
     assert_eq!((timing.pacing.as_str(), timing.time_scale, timing.periods), ("bench", 1.0, 60));
-    assert!(timing.safe_confirmed && timing.lost_rows == 0 && timing.refused_frames == 0);
+    assert!(timing.safe_confirmed && timing.lost_rows == 0 && timing.rejected_frames == 0);
     // The last reply may be outstanding at the end.
     assert!(timing.lost_replies <= timing.missed_replies + 1);
     let delay = timing.loop_delay_us.unwrap();

@@ -50,7 +50,7 @@ fn wire_faults_act_on_a_live_line(
         let timing = telemetry.timing.as_ref().unwrap();
         let applied: Vec<_> = telemetry.faults.keys().map(String::as_str).collect();
         assert!(applied.is_empty() || applied == [kind], "{applied:?}");
-        assert_eq!((telemetry.ended.as_deref(), timing.refused_frames), (None, 0), "no other fault of the line");
+        assert_eq!((telemetry.ended.as_deref(), timing.rejected_frames), (None, 0), "no other fault of the line");
         let was_at_rest = rows.iter().any(|row| row.flags.contains(Flags::SAFE) && row.drive_vpp == 0.0);
         assert_eq!(was_at_rest, telemetry.stopped.is_some());
         // An overrun may move a sample into or out of the window of the fault.

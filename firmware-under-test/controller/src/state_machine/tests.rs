@@ -62,11 +62,11 @@ fn the_fifth_period_without_a_sample_is_a_timeout() {
 
 #[test]
 fn a_configured_watchdog_replaces_the_default() {
-    for (patience_ms, last_good) in [(1, 999), (20, 19_999), (u16::MAX, 65_534_999)] {
+    for (timeout_ms, last_good) in [(1, 999), (20, 19_999), (u16::MAX, 65_534_999)] {
         let mut machine = StateMachine::new();
-        machine.configure(&Configure { watchdog_timeout_ms: patience_ms, ..CONFIGURE }).outcome.unwrap();
+        machine.configure(&Configure { watchdog_timeout_ms: timeout_ms, ..CONFIGURE }).outcome.unwrap();
         machine.sample(&FROM_REST, 0);
-        assert_eq!(machine.tick(last_good), None, "{patience_ms}");
+        assert_eq!(machine.tick(last_good), None, "{timeout_ms}");
         let mut late = machine;
         assert_eq!(late.sample(&AT_SETPOINT, last_good).state, ControllerState::Running);
         assert_eq!(machine.tick(last_good + 1).unwrap().cause, StateCause::SampleTimeout);

@@ -45,7 +45,7 @@ pub(crate) struct LawScenario {
 impl LawScenario {
     fn new(name: &str, mut scenario: Scenario, disturbed: Option<Time>, trials: u32) -> Self {
         let metric = if disturbed.is_some() { Metric::RecoveryTime } else { Metric::SettlingTime };
-        let last_third = Window { from: Time::from_nanos(scenario.duration.as_nanos() / 3 * 2), to: scenario.duration };
+        let last_third = Window { from: Time::ZERO, to: scenario.duration }.last_third();
         let first_step = scenario.setpoint.next_point_after(Time::ZERO).unwrap_or(Time::ZERO);
         let response_window = Window { from: disturbed.unwrap_or(first_step), to: scenario.duration };
         let expected = |metric: Metric, judged: Window| Expectation {
@@ -61,7 +61,6 @@ impl LawScenario {
             aggregation: Aggregation::default_for(metric),
             band_percent: BAND_PERCENT,
             from: disturbed,
-            window: last_third,
             signal: "amplitude_um",
         };
         let (response, window_mean) = (expected(metric, response_window), expected(Metric::StaticError, last_third));
@@ -83,7 +82,7 @@ impl LawScenario {
 
     /// Periods of the window.
     fn window_samples(&self) -> f64 {
-        let Window { from, to } = self.window_mean_expectation.window;
+        let Window { from, to } = Window { from: Time::ZERO, to: self.scenario.duration }.last_third();
         (to.seconds() - from.seconds()) / self.scenario.controller.period.seconds()
     }
 

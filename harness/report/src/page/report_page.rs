@@ -59,7 +59,7 @@ impl<'a> ReportPage<'a> {
     /// Adds since when an expectation does not pass, from the runs in neighbouring folders.
     #[must_use]
     pub fn with_earlier_runs(self) -> Self {
-        Self { history: RunHistory::read_sibling_runs(self.folder, self.record), ..self }
+        Self { history: RunHistory { runs: Some(self.record.earlier_runs(self.folder, |_, _| ())) }, ..self }
     }
 
     /// Lists traces that were changed after the run instead of drawing them.

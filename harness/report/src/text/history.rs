@@ -6,13 +6,12 @@ use super::cost::short_build_id;
 use crate::format;
 use maud::{Markup, html};
 use platebench_record::{ExpectationRecord, MetricDefinition, RunRecord, ScenarioRecord, Verdict};
-use std::path::Path;
 
 /// Earlier runs, the newest first, with the names of their folders.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RunHistory {
-    is_searched: bool,
-    runs: Vec<(String, RunRecord)>,
+    /// `None` without a search.
+    pub(crate) runs: Option<Vec<(String, RunRecord)>>,
 }
 
 /// An expectation in an earlier run.
@@ -23,11 +22,6 @@ struct EarlierExpectation<'a> {
 }
 
 impl RunHistory {
-    /// Reads the runs in the folders next to `folder`.
-    pub(crate) fn read_sibling_runs(folder: &Path, record: &RunRecord) -> Self {
-        Self { is_searched: true, runs: record.earlier_runs(folder, |_, _| ()) }
-    }
-
     /// Since when expectation `index` has not passed, as a sentence; `None` without a search.
     pub(crate) fn not_passed_since(
         &self,
@@ -35,10 +29,10 @@ impl RunHistory {
         scenario: &ScenarioRecord,
         index: usize,
     ) -> Option<Markup> {
-        let now = scenario.expectations.get(index).filter(|_| self.is_searched)?;
+        let now = scenario.expectations.get(index)?;
         let mut elsewhere = false;
         let mut known: Vec<EarlierExpectation<'_>> = Vec::new();
-        for (run, earlier) in &self.runs {
+        for (run, earlier) in self.runs.as_ref()? {
             let Some(played) = earlier.scenarios.iter().find(|played| played.file == scenario.file) else { continue };
             let Some(expectation) = matching_expectation(scenario, index, played) else { continue };
             if earlier.rig.kind() == record.rig.kind() && played.law == scenario.law {

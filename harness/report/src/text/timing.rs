@@ -35,7 +35,7 @@ pub(crate) fn summary(scenario: &ScenarioRecord) -> Option<String> {
         ("overruns", count(|timing| timing.overruns)),
         ("missed replies", count(|timing| timing.missed_replies)),
         ("lost replies", count(|timing| timing.lost_replies)),
-        ("refused frames", count(|timing| timing.refused_frames)),
+        ("rejected frames", count(|timing| timing.rejected_frames)),
         ("lost rows", count(|timing| timing.lost_rows)),
     ];
     let periods = count(|timing| timing.periods);

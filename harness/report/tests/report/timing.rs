@@ -15,7 +15,7 @@ fn timing() -> TimingRecord {
         skipped: 0,
         missed_replies: 0,
         lost_replies: 0,
-        refused_frames: 0,
+        rejected_frames: 0,
         lost_rows: 0,
         lateness_us: Quantiles { p50: 4.0, p99: 30.0, p999: 55.0, max: 61.0 },
         loop_delay_us: Some(Quantiles { p50: 210.0, p99: 400.0, p999: 500.0, max: 525.0 }),

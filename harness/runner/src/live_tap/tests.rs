@@ -80,12 +80,12 @@ fn counts_lateness_at_control_instants_only() {
 }
 
 #[test]
-fn refused_frames_add_up_over_trials() {
+fn rejected_frames_add_up_over_trials() {
     let (live_tap, reader) = LiveTap::with_capacity(8);
     for so_far in [[1, 3], [0, 2]] {
         let mut guard = live_tap.acquire(0, 0);
         for count in so_far {
-            guard.tap().unwrap().set_refused_frames(count);
+            guard.tap().unwrap().set_rejected_frames(count);
         }
     }
     assert_eq!(reader.counts().rejected_frames, 5);

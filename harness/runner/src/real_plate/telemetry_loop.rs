@@ -108,7 +108,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
             setpoints: self.setpoints,
             unacknowledged: self.unacknowledged,
             acknowledged_us: self.acknowledge_time.quantiles_us(),
-            refused_frames: self.session.rejected_frames(),
+            rejected_frames: self.session.rejected_frames(),
             lost_rows: self.queue.lost(),
             clock_ppm: self.drift.ppm().map(|(ppm, error)| [ppm, error]),
             force_measured: self.telemetry.force_measured,

@@ -355,7 +355,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.time_base.pacing.name().clone_into(&mut timing.pacing);
         scheduling.scheduling.clone_into(&mut timing.scheduling);
         timing.memory_locked = scheduling.memory_locked;
-        timing.refused_frames = self.session.rejected_frames();
+        timing.rejected_frames = self.session.rejected_frames();
         timing.safe_confirmed = safe_confirmed;
         let not_finite = self.plant.not_finite();
         timing.lost_rows = self.plant.into_rows().lost();

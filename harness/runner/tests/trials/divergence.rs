@@ -97,8 +97,8 @@ fn scenarios_raise_no_false_alarm_under_any_law() {
     assert_eq!(
         diverging,
         [
-            "laws/told-one-period-deadbeat.toml dq-pi-euler",
-            "laws/told-one-period-dq-pi.toml dq-pi-euler",
+            "laws/specified-delay-one-period-deadbeat.toml dq-pi-euler",
+            "laws/specified-delay-one-period-dq-pi.toml dq-pi-euler",
             "limits/one-period-delay.toml dq-pi-euler"
         ]
     );

@@ -33,7 +33,7 @@ fn find_errors(folder: &TempDir, arguments: &[&str]) -> Vec<String> {
 }
 
 #[test]
-fn folders_are_taken_with_everything_below_and_without_what_is_no_scenario() {
+fn searches_folders_for_scenarios_only() {
     let folder = create_tree(&[
         "a/z.toml",
         "a/b/c.toml",
@@ -49,14 +49,14 @@ fn folders_are_taken_with_everything_below_and_without_what_is_no_scenario() {
 }
 
 #[test]
-fn nothing_is_found_in_an_empty_folder() {
+fn finds_nothing_in_an_empty_folder() {
     let folder = create_tree(&["a/plates/p.toml"]);
     assert_eq!(found_names(&folder, &["a"]), (vec![], vec![]));
     assert_eq!(found_names(&folder, &[]), (vec![], vec![]));
 }
 
 #[test]
-fn a_folder_that_was_named_for_nothing_is_told() {
+fn reports_a_named_folder_without_scenarios() {
     let folder = create_tree(&["a/x.toml", "limits/limit.toml", "b/plates/p.toml"]);
     let empty = |arguments: &[&str]| {
         let arguments: Vec<_> = arguments.iter().map(|argument| folder.path().join(argument)).collect();
@@ -68,25 +68,25 @@ fn a_folder_that_was_named_for_nothing_is_told() {
 }
 
 #[test]
-fn a_scenario_is_found_however_its_name_is_written() {
+fn ignores_the_case_of_the_extension() {
     let folder = create_tree(&["a/x.TOML", "a/y.Toml"]);
     assert_eq!(found_names(&folder, &["a"]).0, ["x.TOML", "y.Toml"]);
 }
 
 #[cfg(unix)]
 #[test]
-fn a_link_that_leads_nowhere_is_told() {
+fn reports_a_broken_symbolic_link() {
     let folder = create_tree(&["a/x.toml"]);
     for name in ["vendor", ".hidden"] {
         std::os::unix::fs::symlink(folder.path().join("gone"), folder.path().join("a").join(name)).unwrap();
     }
-    let told = find_errors(&folder, &["a"]);
-    assert_eq!(told.len(), 1, "{told:?}");
-    assert!(told[0].starts_with("a/vendor: a link that leads nowhere"), "{told:?}");
+    let errors = find_errors(&folder, &["a"]);
+    assert_eq!(errors.len(), 1, "{errors:?}");
+    assert!(errors[0].starts_with("a/vendor: a broken symbolic link"), "{errors:?}");
 }
 
 #[test]
-fn what_is_named_twice_is_played_once() {
+fn loads_a_scenario_that_is_named_twice_once() {
     let folder = create_tree(&["a/x.toml", "a/y.toml"]);
     assert_eq!(found_names(&folder, &["a", "a/x.toml", "a/../a/x.toml", "a"]).0, ["x.toml", "y.toml"]);
 }
@@ -108,7 +108,7 @@ fn a_name_elsewhere_is_the_path_below_the_named_folder_or_the_file_name() {
 }
 
 #[test]
-fn a_limit_is_only_played_where_it_or_its_own_folder_is_named() {
+fn loads_a_limit_only_if_it_or_its_folder_is_named() {
     let folder = create_tree(&["scenarios/x.toml", "scenarios/limits/limit.toml"]);
     let (x, limit) = (|| "x.toml".to_owned(), || "limits/limit.toml".to_owned());
     assert_eq!(found_names(&folder, &["scenarios"]), (vec![x()], vec![limit()]));
@@ -120,35 +120,35 @@ fn a_limit_is_only_played_where_it_or_its_own_folder_is_named() {
 }
 
 #[test]
-fn two_files_of_one_name_are_refused() {
+fn rejects_two_scenarios_of_one_name() {
     let folder = create_tree(&["a/x.toml", "b/x.toml", "c/x.toml"]);
-    let told = find_errors(&folder, &["a", "b", "c"]);
-    assert_eq!(told.len(), 2, "{told:?}");
-    assert_eq!(told[0], "b/x.toml:1:9: two scenarios would be filed as x.toml, the other one is a/x.toml");
+    let errors = find_errors(&folder, &["a", "b", "c"]);
+    assert_eq!(errors.len(), 2, "{errors:?}");
+    assert_eq!(errors[0], "b/x.toml:1:9: two scenarios are named x.toml, the other one is a/x.toml");
 }
 
 #[test]
-fn every_broken_file_is_told_at_once() {
+fn reports_every_invalid_file() {
     let folder = create_tree(&["a/good.toml"]);
     fs::write(folder.path().join("a/bad.toml"), "title = 1").unwrap();
     fs::write(folder.path().join("a/limit-bad.toml"), "expected_exit = 1\ntitle = 1").unwrap();
     fs::create_dir(folder.path().join("a/sub")).unwrap();
     fs::write(folder.path().join("a/sub/worse.toml"), b"\xff").unwrap();
-    let told = find_errors(&folder, &["a", "no-such.toml"]);
-    assert_eq!(told.len(), 4, "{told:?}");
+    let errors = find_errors(&folder, &["a", "no-such.toml"]);
+    assert_eq!(errors.len(), 4, "{errors:?}");
     for part in [
         "a/bad.toml:1:9: invalid type",
         "a/limit-bad.toml:2:9: invalid type",
         "a/sub/worse.toml:1:1: not UTF-8",
         "no-such.toml: cannot be read",
     ] {
-        assert!(told.iter().any(|fault| fault.starts_with(part)), "{part} in {told:#?}");
+        assert!(errors.iter().any(|fault| fault.starts_with(part)), "{part} in {errors:#?}");
     }
 }
 
 #[cfg(unix)]
 #[test]
-fn folders_that_contain_themselves_come_to_an_end() {
+fn stops_at_a_folder_that_contains_itself() {
     let folder = create_tree(&["a/b/x.toml"]);
     for name in ["one", "two", "three"] {
         std::os::unix::fs::symlink(folder.path().join("a"), folder.path().join("a/b").join(name)).unwrap();
@@ -157,7 +157,7 @@ fn folders_that_contain_themselves_come_to_an_end() {
 }
 
 #[test]
-fn every_scenario_of_this_repository_can_be_run() {
+fn loads_every_scenario_of_the_repository() {
     let scenarios = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
     let folders = ["", "limits"].map(|folder| scenarios.join(folder));
     match find(&folders) {
@@ -167,7 +167,7 @@ fn every_scenario_of_this_repository_can_be_run() {
 }
 
 #[test]
-fn only_the_copies_in_a_run_folder_are_skipped() {
+fn skips_only_the_copies_in_a_run_folder() {
     let folder = create_tree(&["a/x.toml", "a/sub/y.toml", "a/sub/inputs/copy.toml"]);
     let all = ["sub/inputs/copy.toml", "sub/y.toml", "x.toml"];
     let record = folder.path().join("a/sub/run.json");

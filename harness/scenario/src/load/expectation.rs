@@ -1,10 +1,9 @@
-//! What a scenario may expect: limits that can be failed, options that mean something, windows within the trial.
+//! Checks expectations: their limits can fail, and their options apply to the metric.
 
-use super::{Checker, TrialContext, quoted_list};
-use crate::diagnostic::{Diagnostic, suggestion};
+use super::checker::{Checker, TrialContext};
+use crate::diagnostic::Diagnostic;
 use crate::expect::{Aggregation, Expectation, Limit, Metric, SIGNALS};
 use crate::raw::RawExpectation;
-use crate::window::Window;
 use platebench_plate::Time;
 use std::collections::{HashMap, HashSet};
 
@@ -54,10 +53,7 @@ impl Checker<'_> {
     ) -> Result<Expectation, Diagnostic> {
         let key = |name: &str| format!("expect.{index}.{name}");
         let Some(metric) = Metric::from_name(&raw.metric) else {
-            let known = quoted_list(Metric::ALL.map(Metric::name));
-            let hint = suggestion(&raw.metric, Metric::ALL.map(Metric::name));
-            return self
-                .error(&key("metric"), format!("unknown metric `{}`, expected one of {known}{hint}", raw.metric));
+            return self.unknown_name(&key("metric"), "unknown metric ", &raw.metric, &Metric::ALL.map(Metric::name));
         };
         for (name, given, used) in [
             ("band_percent", raw.band_percent.is_some(), metric.has_band()),
@@ -89,13 +85,8 @@ impl Checker<'_> {
         let one_line = !name.trim().is_empty() && !name.contains(char::is_control);
         self.require(one_line, &key("name"), || format!("{name:?}, expected one line of text"))?;
         let column = raw.signal.as_deref().unwrap_or("amplitude_um");
-        let Some(signal) = SIGNALS.into_iter().find(|signal| *signal == column) else {
-            let (known, hint) = (quoted_list(SIGNALS), suggestion(column, SIGNALS));
-            return self.error(&key("signal"), format!("unknown signal `{column}`, expected one of {known}{hint}"));
-        };
+        let signal = self.named(&key("signal"), "unknown signal ", column, SIGNALS.map(|signal| (signal, signal)))?;
         let (after, windows) = self.windows(&key, raw, metric, trial)?;
-        let from = raw.from_ms.and_then(Time::from_ms);
-        let window = windows.first().copied().unwrap_or(Window { from: Time::ZERO, to: trial.duration });
         let tolerance_percent = raw.tolerance_percent.unwrap_or(DEFAULT_TOLERANCE_PERCENT);
         Ok(Expectation {
             name,
@@ -109,8 +100,7 @@ impl Checker<'_> {
             confidence,
             aggregation: self.over(&key, raw, metric)?,
             band_percent,
-            from,
-            window,
+            from: raw.from_ms.and_then(Time::from_ms),
             signal,
         })
     }
@@ -149,7 +139,7 @@ impl Checker<'_> {
         self.require(numbers[0] <= numbers[1], &key(name), || {
             "expected [low, high] with low not above high".to_owned()
         })?;
-        // A tolerance in percent of 0 is 0, and so is half of it and double.
+        // A tolerance in percent of 0 would be 0.
         let about_nothing = matches!(limit, Limit::About(value) if value <= 0.0);
         self.require(!about_nothing, &key(name), || "expected a value above 0 to agree with".to_owned())?;
         let (smallest, largest) = metric.value_range();
@@ -180,10 +170,7 @@ impl Checker<'_> {
             Some("each") => Ok(Aggregation::Each),
             Some("mean") => Ok(Aggregation::Mean),
             Some("quantile") => Ok(Aggregation::Quantile(quantile)),
-            Some(name) => {
-                let (known, hint) = (quoted_list(Aggregation::NAMES), suggestion(name, Aggregation::NAMES));
-                self.error(&key("over"), format!("`{name}`, expected one of {known}{hint}"))
-            }
+            Some(name) => self.unknown_name(&key("over"), "", name, &Aggregation::NAMES),
         }
     }
 }

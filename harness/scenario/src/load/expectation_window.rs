@@ -1,7 +1,7 @@
 //! Checks the window of an expectation: inside the trial, and with something to judge in it.
 
-use super::{Checker, TrialContext, quoted_list};
-use crate::diagnostic::{Diagnostic, suggestion};
+use super::checker::{Checker, TrialContext};
+use crate::diagnostic::Diagnostic;
 use crate::expect::Metric;
 use crate::fault::Fault;
 use crate::raw::{RawExpectation, RawWindow};
@@ -69,11 +69,8 @@ impl Checker<'_> {
         name: &str,
         metric: Metric,
     ) -> Result<ChangingProfile, Diagnostic> {
-        let Some(profile) = ChangingProfile::ALL.into_iter().find(|profile| profile.name() == name) else {
-            let names = ChangingProfile::ALL.map(ChangingProfile::name);
-            let (known, hint) = (quoted_list(names), suggestion(name, names));
-            return self.error(&key("after"), format!("unknown profile `{name}`, expected one of {known}{hint}"));
-        };
+        let all = ChangingProfile::ALL.map(|profile| (profile.name(), profile));
+        let profile = self.named(&key("after"), "unknown profile ", name, all)?;
         self.require(metric.has_after(profile), &key("after"), || {
             format!("`after = \"{name}\"` does not apply to {metric}")
         })?;

@@ -1,7 +1,8 @@
-//! What a scenario may have go wrong: faults that strike at least one message, with the options that mean something to them.
+//! Checks planned faults: each acts on at least one message and has only the options of its kind.
 
-use super::{Checker, MAX_DELAY_PERIODS, quoted_list};
-use crate::diagnostic::{Diagnostic, suggestion};
+use super::checker::Checker;
+use crate::bounds::MAX_DELAY_PERIODS;
+use crate::diagnostic::Diagnostic;
 use crate::fault::{Direction, Fault, FaultKind};
 use crate::raw::RawFault;
 use platebench_plate::Time;
@@ -16,18 +17,18 @@ impl Checker<'_> {
     ) -> Result<Fault, Diagnostic> {
         let key = |name: &str| format!("fault.{index}.{name}");
         let kind = self.kind(&key, raw, period)?;
-        let wired = !kind.affects_sensor();
+        let is_of_line = !kind.affects_sensor();
         for (name, given, used) in [
             ("delay_ms", raw.delay_ms.is_some(), matches!(kind, FaultKind::Delay(_))),
             ("factor", raw.factor.is_some(), matches!(kind, FaultKind::Scale(_))),
             ("seed", raw.seed.is_some(), kind.is_random()),
-            ("direction", raw.direction.is_some(), wired),
+            ("direction", raw.direction.is_some(), is_of_line),
             ("every", raw.every.is_some(), kind != FaultKind::Disconnect),
             ("reconfigure", raw.reconfigure, raw.until_ms.is_some()),
         ] {
             self.require(used || !given, &key(name), || {
                 let why = if name == "reconfigure" { " without an end" } else { "" };
-                format!("`{name}` means nothing to a fault of kind `{}`{why}", raw.kind)
+                format!("`{name}` does not apply to a fault of kind `{}`{why}", raw.kind)
             })?;
         }
         let from = self.time_from_ms(&key("from_ms"), raw.from_ms)?;
@@ -36,26 +37,26 @@ impl Checker<'_> {
         })?;
         let until = raw.until_ms.map(|ms| self.time_from_ms(&key("until_ms"), ms)).transpose()?;
         self.require(until.is_some() || kind == FaultKind::Disconnect, &key("until_ms"), || {
-            format!("`{}` without `until_ms`, expected the end of its window: only a disconnect may stay", raw.kind)
+            format!("`{}` without `until_ms`, expected the end of its window: only a disconnect may last", raw.kind)
         })?;
         self.require(until.is_none_or(|until| from < until && until <= duration), &key("until_ms"), || {
             let until = raw.until_ms.unwrap_or_default();
-            format!("a window from {from} to {until} ms, expected a stretch within the scenario's {duration}")
+            format!("a window from {from} to {until} ms, expected an interval within the scenario's {duration}")
         })?;
         let every = raw.every.unwrap_or(1);
         let instants = count_control_instants(from, until.unwrap_or(duration), period);
         self.require((1..=i64::from(u32::MAX)).contains(&every), &key("every"), || {
-            format!("{every}, expected 1 to {}: each so many-th message", u32::MAX)
+            format!("{every}, expected 1 to {}: 2 is every second message", u32::MAX)
         })?;
         let at = if raw.every.is_some() { "every" } else { "from_ms" };
         self.require(every as u64 <= instants, &key(at), || {
-            format!("{instants} control instants in the window, expected at least {every}: it would never strike")
+            format!("{instants} control instants in the window, expected at least {every}: the fault would never act")
         })?;
         self.require(raw.seed.is_none_or(|seed| seed >= 0), &key("seed"), || {
             format!("{}, expected 0 or more", raw.seed.unwrap_or_default())
         })?;
         let seed = raw.seed.map(|seed| seed as u64);
-        let direction = if wired { self.direction(&key, raw)? } else { Direction::ToController };
+        let direction = if is_of_line { self.direction(&key, raw)? } else { Direction::ToController };
         Ok(Fault { kind, from, until, direction, every: every as u32, seed, reconfigure: raw.reconfigure })
     }
 
@@ -70,7 +71,7 @@ impl Checker<'_> {
             "freeze" => FaultKind::Freeze,
             "delay" => {
                 let Some(ms) = raw.delay_ms else {
-                    return self.error(&key("delay_ms"), "`delay` without `delay_ms`, expected how much");
+                    return self.error(&key("delay_ms"), "`delay` without `delay_ms`, expected a time");
                 };
                 let delay = self.time_from_ms(&key("delay_ms"), self.positive(&key("delay_ms"), ms)?)?;
                 self.require(delay > Time::ZERO && delay <= period.times(MAX_DELAY_PERIODS), &key("delay_ms"), || {
@@ -80,33 +81,26 @@ impl Checker<'_> {
             }
             "scale" => {
                 let Some(factor) = raw.factor else {
-                    return self.error(&key("factor"), "`scale` without `factor`, expected how much");
+                    return self.error(&key("factor"), "`scale` without `factor`, expected a number");
                 };
                 let fits = (factor as f32).is_finite() && factor as f32 != 1.0;
-                self.require(fits, &key("factor"), || {
-                    format!("{factor}, expected a finite number other than 1, which would change nothing")
-                })?;
+                self.require(fits, &key("factor"), || format!("{factor}, expected a finite number other than 1"))?;
                 FaultKind::Scale(factor)
             }
             name => {
-                let (known, hint) = (quoted_list(FaultKind::NAMES), suggestion(name, FaultKind::NAMES));
-                return self.error(&key("kind"), format!("unknown fault `{name}`, expected one of {known}{hint}"));
+                return self.unknown_name(&key("kind"), "unknown fault ", name, &FaultKind::NAMES);
             }
         })
     }
 
     fn direction(&self, key: &impl Fn(&str) -> String, raw: &RawFault) -> Result<Direction, Diagnostic> {
         let Some(name) = raw.direction.as_deref() else { return Ok(Direction::default()) };
-        if let Some(direction) = Direction::ALL.into_iter().find(|direction| direction.name() == name) {
-            return Ok(direction);
-        }
-        let names = Direction::ALL.map(Direction::name);
-        let (known, hint) = (quoted_list(names), suggestion(name, names));
-        self.error(&key("direction"), format!("unknown direction `{name}`, expected one of {known}{hint}"))
+        let all = Direction::ALL.map(|direction| (direction.name(), direction));
+        self.named(&key("direction"), "unknown direction ", name, all)
     }
 }
 
-/// How many multiples of the period lie from `from` on and before `until`.
+/// Number of multiples of the period from `from` to before `until`.
 fn count_control_instants(from: Time, until: Time, period: Time) -> u64 {
     let before = |time: Time| time.as_nanos().div_ceil(period.as_nanos());
     before(until) - before(from)

@@ -1,11 +1,11 @@
-//! What is played: profiles with a pointer to the very number that is wrong, in the scenario or in the CSV file that it names, and a plate that
-//! exists under all of it.
+//! Checks profiles, and that the plate has a resonance under all of their values. Points at the wrong number in the
+//! scenario or in its CSV file.
 
-use super::{Checker, MAX_QUALITY};
+use super::checker::Checker;
+use crate::bounds::MAX_QUALITY;
 use crate::diagnostic::Diagnostic;
 use crate::raw::RawProfiles;
-use crate::scenario::InputFile;
-use crate::variation::Spread;
+use crate::scenario::{InputFile, Spread};
 use platebench_plate::input;
 use platebench_plate::{ConditionProfiles, Conditions, Plate, Profile, ProfileError};
 use platebench_plate::{RawProfile, RawShape};
@@ -15,14 +15,14 @@ use std::path::Path;
 
 const MAX_SETPOINT_UM: f64 = 1_000.0;
 const ABSOLUTE_ZERO_C: f64 = -273.15;
-/// The plate file's bound, under all surroundings: the wire carries the excitation frequency in millihertz.
+/// The bound of plate files, under all conditions: the wire carries the excitation frequency in millihertz.
 const MAX_RESONANCE_HZ: f64 = 2.5e6;
-/// What a plate without a resonance should have instead.
+/// What messages expect of a resonance.
 const EXPECTED: &str = "expected one of at most 2.5e6 Hz with a quality factor from 0.5 to 1e9";
-/// No draw of a trial lies so many deviations off.
+/// A draw of a trial is closer than this many standard deviations.
 const SPREAD_SIGMAS: f64 = 5.0;
 
-/// Which number of a point is meant.
+/// A number of a point.
 #[derive(Clone, Copy)]
 enum PointField {
     Time,
@@ -88,7 +88,7 @@ impl Checker<'_> {
         }
     }
 
-    /// A fault of the point with number `index`, counted from 1, wherever that stands.
+    /// An error of point `index`, counted from 1, in the scenario or the CSV file.
     fn point_error(
         &self,
         folder: &Path,
@@ -116,7 +116,7 @@ impl Checker<'_> {
         Diagnostic::at_key(self.path, self.text, &key, message)
     }
 
-    /// Refuses the first point of `profile` whose value is not good.
+    /// Rejects the first point of `profile` whose value is not good.
     fn require_values(
         &self,
         folder: &Path,
@@ -150,7 +150,7 @@ impl Checker<'_> {
         )
     }
 
-    /// Whether the plate exists under everything that is played to it.
+    /// Checks that the plate has a resonance under all conditions of the scenario.
     pub(super) fn check_conditions(
         &self,
         folder: &Path,
@@ -192,7 +192,7 @@ impl Checker<'_> {
             |value| exists(0.0, value),
             |value| format!("a force of {value} N leaves the plate without a resonance, {EXPECTED}"),
         )?;
-        // What lies between two points counts only where the damping has a corner there.
+        // Between two points only the corners of the damping curve matter.
         let (lightest, heaviest) = scene.finger_force_n.range();
         let corners =
             plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (lightest..heaviest).contains(force));
@@ -205,14 +205,15 @@ impl Checker<'_> {
             |value| forces.iter().all(|force| exists(value - margin, *force) && exists(value + margin, *force)),
             |value| {
                 format!(
-                    "{value} K (± {margin} K of spread) and up to {heaviest} N leave the plate without a resonance, {EXPECTED}"
+                    "{value} K (± {margin} K of spread) and up to {heaviest} N leave the plate without a resonance, \
+                     {EXPECTED}"
                 )
             },
         )
     }
 }
 
-/// The record with that number, the header being number 0: comments and empty lines are none.
+/// The record `number`; the header is 0. Comments and empty lines do not count.
 fn record_span(text: &str, number: u64) -> Range<usize> {
     let mut start = 0;
     let mut counted = 0;
@@ -229,7 +230,7 @@ fn record_span(text: &str, number: u64) -> Range<usize> {
     0..0
 }
 
-/// The field of a line with that number, counted from 0, without the blanks around it.
+/// Field `column` of a line, counted from 0, trimmed.
 fn field_span(text: &str, line: Range<usize>, column: usize) -> Range<usize> {
     let mut start = line.start;
     for (index, field) in text.get(line.clone()).unwrap_or_default().split(',').enumerate() {
@@ -242,7 +243,7 @@ fn field_span(text: &str, line: Range<usize>, column: usize) -> Range<usize> {
     line
 }
 
-/// A number of the point with number `index`, counted from 1, of a CSV text.
+/// A number of point `index`, counted from 1, in a CSV text.
 fn csv_point_span(text: &str, index: usize, part: PointField) -> Range<usize> {
     let header = text.get(record_span(text, 0)).unwrap_or_default();
     let name = match part {

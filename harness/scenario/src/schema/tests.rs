@@ -14,7 +14,7 @@ fn tomls(folder: &Path, into: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn every_scenario_and_plate_of_the_project_is_good() {
+fn accepts_every_scenario_and_plate_of_the_project() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
     let mut files = Vec::new();
     tomls(&root, &mut files);
@@ -37,7 +37,6 @@ fn every_scenario_and_plate_of_the_project_is_good() {
     assert!(counted[0] > 100 && counted[1] > 5, "{counted:?}");
 }
 
-/// What an editor shows beside a key.
 #[test]
 fn every_key_has_a_description() {
     for schema in [scenario_schema(), plate_schema()] {
@@ -49,19 +48,19 @@ fn every_key_has_a_description() {
     }
 }
 
-/// Plans and settings are read further up; what their committed schemas take is held here, where the validator is, and that they are those of the code there.
-fn takes(schema: &str, text: &str) -> bool {
+/// Plans and settings belong to other crates, which check that the committed schemas are current.
+fn accepts(schema: &str, text: &str) -> bool {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/schema").join(schema);
     let schema: serde_json::Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
     jsonschema::is_valid(&schema, &serde_json::to_value(text.parse::<toml::Table>().unwrap()).unwrap())
 }
 
 #[test]
-fn the_project_s_plan_is_good_and_a_broken_one_is_not() {
+fn accepts_the_plan_of_the_project_and_no_broken_one() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/plans/acceptance.toml");
     let plan = fs::read_to_string(path).unwrap();
-    assert!(takes("plan.json", &plan));
-    assert!(takes("plan.json", &plan.replacen("repetitions = 30", "repetitions = 100000", 1)));
+    assert!(accepts("plan.json", &plan));
+    assert!(accepts("plan.json", &plan.replacen("repetitions = 30", "repetitions = 100000", 1)));
     for (good, bad) in [
         ("title = ", "titel = "),
         ("repetitions = 30", "repetitions = 0"),
@@ -72,16 +71,16 @@ fn the_project_s_plan_is_good_and_a_broken_one_is_not() {
         ("least_kill_rate_percent = 55.0", "least_kill_rate_percent = 100.1"),
     ] {
         assert!(plan.contains(good), "{good}");
-        assert!(!takes("plan.json", &plan.replacen(good, bad, 1)), "{bad}");
+        assert!(!accepts("plan.json", &plan.replacen(good, bad, 1)), "{bad}");
     }
 }
 
 #[test]
-fn settings_are_held_to_their_keys() {
-    assert!(takes("config.json", "rig = \"hosted\"\njobs = 1024\nscenarios = [\"a\"]\n[run]\ntime_scale = 0.001"));
+fn accepts_only_known_settings() {
+    assert!(accepts("config.json", "rig = \"hosted\"\njobs = 1024\nscenarios = [\"a\"]\n[run]\ntime_scale = 0.001"));
     for bad in
         ["rigs = \"hosted\"", "jobs = 0", "jobs = 1025", "format = \"xml\"", "[run]\ntime_scale = 0.0009", "[runs]"]
     {
-        assert!(!takes("config.json", bad), "{bad}");
+        assert!(!accepts("config.json", bad), "{bad}");
     }
 }

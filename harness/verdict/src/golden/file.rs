@@ -135,7 +135,6 @@ impl ResponseFeatures {
                 aggregation: Aggregation::Each,
                 band_percent: 5.0,
                 from: None,
-                window: Window { from: Time::ZERO, to: Time::ZERO },
                 signal: "amplitude_um",
             };
             match metrics::measure(&expectation, rows, &Telemetry::default()) {

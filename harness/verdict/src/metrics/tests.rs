@@ -16,8 +16,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     stopped: None,
     faults: BTreeMap::new(),
     not_finite: None,
-    patience_ms: None,
-    contradictions: 0,
+    watchdog_timeout_ms: None,
     violations: Vec::new(),
 };
 
@@ -50,7 +49,6 @@ fn expectation_for(metric: Metric) -> Expectation {
         aggregation: Aggregation::default_for(metric),
         band_percent: 5.0,
         from: None,
-        window: window([40.0, 60.0]),
         signal: "amplitude_um",
     }
 }
@@ -630,12 +628,9 @@ fn what_nobody_can_see_of_a_real_plate_has_no_number() {
 fn what_was_driven_in_the_place_of_what_was_commanded_is_no_merit() {
     let settled = trace_at([0.0, 1.0, 60.0], |_| 2.0, |t| if t < 1.0 { 0.0 } else { 2.0 });
     let not_a_number = Telemetry { not_finite: Some(NonFiniteDrive { at_s: 0.01, count: 1 }), ..EMPTY_TELEMETRY };
-    let twice = Telemetry { contradictions: 1, ..EMPTY_TELEMETRY };
     for metric in [Metric::SettlingTime, Metric::Overshoot, Metric::DrivePeak, Metric::FinalAmplitude] {
         assert!(matches!(measure(&expectation_for(metric), &settled, &EMPTY_TELEMETRY), Measure::Value(_)), "{metric}");
-        for breached in [&not_a_number, &twice] {
-            assert!(matches!(measure(&expectation_for(metric), &settled, breached), Measure::Missing(_)), "{metric}");
-        }
+        assert!(matches!(measure(&expectation_for(metric), &settled, &not_a_number), Measure::Missing(_)), "{metric}");
     }
     let shut = rows_with_stop(|t| t >= 44);
     assert!(matches!(measure(&shutdown_expectation(60.0), &shut, &EMPTY_TELEMETRY), Measure::Value(_)));
@@ -644,10 +639,10 @@ fn what_was_driven_in_the_place_of_what_was_commanded_is_no_merit() {
         "its 0 V is the bench's"
     );
     // The line did what it should, and what was missing before stays what it was.
-    assert_eq!(measure(&expectation_for(Metric::MissedReplies), &settled, &twice), Measure::Value(0.0));
+    assert_eq!(measure(&expectation_for(Metric::MissedReplies), &settled, &not_a_number), Measure::Value(0.0));
     let never = trace_at([0.0, 1.0, 60.0], |_| 2.0, |_| 0.0);
     assert_eq!(
-        measure(&expectation_for(Metric::SettlingTime), &never, &twice),
+        measure(&expectation_for(Metric::SettlingTime), &never, &not_a_number),
         Measure::Missing(MissingValue::NeverSettles)
     );
 }

@@ -1,0 +1,96 @@
+//! Checks values and points at the wrong ones.
+
+use crate::diagnostic::{Diagnostic, suggestion};
+use crate::fault::Fault;
+use crate::parse::MAX_DIAGNOSTICS;
+use crate::window::ProfileChanges;
+use platebench_plate::{Profile, Time};
+use std::path::Path;
+
+/// The scenario file.
+pub(super) struct Checker<'a> {
+    pub(super) path: &'a Path,
+    pub(super) text: &'a str,
+}
+
+/// The parts of a scenario that the windows of expectations depend on.
+pub(super) struct TrialContext<'a> {
+    pub(super) duration: Time,
+    /// Longest time from a setpoint change to the actuation that follows it.
+    pub(super) response_delay: Time,
+    pub(super) setpoint: &'a Profile,
+    pub(super) changes: ProfileChanges,
+    pub(super) faults: &'a [Fault],
+}
+
+/// Errors so far.
+#[derive(Debug, Default)]
+pub(super) struct Diagnostics(pub(super) Vec<Diagnostic>);
+
+impl Diagnostics {
+    /// The value, or `None` after keeping the error.
+    pub(super) fn collect<T>(&mut self, result: Result<T, Diagnostic>) -> Option<T> {
+        result.map_err(|error| self.0.push(error)).ok()
+    }
+
+    /// The values without an error. Stops at [`MAX_DIAGNOSTICS`].
+    pub(super) fn collect_each<T>(&mut self, results: &mut dyn Iterator<Item = Result<T, Diagnostic>>) -> Vec<T> {
+        let mut kept = Vec::new();
+        while self.0.len() < MAX_DIAGNOSTICS
+            && let Some(result) = results.next()
+        {
+            kept.extend(self.collect(result));
+        }
+        kept
+    }
+}
+
+impl Checker<'_> {
+    pub(super) fn error<T>(&self, key: &str, message: impl Into<String>) -> Result<T, Diagnostic> {
+        Err(Diagnostic::at_key(self.path, self.text, key, message))
+    }
+
+    pub(super) fn require(&self, holds: bool, key: &str, message: impl FnOnce() -> String) -> Result<(), Diagnostic> {
+        if holds { Ok(()) } else { self.error(key, message()) }
+    }
+
+    pub(super) fn positive(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
+        self.require(value.is_finite() && value > 0.0, key, || format!("{value}, expected a finite number above 0"))?;
+        Ok(value)
+    }
+
+    /// Values for the controller are carried in single precision.
+    pub(super) fn f32_range(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
+        self.require((value as f32).is_finite(), key, || {
+            format!("{value:e}, expected at most 3.4e38: the wire carries single precision")
+        })?;
+        Ok(value)
+    }
+
+    pub(super) fn time_from_ms(&self, key: &str, ms: f64) -> Result<Time, Diagnostic> {
+        match Time::from_ms(ms) {
+            Some(time) => Ok(time),
+            None => self.error(key, format!("{ms} ms, expected a time from 0 to 9.0e9 ms")),
+        }
+    }
+
+    /// The element of `all` that is called `name`; `what` names its kind.
+    pub(super) fn named<T: Copy, const N: usize>(
+        &self,
+        key: &str,
+        what: &str,
+        name: &str,
+        all: [(&str, T); N],
+    ) -> Result<T, Diagnostic> {
+        if let Some((_, value)) = all.iter().find(|(known, _)| *known == name) {
+            return Ok(*value);
+        }
+        self.unknown_name(key, what, name, &all.map(|(known, _)| known))
+    }
+
+    pub(super) fn unknown_name<T>(&self, key: &str, what: &str, name: &str, known: &[&str]) -> Result<T, Diagnostic> {
+        let quoted: Vec<_> = known.iter().map(|name| format!("`{name}`")).collect();
+        let hint = suggestion(name, known.iter().copied());
+        self.error(key, format!("{what}`{name}`, expected one of {}{hint}", quoted.join(", ")))
+    }
+}

@@ -1,0 +1,131 @@
+//! Checks the controller and its timing.
+
+use super::checker::{Checker, Diagnostics};
+use crate::bounds::{MAX_DELAY_PERIODS, MAX_PERIOD_MS};
+use crate::diagnostic::Diagnostic;
+use crate::raw::RawController;
+use crate::scenario::{Controller, Gains};
+use platebench_plate::{Plate, Time};
+use std::f64::consts::TAU;
+
+const DEFAULT_LAW: &str = "dq-pi";
+const DEFAULT_PERIOD_MS: f64 = 1.0;
+/// The temperature of a day moves the resonance of the paper's plate by 87 Hz; more than twice that is another mode.
+const DEFAULT_FREQUENCY_RANGE_HZ: f64 = 250.0;
+/// Enough to cross the range of a day in one period of 1 ms.
+const DEFAULT_FREQUENCY_SLEW_HZ: f64 = 100.0;
+
+impl Checker<'_> {
+    pub(super) fn controller(
+        &self,
+        raw: &RawController,
+        plate: Option<&Plate>,
+        faults: &mut Diagnostics,
+    ) -> Option<Controller> {
+        let period = faults.collect(self.period(raw));
+        let delays = period.and_then(|period| {
+            let loop_delay = faults.collect(self.loop_delay(raw, period));
+            loop_delay.zip(faults.collect(self.design_delay(raw, period)))
+        });
+        let start_frequency_hz = plate.and_then(|plate| faults.collect(self.start_frequency(raw, plate)));
+        let mut optional = |key: &str, value: Option<f64>| {
+            let checked = |value| self.f32_range(key, self.positive(key, value)?);
+            faults.collect(value.map(checked).transpose())
+        };
+        let range = optional("controller.frequency_range_hz", raw.frequency_range_hz);
+        let slew = optional("controller.frequency_slew_hz", raw.frequency_slew_hz);
+        let key = "controller.frequency_range_hz";
+        if let (Some(Some(range)), Some(start_frequency_hz)) = (range, start_frequency_hz) {
+            faults.collect(self.require(range < start_frequency_hz, key, || {
+                format!("{range} Hz, expected less than the start frequency of {start_frequency_hz:.1} Hz")
+            }));
+        }
+        let law = raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned());
+        faults.collect(
+            self.require(!law.trim().is_empty(), "controller.law", || {
+                "an empty name, expected a control law".to_owned()
+            }),
+        );
+        let key = "controller.response_time_ms";
+        let checked = |value| self.f32_range(key, self.positive(key, value)?);
+        let response_time_ms = faults.collect(raw.response_time_ms.map(checked).transpose());
+        let gains = faults.collect(self.gains(raw));
+        let (loop_delay, design_delay) = delays?;
+        Some(Controller {
+            law,
+            period: period?,
+            start_frequency_hz: start_frequency_hz?,
+            loop_delay,
+            design_delay,
+            response_time_ms: response_time_ms?,
+            frequency_range_hz: range?.unwrap_or(DEFAULT_FREQUENCY_RANGE_HZ),
+            frequency_slew_hz: slew?.unwrap_or(DEFAULT_FREQUENCY_SLEW_HZ),
+            gains: gains?,
+        })
+    }
+
+    fn period(&self, raw: &RawController) -> Result<Time, Diagnostic> {
+        let period_ms = raw.period_ms.unwrap_or(DEFAULT_PERIOD_MS);
+        let key = "controller.period_ms";
+        let period = self.time_from_ms(key, self.positive(key, period_ms)?)?;
+        self.require(period_ms <= MAX_PERIOD_MS, key, || {
+            format!("{period_ms} ms, expected at most {MAX_PERIOD_MS} ms")
+        })?;
+        self.require(period.as_nanos() > 0 && period.as_nanos().is_multiple_of(1_000), key, || {
+            format!("{period_ms} ms, expected whole microseconds: the wire carries no finer period")
+        })?;
+        Ok(period)
+    }
+
+    fn loop_delay(&self, raw: &RawController, period: Time) -> Result<Time, Diagnostic> {
+        let key = "controller.loop_delay_ms";
+        let loop_delay = self.time_from_ms(key, raw.loop_delay_ms)?;
+        self.require(loop_delay <= period.times(MAX_DELAY_PERIODS), key, || {
+            format!("{} ms, expected at most {MAX_DELAY_PERIODS} control periods", raw.loop_delay_ms)
+        })?;
+        Ok(loop_delay)
+    }
+
+    fn design_delay(&self, raw: &RawController, period: Time) -> Result<Time, Diagnostic> {
+        let key = "controller.design_delay_ms";
+        let design_delay = self.time_from_ms(key, raw.design_delay_ms)?;
+        self.require(design_delay <= period, key, || {
+            format!("{} ms, expected at most one control period of {period}", raw.design_delay_ms)
+        })?;
+        self.require(design_delay.as_nanos().is_multiple_of(1_000), key, || {
+            format!("{} ms, expected whole microseconds: the wire carries no finer delay", raw.design_delay_ms)
+        })?;
+        Ok(design_delay)
+    }
+
+    fn start_frequency(&self, raw: &RawController, plate: &Plate) -> Result<f64, Diagnostic> {
+        let resonance_hz = plate.omega0 / TAU;
+        let key = "controller.start_frequency_hz";
+        let start_frequency_hz = self.positive(key, raw.start_frequency_hz.unwrap_or(resonance_hz))?;
+        let share = start_frequency_hz / resonance_hz;
+        self.require((0.5..=1.5).contains(&share), key, || {
+            format!("{start_frequency_hz} Hz, expected within half of the plate's resonance at {resonance_hz:.1} Hz")
+        })?;
+        Ok(start_frequency_hz)
+    }
+
+    fn gains(&self, raw: &RawController) -> Result<Option<Gains>, Diagnostic> {
+        let Some(raw) = raw.gains else { return Ok(None) };
+        for (name, value) in [
+            ("amplitude_kp", raw.amplitude_kp),
+            ("amplitude_ki", raw.amplitude_ki),
+            ("frequency_kp", raw.frequency_kp),
+            ("frequency_ki", raw.frequency_ki),
+        ] {
+            let key = format!("controller.gains.{name}");
+            self.require(value.is_finite(), &key, || format!("{value}, expected a finite number"))?;
+            self.f32_range(&key, value)?;
+        }
+        Ok(Some(Gains {
+            amplitude_kp: raw.amplitude_kp,
+            amplitude_ki: raw.amplitude_ki,
+            frequency_kp: raw.frequency_kp,
+            frequency_ki: raw.frequency_ki,
+        }))
+    }
+}

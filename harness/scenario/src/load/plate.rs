@@ -1,0 +1,52 @@
+//! Checks plate files.
+
+use super::checker::{Checker, Diagnostics};
+use super::text::{decode_text, read_text};
+use crate::bounds::MAX_QUALITY;
+use crate::diagnostic::Diagnostic;
+use crate::parse::parse;
+use crate::scenario::InputFile;
+use platebench_plate::{Plate, RawPlate, input};
+use std::path::Path;
+
+/// Reads and checks the plate file at `path`.
+///
+/// # Errors
+/// Every wrong key, else the first wrong value.
+pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
+    parse_plate(path, &read_text(path).map_err(|fault| vec![fault])?)
+}
+
+impl Checker<'_> {
+    pub(super) fn plate(&self, path: &Path, inputs: &mut Vec<InputFile>, faults: &mut Diagnostics) -> Option<Plate> {
+        let text = match input::read(path) {
+            Ok(bytes) => faults.collect(decode_text(path, bytes))?,
+            Err(error) => {
+                let message = format!("plate file {} cannot be read: {error}", path.display());
+                return faults.collect(self.error("plate", message));
+            }
+        };
+        let plate = parse_plate(path, &text).map_err(|found| faults.0.extend(found)).ok()?;
+        inputs.push(InputFile { path: path.to_owned(), bytes: text.into_bytes() });
+        Some(plate)
+    }
+}
+
+/// Checks the plate file with this text.
+fn parse_plate(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
+    let raw: RawPlate = parse(path, text)?;
+    let error_at = |key: &str, message: String| vec![Diagnostic::at_key(path, text, key, message)];
+    let plate = raw.check().map_err(|error| error_at(error.key, error.to_string()))?;
+    let quality = plate.omega0 / (2.0 * plate.sigma0);
+    if quality > MAX_QUALITY {
+        let message = format!("a quality factor of {quality:.3e}, expected at most {MAX_QUALITY:e}");
+        return Err(error_at("mode.time_constant_ms", message));
+    }
+    for (key, value) in [("mode.gain_um_per_vpp", plate.gain), ("drive.limit_vpp", plate.drive_limit_vpp)] {
+        if !(value as f32).is_normal() {
+            let message = format!("{value:e}, expected 1.2e-38 to 3.4e38: the wire carries single precision");
+            return Err(error_at(key, message));
+        }
+    }
+    Ok(plate)
+}

@@ -1,0 +1,187 @@
+//! Checks a scenario as a whole, with its trials and its spacing of rows.
+
+use super::checker::{Checker, Diagnostics, TrialContext};
+use super::expectation::expectation_names;
+use crate::bounds::{MAX_SPREAD_PERCENT, MAX_TRIALS};
+use crate::diagnostic::Diagnostic;
+use crate::raw::{RawScenario, RawSpread, RawTrials};
+use crate::scenario::{AUTO_MODEL, Controller, InputFile, Scenario, Spread, Trials};
+use crate::window::ProfileChanges;
+use platebench_plate::{ConditionProfiles, Plate, RawProfile, Tier, Time};
+use std::path::Path;
+
+const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
+/// A longer scenario has a row per control period by default.
+const MAX_FINE_TRACE_MS: f64 = 1_000.0;
+/// A trial is held in memory: at most some 250 MB.
+const MAX_ROWS: f64 = 2e6;
+/// Each expectation is measured on every trial.
+const MAX_EXPECTATIONS: usize = 2_000;
+
+impl Checker<'_> {
+    /// `None` if something is wrong, with the reasons in `faults`.
+    pub(super) fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Diagnostics) -> Option<Scenario> {
+        let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+        let one_line = !raw.title.trim().is_empty() && !raw.title.contains(char::is_control);
+        faults.collect(self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title)));
+        let mut inputs = vec![InputFile { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
+        let plate = self.plate(&folder.join(&raw.plate), &mut inputs, faults);
+        let controller = self.controller(&raw.controller, plate.as_ref(), faults);
+        let positive = self.positive("duration_ms", raw.duration_ms);
+        let duration = faults.collect(positive.and_then(|ms| self.time_from_ms("duration_ms", ms)));
+        let timing = controller.as_ref().zip(duration);
+        let trace_step =
+            timing.and_then(|(controller, duration)| faults.collect(self.timing(&raw, controller, duration)));
+        let mut profile = |key: &str, raw: &RawProfile| faults.collect(self.profile(folder, key, raw, &mut inputs));
+        let setpoint = profile("profile.setpoint_um", &raw.profile.setpoint_um);
+        let temperature_offset_k = profile("profile.temperature_offset_k", &raw.profile.temperature_offset_k);
+        let finger_force_n = profile("profile.finger_force_n", &raw.profile.finger_force_n);
+        let trials = faults.collect(self.trials(&raw.trials));
+        if let Some(setpoint) = &setpoint {
+            faults.collect(self.check_setpoints(folder, &raw.profile, setpoint));
+        }
+        let scene = temperature_offset_k.zip(finger_force_n);
+        let scene = scene
+            .map(|(temperature_offset_k, finger_force_n)| ConditionProfiles { temperature_offset_k, finger_force_n });
+        if let (Some(plate), Some(scene), Some(trials)) = (&plate, &scene, &trials) {
+            faults.collect(self.check_conditions(folder, &raw.profile, plate, scene, &trials.spread));
+        }
+        faults.collect(self.require(raw.expect.len() <= MAX_EXPECTATIONS, "expect", || {
+            format!("{} [[expect]], expected at most {MAX_EXPECTATIONS}", raw.expect.len())
+        }));
+        faults.collect(self.require(!raw.expect.is_empty(), "expect", || {
+            "no [[expect]], expected at least one: a scenario that expects nothing cannot fail".to_owned()
+        }));
+        let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
+        let tier = plate.as_ref().and_then(|plate| faults.collect(self.tier(model, plate)));
+        let expected_exit = faults.collect(self.expected_exit(raw.expected_exit));
+        let (Some(controller), Some(duration), Some(setpoint), Some(scene)) = (controller, duration, setpoint, scene)
+        else {
+            return None;
+        };
+        let count = faults.0.len();
+        let mut line_faults =
+            (0..).zip(&raw.fault).map(|(index, fault)| self.fault(index, fault, duration, controller.period));
+        let line_faults = faults.collect_each(&mut line_faults);
+        let changes = ProfileChanges::new(&setpoint, &scene.finger_force_n, &scene.temperature_offset_k, duration);
+        let response_delay = controller.period + controller.loop_delay;
+        let trial = TrialContext { duration, response_delay, setpoint: &setpoint, changes, faults: &line_faults };
+        let names = expectation_names(&raw.expect);
+        let mut expected = (0..)
+            .zip(raw.expect.iter().zip(names))
+            .map(|(index, (expect, name))| self.expectation(index, expect, name, &trial));
+        let expected = faults.collect_each(&mut expected);
+        faults.collect(self.check_names(&raw.expect, &expected));
+        if faults.0.len() > count {
+            return None;
+        }
+        Some(Scenario {
+            file: file.to_owned(),
+            title: raw.title,
+            source: raw.source,
+            tags: raw.tags,
+            tier: tier?,
+            expected_exit: expected_exit?,
+            expectations: expected,
+            faults: line_faults,
+            conditions: scene,
+            inputs,
+            plate: plate?,
+            duration,
+            trace_step: trace_step?,
+            controller,
+            setpoint,
+            trials: trials?,
+        })
+    }
+
+    /// Checks the trial's length against the controller's timing; returns the spacing of rows.
+    fn timing(&self, raw: &RawScenario, controller: &Controller, duration: Time) -> Result<Time, Diagnostic> {
+        self.require(duration >= controller.period, "duration_ms", || {
+            format!("{} ms, expected at least one control period of {}", raw.duration_ms, controller.period)
+        })?;
+        self.require(controller.loop_delay < duration, "controller.loop_delay_ms", || {
+            format!(
+                "{}, expected less than the scenario's {duration}: nothing would ever reach the plate",
+                controller.loop_delay
+            )
+        })?;
+        self.trace_step(raw.trace_step_ms, duration, controller.period)
+    }
+
+    fn trace_step(&self, raw: Option<f64>, duration: Time, period: Time) -> Result<Time, Diagnostic> {
+        let key = "trace_step_ms";
+        let step = match raw {
+            Some(ms) => self.time_from_ms(key, self.positive(key, ms)?)?,
+            None if duration.ms() > MAX_FINE_TRACE_MS => period,
+            None => self.time_from_ms(key, DEFAULT_TRACE_STEP_MS)?,
+        };
+        // Every control instant has a row too.
+        let spacing = step.min(period);
+        let rows = duration.seconds() / spacing.seconds();
+        let key = if raw.is_some() && step <= period { key } else { "duration_ms" };
+        self.require(rows <= MAX_ROWS, key, || {
+            format!("a row every {spacing} over {duration} is {rows:.0} rows, expected at most {MAX_ROWS:.0}")
+        })?;
+        Ok(step)
+    }
+
+    fn tier(&self, model: &str, plate: &Plate) -> Result<Tier, Diagnostic> {
+        if let Some(tier) = Scenario::tier_for(model, plate) {
+            return Ok(tier);
+        }
+        let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
+        self.unknown_name("model", "unknown model ", model, &[AUTO_MODEL, linear, envelope, modal, carrier])
+    }
+
+    fn expected_exit(&self, raw: Option<i64>) -> Result<Option<u8>, Diagnostic> {
+        match raw {
+            None => Ok(None),
+            Some(code @ (1 | 3 | 5)) => Ok(Some(code as u8)),
+            Some(code) => self.error(
+                "expected_exit",
+                format!(
+                    "{code}, expected 1 (something fails), 3 (something is inconclusive) or 5 (the controller is lost)"
+                ),
+            ),
+        }
+    }
+
+    fn trials(&self, raw: &RawTrials) -> Result<Trials, Diagnostic> {
+        let key = "trials.count";
+        self.require((1..=MAX_TRIALS).contains(&raw.count), key, || {
+            format!("{} trials, expected 1 to {MAX_TRIALS}", raw.count)
+        })?;
+        let max_count = raw.max_count.unwrap_or(raw.count);
+        self.require((raw.count..=MAX_TRIALS).contains(&max_count), "trials.max_count", || {
+            format!("{max_count} trials, expected count ({}) to {MAX_TRIALS}", raw.count)
+        })?;
+        self.require(raw.seed >= 0, "trials.seed", || format!("{}, expected 0 or more", raw.seed))?;
+        Ok(Trials {
+            count: raw.count as u32,
+            max_count: max_count as u32,
+            seed: raw.seed as u64,
+            spread: self.spread(&raw.spread)?,
+        })
+    }
+
+    fn spread(&self, raw: &RawSpread) -> Result<Spread, Diagnostic> {
+        for (name, value, unit) in [
+            ("gain_percent", raw.gain_percent, "%"),
+            ("time_constant_percent", raw.time_constant_percent, "%"),
+            ("sensor_gain_percent", raw.sensor_gain_percent, "%"),
+            ("temperature_k", raw.temperature_k, "K"),
+        ] {
+            let fits = (0.0..=MAX_SPREAD_PERCENT).contains(&value);
+            self.require(fits, &format!("trials.spread.{name}"), || {
+                format!("a standard deviation of {value} {unit}, expected 0 to {MAX_SPREAD_PERCENT} {unit}")
+            })?;
+        }
+        Ok(Spread {
+            gain_percent: raw.gain_percent,
+            time_constant_percent: raw.time_constant_percent,
+            sensor_gain_percent: raw.sensor_gain_percent,
+            temperature_k: raw.temperature_k,
+        })
+    }
+}
