@@ -1,14 +1,14 @@
-//! Why a run could not be exported.
+//! Defines the errors of an export.
 
 use platebench_trace::TraceError;
 use std::error::Error;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a run could not be exported. What was whole before is there, nothing else.
+/// Why a run could not be exported. Files that were complete before remain.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// A trace is not one.
+    /// A trace cannot be read.
     #[error(transparent)]
     Trace(#[from] TraceError),
     /// A file cannot be written.
@@ -16,26 +16,26 @@ pub enum ExportError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// The format's library refuses.
+    /// The library of a format rejects the data.
     #[error("{}: {source}", path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// What the library says.
+        /// The library's error.
         source: Box<dyn Error + Send + Sync>,
     },
-    /// A file of that name is there.
-    #[error("{} is already there, expected a place where nothing would be written over; --out names another", .0.display())]
+    /// A file exists.
+    #[error("{} exists, expected a new file; name another folder with --out", .0.display())]
     FileExists(PathBuf),
-    /// A scenario was asked for that the run does not have.
-    #[error("the run has no scenario `{asked}`, expected one of {known}")]
+    /// The run has no such scenario.
+    #[error("the run has no scenario `{requested}`, expected one of {known}")]
     NoSuchScenario {
-        /// What was asked for.
-        asked: String,
-        /// What there is.
+        /// The requested scenario.
+        requested: String,
+        /// The scenarios of the run.
         known: String,
     },
     /// The record names a file outside its folder.
@@ -43,31 +43,31 @@ pub enum ExportError {
     OutsideRunFolder {
         /// The record.
         record: PathBuf,
-        /// What it names.
+        /// The path in the record.
         named: String,
     },
-    /// The run started at a time that is none.
+    /// The start time of the run is invalid.
     #[error("{}: `started` is {text}, expected a time like 2026-03-02T09:30:00Z: {source}", record.display())]
     InvalidStartTime {
         /// The record.
         record: PathBuf,
-        /// What it says.
+        /// The start time.
         text: String,
-        /// What is wrong with it.
+        /// The parser's error.
         source: jiff::Error,
     },
-    /// There is no whole trial.
-    #[error("{}: no whole trial, expected at least one", .0.display())]
+    /// No trial is complete.
+    #[error("{}: no complete trial, expected at least one", .0.display())]
     NoCompleteTrial(PathBuf),
 }
 
 impl ExportError {
-    /// Turns what the system says about `path` into an error.
+    /// Converts an error of the operating system.
     pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io { path: path.to_owned(), source }
     }
 
-    /// Turns what a library says about `path` into an error.
+    /// Converts an error of a library.
     pub(crate) fn format<E: Error + Send + Sync + 'static>(path: &Path) -> impl Fn(E) -> Self {
         move |source| Self::Format { path: path.to_owned(), source: Box::new(source) }
     }

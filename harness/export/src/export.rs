@@ -1,28 +1,28 @@
-//! Which files are made of a run, and that none is written over or left half.
+//! Exports a run to new files.
 
 use crate::error::ExportError;
 use crate::source::ExportScenario;
 use crate::{mcap, mf4, parquet, table};
-use platebench_record::RECORD_FILE;
-use platebench_record::{RunRecord, ScenarioRecord};
+use platebench_record::{RECORD_FILE, RunRecord, ScenarioRecord};
+use platebench_trace::AtomicFile;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-/// A format that other programs read.
+/// File format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ExportFormat {
-    /// Apache Parquet: a file for each scenario.
+    /// Apache Parquet: a file per scenario.
     Parquet,
-    /// ASAM MDF 4.10: a file for each scenario, a data group for each trial.
+    /// ASAM MDF 4.10: a file per scenario, a data group per trial.
     Mf4,
-    /// One tidy table of the whole run, and a description of its columns.
+    /// CSV: one tidy table of the whole run, and a description of its columns.
     Csv,
-    /// MCAP with messages in JSON: a file for each scenario, a topic for each trial.
+    /// MCAP with JSON messages: a file per scenario, a topic per trial.
     Mcap,
 }
 
 impl ExportFormat {
-    /// The ending of its files.
+    /// File name extension.
     pub const fn extension(self) -> &'static str {
         match self {
             Self::Parquet => "parquet",
@@ -33,20 +33,21 @@ impl ExportFormat {
     }
 }
 
-/// What was made.
+/// Result of an export.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct ExportResult {
-    /// The files.
+    /// The new files.
     pub files: Vec<PathBuf>,
-    /// How many trials were left out because they were cut off before their trace was whole.
+    /// Number of skipped trials without a complete trace.
     pub incomplete_trials: usize,
 }
 
-/// Writes the traces of `run`, which lies in `folder`, as `format` below `out`; of the named scenarios only, where any
-/// are named: by file, with or without `.toml`.
+/// Exports the traces of `run` in `folder` to `out`: of the named scenarios (with or without `.toml`), or of all if
+/// `scenarios` is empty.
 ///
 /// # Errors
-/// [`ExportError`]; before anything is written where a name is unknown, a file is in the way or there is no whole trial.
+/// [`ExportError`]. Unknown names, existing files and a run without a complete trial are found before anything is
+/// written.
 pub fn export(
     run: &RunRecord,
     folder: &Path,
@@ -92,53 +93,44 @@ pub fn export(
             }
         }
     }
-    if let Some((taken, _)) = tasks.iter().find(|(path, _)| path.exists()) {
-        return Err(ExportError::FileExists(taken.clone()));
+    if let Some((existing, _)) = tasks.iter().find(|(path, _)| path.exists()) {
+        return Err(ExportError::FileExists(existing.clone()));
     }
     let mut files = Vec::with_capacity(tasks.len());
     for (path, write) in tasks {
-        write_atomically(&path, &*write)?;
+        write_new_file(&path, &*write)?;
         files.push(path);
     }
     Ok(ExportResult { files, incomplete_trials: cut_off })
 }
 
-/// Fills a file whose name, for messages, is given beside it.
-type WriteFile<'a> = dyn Fn(File, &Path) -> Result<(), ExportError> + 'a;
+/// Writes the content of a file; the path is for messages.
+type WriteFile<'a> = dyn Fn(&File, &Path) -> Result<(), ExportError> + 'a;
 
-/// Fills a file that gets its name once it is whole.
-fn write_atomically(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError> {
+/// Writes a new file atomically.
+fn write_new_file(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(ExportError::io(folder))?;
     }
-    let mut provisional = path.as_os_str().to_owned();
-    provisional.push(".part");
-    let provisional = PathBuf::from(provisional);
-    let file = File::create(&provisional).map_err(ExportError::io(&provisional))?;
-    let written = write(file, path).and_then(|()| {
-        // Somebody else may have been here meanwhile.
-        if path.exists() {
-            return Err(ExportError::FileExists(path.to_owned()));
-        }
-        fs::rename(&provisional, path).map_err(ExportError::io(path))
-    });
-    if written.is_err() {
-        // What went wrong is told; half a file helps nobody.
-        let _ = fs::remove_file(&provisional);
+    let file = AtomicFile::create(path).map_err(ExportError::io(path))?;
+    write(file.file(), path)?;
+    // Another process may have written it meanwhile.
+    if path.exists() {
+        return Err(ExportError::FileExists(path.to_owned()));
     }
-    written
+    file.commit_without_sync().map_err(ExportError::io(path))
 }
 
-/// The scenarios that were asked for, in the order of the run; all where none was.
+/// The requested scenarios in the order of the run; all if `requested` is empty.
 ///
 /// # Errors
 /// [`ExportError::NoSuchScenario`].
-pub fn select_scenarios<'a>(run: &'a RunRecord, asked: &[String]) -> Result<Vec<&'a ScenarioRecord>, ExportError> {
+pub fn select_scenarios<'a>(run: &'a RunRecord, requested: &[String]) -> Result<Vec<&'a ScenarioRecord>, ExportError> {
     let bare = |name: &str| name.strip_suffix(".toml").unwrap_or(name).to_owned();
     let known: Vec<String> = run.scenarios.iter().map(|scenario| bare(&scenario.file)).collect();
-    if let Some(unknown) = asked.iter().find(|name| !known.contains(&bare(name))) {
-        return Err(ExportError::NoSuchScenario { asked: unknown.clone(), known: known.join(", ") });
+    if let Some(unknown) = requested.iter().find(|name| !known.contains(&bare(name))) {
+        return Err(ExportError::NoSuchScenario { requested: unknown.clone(), known: known.join(", ") });
     }
-    let wanted = |file: &str| asked.is_empty() || asked.iter().any(|name| bare(name) == bare(file));
+    let wanted = |file: &str| requested.is_empty() || requested.iter().any(|name| bare(name) == bare(file));
     Ok(run.scenarios.iter().filter(|scenario| wanted(&scenario.file)).collect())
 }

@@ -1,14 +1,7 @@
-//! The traces of a run in the formats that other programs read: Parquet, MDF4, MCAP and CSV.
+//! Exports the traces of a run to Parquet, MDF4, MCAP and CSV. `docs/formats.md` describes the formats.
 //!
-//! Every format holds the same [`columns`]: the numbers of a trace bit for bit, its flags one by one, which scenario
-//! and trial they are of, and the unit of each. A trace is read and written row by row, so that memory does not grow
-//! with its length; a file gets its name once it is whole, and a file that is there is never written over.
-//!
-//! * [`export`]: which files are made, and that nothing is lost on the way.
-//! * [`columns`]: names, units and meanings.
-//!
-//! Neighbours: `platebench-trace` reads rows, `platebench-verdict` owns the record. Which run, and what becomes of an
-//! error, is the command line's. Nothing is judged or computed here. docs/formats.md describes each format.
+//! Every format has the same [`columns`]: the numbers bit for bit, one column per flag, scenario, trial and units. A
+//! trace is copied row by row, so that memory does not grow with its length. No existing file is overwritten.
 
 pub mod columns;
 mod error;

@@ -1,11 +1,9 @@
-//! MDF4: a measurement for each scenario, with a data group for each trial.
+//! Writes ASAM MDF 4.10: a file per scenario, a data group per trial.
 //!
-//! ASAM MDF 4.10, the part of it that a table of numbers needs: identification, header, file history, and per trial a data
-//! group with one channel group, its channels and one data block. Time is the master channel. A channel without a
-//! conversion is 1:1. Flags are channels of one bit in a byte that they share. Written here because the library that writes
-//! the format, mdf4-rs 0.6, asks for a newer compiler than this workspace and writes neither the start time nor the history.
+//! A file has identification, header and file history. A data group has one channel group, its channels and one data
+//! block. Time is the master channel; flags are bits of one byte. [`blocks`] writes the bytes.
 //!
-//! Neighbours: [`blocks`] knows the bytes of each block; here is what they say.
+//! The library mdf4-rs 0.6 needs a newer compiler than this workspace and writes neither start time nor history.
 
 mod blocks;
 
@@ -21,8 +19,8 @@ use std::path::Path;
 /// Bytes of a record: the numbers, and one for the flags.
 const RECORD_BYTES: usize = NUMBER_COLUMNS.len() * 8 + 1;
 
-/// Writes the scenario's measurement.
-pub(crate) fn write(source: &ExportScenario<'_>, file: File, path: &Path) -> Result<(), ExportError> {
+/// Writes the file of a scenario.
+pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
     let mut blocks = BlockWriter::start(file).map_err(ExportError::io(path))?;
     let signals = write_header(source, &mut blocks).map_err(ExportError::io(path))?;
     for trial in &source.trials {
@@ -31,7 +29,7 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: File, path: &Path) -> Res
     blocks.finish().map_err(ExportError::io(path))
 }
 
-/// A channel's texts, which all groups share.
+/// Texts of a channel, shared by all groups.
 struct ChannelTemplate {
     name: u64,
     unit: u64,
@@ -40,7 +38,7 @@ struct ChannelTemplate {
 }
 
 /// Everything before the first data group.
-fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter) -> io::Result<Vec<ChannelTemplate>> {
+fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io::Result<Vec<ChannelTemplate>> {
     let facts = source.metadata();
     let mut properties = String::new();
     for (name, value) in &facts {
@@ -49,12 +47,13 @@ fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter) -> io::Re
     }
     let title = escape_xml(&source.scenario.title);
     let comment = format!(
-        "<HDcomment xmlns=\"http://www.asam.net/mdf/v4\"><TX>{title}</TX><common_properties>{properties}</common_properties></HDcomment>"
+        "<HDcomment xmlns=\"http://www.asam.net/mdf/v4\"><TX>{title}</TX>\
+         <common_properties>{properties}</common_properties></HDcomment>"
     );
     let tool = &source.run.tool;
     let history = format!(
-        "<FHcomment xmlns=\"http://www.asam.net/mdf/v4\"><TX>exported from a run folder</TX><tool_id>{0}</tool_id><tool_vendor>{0}</tool_vendor>\
-         <tool_version>{1}</tool_version></FHcomment>",
+        "<FHcomment xmlns=\"http://www.asam.net/mdf/v4\"><TX>exported from a run folder</TX>\
+         <tool_id>{0}</tool_id><tool_vendor>{0}</tool_vendor><tool_version>{1}</tool_version></FHcomment>",
         escape_xml(&tool.name),
         escape_xml(&tool.version)
     );
@@ -69,11 +68,11 @@ fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter) -> io::Re
             kind: if place == 0 { ChannelKind::Time { byte } } else { ChannelKind::Real { byte } },
         });
     }
-    for (mark, bit) in FLAG_COLUMNS.iter().zip(0..) {
+    for (flag, bit) in FLAG_COLUMNS.iter().zip(0..) {
         signals.push(ChannelTemplate {
-            name: blocks.write_text(mark.name)?,
+            name: blocks.write_text(flag.name)?,
             unit: 0,
-            meaning: blocks.write_text(mark.meaning)?,
+            meaning: blocks.write_text(flag.meaning)?,
             kind: ChannelKind::Bit { byte: (NUMBER_COLUMNS.len() * 8) as u32, bit },
         });
     }
@@ -84,7 +83,7 @@ fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter) -> io::Re
 fn write_group(
     trial: &ExportTrial,
     signals: &[ChannelTemplate],
-    blocks: &mut BlockWriter,
+    blocks: &mut BlockWriter<'_>,
     path: &Path,
 ) -> Result<(), ExportError> {
     let name = format!("trial {:03}", trial.index);
@@ -103,13 +102,13 @@ fn write_group(
     for row in trial.rows()? {
         let row = row?;
         let mut record = [0; RECORD_BYTES];
-        let (numbers, marks) = record.split_at_mut(NUMBER_COLUMNS.len() * 8);
+        let (numbers, flags) = record.split_at_mut(NUMBER_COLUMNS.len() * 8);
         for (place, number) in numbers.chunks_exact_mut(8).zip(NUMBER_COLUMNS) {
             place.copy_from_slice(&(number.of)(&row).to_le_bytes());
         }
-        for (mark, bit) in FLAG_COLUMNS.iter().zip(0_u8..) {
-            if let Some(byte) = marks.first_mut() {
-                *byte |= u8::from(row.flags.contains(mark.flag)) << bit;
+        for (flag, bit) in FLAG_COLUMNS.iter().zip(0_u8..) {
+            if let Some(byte) = flags.first_mut() {
+                *byte |= u8::from(row.flags.contains(flag.flag)) << bit;
             }
         }
         blocks.write_record(&mut group, &record).map_err(ExportError::io(path))?;
@@ -117,7 +116,7 @@ fn write_group(
     blocks.end_group(&group).map_err(ExportError::io(path))
 }
 
-/// Text as XML holds it; what XML 1.0 has no character for is left out.
+/// Escapes text for XML, without characters that XML 1.0 forbids.
 fn escape_xml(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for character in text.chars() {
@@ -140,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn markup_in_titles_is_text() {
+    fn escapes_markup() {
         assert_eq!(escape_xml("a < b & \"c\" > d\u{0}\u{1b}\tµ"), "a &lt; b &amp; &quot;c&quot; &gt; d\tµ");
     }
 }

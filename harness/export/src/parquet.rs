@@ -1,7 +1,7 @@
-//! Parquet: a table for each scenario, with the trials below each other.
+//! Writes Parquet: a table per scenario with all trials.
 //!
-//! Units stand in the file's key-value metadata as `unit.<column>`, meanings as `meaning.<column>`, beside what is said
-//! of the scenario. A row group holds at most [`GROUP`] rows, which is all that is ever in memory.
+//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, and the scenario. One row
+//! group of at most [`ROW_GROUP_ROWS`] rows is in memory.
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
@@ -21,13 +21,13 @@ use std::sync::Arc;
 /// Rows of a row group: some 8 MB of numbers.
 const ROW_GROUP_ROWS: usize = 65_536;
 
-/// Writes the scenario's table.
-pub(crate) fn write(source: &ExportScenario<'_>, file: File, path: &Path) -> Result<(), ExportError> {
-    let refused = ExportError::format::<ParquetError>(path);
+/// Writes the table of a scenario.
+pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
+    let format_error = ExportError::format::<ParquetError>(path);
     let facts = source.metadata().into_iter().map(|(name, value)| (name.to_owned(), value));
     let units = NUMBER_COLUMNS.iter().map(|number| (format!("unit.{}", number.name), number.unit.to_owned()));
     let meanings = NUMBER_COLUMNS.iter().map(|number| (number.name, number.meaning));
-    let meanings = meanings.chain(FLAG_COLUMNS.iter().map(|mark| (mark.name, mark.meaning)));
+    let meanings = meanings.chain(FLAG_COLUMNS.iter().map(|flag| (flag.name, flag.meaning)));
     let meanings = meanings.map(|(name, meaning)| (format!("meaning.{name}"), meaning.to_owned()));
     let metadata = facts.chain(units).chain(meanings).map(|(key, value)| KeyValue::new(key, value)).collect();
     let properties = WriterProperties::builder()
@@ -35,21 +35,21 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: File, path: &Path) -> Res
         .set_created_by(format!("{} {}", source.run.tool.name, source.run.tool.version))
         .set_key_value_metadata(Some(metadata))
         .build();
-    let schema = schema().map_err(&refused)?;
-    let mut writer = SerializedFileWriter::new(file, schema, Arc::new(properties)).map_err(&refused)?;
-    let mut block = RowGroup::default();
+    let schema = schema().map_err(&format_error)?;
+    let mut writer = SerializedFileWriter::new(file, schema, Arc::new(properties)).map_err(&format_error)?;
+    let mut group = RowGroup::default();
     for trial in &source.trials {
         for row in trial.rows()? {
-            block.push(trial.index, trial.seed, row?);
-            if block.rows.len() == ROW_GROUP_ROWS {
-                block.write(source.name, &mut writer).map_err(&refused)?;
+            group.push(trial.index, trial.seed, row?);
+            if group.rows.len() == ROW_GROUP_ROWS {
+                group.write(source.name, &mut writer).map_err(&format_error)?;
             }
         }
     }
-    if !block.rows.is_empty() {
-        block.write(source.name, &mut writer).map_err(&refused)?;
+    if !group.rows.is_empty() {
+        group.write(source.name, &mut writer).map_err(&format_error)?;
     }
-    writer.close().map_err(&refused)?;
+    writer.close().map_err(&format_error)?;
     Ok(())
 }
 
@@ -69,13 +69,13 @@ fn schema() -> Result<TypePtr, ParquetError> {
         let repetition = if number.can_be_unknown { Repetition::OPTIONAL } else { Repetition::REQUIRED };
         fields.push(repeated(number.name, Physical::DOUBLE, None, repetition)?);
     }
-    for mark in FLAG_COLUMNS {
-        fields.push(column(mark.name, Physical::BOOLEAN, None)?);
+    for flag in FLAG_COLUMNS {
+        fields.push(column(flag.name, Physical::BOOLEAN, None)?);
     }
     Type::group_type_builder("trace").with_fields(fields).build().map(Arc::new)
 }
 
-/// Rows that go into a row group together.
+/// Rows of a row group.
 #[derive(Default)]
 struct RowGroup {
     trials: Vec<i32>,
@@ -85,14 +85,14 @@ struct RowGroup {
 
 impl RowGroup {
     fn push(&mut self, trial: u32, seed: u64, row: Row) {
-        // Parquet keeps unsigned numbers in the bits of signed ones.
+        // Parquet stores unsigned numbers in the bits of signed ones.
         self.trials.push(trial.cast_signed());
         self.seeds.push(seed.cast_signed());
         self.rows.push(row);
     }
 
-    /// Writes a row group and is empty again.
-    fn write(&mut self, scenario: &str, writer: &mut SerializedFileWriter<File>) -> Result<(), ParquetError> {
+    /// Writes the row group and clears it.
+    fn write(&mut self, scenario: &str, writer: &mut SerializedFileWriter<&File>) -> Result<(), ParquetError> {
         let mut group = writer.next_row_group()?;
         let names = vec![ByteArray::from(scenario); self.rows.len()];
         write_column::<ByteArrayType>(&mut group, &names, None)?;
@@ -108,8 +108,8 @@ impl RowGroup {
                 write_column::<DoubleType>(&mut group, &self.rows.iter().map(number.of).collect::<Vec<_>>(), None)?;
             }
         }
-        for mark in FLAG_COLUMNS {
-            let set: Vec<bool> = self.rows.iter().map(|row| row.flags.contains(mark.flag)).collect();
+        for flag in FLAG_COLUMNS {
+            let set: Vec<bool> = self.rows.iter().map(|row| row.flags.contains(flag.flag)).collect();
             write_column::<BoolType>(&mut group, &set, None)?;
         }
         group.close()?;
@@ -120,9 +120,9 @@ impl RowGroup {
     }
 }
 
-/// Writes the next column of a row group. `levels` are 1 where a row has a value and 0 where not; every row has one where there are none.
+/// Writes the next column of a row group. `levels` are 1 for rows with a value, else 0; `None` if every row has one.
 fn write_column<T: parquet::data_type::DataType>(
-    group: &mut SerializedRowGroupWriter<'_, File>,
+    group: &mut SerializedRowGroupWriter<'_, &File>,
     values: &[T::T],
     levels: Option<&[i16]>,
 ) -> Result<(), ParquetError> {

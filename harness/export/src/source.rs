@@ -1,4 +1,4 @@
-//! One scenario of a run as every format sees it: its trials' traces, and what is said of all of them.
+//! Reads a scenario of a run for export: the traces of its trials, and metadata.
 
 use crate::error::ExportError;
 use platebench_record::RECORD_FILE;
@@ -6,7 +6,7 @@ use platebench_record::{RunRecord, ScenarioRecord};
 use platebench_trace::{Row, TraceReader};
 use std::path::{Component, Path, PathBuf};
 
-/// A trial whose trace is whole.
+/// A trial with a complete trace.
 #[derive(Debug)]
 pub(crate) struct ExportTrial {
     pub(crate) index: u32,
@@ -15,18 +15,18 @@ pub(crate) struct ExportTrial {
 }
 
 impl ExportTrial {
-    /// Its rows, one after the other.
+    /// Reads its rows.
     pub(crate) fn rows(&self) -> Result<impl Iterator<Item = Result<Row, ExportError>>, ExportError> {
         Ok(TraceReader::open(&self.trace)?.map(|row| row.map_err(ExportError::from)))
     }
 }
 
-/// A scenario with at least one whole trial.
+/// A scenario with at least one complete trial.
 #[derive(Debug)]
 pub(crate) struct ExportScenario<'a> {
     pub(crate) run: &'a RunRecord,
     pub(crate) scenario: &'a ScenarioRecord,
-    /// The scenario's file without its ending: `paper/fig13-closed-loop`.
+    /// The scenario's file without extension: `paper/fig13-closed-loop`.
     pub(crate) name: &'a str,
     /// When the run started, ns since 1970 UTC.
     pub(crate) started_ns: u64,
@@ -34,7 +34,7 @@ pub(crate) struct ExportScenario<'a> {
 }
 
 impl<'a> ExportScenario<'a> {
-    /// The scenario of the run in `folder`, and how many of its trials have no trace because they were cut off.
+    /// The scenario of the run in `folder`, and the number of its trials without a trace.
     pub(crate) fn of(
         run: &'a RunRecord,
         scenario: &'a ScenarioRecord,
@@ -54,7 +54,7 @@ impl<'a> ExportScenario<'a> {
                 return Err(outside(&trial.trace));
             }
             let trace = folder.join(&trial.trace);
-            // A trial without a hash was cut off; one with a hash and without a file is an error, told where it is read.
+            // A trial without a hash was cut off. A hash without a file is an error of the reader.
             if trial.sha256.is_none() && !trace.exists() {
                 cut_off += 1;
             } else {
@@ -64,7 +64,7 @@ impl<'a> ExportScenario<'a> {
         Ok((Self { run, scenario, name, started_ns, trials }, cut_off))
     }
 
-    /// What holds for every row, by name. Names are the same in every format.
+    /// Metadata of all rows by name, equal in every format.
     pub(crate) fn metadata(&self) -> Vec<(&'static str, String)> {
         let (run, scenario) = (self.run, self.scenario);
         let firmware = run.rig.firmware.as_ref().map(|firmware| format!("{} {}", firmware.name, firmware.version));
@@ -90,7 +90,7 @@ impl<'a> ExportScenario<'a> {
     }
 }
 
-/// True for a relative path that does not leave where it starts.
+/// True for a relative path that stays below its start.
 fn is_inside_folder(path: &str) -> bool {
     !path.is_empty() && Path::new(path).components().all(|part| matches!(part, Component::Normal(_)))
 }
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_name_leads_out_of_the_folder() {
+    fn rejects_paths_outside_the_folder() {
         for inside in ["a", "paper/fig13", "a/b/c.csv"] {
             assert!(is_inside_folder(inside), "{inside}");
         }

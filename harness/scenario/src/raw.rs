@@ -27,6 +27,7 @@ pub struct RawScenario {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub trace_step_ms: Option<f64>,
     /// Model of the plate; `auto` by default.
+    #[serde(default)]
     #[schemars(schema_with = "crate::schema::models")]
     pub model: Option<String>,
     /// For scenarios of a known limit: the exit code that they must end with.
@@ -178,6 +179,7 @@ pub struct RawFault {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
     /// Direction of the messages that it acts on.
+    #[serde(default)]
     #[schemars(schema_with = "crate::schema::directions")]
     pub direction: Option<String>,
     /// It acts on every n-th message of a direction.
@@ -226,6 +228,7 @@ pub struct RawExpectation {
     #[schemars(range(min = 0.5), extend("exclusiveMaximum" = 1))]
     pub confidence: Option<f64>,
     /// Statistic over trials: `each`, `mean` or `quantile`.
+    #[serde(default)]
     #[schemars(schema_with = "crate::schema::overs")]
     pub over: Option<String>,
     /// Share of the trials for `over = "quantile"`.
@@ -241,11 +244,13 @@ pub struct RawExpectation {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
     /// Judge after each change of this profile, up to the next change of any profile.
+    #[serde(default)]
     #[schemars(schema_with = "crate::schema::changing_profiles")]
     pub after: Option<String>,
     /// Window of a mean: its length at the end, or its two ends, ms.
     pub window_ms: Option<RawWindow>,
     /// Judged column.
+    #[serde(default)]
     #[schemars(schema_with = "crate::schema::signals")]
     pub signal: Option<String>,
 }

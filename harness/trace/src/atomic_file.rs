@@ -37,6 +37,11 @@ impl AtomicFile {
         Ok(Self { file: File::create(&temporary.0)?, temporary, path: path.to_owned() })
     }
 
+    /// The open file, for writers that seek.
+    pub fn file(&self) -> &File {
+        &self.file
+    }
+
     /// Gives the file its name and brings both to the disk.
     ///
     /// # Errors

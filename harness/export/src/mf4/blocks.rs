@@ -1,7 +1,7 @@
-//! The blocks of ASAM MDF 4.10, byte by byte, all numbers little-endian.
+//! Writes the blocks of ASAM MDF 4.10; numbers are little-endian.
 //!
-//! A block is its kind, its length, its links and its data, and begins at a multiple of 8. A link is the place of another
-//! block in the file, 0 where there is none; links to blocks that come later are written once those are there.
+//! A block has kind, length, links and data, and starts at a multiple of 8. A link is the position of another block, or 0;
+//! links to later blocks are written afterwards.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -10,13 +10,13 @@ use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 const BLOCK_HEADER_BYTES: u64 = 24;
 /// Bytes of a link.
 const LINK_BYTES: u64 = 8;
-/// Where the header block is: after the identification.
+/// The header block follows the identification.
 const HEADER_POSITION: u64 = 64;
 
-/// What a channel holds, and where in a record.
+/// Content of a channel and its position in a record.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum ChannelKind {
-    /// The time, s, as a double: the group's master.
+    /// Time, s, as a double: the master channel.
     Time {
         /// Its first byte.
         byte: u32,
@@ -35,7 +35,7 @@ pub(super) enum ChannelKind {
     },
 }
 
-/// A channel with the places of its texts.
+/// A channel with the positions of its texts.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Channel {
     pub(super) name: u64,
@@ -44,7 +44,7 @@ pub(super) struct Channel {
     pub(super) kind: ChannelKind,
 }
 
-/// A group that is being written.
+/// An open group.
 pub(super) struct ChannelGroup {
     channels: u64,
     data: u64,
@@ -53,17 +53,17 @@ pub(super) struct ChannelGroup {
 }
 
 /// A file of blocks.
-pub(super) struct BlockWriter {
-    file: BufWriter<File>,
-    /// Where the next byte goes.
+pub(super) struct BlockWriter<'a> {
+    file: BufWriter<&'a File>,
+    /// Position of the next byte.
     position: u64,
-    /// The link that the next data group is named by.
+    /// The link to the next data group.
     next_group_link: u64,
 }
 
-impl BlockWriter {
-    /// Begins a file.
-    pub(super) fn start(file: File) -> io::Result<Self> {
+impl<'a> BlockWriter<'a> {
+    /// Starts a file.
+    pub(super) fn start(file: &'a File) -> io::Result<Self> {
         let mut blocks =
             Self { file: BufWriter::new(file), position: 0, next_group_link: HEADER_POSITION + BLOCK_HEADER_BYTES };
         let mut identification = Vec::with_capacity(64);
@@ -75,7 +75,7 @@ impl BlockWriter {
         Ok(blocks)
     }
 
-    /// The header and the file's history, which each have one comment in XML.
+    /// Writes header and file history, each with a comment in XML.
     pub(super) fn write_header(&mut self, started_ns: u64, comment: &str, history: &str) -> io::Result<()> {
         let mut time = Vec::with_capacity(16);
         time.extend(started_ns.to_le_bytes());
@@ -84,7 +84,7 @@ impl BlockWriter {
         time.push(0b10);
         let mut data = time.clone();
         data.extend([0; 3]);
-        // Start angle and start distance, which the flags above say that there are none of.
+        // Start angle and start distance; the flags above mark them as absent.
         data.extend([0; 16]);
         let header = self.write_block(*b"HD", &[0; 6], &data)?;
         let comment = self.write_string(*b"MD", comment)?;
@@ -95,12 +95,12 @@ impl BlockWriter {
         self.set_link(header, 1, history)
     }
 
-    /// A text, and where it is.
+    /// Writes a text and returns its position.
     pub(super) fn write_text(&mut self, text: &str) -> io::Result<u64> {
         self.write_string(*b"TX", text)
     }
 
-    /// Begins a data group with one channel group, whose records follow.
+    /// Starts a data group with one channel group; its records follow.
     pub(super) fn start_group(
         &mut self,
         name: &str,
@@ -110,7 +110,7 @@ impl BlockWriter {
     ) -> io::Result<ChannelGroup> {
         let (name, comment) = (self.write_text(name)?, self.write_text(comment)?);
         let mut first = 0;
-        // From the last to the first, so that each knows the next.
+        // Each channel links to the next one.
         for channel in channels.iter().rev() {
             first = self.write_channel(*channel, first)?;
         }
@@ -127,7 +127,7 @@ impl BlockWriter {
     }
 
     fn write_channel(&mut self, channel: Channel, next: u64) -> io::Result<u64> {
-        // Channel type 2 is a master, and of time where the synchronisation type is 1; data type 4 is a real, 0 unsigned.
+        // Channel type 2: master; synchronisation type 1: time; data type 4: real, 0: unsigned.
         let ((channel_type, sync, data_type), byte, bit, bits) = match channel.kind {
             ChannelKind::Time { byte } => ((2, 1, 4), byte, 0, 64_u32),
             ChannelKind::Real { byte } => ((0, 0, 4), byte, 0, 64),
@@ -142,33 +142,32 @@ impl BlockWriter {
         self.write_block(*b"CN", &[next, 0, name, 0, 0, 0, unit, comment], &data)
     }
 
-    /// Appends a record to the group that was begun last.
+    /// Appends a record to the last group.
     pub(super) fn write_record(&mut self, group: &mut ChannelGroup, record: &[u8]) -> io::Result<()> {
         group.records += 1;
         self.write_bytes(record)
     }
 
-    /// Ends the group that was begun last: only now is it known how long it is.
+    /// Ends the last group and writes its length.
     pub(super) fn end_group(&mut self, group: &ChannelGroup) -> io::Result<()> {
         self.write_number_at(group.data + LINK_BYTES, BLOCK_HEADER_BYTES + group.records * group.record_bytes)?;
-        // The cycle count stands after the channel group's six links and its record identifier.
+        // The cycle count follows six links and the record identifier.
         self.write_number_at(group.channels + BLOCK_HEADER_BYTES + 6 * LINK_BYTES + 8, group.records)
     }
 
-    /// Hands everything to the system.
+    /// Writes buffered bytes.
     pub(super) fn finish(mut self) -> io::Result<()> {
         self.file.flush()
     }
 
-    /// Text or XML, which ends in a zero.
+    /// Writes text or XML with a terminating zero.
     fn write_string(&mut self, kind: [u8; 2], text: &str) -> io::Result<u64> {
-        // A zero would end it early.
         let mut data: Vec<u8> = text.bytes().filter(|byte| *byte != 0).collect();
         data.resize((data.len() / 8 + 1) * 8, 0);
         self.write_block(kind, &[], &data)
     }
 
-    /// A block, and where it is.
+    /// Writes a block and returns its position.
     fn write_block(&mut self, kind: [u8; 2], links: &[u64], data: &[u8]) -> io::Result<u64> {
         let padding = self.position.next_multiple_of(8) - self.position;
         self.write_bytes([0; 8].get(..padding as usize).unwrap_or_default())?;
@@ -184,12 +183,12 @@ impl BlockWriter {
         Ok(place)
     }
 
-    /// Points the link of that number of the block at `place` to `target`.
+    /// Sets link `number` of the block at `place`.
     fn set_link(&mut self, place: u64, number: u64, target: u64) -> io::Result<()> {
         self.write_number_at(place + BLOCK_HEADER_BYTES + number * LINK_BYTES, target)
     }
 
-    /// Writes a number into what is written already.
+    /// Overwrites a number.
     fn write_number_at(&mut self, place: u64, number: u64) -> io::Result<()> {
         self.file.seek(SeekFrom::Start(place))?;
         self.file.write_all(&number.to_le_bytes())?;

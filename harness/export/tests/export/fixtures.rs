@@ -1,4 +1,4 @@
-//! A run folder to export.
+//! Writes a run folder.
 
 use platebench_record::{ClockKind, FORMAT, Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
 use platebench_record::{RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};
@@ -8,29 +8,29 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// A run that lies in a folder.
+/// A run in a folder.
 pub(crate) struct StoredRun {
     pub(crate) folder: TempDir,
     pub(crate) record: RunRecord,
 }
 
-/// Numbers that a format could bend: signs of zero, the smallest and the largest, what decimal cannot hold.
+/// Numbers that a format could change: signed zeros, extreme numbers, numbers without a decimal form.
 const EDGE_VALUES: [f64; 8] = [0.0, -0.0, 0.1, -1.0 / 3.0, f64::MIN_POSITIVE, 5e-324, f64::MAX, -32_307.612_345_678_9];
 
-/// Rows that differ in every column; one in five does not know all of them.
+/// Rows that differ in every column; every fifth has unknown numbers.
 pub(crate) fn rows(count: usize, salt: usize) -> Vec<Row> {
     let row = |index: usize| {
-        let hard = |column: usize| EDGE_VALUES[(index + column + salt) % EDGE_VALUES.len()];
+        let edge = |column: usize| EDGE_VALUES[(index + column + salt) % EDGE_VALUES.len()];
         let mut row = Row {
             t_s: index as f64 * 0.000_05,
-            setpoint_um: hard(0),
-            wd_um: hard(1),
-            wq_um: hard(2),
-            amplitude_um: hard(3),
-            drive_vpp: hard(4),
-            frequency_hz: hard(5),
-            resonance_hz: hard(6),
-            temperature_offset_k: hard(7),
+            setpoint_um: edge(0),
+            wd_um: edge(1),
+            wq_um: edge(2),
+            amplitude_um: edge(3),
+            drive_vpp: edge(4),
+            frequency_hz: edge(5),
+            resonance_hz: edge(6),
+            temperature_offset_k: edge(7),
             finger_force_n: index as f64 / 7.0,
             sensed_wd_um: (index * 3 + salt) as f64 / 11.0,
             sensed_wq_um: -(index as f64) / 13.0,
@@ -38,7 +38,7 @@ pub(crate) fn rows(count: usize, salt: usize) -> Vec<Row> {
             flags: Flags::from_bits_truncate((index + salt) as u8),
         };
         if index % 5 == 4 {
-            // A real plate's.
+            // As of a real plate.
             row.flags |= Flags::SENSED;
             (row.resonance_hz, row.temperature_offset_k, row.finger_force_n) = (f64::NAN, f64::NAN, f64::NAN);
         }
@@ -47,7 +47,7 @@ pub(crate) fn rows(count: usize, salt: usize) -> Vec<Row> {
     (0..count).map(row).collect()
 }
 
-/// A trial, whose trace is written below `folder`.
+/// Writes the trace of a trial below `folder`.
 pub(crate) fn write_trial(folder: &Path, scenario: &str, index: u32, rows: &[Row]) -> TrialRecord {
     let trace = format!("traces/{scenario}/{index:03}.csv");
     let path = folder.join(&trace);
@@ -86,7 +86,7 @@ fn scenario_record(name: &str, title: &str, trials: Vec<TrialRecord>) -> Scenari
     }
 }
 
-/// Two scenarios: one of two trials, of seven and of nine rows, with a title full of markup; one of a single row.
+/// Two scenarios: one with trials of seven and nine rows and markup in its title; one with a single row.
 pub(crate) fn stored_run() -> StoredRun {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();

@@ -1,4 +1,4 @@
-//! Files and names: what is made, what is refused, and that nothing is lost.
+//! Names of files, and rejected runs.
 
 use crate::fixtures::{self, StoredRun};
 use parquet::file::metadata::RowGroupMetaData;
@@ -9,13 +9,13 @@ use std::path::{Path, PathBuf};
 
 const ALL: [ExportFormat; 4] = [ExportFormat::Parquet, ExportFormat::Mf4, ExportFormat::Csv, ExportFormat::Mcap];
 
-fn export_folder(made: &StoredRun) -> PathBuf {
-    made.folder.path().join("out")
+fn export_folder(run: &StoredRun) -> PathBuf {
+    run.folder.path().join("out")
 }
 
-fn export_run(made: &StoredRun, scenarios: &[&str], format: ExportFormat) -> Result<ExportResult, ExportError> {
+fn export_run(run: &StoredRun, scenarios: &[&str], format: ExportFormat) -> Result<ExportResult, ExportError> {
     let scenarios: Vec<String> = scenarios.iter().map(ToString::to_string).collect();
-    export(&made.record, made.folder.path(), &scenarios, format, &export_folder(made))
+    export(&run.record, run.folder.path(), &scenarios, format, &export_folder(run))
 }
 
 /// Every file below a folder, in order.
@@ -35,128 +35,129 @@ fn relative_files(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn a_file_for_each_scenario_and_one_table_of_all() {
+fn writes_a_file_per_scenario_or_one_table() {
     for (format, expected) in [
         (ExportFormat::Parquet, ["one.parquet", "paper/step.parquet"]),
         (ExportFormat::Mf4, ["one.mf4", "paper/step.mf4"]),
         (ExportFormat::Mcap, ["one.mcap", "paper/step.mcap"]),
         (ExportFormat::Csv, ["traces.csv", "traces.csv-metadata.json"]),
     ] {
-        let made = fixtures::stored_run();
-        let told = export_run(&made, &[], format).unwrap();
-        assert_eq!(relative_files(&export_folder(&made)), expected);
-        let mut told: Vec<_> = told.files.iter().map(|file| file.strip_prefix(export_folder(&made)).unwrap()).collect();
-        told.sort();
-        assert_eq!(told, expected.map(Path::new));
+        let run = fixtures::stored_run();
+        let exported = export_run(&run, &[], format).unwrap();
+        assert_eq!(relative_files(&export_folder(&run)), expected);
+        let mut files: Vec<_> =
+            exported.files.iter().map(|file| file.strip_prefix(export_folder(&run)).unwrap()).collect();
+        files.sort();
+        assert_eq!(files, expected.map(Path::new));
     }
 }
 
 #[test]
-fn scenarios_are_chosen_by_name_with_or_without_their_ending() {
-    for asked in ["paper/step", "paper/step.toml"] {
-        let made = fixtures::stored_run();
-        export_run(&made, &[asked], ExportFormat::Mf4).unwrap();
-        assert_eq!(relative_files(&export_folder(&made)), ["paper/step.mf4"]);
+fn selects_scenarios_with_or_without_extension() {
+    for requested in ["paper/step", "paper/step.toml"] {
+        let run = fixtures::stored_run();
+        export_run(&run, &[requested], ExportFormat::Mf4).unwrap();
+        assert_eq!(relative_files(&export_folder(&run)), ["paper/step.mf4"]);
     }
-    let made = fixtures::stored_run();
-    let refused = export_run(&made, &["one", "two"], ExportFormat::Mf4).unwrap_err().to_string();
-    assert_eq!(refused, "the run has no scenario `two`, expected one of paper/step, one");
-    assert!(relative_files(&export_folder(&made)).is_empty());
+    let run = fixtures::stored_run();
+    let error = export_run(&run, &["one", "two"], ExportFormat::Mf4).unwrap_err().to_string();
+    assert_eq!(error, "the run has no scenario `two`, expected one of paper/step, one");
+    assert!(relative_files(&export_folder(&run)).is_empty());
 }
 
 #[test]
-fn nothing_is_written_over() {
+fn overwrites_no_file() {
     for format in ALL {
-        let made = fixtures::stored_run();
-        let last = export_run(&made, &[], format).unwrap().files.pop().unwrap();
-        for file in relative_files(&export_folder(&made)) {
-            let path = export_folder(&made).join(file);
+        let run = fixtures::stored_run();
+        let last = export_run(&run, &[], format).unwrap().files.pop().unwrap();
+        for file in relative_files(&export_folder(&run)) {
+            let path = export_folder(&run).join(file);
             if path != last {
                 fs::remove_file(path).unwrap();
             }
         }
         fs::write(&last, "mine").unwrap();
-        assert!(matches!(export_run(&made, &[], format), Err(ExportError::FileExists(path)) if path == last));
+        assert!(matches!(export_run(&run, &[], format), Err(ExportError::FileExists(path)) if path == last));
         assert_eq!(fs::read_to_string(&last).unwrap(), "mine");
-        assert_eq!(relative_files(&export_folder(&made)).len(), 1, "not even those that are not in the way");
+        assert_eq!(relative_files(&export_folder(&run)).len(), 1, "writes no other file either");
     }
 }
 
 #[test]
-fn a_trial_that_was_cut_off_is_left_out_and_counted() {
+fn skips_and_counts_incomplete_trials() {
     for format in ALL {
-        let mut made = fixtures::stored_run();
-        let trial = &mut made.record.scenarios[0].trials[1];
+        let mut run = fixtures::stored_run();
+        let trial = &mut run.record.scenarios[0].trials[1];
         trial.sha256 = None;
-        let trace = made.folder.path().join(&trial.trace);
+        let trace = run.folder.path().join(&trial.trace);
         fs::rename(&trace, trace.with_extension("csv.part")).unwrap();
-        assert_eq!(export_run(&made, &[], format).unwrap().incomplete_trials, 1);
-        assert_eq!(relative_files(&export_folder(&made)).len(), 2);
+        assert_eq!(export_run(&run, &[], format).unwrap().incomplete_trials, 1);
+        assert_eq!(relative_files(&export_folder(&run)).len(), 2);
     }
 }
 
 #[test]
-fn a_run_without_a_whole_trial_gives_nothing() {
-    let mut made = fixtures::stored_run();
-    made.record.scenarios.iter_mut().for_each(|scenario| scenario.trials.clear());
-    assert!(matches!(export_run(&made, &[], ExportFormat::Csv), Err(ExportError::NoCompleteTrial(_))));
-    assert!(!export_folder(&made).exists());
+fn rejects_a_run_without_a_complete_trial() {
+    let mut run = fixtures::stored_run();
+    run.record.scenarios.iter_mut().for_each(|scenario| scenario.trials.clear());
+    assert!(matches!(export_run(&run, &[], ExportFormat::Csv), Err(ExportError::NoCompleteTrial(_))));
+    assert!(!export_folder(&run).exists());
 }
 
 #[test]
-fn a_broken_trace_is_told_with_its_line_and_leaves_no_file() {
+fn names_the_line_of_a_broken_trace() {
     for format in ALL {
-        let made = fixtures::stored_run();
-        let trace = made.folder.path().join("traces/paper/step/001.csv");
+        let run = fixtures::stored_run();
+        let trace = run.folder.path().join("traces/paper/step/001.csv");
         let text = fs::read_to_string(&trace).unwrap();
         let broken = text.replacen("0.0001,", "x,", 1);
         assert_ne!(text, broken);
         fs::write(&trace, broken).unwrap();
-        let told = export_run(&made, &[], format).unwrap_err().to_string();
-        assert!(told.contains("001.csv:4: "), "{told}");
-        assert!(relative_files(&export_folder(&made)).is_empty(), "{:?}", relative_files(&export_folder(&made)));
+        let error = export_run(&run, &[], format).unwrap_err().to_string();
+        assert!(error.contains("001.csv:4: "), "{error}");
+        assert!(relative_files(&export_folder(&run)).is_empty(), "{:?}", relative_files(&export_folder(&run)));
     }
 }
 
 #[test]
-fn a_trace_that_should_be_there_and_is_not_is_an_error() {
-    let made = fixtures::stored_run();
-    fs::remove_file(made.folder.path().join("traces/one/000.csv")).unwrap();
-    let told = export_run(&made, &["one"], ExportFormat::Mcap).unwrap_err().to_string();
-    assert!(told.contains("traces/one/000.csv"), "{told}");
+fn a_missing_trace_is_an_error() {
+    let run = fixtures::stored_run();
+    fs::remove_file(run.folder.path().join("traces/one/000.csv")).unwrap();
+    let error = export_run(&run, &["one"], ExportFormat::Mcap).unwrap_err().to_string();
+    assert!(error.contains("traces/one/000.csv"), "{error}");
 }
 
 #[test]
-fn a_record_cannot_name_files_elsewhere() {
-    let mut made = fixtures::stored_run();
-    made.record.scenarios[0].file = "../../elsewhere.toml".to_owned();
+fn rejects_paths_outside_the_run_folder() {
+    let mut run = fixtures::stored_run();
+    run.record.scenarios[0].file = "../../elsewhere.toml".to_owned();
     assert!(
-        matches!(export_run(&made, &[], ExportFormat::Mf4), Err(ExportError::OutsideRunFolder { named, .. }) if named == "../../elsewhere.toml")
+        matches!(export_run(&run, &[], ExportFormat::Mf4), Err(ExportError::OutsideRunFolder { named, .. }) if named == "../../elsewhere.toml")
     );
-    let mut made = fixtures::stored_run();
-    made.record.scenarios[0].trials[0].trace = "/etc/passwd".to_owned();
+    let mut run = fixtures::stored_run();
+    run.record.scenarios[0].trials[0].trace = "/etc/passwd".to_owned();
     assert!(
-        matches!(export_run(&made, &[], ExportFormat::Mf4), Err(ExportError::OutsideRunFolder { named, .. }) if named == "/etc/passwd")
+        matches!(export_run(&run, &[], ExportFormat::Mf4), Err(ExportError::OutsideRunFolder { named, .. }) if named == "/etc/passwd")
     );
 }
 
 #[test]
-fn a_time_that_is_none_is_refused() {
-    let mut made = fixtures::stored_run();
-    made.record.started = "yesterday".to_owned();
-    let told = export_run(&made, &[], ExportFormat::Mf4).unwrap_err().to_string();
-    assert!(told.contains("`started` is yesterday, expected a time like"), "{told}");
+fn rejects_an_invalid_start_time() {
+    let mut run = fixtures::stored_run();
+    run.record.started = "yesterday".to_owned();
+    let error = export_run(&run, &[], ExportFormat::Mf4).unwrap_err().to_string();
+    assert!(error.contains("`started` is yesterday, expected a time like"), "{error}");
 }
 
-/// The last row of a full row group, and the first of the next.
+/// One full row group, and one row more.
 #[test]
-fn long_trials_go_into_row_groups_that_fit_into_memory() {
+fn splits_long_trials_into_row_groups() {
     for (rows, groups) in [(65_536, vec![65_536]), (65_537, vec![65_536, 1])] {
-        let mut made = fixtures::stored_run();
-        made.record.scenarios.truncate(1);
-        let long = fixtures::write_trial(made.folder.path(), "paper/step", 0, &fixtures::rows(rows, 0));
-        made.record.scenarios[0].trials = vec![long];
-        let file = export_run(&made, &[], ExportFormat::Parquet).unwrap().files.pop().unwrap();
+        let mut run = fixtures::stored_run();
+        run.record.scenarios.truncate(1);
+        let long = fixtures::write_trial(run.folder.path(), "paper/step", 0, &fixtures::rows(rows, 0));
+        run.record.scenarios[0].trials = vec![long];
+        let file = export_run(&run, &[], ExportFormat::Parquet).unwrap().files.pop().unwrap();
         let reader = SerializedFileReader::new(File::open(file).unwrap()).unwrap();
         let found: Vec<_> = reader.metadata().row_groups().iter().map(RowGroupMetaData::num_rows).collect();
         assert_eq!(found, groups);

@@ -1,4 +1,4 @@
-//! What `DuckDB`, asammdf and the MCAP library of Python find in an exported file.
+//! Reads exported files with `DuckDB`, asammdf and the MCAP library of Python.
 
 use crate::fixtures::{self, StoredRun};
 use platebench_export::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
@@ -8,33 +8,32 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Set where everything that tests need has to be there.
+/// `1` makes a missing program a failure.
 const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/test-readers/bin/python");
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/export/read.py");
 
-/// True where there are readers; said aloud where not.
+/// True if the readers are installed; prints a note if not.
 fn has_readers() -> bool {
-    let there = Path::new(PYTHON).exists();
+    let exists = Path::new(PYTHON).exists();
     let all = std::env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
-    assert!(there || !all, "no readers at {PYTHON} and {REQUIRE_ALL}=1: ci/install-test-tools");
-    if !there {
+    assert!(exists || !all, "no readers at {PYTHON} and {REQUIRE_ALL}=1: ci/install-test-tools");
+    if !exists {
         eprintln!("NOT TESTED: no readers at {PYTHON} (ci/install-test-tools)");
     }
-    there
+    exists
 }
 
-/// What a foreign reader finds in a file.
+/// The content of a file by a foreign reader.
 fn read_with_python(format: &str, path: &Path) -> Value {
     let output = Command::new(PYTHON).arg(SCRIPT).arg(format).arg(path).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Exports the run to a folder beside its traces.
-fn export_run(made: &StoredRun, format: ExportFormat) -> PathBuf {
-    let out = made.folder.path().join("export");
-    let exported = export(&made.record, made.folder.path(), &[], format, &out).unwrap();
+fn export_run(run: &StoredRun, format: ExportFormat) -> PathBuf {
+    let out = run.folder.path().join("export");
+    let exported = export(&run.record, run.folder.path(), &[], format, &out).unwrap();
     assert_eq!(exported.incomplete_trials, 0);
     out
 }
@@ -51,27 +50,27 @@ fn known_bits(value: f64) -> Value {
 /// A column of rows, as the script prints it.
 fn column_bits(rows: &[Row], name: &str) -> Value {
     let number = NUMBER_COLUMNS.iter().find(|number| number.name == name);
-    let mark = FLAG_COLUMNS.iter().find(|mark| mark.name == name);
-    match (number, mark) {
+    let flag = FLAG_COLUMNS.iter().find(|flag| flag.name == name);
+    match (number, flag) {
         (Some(number), None) => rows.iter().map(|row| known_bits((number.of)(row))).collect(),
-        (None, Some(mark)) => rows.iter().map(|row| json!(row.flags.contains(mark.flag))).collect(),
-        _ => panic!("{name} is one of both"),
+        (None, Some(flag)) => rows.iter().map(|row| json!(row.flags.contains(flag.flag))).collect(),
+        _ => panic!("{name} is not a column"),
     }
 }
 
 fn column_names() -> impl Iterator<Item = &'static str> {
-    NUMBER_COLUMNS.iter().map(|number| number.name).chain(FLAG_COLUMNS.iter().map(|mark| mark.name))
+    NUMBER_COLUMNS.iter().map(|number| number.name).chain(FLAG_COLUMNS.iter().map(|flag| flag.name))
 }
 
 const STEP: &str = "paper/step";
 
 #[test]
-fn duckdb_finds_the_same_bits_in_parquet() {
+fn duckdb_reads_the_same_bits_from_parquet() {
     if !has_readers() {
         return;
     }
-    let made = fixtures::stored_run();
-    let found = read_with_python("parquet", &export_run(&made, ExportFormat::Parquet).join("paper/step.parquet"));
+    let run = fixtures::stored_run();
+    let found = read_with_python("parquet", &export_run(&run, ExportFormat::Parquet).join("paper/step.parquet"));
     let rows = [fixtures::rows(7, 0), fixtures::rows(9, 3)].concat();
     let columns = found["columns"].as_object().unwrap();
     let expected: Vec<_> = ["scenario", "trial", "seed"].into_iter().chain(column_names()).collect();
@@ -95,12 +94,12 @@ fn duckdb_finds_the_same_bits_in_parquet() {
 }
 
 #[test]
-fn asammdf_finds_the_same_bits_in_mdf4() {
+fn asammdf_reads_the_same_bits_from_mdf4() {
     if !has_readers() {
         return;
     }
-    let made = fixtures::stored_run();
-    let found = read_with_python("mf4", &export_run(&made, ExportFormat::Mf4).join("paper/step.mf4"));
+    let run = fixtures::stored_run();
+    let found = read_with_python("mf4", &export_run(&run, ExportFormat::Mf4).join("paper/step.mf4"));
     assert_eq!(found["version"], "4.10");
     assert_eq!(found["start"], 1_772_443_800.0, "2026-03-02T09:30:00Z");
     let comment = found["comment"].as_str().unwrap();
@@ -116,7 +115,7 @@ fn asammdf_finds_the_same_bits_in_mdf4() {
         assert_eq!(channels.keys().collect::<Vec<_>>(), column_names().collect::<Vec<_>>());
         for name in column_names() {
             let channel = &channels[name];
-            // A double of MDF4 is there or not a number.
+            // MDF4 stores a missing number as NaN.
             let mut values = column_bits(&rows, name);
             values
                 .as_array_mut()
@@ -132,20 +131,20 @@ fn asammdf_finds_the_same_bits_in_mdf4() {
             assert_eq!(channels[number.name]["unit"], number.unit);
             assert_eq!(channels[number.name]["comment"], number.meaning);
         }
-        for mark in FLAG_COLUMNS {
-            assert_eq!(channels[mark.name]["unit"], "");
-            assert_eq!(channels[mark.name]["comment"], mark.meaning);
+        for flag in FLAG_COLUMNS {
+            assert_eq!(channels[flag.name]["unit"], "");
+            assert_eq!(channels[flag.name]["comment"], flag.meaning);
         }
     }
 }
 
 #[test]
-fn the_mcap_library_finds_the_same_bits() {
+fn the_mcap_library_reads_the_same_bits() {
     if !has_readers() {
         return;
     }
-    let made = fixtures::stored_run();
-    let found = read_with_python("mcap", &export_run(&made, ExportFormat::Mcap).join("paper/step.mcap"));
+    let run = fixtures::stored_run();
+    let found = read_with_python("mcap", &export_run(&run, ExportFormat::Mcap).join("paper/step.mcap"));
     assert_eq!(found["count"], 16);
     assert_eq!(found["metadata"]["platebench"]["law"], "dq-pi");
     assert_eq!(found["topics"].as_object().unwrap().len(), 2);
@@ -169,12 +168,12 @@ fn the_mcap_library_finds_the_same_bits() {
 }
 
 #[test]
-fn duckdb_finds_the_same_bits_in_the_table() {
+fn duckdb_reads_the_same_bits_from_csv() {
     if !has_readers() {
         return;
     }
-    let made = fixtures::stored_run();
-    let out = export_run(&made, ExportFormat::Csv);
+    let run = fixtures::stored_run();
+    let out = export_run(&run, ExportFormat::Csv);
     let found = read_with_python("csv", &out.join("traces.csv"));
     let described: Value =
         serde_json::from_slice(&std::fs::read(out.join("traces.csv-metadata.json")).unwrap()).unwrap();

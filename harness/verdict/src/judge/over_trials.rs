@@ -1,9 +1,9 @@
 //! Judges the mean, a quantile or the standard deviation over trials.
 
 use super::outcome::{Containment, Outcome, containment};
+use crate::statistics::bounds::agreement_power;
 use crate::statistics::equivalence::widen_bounds;
 use crate::statistics::quantile::{min_values_for_bound, quantile_bounds};
-use crate::statistics::summary::agreement_power;
 use crate::statistics::{SampleSummary, deviation_bounds, mean_bounds};
 use platebench_record::{Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, WideBounds, percent};
 use platebench_scenario::{Aggregation, Expectation, Limit};

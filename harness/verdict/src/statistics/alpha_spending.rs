@@ -1,30 +1,30 @@
-//! How looking several times is paid for.
+//! Corrects the error rate of a test that is evaluated several times.
 //!
-//! Who looks at a test after every trial and stops when he likes what he sees is wrong far more often than in one case of twenty. Here the looks are planned,
-//! and the error of 1 − c that may be made is spent over them: look k may be wrong with the probability `α(t_k) − α(t_{k−1})`. Their sum, and therefore the
-//! probability that any of them is wrong, is at most 1 − c, whatever is tested, however the looks depend on each other, and whatever makes somebody stop
-//! (Boole's inequality). That costs some power against boundaries computed for Brownian motion, and in turn needs no large samples.
+//! A test that stops at the first favourable look exceeds its error rate. Here the looks are planned, and the error 1 − c
+//! is spent over them: look k may be wrong with probability `α(t_k) − α(t_{k−1})`. By Boole's inequality the probability
+//! of any wrong look is at most 1 − c, for every test, dependence and reason to stop. Boundaries computed for Brownian
+//! motion have more power but need large samples.
 
 /// A planned look at the trials.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
     /// Counted from 1.
     pub number: u32,
-    /// How many are planned.
+    /// Number of planned looks.
     pub planned_looks: u32,
-    /// How many trials there are by then.
+    /// Number of trials at this look.
     pub trials: u32,
     /// Share of the error that this look may make.
     error_share: f64,
 }
 
 impl Look {
-    /// The one look of a plan without any.
+    /// The only look of a test that is evaluated once.
     pub const SINGLE: Self = Self { number: 1, planned_looks: 1, trials: 0, error_share: 1.0 };
 
-    /// The confidence of a bound at this look, where all looks together have `confidence`.
+    /// The confidence of a bound at this look, if all looks together have `confidence`.
     pub fn confidence(&self, confidence: f64) -> f64 {
-        // A share that is lost in rounding must not leave certainty.
+        // Rounding must not lead to certainty.
         if self.error_share >= 1.0 {
             confidence
         } else {
@@ -33,26 +33,27 @@ impl Look {
     }
 }
 
-/// The looks at `count` trials, at twice as many, at twice as many again, and at `max_count`.
+/// Looks at `count` trials, at 2, 4, 8 … times as many, and at `max_count`.
 pub fn plan_looks(count: u32, max_count: u32) -> Vec<Look> {
     let last = max_count.max(count);
     let doubled = std::iter::successors(Some(count.max(1)), |trials| trials.checked_mul(2));
     let sizes: Vec<u32> = doubled.take_while(|trials| *trials < last).chain([last]).collect();
-    let of = sizes.len() as u32;
+    let planned_looks = sizes.len() as u32;
     let mut before = 0.0;
     let look = |(number, trials): (u32, u32)| {
         let spent = spent_error_share(f64::from(trials) / f64::from(last.max(1)));
         let share = spent - before;
         before = spent;
-        Look { number, planned_looks: of, trials, error_share: share }
+        Look { number, planned_looks, trials, error_share: share }
     };
     (1..).zip(sizes).map(look).collect()
 }
 
-/// The share of the error that is spent when the share `t` of the trials is there: `ln(1 + (e − 1) t)`, the spending function of Pocock's type.
+/// The share of the error that is spent at the share `t` of the trials: `ln(1 + (e − 1) t)`, of Pocock's type.
 ///
-/// K. K. G. Lan and D. L. DeMets, "Discrete sequential boundaries for clinical trials", *Biometrika* 70, 1983, pp. 659-663. It spends early, so that a run
-/// that is clear after `count` trials may end there; O'Brien and Fleming's would let hardly any end before the last look.
+/// K. K. G. Lan and D. L. DeMets, "Discrete sequential boundaries for clinical trials", *Biometrika* 70, 1983, pp.
+/// 659-663. It spends early, so that a clear run ends after `count` trials; with the function of O'Brien and Fleming
+/// hardly any run would end before the last look.
 fn spent_error_share(t: f64) -> f64 {
     if t >= 1.0 { 1.0 } else { ((std::f64::consts::E - 1.0) * t).ln_1p() }
 }
@@ -76,11 +77,11 @@ mod tests {
         assert_eq!(sizes(30, 61), [30, 60, 61]);
         assert_eq!(sizes(1, 3), [1, 2, 3]);
         assert_eq!(sizes(u32::MAX, u32::MAX), [u32::MAX]);
-        assert_eq!(sizes(7, 3), [7], "fewer at most than planned is refused when a scenario is read");
+        assert_eq!(sizes(7, 3), [7], "`load` rejects a smaller maximum");
     }
 
     #[test]
-    fn all_looks_together_spend_what_there_is() {
+    fn all_looks_together_spend_the_whole_error() {
         for (count, max) in [(30, 200), (2, 1_000), (5, 5), (10, 11)] {
             let planned = plan_looks(count, max);
             let sum: f64 = planned.iter().map(|look| 1.0 - look.confidence(0.9)).sum();

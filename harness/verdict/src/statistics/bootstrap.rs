@@ -1,25 +1,25 @@
-//! Bounds for data that may not be taken as normal, from the data alone.
+//! Computes bounds of data that are not normal, by resampling.
 //!
-//! Resampling is seeded by nothing but the number of values, so that a stored run is judged as it was live.
+//! The seed is the number of values, so that a stored run is judged as live.
 
-use super::SampleSummary;
+use super::sample_summary::SampleSummary;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// Resamples at the least; of 1 999 a bound at 95 % leaves 100 outside.
+/// Fewest resamples; a bound at 95 % leaves 100 of 1999 outside.
 const MIN_RESAMPLES: usize = 1_999;
-/// A bound rests on at least so many resamples beyond it.
+/// Fewest resamples beyond a bound.
 const MIN_TAIL_RESAMPLES: f64 = 10.0;
-/// Where even these are too few, nothing is said.
+/// If more are needed, there are no bounds.
 const MAX_RESAMPLES: usize = 20_000;
 
-/// Bias-corrected and accelerated bounds of a statistic, each one-sided at `confidence`; `None` where there are fewer than three values or the statistic
-/// does not vary.
+/// Bias-corrected and accelerated bounds of a statistic, each one-sided at `confidence`; `None` below three values or if
+/// the statistic does not vary.
 ///
 /// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185: the percentile
-/// `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic, with the bias `z0` from the share of resamples below the statistic and the acceleration
-/// `a` from the jackknife.
+/// `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is from the share of resamples below the
+/// statistic, the acceleration `a` from the jackknife.
 pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<[f64; 2]> {
     let estimate = statistic(values);
     let acceleration = acceleration(values, &statistic)?;
@@ -29,19 +29,19 @@ pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence:
     let below = resampled.partition_point(|value| *value < estimate) as f64;
     let not_above = resampled.partition_point(|value| *value <= estimate) as f64;
     let count = resampled.len() as f64;
-    // Half of the ties: a statistic of few values repeats itself.
+    // Ties count half.
     let bias = normal.inverse_cdf((f64::midpoint(below, not_above) / count).clamp(0.5 / count, 1.0 - 0.5 / count));
     let bound = |probability: f64| {
         let shifted = bias + normal.inverse_cdf(probability);
         let scale = 1.0 - acceleration * shifted;
-        // Beyond the pole the percentile has run off the end.
+        // Beyond the pole the percentile is 0 or 1.
         let share = if scale > 0.0 { normal.cdf(bias + shifted / scale) } else { f64::from(u8::from(shifted > 0.0)) };
         percentile(&resampled, share)
     };
     Some([bound(1.0 - confidence)?, bound(confidence)?])
 }
 
-/// `Σ d³ / 6 (Σ d²)^1.5` with d the distance of each leave-one-out statistic below their mean (Efron 1987, equation 7.3 by the jackknife).
+/// `Σ d³ / 6 (Σ d²)^1.5` with d the distance of each leave-one-out statistic below their mean (Efron 1987, equation 7.3).
 fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f64> {
     if values.len() < 3 {
         return None;
@@ -49,7 +49,7 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
     let mut left = values.to_vec();
     let last = left.pop()?;
     let mut without = Vec::with_capacity(values.len());
-    // Each value in turn gives its place to the last one.
+    // Replaces each value in turn by the last one.
     without.push(statistic(&left));
     for index in 0..left.len() {
         let taken = std::mem::replace(left.get_mut(index)?, last);
@@ -62,11 +62,12 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
     (squares > 0.0).then(|| sum(3) / (6.0 * squares.powf(1.5)))
 }
 
-/// Studentised bounds of an estimate, each one-sided at `confidence`; `estimate` gives it with its standard error. `None` where there are fewer than three
-/// values or the estimate has no error.
+/// Studentised bounds of an estimate, each one-sided at `confidence`; `estimate` returns it with its standard error.
+/// `None` below three values or without an error.
 ///
-/// P. Hall, "Theoretical comparison of bootstrap confidence intervals", *Ann. Stat.* 16, 1988, pp. 927-953: the pivot `(θ* − θ)/s*` of the resamples takes
-/// the place of Student's t. For the mean of skewed data, and for the logarithm of a deviation, it leaves less outside its upper end than BCa does.
+/// P. Hall, "Theoretical comparison of bootstrap confidence intervals", *Ann. Stat.* 16, 1988, pp. 927-953: the pivot
+/// `(θ* − θ)/s*` of the resamples replaces Student's t. For the mean of skewed data and the logarithm of a deviation its
+/// upper end covers more than that of BCa.
 pub fn studentised_bounds(
     values: &[f64],
     estimate: impl Fn(&[f64]) -> (f64, f64),
@@ -78,7 +79,7 @@ pub fn studentised_bounds(
     }
     let pivot = |sample: &[f64]| {
         let (other, error) = estimate(sample);
-        // A resample of equal values has no error: it lies infinitely far out.
+        // A resample of equal values has no error.
         if error > 0.0 { (other - centre) / error } else { f64::INFINITY.copysign(other - centre) }
     };
     let mut pivots = resample(values, pivot, confidence)?;
@@ -86,16 +87,16 @@ pub fn studentised_bounds(
     Some([centre - percentile(&pivots, confidence)? * error, centre - percentile(&pivots, 1.0 - confidence)? * error])
 }
 
-/// The value below which that share of the sorted ones lies, between two of them where it has to be.
+/// The value below which `share` of the sorted values are, interpolated.
 fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
     let count = sorted.len() as f64;
     let position = (share * (count + 1.0)).clamp(1.0, count) - 1.0;
     let (left, right) = (*sorted.get(position.floor() as usize)?, *sorted.get(position.ceil() as usize)?);
-    // Of two infinite ones there is no middle.
+    // Two infinite values have no middle.
     Some(if left == right { left } else { left + (right - left) * position.fract() })
 }
 
-/// The statistic of resamples of `values`, so many that `confidence` leaves some of them outside; `None` where that would take too many.
+/// The statistic of enough resamples for `confidence`; `None` if that takes too many.
 fn resample(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<Vec<f64>> {
     let outside = 1.0 - confidence;
     let resamples = ((MIN_TAIL_RESAMPLES / outside).ceil() as usize).saturating_sub(1).max(MIN_RESAMPLES);
@@ -131,8 +132,8 @@ mod tests {
     const SKEWED: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9, 1.3, 2.0, 4.6];
 
     #[test]
-    fn the_acceleration_is_a_sixth_of_the_skewness_of_the_jackknife() {
-        // For a mean the leave-one-out values are the data mirrored and shrunk: a = skewness/(6 √n) with the moments over n.
+    fn the_acceleration_follows_the_skewness() {
+        // The leave-one-out means are the mirrored and scaled data: a = skewness/(6 √n) with the moments over n.
         let centre = mean(&SKEWED);
         let moment = |power: i32| SKEWED.iter().map(|value| (value - centre).powi(power)).sum::<f64>();
         let expected = moment(3) / (6.0 * moment(2).powf(1.5));
@@ -155,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn skewed_data_have_their_longer_side_above() {
+    fn bounds_of_skewed_data_are_longer_above() {
         for bounds in
             [bca_bounds(&SKEWED, mean, 0.95).unwrap(), studentised_bounds(&SKEWED, mean_and_error, 0.95).unwrap()]
         {
@@ -170,12 +171,12 @@ mod tests {
         let at = |confidence| bca_bounds(&SKEWED, mean, confidence).unwrap();
         assert_eq!(at(0.95), at(0.95));
         assert!(at(0.999)[0] < at(0.95)[0] && at(0.95)[1] < at(0.999)[1]);
-        assert_eq!(bca_bounds(&SKEWED, mean, 0.999_999_9), None, "that would take more resamples than are made");
+        assert_eq!(bca_bounds(&SKEWED, mean, 0.999_999_9), None, "too many resamples");
         assert_eq!(studentised_bounds(&SKEWED, mean_and_error, 0.999_999_9), None);
     }
 
     #[test]
-    fn what_does_not_vary_has_no_bounds() {
+    fn constant_data_have_no_bounds() {
         assert_eq!(bca_bounds(&[1.0; 10], mean, 0.95), None);
         assert_eq!(bca_bounds(&[1.0, 2.0], mean, 0.95), None);
         assert_eq!(studentised_bounds(&[1.0; 10], mean_and_error, 0.95), None);

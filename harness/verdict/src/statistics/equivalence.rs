@@ -14,7 +14,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_margin_counts_against_both_answers() {
+    fn the_margin_widens_both_bounds() {
         assert_eq!(widen_bounds([0.5, 0.75], 0.25), [0.25, 1.0]);
         assert_eq!(widen_bounds([0.1, 0.75], 0.25), [0.0, 1.0]);
         assert_eq!(widen_bounds([-0.1, 0.75], 0.0), [-0.1, 0.75]);

@@ -1,17 +1,19 @@
-//! Whether data may be taken as normal.
+//! Tests data for normality.
 
-use super::SampleSummary;
+use super::sample_summary::SampleSummary;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// Where the modified statistic lies beyond this, normality is refused at the level of 5 % (Stephens 1986, table 4.7, case 3).
+/// Critical value of the modified statistic at the level of 5 % (Stephens 1986, table 4.7, case 3).
 const CRITICAL_VALUE: f64 = 0.752;
-/// The correction for small samples holds from here on (Stephens 1986).
+/// The correction for small samples needs at least this many values (Stephens 1986).
 const MIN_VALUES: usize = 8;
 
-/// The modified statistic A²\* of Anderson and Darling for normal data of unknown mean and deviation; `None` below eight values or where all are the same.
+/// The modified statistic A²\* of Anderson and Darling for normal data of unknown mean and deviation; `None` below eight
+/// values or if all are equal.
 ///
-/// M. A. Stephens, "Tests based on EDF statistics", in D'Agostino and Stephens, *Goodness-of-Fit Techniques*, 1986, section 4.8.5:
-/// `A² = −n − Σ (2i − 1)/n · (ln Φ(z_i) + ln(1 − Φ(z_{n+1−i})))` over the sorted standardised values, times `1 + 0.75/n + 2.25/n²`.
+/// M. A. Stephens, "Tests based on EDF statistics", in D'Agostino and Stephens, *Goodness-of-Fit Techniques*, 1986,
+/// section 4.8.5: `A² = −n − Σ (2i − 1)/n · (ln Φ(z_i) + ln(1 − Φ(z_{n+1−i})))` over the sorted standardised values, times
+/// `1 + 0.75/n + 2.25/n²`.
 pub fn anderson_darling(values: &[f64]) -> Option<f64> {
     let summary = SampleSummary::of(values)?;
     if values.len() < MIN_VALUES || summary.deviation <= 0.0 || !summary.deviation.is_finite() {
@@ -21,7 +23,7 @@ pub fn anderson_darling(values: &[f64]) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let standardised = |value: &f64| (value - summary.mean) / summary.deviation;
-    // Far out the probability is 0 in floating point, and its logarithm no number.
+    // In the far tail the probability rounds to 0, whose logarithm is infinite.
     let logarithm = |probability: f64| probability.max(f64::MIN_POSITIVE).ln();
     let count = values.len() as f64;
     let terms = sorted.iter().zip(sorted.iter().rev()).zip(1_u32..).map(|((low, high), rank)| {
@@ -32,7 +34,7 @@ pub fn anderson_darling(values: &[f64]) -> Option<f64> {
     Some(statistic * (1.0 + 0.75 / count + 2.25 / (count * count)))
 }
 
-/// True where normality is refused at the level of 5 %. Too few values refuse nothing.
+/// True if normality is rejected at the level of 5 %; false for too few values.
 pub fn is_rejected(values: &[f64]) -> bool {
     anderson_darling(values).is_some_and(|statistic| statistic > CRITICAL_VALUE)
 }
@@ -42,9 +44,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_statistic_is_the_one_known_for_an_example() {
+    fn the_statistic_equals_a_published_example() {
         // The weights of 11 men of Shapiro and Wilk 1965: A² = 0.947, and times 1 + 0.75/11 + 2.25/121.
-        // (Their own test refuses normality as well.)
+        // Their own test rejects normality too.
         let weights = [148.0, 154.0, 158.0, 160.0, 161.0, 162.0, 166.0, 170.0, 182.0, 195.0, 236.0];
         let statistic = anderson_darling(&weights).unwrap();
         assert!((statistic - 0.947 * 1.086_78).abs() < 5e-3, "{statistic}");
@@ -52,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_or_equal_values_refuse_nothing() {
+    fn too_few_or_equal_values_reject_nothing() {
         assert_eq!(anderson_darling(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0]), None);
         assert!(anderson_darling(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0]).is_some());
         assert_eq!(anderson_darling(&[1.0; 30]), None);

@@ -1,15 +1,15 @@
-//! How often something happens, from how often it was seen.
+//! Bounds the probability of an event by its observed frequency.
 
 use statrs::function::beta::beta_reg;
 
-/// Halvings of the unit interval: as many as a double can tell apart.
+/// Halvings of the unit interval, to the resolution of a double.
 const BISECTION_STEPS: u32 = 60;
 
-/// Bounds of the probability of something that was seen `seen` times in `count` independent trials, each one-sided at `confidence`; `None` where nothing
-/// was tried. They cover at least at that rate whatever the probability is, and where it is small, more.
+/// Bounds of the probability of an event that was observed `seen` times in `count` independent trials, each one-sided at
+/// `confidence`; `None` without trials. They cover at least at that rate.
 ///
-/// C. J. Clopper and E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413: the probabilities at which as many, or as few, would be seen with probability
-/// `1 − confidence`. Nothing seen in n trials leaves `1 − (1 − confidence)^(1/n)`.
+/// C. J. Clopper and E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413: the probabilities at which as many, or as few,
+/// are observed with probability `1 − confidence`. No event in n trials gives `1 − (1 − confidence)^(1/n)`.
 pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2]> {
     if count == 0 || seen > count {
         return None;
@@ -20,7 +20,7 @@ pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2
     Some([lower, upper])
 }
 
-/// The probability that something of probability `p` happens at most `seen` times in `count` trials: `I_{1−p}(n − k, k + 1)`.
+/// Probability of at most `seen` events of probability `p` in `count` trials: `I_{1−p}(n − k, k + 1)`.
 pub fn probability_at_most(seen: u32, count: u32, p: f64) -> f64 {
     if seen >= count {
         1.0
@@ -29,7 +29,7 @@ pub fn probability_at_most(seen: u32, count: u32, p: f64) -> f64 {
     }
 }
 
-/// The probability that something of probability `p` happens at least `seen` times in `count` trials: `I_p(k, n − k + 1)`.
+/// Probability of at least `seen` events of probability `p` in `count` trials: `I_p(k, n − k + 1)`.
 pub fn probability_at_least(seen: u32, count: u32, p: f64) -> f64 {
     match seen {
         0 => 1.0,
@@ -38,7 +38,7 @@ pub fn probability_at_least(seen: u32, count: u32, p: f64) -> f64 {
     }
 }
 
-/// Where `holds` becomes true between 0 and 1.
+/// The value between 0 and 1 from which `holds` is true.
 fn bisect(holds: impl Fn(f64) -> bool) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..BISECTION_STEPS {
@@ -54,7 +54,7 @@ mod tests {
     use rstest::rstest;
 
     #[rstest]
-    // Nothing in 30 leaves 9.5 %, below 1 % takes 299 and below 0.1 % 2 995: 1 − 0.05^(1/n).
+    // 1 − 0.05^(1/n): no event in 30 trials gives 9.5 %; below 1 % needs 299 and below 0.1 % 2995 trials.
     #[case(0, 30, 0.0, 0.095_034)]
     #[case(0, 299, 0.0, 0.009_969)]
     #[case(0, 2_995, 0.0, 0.000_999_7)]
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_trial_that_takes_it_below_a_percent_is_the_299th() {
+    fn below_one_percent_needs_299_trials() {
         let upper = |count| clopper_pearson(0, count, 0.95).unwrap()[1];
         assert!(upper(298) > 0.01 && upper(299) < 0.01);
         assert!(upper(2_994) > 0.001 && upper(2_995) < 0.001);
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_tried_shows_nothing() {
+    fn no_trials_have_no_bounds() {
         assert_eq!(clopper_pearson(0, 0, 0.95), None);
         assert_eq!(clopper_pearson(2, 1, 0.95), None);
     }

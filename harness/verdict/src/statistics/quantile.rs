@@ -1,13 +1,14 @@
-//! What so many of a hundred trials keep to.
+//! Bounds quantiles by order statistics.
 
 use super::proportion::probability_at_most;
 
-/// The quantile of `values` at `share` and its bounds, each one-sided at `confidence`: values of the sample itself, so that nothing is assumed about their
-/// distribution but that it is one. A bound is infinite where the sample is too small for it: an upper one of the 95 % quantile at 95 % takes 59 values.
-/// `None` where there are no values.
+/// The quantile of `values` at `share` and its bounds, each one-sided at `confidence`. Both are values of the sample, for
+/// any distribution. A bound is infinite if the sample is too small: the upper one of the 95 % quantile at 95 % needs 59
+/// values. `None` without values.
 ///
-/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: the number of values at or below the quantile is binomial. The upper
-/// bound is the r-th smallest value with the least r for which `P(B(n, share) ≤ r − 1) ≥ confidence`, the lower one that with the greatest r for which
+/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: the number of values at or below the
+/// quantile is binomial. The upper bound is the r-th smallest value with the least r for which
+/// `P(B(n, share) ≤ r − 1) ≥ confidence`, the lower one that with the greatest r for which
 /// `P(B(n, share) ≤ r − 1) ≤ 1 − confidence`.
 pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f64, [f64; 2])> {
     let count = u32::try_from(values.len()).ok().filter(|count| *count > 0)?;
@@ -19,18 +20,18 @@ pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f
     let upper = bisect_index(1, count, |rank| below(rank) >= confidence).and_then(ranked);
     let beyond = bisect_index(1, count, |rank| below(rank) > 1.0 - confidence).unwrap_or(count + 1);
     let lower = ranked(beyond - 1);
-    // The smallest value that at least that share keeps to.
+    // The smallest value that at least this share does not exceed.
     let estimate = ranked(((f64::from(count) * share).ceil() as u32).clamp(1, count))?;
     Some((estimate, [lower.unwrap_or(f64::NEG_INFINITY), upper.unwrap_or(f64::INFINITY)]))
 }
 
-/// How many values it takes until the quantile at `share` has a bound on the side where fewer of them lie.
+/// Fewest values for a bound of the quantile at `share`, on the side with fewer values.
 pub fn min_values_for_bound(share: f64, confidence: f64) -> u32 {
     let rarer = share.max(1.0 - share);
     ((1.0 - confidence).ln() / rarer.ln()).ceil().min(f64::from(u32::MAX)) as u32
 }
 
-/// The first number from `low` to `high` from which on `holds` is true.
+/// The first number from `low` to `high` from which `holds` is true.
 fn bisect_index(low: u32, high: u32, holds: impl Fn(u32) -> bool) -> Option<u32> {
     let (mut low, mut high) = (low, high.checked_add(1)?);
     let end = high;
@@ -57,7 +58,7 @@ mod tests {
         assert_eq!(quantile_bounds(&ramp(58), 0.95, 0.95).unwrap().1[1], f64::INFINITY);
         assert_eq!(quantile_bounds(&ramp(59), 0.95, 0.95).unwrap().1[1], 59.0);
         assert_eq!((min_values_for_bound(0.95, 0.95), min_values_for_bound(0.05, 0.95)), (59, 59));
-        // The second largest takes 93.
+        // The second largest value needs 93.
         assert_eq!(quantile_bounds(&ramp(92), 0.95, 0.95).unwrap().1[1], 92.0);
         assert_eq!(quantile_bounds(&ramp(93), 0.95, 0.95).unwrap().1[1], 92.0);
     }
@@ -71,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn infinite_values_and_none_are_borne() {
+    fn accepts_infinite_values_and_none() {
         assert_eq!(quantile_bounds(&[], 0.5, 0.95), None);
         let mut values = ramp(93);
         values[0] = f64::INFINITY;

@@ -1,4 +1,4 @@
-//! How often each interval holds the truth, by simulation.
+//! Simulates how often each interval contains the truth.
 
 use super::proportion::clopper_pearson;
 use super::quantile::quantile_bounds;
@@ -13,7 +13,7 @@ use std::f64::consts::{FRAC_2_PI, SQRT_2};
 #[derive(Debug, Clone, Copy)]
 enum TestDistribution {
     Normal,
-    /// What the sizes of normal errors look like.
+    /// Absolute values of normal errors.
     HalfNormal,
     Gamma4,
     Exponential,
@@ -58,26 +58,26 @@ impl TestDistribution {
     }
 }
 
-/// In how many percent of runs each lower and each upper end lies on its side of the truth: mean, then deviation.
+/// Share of runs, percent, in which each lower and upper end is on its side of the truth: mean, then deviation.
 fn coverage(data: TestDistribution, count: usize, confidence: f64, runs: u32) -> [[f64; 2]; 2] {
     let mut random = ChaCha8Rng::seed_from_u64(2016);
-    let mut held = [[0_u32; 2]; 2];
+    let mut covered = [[0_u32; 2]; 2];
     for _ in 0..runs {
         let values: Vec<f64> = (0..count).map(|_| data.draw(&mut random)).collect();
         let bounds = [mean_bounds(&values, confidence).unwrap().0, deviation_bounds(&values, confidence).unwrap().0];
-        for ((held, [low, high]), truth) in held.iter_mut().zip(bounds).zip([data.mean(), data.deviation()]) {
-            held[0] += u32::from(low <= truth);
-            held[1] += u32::from(truth <= high);
+        for ((covered, [low, high]), truth) in covered.iter_mut().zip(bounds).zip([data.mean(), data.deviation()]) {
+            covered[0] += u32::from(low <= truth);
+            covered[1] += u32::from(truth <= high);
         }
     }
-    held.map(|ends| ends.map(|end| f64::from(end) * 100.0 / f64::from(runs)))
+    covered.map(|ends| ends.map(|end| f64::from(end) * 100.0 / f64::from(runs)))
 }
 
 #[rstest]
 #[case(12)]
 #[case(30)]
 #[case(100)]
-fn normal_data_are_covered_at_the_nominal_rate(#[case] count: usize) {
+fn covers_normal_data_at_the_nominal_rate(#[case] count: usize) {
     for end in coverage(TestDistribution::Normal, count, 0.95, 6_000).as_flattened() {
         // 1 % is 3.5 standard errors of 95 % over 6 000 runs.
         assert!((94.0..=96.0).contains(end), "{count}: {end} %");
@@ -86,19 +86,19 @@ fn normal_data_are_covered_at_the_nominal_rate(#[case] count: usize) {
 
 /// Both ends at 97.5 % make a two-sided interval of 95 %.
 #[test]
-fn two_sided_intervals_of_normal_data_are_too() {
+fn covers_normal_data_by_two_sided_intervals() {
     for ends in coverage(TestDistribution::Normal, 30, 0.975, 6_000) {
         let both = ends[0] + ends[1] - 100.0;
         assert!((94.0..=96.0).contains(&both), "{ends:?}");
     }
 }
 
-/// The lowest coverage of an end, mean and deviation, as `docs/verdicts.md` tells it, less two standard errors of the simulation.
+/// The lowest coverage of an end, mean and deviation, of `docs/verdicts.md`, less two standard errors of the simulation.
 #[rstest]
 #[case(TestDistribution::HalfNormal, 30, 92.5, 91.0)]
 #[case(TestDistribution::Exponential, 30, 91.5, 84.5)]
 #[case(TestDistribution::Exponential, 100, 92.0, 90.0)]
-fn skewed_data_are_covered_as_documented(
+fn covers_skewed_data_as_documented(
     #[case] data: TestDistribution,
     #[case] count: usize,
     #[case] mean: f64,
@@ -113,7 +113,7 @@ fn skewed_data_are_covered_as_documented(
 
 /// The table of `docs/verdicts.md`: `cargo test -p platebench-verdict --release -- --ignored coverage_table --nocapture`.
 #[test]
-#[ignore = "takes minutes; made for the documentation"]
+#[ignore = "takes minutes; for the documentation"]
 fn coverage_table() {
     for data in [
         TestDistribution::Normal,
@@ -137,58 +137,58 @@ fn coverage_table() {
 #[case(0.01)]
 #[case(0.1)]
 #[case(0.5)]
-fn proportions_are_covered_at_least_at_the_nominal_rate(#[case] p: f64) {
+fn covers_proportions_at_least_at_the_nominal_rate(#[case] p: f64) {
     let (count, runs) = (50, 10_000);
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let bounds: Vec<_> = (0..=count).map(|seen| clopper_pearson(seen, count, 0.95).unwrap()).collect();
-    let mut held = [0_u32; 2];
+    let mut covered = [0_u32; 2];
     for _ in 0..runs {
         let happens = (0..count).filter(|_| Distribution::<f64>::sample(&StandardUniform, &mut random) < p).count();
-        held[0] += u32::from(bounds[happens][0] <= p);
-        held[1] += u32::from(p <= bounds[happens][1]);
+        covered[0] += u32::from(bounds[happens][0] <= p);
+        covered[1] += u32::from(p <= bounds[happens][1]);
     }
-    // Discrete: never less than nominal, but for the simulation's own error of 0.2 %.
-    assert!(held.iter().all(|held| f64::from(*held) / f64::from(runs) >= 0.944), "{held:?}");
+    // Discrete: at least nominal, less the error of the simulation of 0.2 %.
+    assert!(covered.iter().all(|count| f64::from(*count) / f64::from(runs) >= 0.944), "{covered:?}");
 }
 
 #[rstest]
 #[case(TestDistribution::Normal, 0.5, 0.0)]
 #[case(TestDistribution::Exponential, 0.9, 10.0_f64.ln())]
 #[case(TestDistribution::Uniform, 0.95, 0.95)]
-fn quantiles_are_covered_at_least_at_the_nominal_rate(
+fn covers_quantiles_at_least_at_the_nominal_rate(
     #[case] data: TestDistribution,
     #[case] share: f64,
     #[case] truth: f64,
 ) {
     let runs = 6_000;
     let mut random = ChaCha8Rng::seed_from_u64(4);
-    let mut held = [0_u32; 2];
+    let mut covered = [0_u32; 2];
     for _ in 0..runs {
         let values: Vec<f64> = (0..100).map(|_| data.draw(&mut random)).collect();
         let (_, [low, high]) = quantile_bounds(&values, share, 0.95).unwrap();
-        held[0] += u32::from(low <= truth);
-        held[1] += u32::from(truth <= high);
+        covered[0] += u32::from(low <= truth);
+        covered[1] += u32::from(truth <= high);
     }
-    let rates = held.map(|held| f64::from(held) / f64::from(runs));
-    // Ranks are whole: at least nominal, and not wastefully more.
+    let rates = covered.map(|count| f64::from(count) / f64::from(runs));
+    // Ranks are whole numbers: at least nominal.
     assert!(rates.iter().all(|rate| (0.942..0.99).contains(rate)), "{rates:?}");
 }
 
-/// Ten values of a deviation that is `ratio` times the 1 that it should agree with.
+/// Ten values with a deviation of `ratio` times the expected 1.
 #[rstest]
 #[case(2.0)]
 #[case(1.5)]
 #[case(0.5)]
-fn the_power_is_how_often_another_deviation_is_refused(#[case] ratio: f64) {
+fn the_power_is_the_rate_of_rejected_deviations(#[case] ratio: f64) {
     let runs = 6_000;
     let mut random = ChaCha8Rng::seed_from_u64(5);
-    let refused = (0..runs).filter(|_| {
+    let rejected = (0..runs).filter(|_| {
         let values: Vec<f64> = (0..10).map(|_| ratio * TestDistribution::Normal.draw(&mut random)).collect();
         let [low, high] = SampleSummary::of(&values).unwrap().deviation_bounds(0.975).unwrap();
         !(low..=high).contains(&1.0)
     });
-    let rate = refused.count() as f64 / f64::from(runs);
-    let power = summary::agreement_power(10, 0.975, ratio).unwrap();
+    let rate = rejected.count() as f64 / f64::from(runs);
+    let power = bounds::agreement_power(10, 0.975, ratio).unwrap();
     // Three standard errors of a proportion near a half: 1.9 %.
     assert!((rate - power).abs() < 0.02, "{rate} {power}");
 }

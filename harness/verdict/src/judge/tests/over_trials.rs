@@ -1,4 +1,4 @@
-//! What trials come to, and what that shows.
+//! Statistics over trials, and their evidence.
 
 use super::*;
 use platebench_record::EvidenceMethod;
@@ -16,12 +16,12 @@ fn trials_without_a_failure_bound_the_failure_rate() {
     values[3] = 2.1;
     let [low, high] = judge_single_expectation(&scenario, &trials_with_values(&values)).evidence.failure_rate.unwrap();
     assert!((low - 0.001_708).abs() < 1e-5 && (high - 0.148_6).abs() < 1e-3, "{low} {high}");
-    // What samples leave open may be a failure or not.
+    // An interval that straddles the limit may be a failure.
     let mut open = trials_with_values(&[1.9; 30]);
     open[3].measures = vec![Measure::Interval([1.5, 2.5])];
     let [low, high] = judge_single_expectation(&scenario, &open).evidence.failure_rate.unwrap();
     assert!(low == 0.0 && (high - 0.148_6).abs() < 1e-3, "{low} {high}");
-    // What could not have come out otherwise shows no rate, and trials that differ all the same do.
+    // A deterministic scenario has no failure rate, unless its trials differ.
     let certain =
         ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], trials: 2, ..BASE }.scenario();
     assert!(judge_single_expectation(&certain, &trials_with_values(&[1.9, 1.9])).evidence.is_empty());
@@ -33,7 +33,7 @@ fn trials_without_a_failure_bound_the_failure_rate() {
 #[case("each", Statistic::Worst, PASS)]
 #[case("mean", Statistic::Mean, PASS)]
 #[case("quantile", Statistic::Quantile, inconclusive(Cause::Evidence))]
-fn a_response_time_can_be_judged_each_way(
+fn judges_a_response_time_by_each_statistic(
     #[case] over: &str,
     #[case] statistic: Statistic,
     #[case] expected: (Verdict, Option<Cause>),
@@ -43,7 +43,7 @@ fn a_response_time_can_be_judged_each_way(
     assert_eq!(verdict_and_cause(&varied_scenario(&expect, 30), &values), expected);
     let record = judge_single_expectation(&varied_scenario(&expect, 30), &values);
     assert_eq!(record.statistic, statistic);
-    // Slower trials: the mean is still good where the worst is not.
+    // Slower trials: the mean is still good, the worst is not.
     let slower = trials_with_values(&values_with_moments(30, 1.9, 0.1));
     let expected = match over {
         "mean" => PASS,
@@ -69,7 +69,7 @@ fn a_quantile_is_demonstrated_by_ranks(
     let expect = "metric = \"settling_time_ms\", at_most = 2.0, over = \"quantile\"";
     let values: Vec<f64> = (0..count as usize).map(|index| if index < beyond { 3.0 } else { 1.9 }).collect();
     assert_eq!(verdict_and_cause(&varied_scenario(expect, count), &trials_with_values(&values)), expected);
-    // A trial that never settled is as bad as one that settled too late.
+    // A trial that never settled counts like one that settled too late.
     let mut never = trials_with_values(&values);
     for trial in never.iter_mut().take(beyond) {
         trial.measures = vec![Measure::Missing(MissingValue::NotRunning)];
@@ -77,7 +77,7 @@ fn a_quantile_is_demonstrated_by_ranks(
     assert_eq!(verdict_and_cause(&varied_scenario(expect, count), &never), expected);
     let text = serde_json::to_string(&judge_single_expectation(&varied_scenario(expect, count), &never)).unwrap();
     assert!(serde_json::from_str::<ExpectationRecord>(&text).is_ok(), "{text}");
-    // The other way round: 5 % are at most that low.
+    // Mirrored: the 5 % quantile from below.
     let mirrored = "metric = \"settling_time_ms\", at_least = 2.0, over = \"quantile\", quantile = 0.05";
     let values: Vec<f64> = values.iter().map(|value| 4.0 - value).collect();
     let scenario = varied_scenario(mirrored, count);
@@ -90,7 +90,7 @@ fn a_quantile_is_demonstrated_by_ranks(
 }
 
 #[test]
-fn a_mean_or_a_quantile_of_what_cannot_vary_needs_one_trial() {
+fn a_deterministic_mean_or_quantile_needs_one_trial() {
     for over in ["mean", "quantile"] {
         let expect = format!("metric = \"settling_time_ms\", at_most = 2.0, over = \"{over}\"");
         let scenario = ScenarioBuilder { expect: &[&expect], ..BASE }.scenario();
@@ -106,7 +106,7 @@ fn a_mean_or_a_quantile_of_what_cannot_vary_needs_one_trial() {
 }
 
 #[test]
-fn errors_by_trial_have_the_bench_s_own_error_around_them() {
+fn adds_the_error_of_the_bench_to_each_trial() {
     let expect = "metric = \"static_error_percent\", at_most = 1.0, over = \"each\"";
     let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
     for (error, expected) in [
@@ -120,7 +120,7 @@ fn errors_by_trial_have_the_bench_s_own_error_around_them() {
     }
 }
 
-/// A limit inside the two samples between which the plate settled decides nothing.
+/// A limit between the two samples is inconclusive.
 #[rstest]
 #[case("at_most = 2.0", [1.0, 2.0], PASS)]
 #[case("at_most = 2.0", [1.0, 2.0_f64.next_up()], inconclusive(Cause::Evidence))]
@@ -131,7 +131,7 @@ fn errors_by_trial_have_the_bench_s_own_error_around_them() {
 #[case("at_least = 2.0", [1.0, 1.5], FAIL)]
 #[case("within = [1.0, 3.0]", [1.0, 3.0], PASS)]
 #[case("within = [1.5, 3.0]", [1.0, 3.0], inconclusive(Cause::Evidence))]
-fn what_samples_leave_open_stays_open(
+fn an_interval_that_straddles_the_limit_is_inconclusive(
     #[case] limit: &str,
     #[case] between: [f64; 2],
     #[case] expected: (Verdict, Option<Cause>),
@@ -140,14 +140,14 @@ fn what_samples_leave_open_stays_open(
     let sampled = [trial_measures(0, &[Measure::Interval(between)])];
     assert_eq!(verdict_and_cause(&scenario, &sampled), expected);
     assert_eq!(judge_single_expectation(&scenario, &sampled).interval, Some(between));
-    // The mean of thirty such trials is as open as they are.
+    // The mean of thirty such trials has the same interval.
     let scenario = varied_scenario(&format!("metric = \"settling_time_ms\", {limit}, over = \"mean\""), 30);
     let many: Vec<_> = (0..30).map(|index| trial_measures(index, &[Measure::Interval(between)])).collect();
     assert_eq!(verdict_and_cause(&scenario, &many), expected);
 }
 
 #[test]
-fn an_agreement_says_how_much_it_is_worth() {
+fn an_agreement_states_its_power() {
     let scenario = varied_scenario("metric = \"repeatability_percent\", about = 1.3", 30);
     let evidence =
         judge_single_expectation(&scenario, &trials_with_values(&values_with_moments(30, 100.0, 1.3))).evidence;

@@ -1,4 +1,4 @@
-//! Looking at trials while a run goes on.
+//! Looks during a run.
 
 use super::*;
 
@@ -12,12 +12,12 @@ fn look_of(judgement: &Judgement) -> [u32; 2] {
 }
 
 #[test]
-fn a_run_goes_on_until_it_is_decided_and_no_further() {
+fn a_run_stops_at_the_first_deciding_look() {
     let expect = ["metric = \"static_error_percent\", at_most = 1.0"];
     let scenario = sequential_scenario(&expect, 10, 50);
-    let go = |trials| SequentialDecision::Continue { trials };
-    assert_eq!(judge_sequentially(&scenario, &[]), go(10));
-    assert_eq!(judge_sequentially(&scenario, &trials_with_values(&[0.5; 9])), go(10));
+    let next_look = |trials| SequentialDecision::Continue { trials };
+    assert_eq!(judge_sequentially(&scenario, &[]), next_look(10));
+    assert_eq!(judge_sequentially(&scenario, &trials_with_values(&[0.5; 9])), next_look(10));
     let clear = trials_with_values(&values_with_moments(10, 0.5, 0.1));
     let SequentialDecision::Stop(judgement) = judge_sequentially(&scenario, &clear) else { panic!("clear after ten") };
     assert_eq!((judgement.verdict, look_of(&judgement)), (Verdict::Pass, [1, 4]));
@@ -27,11 +27,11 @@ fn a_run_goes_on_until_it_is_decided_and_no_further() {
         panic!()
     };
     assert_eq!(judgement.verdict, Verdict::Fail);
-    // At the limit nothing is decided before the end, and there it is a doubt.
+    // At the limit no look decides, and the last one is inconclusive.
     let repeated: Vec<f64> = (0..50).map(|index| if index % 2 == 0 { 0.9 } else { 1.1 }).collect();
     for (count, next) in [(10, 20), (19, 20), (20, 40), (39, 40), (40, 50), (49, 50)] {
         let some = trials_with_values(&repeated[..count]);
-        assert_eq!(judge_sequentially(&scenario, &some), go(next), "{count}");
+        assert_eq!(judge_sequentially(&scenario, &some), next_look(next), "{count}");
         assert_eq!(verdict_and_cause(&scenario, &some), inconclusive(Cause::Evidence));
     }
     let SequentialDecision::Stop(judgement) = judge_sequentially(&scenario, &trials_with_values(&repeated)) else {
@@ -41,24 +41,24 @@ fn a_run_goes_on_until_it_is_decided_and_no_further() {
 }
 
 #[test]
-fn what_comes_after_the_deciding_look_does_not_count() {
+fn ignores_trials_after_the_deciding_look() {
     let scenario = sequential_scenario(&["metric = \"static_error_percent\", at_most = 1.0"], 10, 50);
     let mut all = trials_with_values(&values_with_moments(10, 0.5, 0.1));
     let decided = judge(&scenario, &all);
     all.extend((10..50).map(|index| trial_measures(index, &[Measure::Value(9.0)])));
     assert_eq!(judge(&scenario, &all), decided);
     all.reverse();
-    assert_eq!(judge(&scenario, &all), decided, "nor does the order in which they were played");
+    assert_eq!(judge(&scenario, &all), decided, "in any order");
     assert_eq!(judge_sequentially(&scenario, &all), SequentialDecision::Stop(decided));
 }
 
 #[test]
-fn no_trial_is_played_for_what_trials_cannot_change() {
+fn stops_if_more_trials_cannot_change_the_verdict() {
     let expect = ["metric = \"static_error_percent\", at_most = 1.0", "metric = \"settling_time_ms\", at_most = 2.0"];
     let scenario = sequential_scenario(&expect, 4, 50);
     let four = |exclusion: Option<Exclusion>, excuse: Option<Excuse>, settling: f64| -> Vec<_> {
         let one = |index: u32| {
-            // In doubt by itself: right on the limit.
+            // At the limit: inconclusive alone.
             let error = 0.9 + 0.2 * f64::from(index % 2);
             let mut trial = trial_measures(index, &[Measure::Value(error), Measure::Value(settling)]);
             trial.exclusion = exclusion.clone().filter(|_| index == 2);
@@ -80,7 +80,7 @@ fn no_trial_is_played_for_what_trials_cannot_change() {
     }
 }
 
-/// How often a run that goes on until it is decided passes, and how many trials it takes on average; `draw` makes a value of a standard normal number.
+/// Shares of passed and failed runs, and the mean number of trials; `draw` converts a standard normal number.
 fn sequential_pass_rate(expect: &str, count: u32, most: u32, runs: u32, draw: impl Fn(f64) -> f64) -> (f64, f64, f64) {
     let scenario = sequential_scenario(&[expect], count, most);
     let mut random = ChaCha8Rng::seed_from_u64(11);
@@ -105,27 +105,27 @@ fn sequential_pass_rate(expect: &str, count: u32, most: u32, runs: u32, draw: im
     (share(passed), share(failed), played as f64 / f64::from(runs))
 }
 
-/// However often it is looked at, a controller exactly on its limit passes in at most one run of twenty, and fails in at most one.
+/// A controller at its limit passes at most 5 % of runs, and fails at most 5 %.
 #[rstest]
 #[case::mean("metric = \"static_error_percent\", at_most = 1.0", |z: f64| 1.0 + 0.3 * z)]
 #[case::deviation("metric = \"repeatability_percent\", at_most = 1.3", |z: f64| 100.0 + 1.3 * z)]
 #[case::quantile("metric = \"settling_time_ms\", at_most = 1.281551565545, over = \"quantile\", quantile = 0.9", |z: f64| z)]
-fn looking_again_is_no_second_chance(#[case] expect: &str, #[case] draw: fn(f64) -> f64) {
+fn several_looks_keep_the_error_rate(#[case] expect: &str, #[case] draw: fn(f64) -> f64) {
     let (passed, failed, played) = sequential_pass_rate(expect, 20, 160, 2_000, draw);
     assert!(passed <= 0.05 && failed <= 0.05, "{passed} {failed}");
-    // The bound is not so careful that nothing is ever decided.
+    // The bounds still decide some runs.
     assert!(passed > 0.01 && failed > 0.01 && played > 120.0, "{passed} {failed} {played}");
 }
 
 #[test]
-fn agreement_is_refused_no_more_often_for_being_looked_at() {
+fn several_looks_keep_the_error_rate_of_agreement() {
     let expect = "metric = \"repeatability_percent\", about = 1.3";
     let (_, failed, _) = sequential_pass_rate(expect, 8, 64, 2_000, |z| 100.0 + 1.3 * z);
     assert!(failed <= 0.05, "{failed}");
 }
 
 #[test]
-fn what_is_clear_ends_early() {
+fn a_clear_run_ends_early() {
     let (passed, _, played) =
         sequential_pass_rate("metric = \"static_error_percent\", at_most = 1.0", 20, 160, 200, |z| 0.7 + 0.3 * z);
     assert!(passed > 0.99 && played < 30.0, "{passed} {played}");

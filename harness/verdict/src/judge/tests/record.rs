@@ -1,0 +1,74 @@
+//! Content of the records.
+
+use super::*;
+
+#[test]
+fn a_divergence_is_recorded_with_its_trial() {
+    let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 1);
+    let mut trial = trial_measures(0, &[Measure::Missing(MissingValue::NeverSettles)]);
+    let record = |trial: &TrialMeasures| trial_record(&scenario, trial, "traces/s/000.csv".to_owned(), None);
+    assert!(!serde_json::to_string(&record(&trial)).unwrap().contains("diverged"));
+    trial.divergence = Some(Divergence { at_s: 0.003, is_non_finite: false });
+    let text = serde_json::to_string(&record(&trial)).unwrap();
+    assert!(text.contains(
+        r#""reason":"diverged at t = 3.0 ms","reason_code":{"diverged":{"at_s":0.003,"is_non_finite":false}}"#
+    ));
+    assert!(text.contains(r#""diverged_at_s":0.003"#), "{text}");
+}
+
+#[test]
+fn a_confidence_close_to_1_is_inconclusive_in_json() {
+    for metric in ["repeatability_percent", "static_error_percent"] {
+        let scenario =
+            varied_scenario(&format!("metric = \"{metric}\", at_most = 1.3, confidence = 0.9999999999999999"), 3);
+        let record = judge_single_expectation(&scenario, &trials_with_values(&[0.1, 0.2, 0.3]));
+        assert_eq!((record.verdict, record.cause), inconclusive(Cause::Evidence));
+        let text = serde_json::to_string(&record).unwrap();
+        assert_eq!(serde_json::from_str::<ExpectationRecord>(&text).unwrap().verdict, Verdict::Inconclusive, "{text}");
+    }
+}
+
+#[test]
+fn writes_a_readable_record_of_a_huge_number() {
+    let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 2);
+    let record = judge_single_expectation(&scenario, &trials_with_values(&[f64::MAX, f64::MAX]));
+    assert_ne!(record.verdict, Verdict::Pass);
+    let text = serde_json::to_string(&record).unwrap();
+    assert!(serde_json::from_str::<ExpectationRecord>(&text).is_ok(), "{text}");
+}
+
+#[test]
+fn numbers_repeated_metrics_from_the_second() {
+    let expect = [
+        "metric = \"settling_time_ms\", at_most = 2.0",
+        "metric = \"static_error_percent\", at_most = 2.0",
+        "metric = \"settling_time_ms\", at_most = 5.0, band_percent = 1.0",
+        "metric = \"repeatability_percent\", at_most = 2.0",
+        "metric = \"settling_time_ms\", at_most = 5.0, from_ms = 30.0",
+    ];
+    let scenario = ScenarioBuilder { expect: &expect, ..BASE }.scenario();
+    let measures = [
+        Measure::Value(1.93),
+        Measure::Value(-0.5),
+        Measure::Missing(MissingValue::NotRunning),
+        Measure::Value(99.5),
+        Measure::Value(4.0),
+    ];
+    let record = trial_record(&scenario, &trial_measures(0, &measures), "traces/s/000.csv".to_owned(), None);
+    let text = serde_json::to_string(&record.metrics).unwrap();
+    assert_eq!(
+        text,
+        r#"{"settling_time_ms":1.93,"static_error_percent":0.5,"settling_time_ms[2]":null,"settling_time_ms[3]":4.0}"#
+    );
+}
+
+#[rstest]
+#[case("metric = \"settling_time_ms\", at_most = 2.0", (None, Some(5.0), Some("amplitude_um")))]
+#[case("metric = \"settling_time_ms\", at_most = 2.0, from_ms = 20.0, band_percent = 1.0, signal = \"wd_um\"", (Some(20.0), Some(1.0), Some("wd_um")))]
+#[case("metric = \"overshoot_percent\", at_most = 2.0, from_ms = 3.0", (Some(3.0), None, Some("amplitude_um")))]
+#[case("metric = \"drive_peak_vpp\", at_most = 900.0", (None, None, None))]
+fn records_the_options_of_a_metric(#[case] expect: &str, #[case] expected: (Option<f64>, Option<f64>, Option<&str>)) {
+    let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
+    let found = judge_single_expectation(&scenario, &trials_with_values(&[1.0])).definition;
+    assert_eq!((found.from_ms, found.band_percent, found.signal.as_deref()), expected);
+}

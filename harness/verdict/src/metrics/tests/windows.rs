@@ -1,0 +1,111 @@
+//! Means, ripple and final values.
+
+use super::*;
+
+#[test]
+fn ripple_and_rest_drive_take_the_worst_window() {
+    let mut trace = trace_at(grid(1.0, 30.0), |t| if t < 20.0 { 2.0 } else { 0.0 }, |t| 2.0 + 0.1 * (t % 2.0));
+    for row in &mut trace {
+        row.drive_vpp = if row.t_s < 0.022 { 300.0 } else { 7.0 };
+    }
+    let value = |metric, window| measured_value(&expectation_in(metric, &[window]), &trace);
+    assert_close(value(Metric::Ripple, [5.0, 10.0]), 0.1, 1e-9);
+    assert_close(value(Metric::RipplePercent, [5.0, 10.0]), 5.0, 1e-9);
+    assert_close(value(Metric::RestDrive, [22.0, 30.0]), 7.0, 0.0);
+    assert_close(value(Metric::RestDrive, [21.0, 30.0]), 300.0, 0.0);
+    assert_close(value(Metric::RestDrive, [21.5, 30.0]), 300.0, 0.0);
+    let at_rest = expectation_in(Metric::RipplePercent, &[[22.0, 30.0]]);
+    assert_eq!(measure(&at_rest, &trace, &EMPTY_TELEMETRY), Measure::Undefined(UndefinedValue::ZeroSetpoint));
+}
+
+fn error_over(window: (f64, f64), trace: &[Row]) -> Measure {
+    measure(&expectation_in(Metric::StaticError, &[window.into()]), trace, &EMPTY_TELEMETRY)
+}
+
+#[test]
+fn the_static_error_is_signed_and_time_weighted() {
+    for (level, error) in [(2.1, 5.0), (1.9, -5.0)] {
+        assert_close(
+            measured_value(&expectation_for(Metric::StaticError), &trace_at(grid(0.05, 60.0), |_| 2.0, |_| level)),
+            error,
+            1e-9,
+        );
+    }
+    // 1 µm for 9 ms, then a thousand rows of 3 µm in 1 ms.
+    let instants = [0.0, 9.0].into_iter().chain((0..=1_000).map(|index| 9.0 + 1e-6 + f64::from(index) * 0.000_999));
+    let trace = trace_at(instants, |_| 2.0, |t| if t <= 9.0 { 1.0 } else { 3.0 });
+    assert_close(error_over((0.0, 10.0), &trace).value().unwrap(), -40.0, 0.01);
+}
+
+#[test]
+fn cuts_a_window_between_rows() {
+    // A line of 1 µm per ms from 0: its mean over a window is its middle.
+    let trace = trace_at([0.0, 0.7, 2.9, 3.0, 7.5, 10.0], |_| 2.0, |t| t);
+    for (from, to) in [(0.0, 10.0), (1.0, 5.0), (3.1, 3.2), (2.95, 9.999)] {
+        assert_close(error_over((from, to), &trace).value().unwrap(), ((from + to) / 4.0 - 1.0) * 100.0, 1e-9);
+    }
+    let mut outside = trace_at(grid(0.05, 60.0), |_| 2.0, |t| if (20.0..=30.0).contains(&t) { 2.0 } else { 9.0 });
+    assert_close(error_over((20.0, 30.0), &outside).value().unwrap(), 0.0, 1e-12);
+    outside.retain(|row| row.t_s < 0.019);
+    assert_eq!(error_over((20.0, 30.0), &outside), Measure::Undefined(UndefinedValue::EmptyWindow));
+}
+
+#[test]
+fn a_mean_over_a_changing_setpoint_is_undefined() {
+    // 2 µm for setpoints of 1 and 3 µm: right on average, wrong at any time.
+    let trace = trace_at(grid(0.05, 60.0), |t| if t < 50.0 { 1.0 } else { 3.0 }, |_| 2.0);
+    assert_eq!(error_over((40.0, 60.0), &trace), Measure::Undefined(UndefinedValue::SetpointChanges));
+    assert_close(error_over((50.0, 60.0), &trace).value().unwrap(), -100.0 / 3.0, 1e-9);
+    assert_close(error_over((40.0, 50.0), &trace).value().unwrap(), 100.0, 1e-9);
+    let none = trace_at(grid(0.05, 60.0), |_| 0.0, |_| 2.0);
+    assert_eq!(error_over((40.0, 60.0), &none), Measure::Undefined(UndefinedValue::ZeroSetpoint));
+}
+
+#[test]
+fn repeatability_uses_the_mean_in_percent() {
+    let trace = trace_at(grid(0.05, 60.0), |_| 2.0, |_| 1.9);
+    assert_close(measured_value(&expectation_for(Metric::Repeatability), &trace), 95.0, 1e-9);
+}
+
+#[test]
+fn final_values_are_from_the_last_row() {
+    let mut trace = rows(&[(0.0, 2.0, 9.0), (1.0, 2.0, 1.95)]);
+    trace[0] = Row { frequency_hz: 1.0, wq_um: 5.0, wd_um: 1.0, ..trace[0] };
+    trace[1] = Row { frequency_hz: 32_300.0, resonance_hz: 32_307.6, wd_um: -1.0, wq_um: 0.25, ..trace[1] };
+    assert_close(measured_value(&expectation_for(Metric::FrequencyError), &trace), 7.6, 1e-9);
+    assert_eq!(measured_value(&expectation_for(Metric::QuadratureRatio), &trace), 0.25);
+    assert_eq!(measured_value(&expectation_for(Metric::FinalAmplitude), &trace), 1.95);
+    trace[1].wd_um = 0.0;
+    assert!(matches!(
+        measure(&expectation_for(Metric::QuadratureRatio), &trace, &EMPTY_TELEMETRY),
+        Measure::Undefined(_)
+    ));
+}
+
+#[test]
+fn saturation_is_time_weighted() {
+    let mut trace = rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, 0.0), (4.0, 2.0, 0.0), (10.0, 2.0, 0.0)]);
+    trace[1].flags = Flags::SATURATED | Flags::CONTROL;
+    trace[3].flags = Flags::SATURATED;
+    assert_close(measured_value(&expectation_for(Metric::Saturated), &trace), 30.0, 1e-12);
+    for (row, drive) in trace.iter_mut().zip([1.0, 540.0, 12.0, 3.0]) {
+        row.drive_vpp = drive;
+    }
+    assert_eq!(measured_value(&expectation_for(Metric::DrivePeak), &trace), 540.0);
+    trace[0].flags = Flags::OVERRUN;
+    trace[2].flags = Flags::OVERRUN | Flags::SATURATED;
+    assert_eq!(measured_value(&expectation_for(Metric::Overruns), &trace), 2.0);
+    assert_eq!(
+        measure(
+            &expectation_for(Metric::LoopDelay),
+            &trace,
+            &Telemetry { loop_delay_us: Some(520.0), ..EMPTY_TELEMETRY }
+        ),
+        Measure::Value(520.0)
+    );
+    let costly = Telemetry { instructions_mean: Some(900.0), instructions_worst: Some(950.0), ..EMPTY_TELEMETRY };
+    assert_eq!(measure(&expectation_for(Metric::InstructionsPerStep), &trace, &costly), Measure::Value(950.0));
+    for unreported in [Metric::LoopDelay, Metric::InstructionsPerStep] {
+        assert!(matches!(measure(&expectation_for(unreported), &trace, &EMPTY_TELEMETRY), Measure::Undefined(_)));
+    }
+}

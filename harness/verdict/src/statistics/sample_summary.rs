@@ -1,0 +1,69 @@
+//! Summarises a sample by mean and standard deviation, with bounds for normal data.
+
+use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
+
+/// Mean and standard deviation of a sample.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SampleSummary {
+    /// Number of values.
+    pub count: usize,
+    /// Their mean.
+    pub mean: f64,
+    /// Their standard deviation with n − 1 in the denominator; zero for one value.
+    pub deviation: f64,
+}
+
+impl SampleSummary {
+    /// Summary of `values`; `None` without values.
+    pub fn of(values: &[f64]) -> Option<Self> {
+        let count = values.len();
+        if count == 0 {
+            return None;
+        }
+        let mean = values.iter().sum::<f64>() / count as f64;
+        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        let deviation = if count > 1 { (squares / (count - 1) as f64).sqrt() } else { 0.0 };
+        Some(Self { count, mean, deviation })
+    }
+
+    /// One-sided bounds of the mean by Student's t (normal data, unknown deviation). `None` below two values.
+    pub fn mean_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
+        let freedom = self.degrees_of_freedom()?;
+        let quantile = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(confidence);
+        let half = quantile * self.deviation / (self.count as f64).sqrt();
+        Some([self.mean - half, self.mean + half])
+    }
+
+    /// One-sided bounds of the standard deviation by chi-square: `s √(f/χ²)` (normal data). `None` below two values.
+    pub fn deviation_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
+        let freedom = self.degrees_of_freedom()?;
+        let chi_squared = ChiSquared::new(freedom).ok()?;
+        let bound = |probability: f64| self.deviation * (freedom / chi_squared.inverse_cdf(probability)).sqrt();
+        Some([bound(confidence), bound(1.0 - confidence)])
+    }
+
+    fn degrees_of_freedom(&self) -> Option<f64> {
+        (self.count > 1).then(|| (self.count - 1) as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_summary_is_the_textbook_s() {
+        let summary = SampleSummary::of(&[1.0, 2.0, 3.0, 4.0]).unwrap();
+        assert_eq!(summary.mean, 2.5);
+        assert!((summary.deviation - (5.0_f64 / 3.0).sqrt()).abs() < 1e-15);
+        assert_eq!(SampleSummary::of(&[]), None);
+        assert_eq!(SampleSummary::of(&[7.0]).unwrap().mean_bounds(0.95), None);
+    }
+
+    #[test]
+    fn thirty_trials_demonstrate_1_3_percent_at_1_016() {
+        let upper = |deviation| SampleSummary { count: 30, mean: 0.0, deviation }.deviation_bounds(0.95).unwrap()[1];
+        assert!(upper(1.015) < 1.3, "{}", upper(1.015));
+        assert!(upper(1.017) > 1.3, "{}", upper(1.017));
+    }
+}
