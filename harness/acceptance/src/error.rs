@@ -1,4 +1,4 @@
-//! Why a session cannot go on, or a record cannot be used.
+//! Defines the errors of a session and its record.
 
 use platebench_runner::{RejudgeError, RunError};
 use platebench_scenario::Diagnostic;
@@ -6,10 +6,10 @@ use platebench_trust::TrustError;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a session cannot go on, or a record cannot be used.
+/// Why a session cannot continue or a record cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum AcceptError {
-    /// The plan, or a scenario of it, is wrong.
+    /// The plan or one of its scenarios is invalid.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Plan(Vec<Diagnostic>),
     /// A file cannot be read or written.
@@ -17,76 +17,78 @@ pub enum AcceptError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// The session was begun with something else.
+    /// Something differs from the start of the session.
     #[error(
-        "{what} is {now}, but the session was begun with {then}: a record never mixes the two, expected a new --out FOLDER"
+        "{what} is {now}, but the session was started with {then}; a record contains only one, expected a new --out \
+         FOLDER"
     )]
     Changed {
         /// What differs.
         what: String,
-        /// What the session was begun with.
+        /// Its value at the start.
         then: String,
-        /// What there is now.
+        /// Its value now.
         now: String,
     },
-    /// The session has come to its end already.
-    #[error("{} holds a finished session, expected a new folder", .0.display())]
+    /// The session has ended.
+    #[error("{} contains a finished session, expected a new folder", .0.display())]
     Finished(PathBuf),
-    /// There is something else in the folder.
-    #[error("{} holds something else than an acceptance session, expected a new folder", .0.display())]
+    /// The folder contains other files.
+    #[error("{} contains other files than an acceptance session, expected a new folder", .0.display())]
     FolderNotEmpty(PathBuf),
-    /// Somebody else is at it.
+    /// Another session writes to the folder.
     #[error("{} is being written by another session", .0.display())]
     InUse(PathBuf),
-    /// There is no session.
-    #[error("{}: no session, expected a folder that `platebench accept` made", .0.display())]
+    /// No session.
+    #[error("{}: no session, expected a folder of `platebench accept`", .0.display())]
     NoSession(PathBuf),
-    /// `session.json` is not one.
+    /// `session.json` is invalid.
     #[error("{}: {message}", path.display())]
     InvalidRecord {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// What is wrong.
         message: String,
     },
-    /// A key is not one.
-    #[error("{}: not the ed25519 key in PEM that is wanted: {message}", path.display())]
+    /// A key is invalid.
+    #[error("{}: not the expected ed25519 key in PEM: {message}", path.display())]
     Key {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// What is wrong.
         message: String,
     },
     /// A scenario could not be played.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A run of the record cannot be judged.
+    /// A stored run cannot be judged again.
     #[error(transparent)]
     Rejudge(#[from] RejudgeError),
-    /// The trial of the bench itself could not be made.
+    /// The test of the bench failed.
     #[error(transparent)]
     Trust(#[from] TrustError),
     /// A page cannot be written.
     #[error(transparent)]
     Report(#[from] platebench_report::ReportError),
-    /// The person said that something is not as it has to be.
-    #[error("stopped at \"{0}\": the answer was no; the session can be resumed once that is as it has to be")]
+    /// The operator answered no.
+    #[error("stopped at \"{0}\": the answer was no; resume the session when the answer is yes")]
     AnsweredNo(String),
-    /// Nobody said that all is as it has to be, and a plate may be driven.
+    /// No confirmation on a rig that may drive a plate.
     #[error(
-        "stopped at \"{question}\": nobody answered, and what is on {rig} may drive a plate; answer at a terminal, or say yes beforehand with --yes"
+        "stopped at \"{question}\": no answer, and {rig} may drive a plate; answer at a terminal, or confirm beforehand \
+         with --yes"
     )]
     Unanswered {
-        /// What was asked.
+        /// The question.
         question: String,
         /// The rig as named on the command line.
         rig: String,
     },
-    /// The session was ended from outside.
-    #[error("the session was ended early")]
+    /// The session was cancelled.
+    #[error("the session was cancelled")]
     Cancelled,
 }
 

@@ -5,7 +5,8 @@ use crate::session_record::{EvidenceRecord, RequirementRecord, StepRecord};
 use platebench_record::{ExpectationRecord, RunRecord, Verdict};
 use platebench_report::format;
 
-/// What a session shows: each requirement's verdict, and the verdict over all of it. `runs` are those of the scenario steps, by their identifier.
+/// What a session shows: each requirement's verdict, and the verdict over all of it. `runs` are
+/// those of the scenario steps, by their identifier.
 pub(crate) fn judge_requirements(
     requirements: &[Requirement],
     steps: &[StepRecord],
@@ -14,9 +15,9 @@ pub(crate) fn judge_requirements(
     let decided: Vec<RequirementRecord> =
         requirements.iter().map(|requirement| requirement_record(requirement, runs)).collect();
     let over_requirements = decided.iter().map(|requirement| requirement.verdict);
-    // An expectation that holds no requirement may fail too.
+    // Expectations without a requirement count too.
     let over_runs = runs.iter().map(|(_, run)| run.verdict);
-    // Scenario steps say what their runs say.
+    // Scenario steps have the verdicts of their runs.
     let over_steps = steps.iter().map(|step| if step.done { step.verdict } else { Some(Verdict::Inconclusive) });
     let verdict = Verdict::combine(over_requirements.chain(over_runs).chain(over_steps.flatten()));
     (decided, verdict)
@@ -34,7 +35,7 @@ fn requirement_record(requirement: &Requirement, runs: &[(String, RunRecord)]) -
     RequirementRecord {
         id: requirement.id.clone(),
         text: requirement.text.clone(),
-        // Over nothing it is a doubt.
+        // Without evidence it is inconclusive.
         verdict: Verdict::combine(evidence.iter().map(|evidence| evidence.verdict)),
         evidence,
     }
@@ -59,7 +60,7 @@ fn evidence_record(step: &str, scenario: &str, expectation: &ExpectationRecord) 
     }
 }
 
-/// Of which trials, and of which part of them, where it is not all of it: what holds the demand belongs to it.
+/// Suffix for a limit that covers a quantile of the trials or a part of the trace.
 fn demand_scope(expectation: &ExpectationRecord) -> String {
     let share =
         expectation.evidence.quantile.map(|share| format!(" in {} % of the trials", (share * 1e6).round() / 1e4));

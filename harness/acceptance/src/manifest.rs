@@ -1,4 +1,5 @@
-//! `manifest.sha256`: SHA-256 over every file of a record, in the format that `sha256sum -c` accepts.
+//! `manifest.sha256`: SHA-256 over every file of a record, in the format that `sha256sum -c`
+//! accepts.
 //!
 //! The manifest does not list itself nor its signature.
 
@@ -14,30 +15,31 @@ use std::path::Path;
 
 /// The manifest's name in a record.
 pub const FILE: &str = "manifest.sha256";
-/// Folders in folders of a record; more is none of ours.
+/// Deepest folder of a record.
 const MAX_DEPTH: usize = 32;
 
-/// What a record's files are, against what its manifest says.
+/// A difference between files and manifest.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Difference {
-    /// A file's content is another.
+    /// Another content.
     #[error("{0}: changed, its SHA-256 is not the one in the manifest")]
     Changed(String),
-    /// A file is not there.
+    /// A missing file.
     #[error("{0}: missing, the manifest names it")]
     Missing(String),
-    /// A file that the manifest does not name.
+    /// A file without a line.
     #[error("{0}: added, or its line was taken out of the manifest")]
     Added(String),
     /// Neither a file nor a folder.
-    #[error("{0}: neither a file nor a folder, a record holds nothing else")]
+    #[error("{0}: neither a file nor a folder, expected only these in a record")]
     NotAFile(String),
     /// A file cannot be read.
     #[error("{0}: cannot be read: {1}")]
     Unreadable(String, String),
-    /// A line is none of a manifest.
+    /// An invalid line.
     #[error(
-        "{FILE}:{0}: not a line of a manifest, expected 64 hexadecimal digits, two spaces and a file below the record, each once and in order"
+        "{FILE}:{0}: not a line of a manifest, expected 64 hexadecimal digits, two spaces and a file below the record, \
+         each once and in order"
     )]
     Line(usize),
 }
@@ -52,7 +54,7 @@ pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
     let mut text = String::new();
     for name in &found.files {
         if name.contains(['\\', '\n', '\r']) {
-            let message = "a file name that sha256sum writes otherwise, expected none with \\ or a line break";
+            let message = "a file name that sha256sum escapes, expected none with \\ or a line break";
             return Err(AcceptError::io(&folder.join(name))(io::Error::other(message)));
         }
         let path = folder.join(name);
@@ -204,7 +206,7 @@ mod tests {
         let hash = sha256(b"");
         assert_eq!(parse_line(&format!("{hash}  {name}\n")), None);
         assert_eq!(parse_line(&format!("{hash}  a/b c\n")), Some((hash.as_str(), "a/b c")));
-        assert_eq!(parse_line(&format!("{hash}  a")), None, "a line that was cut off");
+        assert_eq!(parse_line(&format!("{hash}  a")), None, "an incomplete line");
         assert_eq!(parse_line(&format!("{}  a\n", hash.to_uppercase())), None);
     }
 }

@@ -1,52 +1,43 @@
-//! `record.html`: a session on pages that need nothing else, to read, to print and to sign.
+//! Renders `record.html`: a session on one page to read, print and sign.
 
 use crate::session_record::{RequirementRecord, STEPS, SessionRecord, StepRecord};
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 use platebench_record::Verdict;
-use platebench_report::format;
+use platebench_report::page::{page_frame, verdict_badge};
 
-/// The page's name in a record.
+/// File name.
 pub const FILE: &str = "record.html";
 
 const STYLE: &str = include_str!("page/style.css");
 
 /// The page of a session.
-pub fn render(session: &SessionRecord) -> Markup {
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                title { (session.verdict) " · " (session.title) " " (session.started) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                header {
-                    p.eyebrow { "Acceptance record · " (session.started) }
-                    h1 { (session.title) }
-                    p.lead { (badge(session.verdict)) " " (summary(session)) }
-                    @if let Some(line) = session.no_board_notice() { p.notice { (line) "." } }
-                }
-                (people_section(session))
-                (requirements(session))
-                (steps(session))
-                (evidence(session))
-                (environment(session))
-                (signatures(session))
-                footer {
-                    p {
-                        "Every file of this record stands in manifest.sha256. platebench accept verify judges the traces again; "
-                        "sha256sum -c manifest.sha256 checks the files alone."
-                    }
-                }
+pub fn render(session: &SessionRecord) -> String {
+    let title = format!("{} · {} {}", session.verdict, session.title, session.started);
+    let body = html! {
+        header {
+            p.eyebrow { "Acceptance record · " (session.started) }
+            h1 { (session.title) }
+            p.lead { (badge(session.verdict)) " " (summary(session)) }
+            @if let Some(line) = session.no_board_notice() { p.notice { (line) "." } }
+        }
+        (people_section(session))
+        (requirements(session))
+        (steps(session))
+        (evidence(session))
+        (environment(session))
+        (signatures(session))
+        footer {
+            p {
+                "manifest.sha256 lists every file of this record. platebench accept verify judges the traces again; "
+                "sha256sum -c manifest.sha256 checks the files alone."
             }
         }
-    }
+    };
+    page_frame(&title, STYLE, &html! {}, &body)
 }
 
 fn badge(verdict: Verdict) -> Markup {
-    html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (format::sign(verdict)) } " " (verdict) } }
+    verdict_badge(verdict, verdict.name())
 }
 
 fn summary(session: &SessionRecord) -> String {
@@ -56,25 +47,25 @@ fn summary(session: &SessionRecord) -> String {
 }
 
 fn people_section(session: &SessionRecord) -> Markup {
-    let said = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".to_owned());
+    let stated = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".to_owned());
     let firmware = session.firmware.as_ref().map_or_else(
-        || "did not introduce itself".to_owned(),
+        || "not identified".to_owned(),
         |found| format!("{} {}, build {}", found.firmware.name, found.firmware.version, found.firmware.build),
     );
     let board = session.firmware.as_ref().map_or_else(
         || "unknown".to_owned(),
         |found| format!("{}; chip {}, number {}", session.rig, found.firmware.chip, found.unique),
     );
-    // What says that it is a chip there is nobody's.
+    // A simulated rig has no chip.
     let board = if session.no_board_notice().is_some() { format!("none ({})", session.rig) } else { board };
     let facts = [
-        ("Operator", said(&session.operator)),
-        ("Place", said(&session.place)),
+        ("Operator", stated(&session.operator)),
+        ("Place", stated(&session.place)),
         ("Board", board),
         ("Firmware", firmware),
         ("Begun", session.started.clone()),
-        ("Ended", said(&session.finished)),
-        ("Notes", said(&session.notes)),
+        ("Ended", stated(&session.finished)),
+        ("Notes", stated(&session.notes)),
     ];
     html! {
         section { dl.facts { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } } }
@@ -86,7 +77,7 @@ fn requirements(session: &SessionRecord) -> Markup {
         section {
             h2 { "Requirements" }
             table {
-                thead { tr { th { "Requirement" } th { "What it says" } th { "Expectations met" } th { "Verdict" } } }
+                thead { tr { th { "Requirement" } th { "Text" } th { "Expectations met" } th { "Verdict" } } }
                 tbody { @for requirement in &session.requirements {
                     tr {
                         th scope="row" { (requirement.id) }
@@ -100,7 +91,7 @@ fn requirements(session: &SessionRecord) -> Markup {
     }
 }
 
-/// How many of the expectations that hold it are met; without any there is nothing to meet.
+/// Number of met expectations.
 fn evidence_summary(requirement: &RequirementRecord) -> String {
     let met = requirement.evidence.iter().filter(|evidence| evidence.verdict == Verdict::Pass).count();
     match requirement.evidence.len() {
@@ -112,12 +103,12 @@ fn evidence_summary(requirement: &RequirementRecord) -> String {
 fn steps(session: &SessionRecord) -> Markup {
     html! {
         section {
-            h2 { "What was done" }
+            h2 { "Steps" }
             @if !session.resumed.is_empty() {
-                p.notice { "The session was cut off and taken up again: " (session.resumed.join(", ")) "." }
+                p.notice { "The session was interrupted and resumed: " (session.resumed.join(", ")) "." }
             }
             table {
-                thead { tr { th { "Step" } th { "What came of it" } th { "Verdict" } } }
+                thead { tr { th { "Step" } th { "Result" } th { "Verdict" } } }
                 tbody { @for step in &session.steps { (step_row(step)) } }
             }
         }
@@ -144,7 +135,7 @@ fn step_row(step: &StepRecord) -> Markup {
                 @if step.lost { strong { " The controller was lost or did not confirm 0 V." } }
                 @if step.attempts.len() > 1 {
                     span.file {
-                        "begun " (step.attempts.len()) " times: "
+                        "started " (step.attempts.len()) " times: "
                         @for (number, attempt) in step.attempts.iter().enumerate() {
                             @if number > 0 { "; " }
                             (attempt.started)
@@ -159,7 +150,7 @@ fn step_row(step: &StepRecord) -> Markup {
     }
 }
 
-/// What somebody did who made this mistake, as far as the bench's catalogue knows it.
+/// The description of a mutant in the catalogue.
 fn mutant_description(name: &str) -> String {
     let known = platebench_trust::catalogue().into_iter().find(|entry| entry.name == name);
     known.map_or_else(String::new, |entry| format!(", {}", entry.description))
@@ -171,7 +162,7 @@ fn evidence(session: &SessionRecord) -> Markup {
             h2 { "Evidence" }
             table.evidence {
                 thead { tr {
-                    th { "Requirement" } th { "Scenario" } th { "Metric" } th { "Demanded" } th { "Found" } th { "Verdict" }
+                    th { "Requirement" } th { "Scenario" } th { "Metric" } th { "Limit" } th { "Value" } th { "Verdict" }
                 } }
                 tbody { @for requirement in &session.requirements { @for evidence in &requirement.evidence {
                     tr {
@@ -224,8 +215,10 @@ fn signatures(session: &SessionRecord) -> Markup {
             h2 { "Signatures" }
             p {
                 @match &session.signature {
-                    Some(_) => { "manifest.sha256 is signed with an " (session.signature.as_ref().map_or("", |signature| &signature.algorithm)) " key; the public key is in session.json." },
-                    None => "The files of this record carry no electronic signature.",
+                    Some(signature) => {
+                        "manifest.sha256 is signed with an " (signature.algorithm) " key; the public key is in session.json."
+                    },
+                    None => "This record has no electronic signature.",
                 }
             }
             div.fields {
@@ -233,7 +226,10 @@ fn signatures(session: &SessionRecord) -> Markup {
                     div.field { span.line {} span { (role) ", name" } }
                     div.field { span.line {} span { "Date, signature" } }
                 }
-                div.field.wide { span.line {} span { "First 16 digits of the manifest's SHA-256, as platebench accept verify shows it" } }
+                div.field.wide {
+                    span.line {}
+                    span { "First 16 digits of the manifest's SHA-256, as printed by platebench accept verify" }
+                }
             }
         }
     }

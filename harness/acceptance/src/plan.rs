@@ -1,6 +1,6 @@
-//! The plan of a session: what has to hold, what shows it, what is asked.
+//! Reads the plan of a session: requirements, scenarios, questions.
 //!
-//! The plan file owns what each requirement says; scenarios name requirements by their identifiers alone.
+//! The plan file contains the text of each requirement; expectations of scenarios contain its identifier.
 
 use platebench_scenario::{Diagnostic, Scenario, find, input, schema};
 use schemars::{JsonSchema, Schema};
@@ -8,7 +8,7 @@ use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// As many repetitions as the command line takes trials.
+/// As for `run --trials`.
 const MAX_REPETITIONS: u32 = 100_000;
 const MAX_CLEAN_RUNS: u32 = 1_000_000;
 
@@ -17,25 +17,25 @@ const MAX_CLEAN_RUNS: u32 = 1_000_000;
 #[serde(deny_unknown_fields)]
 #[schemars(extend("required" = ["title", "requirement", "scenario"]))]
 struct RawPlan {
-    /// One line that says what is accepted.
+    /// Title, one line.
     #[schemars(length(min = 1))]
     title: String,
-    /// Trials of each scenario, in the place of its own count.
+    /// Trials of each scenario instead of its own count.
     #[serde(default = "thirty")]
     #[schemars(range(min = 1, max = MAX_REPETITIONS))]
     repetitions: u32,
-    /// What has to hold; at least one.
+    /// Requirements; at least one.
     #[serde(default)]
     #[schemars(length(min = 1))]
     requirement: Vec<Requirement>,
-    /// What shows it; at least one.
+    /// Scenarios; at least one.
     #[serde(default)]
     #[schemars(length(min = 1))]
     scenario: Vec<RawPlanned>,
-    /// What a person is asked.
+    /// Questions to the operator.
     #[serde(default)]
     ask: Vec<Ask>,
-    /// What is demanded of the bench itself.
+    /// Demands on the bench.
     #[serde(default)]
     bench: BenchDemands,
 }
@@ -44,14 +44,14 @@ const fn thirty() -> u32 {
     30
 }
 
-/// What has to hold.
+/// A requirement.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Requirement {
-    /// What scenarios call it.
+    /// Identifier, as in the expectations of scenarios.
     #[schemars(regex(pattern = "^[A-Za-z0-9-]+$"))]
     pub id: String,
-    /// What it says.
+    /// Its text.
     #[schemars(length(min = 1))]
     pub text: String,
 }
@@ -61,12 +61,12 @@ pub struct Requirement {
 struct RawPlanned {
     /// Scenario file, relative to the plan.
     file: PathBuf,
-    /// Its trials, where they differ from the plan's.
+    /// Its trials; the plan's by default.
     #[schemars(range(min = 1, max = MAX_REPETITIONS))]
     repetitions: Option<u32>,
 }
 
-/// Something that a person is asked.
+/// A question to the operator.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Ask {
@@ -76,47 +76,47 @@ pub struct Ask {
     /// The question.
     #[schemars(length(min = 1))]
     pub question: String,
-    /// What kind of answer there is.
+    /// Kind of answer.
     #[serde(default)]
     pub answer: AnswerKind,
-    /// When it is asked.
+    /// Time of the question.
     #[serde(default)]
     pub when: When,
 }
 
-/// What kind of answer a question has.
+/// Kind of answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AnswerKind {
-    /// Yes or no; a session in which nobody said yes never passes, and does not begin where a plate may be driven.
+    /// Yes or no. Without a yes the session does not pass, and does not start on a rig that may drive a plate.
     #[default]
     Confirm,
-    /// A line of text, which is recorded and decides nothing.
+    /// A line of text, which is only recorded.
     Text,
 }
 
-/// When something is asked.
+/// Time of a question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum When {
-    /// Before the first scenario; a no stops the session, and no answer does where a plate may be driven.
+    /// Before the first scenario. A no stops the session; so does no answer on a rig that may drive a plate.
     #[default]
     Before,
-    /// After the last one; a no leaves the session without a pass.
+    /// After the last scenario. A no prevents a pass.
     After,
 }
 
-/// What is demanded of the bench itself.
+/// Demands on the bench.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BenchDemands {
-    /// Trials of the first scenario that the bench plays in real time to its own controller, to see how punctual it is.
+    /// Trials of the shortest scenario in real time with the hosted controller, to measure lateness.
     #[schemars(range(min = 1, max = 1_000))]
     pub timing_trials: u32,
-    /// Clean runs of the plan's scenarios, among which no false alarm may be.
+    /// Clean runs of the scenarios; none may be a false alarm.
     #[schemars(range(min = 1, max = MAX_CLEAN_RUNS))]
     pub clean_runs: u32,
-    /// What the plan's scenarios together have to show of the share of faulty controllers that they catch: its lower bound at 95 %, percent.
+    /// Required kill rate of all scenarios together: its lower bound at 95 %, percent.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub least_kill_rate_percent: f64,
 }
@@ -127,12 +127,12 @@ impl Default for BenchDemands {
     }
 }
 
-/// A scenario and how often it is played.
+/// A scenario of a plan.
 #[derive(Debug, Clone)]
 pub struct PlannedScenario {
-    /// As its file has it.
+    /// The scenario.
     pub scenario: Scenario,
-    /// How often it is played.
+    /// Number of trials.
     pub repetitions: u32,
 }
 
@@ -141,20 +141,20 @@ pub struct PlannedScenario {
 pub struct Plan {
     /// The file's content.
     pub bytes: Vec<u8>,
-    /// One line that says what is accepted.
+    /// Title, one line.
     pub title: String,
-    /// What has to hold; at least one.
+    /// Requirements; at least one.
     pub requirements: Vec<Requirement>,
-    /// What shows it; at least one.
+    /// Scenarios; at least one.
     pub scenarios: Vec<PlannedScenario>,
-    /// What is asked.
+    /// Questions.
     pub asks: Vec<Ask>,
-    /// What is demanded of the bench.
+    /// Demands on the bench.
     pub bench: BenchDemands,
 }
 
 impl Plan {
-    /// Reads the plan at `path` and every scenario that it names, relative to the plan.
+    /// Reads the plan at `path` and its scenarios.
     ///
     /// # Errors
     /// Every [`Diagnostic`] of the plan, or of its scenarios.
@@ -177,7 +177,7 @@ impl Plan {
                     let repetitions = planned.repetitions.unwrap_or(raw.repetitions);
                     for scenario in found.scenarios {
                         if scenarios.iter().any(|other| other.scenario.name() == scenario.name()) {
-                            faults.push(at(format!("`{}` stands in the plan twice", scenario.file)));
+                            faults.push(at(format!("`{}` is in the plan twice", scenario.file)));
                         }
                         faults.extend(unknown_requirements(&scenario, &raw.requirement));
                         scenarios.push(PlannedScenario { scenario, repetitions });
@@ -194,7 +194,7 @@ impl Plan {
     }
 }
 
-/// The requirements of a stored plan, whose scenarios are elsewhere.
+/// The requirements of a stored plan.
 pub(crate) fn read_requirements(path: &Path, bytes: &[u8]) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
     parse(path, bytes).map(|(_, raw)| raw.requirement)
 }
@@ -213,53 +213,53 @@ pub fn plan_schema() -> Schema {
 
 fn plan_diagnostics(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
     let mut faults = Vec::new();
-    let mut refuse = |key: &str, message: String| faults.push(Diagnostic::at_key(path, text, key, message));
+    let mut report = |key: &str, message: String| faults.push(Diagnostic::at_key(path, text, key, message));
     if raw.title.trim().is_empty() {
-        refuse("title", "empty, expected a line that says what is accepted".to_owned());
+        report("title", "empty, expected a title".to_owned());
     }
     let repetitions = 1..=MAX_REPETITIONS;
     if !repetitions.contains(&raw.repetitions) {
-        refuse("repetitions", format!("{}, expected 1 to {MAX_REPETITIONS}", raw.repetitions));
+        report("repetitions", format!("{}, expected 1 to {MAX_REPETITIONS}", raw.repetitions));
     }
     if raw.requirement.is_empty() {
-        refuse("requirement", "no [[requirement]], expected at least one".to_owned());
+        report("requirement", "no [[requirement]], expected at least one".to_owned());
     }
     if raw.scenario.is_empty() {
-        refuse("scenario", "no [[scenario]], expected at least one".to_owned());
+        report("scenario", "no [[scenario]], expected at least one".to_owned());
     }
     for (number, planned) in raw.scenario.iter().enumerate() {
-        if let Some(wrong) = planned.repetitions.filter(|wished| !repetitions.contains(wished)) {
-            refuse(&format!("scenario.{number}.repetitions"), format!("{wrong}, expected 1 to {MAX_REPETITIONS}"));
+        if let Some(wrong) = planned.repetitions.filter(|count| !repetitions.contains(count)) {
+            report(&format!("scenario.{number}.repetitions"), format!("{wrong}, expected 1 to {MAX_REPETITIONS}"));
         }
     }
     let mut known = BTreeSet::new();
     for (number, requirement) in raw.requirement.iter().enumerate() {
         if requirement.text.trim().is_empty() {
-            refuse(&format!("requirement.{number}.text"), "empty, expected what has to hold".to_owned());
+            report(&format!("requirement.{number}.text"), "empty, expected a text".to_owned());
         }
         if !is_valid_name(&requirement.id) || !known.insert(&requirement.id) {
             let message = format!("`{}`, expected letters, digits and -, each identifier once", requirement.id);
-            refuse(&format!("requirement.{number}.id"), message);
+            report(&format!("requirement.{number}.id"), message);
         }
     }
     let mut known = BTreeSet::new();
     for (number, ask) in raw.ask.iter().enumerate() {
         if ask.question.trim().is_empty() {
-            refuse(&format!("ask.{number}.question"), "empty, expected a question".to_owned());
+            report(&format!("ask.{number}.question"), "empty, expected a question".to_owned());
         }
         if !is_valid_name(&ask.id) || !known.insert(&ask.id) {
             let message = format!("`{}`, expected letters, digits and -, each name once", ask.id);
-            refuse(&format!("ask.{number}.id"), message);
+            report(&format!("ask.{number}.id"), message);
         }
     }
     if !(1..=1_000).contains(&raw.bench.timing_trials) {
-        refuse("bench.timing_trials", format!("{}, expected 1 to 1000", raw.bench.timing_trials));
+        report("bench.timing_trials", format!("{}, expected 1 to 1000", raw.bench.timing_trials));
     }
     if !(1..=MAX_CLEAN_RUNS).contains(&raw.bench.clean_runs) {
-        refuse("bench.clean_runs", format!("{}, expected 1 to {MAX_CLEAN_RUNS}", raw.bench.clean_runs));
+        report("bench.clean_runs", format!("{}, expected 1 to {MAX_CLEAN_RUNS}", raw.bench.clean_runs));
     }
     if !(0.0..=100.0).contains(&raw.bench.least_kill_rate_percent) {
-        refuse("bench.least_kill_rate_percent", format!("{}, expected 0 to 100", raw.bench.least_kill_rate_percent));
+        report("bench.least_kill_rate_percent", format!("{}, expected 0 to 100", raw.bench.least_kill_rate_percent));
     }
     faults
 }
@@ -268,15 +268,14 @@ fn is_valid_name(text: &str) -> bool {
     !text.is_empty() && text.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '-')
 }
 
-/// A scenario may not hold what the plan does not say.
+/// Rejects requirements of a scenario that the plan does not contain.
 fn unknown_requirements(scenario: &Scenario, known: &[Requirement]) -> Vec<Diagnostic> {
     let named = scenario.expectations.iter().map(|expectation| expectation.requirement.as_deref()).enumerate();
     let unknown = named.filter_map(|(number, id)| Some((number, id?)));
     unknown
         .filter(|(_, id)| known.iter().all(|requirement| requirement.id != *id))
         .map(|(number, id)| {
-            let message =
-                format!("the plan does not say what `{id}` is, expected a [[requirement]] with that id in it");
+            let message = format!("the plan has no requirement `{id}`, expected a [[requirement]] with this id");
             scenario.diagnostic(&format!("expect.{number}.requirement"), message)
         })
         .collect()

@@ -1,4 +1,5 @@
-//! What a session stands on: bench, rig, plan, inputs, firmware. It is written down at the start, and nobody goes on with anything else.
+//! Records bench, rig, plan, inputs and firmware at the start of a session, and checks that they
+//! stay the same.
 
 use crate::config::SessionConfig;
 use crate::error::AcceptError;
@@ -15,9 +16,9 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What is known of a session before anything is done.
-pub(crate) fn new_session_record(order: &SessionConfig) -> Result<SessionRecord, AcceptError> {
-    let SessionConfig { plan, rig, clock, details: who, .. } = order;
+/// The record of a new session.
+pub(crate) fn new_session_record(config: &SessionConfig) -> Result<SessionRecord, AcceptError> {
+    let SessionConfig { plan, rig, clock, details, .. } = config;
     let inputs = plan.scenarios.iter().flat_map(|planned| {
         let scenario = &planned.scenario;
         scenario.inputs.iter().enumerate().map(move |(number, input)| {
@@ -44,9 +45,9 @@ pub(crate) fn new_session_record(order: &SessionConfig) -> Result<SessionRecord,
         verdict: Verdict::Inconclusive,
         complete: false,
         title: plan.title.clone(),
-        operator: who.operator.clone(),
-        place: who.place.clone(),
-        notes: who.notes.clone(),
+        operator: details.operator.clone(),
+        place: details.place.clone(),
+        notes: details.notes.clone(),
         started: utc_timestamp(),
         finished: None,
         resumed: Vec::new(),
@@ -63,8 +64,8 @@ pub(crate) fn new_session_record(order: &SessionConfig) -> Result<SessionRecord,
 }
 
 fn bench_record() -> Result<BenchRecord, AcceptError> {
-    let unknown = |source: io::Error| AcceptError::Io { path: PathBuf::from("the bench's own program"), source };
-    // Also where the file was replaced meanwhile, it is the running program that counts.
+    let unknown = |source: io::Error| AcceptError::Io { path: PathBuf::from("the program of the bench"), source };
+    // The running program, even if its file was replaced.
     let running = fs::read("/proc/self/exe").or_else(|_| std::env::current_exe().and_then(fs::read));
     let program = running.map_err(unknown)?;
     Ok(BenchRecord {
@@ -74,7 +75,7 @@ fn bench_record() -> Result<BenchRecord, AcceptError> {
     })
 }
 
-/// SHA-256 of the image that the bench loads onto this rig; `None` where the rig brings its own.
+/// SHA-256 of the image that the bench loads; `None` if the rig has its own.
 pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError> {
     match rig {
         RigSpec::Emulated(None) | RigSpec::Probe { elf: None, .. } => Ok(Some(sha256(EmulatedLink::built_in_image()))),
@@ -85,7 +86,7 @@ pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError>
     }
 }
 
-/// What steps that are done left has to be what they left.
+/// Checks that the runs of finished steps are unchanged.
 pub(crate) fn check_run_hashes(folder: &Path, record: &SessionRecord) -> Result<(), AcceptError> {
     for step in record.steps.iter().filter(|step| step.done) {
         if let Some(then) = &step.run_sha256 {
@@ -112,7 +113,7 @@ pub(crate) fn format_firmware(firmware: &Firmware) -> String {
     format!("{name} {version}, build {build}, chip {chip}")
 }
 
-/// Refuses to go on with anything else than what the session was begun with.
+/// Rejects a difference from the start of the session.
 pub(crate) fn check_unchanged(then: &SessionRecord, now: &SessionRecord) -> Result<(), AcceptError> {
     let bench = |record: &SessionRecord| format!("{} {}", record.bench.tool.version, record.bench.sha256);
     let clock = |record: &SessionRecord| {
@@ -142,14 +143,14 @@ pub(crate) fn check_unchanged(then: &SessionRecord, now: &SessionRecord) -> Resu
     Ok(())
 }
 
-/// Refuses another controller than the one that the session was begun with, where it is known.
+/// Rejects another controller than at the start of the session.
 pub(crate) fn check_same_firmware(then: Option<&FirmwareRecord>, now: &FirmwareRecord) -> Result<(), AcceptError> {
-    let shown = |record: &FirmwareRecord| {
+    let describe = |record: &FirmwareRecord| {
         let image = record.image_sha256.as_deref().unwrap_or("none");
         format!("{}, number {}, image {image}", format_firmware(&record.firmware), record.unique)
     };
     match then {
-        Some(then) if then != now => Err(changed_error("the firmware", &shown(then), &shown(now))),
+        Some(then) if then != now => Err(changed_error("the firmware", &describe(then), &describe(now))),
         _ => Ok(()),
     }
 }

@@ -1,4 +1,5 @@
-//! Tests the bench: timing, repeatability, and how well the plan's scenarios catch faulty controllers.
+//! Tests the bench: timing, repeatability, and how well the plan's scenarios catch faulty
+//! controllers.
 
 use crate::config::SessionHooks;
 use crate::error::AcceptError;
@@ -20,8 +21,8 @@ use std::time::Duration;
 const SEED: u64 = 31_415;
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Plays the plan's shortest scenario to the bench's own controller: twice in lockstep, which must give the same
-/// bytes, and then in real time.
+/// Plays the plan's shortest scenario to the bench's own controller: twice in lockstep, which must
+/// give the same bytes, and then in real time.
 pub(crate) fn run_self_test(
     plan: &Plan,
     real_time: bool,
@@ -86,7 +87,8 @@ fn self_test_record(timed: &RunRecord, scenario: &Scenario, repeats: bool) -> Se
     found
 }
 
-/// Measures how well the plan's scenarios catch faulty controllers, and how often they blame a clean one.
+/// Measures how well the plan's scenarios catch faulty controllers, and how often they blame a
+/// clean one.
 pub(crate) fn measure_trust(
     plan: &Plan,
     folder: &Path,

@@ -1,4 +1,4 @@
-//! `session.json`: what is known of a session at any time.
+//! Defines `session.json`, the state of a session.
 
 use crate::error::AcceptError;
 use jiff::Timestamp;
@@ -10,59 +10,60 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;
 
-/// The record's name in its folder.
+/// File name.
 pub const FILE: &str = "session.json";
-/// The plan's copy in the record's folder.
+/// Copy of the plan.
 pub(crate) const PLAN: &str = "plan.toml";
-/// The folder that holds the steps' folders.
+/// Folder of the steps.
 pub(crate) const STEPS: &str = "steps";
-/// Version of the format; readers refuse others.
+/// Version of the format; readers reject others.
 pub const FORMAT: u32 = 1;
 
-/// A whole session.
+/// A session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SessionRecord {
     /// Version of this format.
     pub format: u32,
-    /// Over requirements, scenarios, the bench's self-test and what was confirmed; `inconclusive` until the session is complete.
+    /// Over requirements, scenarios, self-test and confirmations; `inconclusive` until the session
+    /// is complete.
     pub verdict: Verdict,
-    /// True once every step has ended and all is judged.
+    /// True if every step has ended and is judged.
     pub complete: bool,
-    /// What is accepted, from the plan.
+    /// Title of the plan.
     pub title: String,
-    /// Who did it; `null` where nobody said.
+    /// Operator; `null` if not stated.
     pub operator: Option<String>,
-    /// Where; `null` where nobody said.
+    /// Place; `null` if not stated.
     pub place: Option<String>,
-    /// What else there is to say; `null` where nobody said anything.
+    /// Notes; `null` if there are none.
     pub notes: Option<String>,
-    /// When it was begun, UTC, RFC 3339.
+    /// Start, UTC, RFC 3339.
     pub started: String,
-    /// When it ended; `null` until then.
+    /// End; `null` until then.
     pub finished: Option<String>,
-    /// When it was taken up again after it had been cut off.
+    /// Times at which it was resumed.
     pub resumed: Vec<String>,
     /// The bench.
     pub bench: BenchRecord,
     /// The rig as named on the command line.
     pub rig: String,
-    /// How time passed for the plate.
+    /// The clock.
     pub clock: ClockRecord,
-    /// The controller as it introduced itself; `null` until it did.
+    /// The controller; `null` until it was identified.
     pub firmware: Option<FirmwareRecord>,
     /// The copy of the plan.
     pub plan: InputRecord,
-    /// Every file that goes into the scenarios, by scenario: the scenario, then its plate and whatever else it names.
+    /// Every input file, by scenario: the scenario, its plate, its profiles.
     pub inputs: Vec<InputRecord>,
-    /// What was to be done and what came of it, in order.
+    /// Steps in order.
     pub steps: Vec<StepRecord>,
-    /// What had to hold and whether it does; empty until all is judged.
+    /// Requirements; empty until all is judged.
     pub requirements: Vec<RequirementRecord>,
-    /// The key that the manifest was signed with; `null` where it was not.
+    /// Key of the signature; `null` without one.
     pub signature: Option<SignatureRecord>,
 }
 
-/// The bench that a session was made with.
+/// The bench of a session.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BenchRecord {
     /// Name and version.
@@ -73,140 +74,140 @@ pub struct BenchRecord {
     pub host: Host,
 }
 
-/// How time passed for the plate.
+/// The clock of a session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClockRecord {
     /// `lockstep` or `real-time`.
     pub name: String,
     /// Plate seconds per wall second; 1 in lockstep.
     pub time_scale: f64,
-    /// Whose timer makes the control instants.
+    /// Which timer makes the control instants: `bench` or `target`.
     pub pacing: String,
 }
 
-/// The controller as it introduced itself.
+/// The controller of a session.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FirmwareRecord {
     /// Name, version, build, chip.
     #[serde(flatten)]
     pub firmware: Firmware,
-    /// The chip's own number, hexadecimal; zero for a program on a computer.
+    /// Unique number of the chip, hexadecimal; zero for a program.
     pub unique: String,
-    /// SHA-256 of the image that the bench loaded, hexadecimal; `null` where the rig brings its own.
+    /// SHA-256 of the image that the bench loaded, hexadecimal; `null` if the rig has its own.
     pub image_sha256: Option<String>,
 }
 
-/// What kind of step it is.
+/// Kind of step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StepKind {
-    /// Who is on the rig.
+    /// Identity of the controller.
     Identity,
-    /// A question to the person.
+    /// A question to the operator.
     Ask,
-    /// The bench's own timing and repeatability.
+    /// Timing and repeatability of the bench.
     SelfTest,
-    /// How well the plan's scenarios catch faulty controllers.
+    /// Kill rate and false alarms of the scenarios.
     Trust,
     /// A scenario.
     Scenario,
 }
 
-/// One step.
+/// A step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StepRecord {
-    /// Number and name, which is also its folder below `steps`.
+    /// Number and name, and its folder below `steps`.
     pub id: String,
-    /// What it does.
+    /// One line.
     pub title: String,
-    /// What kind of step it is.
+    /// Kind of step.
     pub kind: StepKind,
-    /// True once it has ended. It is then never done again.
+    /// True if it has ended; it is not repeated then.
     pub done: bool,
-    /// What it says of the session; `null` where it decides nothing or has not ended.
+    /// Its verdict; `null` if it has none or has not ended.
     pub verdict: Option<Verdict>,
-    /// Why it does not pass, or what it found, in a sentence.
+    /// Why it does not pass, or its result.
     pub reason: Option<String>,
-    /// Each time that it was begun.
+    /// Its attempts.
     pub attempts: Vec<Attempt>,
-    /// True where the controller was lost, or did not confirm 0 V.
+    /// True if the controller was lost or did not confirm 0 V.
     pub lost: bool,
-    /// SHA-256 of the `run.json` that it left, hexadecimal, where it played a scenario.
+    /// SHA-256 of its `run.json`, hexadecimal.
     pub run_sha256: Option<String>,
-    /// What was answered, where something was asked.
+    /// Answer to a question.
     pub answer: Option<AnswerRecord>,
-    /// What the bench found of itself.
+    /// Result of the self-test.
     pub self_test: Option<SelfTestRecord>,
-    /// How often the plan's scenarios are wrong.
+    /// Result of the trust step.
     pub trust: Option<TrustRecord>,
 }
 
-/// One time that a step was begun.
+/// An attempt of a step.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Attempt {
-    /// When, UTC, RFC 3339.
+    /// Start, UTC, RFC 3339.
     pub started: String,
-    /// When it ended; `null` where it was cut off.
+    /// End; `null` if it was cut off.
     pub ended: Option<String>,
-    /// Why it did not count, where that is known.
+    /// Why it did not count.
     pub broken_off: Option<String>,
 }
 
-/// What was answered.
+/// An answer.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AnswerRecord {
-    /// `yes`, `no` or the text; `null` where there is none.
+    /// `yes`, `no` or the text; `null` without an answer.
     pub text: Option<String>,
-    /// How it came: `terminal`, `command-line`, or `not-asked` where nobody was there.
+    /// `terminal`, `command-line`, or `not-asked` without an operator.
     pub from: String,
 }
 
-/// What the bench found of itself.
+/// Result of the self-test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SelfTestRecord {
-    /// What it was played with.
+    /// The scenario.
     pub scenario: String,
-    /// Whether two runs in lockstep with the bench's own controller left the same bytes.
+    /// True if two lockstep runs of the hosted controller gave the same bytes.
     pub repeats: bool,
     /// Control instants in real time.
     pub periods: u64,
-    /// Of these, those for which the bench was too late.
+    /// Control instants at which the bench was too late.
     pub overruns: u64,
-    /// How late samples left the bench, µs: of each quantile the worst trial's.
+    /// Lateness of samples, µs; each quantile of the worst trial.
     pub lateness_us: Quantiles,
-    /// How the loop's thread was scheduled.
+    /// Scheduling of the loop's thread.
     pub scheduling: String,
 }
 
-/// How often the plan's scenarios are wrong.
+/// Kill rate and false alarms of the scenarios.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TrustRecord {
-    /// Faulty controllers that were played.
+    /// Number of mutants.
     pub faults: u32,
-    /// Of these, caught for a right reason.
+    /// Mutants caught for a right reason.
     pub caught: u32,
-    /// Names of the others.
+    /// Names of the other mutants.
     pub survived: Vec<String>,
-    /// Clean runs that were played.
+    /// Number of clean runs.
     pub clean_runs: u32,
-    /// Of these, called faulty, and expectations of the plan's scenarios as they stand that the bench's own controller fails.
+    /// False alarms in clean runs, and expectations that the hosted controller fails.
     pub false_alarms: u32,
 }
 
-/// What had to hold and whether it does.
+/// A requirement and its verdict.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RequirementRecord {
     /// Its identifier.
     pub id: String,
-    /// What it says.
+    /// Its text.
     pub text: String,
     /// Over its evidence; `inconclusive` without any.
     pub verdict: Verdict,
-    /// Expectations that hold it.
+    /// Expectations for it.
     pub evidence: Vec<EvidenceRecord>,
 }
 
-/// One expectation that holds a requirement.
+/// An expectation for a requirement.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EvidenceRecord {
     /// The step.
@@ -215,17 +216,17 @@ pub struct EvidenceRecord {
     pub scenario: String,
     /// The metric.
     pub metric: String,
-    /// What was demanded.
+    /// The limit.
     pub demanded: String,
-    /// What was found; `null` where there is no number.
+    /// The value; `null` without a number.
     pub found: Option<String>,
-    /// How it ended, with its cause.
+    /// Its verdict.
     pub verdict: Verdict,
     /// Why it did not pass.
     pub reason: Option<String>,
 }
 
-/// The key that a manifest was signed with.
+/// The key of a signature.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SignatureRecord {
     /// `ed25519`
@@ -235,7 +236,7 @@ pub struct SignatureRecord {
 }
 
 impl StepRecord {
-    /// A step that has not been begun.
+    /// A step that has not started.
     pub(crate) fn new(id: String, title: &str, kind: StepKind) -> Self {
         Self {
             id,
@@ -255,7 +256,7 @@ impl StepRecord {
 }
 
 impl SessionRecord {
-    /// Writes the record into `folder`, as a whole and for good.
+    /// Writes the record to `folder` atomically.
     ///
     /// # Errors
     /// [`AcceptError::Io`].
@@ -269,7 +270,7 @@ impl SessionRecord {
     /// Reads the record in `folder`.
     ///
     /// # Errors
-    /// [`AcceptError`] where there is none of this format.
+    /// [`AcceptError`].
     pub fn read(folder: &Path) -> Result<Self, AcceptError> {
         #[derive(Deserialize)]
         struct FormatVersion {
@@ -285,19 +286,20 @@ impl SessionRecord {
         serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))
     }
 
-    /// What the record is about where no board was attached; `None` where one may have been.
+    /// A notice for a session without a board; `None` if a board may have been attached.
     pub fn no_board_notice(&self) -> Option<&'static str> {
         match self.rig.parse().ok().filter(|rig| !may_have_board(rig))? {
-            RigSpec::Hosted => Some(
-                "no board was attached: this record is about the control law on the bench's own computer and says nothing of a board",
-            ),
+            RigSpec::Hosted => {
+                Some("no board was attached: this record covers the control law on the bench's computer, not a board")
+            }
             _ => Some(
-                "no board was attached: this record is about the firmware's control law on an emulated processor, on the bench's own computer, and says nothing of a board",
+                "no board was attached: this record covers the firmware's control law on an emulated processor, not a \
+                 board",
             ),
         }
     }
 
-    /// True where a controller was lost, or did not confirm 0 V.
+    /// True if a controller was lost or did not confirm 0 V.
     pub fn lost_a_controller(&self) -> bool {
         self.steps.iter().any(|step| step.lost)
     }
@@ -308,7 +310,8 @@ pub(crate) fn utc_timestamp() -> String {
     Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
-/// True if a board, and on it a plate, may be connected to the rig. A foreign program may drive one too.
+/// True if a board, and on it a plate, may be connected to the rig. A foreign program may drive one
+/// too.
 pub(crate) const fn may_have_board(rig: &RigSpec) -> bool {
     match rig {
         RigSpec::Hosted | RigSpec::Emulated(_) => false,

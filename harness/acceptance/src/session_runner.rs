@@ -5,7 +5,8 @@
 //!            └── each step: started (written) → done (written, with its files) ──┘
 //! ```
 //!
-//! A resumed session repeats the step that was interrupted. It never repeats a step that is done, whatever its result.
+//! A resumed session repeats the step that was interrupted. It never repeats a step that is done,
+//! whatever its result.
 
 use crate::ask::ask_operator;
 use crate::config::{SessionConfig, SessionHooks};
@@ -34,7 +35,8 @@ use tracing::info;
 /// Starts the session, or resumes it if it was interrupted, and brings it to its end.
 ///
 /// # Errors
-/// [`AcceptError`]. The record then holds the steps that are done, and the same call resumes the session.
+/// [`AcceptError`]. The record then holds the steps that are done, and the same call resumes the
+/// session.
 pub fn conduct(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Result<SessionRecord, AcceptError> {
     let mut session = SessionRunner::open(config, hooks)?;
     let actions = step_actions(&config.plan);
@@ -238,7 +240,7 @@ impl<'a> SessionRunner<'a> {
             .as_ref()
             .map(|key| SignatureRecord { algorithm: "ed25519".to_owned(), public_key: key.public_key().to_pem() });
         self.record.write(folder)?;
-        let page = page::render(&self.record).into_string();
+        let page = page::render(&self.record);
         let path = folder.join(page::FILE);
         write_atomically(&path, page.as_bytes()).map_err(AcceptError::io(&path))?;
         manifest::write(folder)?;

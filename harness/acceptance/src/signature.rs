@@ -1,7 +1,8 @@
-//! `manifest.sha256.sig`: who vouches for the manifest.
+//! Signs and checks the manifest: `manifest.sha256.sig`.
 //!
-//! Ed25519 over the manifest's bytes, 64 bytes as they are; keys in PEM as OpenSSL writes them. There is no key format and no key store of our own:
-//! `openssl genpkey -algorithm ed25519` makes a key and `openssl pkeyutl -verify -rawin` checks a signature as well.
+//! The signature is ed25519 over the manifest, 64 raw bytes; keys are in PEM as OpenSSL writes
+//! them. `openssl genpkey -algorithm ed25519` makes a key, and `openssl pkeyutl -verify -rawin`
+//! checks a signature too.
 
 use crate::error::AcceptError;
 use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
@@ -11,14 +12,14 @@ use platebench_record::sha256;
 use std::fs;
 use std::path::Path;
 
-/// The signature's name in a record.
+/// File name.
 pub const FILE: &str = "manifest.sha256.sig";
 
-/// What a record is signed with.
+/// Key that signs.
 #[derive(Clone)]
 pub struct SecretKey(SigningKey);
 
-/// What a signature is checked with.
+/// Key that checks signatures.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PublicKey(VerifyingKey);
 
@@ -32,7 +33,7 @@ impl SecretKey {
         SigningKey::from_pkcs8_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 
-    /// The key that checks what this one signs.
+    /// The public key of the pair.
     pub fn public_key(&self) -> PublicKey {
         PublicKey(self.0.verifying_key())
     }
@@ -59,39 +60,42 @@ impl PublicKey {
         VerifyingKey::from_public_key_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 
-    /// The key in `text`; `None` where there is none.
+    /// The key in `text`, if it contains one.
     pub(crate) fn from_pem(text: &str) -> Option<Self> {
         VerifyingKey::from_public_key_pem(text).ok().map(Self)
     }
 
-    /// The key in PEM; empty where it cannot be written so.
+    /// The key in PEM; empty if it cannot be encoded.
     pub(crate) fn to_pem(&self) -> String {
         self.0.to_public_key_pem(LineEnding::LF).unwrap_or_default()
     }
 
-    /// SHA-256 of the key's 32 bytes, hexadecimal: what two people can compare.
+    /// SHA-256 of the 32 bytes of the key, hexadecimal.
     pub fn fingerprint(&self) -> String {
         sha256(self.0.as_bytes())
     }
 
-    /// True where `signature` is this key's of `content`. Keys and signatures that fit many messages are refused.
+    /// True if `signature` is by this key over `content`. Rejects weak keys, whose signatures fit
+    /// many messages.
     pub(crate) fn verifies(&self, content: &[u8], signature: &[u8]) -> bool {
         Signature::from_slice(signature).is_ok_and(|signature| self.0.verify_strict(content, &signature).is_ok())
     }
 }
 
-/// Why what `text` holds was not the key that was wanted: the other one of the pair, or what its reader says.
+/// Why `text` is not the expected key.
 fn key_error(path: &Path, text: &str, error: &str) -> AcceptError {
-    let shown = path.display();
+    let path_text = path.display();
     let message = match decode_label(text.as_bytes()) {
         Ok("PRIVATE KEY") if SigningKey::from_pkcs8_pem(text).is_ok() => {
-            format!("this is the secret key, expected the public one, as `openssl pkey -in {shown} -pubout` writes it")
+            format!(
+                "this is the secret key, expected the public key, as `openssl pkey -in {path_text} -pubout` writes it"
+            )
         }
         Ok("PUBLIC KEY") if PublicKey::from_pem(text).is_some() => {
-            "this is the public key, expected the secret one that belongs to it".to_owned()
+            "this is the public key, expected the secret key".to_owned()
         }
         Ok("ENCRYPTED PRIVATE KEY") => {
-            format!("this is a secret key behind a passphrase; `openssl pkey -in {shown}` writes it without one")
+            format!("this secret key has a passphrase, expected one without; `openssl pkey -in {path_text}` removes it")
         }
         _ => error.to_owned(),
     };

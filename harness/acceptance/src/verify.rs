@@ -1,7 +1,8 @@
-//! Whether a record is still what it was.
+//! Verifies a sealed record.
 //!
-//! Three looks, each of which can refuse: the files against the manifest, the manifest against its signature, and the verdicts against the traces, which are
-//! judged again. Without a signature, whoever changes a file can write a manifest that fits; what then still shows are verdicts that the traces do not bear out.
+//! Compares the files with the manifest, the manifest with its signature, and the verdicts with the
+//! traces, which are judged again. Without a signature, a changed file with a new manifest is found
+//! only by a verdict that the traces contradict.
 
 use crate::error::AcceptError;
 use crate::judge::judge_requirements;
@@ -15,68 +16,69 @@ use platebench_runner::{RejudgeError, rejudge};
 use std::fs;
 use std::path::Path;
 
-/// Something that is not as it was when the record was sealed. Each names its file.
+/// A difference from the sealed record; each names its file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Finding {
-    /// A file, against the manifest.
+    /// A difference between files and manifest.
     #[error(transparent)]
     File(Difference),
-    /// There is no manifest.
-    #[error("{}: missing, nothing says what the files were", manifest::FILE)]
+    /// No manifest.
+    #[error("{}: missing, expected the SHA-256 of every file", manifest::FILE)]
     NoManifest,
-    /// There should be a signature.
+    /// No signature, although one is expected.
     #[error("{file}: missing, {0}", file = signature::FILE)]
     NoSignature(&'static str),
-    /// There should be none, or it is another's.
+    /// An unexpected or invalid signature.
     #[error("{file}: wrong, {0}", file = signature::FILE)]
     WrongSignature(&'static str),
-    /// What stands in a file is not what the traces show.
+    /// The content of a file contradicts the traces.
     #[error("{file}: {message}")]
     Contradiction {
         /// The file.
         file: String,
-        /// What does not fit.
+        /// The contradiction.
         message: String,
     },
 }
 
-/// Who vouches for the manifest.
+/// Who signed the manifest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Signer {
-    /// Nobody.
+    /// No signature.
     Unsigned,
-    /// Whoever has the key that is named in the record itself; its fingerprint.
+    /// The key in the record itself, by its fingerprint.
     RecordKey(String),
-    /// The owner of the key that was given.
+    /// The given key.
     GivenKey,
 }
 
-/// What came of it.
+/// Result of a verification.
 #[derive(Debug, Clone)]
 pub struct Verification {
-    /// Everything that is wrong; empty for a record that is what it was.
+    /// All differences; empty for an unchanged record.
     pub findings: Vec<Finding>,
-    /// The session, where it can be read.
+    /// The session, if it can be read.
     pub session: Option<SessionRecord>,
-    /// Who vouches for it.
+    /// Who signed it.
     pub signer: Signer,
-    /// SHA-256 of the manifest, hexadecimal, where there is one.
+    /// SHA-256 of the manifest, hexadecimal.
     pub manifest_sha256: Option<String>,
-    /// How many files the manifest names.
+    /// Number of files in the manifest.
     pub files: usize,
 }
 
 impl Verification {
-    /// True where the session has not come to its end, so that there is nothing to verify yet.
+    /// True if the session has not ended and is not sealed.
     pub fn is_unfinished(&self) -> bool {
         self.manifest_sha256.is_none() && self.session.as_ref().is_some_and(|session| !session.complete)
     }
 }
 
-/// Holds the record in `folder` against its manifest, its signature, which has to be that of `key` where one is given, and its own traces.
+/// Verifies the record in `folder` by its manifest, its traces, and its signature: by `key` if
+/// given.
 ///
 /// # Errors
-/// [`AcceptError::NoSession`] where there is no record at all.
+/// [`AcceptError::NoSession`] without a record.
 pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, AcceptError> {
     let manifest = fs::read(folder.join(manifest::FILE)).ok();
     let session = match (SessionRecord::read(folder), &manifest) {
@@ -92,7 +94,6 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
     };
     match &manifest {
         Some(bytes) => {
-            // What is no text is no line either.
             let text = String::from_utf8_lossy(bytes);
             found.files = text.lines().count();
             found.findings.extend(manifest::check(folder, &text).into_iter().map(Finding::File));
@@ -121,7 +122,7 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
     Ok(found)
 }
 
-/// Who signed `manifest`. `named` is the key that the session names, if it does.
+/// Who signed `manifest`. `named` is the key in the session.
 fn check_signature(
     manifest: &[u8],
     signature: Option<&[u8]>,
@@ -129,16 +130,16 @@ fn check_signature(
     given: Option<&PublicKey>,
 ) -> Result<Signer, Finding> {
     match (signature, given, named) {
-        (None, Some(_), _) => Err(Finding::NoSignature("the record should be signed with the key that was given")),
-        (None, None, Some(_)) => Err(Finding::NoSignature("session.json says that there is one")),
+        (None, Some(_), _) => Err(Finding::NoSignature("expected one by the given key")),
+        (None, None, Some(_)) => Err(Finding::NoSignature("session.json names a key")),
         (None, None, None) => Ok(Signer::Unsigned),
         (Some(signature), Some(given), _) if given.verifies(manifest, signature) => Ok(Signer::GivenKey),
-        (Some(_), Some(_), _) => Err(Finding::WrongSignature("it is not that of the given key over this manifest")),
-        (Some(_), None, None) => Err(Finding::WrongSignature("session.json knows of none")),
+        (Some(_), Some(_), _) => Err(Finding::WrongSignature("expected one by the given key over this manifest")),
+        (Some(_), None, None) => Err(Finding::WrongSignature("session.json names no key")),
         (Some(signature), None, Some(named)) => PublicKey::from_pem(&named.public_key)
             .filter(|named| named.verifies(manifest, signature))
             .map(|named| Signer::RecordKey(named.fingerprint()))
-            .ok_or(Finding::WrongSignature("it is not that of the key in session.json over this manifest")),
+            .ok_or(Finding::WrongSignature("expected one by the key in session.json over this manifest")),
     }
 }
 
@@ -146,7 +147,7 @@ fn contradiction(file: &str, message: String) -> Finding {
     Finding::Contradiction { file: file.to_owned(), message }
 }
 
-/// Where what is written in the record is not what its traces show.
+/// Verdicts in the record that its traces contradict.
 fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
     let mut findings = Vec::new();
     let mut runs = Vec::new();
@@ -163,16 +164,16 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
                         (stored.verdict, &stored.expectations) != (again.verdict, &again.expectations)
                     });
                 if differs {
-                    findings.push(contradiction(&file, "the traces, judged again, do not bear it out".to_owned()));
+                    findings.push(contradiction(&file, "the traces, judged again, give other verdicts".to_owned()));
                 }
                 if step.verdict != Some(again.verdict) {
-                    let says = step.verdict.map_or("nothing", platebench_record::Verdict::name);
-                    let message = format!("step {} says {says}, its traces say {}", step.id, again.verdict);
+                    let stored = step.verdict.map_or("nothing", platebench_record::Verdict::name);
+                    let message = format!("step {} has verdict {stored}, its traces give {}", step.id, again.verdict);
                     findings.push(contradiction(FILE, message));
                 }
                 let used = again.scenarios.iter().flat_map(|scenario| &scenario.inputs);
                 for input in used.filter(|input| session.inputs.iter().all(|known| known.sha256 != input.sha256)) {
-                    let message = format!("{} is none of the session's inputs", input.file);
+                    let message = format!("{} is not an input of the session", input.file);
                     findings.push(contradiction(&file, message));
                 }
                 runs.push((step.id.clone(), again));
@@ -186,7 +187,7 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
     let path = folder.join(PLAN);
     let plan = fs::read(&path).ok().filter(|bytes| sha256(bytes) == session.plan.sha256);
     let Some(requirements) = plan.and_then(|bytes| plan::read_requirements(&path, &bytes).ok()) else {
-        findings.push(contradiction(PLAN, "not the plan that the session was made with".to_owned()));
+        findings.push(contradiction(PLAN, "not the plan of the session".to_owned()));
         return findings;
     };
     let (decided, verdict) = judge_requirements(&requirements, &session.steps, &runs);
@@ -194,12 +195,11 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
         match session.requirements.iter().find(|stored| stored.id == again.id) {
             Some(stored) if stored == again => {}
             stored => {
-                let says = stored.map_or("nothing", |stored| stored.verdict.name());
-                let message = format!("{} says {says}, its evidence says {}", again.id, again.verdict);
-                let message = if says == again.verdict.name() {
-                    format!("{}: text or evidence is not what plan and traces say", again.id)
+                let verdict = stored.map_or("none", |stored| stored.verdict.name());
+                let message = if verdict == again.verdict.name() {
+                    format!("{}: text or evidence differs from plan and traces", again.id)
                 } else {
-                    message
+                    format!("{} has verdict {verdict}, its evidence gives {}", again.id, again.verdict)
                 };
                 findings.push(contradiction(FILE, message));
             }
@@ -209,7 +209,7 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
         findings.push(contradiction(FILE, "requirements that are not in the plan".to_owned()));
     }
     if session.verdict != verdict {
-        let message = format!("the session says {}, its evidence says {verdict}", session.verdict);
+        let message = format!("the session has verdict {}, its evidence gives {verdict}", session.verdict);
         findings.push(contradiction(FILE, message));
     }
     findings

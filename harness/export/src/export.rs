@@ -42,12 +42,12 @@ pub struct ExportResult {
     pub incomplete_trials: usize,
 }
 
-/// Exports the traces of `run` in `folder` to `out`: of the named scenarios (with or without `.toml`), or of all if
-/// `scenarios` is empty.
+/// Exports the traces of `run` in `folder` to `out`: of the named scenarios (with or without
+/// `.toml`), or of all if `scenarios` is empty.
 ///
 /// # Errors
-/// [`ExportError`]. Unknown names, existing files and a run without a complete trial are found before anything is
-/// written.
+/// [`ExportError`]. Unknown names, existing files and a run without a complete trial are found
+/// before anything is written.
 pub fn export(
     run: &RunRecord,
     folder: &Path,

@@ -1,7 +1,7 @@
 //! Writes MCAP: a file per scenario, a topic per trial, a JSON message per row.
 //!
-//! The schema contains the units. Every trial starts at the start of the run, so that trials can be overlaid. `t_s` is
-//! the exact time; the log time is rounded to whole nanoseconds.
+//! The schema contains the units. Every trial starts at the start of the run, so that trials can be
+//! overlaid. `t_s` is the exact time; the log time is rounded to whole nanoseconds.
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;

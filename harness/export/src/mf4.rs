@@ -1,9 +1,11 @@
 //! Writes ASAM MDF 4.10: a file per scenario, a data group per trial.
 //!
-//! A file has identification, header and file history. A data group has one channel group, its channels and one data
-//! block. Time is the master channel; flags are bits of one byte. [`blocks`] writes the bytes.
+//! A file has identification, header and file history. A data group has one channel group, its
+//! channels and one data block. Time is the master channel; flags are bits of one byte. [`blocks`]
+//! writes the bytes.
 //!
-//! The library mdf4-rs 0.6 needs a newer compiler than this workspace and writes neither start time nor history.
+//! The library mdf4-rs 0.6 needs a newer compiler than this workspace and writes neither start time
+//! nor history.
 
 mod blocks;
 

@@ -1,7 +1,7 @@
 //! Writes Parquet: a table per scenario with all trials.
 //!
-//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, and the scenario. One row
-//! group of at most [`ROW_GROUP_ROWS`] rows is in memory.
+//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, and the
+//! scenario. One row group of at most [`ROW_GROUP_ROWS`] rows is in memory.
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
@@ -120,7 +120,8 @@ impl RowGroup {
     }
 }
 
-/// Writes the next column of a row group. `levels` are 1 for rows with a value, else 0; `None` if every row has one.
+/// Writes the next column of a row group. `levels` are 1 for rows with a value, else 0; `None` if
+/// every row has one.
 fn write_column<T: parquet::data_type::DataType>(
     group: &mut SerializedRowGroupWriter<'_, &File>,
     values: &[T::T],

@@ -1,5 +1,5 @@
-//! Writes CSV: one tidy table of the whole run, and a description of its columns by the W3C's "Metadata Vocabulary for
-//! Tabular Data".
+//! Writes CSV: one tidy table of the whole run, and a description of its columns by the W3C's
+//! "Metadata Vocabulary for Tabular Data".
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
@@ -20,7 +20,8 @@ pub(crate) fn description_path(path: &Path) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// One row. Numbers are written in the shortest form that parses to the same double; unknown numbers are empty.
+/// One row. Numbers are written in the shortest form that parses to the same double; unknown
+/// numbers are empty.
 #[derive(Serialize)]
 struct TableRow<'a> {
     scenario: &'a str,

@@ -1,20 +1,24 @@
-//! ARX models of order one at the control period, the paper's own method (section IV.B, after its reference \[24\]).
+//! Fits ARX models of order one at the control period, the paper's method (section IV.B, reference
+//! \[24\]).
 //!
-//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so that `τ = −Ts / ln a` and a static gain is `c / (1 − a)`.
+//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so that `τ = −Ts / ln a` and a static gain is `c / (1 −
+//! a)`.
 //!
-//! Least squares take `y[k]` for exact. Noise on it makes `a` too small, whatever the number of samples: τ comes out too short. Instrumental variables
-//! (T. Söderström, P. Stoica, *System Identification*, 1989, chapter 8) put the noise-free response of an auxiliary model, iterated three times, in its
-//! place; they are consistent, and their intervals know that the error `e[k] = v[k+1] − a v[k]` of white noise v on the output is not white.
+//! Least squares assume that `y[k]` is exact. Noise on it makes `a` and τ too small, for any number
+//! of samples. Instrumental variables (T. Söderström, P. Stoica, *System Identification*, 1989,
+//! chapter 8) use the noise-free response of an auxiliary model, iterated three times. They are
+//! consistent, and their intervals include that the error `e[k] = v[k+1] − a v[k]` of white noise v
+//! on the output is not white.
 
 use crate::estimate::Estimate;
 use nalgebra::{DMatrix, DVector};
 
-/// How an ARX model is fitted.
+/// Method of an ARX fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ArxMethod {
     /// As in the paper: biased by noise on the output.
     LeastSquares,
-    /// Consistent under it.
+    /// Consistent under noise on the output.
     InstrumentalVariables,
 }
 
@@ -27,8 +31,9 @@ pub struct ArxModel {
     pub gains: Vec<Estimate>,
 }
 
-/// Fits outputs `y`, `period` seconds apart, to `inputs`, each as long and constant between samples. `None` where they do not determine a stable first
-/// order: `a` outside 0 to 1, inputs that depend on each other, too few samples.
+/// Fits outputs `y`, `period` seconds apart, to `inputs` of the same length, constant between
+/// samples. `None` if they do not determine a stable first order: `a` outside 0 to 1, dependent
+/// inputs, too few samples.
 pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: ArxMethod) -> Option<ArxModel> {
     let (rows, width) = (y.len().checked_sub(1)?, inputs.len() + 1);
     let freedom = rows.checked_sub(width).filter(|&freedom| freedom > 0)? as f64;
@@ -54,7 +59,7 @@ pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: ArxMethod) -> Op
     let middle = match method {
         ArxMethod::LeastSquares => instruments.transpose() * &instruments * power,
         ArxMethod::InstrumentalVariables => {
-            // E[e e'] of e = v[k+1] − a v[k]: (1 + a²)σ² on the diagonal, −aσ² beside it.
+            // E[e e'] of e = v[k+1] − a v[k]: (1 + a²)σ² on the diagonal, −aσ² next to it.
             let noise = power / (1.0 + a * a);
             let mut coloured = &instruments * power;
             for row in 1..rows {
@@ -91,7 +96,7 @@ fn solve(instruments: &DMatrix<f64>, regressors: &DMatrix<f64>, target: &DVector
     theta.iter().all(|value| value.is_finite()).then_some(theta)
 }
 
-/// The model's own response to the inputs, at rest before them.
+/// The response of the model to the inputs, from rest.
 fn response(theta: &DVector<f64>, inputs: &[Vec<f64>], length: usize) -> Option<Vec<f64>> {
     let a = theta.get(0).copied().filter(|a| a.abs() < 1.0)?;
     let forced = |k: usize| -> f64 {

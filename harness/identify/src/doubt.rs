@@ -1,7 +1,7 @@
 //! Finds reasons to doubt an identification: recordings that no single plate can produce.
 
+use crate::estimate::Estimate;
 use crate::fit::{DirectFit, fit_direct};
-use crate::identification::Identification;
 use crate::recording::{RecordedSample, Recording};
 use platebench_plate::Complex64;
 use serde::Serialize;
@@ -10,11 +10,13 @@ use std::fmt;
 
 /// Level of each test of whiteness.
 const LEVEL: f64 = 0.01;
-/// Share of the largest |W|. Smaller residuals are rounding (the wire carries single precision) and need not be white.
+/// Share of the largest |W|. Smaller residuals are rounding (the wire carries single precision) and
+/// need not be white.
 const ROUNDING: f64 = 1e-5;
-/// A component that has its largest or smallest value in more than this share of its samples is clipped.
+/// A component that has its largest or smallest value in more than this share of its samples is
+/// clipped.
 const CLIPPED_SHARE: f64 = 0.02;
-/// At least so many samples at a limit, not counting a value of 0.
+/// Fewest samples at a limit other than 0.
 const MIN_CLIPPED: usize = 5;
 /// Quality factors of plates: a hand on rubber to a bell in vacuum.
 const QUALITY: [f64; 2] = [5.0, 20_000.0];
@@ -87,24 +89,34 @@ impl fmt::Display for Doubt {
     }
 }
 
-/// Reasons to doubt the identification from `recordings`; `fits` are those of [`Identification::recordings`].
-pub(crate) fn doubts(found: &Identification, recordings: &[&Recording], fits: &[&DirectFit]) -> Vec<Doubt> {
-    let mut doubts: Vec<Doubt> = recordings.iter().flat_map(|recording| clipped(recording)).collect();
-    let pairs = || recordings.iter().zip(fits);
-    let coloured: Vec<_> = pairs().filter(|(recording, fit)| is_coloured(recording, fit)).collect();
-    let tested = fits.iter().filter(|fit| fit.whiteness.is_some()).count();
+/// Reasons to doubt recordings and their fits.
+pub(crate) fn doubtful_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec<Doubt> {
+    let mut doubts: Vec<Doubt> = fitted.iter().flat_map(|(recording, _)| clipped(recording)).collect();
+    let coloured: Vec<_> = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).collect();
+    let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
     if !coloured.is_empty() && !is_explained_by_chance(coloured.len(), tested) {
         doubts.push(Doubt::Residuals { rejected: coloured.len(), tested });
         let swapped = coloured.iter().filter(|(recording, fit)| fits_better_exchanged(recording, fit));
         doubts.extend(swapped.map(|(recording, _)| Doubt::Swapped { recording: recording.name.clone() }));
     }
-    if let (Some(resonance), Some(tau)) = (found.resonance_hz, found.time_constant_s) {
+    doubts
+}
+
+/// Reasons to doubt the resonance in Hz, the time constant in s, and the change of K1 over the
+/// drives in percent.
+pub(crate) fn doubtful_parameters(
+    resonance_hz: Option<Estimate>,
+    time_constant_s: Option<Estimate>,
+    gain_change_percent: Option<Estimate>,
+) -> Vec<Doubt> {
+    let mut doubts = Vec::new();
+    if let (Some(resonance), Some(tau)) = (resonance_hz, time_constant_s) {
         let value = PI * resonance.value * tau.value;
         if !(QUALITY[0]..=QUALITY[1]).contains(&value) {
             doubts.push(Doubt::QualityFactor { value });
         }
     }
-    if let Some(change) = found.gain_change_percent
+    if let Some(change) = gain_change_percent
         && change.value.abs() > LINEAR_PERCENT
         && !change.contains(0.0)
     {
@@ -144,7 +156,8 @@ fn fits_better_exchanged(recording: &Recording, fit: &DirectFit) -> bool {
     fit_direct(&exchanged).is_ok_and(|other| other.noise_um < 0.5 * fit.noise_um)
 }
 
-/// True if so many rejections of `tests` independent tests, or more, have a probability above 1 % for white residuals.
+/// True if at least `rejected` rejections in `tests` independent tests have a probability above 1 %
+/// for white residuals.
 pub(crate) fn is_explained_by_chance(rejected: usize, tests: usize) -> bool {
     let (mut fewer, mut term) = (0.0, (1.0 - LEVEL).powi(i32::try_from(tests).unwrap_or(i32::MAX)));
     for count in 0..rejected {
@@ -160,7 +173,8 @@ mod tests {
 
     #[test]
     fn rejections_explained_by_chance() {
-        // Binomial: at least 1 of 1: 1.00 %; 1 of 2: 1.99 %; 2 of 15: 0.96 %, of 16: 1.09 %; 3 of 66: 2.9 %, 4 of 66: 0.44 %.
+        // Binomial: at least 1 of 1: 1.00 %; 1 of 2: 1.99 %; 2 of 15: 0.96 %, of 16: 1.09 %; 3 of
+        // 66: 2.9 %, 4 of 66: 0.44 %.
         let cases =
             [(1, 1, false), (1, 2, true), (2, 15, false), (2, 16, true), (3, 66, true), (4, 66, false), (0, 5, true)];
         for (rejected, tests, expected) in cases {

@@ -1,4 +1,4 @@
-//! A number with what is not known of it.
+//! Defines estimates with intervals, and a test of residuals.
 
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
@@ -33,19 +33,19 @@ impl Estimate {
         Self { value, error: value * error, low: (logarithm - reach).exp(), high: (logarithm + reach).exp() }
     }
 
-    /// In another unit.
+    /// Converts the unit.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         let (a, b) = (self.low * factor, self.high * factor);
         Self { value: self.value * factor, error: (self.error * factor).abs(), low: a.min(b), high: a.max(b) }
     }
 
-    /// True where the interval holds `truth`.
+    /// True if the interval contains `truth`.
     pub fn contains(&self, truth: f64) -> bool {
         (self.low..=self.high).contains(&truth)
     }
 
-    /// Several estimates as one, of which those of one recording belong to one plate and stand for one.
+    /// Pools estimates; those of one recording count as one.
     pub fn pool_by_recording(estimates: &[(String, Self)]) -> Option<Self> {
         let mut sorted = estimates.to_vec();
         sorted.sort_by(|a, b| a.0.cmp(&b.0));
@@ -54,7 +54,8 @@ impl Estimate {
         Self::pool(&groups.filter_map(own).collect::<Vec<_>>())
     }
 
-    /// Several estimates as one: their mean. Its error is what their scatter tells, or what each says of itself, whichever is larger.
+    /// Pools estimates to their mean. Its error is from their scatter or from their own errors, the
+    /// larger one.
     pub fn pool(estimates: &[Self]) -> Option<Self> {
         let (first, count) = (*estimates.first()?, estimates.len() as f64);
         if estimates.len() == 1 {
@@ -62,8 +63,8 @@ impl Estimate {
         }
         let mean = estimates.iter().map(|each| each.value).sum::<f64>() / count;
         let scatter = (estimates.iter().map(|each| (each.value - mean).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
-        let told = estimates.iter().map(|each| each.error * each.error).sum::<f64>().sqrt() / count;
-        Some(Self::new(mean, (scatter / count.sqrt()).max(told), count - 1.0))
+        let stated = estimates.iter().map(|each| each.error * each.error).sum::<f64>().sqrt() / count;
+        Some(Self::new(mean, (scatter / count.sqrt()).max(stated), count - 1.0))
     }
 }
 
@@ -72,21 +73,23 @@ fn quantile(freedom: f64) -> f64 {
     StudentsT::new(0.0, 1.0, freedom.max(1.0)).map_or(f64::INFINITY, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
 }
 
-/// Whether residuals are white: the test of Ljung and Box.
+/// The test of Ljung and Box for white residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WhitenessTest {
     /// `Q = n(n+2) Σ ρ²/(n−k)` over all lags and both components.
     pub statistic: f64,
     /// Degrees of freedom: lags times components.
     pub freedom: usize,
-    /// How often white residuals are at least this far off.
+    /// Probability of a statistic at least this large for white residuals.
     pub p_value: f64,
 }
 
 impl WhitenessTest {
-    /// Tests components of residuals together, at lags up to 10 or a fifth of their length. (G. M. Ljung, G. E. P. Box, Biometrika 65, 1978. Nothing is
-    /// taken off the degrees of freedom: the residuals are those of a model whose response does not depend on past outputs.) `None` for fewer than ten
-    /// residuals or residuals of zero.
+    /// Tests components of residuals together, at lags up to 10 or a fifth of their length. `None`
+    /// for fewer than ten residuals or residuals of zero.
+    ///
+    /// G. M. Ljung, G. E. P. Box, Biometrika 65, 1978. The degrees of freedom are not reduced,
+    /// because the response of the model does not depend on past outputs.
     pub fn ljung_box(components: &[Vec<f64>]) -> Option<Self> {
         let mut whole = Self { statistic: 0.0, freedom: 0, p_value: 1.0 };
         for residuals in components {
@@ -107,7 +110,7 @@ impl WhitenessTest {
         Some(whole)
     }
 
-    /// True where whiteness is refused at the level of 1 %.
+    /// True if whiteness is rejected at the level of 1 %.
     pub fn is_rejected(&self) -> bool {
         self.p_value < 0.01
     }

@@ -1,4 +1,4 @@
-//! Tables of other origin: a CSV whose columns are named, such as the 1 kHz telemetry of a real plate.
+//! Reads a CSV with named columns, such as the 1 kHz telemetry of a real plate.
 
 use crate::recording::{RecordedInput, RecordedSample, Recording, RecordingError};
 use platebench_plate::{Complex64, Conditions};
@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use std::io::Read;
 use std::str::FromStr;
 
-/// What a column holds.
+/// Quantity of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ColumnRole {
     Time,
@@ -18,9 +18,9 @@ enum ColumnRole {
     Force,
 }
 
-/// Units with their factors to s, Vpp, rad/s, µm, K and N; the first is the one without a unit.
+/// Units with their factors to s, Vpp, rad/s, µm, K and N; the first is the default.
 type Units = &'static [(&'static str, f64)];
-/// Name, role, units, whether a table must have it.
+/// Name, role, units, required.
 const ROLES: [(&str, ColumnRole, Units, bool); 7] = [
     ("time", ColumnRole::Time, &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)], true),
     ("drive", ColumnRole::Drive, &[("Vpp", 1.0), ("V", 2.0)], true),
@@ -33,8 +33,9 @@ const ROLES: [(&str, ColumnRole, Units, bool); 7] = [
 
 /// `time=NAME[:UNIT],drive=…,frequency=…,wd=…,wq=…[,temperature=…][,force=…]`
 ///
-/// Units: time s, ms, us · drive Vpp, V (amplitude: half of it) · frequency Hz, kHz, rad/s · wd and wq um, nm, m, peak to peak · temperature K above the
-/// reference · force N. The first is meant where none is given. Drive and frequency of a row act from its time on; Wd and Wq were seen at it.
+/// Units: time s, ms, us · drive Vpp, V (amplitude: half of it) · frequency Hz, kHz, rad/s · wd and
+/// wq um, nm, m, peak to peak · temperature K above the reference · force N. The first is the
+/// default. Drive and frequency of a row act from its time on; Wd and Wq are sampled at it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping(Vec<(ColumnRole, String, f64)>);
 
@@ -67,7 +68,7 @@ impl FromStr for ColumnMapping {
     }
 }
 
-/// Why a table was refused.
+/// Why a table was rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum ExternalCsvError {
     /// A cell or the header cannot be used.
@@ -77,10 +78,10 @@ pub enum ExternalCsvError {
         name: String,
         /// Counted from 1.
         line: u64,
-        /// The column, what stands there and what was expected.
+        /// The column, its content and what was expected.
         message: String,
     },
-    /// All cells are well, but it is no recording of use.
+    /// The cells are valid, but the recording cannot be used.
     #[error("{0}: {1}")]
     Unusable(String, RecordingError),
 }
@@ -88,33 +89,34 @@ pub enum ExternalCsvError {
 /// Reads a table.
 ///
 /// # Errors
-/// `TelemetryError` with line and column of what cannot be used.
+/// [`ExternalCsvError`].
 pub fn read(name: &str, table: impl Read, columns: &ColumnMapping) -> Result<Recording, ExternalCsvError> {
-    let refuse = |line: u64, message: String| ExternalCsvError::Content { name: name.to_owned(), line, message };
-    let broken = |error: csv::Error| refuse(error.position().map_or(1, csv::Position::line), error.to_string());
+    let error_at = |line: u64, message: String| ExternalCsvError::Content { name: name.to_owned(), line, message };
+    let csv_error = |error: csv::Error| error_at(error.position().map_or(1, csv::Position::line), error.to_string());
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(table);
-    let header = reader.headers().map_err(broken)?.clone();
+    let header = reader.headers().map_err(csv_error)?.clone();
     let mut places = Vec::new();
     for (role, wanted, factor) in &columns.0 {
         let place = header.iter().position(|title| title == wanted);
         let titles = || header.iter().collect::<Vec<_>>().join(", ");
         places.push((
             *role,
-            place.ok_or_else(|| refuse(1, format!("no column `{wanted}` in: {}", titles())))?,
+            place.ok_or_else(|| error_at(1, format!("no column `{wanted}` in: {}", titles())))?,
             *factor,
         ));
     }
     let (mut inputs, mut outputs): (Vec<RecordedInput>, Vec<RecordedSample>) = (Vec::new(), Vec::new());
     let mut record = csv::StringRecord::new();
-    while reader.read_record(&mut record).map_err(broken)? {
+    while reader.read_record(&mut record).map_err(csv_error)? {
         let line = record.position().map_or(0, csv::Position::line);
         let mut values = [0.0; ROLES.len()];
         for (role, place, factor) in &places {
             let text = record.get(*place).unwrap_or("");
             let value = text.parse().ok().filter(|value: &f64| value.is_finite());
             let (column, title) = (place + 1, header.get(*place).unwrap_or(""));
-            let found =
-                |expected: &str| refuse(line, format!("column {column} (`{title}`) is `{text}`, expected {expected}"));
+            let found = |expected: &str| {
+                error_at(line, format!("column {column} (`{title}`) is `{text}`, expected {expected}"))
+            };
             let value = value.ok_or_else(|| found("a finite number"))? * factor;
             match role {
                 ColumnRole::Time if outputs.last().is_some_and(|last| last.t >= value) => {

@@ -1,10 +1,13 @@
-//! The direct fit: the exact response of the mode, held against every sample at once.
+//! Fits the exact response of the mode to all samples: the direct fit.
 //!
-//! The model is the modal tier of `platebench-plate`: pieces of constant drive, frequency, temperature and force, joined where something changes. What is
-//! fitted: K1, one time constant per force, one resonance per temperature and force, and where W stands at the first sample. Noise enters as an error of the
-//! output, as it does on a plate, so that the estimates are unbiased to first order and the residuals of a right model are white.
+//! The model is the modal tier of `platebench-plate` with piecewise constant drive, frequency,
+//! temperature and force. Parameters: K1, one time constant per force, one resonance per
+//! temperature and force, and W at the first sample. Noise is an error of the output, as on a
+//! plate: the estimates are unbiased to first order, and the residuals of the right model are
+//! white.
 //!
-//! Levenberg and Marquardt's method on logarithms of what is positive; intervals from the curvature at the minimum and the residuals' own power.
+//! Levenberg-Marquardt on logarithms of positive parameters; intervals from the curvature at the
+//! minimum and the power of the residuals.
 
 use crate::arx::{ArxMethod, arx};
 use crate::estimate::{Estimate, WhitenessTest};
@@ -12,18 +15,18 @@ use crate::recording::{Recording, RecordingError};
 use nalgebra::{DMatrix, DVector};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, State, Tier};
 
-/// A fit that has not come to rest by then does not.
+/// Largest number of iterations.
 const MAX_ITERATIONS: usize = 80;
-/// Relative fall of the sum of squares that is none.
+/// Relative decrease of the sum of squares at convergence.
 const CONVERGENCE_TOLERANCE: f64 = 1e-10;
-/// For difference quotients; every parameter is of order one.
+/// Step of difference quotients; every parameter is of order one.
 const DIFFERENCE_STEP: f64 = 1e-6;
-/// A resonance is counted in these from the mean excitation frequency, rad/s.
+/// Unit of a resonance relative to the mean excitation frequency, rad/s.
 const OMEGA_UNIT: f64 = 500.0;
-/// A relative standard error of K1 or τ beyond this is no estimate.
+/// Largest relative standard error of K1 or τ.
 const MAX_RELATIVE_ERROR: f64 = 0.5;
 
-/// What a direct fit tells.
+/// Result of a direct fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DirectFit {
     /// K1 at the lowest force, µm/Vpp.
@@ -34,11 +37,12 @@ pub struct DirectFit {
     pub damping: Vec<(f64, Estimate)>,
     /// Per temperature and force: ω0 in rad/s.
     pub resonances: Vec<(Conditions, Estimate)>,
-    /// Their covariance, (rad/s)²: an error of τ moves all that are driven off their resonance.
+    /// Their covariance, (rad/s)²: an error of τ moves all resonances that are excited off
+    /// resonance.
     pub resonance_covariance: DMatrix<f64>,
     /// Standard deviation of the residuals on each component, µm.
     pub noise_um: f64,
-    /// Whether the residuals are white; `None` where there are too few.
+    /// Test of the residuals; `None` if there are too few.
     pub whiteness: Option<WhitenessTest>,
     /// W of the model at each sample.
     pub curve: Vec<Complex64>,
@@ -51,12 +55,12 @@ impl DirectFit {
     }
 }
 
-/// Which parameter stands where.
+/// Positions of the parameters.
 struct ParameterLayout<'a> {
     recording: &'a Recording,
     /// Lowest first, N.
     forces: Vec<f64>,
-    /// For each of the recording's conditions, the number of its force.
+    /// The index of the force of each condition of the recording.
     force_index: Vec<usize>,
     /// rad/s
     mean_omega: f64,
@@ -133,7 +137,7 @@ impl<'a> ParameterLayout<'a> {
         let first = self.recording.outputs[0].w;
         let last = self.parameter_count();
         (theta[last - 2], theta[last - 1]) = (first.re, first.im);
-        // The response is linear in K1 but for where it starts: the best one for these poles.
+        // The best K1 for these poles; the response is linear in it, except for the start.
         let unit = self.response(&theta);
         let seen = &self.recording.outputs;
         let along: f64 = seen.iter().zip(&unit).map(|(output, w)| output.w.re * w.re + output.w.im * w.im).sum();
@@ -146,7 +150,7 @@ impl<'a> ParameterLayout<'a> {
 /// Fits the exact response to a recording.
 ///
 /// # Errors
-/// `Unusable::Undetermined` where the recording does not tell the parameters.
+/// [`RecordingError::Undetermined`].
 pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     let layout = ParameterLayout::new(recording);
     let freedom = (2 * recording.outputs.len()).checked_sub(layout.parameter_count()).filter(|&freedom| freedom > 1);
@@ -193,7 +197,8 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     })
 }
 
-/// Where to start from, `(τ in s, Δω in rad/s)`: what a first order says of Wd at resonance, and a fan around the paper's plate.
+/// Start points `(τ in s, Δω in rad/s)`: the first order of Wd at resonance, and two around the
+/// paper's plate.
 fn start_points(recording: &Recording) -> Vec<(f64, f64)> {
     let wd: Vec<f64> = recording.outputs.iter().map(|output| output.w.re).collect();
     let drive: Vec<f64> = recording.inputs_at_samples().iter().map(|input| input.vpp).collect();
@@ -211,7 +216,7 @@ fn jacobian(layout: &ParameterLayout<'_>, theta: &DVector<f64>, residuals: &DVec
     DMatrix::from_columns(&(0..theta.len()).map(column).collect::<Vec<_>>())
 }
 
-/// The minimum that the start leads to, with its sum of squares.
+/// The minimum from this start, with its sum of squares.
 fn minimise(layout: &ParameterLayout<'_>, mut theta: DVector<f64>) -> Option<(DVector<f64>, f64)> {
     let mut residuals = layout.residuals(&theta);
     let mut squares = residuals.norm_squared();

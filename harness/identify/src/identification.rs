@@ -1,6 +1,6 @@
-//! All recordings together: the plate.
+//! Identifies the plate from all recordings together.
 
-use crate::doubt::{Doubt, doubts};
+use crate::doubt::{Doubt, doubtful_parameters, doubtful_recordings};
 use crate::estimate::{Estimate, WhitenessTest};
 use crate::fit::{DirectFit, fit_direct};
 use crate::recording::{Recording, RecordingError};
@@ -10,15 +10,15 @@ use platebench_plate::Conditions;
 use serde::Serialize;
 use std::f64::consts::TAU;
 
-/// Errors that are told rather than estimated from few values.
+/// Degrees of freedom of known errors.
 const FREEDOM_OF_KNOWN_ERRORS: f64 = 1e4;
 
-/// What the direct fit says of a whole recording.
+/// Result of the direct fit of a recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingFit {
     /// The recording.
     pub recording: String,
-    /// Samples.
+    /// Number of samples.
     pub samples: usize,
     /// K1 at the lowest force, µm/Vpp.
     pub gain_um_per_vpp: Estimate,
@@ -34,14 +34,14 @@ pub struct RecordingFit {
     pub whiteness: Option<WhitenessTest>,
 }
 
-/// The plate that the recordings show. What they do not show is `None` or empty.
+/// The identified plate. Parameters that the recordings do not determine are `None` or empty.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Identification {
     /// Table I.
     pub voltage_steps: Vec<VoltageStep>,
     /// Table II.
     pub frequency_steps: Vec<FrequencyStep>,
-    /// Each recording as a whole.
+    /// The direct fit of each recording.
     pub recordings: Vec<RecordingFit>,
     /// Recordings that do not determine the parameters.
     pub undetermined: Vec<String>,
@@ -61,21 +61,22 @@ pub struct Identification {
     pub damping_ratio: Vec<(f64, Estimate)>,
     /// Change of the resonance per newton, Hz.
     pub shift_hz_per_n: Option<Estimate>,
-    /// By how much K1 changes from the lowest to the highest drive, percent.
+    /// Change of K1 from the lowest to the highest drive, percent.
     pub gain_change_percent: Option<Estimate>,
     /// Standard deviation of the residuals on each component, µm.
     pub noise_um: f64,
-    /// Highest drive seen, Vpp.
+    /// Highest drive, Vpp.
     pub highest_vpp: f64,
     /// Reasons to doubt the parameters; none for recordings that a single plate can produce.
     pub doubts: Vec<Doubt>,
 }
 
-/// Identifies the plate. `slope_hz_per_k` is what is known of it beforehand; without it the recordings must show it themselves before a step of the
-/// temperature can stand for one of the frequency. Fits come beside, in the order of [`Identification::recordings`].
+/// Identifies the plate, and returns the fits in the order of [`Identification::recordings`].
+/// `slope_hz_per_k` is a known slope of the resonance; without it, temperature steps count as
+/// frequency steps only if the recordings determine it.
 ///
 /// # Errors
-/// `Unusable::Undetermined` where not one recording tells the parameters.
+/// [`RecordingError::Undetermined`] if no recording determines the parameters.
 pub fn identify(
     recordings: &[Recording],
     slope_hz_per_k: Option<f64>,
@@ -140,9 +141,15 @@ pub fn identify(
         frequency_steps: frequency,
         doubts: Vec::new(),
     };
-    let (used, fits): (Vec<&Recording>, Vec<&DirectFit>) =
-        fitted.iter().map(|(recording, fit)| (*recording, fit)).unzip();
-    identification.doubts = doubts(&identification, &used, &fits);
+    identification.doubts = [
+        doubtful_recordings(&fitted),
+        doubtful_parameters(
+            identification.resonance_hz,
+            identification.time_constant_s,
+            identification.gain_change_percent,
+        ),
+    ]
+    .concat();
     Ok((identification, fitted.into_iter().map(|(_, fit)| fit).collect()))
 }
 
@@ -170,7 +177,8 @@ fn summarise_fit(recording: &Recording, fit: &DirectFit) -> Option<RecordingFit>
 /// Resonance at the reference temperature, rad/s, and its slope, rad/s per K.
 type TemperatureLine = (Estimate, Option<Estimate>);
 
-/// Resonance at the reference temperature and its slope over the temperature, rad/s; at the one temperature that there is, without a slope.
+/// Resonance at the reference temperature and its slope; for a single temperature the resonance
+/// without a slope.
 fn temperature_line(fit: &DirectFit) -> Option<TemperatureLine> {
     let force = fit.time_constants.first()?.0;
     let untouched = |conditions: &Conditions| conditions.finger_force_n == force;
@@ -188,7 +196,7 @@ fn force_slope(fit: &DirectFit) -> Option<Estimate> {
     line.map(|(_, slope)| slope)
 }
 
-/// σ/σ0 over all recordings that begin without a finger, forces rising.
+/// σ/σ0 over all recordings with an untouched plate, by rising force.
 fn damping_ratios(fitted: &[(&Recording, DirectFit)]) -> Vec<(f64, Estimate)> {
     let untouched = fitted
         .iter()
@@ -203,7 +211,7 @@ fn damping_ratios(fitted: &[(&Recording, DirectFit)]) -> Vec<(f64, Estimate)> {
     groups.filter_map(pool).collect()
 }
 
-/// By how much K1 changes over the range of drives, percent of its mean; `None` for fewer than three levels.
+/// Change of K1 over the range of drives, percent of its mean; `None` below three levels.
 fn gain_change_percent(steps: &[VoltageStep]) -> Option<Estimate> {
     let points: Vec<_> = steps.iter().filter_map(|step| Some((step.vpp, step.direct?[0]))).collect();
     let drives = points.iter().map(|point| point.0);
@@ -216,25 +224,26 @@ fn gain_change_percent(steps: &[VoltageStep]) -> Option<Estimate> {
     Some(slope.scaled((high - low) / middle * 100.0))
 }
 
-/// The line through the resonances of a fit that `matters` picks, over what it says of their conditions.
-fn fit_resonance_line(fit: &DirectFit, matters: impl Fn(&Conditions) -> Option<f64>) -> Option<(Estimate, Estimate)> {
+/// The line through the resonances of a fit over the quantity that `abscissa` returns; resonances
+/// with `None` are skipped.
+fn fit_resonance_line(fit: &DirectFit, abscissa: impl Fn(&Conditions) -> Option<f64>) -> Option<(Estimate, Estimate)> {
     let picked = fit.resonances.iter().enumerate();
     let picked: Vec<(usize, f64, f64)> =
-        picked.filter_map(|(number, (conditions, omega))| Some((number, matters(conditions)?, omega.value))).collect();
+        picked.filter_map(|(number, (conditions, omega))| Some((number, abscissa(conditions)?, omega.value))).collect();
     let points: Vec<(f64, f64)> = picked.iter().map(|(_, x, y)| (*x, *y)).collect();
     let numbers: Vec<usize> = picked.iter().map(|(number, _, _)| *number).collect();
     fit_line(&points, &fit.resonance_covariance.select_rows(&numbers).select_columns(&numbers))
 }
 
-/// The line through points by generalised least squares: value at 0, and slope. Where the points stray more than their covariance says, so do the results.
-/// `None` where all stand at one place.
+/// The line through points by generalised least squares: value at 0, and slope. The errors grow if
+/// the points scatter more than their covariance. `None` if all have the same abscissa.
 fn fit_line(points: &[(f64, f64)], covariance: &DMatrix<f64>) -> Option<(Estimate, Estimate)> {
     let first = points.first()?;
     if points.iter().all(|point| point.0 == first.0) {
         return None;
     }
     let places = DMatrix::from_fn(points.len(), 2, |row, column| if column == 0 { 1.0 } else { points[row].0 });
-    // What is common to all values would cost digits.
+    // Subtracts the common part of the values to keep digits.
     let values = DVector::from_iterator(points.len(), points.iter().map(|point| point.1 - first.1));
     let factor = covariance.clone().cholesky()?;
     let known = (places.transpose() * factor.solve(&places)).try_inverse()?;

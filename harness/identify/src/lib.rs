@@ -1,14 +1,11 @@
-//! Plate parameters from recorded responses (section IV of the paper).
+//! Identifies plate parameters from recorded responses (section IV of the paper).
 //!
-//! * [`recording`]: what drove the plate and what was seen of it, from a trace.
-//! * `telemetry`: the same from a foreign table whose columns are named.
+//! * [`recording`]: inputs and samples, from a trace or ([`external_csv`]) another table.
 //! * [`mod@arx`]: the paper's method, order one, by least squares and by instrumental variables.
-//! * [`fit`]: the exact response held against every sample: the answer.
-//! * [`estimate`]: intervals, and whether residuals are white.
+//! * [`fit`]: fits the exact response to all samples; its values are the result.
+//! * [`estimate`]: intervals, and a test of the residuals.
 //! * [`steps`], [`identification`]: Tables I and II and the plate, from all recordings together.
-//! * `shown`: the tables as text, the plate as a file.
-//!
-//! Neighbours: `platebench-plate` propagates, `platebench-trace` reads traces. Nothing here knows a scenario, and nothing is judged.
+//! * [`table`]: the tables as text, and the plate file.
 
 pub mod arx;
 mod doubt;

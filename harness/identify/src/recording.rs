@@ -1,12 +1,10 @@
-//! What was recorded: what drove the plate, and what was seen of it.
-//!
-//! Neighbours: `crate::telemetry` reads foreign tables, `platebench-trace` our own traces. Nothing is estimated here.
+//! Defines a recording: inputs and samples of a plate.
 
 use platebench_plate::{Complex64, Conditions};
 use platebench_trace::{Flags, Row};
 use std::f64::consts::TAU;
 
-/// What acts on the plate from `t` on.
+/// Input of the plate from `t` on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedInput {
     /// s
@@ -15,11 +13,11 @@ pub struct RecordedInput {
     pub vpp: f64,
     /// Excitation frequency ω, rad/s.
     pub omega: f64,
-    /// What surrounds the plate.
+    /// Temperature and force.
     pub conditions: Conditions,
 }
 
-/// What a controller saw at `t`.
+/// Sample at `t`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedSample {
     /// s
@@ -28,12 +26,12 @@ pub struct RecordedSample {
     pub w: Complex64,
 }
 
-/// Which columns of a trace are looked at.
+/// Columns of a trace that are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleSource {
-    /// What the controller was given, noise and all.
+    /// Samples of the controller, with noise.
     Sensed,
-    /// The plate's state, which only an emulated plate shows.
+    /// State of the simulated plate.
     True,
 }
 
@@ -43,21 +41,22 @@ pub enum RecordingError {
     /// Too few control instants.
     #[error("{0} samples at control instants, expected at least {FEWEST}")]
     TooShort(usize),
-    /// More control instants than a fit can take in reasonable time.
+    /// Too many control instants for a fit in reasonable time.
     #[error("{0} samples at control instants, expected at most {MOST}")]
     TooLong(usize),
     /// The plate was never driven.
     #[error("the drive is 0 V throughout, expected a step")]
     NoDrive,
-    /// An instant appears twice, or not in order.
+    /// Times that do not rise.
     #[error("times that do not rise at sample {0}")]
     NotInOrder(usize),
-    /// A ramp.
+    /// Temperature or force changes too often.
     #[error(
-        "temperature or force moves: more than {MOST_CONDITIONS} levels, or one of fewer than {FEWEST_HELD} samples; expected each to be held for some 10 ms"
+        "temperature or force changes: more than {MOST_CONDITIONS} levels, or one of fewer than {FEWEST_HELD} samples; \
+         expected each to be constant for some 10 ms"
     )]
     VaryingConditions,
-    /// The response does not tell the parameters.
+    /// The response does not determine the parameters.
     #[error(
         "the response does not determine gain, time constant and resonance; expected steps of the drive or the frequency, each held for some 10 ms"
     )]
@@ -77,24 +76,25 @@ const SAME_TEMPERATURE_K: f64 = 0.05;
 /// Forces within this much of each other, N, are one.
 const SAME_FORCE_N: f64 = 0.02;
 
-/// A response with what caused it.
+/// A response with its inputs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Where it comes from.
+    /// Name of its source.
     pub name: String,
-    /// Changes of what acts, in order; the first not after the first output.
+    /// Changes of the inputs, in order; the first not after the first output.
     pub inputs: Vec<RecordedInput>,
     /// Samples, in order.
     pub outputs: Vec<RecordedSample>,
-    /// The different temperatures and forces, in order of their appearance.
+    /// The different temperatures and forces, in order of appearance.
     pub conditions: Vec<Conditions>,
 }
 
 impl Recording {
-    /// Checks and keeps what was recorded; inputs that change nothing are dropped, near temperatures and forces are made one.
+    /// Checks a recording; drops inputs without a change, and unifies close temperatures and
+    /// forces.
     ///
     /// # Errors
-    /// `Unusable`.
+    /// [`RecordingError`].
     pub fn new(name: String, inputs: Vec<RecordedInput>, outputs: Vec<RecordedSample>) -> Result<Self, RecordingError> {
         if outputs.len() < FEWEST {
             return Err(RecordingError::TooShort(outputs.len()));
@@ -125,15 +125,16 @@ impl Recording {
         }
         let whole = Self { name, inputs: kept, outputs, conditions };
         let acting = whole.inputs_at_samples();
-        let seen = |level: &Conditions| acting.iter().filter(|input| input.conditions == *level).count();
-        let passing = whole.conditions.iter().any(|level| seen(level) < FEWEST_HELD);
-        if passing { Err(RecordingError::VaryingConditions) } else { Ok(whole) }
+        let count = |level: &Conditions| acting.iter().filter(|input| input.conditions == *level).count();
+        let is_varying = whole.conditions.iter().any(|level| count(level) < FEWEST_HELD);
+        if is_varying { Err(RecordingError::VaryingConditions) } else { Ok(whole) }
     }
 
-    /// A trace: inputs from every row, outputs from rows flagged `control` whose sample arrived.
+    /// Converts a trace: inputs from every row, outputs from rows flagged `control` whose sample
+    /// arrived.
     ///
     /// # Errors
-    /// `Unusable`.
+    /// [`RecordingError`].
     pub fn from_trace(name: String, rows: &[Row], signal: SampleSource) -> Result<Self, RecordingError> {
         let input = |row: &Row| RecordedInput {
             t: row.t_s,
@@ -144,7 +145,7 @@ impl Recording {
                 finger_force_n: row.finger_force_n,
             },
         };
-        let seen = |row: &&Row| row.flags.contains(Flags::CONTROL) && !row.flags.contains(Flags::LINK_LOST);
+        let arrived = |row: &&Row| row.flags.contains(Flags::CONTROL) && !row.flags.contains(Flags::LINK_LOST);
         let output = |row: &Row| {
             let (wd, wq) = match signal {
                 SampleSource::Sensed => (row.sensed_wd_um, row.sensed_wq_um),
@@ -152,26 +153,26 @@ impl Recording {
             };
             RecordedSample { t: row.t_s, w: Complex64::new(wd, wq) }
         };
-        Self::new(name, rows.iter().map(input).collect(), rows.iter().filter(seen).map(output).collect())
+        Self::new(name, rows.iter().map(input).collect(), rows.iter().filter(arrived).map(output).collect())
     }
 
-    /// The usual spacing of the outputs: their median, s.
+    /// Median spacing of the outputs, s.
     pub fn period(&self) -> f64 {
         let mut spacings: Vec<f64> = self.outputs.windows(2).map(|pair| pair[1].t - pair[0].t).collect();
         spacings.sort_by(f64::total_cmp);
         spacings.get(spacings.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// What acts from each output's instant on.
+    /// The input from each output's instant on.
     pub fn inputs_at_samples(&self) -> Vec<RecordedInput> {
         let at = |t: f64| self.inputs.partition_point(|input| input.t <= t).saturating_sub(1);
         self.outputs.iter().filter_map(|output| self.inputs.get(at(output.t)).copied()).collect()
     }
 
-    /// The outputs numbered `from..to`, with what acted.
+    /// The outputs `from..to` with their inputs.
     ///
     /// # Errors
-    /// `Unusable` where nothing of use is left.
+    /// [`RecordingError`].
     pub fn slice(&self, from: usize, to: usize) -> Result<Self, RecordingError> {
         let outputs = self.outputs.get(from..to).unwrap_or_default().to_vec();
         let (Some(first), Some(last)) = (outputs.first(), outputs.last()) else {
@@ -183,7 +184,7 @@ impl Recording {
     }
 }
 
-/// True where a plate could not tell one from the other.
+/// True if the difference does not matter to a plate.
 pub(crate) fn are_same_conditions(a: &Conditions, b: &Conditions) -> bool {
     (a.temperature_offset_k - b.temperature_offset_k).abs() <= SAME_TEMPERATURE_K
         && (a.finger_force_n - b.finger_force_n).abs() <= SAME_FORCE_N

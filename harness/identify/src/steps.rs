@@ -1,4 +1,4 @@
-//! The steps within a recording, each by every method: the rows of Tables I and II.
+//! Finds the steps in a recording and fits each by every method: the rows of Tables I and II.
 
 use crate::arx::{ArxMethod, ArxModel, arx};
 use crate::estimate::Estimate;
@@ -6,17 +6,17 @@ use crate::fit::{DirectFit, fit_direct};
 use crate::recording::{RecordedInput, Recording};
 use serde::Serialize;
 
-/// A level that is held for fewer samples is no level.
+/// Fewest samples of a constant level.
 const MIN_SAMPLES: usize = 6;
 /// Drives within this share of the largest one are the same.
 const SAME_DRIVE: f64 = 0.01;
-/// A smaller change of the drive, as a share of the largest one, is a loop at work and no step.
+/// Smallest step of the drive as a share of the largest drive; smaller changes are made by a loop.
 const SMALLEST_STEP: f64 = 0.05;
-/// A first order of Wd alone holds near the resonance only: |τΔω| at most this.
+/// Wd alone is of first order only near the resonance: |τΔω| at most this.
 const MAX_TAU_DETUNING: f64 = 0.1;
-/// Wd is held where it strays by less than this share …
+/// Wd counts as constant if it deviates by less than this share …
 const HELD_BAND: f64 = 0.1;
-/// … and the loop has started up once it has come this near.
+/// … and the loop has started when it is this close.
 const STARTED_BAND: f64 = 0.03;
 /// Detunings within this much of each other, rad/s, are the same.
 const SAME_DETUNING: f64 = 1.0;
@@ -26,15 +26,15 @@ const SAME_DETUNING: f64 = 1.0;
 pub struct VoltageStep {
     /// The recording.
     pub recording: String,
-    /// When, s.
+    /// Time, s.
     pub t: f64,
-    /// From this drive, Vpp.
+    /// Drive before, Vpp.
     pub from_vpp: f64,
-    /// To this one.
+    /// Drive after, Vpp.
     pub vpp: f64,
     /// Mean of Wd over the last third of the step, µm: a point of Fig. 7.
     pub settled_um: f64,
-    /// K1 in µm/Vpp and τ1 in s, ARX by least squares; `None` where that finds no stable first order.
+    /// K1 in µm/Vpp and τ1 in s, ARX by least squares; `None` without a stable first order.
     pub least_squares: Option<[Estimate; 2]>,
     /// The same by instrumental variables.
     pub instruments: Option<[Estimate; 2]>,
@@ -42,28 +42,28 @@ pub struct VoltageStep {
     pub direct: Option<[Estimate; 2]>,
 }
 
-/// A step of the detuning with Wd held: a row of Table II.
+/// A step of the detuning at constant Wd: a row of Table II.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrequencyStep {
     /// The recording.
     pub recording: String,
-    /// When, s.
+    /// Time, s.
     pub t: f64,
-    /// Detuning before, rad/s, from where the direct fit of the recording has the resonance.
+    /// Detuning before, rad/s, by the resonance of the direct fit of the recording.
     pub from_detuning: f64,
     /// Detuning after, rad/s.
     pub detuning: f64,
-    /// How far Wd strays from its mean, percent (Fig. 10).
+    /// Largest deviation of Wd from its mean, percent (Fig. 10).
     pub wd_percent: f64,
     /// K2 in s and τ2 in s, ARX by least squares.
     pub least_squares: Option<[Estimate; 2]>,
     /// The same by instrumental variables.
     pub instruments: Option<[Estimate; 2]>,
-    /// τ in s by the direct fit, which has no gain of its own: K2 = τ (equation 19).
+    /// τ in s by the direct fit; its gain is K2 = τ (equation 19).
     pub direct: Option<Estimate>,
 }
 
-/// Runs of samples over which `value` stays what it was at their start: first and one past the last.
+/// Intervals of samples whose input is the `same` as at their start: first, and one past the last.
 fn constant_intervals(
     acting: &[RecordedInput],
     same: impl Fn(&RecordedInput, &RecordedInput) -> bool,
@@ -78,8 +78,8 @@ fn constant_intervals(
     runs
 }
 
-/// The steps of a drive that is constant before and after, upwards from anything, at constant frequency, temperature and force, near the resonance that
-/// `whole` has found in the recording.
+/// Upward steps of a drive that is constant before and after, at constant frequency, temperature
+/// and force, near the resonance of the fit `whole`.
 pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageStep> {
     let Some(tau) = whole.time_constant() else { return Vec::new() };
     let is_near = |input: &RecordedInput| {
@@ -94,7 +94,7 @@ pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageSte
     let runs = constant_intervals(&acting, same);
     let mut steps = Vec::new();
     for (index, &(start, end)) in runs.iter().enumerate() {
-        // The very first level may have begun long before the recording: nothing stepped.
+        // The first level may have started before the recording.
         let Some(before) = index.checked_sub(1).and_then(|index| runs.get(index)) else { continue };
         let (Some(from), Some(to)) = (acting.get(before.0), acting.get(start)) else { continue };
         let alike = from.omega == to.omega && from.conditions == to.conditions;
@@ -107,7 +107,7 @@ pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageSte
         {
             continue;
         }
-        // The sample at the step still shows what was before; so does the one ahead of it.
+        // The sample at the step is the state before it.
         let (first, last) = (start.saturating_sub(1), (end + 1).min(acting.len()));
         let Ok(part) = recording.slice(first, last) else { continue };
         let wd: Vec<f64> = part.outputs.iter().map(|output| output.w.re).collect();
@@ -134,14 +134,17 @@ fn estimate_pair(arx: &ArxModel) -> Option<[Estimate; 2]> {
     Some([*arx.gains.first()?, arx.time_constant])
 }
 
-/// The steps of the detuning while Wd is held by a loop: `whole` is the recording's direct fit, `slope` the plate's, rad/s per K.
+/// Steps of the detuning while a loop keeps Wd constant. `whole` is the direct fit of the
+/// recording, `slope` that of the resonance, rad/s per K.
 ///
-/// A step of the resonance by `−Δ` is to the plate what a step of the frequency by `+Δ` is: it only knows Δω (equations 11 and 18).
+/// A step of the resonance by `−Δ` equals a step of the frequency by `+Δ`: only Δω matters
+/// (equations 11 and 18).
 pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f64>) -> Vec<FrequencyStep> {
     let acting = recording.inputs_at_samples();
     let Some((reference, resonance)) = whole.resonances.first() else { return Vec::new() };
-    let warms = recording.conditions.iter().any(|other| other.temperature_offset_k != reference.temperature_offset_k);
-    let Some(slope) = slope.or((!warms).then_some(0.0)) else { return Vec::new() };
+    let is_warmed =
+        recording.conditions.iter().any(|other| other.temperature_offset_k != reference.temperature_offset_k);
+    let Some(slope) = slope.or((!is_warmed).then_some(0.0)) else { return Vec::new() };
     let detuning = |input: &RecordedInput| {
         let warmer = input.conditions.temperature_offset_k - reference.temperature_offset_k;
         input.omega - resonance.value - slope * warmer
@@ -164,18 +167,18 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
             recording.outputs.get(from..to).unwrap_or_default().iter().map(|output| output.w.re)
         };
         let mean = wd(start, end).sum::<f64>() / (end - start) as f64;
-        // The loop's own start is no step of the frequency.
-        let strays = |value: &f64| (value - mean).abs() / mean.abs();
+        // Skips the start of the loop.
+        let deviation = |value: &f64| (value - mean).abs() / mean.abs();
         first += wd(first, middle)
             .collect::<Vec<_>>()
             .iter()
-            .rposition(|value| strays(value) > STARTED_BAND)
+            .rposition(|value| deviation(value) > STARTED_BAND)
             .map_or(0, |last| last + 1);
-        if middle.saturating_sub(first) < MIN_SAMPLES || !wd(start, end).all(|value| strays(&value) < HELD_BAND) {
+        if middle.saturating_sub(first) < MIN_SAMPLES || !wd(start, end).all(|value| deviation(&value) < HELD_BAND) {
             continue;
         }
         let Ok(part) = recording.slice(first, (end + 1).min(acting.len())) else { continue };
-        // Where the drive rests, nothing holds Wd.
+        // At a constant drive no loop controls Wd.
         if part.inputs.iter().all(|input| input.vpp == to.vpp) {
             continue;
         }

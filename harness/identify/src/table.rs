@@ -1,6 +1,4 @@
-//! The identification in words: tables beside the paper's, and the plate as a file.
-//!
-//! Neighbours: the command line shows [`tables`] in a terminal, `platebench-report` draws them on a page. Nothing is estimated here.
+//! Formats the identification as tables, compared with the paper, and as a plate file.
 
 use crate::doubt::is_explained_by_chance;
 use crate::estimate::Estimate;
@@ -15,19 +13,19 @@ const TABLE_I: [[f64; 3]; 4] =
 const TABLE_I_MEANS: [f64; 2] = [6980.0, 1.88];
 /// K2 and τ2 at the end of section IV, s.
 const TABLE_II: [f64; 2] = [1.812e-3, 1.624e-3];
-/// rad/s per K, from the two resonances that the paper states: 202 995 at 24 °C and 202 450 at 33 °C.
+/// From the resonances of the paper: 202 995 rad/s at 24 °C and 202 450 rad/s at 33 °C.
 const SLOPE_HZ_PER_K: f64 = -9.638;
 /// σ/σ0 at 1.5 N: the amplitude is halved (Fig. 3).
 const FINGER_DAMPING: [f64; 2] = [1.5, 2.0];
 
-/// A table with what is to be said of it.
+/// A table with notes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IdentificationTable {
-    /// What it shows.
+    /// Title.
     pub title: String,
     /// Titles of the columns.
     pub header: Vec<String>,
-    /// Cells, each row as wide as the header.
+    /// Cells; each row is as long as the header.
     pub rows: Vec<Vec<String>>,
     /// Sentences below it.
     pub notes: Vec<String>,
@@ -39,7 +37,7 @@ impl IdentificationTable {
         Self { title: title.to_owned(), header, rows: Vec::new(), notes: Vec::new() }
     }
 
-    /// As Markdown whose columns stand below each other.
+    /// Markdown with aligned columns.
     pub fn markdown(&self) -> String {
         let lines = || std::iter::once(&self.header).chain(&self.rows);
         let width = |column: usize| lines().filter_map(|row| Some(row.get(column)?.chars().count())).max().unwrap_or(0);
@@ -55,7 +53,7 @@ impl IdentificationTable {
     }
 }
 
-/// Mean with half the interval, as `1.88 ± 0.02`; a dash where there is none.
+/// Mean with half the interval, as `1.88 ± 0.02`; a dash without an estimate.
 fn format_estimate(estimate: Option<Estimate>, factor: f64, decimals: usize) -> String {
     estimate.map_or("–".to_owned(), |estimate| {
         let estimate = estimate.scaled(factor);
@@ -63,7 +61,7 @@ fn format_estimate(estimate: Option<Estimate>, factor: f64, decimals: usize) -> 
     })
 }
 
-/// Scatter over steps, percent of their mean; empty where there are not two.
+/// Standard deviation over steps, percent of their mean; empty below two steps.
 fn format_scatter(values: &[f64]) -> String {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
@@ -75,7 +73,7 @@ fn format_scatter(values: &[f64]) -> String {
     }
 }
 
-/// Tables I and II and what else the recordings show, in that order; those without a row are left out.
+/// Tables I and II, the plate and the residuals; tables without a row are omitted.
 pub fn tables(found: &Identification) -> Vec<IdentificationTable> {
     let all = [voltage_table(found), frequency_table(found), plate_table(found), residuals_table(found)];
     all.into_iter().filter(|table| !table.rows.is_empty()).collect()
@@ -87,10 +85,10 @@ fn estimates_of_steps<T>(group: &[&T], of: impl Fn(&T) -> NamedEstimates<'_>, in
     named.filter_map(|(recording, pair)| Some((recording.to_owned(), *pair.get(index)?))).collect()
 }
 
-/// A recording's name and two of its estimates.
+/// Name of a recording and two of its estimates.
 type NamedEstimates<'a> = Option<(&'a str, [Estimate; 2])>;
 
-/// What the row is called, what the paper has there, and its steps.
+/// Label of the row, the paper's values, and the steps.
 type VoltageRow<'a> = (String, Option<[f64; 2]>, Vec<&'a VoltageStep>);
 
 fn voltage_table(found: &Identification) -> IdentificationTable {
@@ -138,8 +136,8 @@ fn voltage_table(found: &Identification) -> IdentificationTable {
         table.rows.push(row);
     }
     table.notes.push(
-        "The paper's printed mean of K1, 6980 pm/V, is not the mean of its four trials, which is 6844.5 pm/V; that of τ1, 1.88 ms, is not theirs either by \
-         a hair (1.8925 ms). Its trials stray by ±5 % and ±6 %."
+        "The paper's printed mean of K1, 6980 pm/V, is not the mean of its four trials, 6844.5 pm/V; neither is that of \
+         τ1, 1.88 ms (1.8925 ms). Its trials scatter by ±5 % and ±6 %."
             .to_owned(),
     );
     if let Some(change) = found.gain_change_percent {
@@ -152,12 +150,12 @@ fn voltage_table(found: &Identification) -> IdentificationTable {
 }
 
 fn frequency_table(found: &Identification) -> IdentificationTable {
-    let title = "Table II: steps of the frequency with Wd held, K2 and τ2 in ms";
+    let title = "Table II: steps of the frequency at constant Wd, K2 and τ2 in ms";
     let header = [
         "Δω from, rad/s",
         "to",
         "steps",
-        "Wd strays",
+        "Wd deviates",
         "K2 ARX",
         "K2 instruments",
         "τ2 ARX",
@@ -170,7 +168,7 @@ fn frequency_table(found: &Identification) -> IdentificationTable {
     let mut steps: Vec<&FrequencyStep> = found.frequency_steps.iter().collect();
     steps.sort_by(|a, b| b.detuning.total_cmp(&a.detuning));
     let mut rows: Vec<(String, String, &[&FrequencyStep])> = Vec::new();
-    // Resonances that differ by less than a fourth of the step are one row.
+    // Steps that differ by less than a quarter are one row.
     for group in steps.chunk_by(|a, b| (a.detuning - b.detuning).abs() < 0.25 * (a.detuning - a.from_detuning).abs()) {
         let count = group.len() as f64;
         let mean = |of: &dyn Fn(&FrequencyStep) -> f64| group.iter().map(|step| of(step)).sum::<f64>() / count;
@@ -221,9 +219,10 @@ fn frequency_table(found: &Identification) -> IdentificationTable {
         ]);
     }
     table.notes.push(
-        "By equation 19 K2 = τ2 at the resonance, and by theory τ2 = τ1; the paper prints K2/τ2 = 1.116 and a τ2 that is 14 % below its τ1. Off the \
-         resonance a step of Δω disturbs Wd as well, and while a loop brings it back Wq/Wd is faster than the plate: an ARX model of Wq/Wd alone then reads \
-         τ2 too short, K2 not. The direct fit knows the drive and is not misled."
+        "By equation 19 K2 = τ2 at the resonance, and by theory τ2 = τ1; the paper prints K2/τ2 = 1.116 and a τ2 14 % \
+         below its τ1. Off resonance a step of Δω also disturbs Wd. While a loop corrects it, Wq/Wd is faster than the \
+         plate: an ARX model of Wq/Wd alone gives a τ2 that is too short, but the right K2. The direct fit uses the drive \
+         and is not affected."
             .to_owned(),
     );
     table
@@ -278,9 +277,10 @@ fn residuals_table(found: &Identification) -> IdentificationTable {
     let tested = found.recordings.iter().filter(|whole| whole.whiteness.is_some()).count();
     if coloured > 0 {
         let meaning = if is_explained_by_chance(coloured, tested) {
-            "as many as chance alone refuses now and then."
+            "chance explains as many."
         } else {
-            "more than chance alone refuses; something moved that the model does not know, and the intervals are too narrow there."
+            "more than chance explains; the plate changed in a way that the model does not have, and the intervals are \
+             too narrow."
         };
         table.notes.push(format!("{coloured} of {tested} residuals are not white at 1 %: {meaning}"));
     }
@@ -290,22 +290,23 @@ fn residuals_table(found: &Identification) -> IdentificationTable {
     table
 }
 
-/// What a plate file needs and no recording shows.
+/// Content of a plate file that no recording determines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlateFileDetails {
-    /// What the plate is.
+    /// Name of the plate.
     pub name: String,
-    /// Where the numbers come from.
+    /// Source of the numbers.
     pub source: String,
-    /// Temperature from which offsets are counted, °C.
+    /// Reference temperature, °C.
     pub reference_temperature_c: f64,
-    /// The amplifier's limit, Vpp; the highest drive that was seen where `None`.
+    /// Limit of the amplifier, Vpp; `None` for the highest drive of the recordings.
     pub limit_vpp: Option<f64>,
-    /// Slope where the recordings show none, Hz/K.
+    /// Slope if the recordings do not determine it, Hz/K.
     pub slope_hz_per_k: Option<f64>,
 }
 
-/// The plate file, intervals as comments and those of gain and time constant as its `[uncertainty]`; `None` where gain, time constant or resonance are not known.
+/// The plate file, with intervals as comments and as `[uncertainty]`; `None` if gain, time constant
+/// or resonance is unknown.
 pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<String> {
     let line = |key: &str, estimate: Estimate, factor: f64, decimals: usize| {
         let Estimate { value, low, high, .. } = estimate.scaled(factor);
@@ -320,7 +321,7 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
     let slope = match (found.slope_hz_per_k, named.slope_hz_per_k) {
         (Some(slope), _) => line("resonance_slope_hz_per_k", slope, 1.0, 4),
         (None, Some(given)) => format!("resonance_slope_hz_per_k = {given:?}    # given, not identified\n"),
-        (None, None) => "resonance_slope_hz_per_k = 0.0    # not identified: no sweep of the temperature\n".to_owned(),
+        (None, None) => "resonance_slope_hz_per_k = 0.0    # not identified: no change of temperature\n".to_owned(),
     };
     text += &slope;
     text += &line("time_constant_ms", found.time_constant_s?, 1e3, 5);
@@ -337,7 +338,7 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
         text += &found.shift_hz_per_n.map_or(String::new(), |shift| line("resonance_shift_hz_per_n", shift, 1.0, 4));
     }
     let (limit, comment) =
-        named.limit_vpp.map_or((found.highest_vpp, "    # the highest drive seen"), |limit| (limit, ""));
+        named.limit_vpp.map_or((found.highest_vpp, "    # highest drive of the recordings"), |limit| (limit, ""));
     let _ = writeln!(text, "\n[drive]\nlimit_vpp = {limit:?}{comment}");
     let _ = writeln!(text, "\n[sensor]\nnoise_um_rms = {:.6}    # of the residuals", found.noise_um);
     let _ = writeln!(
@@ -349,8 +350,8 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
     Some(text)
 }
 
-/// Half width of an interval for a plate file, percent, rounded up. A doubtful identification has at least
-/// [`DOUBTFUL_PERCENT`], because the formula for one plate with white noise is not valid.
+/// Half width of an interval for a plate file, percent, rounded up. A doubtful identification has
+/// at least [`DOUBTFUL_PERCENT`], because the formula for one plate with white noise is not valid.
 fn uncertainty_percent(found: &Identification, estimate: Estimate) -> f64 {
     let floor = if found.doubts.is_empty() { 0.0 } else { DOUBTFUL_PERCENT };
     reach_percent(estimate).max(floor)
@@ -359,7 +360,7 @@ fn uncertainty_percent(found: &Identification, estimate: Estimate) -> f64 {
 /// Covers a damping that changes by 5 % per µm up to 4 µm.
 const DOUBTFUL_PERCENT: f64 = 25.0;
 
-/// The longer arm of an interval, percent of the value, rounded up to what is written.
+/// The longer side of an interval, percent of the value, rounded up to the printed digits.
 fn reach_percent(Estimate { value, low, high, .. }: Estimate) -> f64 {
     ((high - value).max(value - low) / value * 1e4).ceil() / 100.0
 }

@@ -1,4 +1,5 @@
-//! Checks that captures which no single plate can produce are named as doubtful, and clean ones are not.
+//! Checks that captures which no single plate can produce are named as doubtful, and clean ones are
+//! not.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
@@ -82,7 +83,8 @@ fn a_capture_that_no_single_plate_produces_is_doubtful(#[case] defect: Defect, #
     assert!(found.doubts.iter().any(expected), "{:?}", found.doubts);
 }
 
-/// The plate of small amplitudes is inside the interval of the doubtful file, which states the doubt.
+/// The plate of small amplitudes is inside the interval of the doubtful file, which states the
+/// doubt.
 #[test]
 fn a_doubtful_plate_file_states_the_doubt_and_has_wider_intervals() {
     let found = identified(Defect { damping_per_um: 0.05, ..Defect::default() });

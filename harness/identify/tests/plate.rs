@@ -1,4 +1,4 @@
-//! From recordings to a plate: each table, the plate file, and what is not shown.
+//! Tables and plate file of simulated recordings.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
@@ -21,7 +21,7 @@ fn hold_profile(points: &[(u32, f64)]) -> Profile {
     Profile::Hold(points.iter().map(|(ms, value)| (Time::from_ms(f64::from(*ms)).unwrap(), *value)).collect())
 }
 
-/// `drive` says Vpp and Hz at a sample, from the millisecond and Wd.
+/// `drive` returns Vpp and Hz at a sample, from the millisecond and Wd.
 fn simulate_recording(
     name: &str,
     scene: &ConditionProfiles,
@@ -108,7 +108,7 @@ fn frequency_and_temperature_steps_agree() {
             assert!((gain.value / 1.88e-3 - 1.0).abs() < 0.04, "{step:?}");
             assert!((step.direct.unwrap().value / 1.88e-3 - 1.0).abs() < 0.1, "{step:?}");
         }
-        // At the resonance, where Wd hardly notices, the paper's ratio of one.
+        // At the resonance Wd hardly changes: the paper's ratio of one.
         let [gain, tau] =
             found.frequency_steps.iter().find(|step| step.detuning.abs() < 5.0).unwrap().instruments.unwrap();
         assert!((gain.value / tau.value - 1.0).abs() < 0.08, "{gain:?} {tau:?}");
@@ -140,11 +140,11 @@ fn a_sweep_and_forces_complete_the_plate_file() {
     assert!((plate.omega0 / TAU - RESONANCE).abs() < 0.5 && (plate.noise_um_rms - 0.004).abs() < 5e-4, "{text}");
     assert!((plate.damping_ratio_at(1.5) - 2.0).abs() < 0.03 && (plate.damping_ratio_at(0.5) - 4.0 / 3.0).abs() < 0.02);
     // The whole interval, and hardly more.
-    let told = [
+    let uncertainties = [
         (found.gain_um_per_vpp.unwrap(), plate.uncertainty.gain_percent.unwrap()),
         (found.time_constant_s.unwrap(), plate.uncertainty.time_constant_percent.unwrap()),
     ];
-    for (estimate, percent) in told {
+    for (estimate, percent) in uncertainties {
         let reach = estimate.value * percent / 100.0;
         assert!(
             estimate.low >= estimate.value - reach && estimate.high <= estimate.value + reach,

@@ -1,4 +1,4 @@
-//! Tables of other origin: what is read, in which units, and what is refused with line and column.
+//! Reads CSV tables of other programs: units, and errors with line and column.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 

@@ -1,4 +1,5 @@
-//! Compares instructions per control step with earlier runs. An expectation on `instructions_per_step` judges them.
+//! Compares instructions per control step with earlier runs. An expectation on
+//! `instructions_per_step` judges them.
 
 use serde::{Deserialize, Serialize};
 
@@ -23,8 +24,8 @@ pub struct CostTrend {
     pub build: String,
     /// Over all trials of the run under this law.
     pub cost: StepCost,
-    /// Earlier runs of the same trials on the same kind of rig with firmware of the same name: newest first, reference
-    /// last.
+    /// Earlier runs of the same trials on the same kind of rig with firmware of the same name:
+    /// newest first, reference last.
     pub earlier: Vec<EarlierCost>,
 }
 
@@ -61,13 +62,14 @@ pub struct CostChange<'a> {
 }
 
 impl CostTrend {
-    /// The newest earlier run of another build, otherwise the newest: a second run of a new build does not hide what the
-    /// build changed.
+    /// The newest earlier run of another build, otherwise the newest: a second run of a new build
+    /// does not hide what the build changed.
     pub fn comparison_run(&self) -> Option<&EarlierCost> {
         self.earlier.iter().find(|earlier| earlier.build != self.build).or_else(|| self.earlier.first())
     }
 
-    /// The change of the worst step against that run, or of the mean if only the mean changed by more than 1 %.
+    /// The change of the worst step against that run, or of the mean if only the mean changed by
+    /// more than 1 %.
     pub fn significant_change(&self) -> Option<CostChange<'_>> {
         let against = self.comparison_run()?;
         let EarlierCost { now, then, .. } = against;

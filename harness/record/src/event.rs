@@ -1,4 +1,5 @@
-//! Names what happens during a run. Sinks (console, JSON lines, live view) receive the events in order.
+//! Names what happens during a run. Sinks (console, JSON lines, live view) receive the events in
+//! order.
 
 use crate::run_record::ScenarioRecord;
 use crate::trial_record::TrialRecord;

@@ -23,7 +23,8 @@ pub struct ExpectationRecord {
     pub limit: Limit,
     /// [`Statistic::Worst`]: smallest and largest over trials; otherwise bounds at `confidence`.
     pub interval: Option<[f64; 2]>,
-    /// Confidence of each bound of the interval, or of the failure rate; `None` if nothing is random.
+    /// Confidence of each bound of the interval, or of the failure rate; `None` if nothing is
+    /// random.
     pub confidence: Option<f64>,
     /// What made the verdict inconclusive.
     pub cause: Option<Cause>,
@@ -94,7 +95,8 @@ pub enum EvidenceMethod {
     T,
     /// Chi-square, for the deviation of normal data.
     ChiSquare,
-    /// Resampling, for data that are not normal: the outer ends of BCa and of the studentised bootstrap.
+    /// Resampling, for data that are not normal: the outer ends of BCa and of the studentised
+    /// bootstrap.
     Bootstrap,
     /// Ranks of the sample, for quantiles.
     #[serde(rename = "order statistics")]
@@ -116,7 +118,8 @@ pub struct Evidence {
     /// Which quantile was judged.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantile: Option<f64>,
-    /// Probability, for normal data, to detect that the truth is half or double of the expected value; the smaller one.
+    /// Probability, for normal data, to detect that the truth is half or double of the expected
+    /// value; the smaller one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<f64>,
     /// Number of the planned look that decided, and how many are planned.

@@ -28,7 +28,8 @@ pub enum MissingValue {
     /// The controller is not running at the end of the trial.
     #[error("ends with the controller not running")]
     NotRunning,
-    /// The bench replaced a NaN or infinite drive by 0 V, so the trace does not show what was commanded.
+    /// The bench replaced a NaN or infinite drive by 0 V, so the trace does not show what was
+    /// commanded.
     #[error("the drive command was NaN or infinite; 0 V was applied")]
     NonFiniteDrive,
 }

@@ -20,7 +20,8 @@ pub struct RealPlateRecord {
     pub rejected_frames: u64,
     /// Rows that were lost between control loop and trace.
     pub lost_rows: u64,
-    /// Deviation of the controller's clock from the bench's, positive if fast, and its standard error, parts per million.
+    /// Deviation of the controller's clock from the bench's, positive if fast, and its standard
+    /// error, parts per million.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clock_ppm: Option<[f64; 2]>,
     /// True if the controller measures the finger's force.

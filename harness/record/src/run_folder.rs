@@ -50,7 +50,8 @@ fn io_error(path: &Path) -> impl FnOnce(io::Error) -> FolderError + use<> {
 }
 
 impl RunFolder {
-    /// Creates a folder at `path`; default: below `runs/`, with the time and a unique short id as name.
+    /// Creates a folder at `path`; default: below `runs/`, with the time and a unique short id as
+    /// name.
     ///
     /// # Errors
     /// [`FolderError`]: the folder contains a run or cannot be created.
@@ -101,7 +102,8 @@ impl RunFolder {
         fs::create_dir_all(&folder).map_err(io_error(&folder))
     }
 
-    /// Copies every input of every scenario, with their relative paths, and returns them by scenario.
+    /// Copies every input of every scenario, with their relative paths, and returns them by
+    /// scenario.
     ///
     /// # Errors
     /// [`FolderError::Io`].

@@ -34,7 +34,8 @@ pub struct RunRecord {
     pub overrides: Overrides,
     /// The computer.
     pub host: Host,
-    /// Whether every controller confirmed 0 V at the end of its session; `None` during the run, and if it was killed.
+    /// Whether every controller confirmed 0 V at the end of its session; `None` during the run, and
+    /// if it was killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub safe_confirmed: Option<bool>,
     /// What was played.
@@ -185,8 +186,8 @@ pub struct InputRecord {
 }
 
 impl RunRecord {
-    /// Combines the verdicts of all scenarios. A pass becomes inconclusive if the run is not complete or 0 V is not
-    /// confirmed.
+    /// Combines the verdicts of all scenarios. A pass becomes inconclusive if the run is not
+    /// complete or 0 V is not confirmed.
     pub fn update_verdict(&mut self) {
         let combined = Verdict::combine(self.scenarios.iter().map(|scenario| scenario.verdict));
         let is_doubtful = !self.complete || self.safe_confirmed == Some(false);
@@ -199,7 +200,8 @@ impl RunRecord {
         };
     }
 
-    /// Turns passed expectations into inconclusive ones if a trace of their scenario is missing in `folder`.
+    /// Turns passed expectations into inconclusive ones if a trace of their scenario is missing in
+    /// `folder`.
     pub fn discount_missing_traces(&mut self, folder: &Path) {
         for scenario in &mut self.scenarios {
             let is_missing = |trial: &&TrialRecord| trial.sha256.is_some() && !folder.join(&trial.trace).is_file();

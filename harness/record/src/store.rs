@@ -64,7 +64,8 @@ impl RunRecord {
         text.push('\n');
         let mut file = AtomicFile::create(&folder.join(RECORD_FILE))?;
         file.write_all(text.as_bytes())?;
-        // During a run the record is replaced after every scenario; waiting for the disk would delay the run.
+        // During a run the record is replaced after every scenario; waiting for the disk would
+        // delay the run.
         if self.complete { file.commit() } else { file.commit_without_sync() }
     }
 
@@ -83,7 +84,8 @@ impl RunRecord {
         }
     }
 
-    /// The first path that is absolute or contains `..`; readers and `baseline accept` join these paths to folders.
+    /// The first path that is absolute or contains `..`; readers and `baseline accept` join these
+    /// paths to folders.
     fn outside_path(&self) -> Option<(&'static str, &str)> {
         let paths = self.scenarios.iter().flat_map(|scenario| {
             let inputs = scenario.inputs.iter().map(|input| ("input", input.file.as_str()));
@@ -94,8 +96,9 @@ impl RunRecord {
         paths.into_iter().find(|(_, path)| is_outside(path))
     }
 
-    /// Runs in neighbouring folders of `folder`, the run's own, that started before it or in the same second: newest
-    /// first, at most 20, each with the name of its folder. Unreadable records are passed to `skipped`.
+    /// Runs in neighbouring folders of `folder`, the run's own, that started before it or in the
+    /// same second: newest first, at most 20, each with the name of its folder. Unreadable records
+    /// are passed to `skipped`.
     pub fn earlier_runs(&self, folder: &Path, skipped: impl Fn(&Path, &RecordError)) -> Vec<(String, Self)> {
         #[derive(Deserialize)]
         struct Started {

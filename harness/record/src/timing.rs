@@ -19,7 +19,8 @@ pub struct TimingRecord {
     pub overruns: u64,
     /// Overruns of a whole period: the sample was not sent.
     pub skipped: u64,
-    /// Samples without an answer before the next control instant; if the target paces, also periods without a tick.
+    /// Samples without an answer before the next control instant; if the target paces, also periods
+    /// without a tick.
     pub missed_replies: u64,
     /// Samples without an answer at the end of the trial.
     #[serde(default)]
@@ -30,12 +31,14 @@ pub struct TimingRecord {
     pub lost_rows: u64,
     /// Delay of a sample after its deadline, µs.
     pub lateness_us: Quantiles,
-    /// From control instant to actuation, as it acted on the plate, µs of plate time; `None` without an answer.
+    /// From control instant to actuation, as it acted on the plate, µs of plate time; `None`
+    /// without an answer.
     pub loop_delay_us: Option<Quantiles>,
-    /// Longest constant loop delay at which the law settles on the scenario's nominal plate, µs of plate time; `None` if
-    /// unknown.
+    /// Longest constant loop delay at which the law settles on the scenario's nominal plate, µs of
+    /// plate time; `None` if unknown.
     pub loop_delay_budget_us: Option<f64>,
-    /// Deviation of the target's clock from the bench's, positive if fast, parts per million; `None` if unknown.
+    /// Deviation of the target's clock from the bench's, positive if fast, parts per million;
+    /// `None` if unknown.
     pub target_clock_ppm: Option<f64>,
     /// Standard error of `target_clock_ppm`.
     pub target_clock_error_ppm: Option<f64>,

@@ -21,7 +21,8 @@ pub struct TrialRecord {
     /// SHA-256 of the trace, hexadecimal; `None` if the trial was cut off before it was recorded.
     #[serde(default)]
     pub sha256: Option<String>,
-    /// Values by metric; the n-th further expectation of a metric has the suffix `[n]`. `null` if there is no number.
+    /// Values by metric; the n-th further expectation of a metric has the suffix `[n]`. `null` if
+    /// there is no number.
     pub metrics: Map<String, Value>,
     /// What the rig reported.
     #[serde(default)]
@@ -43,7 +44,8 @@ pub struct TrialRecord {
 pub struct Telemetry {
     /// Longest time from sampling to actuation as it acted on the plate, µs.
     pub loop_delay_us: Option<f64>,
-    /// Longest time of line and controller on the target's clock, even if it did not act on the plate, µs.
+    /// Longest time of line and controller on the target's clock, even if it did not act on the
+    /// plate, µs.
     pub rig_delay_us: Option<f64>,
     /// Instructions per control step, mean.
     pub instructions_mean: Option<f64>,
@@ -75,7 +77,8 @@ pub struct Telemetry {
     pub violations: Vec<Violation>,
 }
 
-/// Drive commands that were NaN or infinite. The bench applied 0 V instead, so the trace does not contain them.
+/// Drive commands that were NaN or infinite. The bench applied 0 V instead, so the trace does not
+/// contain them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NonFiniteDrive {
     /// When the first one acted, s.

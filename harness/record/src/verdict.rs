@@ -16,8 +16,8 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// Combines verdicts: one failure fails all, one inconclusive verdict makes the rest inconclusive, and so does an
-    /// empty list.
+    /// Combines verdicts: one failure fails all, one inconclusive verdict makes the rest
+    /// inconclusive, and so does an empty list.
     pub fn combine(verdicts: impl IntoIterator<Item = Self>) -> Self {
         verdicts
             .into_iter()

@@ -12,7 +12,8 @@ pub struct Violation {
     pub at_s: f64,
     /// Number of breaches.
     pub count: u64,
-    /// The worst commanded value in the kind's unit; `null` if it has none or the value was not finite.
+    /// The worst commanded value in the kind's unit; `null` if it has none or the value was not
+    /// finite.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worst: Option<f64>,
     /// The limit that the value breached, in the same unit.

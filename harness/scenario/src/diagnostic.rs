@@ -40,8 +40,8 @@ impl Diagnostic {
         Self { path: path.to_owned(), source: source.to_owned(), span, message: message.into() }
     }
 
-    /// An error of the value at a dotted `key` of a TOML document, with array elements by number: `expect.0.metric`. Points
-    /// at the nearest parent if the key is missing.
+    /// An error of the value at a dotted `key` of a TOML document, with array elements by number:
+    /// `expect.0.metric`. Points at the nearest parent if the key is missing.
     pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
         Self::at_span(path, source, span_of_key(source, key), message)
     }
@@ -99,7 +99,8 @@ impl fmt::Display for Diagnostic {
 
 impl std::error::Error for Diagnostic {}
 
-/// `; did you mean …?` if one of `known` is similar to `name`, or the same quantity in another unit.
+/// `; did you mean …?` if one of `known` is similar to `name`, or the same quantity in another
+/// unit.
 pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     const CLOSE: f64 = 0.85;
     let known: Vec<_> = known.into_iter().collect();

@@ -270,7 +270,8 @@ pub struct Expectation {
     pub aggregation: Aggregation,
     /// Half width of the band around the setpoint, percent.
     pub band_percent: f64,
-    /// The judged windows, at least one, in rising order; the worst decides. Of a mean: the intervals of the mean.
+    /// The judged windows, at least one, in rising order; the worst decides. Of a mean: the
+    /// intervals of the mean.
     pub windows: Vec<Window>,
     /// The profile whose changes start the windows, if the key `after` is given.
     pub after: Option<ChangingProfile>,

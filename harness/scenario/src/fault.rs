@@ -1,4 +1,5 @@
-//! Defines planned faults of line and sensor. `docs/scenarios.md` describes their effects; `platebench-rig` applies them.
+//! Defines planned faults of line and sensor. `docs/scenarios.md` describes their effects;
+//! `platebench-rig` applies them.
 
 use platebench_plate::Time;
 
@@ -92,9 +93,10 @@ impl Fault {
         self.from <= time && self.until.is_none_or(|until| time < until)
     }
 
-    /// True if the fault can cause a missing answer or a stop at `time`: in the window, for one period after it, and
-    /// while delayed messages arrive. One period, because a frame without a delimiter destroys the next one, and a stop
-    /// is reported then. A line that stays dead explains nothing: its controller is lost.
+    /// True if the fault can cause a missing answer or a stop at `time`: in the window, for one
+    /// period after it, and while delayed messages arrive. One period, because a frame without a
+    /// delimiter destroys the next one, and a stop is reported then. A line that stays dead
+    /// explains nothing: its controller is lost.
     pub fn can_explain(&self, time: Time, period: Time) -> bool {
         let delay = match self.kind {
             FaultKind::Delay(delay) => delay,
@@ -103,8 +105,8 @@ impl Fault {
         self.until.is_some_and(|until| self.from <= time && time < until + period + delay)
     }
 
-    /// True if the fault can cause a missing answer at `time`: [`Self::can_explain`], and it loses messages or delays them
-    /// by a period.
+    /// True if the fault can cause a missing answer at `time`: [`Self::can_explain`], and it loses
+    /// messages or delays them by a period.
     pub fn can_explain_silence(&self, time: Time, period: Time) -> bool {
         let loses = match self.kind {
             FaultKind::Drop | FaultKind::Flip | FaultKind::Truncate | FaultKind::Disconnect => true,

@@ -8,8 +8,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folders that are searched only if they are named: they contain other files, or scenarios that record a plate for
-/// `identify`.
+/// Folders that are searched only if they are named: they contain other files, or scenarios that
+/// record a plate for `identify`.
 const NON_SCENARIO_FOLDERS: [&str; 4] = ["plates", "baselines", "plans", "identify"];
 /// Folders with generated files.
 const GENERATED_FOLDERS: [&str; 1] = ["baselines"];
@@ -25,7 +25,8 @@ const SCENARIOS_FOLDER: &str = "scenarios";
 pub struct FoundScenarios {
     /// The scenarios, by name.
     pub scenarios: Vec<Scenario>,
-    /// Scenarios of known limits that were skipped, because neither they nor their folder were named.
+    /// Scenarios of known limits that were skipped, because neither they nor their folder were
+    /// named.
     pub skipped: Vec<String>,
     /// Named folders without a scenario file.
     pub empty_folders: Vec<PathBuf>,
@@ -51,7 +52,8 @@ impl<'a> Search<'a> {
 
 /// Loads the named scenarios and all scenarios below the named folders.
 ///
-/// A scenario with `expected_exit` is not meant to pass; it is loaded only if it or its own folder is named.
+/// A scenario with `expected_exit` is not meant to pass; it is loaded only if it or its own folder
+/// is named.
 ///
 /// # Errors
 /// Every [`Diagnostic`] of every file.
@@ -97,8 +99,8 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     if faults.is_empty() { Ok(found) } else { Err(faults) }
 }
 
-/// Every named TOML file and every TOML file below a named folder, with its name in records, except baselines and the
-/// inputs of run folders; and the errors of folders that cannot be read.
+/// Every named TOML file and every TOML file below a named folder, with its name in records, except
+/// baselines and the inputs of run folders; and the errors of folders that cannot be read.
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
     let mut search = Search::new(&GENERATED_FOLDERS);
     let mut files = BTreeMap::new();
@@ -151,7 +153,8 @@ impl Search<'_> {
     }
 }
 
-/// True if the folder has traces and a record that parses. Any other `run.json` must not hide scenarios.
+/// True if the folder has traces and a record that parses. Any other `run.json` must not hide
+/// scenarios.
 fn is_run_folder(folder: &Path) -> bool {
     let parses = |text: Vec<u8>| {
         serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|record| record.get("scenarios").is_some())
@@ -159,8 +162,8 @@ fn is_run_folder(folder: &Path) -> bool {
     folder.join(RUN_TRACES).is_dir() && input::read(&folder.join(RUN_RECORD)).is_ok_and(parses)
 }
 
-/// The name of a scenario in records: its path below the nearest folder `scenarios`, else below the named folder, else
-/// its file name.
+/// The name of a scenario in records: its path below the nearest folder `scenarios`, else below the
+/// named folder, else its file name.
 fn record_name(path: &Path, argument: &Path) -> String {
     let components: Vec<_> = path.components().map(|component| component.as_os_str().to_string_lossy()).collect();
     let folders = components.len().saturating_sub(1);

@@ -28,8 +28,9 @@ pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
     load_with_diagnostics(path, file).map_err(|faults| first_diagnostic(path, faults))
 }
 
-/// Like [`load()`], with every error: of a text that cannot be parsed each wrong key, else each wrong value that does not
-/// depend on another wrong one, and the first of each `[[fault]]` and each `[[expect]]`.
+/// Like [`load()`], with every error: of a text that cannot be parsed each wrong key, else each
+/// wrong value that does not depend on another wrong one, and the first of each `[[fault]]` and
+/// each `[[expect]]`.
 ///
 /// # Errors
 /// At least one [`Diagnostic`].
@@ -37,7 +38,8 @@ pub fn load_with_diagnostics(path: &Path, file: &str) -> Result<Scenario, Vec<Di
     load_from(path, file, &[])
 }
 
-/// Reads and checks the scenario whose inputs were copied to `copies`, in the order of [`Scenario::inputs`].
+/// Reads and checks the scenario whose inputs were copied to `copies`, in the order of
+/// [`Scenario::inputs`].
 ///
 /// # Errors
 /// As for [`load()`].

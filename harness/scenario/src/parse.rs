@@ -13,8 +13,8 @@ pub(crate) const MAX_DIAGNOSTICS: usize = 50;
 /// Reads `text`, the content of the file at `path`.
 ///
 /// # Errors
-/// Every syntax error; if there is none, every unknown key and every value of a wrong type in the order of the file, then
-/// every missing key.
+/// Every syntax error; if there is none, every unknown key and every value of a wrong type in the
+/// order of the file, then every missing key.
 pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
     let (document, errors) = DeTable::parse_recoverable(text);
     let mut faults: Vec<_> =
@@ -22,7 +22,8 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
     if !faults.is_empty() {
         return Err(with_truncation_note(path, faults));
     }
-    // serde stops at the first error. It is removed and the rest read again, until nothing is wrong or removable.
+    // serde stops at the first error. It is removed and the rest read again, until nothing is wrong
+    // or removable.
     let mut rest = document;
     let mut holes: Vec<Range<usize>> = Vec::new();
     loop {

@@ -123,7 +123,8 @@ impl Scenario {
         self.file.strip_suffix(".toml").unwrap_or(&self.file)
     }
 
-    /// The tier that `model` names on a plate: `auto` is the exact one. `None` if the name is unknown.
+    /// The tier that `model` names on a plate: `auto` is the exact one. `None` if the name is
+    /// unknown.
     pub fn tier_for(model: &str, plate: &Plate) -> Option<Tier> {
         if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
     }

@@ -1,8 +1,8 @@
 //! Derives JSON Schemas of the input files from the raw types.
 //!
-//! A schema rejects unknown and missing keys, wrong types, unknown names, numbers outside fixed bounds, and options that
-//! do not apply to a metric or a fault. Only [`crate::load()`] checks what depends on other values, such as a window that
-//! ends after the trial.
+//! A schema rejects unknown and missing keys, wrong types, unknown names, numbers outside fixed
+//! bounds, and options that do not apply to a metric or a fault. Only [`crate::load()`] checks what
+//! depends on other values, such as a window that ends after the trial.
 
 use crate::expect::{Aggregation, Metric, SIGNALS};
 use crate::fault::{Direction, FaultKind};
@@ -14,7 +14,8 @@ use platebench_plate::Tier;
 use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 
-/// The schema of a file that serde reads as `T`. Optional keys are not required; TOML has no `null`.
+/// The schema of a file that serde reads as `T`. Optional keys are not required; TOML has no
+/// `null`.
 pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
     let mut schema = schemars::generate::SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>();
     schema.insert("title".to_owned(), title.into());

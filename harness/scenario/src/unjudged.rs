@@ -8,7 +8,8 @@ use platebench_plate::Time;
 /// Times in a message; the rest is counted.
 const MAX_TIMES: usize = 5;
 
-/// Warns of changes of force and temperature that are in no window of an expectation about the plate.
+/// Warns of changes of force and temperature that are in no window of an expectation about the
+/// plate.
 pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
     let conditions = &scenario.conditions;
     let changes = ProfileChanges::new(

@@ -60,8 +60,8 @@ pub(crate) struct ProfileChanges {
 }
 
 impl ProfileChanges {
-    /// The plate starts at rest, so a setpoint above 0 at the start is a change. A force or temperature at the start is
-    /// not.
+    /// The plate starts at rest, so a setpoint above 0 at the start is a change. A force or
+    /// temperature at the start is not.
     pub(crate) fn new(setpoint: &Profile, force: &Profile, temperature: &Profile, duration: Time) -> Self {
         let starts = [(setpoint, true), (force, false), (temperature, false)].map(|(profile, from_rest)| {
             let mut starts = change_starts(profile, from_rest);
@@ -84,7 +84,8 @@ impl ProfileChanges {
         }
     }
 
-    /// A window from each change of `profile` to the next change of any profile or the end of the trial.
+    /// A window from each change of `profile` to the next change of any profile or the end of the
+    /// trial.
     pub(crate) fn windows(&self, profile: ChangingProfile) -> impl Iterator<Item = Window> + '_ {
         self.starts(profile).iter().map(|&from| {
             let next = self.all.get(self.all.partition_point(|start| *start <= from));
@@ -92,7 +93,8 @@ impl ProfileChanges {
         })
     }
 
-    /// From the last setpoint change at or before `from`, else from the first one, to the next one or the end of the trial.
+    /// From the last setpoint change at or before `from`, else from the first one, to the next one
+    /// or the end of the trial.
     pub(crate) fn response_window(&self, from: Option<Time>) -> Option<Window> {
         let starts = self.starts(ChangingProfile::Setpoint);
         let passed = from.map_or(0, |from| starts.partition_point(|start| *start <= from));
@@ -102,7 +104,8 @@ impl ProfileChanges {
     }
 }
 
-/// Consecutive segments of a `linear` profile that are not constant are one change, at their first point; so is a sine.
+/// Consecutive segments of a `linear` profile that are not constant are one change, at their first
+/// point; so is a sine.
 fn change_starts(profile: &Profile, from_rest: bool) -> Vec<Time> {
     let at_start = from_rest && profile.at(Time::ZERO) != 0.0;
     let mut starts = if at_start { vec![Time::ZERO] } else { Vec::new() };

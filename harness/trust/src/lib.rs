@@ -2,6 +2,7 @@
 //! controllers.
 //!
 //! * [`mod@catalogue`]: the mutants, each with the metrics that should detect it.
+//! * [`clean_variants`]: correct controllers that differ from the firmware.
 //! * [`mutant_controller`]: a link that changes messages to and from a controller.
 //! * `mutants`: the changes.
 //! * [`mod@play`]: plays and judges a scenario in memory.
@@ -12,15 +13,19 @@
 //! `inconclusive` catches nothing. See `docs/trust.md`.
 
 pub mod catalogue;
+pub mod clean_variants;
 pub mod format;
 pub mod measure;
 pub mod mutant_controller;
+pub mod mutant_spec;
 mod mutants;
 pub mod play;
 pub mod report;
 
-pub use catalogue::{CleanVariant, MutantSpec, ReferenceController, catalogue, clean_variants};
+pub use catalogue::catalogue;
+pub use clean_variants::{CleanVariant, clean_variants};
 pub use measure::{TrustConfig, measure};
 pub use mutant_controller::{Mutant, MutantController};
+pub use mutant_spec::{MutantSpec, ReferenceController};
 pub use play::{PlayResult, TrustError, play};
 pub use report::TrustReport;

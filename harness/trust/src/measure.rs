@@ -1,6 +1,7 @@
 //! Measures kill rate and false-alarm rate.
 
-use crate::catalogue::{CleanVariant, MutantSpec, ReferenceController};
+use crate::clean_variants::CleanVariant;
+use crate::mutant_spec::{MutantSpec, ReferenceController};
 use crate::play::{PlayResult, TrustError, play, play_as};
 use crate::report::{
     CONFIDENCE, FailedExpectation, FalseAlarm, FalseAlarmResult, MutantOutcome, MutantResult, Rate, ScenarioRate,

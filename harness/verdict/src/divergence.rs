@@ -1,13 +1,16 @@
 //! Detects a loop that does not converge.
 //!
-//! An unstable loop does not grow without bound: the amplifier stays between 0 V and its limit, the frequency is limited
-//! by its slew, and an oscillation remains that does not decay. A loop diverges if, after the last event of the trial,
-//! the amplitude keeps leaving the band around the setpoint to both sides and this swing does not decay. An offset, a
-//! saturated drive, a slow approach, a decaying oscillation and sensor noise are no divergence.
+//! An unstable loop does not grow without bound: the amplifier stays between 0 V and its limit, the
+//! frequency is limited by its slew, and an oscillation remains that does not decay. A loop
+//! diverges if, after the last event of the trial, the amplitude keeps leaving the band around the
+//! setpoint to both sides and this swing does not decay. An offset, a saturated drive, a slow
+//! approach, a decaying oscillation and sensor noise are no divergence.
 //!
-//! A NaN or infinite drive command is a divergence too; the rig reports it, because a trace cannot contain it.
+//! A NaN or infinite drive command is a divergence too; the rig reports it, because a trace cannot
+//! contain it.
 //!
-//! A divergence fails nothing by itself: it is the reason of an expectation that fails. See `docs/verdicts.md`.
+//! A divergence fails nothing by itself: it is the reason of an expectation that fails. See
+//! `docs/verdicts.md`.
 
 use platebench_plate::Time;
 use platebench_record::{Divergence, Telemetry};
@@ -16,17 +19,18 @@ use platebench_trace::{Flags, Row};
 
 /// Half width of the band that a loop must enter and a swing must leave, in units of the setpoint.
 const BAND_HALF_WIDTH: f64 = 0.05;
-/// A swing within so many standard deviations of the sensor's noise may be noise: 10⁵ samples reach 4.5, and a settled
-/// loop amplifies it.
+/// A swing within so many standard deviations of the sensor's noise may be noise: 10⁵ samples reach
+/// 4.5, and a settled loop amplifies it.
 const NOISE_DEVIATIONS: f64 = 25.0;
 /// Fewest control periods in each third of the time after the last event.
 const MIN_PERIODS: f64 = 10.0;
 /// Fewest changes of side in a third.
 const MIN_SIDE_CHANGES: u32 = 3;
-/// A swing that keeps this share from one third to the next does not decay: it would need some hundred thirds to enter
-/// the band.
+/// A swing that keeps this share from one third to the next does not decay: it would need some
+/// hundred thirds to enter the band.
 const MIN_DECAY_RATIO: f64 = 0.98;
-/// The same if the drive switches between 0 V and its limit in both thirds, because clipping varies.
+/// The same if the drive switches between 0 V and its limit in both thirds, because clipping
+/// varies.
 const MIN_DECAY_RATIO_AT_LIMITS: f64 = 0.9;
 /// After so many control periods within the band the loop has converged.
 const CONVERGED_PERIODS: f64 = 10.0;
@@ -39,7 +43,8 @@ pub(crate) fn detect_divergence(scenario: &Scenario, rows: &[Row], telemetry: &T
     commanded.or_else(|| divergence_time_s(scenario, rows).map(|at_s| Divergence { at_s, is_non_finite: false }))
 }
 
-/// When, s, the loop left the band for good; `None` if it converges, or if the trace is too short to decide.
+/// When, s, the loop left the band for good; `None` if it converges, or if the trace is too short
+/// to decide.
 pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     let period = scenario.controller.period.seconds();
     let held = rows.get(row_after_last_event(scenario, rows)..)?;
@@ -79,8 +84,8 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     diverged.then(|| final_band_exit_s(held, reach, CONVERGED_PERIODS * period))
 }
 
-/// Index of the row after the last event: from there setpoint and conditions are constant, the controller runs, every
-/// answer arrives, and no planned fault acts.
+/// Index of the row after the last event: from there setpoint and conditions are constant, the
+/// controller runs, every answer arrives, and no planned fault acts.
 fn row_after_last_event(scenario: &Scenario, rows: &[Row]) -> usize {
     let moved = |pair: &[Row]| match pair {
         [left, right] => {
@@ -142,7 +147,8 @@ fn switches_between_limits(rows: &[Row], limit: f64) -> bool {
     changes >= MIN_SIDE_CHANGES
 }
 
-/// When the amplitude left the band after its last stay of at least `stay` seconds, or after its first entry.
+/// When the amplitude left the band after its last stay of at least `stay` seconds, or after its
+/// first entry.
 fn final_band_exit_s(rows: &[Row], reach: f64, stay: f64) -> f64 {
     let start = rows.first().map_or(0.0, |row| row.t_s);
     let mut left = None;

@@ -5,7 +5,8 @@ use platebench_record::{Exclusion, Telemetry};
 use platebench_scenario::{Metric, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// An oscillator on the chip is off by 1 %, a crystal by some 100 ppm; a wrongly configured timer is off by a factor.
+/// An oscillator on the chip is off by 1 %, a crystal by some 100 ppm; a wrongly configured timer
+/// is off by a factor.
 const CLOCK_TOLERANCE_PPM: f64 = 20_000.0;
 /// One stall of the computer at either end of a trial, s.
 const STALL_S: f64 = 0.05;

@@ -1,8 +1,9 @@
 //! Decides whether any controller could meet a demand within the amplifier's limits.
 //!
-//! An ideal controller plays the trial again: it drives at resonance, knows the plate, and brings the amplitude to the
-//! setpoint as fast as the amplifier allows. What it misses, no controller can meet. Between two rows its amplitude
-//! follows the exact envelope `W' = −σ W + b V`, with V at the limit while W must rise and 0 while it must fall.
+//! An ideal controller plays the trial again: it drives at resonance, knows the plate, and brings
+//! the amplitude to the setpoint as fast as the amplifier allows. What it misses, no controller can
+//! meet. Between two rows its amplitude follows the exact envelope `W' = −σ W + b V`, with V at the
+//! limit while W must rise and 0 while it must fall.
 
 use crate::metrics::{self, Measure};
 use platebench_plate::{Plant, Time};
@@ -10,7 +11,8 @@ use platebench_record::{BestResponse, Excuse, Telemetry};
 use platebench_scenario::{Expectation, Metric, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// Why no controller could meet the demand in this trial. Only a trial whose drive was at a limit is excused.
+/// Why no controller could meet the demand in this trial. Only a trial whose drive was at a limit
+/// is excused.
 pub(crate) fn infeasibility_excuse(
     scenario: &Scenario,
     expectation: &Expectation,

@@ -1,9 +1,10 @@
 //! Judges the expectations of a scenario by its trials.
 //!
 //! A scenario with `max_count` is judged after `count` trials, after twice as many and so on;
-//! [`alpha_spending`](crate::statistics::alpha_spending) corrects the error rate for looking early. The looks depend on
-//! the scenario alone, and a decision depends on the trials up to its look. A stored run is therefore judged at the same
-//! look as live, whatever the order in which its trials were played.
+//! [`alpha_spending`](crate::statistics::alpha_spending) corrects the error rate for looking early.
+//! The looks depend on the scenario alone, and a decision depends on the trials up to its look. A
+//! stored run is therefore judged at the same look as live, whatever the order in which its trials
+//! were played.
 
 mod expectation_judge;
 mod outcome;
@@ -37,10 +38,11 @@ pub enum SequentialDecision {
     },
 }
 
-/// Judges a scenario at the first planned look that decides, or returns how many trials the next look needs.
+/// Judges a scenario at the first planned look that decides, or returns how many trials the next
+/// look needs.
 ///
-/// A look decides if every expectation passes, one fails, or one is inconclusive and more trials cannot change that. The
-/// last look always decides.
+/// A look decides if every expectation passes, one fails, or one is inconclusive and more trials
+/// cannot change that. The last look always decides.
 pub fn judge_sequentially(scenario: &Scenario, trials: &[TrialMeasures]) -> SequentialDecision {
     match judge_at_deciding_look(scenario, &sorted_by_index(trials)) {
         Ok(judgement) => SequentialDecision::Stop(judgement),

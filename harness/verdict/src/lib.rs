@@ -9,9 +9,11 @@
 //! * `judge`: judges the expectations of a scenario.
 //! * [`tube`], [`golden`]: compare a response with the accepted one.
 //!
-//! `docs/verdicts.md` defines metrics and verdicts for users. A verdict depends on the scenario, the stored traces and the
-//! stored telemetry only: neither on a clock nor on the order of execution.
+//! `docs/verdicts.md` defines metrics and verdicts for users. A verdict depends on the scenario,
+//! the stored traces and the stored telemetry only: neither on a clock nor on the order of
+//! execution.
 
+mod bisection;
 mod divergence;
 mod exclusion;
 mod feasibility;

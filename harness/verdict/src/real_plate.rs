@@ -1,8 +1,8 @@
 //! Decides whether a trial on a real plate counts.
 //!
-//! The rows contain what the controller reports about itself: motion, setpoint and drive. A person makes the conditions.
-//! A trial counts if all of it was received, the controller held the setpoints that it was sent, and finger and
-//! temperature are known to be those of the scenario.
+//! The rows contain what the controller reports about itself: motion, setpoint and drive. A person
+//! makes the conditions. A trial counts if all of it was received, the controller held the
+//! setpoints that it was sent, and finger and temperature are known to be those of the scenario.
 
 use crate::exclusion::{lost_rows, rounded_ms, wrong_clock};
 use crate::feasibility::is_drive_limited;
@@ -141,7 +141,8 @@ fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }
 
-/// The values of `profile` at its points from `within` before `t_s` to `within` after it, and at both ends.
+/// The values of `profile` at its points from `within` before `t_s` to `within` after it, and at
+/// both ends.
 fn values_around(profile: &Profile, t_s: f64, within: Time) -> Vec<f64> {
     let time = Time::from_seconds(t_s).unwrap_or(Time::ZERO);
     let (from, to) = (time.since(within), time + within);

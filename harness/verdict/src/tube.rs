@@ -1,8 +1,9 @@
 //! Compares a response with a golden curve and its tolerance.
 //!
-//! A comparison row by row would fail a step that is slightly later by its whole height. Therefore, at every instant of
-//! the golden grid, the response must be within the tolerance of the golden curve at some time within the tolerance in
-//! time. The tolerance has a relative and an absolute part; the absolute part serves signals near zero.
+//! A comparison row by row would fail a step that is slightly later by its whole height. Therefore,
+//! at every instant of the golden grid, the response must be within the tolerance of the golden
+//! curve at some time within the tolerance in time. The tolerance has a relative and an absolute
+//! part; the absolute part serves signals near zero.
 //!
 //! Curves are linear between points; a jump is a steep line from one row to the next.
 
@@ -162,7 +163,8 @@ impl Tube {
         (0..=steps).map(move |index| from + index as f64 * step).chain(self.points.iter().map(|point| point.t_ms))
     }
 
-    /// Where `response` (ms, value; in order of time) is farthest outside the tube; `None` if it is inside.
+    /// Where `response` (ms, value; in order of time) is farthest outside the tube; `None` if it is
+    /// inside.
     pub fn worst_exceedance(&self, response: &[(f64, f64)], step_ms: Option<f64>) -> Option<Exceedance> {
         let outside = self.comparison_instants(step_ms).filter_map(|t_ms| {
             let value = value_at(response, t_ms)?;

@@ -105,7 +105,7 @@ fn a_session_is_sealed_signed_and_verified() {
         (&["--key", "public.pem"], 0, &["the given key"]),
         (&["--key", "other.pem"], 1, &["manifest.sha256.sig: wrong"]),
         (&["--key", "plan.toml"], 2, &["plan.toml: not the ed25519 key"]),
-        (&["--key", "key.pem"], 2, &["key.pem: ", "this is the secret key, expected the public one", "-pubout"]),
+        (&["--key", "key.pem"], 2, &["key.pem: ", "this is the secret key, expected the public key", "-pubout"]),
     ] {
         verify(&folder, "record", key).assert_exit(exit).assert_output(expected);
     }
@@ -117,7 +117,7 @@ fn a_session_is_sealed_signed_and_verified() {
     if let Ok(sums) = check.output() {
         ProgramOutput::from(sums).assert_exit(0);
     }
-    run_session(&folder, &["--yes"]).assert_exit(2).assert_output(&["holds a finished session"]);
+    run_session(&folder, &["--yes"]).assert_exit(2).assert_output(&["contains a finished session"]);
 }
 
 #[test]
@@ -192,7 +192,7 @@ fn errors_tell_public_keys_from_invalid_keys() {
     let folder = session_folder();
     folder.write("locked.pem", &key_pair(1).0.replace("PRIVATE KEY", "ENCRYPTED PRIVATE KEY"));
     for (name, message) in
-        [("public.pem", "this is the public key, expected the secret one"), ("locked.pem", "passphrase")]
+        [("public.pem", "this is the public key, expected the secret key"), ("locked.pem", "passphrase")]
     {
         run_session(&folder, &["--yes", "--sign", name]).assert_exit(2).assert_output(&[name, message]);
     }
@@ -205,11 +205,11 @@ fn a_board_is_not_driven_without_confirmation() {
     folder
         .bench(["accept", "--plan", "plan.toml", "--out", "record", "--rig", &controller_rig(None)])
         .assert_exit(3)
-        .assert_output(&["nobody answered", "may drive a plate", "--yes", "--resume record"]);
+        .assert_output(&["no answer", "may drive a plate", "--yes", "--resume record"]);
     let record = read_session_record(&folder);
     assert!(record.steps[0].done && !record.steps[1].done && record.no_board_notice().is_none());
     assert!(record.steps[0].reason.as_ref().unwrap().contains("chip 0x"));
-    assert!(record.steps[1].attempts[0].broken_off.as_ref().unwrap().contains("nobody answered"));
+    assert!(record.steps[1].attempts[0].broken_off.as_ref().unwrap().contains("no answer"));
     assert!(record.steps[2..].iter().all(|step| step.attempts.is_empty()));
 }
 

@@ -14,7 +14,8 @@ pub(crate) struct StoredRun {
     pub(crate) record: RunRecord,
 }
 
-/// Numbers that a format could change: signed zeros, extreme numbers, numbers without a decimal form.
+/// Numbers that a format could change: signed zeros, extreme numbers, numbers without a decimal
+/// form.
 const EDGE_VALUES: [f64; 8] = [0.0, -0.0, 0.1, -1.0 / 3.0, f64::MIN_POSITIVE, 5e-324, f64::MAX, -32_307.612_345_678_9];
 
 /// Rows that differ in every column; every fifth has unknown numbers.
@@ -86,7 +87,8 @@ fn scenario_record(name: &str, title: &str, trials: Vec<TrialRecord>) -> Scenari
     }
 }
 
-/// Two scenarios: one with trials of seven and nine rows and markup in its title; one with a single row.
+/// Two scenarios: one with trials of seven and nine rows and markup in its title; one with a single
+/// row.
 pub(crate) fn stored_run() -> StoredRun {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();

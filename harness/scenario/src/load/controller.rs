@@ -10,7 +10,8 @@ use std::f64::consts::TAU;
 
 const DEFAULT_LAW: &str = "dq-pi";
 const DEFAULT_PERIOD_MS: f64 = 1.0;
-/// The temperature of a day moves the resonance of the paper's plate by 87 Hz; more than twice that is another mode.
+/// The temperature of a day moves the resonance of the paper's plate by 87 Hz; more than twice that
+/// is another mode.
 const DEFAULT_FREQUENCY_RANGE_HZ: f64 = 250.0;
 /// Enough to cross the range of a day in one period of 1 ms.
 const DEFAULT_FREQUENCY_SLEW_HZ: f64 = 100.0;

@@ -1,5 +1,5 @@
-//! Checks profiles, and that the plate has a resonance under all of their values. Points at the wrong number in the
-//! scenario or in its CSV file.
+//! Checks profiles, and that the plate has a resonance under all of their values. Points at the
+//! wrong number in the scenario or in its CSV file.
 
 use super::checker::Checker;
 use crate::bounds::MAX_QUALITY;
@@ -15,7 +15,8 @@ use std::path::Path;
 
 const MAX_SETPOINT_UM: f64 = 1_000.0;
 const ABSOLUTE_ZERO_C: f64 = -273.15;
-/// The bound of plate files, under all conditions: the wire carries the excitation frequency in millihertz.
+/// The bound of plate files, under all conditions: the wire carries the excitation frequency in
+/// millihertz.
 const MAX_RESONANCE_HZ: f64 = 2.5e6;
 /// What messages expect of a resonance.
 const EXPECTED: &str = "expected one of at most 2.5e6 Hz with a quality factor from 0.5 to 1e9";

@@ -21,7 +21,8 @@ fn scenario(noise_um: f64, more: &str) -> Scenario {
     platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
 }
 
-/// A row every 50 µs up to `end_ms`, by what is above the setpoint and what is in quadrature, both in its units.
+/// A row every 50 µs up to `end_ms`, by what is above the setpoint and what is in quadrature, both
+/// in its units.
 fn rows(end_ms: f64, deviation: impl Fn(f64) -> f64, quadrature: impl Fn(f64) -> f64) -> Vec<Row> {
     let count = (end_ms / 0.05).round() as u32;
     let row = |number: u32| {
@@ -75,7 +76,8 @@ fn what_does_not_swing_around_the_setpoint_is_something_else(#[case] deviation: 
     assert_eq!(divergence_of(&rows(120.0, deviation, zero)), None);
 }
 
-/// A frequency loop on its way from one side of the resonance to the other leaves |W| above the setpoint, or below it.
+/// A frequency loop on its way from one side of the resonance to the other leaves |W| above the
+/// setpoint, or below it.
 #[test]
 fn a_quadrature_component_that_swings_counts_where_the_amplitude_swings_with_it() {
     let one_sided = |t_ms: f64| 0.2 * (TAU * 0.2 * t_ms).sin().powi(2);
@@ -137,7 +139,8 @@ fn a_planned_fault_is_an_event_to_its_end() {
     assert_eq!(divergence_time_s(&fault("100.0"), &swinging), None);
 }
 
-/// What an amplifier cuts off comes and goes; a drive that is thrown from one of its limits to the other is not about to come to rest.
+/// What an amplifier cuts off comes and goes; a drive that is thrown from one of its limits to the
+/// other is not about to come to rest.
 #[test]
 fn a_drive_thrown_between_its_limits_may_swing_unevenly() {
     let uneven = |keeps: f64, low: f64| {
@@ -153,7 +156,8 @@ fn a_drive_thrown_between_its_limits_may_swing_unevenly() {
 }
 
 #[rstest]
-// Never in the band for ten periods in a row: since it first left it, a quarter of a swing after the start.
+// Never in the band for ten periods in a row: since it first left it, a quarter of a swing after
+// the start.
 #[case(oscillation(|_| 0.2), 0.25)]
 // Comes to rest first, and grows out of the band at ln(50)/0.06 = 65.2 ms.
 #[case(oscillation(|t_ms| (0.001 * (0.06 * t_ms).exp()).min(0.4)), 66.0)]

@@ -1,5 +1,5 @@
-//! Reads and writes a baseline: `<scenario>.csv` with the curves, and `<scenario>.toml` with tolerances, features and
-//! origin. Both are small enough for a review.
+//! Reads and writes a baseline: `<scenario>.csv` with the curves, and `<scenario>.toml` with
+//! tolerances, features and origin. Both are small enough for a review.
 
 use super::thin::thin;
 use super::tubes::GoldenTubes;
@@ -210,8 +210,8 @@ impl Baseline {
         [toml::to_string(&head).unwrap_or_default(), table]
     }
 
-    /// Replaces both files below `folder`. The TOML file contains the hash of the CSV file, so a reader detects a pair of
-    /// which only one file was replaced.
+    /// Replaces both files below `folder`. The TOML file contains the hash of the CSV file, so a
+    /// reader detects a pair of which only one file was replaced.
     ///
     /// # Errors
     /// [`BaselineError::Io`].

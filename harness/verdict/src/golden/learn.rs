@@ -1,16 +1,18 @@
 //! Learns a tube from trials that differ, by split conformal prediction.
 //!
-//! A third of the trials gives the curve (their mean) and the shape of the tube (their deviation at each instant). Each of
-//! the m other trials has a score: the factor on the shape at which it is just inside at every instant and in every
-//! signal. A further trial leaves the tube at the r-th smallest score with a probability of at most `1 − r/(m + 1)`,
-//! whatever the distribution, on average over the trials that were learned from.
+//! A third of the trials gives the curve (their mean) and the shape of the tube (their deviation at
+//! each instant). Each of the m other trials has a score: the factor on the shape at which it is
+//! just inside at every instant and in every signal. A further trial leaves the tube at the r-th
+//! smallest score with a probability of at most `1 − r/(m + 1)`, whatever the distribution, on
+//! average over the trials that were learned from.
 //!
-//! J. Lei, M. G'Sell, A. Rinaldo, R. J. Tibshirani, L. Wasserman, "Distribution-free predictive inference for
-//! regression", *J. Am. Stat. Assoc.* 113, 2018, theorem 2; for curves: J. Diquigiovanni, M. Fontana, S. Vantini,
-//! *J. Multivar. Anal.* 189, 2022.
+//! J. Lei, M. G'Sell, A. Rinaldo, R. J. Tibshirani, L. Wasserman, "Distribution-free predictive
+//! inference for regression", *J. Am. Stat. Assoc.* 113, 2018, theorem 2; for curves: J.
+//! Diquigiovanni, M. Fontana, S. Vantini, *J. Multivar. Anal.* 189, 2022.
 
 use super::thin::thin;
 use super::tubes::GoldenTubes;
+use crate::bisection::bisect;
 use crate::statistics::SampleSummary;
 use crate::tube::{TUBE_SIGNALS, Tube, TubePoint, signal_response};
 use platebench_trace::Row;
@@ -59,7 +61,8 @@ fn min_trials(rate: f64) -> usize {
 }
 
 impl GoldenTubes {
-    /// Learns a tube that a further trial leaves with probability `rate`, from trials with instants every `step_ms`.
+    /// Learns a tube that a further trial leaves with probability `rate`, from trials with instants
+    /// every `step_ms`.
     ///
     /// # Errors
     /// [`LearnError`].
@@ -147,12 +150,8 @@ impl GoldenTubes {
                 return f64::INFINITY;
             }
         }
-        let mut low = if high > 1.0 { high / 2.0 } else { 0.0 };
-        for _ in 0..BISECTION_STEPS {
-            let middle = f64::midpoint(low, high);
-            if is_inside(middle) { high = middle } else { low = middle }
-        }
-        high
+        let low = if high > 1.0 { high / 2.0 } else { 0.0 };
+        bisect(low, high, BISECTION_STEPS, is_inside)
     }
 }
 
@@ -201,7 +200,8 @@ mod tests {
             outside += golden.compare(tried.iter().map(|rows| (0, rows.as_slice()))).outside as u32;
         }
         let found = f64::from(outside) / (tubes * further) as f64;
-        // The rate of one tube is Beta distributed with a deviation of 5 to 6 %; 60 tubes reduce it to 0.8 %.
+        // The rate of one tube is Beta distributed with a deviation of 5 to 6 %; 60 tubes reduce it
+        // to 0.8 %.
         assert!((found - expected).abs() < 0.025, "{found}");
     }
 

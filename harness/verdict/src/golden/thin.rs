@@ -5,10 +5,11 @@ use crate::tube::{Tube, TubePoint};
 /// Share of the tolerance that removed points may cost.
 const TOLERANCE_SHARE: f64 = 0.1;
 
-/// Removes, at the same instants of all tubes, the points that are on the line between their neighbours to a tenth of the
-/// tolerance.
+/// Removes, at the same instants of all tubes, the points that are on the line between their
+/// neighbours to a tenth of the tolerance.
 ///
-/// D. H. Douglas and T. K. Peucker, *Cartographica* 10, 1973, pp. 112-122, with the distance measured along the values.
+/// D. H. Douglas and T. K. Peucker, *Cartographica* 10, 1973, pp. 112-122, with the distance
+/// measured along the values.
 pub(super) fn thin(tubes: &mut [Tube]) {
     let count = tubes.first().map_or(0, |tube| tube.points.len());
     let mut kept = vec![false; count];

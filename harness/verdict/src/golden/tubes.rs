@@ -102,7 +102,8 @@ impl GoldenTubes {
 
     /// Compares trials (number, rows) with the curves.
     ///
-    /// Every trial must be inside. A learned tube fails if the probability of so many trials outside is at most 5 %.
+    /// Every trial must be inside. A learned tube fails if the probability of so many trials
+    /// outside is at most 5 %.
     pub fn compare<R: AsRef<[Row]>>(&self, trials: impl IntoIterator<Item = (u32, R)>) -> TubeComparison {
         let mut comparison =
             TubeComparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: None };

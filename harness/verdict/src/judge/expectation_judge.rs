@@ -13,7 +13,8 @@ use platebench_record::{
 };
 use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Scenario};
 
-/// Error of the bench itself, percent of the setpoint: twice the bound of the plate's propagation error.
+/// Error of the bench itself, percent of the setpoint: twice the bound of the plate's propagation
+/// error.
 const SIMULATION_ERROR_PERCENT: f64 = 2e-4;
 
 /// Stored as `observed`: the true motion of a real plate is not known.
@@ -167,7 +168,8 @@ impl ExpectationJudge<'_> {
             .reduce(|worst, other| if other.severity() > worst.severity() { other } else { worst })
     }
 
-    /// Judges a statistic over all trials. A failure is excused if the trials without an excuse do not fail alone.
+    /// Judges a statistic over all trials. A failure is excused if the trials without an excuse do
+    /// not fail alone.
     fn judge_over_trials(&self) -> Outcome {
         let statistic = match self.expectation.aggregation {
             Aggregation::StandardDeviation => Statistic::Deviation,

@@ -8,7 +8,8 @@ use crate::statistics::{SampleSummary, deviation_bounds, mean_bounds};
 use platebench_record::{Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, WideBounds, percent};
 use platebench_scenario::{Aggregation, Expectation, Limit};
 
-/// A deviation agrees with a value if its interval excludes this multiple and this fraction of the value.
+/// A deviation agrees with a value if its interval excludes this multiple and this fraction of the
+/// value.
 const DISTINGUISHABLE_RATIO: f64 = 2.0;
 
 /// One statistic over trials.

@@ -56,7 +56,8 @@ pub(super) fn peak_deviation(window: &Window, signal: MetricSignal, rows: &[Row]
     peak.map_or(Measure::Undefined(UndefinedValue::NoSetpointToDeviateFrom), |peak| Measure::Value(peak * 100.0))
 }
 
-/// The interval, s, that contains the last entry of the signal into the band; `None` if the signal ends outside.
+/// The interval, s, that contains the last entry of the signal into the band; `None` if the signal
+/// ends outside.
 ///
 /// Both ends are equal for a signal that is known between rows.
 fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]) -> Option<[f64; 2]> {
@@ -79,10 +80,12 @@ fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]
     Some([left.t_s + (entered.t_s - left.t_s) * share; 2])
 }
 
-/// [`last_band_entry`] of a signal that is known at control instants only: from the last sample outside to the next one.
+/// [`last_band_entry`] of a signal that is known at control instants only: from the last sample
+/// outside to the next one.
 fn last_sampled_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]) -> Option<[f64; 2]> {
     let has_flags = rows.iter().any(|row| row.flags.contains(Flags::CONTROL));
-    // Rows between control instants repeat the last sample; a trace without flags contains samples only.
+    // Rows between control instants repeat the last sample; a trace without flags contains samples
+    // only.
     let mut samples = rows.iter().filter(|row| !has_flags || row.flags.contains(Flags::CONTROL));
     let start = rows.first()?.t_s;
     let outside = samples.clone().rfind(|row| signal.is_outside(row, expectation)).map(|row| row.t_s);

@@ -3,10 +3,11 @@
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
 
-/// Index of each row at which a setpoint step starts. A constant setpoint above 0 steps at the start.
+/// Index of each row at which a setpoint step starts. A constant setpoint above 0 steps at the
+/// start.
 ///
-/// A ramp or curve is one step; it starts at the row before the first change. It ends when two instants in a row do not
-/// change: a curve may rest for one instant at its crest.
+/// A ramp or curve is one step; it starts at the row before the first change. It ends when two
+/// instants in a row do not change: a curve may rest for one instant at its crest.
 pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
     let mut steps = Vec::new();
     let mut before = 0.0;

@@ -7,7 +7,8 @@ use platebench_trace::{Flags, Row};
 
 /// Time-weighted mean of the signal over the window, divided by the setpoint.
 ///
-/// The setpoint must be constant in the window: a mean over a moving one could be right for a signal that is stuck.
+/// The setpoint must be constant in the window: a mean over a moving one could be right for a
+/// signal that is stuck.
 pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[Row]) -> Result<f64, UndefinedValue> {
     let (from, to) = (window.from.seconds(), window.to.seconds());
     let mut setpoint = None;

@@ -1,9 +1,10 @@
 //! Corrects the error rate of a test that is evaluated several times.
 //!
-//! A test that stops at the first favourable look exceeds its error rate. Here the looks are planned, and the error 1 − c
-//! is spent over them: look k may be wrong with probability `α(t_k) − α(t_{k−1})`. By Boole's inequality the probability
-//! of any wrong look is at most 1 − c, for every test, dependence and reason to stop. Boundaries computed for Brownian
-//! motion have more power but need large samples.
+//! A test that stops at the first favourable look exceeds its error rate. Here the looks are
+//! planned, and the error 1 − c is spent over them: look k may be wrong with probability `α(t_k) −
+//! α(t_{k−1})`. By Boole's inequality the probability of any wrong look is at most 1 − c, for every
+//! test, dependence and reason to stop. Boundaries computed for Brownian motion have more power but
+//! need large samples.
 
 /// A planned look at the trials.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,11 +50,12 @@ pub fn plan_looks(count: u32, max_count: u32) -> Vec<Look> {
     (1..).zip(sizes).map(look).collect()
 }
 
-/// The share of the error that is spent at the share `t` of the trials: `ln(1 + (e − 1) t)`, of Pocock's type.
+/// The share of the error that is spent at the share `t` of the trials: `ln(1 + (e − 1) t)`, of
+/// Pocock's type.
 ///
-/// K. K. G. Lan and D. L. DeMets, "Discrete sequential boundaries for clinical trials", *Biometrika* 70, 1983, pp.
-/// 659-663. It spends early, so that a clear run ends after `count` trials; with the function of O'Brien and Fleming
-/// hardly any run would end before the last look.
+/// K. K. G. Lan and D. L. DeMets, "Discrete sequential boundaries for clinical trials",
+/// *Biometrika* 70, 1983, pp. 659-663. It spends early, so that a clear run ends after `count`
+/// trials; with the function of O'Brien and Fleming hardly any run would end before the last look.
 fn spent_error_share(t: f64) -> f64 {
     if t >= 1.0 { 1.0 } else { ((std::f64::consts::E - 1.0) * t).ln_1p() }
 }

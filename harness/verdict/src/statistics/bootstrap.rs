@@ -14,12 +14,12 @@ const MIN_TAIL_RESAMPLES: f64 = 10.0;
 /// If more are needed, there are no bounds.
 const MAX_RESAMPLES: usize = 20_000;
 
-/// Bias-corrected and accelerated bounds of a statistic, each one-sided at `confidence`; `None` below three values or if
-/// the statistic does not vary.
+/// Bias-corrected and accelerated bounds of a statistic, each one-sided at `confidence`; `None`
+/// below three values or if the statistic does not vary.
 ///
-/// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185: the percentile
-/// `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is from the share of resamples below the
-/// statistic, the acceleration `a` from the jackknife.
+/// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185:
+/// the percentile `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is
+/// from the share of resamples below the statistic, the acceleration `a` from the jackknife.
 pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<[f64; 2]> {
     let estimate = statistic(values);
     let acceleration = acceleration(values, &statistic)?;
@@ -41,7 +41,8 @@ pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence:
     Some([bound(1.0 - confidence)?, bound(confidence)?])
 }
 
-/// `Σ d³ / 6 (Σ d²)^1.5` with d the distance of each leave-one-out statistic below their mean (Efron 1987, equation 7.3).
+/// `Σ d³ / 6 (Σ d²)^1.5` with d the distance of each leave-one-out statistic below their mean
+/// (Efron 1987, equation 7.3).
 fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f64> {
     if values.len() < 3 {
         return None;
@@ -62,12 +63,12 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
     (squares > 0.0).then(|| sum(3) / (6.0 * squares.powf(1.5)))
 }
 
-/// Studentised bounds of an estimate, each one-sided at `confidence`; `estimate` returns it with its standard error.
-/// `None` below three values or without an error.
+/// Studentised bounds of an estimate, each one-sided at `confidence`; `estimate` returns it with
+/// its standard error. `None` below three values or without an error.
 ///
-/// P. Hall, "Theoretical comparison of bootstrap confidence intervals", *Ann. Stat.* 16, 1988, pp. 927-953: the pivot
-/// `(θ* − θ)/s*` of the resamples replaces Student's t. For the mean of skewed data and the logarithm of a deviation its
-/// upper end covers more than that of BCa.
+/// P. Hall, "Theoretical comparison of bootstrap confidence intervals", *Ann. Stat.* 16, 1988, pp.
+/// 927-953: the pivot `(θ* − θ)/s*` of the resamples replaces Student's t. For the mean of skewed
+/// data and the logarithm of a deviation its upper end covers more than that of BCa.
 pub fn studentised_bounds(
     values: &[f64],
     estimate: impl Fn(&[f64]) -> (f64, f64),
@@ -133,7 +134,8 @@ mod tests {
 
     #[test]
     fn the_acceleration_follows_the_skewness() {
-        // The leave-one-out means are the mirrored and scaled data: a = skewness/(6 √n) with the moments over n.
+        // The leave-one-out means are the mirrored and scaled data: a = skewness/(6 √n) with the
+        // moments over n.
         let centre = mean(&SKEWED);
         let moment = |power: i32| SKEWED.iter().map(|value| (value - centre).powi(power)).sum::<f64>();
         let expected = moment(3) / (6.0 * moment(2).powf(1.5));

@@ -5,8 +5,8 @@ use super::{bootstrap, normality};
 use platebench_record::EvidenceMethod;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Bounds of the mean, each one-sided at `confidence`: by t, or by bootstrap if normality is rejected. `None` below two
-/// values.
+/// Bounds of the mean, each one-sided at `confidence`: by t, or by bootstrap if normality is
+/// rejected. `None` below two values.
 pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], EvidenceMethod)> {
     let summary = SampleSummary::of(values)?;
     let normal = summary.mean_bounds(confidence)?;
@@ -17,8 +17,8 @@ pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Evidenc
     Some((bootstrap_bounds(values, mean_of, mean_and_error, confidence), EvidenceMethod::Bootstrap))
 }
 
-/// Bounds of the standard deviation, each one-sided at `confidence`: by chi-square, or by bootstrap if normality is
-/// rejected. `None` below two values.
+/// Bounds of the standard deviation, each one-sided at `confidence`: by chi-square, or by bootstrap
+/// if normality is rejected. `None` below two values.
 pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], EvidenceMethod)> {
     let summary = SampleSummary::of(values)?;
     let normal = summary.deviation_bounds(confidence)?;
@@ -32,10 +32,12 @@ pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Ev
     Some((outer_bounds(normal, bounds), EvidenceMethod::Bootstrap))
 }
 
-/// Probability that a deviation of `ratio` times the expected value is rejected, if agreement means that the expected
-/// value is in the two-sided chi-square interval with each end at `per_side` (normal data). `None` below two values.
+/// Probability that a deviation of `ratio` times the expected value is rejected, if agreement means
+/// that the expected value is in the two-sided chi-square interval with each end at `per_side`
+/// (normal data). `None` below two values.
 ///
-/// `P = 1 − F(χ²_hi/ρ²) + F(χ²_lo/ρ²)`: s² (n − 1)/σ² is chi-square distributed with n − 1 degrees of freedom, σ = ρ σ0.
+/// `P = 1 − F(χ²_hi/ρ²) + F(χ²_lo/ρ²)`: s² (n − 1)/σ² is chi-square distributed with n − 1 degrees
+/// of freedom, σ = ρ σ0.
 pub fn agreement_power(count: usize, per_side: f64, ratio: f64) -> Option<f64> {
     let chi_squared = ChiSquared::new(count.checked_sub(1)? as f64).ok()?;
     let scaled = |probability: f64| chi_squared.cdf(chi_squared.inverse_cdf(probability) / (ratio * ratio));
@@ -47,8 +49,8 @@ fn outer_bounds(one: [f64; 2], other: [f64; 2]) -> [f64; 2] {
     [one[0].min(other[0]), one[1].max(other[1])]
 }
 
-/// The outer ends of both bootstraps: BCa is too short above for skewed data, the studentised one for data with corners.
-/// Infinite if one of them has no bounds.
+/// The outer ends of both bootstraps: BCa is too short above for skewed data, the studentised one
+/// for data with corners. Infinite if one of them has no bounds.
 fn bootstrap_bounds(
     values: &[f64],
     statistic: impl Fn(&[f64]) -> f64,
@@ -65,8 +67,8 @@ fn mean_and_error(values: &[f64]) -> (f64, f64) {
         .map_or((0.0, 0.0), |summary| (summary.mean, summary.deviation / (summary.count as f64).sqrt()))
 }
 
-/// ln s with its standard error `√((m4/m2² − 1)/4n)` (M. Kendall and A. Stuart, *The Advanced Theory of Statistics* 1,
-/// section 10.5, for s², by the delta method).
+/// ln s with its standard error `√((m4/m2² − 1)/4n)` (M. Kendall and A. Stuart, *The Advanced
+/// Theory of Statistics* 1, section 10.5, for s², by the delta method).
 fn logarithm_and_error(values: &[f64]) -> (f64, f64) {
     let Some(summary) = SampleSummary::of(values).filter(|summary| summary.deviation > 0.0) else {
         return (f64::NEG_INFINITY, 0.0);

@@ -8,12 +8,12 @@ const CRITICAL_VALUE: f64 = 0.752;
 /// The correction for small samples needs at least this many values (Stephens 1986).
 const MIN_VALUES: usize = 8;
 
-/// The modified statistic A²\* of Anderson and Darling for normal data of unknown mean and deviation; `None` below eight
-/// values or if all are equal.
+/// The modified statistic A²\* of Anderson and Darling for normal data of unknown mean and
+/// deviation; `None` below eight values or if all are equal.
 ///
-/// M. A. Stephens, "Tests based on EDF statistics", in D'Agostino and Stephens, *Goodness-of-Fit Techniques*, 1986,
-/// section 4.8.5: `A² = −n − Σ (2i − 1)/n · (ln Φ(z_i) + ln(1 − Φ(z_{n+1−i})))` over the sorted standardised values, times
-/// `1 + 0.75/n + 2.25/n²`.
+/// M. A. Stephens, "Tests based on EDF statistics", in D'Agostino and Stephens, *Goodness-of-Fit
+/// Techniques*, 1986, section 4.8.5: `A² = −n − Σ (2i − 1)/n · (ln Φ(z_i) + ln(1 − Φ(z_{n+1−i})))`
+/// over the sorted standardised values, times `1 + 0.75/n + 2.25/n²`.
 pub fn anderson_darling(values: &[f64]) -> Option<f64> {
     let summary = SampleSummary::of(values)?;
     if values.len() < MIN_VALUES || summary.deviation <= 0.0 || !summary.deviation.is_finite() {
@@ -45,8 +45,8 @@ mod tests {
 
     #[test]
     fn the_statistic_equals_a_published_example() {
-        // The weights of 11 men of Shapiro and Wilk 1965: A² = 0.947, and times 1 + 0.75/11 + 2.25/121.
-        // Their own test rejects normality too.
+        // The weights of 11 men of Shapiro and Wilk 1965: A² = 0.947, and times 1 + 0.75/11 +
+        // 2.25/121. Their own test rejects normality too.
         let weights = [148.0, 154.0, 158.0, 160.0, 161.0, 162.0, 166.0, 170.0, 182.0, 195.0, 236.0];
         let statistic = anderson_darling(&weights).unwrap();
         assert!((statistic - 0.947 * 1.086_78).abs() < 5e-3, "{statistic}");

@@ -1,26 +1,37 @@
 //! Bounds the probability of an event by its observed frequency.
 
+use crate::bisection::bisect;
 use statrs::function::beta::beta_reg;
 
 /// Halvings of the unit interval, to the resolution of a double.
 const BISECTION_STEPS: u32 = 60;
 
-/// Bounds of the probability of an event that was observed `seen` times in `count` independent trials, each one-sided at
-/// `confidence`; `None` without trials. They cover at least at that rate.
+/// Bounds of the probability of an event that was observed `seen` times in `count` independent
+/// trials, each one-sided at `confidence`; `None` without trials. They cover at least at that rate.
 ///
-/// C. J. Clopper and E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413: the probabilities at which as many, or as few,
-/// are observed with probability `1 − confidence`. No event in n trials gives `1 − (1 − confidence)^(1/n)`.
+/// C. J. Clopper and E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413: the probabilities at which
+/// as many, or as few, are observed with probability `1 − confidence`. No event in n trials gives
+/// `1 − (1 − confidence)^(1/n)`.
 pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2]> {
     if count == 0 || seen > count {
         return None;
     }
     let tail = 1.0 - confidence;
-    let lower = if seen == 0 { 0.0 } else { bisect(|p| probability_at_least(seen, count, p) >= tail) };
-    let upper = if seen == count { 1.0 } else { bisect(|p| probability_at_most(seen, count, p) < tail) };
+    let lower = if seen == 0 {
+        0.0
+    } else {
+        bisect(0.0, 1.0, BISECTION_STEPS, |p| probability_at_least(seen, count, p) >= tail)
+    };
+    let upper = if seen == count {
+        1.0
+    } else {
+        bisect(0.0, 1.0, BISECTION_STEPS, |p| probability_at_most(seen, count, p) < tail)
+    };
     Some([lower, upper])
 }
 
-/// Probability of at most `seen` events of probability `p` in `count` trials: `I_{1−p}(n − k, k + 1)`.
+/// Probability of at most `seen` events of probability `p` in `count` trials: `I_{1−p}(n − k, k +
+/// 1)`.
 pub fn probability_at_most(seen: u32, count: u32, p: f64) -> f64 {
     if seen >= count {
         1.0
@@ -38,23 +49,14 @@ pub fn probability_at_least(seen: u32, count: u32, p: f64) -> f64 {
     }
 }
 
-/// The value between 0 and 1 from which `holds` is true.
-fn bisect(holds: impl Fn(f64) -> bool) -> f64 {
-    let (mut low, mut high) = (0.0, 1.0);
-    for _ in 0..BISECTION_STEPS {
-        let middle = f64::midpoint(low, high);
-        if holds(middle) { high = middle } else { low = middle }
-    }
-    high
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use rstest::rstest;
 
     #[rstest]
-    // 1 − 0.05^(1/n): no event in 30 trials gives 9.5 %; below 1 % needs 299 and below 0.1 % 2995 trials.
+    // 1 − 0.05^(1/n): no event in 30 trials gives 9.5 %; below 1 % needs 299 and below 0.1 % 2995
+    // trials.
     #[case(0, 30, 0.0, 0.095_034)]
     #[case(0, 299, 0.0, 0.009_969)]
     #[case(0, 2_995, 0.0, 0.000_999_7)]

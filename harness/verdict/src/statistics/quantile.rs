@@ -2,14 +2,14 @@
 
 use super::proportion::probability_at_most;
 
-/// The quantile of `values` at `share` and its bounds, each one-sided at `confidence`. Both are values of the sample, for
-/// any distribution. A bound is infinite if the sample is too small: the upper one of the 95 % quantile at 95 % needs 59
-/// values. `None` without values.
+/// The quantile of `values` at `share` and its bounds, each one-sided at `confidence`. Both are
+/// values of the sample, for any distribution. A bound is infinite if the sample is too small: the
+/// upper one of the 95 % quantile at 95 % needs 59 values. `None` without values.
 ///
-/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: the number of values at or below the
-/// quantile is binomial. The upper bound is the r-th smallest value with the least r for which
-/// `P(B(n, share) ≤ r − 1) ≥ confidence`, the lower one that with the greatest r for which
-/// `P(B(n, share) ≤ r − 1) ≤ 1 − confidence`.
+/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: the number of
+/// values at or below the quantile is binomial. The upper bound is the r-th smallest value with the
+/// least r for which `P(B(n, share) ≤ r − 1) ≥ confidence`, the lower one that with the greatest r
+/// for which `P(B(n, share) ≤ r − 1) ≤ 1 − confidence`.
 pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f64, [f64; 2])> {
     let count = u32::try_from(values.len()).ok().filter(|count| *count > 0)?;
     let mut sorted = values.to_vec();

@@ -26,7 +26,8 @@ impl SampleSummary {
         Some(Self { count, mean, deviation })
     }
 
-    /// One-sided bounds of the mean by Student's t (normal data, unknown deviation). `None` below two values.
+    /// One-sided bounds of the mean by Student's t (normal data, unknown deviation). `None` below
+    /// two values.
     pub fn mean_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
         let freedom = self.degrees_of_freedom()?;
         let quantile = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(confidence);
@@ -34,7 +35,8 @@ impl SampleSummary {
         Some([self.mean - half, self.mean + half])
     }
 
-    /// One-sided bounds of the standard deviation by chi-square: `s √(f/χ²)` (normal data). `None` below two values.
+    /// One-sided bounds of the standard deviation by chi-square: `s √(f/χ²)` (normal data). `None`
+    /// below two values.
     pub fn deviation_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
         let freedom = self.degrees_of_freedom()?;
         let chi_squared = ChiSquared::new(freedom).ok()?;

@@ -58,7 +58,8 @@ impl TestDistribution {
     }
 }
 
-/// Share of runs, percent, in which each lower and upper end is on its side of the truth: mean, then deviation.
+/// Share of runs, percent, in which each lower and upper end is on its side of the truth: mean,
+/// then deviation.
 fn coverage(data: TestDistribution, count: usize, confidence: f64, runs: u32) -> [[f64; 2]; 2] {
     let mut random = ChaCha8Rng::seed_from_u64(2016);
     let mut covered = [[0_u32; 2]; 2];
@@ -93,7 +94,8 @@ fn covers_normal_data_by_two_sided_intervals() {
     }
 }
 
-/// The lowest coverage of an end, mean and deviation, of `docs/verdicts.md`, less two standard errors of the simulation.
+/// The lowest coverage of an end, mean and deviation, of `docs/verdicts.md`, less two standard
+/// errors of the simulation.
 #[rstest]
 #[case(TestDistribution::HalfNormal, 30, 92.5, 91.0)]
 #[case(TestDistribution::Exponential, 30, 91.5, 84.5)]
@@ -111,7 +113,8 @@ fn covers_skewed_data_as_documented(
     // Without resampling the deviation of exponential data would be covered in 77 % of runs.
 }
 
-/// The table of `docs/verdicts.md`: `cargo test -p platebench-verdict --release -- --ignored coverage_table --nocapture`.
+/// The table of `docs/verdicts.md`: `cargo test -p platebench-verdict --release -- --ignored
+/// coverage_table --nocapture`.
 #[test]
 #[ignore = "takes minutes; for the documentation"]
 fn coverage_table() {

@@ -36,7 +36,8 @@ fn the_worst_is_named_with_its_place_and_its_size() {
     assert_eq!(found.ratio(), 4.0);
 }
 
-/// The relative part goes with the golden value, not with the response; near zero only the absolute part is left.
+/// The relative part goes with the golden value, not with the response; near zero only the absolute
+/// part is left.
 #[rstest]
 #[case(100.0, 111.0, true)]
 #[case(100.0, 111.0_f64.next_up(), false)]

@@ -145,7 +145,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     assert!(record.steps[5].attempts[0].ended.is_none() && record.steps[5].attempts[1].ended.is_some());
     assert_eq!(complete_trace_count(&traces), 8);
     assert_eq!(folder.read("record/steps/05-s/run.json"), sealed_step, "a finished step is not changed");
-    assert!(folder.read("record/record.html").contains("begun 2 times"));
+    assert!(folder.read("record/record.html").contains("started 2 times"));
 
     // As after a kill between verdict and seal: sealed without a rig.
     for name in ["manifest.sha256", "manifest.sha256.sig"] {

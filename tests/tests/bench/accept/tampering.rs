@@ -70,7 +70,7 @@ const CASES: [TamperCase; 13] = [
             fs::remove_file(folder.join("manifest.sha256.sig")).unwrap();
             reseal(folder);
         },
-        "session.json: the session says fail, its evidence says pass",
+        "session.json: the session has verdict fail, its evidence gives pass",
     ),
 ];
 
@@ -105,12 +105,12 @@ fn a_resealed_record_is_checked_against_its_traces() {
     replace_text(&record.join("steps/05-s/run.json"), PASS, FAIL);
     verify_resealed()
         .assert_exit(1)
-        .assert_output(&["steps/05-s/run.json: the traces, judged again, do not bear it out"]);
+        .assert_output(&["steps/05-s/run.json: the traces, judged again, give other verdicts"]);
     folder.write("record/steps/05-s/run.json", &run);
     replace_text(&record.join(SESSION), "\"text\": \"It settles.\"", "\"text\": \"It hums.\"");
     verify_resealed()
         .assert_exit(1)
-        .assert_output(&["session.json: R-1: text or evidence is not what plan and traces say"]);
+        .assert_output(&["session.json: R-1: text or evidence differs from plan and traces"]);
     replace_text(&record.join(SESSION), "\"text\": \"It hums.\"", "\"text\": \"It settles.\"");
     verify_resealed().assert_exit(0);
     flip_one_byte(&record.join(TRACE));

@@ -80,7 +80,8 @@ fn stops_if_more_trials_cannot_change_the_verdict() {
     }
 }
 
-/// Shares of passed and failed runs, and the mean number of trials; `draw` converts a standard normal number.
+/// Shares of passed and failed runs, and the mean number of trials; `draw` converts a standard
+/// normal number.
 fn sequential_pass_rate(expect: &str, count: u32, most: u32, runs: u32, draw: impl Fn(f64) -> f64) -> (f64, f64, f64) {
     let scenario = sequential_scenario(&[expect], count, most);
     let mut random = ChaCha8Rng::seed_from_u64(11);

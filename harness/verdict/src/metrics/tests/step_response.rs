@@ -99,7 +99,8 @@ fn finds_the_starts_of_setpoint_changes(#[case] points: &[(f64, f64)], #[case] s
     assert_eq!(setpoint_steps(&trace), steps);
 }
 
-/// 2 µm from 0 ms, 1 µm from 10 ms, 3 µm from 20 ms; each reached on a straight line, in 2, 1 and 4 ms.
+/// 2 µm from 0 ms, 1 µm from 10 ms, 3 µm from 20 ms; each reached on a straight line, in 2, 1 and 4
+/// ms.
 fn staircase_rows() -> Vec<Row> {
     let setpoint = |t: f64| {
         if t < 10.0 {
@@ -139,7 +140,8 @@ fn the_worst_window_decides() {
     assert_eq!(measure(&settling, &never, &EMPTY_TELEMETRY), Measure::Missing(MissingValue::NeverSettles));
 }
 
-/// Two taps at 10 and 20 ms, recovered after 3 and 6 ms. A step of 0.0001 µm at 15 ms must not end the second window.
+/// Two taps at 10 and 20 ms, recovered after 3 and 6 ms. A step of 0.0001 µm at 15 ms must not end
+/// the second window.
 #[test]
 fn judges_each_tap_in_its_own_window() {
     let setpoint = |t: f64| if t < 15.0 { 2.0 } else { 2.0001 };

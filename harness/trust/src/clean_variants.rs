@@ -1,0 +1,33 @@
+//! Lists correct controllers that differ from the firmware.
+
+use crate::mutant_controller::{Mutant, MutantController};
+use crate::mutants::clean::{ByteWiseReads, OtherGains, OwnClock, ReportedComputeTime};
+use platebench_rig::{BoxedLink, HostedLink};
+
+/// A correct controller that differs from the firmware.
+#[derive(Debug, Clone, Copy)]
+pub struct CleanVariant {
+    /// Unique name.
+    pub name: &'static str,
+    /// The difference, in one line.
+    pub description: &'static str,
+    build: fn() -> Box<dyn Mutant>,
+}
+
+impl CleanVariant {
+    /// A link to the hosted controller with the difference.
+    pub fn link(&self) -> BoxedLink {
+        Box::new(MutantController::new(HostedLink::new(), self.build))
+    }
+}
+
+/// Every clean variant.
+pub fn clean_variants() -> Vec<CleanVariant> {
+    let variant = |name, description, build| CleanVariant { name, description, build };
+    vec![
+        variant("gains-plus-5", "amplitude gains 5 % higher", || Box::new(OtherGains(1.0 / 1.05))),
+        variant("compute-time", "reports 200 µs per control step", || Box::new(ReportedComputeTime)),
+        variant("own-clock", "clock with another start, which wraps and is 100 ppm fast", || Box::new(OwnClock)),
+        variant("byte-wise", "reads and writes byte by byte", || Box::new(ByteWiseReads)),
+    ]
+}

@@ -1,0 +1,111 @@
+//! Defines an entry of the catalogue, and the names that entries share.
+
+use crate::mutant_controller::{Mutant, MutantController};
+use crate::mutants::loops::{HandwrittenLoops, Omission};
+use crate::mutants::values::NoMutation;
+use platebench_record::ViolationKind;
+use platebench_rig::{BoxedLink, HostedLink};
+use platebench_scenario::Metric;
+
+/// A mutant without its mistake. An expectation that the reference fails catches no mutant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ReferenceController {
+    /// The firmware.
+    Firmware,
+    /// The firmware with independent PI loops instead of its `dq-pi`.
+    Handwritten,
+}
+
+impl ReferenceController {
+    /// Every reference.
+    pub const ALL: [Self; 2] = [Self::Firmware, Self::Handwritten];
+
+    /// A link to the controller without a mistake.
+    pub fn link(self) -> BoxedLink {
+        match self {
+            Self::Firmware => Box::new(HostedLink::new()),
+            Self::Handwritten => Box::new(MutantController::new(HostedLink::new(), || {
+                Box::new(HandwrittenLoops::without(Omission::Nothing))
+            })),
+        }
+    }
+}
+
+/// A mutant of the catalogue.
+#[derive(Debug, Clone, Copy)]
+pub struct MutantSpec {
+    /// Unique name.
+    pub name: &'static str,
+    /// The mistake, in one line.
+    pub description: &'static str,
+    /// Metrics that should detect it; a failure of another metric is the wrong reason.
+    pub detecting_metrics: &'static [Metric],
+    /// Violations of the protocol that should detect it.
+    pub detecting_violations: &'static [ViolationKind],
+    /// A scenario that detects it by one of these metrics or violations.
+    pub witness_scenario: &'static str,
+    /// The controller without the mistake.
+    pub reference: ReferenceController,
+    /// Creates the mutant for a trial.
+    pub build: fn() -> Box<dyn Mutant>,
+}
+
+impl MutantSpec {
+    /// A link to a hosted controller with the mistake.
+    pub fn link(&self) -> BoxedLink {
+        Box::new(MutantController::new(HostedLink::new(), self.build))
+    }
+
+    /// A mutant without a mistake, which must survive.
+    pub fn unmutated() -> Self {
+        Self {
+            name: "unmutated",
+            description: "none",
+            detecting_metrics: &Metric::ALL,
+            detecting_violations: &[],
+            witness_scenario: "paper/fig13-closed-loop.toml",
+            reference: ReferenceController::Firmware,
+            build: || Box::new(NoMutation),
+        }
+    }
+}
+
+pub(crate) const AMPLITUDE: &[Metric] = &[Metric::StaticError];
+pub(crate) const DYNAMICS: &[Metric] =
+    &[Metric::SettlingTime, Metric::Overshoot, Metric::RecoveryTime, Metric::PeakDeviation, Metric::DrivePeak];
+pub(crate) const DISTURBANCE: &[Metric] = &[Metric::PeakDeviation, Metric::RecoveryTime];
+pub(crate) const RESONANCE: &[Metric] = &[Metric::FrequencyError, Metric::QuadratureRatio];
+pub(crate) const SHUTDOWN: &[Metric] = &[Metric::ShutdownTime];
+pub(crate) const RESPONSE: &[Metric] =
+    &[Metric::Overshoot, Metric::SettlingTime, Metric::StaticError, Metric::MissedReplies];
+
+pub(crate) const FIG13: &str = "paper/fig13-closed-loop.toml";
+pub(crate) const FIG14: &str = "paper/fig14-closed-loop.toml";
+pub(crate) const FIG15: &str = "paper/fig15-frequency.toml";
+pub(crate) const FIG16: &str = "paper/fig16-closed-loop.toml";
+pub(crate) const TEMPERATURE_RAMP: &str = "paper/temperature-ramp.toml";
+pub(crate) const DRUMMING_FINGER: &str = "guards/drumming-finger.toml";
+pub(crate) const SILENCE: &str = "faults/five-periods-of-silence.toml";
+pub(crate) const NOISE_STORM: &str = "faults/noise-storm.toml";
+
+pub(crate) const fn mutant(
+    name: &'static str,
+    description: &'static str,
+    detecting_metrics: &'static [Metric],
+    witness_scenario: &'static str,
+    build: fn() -> Box<dyn Mutant>,
+) -> MutantSpec {
+    let reference = ReferenceController::Firmware;
+    MutantSpec { name, description, detecting_metrics, detecting_violations: &[], witness_scenario, reference, build }
+}
+
+pub(crate) const fn handwritten_mutant(
+    name: &'static str,
+    description: &'static str,
+    detecting_metrics: &'static [Metric],
+    witness_scenario: &'static str,
+    build: fn() -> Box<dyn Mutant>,
+) -> MutantSpec {
+    let reference = ReferenceController::Handwritten;
+    MutantSpec { reference, ..mutant(name, description, detecting_metrics, witness_scenario, build) }
+}
