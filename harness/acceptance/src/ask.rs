@@ -65,10 +65,10 @@ mod tests {
         }
     }
 
-    fn ask_with_answer(rig: &str, answer: AnswerKind, when: When, said: Answer) -> Result<StepRecord, AcceptError> {
+    fn ask_with_answer(rig: &str, answer: AnswerKind, when: When, given: Answer) -> Result<StepRecord, AcceptError> {
         let ask = Ask { id: "safe".to_owned(), question: "Is it safe?".to_owned(), answer, when };
         let mut step = StepRecord::new("02-ask-safe".to_owned(), &ask.question, StepKind::Ask);
-        ask_operator(&ask, &rig.parse().unwrap(), &mut step, &FixedAnswer(said), &CancelToken::never()).map(|()| step)
+        ask_operator(&ask, &rig.parse().unwrap(), &mut step, &FixedAnswer(given), &CancelToken::never()).map(|()| step)
     }
 
     const BOARD_RIGS: [&str; 4] =
@@ -103,8 +103,8 @@ mod tests {
 
     #[test]
     fn a_no_after_the_last_scenario_does_not_stop() {
-        for said in [Answer::Absent, Answer::Terminal("no".to_owned())] {
-            let step = ask_with_answer("serial:p", AnswerKind::Confirm, When::After, said).unwrap();
+        for given in [Answer::Absent, Answer::Terminal("no".to_owned())] {
+            let step = ask_with_answer("serial:p", AnswerKind::Confirm, When::After, given).unwrap();
             assert_eq!(step.verdict, Some(Verdict::Inconclusive));
         }
         let step = ask_with_answer("serial:p", AnswerKind::Text, When::Before, Answer::Absent).unwrap();

@@ -66,7 +66,7 @@ pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
     write_atomically(&path, text.as_bytes()).map_err(AcceptError::io(&path))
 }
 
-/// Holds every file in `folder` against the manifest's `text`.
+/// Compares every file in `folder` with the manifest `text`.
 pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
     let mut differences = Vec::new();
     let mut listed: BTreeMap<&str, &str> = BTreeMap::new();
@@ -96,7 +96,7 @@ pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
     differences
 }
 
-/// Hash and name of a line. A name that leads out of the record is none.
+/// Hash and name of a line; `None` if the name leaves the record.
 fn parse_line(line: &str) -> Option<(&str, &str)> {
     let (hash, name) = line.strip_suffix('\n')?.split_once("  ")?;
     let is_hash = hash.len() == 64 && hash.bytes().all(|digit| matches!(digit, b'0'..=b'9' | b'a'..=b'f'));
@@ -104,7 +104,7 @@ fn parse_line(line: &str) -> Option<(&str, &str)> {
     (is_hash && is_inside).then_some((hash, name))
 }
 
-/// What lies in a record.
+/// Content of a record.
 #[derive(Default)]
 struct FolderContents {
     files: BTreeSet<String>,
@@ -123,8 +123,8 @@ impl FolderContents {
         };
         for entry in entries {
             let Some(last) = entry.file_name().to_str().map(str::to_owned) else {
-                let shown = format!("{prefix}{}", entry.file_name().to_string_lossy());
-                self.not_files.insert(shown.clone(), Difference::NotAFile(shown));
+                let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
+                self.not_files.insert(name.clone(), Difference::NotAFile(name));
                 continue;
             };
             let name = format!("{prefix}{last}");

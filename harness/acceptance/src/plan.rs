@@ -1,6 +1,6 @@
 //! Reads the plan of a session: requirements, scenarios, questions.
 //!
-//! The plan file contains the text of each requirement; expectations of scenarios contain its identifier.
+//! The plan contains the text of each requirement; expectations of scenarios contain its identifier.
 
 use platebench_scenario::{Diagnostic, Scenario, find, input, schema};
 use schemars::{JsonSchema, Schema};
@@ -88,7 +88,7 @@ pub struct Ask {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AnswerKind {
-    /// Yes or no. Without a yes the session does not pass, and does not start on a rig that may drive a plate.
+    /// Yes or no. Without a yes the session does not pass, nor start if the rig may drive a plate.
     #[default]
     Confirm,
     /// A line of text, which is only recorded.
@@ -99,7 +99,7 @@ pub enum AnswerKind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum When {
-    /// Before the first scenario. A no stops the session; so does no answer on a rig that may drive a plate.
+    /// Before the first scenario. A no stops the session; so does no answer if the rig may drive a plate.
     #[default]
     Before,
     /// After the last scenario. A no prevents a pass.
@@ -110,7 +110,7 @@ pub enum When {
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BenchDemands {
-    /// Trials of the shortest scenario in real time with the hosted controller, to measure lateness.
+    /// Trials of the shortest scenario in real time with the hosted controller; they measure lateness.
     #[schemars(range(min = 1, max = 1_000))]
     pub timing_trials: u32,
     /// Clean runs of the scenarios; none may be a false alarm.

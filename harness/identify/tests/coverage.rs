@@ -108,7 +108,7 @@ fn direct_fit_intervals_cover_random_plates() {
             );
         }
     }
-    // 1 % of white residuals are refused; twice four standard errors of that are allowed for.
+    // 1 % of white residuals are rejected; the bound adds twice four standard errors.
     assert!(white >= PLATES - 13, "{white} of {PLATES} white");
 }
 

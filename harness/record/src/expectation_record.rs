@@ -11,15 +11,15 @@ use serde::{Deserialize, Serialize};
 pub struct ExpectationRecord {
     /// Unique in the scenario; it does not depend on the limit.
     pub name: String,
-    /// What is measured.
+    /// The measured quantity.
     pub metric: Metric,
     /// Its verdict.
     pub verdict: Verdict,
     /// The value that decided, see `statistic`; `None` if the deciding trial has no number.
     pub value: Option<f64>,
-    /// What the value is.
+    /// Kind of the value.
     pub statistic: Statistic,
-    /// What the value is compared with.
+    /// The required range.
     pub limit: Limit,
     /// [`Statistic::Worst`]: smallest and largest over trials; otherwise bounds at `confidence`.
     pub interval: Option<[f64; 2]>,

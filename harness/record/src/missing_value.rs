@@ -60,7 +60,7 @@ pub enum UndefinedValue {
     /// The setpoint is 0 in the window.
     #[error("no setpoint to deviate from")]
     NoSetpointToDeviateFrom,
-    /// The step ends where it began.
+    /// The step ends at its start value.
     #[error("the setpoint returns to its start value")]
     NoNetStep,
     /// Wq/Wd has no value.

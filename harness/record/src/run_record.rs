@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::Path;
 
-/// Version of the format; readers refuse others.
+/// Version of the format; readers reject others.
 pub const FORMAT: u32 = 1;
 
 /// A run.

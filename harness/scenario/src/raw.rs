@@ -1,6 +1,7 @@
 //! Defines the scenario file as serde reads it, before any check.
 
-use crate::bounds::{MAX_PERIOD_MS, MAX_SPREAD_PERCENT, MAX_TRIALS};
+use crate::bounds::{MAX_PERIOD_MS, MAX_TRIALS};
+use crate::scenario::{Gains, Spread};
 use platebench_plate::RawProfile;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -88,21 +89,7 @@ pub struct RawController {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub frequency_slew_hz: Option<f64>,
     /// Gains instead of the law's own design.
-    pub gains: Option<RawGains>,
-}
-
-/// `[controller.gains]`
-#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct RawGains {
-    /// Amplitude loop, Vpp per µm.
-    pub amplitude_kp: f64,
-    /// Amplitude loop, Vpp per µm and second.
-    pub amplitude_ki: f64,
-    /// Frequency loop, rad/s per unit of Wq/Wd.
-    pub frequency_kp: f64,
-    /// Frequency loop, rad/s per unit of Wq/Wd and second.
-    pub frequency_ki: f64,
+    pub gains: Option<Gains>,
 }
 
 /// `[profile]`
@@ -137,31 +124,13 @@ pub struct RawTrials {
     #[schemars(range(min = 0))]
     pub seed: i64,
     /// Differences between trials.
-    pub spread: RawSpread,
+    pub spread: Spread,
 }
 
 impl Default for RawTrials {
     fn default() -> Self {
-        Self { count: 1, max_count: None, seed: 1, spread: RawSpread::default() }
+        Self { count: 1, max_count: None, seed: 1, spread: Spread::default() }
     }
-}
-
-/// `[trials.spread]`: standard deviations.
-#[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct RawSpread {
-    /// Of the plate's gain K1, percent.
-    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
-    pub gain_percent: f64,
-    /// Of the plate's time constant, percent.
-    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
-    pub time_constant_percent: f64,
-    /// Of the sensor's gain, percent.
-    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
-    pub sensor_gain_percent: f64,
-    /// Of the temperature, kelvin.
-    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
-    pub temperature_k: f64,
 }
 
 /// `[[fault]]`
@@ -206,7 +175,7 @@ pub struct RawExpectation {
     /// The measured quantity.
     #[schemars(schema_with = "crate::schema::metrics")]
     pub metric: String,
-    /// Name in report and JUnit, unique in the file; by default the metric, then `metric 2`, `metric 3`.
+    /// Name in reports, unique in the file; default: the metric, then `metric 2`, `metric 3`.
     pub name: Option<String>,
     /// Upper limit.
     pub at_most: Option<f64>,
@@ -240,7 +209,7 @@ pub struct RawExpectation {
     /// Start of the judged window, ms.
     #[schemars(range(min = 0.0))]
     pub from_ms: Option<f64>,
-    /// End of the judged window, ms; by default the end of the trial, or the next setpoint step for settling and overshoot.
+    /// End of the judged window, ms; default: end of the trial, or the next step of the setpoint.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
     /// Judge after each change of this profile, up to the next change of any profile.

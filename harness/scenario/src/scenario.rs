@@ -1,9 +1,12 @@
 //! Defines a checked scenario.
 
+use crate::bounds::MAX_SPREAD_PERCENT;
 use crate::diagnostic::Diagnostic;
 use crate::expect::Expectation;
 use crate::fault::Fault;
 use platebench_plate::{ConditionProfiles, Plate, Profile, Tier, Time};
+use schemars::JsonSchema;
+use serde::Deserialize;
 use std::path::PathBuf;
 
 /// The name of the model that is exact for the plate file.
@@ -12,7 +15,7 @@ pub const AUTO_MODEL: &str = "auto";
 /// An input file of a scenario.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InputFile {
-    /// Where it was read.
+    /// Its path.
     pub path: PathBuf,
     /// Its content.
     pub bytes: Vec<u8>,
@@ -78,16 +81,17 @@ pub struct Controller {
     pub gains: Option<Gains>,
 }
 
-/// Gains of both loops; units as in the wire protocol.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// `[controller.gains]`: gains of both loops.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct Gains {
-    /// Vpp per µm.
+    /// Amplitude loop, Vpp per µm.
     pub amplitude_kp: f64,
-    /// Vpp per µm and second.
+    /// Amplitude loop, Vpp per µm and second.
     pub amplitude_ki: f64,
-    /// rad/s per unit of Wq/Wd.
+    /// Frequency loop, rad/s per unit of Wq/Wd.
     pub frequency_kp: f64,
-    /// rad/s per unit of Wq/Wd and second.
+    /// Frequency loop, rad/s per unit of Wq/Wd and second.
     pub frequency_ki: f64,
 }
 
@@ -104,16 +108,21 @@ pub struct Trials {
     pub spread: Spread,
 }
 
-/// Standard deviations from trial to trial.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+/// `[trials.spread]`: standard deviations from trial to trial.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
 pub struct Spread {
     /// Of the plate's gain K1, percent.
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub gain_percent: f64,
     /// Of the plate's time constant, percent.
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub time_constant_percent: f64,
     /// Of the sensor's gain, percent.
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub sensor_gain_percent: f64,
     /// Of the temperature, kelvin.
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub temperature_k: f64,
 }
 

@@ -152,10 +152,10 @@ fn finds_earlier_runs_in_neighbouring_folders() {
     let (own, record) = started("own", 7);
     fs::create_dir(runs.path().join("damaged")).unwrap();
     fs::write(runs.path().join("damaged").join(RECORD_FILE), "{}").unwrap();
-    let refused = std::cell::RefCell::new(Vec::new());
-    let earlier = record.earlier_runs(&own, |path, _| refused.borrow_mut().push(path.file_name().unwrap().to_owned()));
+    let skipped = std::cell::RefCell::new(Vec::new());
+    let earlier = record.earlier_runs(&own, |path, _| skipped.borrow_mut().push(path.file_name().unwrap().to_owned()));
     assert_eq!(earlier.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["at-once", "before"]);
-    assert_eq!(refused.into_inner(), ["damaged"]);
+    assert_eq!(skipped.into_inner(), ["damaged"]);
 }
 
 #[test]

@@ -50,7 +50,7 @@ impl Checker<'_> {
         let key = "controller.response_time_ms";
         let checked = |value| self.f32_range(key, self.positive(key, value)?);
         let response_time_ms = faults.collect(raw.response_time_ms.map(checked).transpose());
-        let gains = faults.collect(self.gains(raw));
+        let gains = faults.collect(raw.gains.map(|gains| self.gains(gains)).transpose());
         let (loop_delay, design_delay) = delays?;
         Some(Controller {
             law,
@@ -110,23 +110,17 @@ impl Checker<'_> {
         Ok(start_frequency_hz)
     }
 
-    fn gains(&self, raw: &RawController) -> Result<Option<Gains>, Diagnostic> {
-        let Some(raw) = raw.gains else { return Ok(None) };
+    fn gains(&self, gains: Gains) -> Result<Gains, Diagnostic> {
         for (name, value) in [
-            ("amplitude_kp", raw.amplitude_kp),
-            ("amplitude_ki", raw.amplitude_ki),
-            ("frequency_kp", raw.frequency_kp),
-            ("frequency_ki", raw.frequency_ki),
+            ("amplitude_kp", gains.amplitude_kp),
+            ("amplitude_ki", gains.amplitude_ki),
+            ("frequency_kp", gains.frequency_kp),
+            ("frequency_ki", gains.frequency_ki),
         ] {
             let key = format!("controller.gains.{name}");
             self.require(value.is_finite(), &key, || format!("{value}, expected a finite number"))?;
             self.f32_range(&key, value)?;
         }
-        Ok(Some(Gains {
-            amplitude_kp: raw.amplitude_kp,
-            amplitude_ki: raw.amplitude_ki,
-            frequency_kp: raw.frequency_kp,
-            frequency_ki: raw.frequency_ki,
-        }))
+        Ok(gains)
     }
 }

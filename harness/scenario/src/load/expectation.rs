@@ -29,7 +29,7 @@ pub(super) fn expectation_names(raw: &[RawExpectation]) -> Vec<String> {
 }
 
 impl Checker<'_> {
-    /// Refuses two expectations with the same name.
+    /// Rejects two expectations with the same name.
     pub(super) fn check_names(&self, raw: &[RawExpectation], expectations: &[Expectation]) -> Result<(), Diagnostic> {
         let mut known = HashSet::new();
         let twice = expectations.iter().position(|expectation| !known.insert(&expectation.name));

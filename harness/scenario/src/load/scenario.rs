@@ -4,7 +4,7 @@ use super::checker::{Checker, Diagnostics, TrialContext};
 use super::expectation::expectation_names;
 use crate::bounds::{MAX_SPREAD_PERCENT, MAX_TRIALS};
 use crate::diagnostic::Diagnostic;
-use crate::raw::{RawScenario, RawSpread, RawTrials};
+use crate::raw::{RawScenario, RawTrials};
 use crate::scenario::{AUTO_MODEL, Controller, InputFile, Scenario, Spread, Trials};
 use crate::window::ProfileChanges;
 use platebench_plate::{ConditionProfiles, Plate, RawProfile, Tier, Time};
@@ -157,31 +157,22 @@ impl Checker<'_> {
             format!("{max_count} trials, expected count ({}) to {MAX_TRIALS}", raw.count)
         })?;
         self.require(raw.seed >= 0, "trials.seed", || format!("{}, expected 0 or more", raw.seed))?;
-        Ok(Trials {
-            count: raw.count as u32,
-            max_count: max_count as u32,
-            seed: raw.seed as u64,
-            spread: self.spread(&raw.spread)?,
-        })
+        self.check_spread(&raw.spread)?;
+        Ok(Trials { count: raw.count as u32, max_count: max_count as u32, seed: raw.seed as u64, spread: raw.spread })
     }
 
-    fn spread(&self, raw: &RawSpread) -> Result<Spread, Diagnostic> {
+    fn check_spread(&self, spread: &Spread) -> Result<(), Diagnostic> {
         for (name, value, unit) in [
-            ("gain_percent", raw.gain_percent, "%"),
-            ("time_constant_percent", raw.time_constant_percent, "%"),
-            ("sensor_gain_percent", raw.sensor_gain_percent, "%"),
-            ("temperature_k", raw.temperature_k, "K"),
+            ("gain_percent", spread.gain_percent, "%"),
+            ("time_constant_percent", spread.time_constant_percent, "%"),
+            ("sensor_gain_percent", spread.sensor_gain_percent, "%"),
+            ("temperature_k", spread.temperature_k, "K"),
         ] {
             let fits = (0.0..=MAX_SPREAD_PERCENT).contains(&value);
             self.require(fits, &format!("trials.spread.{name}"), || {
                 format!("a standard deviation of {value} {unit}, expected 0 to {MAX_SPREAD_PERCENT} {unit}")
             })?;
         }
-        Ok(Spread {
-            gain_percent: raw.gain_percent,
-            time_constant_percent: raw.time_constant_percent,
-            sensor_gain_percent: raw.sensor_gain_percent,
-            temperature_k: raw.temperature_k,
-        })
+        Ok(())
     }
 }

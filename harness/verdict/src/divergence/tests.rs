@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
 
-/// 2 µm for 120 ms at 1 kHz, with more TOML behind it.
+/// 2 µm for 120 ms at 1 kHz, followed by `more` TOML.
 fn scenario(noise_um: f64, more: &str) -> Scenario {
     let folder = tempfile::tempdir().unwrap();
     let silent = "noise_um_rms = 0.0";
@@ -21,8 +21,7 @@ fn scenario(noise_um: f64, more: &str) -> Scenario {
     platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
 }
 
-/// A row every 50 µs up to `end_ms`, by what is above the setpoint and what is in quadrature, both
-/// in its units.
+/// A row every 50 µs up to `end_ms`; deviation and quadrature in units of the setpoint.
 fn rows(end_ms: f64, deviation: impl Fn(f64) -> f64, quadrature: impl Fn(f64) -> f64) -> Vec<Row> {
     let count = (end_ms / 0.05).round() as u32;
     let row = |number: u32| {
@@ -39,7 +38,7 @@ fn rows(end_ms: f64, deviation: impl Fn(f64) -> f64, quadrature: impl Fn(f64) ->
     (0..=count).map(row).collect()
 }
 
-/// A swing of 200 Hz whose height is `size` of the time in ms.
+/// An oscillation of 200 Hz with the height `size(t_ms)`.
 fn oscillation(size: impl Fn(f64) -> f64) -> impl Fn(f64) -> f64 {
     move |t_ms| size(t_ms) * (TAU * 0.2 * t_ms).sin()
 }
@@ -61,7 +60,7 @@ fn divergence_of(rows: &[Row]) -> Option<f64> {
 #[case::keeps_99_percent_per_third(0.2, 0.99_f64.ln() / 40.0, true)]
 #[case::keeps_97_percent_per_third(0.2, 0.97_f64.ln() / 40.0, false)]
 #[case::grows_but_stays_within_the_band(0.001, 0.02, false)]
-fn a_swing_that_does_not_decay_is_a_divergence(#[case] size: f64, #[case] rate: f64, #[case] diverged: bool) {
+fn detects_a_swing_that_does_not_decay(#[case] size: f64, #[case] rate: f64, #[case] diverged: bool) {
     let rows = rows(120.0, oscillation(|t_ms| size * (rate * t_ms).exp()), zero);
     assert_eq!(divergence_of(&rows).is_some(), diverged);
 }
@@ -72,34 +71,33 @@ fn a_swing_that_does_not_decay_is_a_divergence(#[case] size: f64, #[case] rate: 
 #[case::slow_approach(|t_ms: f64| -(-t_ms / 200.0).exp())]
 #[case::slow_drift_through_the_setpoint(|t_ms: f64| (t_ms - 60.0) / 100.0)]
 #[case::one_swing_per_third(|t_ms: f64| 0.3 * (TAU * t_ms / 40.0).sin())]
-fn what_does_not_swing_around_the_setpoint_is_something_else(#[case] deviation: fn(f64) -> f64) {
+fn ignores_deviations_without_a_swing(#[case] deviation: fn(f64) -> f64) {
     assert_eq!(divergence_of(&rows(120.0, deviation, zero)), None);
 }
 
-/// A frequency loop on its way from one side of the resonance to the other leaves |W| above the
-/// setpoint, or below it.
+/// A frequency loop that crosses the resonance keeps |W| on one side of the setpoint.
 #[test]
-fn a_quadrature_component_that_swings_counts_where_the_amplitude_swings_with_it() {
+fn counts_a_quadrature_swing_with_an_amplitude_swing() {
     let one_sided = |t_ms: f64| 0.2 * (TAU * 0.2 * t_ms).sin().powi(2);
     let quadrature = oscillation(|_| 0.6);
     assert!(divergence_of(&rows(120.0, one_sided, &quadrature)).is_some());
     assert_eq!(divergence_of(&rows(120.0, one_sided, zero)), None);
-    // Hunting around the resonance beside an offset: the amplitude itself hardly moves.
+    // The frequency oscillates around the resonance at an offset: the amplitude hardly moves.
     let offset = |t_ms: f64| -0.3 + one_sided(t_ms) / 4.0;
     assert_eq!(divergence_of(&rows(120.0, offset, &quadrature)), None);
 }
 
 #[test]
-fn what_noise_could_do_is_not_called_a_divergence() {
+fn ignores_swings_that_noise_could_cause() {
     // 25 times 8 nm are 10 % of 2 µm.
     let noisy = scenario(0.008, "");
     assert!(divergence_time_s(&noisy, &rows(120.0, oscillation(|_| 0.101), zero)).is_some());
     assert_eq!(divergence_time_s(&noisy, &rows(120.0, oscillation(|_| 0.099), zero)), None);
 }
 
-/// Thirty periods after the last event have to be there.
+/// Thirty periods after the last event are required.
 #[test]
-fn a_loop_is_given_time_after_the_last_event() {
+fn starts_after_the_last_event() {
     let swinging = |end_ms| rows(end_ms, oscillation(|_| 0.2), zero);
     assert!(divergence_of(&swinging(30.0)).is_some());
     assert_eq!(divergence_of(&swinging(29.9)), None);
@@ -130,7 +128,7 @@ fn a_loop_is_given_time_after_the_last_event() {
 }
 
 #[test]
-fn a_planned_fault_is_an_event_to_its_end() {
+fn a_planned_fault_is_an_event_until_its_end() {
     let fault = |until: &str| {
         scenario(0.0, &format!("[[fault]]\nkind = \"delay\"\ndelay_ms = 0.5\nfrom_ms = 10.0\nuntil_ms = {until}\n"))
     };
@@ -139,10 +137,9 @@ fn a_planned_fault_is_an_event_to_its_end() {
     assert_eq!(divergence_time_s(&fault("100.0"), &swinging), None);
 }
 
-/// What an amplifier cuts off comes and goes; a drive that is thrown from one of its limits to the
-/// other is not about to come to rest.
+/// Clipping varies the height of a swing between the limits of the drive.
 #[test]
-fn a_drive_thrown_between_its_limits_may_swing_unevenly() {
+fn allows_uneven_swings_between_the_drive_limits() {
     let uneven = |keeps: f64, low: f64| {
         let mut rows = rows(120.0, oscillation(|t_ms| if t_ms < 80.0 { 0.5 } else { 0.5 * keeps }), zero);
         for row in &mut rows {
@@ -156,12 +153,11 @@ fn a_drive_thrown_between_its_limits_may_swing_unevenly() {
 }
 
 #[rstest]
-// Never in the band for ten periods in a row: since it first left it, a quarter of a swing after
-// the start.
+// Never in the band for ten periods: diverged when it first left the band.
 #[case(oscillation(|_| 0.2), 0.25)]
-// Comes to rest first, and grows out of the band at ln(50)/0.06 = 65.2 ms.
+// Settles first, and leaves the band at ln(50)/0.06 = 65.2 ms.
 #[case(oscillation(|t_ms| (0.001 * (0.06 * t_ms).exp()).min(0.4)), 66.0)]
-fn it_diverged_when_it_left_the_band_for_good(#[case] deviation: impl Fn(f64) -> f64, #[case] expected_ms: f64) {
+fn the_time_is_the_last_exit_from_the_band(#[case] deviation: impl Fn(f64) -> f64, #[case] expected_ms: f64) {
     let at_ms = divergence_of(&rows(120.0, deviation, zero)).unwrap() * 1e3;
     assert!((at_ms - expected_ms).abs() < 0.5, "{at_ms}");
 }

@@ -52,7 +52,7 @@ pub struct Baseline {
     pub scenario: String,
     /// The control law.
     pub law: String,
-    /// What it was recorded with.
+    /// Its rig and firmware.
     pub build: BaselineBuild,
     /// Features of the first trial.
     pub features: ResponseFeatures,
@@ -62,11 +62,11 @@ pub struct Baseline {
     pub golden: GoldenTubes,
 }
 
-/// What a baseline was recorded with.
+/// Rig and firmware of a baseline.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BaselineBuild {
-    /// What the controller ran on.
+    /// The rig.
     pub rig: String,
     /// Name and version of the firmware.
     pub firmware: String,
@@ -211,7 +211,7 @@ impl Baseline {
     }
 
     /// Replaces both files below `folder`. The TOML file contains the hash of the CSV file, so a
-    /// reader detects a pair of which only one file was replaced.
+    /// reader detects if only one file was replaced.
     ///
     /// # Errors
     /// [`BaselineError::Io`].
@@ -246,10 +246,10 @@ impl Baseline {
             read_text_file(path, MAX_BYTES).map_err(|source| BaselineError::Io { path: path.to_owned(), source })
         };
         let (head, table) = (text(head_path)?, text(table_path)?);
-        let refused = |line, message| BaselineError::Content { path: head_path.to_owned(), line, message };
+        let content_error = |line, message| BaselineError::Content { path: head_path.to_owned(), line, message };
         let parsed: BaselineHeader = toml::from_str(&head).map_err(|error| {
             let before = error.span().and_then(|span| head.get(..span.start)).unwrap_or_default();
-            refused(before.matches('\n').count() + 1, error.message().to_owned())
+            content_error(before.matches('\n').count() + 1, error.message().to_owned())
         })?;
         let line_of = |key: &str| head.lines().position(|line| line.contains(key)).map_or(1, |index| index + 1);
         for (signal, tolerance) in &parsed.tolerance {
@@ -257,7 +257,7 @@ impl Baseline {
             let line = line_of(&format!("tolerance.{signal}"));
             if TubeSignal::from_name(signal).is_none() {
                 let known = TUBE_SIGNALS.iter().map(|signal| signal.name).collect::<Vec<_>>().join(", ");
-                return Err(refused(line, format!("tolerance of `{signal}`, expected one of {known}")));
+                return Err(content_error(line, format!("tolerance of `{signal}`, expected one of {known}")));
             }
             let fits = absolute > 0.0
                 && absolute.is_finite()
@@ -265,27 +265,26 @@ impl Baseline {
                 && (0.0..1e6).contains(&time_ms);
             if !fits {
                 let message = format!(
-                    "tolerance of {signal}: absolute {absolute}, relative {relative}, time_ms {time_ms}; expected an \
-                     absolute part above 0, without which a signal near zero has no tolerance, a relative one from 0 to 1 \
-                     and a time of 0 or more"
+                    "tolerance of {signal}: absolute {absolute}, relative {relative}, time_ms {time_ms}; expected \
+                     absolute above 0 (the tolerance near zero), relative from 0 to 1, and time_ms of 0 or more"
                 );
-                return Err(refused(line, message));
+                return Err(content_error(line, message));
             }
         }
         let rate = parsed.learned.as_ref().map(|learned| learned.false_alarm_rate);
         if rate.is_some_and(|rate| !(rate > 0.0 && rate < 1.0)) {
-            return Err(refused(
+            return Err(content_error(
                 line_of("false_alarm_rate"),
                 "expected a false-alarm rate above 0 and below 1".to_owned(),
             ));
         }
         if parsed.step_ms.is_some_and(|step| !(1e-6..1e6).contains(&step)) {
-            return Err(refused(line_of("step_ms"), "expected a step from 1e-6 to 1e6 ms".to_owned()));
+            return Err(content_error(line_of("step_ms"), "expected a step from 1e-6 to 1e6 ms".to_owned()));
         }
         let tubes = parse_tubes(&parsed, table_path, &table)?;
         if parsed.curves_sha256 != sha256(table.as_bytes()) {
             let message = format!("the curves in {} changed; accept the baseline again", table_path.display());
-            return Err(refused(line_of("curves_sha256"), message));
+            return Err(content_error(line_of("curves_sha256"), message));
         }
         Ok(Self {
             scenario: parsed.scenario,
@@ -300,11 +299,11 @@ impl Baseline {
 
 /// Parses the curves of the CSV file.
 fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tube>, BaselineError> {
-    let refused = |line: usize, message: String| BaselineError::Content { path: path.to_owned(), line, message };
+    let content_error = |line: usize, message: String| BaselineError::Content { path: path.to_owned(), line, message };
     let mut lines = (1..).zip(table.lines()).filter(|(_, line)| !line.trim().is_empty());
     let columns: Vec<&str> = lines.next().map(|(_, line)| line.split(',').collect()).unwrap_or_default();
     if columns.first() != Some(&TIME) {
-        return Err(refused(1, format!("the first column is not `{TIME}`")));
+        return Err(content_error(1, format!("the first column is not `{TIME}`")));
     }
     let column = |name: &str| columns.iter().position(|column| *column == name);
     let known = |name: &str| {
@@ -312,16 +311,16 @@ fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tu
             || name.strip_suffix(WIDTH).is_some_and(|name| head.tolerance.contains_key(name))
     };
     if let Some(strange) = columns.iter().skip(1).find(|name| !known(name)) {
-        return Err(refused(1, format!("column `{strange}` has no tolerance")));
+        return Err(content_error(1, format!("column `{strange}` has no tolerance")));
     }
     let mut tubes = Vec::new();
     for signal in TUBE_SIGNALS.iter().filter(|signal| head.tolerance.contains_key(signal.name)) {
         let Some(value) = column(signal.name) else {
-            return Err(refused(1, format!("no column `{}`, expected one for each tolerance", signal.name)));
+            return Err(content_error(1, format!("no column `{}`, expected one for each tolerance", signal.name)));
         };
         let width = column(&format!("{}{WIDTH}", signal.name));
         if width.is_some() != head.learned.is_some() {
-            return Err(refused(1, format!("column `{}{WIDTH}` and [learned] go together", signal.name)));
+            return Err(content_error(1, format!("column `{}{WIDTH}` and [learned] go together", signal.name)));
         }
         let tolerance = head.tolerance.get(signal.name).copied().unwrap_or(signal.tolerance);
         tubes.push((Tube { signal: signal.name.to_owned(), tolerance, points: Vec::new() }, value, width));
@@ -331,24 +330,27 @@ fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tu
         let numbers = text.split(',').map(|field| field.trim().parse::<f64>().ok().filter(|number| number.is_finite()));
         let numbers: Option<Vec<f64>> = numbers.collect();
         let Some(numbers) = numbers.filter(|numbers| numbers.len() == columns.len()) else {
-            return Err(refused(line, format!("expected {} finite numbers", columns.len())));
+            return Err(content_error(line, format!("expected {} finite numbers", columns.len())));
         };
         let of = |index: usize| numbers.get(index).copied().unwrap_or_default();
         let t_ms = of(0);
         if t_ms < before {
-            return Err(refused(line, format!("`{TIME}` is {t_ms}, expected a time that is not before the row above")));
+            return Err(content_error(
+                line,
+                format!("`{TIME}` is {t_ms}, expected a time that is not before the row above"),
+            ));
         }
         before = t_ms;
         for (tube, value, width) in &mut tubes {
             let width = width.map_or(0.0, of);
             if width < 0.0 {
-                return Err(refused(line, format!("a width of {width}, expected 0 or more")));
+                return Err(content_error(line, format!("a width of {width}, expected 0 or more")));
             }
             tube.points.push(TubePoint { t_ms, value: of(*value), width });
         }
     }
     if tubes.first().is_none_or(|(tube, ..)| tube.points.is_empty()) {
-        return Err(refused(2, "no rows or no signals, expected at least one".to_owned()));
+        return Err(content_error(2, "no rows or no signals, expected at least one".to_owned()));
     }
     Ok(tubes.into_iter().map(|(tube, ..)| tube).collect())
 }

@@ -168,7 +168,12 @@ fn round_trips_within_a_thousandth_of_the_tolerance() {
 }
 
 #[rstest]
-#[case::no_absolute_part("toml", "absolute = 0.01", "absolute = 0.0", "above 0, without which a signal near zero")]
+#[case::no_absolute_part(
+    "toml",
+    "absolute = 0.01",
+    "absolute = 0.0",
+    "expected absolute above 0 (the tolerance near zero)"
+)]
 #[case::relative_of_one("toml", "relative = 0.005", "relative = 1.0", "relative 1")]
 #[case::negative_time("toml", "time_ms = 0.05", "time_ms = -0.05", "time_ms -0.05")]
 #[case::unknown_key("toml", "law =", "laws =", ":2: unknown field `laws`")]
@@ -191,7 +196,7 @@ fn rejects_a_damaged_baseline_with_its_position(
     #[case] extension: &str,
     #[case] good: &str,
     #[case] bad: &str,
-    #[case] told: &str,
+    #[case] message: &str,
 ) {
     let folder = TempDir::new().unwrap();
     baseline().write(folder.path()).unwrap();
@@ -200,7 +205,7 @@ fn rejects_a_damaged_baseline_with_its_position(
     assert!(text.contains(good), "{text}");
     fs::write(&path, text.replacen(good, bad, 1)).unwrap();
     let error = Baseline::read(folder.path(), "paper/step.toml").unwrap_err().to_string();
-    assert!(error.contains(told) && error.contains(&format!("step.{extension}:")), "{error}");
+    assert!(error.contains(message) && error.contains(&format!("step.{extension}:")), "{error}");
 }
 
 #[test]

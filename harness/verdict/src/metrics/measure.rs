@@ -7,7 +7,7 @@ use platebench_record::{MissingValue, UndefinedValue};
 pub enum Measure {
     /// A number. The static error keeps its sign: mean − setpoint.
     Value(f64),
-    /// The number lies in this interval, because the signal is known at samples only.
+    /// An interval that contains the number, because the signal is known at samples only.
     Interval([f64; 2]),
     /// No number, and that is the controller's failure.
     Missing(MissingValue),

@@ -73,22 +73,22 @@ fn excludes_a_trial_with_missing_telemetry() {
     let scenario = scenario(400.0, STEP, SETTLES);
     let whole = rows(212.0, 400);
     assert_eq!(exclusion(&scenario, &whole), None);
-    let told = |rows: &[Row]| {
+    let message = |rows: &[Row]| {
         let exclusion = exclusion(&scenario, rows).unwrap();
         assert_eq!(exclusion.cause(), Cause::Rig);
         exclusion.to_string()
     };
-    assert_eq!(told(&whole[2..]), "the telemetry starts at 2 ms");
-    assert_eq!(told(&whole[..400]), "the telemetry ends at 399 ms instead of 400 ms");
+    assert_eq!(message(&whole[2..]), "the telemetry starts at 2 ms");
+    assert_eq!(message(&whole[..400]), "the telemetry ends at 399 ms instead of 400 ms");
     let mut gap = whole.clone();
     gap.remove(300);
-    assert_eq!(told(&gap), "no telemetry between 299 and 301 ms");
-    let mut deaf = whole.clone();
-    deaf[250].flags |= Flags::LINK_LOST;
-    assert_eq!(told(&deaf), "a setpoint was not acknowledged by 250 ms");
-    let mut tardy = whole.clone();
-    tardy[250].flags |= Flags::OVERRUN;
-    assert_eq!(find_exclusion(&scenario, &tardy, None).as_ref().map(Exclusion::cause), Some(Cause::Bench));
+    assert_eq!(message(&gap), "no telemetry between 299 and 301 ms");
+    let mut unacknowledged = whole.clone();
+    unacknowledged[250].flags |= Flags::LINK_LOST;
+    assert_eq!(message(&unacknowledged), "a setpoint was not acknowledged by 250 ms");
+    let mut overrun = whole.clone();
+    overrun[250].flags |= Flags::OVERRUN;
+    assert_eq!(find_exclusion(&scenario, &overrun, None).as_ref().map(Exclusion::cause), Some(Cause::Bench));
     // Timer jitter is not a gap.
     let mut late = whole.clone();
     late[300].t_s += 4e-4;
@@ -137,7 +137,7 @@ fn excludes_a_trial_with_a_wrong_force() {
         Exclusion::WrongForce { force_n: 2.71, at_ms: 0.0, expected_n: [2.0, 2.0], wrong_rows: 3_001, rows: 3_001 };
     assert_eq!(pressed(2.71, "finger_force_n = 2.0"), Some(expected));
     assert!(pressed(0.0, "finger_force_n = 2.0").is_some());
-    assert!(pressed(2.0, "").is_some(), "a hand that rests on the plate");
+    assert!(pressed(2.0, "").is_some(), "a hand rests on the plate");
     // If force is not measured, the operator's confirmation counts.
     assert_eq!(pressed(f64::NAN, "finger_force_n = 2.0"), None);
     // A force from 1.5 s must be present 1 s later.
@@ -146,17 +146,17 @@ fn excludes_a_trial_with_a_wrong_force() {
 }
 
 #[test]
-fn excludes_conditions_that_no_person_made() {
+fn excludes_conditions_that_were_not_made() {
     let plain = |profile: &str, duration_ms| scenario(duration_ms, &format!("setpoint_um = 2.0\n{profile}"), SETTLES);
     let rows: Vec<Row> = (0..=3_000_u32).map(|t| row(f64::from(t), 2.0, 2.0)).collect();
     let warm = plain("temperature_offset_k = 9.0", 3_000.0);
     assert!(needs_operator(&warm) && !scene_changes(&warm) && operator_exclusion(&warm).is_none());
     assert_eq!(exclusion(&warm, &rows), None);
     assert!(find_exclusion(&warm, &rows, None).is_some(), "a run without a record");
-    let undone = RealPlateRecord { undone: Some("nobody was there".to_owned()), ..RealPlateRecord::default() };
+    let undone = RealPlateRecord { undone: Some("no operator".to_owned()), ..RealPlateRecord::default() };
     assert_eq!(
         find_exclusion(&warm, &rows, Some(&undone)),
-        Some(Exclusion::ConditionsNotMade { why: "nobody was there".to_owned() })
+        Some(Exclusion::ConditionsNotMade { why: "no operator".to_owned() })
     );
     let touch = "finger_force_n = { hold = [[0.0, 0.0], [20.0, 2.0]] }";
     assert!(operator_exclusion(&plain(touch, 1_999.0)).is_some());

@@ -15,11 +15,11 @@ const STRICT: Tolerance = Tolerance { absolute: 0.25, relative: 0.0, time_ms: 0.
 #[case::just_outside_above(2.25_f64.next_up(), false)]
 #[case::just_outside_below(1.75_f64.next_down(), false)]
 #[case::no_number(f64::NAN, true)]
-fn the_edge_is_inside_and_the_next_float_is_not(#[case] value: f64, #[case] inside: bool) {
+fn the_edge_is_inside(#[case] value: f64, #[case] inside: bool) {
     let golden = tube(STRICT, &[(0.0, 2.0), (10.0, 2.0)]);
     let found = golden.worst_exceedance(&[(0.0, 2.0), (5.0, value), (10.0, 2.0)], Some(1.0));
     if value.is_nan() {
-        // No trace holds one; where one came all the same it would be found.
+        // No trace contains NaN.
         assert!(found.is_some());
     } else {
         assert_eq!(found.is_none(), inside, "{found:?}");
@@ -27,7 +27,7 @@ fn the_edge_is_inside_and_the_next_float_is_not(#[case] value: f64, #[case] insi
 }
 
 #[test]
-fn the_worst_is_named_with_its_place_and_its_size() {
+fn names_the_worst_exceedance() {
     let golden = tube(STRICT, &[(0.0, 2.0), (10.0, 2.0)]);
     let found =
         golden.worst_exceedance(&[(0.0, 2.0), (3.0, 2.5), (4.0, 2.0), (7.0, 1.0), (8.0, 2.0), (10.0, 2.0)], Some(0.5));
@@ -36,8 +36,7 @@ fn the_worst_is_named_with_its_place_and_its_size() {
     assert_eq!(found.ratio(), 4.0);
 }
 
-/// The relative part goes with the golden value, not with the response; near zero only the absolute
-/// part is left.
+/// The relative part is relative to the golden value.
 #[rstest]
 #[case(100.0, 111.0, true)]
 #[case(100.0, 111.0_f64.next_up(), false)]
@@ -46,7 +45,7 @@ fn the_worst_is_named_with_its_place_and_its_size() {
 #[case(0.0, 1.0, true)]
 #[case(0.0, 1.0_f64.next_up(), false)]
 #[case(0.0, (-1.0_f64).next_down(), false)]
-fn near_zero_the_absolute_part_remains(#[case] level: f64, #[case] value: f64, #[case] inside: bool) {
+fn adds_absolute_and_relative_tolerance(#[case] level: f64, #[case] value: f64, #[case] inside: bool) {
     let golden = tube(Tolerance { absolute: 1.0, relative: 0.1, time_ms: 0.0 }, &[(0.0, level), (1.0, level)]);
     assert_eq!(golden.worst_exceedance(&[(0.0, value), (1.0, value)], None).is_none(), inside);
 }
@@ -63,7 +62,7 @@ fn late_step(late: f64) -> Vec<(f64, f64)> {
 // The height of the step over its own rise of 0.05 ms: 0.01 of tolerance is worth 0.00025 ms.
 #[case::just_outside(0.2503, false)]
 #[case::early_just_outside(-0.2503, false)]
-fn a_step_may_come_as_late_as_the_tolerance_in_time(#[case] late: f64, #[case] inside: bool) {
+fn allows_a_step_within_the_tolerance_in_time(#[case] late: f64, #[case] inside: bool) {
     let tolerance = Tolerance { absolute: 0.01, relative: 0.0, time_ms: 0.25 };
     let golden = tube(tolerance, &late_step(0.0));
     let response: Vec<_> = late_step(late);
@@ -72,25 +71,25 @@ fn a_step_may_come_as_late_as_the_tolerance_in_time(#[case] late: f64, #[case] i
 }
 
 #[test]
-fn without_tolerance_in_time_a_late_step_is_wrong_by_its_height() {
+fn a_late_step_exceeds_by_its_height() {
     let golden = tube(Tolerance { absolute: 0.01, relative: 0.0, time_ms: 0.0 }, &late_step(0.0));
     let found = golden.worst_exceedance(&late_step(0.2), Some(0.05)).unwrap();
     assert!((found.distance - 1.99).abs() < 1e-9, "{found:?}");
 }
 
 #[test]
-fn a_spike_between_two_points_of_a_thinned_curve_is_seen_on_the_grid() {
+fn finds_a_spike_between_points_on_the_grid() {
     let golden = tube(STRICT, &[(0.0, 2.0), (10.0, 2.0)]);
     let spike = [(0.0, 2.0), (4.9, 2.0), (5.0, 9.0), (5.1, 2.0), (10.0, 2.0)];
     assert!(golden.worst_exceedance(&spike, Some(0.1)).is_some());
     assert!(
         golden.worst_exceedance(&spike, None).is_none(),
-        "without a grid only the curve's own points are looked at"
+        "without a grid only the points of the curve are compared"
     );
 }
 
 #[test]
-fn what_was_learned_widens_the_tube_where_it_was_learned() {
+fn a_learned_width_widens_the_tube() {
     let mut golden = tube(STRICT, &[(0.0, 2.0), (5.0, 2.0), (10.0, 2.0)]);
     golden.points[1].width = 0.5;
     assert!(golden.worst_exceedance(&[(0.0, 2.0), (5.0, 2.75), (10.0, 2.0)], Some(5.0)).is_none());
@@ -99,7 +98,7 @@ fn what_was_learned_widens_the_tube_where_it_was_learned() {
 }
 
 #[test]
-fn several_points_in_one_instant_are_borne() {
+fn accepts_several_points_at_one_instant() {
     let golden = tube(STRICT, &[(0.0, 0.0), (5.0, 0.0), (5.0, 2.0), (10.0, 2.0)]);
     assert!(golden.worst_exceedance(&[(0.0, 0.0), (5.0, 0.0), (5.0, 2.0), (10.0, 2.0)], Some(0.5)).is_none());
     assert_eq!(golden.point_at(5.0).value, 2.0);
