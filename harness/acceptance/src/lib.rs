@@ -4,7 +4,7 @@
 //! * [`config`]: describes a session and who observes it.
 //! * [`conduct()`]: conducts it step by step (`steps`); a session that was interrupted resumes.
 //! * `ask`: questions; `self_test`: tests the bench; `scenario_run`: plays a scenario; `judge`:
-//! judges requirements.
+//!   judges requirements.
 //! * `provenance`: the bench, rig, inputs and firmware that a session may not change.
 //! * [`session_record`] reads and writes `session.json`.
 //! * [`manifest`], [`signature`]: SHA-256 of every file, and the signature of that list.

@@ -2,7 +2,7 @@
 //!
 //! * `run_record`, `expectation_record`, `trial_record`: `run.json` as types.
 //! * `verdict`, `reason`, `exclusion`, `excuse`, `missing_value`, `bounds`: verdicts and why
-//! something did not pass.
+//!   something did not pass.
 //! * `violation`: breaches of the protocol, which fail a trial.
 //! * `cost`: instructions per control step.
 //! * `timing`: lateness and loop delay in real time.

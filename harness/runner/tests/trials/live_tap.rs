@@ -129,7 +129,7 @@ fn real_time_counts_equal_the_record() {
     let TapCounts { rows, dropped_rows, overruns, missed_replies, rejected_frames, lateness } = reader.counts();
     assert_eq!(
         (overruns, missed_replies, rejected_frames),
-        (timing.overruns, timing.missed_replies, timing.refused_frames)
+        (timing.overruns, timing.missed_replies, timing.rejected_frames)
     );
     assert_eq!(lateness.iter().sum::<u64>(), timing.periods);
     assert_eq!((rows, dropped_rows, timing.lost_rows), (read_rows(&traces[0]).len() as u64, 0, 0));
