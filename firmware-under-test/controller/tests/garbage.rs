@@ -12,7 +12,7 @@ use platebench_wire::{
     capabilities,
 };
 
-/// Byte strings; each is taken in byte by byte.
+/// Number of byte strings, which are fed byte by byte.
 const ROUNDS: u64 = 2_000_000;
 /// Strings after which another device begins.
 const STRINGS_PER_DEVICE: u64 = 200;
@@ -191,7 +191,7 @@ fn feed_byte(
     reader: &mut FrameReader,
     page: &mut ReferenceFrameReader,
     device: &mut Device,
-    seen: &mut Counts,
+    counts: &mut Counts,
 ) {
     let completed = page.push(byte);
     let read = match reader.push(byte) {
@@ -202,11 +202,11 @@ fn feed_byte(
     assert_eq!(read, completed, "the reader and the page agree");
     let sample = match &completed {
         ByteOutcome::Body(body) => {
-            seen.bodies += 1;
+            counts.bodies += 1;
             body.len() == 18 && body[0] == 0x15
         }
         ByteOutcome::Refused => {
-            seen.refused += 1;
+            counts.refused += 1;
             false
         }
         ByteOutcome::Nothing => false,
@@ -225,7 +225,7 @@ fn feed_byte(
     let after = device.output();
     if after.state == ControllerState::Running && drive_bits(after) != drive_bits(&before) {
         assert!(sample, "driven by {completed:?}");
-        seen.driven += 1;
+        counts.driven += 1;
     }
     assert!(after.state == ControllerState::Running || after.drive_vpp == 0.0, "{after:?}");
     assert!((0.0..=f32::MAX).contains(&after.drive_vpp), "{after:?}");
@@ -249,7 +249,7 @@ fn only_a_complete_sample_drives_the_plate() {
     let mut random = Random(0x9E37_79B9_7F4A_7C15);
     let (mut device, mut reader, mut page) =
         (Device::new(identity), FrameReader::new(), ReferenceFrameReader::default());
-    let (mut bytes, mut now_us, mut seen) = (Vec::new(), u32::MAX - 1_000_000, Counts::default());
+    let (mut bytes, mut now_us, mut counts) = (Vec::new(), u32::MAX - 1_000_000, Counts::default());
     for round in 0..ROUNDS {
         if round % STRINGS_PER_DEVICE == 0 {
             (device, reader, page) = (Device::new(identity), FrameReader::new(), ReferenceFrameReader::default());
@@ -262,13 +262,13 @@ fn only_a_complete_sample_drives_the_plate() {
             next_byte_string(&mut random, &mut bytes);
         }
         for &byte in &bytes {
-            feed_byte(byte, now_us, &mut reader, &mut page, &mut device, &mut seen);
+            feed_byte(byte, now_us, &mut reader, &mut page, &mut device, &mut counts);
         }
         now_us = now_us.wrapping_add(random.below(2_000) as u32);
         device.tick(now_us, |frame| {
             let packet = Packet::decode(&ReferenceFrameReader::body(&frame[..frame.len() - 1]).unwrap()).unwrap();
             match packet.message {
-                Message::Tick(_) => seen.ticks += 1,
+                Message::Tick(_) => counts.ticks += 1,
                 Message::Command(command) => {
                     assert_eq!((command.state, command.drive_vpp), (ControllerState::Fault, 0.0));
                 }
@@ -277,8 +277,8 @@ fn only_a_complete_sample_drives_the_plate() {
         });
     }
     // The random strings reached every branch often enough.
-    assert!(seen.bodies > ROUNDS / 4 && seen.refused > ROUNDS / 8, "{} {}", seen.bodies, seen.refused);
-    assert!(seen.driven > ROUNDS / 20 && seen.ticks > ROUNDS / 100, "{} {}", seen.driven, seen.ticks);
+    assert!(counts.bodies > ROUNDS / 4 && counts.refused > ROUNDS / 8, "{} {}", counts.bodies, counts.refused);
+    assert!(counts.driven > ROUNDS / 20 && counts.ticks > ROUNDS / 100, "{} {}", counts.driven, counts.ticks);
 }
 
 #[test]

@@ -5,10 +5,14 @@
 
 mod configuration;
 mod identity;
+mod process;
 mod python;
 mod scenarios;
+mod terminal;
 
 pub use configuration::CONFIGURE;
 pub use identity::IDENTITY;
+pub use process::{ChildGuard, skip_without};
 pub use python::python_with_pyserial;
 pub use scenarios::{PLATE, load_scenario, parse_scenario, scenario_path, workspace_root};
+pub use terminal::open_terminal;

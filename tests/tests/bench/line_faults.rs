@@ -93,8 +93,8 @@ fn the_watchdog_acts_on_the_fifth_missing_sample() {
     assert_eq!(times_with_flag_ms(&rows, Flags::LINK_LOST), [30.0, 31.0, 32.0]);
     assert_eq!((record.verdict, record.scenarios[0].expectations[0].value), (Verdict::Pass, Some(3.0)));
     // The controller holds the last drive meanwhile.
-    let held: Vec<_> = rows.iter().filter(|row| (0.029..0.033).contains(&row.t_s)).map(|row| row.drive_vpp).collect();
-    assert!(held.iter().all(|drive| *drive == held[0] && *drive > 280.0));
+    let drives: Vec<_> = rows.iter().filter(|row| (0.029..0.033).contains(&row.t_s)).map(|row| row.drive_vpp).collect();
+    assert!(drives.iter().all(|drive| *drive == drives[0] && *drive > 280.0));
 
     let (record, rows) = silence(34);
     assert_eq!(first_zero_drive_ms(&rows), Some(34.0), "five periods after the last sample");

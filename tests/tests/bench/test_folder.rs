@@ -323,8 +323,8 @@ impl TestFolder {
 
     /// Runs a scenario on the hosted rig and returns its record and its first trace.
     pub(crate) fn run_scenario(&self, text: &str) -> (RunRecord, Vec<Row>) {
-        let path = self.write_scenario("played.toml", text);
-        let scenario = load(&path, "played.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let path = self.write_scenario("value.toml", text);
+        let scenario = load(&path, "value.toml").unwrap_or_else(|fault| panic!("{fault}"));
         let out = tempfile::tempdir_in(self.path()).unwrap();
         let folder = RunFolder::create(Some(out.path())).unwrap();
         let plan = RunPlan {

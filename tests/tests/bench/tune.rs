@@ -243,7 +243,7 @@ fn writing_gains_keeps_the_rest_of_the_scenario(#[case] controller: &str) {
     assert_eq!(fs::read_to_string(&path).unwrap(), written);
     // No temporary file remains.
     let names = fs::read_dir(path.parent().unwrap()).unwrap().count();
-    assert_eq!(names, ["plates", "mine.toml"].len() + usize::from(path.with_file_name("played.toml").exists()));
+    assert_eq!(names, ["plates", "mine.toml"].len() + usize::from(path.with_file_name("value.toml").exists()));
 }
 
 #[rstest]

@@ -41,14 +41,14 @@ impl DocumentPage {
         let mut page = Self::default();
         let mut heading: Option<String> = None;
         let mut block: Option<Block> = None;
-        let mut seen = BTreeMap::new();
+        let mut counts = BTreeMap::new();
         for (event, range) in
             Parser::new_ext(text, Options::ENABLE_TABLES | Options::ENABLE_STRIKETHROUGH).into_offset_iter()
         {
             match event {
                 Event::Start(Tag::Heading { .. }) => heading = Some(String::new()),
                 Event::End(TagEnd::Heading(_)) => {
-                    page.anchors.extend(heading.take().map(|title| anchor(&title, &mut seen)));
+                    page.anchors.extend(heading.take().map(|title| anchor(&title, &mut counts)));
                 }
                 Event::Start(Tag::Link { dest_url, .. } | Tag::Image { dest_url, .. }) => {
                     page.links.push((dest_url.into_string(), line(range.start)));
@@ -81,10 +81,10 @@ impl DocumentPage {
 
 /// Anchor of a heading on GitHub: lower case, no punctuation, hyphens for spaces; a repeated title
 /// gets a number.
-fn anchor(title: &str, seen: &mut BTreeMap<String, usize>) -> String {
+fn anchor(title: &str, counts: &mut BTreeMap<String, usize>) -> String {
     let kept = title.trim().to_lowercase().replace(' ', "-");
     let name: String = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, '-' | '_')).collect();
-    let times = seen.entry(name.clone()).or_default();
+    let times = counts.entry(name.clone()).or_default();
     *times += 1;
     if *times == 1 { name } else { format!("{name}-{}", *times - 1) }
 }

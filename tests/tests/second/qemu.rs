@@ -1,19 +1,17 @@
 //! Runs the image `qemu.elf` on QEMU's `netduinoplus2`, with its line on a Unix socket.
 
+use platebench_test_kit::{ChildGuard, skip_without};
 use platebench_wire::{Message, Packet, PacketReader};
 use std::fs;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::Once;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 const PROGRAM: &str = "qemu-system-arm";
 const IMAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware-under-test/images/qemu.elf");
-const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
-static WARN_ONCE: Once = Once::new();
 
 /// Long enough for a busy machine.
 const START_TIMEOUT: Duration = Duration::from_secs(30);
@@ -28,30 +26,13 @@ pub(crate) struct Qemu {
     folder: TempDir,
 }
 
-/// A process that ends with its owner.
-struct ChildGuard(Child);
-
-impl Drop for ChildGuard {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 impl Qemu {
     /// A new machine; `None`, with a message, if QEMU is neither installed nor required.
     pub(crate) fn start_if_installed() -> Option<Self> {
-        let version = Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output();
-        match version {
+        match Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output() {
             Ok(_) => Some(Self::start().unwrap()),
             Err(error) if error.kind() == ErrorKind::NotFound => {
-                let all = std::env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
-                assert!(!all, "{PROGRAM} is not installed and {REQUIRE_ALL}=1: ci/install-test-tools");
-                // `eprintln!` of a passing test is not shown.
-                WARN_ONCE.call_once(|| {
-                    let _ =
-                        writeln!(std::io::stderr(), "NOT TESTED: {PROGRAM} is not installed (ci/install-test-tools)");
-                });
+                skip_without(PROGRAM);
                 None
             }
             Err(error) => panic!("{PROGRAM}: {error}"),

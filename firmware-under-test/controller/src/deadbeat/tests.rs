@@ -51,15 +51,15 @@ fn the_hand_over_has_no_bump() {
 
 #[test]
 fn a_new_setpoint_is_reached_in_one_period() {
-    let mut bench = LawSimulation::new(&DEADBEAT, 1.5, 100.0);
-    bench.run_periods(1.0, 20);
+    let mut simulation = LawSimulation::new(&DEADBEAT, 1.5, 100.0);
+    simulation.run_periods(1.0, 20);
     for setpoint in [1.5, 1.2, 1.6, 1.5] {
-        let periods = bench.run_periods(setpoint, 12);
+        let periods = simulation.run_periods(setpoint, 12);
         assert!((periods[1].amplitude - setpoint).abs() < 0.005 * setpoint, "{setpoint} µm: {:?}", periods[1]);
         assert!(periods[1..].iter().all(|period| (period.amplitude - setpoint).abs() < 0.01 * setpoint), "{periods:?}");
     }
     // Down by more than a period's decay: at 0 V until the last period, and no undershoot.
-    let periods = bench.run_periods(0.5, 12);
+    let periods = simulation.run_periods(0.5, 12);
     assert_eq!(periods[0].actuation.drive_vpp, 0.0);
     assert!(periods.iter().all(|period| period.amplitude > 0.495), "{periods:?}");
     assert!((periods[3].amplitude - 0.5).abs() < 0.01, "{periods:?}");
@@ -67,8 +67,8 @@ fn a_new_setpoint_is_reached_in_one_period() {
 
 #[test]
 fn drive_stays_at_its_limit_until_the_setpoint_is_near() {
-    let mut bench = LawSimulation::new(&Configure { drive_limit_vpp: 400.0, ..DEADBEAT }, 1.0, 0.0);
-    let periods = bench.run_periods(2.0, 20);
+    let mut simulation = LawSimulation::new(&Configure { drive_limit_vpp: 400.0, ..DEADBEAT }, 1.0, 0.0);
+    let periods = simulation.run_periods(2.0, 20);
     let drives: Vec<_> = periods.iter().map(|period| period.actuation.drive_vpp).collect();
     assert_eq!(drives[..2], [400.0, 400.0]);
     assert!((300.0..340.0).contains(&drives[2]), "{drives:?}");
@@ -79,15 +79,15 @@ fn drive_stays_at_its_limit_until_the_setpoint_is_near() {
 
 #[test]
 fn out_of_reach_only_raises_saturated_and_recovers() {
-    let mut bench = LawSimulation::new(&Configure { drive_limit_vpp: 400.0, ..DEADBEAT }, 7.0 / 3.0, 0.0);
-    let periods = bench.run_periods(2.0, 60);
+    let mut simulation = LawSimulation::new(&Configure { drive_limit_vpp: 400.0, ..DEADBEAT }, 7.0 / 3.0, 0.0);
+    let periods = simulation.run_periods(2.0, 60);
     assert!(periods[..50].iter().all(|period| period.actuation.drive_vpp == 400.0));
     assert_eq!(raised_flags(&periods) & !flags::FREQUENCY_LIMITED, flags::SATURATED);
-    let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+    let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
     assert_eq!(law.phase, Phase::Holding);
     assert!((law.mode.sigma * CONFIGURE.time_constant_s * 3.0 / 7.0 - 1.0).abs() < 1e-3, "{:?}", law.mode);
-    bench.damping = 1.0;
-    let periods = bench.run_periods(2.0, 30);
+    simulation.damping = 1.0;
+    let periods = simulation.run_periods(2.0, 30);
     assert!(highest_drive(&periods) < 2.1, "{periods:?}");
     assert!(periods[6..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "{periods:?}");
 }
@@ -95,11 +95,11 @@ fn out_of_reach_only_raises_saturated_and_recovers() {
 /// A finger may leave while the setpoint is 0.
 #[test]
 fn a_restart_assumes_an_untouched_plate() {
-    let mut bench = LawSimulation::new(&DEADBEAT, 7.0 / 3.0, NINE_KELVIN);
-    bench.run_periods(2.0, 30);
-    bench.run_periods(0.0, 30);
-    bench.damping = 1.0;
-    let periods = bench.run_periods(2.0, 30);
+    let mut simulation = LawSimulation::new(&DEADBEAT, 7.0 / 3.0, NINE_KELVIN);
+    simulation.run_periods(2.0, 30);
+    simulation.run_periods(0.0, 30);
+    simulation.damping = 1.0;
+    let periods = simulation.run_periods(2.0, 30);
     assert!(highest_drive(&periods) < 2.01, "{periods:?}");
     assert!(periods[1].wq.abs() < 0.01, "{periods:?}");
 }
@@ -109,20 +109,20 @@ fn given_gains_stay_fixed() {
     let gains = Gains { amplitude_kp: 50.0, amplitude_ki: 2.5e4, frequency_kp: 500.0, frequency_ki: 2e5 };
     let configure = Configure { gains: Some(gains), ..DEADBEAT };
     assert_eq!(Law::design(&configure).unwrap().1, gains);
-    let mut bench = LawSimulation::new(&configure, 1.5, 0.0);
-    let before = *bench.run_periods(2.0, 30).last().unwrap();
-    bench.w.0 += 0.01;
-    let change = bench.run_period(2.0).actuation.drive_vpp - before.actuation.drive_vpp;
+    let mut simulation = LawSimulation::new(&configure, 1.5, 0.0);
+    let before = *simulation.run_periods(2.0, 30).last().unwrap();
+    simulation.w.0 += 0.01;
+    let change = simulation.run_period(2.0).actuation.drive_vpp - before.actuation.drive_vpp;
     assert!((change + 50.0 * 0.01).abs() < 0.01, "{change} Vpp");
 }
 
 #[test]
 fn a_sudden_finger_is_corrected_at_once() {
     for (before, after) in [(1.0, 2.0), (1.0, 7.0 / 3.0), (2.0, 1.0), (7.0 / 3.0, 1.0)] {
-        let mut bench = LawSimulation::new(&DEADBEAT, before, NINE_KELVIN);
-        bench.run_periods(2.0, 30);
-        bench.damping = after;
-        let periods = bench.run_periods(2.0, 30);
+        let mut simulation = LawSimulation::new(&DEADBEAT, before, NINE_KELVIN);
+        simulation.run_periods(2.0, 30);
+        simulation.damping = after;
+        let periods = simulation.run_periods(2.0, 30);
         // Visible in the first sample, corrected in the second.
         assert!((periods[1].amplitude - 2.0).abs() > 0.2, "{periods:?}");
         assert!(
@@ -138,12 +138,12 @@ fn a_sudden_finger_is_corrected_at_once() {
 fn a_finger_within_a_period_is_not_taken_for_a_delay() {
     for (before, after) in [(1.0, 2.0), (7.0 / 3.0, 1.0)] {
         for share in [0.1, 0.3, 0.5, 0.7, 0.9] {
-            let mut bench = LawSimulation::new(&DEADBEAT, before, 0.0);
-            bench.run_periods(2.0, 30);
-            bench.change_damping(after, share);
-            let periods = bench.run_periods(2.0, 30);
+            let mut simulation = LawSimulation::new(&DEADBEAT, before, 0.0);
+            simulation.run_periods(2.0, 30);
+            simulation.change_damping(after, share);
+            let periods = simulation.run_periods(2.0, 30);
             assert!(periods[4..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.04), "{share}: {periods:?}");
-            let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+            let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
             assert_eq!(law.delay, 0.0, "σ × {before} to {after} after {share} of a period");
         }
     }
@@ -152,12 +152,12 @@ fn a_finger_within_a_period_is_not_taken_for_a_delay() {
 /// A plate that varies by 3.3 % never arrives.
 #[test]
 fn steering_ends_on_an_unsteady_plate() {
-    let mut bench = LawSimulation::new(&DEADBEAT, 1.0, 0.0);
+    let mut simulation = LawSimulation::new(&DEADBEAT, 1.0, 0.0);
     for period in 0..6 {
-        bench.run_period(2.0);
-        bench.w.0 *= if period % 2 == 0 { 1.033 } else { 0.967 };
+        simulation.run_period(2.0);
+        simulation.w.0 *= if period % 2 == 0 { 1.033 } else { 0.967 };
     }
-    let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+    let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
     assert_eq!(law.phase, Phase::Holding);
 }
 
@@ -166,21 +166,21 @@ fn steering_ends_on_an_unsteady_plate() {
 fn an_unknown_delay_is_found_and_compensated() {
     for delay in [0.1e-3, 0.2e-3, 0.3e-3, 0.4e-3, 0.5e-3] {
         for (damping, resonance) in [(1.0, 0.0), (1.0, NINE_KELVIN), (1.5, 0.0)] {
-            let mut bench = LawSimulation { delay, ..LawSimulation::new(&DEADBEAT, damping, resonance) };
-            let first = bench.run_periods(2.0, 30);
+            let mut simulation = LawSimulation { delay, ..LawSimulation::new(&DEADBEAT, damping, resonance) };
+            let first = simulation.run_periods(2.0, 30);
             assert!(
                 first[6..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1),
                 "{delay} s, σ × {damping}: {first:?}"
             );
             assert_eq!(raised_flags(&first) & flags::PREDICTION_MISSED, 0);
-            bench.run_periods(0.0, 30);
-            let second = bench.run_periods(2.0, 30);
+            simulation.run_periods(0.0, 30);
+            let second = simulation.run_periods(2.0, 30);
             assert!(highest_drive(&second) < 2.04, "{delay} s, σ × {damping}: {second:?}");
             assert!(
                 second[4..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.04),
                 "{delay} s, σ × {damping}: {second:?}"
             );
-            let third = bench.run_periods(2.4, 12);
+            let third = simulation.run_periods(2.4, 12);
             assert!(
                 third[2..].iter().all(|period| (period.amplitude - 2.4).abs() < 0.05),
                 "{delay} s, σ × {damping}: {third:?}"
@@ -194,11 +194,11 @@ fn an_unknown_delay_is_found_and_compensated() {
 fn a_very_heavy_finger_costs_one_period() {
     for damping in [2.6, 3.0, 4.0] {
         let configure = Configure { drive_limit_vpp: 1500.0, ..DEADBEAT };
-        let mut bench = LawSimulation::new(&configure, damping, NINE_KELVIN);
-        let periods = bench.run_periods(2.0, 30);
+        let mut simulation = LawSimulation::new(&configure, damping, NINE_KELVIN);
+        let periods = simulation.run_periods(2.0, 30);
         assert!(periods[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "σ × {damping}: {periods:?}");
         assert_eq!(raised_flags(&periods) & flags::PREDICTION_MISSED, 0);
-        let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+        let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
         assert_eq!(law.delay, 0.0);
     }
 }
@@ -209,15 +209,15 @@ fn a_very_heavy_finger_costs_one_period() {
 fn a_gain_error_is_not_taken_for_a_delay() {
     for gain in [0.9, 0.95, 1.05, 1.1] {
         for damping in [1.0, 1.5, 7.0 / 3.0] {
-            let mut bench =
+            let mut simulation =
                 LawSimulation { force: FORCE * gain, ..LawSimulation::new(&DEADBEAT, damping, NINE_KELVIN) };
-            let periods = bench.run_periods(2.0, 40);
+            let periods = simulation.run_periods(2.0, 40);
             assert!(
                 periods[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1),
                 "K1 × {gain}, σ × {damping}: {periods:?}"
             );
             assert!((periods[39].amplitude - 2.0).abs() < 1e-3);
-            let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+            let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
             let allowed = if gain < 1.0 && damping > 2.0 { 0.1e-3 } else { 0.0 };
             assert!(law.delay <= allowed, "K1 × {gain}, σ × {damping}: {} s", law.delay);
         }
@@ -239,9 +239,9 @@ fn an_unpredictable_plate_ends_in_the_fallback() {
     assert!(flagged > 100, "{flagged} of 200");
     // After the fallback the law uses its predictions again.
     let Law::Deadbeat(law) = law else { panic!("another law") };
-    let mut bench = LawSimulation { law: Law::Deadbeat(law), ..LawSimulation::new(&DEADBEAT, 1.0, 0.0) };
-    bench.run_periods(2.0, 60);
-    assert_eq!(raised_flags(&bench.run_periods(2.0, 10)) & flags::PREDICTION_MISSED, 0);
+    let mut simulation = LawSimulation { law: Law::Deadbeat(law), ..LawSimulation::new(&DEADBEAT, 1.0, 0.0) };
+    simulation.run_periods(2.0, 60);
+    assert_eq!(raised_flags(&simulation.run_periods(2.0, 10)) & flags::PREDICTION_MISSED, 0);
 }
 
 /// With a configured delay a start ends two periods after its drive began to act, under any finger.
@@ -253,9 +253,9 @@ fn a_given_delay_never_overshoots() {
         let settled = if loop_delay_us <= 550 { 3 } else { 4 };
         for (damping, resonance) in [(1.0, 0.0), (1.0, NINE_KELVIN), (2.0, 0.0), (7.0 / 3.0, NINE_KELVIN)] {
             let configure = Configure { loop_delay_us, ..DEADBEAT };
-            let mut bench = LawSimulation { delay, ..LawSimulation::new(&configure, damping, resonance) };
+            let mut simulation = LawSimulation { delay, ..LawSimulation::new(&configure, damping, resonance) };
             for setpoint in [2.0, 1.0, 2.0] {
-                let periods = bench.run_periods(setpoint, 30);
+                let periods = simulation.run_periods(setpoint, 30);
                 let case = std::format!("{delay} s, σ × {damping}, {resonance} rad/s");
                 if setpoint > 1.5 {
                     assert!(highest_drive(&periods) < 2.04, "{case}: {periods:?}");
@@ -272,13 +272,13 @@ fn a_given_delay_never_overshoots() {
 #[test]
 fn a_wrong_given_delay_is_corrected() {
     for (loop_delay_us, delay) in [(400, 0.3e-3), (400, 0.5e-3), (200, 0.4e-3)] {
-        let mut bench =
+        let mut simulation =
             LawSimulation { delay, ..LawSimulation::new(&Configure { loop_delay_us, ..DEADBEAT }, 1.0, 0.0) };
-        bench.run_periods(2.0, 30);
-        bench.run_periods(0.0, 30);
-        let second = bench.run_periods(2.0, 30);
+        simulation.run_periods(2.0, 30);
+        simulation.run_periods(0.0, 30);
+        let second = simulation.run_periods(2.0, 30);
         assert!(highest_drive(&second) < 2.04, "{loop_delay_us} µs configured, {delay} s: {second:?}");
-        let Law::Deadbeat(law) = bench.law else { panic!("another law") };
+        let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
         assert!(
             (f64::from(law.delay) - delay).abs() < 1e-5,
             "{loop_delay_us} µs configured, {delay} s: {} s",
@@ -292,8 +292,8 @@ fn a_wrong_given_delay_is_corrected() {
 fn a_heavy_finger_costs_nothing_with_a_given_delay() {
     for damping in [2.6, 3.0, 4.0] {
         let configure = Configure { drive_limit_vpp: 1500.0, loop_delay_us: 300, ..DEADBEAT };
-        let mut bench = LawSimulation { delay: 0.3e-3, ..LawSimulation::new(&configure, damping, NINE_KELVIN) };
-        let periods = bench.run_periods(2.0, 30);
+        let mut simulation = LawSimulation { delay: 0.3e-3, ..LawSimulation::new(&configure, damping, NINE_KELVIN) };
+        let periods = simulation.run_periods(2.0, 30);
         assert!(periods[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.06), "σ × {damping}: {periods:?}");
     }
 }

@@ -46,25 +46,25 @@ fn under_a_finger_it_uses_the_gains_for_that_finger() {
 #[test]
 fn a_single_outlier_does_not_change_the_gains() {
     let configure = Configure { law: LawId::DqPi, ..CONFIGURE };
-    let mut bench = LawSimulation::new(&configure, 1.0, 0.0);
-    bench.run_periods(2.0, 30);
-    let gains = |bench: &LawSimulation| {
-        let Law::DqPi(law) = bench.law else { panic!("another law") };
+    let mut simulation = LawSimulation::new(&configure, 1.0, 0.0);
+    simulation.run_periods(2.0, 30);
+    let gains = |simulation: &LawSimulation| {
+        let Law::DqPi(law) = simulation.law else { panic!("another law") };
         law.schedule.unwrap().sigma * CONFIGURE.time_constant_s
     };
-    assert!((gains(&bench) - 1.0).abs() < 1e-3, "{}", gains(&bench));
-    bench.damping = 2.0;
-    bench.run_period(2.0);
-    bench.run_period(2.0);
-    assert!((gains(&bench) - 1.0).abs() < 1e-3, "one sample shows the finger: {}", gains(&bench));
-    bench.run_period(2.0);
-    assert!((gains(&bench) - 2.0).abs() < 1e-2, "two do: {}", gains(&bench));
+    assert!((gains(&simulation) - 1.0).abs() < 1e-3, "{}", gains(&simulation));
+    simulation.damping = 2.0;
+    simulation.run_period(2.0);
+    simulation.run_period(2.0);
+    assert!((gains(&simulation) - 1.0).abs() < 1e-3, "one sample shows the finger: {}", gains(&simulation));
+    simulation.run_period(2.0);
+    assert!((gains(&simulation) - 2.0).abs() < 1e-2, "two do: {}", gains(&simulation));
     // A slow change is followed at once.
     for step in 0..1000 {
-        bench.damping = 2.0 - f64::from(step) * 1e-3;
-        bench.run_period(2.0);
+        simulation.damping = 2.0 - f64::from(step) * 1e-3;
+        simulation.run_period(2.0);
     }
-    assert!((gains(&bench) - 1.0).abs() < 0.02, "{}", gains(&bench));
+    assert!((gains(&simulation) - 1.0).abs() < 0.02, "{}", gains(&simulation));
 }
 
 #[test]
@@ -105,9 +105,9 @@ fn a_given_delay_causes_no_static_error() {
         for (damping, resonance) in [(2.0, 0.0), (1.0, NINE_KELVIN), (7.0 / 3.0, -NINE_KELVIN)] {
             let configure = Configure { law: LawId::DqPi, loop_delay_us, ..CONFIGURE };
             let delay = f64::from(loop_delay_us) * 1e-6;
-            let bench =
+            let simulation =
                 LawSimulation { delay, force: 0.95 * FORCE, ..LawSimulation::new(&configure, damping, resonance) };
-            let periods = { bench }.run_periods(2.0, 120);
+            let periods = { simulation }.run_periods(2.0, 120);
             assert!(periods[12..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1), "{delay} s: {periods:?}");
             let last = periods[119];
             assert!((last.amplitude - 2.0).abs() < 2e-4 && last.wq.abs() < 1e-3, "{delay} s: {last:?}");

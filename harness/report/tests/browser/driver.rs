@@ -4,19 +4,18 @@
 //! the
 //! driver closes.
 
+use platebench_test_kit::{ChildGuard, skip_without};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-use std::sync::{Once, mpsc};
+use std::process::{Command, Stdio};
+use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use ureq::Agent;
 
 const PROGRAM: &str = "chromedriver";
-const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
-static NOTICE_ONCE: Once = Once::new();
 
 /// Long enough for a busy machine.
 const DRIVER_TIMEOUT: Duration = Duration::from_mins(1);
@@ -40,29 +39,13 @@ pub(crate) struct Browser {
     _profile: TempDir,
 }
 
-/// A process that ends with its owner.
-struct ChildGuard(Child);
-
-impl Drop for ChildGuard {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 impl Browser {
     /// A new browser; `None`, with a message, if the driver is neither installed nor required.
     pub(crate) fn start_if_installed(options: BrowserOptions) -> Option<Self> {
         match Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output() {
             Ok(_) => Some(Self::start(options)),
             Err(error) if error.kind() == ErrorKind::NotFound => {
-                let all = std::env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
-                assert!(!all, "{PROGRAM} is not installed and {REQUIRE_ALL}=1: ci/install-test-tools");
-                // `eprintln!` of a passing test is not shown.
-                NOTICE_ONCE.call_once(|| {
-                    let _ =
-                        writeln!(std::io::stderr(), "NOT TESTED: {PROGRAM} is not installed (ci/install-test-tools)");
-                });
+                skip_without(PROGRAM);
                 None
             }
             Err(error) => panic!("{PROGRAM}: {error}"),

@@ -120,8 +120,8 @@ fn plots_zoom_move_and_switch() {
     browser.move_pointer(at(0.9));
     let value = format!("{KEY}.querySelector('.value').textContent");
     browser.wait_for(&format!("{value} !== ''"));
-    let shown: f64 = browser.evaluate(&value).as_str().unwrap().parse().unwrap();
-    assert!((shown - 2.0).abs() < 0.06, "{shown}");
+    let amplitude: f64 = browser.evaluate(&value).as_str().unwrap().parse().unwrap();
+    assert!((amplitude - 2.0).abs() < 0.06, "{amplitude}");
 
     // Hide a signal and show it again.
     browser.move_pointer((1.0, 1.0));
@@ -138,8 +138,8 @@ fn plots_zoom_move_and_switch() {
 
     // Print shows the drawings.
     browser.devtools_command("Emulation.setEmulatedMedia", &json!({ "media": "print" }));
-    let shown = "['.plots', '.drawings'].map((part) => getComputedStyle(document.querySelector(part)).display)";
-    assert_eq!(browser.evaluate(shown), json!(["none", "block"]));
+    let displays = "['.plots', '.drawings'].map((part) => getComputedStyle(document.querySelector(part)).display)";
+    assert_eq!(browser.evaluate(displays), json!(["none", "block"]));
 
     assert_eq!(browser.evaluate("performance.getEntriesByType('resource').length"), 0, "no resource is loaded");
     assert_no_console_messages(&browser);

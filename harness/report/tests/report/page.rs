@@ -136,11 +136,11 @@ fn reads_the_trial_that_decided_beyond_the_limit() {
 #[case::hundred(100)]
 fn thirty_trials_of_many_scenarios_take_five_megabytes(#[case] count: usize) {
     let folder = tempfile::tempdir().unwrap();
-    let mut played = closed_loop();
+    let mut closed = closed_loop();
     let response = Response { force_n: 2.0, temperature_k: 9.0, detuned_hz: 87.0, step_ms: 0.1, ..Response::default() };
-    fixtures::write_trials(&mut played, folder.path(), 30, response, 0.02);
+    fixtures::write_trials(&mut closed, folder.path(), 30, response, 0.02);
     // All scenarios share the traces: the size depends on the figures.
-    let numbered = |number| ScenarioRecord { file: format!("paper/s{number}-closed-loop.toml"), ..played.clone() };
+    let numbered = |number| ScenarioRecord { file: format!("paper/s{number}-closed-loop.toml"), ..closed.clone() };
     let page = write_page(&fixtures::run((0..count).map(numbered).collect()), folder.path());
     let curves = plot_data(&page);
     assert_eq!(curves.len(), count);

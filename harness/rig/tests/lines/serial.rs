@@ -3,10 +3,8 @@
 use super::{CONFIGURE, RECEIVE_TIMEOUT, sample};
 use platebench_controller::Device;
 use platebench_rig::{Link, LinkError, RigError, RigSpec, SerialError, SerialLink, Session};
-use platebench_test_kit::IDENTITY;
+use platebench_test_kit::{IDENTITY, open_terminal};
 use platebench_wire::{ControllerState, Message};
-use rustix::fd::OwnedFd;
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -14,17 +12,13 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// The other end of a cable, and the path of the port.
-fn cable() -> (OwnedFd, PathBuf) {
-    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
-    grantpt(&master).unwrap();
-    unlockpt(&master).unwrap();
-    let name = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
-    (master, name.into())
+fn cable() -> (File, PathBuf) {
+    let (master, path) = open_terminal();
+    (master, path.into())
 }
 
 /// A board that sends each answer `times` times, until its line hangs up.
-fn board(master: OwnedFd, times: usize) {
-    let mut line = File::from(master);
+fn board(mut line: File, times: usize) {
     let mut device = Device::new(IDENTITY);
     thread::spawn(move || {
         let start = Instant::now();
@@ -160,9 +154,8 @@ fn ends_waits_on_a_full_line_and_on_garbage() {
     drop(serial);
 
     let serial = open(&port);
-    let other_end = File::from(master);
-    let mut reader = other_end.try_clone().unwrap();
-    thread::spawn(move || while (&other_end).write_all(&[1, 2, 3, 0].repeat(16)).is_ok() {});
+    let mut reader = master.try_clone().unwrap();
+    thread::spawn(move || while (&master).write_all(&[1, 2, 3, 0].repeat(16)).is_ok() {});
     thread::spawn(move || while reader.read(&mut [0; 256]).is_ok_and(|count| count > 0) {});
     let far = Instant::now() + RECEIVE_TIMEOUT;
     assert!(matches!(Session::open(serial), Err(RigError::NoAnswer { .. })));

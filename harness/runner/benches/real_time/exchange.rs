@@ -1,9 +1,9 @@
 //! Measures one exchange per millisecond with the host controller, by a blocking thread and by a
 //! tokio task.
 
-use super::limits::ChildGuard;
 use super::table::{Quantiles, quantiles};
 use platebench_rig::{ExecLink, FaultInjector, Session};
+use platebench_test_kit::ChildGuard;
 use platebench_wire::{Configure, Message, Packet, PacketReader, Sample};
 use std::error::Error;
 use std::process::{Command, Stdio};

@@ -1,16 +1,16 @@
 //! Measures limits of the computer: wake-up time, and echo over a pseudo-terminal.
 
 use super::table::{Quantiles, Reference, quantiles};
+use platebench_test_kit::{ChildGuard, open_terminal};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fd::OwnedFd;
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use rustix::thread::{ClockId, clock_nanosleep_absolute};
 use rustix::time::{Timespec, clock_gettime};
 use std::error::Error;
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use thread_priority::unix::{
     RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
@@ -85,23 +85,9 @@ pub(crate) fn run_cyclictest(length: Duration) -> Result<Option<Reference>, Box<
     Ok(Some(Reference::new("`cyclictest`, SCHED_FIFO: lateness", quantiles(&mut late))))
 }
 
-/// A process that ends with its measurement.
-pub(crate) struct ChildGuard(pub(crate) Child);
-
-impl Drop for ChildGuard {
-    fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// Both ends of a pseudo-terminal in raw mode, and the path of the other end.
-fn terminal() -> Result<(OwnedFd, OwnedFd, String), Box<dyn Error>> {
-    let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
-    grantpt(&ours)?;
-    unlockpt(&ours)?;
-    let path = ptsname(&ours, Vec::new())?.into_string()?;
+fn raw_terminal() -> Result<(File, OwnedFd, String), Box<dyn Error>> {
+    let (ours, path) = open_terminal();
     let other = OwnedFd::from(OpenOptions::new().read(true).write(true).open(&path)?);
     let mut settings = tcgetattr(&other)?;
     settings.make_raw();
@@ -123,11 +109,10 @@ pub(crate) fn echo(path: &str) -> std::io::Result<()> {
 
 /// Round trip of a frame to a process that echoes it, every millisecond.
 pub(crate) fn measure_echo(length: Duration) -> Result<Quantiles, Box<dyn Error>> {
-    let (ours, other, path) = terminal()?;
+    let (mut line, other, path) = raw_terminal()?;
     let program = std::env::current_exe()?;
     let child = Command::new(program).args(["--echo", &path]).stdin(Stdio::null()).spawn()?;
     let _child = ChildGuard(child);
-    let mut line = File::from(ours);
     let frame = [0x55; FRAME];
     let mut buffer = [0; FRAME];
     // The first echo shows that the process has started.

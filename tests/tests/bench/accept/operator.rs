@@ -4,7 +4,7 @@ use super::{copy_folder, plan_text, read_session_record, session_folder, verify}
 use crate::test_folder::{ChildGuard, TestFolder, bench_command, controller_rig, step_text, wait_until};
 use platebench_acceptance::SessionRecord;
 use platebench_record::Verdict;
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use platebench_test_kit::open_terminal;
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Write};
 use std::path::Path;
@@ -22,15 +22,11 @@ struct OperatorTerminal {
 
 impl OperatorTerminal {
     fn start(folder: &Path, arguments: &[&str]) -> Self {
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-        grantpt(&master).unwrap();
-        unlockpt(&master).unwrap();
-        let path = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+        let (keys, path) = open_terminal();
         let terminal = || OpenOptions::new().read(true).write(true).open(&path).unwrap();
         let mut command = bench_command(folder);
         command.args(arguments).stdin(terminal()).stderr(terminal()).stdout(terminal());
         let child = ChildGuard(command.spawn().unwrap());
-        let keys = File::from(master);
         let mut output = keys.try_clone().unwrap();
         let screen = Arc::new(Mutex::new(String::new()));
         let text = Arc::clone(&screen);

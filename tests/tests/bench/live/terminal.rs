@@ -1,9 +1,9 @@
 //! Runs the program in a terminal and reads its screen.
 
 use crate::test_folder::{ChildGuard, wait_until};
+use platebench_test_kit::open_terminal;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, open};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, SpecialCodeIndex, Termios, Winsize, tcgetattr, tcsetwinsize};
 use std::ffi::OsStr;
 use std::fs::{File, OpenOptions};
@@ -39,13 +39,9 @@ impl TestTerminal {
         arguments: impl IntoIterator<Item = A>,
         environment: &[(&str, &str)],
     ) -> Self {
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
-        grantpt(&master).unwrap();
-        unlockpt(&master).unwrap();
-        let path = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+        let (master, path) = open_terminal();
         let line = File::from(open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty()).unwrap());
         let before = tcgetattr(&line).unwrap();
-        let master = File::from(master);
         set_size(&master, size);
         let end = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
         // With a session of its own, Ctrl-C and hang-up of the terminal are signals.
