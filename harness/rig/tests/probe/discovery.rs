@@ -14,30 +14,30 @@ fn attach_to(
     probes: &[(&'static str, u16, u16, &'static str)],
     opening: OpenResult,
 ) -> Result<AttachedBoard, ProbeError> {
-    let bench = SharedChip::new();
-    AttachedBoard::attach(&text.parse().unwrap(), bench.lister_of(probes.to_vec(), opening), timeouts())
+    let chip = SharedChip::new();
+    AttachedBoard::attach(&text.parse().unwrap(), chip.lister_of(probes.to_vec(), opening), timeouts())
 }
 
 #[test]
 fn takes_the_only_probe() {
-    let bench = SharedChip::new();
-    let board = attach(&bench).unwrap();
+    let chip = SharedChip::new();
+    let board = attach(&chip).unwrap();
     assert_eq!(board.chip().idcode, 0x1007_6413);
     assert_eq!(board.chip().name, CHIP);
     assert_eq!(board.chip().probe, "0483:374b:066DFF (ST-Link V2-1)");
-    assert!(!bench.chip().is_halted());
-    assert_eq!(bench.chip().programmed_pages, 0);
+    assert!(!chip.lock().is_halted());
+    assert_eq!(chip.lock().programmed_pages, 0);
 }
 
 #[test]
 fn rejects_another_chip_without_a_write() {
-    let bench = SharedChip::new();
-    bench.chip().idcode = 0x2001_6419;
-    let error = attach(&bench).unwrap_err();
+    let chip = SharedChip::new();
+    chip.lock().idcode = 0x2001_6419;
+    let error = attach(&chip).unwrap_err();
     assert!(matches!(&error, ProbeError::WrongChip { found: 0x419, .. }), "{error}");
     assert!(error.to_string().contains("STM32F427/429/437/439), expected a STM32F407VG"), "{error}");
-    assert_eq!(bench.written(), (0, 0));
-    assert_eq!(bench.chip().resets, 0);
+    assert_eq!(chip.written(), (0, 0));
+    assert_eq!(chip.lock().resets, 0);
 }
 
 #[test]

@@ -31,13 +31,13 @@ impl SharedChip {
         Self(Arc::new(Mutex::new(Chip::new())))
     }
 
-    pub(crate) fn chip(&self) -> MutexGuard<'_, Chip> {
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Chip> {
         self.0.lock().unwrap()
     }
 
     /// Erased sectors and programmed pages.
     pub(crate) fn written(&self) -> (u32, u32) {
-        let chip = self.chip();
+        let chip = self.lock();
         (chip.erased_sectors, chip.programmed_pages)
     }
 
@@ -51,7 +51,7 @@ impl SharedChip {
         probes: Vec<(&'static str, u16, u16, &'static str)>,
         opening: OpenResult,
     ) -> impl FnOnce() -> Lister + Send + 'static {
-        let list = ProbeList { bench: self.clone(), probes, opening };
+        let list = ProbeList { chip: self.clone(), probes, opening };
         move || Lister::with_lister(Box::new(list))
     }
 }
@@ -67,7 +67,7 @@ pub(crate) enum OpenResult {
 
 #[derive(Debug)]
 struct ProbeList {
-    bench: SharedChip,
+    chip: SharedChip,
     probes: Vec<(&'static str, u16, u16, &'static str)>,
     opening: OpenResult,
 }
@@ -75,7 +75,7 @@ struct ProbeList {
 impl ProbeLister for ProbeList {
     fn open(&self, _: &DebugProbeSelector) -> Result<Probe, DebugProbeError> {
         match self.opening {
-            OpenResult::Works => Ok(Probe::new(EmulatedProbe::new(self.bench.clone()))),
+            OpenResult::Works => Ok(Probe::new(EmulatedProbe::new(self.chip.clone()))),
             OpenResult::Busy => {
                 let busy = std::io::Error::other("interface is busy");
                 Err(DebugProbeError::ProbeCouldNotBeCreated(ProbeCreationError::Usb(busy)))
@@ -120,7 +120,7 @@ impl ProbeFactory for Factory {
 
 #[derive(Debug)]
 struct EmulatedProbe {
-    bench: SharedChip,
+    chip: SharedChip,
     select: u32,
     power: u32,
     status: u32,
@@ -128,8 +128,8 @@ struct EmulatedProbe {
 }
 
 impl EmulatedProbe {
-    fn new(bench: SharedChip) -> Self {
-        Self { bench, select: 0, power: 0, status: 0x0300_0042, target: 0 }
+    fn new(chip: SharedChip) -> Self {
+        Self { chip, select: 0, power: 0, status: 0x0300_0042, target: 0 }
     }
 
     /// Bytes per transfer of the access port.
@@ -147,7 +147,7 @@ impl EmulatedProbe {
     /// Faults of the line precede the chip.
     fn line(&self) -> Result<MutexGuard<'_, Chip>, ArmError> {
         loop {
-            let mut chip = self.bench.chip();
+            let mut chip = self.chip.lock();
             if chip.memory_hangs {
                 drop(chip);
                 sleep(Duration::from_millis(5));
@@ -256,7 +256,7 @@ impl DebugProbe for EmulatedProbe {
     }
 
     fn target_reset(&mut self) -> Result<(), DebugProbeError> {
-        self.bench.chip().reset();
+        self.chip.lock().reset();
         Ok(())
     }
 

@@ -13,46 +13,46 @@ fn image(spec: &ImageSpec) -> Arc<Image> {
 
 #[test]
 fn writes_an_image_only_if_needed() {
-    let bench = SharedChip::new();
+    let chip = SharedChip::new();
     let image = image(&ImageSpec::default());
-    let mut board = attach(&bench).unwrap();
+    let mut board = attach(&chip).unwrap();
     assert_eq!(board.flash(&image).unwrap(), FlashOutcome::Written(0x9000));
     // Three sectors of 16 KiB, 36 pages of 1 KiB.
-    assert_eq!(bench.written(), (3, 36));
+    assert_eq!(chip.written(), (3, 36));
     for (address, &byte) in (FLASH..).zip(&image.segments()[0].bytes) {
-        assert_eq!(*bench.chip().flash_byte(address), byte, "{address:#x}");
+        assert_eq!(*chip.lock().flash_byte(address), byte, "{address:#x}");
     }
     assert_eq!(board.flash(&image).unwrap(), FlashOutcome::Unchanged);
-    assert_eq!(bench.written(), (3, 36));
+    assert_eq!(chip.written(), (3, 36));
 }
 
 #[test]
 fn writes_again_after_one_changed_byte() {
-    let bench = SharedChip::new();
+    let chip = SharedChip::new();
     let image = image(&ImageSpec::default());
-    let mut board = attach(&bench).unwrap();
+    let mut board = attach(&chip).unwrap();
     board.flash(&image).unwrap();
-    *bench.chip().flash_byte(FLASH + 0x8fff) ^= 1;
+    *chip.lock().flash_byte(FLASH + 0x8fff) ^= 1;
     assert_eq!(board.flash(&image).unwrap(), FlashOutcome::Written(0x9000));
 }
 
 #[test]
 fn reports_flash_that_differs_after_the_write() {
-    let bench = SharedChip::new();
-    bench.chip().failing_byte = Some(FLASH + 0x1234);
+    let chip = SharedChip::new();
+    chip.lock().failing_byte = Some(FLASH + 0x1234);
     let error = {
         // 35 pages: an odd number of flips.
         let spec = ImageSpec { bytes: 0x8c00, ..ImageSpec::default() };
-        attach(&bench).unwrap().flash(&image(&spec)).unwrap_err()
+        attach(&chip).unwrap().flash(&image(&spec)).unwrap_err()
     };
     assert!(matches!(error, ProbeError::Verify { address: 0x0800_1234, .. }), "{error}");
 }
 
 #[test]
 fn reports_a_flash_algorithm_that_hangs() {
-    let bench = SharedChip::new();
-    bench.chip().algorithm_hangs = true;
-    let mut board = attach(&bench).unwrap();
+    let chip = SharedChip::new();
+    chip.lock().algorithm_hangs = true;
+    let mut board = attach(&chip).unwrap();
     let start = Instant::now();
     let error = board.flash(&image(&ImageSpec::default())).unwrap_err();
     assert!(matches!(error, ProbeError::Flash(_)), "{error}");
@@ -61,12 +61,12 @@ fn reports_a_flash_algorithm_that_hangs() {
 
 #[test]
 fn rejects_an_image_outside_the_flash() {
-    let bench = SharedChip::new();
-    let mut board: AttachedBoard = attach(&bench).unwrap();
+    let chip = SharedChip::new();
+    let mut board: AttachedBoard = attach(&chip).unwrap();
     let spec = ImageSpec { address: 0x0810_0000, ..ImageSpec::default() };
     let error = board.flash(&image(&spec)).unwrap_err();
     assert!(matches!(error, ProbeError::NotInFlash { address: 0x0810_0000, .. }), "{error}");
-    assert_eq!(bench.chip().erased_sectors, 0);
+    assert_eq!(chip.lock().erased_sectors, 0);
 }
 
 #[test]

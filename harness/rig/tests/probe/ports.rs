@@ -15,9 +15,9 @@ use std::time::{Duration, Instant};
 
 /// A cable from the chip's serial port to the returned path. It lasts until the returned guard is
 /// dropped.
-fn cable(bench: &SharedChip) -> (String, Arc<()>) {
+fn cable(chip: &SharedChip) -> (String, Arc<()>) {
     let mut terminal = PtyLink::open().unwrap();
-    let (path, bench, plugged) = (terminal.path().to_owned(), bench.clone(), Arc::new(()));
+    let (path, chip, plugged) = (terminal.path().to_owned(), chip.clone(), Arc::new(()));
     let guard: Weak<()> = Arc::downgrade(&plugged);
     thread::spawn(move || {
         let line = terminal.real_time_line().unwrap();
@@ -25,7 +25,7 @@ fn cable(bench: &SharedChip) -> (String, Arc<()>) {
         while guard.upgrade().is_some() {
             received.clear();
             if line.receive(Instant::now() + Duration::from_millis(20), &mut received).unwrap().is_some() {
-                let answer = bench.chip().serial_port(&received);
+                let answer = chip.lock().serial_port(&received);
                 line.send(&answer).unwrap();
             }
         }
@@ -37,11 +37,11 @@ fn port_image(program: Program) -> ImageSpec {
     ImageSpec { program, rtt: false, ..ImageSpec::default() }
 }
 
-fn connect(bench: &SharedChip, port: &str, program: Program) -> Result<BoxedLink, ConnectError> {
+fn connect(chip: &SharedChip, port: &str, program: Program) -> Result<BoxedLink, ConnectError> {
     let port = (port.into(), 1_000_000);
     ProbeSetup::new(spec(), &port_image(program).elf(), Some(port))
         .unwrap()
-        .connect(bench.lister(), timeouts())
+        .connect(chip.lister(), timeouts())
         .map_err(ConnectError::from)
 }
 
@@ -51,11 +51,11 @@ fn sample(step: u32) -> Sample {
 
 #[test]
 fn controls_over_the_port_in_both_clocks() {
-    let bench = SharedChip::new();
-    let (port, _plugged) = cable(&bench);
-    let mut session = Session::open(connect(&bench, &port, Program::Port).unwrap()).unwrap();
+    let chip = SharedChip::new();
+    let (port, _plugged) = cable(&chip);
+    let mut session = Session::open(connect(&chip, &port, Program::Port).unwrap()).unwrap();
     assert_eq!(session.firmware_name(), "emulated-board");
-    assert_eq!(bench.written(), (3, 36));
+    assert_eq!(chip.written(), (3, 36));
     session.start_trial(&CONFIGURE).unwrap();
     let reply = session.send_sample(Duration::ZERO, &sample(0)).unwrap().unwrap();
     assert_eq!(reply.command.state, ControllerState::Running);
@@ -63,56 +63,56 @@ fn controls_over_the_port_in_both_clocks() {
     let number = session.send(Message::Sample(sample(1))).unwrap();
     let received = session.receive(Instant::now() + Duration::from_secs(10)).unwrap().unwrap();
     assert_eq!(received.sequence, number);
-    assert!(bench.chip().device.output().drive_vpp > 0.0);
-    let before = bench.chip().resets;
+    assert!(chip.lock().device.output().drive_vpp > 0.0);
+    let before = chip.lock().resets;
     drop(session);
-    assert_eq!(bench.chip().resets, before + 1);
-    assert_eq!(bench.chip().device.output().drive_vpp, 0.0);
-    assert!(!bench.chip().is_halted());
+    assert_eq!(chip.lock().resets, before + 1);
+    assert_eq!(chip.lock().device.output().drive_vpp, 0.0);
+    assert!(!chip.lock().is_halted());
 }
 
 #[test]
 fn waits_for_slow_firmware_after_the_reset() {
-    let bench = SharedChip::new();
-    let (port, _plugged) = cable(&bench);
-    bench.chip().lost_serial_chunks = 2;
-    let mut session = Session::open(connect(&bench, &port, Program::Port).unwrap()).unwrap();
+    let chip = SharedChip::new();
+    let (port, _plugged) = cable(&chip);
+    chip.lock().lost_serial_chunks = 2;
+    let mut session = Session::open(connect(&chip, &port, Program::Port).unwrap()).unwrap();
     assert!(session.request_safe_state());
 }
 
 #[test]
 fn ends_the_handshake_with_a_silent_port() {
-    let bench = SharedChip::new();
-    let (port, _plugged) = cable(&bench);
-    bench.chip().lost_serial_chunks = u32::MAX;
+    let chip = SharedChip::new();
+    let (port, _plugged) = cable(&chip);
+    chip.lock().lost_serial_chunks = u32::MAX;
     let start = Instant::now();
-    let error = connect(&bench, &port, Program::Port).err().unwrap();
+    let error = connect(&chip, &port, Program::Port).err().unwrap();
     assert!(start.elapsed() < Duration::from_secs(10));
     assert!(matches!(&error, ConnectError::Probe(ProbeError::NoHandshake { .. })), "{error}");
     assert!(!error.is_invalid_input());
     let text = error.to_string();
     assert!(text.contains(&port) && text.contains("within 400 ms after the reset"), "{text}");
     // Port and board are free again.
-    bench.chip().lost_serial_chunks = 0;
-    assert!(connect(&bench, &port, Program::Port).is_ok());
+    chip.lock().lost_serial_chunks = 0;
+    assert!(connect(&chip, &port, Program::Port).is_ok());
 }
 
 #[test]
 fn does_not_touch_the_board_without_the_port() {
-    let bench = SharedChip::new();
-    let error = connect(&bench, "/dev/no-such-port", Program::Port).err().unwrap();
+    let chip = SharedChip::new();
+    let error = connect(&chip, "/dev/no-such-port", Program::Port).err().unwrap();
     assert!(
         matches!(&error, ConnectError::Serial(SerialError::Open { port, .. }) if port == Path::new("/dev/no-such-port"))
     );
-    assert_eq!((bench.written(), bench.chip().resets), ((0, 0), 0));
+    assert_eq!((chip.written(), chip.lock().resets), ((0, 0), 0));
 }
 
 #[test]
 fn explains_a_missing_answer_by_the_trap() {
     for program in [Program::PortTraps, Program::PortReports] {
-        let bench = SharedChip::new();
-        let (port, _plugged) = cable(&bench);
-        let mut session = Session::open(connect(&bench, &port, program).unwrap()).unwrap();
+        let chip = SharedChip::new();
+        let (port, _plugged) = cable(&chip);
+        let mut session = Session::open(connect(&chip, &port, program).unwrap()).unwrap();
         session.start_trial(&CONFIGURE).unwrap();
         let error = session.send_sample(Duration::ZERO, &sample(0)).unwrap_err();
         let RigError::Link(LinkError::Target(target)) = &error else { panic!("{program:?}: {error:?}") };

@@ -16,8 +16,8 @@ pub(crate) const CONFIGURE: Configure = Configure { period_us: 1_000_000, ..plat
 
 #[test]
 fn controls_over_rtt() {
-    let bench = SharedChip::new();
-    let mut session = Session::open(link(&bench, &ImageSpec::default()).unwrap()).unwrap();
+    let chip = SharedChip::new();
+    let mut session = Session::open(link(&chip, &ImageSpec::default()).unwrap()).unwrap();
     assert_eq!(session.firmware_name(), "emulated-board");
     assert_eq!(session.identity().chip, 0x1007_6413);
     session.start_trial(&CONFIGURE).unwrap();
@@ -28,28 +28,28 @@ fn controls_over_rtt() {
         assert_eq!(reply.command.state, ControllerState::Running);
         assert!(reply.command.drive_vpp > 0.0);
     }
-    assert!(bench.chip().device.output().drive_vpp > 0.0);
+    assert!(chip.lock().device.output().drive_vpp > 0.0);
     assert!(session.request_safe_state());
-    assert_eq!(bench.chip().device.output().drive_vpp, 0.0);
+    assert_eq!(chip.lock().device.output().drive_vpp, 0.0);
 }
 
 #[test]
 fn rejects_firmware_without_rtt_before_the_flash() {
-    let bench = SharedChip::new();
-    let error = link(&bench, &ImageSpec { rtt: false, ..ImageSpec::default() }).unwrap_err();
+    let chip = SharedChip::new();
+    let error = link(&chip, &ImageSpec { rtt: false, ..ImageSpec::default() }).unwrap_err();
     assert!(matches!(error, ProbeError::NoRtt));
     assert!(error.to_string().contains("--rig probe:CHIP,port=PORT"), "{error}");
-    assert_eq!(bench.written(), (0, 0));
-    assert_eq!(bench.chip().resets, 0);
+    assert_eq!(chip.written(), (0, 0));
+    assert_eq!(chip.lock().resets, 0);
 }
 
 #[test]
 fn ignores_an_old_rtt_control_block() {
-    let bench = SharedChip::new();
+    let chip = SharedChip::new();
     let image = Arc::new(Image::parse(&ImageSpec { program: Program::Asleep, ..ImageSpec::default() }.elf()).unwrap());
-    let mut board = attach(&bench).unwrap();
+    let mut board = attach(&chip).unwrap();
     board.flash(&image).unwrap();
-    RttBuffers::start(&mut bench.chip());
+    RttBuffers::start(&mut chip.lock());
     let start = Instant::now();
     board.restart(&image).unwrap();
     let error = RttLink::open(board, image).unwrap_err();
@@ -59,8 +59,8 @@ fn ignores_an_old_rtt_control_block() {
 
 #[test]
 fn ends_an_exchange_without_an_answer() {
-    let bench = SharedChip::new();
-    let mut link = link(&bench, &ImageSpec { program: Program::Mute, ..ImageSpec::default() }).unwrap();
+    let chip = SharedChip::new();
+    let mut link = link(&chip, &ImageSpec { program: Program::Mute, ..ImageSpec::default() }).unwrap();
     let start = Instant::now();
     let mut answer = Vec::new();
     link.exchange(Duration::ZERO, &[1, 2, 0], &mut answer).unwrap();
@@ -71,29 +71,29 @@ fn ends_an_exchange_without_an_answer() {
 
 #[test]
 fn reports_a_missing_acknowledgement_for_good() {
-    let bench = SharedChip::new();
-    let mut link = link(&bench, &ImageSpec::default()).unwrap();
-    bench.chip().failing_accesses = 1;
+    let chip = SharedChip::new();
+    let mut link = link(&chip, &ImageSpec::default()).unwrap();
+    chip.lock().failing_accesses = 1;
     let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err();
     assert!(matches!(error, LinkError::Disconnected(_)), "{error:?}");
     let error = error.to_string();
     assert!(error.contains("an exchange failed") && error.contains("did not respond"), "{error}");
     // The line works again, but the session has lost bytes.
     assert!(link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string().contains("earlier error"));
-    let before = bench.chip().resets;
+    let before = chip.lock().resets;
     assert!(link.shut_down().reset.is_ok());
-    assert_eq!(bench.chip().resets, before + 1);
+    assert_eq!(chip.lock().resets, before + 1);
 }
 
 #[test]
 fn abandons_a_probe_that_hangs() {
-    let bench = SharedChip::new();
-    let mut link = link(&bench, &ImageSpec::default()).unwrap();
-    bench.chip().memory_hangs = true;
+    let chip = SharedChip::new();
+    let mut link = link(&chip, &ImageSpec::default()).unwrap();
+    chip.lock().memory_hangs = true;
     let start = Instant::now();
     let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string();
     assert!(error.contains("the debug probe hangs: an exchange did not end within 400 ms"), "{error}");
     drop(link);
     assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
-    bench.chip().memory_hangs = false;
+    chip.lock().memory_hangs = false;
 }

@@ -69,15 +69,15 @@ fn classifies_errors_of_the_board_as_errors_of_the_rig() {
         (vec![st_link], OpenResult::Busy, false),
         (vec![st_link, dap_link], OpenResult::Works, true),
     ] {
-        let bench = SharedChip::new();
+        let chip = SharedChip::new();
         let setup = ProbeSetup::new(crate::spec(), &ImageSpec::default().elf(), None).unwrap();
-        let error = setup.connect(bench.lister_of(probes, opening), timeouts()).err().unwrap();
+        let error = setup.connect(chip.lister_of(probes, opening), timeouts()).err().unwrap();
         assert_eq!(error.is_invalid_input(), is_invalid, "{error}");
     }
-    let bench = SharedChip::new();
-    bench.chip().idcode = 0x2001_6419;
+    let chip = SharedChip::new();
+    chip.lock().idcode = 0x2001_6419;
     let setup = ProbeSetup::new(crate::spec(), &ImageSpec::default().elf(), None).unwrap();
-    let error = setup.connect(bench.lister(), timeouts()).err().unwrap();
+    let error = setup.connect(chip.lister(), timeouts()).err().unwrap();
     assert!(matches!(&error, ProbeError::WrongChip { .. }) && !error.is_invalid_input(), "{error}");
     // The image needs more flash than the chip has.
     let spec = ImageSpec { address: 0x0810_0000, ..ImageSpec::default() };

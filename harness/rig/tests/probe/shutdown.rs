@@ -7,33 +7,33 @@ use platebench_rig::Session;
 
 #[test]
 fn confirms_0_v_and_resets() {
-    let bench = SharedChip::new();
-    let mut link = link(&bench, &ImageSpec::default()).unwrap();
-    let before = bench.chip().resets;
+    let chip = SharedChip::new();
+    let mut link = link(&chip, &ImageSpec::default()).unwrap();
+    let before = chip.lock().resets;
     let ending = link.shut_down();
     assert!(ending.zero_volts_confirmed);
     assert!(ending.reset.is_ok());
-    assert_eq!(bench.chip().resets, before + 1);
+    assert_eq!(chip.lock().resets, before + 1);
     // Only once.
     assert!(!link.shut_down().zero_volts_confirmed);
     drop(link);
-    assert_eq!(bench.chip().resets, before + 1);
+    assert_eq!(chip.lock().resets, before + 1);
 }
 
 #[test]
 fn resets_a_running_chip_when_the_session_is_dropped() {
-    let bench = SharedChip::new();
-    let session = Session::open(link(&bench, &ImageSpec::default()).unwrap()).unwrap();
-    let before = bench.chip().resets;
+    let chip = SharedChip::new();
+    let session = Session::open(link(&chip, &ImageSpec::default()).unwrap()).unwrap();
+    let before = chip.lock().resets;
     drop(session);
-    assert_eq!(bench.chip().resets, before + 1);
-    assert!(!bench.chip().is_halted());
+    assert_eq!(chip.lock().resets, before + 1);
+    assert!(!chip.lock().is_halted());
 }
 
 #[test]
 fn attaches_to_a_board_again() {
-    let bench = SharedChip::new();
-    drop(attach(&bench).unwrap());
-    assert_eq!(bench.chip().resets, 1);
-    assert!(attach(&bench).is_ok());
+    let chip = SharedChip::new();
+    drop(attach(&chip).unwrap());
+    assert_eq!(chip.lock().resets, 1);
+    assert!(attach(&chip).is_ok());
 }

@@ -15,9 +15,9 @@ fn trapping_image() -> ImageSpec {
 
 #[test]
 fn reports_a_hard_fault_with_callers() {
-    let bench = SharedChip::new();
+    let chip = SharedChip::new();
     let start = Instant::now();
-    let error = Session::open(link(&bench, &trapping_image()).unwrap()).unwrap_err().to_string();
+    let error = Session::open(link(&chip, &trapping_image()).unwrap()).unwrap_err().to_string();
     assert!(start.elapsed() < timeouts().crash + Duration::from_secs(5));
     for part in [
         "the firmware trapped: HardFault, data bus error, at 0x08000212 in control_step, address 0x40001000",
@@ -30,8 +30,8 @@ fn reports_a_hard_fault_with_callers() {
 
 #[test]
 fn reads_the_registers_of_a_fault() {
-    let bench = SharedChip::new();
-    let mut link = link(&bench, &trapping_image()).unwrap();
+    let chip = SharedChip::new();
+    let mut link = link(&chip, &trapping_image()).unwrap();
     let image = Arc::new(Image::parse(&trapping_image().elf()).unwrap());
     assert_eq!(link.board().read_crash(&image).unwrap(), None);
     // An error of the firmware, not a lost line: the trial fails.
@@ -48,21 +48,21 @@ fn reads_the_registers_of_a_fault() {
 
 #[test]
 fn resets_after_a_trap_without_confirmed_0_v() {
-    let bench = SharedChip::new();
-    let mut link = link(&bench, &trapping_image()).unwrap();
+    let chip = SharedChip::new();
+    let mut link = link(&chip, &trapping_image()).unwrap();
     link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err();
-    let before = bench.chip().resets;
+    let before = chip.lock().resets;
     let ending = link.shut_down();
     assert!(!ending.zero_volts_confirmed && ending.reset.is_ok());
-    assert_eq!(bench.chip().resets, before + 1);
-    assert!(!bench.chip().is_halted());
+    assert_eq!(chip.lock().resets, before + 1);
+    assert!(!chip.lock().is_halted());
 }
 
 #[test]
 fn reports_a_watchdog_reset_during_the_reading() {
-    let bench = SharedChip::new();
-    let mut link = link(&bench, &trapping_image()).unwrap();
-    bench.chip().watchdog_resets_when_halted = true;
+    let chip = SharedChip::new();
+    let mut link = link(&chip, &trapping_image()).unwrap();
+    chip.lock().watchdog_resets_when_halted = true;
     let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string();
     assert!(error.contains("the watchdog reset the chip before its stack was read"), "{error}");
     assert!(error.contains("cfsr 0x00008200") && !error.contains("control_step"), "{error}");
