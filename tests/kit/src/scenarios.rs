@@ -36,14 +36,25 @@ pub fn load_scenario(name: &str) -> Scenario {
 
 /// Loads the scenario `s.toml` from text; its `plate = "plate.toml"` has the text `plate`.
 ///
+/// A run needs the files: see [`write_scenario`].
+///
 /// # Panics
 /// If one of the two is invalid.
 #[must_use]
 #[track_caller]
 pub fn parse_scenario(text: &str, plate: &str) -> Scenario {
-    let folder = tempfile::tempdir().unwrap();
-    fs::write(folder.path().join("plate.toml"), plate).unwrap();
-    let path = folder.path().join("s.toml");
+    write_scenario(tempfile::tempdir().unwrap().path(), text, plate)
+}
+
+/// Writes `s.toml` and `plate.toml` into `folder` and loads the scenario.
+///
+/// # Panics
+/// If one of the two is invalid.
+#[must_use]
+#[track_caller]
+pub fn write_scenario(folder: &Path, text: &str, plate: &str) -> Scenario {
+    fs::write(folder.join("plate.toml"), plate).unwrap();
+    let path = folder.join("s.toml");
     fs::write(&path, text).unwrap();
     load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
 }

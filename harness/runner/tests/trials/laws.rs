@@ -1,7 +1,7 @@
 //! Tests the limits of each control law on the modal plate, on the hosted rig.
 
 use crate::fixtures::{LOCKSTEP, plan, run_hosted};
-use platebench_test_kit::{PLATE, parse_scenario};
+use platebench_test_kit::{PLATE, write_scenario};
 
 const AT_RESONANCE: &str = "";
 const NINE_KELVIN_OFF: &str = "start_frequency_hz = 32220.9";
@@ -34,7 +34,8 @@ fn play_with_noise(law: &str, controller: &str, profile: &str, noise_um: f64) ->
          [profile]\nsetpoint_um = {setpoint}\n{profile}\n{expectations}"
     );
     let folder = tempfile::tempdir().unwrap();
-    let record = run_hosted(&plan(vec![parse_scenario(&text, &plate)], LOCKSTEP), &folder.path().join("run"));
+    let scenario = write_scenario(folder.path(), &text, &plate);
+    let record = run_hosted(&plan(vec![scenario], LOCKSTEP), &folder.path().join("run"));
     let value = |number: usize| record.scenarios[0].expectations[number].value;
     Response {
         settling_ms: value(0),

@@ -1,7 +1,7 @@
 //! Tests samples behind a lock-in: in the carrier tier its output, in the other tiers W.
 
 use crate::fixtures::{LOCKSTEP, plan, run_hosted};
-use platebench_test_kit::{PLATE, parse_scenario};
+use platebench_test_kit::{PLATE, write_scenario};
 use std::fs;
 
 const LOCKIN: &str = "[sensor]\ndemodulator_periods = 8\nconverter_hz = 1e6";
@@ -14,8 +14,8 @@ fn play(model: &str, sensor: &str) -> Vec<[f64; 2]> {
          [controller]\nlaw = \"open-loop\"\n[profile]\nsetpoint_um = 2.0\n\
          [[expect]]\nmetric = \"overshoot_percent\"\nat_most = 1e6\n"
     );
-    let scenario = parse_scenario(&text, &PLATE.replace("[sensor]", sensor));
     let folder = tempfile::tempdir().unwrap();
+    let scenario = write_scenario(folder.path(), &text, &PLATE.replace("[sensor]", sensor));
     let out = folder.path().join("run");
     let record = run_hosted(&plan(vec![scenario], LOCKSTEP), &out);
     let trace = fs::read_to_string(out.join(&record.scenarios[0].trials[0].trace)).unwrap();

@@ -4,7 +4,7 @@ use crate::fixtures::{FIG13, LOCKSTEP, plan, run_hosted};
 use platebench_plate::Tier;
 use platebench_record::{Overrides, RunRecord};
 use platebench_runner::{CancelToken, RejudgeError, RunPlan, fidelity, rejudge};
-use platebench_test_kit::{PLATE, load_scenario, parse_scenario};
+use platebench_test_kit::{PLATE, load_scenario, write_scenario};
 use platebench_trace::{Flags, Row};
 use std::fs;
 use std::path::Path;
@@ -27,7 +27,7 @@ const STEP: &str = "title = \"step\"\nplate = \"plate.toml\"\nduration_ms = 30.0
 
 /// Plays [`STEP`] with `--model`.
 fn run_step(folder: &Path, model: Option<&str>) -> RunRecord {
-    let mut scenario = parse_scenario(STEP, PLATE);
+    let mut scenario = write_scenario(folder, STEP, PLATE);
     let overrides = Overrides { model: model.map(ToOwned::to_owned), ..Overrides::default() };
     rejudge::apply_overrides(&overrides, &mut scenario);
     run_hosted(&RunPlan { overrides, ..plan(vec![scenario], LOCKSTEP) }, &folder.join("run"))
@@ -51,8 +51,7 @@ fn the_record_names_the_model() {
 fn rejects_a_scenario_with_another_model() {
     let folder = tempfile::tempdir().unwrap();
     run_step(folder.path(), None);
-    fs::write(folder.path().join("plate.toml"), PLATE).unwrap();
-    let path = folder.path().join("step.toml");
+    let path = folder.path().join("s.toml");
     for (model, is_same) in [("auto", true), ("modal", true), ("envelope", false), ("carrier", false)] {
         fs::write(&path, format!("model = \"{model}\"\n{STEP}")).unwrap();
         match rejudge(&folder.path().join("run"), Some(&path)) {
