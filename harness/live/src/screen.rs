@@ -1,6 +1,6 @@
 //! Takes the terminal for the view and restores it, however the program ends.
 
-use crate::view::LiveViewError;
+use crate::error::LiveViewError;
 use crossterm::cursor::{Hide, Show};
 use crossterm::execute;
 use crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen};

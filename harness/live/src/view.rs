@@ -1,18 +1,19 @@
 //! Runs the thread that reads rows and draws frames.
 
 use crate::draw::draw;
+use crate::error::{LiveViewError, MAX_CELLS};
 use crate::run_description::RunDescription;
 use crate::screen::Screen;
 use crate::stderr_capture::{CapturedLines, StderrCapture};
+use crate::view_event::ViewEvent;
 use crate::view_state::ViewState;
 use crossterm::event::{Event, KeyCode, KeyEventKind, KeyModifiers, poll, read};
 use crossterm::terminal::size;
-use platebench_record::Verdict;
-use platebench_runner::{Event as RunEvent, TapReader};
+use platebench_runner::TapReader;
 use ratatui::Terminal;
 use ratatui::backend::{Backend, CrosstermBackend};
 use rustix::process::{Signal, getpid, kill_process};
-use std::io::{self, BufWriter, IsTerminal, stdin};
+use std::io::{BufWriter, IsTerminal, stdin};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -28,59 +29,10 @@ const MAX_ROWS_PER_POLL: usize = 1 << 15;
 const FRAME_CAPACITY: usize = 1 << 16;
 /// Longest wait for the last frame at the end.
 const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(500);
-/// Largest terminal in cells: a frame is in memory twice, and a terminal may claim any size.
-const MAX_CELLS: u32 = 1 << 20;
 /// Lines of standard error per frame.
 const MAX_MESSAGES: usize = 64;
 /// Interval at which the wait for a key checks for the end.
 const KEY_POLL_INTERVAL: Duration = Duration::from_millis(100);
-
-/// Reason why the view cannot open. The run continues without it.
-#[derive(Debug, thiserror::Error)]
-pub enum LiveViewError {
-    /// Standard output is not a terminal.
-    #[error("standard output is not a terminal")]
-    NoTerminal,
-    /// `TERM=dumb`: no cursor control.
-    #[error("TERM=dumb: the terminal has no cursor control")]
-    Dumb,
-    /// The reported size is too large.
-    #[error("the terminal reports {columns} x {rows} cells, expected at most {MAX_CELLS} in total")]
-    Size {
-        /// Columns.
-        columns: u16,
-        /// Rows.
-        rows: u16,
-    },
-    /// Another process group owns the terminal.
-    #[error("the program runs in the background of its terminal")]
-    Background,
-    /// A system call failed.
-    #[error(transparent)]
-    Io(#[from] io::Error),
-}
-
-/// Events for the view; rows arrive through the tap.
-#[derive(Debug)]
-pub enum ViewEvent {
-    /// Port or address of the controller.
-    RigLocation(String),
-    /// A trial has ended.
-    TrialFinished,
-    /// A scenario was judged.
-    ScenarioFinished(Verdict),
-}
-
-impl ViewEvent {
-    /// The part of a run event that the view shows.
-    pub fn of(event: &RunEvent) -> Option<Self> {
-        match event {
-            RunEvent::ScenarioStarted { .. } => None,
-            RunEvent::TrialFinished { .. } => Some(Self::TrialFinished),
-            RunEvent::ScenarioFinished(record) => Some(Self::ScenarioFinished(record.verdict)),
-        }
-    }
-}
 
 /// Messages to the view thread.
 #[derive(Debug)]

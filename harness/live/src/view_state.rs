@@ -2,7 +2,7 @@
 
 use crate::run_description::{RunDescription, ScenarioDescription};
 use crate::signal_history::SignalHistory;
-use crate::view::ViewEvent;
+use crate::view_event::ViewEvent;
 use platebench_record::Verdict;
 use platebench_runner::live_tap::{TapCounts, TapRow};
 use platebench_trace::Row;
@@ -44,15 +44,15 @@ impl ViewState {
     }
 
     /// Adds a row. Another trial, or a time that runs backwards, starts a new history.
-    pub(crate) fn add_row(&mut self, sight: &TapRow) {
-        let playing = Some((sight.scenario, sight.trial));
-        let is_new = self.newest_trial != playing || self.newest_row.is_none_or(|newest| newest.t_s > sight.row.t_s);
+    pub(crate) fn add_row(&mut self, tap_row: &TapRow) {
+        let playing = Some((tap_row.scenario, tap_row.trial));
+        let is_new = self.newest_trial != playing || self.newest_row.is_none_or(|newest| newest.t_s > tap_row.row.t_s);
         self.newest_trial = playing;
-        self.newest_row = Some(sight.row);
+        self.newest_row = Some(tap_row.row);
         if is_new && let Some(scenario) = self.current_scenario() {
             self.history = SignalHistory::new(scenario.window_s(), scenario.spacing_s);
         }
-        self.history.push(&sight.row);
+        self.history.push(&tap_row.row);
     }
 
     /// Scenario of the newest row, and the number of its trial counted from 1.
@@ -65,9 +65,9 @@ impl ViewState {
     }
 
     /// Applies an event of the run.
-    pub(crate) fn apply_event(&mut self, news: ViewEvent) {
-        match news {
-            ViewEvent::RigLocation(place) => self.run.rig = place,
+    pub(crate) fn apply_event(&mut self, event: ViewEvent) {
+        match event {
+            ViewEvent::RigLocation(location) => self.run.rig = location,
             ViewEvent::TrialFinished => self.finished.trials += 1,
             ViewEvent::ScenarioFinished(Verdict::Pass) => self.finished.passed += 1,
             ViewEvent::ScenarioFinished(Verdict::Fail) => self.finished.failed += 1,

@@ -10,7 +10,8 @@
 //! * [`pty`]: a pseudo-terminal for a controller that is started by hand.
 //! * [`wall_clock`]: runs a link in virtual time by the wall clock.
 //! * [`fault_injector`]: planned line faults around any link.
-//! * [`session`]: handshake, configuration, samples and 0 V over any link.
+//! * [`session`]: handshake, configuration, samples and 0 V over any link. `command_audit`: replies that break the
+//!   protocol. [`rig_error`]: why a session cannot continue.
 //! * [`crash_report`], [`target_error`]: crashes of the firmware.
 //!
 //! Above the bytes all rigs are the same: a hosted controller and one on a cable see the same
@@ -21,6 +22,7 @@ compile_error!("the bench needs Linux: pseudo-terminals, signals and real-time s
 
 pub mod baud;
 pub mod cancel;
+mod command_audit;
 pub mod connect;
 mod connect_options;
 pub mod crash_report;
@@ -34,6 +36,7 @@ mod port_lock;
 #[cfg(feature = "probe")]
 pub mod probe;
 pub mod pty;
+pub mod rig_error;
 pub mod serial;
 pub mod session;
 pub mod spec;
@@ -54,8 +57,9 @@ pub use hosted::HostedLink;
 pub use link::{BoxedLink, Link, LinkError, RealTimeLine};
 pub use port_lock::LockHolder;
 pub use pty::PtyLink;
+pub use rig_error::RigError;
 pub use serial::{SerialError, SerialLink};
-pub use session::{ReceivedMessage, Reply, RigError, Session, printable_name};
+pub use session::{ReceivedMessage, Reply, Session, printable_name};
 pub use spec::{RigSpec, SpecError};
 pub use symbols::CodeLocation;
 pub use target_error::TargetError;

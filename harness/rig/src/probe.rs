@@ -9,7 +9,7 @@
 //! * [`setup`]: checks the input and opens the link. [`spec`]: chip and probe. `selection`: finds the probe.
 //! * `probe_thread`: a thread that may hang without the bench. `board`: the work with probe-rs there.
 //! * [`image`]: flash content of an ELF. `crash`: reads a trap from the processor.
-//! * [`rtt_link`]: the wire protocol over RTT. `port_link`: over the board's serial port.
+//! * [`rtt_link`]: the wire protocol over RTT; `rtt_channels`: its bytes. `port_link`: over the board's serial port.
 //!
 //! Enables no vector catch and leaves the watchdog running: a processor that is stopped at the entry of its
 //! fault handler cannot take the drive to 0 V.
@@ -21,6 +21,7 @@ mod error;
 pub mod image;
 mod port_link;
 mod probe_thread;
+mod rtt_channels;
 pub mod rtt_link;
 mod selection;
 pub mod setup;

@@ -1,50 +1,13 @@
 //! Runs the protocol with one controller: handshake, configuration, samples and 0 V over any link.
 
-use crate::link::{Link, LinkError};
+use crate::command_audit::CommandAudit;
+use crate::link::Link;
+use crate::rig_error::RigError;
 use platebench_wire::{
-    Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
-    Rejection, Sample,
+    Command, Configure, Configured, ControllerState, Gains, Identity, Message, Packet, PacketReader, Sample,
 };
 use std::time::{Duration, Instant};
 use tracing::{debug, trace, warn};
-
-/// Why a session cannot go on.
-#[derive(Debug, thiserror::Error)]
-pub enum RigError {
-    /// The link is lost, or the target behind it crashed.
-    #[error(transparent)]
-    Link(#[from] LinkError),
-    /// The target does not answer.
-    #[error(
-        "no {expected} from the controller; is it running, and does it speak version {} of the protocol?",
-        platebench_wire::VERSION
-    )]
-    NoAnswer {
-        /// The missing message.
-        expected: &'static str,
-    },
-    /// The rig knows virtual time only.
-    #[error("this rig cannot be used in real time")]
-    NoRealTime,
-    /// The target lost its configuration within a trial.
-    #[error("the controller was restarted in the middle of a trial")]
-    Restarted,
-    /// The target answered with a sequence number that was not sent.
-    #[error("the controller answered with a sequence number that the bench has not sent")]
-    WrongSequence,
-    /// The target refused its configuration.
-    #[error("the controller refused its configuration: {}", match .0 {
-        Rejection::Value => "a value is outside its range",
-        Rejection::Law => "it does not have this law",
-    })]
-    ConfigurationRejected(Rejection),
-    /// The target's processor trapped, and its firmware reported it.
-    #[error(
-        "the controller trapped: code {}, pc {:#010x}, lr {:#010x}, cfsr {:#010x}, address {:#010x}",
-        .0.code, .0.pc, .0.lr, .0.cfsr, .0.address
-    )]
-    Trapped(FaultReport),
-}
 
 /// A controller's answer to a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,15 +57,7 @@ pub struct Session<L: Link> {
     has_identity: bool,
     is_closed: bool,
     rejected_frames: u64,
-    /// By sequence number: drive (as bits, because NaN differs from itself) and frequency of the answer.
-    commands_by_sequence: [Option<(u32, u32)>; 256],
-    contradictions: u64,
-    second_replies: u64,
-    /// True from the confirmation of 0 V to the next message.
-    is_safe: bool,
-    drives_after_safe: u64,
-    wrong_sequences: u64,
-    ignored_safe_requests: u64,
+    audit: CommandAudit,
 }
 
 impl<L: Link> Session<L> {
@@ -133,13 +88,7 @@ impl<L: Link> Session<L> {
             has_identity: false,
             is_closed: false,
             rejected_frames: 0,
-            commands_by_sequence: [None; 256],
-            contradictions: 0,
-            second_replies: 0,
-            is_safe: false,
-            drives_after_safe: 0,
-            wrong_sequences: 0,
-            ignored_safe_requests: 0,
+            audit: CommandAudit::new(),
         };
         match session.request(Message::Hello)? {
             Some((Message::Identity(identity), _)) => {
@@ -186,12 +135,7 @@ impl<L: Link> Session<L> {
         }
         let gains = self.reconfigure(Duration::ZERO, configure)?;
         self.rejected_frames = 0;
-        self.commands_by_sequence = [None; 256];
-        self.contradictions = 0;
-        self.second_replies = 0;
-        self.drives_after_safe = 0;
-        self.wrong_sequences = 0;
-        self.ignored_safe_requests = 0;
+        self.audit.reset();
         Ok(gains)
     }
 
@@ -255,10 +199,7 @@ impl<L: Link> Session<L> {
         for _ in 0..SAFE_ATTEMPTS {
             match self.request(Message::Safe) {
                 Ok(Some((Message::Command(command), _))) => {
-                    self.is_safe = command.state == ControllerState::Safe && command.drive_vpp == 0.0;
-                    let drives_on = command.state == ControllerState::Running || command.drive_vpp != 0.0;
-                    self.ignored_safe_requests += u64::from(drives_on);
-                    return self.is_safe;
+                    return self.audit.record_safe_reply(&command);
                 }
                 Ok(_) => {}
                 Err(error) => {
@@ -324,58 +265,33 @@ impl<L: Link> Session<L> {
     /// the same sample. A repeated frame is equal, and a controller that stops may repeat the number of
     /// its last command; neither counts.
     pub fn contradictions(&self) -> u64 {
-        self.contradictions
+        self.audit.contradictions
     }
 
     /// Replies since the start of the trial that repeat an earlier reply to the same sample.
     pub fn second_replies(&self) -> u64 {
-        self.second_replies
+        self.audit.second_replies
     }
 
     /// Commands with a drive above 0 V since the controller confirmed 0 V.
     pub fn drives_after_safe(&self) -> u64 {
-        self.drives_after_safe
+        self.audit.drives_after_safe
     }
 
     /// Replies since the start of the trial whose sequence number was not sent yet.
     pub fn wrong_sequences(&self) -> u64 {
-        self.wrong_sequences
+        self.audit.wrong_sequences
     }
 
     /// Requests for 0 V since the start of the trial that the controller answered with a running state or a drive.
     pub fn ignored_safe_requests(&self) -> u64 {
-        self.ignored_safe_requests
-    }
-
-    fn record_command(&mut self, sequence: u8, command: &Command) {
-        // A delayed reply to an earlier message has an older number.
-        if self.is_safe && sequence == self.sequence && command.drive_vpp != 0.0 {
-            self.drives_after_safe += 1;
-        }
-        if command.state != ControllerState::Running {
-            return;
-        }
-        // A number ahead of the last one that was sent; half of the range is behind it.
-        if self.sequence.wrapping_sub(sequence) > u8::MAX / 2 {
-            self.wrong_sequences += 1;
-            return;
-        }
-        let Some(answer) = self.commands_by_sequence.get_mut(usize::from(sequence)) else { return };
-        let content = (command.drive_vpp.to_bits(), command.frequency_mhz);
-        match answer.replace(content) {
-            Some(before) if before == content => self.second_replies += 1,
-            Some(_) => self.contradictions += 1,
-            None => {}
-        }
+        self.audit.ignored_safe_requests
     }
 
     /// The number of the next message; forgets the answer to the earlier message with this number.
     fn next_sequence(&mut self) -> u8 {
         self.sequence = self.sequence.wrapping_add(1);
-        self.is_safe = false;
-        if let Some(answer) = self.commands_by_sequence.get_mut(usize::from(self.sequence)) {
-            *answer = None;
-        }
+        self.audit.record_sent(self.sequence);
         self.sequence
     }
 
@@ -427,7 +343,7 @@ impl<L: Link> Session<L> {
                 Some(Ok(Packet { message: Message::Fault(report), .. })) => return Err(RigError::Trapped(report)),
                 Some(Ok(packet)) => {
                     if let Message::Command(command) = &packet.message {
-                        self.record_command(packet.sequence, command);
+                        self.audit.record_command(self.sequence, packet.sequence, command);
                     }
                     return Ok(Some(packet));
                 }

@@ -1,6 +1,6 @@
 use super::*;
 use crate::run_description::{RunDescription, ScenarioDescription};
-use crate::view::ViewEvent;
+use crate::view_event::ViewEvent;
 use insta::assert_snapshot;
 use platebench_record::Verdict;
 use platebench_runner::live_tap::{TapCounts, TapRow};

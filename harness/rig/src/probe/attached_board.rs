@@ -4,7 +4,7 @@ use super::board::{Board, ChipId, FlashOutcome};
 use super::error::ProbeError;
 use super::image::Image;
 use super::probe_thread::ProbeThread;
-use super::rtt_link::RttChannels;
+use super::rtt_channels::RttChannels;
 use super::spec::ProbeSpec;
 use super::timeouts::Timeouts;
 use crate::crash_report::CrashReport;

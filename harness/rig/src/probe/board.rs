@@ -3,7 +3,7 @@
 use super::crash::read_crash;
 use super::error::ProbeError;
 use super::image::Image;
-use super::rtt_link::RttChannels;
+use super::rtt_channels::RttChannels;
 use super::selection;
 use super::spec::ProbeSpec;
 use crate::crash_report::CrashReport;

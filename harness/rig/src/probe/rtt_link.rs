@@ -1,81 +1,17 @@
 //! Speaks the wire protocol over RTT: channel 0 in both directions, with the bytes of a serial line.
 
 use super::attached_board::AttachedBoard;
-use super::error::{ProbeError, error_chain};
+use super::error::ProbeError;
 use super::image::Image;
+use super::rtt_channels::RttChannels;
 use crate::link::{Link, LinkError};
 use platebench_wire::{ControllerState, Message, Packet, PacketReader};
-use probe_rs::Core;
-use probe_rs::rtt::{DownChannel, Rtt, UpChannel};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
 /// Sequence number of the request for 0 V at the end.
 const SAFE_SEQUENCE: u8 = 0xff;
-
-/// Channel 0 in both directions.
-#[derive(Debug)]
-pub(super) struct RttChannels {
-    up: UpChannel,
-    down: DownChannel,
-}
-
-impl RttChannels {
-    pub(super) fn from_rtt(rtt: Rtt) -> Result<Self, ProbeError> {
-        let up = rtt.up_channels.into_iter().find(|channel| channel.number() == 0);
-        let down = rtt.down_channels.into_iter().find(|channel| channel.number() == 0);
-        Ok(Self {
-            up: up.ok_or(ProbeError::RttChannel { direction: "to the bench" })?,
-            down: down.ok_or(ProbeError::RttChannel { direction: "from the bench" })?,
-        })
-    }
-
-    /// Reads the waiting bytes. Then sends `bytes`, if any, and reads up to the end of the next frame.
-    pub(super) fn exchange(
-        &mut self,
-        core: &mut Core<'_>,
-        bytes: &[u8],
-        timeout: Duration,
-    ) -> Result<Vec<u8>, ProbeError> {
-        let until = Instant::now() + timeout;
-        let mut received = Vec::new();
-        self.read(core, &mut received)?;
-        if bytes.is_empty() {
-            return Ok(received);
-        }
-        // The first frame to end may be an unsolicited one that has begun.
-        let mut ends = if received.last().is_some_and(|&byte| byte != 0) { 2 } else { 1 };
-        let mut unsent = bytes;
-        loop {
-            if !unsent.is_empty() {
-                let sent = self.down.write(core, unsent).map_err(rtt_error)?;
-                unsent = unsent.get(sent..).unwrap_or_default();
-            }
-            let before = received.len();
-            self.read(core, &mut received)?;
-            let new = received.iter().skip(before).filter(|&&byte| byte == 0).count();
-            ends -= new.min(ends);
-            if ends == 0 || Instant::now() >= until {
-                return Ok(received);
-            }
-        }
-    }
-
-    fn read(&mut self, core: &mut Core<'_>, received: &mut Vec<u8>) -> Result<(), ProbeError> {
-        let mut buffer = [0; 256];
-        let count = self.up.read(core, &mut buffer).map_err(rtt_error)?;
-        received.extend(buffer.iter().take(count));
-        Ok(())
-    }
-}
-
-fn rtt_error(error: probe_rs::rtt::Error) -> ProbeError {
-    match error {
-        probe_rs::rtt::Error::Probe(cause) => ProbeError::Line { doing: "an exchange", cause: Box::new(cause) },
-        other => ProbeError::Rtt(error_chain(&other)),
-    }
-}
 
 /// Result of the end of a session.
 #[derive(Debug)]

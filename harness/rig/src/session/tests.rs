@@ -2,9 +2,10 @@
 
 use super::*;
 use crate::hosted::HostedLink;
+use crate::link::LinkError;
 use crate::link::RealTimeLine;
 use platebench_test_kit::CONFIGURE;
-use platebench_wire::LawId;
+use platebench_wire::{LawId, Rejection};
 use std::sync::{Arc, Mutex};
 
 const AT_REST: Sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };

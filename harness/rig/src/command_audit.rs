@@ -1,0 +1,75 @@
+//! Counts replies that break the protocol.
+
+use platebench_wire::{Command, ControllerState};
+
+/// Counts since the start of a trial.
+#[derive(Debug)]
+pub(crate) struct CommandAudit {
+    /// By sequence number: drive (as bits, because NaN differs from itself) and frequency of the reply.
+    replies: [Option<(u32, u32)>; 256],
+    /// True from the confirmation of 0 V to the next message.
+    is_safe: bool,
+    pub(crate) contradictions: u64,
+    pub(crate) second_replies: u64,
+    pub(crate) drives_after_safe: u64,
+    pub(crate) wrong_sequences: u64,
+    pub(crate) ignored_safe_requests: u64,
+}
+
+impl CommandAudit {
+    pub(crate) fn new() -> Self {
+        Self {
+            replies: [None; 256],
+            is_safe: false,
+            contradictions: 0,
+            second_replies: 0,
+            drives_after_safe: 0,
+            wrong_sequences: 0,
+            ignored_safe_requests: 0,
+        }
+    }
+
+    /// Forgets replies and counts.
+    pub(crate) fn reset(&mut self) {
+        *self = Self::new();
+    }
+
+    /// Records the reply to a request for 0 V. True if it confirms 0 V.
+    pub(crate) fn record_safe_reply(&mut self, command: &Command) -> bool {
+        self.is_safe = command.state == ControllerState::Safe && command.drive_vpp == 0.0;
+        let drives_on = command.state == ControllerState::Running || command.drive_vpp != 0.0;
+        self.ignored_safe_requests += u64::from(drives_on);
+        self.is_safe
+    }
+
+    /// Forgets the reply to the earlier message with the number of the message that is sent now.
+    pub(crate) fn record_sent(&mut self, sequence: u8) {
+        self.is_safe = false;
+        if let Some(reply) = self.replies.get_mut(usize::from(sequence)) {
+            *reply = None;
+        }
+    }
+
+    /// Compares a command with earlier ones. `last_sent` is the number of the last message that was sent.
+    pub(crate) fn record_command(&mut self, last_sent: u8, sequence: u8, command: &Command) {
+        // A delayed reply to an earlier message has an older number.
+        if self.is_safe && sequence == last_sent && command.drive_vpp != 0.0 {
+            self.drives_after_safe += 1;
+        }
+        if command.state != ControllerState::Running {
+            return;
+        }
+        // A number ahead of the last one that was sent; half of the range is behind it.
+        if last_sent.wrapping_sub(sequence) > u8::MAX / 2 {
+            self.wrong_sequences += 1;
+            return;
+        }
+        let Some(reply) = self.replies.get_mut(usize::from(sequence)) else { return };
+        let content = (command.drive_vpp.to_bits(), command.frequency_mhz);
+        match reply.replace(content) {
+            Some(before) if before == content => self.second_replies += 1,
+            Some(_) => self.contradictions += 1,
+            None => {}
+        }
+    }
+}
