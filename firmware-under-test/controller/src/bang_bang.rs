@@ -7,9 +7,9 @@
 //! step is a twentieth of the plate's half bandwidth, `1/(20 τ)` or 4.2 Hz. One step changes the
 //! amplitude by 0.1 %; a start that is 9 K off needs twenty periods.
 
+use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop, Excitation};
-use crate::pi::PiGains;
 use platebench_wire::{Configure, Gains, flags};
 
 /// Steps per half bandwidth.

@@ -45,8 +45,6 @@ use platebench_wire::{Configure, Gains, flags};
 /// Target of the first drive as a share of the setpoint: a plate with 8 % more gain stays within
 /// the 5 % band.
 const FIRST_TARGET_SHARE: f32 = 0.97;
-/// 5 % response time of the holding loops, s.
-const HOLDING_RESPONSE_S: f32 = 3e-3;
 /// Largest prediction error as a share of the setpoint: half a percent of noise causes a third of
 /// it.
 const PREDICTION_TOLERANCE: f32 = 0.08;
@@ -141,7 +139,7 @@ impl Deadbeat {
         let excitation = Excitation::new(configure);
         let envelope =
             EnvelopeModel::new(configure.gain_um_per_vpp, configure.time_constant_s, excitation.range(), period);
-        let holding_pole = libm::expf(-3.0 * period / loops::response_time_s(configure, HOLDING_RESPONSE_S));
+        let holding_pole = loops::closed_loop_pole(configure);
         let (amplitude, frequency) = match configure.gains {
             Some(_) => loops::loop_gains(configure),
             None => envelope.matched_gains(envelope.sigma, holding_pole, period),

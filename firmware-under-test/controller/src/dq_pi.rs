@@ -75,7 +75,7 @@ impl GainSchedule {
     fn new(configure: &Configure, range: f32) -> Self {
         let period = loops::period_s(configure);
         let envelope = EnvelopeModel::new(configure.gain_um_per_vpp, configure.time_constant_s, range, period);
-        let pole = libm::expf(-3.0 * period / loops::response_time_s(configure, loops::MATCHED_RESPONSE_S));
+        let pole = loops::closed_loop_pole(configure);
         Self {
             envelope,
             period,

@@ -10,7 +10,7 @@
 //! target for every argument, in f32 throughout (`sinf` and `cosf` of `libm` calculate in f64,
 //! which a Cortex-M4F must emulate).
 
-use crate::pi::PiGains;
+use crate::design::PiGains;
 use core::ops::{Add, Mul, Sub};
 
 /// A complex number.

@@ -13,21 +13,12 @@
 //! * A new setpoint starts at the detuning at which the nominal plate has it, `Δω = √((K1 V /
 //!   setpoint)² − 1)/τ`. Then an integral controller acts on the relative error of |W|. Its gain is
 //!   the inverse slope of the resonance curve, `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`, times
-//!   `1 − e^(−3 Ts/t_r)`. The plate answers a step of ω with an oscillation at Δω that decays with
-//!   τ, so the default of `t_r` is 10 ms.
+//!   `1 − e^(−3 Ts/t_r)`.
 
+use crate::design::{FREQUENCY_ONLY_DRIVE_SHARE, PiGains, inverse_slope};
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, Excitation};
-use crate::pi::PiGains;
 use platebench_wire::{Configure, Gains, flags};
-
-/// Constant voltage as a share of the drive limit.
-const DRIVE_SHARE: f32 = 0.5;
-/// 5 % response time of the integral controller, s.
-const RESPONSE_S: f32 = 10e-3;
-/// Smallest detuning of the gain design, half bandwidths: the slope of the resonance curve vanishes
-/// at its peak.
-const SMALLEST_DETUNING: f32 = 0.5;
 
 /// State of the excitation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,12 +42,12 @@ enum Gain {
 impl FrequencyOnly {
     pub(crate) fn design(configure: &Configure) -> (Law, Gains) {
         let period = loops::period_s(configure);
-        let drive_vpp = DRIVE_SHARE * configure.drive_limit_vpp;
+        let drive_vpp = FREQUENCY_ONLY_DRIVE_SHARE * configure.drive_limit_vpp;
         let (gain, integral_per_period) = if let Some(gains) = configure.gains {
             let rad_per_unit = gains.frequency_ki * period;
             (Gain::Given { rad_per_unit }, rad_per_unit)
         } else {
-            let share = 1.0 - libm::expf(-3.0 * period / loops::response_time_s(configure, RESPONSE_S));
+            let share = 1.0 - loops::closed_loop_pole(configure);
             // Reported for one half bandwidth, at the steepest slope.
             (Gain::Designed { share }, share * inverse_slope(1.0, configure.time_constant_s))
         };
@@ -98,10 +89,4 @@ impl FrequencyOnly {
         self.setpoint_um = setpoint_um;
         Actuation { drive_vpp: self.drive_vpp, frequency_offset_hz: self.excitation.offset_hz(), flags }
     }
-}
-
-/// `−dΔω / d ln|W|` of the resonance curve at `detuning` half bandwidths, rad/s.
-fn inverse_slope(detuning: f32, time_constant_s: f32) -> f32 {
-    let x = detuning.max(SMALLEST_DETUNING);
-    (1.0 + x * x) / (x * time_constant_s)
 }

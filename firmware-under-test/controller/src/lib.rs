@@ -4,6 +4,7 @@
 //! throughout, `libm` for the functions that `core` lacks, no `mul_add`.
 //!
 //! * [`law`]: the interface of a law and the dispatch to the laws.
+//! * [`design`]: the gains of the laws.
 //! * [`pi`]: a proportional-integral controller with anti-windup.
 //! * [`state_machine`]: idle, running, fault, safe; only it decides whether the plate is driven.
 //! * [`device`]: bytes in, bytes out; called by a board's main loop or a hosted rig.
@@ -16,6 +17,7 @@ extern crate std;
 
 mod bang_bang;
 mod deadbeat;
+pub mod design;
 pub mod device;
 mod dq_pi;
 mod envelope;

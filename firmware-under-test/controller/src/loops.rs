@@ -1,15 +1,10 @@
 //! Implements the two loops of most laws: amplitude by the drive, frequency by the distance from
 //! the resonance.
 
-use crate::pi::{Pi, PiGains, Tracking};
+use crate::design::{self, PiGains};
+use crate::pi::{Pi, Tracking};
 use core::f32::consts::TAU;
-use platebench_wire::{Configure, Gains, LawId, flags};
-
-/// The paper's 5 % response time.
-const PRINTED_RESPONSE_S: f32 = 2.0e-3;
-/// At 2.0 ms the matched design leaves 4.98 % after two periods of 1 ms: less margin to the 5 %
-/// band than the ripple of the plate's fast mode. 1.9 ms leave 4.2 %.
-pub(crate) const MATCHED_RESPONSE_S: f32 = 1.9e-3;
+use platebench_wire::{Configure, Gains, flags};
 
 /// At the upper limit, full tracking settles 16 % above the shortest possible time at 400 Vpp, and
 /// no tracking overshoots by 14 % at 340 Vpp. With 0.6 the response settles within 10 % of the
@@ -17,16 +12,12 @@ pub(crate) const MATCHED_RESPONSE_S: f32 = 1.9e-3;
 /// damping brakes, and full tracking is best.
 pub(crate) const AMPLITUDE_TRACKING: Tracking = Tracking { low: 1.0, high: 0.6 };
 
-/// The gains of `configure`, or of equation 24: as printed for `dq-pi-euler`, matched to the
-/// zero-order hold for every other law. Amplitude (plant K1/(1 + τp), equation 13), then frequency
-/// (plant −τ/(1 + τp), equation 19).
+/// The gains of `configure`, or of equation 24. Amplitude (plant K1/(1 + τp), equation 13), then
+/// frequency (plant −τ/(1 + τp), equation 19).
 pub(crate) fn loop_gains(configure: &Configure) -> (PiGains, PiGains) {
     let period = period_s(configure);
     let (gain, tau) = (configure.gain_um_per_vpp, configure.time_constant_s);
-    let design = |gain: f32| match configure.law {
-        LawId::DqPiEuler => PiGains::as_printed(gain, tau, response_time_s(configure, PRINTED_RESPONSE_S), period),
-        _ => PiGains::zero_order_hold_matched(gain, tau, response_time_s(configure, MATCHED_RESPONSE_S), period),
-    };
+    let design = |gain| PiGains::of_law(configure.law, gain, tau, response_time_s(configure), period);
     let given = |proportional, integral: f32| PiGains { proportional, integral_per_period: integral * period };
     match configure.gains {
         Some(gains) => (given(gains.amplitude_kp, gains.amplitude_ki), given(gains.frequency_kp, gains.frequency_ki)),
@@ -44,9 +35,18 @@ pub(crate) fn loop_delay_s(configure: &Configure) -> f32 {
     configure.loop_delay_us as f32 * 1e-6
 }
 
-/// The configured 5 % response time in s, or `default`.
-pub(crate) fn response_time_s(configure: &Configure, default: f32) -> f32 {
-    if configure.response_time_s > 0.0 { configure.response_time_s } else { default }
+/// The configured 5 % response time in s, or the law's default.
+pub(crate) fn response_time_s(configure: &Configure) -> f32 {
+    if configure.response_time_s > 0.0 {
+        configure.response_time_s
+    } else {
+        design::default_response_time_s(configure.law) as f32
+    }
+}
+
+/// The pole per period of a loop with the response time.
+pub(crate) fn closed_loop_pole(configure: &Configure) -> f32 {
+    design::closed_loop_pole(response_time_s(configure), period_s(configure))
 }
 
 /// The active gains in the units of the protocol.

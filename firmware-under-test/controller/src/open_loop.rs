@@ -1,9 +1,9 @@
 //! Implements `open-loop`: the drive of an undisturbed plate at a fixed frequency (Fig. 13 to 16 of
 //! the paper).
 
+use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops;
-use crate::pi::PiGains;
 use platebench_wire::{Configure, Gains, flags};
 
 /// Constant drive `V = setpoint / K1` (equation 13 at rest).

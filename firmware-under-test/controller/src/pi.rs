@@ -3,6 +3,8 @@
 //! Output `u[k] = Kp e[k] + x[k]`, integral `x[k+1] = x[k] + Ki·Ts e[k] + c (sat(u[k]) − u[k])`
 //! (forward Euler; Åström and Hägglund's back-calculation with tracking constant `c`).
 
+use crate::design::PiGains;
+
 /// Tracking constant c as a fraction of `Ki·Ts/Kp`, at either limit.
 ///
 /// 1 is the conditioning technique: the loop leaves saturation with the design's closed-loop pole.
@@ -20,50 +22,11 @@ impl Tracking {
     pub const CONDITIONED: Self = Self { low: 1.0, high: 1.0 };
 }
 
-/// Gains of one loop.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PiGains {
-    /// Proportional gain, output per error.
-    pub proportional: f32,
-    /// Integral gain times the period, output per error and period.
-    pub integral_per_period: f32,
-}
-
-impl PiGains {
-    /// An inactive loop.
-    pub const NONE: Self = Self { proportional: 0.0, integral_per_period: 0.0 };
-
-    /// Equation 24 as printed, with a forward-Euler integral: `Kp = 3τ/(K t_r)`, `Ki = Kp/τ`.
-    ///
-    /// `gain` is the static gain K of the plant, times in seconds.
-    pub fn as_printed(gain: f32, time_constant: f32, response_time: f32, period: f32) -> Self {
-        let proportional = 3.0 * time_constant / (gain * response_time);
-        Self { proportional, integral_per_period: proportional / time_constant * period }
-    }
-
-    /// Equation 24 matched to the zero-order hold: the controller's zero on the plant's sampled
-    /// pole `a = e^(−Ts/τ)`, the closed loop's pole at `p = e^(−3 Ts/t_r)`.
-    ///
-    /// From `Kp (1 − a) K / (z − 1)` in the open loop: `Kp = (1 − p) / (K (1 − a))`, `Ki·Ts = Kp (1
-    /// − a)`.
-    pub fn zero_order_hold_matched(gain: f32, time_constant: f32, response_time: f32, period: f32) -> Self {
-        let plant_pole = libm::expf(-period / time_constant);
-        let closed_loop_pole = libm::expf(-3.0 * period / response_time);
-        Self::from_poles(gain, plant_pole, closed_loop_pole)
-    }
-
-    /// As [`Self::zero_order_hold_matched`], for poles per period.
-    pub fn from_poles(gain: f32, plant_pole: f32, closed_loop_pole: f32) -> Self {
-        let proportional = (1.0 - closed_loop_pole) / (gain * (1.0 - plant_pole));
-        Self { proportional, integral_per_period: proportional * (1.0 - plant_pole) }
-    }
-
-    /// The tracking constant c.
-    fn tracking_gain(self, share: f32) -> f32 {
-        // Without a proportional part the integral is held at the limit.
-        let ratio = if self.proportional > 0.0 { self.integral_per_period / self.proportional } else { 1.0 };
-        (share * ratio).min(1.0)
-    }
+/// The tracking constant c.
+fn tracking_gain(gains: PiGains, share: f32) -> f32 {
+    // Without a proportional part the integral is held at the limit.
+    let ratio = if gains.proportional > 0.0 { gains.integral_per_period / gains.proportional } else { 1.0 };
+    (share * ratio).min(1.0)
 }
 
 /// The state of one loop.
@@ -97,7 +60,7 @@ impl Pi {
         self.integral += self.gains.integral_per_period * error;
         if output != unlimited {
             let share = if output < unlimited { self.tracking.high } else { self.tracking.low };
-            self.integral += self.gains.tracking_gain(share) * (output - unlimited);
+            self.integral += tracking_gain(self.gains, share) * (output - unlimited);
         }
         output
     }

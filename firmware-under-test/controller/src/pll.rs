@@ -7,10 +7,10 @@
 //! voltage, so the loop brings arg W to zero. \[13\] can also lock at another angle to set the
 //! amplitude, off resonance; this law does not control the amplitude.
 
+use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, FrequencyLoop};
 use crate::open_loop::OpenLoop;
-use crate::pi::PiGains;
 use platebench_wire::{Configure, Gains, flags};
 
 /// Fraction of the setpoint below which the phase is noise.

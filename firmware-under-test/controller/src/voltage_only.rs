@@ -5,9 +5,9 @@
 //! to obtain the required vibration amplitude". Assumed: a PI controller on |W|, designed as
 //! `dq-pi`'s amplitude loop. Off resonance it needs more drive: |W|/V = K1/√(1 + (τΔω)²).
 
+use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop};
-use crate::pi::PiGains;
 use platebench_wire::{Configure, Gains};
 
 /// State of the amplitude loop.

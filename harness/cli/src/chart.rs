@@ -1,28 +1,19 @@
-//! `platebench chart`: speed against accuracy, measured here and now and put onto one page.
-//!
-//! Each chart is a module of its own that returns blocks of the page and writes its files; [`Folder`] is where they go.
-//!
-//! * `precision`: integration methods, error against cost.
-//! * `scenes`: scenarios, every model of the plate against the exact one.
-//! * `laws`: control laws, response time against static error and repeatability.
+//! `platebench chart`: measures speed against accuracy and writes one page.
 
-mod laws;
-mod model_tiers;
-mod precision;
-
+use crate::chart_page::{WriteError, create_folder, write_page};
 use crate::exit::Exit;
 use crate::stdio;
 use clap::Args;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
-use platebench_report::ReportError;
-use platebench_report::page::{BlockPage, PageBlock};
 use platebench_scenario::{Diagnostic, Scenario, find};
-use std::fs;
-use std::io;
+use platebench_study::charts::{ChartError, laws, load_law_scenarios, precision, scenes};
 use std::path::{Path, PathBuf};
 
-/// Below the folder of scenes; played where no scenario is named: a step at resonance, one detuned by 545 rad/s, that under 2 N, and a finger that comes down.
+/// Rounds over all models; the cost is their median.
+const COST_ROUNDS: u32 = 3;
+/// Default of the methods' chart, below the folder of scenes: a step at resonance, one detuned by 545 rad/s, the same
+/// under 2 N, and a finger that comes down.
 const DEFAULT_SCENARIOS: [&str; 4] = [
     "paper/fig13-closed-loop.toml",
     "paper/fig14-closed-loop.toml",
@@ -34,25 +25,26 @@ const DEFAULT_SCENARIOS: [&str; 4] = [
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench chart                                        methods on four of the paper's scenarios, plates for all, laws
+  platebench chart                                        all three charts
   platebench chart scenarios/paper/setpoint-steps.toml --out /tmp/charts
-  platebench chart --only laws                            control laws side by side, and their table as laws.md
+  platebench chart --only laws                            control laws, and their table as laws.md
 
-Exit codes: 0 drawn, 2 wrong usage or invalid input, 4 there was nothing to run, 5 a scenario could not be played")]
+Exit codes: 0 drawn, 2 wrong usage or invalid input, 4 no scenario was found, 5 the controller was lost")]
 pub(crate) struct ChartArgs {
-    /// Scenario files, or folders with everything below them, for methods and scenes; where not given four of the paper's for methods, all of a default run for scenes
+    /// Scenario files or folders for methods and scenes; default: four scenarios of the paper for methods, all of a
+    /// default run for scenes
     #[arg(value_name = "SCENARIO|FOLDER")]
     pub(crate) scenarios: Vec<PathBuf>,
-    /// Where charts.html, the drawings and the figures go; a new folder below charts/ where not given
+    /// Folder for charts.html, drawings and numbers; default: a new folder below charts/
     #[arg(long, value_name = "FOLDER")]
     pub(crate) out: Option<PathBuf>,
-    /// A quarter of the settings, measured once, over 5 ms, and 4 trials behind noise: for a first look
+    /// Fast and coarse: a quarter of the settings, measured once, over 5 ms; 4 trials with noise
     #[arg(long)]
     pub(crate) quick: bool,
-    /// This chart alone; may be repeated
+    /// Only this chart; may be repeated
     #[arg(long, value_name = "CHART", value_enum)]
     pub(crate) only: Vec<ChartKind>,
-    /// The folder with paper/ and laws/, from which scenes come that are not named
+    /// Folder of the default scenarios, with paper/ and laws/
     #[arg(long, value_name = "FOLDER", default_value = "scenarios")]
     pub(crate) scenes: PathBuf,
 }
@@ -62,7 +54,7 @@ pub(crate) struct ChartArgs {
 pub(crate) enum ChartKind {
     /// Integration methods: error against cost
     Methods,
-    /// Scenarios: every model of the plate against the exact one
+    /// Scenarios: what every model of the plate changes, and its cost
     Scenes,
     /// Control laws: response time against static error and repeatability
     Laws,
@@ -70,48 +62,43 @@ pub(crate) enum ChartKind {
 
 /// Why there is no chart.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum ChartError {
-    #[error("{file}: {why}")]
-    NotPlayed { file: String, why: String },
-    #[error("scenarios cannot be meant")]
+enum ChartsError {
+    #[error("invalid scenario")]
     Scenarios(Vec<Diagnostic>),
-    #[error("there is nothing to run")]
-    Nothing,
+    #[error("no scenario was found")]
+    NoScenario,
     #[error(transparent)]
-    Report(#[from] ReportError),
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    Chart(#[from] ChartError),
+    #[error(transparent)]
+    Write(#[from] WriteError),
 }
 
-/// Where the files of all charts go.
-#[derive(Debug)]
-pub(crate) struct ChartFolder(PathBuf);
-
-impl ChartFolder {
-    fn create(path: Option<&Path>) -> Result<Self, ChartError> {
-        let now = Timestamp::now().to_zoned(TimeZone::UTC).strftime("%Y%m%dT%H%M%SZ").to_string();
-        let path = path.map_or_else(|| Path::new("charts").join(now), Path::to_owned);
-        fs::create_dir_all(&path).map_err(|source| ChartError::Io { path: path.clone(), source })?;
-        Ok(Self(path))
+impl ChartsError {
+    fn report(self) -> Exit {
+        match self {
+            Self::Scenarios(diagnostics) => {
+                diagnostics.iter().for_each(stdio::diagnostic);
+                Exit::Invalid
+            }
+            Self::Chart(ChartError::Scenario(diagnostic)) => stdio::reject_file(&diagnostic),
+            Self::Chart(error @ ChartError::Lost { .. }) => {
+                stdio::error(&error.to_string());
+                Exit::Unreachable
+            }
+            Self::Chart(ChartError::Run(error)) => {
+                stdio::error(&error.to_string());
+                Exit::of_error(&error)
+            }
+            Self::NoScenario => {
+                stdio::error(&self.to_string());
+                Exit::NothingToRun
+            }
+            error @ (Self::Chart(_) | Self::Write(_)) => stdio::reject(&error),
+        }
     }
-
-    /// Writes a file of this name.
-    pub(crate) fn write(&self, name: &str, text: &str) -> Result<(), ChartError> {
-        let path = self.0.join(name);
-        fs::write(&path, text).map_err(|source| ChartError::Io { path, source })
-    }
 }
 
-/// The page of all charts.
-const PAGE: &str = "charts.html";
-
-/// What a chart adds to the page, and to the console.
-pub(crate) struct ChartSection {
-    pub(crate) blocks: Vec<PageBlock>,
-    pub(crate) summary: String,
-}
-
-/// Measures, draws and says what came of it.
+/// Measures, draws and prints the charts.
 pub(crate) fn chart(arguments: &ChartArgs) -> Exit {
     match write_charts(arguments) {
         Ok((summary, page)) => {
@@ -119,81 +106,47 @@ pub(crate) fn chart(arguments: &ChartArgs) -> Exit {
             stdio::note(&format!("page: {}", page.display()));
             Exit::Passed
         }
-        Err(error) => {
-            match &error {
-                ChartError::Scenarios(faults) => faults.iter().for_each(stdio::diagnostic),
-                other => stdio::error(&other.to_string()),
-            }
-            match error {
-                ChartError::NotPlayed { .. } => Exit::Unreachable,
-                ChartError::Nothing => Exit::NothingToRun,
-                ChartError::Scenarios(_) | ChartError::Report(_) | ChartError::Io { .. } => Exit::Invalid,
-            }
-        }
+        Err(error) => error.report(),
     }
 }
 
-/// The charts that were asked for, on the console and on a page.
-fn write_charts(arguments: &ChartArgs) -> Result<(String, PathBuf), ChartError> {
-    let asked = |which| arguments.only.is_empty() || arguments.only.contains(&which);
+/// The summary of the charts, and the path of their page.
+fn write_charts(arguments: &ChartArgs) -> Result<(String, PathBuf), ChartsError> {
+    let is_selected = |kind| arguments.only.is_empty() || arguments.only.contains(&kind);
     // Everything is read before anything is written or played.
-    let of_methods = DEFAULT_SCENARIOS.map(|file| arguments.scenes.join(file));
-    let of_methods = asked(ChartKind::Methods).then(|| find_scenarios(arguments, &of_methods)).transpose()?;
-    let of_scenes = asked(ChartKind::Scenes)
+    let default = DEFAULT_SCENARIOS.map(|file| arguments.scenes.join(file));
+    let methods = is_selected(ChartKind::Methods).then(|| find_scenarios(arguments, &default)).transpose()?;
+    let scenes = is_selected(ChartKind::Scenes)
         .then(|| find_scenarios(arguments, std::slice::from_ref(&arguments.scenes)))
         .transpose()?;
-    let of_laws =
-        asked(ChartKind::Laws).then(|| laws::load_law_scenarios(&arguments.scenes, arguments.quick)).transpose()?;
-    let folder = ChartFolder::create(arguments.out.as_deref())?;
-    let mut charts = Vec::new();
-    if let Some(scenarios) = of_methods {
-        charts.push(("Methods: error against cost", precision::build_chart(&scenarios, arguments.quick, &folder)?));
+    let laws =
+        is_selected(ChartKind::Laws).then(|| load_law_scenarios(&arguments.scenes, arguments.quick)).transpose()?;
+    let now = || Timestamp::now().to_zoned(TimeZone::UTC).strftime("%Y%m%dT%H%M%SZ").to_string();
+    let folder = arguments.out.clone().unwrap_or_else(|| Path::new("charts").join(now()));
+    create_folder(&folder)?;
+    let mut sections = Vec::new();
+    if let Some(scenarios) = methods {
+        sections.push(precision::build_chart(&scenarios, arguments.quick)?);
     }
-    if let Some(scenarios) = of_scenes {
-        charts.push((
-            "Scenarios: models of the plate against the exact one",
-            model_tiers::build_chart(&scenarios, &folder)?,
-        ));
+    if let Some(scenarios) = scenes {
+        sections.push(scenes::build_chart(&scenarios, if arguments.quick { 1 } else { COST_ROUNDS })?);
     }
-    if let Some(scenes) = of_laws {
-        charts.push(("Control laws: speed and accuracy of what is under test", laws::build_chart(&scenes, &folder)?));
+    if let Some(scenarios) = laws {
+        sections.push(laws::build_chart(&scenarios)?);
     }
-    let (mut summary, mut blocks) = (String::new(), Vec::new());
-    for (title, chart) in charts {
-        summary.extend([title, "\n\n", &chart.summary, "\n"]);
-        blocks.push(PageBlock::Heading(title.to_owned()));
-        blocks.extend(chart.blocks);
-    }
-    let page = BlockPage {
-        title: "Speed against accuracy".to_owned(),
-        intro: format!(
-            "platebench {} on {} {}",
-            env!("CARGO_PKG_VERSION"),
-            std::env::consts::OS,
-            std::env::consts::ARCH
-        ),
-        blocks,
-    };
-    let path = folder.0.join(PAGE);
-    page.write(&path)?;
-    Ok((summary, path))
+    let (version, os, arch) = (env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
+    let intro = format!("platebench {version} on {os} {arch}");
+    let page = write_page(&folder, "charts.html", "Speed against accuracy", intro, &sections)?;
+    let texts = sections.iter().map(|section| format!("{}\n\n{}\n", section.title, section.summary));
+    let summary = texts.collect::<Vec<_>>().concat();
+    Ok((summary, page))
 }
 
-/// The scenarios that the command line names; those of `default` where it names none.
-fn find_scenarios(arguments: &ChartArgs, default: &[PathBuf]) -> Result<Vec<Scenario>, ChartError> {
+/// The scenarios of the command line, otherwise those of `default`.
+fn find_scenarios(arguments: &ChartArgs, default: &[PathBuf]) -> Result<Vec<Scenario>, ChartsError> {
     let named = if arguments.scenarios.is_empty() { default } else { &arguments.scenarios };
-    let found = find(named).map_err(ChartError::Scenarios)?;
-    if found.scenarios.is_empty() { Err(ChartError::Nothing) } else { Ok(found.scenarios) }
-}
-
-/// A field of CSV that may hold commas.
-fn quote_csv_field(text: &str) -> String {
-    format!("\"{}\"", text.replace('"', "\"\""))
-}
-
-/// `1 scenario`, `2 scenarios`.
-fn format_count(count: usize, thing: &str) -> String {
-    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
+    let found = find(named).map_err(ChartsError::Scenarios)?;
+    if found.scenarios.is_empty() { Err(ChartsError::NoScenario) } else { Ok(found.scenarios) }
 }
 
 #[cfg(test)]

@@ -1,11 +1,10 @@
 //! `platebench emulate`: emulates the plate alone, in real time, for another controller.
 
 use crate::exit::Exit;
-use crate::options::PacingArg;
+use crate::options::{PacingArg, law_names};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::{live, stdio};
 use clap::Args;
-use clap::builder::PossibleValuesParser;
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use platebench_live::{INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys};
 use platebench_plate::Time;
@@ -36,7 +35,7 @@ pub(crate) struct EmulateArgs {
     #[arg(long, value_name = "FILE", default_value = "scenarios/paper/fig13-closed-loop.toml")]
     scenario: PathBuf,
     /// Control law to configure
-    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
+    #[arg(long, value_name = "NAME", value_parser = law_names())]
     law: Option<String>,
     /// Timer of the control instants
     #[arg(long, value_enum, default_value_t = PacingArg::Bench)]

@@ -28,7 +28,7 @@ Examples:
   platebench identify runs/plate --out plate.toml --drive-limit-vpp 900 --page identification.html
   platebench identify telemetry.csv --columns time=t:ms,drive=V,frequency=f,wd=Wd,wq=Wq
 
-Columns: ROLE=NAME[:UNIT] with the roles and units time (s, ms, us), drive (Vpp, V for an amplitude), frequency (Hz, kHz, rad/s),
+Columns: ROLE=NAME[:UNIT]; roles and units: time (s, ms, us), drive (Vpp, V for an amplitude), frequency (Hz, kHz, rad/s),
 wd and wq (um, nm, m, peak to peak), temperature (K above the reference) and force (N); the first unit is the default.
 
 Exit codes: 0 identified, 2 unusable input, 3 the input does not determine the plate or is doubtful, 4 no recording")]
@@ -55,7 +55,8 @@ pub(crate) struct IdentifyArgs {
     #[arg(long, default_value = "identified plate")]
     name: String,
     /// Reference temperature of the offsets
-    #[arg(long, value_name = "C", default_value_t = 24.0, allow_negative_numbers = true, value_parser = parse_temperature)]
+    #[arg(long, value_name = "C", default_value_t = 24.0, allow_negative_numbers = true,
+        value_parser = parse_temperature)]
     reference_temperature_c: f64,
     /// Limit of the amplifier; default: the highest recorded drive
     #[arg(long, value_name = "VPP", value_parser = parse_positive)]

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   platebench judge runs/tonight
-  platebench judge runs/tonight --scenario scenarios/paper/fig13-closed-loop.toml    with the expectations of this file")]
+  platebench judge runs/tonight --scenario scenarios/paper/fig13-closed-loop.toml    expectations of this file")]
 pub(crate) struct JudgeArgs {
     /// The run folder
     run: PathBuf,

@@ -11,6 +11,7 @@ mod accept;
 mod args;
 mod baseline;
 mod chart;
+mod chart_page;
 mod check;
 mod clock;
 mod compare;

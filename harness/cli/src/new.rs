@@ -1,6 +1,7 @@
 //! `platebench new`: writes a commented scenario that runs unchanged.
 
 use crate::exit::Exit;
+use crate::options::law_names;
 use crate::stdio;
 use clap::Args;
 use platebench_wire::LawId;
@@ -31,7 +32,7 @@ pub(crate) struct NewArgs {
     #[arg(default_value = "first-step")]
     name: String,
     /// Control law
-    #[arg(long, value_name = "NAME", default_value = "dq-pi", value_parser = clap::builder::PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
+    #[arg(long, value_name = "NAME", default_value = "dq-pi", value_parser = law_names())]
     law: String,
 }
 
@@ -119,11 +120,13 @@ fn write_new_file(path: PathBuf, text: &str) -> Result<PathBuf, NewError> {
     Ok(path)
 }
 
-/// Expectations that the law meets in the template, with a margin. Laws without amplitude control settle late; bang-bang never does.
+/// Expectations that the law meets in the template, with a margin. Laws without amplitude control settle late;
+/// bang-bang never settles.
 fn expectations_of_law(law: &str) -> &'static str {
     match LawId::from_name(law) {
         Some(LawId::BangBang) => {
-            "[[expect]]\nmetric = \"final_amplitude_um\"\nwithin = [1.0, 3.0]\n\n[[expect]]\nmetric = \"drive_peak_vpp\"\nat_most = 900.0"
+            "[[expect]]\nmetric = \"final_amplitude_um\"\nwithin = [1.0, 3.0]\n\n\
+             [[expect]]\nmetric = \"drive_peak_vpp\"\nat_most = 900.0"
         }
         Some(LawId::OpenLoop | LawId::FrequencyOnly | LawId::Pll) => {
             "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 30.0      # last entry into 5 % of the setpoint\n\n\

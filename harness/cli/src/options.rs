@@ -1,6 +1,8 @@
 //! Defines options and defaults that several commands share.
 
 use clap::ValueEnum;
+use clap::builder::PossibleValuesParser;
+use platebench_wire::LawId;
 use std::num::NonZero;
 
 /// The scenarios if the command line names none.
@@ -30,7 +32,8 @@ pub(crate) enum ClockArg {
 pub(crate) enum PlateModeArg {
     /// The bench computes the plate
     Emulated,
-    /// The controller drives its own plate, sensor and amplifier; the bench sends setpoints and asks the operator for finger and heat
+    /// The controller drives its own plate, sensor and amplifier; the bench sends setpoints and asks the operator for
+    /// finger and heat
     Real,
 }
 
@@ -41,6 +44,11 @@ pub(crate) enum PacingArg {
     Bench,
     /// The controller: it requests each sample
     Target,
+}
+
+/// Accepts the names of the control laws.
+pub(crate) fn law_names() -> PossibleValuesParser {
+    PossibleValuesParser::new(LawId::ALL.map(LawId::name))
 }
 
 pub(crate) fn parse_time_scale(text: &str) -> Result<f64, String> {

@@ -14,11 +14,12 @@ use platebench_plate::Tier;
 use platebench_rig::RigSpec;
 use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::spread::PlateSpread;
+use platebench_study::loops::tuning::verification::{VerificationStep, shortest_decimal};
 use platebench_study::loops::tuning::{DesignEvaluation, TuningResult, format, tune as design};
 use platebench_wire::{Gains, LawId};
 use serde_json::json;
 use verify::{RigVerification, VerificationConfig, verify_on_rig};
-use write::{shortest_decimal, write_gains};
+use write::write_gains;
 
 /// Designs gains, prints them, writes and sends them.
 pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
@@ -56,9 +57,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
         if let (Some(rig), Exit::Passed) = (&arguments.send, exit) {
             let config = VerificationConfig {
                 plate: &arguments.plate,
-                target: &target,
-                law: arguments.law(),
-                gains,
+                step: VerificationStep { target: &target, law: arguments.law(), gains, real_time: false },
                 out: arguments.out.as_deref(),
             };
             (exit, verification) = match verify_on_rig(rig, &config) {

@@ -4,25 +4,15 @@
 //! the rig cannot decide that expectation.
 
 use crate::real_time::Pacing;
-use crate::trial::{self, TrialSpec};
-use platebench_plate::{Profile, Time};
+use crate::trial;
+use platebench_plate::Time;
 use platebench_record::Excuse;
 use platebench_record::Telemetry;
-use platebench_rig::{CancelToken, FaultInjector, HostedLink, Session};
-use platebench_scenario::{Expectation, Metric, Scenario, Spread};
+use platebench_scenario::{Expectation, Metric, Scenario};
 use platebench_trace::Row;
 use platebench_verdict::metrics::Measure;
 use platebench_verdict::{TrialMeasures, measure};
 use platebench_wire::LawId;
-
-/// The search range of the delay boundary, periods, and its bisection steps.
-const MAX_BOUNDARY_PERIODS: u64 = 3;
-const BOUNDARY_BISECTIONS: u32 = 12;
-/// A stable loop has settled after so many periods; the last ones are checked.
-const BOUNDARY_TRIAL_PERIODS: u64 = 400;
-const BOUNDARY_WINDOW_PERIODS: usize = 40;
-/// Half the band around the setpoint.
-const BOUNDARY_BAND: f64 = 0.05;
 
 /// Measures a trial and excuses expectations that the rig's delay makes impossible.
 pub(crate) fn measure_trial(
@@ -115,49 +105,7 @@ fn simulate_trial(scenario: &Scenario, law: LawId, index: u32, delay: Time) -> O
 }
 
 fn simulate_rows(scenario: &Scenario, law: LawId, index: u32) -> Option<Vec<Row>> {
-    let mut session = Session::open(FaultInjector::new(HostedLink::new())).ok()?;
-    let spec = TrialSpec { scenario, law, index, wire_time: false, own_clock: false };
-    trial::play(&mut session, &spec, &CancelToken::never(), None).map(|played| played.trace_rows)
-}
-
-/// The longest constant loop delay at which `law` still settles on the scenario's nominal plate in its initial
-/// conditions, at the highest setpoint. `None` if it does not settle without delay.
-pub(crate) fn delay_boundary(scenario: &Scenario, law: LawId) -> Option<Time> {
-    let mut calm = scenario.clone();
-    calm.plate.noise_um_rms = 0.0;
-    calm.trials.spread = Spread::default();
-    calm.duration = scenario.controller.period.times(BOUNDARY_TRIAL_PERIODS);
-    calm.trace_step = scenario.controller.period;
-    calm.expectations.clear();
-    let (_, highest) = scenario.setpoint.range();
-    let start = scenario.conditions.at(Time::ZERO);
-    calm.setpoint = Profile::constant(highest);
-    calm.conditions.temperature_offset_k = Profile::constant(start.temperature_offset_k);
-    calm.conditions.finger_force_n = Profile::constant(start.finger_force_n);
-    let mut settles = |delay: Time| {
-        calm.controller.loop_delay = delay;
-        let rows = simulate_rows(&calm, law, 0).unwrap_or_default();
-        let end = rows.len().saturating_sub(BOUNDARY_WINDOW_PERIODS);
-        highest > 0.0
-            && !rows.is_empty()
-            && rows.iter().skip(end).all(|row| (row.amplitude_um / highest - 1.0).abs() <= BOUNDARY_BAND)
-    };
-    let (mut good, mut bad) = (Time::ZERO, scenario.controller.period.times(MAX_BOUNDARY_PERIODS));
-    if !settles(good) {
-        return None;
-    }
-    if settles(bad) {
-        return Some(bad);
-    }
-    for _ in 0..BOUNDARY_BISECTIONS {
-        let middle = good.midpoint(bad);
-        if settles(middle) {
-            good = middle;
-        } else {
-            bad = middle;
-        }
-    }
-    Some(good)
+    trial::play_hosted(scenario, law, index).ok().map(|played| played.trace_rows)
 }
 
 #[cfg(test)]
@@ -170,27 +118,6 @@ mod tests {
     fn scenario(name: &str) -> Scenario {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
         load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
-    }
-
-    fn boundary_periods(law: LawId, response_ms: f64) -> f64 {
-        let mut scenario = scenario("paper/fig13-closed-loop.toml");
-        scenario.controller.response_time_ms = Some(response_ms);
-        scenario.plate.drive_limit_vpp = 1e5;
-        let budget = delay_boundary(&scenario, law).unwrap();
-        budget.seconds() / scenario.controller.period.seconds()
-    }
-
-    #[test]
-    fn delay_boundary_is_the_stability_boundary() {
-        // Derived for a response time of 2 ms at 1 kHz: 0.83 periods with the forward-Euler integral.
-        let found = boundary_periods(LawId::DqPiEuler, 2.0);
-        assert!((found - 0.83).abs() < 0.02, "{found}");
-        // The matched design is stable at one period (z² − z + 0.777 has its roots at 0.88), but not at two (z³ − z² + 0.777 has a pair at 1.07).
-        let found = boundary_periods(LawId::DqPiFixed, 2.0);
-        assert!((found - 1.64).abs() < 0.02, "{found}");
-        // Gains that follow the damping tolerate less, because a delay looks like damping.
-        let found = boundary_periods(LawId::DqPi, 2.0);
-        assert!((found - 1.4).abs() < 0.02, "{found}");
     }
 
     fn telemetry(delay_us: f64) -> Telemetry {

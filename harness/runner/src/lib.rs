@@ -4,10 +4,11 @@
 //! * [`mod@run`]: plays all trials of all scenarios on several workers; `worker`: one of them.
 //! * [`trial`]: one trial in lockstep; [`real_time`]: one in real time; [`real_plate`]: one on a real plate.
 //! * `plant_simulation`, `controller_log`, `command_checks`: what the first two share.
-//! * [`live_tap`]: rows for a live view; [`operator`]: the person who is asked.
+//! * [`live_tap`]: rows for a live view; [`operator`]: the person at the plate.
 //! * [`mod@rejudge`]: judges a stored run without a rig.
+//! * [`delay_boundary`]: the longest loop delay at which a law settles.
 //! * `delay_attribution`: excuses what the rig's loop delay makes impossible.
-//! * `trend`: compares the cost of control steps with earlier runs; [`fidelity`]: measures the error of plate models.
+//! * `trend`: compares the cost of control steps with earlier runs.
 //!
 //! Reports belong to `platebench-report`, exit codes to the command line.
 
@@ -16,8 +17,8 @@ mod command_checks;
 mod configure;
 mod controller_log;
 mod delay_attribution;
+pub mod delay_boundary;
 mod fault;
-pub mod fidelity;
 pub mod live_tap;
 pub mod operator;
 pub mod plan;

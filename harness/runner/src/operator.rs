@@ -49,7 +49,7 @@ impl Answer {
     }
 }
 
-/// The person who is asked. Only [`Operator::ask`] may wait.
+/// The person at the plate. Only [`Operator::ask`] may wait.
 pub trait Operator: Sync {
     /// Asks and waits for the answer until `cancel` or for a bounded time.
     fn ask(&self, question: Question<'_>, cancel: &CancelToken) -> Answer;

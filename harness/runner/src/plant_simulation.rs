@@ -289,8 +289,8 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 }
 
-/// The first time stamp of trial `index`: 0 or just before 2^16 ms, 2^31 µs or 2^32 µs, so that counters of these widths
-/// overflow within the trial.
+/// The first time stamp of trial `index`: 0 or just before 2^16 ms, 2^31 µs or 2^32 µs, so that counters of these
+/// widths overflow within the trial.
 fn clock_start_us(scenario: &Scenario, index: u32) -> u32 {
     let before_us = (scenario.duration.wrapping_micros() / 2).min(20_000);
     match index % 4 {

@@ -66,7 +66,8 @@ impl ClockDrift {
         self.square_ahead += from_ahead * (ahead - self.mean_ahead);
     }
 
-    /// The drift and its standard error, ppm, positive if the target's clock is fast; `None` with fewer than three pairs.
+    /// The drift and its standard error, ppm; positive if the target's clock is fast. `None` with fewer than three
+    /// pairs.
     pub(crate) fn ppm(&self) -> Option<(f64, f64)> {
         if self.count < 3.0 || self.square_bench <= 0.0 {
             return None;

@@ -9,7 +9,7 @@ use crate::live_tap::TapWriter;
 use crate::plant_simulation::{PlantSimulation, expected_rows};
 use platebench_plate::Time;
 use platebench_record::Telemetry;
-use platebench_rig::{CancelToken, FaultInjector, Link, LinkError, Reply, RigError, Session};
+use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, LinkError, Reply, RigError, Session};
 use platebench_scenario::Scenario;
 use platebench_trace::{Flags, Row};
 use platebench_wire::{Command, Configure, ControllerState as Mode, LawId, StateCause};
@@ -60,13 +60,7 @@ pub fn play<L: Link>(
     cancel: &CancelToken,
     tap: Option<&mut TapWriter>,
 ) -> Option<TrialResult> {
-    session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
-    let mut trial = Trial::new(session, spec, tap);
-    let configure = trial.configuration();
-    match trial.session.start_trial(&configure) {
-        Ok(gains) => trial.controller.record_configuration(&configure, Some(&gains), Time::ZERO),
-        Err(error) => trial.end_on_link_error(error),
-    }
+    let mut trial = Trial::start(session, spec, tap);
     while !trial.step() {
         if cancel.is_cancelled() {
             trial.session.request_safe_state();
@@ -74,6 +68,18 @@ pub fn play<L: Link>(
         }
     }
     Some(trial.finish())
+}
+
+/// Plays a trial with the firmware in this process.
+///
+/// # Errors
+/// The firmware does not answer before the trial.
+pub fn play_hosted(scenario: &Scenario, law: LawId, index: u32) -> Result<TrialResult, RigError> {
+    let mut session = Session::open(FaultInjector::new(HostedLink::new()))?;
+    let spec = TrialSpec { scenario, law, index, wire_time: false, own_clock: false };
+    let mut trial = Trial::start(&mut session, &spec, None);
+    while !trial.step() {}
+    Ok(trial.finish())
 }
 
 /// A command before the loop delay is over.
@@ -142,6 +148,18 @@ struct Trial<'a, L: Link> {
 }
 
 impl<'a, L: Link> Trial<'a, L> {
+    /// Plans the faults and configures the controller.
+    fn start(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, tap: Option<&'a mut TapWriter>) -> Self {
+        session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
+        let mut trial = Self::new(session, spec, tap);
+        let configure = trial.configuration();
+        match trial.session.start_trial(&configure) {
+            Ok(gains) => trial.controller.record_configuration(&configure, Some(&gains), Time::ZERO),
+            Err(error) => trial.end_on_link_error(error),
+        }
+        trial
+    }
+
     fn new(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, tap: Option<&'a mut TapWriter>) -> Self {
         let TrialSpec { scenario, index, law, .. } = *spec;
         let planned_stops = if spec.own_clock { planned_stops(scenario) } else { Vec::new() };

@@ -1,6 +1,7 @@
 //! Plays and measures trials over one link to a controller.
 
-use crate::delay_attribution::{delay_boundary, measure_trial};
+use crate::delay_attribution::measure_trial;
+use crate::delay_boundary::scenario_delay_boundary;
 use crate::live_tap::LiveTap;
 use crate::operator::Operator;
 use crate::plan::{Clock, LinkFactory, RunError, RunPlan};
@@ -148,7 +149,7 @@ impl WorkQueue<'_> {
         let Some(mut played) = played else { return Ok(None) };
         if let Some(timing) = &mut played.telemetry.timing {
             let boundary = self.run.delay_boundaries.get(task.scenario);
-            let boundary = boundary.and_then(|cell| *cell.get_or_init(|| delay_boundary(scenario, law)));
+            let boundary = boundary.and_then(|cell| *cell.get_or_init(|| scenario_delay_boundary(scenario, law)));
             timing.loop_delay_budget_us = boundary.map(|boundary| boundary.seconds() * 1e6);
         }
         if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {

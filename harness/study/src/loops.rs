@@ -2,7 +2,7 @@
 //! boundaries.
 //!
 //! * [`plant`]: the plate around an operating point, as exactly sampled poles.
-//! * [`controller`]: PI loops and their discretisation: forward, backward, matched.
+//! * [`controller`]: PI loops, and the readings of equation 24: forward, backward, matched.
 //! * [`closed_loop`]: plant, controller and delay as one matrix per period; its poles.
 //! * [`margins`]: gain, phase and delay margins.
 //! * [`step_response`]: settling time, overshoot and drive of a setpoint step.
@@ -29,8 +29,8 @@ pub mod tuning;
 
 pub use case::{LoopCase, OperatingCondition};
 pub use closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
-pub use controller::{IntegralMethod, LinearController, LoopChannel, PiGains};
-pub use margins::{DelayBoundary, StabilityMargins, delay_boundary};
+pub use controller::{LinearController, LoopChannel, PiGains, Reading};
+pub use margins::{StabilityMargins, delay_boundary};
 pub use measured_boundary::{LoopMotion, LoopSimulation};
 pub use plain_loops::{PlainLoops, StartResult};
 pub use plant::{LinearPlant, Pole};

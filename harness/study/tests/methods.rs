@@ -116,7 +116,7 @@ struct Document {
     p: platebench_plate::RawProfile,
 }
 
-/// Each crate gets as far as it is asked to, within what accumulates over 65 turns per millisecond.
+/// Each crate reaches its tolerance, times what accumulates over 65 turns per millisecond.
 #[rstest]
 fn crates_reach_their_tolerance(
     #[values(EquationForm::Envelope, EquationForm::Modal, EquationForm::Carrier)] frame: EquationForm,

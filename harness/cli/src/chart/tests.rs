@@ -1,7 +1,8 @@
-//! The command from its arguments to its files.
+//! Tests the command from its arguments to its files.
 
 use super::*;
 use std::collections::BTreeSet;
+use std::fs;
 
 fn scenario(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name)
@@ -17,7 +18,7 @@ fn arguments(only: ChartKind, named: &[PathBuf], out: &Path) -> ChartArgs {
     }
 }
 
-/// The rows of a file of figures, the header first; no field of these tests has a comma in it unless it is quoted.
+/// The rows of a CSV file, the header first.
 fn parse_csv(csv: &str) -> Vec<Vec<String>> {
     let fields = |line: &str| {
         let (mut fields, mut is_quoted) = (vec![String::new()], false);
@@ -46,9 +47,10 @@ fn parse_number(text: &str) -> f64 {
 }
 
 #[test]
-fn a_scenario_becomes_a_page_drawings_and_figures() {
+fn writes_a_page_drawings_and_numbers_for_methods() {
     let (folder, rows) = run_chart(ChartKind::Methods, &[scenario("paper/fig16-closed-loop.toml")], "precision.csv");
-    let header = "scenario,problem,method,setting_kind,setting,status,numerical_error,model_error,total_error,ns_per_simulated_ms,ratio_to_best_peer";
+    let header = "scenario,problem,method,setting_kind,setting,status,numerical_error,model_error,total_error,\
+                  ns_per_simulated_ms,ratio_to_best_peer";
     assert_eq!(rows[0].join(","), header);
     let rows = &rows[1..];
     assert!(rows.iter().all(|row| row.len() == 11), "{rows:?}");
@@ -65,7 +67,7 @@ fn a_scenario_becomes_a_page_drawings_and_figures() {
             "{problem}"
         );
     }
-    // What fails is there and is called so.
+    // Failed settings are listed as such.
     let failed: Vec<_> = rows.iter().filter(|row| row[5] != "ok").collect();
     assert!(
         failed.iter().any(|row| row[1] == "modal" && row[2] == "RK4" && row[5] == "diverged" && row[6].is_empty()),
@@ -79,7 +81,7 @@ fn a_scenario_becomes_a_page_drawings_and_figures() {
 }
 
 #[test]
-fn without_a_setpoint_there_is_no_error_to_draw() {
+fn rejects_a_scenario_without_a_setpoint() {
     let folder = tempfile::tempdir().unwrap();
     let text = fs::read_to_string(scenario("paper/fig13-open-loop.toml")).unwrap();
     let plate = scenario("plates/aluminium-198x138.toml");
@@ -99,7 +101,7 @@ fn without_a_setpoint_there_is_no_error_to_draw() {
 }
 
 #[test]
-fn what_is_not_there_is_invalid_input() {
+fn rejects_missing_files_and_empty_folders() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("new");
     for which in [ChartKind::Methods, ChartKind::Scenes] {
@@ -111,12 +113,13 @@ fn what_is_not_there_is_invalid_input() {
     assert!(!out.exists(), "nothing was drawn");
 }
 
-/// 30 ms of a step to 2 µm at resonance, and how far the end may be from it.
+/// Writes a scenario: 30 ms of a step to 2 µm at resonance, whose end may be off by `tolerance`.
 fn scenario_with_tolerance(folder: &Path, law: &str, model: &str, tolerance: f64) -> PathBuf {
     let plate = scenario("plates/aluminium-198x138.toml");
     let (low, high) = (2.0 - tolerance, 2.0 + tolerance);
     let text = format!(
-        "title = \"{law}\"\nplate = {:?}\nmodel = \"{model}\"\nduration_ms = 30.0\n[controller]\nlaw = \"{law}\"\n[profile]\nsetpoint_um = 2.0\n\
+        "title = \"{law}\"\nplate = {:?}\nmodel = \"{model}\"\nduration_ms = 30.0\n\
+         [controller]\nlaw = \"{law}\"\n[profile]\nsetpoint_um = 2.0\n\
          [[expect]]\nmetric = \"final_amplitude_um\"\nwithin = [{low}, {high}]\n",
         plate.display().to_string()
     );
@@ -125,8 +128,14 @@ fn scenario_with_tolerance(folder: &Path, law: &str, model: &str, tolerance: f64
     file
 }
 
+/// The rows of one scenario on one model.
+fn rows_of<'a>(rows: &'a [Vec<String>], file: &str, model: &str) -> Vec<&'a Vec<String>> {
+    let model_column = rows[0].iter().position(|column| column == "model").unwrap();
+    rows.iter().filter(|row| row[0].contains(file) && row[model_column] == model).collect()
+}
+
 #[test]
-fn every_model_is_measured_against_the_exact_one() {
+fn scenes_are_judged_on_every_model() {
     let folder = tempfile::tempdir().unwrap();
     let named = [
         scenario_with_tolerance(folder.path(), "open-loop", "linear", 1.0),
@@ -135,20 +144,41 @@ fn every_model_is_measured_against_the_exact_one() {
     ];
     let (folder, rows) = run_chart(ChartKind::Scenes, &named, "scenes.csv");
     let column = |name: &str| rows[0].iter().position(|column| column == name).unwrap();
-    let of = |file: &str, name: &str| {
-        let row = rows.iter().find(|row| row[0].contains(file)).unwrap_or_else(|| panic!("{file}: {rows:?}"));
-        assert_eq!(row.len(), rows[0].len(), "{row:?}");
-        row[column(name)].clone()
-    };
-    assert_eq!(rows.len(), 4);
-    assert_eq!((of("open-loop-1", "model").as_str(), of("dq-pi-0.05", "model").as_str()), ("linear", "modal"));
-    let error = parse_number(&of("fig13-closed", "error_envelope"));
-    assert!((4e-3..6e-3).contains(&error), "{error:e}");
-    assert_eq!(parse_number(&of("fig13-closed", "error_modal")), 0.0);
+    let scenario_model = |file: &str| rows_of(&rows, file, "modal")[0][column("scenario_model")].clone();
+    assert_eq!((scenario_model("open-loop-1").as_str(), scenario_model("dq-pi-0.05").as_str()), ("linear", "modal"));
+    for file in ["open-loop-1", "dq-pi-0.05", "fig13-closed"] {
+        for row in rows_of(&rows, file, "modal") {
+            assert_eq!(parse_number(&row[column("difference_in_tolerances")]), 0.0, "{row:?}");
+        }
+        let expectations = ["linear", "envelope"].map(|model| rows_of(&rows, file, model).len());
+        assert_eq!(expectations, [rows_of(&rows, file, "modal").len(); 2]);
+        assert_eq!(rows_of(&rows, file, "carrier").len(), 0, "the plate has no converter");
+    }
     let page = fs::read_to_string(folder.path().join("new/charts.html")).unwrap();
-    assert!(page.contains("3 scenarios played on 4 models."), "{page}");
+    assert!(page.contains("CPU time per control period"), "{page}");
     let svg = fs::read_to_string(folder.path().join("new/scenes.svg")).unwrap();
     assert!(svg.contains("fig13-closed-loop"), "{}", svg.len());
+}
+
+#[test]
+fn scenes_show_a_verdict_that_a_wrong_model_changes() {
+    let folder = tempfile::tempdir().unwrap();
+    // Detuned by 545 rad/s: the linear model has no coupling, so its amplitude ignores the detuning.
+    let plate = scenario("plates/aluminium-198x138.toml");
+    let text = format!(
+        "title = \"detuned\"\nplate = {:?}\nduration_ms = 30.0\n[controller]\nlaw = \"open-loop\"\n\
+         [profile]\nsetpoint_um = 2.0\ntemperature_offset_k = 9.0\n\
+         [[expect]]\nmetric = \"final_amplitude_um\"\nat_most = 1.9\n",
+        plate.display().to_string()
+    );
+    let file = folder.path().join("detuned.toml");
+    fs::write(&file, text).unwrap();
+    let (folder, rows) = run_chart(ChartKind::Scenes, &[file], "scenes.csv");
+    let column = |name: &str| rows[0].iter().position(|column| column == name).unwrap();
+    let [row] = rows_of(&rows, "detuned", "linear")[..] else { panic!("{rows:?}") };
+    assert_eq!((row[column("verdict")].as_str(), row[column("reference_verdict")].as_str()), ("fail", "pass"));
+    let page = fs::read_to_string(folder.path().join("new/charts.html")).unwrap();
+    assert!(page.contains("fail instead of pass"), "{page}");
 }
 
 /// Every law in every scene, once; docs/laws.md contains the same table.
@@ -163,14 +193,14 @@ fn law_table_equals_the_documented_one() {
     assert_eq!(rows.len(), 1 + 9 * 8);
     assert!((1.8..2.0).contains(&parse_number(&of("dq-pi", "Fig. 13", "response_ms"))), "{rows:?}");
     assert!(parse_number(&of("deadbeat", "Fig. 16", "response_ms")) <= 2.0, "{rows:?}");
-    // 30 % are missing where nobody looks, and it is said that this never settles.
+    // Without feedback 30 % are missing, and the response never settles.
     assert_eq!(of("open-loop", "Fig. 14", "response_ms"), "");
     assert!((29.0..32.0).contains(&parse_number(&of("open-loop", "Fig. 14", "static_error_percent"))), "{rows:?}");
     assert_eq!(
         (of("open-loop", "10 nm", "settled_trials").as_str(), of("dq-pi", "10 nm", "settled_trials").as_str()),
         ("0", "4")
     );
-    // 10 nm of 2 µm over 20 samples; and who follows the samples is about there.
+    // 10 nm of 2 µm over 20 samples; a law that follows the samples has about this scatter.
     let floor = parse_number(&of("dq-pi", "10 nm", "noise_floor_percent"));
     assert!((floor - 0.111_803).abs() < 1e-5, "{floor}");
     let scatter = parse_number(&of("dq-pi", "10 nm", "repeatability_percent"));

@@ -30,7 +30,9 @@ fn parse_run(config: &Config, arguments: &[&str]) -> RunArgs {
 #[test]
 fn the_commands_are_consistent_with_and_without_a_file() {
     let folder = write_config(
-        "rig = \"hosted\"\njobs = 1\nformat = \"json\"\nbaselines = \"b\"\nscenarios = [\"s\"]\nruns = \"r\"\nout = \"o\"\n[run]\nlaw = \"dq-pi\"\nmodel = \"auto\"\nclock = \"lockstep\"\ntime_scale = 1.0\npacing = \"bench\"\ntrials = 1\nseed = 0\n",
+        "rig = \"hosted\"\njobs = 1\nformat = \"json\"\nbaselines = \"b\"\nscenarios = [\"s\"]\n\
+         runs = \"r\"\nout = \"o\"\n[run]\nlaw = \"dq-pi\"\nmodel = \"auto\"\nclock = \"lockstep\"\n\
+         time_scale = 1.0\npacing = \"bench\"\ntrials = 1\nseed = 0\n",
     );
     let config = read_config(&folder.path().join(FILE)).unwrap();
     assert_eq!(config.values.len(), SETTINGS.len(), "one value per setting");
@@ -64,7 +66,8 @@ fn every_setting_is_an_option_and_in_the_help() {
 #[test]
 fn the_file_overrides_defaults_and_the_command_line_the_file() {
     let folder = write_config(
-        "rig = \"hosted\"\njobs = 3\nruns = \"mine\"\nscenarios = [\"a\", \"b\"]\n[run]\ntrials = 7\ntime_scale = 0.5\nlaw = \"deadbeat\"\n",
+        "rig = \"hosted\"\njobs = 3\nruns = \"mine\"\nscenarios = [\"a\", \"b\"]\n\
+         [run]\ntrials = 7\ntime_scale = 0.5\nlaw = \"deadbeat\"\n",
     );
     let config = read_config(&folder.path().join(FILE)).unwrap();
     let built_in = parse_run(&Config::default(), &[]);

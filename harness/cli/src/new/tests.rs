@@ -40,9 +40,10 @@ fn nothing_is_ever_overwritten() {
     fs::create_dir(folder.path().join("plates")).unwrap();
     fs::write(folder.path().join(PLATE_FILE), "mine").unwrap();
     fs::write(folder.path().join("taken.toml"), "mine, too").unwrap();
-    assert!(
-        matches!(write_files(folder.path(), "taken", "dq-pi"), Err(NewError::Taken(path)) if path.ends_with("taken.toml"))
-    );
+    assert!(matches!(
+        write_files(folder.path(), "taken", "dq-pi"),
+        Err(NewError::Taken(path)) if path.ends_with("taken.toml")
+    ));
     assert_eq!(fs::read_to_string(folder.path().join("taken.toml")).unwrap(), "mine, too");
     assert_eq!(write_files(folder.path(), "free", "dq-pi").unwrap(), [folder.path().join("free.toml")]);
     assert_eq!(fs::read_to_string(folder.path().join(PLATE_FILE)).unwrap(), "mine");

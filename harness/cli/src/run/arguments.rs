@@ -1,7 +1,7 @@
 //! Defines the arguments of `platebench run`.
 
 use crate::clock::ClockRequest;
-use crate::options::{ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, parse_time_scale};
+use crate::options::{ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_time_scale};
 use crate::outputs::Outputs;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
@@ -9,7 +9,6 @@ use platebench_plate::Tier;
 use platebench_record::Overrides;
 use platebench_rig::RigSpec;
 use platebench_scenario::AUTO_MODEL;
-use platebench_wire::LawId;
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
@@ -28,11 +27,12 @@ pub(crate) struct RunArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     pub(crate) scenarios: Vec<PathBuf>,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
+    /// probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
     #[arg(long, default_value = "emulated")]
     pub(crate) rig: RigSpec,
     /// Control law of the firmware under test
-    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(LawId::ALL.map(LawId::name)))]
+    #[arg(long, value_name = "NAME", value_parser = law_names())]
     pub(crate) law: Option<String>,
     /// Model of the plate, instead of the scenario's
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(
@@ -65,7 +65,8 @@ pub(crate) struct RunArgs {
     /// Parent folder of new run folders
     #[arg(long, value_name = "FOLDER", default_value = "runs")]
     pub(crate) runs: PathBuf,
-    /// Run changed scenarios again until Ctrl-C: a scenario if its file, plate or profile changed, all if the ELF changed
+    /// Run changed scenarios again until Ctrl-C: a scenario if its file, plate or profile changed, all if the ELF
+    /// changed
     #[arg(long)]
     pub(crate) watch: bool,
     /// Trials of each scenario

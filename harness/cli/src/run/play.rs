@@ -73,7 +73,7 @@ pub(super) fn play(
     };
     let folder = folder.map_err(|fault| stdio::reject(&fault))?;
     let is_real = clock == Clock::RealPlate;
-    // A serial line carries one trial. In real time nothing may compete with the control loop unless --jobs asks for it.
+    // A serial line carries one trial. In real time nothing competes with the control loop unless --jobs allows it.
     let jobs = match arguments.jobs {
         _ if !arguments.rig.allows_parallel_links() || is_real => 1,
         None if !matches!(clock, Clock::Lockstep { .. }) => 1,

@@ -1,7 +1,9 @@
-//! The command from its arguments to its files; what the loops come to is held where they are analysed.
+//! Tests the command from its arguments to its files. The tests of `platebench-study` check the analysis.
 
 use super::*;
 use platebench_study::integration::StepLimit;
+use platebench_study::integration::stability::step_limits;
+use std::fs;
 
 fn arguments(out: Option<&Path>) -> StabilityArgs {
     StabilityArgs {
@@ -14,9 +16,9 @@ fn arguments(out: Option<&Path>) -> StabilityArgs {
     }
 }
 
-/// What stands in the table and in the file is what the methods themselves do; where it is not what theory says, somebody has to see it.
+/// Table and file contain measurement and theory, so that a difference is visible.
 #[test]
-fn the_largest_steps_of_methods_stand_beside_theory_everywhere() {
+fn the_largest_steps_of_methods_are_next_to_theory() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("new");
     let text = analyse(&arguments(Some(&out))).unwrap();

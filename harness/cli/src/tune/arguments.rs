@@ -7,7 +7,8 @@ use clap::builder::PossibleValuesParser;
 use platebench_plate::{Plate, Uncertainty};
 use platebench_rig::RigSpec;
 use platebench_scenario::Diagnostic;
-use platebench_study::loops::tuning::design::{Reading, TuningTarget};
+use platebench_study::loops::Reading;
+use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::spread::PlateSpread;
 use platebench_wire::LawId;
 use std::path::PathBuf;
@@ -41,7 +42,8 @@ pub(crate) struct TuneArgs {
     #[arg(long, value_name = "FILE")]
     pub(super) plate: PathBuf,
     /// Law of the gains: dq-pi-euler uses equation 24 as printed, the others match the zero-order hold
-    #[arg(long, value_name = "NAME", default_value = "dq-pi", value_parser = PossibleValuesParser::new(LAWS.map(LawId::name)))]
+    #[arg(long, value_name = "NAME", default_value = "dq-pi",
+        value_parser = PossibleValuesParser::new(LAWS.map(LawId::name)))]
     law: String,
     /// Target for the 5 % response time of |W|, ms
     #[arg(long, value_name = "X", default_value_t = 2.0, value_parser = parse_positive_ms)]

@@ -4,17 +4,13 @@ use super::arguments::LAWS;
 use platebench_plate::Time;
 use platebench_scenario::{Diagnostic, load};
 use platebench_study::loops::tuning::design::TuningTarget;
+use platebench_study::loops::tuning::verification::shortest_decimal;
 use platebench_wire::{Gains, LawId};
 use std::fs;
 use std::io::Write;
 use std::path::Path;
 use tempfile::NamedTempFile;
 use toml_edit::{DocumentMut, Item, Table, TableLike, Value};
-
-/// The shortest decimal that parses back to the same f32.
-pub(crate) fn shortest_decimal(gain: f32) -> f64 {
-    gain.to_string().parse().unwrap_or_else(|_| f64::from(gain))
-}
 
 /// Writes `gains` into the scenario at `path` and returns a message for the user.
 ///

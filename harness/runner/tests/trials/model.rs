@@ -3,23 +3,38 @@
 use crate::fixtures::{FIG13, LOCKSTEP, plan, run_hosted};
 use platebench_plate::Tier;
 use platebench_record::{Overrides, RunRecord};
-use platebench_runner::{CancelToken, RejudgeError, RunPlan, fidelity, rejudge};
+use platebench_runner::{RejudgeError, RunPlan, law, rejudge, trial};
+use platebench_scenario::Scenario;
 use platebench_test_kit::{PLATE, load_scenario, write_scenario};
 use platebench_trace::{Flags, Row};
 use std::fs;
 use std::path::Path;
 
+fn rows(scenario: &Scenario, tier: Tier) -> Vec<Row> {
+    let scenario = Scenario { tier, ..scenario.clone() };
+    trial::play_hosted(&scenario, law(&scenario).unwrap(), 0).unwrap().trace_rows
+}
+
+/// The largest |ΔW|/setpoint over the common instants, and their number.
+fn max_deviation(left: &[Row], right: &[Row]) -> (f64, usize) {
+    let common = left.iter().filter_map(|row| Some((row, right.iter().find(|other| other.t_s == row.t_s)?)));
+    common.fold((0.0, 0), |(worst, count), (a, b)| {
+        let deviation = (a.wd_um - b.wd_um).hypot(a.wq_um - b.wq_um) / a.setpoint_um;
+        (f64::max(worst, deviation), count + 1)
+    })
+}
+
 #[test]
 fn every_model_has_a_row_at_every_control_instant() {
     let scenario = load_scenario(FIG13);
-    let [exact, cheap] =
-        [Tier::Modal, Tier::Envelope].map(|tier| fidelity::rows(&scenario, tier, &CancelToken::default()).unwrap());
+    let [carrier, exact, cheap] = [Tier::Carrier, Tier::Modal, Tier::Envelope].map(|tier| rows(&scenario, tier));
     let controls = |rows: &[Row]| rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).count();
     assert_eq!(controls(&exact), controls(&cheap));
-    let (error, compared) = fidelity::max_deviation(&exact, &cheap, &|_| true);
+    let (error, compared) = max_deviation(&exact, &cheap);
     assert!(compared > 10);
     // Closed loop at resonance: 4.8e-3 of the setpoint.
     assert!((4e-3..6e-3).contains(&error), "{error:e}");
+    assert_eq!(max_deviation(&carrier, &exact), (0.0, carrier.len()));
 }
 
 const STEP: &str = "title = \"step\"\nplate = \"plate.toml\"\nduration_ms = 30.0\n[controller]\nlaw = \"open-loop\"\n\

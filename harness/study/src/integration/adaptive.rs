@@ -1,6 +1,6 @@
 //! Adapts the published crates with adaptive steps.
 
-use crate::integration::method::MethodFailure;
+use crate::integration::failure::MethodFailure;
 use crate::integration::problem::Problem;
 use differential_equations::control::ControlFlag;
 use differential_equations::error::Error;
@@ -14,6 +14,37 @@ use ode_solvers::{Dop853, Dopri5, OutputType, SVector, System};
 
 /// Largest number of steps per interval.
 const MAX_STEPS: u32 = 100_000;
+
+/// Runs a solver of `ode_solvers`; the solvers have no common trait. The constants are those of the
+/// crate: stabilisation β, smallest and largest change of the step.
+///
+/// Output at every step: dense output over the whole interval has an error that no tolerance
+/// changes (version 0.6).
+macro_rules! integrate_sparse {
+    ($solver:ident, $problem:expr, $x:expr, $seconds:expr, $tolerance:expr,
+     $beta:expr, $smallest:expr, $largest:expr) => {{
+        let mut solver = $solver::from_param(
+            CrateAdapter($problem),
+            0.0,
+            $seconds,
+            $seconds,
+            SVector::from($x),
+            $tolerance,
+            $tolerance,
+            0.9,
+            $beta,
+            $smallest,
+            $largest,
+            $seconds,
+            0.0,
+            MAX_STEPS,
+            MAX_STEPS,
+            OutputType::Sparse,
+        );
+        solver.integrate().map_err(|error| crate_failure(&error))?;
+        last_state(solver.y_out())
+    }};
+}
 
 /// A method of a published crate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -43,55 +74,9 @@ impl AdaptiveMethod {
         seconds: f64,
         tolerance: f64,
     ) -> Result<[f64; N], MethodFailure> {
-        // Output at every step: dense output over the whole interval has an error that no tolerance
-        // changes (0.6).
-        let out = OutputType::Sparse;
-        let start = SVector::from(x);
         match self {
-            Self::Dopri5 => {
-                let mut solver = Dopri5::from_param(
-                    CrateAdapter(problem),
-                    0.0,
-                    seconds,
-                    seconds,
-                    start,
-                    tolerance,
-                    tolerance,
-                    0.9,
-                    0.04,
-                    0.2,
-                    10.0,
-                    seconds,
-                    0.0,
-                    MAX_STEPS,
-                    MAX_STEPS,
-                    out,
-                );
-                solver.integrate().map_err(|error| crate_failure(&error))?;
-                last_state(solver.y_out())
-            }
-            Self::Dop853 => {
-                let mut solver = Dop853::from_param(
-                    CrateAdapter(problem),
-                    0.0,
-                    seconds,
-                    seconds,
-                    start,
-                    tolerance,
-                    tolerance,
-                    0.9,
-                    0.0,
-                    0.333,
-                    6.0,
-                    seconds,
-                    0.0,
-                    MAX_STEPS,
-                    MAX_STEPS,
-                    out,
-                );
-                solver.integrate().map_err(|error| crate_failure(&error))?;
-                last_state(solver.y_out())
-            }
+            Self::Dopri5 => integrate_sparse!(Dopri5, problem, x, seconds, tolerance, 0.04, 0.2, 10.0),
+            Self::Dop853 => integrate_sparse!(Dop853, problem, x, seconds, tolerance, 0.0, 0.333, 6.0),
             Self::DeDop853 => {
                 let method = ExplicitRungeKutta::dop853().rtol(tolerance).atol(tolerance);
                 solve(method.max_steps(MAX_STEPS as usize), problem, seconds, x)

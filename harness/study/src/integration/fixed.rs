@@ -1,6 +1,6 @@
 //! Implements the textbook methods with a fixed step.
 
-use crate::integration::method::MethodFailure;
+use crate::integration::failure::MethodFailure;
 use crate::integration::problem::Problem;
 use std::array::from_fn;
 

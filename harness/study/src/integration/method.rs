@@ -1,28 +1,12 @@
 //! Provides one interface to all methods.
 
 use crate::integration::adaptive::AdaptiveMethod;
+use crate::integration::failure::MethodFailure;
 use crate::integration::fixed::FixedStepMethod;
 use crate::integration::problem::Problem;
 
 /// Largest magnitude of a component, µm.
 const DIVERGENCE_LIMIT_UM: f64 = 1e6;
-
-/// Why a method has no result.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum MethodFailure {
-    /// A component is not finite or beyond a metre.
-    #[error("diverged")]
-    Diverged,
-    /// The method does not support this form of problem.
-    #[error("unsupported form of problem")]
-    UnsupportedProblem,
-    /// The linear system of an implicit step has no solution.
-    #[error("singular linear system")]
-    Singular,
-    /// The crate reports an error.
-    #[error("{0}")]
-    CrateError(&'static str),
-}
 
 /// A general method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

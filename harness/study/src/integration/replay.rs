@@ -1,6 +1,7 @@
 //! Integrates a part of a trial with known drives by any tier and any method.
 
-use crate::integration::method::{IntegrationMethod, MethodFailure};
+use crate::integration::failure::MethodFailure;
+use crate::integration::method::IntegrationMethod;
 use crate::integration::problem::{CarrierProblem, EnvelopeProblem, ModalProblem, ProblemParameters, TimeVarying};
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, State, Tier, Time};
 use std::f64::consts::TAU;

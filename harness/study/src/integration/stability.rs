@@ -140,7 +140,9 @@ pub fn step_limits(plate: &Plate) -> Vec<StepLimitRow> {
 
 /// The rows as CSV, with a header; steps in s.
 pub fn to_csv(rows: &[StepLimitRow]) -> String {
-    let mut text = "method,problem,measured_step_s,predicted_step_s,deviation_percent,told_as,decades_at_99_percent,decades_at_101_percent,source\n".to_owned();
+    let mut text = "method,problem,measured_step_s,predicted_step_s,deviation_percent,in_usual_unit,\
+                    decades_at_99_percent,decades_at_101_percent,source\n"
+        .to_owned();
     let quoted = |field: &str| format!("\"{}\"", field.replace('"', "\"\""));
     let limit = |limit: StepLimit| match limit {
         StepLimit::Never => "never".to_owned(),
@@ -151,7 +153,7 @@ pub fn to_csv(rows: &[StepLimitRow]) -> String {
         let deviation = row.deviation().map_or_else(String::new, |share| format!("{:.4}", share * 100.0));
         let [below, above] =
             row.growth_decades.map_or_else(Default::default, |both| both.map(|decades| format!("{decades:.2}")));
-        // Writing into a string does not fail.
+        // Writing to a string cannot fail.
         let _ = writeln!(
             text,
             "{},{},{},{},{deviation},{},{below},{above},{}",

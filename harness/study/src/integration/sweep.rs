@@ -1,11 +1,12 @@
 //! Measures cost against error of every method, over its steps or tolerances on one replay.
 
+use crate::cost::{median, thread_cpu_time};
 use crate::integration::adaptive::AdaptiveMethod;
+use crate::integration::failure::MethodFailure;
 use crate::integration::fixed::FixedStepMethod;
 use crate::integration::method::IntegrationMethod;
 use crate::integration::replay::{EquationForm, Replay, ReplayResult};
 use platebench_plate::{Complex64, Plant, Tier};
-use rustix::time::{ClockId, clock_gettime};
 use std::hint::black_box;
 use std::time::Duration;
 
@@ -242,7 +243,7 @@ impl<'a> ReferenceSolutions<'a> {
         let error = |truth| if failure.is_some() { f64::INFINITY } else { passage.relative_error(&samples, truth) };
         let numerical_error = error(own);
         let status = match failure {
-            Some(crate::integration::MethodFailure::Diverged) => SolverStatus::Diverged,
+            Some(MethodFailure::Diverged) => SolverStatus::Diverged,
             Some(failure) => SolverStatus::Failed(failure.to_string()),
             None if numerical_error < MAX_USEFUL_ERROR => SolverStatus::Ok,
             None => SolverStatus::Diverged,
@@ -296,20 +297,6 @@ fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
             EquationForm::Envelope | EquationForm::Modal | EquationForm::Carrier,
         ) => decades(2, 12),
     }
-}
-
-/// Processor time of this thread.
-fn thread_cpu_time() -> Duration {
-    let now = clock_gettime(ClockId::ThreadCPUTime);
-    Duration::new(now.tv_sec.unsigned_abs(), now.tv_nsec.unsigned_abs() as u32)
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    let upper = values.get(middle).copied().unwrap_or(f64::NAN);
-    let lower = if values.len().is_multiple_of(2) { values.get(middle.wrapping_sub(1)).copied() } else { None };
-    lower.map_or(upper, |lower| 0.5 * (lower + upper))
 }
 
 /// The cheapest method of a published crate on `frame` whose numerical error is at most `error`.

@@ -1,21 +1,12 @@
 //! Defines a case (law, plate, condition) and derives the law's linear form.
 
-use crate::loops::controller::{IntegralMethod, LinearController, LoopChannel, PiGains};
+use crate::loops::controller::{LinearController, LoopChannel, PiGains};
 use crate::loops::plant::{LinearPlant, steady_state};
+use platebench_controller::design;
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
 use platebench_wire::{Configure, Gains, LawId};
 use std::f64::consts::TAU;
 
-/// 5 % response times of the firmware's designs, s: the paper's (section V), the matched loops',
-/// the holding loops' of `deadbeat`, and that of `frequency-only`.
-const PRINTED_RESPONSE: f64 = 2e-3;
-const MATCHED_RESPONSE: f64 = 1.9e-3;
-const HOLDING_RESPONSE: f64 = 3e-3;
-const FREQUENCY_ONLY_RESPONSE: f64 = 10e-3;
-/// Drive of `frequency-only` as a share of the limit.
-const FREQUENCY_ONLY_SHARE: f64 = 0.5;
-/// Smallest detuning of the design of `frequency-only`, half bandwidths.
-const SMALLEST_DETUNING: f64 = 0.5;
 /// A drive limit that no small motion reaches, Vpp.
 const UNREACHED_LIMIT_VPP: f64 = 1e5;
 /// Range of the excitation frequency, Hz: a start 9 K off and, for `frequency-only`, the flank
@@ -91,12 +82,7 @@ impl<'a> LoopCase<'a> {
 
     /// The response time of the design, s.
     pub fn response(&self) -> f64 {
-        self.response_s.unwrap_or(match self.law {
-            LawId::DqPiEuler => PRINTED_RESPONSE,
-            LawId::FrequencyOnly => FREQUENCY_ONLY_RESPONSE,
-            LawId::Deadbeat => HOLDING_RESPONSE,
-            _ => MATCHED_RESPONSE,
-        })
+        self.response_s.unwrap_or(design::default_response_time_s(self.law))
     }
 
     /// The mode under the case's condition.
@@ -148,7 +134,7 @@ impl<'a> LoopCase<'a> {
                 Drive { vpp: setpoint / per_volt, omega: start }
             }
             LawId::FrequencyOnly => {
-                let vpp = FREQUENCY_ONLY_SHARE * self.limit();
+                let vpp = self.frequency_only_drive();
                 let (mut low, mut high) = (mode.omega0, start + RANGE_HZ * TAU);
                 let reaches = |omega| steady_state(tier, &mode, &Drive { vpp, omega }).norm() >= setpoint;
                 if !reaches(low) || reaches(high) {
@@ -164,6 +150,11 @@ impl<'a> LoopCase<'a> {
                 Drive { vpp: mode.drive_for(setpoint), omega: mode.omega0 }
             }
         })
+    }
+
+    /// The constant drive of `frequency-only`, Vpp.
+    fn frequency_only_drive(&self) -> f64 {
+        f64::from(design::FREQUENCY_ONLY_DRIVE_SHARE) * self.limit()
     }
 
     /// Plate and law, linearised around the steady state; `None` without one.
@@ -215,27 +206,27 @@ impl<'a> LoopCase<'a> {
                 |kp: f32, ki: f32| PiGains { proportional: f64::from(kp), integral_per_period: f64::from(ki) * period };
             let frequency = given(gains.frequency_kp, gains.frequency_ki);
             let frequency = match self.law {
-                LawId::FrequencyOnly => PiGains::integral_only(frequency.integral_per_period),
+                LawId::FrequencyOnly => integral_only(frequency.integral_per_period),
                 _ => frequency,
             };
             return [given(gains.amplitude_kp, gains.amplitude_ki), frequency];
         }
         let (gain, tau, response) = (self.plate.gain, 1.0 / self.plate.sigma0, self.response());
-        match self.law {
-            LawId::DqPiEuler => {
-                [gain, tau].map(|gain| PiGains::as_printed(IntegralMethod::Forward, gain, tau, response, period))
-            }
-            LawId::DqPi | LawId::Deadbeat => {
-                let there = 1.0 / self.mode().sigma;
-                [gain * there / tau, there].map(|gain| PiGains::matched(gain, there, response, period))
-            }
-            LawId::FrequencyOnly => {
-                let ratio = FREQUENCY_ONLY_SHARE * self.limit() * gain / self.setpoint();
-                let x = (ratio * ratio - 1.0).max(0.0).sqrt().max(SMALLEST_DETUNING);
-                let share = 1.0 - (-3.0 * period / response).exp();
-                [gain, tau].map(|_| PiGains::integral_only(share * (1.0 + x * x) / (x * tau)))
-            }
-            _ => [gain, tau].map(|gain| PiGains::matched(gain, tau, response, period)),
+        if self.law == LawId::FrequencyOnly {
+            let ratio = self.frequency_only_drive() * gain / self.setpoint();
+            let detuning = (ratio * ratio - 1.0).max(0.0).sqrt();
+            let share = 1.0 - design::closed_loop_pole(response, period);
+            return [integral_only(share * design::inverse_slope(detuning, tau)); 2];
         }
+        // These laws follow the present plate's damping.
+        let is_adaptive = matches!(self.law, LawId::DqPi | LawId::Deadbeat);
+        let present_tau = if is_adaptive { 1.0 / self.mode().sigma } else { tau };
+        let plants = [gain * present_tau / tau, present_tau];
+        plants.map(|gain| PiGains::of_law(self.law, gain, present_tau, response, period))
     }
+}
+
+/// A pure integral that acts at once: `x += gain · e`, `u = x`.
+fn integral_only(gain: f64) -> PiGains {
+    PiGains { proportional: gain, integral_per_period: gain }
 }

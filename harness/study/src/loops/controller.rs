@@ -1,66 +1,46 @@
-//! Defines linear controllers with one integral per loop, and their discretisation.
+//! Defines linear controllers with one integral per loop, and the readings of equation 24.
 
 use nalgebra::Matrix2;
-
-/// Discretisation of the integral.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum IntegralMethod {
-    /// `u = Kp e + x`, then `x += Ki Ts e`.
-    Forward,
-    /// `x += Ki Ts e`, then `u = Kp e + x`.
-    Backward,
-}
+use platebench_controller::design;
 
 /// A proportional-integral controller as it runs: `u = proportional · e + x`, then `x +=
-/// integral_per_period · e`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PiGains {
-    /// Output per error.
-    pub proportional: f64,
-    /// Output per error and period.
-    pub integral_per_period: f64,
+/// integral_per_period · e`. The firmware's type and design, in f64.
+pub type PiGains = design::PiGains<f64>;
+
+/// Reading (discretisation) of equation 24.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Reading {
+    /// As printed, with a forward-Euler integral: `u = Kp e + x`, then `x += Ki Ts e`.
+    Forward,
+    /// As printed, with a backward-Euler integral: `x += Ki Ts e`, then `u = Kp e + x`.
+    Backward,
+    /// Matched to the zero-order hold.
+    Matched,
 }
 
-impl PiGains {
-    /// Equation 24 as printed, `Kp = 3τ/(K t_r)`, `Ki = Kp/τ`. `gain` is the static gain K of the
-    /// plant, times in s.
-    ///
-    /// A backward integral equals a forward one with `proportional + integral_per_period` as
-    /// proportional gain.
-    pub fn as_printed(
-        integral: IntegralMethod,
-        gain: f64,
-        time_constant: f64,
-        response_time: f64,
-        period: f64,
-    ) -> Self {
-        let proportional = 3.0 * time_constant / (gain * response_time);
-        let integral_per_period = proportional / time_constant * period;
-        match integral {
-            IntegralMethod::Forward => Self { proportional, integral_per_period },
-            IntegralMethod::Backward => Self { proportional: proportional + integral_per_period, integral_per_period },
+impl Reading {
+    /// Every reading.
+    pub const ALL: [Self; 3] = [Self::Forward, Self::Backward, Self::Matched];
+
+    /// The name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Forward => "forward Euler, as printed",
+            Self::Backward => "backward Euler, as printed",
+            Self::Matched => "zero-order-hold match",
         }
     }
 
-    /// Equation 24 matched to the zero-order hold: zero on the plant's pole `e^(−Ts/τ)`,
-    /// closed-loop pole at `e^(−3 Ts/t_r)`.
-    pub fn matched(gain: f64, time_constant: f64, response_time: f64, period: f64) -> Self {
-        let plant_pole = (-period / time_constant).exp();
-        let closed_loop_pole = (-3.0 * period / response_time).exp();
-        let integral_per_period = (1.0 - closed_loop_pole) / gain;
-        Self { proportional: integral_per_period / (1.0 - plant_pole), integral_per_period }
-    }
-
-    /// A pure integral that acts at once: `x += gain · e`, `u = x`.
-    pub fn integral_only(gain: f64) -> Self {
-        Self { proportional: gain, integral_per_period: gain }
-    }
-
-    /// Both gains times `factor`.
-    #[must_use]
-    pub fn scaled(self, factor: f64) -> Self {
-        let Self { proportional, integral_per_period } = self;
-        Self { proportional: proportional * factor, integral_per_period: integral_per_period * factor }
+    /// The gains for a plant K/(1 + τp): `gain` K, all times in s.
+    pub fn gains(self, gain: f64, time_constant: f64, response: f64, period: f64) -> PiGains {
+        let printed = PiGains::as_printed(gain, time_constant, response, period);
+        match self {
+            Self::Forward => printed,
+            // A backward integral equals a forward one with this proportional gain.
+            Self::Backward => PiGains { proportional: printed.proportional + printed.integral_per_period, ..printed },
+            Self::Matched => PiGains::zero_order_hold_matched(gain, time_constant, response, period),
+        }
     }
 }
 

@@ -4,6 +4,7 @@ use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
 use crate::loops::controller::LinearController;
 use crate::loops::plant::LinearPlant;
 use platebench_plate::Complex64;
+use platebench_runner::delay_boundary::DelayBoundary;
 use std::f64::consts::PI;
 
 /// Number of frequencies from the lowest to half the sampling frequency, logarithmically spaced.
@@ -80,27 +81,6 @@ fn bisect(mut low: f64, mut high: f64, value: impl Fn(f64) -> Option<f64>) -> f6
         }
     }
     f64::midpoint(low, high)
-}
-
-/// Longest delay at which a loop is stable.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum DelayBoundary {
-    /// Unstable without any delay.
-    Unstable,
-    /// Stable up to this delay, s.
-    At(f64),
-    /// Stable up to the end of the search, s.
-    Beyond(f64),
-}
-
-impl DelayBoundary {
-    /// The boundary in s, if one was found.
-    pub fn seconds(self) -> Option<f64> {
-        match self {
-            Self::At(seconds) => Some(seconds),
-            Self::Unstable | Self::Beyond(_) => None,
-        }
-    }
 }
 
 /// The first delay at which the spectral radius reaches 1, up to `longest` s. Fractions of a period

@@ -8,12 +8,9 @@
 //! acts from the start.
 
 use crate::loops::case::LoopCase;
-use crate::loops::margins::DelayBoundary;
-use platebench_controller::StateMachine;
-use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Profile, Tier, Time};
-use platebench_wire::{ControllerState, LawId, Sample};
-use std::collections::VecDeque;
-use std::f64::consts::TAU;
+use platebench_plate::{Complex64, Tier, Time};
+use platebench_runner::delay_boundary::{DelayBoundary, DelayedLoop, search_boundary};
+use platebench_wire::LawId;
 
 /// Periods until the steady state without delay, and the number of them that is averaged.
 const WARM_UP: u32 = 700;
@@ -36,14 +33,6 @@ const WINDOW: usize = 160;
 const HUNT_BAND: f64 = 0.05;
 const HUNT_PERIODS: usize = 3_000;
 const HUNT_WINDOW: usize = 300;
-/// Step of the delay scan as a share of a period, and bisections after it.
-const SCAN_STEP: f64 = 0.25;
-const BISECTIONS: u32 = 8;
-/// Periods of a start from rest, and the number of last periods that must be within 5 %.
-const REST_PERIODS: u32 = 400;
-const REST_WINDOW: u32 = 40;
-const REST_BAND: f64 = 0.05;
-
 /// Motion of a loop at a delay.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LoopMotion {
@@ -68,95 +57,47 @@ impl LoopMotion {
     }
 }
 
-/// A controller and a plate in lockstep.
+/// A case in lockstep with the exact plate, in its steady state.
 #[derive(Debug, Clone)]
 pub struct LoopSimulation {
-    machine: StateMachine,
-    plant: Plant,
+    delayed_loop: DelayedLoop,
     is_hunting_law: bool,
     /// µm.
     perturbation: f64,
-    setpoint: f64,
-    step: Time,
-    /// Drives with the time from which they act, in order.
-    pending: VecDeque<(Time, Drive)>,
     steady: Complex64,
 }
 
+/// The case at rest; `None` if the firmware rejects its configuration.
+pub fn loop_at_rest(case: &LoopCase<'_>) -> Option<DelayedLoop> {
+    DelayedLoop::new(&case.configure(), case.plate, case.condition.conditions(), Tier::Modal, case.setpoint())
+}
+
 impl LoopSimulation {
-    /// The case at rest; `None` if the firmware rejects its configuration.
-    pub fn at_rest(case: &LoopCase<'_>) -> Option<Self> {
-        let mut machine = StateMachine::new();
-        machine.configure(&case.configure()).outcome.ok()?;
-        let conditions = case.condition.conditions();
-        let scene = ConditionProfiles {
-            temperature_offset_k: Profile::constant(conditions.temperature_offset_k),
-            finger_force_n: Profile::constant(conditions.finger_force_n),
-        };
-        let mut plant = Plant::new(case.plate.clone(), scene, Tier::Modal);
-        plant.set_drive(Drive { vpp: 0.0, omega: case.condition.start_omega(case.plate) });
+    /// The case in its steady state; `None` if it has none without delay.
+    pub fn in_steady_state(case: &LoopCase<'_>) -> Option<Self> {
+        let mut delayed_loop = loop_at_rest(case)?;
+        let mut steady = Complex64::ZERO;
+        let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for period in 0..WARM_UP {
+            let w = delayed_loop.step(Time::ZERO, 0.0)?;
+            if period >= WARM_UP - AVERAGED_PERIODS {
+                steady += w / f64::from(AVERAGED_PERIODS);
+                (lowest, highest) = (lowest.min(w.norm()), highest.max(w.norm()));
+            }
+        }
         let perturbation = match case.law {
             LawId::DqPi | LawId::Deadbeat => PERTURBATION_OF_ADAPTIVE_LAWS,
             _ => PERTURBATION,
         };
-        Some(Self {
-            machine,
-            plant,
-            perturbation: case.setpoint() * perturbation,
-            is_hunting_law: case.law == LawId::BangBang,
-            setpoint: case.setpoint(),
-            step: Time::from_nanos(u64::from(case.period_us) * 1_000),
-            pending: VecDeque::new(),
-            steady: Complex64::ZERO,
+        let is_hunting_law = case.law == LawId::BangBang;
+        let spread = (highest - lowest) / case.setpoint();
+        let perturbation = case.setpoint() * perturbation;
+        (spread < if is_hunting_law { HUNT_BAND } else { STEADY_TOLERANCE }).then_some(Self {
+            delayed_loop,
+            is_hunting_law,
+            perturbation,
+            steady,
         })
-    }
-
-    /// The case in its steady state; `None` if it has none without delay.
-    pub fn in_steady_state(case: &LoopCase<'_>) -> Option<Self> {
-        let mut simulation = Self::at_rest(case)?;
-        let mut mean = Complex64::ZERO;
-        let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
-        for period in 0..WARM_UP {
-            let w = simulation.period(Time::ZERO, 0.0)?;
-            if period >= WARM_UP - AVERAGED_PERIODS {
-                mean += w / f64::from(AVERAGED_PERIODS);
-                (lowest, highest) = (lowest.min(w.norm()), highest.max(w.norm()));
-            }
-        }
-        let spread = (highest - lowest) / simulation.setpoint;
-        simulation.steady = mean;
-        (spread < if simulation.is_hunting_law { HUNT_BAND } else { STEADY_TOLERANCE }).then_some(simulation)
-    }
-
-    /// Advances one period; returns W at its start, µm. The command acts after `delay`;
-    /// `perturbation` is added to both measured components. `None` if the controller has stopped or
-    /// W is not finite.
-    pub fn period(&mut self, delay: Time, perturbation: f64) -> Option<Complex64> {
-        let (now, w) = (self.plant.time(), self.plant.state().w);
-        let time_us = (now.as_nanos() / 1_000) as u32;
-        let sample = Sample {
-            time_us,
-            setpoint_um: self.setpoint as f32,
-            wd_um: (w.re + perturbation) as f32,
-            wq_um: (w.im + perturbation) as f32,
-        };
-        let command = self.machine.sample(&sample, time_us);
-        if command.state != ControllerState::Running || !w.is_finite() {
-            return None;
-        }
-        let drive = Drive { vpp: f64::from(command.drive_vpp), omega: f64::from(command.frequency_mhz) * 1e-3 * TAU };
-        self.pending.push_back((now + delay, drive));
-        let end = now + self.step;
-        while let Some(&(at, drive)) = self.pending.front() {
-            if at >= end {
-                break;
-            }
-            self.plant.advance(at, &[], &mut Vec::new());
-            self.plant.set_drive(drive);
-            self.pending.pop_front();
-        }
-        self.plant.advance(end, &[], &mut Vec::new());
-        Some(w)
     }
 
     /// Motion after one perturbed sample if commands act after `delay`.
@@ -167,7 +108,7 @@ impl LoopSimulation {
         let mut windows = [0.0_f64; 2];
         for number in 0..TRANSIENT_PERIODS + 2 * WINDOW {
             let perturbation = if number == 0 { self.perturbation } else { 0.0 };
-            let Some(w) = self.period(delay, perturbation) else { return LoopMotion::Factor(f64::INFINITY) };
+            let Some(w) = self.delayed_loop.step(delay, perturbation) else { return LoopMotion::Factor(f64::INFINITY) };
             let share = (w - self.steady).norm() / self.perturbation;
             if share > DIVERGENCE_FACTOR && number > TRANSIENT_PERIODS {
                 return LoopMotion::Factor(share.powf(1.0 / number as f64));
@@ -179,7 +120,7 @@ impl LoopSimulation {
             }
         }
         match windows {
-            [_, late] if late < RESOLUTION * self.setpoint / self.perturbation => LoopMotion::Decayed,
+            [_, late] if late < RESOLUTION * self.delayed_loop.setpoint() / self.perturbation => LoopMotion::Decayed,
             [early, late] => LoopMotion::Factor((late / early).powf(1.0 / WINDOW as f64)),
         }
     }
@@ -187,8 +128,8 @@ impl LoopSimulation {
     /// Motion of a hunting loop, which needs no perturbation.
     fn hunting_motion(mut self, delay: Time) -> LoopMotion {
         for number in 0..HUNT_PERIODS {
-            let Some(w) = self.period(delay, 0.0) else { return LoopMotion::UnboundedHunting };
-            let share = (w.norm() / self.setpoint - 1.0).abs();
+            let Some(w) = self.delayed_loop.step(delay, 0.0) else { return LoopMotion::UnboundedHunting };
+            let share = (w.norm() / self.delayed_loop.setpoint() - 1.0).abs();
             if share > HUNT_BAND && number >= HUNT_PERIODS - HUNT_WINDOW {
                 return LoopMotion::UnboundedHunting;
             }
@@ -207,34 +148,5 @@ pub fn measure_delay_boundary(case: &LoopCase<'_>, longest: f64) -> Option<Delay
 /// The longest delay, up to `longest` s, with which the controller reaches 5 % of its setpoint from
 /// rest and stays there.
 pub fn measure_delay_boundary_from_rest(case: &LoopCase<'_>, longest: f64) -> DelayBoundary {
-    search_boundary(case.period(), longest, |delay| {
-        let Some(mut simulation) = LoopSimulation::at_rest(case) else { return false };
-        let setpoint = simulation.setpoint;
-        (0..REST_PERIODS).all(|number| {
-            let early = number < REST_PERIODS - REST_WINDOW;
-            let w = simulation.period(delay, 0.0);
-            w.is_some_and(|w| early || (w.norm() / setpoint - 1.0).abs() <= REST_BAND)
-        })
-    })
-}
-
-fn search_boundary(period: f64, longest: f64, is_stable: impl Fn(Time) -> bool) -> DelayBoundary {
-    let at = |seconds: f64| Time::from_seconds(seconds).is_some_and(&is_stable);
-    if !at(0.0) {
-        return DelayBoundary::Unstable;
-    }
-    let mut low = 0.0;
-    let steps = (longest / (SCAN_STEP * period)).ceil() as u32;
-    for step in 1..=steps {
-        let mut high = (f64::from(step) * SCAN_STEP * period).min(longest);
-        if !at(high) {
-            for _ in 0..BISECTIONS {
-                let middle = f64::midpoint(low, high);
-                *(if at(middle) { &mut low } else { &mut high }) = middle;
-            }
-            return DelayBoundary::At(f64::midpoint(low, high));
-        }
-        low = high;
-    }
-    DelayBoundary::Beyond(longest)
+    loop_at_rest(case).map_or(DelayBoundary::Unstable, |at_rest| at_rest.settling_boundary(longest))
 }

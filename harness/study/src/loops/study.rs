@@ -3,9 +3,10 @@
 
 use crate::loops::case::{LoopCase, OperatingCondition};
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
-use crate::loops::margins::{DelayBoundary, delay_boundary};
+use crate::loops::margins::delay_boundary;
 use crate::loops::measured_boundary;
 use platebench_plate::{Plate, Tier};
+use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_wire::LawId;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -116,17 +117,17 @@ enum TaskResult {
 ///
 /// # Errors
 /// [`AnalysisError`] of a loop.
-pub fn study(order: &StudyConfig) -> Result<Study, AnalysisError> {
-    let pairs = order.laws.iter().flat_map(|&law| OperatingCondition::ALL.map(|condition| (law, condition)));
+pub fn study(config: &StudyConfig) -> Result<Study, AnalysisError> {
+    let pairs = config.laws.iter().flat_map(|&law| OperatingCondition::ALL.map(|condition| (law, condition)));
     let rows = pairs.clone().map(|(law, condition)| StudyTask::Row(law, condition));
-    let wanted = pairs.filter(|(law, _)| order.maps && *law != LawId::OpenLoop);
+    let wanted = pairs.filter(|(law, _)| config.maps && *law != LawId::OpenLoop);
     let maps = wanted.flat_map(|(law, condition)| {
-        let own = LoopCase::new(&order.plate, law, condition).response();
+        let own = LoopCase::new(&config.plate, law, condition).response();
         MAP_RESPONSE_FACTORS.map(|share| StudyTask::Map(law, condition, share * own))
     });
     let tasks: Vec<StudyTask> = rows.chain(maps).collect();
     let mut study = Study::default();
-    for (task, done) in tasks.iter().zip(run_tasks(order, &tasks)) {
+    for (task, done) in tasks.iter().zip(run_tasks(config, &tasks)) {
         match (task, done?) {
             (_, TaskResult::Row(Some(row))) => study.rows.push(row),
             (StudyTask::Row(law, condition), TaskResult::Row(None)) => study.out_of_reach.push((*law, *condition)),
@@ -138,19 +139,19 @@ pub fn study(order: &StudyConfig) -> Result<Study, AnalysisError> {
 }
 
 /// Runs the tasks on several threads; results in the order of the tasks.
-fn run_tasks(order: &StudyConfig, tasks: &[StudyTask]) -> Vec<Result<TaskResult, AnalysisError>> {
+fn run_tasks(config: &StudyConfig, tasks: &[StudyTask]) -> Vec<Result<TaskResult, AnalysisError>> {
     let next = AtomicUsize::new(0);
     let outcomes = Mutex::new(Vec::with_capacity(tasks.len()));
     std::thread::scope(|scope| {
-        for _ in 0..order.jobs.max(1) {
+        for _ in 0..config.jobs.max(1) {
             scope.spawn(|| {
                 loop {
                     let number = next.fetch_add(1, Ordering::Relaxed);
                     let Some(task) = tasks.get(number) else { break };
                     let done = match *task {
-                        StudyTask::Row(law, condition) => study_row(order, law, condition).map(TaskResult::Row),
+                        StudyTask::Row(law, condition) => study_row(config, law, condition).map(TaskResult::Row),
                         StudyTask::Map(law, condition, response) => {
-                            stability_map(order, law, condition, response).map(TaskResult::Map)
+                            stability_map(config, law, condition, response).map(TaskResult::Map)
                         }
                     };
                     if let Ok(mut outcomes) = outcomes.lock() {
@@ -166,14 +167,14 @@ fn run_tasks(order: &StudyConfig, tasks: &[StudyTask]) -> Vec<Result<TaskResult,
 }
 
 fn study_row(
-    order: &StudyConfig,
+    config: &StudyConfig,
     law: LawId,
     condition: OperatingCondition,
 ) -> Result<Option<StudyRow>, AnalysisError> {
-    let case = LoopCase::new(&order.plate, law, condition);
+    let case = LoopCase::new(&config.plate, law, condition);
     let Some((plant, controller)) = case.linearise(Tier::Modal) else { return Ok(None) };
     let predicted = delay_boundary(&plant, &controller, case.period(), MAX_DELAY_S)?;
-    let closed = ClosedLoop::new(plant, controller, LoopTiming { period: case.period(), delay: order.delay })?;
+    let closed = ClosedLoop::new(plant, controller, LoopTiming { period: case.period(), delay: config.delay })?;
     let margins = closed.margins();
     Ok(Some(StudyRow {
         law,
@@ -186,17 +187,17 @@ fn study_row(
         from_rest: measured_boundary::measure_delay_boundary_from_rest(&case, MAX_DELAY_S),
         gain_margin: margins.gain,
         phase_margin_deg: margins.phase_deg,
-        delay_margin: predicted.seconds().map(|boundary| boundary - order.delay),
+        delay_margin: predicted.seconds().map(|boundary| boundary - config.delay),
     }))
 }
 
 fn stability_map(
-    order: &StudyConfig,
+    config: &StudyConfig,
     law: LawId,
     condition: OperatingCondition,
     response: f64,
 ) -> Result<Option<StabilityMap>, AnalysisError> {
-    let case = LoopCase { response_s: Some(response), ..LoopCase::new(&order.plate, law, condition) };
+    let case = LoopCase { response_s: Some(response), ..LoopCase::new(&config.plate, law, condition) };
     let [first, last] = MAP_PERIODS_US;
     let periods: Vec<u32> =
         (0..MAP_COLUMNS).map(|column| first + (last - first) * column / (MAP_COLUMNS - 1)).collect();

@@ -1,9 +1,9 @@
 //! Formats a study as text and CSV.
 
 use crate::loops::case::OperatingCondition;
-use crate::loops::margins::DelayBoundary;
 use crate::loops::plain_loops::StartResult;
 use crate::loops::study::{Study, StudyRow};
+use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_wire::LawId;
 use std::fmt::Write;
 

@@ -2,17 +2,18 @@
 
 use crate::{assert_close, paper_plate};
 use platebench_plate::Time;
-use platebench_study::loops::{IntegralMethod, LoopCase, LoopSimulation, OperatingCondition, PlainLoops, StartResult};
+use platebench_study::loops::measured_boundary::loop_at_rest;
+use platebench_study::loops::{LoopCase, OperatingCondition, PlainLoops, Reading, StartResult};
 use platebench_wire::{Gains, LawId};
 
 const PERIOD: f64 = 1e-3;
 
-fn plain_loops(integral: IntegralMethod) -> PlainLoops {
-    PlainLoops::as_printed(&paper_plate(), integral, 2e-3, PERIOD)
+fn plain_loops(reading: Reading) -> PlainLoops {
+    PlainLoops::new(&paper_plate(), reading, 2e-3, PERIOD)
 }
 
-fn start(integral: IntegralMethod, condition: OperatingCondition) -> StartResult {
-    plain_loops(integral).simulate_start(&paper_plate(), condition, 2.0, 4_000)
+fn start(reading: Reading, condition: OperatingCondition) -> StartResult {
+    plain_loops(reading).simulate_start(&paper_plate(), condition, 2.0, 4_000)
 }
 
 fn firmware_gains(loops: &PlainLoops) -> Gains {
@@ -27,25 +28,25 @@ fn firmware_gains(loops: &PlainLoops) -> Gains {
 #[test]
 fn backward_euler_never_settles_from_a_detuned_start() {
     for condition in [OperatingCondition::Resonant, OperatingCondition::Detuned] {
-        let closed = plain_loops(IntegralMethod::Backward).linearise(&paper_plate(), condition, 2.0).unwrap();
+        let closed = plain_loops(Reading::Backward).linearise(&paper_plate(), condition, 2.0).unwrap();
         assert_close(closed.spectral_radius().unwrap(), 0.862, 1e-3);
     }
-    assert!(start(IntegralMethod::Backward, OperatingCondition::Resonant).settled.is_some());
-    let detuned = start(IntegralMethod::Backward, OperatingCondition::Detuned);
+    assert!(start(Reading::Backward, OperatingCondition::Resonant).settled.is_some());
+    let detuned = start(Reading::Backward, OperatingCondition::Detuned);
     assert_eq!(detuned.settled, None, "{detuned:?}");
     assert!(detuned.diverged);
-    assert!(start(IntegralMethod::Forward, OperatingCondition::Detuned).settled.is_some());
+    assert!(start(Reading::Forward, OperatingCondition::Detuned).settled.is_some());
 }
 
 #[test]
 fn the_firmware_settles_with_the_same_gains() {
     let plate = paper_plate();
     let case = LoopCase {
-        gains: Some(firmware_gains(&plain_loops(IntegralMethod::Backward))),
+        gains: Some(firmware_gains(&plain_loops(Reading::Backward))),
         ..LoopCase::new(&plate, LawId::DqPiFixed, OperatingCondition::Detuned)
     };
-    let mut bench = LoopSimulation::at_rest(&case).unwrap();
-    let last = (0..200).map(|_| bench.period(Time::ZERO, 0.0).unwrap()).last().unwrap();
+    let mut bench = loop_at_rest(&case).unwrap();
+    let last = (0..200).map(|_| bench.step(Time::ZERO, 0.0).unwrap()).last().unwrap();
     assert_close(last.re, 2.0, 1e-4);
     assert_close(last.im, 0.0, 1e-4);
 }

@@ -2,9 +2,9 @@
 
 use crate::paper_plate;
 use platebench_plate::{Tier, Time};
+use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_study::loops::{
-    ClosedLoop, DelayBoundary, LoopCase, LoopMotion, LoopSimulation, LoopTiming, OperatingCondition, delay_boundary,
-    measured_boundary,
+    ClosedLoop, LoopCase, LoopMotion, LoopSimulation, LoopTiming, OperatingCondition, delay_boundary, measured_boundary,
 };
 use platebench_wire::LawId;
 use rstest::rstest;

@@ -1,10 +1,10 @@
 //! Figures that were derived by hand or elsewhere.
 
-use crate::{assert_close, paper_plate};
+use crate::{assert_close, paper_plate, scaled};
 use platebench_plate::{Conditions, Drive, Tier};
+use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_study::loops::{
-    AnalysisError, ClosedLoop, DelayBoundary, IntegralMethod, LinearController, LinearPlant, LoopChannel, LoopTiming,
-    PiGains, delay_boundary,
+    AnalysisError, ClosedLoop, LinearController, LinearPlant, LoopChannel, LoopTiming, PiGains, Reading, delay_boundary,
 };
 use rstest::rstest;
 
@@ -22,15 +22,15 @@ fn amplitude_loop(pi: impl Fn(f64, f64) -> PiGains) -> (LinearPlant, LinearContr
 }
 
 fn forward(gain: f64, tau: f64) -> PiGains {
-    PiGains::as_printed(IntegralMethod::Forward, gain, tau, RESPONSE, PERIOD)
+    Reading::Forward.gains(gain, tau, RESPONSE, PERIOD)
 }
 
 fn backward(gain: f64, tau: f64) -> PiGains {
-    PiGains::as_printed(IntegralMethod::Backward, gain, tau, RESPONSE, PERIOD)
+    Reading::Backward.gains(gain, tau, RESPONSE, PERIOD)
 }
 
 fn matched(gain: f64, tau: f64) -> PiGains {
-    PiGains::matched(gain, tau, RESPONSE, PERIOD)
+    Reading::Matched.gains(gain, tau, RESPONSE, PERIOD)
 }
 
 fn closed_amplitude_loop(pi: fn(f64, f64) -> PiGains, delay: f64) -> ClosedLoop {
@@ -130,7 +130,7 @@ fn margins_end_at_the_stability_boundary() {
         let margins = closed_amplitude_loop(pi, 0.3 * PERIOD).margins();
         let gain = margins.gain.unwrap();
         for (factor, stable) in [(0.999, true), (1.001, false)] {
-            let (plant, controller) = amplitude_loop(|k, tau| pi(k, tau).scaled(gain * factor));
+            let (plant, controller) = amplitude_loop(|k, tau| scaled(pi(k, tau), gain * factor));
             let timing = LoopTiming { period: PERIOD, delay: 0.3 * PERIOD };
             let radius = ClosedLoop::new(plant, controller, timing).unwrap().spectral_radius().unwrap();
             assert_eq!(radius < 1.0, stable, "{factor} of {gain}: {radius}");

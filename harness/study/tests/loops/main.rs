@@ -10,6 +10,7 @@ mod tuning;
 
 use platebench_plate::Plate;
 use platebench_plate::RawPlate;
+use platebench_study::loops::PiGains;
 
 /// The paper's plate.
 fn paper_plate() -> Plate {
@@ -20,4 +21,9 @@ fn paper_plate() -> Plate {
 #[track_caller]
 fn assert_close(found: f64, expected: f64, tolerance: f64) {
     assert!((found - expected).abs() <= tolerance, "{found} instead of {expected} ± {tolerance}");
+}
+
+/// Both gains times `factor`.
+fn scaled(pi: PiGains, factor: f64) -> PiGains {
+    PiGains { proportional: pi.proportional * factor, integral_per_period: pi.integral_per_period * factor }
 }

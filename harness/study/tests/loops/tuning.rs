@@ -1,8 +1,9 @@
 //! Tunings, held against known figures and at the edges of what can be met.
 
-use crate::{assert_close, paper_plate};
+use crate::{assert_close, paper_plate, scaled};
 use platebench_plate::{Plate, Tier};
-use platebench_study::loops::tuning::design::{GainDesign, Reading, TuningTarget};
+use platebench_study::loops::Reading;
+use platebench_study::loops::tuning::design::{GainDesign, TuningTarget};
 use platebench_study::loops::tuning::spread::{PlateSpread, evaluate_sensitivity};
 use platebench_study::loops::tuning::{
     DesignEvaluation, InfeasibilityCause, TuningResult, evaluate_design, format, tune,
@@ -198,7 +199,7 @@ fn margins_end_at_the_last_settling_response(
     let long = TuningTarget { response: 400e-3, ..demand };
     for (share, settles) in [(0.97, true), (1.03, false)] {
         let mut louder = found.design;
-        louder.amplitude = louder.amplitude.scaled(gain * share);
+        louder.amplitude = scaled(louder.amplitude, gain * share);
         // The linear loop: on the plate a loud one hits 0 V, where nothing brakes it.
         let closed = louder.closed_loop(&long, &plate, Tier::Envelope, [true, false]).unwrap();
         let settled = closed.step_response(2.0, long.horizon()).settling;

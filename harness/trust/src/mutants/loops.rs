@@ -4,7 +4,8 @@
 //! Other laws are unchanged.
 
 use crate::mutant_controller::Mutant;
-use platebench_controller::pi::{Pi, PiGains, Tracking};
+use platebench_controller::design::PiGains;
+use platebench_controller::pi::{Pi, Tracking};
 use platebench_wire::{Command, Configure, Gains, LawId, Sample};
 use std::f32::consts::TAU;
 

@@ -1,7 +1,8 @@
 //! Mutates the reaction to a finger that leaves and to a steady state.
 
 use crate::mutant_controller::Mutant;
-use platebench_controller::pi::{Pi, PiGains, Tracking};
+use platebench_controller::design::PiGains;
+use platebench_controller::pi::{Pi, Tracking};
 use platebench_wire::{Command, Configure, LawId, Sample};
 
 /// Adds an alternating share to the drive.

@@ -37,7 +37,8 @@ fn scenario(name: &str) -> Scenario {
     load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
 }
 
-/// What the loop's thread allocates from its first control instant to the last while somebody looks on, and in how many periods.
+/// Allocations of the loop's thread between the first and the last control instant with a live view, and the number
+/// of periods.
 fn count_allocations<L: Link>(
     scenario: &Scenario,
     session: &mut Session<FaultInjector<L>>,
@@ -64,7 +65,7 @@ fn count_allocations<L: Link>(
     let rows = collector.join().unwrap();
     assert!(rows.len() as u64 > periods);
     let seen = std::iter::from_fn(|| viewer.next_row()).map(|sight| sight.row).collect::<Vec<_>>();
-    assert!(!seen.is_empty() && rows.starts_with(&seen), "whoever looks on gets the rows of the record");
+    assert!(!seen.is_empty() && rows.starts_with(&seen), "the live view gets the rows of the record");
     (allocated, periods)
 }
 
@@ -113,7 +114,7 @@ fn the_loop_allocates_nothing_over_a_terminal() {
     let board = thread::spawn(|| run_controller(port));
     // A busy machine lets the first calls go unheard.
     let called = (0..100).find_map(|_| Session::open(FaultInjector::new(&mut terminal)).ok().map(|_| ()));
-    assert!(called.is_some(), "nobody introduces itself");
+    assert!(called.is_some(), "the controller does not send its identity");
     let mut session = Session::open(FaultInjector::new(terminal)).unwrap();
     let (allocated, periods) =
         count_allocations(&scenario("paper/fig13-closed-loop.toml"), &mut session, Pacing::Bench);

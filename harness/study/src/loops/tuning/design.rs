@@ -1,9 +1,9 @@
 //! Designs gains by equation 24 in three discretisations.
 
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
-use crate::loops::controller::{IntegralMethod, LinearController, LoopChannel, PiGains};
+use crate::loops::controller::{LinearController, LoopChannel, PiGains, Reading};
 use crate::loops::plant::LinearPlant;
-use crate::loops::tuning::transient::{StepSimulation, TransientResponse};
+use crate::loops::tuning::transient::{self, StepSimulation, TransientResponse};
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
 use platebench_wire::Gains;
 
@@ -13,41 +13,6 @@ const HORIZON_PERIODS: f64 = 60.0;
 const HORIZON_RESPONSES: f64 = 6.0;
 const HORIZON_TIME_CONSTANTS: f64 = 20.0;
 const HORIZON_DELAYS: f64 = 20.0;
-
-/// Reading (discretisation) of equation 24.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Reading {
-    /// As printed, with a forward-Euler integral.
-    Forward,
-    /// As printed, with a backward-Euler integral.
-    Backward,
-    /// Matched to the zero-order hold.
-    Matched,
-}
-
-impl Reading {
-    /// Every reading.
-    pub const ALL: [Self; 3] = [Self::Forward, Self::Backward, Self::Matched];
-
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Forward => "forward Euler, as printed",
-            Self::Backward => "backward Euler, as printed",
-            Self::Matched => "zero-order-hold match",
-        }
-    }
-
-    /// The loop of a plant K/(1 + τp): `gain` K, all times in s.
-    fn pi(self, gain: f64, time_constant: f64, response: f64, period: f64) -> PiGains {
-        match self {
-            Self::Forward => PiGains::as_printed(IntegralMethod::Forward, gain, time_constant, response, period),
-            Self::Backward => PiGains::as_printed(IntegralMethod::Backward, gain, time_constant, response, period),
-            Self::Matched => PiGains::matched(gain, time_constant, response, period),
-        }
-    }
-}
 
 /// Target of a tuning.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -113,18 +78,13 @@ impl GainDesign {
         let mode = target.mode();
         let tau = 1.0 / mode.sigma;
         let [amplitude, frequency] =
-            [mode.envelope_constant * tau, tau].map(|gain| reading.pi(gain, tau, response, target.period()));
+            [mode.envelope_constant * tau, tau].map(|gain| reading.gains(gain, tau, response, target.period()));
         Self { reading, response, amplitude, frequency }
     }
 
     /// The gains for the firmware's forward integral.
     pub fn firmware_gains(&self, period: f64) -> Gains {
-        Gains {
-            amplitude_kp: self.amplitude.proportional as f32,
-            amplitude_ki: (self.amplitude.integral_per_period / period) as f32,
-            frequency_kp: self.frequency.proportional as f32,
-            frequency_ki: (self.frequency.integral_per_period / period) as f32,
-        }
+        transient::firmware_gains(self.amplitude, self.frequency, period)
     }
 
     /// Both loops, or one of them, around the steady state at the setpoint, on `plate` under the

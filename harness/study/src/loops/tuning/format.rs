@@ -1,8 +1,9 @@
 //! Formats a tuning as text.
 
 use crate::loops::tuning::design::TuningTarget;
+use crate::loops::tuning::evaluation::{DesignEvaluation, LoopEvaluation, StepEvaluation};
 use crate::loops::tuning::spread::{PlateSpread, PlateVariant, Sensitivity, WorstCase};
-use crate::loops::tuning::{DesignEvaluation, InfeasibilityCause, LoopEvaluation, StepEvaluation, TuningResult};
+use crate::loops::tuning::tune::{InfeasibilityCause, TuningResult};
 use std::fmt::Write as _;
 
 const NONE: &str = "–";
@@ -28,7 +29,7 @@ pub fn format_tuning(target: &TuningTarget<'_>, spread: &PlateSpread, tuning: &T
         }
     }
     if let Some(sensitivity) = &tuning.sensitivity {
-        text += &self::format_sensitivity(spread, sensitivity);
+        text += &format_sensitivity(spread, sensitivity);
     }
     text
 }

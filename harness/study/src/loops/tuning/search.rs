@@ -7,7 +7,8 @@
 //! plate.
 
 use crate::loops::closed_loop::AnalysisError;
-use crate::loops::tuning::design::{GainDesign, Reading, TuningTarget};
+use crate::loops::controller::Reading;
+use crate::loops::tuning::design::{GainDesign, TuningTarget};
 use crate::loops::tuning::transient::BAND;
 use platebench_plate::Tier;
 

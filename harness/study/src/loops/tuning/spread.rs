@@ -2,8 +2,8 @@
 
 use crate::loops::closed_loop::AnalysisError;
 use crate::loops::tuning::design::{GainDesign, TuningTarget};
+use crate::loops::tuning::evaluation::{StepEvaluation, delay_margin_ms, design_delay_boundary};
 use crate::loops::tuning::transient::TransientResponse;
-use crate::loops::tuning::{StepEvaluation, delay_margin_ms, design_delay_boundary};
 use platebench_plate::{Plate, Tier};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;

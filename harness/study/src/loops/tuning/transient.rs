@@ -1,14 +1,14 @@
-//! Simulates a setpoint step on the exact plate with the firmware's two loops in f64, including
-//! their limits.
+//! Simulates a setpoint step on the exact plate with the firmware's loops, including their limits.
 //!
 //! [`crate::loops::ClosedLoop::step_response`] is the linear loop along Wd without limits. This is
 //! |W| of the modal plate with the ripple of the fast mode, a saturating drive with anti-windup,
-//! and a frequency loop that is inactive while Wd is small. It shares no code with the firmware;
-//! the tests compare both.
+//! and a frequency loop that is inactive while Wd is small.
 
 use crate::loops::controller::PiGains;
+use platebench_controller::{Law, Measurement};
 use platebench_plate::BandSignal;
-use platebench_plate::{BandMonitor, Complex64, ConditionProfiles, Drive, Plant, Plate, Profile, Tier, Time};
+use platebench_plate::{BandMonitor, ConditionProfiles, Drive, Plant, Plate, Profile, Tier, Time};
+use platebench_wire::{Configure, Gains, LawId, flags};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
@@ -18,16 +18,19 @@ pub(crate) const BAND: f64 = 0.05;
 const POINTS_PER_PERIOD: u64 = 20;
 /// A later entry into the band, as a share of the horizon, is not settled.
 const LATEST_ENTRY_SHARE: f64 = 0.9;
-/// As in the firmware (`controller/src/loops.rs`, `dq_pi.rs`): tracking constants of the amplitude
-/// loop at 0 V and at the limit, share of the setpoint below which the frequency loop is inactive,
-/// limit of Wq/Wd.
-const TRACKING_AT_ZERO: f64 = 1.0;
-const TRACKING_AT_LIMIT: f64 = 0.6;
-const SMALLEST_WD: f64 = 0.1;
-const LARGEST_RATIO: f64 = 2.0;
 /// A scenario's default range of the excitation and its slew limit, Hz and Hz per period.
-const RANGE_HZ: f64 = 250.0;
-const SLEW_HZ: f64 = 100.0;
+const RANGE_HZ: f32 = 250.0;
+const SLEW_HZ: f32 = 100.0;
+
+/// Gains in the units of the firmware's configuration; `period` in s.
+pub(crate) fn firmware_gains(amplitude: PiGains, frequency: PiGains, period: f64) -> Gains {
+    Gains {
+        amplitude_kp: amplitude.proportional as f32,
+        amplitude_ki: (amplitude.integral_per_period / period) as f32,
+        frequency_kp: frequency.proportional as f32,
+        frequency_ki: (frequency.integral_per_period / period) as f32,
+    }
+}
 
 /// A plate and the loops around it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,9 +72,31 @@ impl StepSimulation<'_> {
         f64::from(self.period_us) * 1e-6
     }
 
+    /// The firmware's law with fixed gains; `None` if it rejects them.
+    fn law(&self) -> Option<Law> {
+        let configure = Configure {
+            law: LawId::DqPiFixed,
+            paced_by_target: false,
+            drives_own_plate: false,
+            watchdog_timeout_ms: 0,
+            loop_delay_us: 0,
+            period_us: self.period_us,
+            start_frequency_mhz: (self.plate.omega0 / TAU * 1e3).round() as u32,
+            gain_um_per_vpp: self.plate.gain as f32,
+            time_constant_s: (1.0 / self.plate.sigma0) as f32,
+            response_time_s: 0.0,
+            drive_limit_vpp: self.plate.drive_limit_vpp as f32,
+            frequency_range_hz: RANGE_HZ,
+            frequency_slew_hz: SLEW_HZ,
+            gains: Some(firmware_gains(self.amplitude, self.frequency, self.period())),
+        };
+        Law::design(&configure).ok().map(|(law, _)| law)
+    }
+
     /// A setpoint step from rest at the first control instant, over `periods`. The excitation
-    /// starts at the untouched plate's resonance.
+    /// starts at the untouched plate's resonance. Gains that the firmware rejects give no response.
     pub fn step(&self, periods: u32) -> TransientResponse {
+        let Some(mut law) = self.law() else { return TransientResponse::default() };
         let (plate, setpoint) = (self.plate, self.setpoint);
         let scene = ConditionProfiles {
             temperature_offset_k: Profile::constant(0.0),
@@ -82,14 +107,18 @@ impl StepSimulation<'_> {
         let band =
             BandMonitor { signal: BandSignal::Amplitude, low: (1.0 - BAND) * setpoint, high: (1.0 + BAND) * setpoint };
         let (period, delay) = (u64::from(self.period_us) * 1_000, (self.delay * 1e9).round() as u64);
-        let mut law = LoopState { setting: self, integrals: [0.0; 2], offset: 0.0 };
         let mut pending: VecDeque<(u64, Drive)> = VecDeque::new();
         let (mut found, mut inside, mut crossings) = (TransientResponse::default(), None, Vec::new());
         for number in 0..periods {
             let now = u64::from(number) * period;
-            let (asked, drive) = law.step(plant.state().w);
-            found.requested_drive = found.requested_drive.max(asked);
-            found.saturated_periods += u32::from(drive.vpp >= plate.drive_limit_vpp);
+            let w = plant.state().w;
+            let measurement = Measurement { setpoint_um: setpoint as f32, wd_um: w.re as f32, wq_um: w.im as f32 };
+            let actuation = law.step(&measurement);
+            found.saturated_periods += u32::from(actuation.flags & flags::SATURATED != 0);
+            let drive = Drive {
+                vpp: f64::from(actuation.drive_vpp).min(plate.drive_limit_vpp),
+                omega: plate.omega0 + TAU * f64::from(actuation.frequency_offset_hz),
+            };
             pending.push_back((now + delay, drive));
             let end = now + period;
             let points = (1..=POINTS_PER_PERIOD).map(|point| now + period * point / POINTS_PER_PERIOD);
@@ -118,47 +147,4 @@ impl StepSimulation<'_> {
         let latest = LATEST_ENTRY_SHARE * f64::from(periods) * self.period();
         TransientResponse { settling: inside.filter(|entered| *entered <= latest), ..found }
     }
-}
-
-/// The loops' state.
-struct LoopState<'a> {
-    setting: &'a StepSimulation<'a>,
-    integrals: [f64; 2],
-    /// Excitation − start, rad/s.
-    offset: f64,
-}
-
-impl LoopState<'_> {
-    /// The drive before the limit, and the limited drive.
-    fn step(&mut self, w: Complex64) -> (f64, Drive) {
-        let StepSimulation { plate, amplitude, frequency, setpoint, .. } = *self.setting;
-        let limit = plate.drive_limit_vpp;
-        let share = |unlimited: f64| if unlimited > limit { TRACKING_AT_LIMIT } else { TRACKING_AT_ZERO };
-        let [drive, excitation] = &mut self.integrals;
-        let asked = amplitude.proportional * (setpoint - w.re) + *drive;
-        let vpp = step_with_anti_windup(&amplitude, setpoint - w.re, drive, [0.0, limit], share);
-        if w.re > SMALLEST_WD * setpoint {
-            let ratio = (w.im / w.re).clamp(-LARGEST_RATIO, LARGEST_RATIO);
-            let (range, slew) = (RANGE_HZ * TAU, SLEW_HZ * TAU);
-            let limits = [(self.offset - slew).max(-range), (self.offset + slew).min(range)];
-            self.offset = step_with_anti_windup(&frequency, ratio, excitation, limits, |_| 1.0);
-        }
-        (asked, Drive { vpp, omega: plate.omega0 + self.offset })
-    }
-}
-
-/// One period of a loop with its output limited to `low..=high` and back-calculation with tracking
-/// constant `share`.
-fn step_with_anti_windup(
-    pi: &PiGains,
-    error: f64,
-    integral: &mut f64,
-    [low, high]: [f64; 2],
-    share: impl Fn(f64) -> f64,
-) -> f64 {
-    let unlimited = pi.proportional * error + *integral;
-    let output = unlimited.clamp(low, high);
-    let ratio = if pi.proportional > 0.0 { pi.integral_per_period / pi.proportional } else { 1.0 };
-    *integral += pi.integral_per_period * error + (share(unlimited) * ratio).min(1.0) * (output - unlimited);
-    output
 }

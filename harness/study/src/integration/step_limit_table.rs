@@ -1,13 +1,13 @@
 //! Formats the largest stable step of each method, measured and predicted.
 
-use platebench_study::integration::{StepLimit, StepLimitRow};
+use crate::integration::stability::{StepLimit, StepLimitRow};
 use std::fmt::Write as _;
 
 /// Explains the table.
-pub(super) const NOTE: &str = "Up to this step the free motion of a method decays: measured by bisection on the \
+pub(crate) const NOTE: &str = "Up to this step the free motion of a method decays: measured by bisection on the \
     spectral radius of its step, and predicted by theory. The bench itself uses the exact forms, which have no limit.";
 
-pub(super) fn limits_table(rows: &[StepLimitRow]) -> String {
+pub(crate) fn limits_table(rows: &[StepLimitRow]) -> String {
     let mut text = format!(
         "Methods: the largest stable step\n\n{:<20} {:<38} {:>10} {:>10} {:>11}  in the usual unit\n",
         "method", "problem", "measured", "theory", "difference"

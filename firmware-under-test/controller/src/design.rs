@@ -1,0 +1,127 @@
+//! Designs the gains of the laws.
+//!
+//! The board computes a design in f32. A study of the loops computes the same design in f64.
+
+use core::ops::{Add, Div, Mul, Neg, Sub};
+use platebench_wire::LawId;
+
+/// The drive of `frequency-only` as a share of the drive limit.
+pub const FREQUENCY_ONLY_DRIVE_SHARE: f32 = 0.5;
+/// Smallest detuning of the design of `frequency-only`, half bandwidths: the slope of the resonance
+/// curve vanishes at its peak.
+const SMALLEST_DETUNING: f32 = 0.5;
+
+/// The law's default 5 % response time, s.
+///
+/// At 2.0 ms the matched design leaves 4.98 % after two periods of 1 ms: less margin to the 5 %
+/// band than the ripple of the plate's fast mode. 1.9 ms leave 4.2 %. `dq-pi-euler` has the paper's
+/// response time. That of `deadbeat` is for its holding loops. `frequency-only` is slow because the
+/// plate answers a step of ω with an oscillation at Δω that decays with τ.
+pub const fn default_response_time_s(law: LawId) -> f64 {
+    match law {
+        LawId::DqPiEuler => 2.0e-3,
+        LawId::FrequencyOnly => 10e-3,
+        LawId::Deadbeat => 3e-3,
+        _ => 1.9e-3,
+    }
+}
+
+/// The arithmetic of a design.
+pub trait Real:
+    Copy
+    + From<f32>
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
+    /// e to the power of `self`.
+    #[must_use]
+    fn exp(self) -> Self;
+    /// The larger one.
+    #[must_use]
+    fn max(self, other: Self) -> Self;
+}
+
+impl Real for f32 {
+    fn exp(self) -> Self {
+        libm::expf(self)
+    }
+
+    fn max(self, other: Self) -> Self {
+        Self::max(self, other)
+    }
+}
+
+impl Real for f64 {
+    fn exp(self) -> Self {
+        libm::exp(self)
+    }
+
+    fn max(self, other: Self) -> Self {
+        Self::max(self, other)
+    }
+}
+
+/// Gains of one loop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PiGains<F = f32> {
+    /// Proportional gain, output per error.
+    pub proportional: F,
+    /// Integral gain times the period, output per error and period.
+    pub integral_per_period: F,
+}
+
+impl PiGains {
+    /// An inactive loop.
+    pub const NONE: Self = Self { proportional: 0.0, integral_per_period: 0.0 };
+}
+
+impl<F: Real> PiGains<F> {
+    /// Equation 24 for a plant `gain/(1 + τp)`: as printed for `dq-pi-euler`, matched to the
+    /// zero-order hold for every other law. Times in s.
+    pub fn of_law(law: LawId, gain: F, time_constant: F, response_time: F, period: F) -> Self {
+        match law {
+            LawId::DqPiEuler => Self::as_printed(gain, time_constant, response_time, period),
+            _ => Self::zero_order_hold_matched(gain, time_constant, response_time, period),
+        }
+    }
+
+    /// Equation 24 as printed, with a forward-Euler integral: `Kp = 3τ/(K t_r)`, `Ki = Kp/τ`.
+    ///
+    /// `gain` is the static gain K of the plant, times in seconds.
+    pub fn as_printed(gain: F, time_constant: F, response_time: F, period: F) -> Self {
+        let proportional = F::from(3.0) * time_constant / (gain * response_time);
+        Self { proportional, integral_per_period: proportional / time_constant * period }
+    }
+
+    /// Equation 24 matched to the zero-order hold: the controller's zero on the plant's sampled
+    /// pole `a = e^(−Ts/τ)`, the closed loop's pole at `p = e^(−3 Ts/t_r)`.
+    ///
+    /// From `Kp (1 − a) K / (z − 1)` in the open loop: `Kp = (1 − p) / (K (1 − a))`, `Ki·Ts = Kp (1
+    /// − a)`.
+    pub fn zero_order_hold_matched(gain: F, time_constant: F, response_time: F, period: F) -> Self {
+        let plant_pole = (-period / time_constant).exp();
+        Self::from_poles(gain, plant_pole, closed_loop_pole(response_time, period))
+    }
+
+    /// As [`Self::zero_order_hold_matched`], for poles per period.
+    pub fn from_poles(gain: F, plant_pole: F, closed_loop_pole: F) -> Self {
+        let one = F::from(1.0);
+        let proportional = (one - closed_loop_pole) / (gain * (one - plant_pole));
+        Self { proportional, integral_per_period: proportional * (one - plant_pole) }
+    }
+}
+
+/// The pole per period of a loop that settles to 5 % in `response_time`: `e^(−3 Ts/t_r)`.
+pub fn closed_loop_pole<F: Real>(response_time: F, period: F) -> F {
+    (F::from(-3.0) * period / response_time).exp()
+}
+
+/// `−dΔω / d ln|W|` of the resonance curve at `detuning` half bandwidths, rad/s. The integral gain
+/// per period of `frequency-only` is this times `1 − p`, see [`closed_loop_pole`].
+pub fn inverse_slope<F: Real>(detuning: F, time_constant: F) -> F {
+    let x = detuning.max(F::from(SMALLEST_DETUNING));
+    (F::from(1.0) + x * x) / (x * time_constant)
+}

@@ -1,0 +1,193 @@
+//! Finds the longest loop delay at which a law still settles on the exact plate.
+//!
+//! The firmware's state machine runs in this process, in lockstep with the nominal plate, without noise and without a
+//! link. The delay is constant.
+
+use crate::configure::configure;
+use platebench_controller::StateMachine;
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Tier, Time};
+use platebench_scenario::Scenario;
+use platebench_wire::{Configure, ControllerState, LawId, Sample};
+use std::collections::VecDeque;
+use std::f64::consts::TAU;
+
+/// The search range for a scenario, periods.
+const MAX_PERIODS: f64 = 3.0;
+/// Step of the scan as a share of a period, and bisections after it.
+const SCAN_STEP: f64 = 0.25;
+const BISECTIONS: u32 = 8;
+/// A stable loop has settled after so many periods; the last ones are checked.
+const TRIAL_PERIODS: u32 = 400;
+const WINDOW_PERIODS: u32 = 40;
+/// Half the band around the setpoint.
+const BAND: f64 = 0.05;
+
+/// Longest delay at which a loop is stable.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum DelayBoundary {
+    /// Unstable without any delay.
+    Unstable,
+    /// Stable up to this delay, s.
+    At(f64),
+    /// Stable up to the end of the search, s.
+    Beyond(f64),
+}
+
+impl DelayBoundary {
+    /// The boundary in s, if one was found.
+    pub fn seconds(self) -> Option<f64> {
+        match self {
+            Self::At(seconds) => Some(seconds),
+            Self::Unstable | Self::Beyond(_) => None,
+        }
+    }
+}
+
+/// A controller and a plate in lockstep, without link and trace.
+#[derive(Debug, Clone)]
+pub struct DelayedLoop {
+    machine: StateMachine,
+    plant: Plant,
+    setpoint: f64,
+    period: Time,
+    /// Drives with the time from which they act, in order.
+    pending: VecDeque<(Time, Drive)>,
+}
+
+impl DelayedLoop {
+    /// The plate at rest under constant conditions; the setpoint is in µm. `None` if the firmware rejects the
+    /// configuration.
+    pub fn new(
+        configure: &Configure,
+        plate: &Plate,
+        conditions: Conditions,
+        tier: Tier,
+        setpoint: f64,
+    ) -> Option<Self> {
+        let mut machine = StateMachine::new();
+        machine.configure(configure).outcome.ok()?;
+        let scene = ConditionProfiles {
+            temperature_offset_k: Profile::constant(conditions.temperature_offset_k),
+            finger_force_n: Profile::constant(conditions.finger_force_n),
+        };
+        let mut plant = Plant::new(plate.clone(), scene, tier);
+        plant.set_drive(Drive { vpp: 0.0, omega: f64::from(configure.start_frequency_mhz) * 1e-3 * TAU });
+        let period = Time::from_nanos(u64::from(configure.period_us) * 1_000);
+        Some(Self { machine, plant, setpoint, period, pending: VecDeque::new() })
+    }
+
+    /// The setpoint, µm.
+    pub fn setpoint(&self) -> f64 {
+        self.setpoint
+    }
+
+    /// Advances one period; returns W at its start, µm. The command acts after `delay`; `perturbation` is added to
+    /// both measured components. `None` if the controller has stopped or W is not finite.
+    pub fn step(&mut self, delay: Time, perturbation: f64) -> Option<Complex64> {
+        let (now, w) = (self.plant.time(), self.plant.state().w);
+        let sensed = self.plant.sensor_reading();
+        let time_us = (now.as_nanos() / 1_000) as u32;
+        let sample = Sample {
+            time_us,
+            setpoint_um: self.setpoint as f32,
+            wd_um: (sensed.re + perturbation) as f32,
+            wq_um: (sensed.im + perturbation) as f32,
+        };
+        let command = self.machine.sample(&sample, time_us);
+        if command.state != ControllerState::Running || !w.is_finite() {
+            return None;
+        }
+        let drive = Drive { vpp: f64::from(command.drive_vpp), omega: f64::from(command.frequency_mhz) * 1e-3 * TAU };
+        self.pending.push_back((now + delay, drive));
+        let end = now + self.period;
+        while let Some(&(at, drive)) = self.pending.front() {
+            if at >= end {
+                break;
+            }
+            self.plant.advance(at, &[], &mut Vec::new());
+            self.plant.set_drive(drive);
+            self.pending.pop_front();
+        }
+        self.plant.advance(end, &[], &mut Vec::new());
+        Some(w)
+    }
+
+    /// True if |W| reaches 5 % of the setpoint and stays there.
+    fn settles(mut self, delay: Time) -> bool {
+        (0..TRIAL_PERIODS).all(|number| {
+            let is_early = number < TRIAL_PERIODS - WINDOW_PERIODS;
+            let w = self.step(delay, 0.0);
+            w.is_some_and(|w| is_early || (w.norm() / self.setpoint - 1.0).abs() <= BAND)
+        })
+    }
+
+    /// The longest delay, up to `longest` s, at which the controller settles from here.
+    pub fn settling_boundary(&self, longest: f64) -> DelayBoundary {
+        search_boundary(self.period.seconds(), longest, |delay| self.clone().settles(delay))
+    }
+}
+
+/// The longest delay of the scenario's law, at its highest setpoint, in its initial conditions. `None` if it does not
+/// settle without delay.
+pub(crate) fn scenario_delay_boundary(scenario: &Scenario, law: LawId) -> Option<Time> {
+    let (_, setpoint) = scenario.setpoint.range();
+    let conditions = scenario.conditions.at(Time::ZERO);
+    let start = DelayedLoop::new(&configure(scenario, law), &scenario.plate, conditions, scenario.tier, setpoint)?;
+    match start.settling_boundary(MAX_PERIODS * scenario.controller.period.seconds()) {
+        DelayBoundary::Unstable => None,
+        DelayBoundary::At(seconds) | DelayBoundary::Beyond(seconds) => Time::from_seconds(seconds),
+    }
+}
+
+/// The first delay, up to `longest` s, at which `is_stable` becomes false; resolution 1/1024 of `period`.
+pub fn search_boundary(period: f64, longest: f64, is_stable: impl Fn(Time) -> bool) -> DelayBoundary {
+    let at = |seconds: f64| Time::from_seconds(seconds).is_some_and(&is_stable);
+    if !at(0.0) {
+        return DelayBoundary::Unstable;
+    }
+    let mut low = 0.0;
+    let steps = (longest / (SCAN_STEP * period)).ceil() as u32;
+    for step in 1..=steps {
+        let mut high = (f64::from(step) * SCAN_STEP * period).min(longest);
+        if !at(high) {
+            for _ in 0..BISECTIONS {
+                let middle = f64::midpoint(low, high);
+                *(if at(middle) { &mut low } else { &mut high }) = middle;
+            }
+            return DelayBoundary::At(f64::midpoint(low, high));
+        }
+        low = high;
+    }
+    DelayBoundary::Beyond(longest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_scenario::load;
+    use std::path::Path;
+
+    fn boundary_periods(law: LawId, response_ms: f64) -> f64 {
+        let name = "paper/fig13-closed-loop.toml";
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
+        let mut scenario = load(&path, name).unwrap_or_else(|fault| panic!("{fault}"));
+        scenario.controller.response_time_ms = Some(response_ms);
+        scenario.plate.drive_limit_vpp = 1e5;
+        let boundary = scenario_delay_boundary(&scenario, law).unwrap();
+        boundary.seconds() / scenario.controller.period.seconds()
+    }
+
+    #[test]
+    fn delay_boundary_is_the_stability_boundary() {
+        // Derived for a response time of 2 ms at 1 kHz: 0.83 periods with the forward-Euler integral.
+        let found = boundary_periods(LawId::DqPiEuler, 2.0);
+        assert!((found - 0.83).abs() < 0.02, "{found}");
+        // The matched design is stable at one period (z² − z + 0.777 has its roots at 0.88), but not at two
+        // (z³ − z² + 0.777 has a pair at 1.07).
+        let found = boundary_periods(LawId::DqPiFixed, 2.0);
+        assert!((found - 1.64).abs() < 0.02, "{found}");
+        // Gains that follow the damping tolerate less, because a delay looks like damping.
+        let found = boundary_periods(LawId::DqPi, 2.0);
+        assert!((found - 1.4).abs() < 0.02, "{found}");
+    }
+}

@@ -1,0 +1,323 @@
+//! Plays scenarios on every model of the plate and lists what a simpler model changes.
+
+use crate::charts::section::{ChartError, ChartSection};
+use crate::cost::{median, process_cpu_time};
+use platebench_plate::Tier;
+use platebench_record::{ExpectationRecord, Overrides, RunFolder, RunRecord, Verdict};
+use platebench_report::chart::{StripChart, StripRow};
+use platebench_report::page::PageBlock;
+use platebench_report::text::Table;
+use platebench_rig::RigSpec;
+use platebench_runner::{Clock, RunHooks, RunPlan, run};
+use platebench_scenario::{Expectation, Scenario};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+const FILE: &str = "scenes.csv";
+const DRAWING: &str = "scenes.svg";
+/// A larger difference, in tolerances, is listed.
+const LISTED_DIFFERENCE: f64 = 0.1;
+/// Smaller differences are drawn here.
+const SCALE_FLOOR: f64 = 1e-9;
+
+/// One expectation on one model, compared with the most detailed model.
+struct MetricResult {
+    name: String,
+    value: Option<f64>,
+    reference: Option<f64>,
+    verdict: Verdict,
+    reference_verdict: Verdict,
+    /// |value − reference| in tolerances; infinite if only one of them is a number.
+    difference: f64,
+}
+
+impl MetricResult {
+    fn is_listed(&self) -> bool {
+        self.verdict != self.reference_verdict || self.difference > LISTED_DIFFERENCE
+    }
+}
+
+/// A scenario on one model.
+struct ModelResult {
+    tier: Tier,
+    verdict: Verdict,
+    reference_verdict: Verdict,
+    metrics: Vec<MetricResult>,
+}
+
+/// A scenario on all its models, the simplest first. The last one is the reference.
+struct SceneResult<'a> {
+    scenario: &'a Scenario,
+    models: Vec<ModelResult>,
+}
+
+/// The cost of the whole run on a model.
+struct ModelCost {
+    tier: Tier,
+    scenario_count: usize,
+    /// Processor time per control period, µs.
+    period_us: f64,
+}
+
+/// The models of a scenario: the carrier only if the plate has a converter, or if the scenario names it.
+fn models(scenario: &Scenario) -> Vec<Tier> {
+    let has_carrier = [scenario.tier, Tier::exact_for(&scenario.plate)].contains(&Tier::Carrier);
+    Tier::ALL.into_iter().filter(|tier| *tier != Tier::Carrier || has_carrier).collect()
+}
+
+/// Plays and judges the scenarios on every model. The cost is the median over `rounds`.
+///
+/// # Errors
+/// [`ChartError`].
+pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, ChartError> {
+    let mut records: BTreeMap<&str, RunRecord> = BTreeMap::new();
+    let mut costs: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    // In turn, so that other load affects all models equally.
+    for _ in 0..rounds.max(1) {
+        for tier in Tier::ALL {
+            let with_tier = |scenario: &Scenario| Scenario { tier, ..scenario.clone() };
+            let own: Vec<_> = scenarios.iter().filter(|scene| models(scene).contains(&tier)).map(with_tier).collect();
+            if own.is_empty() {
+                continue;
+            }
+            let (record, period_us) = play(own)?;
+            costs.entry(tier.name()).or_default().push(period_us);
+            records.insert(tier.name(), record);
+        }
+    }
+    let cost = |tier: Tier| {
+        let period_us = median(costs.get(tier.name())?.clone());
+        Some(ModelCost { tier, scenario_count: records.get(tier.name())?.scenarios.len(), period_us })
+    };
+    let costs: Vec<ModelCost> = Tier::ALL.into_iter().filter_map(cost).collect();
+    let results: Vec<_> = scenarios.iter().filter_map(|scenario| SceneResult::new(scenario, &records)).collect();
+    section(&results, &costs)
+}
+
+/// Plays the scenarios on the hosted rig. Returns the record, and the processor time of the whole run per control
+/// period, µs: plate, controller, trace and judgement.
+fn play(scenarios: Vec<Scenario>) -> Result<(RunRecord, f64), ChartError> {
+    let temporary = tempfile::tempdir()?;
+    let folder = RunFolder::create(Some(&temporary.path().join("run")))?;
+    let plan = RunPlan {
+        scenarios,
+        jobs: 1,
+        clock: Clock::Lockstep { wire_time: false },
+        own_clock: false,
+        rig: RigSpec::Hosted.to_string(),
+        overrides: Overrides::default(),
+    };
+    let started = process_cpu_time();
+    let record = run(&plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default())?;
+    let elapsed_us = process_cpu_time().saturating_sub(started).as_secs_f64() * 1e6;
+    let periods = |scenario: &Scenario| scenario.duration.seconds() / scenario.controller.period.seconds();
+    let played = plan.scenarios.iter().zip(&record.scenarios);
+    let count: f64 = played.map(|(scenario, record)| periods(scenario) * record.trials.len() as f64).sum();
+    Ok((record, elapsed_us / count))
+}
+
+impl<'a> SceneResult<'a> {
+    fn new(scenario: &'a Scenario, records: &BTreeMap<&str, RunRecord>) -> Option<Self> {
+        let on = |tier: Tier| records.get(tier.name())?.scenarios.iter().find(|scene| scene.file == scenario.file);
+        let tiers = models(scenario);
+        let reference = on(*tiers.last()?)?;
+        let model = |tier: Tier| {
+            let record = on(tier)?;
+            let both = record.expectations.iter().zip(&reference.expectations);
+            let metrics = both
+                .zip(&scenario.expectations)
+                .map(|((own, reference), expectation)| MetricResult::new(expectation, own, reference));
+            let (verdict, reference_verdict) = (record.verdict, reference.verdict);
+            Some(ModelResult { tier, verdict, reference_verdict, metrics: metrics.collect() })
+        };
+        Some(Self { scenario, models: tiers.iter().filter_map(|tier| model(*tier)).collect() })
+    }
+}
+
+impl MetricResult {
+    fn new(expectation: &Expectation, own: &ExpectationRecord, reference: &ExpectationRecord) -> Self {
+        let difference = match (own.value, reference.value) {
+            (Some(value), Some(reference)) if value != reference => (value - reference).abs() / tolerance(expectation),
+            (Some(_), None) | (None, Some(_)) => f64::INFINITY,
+            _ => 0.0,
+        };
+        Self {
+            name: expectation.name.clone(),
+            value: own.value,
+            reference: reference.value,
+            verdict: own.verdict,
+            reference_verdict: reference.verdict,
+            difference,
+        }
+    }
+}
+
+/// Half the distance of two limits, or the size of a single one; may be 0.
+fn tolerance(expectation: &Expectation) -> f64 {
+    match expectation.range() {
+        (low, high) if low.is_finite() && high > low && high.is_finite() => 0.5 * (high - low),
+        (low, high) => if high.is_finite() { high } else { low }.abs(),
+    }
+}
+
+impl ModelResult {
+    /// The largest difference of a metric, in tolerances.
+    fn largest_difference(&self) -> f64 {
+        self.metrics.iter().map(|metric| metric.difference).fold(0.0, f64::max)
+    }
+}
+
+fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Result<ChartSection, ChartError> {
+    let svg = strip_chart(results).svg()?;
+    let (models, differences) = (model_table(results, costs), difference_table(results));
+    let mut summary = String::new();
+    for table in [&models, &differences] {
+        for line in table.lines() {
+            // Writing to a string cannot fail.
+            let _ = writeln!(summary, "  {line}");
+        }
+        summary.push('\n');
+    }
+    let caption = format!("{} scenarios: largest difference of a metric on every model", results.len());
+    let mut blocks: Vec<PageBlock> = EXPLANATION.map(|text| PageBlock::Text(text.to_owned())).into();
+    blocks.push(PageBlock::Table(models));
+    blocks.push(PageBlock::Drawings(vec![(svg.clone(), caption)]));
+    blocks.push(PageBlock::Table(differences));
+    blocks.push(PageBlock::File(FILE.to_owned()));
+    Ok(ChartSection {
+        title: "Scenarios: models of the plate against the most detailed one",
+        summary,
+        blocks,
+        files: vec![(FILE.to_owned(), full_table(results).csv()), (DRAWING.to_owned(), svg)],
+    })
+}
+
+const EXPLANATION: [&str; 2] = [
+    "Every scenario runs on every model of the plate with the hosted controller and is judged. A model is compared with \
+     the most detailed one of the scenario: modal, or carrier if the plate has a converter. The difference of a metric \
+     is relative to its tolerance: half the distance of two limits, or the size of a single limit.",
+    "The table lists changed verdicts and differences of more than a tenth of the tolerance. The cost is processor time \
+     of the whole run per control period: plate, controller, trace and judgement. The ring in the drawing marks the \
+     model of the scenario.",
+];
+
+/// Scenarios, changes and cost by model.
+fn model_table(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Table {
+    let mut table = Table::new([
+        "model",
+        "scenarios",
+        "changed verdicts",
+        "metrics off by more than a tenth",
+        "scenarios with such a metric",
+        "CPU time per control period",
+    ]);
+    for cost in costs {
+        let own: Vec<&ModelResult> =
+            results.iter().flat_map(|scene| &scene.models).filter(|model| model.tier == cost.tier).collect();
+        let changed = own.iter().filter(|model| model.verdict != model.reference_verdict).count();
+        let differs = |metric: &&MetricResult| metric.difference > LISTED_DIFFERENCE;
+        let metrics = own.iter().flat_map(|model| &model.metrics).filter(differs).count();
+        let scenes = own.iter().filter(|model| model.largest_difference() > LISTED_DIFFERENCE).count();
+        table.rows.push(vec![
+            cost.tier.name().to_owned(),
+            cost.scenario_count.to_string(),
+            changed.to_string(),
+            metrics.to_string(),
+            scenes.to_string(),
+            format!("{:.2} µs", cost.period_us),
+        ]);
+    }
+    table
+}
+
+/// Changed verdicts and large differences.
+fn difference_table(results: &[SceneResult<'_>]) -> Table {
+    let mut table =
+        Table::new(["scenario", "model", "expectation", "value", "most detailed", "in tolerances", "verdict"]);
+    for scene in results {
+        for model in &scene.models {
+            for metric in model.metrics.iter().filter(|metric| metric.is_listed()) {
+                let verdict = if metric.verdict == metric.reference_verdict {
+                    metric.verdict.to_string()
+                } else {
+                    format!("{} instead of {}", metric.verdict, metric.reference_verdict)
+                };
+                table.rows.push(vec![
+                    scene.scenario.name().to_owned(),
+                    model.tier.name().to_owned(),
+                    metric.name.clone(),
+                    format_value(metric.value),
+                    format_value(metric.reference),
+                    if metric.difference.is_finite() { format!("{:.2}", metric.difference) } else { "–".to_owned() },
+                    verdict,
+                ]);
+            }
+        }
+    }
+    table
+}
+
+fn format_value(value: Option<f64>) -> String {
+    value.map_or_else(|| "–".to_owned(), |value| format!("{value:.4}"))
+}
+
+/// Every expectation on every model.
+fn full_table(results: &[SceneResult<'_>]) -> Table {
+    let mut table = Table::new([
+        "scenario",
+        "law",
+        "scenario_model",
+        "model",
+        "expectation",
+        "value",
+        "reference_value",
+        "difference_in_tolerances",
+        "verdict",
+        "reference_verdict",
+    ]);
+    let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+    for SceneResult { scenario, models } in results {
+        for model in models {
+            for metric in &model.metrics {
+                table.rows.push(vec![
+                    scenario.file.clone(),
+                    scenario.controller.law.clone(),
+                    scenario.tier.name().to_owned(),
+                    model.tier.name().to_owned(),
+                    metric.name.clone(),
+                    number(metric.value),
+                    number(metric.reference),
+                    metric.difference.to_string(),
+                    metric.verdict.to_string(),
+                    metric.reference_verdict.to_string(),
+                ]);
+            }
+        }
+    }
+    table
+}
+
+fn strip_chart(results: &[SceneResult<'_>]) -> StripChart {
+    let colour = |tier: Tier| Tier::ALL.iter().position(|known| *known == tier).unwrap_or_default();
+    let row = |scene: &SceneResult<'_>| {
+        let changed = scene.models.iter().filter(|model| model.verdict != model.reference_verdict);
+        let names: Vec<&str> = changed.map(|model| model.tier.name()).collect();
+        let note = if names.is_empty() { String::new() } else { format!("verdict changes: {}", names.join(", ")) };
+        StripRow {
+            name: scene.scenario.name().to_owned(),
+            limit: Some(LISTED_DIFFERENCE),
+            values: scene.models.iter().map(|model| (colour(model.tier), model.largest_difference())).collect(),
+            chosen_colour: colour(scene.scenario.tier),
+            note,
+        }
+    };
+    StripChart {
+        title: "Models of the plate against the most detailed one".to_owned(),
+        x_label: "largest difference of a metric / its tolerance".to_owned(),
+        floor: SCALE_FLOOR,
+        colours: Tier::ALL.map(|tier| tier.name().to_owned()).into(),
+        chosen_label: "ring: model of the scenario".to_owned(),
+        limit_label: "a tenth of the tolerance".to_owned(),
+        rows: results.iter().map(row).collect(),
+    }
+}

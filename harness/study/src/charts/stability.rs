@@ -1,0 +1,104 @@
+//! Predicts and measures where methods and loops become unstable, and draws maps.
+
+use crate::charts::section::{ChartError, ChartSection};
+use crate::integration::stability::{step_limits, to_csv};
+use crate::integration::step_limit_table;
+use crate::loops::{AnalysisError, OperatingCondition, PlainLoops, Reading, Study, StudyConfig, study, table};
+use platebench_plate::Plate;
+use platebench_record::RunRecord;
+use platebench_report::ReportError;
+use platebench_report::chart::{MapFigure, MapPanel, RigDelay};
+use platebench_report::page::PageBlock;
+use platebench_wire::LawId;
+
+/// Setpoint, response time and period of the paper, for the known limit.
+const SETPOINT_UM: f64 = 2.0;
+const RESPONSE_S: f64 = 2e-3;
+const PERIOD_S: f64 = 1e-3;
+const START_PERIODS: u32 = 4_000;
+
+/// Studies methods and loops. `rig` is the delay of a rig for the maps.
+///
+/// # Errors
+/// [`ChartError::Analysis`] or [`ChartError::Report`].
+pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartSection, ChartError> {
+    let result = study(config)?;
+    let steps = step_limits(&config.plate);
+    let step_table = step_limit_table::limits_table(&steps);
+    let boundaries = table::boundary_table(&result, config.delay);
+    let known_limit = known_limit(&config.plate)?;
+    let mut files = vec![
+        ("methods.csv".to_owned(), to_csv(&steps)),
+        ("boundaries.csv".to_owned(), table::boundaries_csv(&result)),
+        ("maps.csv".to_owned(), table::maps_csv(&result)),
+    ];
+    let maps: Vec<(LawId, MapFigure)> =
+        config.laws.iter().filter_map(|&law| Some((law, build_map(&result, law, rig)?))).collect();
+    for (law, map) in &maps {
+        files.push((format!("{}.svg", law.name()), map.svg()?));
+    }
+    let summary = format!("{step_table}\n{boundaries}\n{known_limit}");
+    let blocks = page_blocks([step_table, boundaries, known_limit], &maps)?;
+    Ok(ChartSection { title: "Where methods and loops become unstable", summary, blocks, files })
+}
+
+/// The largest median and the longest loop delay of the trials of a run. `None` if no trial has a loop delay.
+pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
+    let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials);
+    let delays = trials.filter_map(|trial| {
+        let timed = trial.telemetry.timing.as_ref().and_then(|timing| timing.loop_delay_us);
+        let timed = timed.map(|delay| [delay.p50, delay.max]);
+        timed.or_else(|| trial.telemetry.loop_delay_us.map(|delay| [delay; 2]))
+    });
+    let [typical, longest] = delays.reduce(|[a, b], [c, d]| [a.max(c), b.max(d)])?;
+    Some(RigDelay { typical_ms: typical * 1e-3, longest_ms: longest * 1e-3 })
+}
+
+/// Backward Euler without delay: its spectral radius is small, but from a detuned start it never settles.
+fn known_limit(plate: &Plate) -> Result<String, AnalysisError> {
+    let loops = PlainLoops::new(plate, Reading::Backward, RESPONSE_S, PERIOD_S);
+    let starts = [OperatingCondition::Resonant, OperatingCondition::Detuned].map(|condition| {
+        let radius = loops.linearise(plate, condition, SETPOINT_UM)?.spectral_radius()?;
+        Ok((condition, radius, loops.simulate_start(plate, condition, SETPOINT_UM, START_PERIODS)))
+    });
+    Ok(table::format_plain_loop_starts(&starts.into_iter().collect::<Result<Vec<_>, AnalysisError>>()?))
+}
+
+/// The map of a law: one row per operating condition, one panel per response time. `None` for a law without a loop.
+fn build_map(study: &Study, law: LawId, rig: Option<RigDelay>) -> Option<MapFigure> {
+    let ms = |seconds: &f64| seconds * 1e3;
+    let maps: Vec<_> = study.maps.iter().filter(|map| map.law == law).collect();
+    let columns = maps.iter().filter(|map| Some(map.condition) == maps.first().map(|map| map.condition)).count();
+    let panels = maps.iter().map(|map| MapPanel {
+        title: format!("{}, response {:.3} ms", map.condition.name(), ms(&map.response)),
+        periods_ms: map.periods.iter().map(ms).collect(),
+        delays_ms: map.delays.iter().map(ms).collect(),
+        radius: map.spectral_radius.clone(),
+        measured: map.measured.iter().map(|(period, delay)| (ms(period), ms(delay))).collect(),
+    });
+    let title = format!("{}: spectral radius over control period and loop delay, ms", law.name());
+    (!maps.is_empty()).then(|| MapFigure { title, panels: panels.collect(), columns, rig })
+}
+
+fn page_blocks(
+    [steps, boundaries, known_limit]: [String; 3],
+    maps: &[(LawId, MapFigure)],
+) -> Result<Vec<PageBlock>, ReportError> {
+    let heading = |text: &str| PageBlock::Heading(text.to_owned());
+    let text = |text: &str| PageBlock::Text(text.to_owned());
+    let mut blocks = vec![
+        heading("The largest stable step of a method"),
+        text(step_limit_table::NOTE),
+        PageBlock::Preformatted(steps),
+        heading("Boundaries and margins"),
+        PageBlock::Preformatted(boundaries),
+        heading("Known limit"),
+        PageBlock::Preformatted(known_limit),
+    ];
+    for (law, map) in maps {
+        blocks.push(heading(law.name()));
+        blocks.extend(table::law_note(*law).map(text));
+        blocks.push(PageBlock::Drawings(vec![(map.svg()?, map.title.clone())]));
+    }
+    Ok(blocks)
+}

@@ -1,0 +1,174 @@
+//! Evaluates a design: poles, margins and responses.
+
+use crate::loops::closed_loop::AnalysisError;
+use crate::loops::controller::{PiGains, Reading};
+use crate::loops::margins::delay_boundary;
+use crate::loops::step_response::StepResponse;
+use crate::loops::tuning::design::{GainDesign, TuningTarget};
+use crate::loops::tuning::transient::TransientResponse;
+use platebench_plate::{Plate, Tier};
+use platebench_runner::delay_boundary::DelayBoundary;
+use serde::Serialize;
+
+/// Range of the search for the delay boundary beyond the delay, in periods plus design times.
+const MAX_DELAY_FACTOR: f64 = 8.0;
+/// Poles closer to 0 are those of pending commands.
+const PENDING_POLE_RADIUS: f64 = 1e-6;
+
+/// One loop of a design with the other one open, at the target's delay.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LoopEvaluation {
+    /// Vpp per µm, or rad/s per unit of Wq/Wd.
+    pub kp: f64,
+    /// The same and per second.
+    pub ki_per_s: f64,
+    /// Poles in the z plane, [re, im], without those of pending commands.
+    pub poles: Vec<[f64; 2]>,
+    /// The largest magnitude of a pole.
+    pub spectral_radius: f64,
+    /// Factor by which the gain may rise; `None` if unlimited.
+    pub gain_margin: Option<f64>,
+    /// Degrees; `None` if |L| is never 1.
+    pub phase_margin_deg: Option<f64>,
+    /// Allowed growth of the delay, ms; 0 or less if unstable, `None` if stable up to the end of
+    /// the search.
+    pub delay_margin_ms: Option<f64>,
+}
+
+/// Result of a setpoint step.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct StepEvaluation {
+    /// 5 % settling time; `None` if it does not settle.
+    pub settling_ms: Option<f64>,
+    /// Overshoot.
+    pub overshoot_percent: f64,
+    /// Highest drive.
+    pub peak_drive_vpp: f64,
+}
+
+impl From<StepResponse> for StepEvaluation {
+    fn from(response: StepResponse) -> Self {
+        Self {
+            settling_ms: response.settling.map(|seconds| seconds * 1e3),
+            overshoot_percent: response.overshoot * 100.0,
+            peak_drive_vpp: response.peak_drive,
+        }
+    }
+}
+
+impl From<TransientResponse> for StepEvaluation {
+    fn from(transient: TransientResponse) -> Self {
+        Self {
+            settling_ms: transient.settling.map(|seconds| seconds * 1e3),
+            overshoot_percent: transient.overshoot * 100.0,
+            peak_drive_vpp: transient.peak_drive,
+        }
+    }
+}
+
+/// A design and its behaviour.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DesignEvaluation {
+    /// The reading of equation 24.
+    pub reading: Reading,
+    /// Response time of the design, ms.
+    pub designed_for_ms: f64,
+    /// Amplitude loop.
+    pub amplitude: LoopEvaluation,
+    /// Frequency loop.
+    pub frequency: LoopEvaluation,
+    /// Largest magnitude of a pole of both loops on the modal plate.
+    pub spectral_radius: f64,
+    /// The linear loop on the envelope, without ripple and limits.
+    pub linear: StepEvaluation,
+    /// |W| on the modal plate within the drive limit.
+    pub plate: StepEvaluation,
+    /// Control periods at the limit.
+    pub saturated_periods: u32,
+    /// The design itself.
+    #[serde(skip)]
+    pub design: GainDesign,
+}
+
+/// The delay boundary of both loops of the design on `plate`.
+pub(crate) fn design_delay_boundary(
+    target: &TuningTarget<'_>,
+    plate: &Plate,
+    design: &GainDesign,
+) -> Result<DelayBoundary, AnalysisError> {
+    let (plant, controller) = design.linear_parts(&TuningTarget { plate, ..*target }, Tier::Modal);
+    delay_boundary(&plant, &controller, target.period(), longest_delay(target))
+}
+
+fn longest_delay(target: &TuningTarget<'_>) -> f64 {
+    target.delay + MAX_DELAY_FACTOR * (target.period() + design_time(target))
+}
+
+/// The longer of the plate's time constant and the response time, s.
+fn design_time(target: &TuningTarget<'_>) -> f64 {
+    (1.0 / target.mode().sigma).max(target.response)
+}
+
+/// Boundary − delay, ms.
+pub(crate) fn delay_margin_ms(target: &TuningTarget<'_>, boundary: DelayBoundary) -> Option<f64> {
+    match boundary {
+        DelayBoundary::Unstable => Some(0.0 - target.delay * 1e3),
+        DelayBoundary::At(seconds) => Some((seconds - target.delay) * 1e3),
+        DelayBoundary::Beyond(_) => None,
+    }
+}
+
+/// Evaluates a design.
+///
+/// # Errors
+/// [`AnalysisError`] of a loop.
+pub fn evaluate_design(target: &TuningTarget<'_>, design: GainDesign) -> Result<DesignEvaluation, AnalysisError> {
+    let GainDesign { amplitude, frequency, reading, response } = design;
+    let both = design.closed_loop(target, target.plate, Tier::Modal, [true; 2])?;
+    let alone = design.closed_loop(target, target.plate, Tier::Envelope, [true, false])?;
+    let transient = design.simulate_step(target, target.plate, target.force_n);
+    Ok(DesignEvaluation {
+        reading,
+        designed_for_ms: response * 1e3,
+        amplitude: evaluate_loop(target, &design, amplitude, [true, false])?,
+        frequency: evaluate_loop(target, &design, frequency, [false, true])?,
+        spectral_radius: both.spectral_radius()?,
+        linear: alone.step_response(target.setpoint, target.horizon()).into(),
+        plate: transient.into(),
+        saturated_periods: transient.saturated_periods,
+        design,
+    })
+}
+
+fn evaluate_loop(
+    target: &TuningTarget<'_>,
+    design: &GainDesign,
+    pi: PiGains,
+    which: [bool; 2],
+) -> Result<LoopEvaluation, AnalysisError> {
+    let closed = design.closed_loop(target, target.plate, Tier::Envelope, which)?;
+    let mut poles = closed.poles()?;
+    // At resonance Wd and Wq are decoupled on the envelope: remove the other component's pole.
+    let other = (-target.mode().sigma * target.period()).exp();
+    let distance = |pole: &nalgebra::Complex<f64>| (pole - other).norm();
+    let nearest = (0..poles.len()).min_by(|a, b| distance(&poles[*a]).total_cmp(&distance(&poles[*b])));
+    if let Some(nearest) = nearest {
+        poles.remove(nearest);
+    }
+    poles.retain(|pole| pole.norm() > PENDING_POLE_RADIUS);
+    poles.sort_by(|a, b| b.norm().total_cmp(&a.norm()).then(b.im.total_cmp(&a.im)));
+    let margins = closed.margins();
+    let (plant, mut controller) = design.linear_parts(target, Tier::Envelope);
+    controller.drive = controller.drive.filter(|_| which[0]);
+    controller.frequency = controller.frequency.filter(|_| which[1]);
+    let bears = delay_boundary(&plant, &controller, target.period(), longest_delay(target))?;
+    Ok(LoopEvaluation {
+        kp: pi.proportional,
+        ki_per_s: pi.integral_per_period / target.period(),
+        spectral_radius: poles.iter().fold(0.0, |largest, pole| pole.norm().max(largest)),
+        poles: poles.iter().map(|pole| [pole.re, pole.im]).collect(),
+        gain_margin: margins.gain,
+        phase_margin_deg: margins.phase_deg,
+        delay_margin_ms: delay_margin_ms(target, bears),
+    })
+}

@@ -1,0 +1,125 @@
+//! Searches a design that meets a target, and the causes if none does.
+
+use crate::loops::closed_loop::AnalysisError;
+use crate::loops::controller::Reading;
+use crate::loops::tuning::design::{GainDesign, TuningTarget};
+use crate::loops::tuning::evaluation::{DesignEvaluation, design_delay_boundary, evaluate_design};
+use crate::loops::tuning::search::DesignSearch;
+use crate::loops::tuning::spread::{PlateSpread, Sensitivity, evaluate_sensitivity};
+use platebench_plate::Tier;
+use platebench_runner::delay_boundary::DelayBoundary;
+use serde::Serialize;
+
+/// Why a target cannot be met.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case", tag = "kind")]
+pub enum InfeasibilityCause {
+    /// The drive limit cannot hold the setpoint.
+    OutOfReach {
+        /// Necessary drive, Vpp.
+        needed_vpp: f64,
+    },
+    /// The drive limit does not allow the response time.
+    DriveFloor {
+        /// The shortest time, ms.
+        floor_ms: f64,
+        /// Necessary drive, Vpp.
+        needed_vpp: f64,
+    },
+    /// The response time ends before the first command with feedback acts.
+    Period {
+        /// From the step to the first command with feedback in it, ms.
+        first_feedback_ms: f64,
+    },
+    /// Equation 24 for this response is unstable at this delay.
+    Delay {
+        /// The longest stable delay, ms; 0 if unstable without delay.
+        boundary_ms: f64,
+    },
+    /// Only designs with less phase margin meet the target.
+    PhaseMargin {
+        /// Phase margin of the fastest stable design, degrees.
+        found_deg: f64,
+    },
+    /// No design of this reading is fast enough at this period and delay.
+    Reading,
+}
+
+/// Result of a tuning.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TuningResult {
+    /// True if the target is met.
+    pub met: bool,
+    /// Why the target is not met.
+    pub obstacles: Vec<InfeasibilityCause>,
+    /// The shortest time that the drive limit allows, ms; `None` if the setpoint is out of reach.
+    pub floor_ms: Option<f64>,
+    /// Equation 24 for the target's response time, in each reading.
+    pub readings: Vec<DesignEvaluation>,
+    /// The design that meets the target.
+    pub chosen: Option<DesignEvaluation>,
+    /// The fastest design with the target's phase margin, if the target is not met.
+    pub possible: Option<DesignEvaluation>,
+    /// The chosen, otherwise the possible design on other plates.
+    pub sensitivity: Option<Sensitivity>,
+}
+
+/// Searches a design of `reading` that meets the target.
+///
+/// # Errors
+/// [`AnalysisError`] of a loop.
+pub fn tune(target: &TuningTarget<'_>, reading: Reading, spread: &PlateSpread) -> Result<TuningResult, AnalysisError> {
+    let printed = |reading| evaluate_design(target, GainDesign::new(target, reading, target.response));
+    let readings = Reading::ALL.into_iter().map(printed).collect::<Result<Vec<_>, _>>()?;
+    let search = DesignSearch::new(target, reading);
+    // Inside the band is not enough if the limit cannot hold the setpoint.
+    let holds = target.mode().drive_for(target.setpoint) <= target.plate.drive_limit_vpp;
+    let meeting = if holds { search.meeting_target(target.phase_margin_deg)? } else { None };
+    let chosen = meeting.map(|candidate| evaluate_design(target, candidate.design)).transpose()?;
+    let (mut obstacles, mut possible) = (Vec::new(), None);
+    if chosen.is_none() {
+        obstacles = infeasibility_causes(target, reading, &search)?;
+        let fastest = if holds { search.fastest(target.phase_margin_deg)? } else { None };
+        possible = fastest.map(|candidate| evaluate_design(target, candidate.design)).transpose()?;
+    }
+    let design = chosen.as_ref().or(possible.as_ref());
+    let sensitivity = design.map(|figures| evaluate_sensitivity(target, &figures.design, spread)).transpose()?;
+    let floor_ms = target.time_floor().map(|seconds| seconds * 1e3);
+    Ok(TuningResult { met: chosen.is_some(), obstacles, floor_ms, readings, chosen, possible, sensitivity })
+}
+
+fn infeasibility_causes(
+    target: &TuningTarget<'_>,
+    reading: Reading,
+    search: &DesignSearch<'_>,
+) -> Result<Vec<InfeasibilityCause>, AnalysisError> {
+    let mode = target.mode();
+    let mut causes = Vec::new();
+    let needed = |seconds: f64| 0.95 * mode.drive_for(target.setpoint) / (1.0 - (-mode.sigma * seconds).exp());
+    let holds = mode.drive_for(target.setpoint);
+    if holds > target.plate.drive_limit_vpp {
+        causes.push(InfeasibilityCause::OutOfReach { needed_vpp: holds });
+    } else if let Some(floor) = target.time_floor().filter(|floor| *floor > target.response) {
+        causes.push(InfeasibilityCause::DriveFloor { floor_ms: floor * 1e3, needed_vpp: needed(target.response) });
+    }
+    let feedback = target.period() + target.delay;
+    if target.response < feedback {
+        causes.push(InfeasibilityCause::Period { first_feedback_ms: feedback * 1e3 });
+    }
+    let itself = GainDesign::new(target, reading, target.response);
+    let bears = design_delay_boundary(target, target.plate, &itself)?;
+    if let DelayBoundary::Unstable | DelayBoundary::At(_) = bears {
+        let boundary = bears.seconds().unwrap_or(0.0);
+        if boundary <= target.delay {
+            causes.push(InfeasibilityCause::Delay { boundary_ms: boundary * 1e3 });
+        }
+    }
+    if let Some(stable) = search.meeting_target(0.0)? {
+        let closed = stable.design.closed_loop(target, target.plate, Tier::Modal, [true; 2])?;
+        causes.push(InfeasibilityCause::PhaseMargin { found_deg: closed.margins().phase_deg.unwrap_or(180.0) });
+    }
+    if causes.is_empty() {
+        causes.push(InfeasibilityCause::Reading);
+    }
+    Ok(causes)
+}

@@ -1,0 +1,112 @@
+//! Defines the step that verifies gains on a rig.
+
+use crate::loops::tuning::design::TuningTarget;
+use platebench_scenario::{Diagnostic, Scenario, load};
+use platebench_wire::{Gains, LawId};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+/// Rounding of an f32 integral gain that the controller multiplies by the period and divides again.
+const ROUNDING: f32 = 4.0 * f32::EPSILON;
+
+/// Gains to verify by a step.
+#[derive(Debug, Clone, Copy)]
+pub struct VerificationStep<'a> {
+    /// The target of the design.
+    pub target: &'a TuningTarget<'a>,
+    /// The law of the gains.
+    pub law: LawId,
+    /// The gains.
+    pub gains: Gains,
+    /// True if the rig follows the wall clock.
+    pub real_time: bool,
+}
+
+/// Why there is no scenario.
+#[derive(Debug, thiserror::Error)]
+pub enum VerificationError {
+    /// A file cannot be written.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// The scenario cannot be written as TOML.
+    #[error(transparent)]
+    Toml(#[from] toml::ser::Error),
+    /// The scenario is not valid.
+    #[error("{0}")]
+    Scenario(Box<Diagnostic>),
+}
+
+/// One step on the tuned plate, written to `folder` so that `judge` can read it from the run folder.
+///
+/// # Errors
+/// [`VerificationError`].
+pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -> Result<Scenario, VerificationError> {
+    /// The keys that differ from the defaults of a scenario.
+    #[derive(Serialize)]
+    struct StepScenario {
+        title: &'static str,
+        plate: &'static str,
+        duration_ms: f64,
+        controller: StepController,
+        profile: BTreeMap<&'static str, f64>,
+        expect: [StepExpectation; 3],
+    }
+    #[derive(Serialize)]
+    struct StepController {
+        law: &'static str,
+        period_ms: f64,
+        loop_delay_ms: f64,
+        gains: BTreeMap<&'static str, f64>,
+    }
+    #[derive(Serialize)]
+    struct StepExpectation {
+        metric: &'static str,
+        at_most: f64,
+    }
+    let TuningTarget { force_n, setpoint, response, period_us, delay, plate: tuned, .. } = *step.target;
+    let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } = step.gains;
+    let gains = [
+        ("amplitude_kp", amplitude_kp),
+        ("amplitude_ki", amplitude_ki),
+        ("frequency_kp", frequency_kp),
+        ("frequency_ki", frequency_ki),
+    ];
+    let period_ms = f64::from(period_us) * 1e-3;
+    let content = StepScenario {
+        title: "Verification of gains",
+        plate: "plate.toml",
+        duration_ms: f64::from(step.target.horizon()) * period_ms,
+        controller: StepController {
+            law: step.law.name(),
+            period_ms,
+            // In real time the rig has its own delay.
+            loop_delay_ms: if step.real_time { 0.0 } else { delay * 1e3 },
+            gains: gains.into_iter().map(|(key, gain)| (key, shortest_decimal(gain))).collect(),
+        },
+        profile: BTreeMap::from([("setpoint_um", setpoint), ("finger_force_n", force_n)]),
+        expect: [
+            StepExpectation { metric: "settling_time_ms", at_most: response * 1e3 },
+            StepExpectation { metric: "overshoot_percent", at_most: 100.0 },
+            // The f32 of the wire may be larger than the limit in the file.
+            StepExpectation { metric: "drive_peak_vpp", at_most: tuned.drive_limit_vpp * (1.0 + 1e-6) },
+        ],
+    };
+    fs::copy(plate, folder.join("plate.toml"))?;
+    let path = folder.join("tune.toml");
+    fs::write(&path, toml::to_string(&content)?)?;
+    load(&path, "tune.toml").map_err(|fault| VerificationError::Scenario(Box::new(fault)))
+}
+
+/// True if the gains agree within the rounding of the controller.
+pub fn gains_match(accepted: Gains, sent: Gains) -> bool {
+    let all = |gains: Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
+    all(accepted).into_iter().zip(all(sent)).all(|(got, want)| (got - want).abs() <= ROUNDING * want.abs())
+}
+
+/// The shortest decimal that parses back to the same f32.
+pub fn shortest_decimal(gain: f32) -> f64 {
+    gain.to_string().parse().unwrap_or_else(|_| f64::from(gain))
+}
