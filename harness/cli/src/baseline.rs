@@ -1,15 +1,15 @@
 //! `platebench baseline`: accepts, lists and compares golden traces.
 
-use crate::compare::{CompareError, ScenarioTrials, StoredTrial, compare_with_tubes, read_scenario_trials};
 use crate::exit::Exit;
 use crate::options::BASELINES;
 use crate::stdio;
 use clap::{Args, Subcommand};
 use platebench_record::{RunRecord, ScenarioRecord, Verdict};
 use platebench_report::comparison;
-use platebench_verdict::golden::{
-    Baseline, BaselineBuild, GoldenTubes, LearnError, LearningParameters, ResponseFeatures,
-};
+use platebench_runner::baseline::{BaselineAcceptError, build_baseline, check_acceptable};
+use platebench_runner::comparison::compare_with_tubes;
+use platebench_runner::stored_trials::{CompareError, ScenarioTrials, read_scenario_trials};
+use platebench_verdict::golden::{Baseline, BaselineBuild, ResponseFeatures};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -66,22 +66,6 @@ fn parse_share(text: &str) -> Result<f64, String> {
     }
 }
 
-#[derive(Debug, thiserror::Error)]
-enum BaselineAcceptError {
-    #[error(transparent)]
-    Compare(#[from] CompareError),
-    #[error(transparent)]
-    Learn(#[from] LearnError),
-    #[error("no trial")]
-    NoTrial,
-    #[error("the run was cut off; accept a complete run")]
-    Incomplete,
-    #[error("the controller did not confirm 0 V at the end of the run; accept a run that ended safely")]
-    NotSafe,
-    #[error("{0}")]
-    ExcludedTrial(String),
-}
-
 /// Lists, compares or accepts baselines.
 pub(crate) fn baseline(arguments: &BaselineArgs) -> Exit {
     let done = match &arguments.action {
@@ -104,13 +88,13 @@ fn review(run: &Path, record: &RunRecord, baselines: &Path, rate: f64, write: bo
     }
     let (mut invalid, mut verdicts) = (false, Vec::new());
     for scenario in &record.scenarios {
-        let played = read_scenario_trials(run, scenario);
+        let trials = read_scenario_trials(run, scenario);
         let old = Baseline::read(baselines, &scenario.file).map_err(CompareError::from);
         let reviewed = old.map_err(BaselineAcceptError::from).and_then(|old| {
             if write {
-                accept_scenario(record, scenario, &played, old.as_ref(), baselines, rate)
+                accept_scenario(record, scenario, &trials, old.as_ref(), baselines, rate)
             } else {
-                Ok(print_difference(record, scenario, &played, old.as_ref(), rate)?)
+                Ok(print_difference(record, scenario, &trials, old.as_ref(), rate)?)
             }
         });
         match reviewed {
@@ -127,7 +111,7 @@ fn review(run: &Path, record: &RunRecord, baselines: &Path, rate: f64, write: bo
 fn print_difference(
     record: &RunRecord,
     scenario: &ScenarioRecord,
-    played: &ScenarioTrials,
+    trials: &ScenarioTrials,
     old: Option<&Baseline>,
     rate: f64,
 ) -> Result<Verdict, CompareError> {
@@ -135,10 +119,10 @@ fn print_difference(
         stdio::show(&format!("? new  {}\n", scenario.file));
         return Ok(Verdict::Inconclusive);
     };
-    let compared = compare_with_tubes(&old.golden, played)?;
+    let compared = compare_with_tubes(&old.golden, trials)?;
     let mut lines = comparison::lines(&scenario.file, &compared);
     // Without a new baseline only the comparison is printed.
-    if let Ok(new) = build_baseline(record, scenario, played, Some(old), rate) {
+    if let Ok(new) = build_baseline(record, scenario, trials, Some(old), rate) {
         lines.extend(describe_changes(old, &new));
     }
     stdio::show(&(lines.join("\n") + "\n"));
@@ -149,7 +133,7 @@ fn print_difference(
 fn accept_scenario(
     record: &RunRecord,
     scenario: &ScenarioRecord,
-    played: &ScenarioTrials,
+    trials: &ScenarioTrials,
     old: Option<&Baseline>,
     baselines: &Path,
     rate: f64,
@@ -158,22 +142,14 @@ fn accept_scenario(
         stdio::show(&format!("✗ not accepted  {}: it did not pass ({})\n", scenario.file, scenario.verdict));
         return Ok(scenario.verdict);
     }
-    if !record.complete {
-        return Err(BaselineAcceptError::Incomplete);
-    }
-    if record.safe_confirmed != Some(true) {
-        return Err(BaselineAcceptError::NotSafe);
-    }
-    if let Some(what) = played.excluded.first() {
-        return Err(BaselineAcceptError::ExcludedTrial(what.clone()));
-    }
-    let new = build_baseline(record, scenario, played, old, rate)?;
+    check_acceptable(record, trials)?;
+    let new = build_baseline(record, scenario, trials, old, rate)?;
     let lines = match old {
         Some(old) if old.to_texts() == new.to_texts() => vec![format!("✓ unchanged  {}", scenario.file)],
         Some(old) => {
             let mut lines = vec![format!("✓ accepted  {}", scenario.file)];
             lines.extend(describe_changes(old, &new));
-            let compared = compare_with_tubes(&old.golden, played)?;
+            let compared = compare_with_tubes(&old.golden, trials)?;
             lines.extend(
                 compared
                     .worst
@@ -186,47 +162,6 @@ fn accept_scenario(
     new.write(baselines).map_err(CompareError::from)?;
     stdio::show(&(lines.join("\n") + "\n"));
     Ok(Verdict::Pass)
-}
-
-/// Builds a baseline: one curve if all trials are equal, otherwise a tube that is learned from them.
-fn build_baseline(
-    record: &RunRecord,
-    scenario: &ScenarioRecord,
-    played: &ScenarioTrials,
-    old: Option<&Baseline>,
-    rate: f64,
-) -> Result<Baseline, BaselineAcceptError> {
-    let trials = played.trials.iter().map(StoredTrial::rows).collect::<Result<Vec<_>, _>>()?;
-    let Some(first) = trials.first() else { return Err(BaselineAcceptError::NoTrial) };
-    // The longest gap between rows is the trace step, in whole nanoseconds.
-    let gaps = first.iter().zip(first.iter().skip(1)).map(|(left, right)| right.t_s - left.t_s);
-    let step_ms = (gaps.fold(0.0, f64::max) * 1e9).round() / 1e6;
-    let differ = trials.iter().any(|rows| rows != first);
-    let (mut golden, learned) = if differ {
-        let learned = LearningParameters { trials: trials.len() as u32, false_alarm_rate: rate };
-        (GoldenTubes::learn(&trials, step_ms, rate)?, Some(learned))
-    } else {
-        (GoldenTubes::from_trial(first, step_ms).ok_or(BaselineAcceptError::NoTrial)?, None)
-    };
-    // Tolerances in the old file may have been edited.
-    for tube in &mut golden.tubes {
-        if let Some(kept) = old.and_then(|old| old.golden.tubes.iter().find(|old| old.signal == tube.signal)) {
-            tube.tolerance = kept.tolerance;
-        }
-    }
-    let firmware = record.rig.firmware.as_ref();
-    Ok(Baseline {
-        scenario: scenario.file.clone(),
-        law: scenario.law.clone(),
-        build: BaselineBuild {
-            rig: record.rig.name.clone(),
-            firmware: firmware.map_or_else(String::new, |firmware| format!("{} {}", firmware.name, firmware.version)),
-            id: firmware.map_or_else(String::new, |firmware| firmware.build.clone()),
-        },
-        features: ResponseFeatures::of(first),
-        learned,
-        golden,
-    })
 }
 
 /// Lists the changes other than those of the curves.

@@ -5,7 +5,8 @@
 //! * [`trial`]: one trial in lockstep; [`real_time`]: one in real time; [`real_plate`]: one on a real plate.
 //! * `plant_simulation`, `controller_log`, `command_checks`: what the first two share.
 //! * [`live_tap`]: rows for a live view; [`operator`]: the person at the plate.
-//! * [`mod@rejudge`]: judges a stored run without a rig.
+//! * [`mod@rejudge`]: judges a stored run without a rig. [`stored_trials`]: its trials; [`comparison`] with a
+//!   reference; [`baseline`]: a new reference.
 //! * [`delay_boundary`]: the longest loop delay at which a law settles.
 //! * `delay_attribution`: excuses what the rig's loop delay makes impossible.
 //! * `trend`: compares the cost of control steps with earlier runs.
@@ -13,7 +14,9 @@
 //! Reports belong to `platebench-report`, exit codes to the command line.
 
 mod abort;
+pub mod baseline;
 mod command_checks;
+pub mod comparison;
 mod configure;
 mod controller_log;
 mod delay_attribution;
@@ -29,6 +32,7 @@ pub mod rejudge;
 mod row_queue;
 pub mod run;
 mod scheduling;
+pub mod stored_trials;
 mod timing_stats;
 mod trend;
 pub mod trial;

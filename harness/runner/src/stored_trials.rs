@@ -1,42 +1,61 @@
-//! Lists the stored trials of a run; rows are read trial by trial, so that memory does not grow with their number.
+//! Lists the stored trials of a run. Rows are read trial by trial, so that memory does not grow with their number.
 
+use crate::rejudge::{RejudgeError, read_trial_rows};
 use platebench_record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
-use platebench_runner::RejudgeError;
-use platebench_runner::rejudge::read_trial_rows;
 use platebench_trace::{Row, TraceError, read_trace};
 use platebench_verdict::golden::BaselineError;
 use std::path::{Path, PathBuf};
 
+/// Why stored responses cannot be compared.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum CompareError {
+pub enum CompareError {
+    /// A run folder has no readable record.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// A trace cannot be read.
     #[error(transparent)]
     Trace(#[from] TraceError),
+    /// A trace of a run cannot be used.
     #[error(transparent)]
     Stored(#[from] RejudgeError),
+    /// A baseline cannot be read or written.
     #[error(transparent)]
     Baseline(#[from] BaselineError),
-    #[error("{}: a trace outside a run folder has no scenario, expected --against FILE.toml of a baseline", .0.display())]
+    /// A trace has no scenario, and so no baseline.
+    #[error("{}: a trace outside a run folder has no scenario, expected --against BASELINE.toml", .0.display())]
     NoScenario(PathBuf),
+    /// One trace is compared with a run of several scenarios.
     #[error("{}: {count} scenarios, expected a run of one scenario as the reference of a trace", path.display())]
-    SeveralScenarios { path: PathBuf, count: usize },
+    SeveralScenarios {
+        /// The run folder.
+        path: PathBuf,
+        /// Its scenarios.
+        count: usize,
+    },
+    /// A file or folder cannot be used.
     #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: std::io::Error },
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        source: std::io::Error,
+    },
 }
 
 /// The trials of a scenario that can be compared.
-pub(crate) struct ScenarioTrials {
+pub struct ScenarioTrials {
     /// The file of the scenario or of the trace.
-    pub(crate) name: String,
-    pub(crate) trials: Vec<StoredTrial>,
+    pub name: String,
+    /// The trials that count.
+    pub trials: Vec<StoredTrial>,
     /// The reason for each trial that does not count.
-    pub(crate) excluded: Vec<String>,
+    pub excluded: Vec<String>,
 }
 
-/// A trial and where its rows are stored.
-pub(crate) struct StoredTrial {
-    pub(crate) index: u32,
+/// A stored trial.
+pub struct StoredTrial {
+    /// Its number, from 0.
+    pub index: u32,
     source: TraceSource,
 }
 
@@ -47,7 +66,10 @@ enum TraceSource {
 
 impl StoredTrial {
     /// Reads the rows.
-    pub(crate) fn rows(&self) -> Result<Vec<Row>, CompareError> {
+    ///
+    /// # Errors
+    /// [`CompareError`].
+    pub fn rows(&self) -> Result<Vec<Row>, CompareError> {
         match &self.source {
             TraceSource::File(path) => Ok(read_trace(path)?),
             TraceSource::Run { folder, trial } => Ok(read_trial_rows(folder, trial)?),
@@ -55,12 +77,16 @@ impl StoredTrial {
     }
 }
 
-pub(super) fn is_run_folder(path: &Path) -> bool {
+/// True if `path` is a run folder and not a trace.
+pub fn is_run_folder(path: &Path) -> bool {
     path.join(RECORD_FILE).exists() || path.is_dir()
 }
 
 /// The trials of a run folder, or one trace.
-pub(super) fn read_trials(path: &Path) -> Result<Vec<ScenarioTrials>, CompareError> {
+///
+/// # Errors
+/// [`CompareError::Record`].
+pub fn read_trials(path: &Path) -> Result<Vec<ScenarioTrials>, CompareError> {
     if !is_run_folder(path) {
         let trials = vec![StoredTrial { index: 0, source: TraceSource::File(path.to_owned()) }];
         return Ok(vec![ScenarioTrials { name: path.display().to_string(), trials, excluded: Vec::new() }]);
@@ -69,16 +95,16 @@ pub(super) fn read_trials(path: &Path) -> Result<Vec<ScenarioTrials>, CompareErr
 }
 
 /// The trials of a scenario in the run folder.
-pub(crate) fn read_scenario_trials(folder: &Path, scenario: &ScenarioRecord) -> ScenarioTrials {
-    let mut found = ScenarioTrials { name: scenario.file.clone(), trials: Vec::new(), excluded: Vec::new() };
+pub fn read_scenario_trials(folder: &Path, scenario: &ScenarioRecord) -> ScenarioTrials {
+    let mut trials = ScenarioTrials { name: scenario.file.clone(), trials: Vec::new(), excluded: Vec::new() };
     for trial in &scenario.trials {
         if let Some(cause) = trial.cause {
             let reason = trial.reason.as_ref().map_or_else(|| "it was disturbed".to_owned(), ToString::to_string);
-            found.excluded.push(format!("trial {} does not count ({cause}): {reason}", trial.index));
+            trials.excluded.push(format!("trial {} does not count ({cause}): {reason}", trial.index));
         } else {
             let source = TraceSource::Run { folder: folder.to_owned(), trial: Box::new(trial.clone()) };
-            found.trials.push(StoredTrial { index: trial.index, source });
+            trials.trials.push(StoredTrial { index: trial.index, source });
         }
     }
-    found
+    trials
 }

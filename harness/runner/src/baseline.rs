@@ -1,0 +1,91 @@
+//! Builds a baseline from the trials of a stored run.
+
+use crate::stored_trials::{CompareError, ScenarioTrials, StoredTrial};
+use platebench_record::{RunRecord, ScenarioRecord};
+use platebench_verdict::golden::{
+    Baseline, BaselineBuild, GoldenTubes, LearnError, LearningParameters, ResponseFeatures,
+};
+
+/// Why a response cannot become a baseline.
+#[derive(Debug, thiserror::Error)]
+pub enum BaselineAcceptError {
+    /// A trace or a baseline cannot be read or written.
+    #[error(transparent)]
+    Compare(#[from] CompareError),
+    /// The trials give no tube.
+    #[error(transparent)]
+    Learn(#[from] LearnError),
+    /// The scenario has no trial.
+    #[error("no trial")]
+    NoTrial,
+    /// The run was cut off.
+    #[error("the run was cut off; accept a complete run")]
+    Incomplete,
+    /// The run did not end at 0 V.
+    #[error("the controller did not confirm 0 V at the end of the run; accept a run that ended safely")]
+    NotSafe,
+    /// A trial does not count.
+    #[error("{0}")]
+    ExcludedTrial(String),
+}
+
+/// Checks that the run is complete and safe, and that every trial counts.
+///
+/// # Errors
+/// [`BaselineAcceptError`].
+pub fn check_acceptable(record: &RunRecord, trials: &ScenarioTrials) -> Result<(), BaselineAcceptError> {
+    if !record.complete {
+        return Err(BaselineAcceptError::Incomplete);
+    }
+    if record.safe_confirmed != Some(true) {
+        return Err(BaselineAcceptError::NotSafe);
+    }
+    match trials.excluded.first() {
+        Some(reason) => Err(BaselineAcceptError::ExcludedTrial(reason.clone())),
+        None => Ok(()),
+    }
+}
+
+/// Builds a baseline: one curve if all trials are equal, otherwise a tube that is learned from them.
+///
+/// # Errors
+/// [`BaselineAcceptError`].
+pub fn build_baseline(
+    record: &RunRecord,
+    scenario: &ScenarioRecord,
+    stored: &ScenarioTrials,
+    old: Option<&Baseline>,
+    rate: f64,
+) -> Result<Baseline, BaselineAcceptError> {
+    let trials = stored.trials.iter().map(StoredTrial::rows).collect::<Result<Vec<_>, _>>()?;
+    let Some(first) = trials.first() else { return Err(BaselineAcceptError::NoTrial) };
+    // The longest gap between rows is the trace step, in whole nanoseconds.
+    let gaps = first.iter().zip(first.iter().skip(1)).map(|(left, right)| right.t_s - left.t_s);
+    let step_ms = (gaps.fold(0.0, f64::max) * 1e9).round() / 1e6;
+    let differ = trials.iter().any(|rows| rows != first);
+    let (mut golden, learned) = if differ {
+        let learned = LearningParameters { trials: trials.len() as u32, false_alarm_rate: rate };
+        (GoldenTubes::learn(&trials, step_ms, rate)?, Some(learned))
+    } else {
+        (GoldenTubes::from_trial(first, step_ms).ok_or(BaselineAcceptError::NoTrial)?, None)
+    };
+    // Tolerances in the old file may have been edited.
+    for tube in &mut golden.tubes {
+        if let Some(kept) = old.and_then(|old| old.golden.tubes.iter().find(|old| old.signal == tube.signal)) {
+            tube.tolerance = kept.tolerance;
+        }
+    }
+    let firmware = record.rig.firmware.as_ref();
+    Ok(Baseline {
+        scenario: scenario.file.clone(),
+        law: scenario.law.clone(),
+        build: BaselineBuild {
+            rig: record.rig.name.clone(),
+            firmware: firmware.map_or_else(String::new, |firmware| format!("{} {}", firmware.name, firmware.version)),
+            id: firmware.map_or_else(String::new, |firmware| firmware.build.clone()),
+        },
+        features: ResponseFeatures::of(first),
+        learned,
+        golden,
+    })
+}

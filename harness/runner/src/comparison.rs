@@ -1,0 +1,178 @@
+//! Compares stored responses with a reference: a baseline, a trace or another run.
+
+use crate::stored_trials::{CompareError, ScenarioTrials, StoredTrial, is_run_folder, read_trials};
+use platebench_record::Verdict;
+use platebench_trace::read_trace;
+use platebench_verdict::golden::{Baseline, GoldenTubes, TubeComparison};
+use std::path::Path;
+
+/// Names the accepted baselines as the reference.
+pub const BASELINE_KEYWORD: &str = "baseline";
+
+/// The reference of a scenario.
+pub enum Reference {
+    /// All trials are compared with the same tubes.
+    SameTubes(Box<GoldenTubes>),
+    /// Each trial is compared with the trial of the same index.
+    PerTrial(Vec<StoredTrial>),
+    /// No reference has this name.
+    Nothing,
+}
+
+impl Reference {
+    /// The reference that `against` names for a scenario of `subject`: [`BASELINE_KEYWORD`], the TOML file of a
+    /// baseline, a trace or a run folder.
+    ///
+    /// # Errors
+    /// [`CompareError`].
+    pub fn find(
+        subject: &Path,
+        against: &str,
+        baselines: &Path,
+        scenario: &ScenarioTrials,
+    ) -> Result<Self, CompareError> {
+        let one =
+            |golden: Option<GoldenTubes>| golden.map_or(Self::Nothing, |golden| Self::SameTubes(Box::new(golden)));
+        let reference = Path::new(against);
+        if against == BASELINE_KEYWORD {
+            let named = if is_run_folder(subject) { Some(scenario.name.clone()) } else { scenario_of(subject) };
+            let Some(name) = named else { return Err(CompareError::NoScenario(subject.to_owned())) };
+            return Ok(one(Baseline::read(baselines, &name)?.map(|accepted| accepted.golden)));
+        }
+        if reference.extension().is_some_and(|extension| extension == "toml") {
+            return Ok(one(Some(Baseline::read_files(reference, &reference.with_extension("csv"))?.golden)));
+        }
+        if !is_run_folder(reference) {
+            return Ok(one(GoldenTubes::from_rows(&read_trace(reference)?)));
+        }
+        let mut others = read_trials(reference)?;
+        if is_run_folder(subject) {
+            let other = others.into_iter().find(|other| other.name == scenario.name);
+            return Ok(other.map_or(Self::Nothing, |other| Self::PerTrial(other.trials)));
+        }
+        match (others.pop(), others.len()) {
+            (Some(only), 0) => {
+                let first = only.trials.first().map(StoredTrial::rows).transpose()?;
+                Ok(one(first.and_then(|rows| GoldenTubes::from_rows(&rows))))
+            }
+            (_, further) => Err(CompareError::SeveralScenarios { path: reference.to_owned(), count: further + 1 }),
+        }
+    }
+
+    /// The tubes for the trial `index`.
+    ///
+    /// # Errors
+    /// [`CompareError`].
+    pub fn tubes_for(&self, index: u32) -> Result<Option<GoldenTubes>, CompareError> {
+        match self {
+            Self::SameTubes(golden) => Ok(Some((**golden).clone())),
+            Self::PerTrial(others) => tubes_of_trial(others, index),
+            Self::Nothing => Ok(None),
+        }
+    }
+
+    /// Compares the trials of `scenario` with this reference.
+    ///
+    /// # Errors
+    /// [`CompareError`].
+    pub fn compare(&self, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
+        match self {
+            Self::SameTubes(golden) => compare_with_tubes(golden, scenario),
+            Self::PerTrial(others) => compare_trial_by_trial(others, scenario),
+            Self::Nothing => Ok(empty_comparison("no reference of this name")),
+        }
+    }
+}
+
+/// The tubes of the trial `index` in `trials`.
+fn tubes_of_trial(trials: &[StoredTrial], index: u32) -> Result<Option<GoldenTubes>, CompareError> {
+    let trial = trials.iter().find(|trial| trial.index == index);
+    Ok(trial.map(StoredTrial::rows).transpose()?.and_then(|rows| GoldenTubes::from_rows(&rows)))
+}
+
+fn empty_comparison(why: &str) -> TubeComparison {
+    TubeComparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: Some(why.to_owned()) }
+}
+
+/// Compares each trial with the trial of the same index: with the same seed, plate and noise are the same.
+fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
+    let mut all = empty_comparison("no trial to compare");
+    let mut verdicts = Vec::new();
+    let mut reasons = scenario.excluded.clone();
+    for trial in &scenario.trials {
+        let Some(golden) = tubes_of_trial(others, trial.index)? else {
+            reasons.push(format!("the reference has no trial {}", trial.index));
+            continue;
+        };
+        let one = golden.compare([(trial.index, trial.rows()?)]);
+        verdicts.push(one.verdict);
+        all.trials += 1;
+        all.outside += one.outside;
+        if let Some((_, found)) = &one.worst
+            && all.worst.as_ref().is_none_or(|(_, worst)| found.ratio() > worst.ratio())
+        {
+            all.worst = one.worst;
+        } else if one.verdict == Verdict::Inconclusive {
+            reasons.extend(one.reason);
+        }
+    }
+    if !reasons.is_empty() {
+        verdicts.push(Verdict::Inconclusive);
+    }
+    all.verdict = Verdict::combine(verdicts);
+    let (outside, trials) = (all.outside, all.trials);
+    all.reason = match all.verdict {
+        Verdict::Pass => None,
+        Verdict::Fail => Some(format!("{outside} of {trials} trials lie outside")),
+        Verdict::Inconclusive => reasons.into_iter().next().or(all.reason),
+    };
+    Ok(all)
+}
+
+/// Compares all trials with `golden`. A pass is inconclusive if a trial does not count.
+///
+/// # Errors
+/// [`CompareError`] if a trace cannot be read.
+pub fn compare_with_tubes(golden: &GoldenTubes, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
+    // One trace is in memory at a time.
+    let mut failed = None;
+    let readable = scenario.trials.iter().map_while(|trial| match trial.rows() {
+        Ok(rows) => Some((trial.index, rows)),
+        Err(error) => {
+            failed = Some(error);
+            None
+        }
+    });
+    let comparison = golden.compare(readable);
+    if let Some(error) = failed {
+        return Err(error);
+    }
+    Ok(match scenario.excluded.first() {
+        Some(what) if comparison.verdict == Verdict::Pass => {
+            TubeComparison { verdict: Verdict::Inconclusive, reason: Some(what.clone()), ..comparison }
+        }
+        _ => comparison,
+    })
+}
+
+/// The scenario of a trace in a run folder, from its path below `traces`.
+fn scenario_of(trace: &Path) -> Option<String> {
+    let parts: Vec<_> = trace.parent()?.components().map(|part| part.as_os_str().to_string_lossy()).collect();
+    let below = parts.iter().rposition(|part| part == "traces")? + 1;
+    Some(format!("{}.toml", parts.get(below..).filter(|parts| !parts.is_empty())?.join("/")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finds_the_scenario_of_a_trace() {
+        let of = |path: &str| scenario_of(Path::new(path));
+        assert_eq!(of("/runs/x/traces/paper/fig13/000.csv").as_deref(), Some("paper/fig13.toml"));
+        assert_eq!(of("traces/s/000.csv").as_deref(), Some("s.toml"));
+        assert_eq!(of("elsewhere/000.csv"), None);
+        assert_eq!(of("traces/000.csv"), None);
+        assert_eq!(of("000.csv"), None);
+    }
+}
