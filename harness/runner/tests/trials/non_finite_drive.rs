@@ -7,12 +7,12 @@ use platebench_rig::{HostedLink, Link, LinkError};
 use platebench_runner::{RunHooks, rejudge, run};
 use platebench_scenario::Scenario;
 use platebench_test_kit::load_scenario;
-use platebench_wire::Message;
+use platebench_wire::{ControllerState, Message};
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// Replaces the drive of the law from a control instant on.
+/// Replaces the drive from a control instant on, except in the confirmation of 0 V.
 struct FixedDriveLink {
     inner: HostedLink,
     drive_vpp: f32,
@@ -26,6 +26,7 @@ impl Link for FixedDriveLink {
         for mut packet in packets(&plain) {
             if let Message::Command(command) = &mut packet.message
                 && now >= self.from
+                && command.state != ControllerState::Safe
             {
                 command.drive_vpp = self.drive_vpp;
             }
