@@ -46,13 +46,13 @@ fn the_key_reference_matches_the_loader() {
          [acceptance](acceptance.md)\nexplain them.\n\n",
     );
     append_metrics(&mut page);
-    for (title, file, top) in [
-        ("Scenario file", "harness/scenario/src/raw.rs", "RawScenario"),
-        ("Plate file", "harness/plate/src/raw_plate.rs", "RawPlate"),
-        ("Plan of an acceptance session", "harness/acceptance/src/plan.rs", "RawPlan"),
+    for (title, files, top) in [
+        ("Scenario file", &["harness/scenario/src/raw.rs", "harness/scenario/src/scenario.rs"][..], "RawScenario"),
+        ("Plate file", &["harness/plate/src/raw_plate.rs"], "RawPlate"),
+        ("Plan of an acceptance session", &["harness/acceptance/src/plan.rs"], "RawPlan"),
     ] {
         write!(page, "\n## {title}\n").unwrap();
-        let types = structs_by_name(file);
+        let types = files.iter().flat_map(|file| structs_by_name(file)).collect();
         append_keys(&types, top, "", &mut page);
     }
     check_or_update("docs/reference-keys.md", &page);
