@@ -4,6 +4,7 @@ use crate::exit::Exit;
 use crate::options::OutputFormat;
 use platebench_record::RunRecord;
 use platebench_report::console;
+use platebench_report::text::printable_lines;
 use platebench_runner::RejudgeError;
 use platebench_scenario::Diagnostic;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -66,7 +67,16 @@ pub(crate) fn checked_exit(exit: Exit) -> Exit {
 
 /// Writes an error to standard error.
 pub(crate) fn error(message: &str) {
-    let _ = writeln!(stderr().lock(), "error: {message}");
+    let _ = writeln!(stderr().lock(), "error: {}", harmless(message));
+}
+
+/// The message without control characters. A line of it that GitHub Actions would read as a command does not begin
+/// with `::`, which a file name after a line feed could contain.
+fn harmless(message: &str) -> String {
+    let message = printable_lines(message);
+    let is_command = |line: &str| line.trim_start().starts_with("::");
+    let lines = message.split('\n').map(|line| if is_command(line) { format!("\\n{line}") } else { line.to_owned() });
+    lines.collect::<Vec<_>>().join("\n")
 }
 
 /// Writes an error to standard error and ends with exit code 2.
@@ -85,7 +95,7 @@ pub(crate) fn reject_stored_run(error: &RejudgeError) -> Exit {
 
 /// Writes a note to standard error.
 pub(crate) fn note(message: &str) {
-    let _ = writeln!(stderr().lock(), "{message}");
+    let _ = writeln!(stderr().lock(), "{}", harmless(message));
 }
 
 /// Shows a fault of an input file with its position.
@@ -150,5 +160,20 @@ impl Write for NonBlockingStderr {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    #[case("2 scenarios\nrun folder: runs/a", "2 scenarios\nrun folder: runs/a")]
+    #[case("a\u{1b}[2Jb\u{202e}", "a\\u{1b}[2Jb\\u{202e}")]
+    #[case("no file x\n::error::fail.toml", "no file x\n\\n::error::fail.toml")]
+    #[case("x\n  ::stop-commands::t", "x\n\\n  ::stop-commands::t")]
+    fn messages_have_no_control_characters_and_no_workflow_commands(#[case] message: &str, #[case] expected: &str) {
+        assert_eq!(harmless(message), expected);
     }
 }

@@ -21,5 +21,5 @@ pub mod tap;
 pub(crate) mod timing;
 pub mod traceability;
 
-pub use escape::printable;
+pub use escape::{printable, printable_lines};
 pub use table::Table;
