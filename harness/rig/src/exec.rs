@@ -12,15 +12,13 @@
 use crate::cancel::CancelToken;
 use crate::connect_options::ConnectOptions;
 use crate::link::{Link, LinkError, RealTimeLine};
+use crate::program::Program;
 use crate::pty::open_pseudo_terminal;
 use crate::tty::Port;
 use platebench_wire::{Message, Packet, PacketReader};
-use rustix::fd::{AsFd, OwnedFd};
-use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, WaitIdStatus, kill_process_group, waitid};
-use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, Stdio};
+use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};
-use tracing::{debug, warn};
+use tracing::debug;
 
 /// Placeholder for the port's path in a command.
 const PORT_PLACEHOLDER: &str = "{port}";
@@ -28,9 +26,6 @@ const PORT_PLACEHOLDER: &str = "{port}";
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 /// The handshake is repeated: a program that flushes its port at the start loses the first ones.
 const HANDSHAKE_INTERVAL: Duration = Duration::from_millis(100);
-/// Time for the program to end after its line hangs up, and again after SIGTERM.
-const EXIT_GRACE: Duration = Duration::from_millis(500);
-const POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// The line may hang up a moment before the end of its program is visible.
 const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_millis(50);
 
@@ -131,7 +126,8 @@ impl ExecLink {
     pub fn start_with(command: &str, options: &ConnectOptions) -> Result<Self, ExecError> {
         let words = CommandLine::parse(command)?;
         let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
-        let program = Program::start(&words, &name)?;
+        let program = Program::start(words.program(), words.arguments(&name), &name)
+            .map_err(|error| ExecError::Start { program: words.program().to_owned(), error })?;
         let mut exec = Self { port: master, program };
         exec.port.set_reply_timeout(options.reply_timeout);
         exec.port.expect_silence();
@@ -143,7 +139,7 @@ impl ExecLink {
 
     /// Number of the program's process.
     pub fn process_id(&self) -> u32 {
-        self.program.child.id()
+        self.program.process_id()
     }
 
     fn wait_for_handshake(&mut self, name: &str, cancel: &CancelToken) -> Result<(), ExecError> {
@@ -156,108 +152,32 @@ impl ExecLink {
             let delay = self.port.exchange(hello.as_bytes(), &mut answer)?;
             let is_identity = |packet: Packet| matches!(packet.message, Message::Identity(_));
             if PacketReader::new().packets(&answer).flatten().any(is_identity) {
-                debug!(?delay, pid = self.program.child.id(), "program started");
+                debug!(?delay, pid = self.program.process_id(), "program started");
                 return Ok(());
             }
             if cancel.is_cancelled() {
-                return Err(ExecError::Cancelled(self.program.name.clone()));
+                return Err(ExecError::Cancelled(self.program.name().to_owned()));
             }
             if let Some(how) = self.program.wait_for_exit(Duration::ZERO) {
-                return Err(ExecError::Exited { program: self.program.name.clone(), how });
+                return Err(ExecError::Exited { program: self.program.name().to_owned(), how });
             }
             // An echo or noise ends the exchange early.
             std::thread::sleep(HANDSHAKE_INTERVAL.saturating_sub(asked.elapsed()));
         }
-        Err(ExecError::Silent { program: self.program.name.clone(), port: name.to_owned() })
+        Err(ExecError::Silent { program: self.program.name().to_owned(), port: name.to_owned() })
     }
 
     /// Uses the line. If it is lost, the error says how the program ended.
     fn with_port<T>(&mut self, call: impl FnOnce(&mut Port<OwnedFd>) -> Result<T, LinkError>) -> Result<T, LinkError> {
         call(&mut self.port).map_err(|error| match (error, self.program.wait_for_exit(EXIT_DETECTION_TIMEOUT)) {
             (LinkError::Disconnected(_), Some(how)) => {
-                LinkError::Disconnected(format!("`{}` {how}", self.program.name))
+                LinkError::Disconnected(format!("`{}` {how}", self.program.name()))
             }
             (LinkError::Disconnected(_), None) => {
-                LinkError::Disconnected(format!("`{}` runs, but has closed its port", self.program.name))
+                LinkError::Disconnected(format!("`{}` runs, but has closed its port", self.program.name()))
             }
             (error, _) => error,
         })
-    }
-}
-
-/// A running program. Dropping it ends its process group.
-#[derive(Debug)]
-struct Program {
-    name: String,
-    child: Child,
-}
-
-impl Program {
-    fn start(words: &CommandLine, port: &str) -> Result<Self, ExecError> {
-        let refused = |error| ExecError::Start { program: words.program().to_owned(), error };
-        let output = std::io::stderr().as_fd().try_clone_to_owned().map_err(refused)?;
-        let mut command = Command::new(words.program());
-        command.args(words.arguments(port)).process_group(0).stdin(Stdio::null()).stdout(output);
-        let child = command.spawn().map_err(refused)?;
-        Ok(Self { name: words.program().to_owned(), child })
-    }
-
-    fn pid(&self) -> Pid {
-        Pid::from_child(&self.child)
-    }
-
-    /// Waits for its end: exit status or signal. It stays a zombie, which reserves its number and group.
-    fn wait_for_exit(&self, timeout: Duration) -> Option<String> {
-        let deadline = Instant::now() + timeout;
-        let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-        loop {
-            match waitid(WaitId::Pid(self.pid()), options) {
-                Ok(Some(status)) => return Some(exit_description(&status)),
-                Ok(None) if Instant::now() < deadline => std::thread::sleep(POLL_INTERVAL),
-                Ok(None) => return None,
-                Err(error) => return Some(format!("is gone ({error})")),
-            }
-        }
-    }
-
-    fn signal(&self, signal: Signal) {
-        if let Err(error) = kill_process_group(self.pid(), signal) {
-            debug!(?signal, %error, "the signal did not reach the program's group");
-        }
-    }
-}
-
-fn exit_description(status: &WaitIdStatus) -> String {
-    match (status.exit_status(), status.terminating_signal()) {
-        (Some(code), _) => format!("ended with exit status {code}"),
-        (None, Some(signal)) => format!("was ended by signal {signal}"),
-        (None, None) => "ended".to_owned(),
-    }
-}
-
-impl Drop for Program {
-    fn drop(&mut self) {
-        let mut ended = self.wait_for_exit(EXIT_GRACE);
-        if ended.is_none() {
-            warn!(program = self.name, "the program still runs after its line hung up: sending SIGTERM");
-            self.signal(Signal::TERM);
-            ended = self.wait_for_exit(EXIT_GRACE);
-        }
-        if ended.is_none() {
-            warn!(program = self.name, "the program still runs after SIGTERM: sending SIGKILL");
-        }
-        // Also ends the rest of its group.
-        self.signal(Signal::KILL);
-        if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE)) {
-            debug!(program = self.name, how, status = ?self.child.wait(), "program ended");
-        } else {
-            // Blocked in the kernel: waiting for it could block the bench.
-            warn!(
-                program = self.name,
-                pid = self.child.id(),
-                "the program still runs after SIGKILL and is left running"
-            );
-        }
     }
 }
 
@@ -304,53 +224,5 @@ mod tests {
         assert!(matches!(CommandLine::parse("  "), Err(ExecError::Empty(_))));
         assert!(matches!(CommandLine::parse("'' {port}"), Err(ExecError::Empty(_))));
         assert!(matches!(CommandLine::parse("a '{port}"), Err(ExecError::Quoting(_))));
-    }
-
-    /// True if the process exists and is not a zombie.
-    fn is_running(pid: &str) -> bool {
-        let status = std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
-        status.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
-    }
-
-    fn script(folder: &tempfile::TempDir, text: &str) -> (Program, Vec<String>) {
-        let pids_file = folder.path().join("pids");
-        let program = Program::start(
-            &CommandLine::parse(&format!("sh -c '{text}' {} {{port}}", pids_file.display())).unwrap(),
-            "x",
-        );
-        let deadline = Instant::now() + Duration::from_secs(10);
-        loop {
-            let pids = std::fs::read_to_string(&pids_file).unwrap_or_default();
-            if pids.ends_with("done\n") {
-                return (program.unwrap(), pids.lines().filter(|line| *line != "done").map(str::to_owned).collect());
-            }
-            assert!(Instant::now() < deadline, "the script does not start");
-            std::thread::sleep(POLL_INTERVAL);
-        }
-    }
-
-    #[test]
-    fn kills_a_program_that_ignores_signals_and_its_group() {
-        let folder = tempfile::tempdir().unwrap();
-        let text = r#"trap "" TERM HUP; sleep 60 & echo $$ >"$0"; echo $! >>"$0"; echo done >>"$0"; while :; do sleep 1; done"#;
-        let (program, pids) = script(&folder, text);
-        assert_eq!(pids.len(), 2);
-        assert!(pids.iter().all(|pid| is_running(pid)));
-        drop(program);
-        // Its child is not ours to wait for, and the kernel ends a killed process later.
-        let deadline = Instant::now() + Duration::from_secs(10);
-        while pids.iter().any(|pid| is_running(pid)) {
-            assert!(Instant::now() < deadline, "{pids:?}");
-            std::thread::sleep(POLL_INTERVAL);
-        }
-    }
-
-    #[test]
-    fn lets_a_program_end_by_itself_after_sigterm() {
-        let folder = tempfile::tempdir().unwrap();
-        let text = r#"trap "echo ended >>\"$0\"; exit 0" TERM; echo done >"$0"; while :; do sleep 0.01; done"#;
-        let (program, _) = script(&folder, text);
-        drop(program);
-        assert!(std::fs::read_to_string(folder.path().join("pids")).unwrap().ends_with("ended\n"));
     }
 }

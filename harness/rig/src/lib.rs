@@ -35,6 +35,7 @@ mod pending_requests;
 mod port_lock;
 #[cfg(feature = "probe")]
 pub mod probe;
+mod program;
 pub mod pty;
 pub mod rig_error;
 pub mod serial;

@@ -1,0 +1,198 @@
+//! Runs a controller program in a process group of its own and ends it in bounded time.
+
+use rustix::fd::AsFd;
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, WaitIdStatus, getpgid, kill_process_group, waitid};
+use std::fs;
+use std::io;
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use tracing::{debug, warn};
+
+/// Time for the program to end after its line hangs up, and again after SIGTERM.
+const EXIT_GRACE: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
+/// Environment variable that marks the program and all that it starts.
+const MARKER: &str = "PLATEBENCH_PROGRAM";
+
+/// A running program. Dropping it ends its process group.
+#[derive(Debug)]
+pub(crate) struct Program {
+    name: String,
+    child: Child,
+    /// Value of [`MARKER`] in the environment of the program and of all that it starts.
+    marker: String,
+}
+
+impl Program {
+    /// Starts `name` in a process group of its own; `port` is the path of its line.
+    pub(crate) fn start(name: &str, arguments: impl Iterator<Item = String>, port: &str) -> io::Result<Self> {
+        let output = io::stderr().as_fd().try_clone_to_owned()?;
+        let marker = format!("{} {port}", std::process::id());
+        let mut command = Command::new(name);
+        command.args(arguments).env(MARKER, &marker).process_group(0).stdin(Stdio::null()).stdout(output);
+        Ok(Self { name: name.to_owned(), child: command.spawn()?, marker })
+    }
+
+    /// Its path or name.
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Number of its process.
+    pub(crate) fn process_id(&self) -> u32 {
+        self.child.id()
+    }
+
+    fn pid(&self) -> Pid {
+        Pid::from_child(&self.child)
+    }
+
+    /// Waits for its end: exit status or signal. It stays a zombie, which reserves its number and group.
+    pub(crate) fn wait_for_exit(&self, timeout: Duration) -> Option<String> {
+        let deadline = Instant::now() + timeout;
+        let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+        loop {
+            match waitid(WaitId::Pid(self.pid()), options) {
+                Ok(Some(status)) => return Some(exit_description(&status)),
+                Ok(None) if Instant::now() < deadline => std::thread::sleep(POLL_INTERVAL),
+                Ok(None) => return None,
+                Err(error) => return Some(format!("is gone ({error})")),
+            }
+        }
+    }
+
+    /// Processes that it started and that have left its group.
+    fn processes_outside_group(&self) -> Vec<u32> {
+        let marker = format!("{MARKER}={}", self.marker).into_bytes();
+        let numbers = fs::read_dir("/proc").into_iter().flatten().flatten();
+        let numbers = numbers.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+        let is_marked = |pid: &u32| {
+            // Empty for a process that has ended.
+            let environment = fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
+            environment.split(|&byte| byte == 0).any(|variable| variable == marker)
+        };
+        let group = self.pid();
+        let is_outside = |pid: &u32| {
+            let pid = i32::try_from(*pid).ok().and_then(Pid::from_raw);
+            pid.is_some_and(|pid| getpgid(Some(pid)).is_ok_and(|other| other != group))
+        };
+        numbers.filter(is_marked).filter(is_outside).collect()
+    }
+
+    fn signal(&self, signal: Signal) {
+        if let Err(error) = kill_process_group(self.pid(), signal) {
+            debug!(?signal, %error, "the signal did not reach the program's group");
+        }
+    }
+}
+
+fn exit_description(status: &WaitIdStatus) -> String {
+    match (status.exit_status(), status.terminating_signal()) {
+        (Some(code), _) => format!("ended with exit status {code}"),
+        (None, Some(signal)) => format!("was ended by signal {signal}"),
+        (None, None) => "ended".to_owned(),
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let mut ended = self.wait_for_exit(EXIT_GRACE);
+        if ended.is_none() {
+            warn!(program = self.name, "the program still runs after its line hung up: sending SIGTERM");
+            self.signal(Signal::TERM);
+            ended = self.wait_for_exit(EXIT_GRACE);
+        }
+        if ended.is_none() {
+            warn!(program = self.name, "the program still runs after SIGTERM: sending SIGKILL");
+        }
+        // Also ends the rest of its group.
+        self.signal(Signal::KILL);
+        let left = self.processes_outside_group();
+        if !left.is_empty() {
+            let name = &self.name;
+            warn!(program = name, pids = ?left, "processes that the program started have left its group and are left running");
+        }
+        if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE)) {
+            debug!(program = self.name, how, status = ?self.child.wait(), "program ended");
+        } else {
+            // Blocked in the kernel: waiting for it could block the bench.
+            warn!(
+                program = self.name,
+                pid = self.child.id(),
+                "the program still runs after SIGKILL and is left running"
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rustix::process::kill_process;
+
+    /// True if the process exists and is not a zombie.
+    fn is_running(pid: &str) -> bool {
+        let status = fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
+        status.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
+    }
+
+    fn script(folder: &tempfile::TempDir, text: &str) -> (Program, Vec<String>) {
+        let pids_file = folder.path().join("pids");
+        let arguments = ["-c".to_owned(), text.to_owned(), pids_file.display().to_string()];
+        let program = Program::start("sh", arguments.into_iter(), &folder.path().display().to_string());
+        let deadline = Instant::now() + Duration::from_secs(10);
+        loop {
+            let pids = fs::read_to_string(&pids_file).unwrap_or_default();
+            if pids.ends_with("done\n") {
+                return (program.unwrap(), pids.lines().filter(|line| *line != "done").map(str::to_owned).collect());
+            }
+            assert!(Instant::now() < deadline, "the script does not start");
+            std::thread::sleep(POLL_INTERVAL);
+        }
+    }
+
+    #[test]
+    fn kills_a_program_that_ignores_signals_and_its_group() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = r#"trap "" TERM HUP; sleep 60 & echo $$ >"$0"; echo $! >>"$0"; echo done >>"$0"; while :; do sleep 1; done"#;
+        let (program, pids) = script(&folder, text);
+        assert_eq!(pids.len(), 2);
+        assert!(pids.iter().all(|pid| is_running(pid)));
+        drop(program);
+        // Its child is not ours to wait for, and the kernel ends a killed process later.
+        let deadline = Instant::now() + Duration::from_secs(10);
+        while pids.iter().any(|pid| is_running(pid)) {
+            assert!(Instant::now() < deadline, "{pids:?}");
+            std::thread::sleep(POLL_INTERVAL);
+        }
+    }
+
+    #[test]
+    fn lets_a_program_end_by_itself_after_sigterm() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = r#"trap "echo ended >>\"$0\"; exit 0" TERM; echo done >"$0"; while :; do sleep 0.01; done"#;
+        let (program, _) = script(&folder, text);
+        drop(program);
+        assert!(fs::read_to_string(folder.path().join("pids")).unwrap().ends_with("ended\n"));
+    }
+
+    #[test]
+    fn finds_processes_that_left_the_group() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = r#"setsid sleep 60 & echo $! >"$0"; echo done >>"$0"; while :; do sleep 0.01; done"#;
+        let (program, pids) = script(&folder, text);
+        let deadline = Instant::now() + Duration::from_secs(10);
+        let left = loop {
+            let left = program.processes_outside_group();
+            if !left.is_empty() || Instant::now() > deadline {
+                break left;
+            }
+            std::thread::sleep(POLL_INTERVAL);
+        };
+        assert_eq!(left.iter().map(u32::to_string).collect::<Vec<_>>(), pids);
+        drop(program);
+        assert!(is_running(&pids[0]), "the bench does not end what left the group");
+        kill_process(Pid::from_raw(pids[0].parse().unwrap()).unwrap(), Signal::KILL).unwrap();
+    }
+}
