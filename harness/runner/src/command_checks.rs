@@ -4,7 +4,7 @@ use crate::configure::start_frequency_mhz;
 use platebench_plate::Time;
 use platebench_record::{Violation, ViolationKind};
 use platebench_scenario::Scenario;
-use platebench_wire::{Command, Configure, ControllerState, Gains};
+use platebench_wire::{Command, Configure, ControllerState, Gains, LawId};
 
 /// A controller that computes in f32 rounds 32 kHz to 2 mHz, and the wire rounds to 1 mHz; a difference has two errors.
 const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
@@ -64,11 +64,14 @@ impl CommandChecks {
         }
     }
 
-    /// Checks the gains of a configuration that was accepted. A gain of 0 means that the law does not use it.
+    /// Checks the gains of a configuration that was accepted. A gain of 0 means that the law does not use it; the
+    /// `dq-pi` laws use all.
     pub(crate) fn check_gains(&mut self, configure: &Configure, gains: &Gains, now: Time) {
         let values = |gains: &Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
+        let uses_all = matches!(configure.law, LawId::DqPi | LawId::DqPiFixed | LawId::DqPiEuler);
         let matches = |asked: f32, answered: f32| {
-            answered == 0.0 || (answered - asked).abs() <= GAIN_TOLERANCE * asked.abs().max(answered.abs())
+            (answered == 0.0 && !uses_all)
+                || (answered - asked).abs() <= GAIN_TOLERANCE * asked.abs().max(answered.abs())
         };
         let answered = values(gains);
         let differs = configure.gains.as_ref().is_some_and(|asked| {
@@ -179,19 +182,25 @@ mod tests {
     }
 
     #[rstest]
-    #[case::as_asked(Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 4.0], false)]
-    #[case::unused(Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 0.0, 0.0], false)]
-    #[case::other(Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.1, 3.0, 4.0], true)]
-    #[case::own_design(None, [5.0, 6.0, 7.0, 8.0], false)]
-    #[case::not_finite(None, [5.0, f32::NAN, 7.0, 8.0], true)]
-    fn checks_gains(#[case] asked: Option<[f32; 4]>, #[case] answered: [f32; 4], #[case] wrong: bool) {
+    #[case::as_asked(LawId::DqPi, Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 4.0], false)]
+    #[case::unused(LawId::VoltageOnly, Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 0.0, 0.0], false)]
+    #[case::zero_instead(LawId::DqPi, Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 0.0], true)]
+    #[case::other(LawId::VoltageOnly, Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.1, 3.0, 4.0], true)]
+    #[case::own_design(LawId::DqPi, None, [5.0, 6.0, 7.0, 8.0], false)]
+    #[case::not_finite(LawId::DqPi, None, [5.0, f32::NAN, 7.0, 8.0], true)]
+    fn checks_gains(
+        #[case] law: LawId,
+        #[case] asked: Option<[f32; 4]>,
+        #[case] answered: [f32; 4],
+        #[case] wrong: bool,
+    ) {
         let gains = |[amplitude_kp, amplitude_ki, frequency_kp, frequency_ki]: [f32; 4]| Gains {
             amplitude_kp,
             amplitude_ki,
             frequency_kp,
             frequency_ki,
         };
-        let configure = Configure { gains: asked.map(gains), ..configure(&scenario(), LawId::DqPi) };
+        let configure = Configure { gains: asked.map(gains), ..configure(&scenario(), law) };
         let mut checks = CommandChecks::new(&scenario());
         checks.check_gains(&configure, &gains(answered), Time::ZERO);
         assert_eq!(!checks.violations().is_empty(), wrong);
