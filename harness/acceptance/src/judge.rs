@@ -75,7 +75,8 @@ mod tests {
 
     fn demanded_text(more: &[(&str, Value)]) -> String {
         let mut record = json!({
-            "metric": "settling_time_ms", "verdict": "pass", "value": 2.5, "statistic": "worst", "limit": {"at_most": 3.0},
+            "name": "settling_time_ms", "metric": "settling_time_ms", "verdict": "pass", "value": 2.5,
+            "statistic": "worst", "limit": {"at_most": 3.0},
             "interval": null, "confidence": null, "cause": null, "reason": null, "paper": null, "requirement": "R-1",
         });
         for (key, value) in more {
