@@ -104,7 +104,7 @@ fn a_session_is_sealed_signed_and_verified() {
         (&[][..], 0, &["which the record itself names", "verdict: pass", "no board was attached"][..]),
         (&["--key", "public.pem"], 0, &["the given key"]),
         (&["--key", "other.pem"], 1, &["manifest.sha256.sig: wrong"]),
-        (&["--key", "plan.toml"], 2, &["plan.toml: not the ed25519 key"]),
+        (&["--key", "plan.toml"], 2, &["plan.toml: not the expected ed25519 key"]),
         (&["--key", "key.pem"], 2, &["key.pem: ", "this is the secret key, expected the public key", "-pubout"]),
     ] {
         verify(&folder, "record", key).assert_exit(exit).assert_output(expected);
@@ -166,8 +166,8 @@ fn an_unmet_kill_rate_does_not_pass() {
 #[case::unknown_key("title =", "titel =", "plan.toml:1:1")]
 #[case::no_repetition("repetitions = 3", "repetitions = 0", "expected 1 to 100000")]
 #[case::twice("[[ask]]", "[[requirement]]\nid = \"R-1\"\ntext = \"Again.\"\n[[ask]]", "each identifier once")]
-#[case::empty_text("It settles.", " ", "expected what has to hold")]
-#[case::unknown_requirement("\"R-1\"", "\"R-9\"", "the plan does not say what `R-1` is")]
+#[case::empty_text("It settles.", " ", "empty, expected a text")]
+#[case::unknown_requirement("\"R-1\"", "\"R-9\"", "the plan has no requirement `R-1`")]
 #[case::missing("s.toml", "no.toml", "no.toml")]
 #[case::clean_runs("clean_runs = 2", "clean_runs = 0", "expected 1 to 1000000")]
 fn an_invalid_plan_is_reported_with_its_line(#[case] good: &str, #[case] bad: &str, #[case] message: &str) {
@@ -235,7 +235,7 @@ const CONTINUE: &str = "continue with the same command and --resume record";
 fn a_session_does_not_resume_with_another_input(#[case] file: &str, #[case] message: &str) {
     let folder = interrupted_session();
     folder.write(file, &(folder.read(file) + "\n# another\n"));
-    resume(&folder, &[ABSENT]).assert_exit(2).assert_output(&[message, "never mixes the two"]);
+    resume(&folder, &[ABSENT]).assert_exit(2).assert_output(&[message, "a record contains only one"]);
 }
 
 #[test]
@@ -263,7 +263,7 @@ fn a_broken_session_file_gives_no_hint_to_resume() {
 fn rejects_a_folder_with_other_content() {
     let folder = interrupted_session();
     verify(&folder, "record", &[]).assert_exit(3).assert_output(&["the session is not finished"]);
-    for (option, message) in [("--out", "something else than an acceptance session"), ("--resume", "no session")] {
+    for (option, message) in [("--out", "other files than an acceptance session"), ("--resume", "no session")] {
         folder
             .bench(["accept", "--plan", "plan.toml", "--rig", "hosted", "--yes", option, "scenarios"])
             .assert_exit(2)

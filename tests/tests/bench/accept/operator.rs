@@ -200,7 +200,7 @@ fn a_no_ends_the_session_and_ctrl_c_allows_resuming() {
     let text = folder.read("record/session.json");
     let build = &record.firmware.as_ref().unwrap().firmware.build;
     folder.write("record/session.json", &text.replace(build.as_str(), "0123456789abcdef"));
-    folder.bench(&hosted).assert_exit(2).assert_output(&["the firmware is ", "never mixes the two"]);
+    folder.bench(&hosted).assert_exit(2).assert_output(&["the firmware is ", "a record contains only one"]);
     assert_eq!(read_session_record(&folder).steps[5].attempts.len(), record.steps[5].attempts.len());
     folder.write("record/session.json", &text);
     let run = folder.read("record/steps/05-s/run.json");
