@@ -1,7 +1,8 @@
 //! Writes a run as text, for people and for machines.
 //!
 //! * [`console`]: tables and progress for a terminal.
-//! * [`junit`], [`tap`], [`markdown`], [`annotations`], [`events`], [`traceability`]: files and streams of `docs/formats.md`.
+//! * [`junit`], [`tap`], [`markdown`], [`annotations`], [`events`], [`traceability`]: files and
+//!   streams of `docs/formats.md`.
 //! * [`comparison`]: a response and its baseline.
 //! * `history`: since when an expectation does not pass.
 //! * `cost`, `timing`: sentences about computing cost and real time.

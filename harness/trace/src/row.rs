@@ -16,8 +16,8 @@ bitflags::bitflags! {
         const LINK_LOST = 1 << 3;
         /// The controller is not running: 0 V.
         const SAFE = 1 << 4;
-        /// Reported by a controller that drives a real plate: `wd_um`, `wq_um` and `amplitude_um` come from its sensor, and
-        /// quantities that are not measured are empty.
+        /// Reported by a controller that drives a real plate: `wd_um`, `wq_um` and `amplitude_um`
+        /// come from its sensor, and quantities that are not measured are empty.
         const SENSED = 1 << 5;
     }
 }

@@ -1,12 +1,13 @@
 //! Names every colour once, with its value for light and for dark.
 //!
-//! A page gets them as variables ([`variables`]). A drawing in a file of its own gets the values themselves ([`document_style`]): not every viewer of SVG
-//! knows variables.
+//! A page gets them as variables ([`variables`]). A drawing in a file of its own gets the values
+//! themselves ([`document_style`]): not every viewer of SVG knows variables.
 
 /// Rules for the classes of drawings; one rule per line.
 pub(crate) const RULES: &str = include_str!("roles.css");
 
-/// Name, value for light, value for dark. The colours of series follow Okabe and Ito's palette for colour-blind readers, darkened and lightened.
+/// Name, value for light, value for dark. The colours of series follow Okabe and Ito's palette for
+/// colour-blind readers, darkened and lightened.
 const VALUES: [(&str, &str, &str); 39] = [
     ("page", "#f6f6f3", "#121518"),
     ("card", "#fff", "#1a1e23"),

@@ -1,4 +1,5 @@
-//! Draws points by colour and shape in panels above each other, with limit lines; the panels share the horizontal axis, and both axes are logarithmic.
+//! Draws points by colour and shape in panels above each other, with limit lines; the panels share
+//! the horizontal axis, and both axes are logarithmic.
 
 use super::svg::{
     Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, decades, format_power_of_ten, length,

@@ -116,7 +116,8 @@ impl Role {
     }
 }
 
-/// Draws on an area of `size` CSS pixels and returns the elements, for an `svg` element with the view box of [`view_box`].
+/// Draws on an area of `size` CSS pixels and returns the elements, for an `svg` element with the
+/// view box of [`view_box`].
 ///
 /// # Errors
 /// [`ReportError::Plot`].
@@ -329,7 +330,8 @@ mod tests {
         assert_eq!(format_power_of_ten(value), expected);
     }
 
-    /// Every role comes back from its code colour and has a rule in the style sheet, unless it is drawn by the page's script only.
+    /// Every role comes back from its code colour and has a rule in the style sheet, unless it is
+    /// drawn by the page's script only.
     #[test]
     fn every_role_has_its_own_class() {
         let numbered = (0..COLOURS).flat_map(|number| [Role::Series(number), Role::Radius(number)]);

@@ -7,7 +7,8 @@ use crate::error::ReportError;
 use crate::format;
 use maud::{Markup, PreEscaped, html};
 
-/// The drawings of a scenario below their headings; `views` are the response and the whole trial, or the whole trial alone.
+/// The drawings of a scenario below their headings; `views` are the response and the whole trial,
+/// or the whole trial alone.
 ///
 /// Of the response, and if not `all`, there are the first two figures.
 ///

@@ -11,7 +11,8 @@ pub(crate) struct TimeGrid {
 }
 
 impl TimeGrid {
-    /// About `limit` instants over `whole`, half of them in `response` if there is one; if they suffice, every row has its own.
+    /// About `limit` instants over `whole`, half of them in `response` if there is one; if they
+    /// suffice, every row has its own.
     pub(crate) fn new(rows: &[Row], whole: TimeWindow, response: Option<TimeWindow>, limit: usize) -> Self {
         let mut t_ms = Vec::new();
         match response {
@@ -41,8 +42,9 @@ impl TimeGrid {
         self.t_ms.iter().map(|t_ms| curves::value_at(rows, signal, *t_ms)).collect()
     }
 
-    /// The signal as a line that keeps every peak. If the signal leaves the range of three neighbouring instants between
-    /// them, the first two hold its lowest and its highest value there, in order of time.
+    /// The signal as a line that keeps every peak. If the signal leaves the range of three
+    /// neighbouring instants between them, the first two hold its lowest and its highest value
+    /// there, in order of time.
     pub(crate) fn sample_peaks(&self, rows: &[Row], signal: PlotSignal) -> Vec<Option<f64>> {
         let mut line = Vec::with_capacity(self.t_ms.len());
         let mut start = 0;

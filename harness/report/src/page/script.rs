@@ -40,7 +40,8 @@ pub(super) fn figure_data(title: &str, t_ms: &[f64], views: &[TimeWindow], figur
     html! { script.curves type="application/json" { (PreEscaped(embed_json(&data))) } }
 }
 
-/// A figure as `plots.js` reads it: layers are groups, and every series, band, span and mark has the number of its group.
+/// A figure as `plots.js` reads it: layers are groups, and every series, band, span and mark has
+/// the number of its group.
 fn panel(figure: &Figure) -> Value {
     let (mut series, mut bands, mut spans, mut marks) = (vec![], vec![], vec![], vec![]);
     for (group, layer) in figure.layers.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! Writes workflow commands of GitHub Actions: each expectation that did not pass, at its line in the scenario file.
 //!
-//! A failure is an `error`. An inconclusive expectation is a `warning`; the exit code still fails the job. Failures come
-//! first, because GitHub shows ten annotations of a kind per step.
+//! A failure is an `error`. An inconclusive expectation is a `warning`; the exit code still fails
+//! the job. Failures come first, because GitHub shows ten annotations of a kind per step.
 
 use super::escape::{workflow_message, workflow_property};
 use crate::{format, record_queries};

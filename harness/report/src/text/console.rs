@@ -39,7 +39,8 @@ impl Style {
     }
 }
 
-/// The whole run: scenarios in the order of the record, counts, verdict, and the traces of expectations that did not pass.
+/// The whole run: scenarios in the order of the record, counts, verdict, and the traces of
+/// expectations that did not pass.
 pub fn run_table(record: &RunRecord, style: Style) -> String {
     let mut text = String::new();
     for scenario in &record.scenarios {

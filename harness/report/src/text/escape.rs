@@ -1,6 +1,7 @@
 //! Escapes text from files and devices, so that it cannot act on a terminal, a table or a CI system.
 //!
-//! File names, titles, requirements and reasons may contain anything. [`printable`] is the base of every other function here.
+//! File names, titles, requirements and reasons may contain anything. [`printable`] is the base of
+//! every other function here.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -30,7 +31,8 @@ fn escape(text: &str, is_escaped: fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(escaped)
 }
 
-/// Control characters, line and paragraph separators, and marks, embeddings, overrides and isolates of the writing direction.
+/// Control characters, line and paragraph separators, and marks, embeddings, overrides and isolates
+/// of the writing direction.
 fn is_active(character: char) -> bool {
     character.is_control()
         || matches!(character, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
@@ -39,7 +41,8 @@ fn is_active(character: char) -> bool {
 /// Longest cell of a Markdown table, in characters.
 const MAX_CELL_CHARS: usize = 400;
 
-/// A cell of a Markdown table: no character is markup or ends the cell; the text has at most [`MAX_CELL_CHARS`] characters.
+/// A cell of a Markdown table: no character is markup or ends the cell; the text has at most
+/// [`MAX_CELL_CHARS`] characters.
 pub(crate) fn markdown_cell(text: &str) -> String {
     let mut cell = String::with_capacity(text.len());
     for character in text.chars().take(MAX_CELL_CHARS) {
@@ -60,7 +63,8 @@ pub(crate) fn markdown_cell(text: &str) -> String {
     cell
 }
 
-/// A field of CSV (RFC 4180). A spreadsheet takes a field that starts with `=`, `+`, `-` or `@` for a formula: such a text gets a `'` in front; a number does not.
+/// A field of CSV (RFC 4180). A spreadsheet takes a field that starts with `=`, `+`, `-` or `@` for
+/// a formula: such a text gets a `'` in front; a number does not.
 pub(crate) fn csv_field(text: &str) -> String {
     let text = printable(text);
     let is_formula = text.starts_with(['=', '+', '-', '@']) && text.parse::<f64>().is_err();

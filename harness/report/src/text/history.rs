@@ -1,6 +1,7 @@
 //! Finds since when an expectation does not pass, from the runs in neighbouring folders.
 //!
-//! Only runs on the same kind of rig and with the same law are compared. If the expectation differed, the text says how.
+//! Only runs on the same kind of rig and with the same law are compared. If the expectation
+//! differed, the text says how.
 
 use super::cost::short_build_id;
 use crate::format;
@@ -70,7 +71,8 @@ impl EarlierExpectation<'_> {
     }
 }
 
-/// The expectation of `played` that corresponds to expectation `index`: an identical one, or else the one with the same name.
+/// The expectation of `played` that corresponds to expectation `index`: an identical one, or else
+/// the one with the same name.
 fn matching_expectation<'a>(
     scenario: &ScenarioRecord,
     index: usize,

@@ -1,4 +1,5 @@
-//! Writes a run as one page of Markdown for summaries of CI, comments and mails: verdict, what did not pass, all scenarios.
+//! Writes a run as one page of Markdown for summaries of CI, comments and mails: verdict, what did
+//! not pass, all scenarios.
 //!
 //! GitHub refuses a summary above 1 MiB. Each table therefore lists at most `MAX_ROWS` rows and the number of others.
 
