@@ -1,16 +1,15 @@
 //! `platebench check`: checks scenarios, plates, plans and settings without playing them.
 
-use crate::config::{self, Config};
+use crate::config::Config;
 use crate::exit::Exit;
 use crate::options::SCENARIOS;
 use crate::stdio;
 use clap::{Args, Command};
 use platebench_acceptance::Plan;
 use platebench_runner::law;
-use platebench_scenario::{Diagnostic, input, list_files, load, load_with_diagnostics, unjudged_changes};
+use platebench_scenario::{Diagnostic, FileKind, list_files, load, load_with_diagnostics, unjudged_changes};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use toml::de::DeTable;
 
 /// `platebench check`
 #[derive(Debug, Args)]
@@ -27,54 +26,16 @@ pub(crate) struct CheckArgs {
     scenarios: Vec<PathBuf>,
 }
 
-/// The kind of a file, from its name and its keys.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum FileKind {
-    Scenario,
-    Plate,
-    Plan,
-    Config,
-}
-
-impl FileKind {
-    fn detect(path: &Path) -> Self {
-        if path.file_name().is_some_and(|name| name == config::FILE) {
-            return Self::Config;
-        }
-        let text = input::read(path).map(|content| String::from_utf8_lossy(&content).into_owned()).unwrap_or_default();
-        let (document, _) = DeTable::parse_recoverable(&text);
-        let has = |keys: [&str; 3]| keys.iter().any(|key| document.get_ref().contains_key(*key));
-        if has(["profile", "expect", "controller"]) {
-            Self::Scenario
-        } else if has(["requirement", "ask", "bench"]) {
-            Self::Plan
-        } else if has(["mode", "drive", "sensor"]) {
-            Self::Plate
-        } else {
-            Self::Scenario
-        }
-    }
-
-    /// Every fault of a file of this kind.
-    fn diagnostics(self, path: &Path, name: &str, definition: &Command) -> Vec<Diagnostic> {
-        match self {
-            Self::Scenario => match load_with_diagnostics(path, name) {
-                Ok(scenario) => law(&scenario).err().into_iter().collect(),
-                Err(faults) => faults,
-            },
-            Self::Plate => load::load_plate(path).err().unwrap_or_default(),
-            Self::Plan => Plan::load(path).err().unwrap_or_default(),
-            Self::Config => Config::read(path, definition).err().unwrap_or_default(),
-        }
-    }
-
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Scenario => "scenario",
-            Self::Plate => "plate",
-            Self::Plan => "plan",
-            Self::Config => "settings file",
-        }
+/// Every fault of a file.
+fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) -> Vec<Diagnostic> {
+    match kind {
+        FileKind::Scenario => match load_with_diagnostics(path, name) {
+            Ok(scenario) => law(&scenario).err().into_iter().collect(),
+            Err(faults) => faults,
+        },
+        FileKind::Plate => load::load_plate(path).err().unwrap_or_default(),
+        FileKind::Plan => Plan::load(path).err().unwrap_or_default(),
+        FileKind::Config => Config::read(path, definition).err().unwrap_or_default(),
     }
 }
 
@@ -83,7 +44,7 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
     let (files, mut faults) = list_files(&arguments.scenarios);
     let kinds: Vec<_> = files.iter().map(|(path, _)| FileKind::detect(path)).collect();
     for ((path, name), kind) in files.iter().zip(&kinds) {
-        for fault in kind.diagnostics(path, name, definition) {
+        for fault in diagnostics(*kind, path, name, definition) {
             // Two scenarios may use the same faulty plate.
             if !faults.contains(&fault) {
                 faults.push(fault);

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// The name of the settings file. The nearest one applies, from the working directory upwards.
-pub(crate) const FILE: &str = "platebench.toml";
+pub(crate) use platebench_scenario::SETTINGS_FILE as FILE;
 
 /// The keys of `platebench.toml` and their types. [`SETTINGS`] reads the values by key.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]

@@ -1,6 +1,7 @@
 //! Searches for scenario files.
 
 use crate::diagnostic::Diagnostic;
+use crate::file_kind::FileKind;
 use crate::load::load_with_diagnostics;
 use crate::scenario::Scenario;
 use platebench_plate::input;
@@ -50,7 +51,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Loads the named scenarios and all scenarios below the named folders.
+/// Loads the named scenarios and all scenarios below the named folders. Plates, plans and settings
+/// next to them are not scenarios.
 ///
 /// A scenario with `expected_exit` is not meant to pass; it is loaded only if it or its own folder
 /// is named.
@@ -64,7 +66,8 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     let mut empty = Vec::new();
     for argument in arguments {
         search.visited.clear();
-        let below = search.files_below(argument);
+        let mut below = search.files_below(argument);
+        below.retain(|path| path == argument || FileKind::detect(path) == FileKind::Scenario);
         if below.is_empty() {
             empty.push(argument.clone());
         }

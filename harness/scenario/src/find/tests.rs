@@ -45,6 +45,8 @@ fn searches_folders_for_scenarios_only() {
         "a/.f.toml",
         "a/notes.md",
     ]);
+    fs::write(folder.path().join("a/plate.toml"), PLATE).unwrap();
+    fs::write(folder.path().join("a/platebench.toml"), "[run]\n").unwrap();
     assert_eq!(found_names(&folder, &["a"]).0, ["b/c.toml", "z.toml"]);
     assert_eq!(found_names(&folder, &["a/"]).0, ["b/c.toml", "z.toml"]);
 }

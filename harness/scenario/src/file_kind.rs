@@ -1,0 +1,53 @@
+//! Recognises the kind of a TOML file.
+
+use platebench_plate::input;
+use std::path::Path;
+use toml::de::DeTable;
+
+/// Name of the settings file.
+pub const SETTINGS_FILE: &str = "platebench.toml";
+
+/// The kind of a file, from its name and its keys.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum FileKind {
+    /// A scenario, or a file without a key that decides.
+    Scenario,
+    /// A plate.
+    Plate,
+    /// An acceptance plan.
+    Plan,
+    /// The settings.
+    Config,
+}
+
+impl FileKind {
+    /// The kind of the file at `path`; a file that cannot be read counts as a scenario, whose reader
+    /// reports the error.
+    pub fn detect(path: &Path) -> Self {
+        if path.file_name().is_some_and(|name| name == SETTINGS_FILE) {
+            return Self::Config;
+        }
+        let text = input::read(path).map(|content| String::from_utf8_lossy(&content).into_owned()).unwrap_or_default();
+        let (document, _) = DeTable::parse_recoverable(&text);
+        let has = |keys: [&str; 3]| keys.iter().any(|key| document.get_ref().contains_key(*key));
+        if has(["profile", "expect", "controller"]) {
+            Self::Scenario
+        } else if has(["requirement", "ask", "bench"]) {
+            Self::Plan
+        } else if has(["mode", "drive", "sensor"]) {
+            Self::Plate
+        } else {
+            Self::Scenario
+        }
+    }
+
+    /// Its name in messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Scenario => "scenario",
+            Self::Plate => "plate",
+            Self::Plan => "plan",
+            Self::Config => "settings file",
+        }
+    }
+}
