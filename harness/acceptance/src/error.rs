@@ -43,7 +43,7 @@ pub enum AcceptError {
     #[error("{} is being written by another session", .0.display())]
     InUse(PathBuf),
     /// No session.
-    #[error("{}: no session, expected a folder of `platebench accept`", .0.display())]
+    #[error("{}: contains no session, expected a folder that `platebench accept` wrote", .0.display())]
     NoSession(PathBuf),
     /// `session.json` is invalid.
     #[error("{}: {message}", path.display())]

@@ -3,6 +3,7 @@
 use platebench_report::ReportError;
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_study::charts::ChartSection;
+use platebench_trace::write_atomically;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -34,7 +35,7 @@ pub(crate) fn write_page(
     for section in sections {
         for (name, text) in &section.files {
             let path = folder.join(name);
-            fs::write(&path, text).map_err(|source| WriteError::Io { path, source })?;
+            write_atomically(&path, text.as_bytes()).map_err(|source| WriteError::Io { path, source })?;
         }
         if section.title != title {
             blocks.push(PageBlock::Heading(section.title.to_owned()));

@@ -12,9 +12,9 @@ use platebench_report::ReportError;
 use platebench_report::chart::FitChart;
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_report::text::Table;
-use platebench_trace::TraceError;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use platebench_trace::{TraceError, write_atomically, write_new};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// The page draws the curves of this many recordings.
@@ -142,7 +142,7 @@ fn identify_plate(arguments: &IdentifyArgs) -> Result<Exit, IdentifyError> {
         OutputFormat::Json => stdio::show_json(&found),
     }
     if let Some(path) = &arguments.page {
-        write_new_file(path, &write_page(path, arguments, &tables, &recordings, &found, &fits)?)?;
+        write_file(path, &write_page(path, arguments, &tables, &recordings, &found, &fits)?)?;
     }
     found.doubts.iter().for_each(|doubt| stdio::error(&format!("doubtful: {doubt}")));
     let exit = if found.doubts.is_empty() { Exit::Passed } else { Exit::Inconclusive };
@@ -161,8 +161,7 @@ fn identify_plate(arguments: &IdentifyArgs) -> Result<Exit, IdentifyError> {
         slope_hz_per_k: arguments.slope_hz_per_k,
     };
     if let Some(text) = plate_file(&found, &details) {
-        let created = File::create_new(path).and_then(|mut file| file.write_all(text.as_bytes()));
-        created.map_err(|source| IdentifyError::Io { path: path.clone(), source })?;
+        write_new(path, text.as_bytes()).map_err(|source| IdentifyError::Io { path: path.clone(), source })?;
         stdio::note(&format!("plate file: {}", path.display()));
         if details.limit_vpp.is_none() {
             stdio::note(
@@ -184,8 +183,8 @@ fn describe_source(arguments: &IdentifyArgs, recordings: &[Recording]) -> String
     format!("platebench identify, {count} recording{}: {}", if count == 1 { "" } else { "s" }, names.join(", "))
 }
 
-fn write_new_file(path: &Path, text: &str) -> Result<(), IdentifyError> {
-    fs::write(path, text).map_err(|source| IdentifyError::Io { path: path.to_owned(), source })
+fn write_file(path: &Path, text: &str) -> Result<(), IdentifyError> {
+    write_atomically(path, text.as_bytes()).map_err(|source| IdentifyError::Io { path: path.to_owned(), source })
 }
 
 /// Collects the CSV files below a folder, sorted by name; a file is itself.
@@ -212,7 +211,7 @@ fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), IdentifyE
 fn read_recording(path: &Path, arguments: &IdentifyArgs) -> Result<Recording, IdentifyError> {
     let name = path.display().to_string();
     if let Some(columns) = &arguments.columns {
-        let file = File::open(path).map_err(|source| IdentifyError::Io { path: path.to_owned(), source })?;
+        let file = fs::File::open(path).map_err(|source| IdentifyError::Io { path: path.to_owned(), source })?;
         return Ok(external_csv::read(&name, file, columns)?);
     }
     let signal = match arguments.signal {

@@ -4,9 +4,10 @@ use crate::exit::Exit;
 use crate::options::law_names;
 use crate::stdio;
 use clap::Args;
+use platebench_trace::write_new;
 use platebench_wire::LawId;
-use std::fs::{self, OpenOptions};
-use std::io::{self, Write};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// The paper's plate, for folders without a plate.
@@ -112,12 +113,11 @@ fn write_new_file(path: PathBuf, text: &str) -> Result<PathBuf, NewError> {
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         fs::create_dir_all(folder).map_err(io)?;
     }
-    match OpenOptions::new().write(true).create_new(true).open(&path) {
-        Ok(mut file) => file.write_all(text.as_bytes()).map_err(io)?,
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => return Err(NewError::Taken(path)),
-        Err(error) => return Err(io(error)),
+    match write_new(&path, text.as_bytes()) {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(NewError::Taken(path)),
+        Err(error) => Err(io(error)),
+        Ok(()) => Ok(path),
     }
-    Ok(path)
 }
 
 /// Expectations that the law meets in the template, with a margin. Laws without amplitude control settle late;

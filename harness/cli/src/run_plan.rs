@@ -1,4 +1,4 @@
-//! Runs a plan: plays it on its own threads, passes its events on, ends it on a signal.
+//! Plays a plan on a separate thread, forwards its events, and stops it on a signal of the operating system.
 
 use crate::prompt::TerminalOperator;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};

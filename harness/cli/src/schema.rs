@@ -6,6 +6,7 @@ use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_acceptance::plan::plan_schema;
 use platebench_scenario::schema;
+use platebench_trace::write_atomically;
 use platebench_wire::LawId;
 use std::fs;
 use std::path::PathBuf;
@@ -81,7 +82,7 @@ pub(crate) fn schema(arguments: &SchemaArgs) -> Exit {
                 SchemaKind::value_variants().iter().try_for_each(|kind| {
                     let path = folder.join(kind.file_name());
                     let text = kind.to_text().map_err(|error| error.to_string())?;
-                    fs::write(&path, text).map_err(|error| format!("{}: {error}", path.display()))
+                    write_atomically(&path, text.as_bytes()).map_err(|error| format!("{}: {error}", path.display()))
                 })
             })
         }

@@ -6,6 +6,7 @@ use crate::run::report_if_empty;
 use crate::stdio;
 use clap::Args;
 use platebench_scenario::find;
+use platebench_trace::write_atomically;
 use platebench_trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
 use std::fs;
 use std::io;
@@ -76,6 +77,6 @@ pub(crate) fn trust(arguments: &TrustArgs) -> Exit {
 
 fn write_report(report: &TrustReport, folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
-    fs::write(folder.join("trust.json"), serde_json::to_string_pretty(report)?)?;
-    fs::write(folder.join("matrix.md"), format::matrix(report))
+    write_atomically(&folder.join("trust.json"), serde_json::to_string_pretty(report)?.as_bytes())?;
+    write_atomically(&folder.join("matrix.md"), format::matrix(report).as_bytes())
 }

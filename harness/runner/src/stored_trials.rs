@@ -22,7 +22,7 @@ pub enum CompareError {
     #[error(transparent)]
     Baseline(#[from] BaselineError),
     /// A trace has no scenario, and so no baseline.
-    #[error("{}: a trace outside a run folder has no scenario, expected --against BASELINE.toml", .0.display())]
+    #[error("{}: this trace is not in a run folder, so its scenario is unknown; expected --against BASELINE.toml", .0.display())]
     NoScenario(PathBuf),
     /// One trace is compared with a run of several scenarios.
     #[error("{}: {count} scenarios, expected a run of one scenario as the reference of a trace", path.display())]

@@ -1,4 +1,4 @@
-//! Prints where each method's stability ends, as CSV.
+//! Prints the largest stable step of each integration method as CSV.
 
 use platebench_plate::RawPlate;
 use platebench_study::integration::stability;

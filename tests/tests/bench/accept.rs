@@ -109,7 +109,7 @@ fn a_session_is_sealed_signed_and_verified() {
     ] {
         verify(&folder, "record", key).assert_exit(exit).assert_output(expected);
     }
-    verify(&folder, "scenarios", &[]).assert_exit(2).assert_output(&["no session"]);
+    verify(&folder, "scenarios", &[]).assert_exit(2).assert_output(&["contains no session"]);
 
     // `sha256sum` may be missing.
     let mut check = Command::new("sha256sum");

@@ -244,7 +244,8 @@ fn an_unpredictable_plate_ends_in_the_fallback() {
     assert_eq!(raised_flags(&simulation.run_periods(2.0, 10)) & flags::PREDICTION_MISSED, 0);
 }
 
-/// With a configured delay a start ends two periods after its drive began to act, under any finger.
+/// If the delay is configured, the amplitude reaches the setpoint two periods after the drive begins
+/// to act, for any damping by the finger.
 #[test]
 fn a_given_delay_never_overshoots() {
     for loop_delay_us in [100, 300, 500, 550, 600, 800, 1_000] {

@@ -58,7 +58,7 @@ fn a_repeated_sample_repeats_the_last_command() {
     let first = receive(&mut device, 0, &sample(2, 0.0));
     let doubled = receive(&mut device, 0, &sample(2, 0.0));
     assert_eq!(first, doubled);
-    // Had the law stepped twice, its integral would have grown and the next drive with it.
+    // If the law had stepped twice, its integral and the next drive would be larger.
     let mut undisturbed = configured_device();
     receive(&mut undisturbed, 0, &sample(2, 0.0));
     assert_eq!(receive(&mut device, 1_000, &sample(3, 1.0)), receive(&mut undisturbed, 1_000, &sample(3, 1.0)));

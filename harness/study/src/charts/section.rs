@@ -31,7 +31,7 @@ pub enum ChartError {
     #[error("invalid scenario")]
     Scenario(Box<Diagnostic>),
     /// Errors relative to the setpoint are not defined.
-    #[error("{0}: the setpoint is never above 0, expected a setpoint that errors are relative to")]
+    #[error("{0}: the setpoint is never above 0, so relative errors are undefined; expected a setpoint above 0")]
     NoSetpoint(String),
     /// The controller was lost.
     #[error("{what}: {source}")]

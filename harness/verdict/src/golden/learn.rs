@@ -43,7 +43,7 @@ pub enum LearnError {
     #[error("trial {0} has other instants than the first one")]
     InstantsDiffer(usize),
     /// The trials are not comparable.
-    #[error("the trials differ too much for a tube")]
+    #[error("the trials differ so much that no tolerance tube can be learned from them")]
     TrialsDiffer,
 }
 
