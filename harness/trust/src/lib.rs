@@ -2,7 +2,7 @@
 //! controllers.
 //!
 //! * [`mod@catalogue`]: the mutants, each with the metrics that should detect it.
-//! * [`clean_variants`]: correct controllers that differ from the firmware.
+//! * [`mod@clean_variants`]: correct controllers that differ from the firmware.
 //! * [`mutant_controller`]: a link that changes messages to and from a controller.
 //! * `mutants`: the changes.
 //! * [`mod@play`]: plays and judges a scenario in memory.
