@@ -159,7 +159,7 @@ fn a_tube_is_learned_from_varying_trials() {
 #[case::no_subject(&["compare", "nowhere", "--against", "run"], "nowhere")]
 #[case::no_reference(&["compare", "run", "--against", "nowhere"], "nowhere")]
 #[case::no_against(&["compare", "run"], "--against")]
-#[case::no_scenario(&["compare", "loose.csv", "--against", "baseline"], "has no scenario")]
+#[case::no_scenario(&["compare", "loose.csv", "--against", "baseline"], "its scenario is unknown")]
 #[case::half_a_trace(&["compare", "half.csv", "--against", TRACE], "half.csv:1: columns")]
 #[case::other_columns(&["compare", "run", "--against", "half.csv"], "half.csv:1: columns")]
 #[case::rate(&["baseline", "accept", "run", "--false-alarm-rate", "0"], "expected a share")]
