@@ -79,6 +79,12 @@ impl SerialLink {
         Ok(Self { port: Port::new(port) })
     }
 
+    /// Uses the short wait until the first answer, because the controller is still starting.
+    #[cfg(feature = "probe")]
+    pub(crate) fn expect_silence(&mut self) {
+        self.port.expect_silence();
+    }
+
     /// The link with another time for a reply in lockstep.
     #[must_use]
     pub fn with_reply_timeout(mut self, timeout: Duration) -> Self {

@@ -34,6 +34,7 @@ impl PortLink {
         image: Arc<Image>,
     ) -> Result<Self, ProbeError> {
         let mut link = Self { serial, board, image, answers: PacketReader::new() };
+        link.serial.expect_silence();
         let timeout = link.board.timeouts().handshake;
         let until = Instant::now() + timeout;
         let mut sequence = 0;
