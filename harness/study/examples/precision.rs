@@ -1,5 +1,5 @@
-//! Work against precision without a controller: a step whose drive and detuning decay as under a
-//! closed loop, untouched and while a finger comes down with 10 N/s. Prints one line per setting.
+//! Prints work against precision without a controller: a step whose drive and detuning decay as
+//! under a closed loop, untouched and while a finger comes down with 10 N/s.
 
 use platebench_plate::RawPlate;
 use platebench_plate::RawProfile;

@@ -1,4 +1,4 @@
-//! The methods keep what their books promise: order, stability, tolerance.
+//! Tests order, stability and tolerance of the methods.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
@@ -27,7 +27,6 @@ fn constant_scene() -> ConditionProfiles {
     ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.5) }
 }
 
-/// From rest through drives that change every period, one of them in the middle of one.
 fn replay_from_rest(scene: &ConditionProfiles, periods: u32) -> Replay {
     let plate = paper_plate();
     let drive = |vpp: f64, detuning: f64| Drive { vpp, omega: plate.omega0 + detuning };
@@ -61,7 +60,7 @@ fn integration_error(
     passage.relative_error(&outcome.samples, truth)
 }
 
-/// The slope of log error over log step where halving is in the asymptotic range of both.
+/// The slope of log error over log step.
 #[rstest]
 #[case(EquationForm::Envelope, FixedStepMethod::Euler, 6)]
 #[case(EquationForm::Envelope, FixedStepMethod::RungeKutta4, 3)]
@@ -85,7 +84,6 @@ fn each_method_converges_with_its_order(
     assert!((slope - f64::from(method.order())).abs() < 0.12, "{slope}");
 }
 
-/// Where a mode moves the order stays: the clock is where it should be in every stage.
 #[rstest]
 #[case(EquationForm::Envelope, FixedStepMethod::RungeKutta4, 3)]
 #[case(EquationForm::Envelope, FixedStepMethod::Midpoint, 5)]
@@ -116,7 +114,7 @@ struct Document {
     p: platebench_plate::RawProfile,
 }
 
-/// Each crate reaches its tolerance, times what accumulates over 65 turns per millisecond.
+/// The tolerance times what accumulates over 65 turns per millisecond.
 #[rstest]
 fn crates_reach_their_tolerance(
     #[values(EquationForm::Envelope, EquationForm::Modal, EquationForm::Carrier)] frame: EquationForm,
@@ -128,7 +126,7 @@ fn crates_reach_their_tolerance(
     let error = |tolerance| integration_error(&passage, frame, IntegrationMethod::Adaptive(method), tolerance, &truth);
     let [coarse, fine] = [1e-7, 1e-10].map(error);
     assert!(fine < 200.0 * 1e-10, "{fine:e}");
-    // A tolerance that changes nothing is the trap that this crate walks around.
+    // The defect of dense output in `ode_solvers`: a tolerance that changes nothing.
     assert!(fine < 0.01 * coarse || coarse < 1e-9, "{coarse:e} {fine:e}");
 }
 
@@ -138,7 +136,7 @@ fn closed_form_and_integrator_agree_on_a_varying_mode() {
     for frame in EquationForm::ALL {
         let tight =
             integrate_replay(&passage, frame, IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-13).samples;
-        // What a moving mode may cost, `docs/mathematics.md`.
+        // Error of a varying mode: `docs/mathematics.md`.
         let error = passage.relative_error(&passage.exact_samples(frame), &tight);
         assert!(error < 8.4e-7, "{frame:?} {error:e}");
     }
@@ -180,8 +178,7 @@ fn limits_known_by_number(#[case] method: &str, #[case] problem: &str, #[case] s
     assert!((measured / step - 1.0).abs() < 1e-3, "{measured}");
 }
 
-/// The period of the paper's controller lies between both limits under 2 N: the plate alone is
-/// stable in Euler's hands, the loop is not.
+/// Under 2 N the period of the paper's controller lies between both limits.
 #[test]
 fn a_closed_loop_is_unstable_before_its_plate() {
     let rows = limits();
@@ -215,7 +212,6 @@ fn failures_are_reported() {
         failed(EquationForm::Envelope, IntegrationMethod::Fixed(FixedStepMethod::Verlet), 1e-3).as_deref(),
         Some("unsupported form of problem")
     );
-    // A tolerance that no double can keep ends, and says why.
     assert!(failed(EquationForm::Modal, IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-30).is_some());
     let stuck =
         integrate_replay(&passage, EquationForm::Modal, IntegrationMethod::Fixed(FixedStepMethod::RungeKutta4), 7.1e-6);

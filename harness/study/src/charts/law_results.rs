@@ -1,4 +1,4 @@
-//! Plays every law through the same scenarios and measures its response, static error and repeatability.
+//! Plays every law through the same scenarios; measures response, static error, repeatability.
 
 use crate::charts::section::{ChartError, play_hosted};
 use platebench_plate::{Profile, Tier, Time};
@@ -10,15 +10,12 @@ use std::path::Path;
 
 /// Half width of the band of response times, percent.
 const BAND_PERCENT: f64 = 5.0;
-/// Trials with noise.
 const TRIALS: u32 = 20;
 const QUICK_TRIALS: u32 = 4;
-/// When the force steps, and to what.
 const FORCE_STEP_MS: f64 = 30.0;
 const FORCE_STEP_N: f64 = 1.0;
 const FINGER_N: f64 = 2.0;
 
-/// A scenario that every law plays.
 pub struct LawScenario {
     pub(crate) name: String,
     pub(crate) scenario: Scenario,
@@ -67,7 +64,6 @@ impl LawScenario {
         self.scenario.plate.noise_um_rms > 0.0
     }
 
-    /// Periods of the window.
     fn window_samples(&self) -> f64 {
         let Window { from, to } = Window { from: Time::ZERO, to: self.scenario.duration }.last_third();
         (to.seconds() - from.seconds()) / self.scenario.controller.period.seconds()
@@ -78,7 +74,7 @@ impl LawScenario {
         self.scenario.plate.noise_um_rms / self.scenario.setpoint.range().1 / self.window_samples().sqrt() * 100.0
     }
 
-    /// Shortest time in which the drive brings the plate into the band, ms: at resonance, in the initial conditions.
+    /// At resonance, in the initial conditions.
     pub(crate) fn drive_limited_ms(&self) -> Option<f64> {
         let scenario = &self.scenario;
         let mode = scenario.plate.mode(&scenario.conditions.at(Time::ZERO));
@@ -87,10 +83,6 @@ impl LawScenario {
     }
 }
 
-/// Reads the scenarios below `folder`.
-///
-/// # Errors
-/// [`ChartError::Scenario`].
 pub fn load_law_scenarios(folder: &Path, is_quick: bool) -> Result<Vec<LawScenario>, ChartError> {
     let read = |file: &str| load(&folder.join(file), file).map_err(ChartError::from);
     let [resonant, detuned, pressed] = [13, 14, 16].map(|figure| read(&format!("paper/fig{figure}-closed-loop.toml")));
@@ -115,22 +107,18 @@ pub fn load_law_scenarios(folder: &Path, is_quick: bool) -> Result<Vec<LawScenar
     Ok(scenes)
 }
 
-/// The behaviour of a law in a scenario.
 pub(crate) struct LawResult {
     pub(crate) law: LawId,
     pub(crate) scenario_index: usize,
     /// The median over trials, ms; `None` if half of them or more do not stay in the band.
     pub(crate) response_ms: Option<f64>,
-    /// Trials that stay in the band.
     pub(crate) settled_trials: u32,
     /// |mean over trials − setpoint|/setpoint; `None` if the controller stopped.
     pub(crate) static_error_percent: Option<f64>,
-    /// Standard deviation over trials.
     pub(crate) repeatability_percent: Option<f64>,
 }
 
 impl LawResult {
-    /// Plays all trials.
     pub(crate) fn measure(law: LawId, scenario_index: usize, scene: &LawScenario) -> Result<Self, ChartError> {
         let what = format!("{}, {}", scene.name, law.name());
         let (mut responses, mut means) = (Vec::new(), Vec::new());

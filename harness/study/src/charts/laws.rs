@@ -1,4 +1,4 @@
-//! Draws control laws: response time against static error and repeatability, with limits that no law beats.
+//! Draws the response time of laws against static error and repeatability, with absolute limits.
 
 use crate::charts::law_results::{LawResult, LawScenario};
 use crate::charts::section::{ChartError, ChartSection};
@@ -12,14 +12,10 @@ use std::fmt::Write as _;
 const FILE: &str = "laws.csv";
 const DRAWING: &str = "laws.svg";
 const TABLE: &str = "laws.md";
-/// Smallest percentage that drawing and tables distinguish from 0.
+/// Smaller percentages count as 0.
 const SCALE_FLOOR: f64 = 1e-4;
 const TABLE_FLOOR_PERCENT: f64 = 0.01;
 
-/// Plays every law through every scenario.
-///
-/// # Errors
-/// [`ChartError`].
 pub fn build_chart(scenes: &[LawScenario]) -> Result<ChartSection, ChartError> {
     let pairs = LawId::ALL.into_iter().flat_map(|law| scenes.iter().enumerate().map(move |scene| (law, scene)));
     let results =
@@ -54,7 +50,6 @@ const EXPLANATION: [&str; 3] = [
      has less.",
 ];
 
-/// Response time and static error by law and scenario; repeatability of scenarios with noise.
 fn result_table(scenes: &[LawScenario], results: &[LawResult]) -> Table {
     let name = |scene: &LawScenario| {
         if scene.is_noisy() { format!("repeatability: {}", scene.name) } else { scene.name.clone() }
@@ -97,7 +92,6 @@ fn format_markdown(table: &Table) -> String {
 
 fn format_console(table: &Table) -> String {
     let mut text = String::new();
-    // Writing to a string cannot fail.
     for (column, scene) in table.header.iter().enumerate().skip(1) {
         let _ = writeln!(text, "{scene}");
         for row in &table.rows {

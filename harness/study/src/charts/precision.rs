@@ -1,6 +1,5 @@
-//! Draws work-precision diagrams: error against cost of the closed form and of every general method.
-//!
-//! The drives come from the scenario, played once with the hosted controller. Every method gets the same drives.
+//! Draws work-precision diagrams: error against cost of the closed form and of general methods.
+//! Every method gets the drives of one run of the scenario with the hosted controller.
 
 use crate::charts::section::{ChartError, ChartSection, play_hosted};
 use crate::integration::sweep::cheapest_from_a_crate;
@@ -17,12 +16,9 @@ use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::time::Duration;
 
-/// Part of a trial that every method integrates.
 const WINDOW: Time = Time::from_nanos(40_000_000);
 const QUICK_WINDOW: Time = Time::from_nanos(5_000_000);
-/// The error at which peers are compared.
 const TARGET_ERROR: f64 = 1e-9;
-/// The numbers' file.
 const FILE: &str = "precision.csv";
 const COLUMNS: [&str; 11] = [
     "scenario",
@@ -38,10 +34,6 @@ const COLUMNS: [&str; 11] = [
     "ratio_to_best_peer",
 ];
 
-/// Measures and draws every scenario.
-///
-/// # Errors
-/// [`ChartError`].
 pub fn build_chart(scenarios: &[Scenario], is_quick: bool) -> Result<ChartSection, ChartError> {
     let config = if is_quick {
         SweepConfig { rounds: 1, batch: Duration::ZERO, stride: 4 }
@@ -85,7 +77,7 @@ const EXPLANATION: [&str; 3] = [
      line is the cost of following the waveform step by step.",
 ];
 
-/// The part of the scenario's first trial, on the nominal plate without noise.
+/// Takes the first trial, on the nominal plate without noise.
 fn scenario_replay(scenario: &Scenario, window: Time) -> Result<Replay, ChartError> {
     let setpoint_um = scenario.setpoint.range().1;
     if setpoint_um <= 0.0 {
@@ -129,7 +121,6 @@ fn result_row(scenario: &Scenario, result: &SweepResult, all: &[SweepResult]) ->
     ]
 }
 
-/// Kind and value of a setting.
 fn setting_columns(solver: &Solver) -> (&'static str, Option<f64>) {
     match solver {
         Solver::Exact(_) => ("none", None),
@@ -148,7 +139,7 @@ const HEADLINE_COLUMNS: [&str; 7] = [
     "the same at a tolerance of 1e-9",
 ];
 
-/// Compares the closed form with the best published crate; `None` if no tier has the problem's closed form.
+/// `None` if no tier has the problem's closed form.
 fn headline_row(scenario: &Scenario, form: EquationForm, results: &[SweepResult]) -> Option<Vec<String>> {
     let problem = form.name();
     let exact = results.iter().find(|row| matches!(row.solver, Solver::Exact(tier) if tier.name() == problem))?;

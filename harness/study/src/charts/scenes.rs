@@ -15,12 +15,9 @@ use std::fmt::Write as _;
 
 const FILE: &str = "scenes.csv";
 const DRAWING: &str = "scenes.svg";
-/// A larger difference, in tolerances, is listed.
 const LISTED_DIFFERENCE: f64 = 0.1;
-/// Smaller differences are drawn here.
 const SCALE_FLOOR: f64 = 1e-9;
 
-/// One expectation on one model, compared with the most detailed model.
 struct MetricResult {
     name: String,
     value: Option<f64>,
@@ -37,7 +34,6 @@ impl MetricResult {
     }
 }
 
-/// A scenario on one model.
 struct ModelResult {
     tier: Tier,
     verdict: Verdict,
@@ -45,30 +41,26 @@ struct ModelResult {
     metrics: Vec<MetricResult>,
 }
 
-/// A scenario on all its models, the simplest first. The last one is the reference.
+/// The simplest model first; the last one is the reference.
 struct SceneResult<'a> {
     scenario: &'a Scenario,
     models: Vec<ModelResult>,
 }
 
-/// The cost of the whole run on a model.
 struct ModelCost {
     tier: Tier,
     scenario_count: usize,
-    /// Processor time per control period, µs.
+    /// Per control period.
     period_us: f64,
 }
 
-/// The models of a scenario: the carrier only if the plate has a converter, or if the scenario names it.
+/// The carrier only if the plate has a converter, or if the scenario names it.
 fn models(scenario: &Scenario) -> Vec<Tier> {
     let has_carrier = [scenario.tier, Tier::exact_for(&scenario.plate)].contains(&Tier::Carrier);
     Tier::ALL.into_iter().filter(|tier| *tier != Tier::Carrier || has_carrier).collect()
 }
 
-/// Plays and judges the scenarios on every model. The cost is the median over `rounds`.
-///
-/// # Errors
-/// [`ChartError`].
+/// The cost is the median over `rounds`.
 pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, ChartError> {
     let mut records: BTreeMap<&str, RunRecord> = BTreeMap::new();
     let mut costs: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
@@ -94,8 +86,8 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
     section(&results, &costs)
 }
 
-/// Plays the scenarios on the hosted rig. Returns the record, and the processor time of the whole run per control
-/// period, µs: plate, controller, trace and judgement.
+/// Returns the record and the processor time of the whole run per control period, µs: plate,
+/// controller, trace and judgement.
 fn play(scenarios: Vec<Scenario>) -> Result<(RunRecord, f64), ChartError> {
     let temporary = tempfile::tempdir()?;
     let folder = RunFolder::create(Some(&temporary.path().join("run")))?;
@@ -161,7 +153,6 @@ fn tolerance(expectation: &Expectation) -> f64 {
 }
 
 impl ModelResult {
-    /// The largest difference of a metric, in tolerances.
     fn largest_difference(&self) -> f64 {
         self.metrics.iter().map(|metric| metric.difference).fold(0.0, f64::max)
     }
@@ -173,7 +164,6 @@ fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Result<ChartSect
     let mut summary = String::new();
     for table in [&models, &differences] {
         for line in table.lines() {
-            // Writing to a string cannot fail.
             let _ = writeln!(summary, "  {line}");
         }
         summary.push('\n');
@@ -201,7 +191,6 @@ const EXPLANATION: [&str; 2] = [
      model of the scenario.",
 ];
 
-/// Scenarios, changes and cost by model.
 fn model_table(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Table {
     let mut table = Table::new([
         "model",
@@ -230,7 +219,6 @@ fn model_table(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Table {
     table
 }
 
-/// Changed verdicts and large differences.
 fn difference_table(results: &[SceneResult<'_>]) -> Table {
     let mut table =
         Table::new(["scenario", "model", "expectation", "value", "most detailed", "in tolerances", "verdict"]);
@@ -261,7 +249,6 @@ fn format_value(value: Option<f64>) -> String {
     value.map_or_else(|| "–".to_owned(), |value| format!("{value:.4}"))
 }
 
-/// Every expectation on every model.
 fn full_table(results: &[SceneResult<'_>]) -> Table {
     let mut table = Table::new([
         "scenario",

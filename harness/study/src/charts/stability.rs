@@ -11,16 +11,12 @@ use platebench_report::chart::{MapFigure, MapPanel, RigDelay};
 use platebench_report::page::PageBlock;
 use platebench_wire::LawId;
 
-/// Setpoint, response time and period of the paper, for the known limit.
 const SETPOINT_UM: f64 = 2.0;
 const RESPONSE_S: f64 = 2e-3;
 const PERIOD_S: f64 = 1e-3;
 const START_PERIODS: u32 = 4_000;
 
-/// Studies methods and loops. `rig` is the delay of a rig for the maps.
-///
-/// # Errors
-/// [`ChartError::Analysis`] or [`ChartError::Report`].
+/// `rig`: the delay of a rig for the maps.
 pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartSection, ChartError> {
     let result = study(config)?;
     let steps = step_limits(&config.plate);
@@ -42,7 +38,7 @@ pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartS
     Ok(ChartSection { title: "Where methods and loops become unstable", summary, blocks, files })
 }
 
-/// The largest median and the longest loop delay of the trials of a run. `None` if no trial has a loop delay.
+/// Largest median and longest loop delay of all trials; `None` if no trial has a loop delay.
 pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
     let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials);
     let delays = trials.filter_map(|trial| {
@@ -54,7 +50,7 @@ pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
     Some(RigDelay { typical_ms: typical * 1e-3, longest_ms: longest * 1e-3 })
 }
 
-/// Backward Euler without delay: its spectral radius is small, but from a detuned start it never settles.
+/// Backward Euler without delay: small spectral radius, but a detuned start never settles.
 fn known_limit(plate: &Plate) -> Result<String, AnalysisError> {
     let loops = PlainLoops::new(plate, Reading::Backward, RESPONSE_S, PERIOD_S);
     let starts = [OperatingCondition::Resonant, OperatingCondition::Detuned].map(|condition| {
@@ -64,7 +60,7 @@ fn known_limit(plate: &Plate) -> Result<String, AnalysisError> {
     Ok(table::format_plain_loop_starts(&starts.into_iter().collect::<Result<Vec<_>, AnalysisError>>()?))
 }
 
-/// The map of a law: one row per operating condition, one panel per response time. `None` for a law without a loop.
+/// One row per condition, one panel per response time; `None` for a law without a loop.
 fn build_map(study: &Study, law: LawId, rig: Option<RigDelay>) -> Option<MapFigure> {
     let ms = |seconds: &f64| seconds * 1e3;
     let maps: Vec<_> = study.maps.iter().filter(|map| map.law == law).collect();

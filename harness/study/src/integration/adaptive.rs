@@ -12,14 +12,11 @@ use differential_equations::solution::Solution;
 use ode_solvers::dop_shared::IntegrationError;
 use ode_solvers::{Dop853, Dopri5, OutputType, SVector, System};
 
-/// Largest number of steps per interval.
 const MAX_STEPS: u32 = 100_000;
 
-/// Runs a solver of `ode_solvers`; the solvers have no common trait. The constants are those of the
-/// crate: stabilisation β, smallest and largest change of the step.
-///
-/// Output at every step: dense output over the whole interval has an error that no tolerance
-/// changes (version 0.6).
+/// Runs a solver of `ode_solvers`, whose solvers have no common trait. The constants are those of
+/// the crate: stabilisation β, smallest and largest change of the step. Output at every step,
+/// because the error of dense output over the whole interval depends on no tolerance (version 0.6).
 macro_rules! integrate_sparse {
     ($solver:ident, $problem:expr, $x:expr, $seconds:expr, $tolerance:expr,
      $beta:expr, $smallest:expr, $largest:expr) => {{
@@ -46,7 +43,6 @@ macro_rules! integrate_sparse {
     }};
 }
 
-/// A method of a published crate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum AdaptiveMethod {
     /// Dormand and Prince 5(4) of `ode_solvers`.
@@ -60,13 +56,9 @@ pub enum AdaptiveMethod {
 }
 
 impl AdaptiveMethod {
-    /// Every method.
     pub const ALL: [Self; 4] = [Self::Dopri5, Self::Dop853, Self::DeDop853, Self::DeVerner98];
 
-    /// Integrates over `seconds` with `tolerance`, relative and in µm.
-    ///
-    /// # Errors
-    /// [`MethodFailure::CrateError`] with the crate's reason.
+    /// `tolerance` is relative and in µm.
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
         problem: &P,
@@ -89,7 +81,6 @@ impl AdaptiveMethod {
     }
 }
 
-/// Implements the crates' traits for a problem.
 struct CrateAdapter<'a, P>(&'a P);
 
 impl<const N: usize, P: Problem<N>> System<f64, SVector<f64, N>> for CrateAdapter<'_, P> {
@@ -106,7 +97,6 @@ impl<const N: usize, P: Problem<N>> ODE<f64, [f64; N]> for CrateAdapter<'_, P> {
     }
 }
 
-/// Ignores intermediate steps.
 struct NoStepOutput;
 
 impl<const N: usize> Solout<f64, [f64; N]> for NoStepOutput {

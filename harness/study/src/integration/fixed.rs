@@ -4,7 +4,6 @@ use crate::integration::failure::MethodFailure;
 use crate::integration::problem::Problem;
 use std::array::from_fn;
 
-/// A method with a fixed step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum FixedStepMethod {
     /// Explicit Euler, order 1.
@@ -19,10 +18,8 @@ pub enum FixedStepMethod {
 }
 
 impl FixedStepMethod {
-    /// Every method.
     pub const ALL: [Self; 4] = [Self::Euler, Self::RungeKutta4, Self::Midpoint, Self::Verlet];
 
-    /// The order of convergence.
     pub const fn order(self) -> u32 {
         match self {
             Self::Euler => 1,
@@ -31,10 +28,6 @@ impl FixedStepMethod {
         }
     }
 
-    /// Integrates over `seconds` in `steps` equal steps.
-    ///
-    /// # Errors
-    /// [`MethodFailure::UnsupportedProblem`] or [`MethodFailure::Singular`].
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
         problem: &P,

@@ -8,22 +8,17 @@ use crate::integration::problem::Problem;
 /// Largest magnitude of a component, µm.
 const DIVERGENCE_LIMIT_UM: f64 = 1e6;
 
-/// A general method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum IntegrationMethod {
-    /// With a fixed step.
     Fixed(FixedStepMethod),
-    /// From a published crate, with a tolerance.
     Adaptive(AdaptiveMethod),
 }
 
 impl IntegrationMethod {
-    /// Every method.
     pub fn all() -> impl Iterator<Item = Self> {
         FixedStepMethod::ALL.map(Self::Fixed).into_iter().chain(AdaptiveMethod::ALL.map(Self::Adaptive))
     }
 
-    /// The name in tables and legends.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Fixed(FixedStepMethod::Euler) => "explicit Euler",
@@ -37,7 +32,6 @@ impl IntegrationMethod {
         }
     }
 
-    /// True for a method of a published crate.
     pub const fn is_from_a_crate(self) -> bool {
         match self {
             Self::Fixed(_) => false,
@@ -45,12 +39,8 @@ impl IntegrationMethod {
         }
     }
 
-    /// The state after `seconds` of `problem`. `setting` is the longest step in s of a fixed-step
-    /// method, shortened to a whole number of steps, or the tolerance, relative and in µm, of an
-    /// adaptive one.
-    ///
-    /// # Errors
-    /// [`MethodFailure`] without a result.
+    /// `setting`: of a fixed-step method the longest step, s, shortened to a whole number of steps;
+    /// of an adaptive one the tolerance, relative and in µm.
     #[inline]
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
@@ -71,8 +61,7 @@ impl IntegrationMethod {
     }
 }
 
-/// Number of equal steps of at most `step` in `seconds`; tolerates a relative rounding error of
-/// 1e-9.
+/// Tolerates a relative rounding error of 1e-9.
 fn step_count(seconds: f64, step: f64) -> u32 {
     (seconds / step - 1e-9).ceil().max(1.0) as u32
 }

@@ -1,9 +1,9 @@
 //! Defines the plate's equations for general integrators: a vector and its rate.
 //!
-//! Vectors are real. Velocities are divided by a fixed angular frequency near the carrier's, so
-//! that all components are µm of similar size and one tolerance suits all. Problems are autonomous:
-//! a right-hand side that needs the time has it as a component, because `ode_solvers` 0.6.2 uses a
-//! wrong node in the twelfth stage of DOP853.
+//! Velocities are divided by a fixed angular frequency near the carrier's, so that all components
+//! are µm of similar size and one tolerance suits all. Problems are autonomous: a right-hand side
+//! that needs the time has it as a component, because `ode_solvers` 0.6.2 uses a wrong node in the
+//! twelfth stage of DOP853.
 
 use platebench_plate::{Complex64, Drive, Mode, State};
 
@@ -14,39 +14,31 @@ pub trait Problem<const N: usize>: Copy {
     /// The component that is the time in s since the start of the interval, if any.
     const CLOCK: Option<usize> = None;
 
-    /// x', per s.
     fn rate(&self, x: &[f64; N]) -> [f64; N];
 
     /// A at the time of `x`, per s; row and column of the clock are zero.
     fn matrix(&self, x: &[f64; N]) -> [[f64; N]; N];
 
-    /// One Störmer-Verlet step of `step` s; `None` if the problem is not of second order in a real
-    /// position.
+    /// One Störmer-Verlet step, s; `None` if the problem is not of second order in a real position.
     fn leapfrog(&self, _x: &[f64; N], _step: f64) -> Option<[f64; N]> {
         None
     }
 }
 
-/// Parameters of a problem.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProblemParameters {
-    /// The mode at the start of the interval.
     pub mode: Mode,
-    /// Rate of its damping, 1/s².
+    /// 1/s²; `omega0_rate` is rad/s².
     pub sigma_rate: f64,
-    /// Rate of its resonance, rad/s².
     pub omega0_rate: f64,
-    /// The drive, constant.
     pub drive: Drive,
 }
 
 impl ProblemParameters {
-    /// A constant mode.
     pub fn constant(mode: Mode, drive: Drive) -> Self {
         Self { mode, sigma_rate: 0.0, omega0_rate: 0.0, drive }
     }
 
-    /// True if the mode changes within the interval.
     pub fn is_time_varying(&self) -> bool {
         self.sigma_rate != 0.0 || self.omega0_rate != 0.0
     }
@@ -61,7 +53,6 @@ pub struct TimeVarying<P> {
 }
 
 impl<P> TimeVarying<P> {
-    /// `problem` with the rates of `situation`.
     pub fn new(problem: P, situation: &ProblemParameters) -> Self {
         Self { problem, sigma_rate: situation.sigma_rate, omega0_rate: situation.omega0_rate }
     }
@@ -77,18 +68,15 @@ pub struct EnvelopeProblem {
 }
 
 impl EnvelopeProblem {
-    /// The envelope at the start of `situation`.
     pub fn new(situation: &ProblemParameters) -> Self {
         let Mode { sigma, omega0, envelope_constant, .. } = situation.mode;
         Self { sigma, omega0, omega: situation.drive.omega, force: envelope_constant * situation.drive.vpp }
     }
 
-    /// A plate's state as a vector.
     pub fn pack(state: &State) -> [f64; 2] {
         [state.w.re, state.w.im]
     }
 
-    /// A vector as a plate's state.
     pub fn unpack(x: &[f64; 2]) -> State {
         State { w: Complex64::new(x[0], x[1]), u: Complex64::ZERO }
     }
@@ -129,8 +117,7 @@ impl TimeVarying<EnvelopeProblem> {
     }
 }
 
-/// The mode in the rotating frame: `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`; Re W, Im W,
-/// Re U/scale, Im U/scale, µm.
+/// `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`: Re W, Im W, Re U/scale, Im U/scale, µm.
 #[derive(Debug, Clone, Copy)]
 pub struct ModalProblem {
     sigma: f64,
@@ -141,18 +128,16 @@ pub struct ModalProblem {
 }
 
 impl ModalProblem {
-    /// The mode at the start of `situation`; `scale` in rad/s.
+    /// `scale` in rad/s.
     pub fn new(situation: &ProblemParameters, scale: f64) -> Self {
         let Mode { sigma, omega0, force_constant, .. } = situation.mode;
         Self { sigma, omega0, omega: situation.drive.omega, force: force_constant * situation.drive.vpp, scale }
     }
 
-    /// A plate's state as a vector.
     pub fn pack(state: &State, scale: f64) -> [f64; 4] {
         [state.w.re, state.w.im, state.u.re / scale, state.u.im / scale]
     }
 
-    /// A vector as a plate's state.
     pub fn unpack(x: &[f64; 4], scale: f64) -> State {
         State { w: Complex64::new(x[0], x[1]), u: Complex64::new(x[2], x[3]) * scale }
     }
@@ -205,8 +190,7 @@ impl TimeVarying<ModalProblem> {
     }
 }
 
-/// Equation 1 on the carrier: `y'' + 2σy' + ω0²y = (N/m) v(t)`, `v = Re(jV e^{jθ})`; y, y'/scale,
-/// µm, and the time in s.
+/// Equation 1: `y'' + 2σy' + ω0²y = (N/m) v(t)`, `v = Re(jV e^{jθ})`; y, y'/scale, µm; time, s.
 #[derive(Debug, Clone, Copy)]
 pub struct CarrierProblem {
     sigma: f64,
@@ -220,8 +204,7 @@ pub struct CarrierProblem {
 }
 
 impl CarrierProblem {
-    /// The mode in `situation`, which starts at the phase `theta` of the excitation, rad; `scale`
-    /// in rad/s.
+    /// `theta`: phase of the excitation at the start, rad; `scale` in rad/s.
     pub fn new(situation: &ProblemParameters, theta: f64, scale: f64) -> Self {
         let ProblemParameters { mode, sigma_rate, omega0_rate, drive } = *situation;
         let Mode { sigma, omega0, force_constant, .. } = mode;
@@ -229,7 +212,6 @@ impl CarrierProblem {
         Self { sigma, omega0, sigma_rate, omega0_rate, omega: drive.omega, theta, force, scale }
     }
 
-    /// A plate's state on the carrier at the phase `theta`.
     pub fn pack(state: &State, theta: f64, scale: f64) -> [f64; 3] {
         let ahead = Complex64::cis(theta);
         [(state.w * ahead).re, (state.u * ahead).re / scale, 0.0]
@@ -286,7 +268,6 @@ impl Problem<3> for CarrierProblem {
     }
 }
 
-/// A matrix with a row and a column of zeros for the clock.
 fn with_clock_row<const N: usize, const M: usize>(inner: &[[f64; N]; N]) -> [[f64; M]; M] {
     let mut outer = [[0.0; M]; M];
     for (row, values) in outer.iter_mut().zip(inner) {

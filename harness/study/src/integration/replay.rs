@@ -6,7 +6,6 @@ use crate::integration::problem::{CarrierProblem, EnvelopeProblem, ModalProblem,
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, State, Tier, Time};
 use std::f64::consts::TAU;
 
-/// Form of the plate's equations for a general method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum EquationForm {
     /// First order in the rotating frame.
@@ -18,10 +17,8 @@ pub enum EquationForm {
 }
 
 impl EquationForm {
-    /// Every form.
     pub const ALL: [Self; 3] = [Self::Envelope, Self::Modal, Self::Carrier];
 
-    /// Its name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Envelope => "envelope",
@@ -30,7 +27,6 @@ impl EquationForm {
         }
     }
 
-    /// The tier whose closed form solves the same equations.
     pub const fn tier(self) -> Tier {
         match self {
             Self::Envelope => Tier::Envelope,
@@ -39,7 +35,6 @@ impl EquationForm {
     }
 }
 
-/// An interval without a jump.
 #[derive(Debug, Clone, Copy)]
 struct ReplayInterval {
     end: Time,
@@ -57,24 +52,18 @@ impl ReplayInterval {
     }
 }
 
-/// Parameters of a replay.
 #[derive(Debug, Clone, Copy)]
 pub struct ReplaySpec<'a> {
-    /// The plate.
     pub plate: &'a Plate,
-    /// Temperature and force.
     pub scene: &'a ConditionProfiles,
     /// Drives with the time from which they act, in order.
     pub drives: &'a [(Time, Drive)],
-    /// Control period, above zero.
     pub period: Time,
-    /// End of the replay.
     pub end: Time,
     /// Reference of relative errors, µm.
     pub setpoint_um: f64,
 }
 
-/// A part of a trial, from rest, with its drives.
 #[derive(Debug, Clone)]
 pub struct Replay {
     plate: Plate,
@@ -84,20 +73,18 @@ pub struct Replay {
     scale: f64,
 }
 
-/// Result of a method.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReplayResult {
     /// W at the control instants, µm; on the carrier the phasor of y and y'.
     pub samples: Vec<Complex64>,
     /// Simulated seconds.
     pub seconds: f64,
-    /// Why the method stopped before the end.
     pub failure: Option<MethodFailure>,
 }
 
 impl Replay {
-    /// Splits the trial at every control instant, change of the drive and point of a profile. In
-    /// between, σ and ω0 are assumed linear, as profile and damping curve usually are.
+    /// Splits the trial at every control instant, change of the drive and point of a profile.
+    /// In between, σ and ω0 are assumed linear, as profile and damping curve usually are.
     pub fn new(course: &ReplaySpec<'_>) -> Self {
         let ReplaySpec { plate, scene, drives, period, end, setpoint_um } = *course;
         let mut drives = drives.iter().copied().peekable();
@@ -128,23 +115,20 @@ impl Replay {
         Self { plate: plate.clone(), scene: scene.clone(), intervals: pieces, setpoint_um, scale: plate.omega0 }
     }
 
-    /// True if a profile changes the mode within an interval, so that the exact propagation needs
-    /// substeps.
+    /// If a profile changes the mode within an interval, the exact propagation needs substeps.
     pub fn is_time_varying(&self) -> bool {
         self.intervals.iter().any(|piece| piece.situation.is_time_varying())
     }
 
-    /// Duration, s.
     pub fn seconds(&self) -> f64 {
         self.intervals.iter().map(|piece| piece.seconds).sum()
     }
 
-    /// A plate at rest at the start.
     pub fn plant(&self, tier: Tier) -> Plant {
         Plant::new(self.plate.clone(), self.scene.clone(), tier)
     }
 
-    /// Advances `plant` to the end; calls `see` with the state at each control instant.
+    /// Calls `see` with the state at each control instant.
     pub fn advance_plant(&self, plant: &mut Plant, mut see: impl FnMut(State)) {
         let mut crossings = Vec::new();
         for piece in &self.intervals {
@@ -156,12 +140,10 @@ impl Replay {
         }
     }
 
-    /// The exact propagation in the form `frame`.
     pub fn exact_samples(&self, frame: EquationForm) -> Vec<Complex64> {
         self.propagate_samples(frame.tier(), frame)
     }
 
-    /// W by `tier`.
     pub fn tier_samples(&self, tier: Tier) -> Vec<Complex64> {
         self.propagate_samples(tier, EquationForm::Modal)
     }
@@ -181,8 +163,7 @@ impl Replay {
         states.into_iter().zip(ends).map(seen).collect()
     }
 
-    /// Integrates the equations of `frame` by `method`; `setting` as in
-    /// [`IntegrationMethod::advance`]. Reuses the memory of `outcome`.
+    /// `setting` as in [`IntegrationMethod::advance`]. Reuses the memory of `outcome`.
     pub fn integrate(&self, frame: EquationForm, method: IntegrationMethod, setting: f64, outcome: &mut ReplayResult) {
         outcome.samples.clear();
         (outcome.seconds, outcome.failure) = (0.0, None);
@@ -273,7 +254,6 @@ impl Replay {
 }
 
 impl ReplayResult {
-    /// An empty result.
     pub fn new() -> Self {
         Self { samples: Vec::new(), seconds: 0.0, failure: None }
     }

@@ -1,5 +1,4 @@
-//! Finds the largest step at which a method's free motion decays, by bisection, and compares it
-//! with theory.
+//! Finds the largest step at which a method's free motion decays, and compares it with theory.
 //!
 //! The free motion of a step is a linear map. Steps of unit vectors give its matrix, squaring gives
 //! its spectral radius.
@@ -11,11 +10,9 @@ use platebench_plate::{Conditions, Drive, Flow, Mode, Plate, Tier};
 use std::array::from_fn;
 use std::fmt::Write as _;
 
-/// Range of the search, s.
 const STEP_RANGE_S: [f64; 2] = [1e-9, 1.0];
 /// Rounding error of a spectral radius of 1.
 const ROUNDING: f64 = 1e-11;
-/// Steps of the growth measurement on either side of a limit.
 const GROWTH_STEPS: u32 = 4_000;
 /// rad/s: tuned for 33 °C, at 24 °C.
 const DETUNING: f64 = -545.0;
@@ -23,36 +20,26 @@ const DETUNING: f64 = -545.0;
 /// Steps at which a method is stable.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum StepLimit {
-    /// None.
     Never,
     /// Up to this one, s.
     Step(f64),
-    /// All.
     Always,
 }
 
-/// A method's limit on a problem.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepLimitRow {
-    /// The method.
     pub method: &'static str,
-    /// The problem.
     pub problem: String,
     /// By bisection on the method's steps.
     pub measured: StepLimit,
-    /// By theory.
     pub predicted: StepLimit,
-    /// Source of the prediction.
     pub source: &'static str,
-    /// The measured limit in its usual unit.
     pub in_usual_unit: String,
-    /// Growth of the motion in 4 000 steps of 99 and 101 % of the limit, decades; `None` if too
-    /// small to measure.
+    /// Decades in 4 000 steps of 99 and 101 % of the limit; `None` if too small to measure.
     pub growth_decades: Option<[f64; 2]>,
 }
 
 impl StepLimitRow {
-    /// measured/predicted − 1 if both are steps.
     pub fn deviation(&self) -> Option<f64> {
         match (self.measured, self.predicted) {
             (StepLimit::Step(measured), StepLimit::Step(predicted)) => Some(measured / predicted - 1.0),
@@ -61,7 +48,6 @@ impl StepLimitRow {
     }
 }
 
-/// The step limit of each method on `plate`.
 pub fn step_limits(plate: &Plate) -> Vec<StepLimitRow> {
     let free = plate.mode(&Conditions::default());
     let pressed = plate.mode(&Conditions { finger_force_n: 2.0, ..Conditions::default() });
@@ -138,7 +124,7 @@ pub fn step_limits(plate: &Plate) -> Vec<StepLimitRow> {
     rows
 }
 
-/// The rows as CSV, with a header; steps in s.
+/// Steps are s.
 pub fn to_csv(rows: &[StepLimitRow]) -> String {
     let mut text = "method,problem,measured_step_s,predicted_step_s,deviation_percent,in_usual_unit,\
                     decades_at_99_percent,decades_at_101_percent,source\n"
@@ -153,7 +139,6 @@ pub fn to_csv(rows: &[StepLimitRow]) -> String {
         let deviation = row.deviation().map_or_else(String::new, |share| format!("{:.4}", share * 100.0));
         let [below, above] =
             row.growth_decades.map_or_else(Default::default, |both| both.map(|decades| format!("{decades:.2}")));
-        // Writing to a string cannot fail.
         let _ = writeln!(
             text,
             "{},{},{},{},{deviation},{},{below},{above},{}",
@@ -189,7 +174,6 @@ fn limit_row<const N: usize, P: Problem<N>>(
     StepLimitRow { method, problem: name.to_owned(), measured, predicted, source, in_usual_unit, growth_decades }
 }
 
-/// The step limit of the exact propagation.
 fn exact_form_limit(tier: Tier, mode: &Mode) -> StepLimitRow {
     let drive = Drive { vpp: 0.0, omega: mode.omega0 + DETUNING };
     let scale = mode.omega0;
@@ -212,13 +196,11 @@ fn exact_form_limit(tier: Tier, mode: &Mode) -> StepLimitRow {
     }
 }
 
-/// True if a growth by `factor` per step exceeds the beat of the components after [`GROWTH_STEPS`]
-/// steps.
+/// Compares with the beat of the components after [`GROWTH_STEPS`] steps.
 fn is_growth_measurable(factor: f64) -> bool {
     f64::from(GROWTH_STEPS) * factor.log10() > 1.0
 }
 
-/// One step of `method` from `x` with the clock's component at 0.
 fn free_step<const N: usize, P: Problem<N>>(
     method: FixedStepMethod,
     problem: &P,
@@ -236,8 +218,7 @@ fn free_step<const N: usize, P: Problem<N>>(
     after
 }
 
-/// The matched amplitude loop, tuned for the untouched plate, with the explicit Euler plate under 2
-/// N; one step per period.
+/// The matched amplitude loop, tuned for the untouched plate, with the explicit Euler plate at 2 N.
 fn closed_loop_limit(free: &Mode, pressed: &Mode) -> StepLimitRow {
     let limit_of = |stable: &dyn Fn(f64) -> f64| find_step_limit(stable);
     let measured =
@@ -288,7 +269,7 @@ impl MatchedPiLoop {
         Self { period, kp: (1.0 - pole) / (gain * (1.0 - zero)), zero }
     }
 
-    /// One period: Wd in µm and the integral in Vpp.
+    /// Wd in µm and the integral in Vpp.
     fn step(&self, mode: &Mode, [w, integral]: [f64; 2]) -> [f64; 2] {
         let drive = Drive { vpp: integral - self.kp * w, omega: mode.omega0 };
         let problem = EnvelopeProblem::new(&ProblemParameters::constant(*mode, drive));
@@ -297,13 +278,12 @@ impl MatchedPiLoop {
     }
 }
 
-/// The matrix of a linear map.
 fn matrix_of<const N: usize>(mut map: impl FnMut([f64; N]) -> [f64; N]) -> [[f64; N]; N] {
     let columns: [[f64; N]; N] = from_fn(|column| map(from_fn(|row| if row == column { 1.0 } else { 0.0 })));
     from_fn(|row| from_fn(|column| columns[column][row]))
 }
 
-/// The step at which `radius` exceeds 1, by scan and bisection to a relative error of 1e-9.
+/// Bisects to a relative error of 1e-9.
 fn find_step_limit(radius: impl Fn(f64) -> f64) -> StepLimit {
     let is_stable = |step: f64| radius(step) <= 1.0 + ROUNDING;
     let [mut low, longest] = STEP_RANGE_S;
@@ -343,7 +323,6 @@ fn spectral_radius<const N: usize>(matrix: &[[f64; N]; N]) -> f64 {
     logarithm.exp()
 }
 
-/// Growth of a motion in [`GROWTH_STEPS`] steps, decades.
 fn measure_growth_decades<const N: usize>(mut step: impl FnMut([f64; N]) -> [f64; N]) -> f64 {
     let mut x: [f64; N] = from_fn(|component| 1.0 / (1.0 + component as f64));
     let mut decades = 0.0;

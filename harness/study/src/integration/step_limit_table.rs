@@ -3,7 +3,6 @@
 use crate::integration::stability::{StepLimit, StepLimitRow};
 use std::fmt::Write as _;
 
-/// Explains the table.
 pub(crate) const NOTE: &str = "Up to this step the free motion of a method decays: measured by bisection on the \
     spectral radius of its step, and predicted by theory. The bench itself uses the exact forms, which have no limit.";
 

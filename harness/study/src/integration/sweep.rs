@@ -12,32 +12,23 @@ use std::time::Duration;
 
 /// Larger errors, in setpoints, count as a divergence: a plate at rest would be closer.
 const MAX_USEFUL_ERROR: f64 = 2.0;
-/// Reference of the exact propagation, and its replacement if a profile changes the mode.
+/// Reference of the exact propagation; replaces it if a profile changes the mode.
 const REFERENCE: (IntegrationMethod, f64) = (IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-13);
-/// A slower replay is measured once.
 const SLOW_REPLAY: Duration = Duration::from_millis(20);
-/// Largest number of plates prepared before the timer starts.
 const MAX_PLANTS: u32 = 4_096;
 
-/// Extent of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SweepConfig {
-    /// Rounds over all solvers; the median counts.
+    /// Over all solvers; the median counts.
     pub rounds: u32,
-    /// Shortest duration of a measurement.
     pub batch: Duration,
-    /// Takes every n-th setting.
     pub stride: usize,
 }
 
-/// Status of a setting.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SolverStatus {
-    /// Has a result.
     Ok,
-    /// Diverged.
     Diverged,
-    /// No result, for this reason.
     Failed(String),
 }
 
@@ -51,17 +42,14 @@ impl std::fmt::Display for SolverStatus {
     }
 }
 
-/// A solver with its setting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Solver {
-    /// The exact propagation.
     Exact(Tier),
-    /// A general method on a form of the equations, with its step in s or its tolerance.
+    /// Step in s, or tolerance.
     General(EquationForm, IntegrationMethod, f64),
 }
 
 impl Solver {
-    /// The method's name.
     pub const fn method(&self) -> &'static str {
         match self {
             Self::Exact(_) => "exact",
@@ -69,7 +57,6 @@ impl Solver {
         }
     }
 
-    /// The name of the equations.
     pub const fn problem(&self) -> &'static str {
         match self {
             Self::Exact(tier) => tier.name(),
@@ -77,7 +64,6 @@ impl Solver {
         }
     }
 
-    /// True for a method of a published crate.
     pub const fn is_from_a_crate(&self) -> bool {
         match self {
             Self::Exact(_) => false,
@@ -86,43 +72,34 @@ impl Solver {
     }
 }
 
-/// Result of one setting.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweepResult {
-    /// The solver.
     pub solver: Solver,
-    /// Its status.
     pub status: SolverStatus,
-    /// max |ΔW|/setpoint at the control instants against the exact solution of the same equations;
-    /// infinite without a result.
+    /// max |ΔW|/setpoint at the control instants against the exact solution of the same equations.
     pub numerical_error: f64,
-    /// The same for the exact solution of these equations against that of the mode; independent of
-    /// the step.
+    /// As above, the exact solution of these equations against that of the mode.
     pub model_error: f64,
-    /// The same for the result against the exact solution of the mode.
+    /// As above, the result against the exact solution of the mode.
     pub total_error: f64,
-    /// Processor time per simulated time, ns/ms.
+    /// Processor time per simulated time.
     pub ns_per_ms: f64,
 }
 
-/// Measures the cost of a solver.
 struct SolverTimer<'a> {
     passage: &'a Replay,
     solver: Solver,
     repeats: u32,
-    /// True if one replay takes longer than [`SLOW_REPLAY`].
     is_slow: bool,
     costs: Vec<f64>,
     outcome: ReplayResult,
 }
 
 impl SolverTimer<'_> {
-    /// ns per simulated ms over `repeats` replays.
     fn measure_cost(&mut self) -> f64 {
         let repeats = self.repeats;
         let (elapsed, seconds) = match self.solver {
             Solver::Exact(tier) => {
-                // Prepared before the timer starts.
                 let mut plants: Vec<Plant> = (0..repeats).map(|_| self.passage.plant(tier)).collect();
                 let started = thread_cpu_time();
                 for plant in &mut plants {
@@ -144,7 +121,7 @@ impl SolverTimer<'_> {
         elapsed.as_nanos() as f64 / (f64::from(repeats) * seconds * 1e3)
     }
 
-    /// Determines the number of replays per batch; also the warm-up.
+    /// Finds the number of replays per batch; also the warm-up.
     fn calibrate(&mut self, batch: Duration) {
         self.repeats = 1;
         let once = self.measure_cost();
@@ -154,7 +131,6 @@ impl SolverTimer<'_> {
     }
 }
 
-/// Measures the exact propagation of every tier and every method on `passage`.
 pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
     let truths = ReferenceSolutions::new(passage);
     let exact = Tier::ALL.map(Solver::Exact);
@@ -183,7 +159,6 @@ pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
     }
     // In turn, so that other load affects all solvers equally.
     for round in 0..effort.rounds.max(1) {
-        // A slow replay is measured once: it averages by itself.
         for runner in runners.iter_mut().filter(|runner| round == 0 || !runner.is_slow) {
             let cost = runner.measure_cost();
             runner.costs.push(cost);
@@ -192,7 +167,6 @@ pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
     runners.into_iter().map(|runner| truths.measure_errors(runner)).collect()
 }
 
-/// Reference solutions of each form of the equations.
 struct ReferenceSolutions<'a> {
     passage: &'a Replay,
     /// Exact propagation and tightest integration, in the order of [`EquationForm::ALL`].
@@ -215,8 +189,7 @@ impl<'a> ReferenceSolutions<'a> {
         found.map_or([&[], &[]], |(_, [exact, tight])| [exact, tight])
     }
 
-    /// The exact propagation; the tightest integration if the mode varies, because the former then
-    /// needs substeps.
+    /// The tightest integration if the mode varies: the exact propagation then needs substeps.
     fn best(&self, frame: EquationForm) -> &[Complex64] {
         let [exact, tight] = self.of(frame);
         if self.passage.is_time_varying() { tight } else { exact }
@@ -231,7 +204,6 @@ impl<'a> ReferenceSolutions<'a> {
         let own = match runner.solver {
             // No general method solves the decoupled equations; their error is the model's.
             Solver::Exact(Tier::Linear) => &samples,
-            // Not compared with itself.
             Solver::Exact(_) => self.of(frame)[1],
             Solver::General(..) => self.best(frame),
         };
@@ -262,8 +234,7 @@ impl<'a> ReferenceSolutions<'a> {
     }
 }
 
-/// The equations of a tier: for the linear tier those that it simplifies, for the carrier those of
-/// its W.
+/// For the linear tier the equations that it simplifies, for the carrier those of its W.
 const fn form_of_tier(tier: Tier) -> EquationForm {
     match tier {
         Tier::Linear | Tier::Envelope => EquationForm::Envelope,
@@ -271,7 +242,7 @@ const fn form_of_tier(tier: Tier) -> EquationForm {
     }
 }
 
-/// Steps in s or tolerances, from coarse to fine; empty if the method does not support the form.
+/// Steps in s or tolerances, coarse to fine; empty if the method does not support the form.
 fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
     let halved = |powers: &[i32]| powers.iter().map(|power| 1e-3 * 0.5_f64.powi(*power)).collect();
     let decades = |from: i32, to: i32| (from..=to).map(|decade| 10.0_f64.powi(-decade)).collect();
@@ -299,7 +270,6 @@ fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
     }
 }
 
-/// The cheapest method of a published crate on `frame` whose numerical error is at most `error`.
 pub fn cheapest_from_a_crate<'a>(measured: &'a [SweepResult], problem: &str, error: f64) -> Option<&'a SweepResult> {
     let fits = |candidate: &&SweepResult| {
         candidate.solver.is_from_a_crate()

@@ -9,27 +9,22 @@ use std::f64::consts::TAU;
 
 /// A drive limit that no small motion reaches, Vpp.
 const UNREACHED_LIMIT_VPP: f64 = 1e5;
-/// Range of the excitation frequency, Hz: a start 9 K off and, for `frequency-only`, the flank
-/// beyond it.
+/// A start 9 K off and, for `frequency-only`, the flank beyond it.
 const RANGE_HZ: f64 = 400.0;
 const BISECTIONS: u32 = 60;
 
-/// Condition of the plate and the excitation at the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum OperatingCondition {
-    /// Untouched, excitation starting at the resonance.
     Resonant,
     /// Untouched, excitation starting where the resonance is at 33 °C: 545 rad/s too low (Fig. 14).
     Detuned,
-    /// Under a finger of 2 N, excitation starting at the resonance (Fig. 16).
+    /// Under a finger of 2 N (Fig. 16).
     Finger,
 }
 
 impl OperatingCondition {
-    /// Every condition.
     pub const ALL: [Self; 3] = [Self::Resonant, Self::Detuned, Self::Finger];
 
-    /// The name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Resonant => "resonant",
@@ -38,13 +33,12 @@ impl OperatingCondition {
         }
     }
 
-    /// Temperature and force.
     pub fn conditions(self) -> Conditions {
         let finger_force_n = if self == Self::Finger { 2.0 } else { 0.0 };
         Conditions { temperature_offset_k: 0.0, finger_force_n }
     }
 
-    /// Excitation at the start, rad/s.
+    /// rad/s.
     pub fn start_omega(self, plate: &Plate) -> f64 {
         let mode = plate.mode(&self.conditions());
         let warmer_k = if self == Self::Detuned { 9.0 } else { 0.0 };
@@ -55,53 +49,44 @@ impl OperatingCondition {
 /// A law on a plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoopCase<'a> {
-    /// The plate.
     pub plate: &'a Plate,
-    /// The law of the firmware under test.
     pub law: LawId,
-    /// The condition.
     pub condition: OperatingCondition,
-    /// Control period, µs, above 0.
+    /// µs, above 0.
     pub period_us: u32,
     /// 5 % response time of the design, s; the law's default if `None`.
     pub response_s: Option<f64>,
-    /// Gains that replace the law's design.
     pub gains: Option<Gains>,
 }
 
 impl<'a> LoopCase<'a> {
-    /// A law with its own design at 1 kHz.
     pub fn new(plate: &'a Plate, law: LawId, condition: OperatingCondition) -> Self {
         Self { plate, law, condition, period_us: 1_000, response_s: None, gains: None }
     }
 
-    /// The control period, s.
     pub fn period(&self) -> f64 {
         f64::from(self.period_us) * 1e-6
     }
 
-    /// The response time of the design, s.
     pub fn response(&self) -> f64 {
         self.response_s.unwrap_or(design::default_response_time_s(self.law))
     }
 
-    /// The mode under the case's condition.
     pub fn mode(&self) -> Mode {
         self.plate.mode(&self.condition.conditions())
     }
 
-    /// The setpoint, µm: 2 as in the paper; 1 for `frequency-only`, whose fixed drive reaches no
-    /// more under the finger.
+    /// µm: 2 as in the paper; 1 for `frequency-only`, whose drive reaches no more under a finger.
     pub fn setpoint(&self) -> f64 {
         if self.law == LawId::FrequencyOnly { 1.0 } else { 2.0 }
     }
 
-    /// The drive limit, Vpp: unreachable, except for `frequency-only`, whose drive is half of it.
+    /// Vpp: unreachable, except for `frequency-only`, whose drive is half of it.
     pub fn limit(&self) -> f64 {
         if self.law == LawId::FrequencyOnly { self.plate.drive_limit_vpp } else { UNREACHED_LIMIT_VPP }
     }
 
-    /// The controller's configuration: the nominal plate, not the condition.
+    /// Configures the controller for the nominal plate, not for the condition.
     pub fn configure(&self) -> Configure {
         Configure {
             law: self.law,
@@ -152,13 +137,11 @@ impl<'a> LoopCase<'a> {
         })
     }
 
-    /// The constant drive of `frequency-only`, Vpp.
     fn frequency_only_drive(&self) -> f64 {
         f64::from(design::FREQUENCY_ONLY_DRIVE_SHARE) * self.limit()
     }
 
     /// Plate and law, linearised around the steady state; `None` without one.
-    ///
     /// * `dq-pi` and `deadbeat` adapt to the plate's damping. In steady state they know it, and a
     ///   small motion changes gains that act on a small error: to first order they are loops
     ///   matched to the present plate.
@@ -197,8 +180,7 @@ impl<'a> LoopCase<'a> {
         Some((plant, controller))
     }
 
-    /// Gains of amplitude and frequency loop: plants K1/(1 + τp) and −τ/(1 + τp), of the untouched
-    /// or the present plate.
+    /// Plants K1/(1 + τp) and −τ/(1 + τp), of the untouched or of the present plate.
     fn loop_gains(&self) -> [PiGains; 2] {
         let period = self.period();
         if let Some(gains) = self.gains {
@@ -218,7 +200,6 @@ impl<'a> LoopCase<'a> {
             let share = 1.0 - design::closed_loop_pole(response, period);
             return [integral_only(share * design::inverse_slope(detuning, tau)); 2];
         }
-        // These laws follow the present plate's damping.
         let is_adaptive = matches!(self.law, LawId::DqPi | LawId::Deadbeat);
         let present_tau = if is_adaptive { 1.0 / self.mode().sigma } else { tau };
         let plants = [gain * present_tau / tau, present_tau];

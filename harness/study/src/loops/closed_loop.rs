@@ -14,12 +14,11 @@ use platebench_plate::Complex64;
 /// Limit of the eigenvalue solver's iterations per state; it needs two or three.
 const ITERATIONS_PER_STATE: usize = 100;
 
-/// When a controller samples and when its command acts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoopTiming {
     /// Control period Ts, s, above 0.
     pub period: f64,
-    /// Delay from sampling to actuation, s, 0 or more; may exceed a period.
+    /// Delay from sampling to actuation, s; may exceed a period.
     pub delay: f64,
 }
 
@@ -28,7 +27,6 @@ impl LoopTiming {
     pub(crate) fn split_delay(&self) -> (usize, f64) {
         let whole = (self.delay / self.period).floor();
         let rest = self.delay - whole * self.period;
-        // A rest within rounding is none.
         if rest < 1e-9 * self.period {
             (whole as usize, 0.0)
         } else if rest > (1.0 - 1e-9) * self.period {
@@ -39,18 +37,14 @@ impl LoopTiming {
     }
 }
 
-/// Why a loop cannot be analysed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum AnalysisError {
-    /// A gain, pole or time is not finite, or a period not above 0.
     #[error("a number of the loop is not finite, or its period is not above 0")]
     NotFinite,
-    /// The eigenvalues were not found.
     #[error("the poles of the loop were not found")]
     NoConvergence,
 }
 
-/// A closed loop.
 #[derive(Debug, Clone)]
 pub struct ClosedLoop {
     pub(crate) plant: LinearPlant,
@@ -60,15 +54,10 @@ pub struct ClosedLoop {
     free_motion: DMatrix<f64>,
     /// Effect of each command on the next state.
     inputs: DMatrix<f64>,
-    /// Commands as functions of the state.
     outputs: DMatrix<f64>,
 }
 
 impl ClosedLoop {
-    /// The loop of `controller` around `plant`.
-    ///
-    /// # Errors
-    /// [`AnalysisError::NotFinite`].
     pub fn new(plant: LinearPlant, controller: LinearController, timing: LoopTiming) -> Result<Self, AnalysisError> {
         let usable = timing.period > 0.0 && timing.delay >= 0.0 && (timing.delay / timing.period).is_finite();
         if !usable {
@@ -119,38 +108,29 @@ impl ClosedLoop {
         }
     }
 
-    /// The matrix of one period.
     pub fn matrix(&self) -> DMatrix<f64> {
         &self.free_motion + &self.inputs * &self.outputs
     }
 
-    /// The poles of the closed loop in the z plane. Those of pending commands are at or near 0.
-    ///
-    /// # Errors
-    /// [`AnalysisError::NoConvergence`].
+    /// Poles in the z plane. Those of pending commands are at or near 0.
     pub fn poles(&self) -> Result<Vec<Complex64>, AnalysisError> {
         let matrix = self.matrix();
         let mut balanced = matrix.clone();
         balance_parlett_reinsch(&mut balanced);
         let limit = ITERATIONS_PER_STATE * matrix.nrows();
-        // For a few matrices the solver's shifts cycle; the transpose has the same eigenvalues and
-        // converges.
+        // For a few matrices the solver's shifts cycle; the transpose has the same eigenvalues.
         let forms = [balanced.clone(), balanced.transpose(), matrix.clone(), matrix.transpose()];
         let schur = forms.into_iter().find_map(|form| Schur::try_new(form, f64::EPSILON, limit));
         Ok(schur.ok_or(AnalysisError::NoConvergence)?.complex_eigenvalues().iter().copied().collect())
     }
 
-    /// The largest magnitude of a pole: below 1 the loop is stable.
-    ///
-    /// # Errors
-    /// [`AnalysisError::NoConvergence`].
+    /// Largest magnitude of a pole: below 1 the loop is stable.
     pub fn spectral_radius(&self) -> Result<f64, AnalysisError> {
         Ok(self.poles()?.iter().fold(0.0, |largest, pole| pole.norm().max(largest)))
     }
 
-    /// The loop transfer function L(z) of the drive (0) or the frequency (1) with the other loop
-    /// closed; the poles of the closed loop satisfy `L = −1`. `None` without such a loop, or at a
-    /// pole of L.
+    /// L(z) of the drive (0) or the frequency (1) with the other loop closed;
+    /// `L = −1` at the closed loop's poles. `None` without such a loop, or at a pole of L.
     pub(crate) fn open_loop_transfer(&self, kind: usize) -> Option<impl Fn(Complex64) -> Option<Complex64>> {
         self.controller.closed_channels().get(kind).copied().filter(|closes| *closes)?;
         let other = 1 - kind;

@@ -3,8 +3,7 @@
 use nalgebra::Matrix2;
 use platebench_controller::design;
 
-/// A proportional-integral controller as it runs: `u = proportional · e + x`, then `x +=
-/// integral_per_period · e`. The firmware's type and design, in f64.
+/// `u = proportional · e + x`, then `x += integral_per_period · e`. The firmware's type, in f64.
 pub type PiGains = design::PiGains<f64>;
 
 /// Reading (discretisation) of equation 24.
@@ -20,10 +19,8 @@ pub enum Reading {
 }
 
 impl Reading {
-    /// Every reading.
     pub const ALL: [Self; 3] = [Self::Forward, Self::Backward, Self::Matched];
 
-    /// The name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Forward => "forward Euler, as printed",
@@ -44,21 +41,16 @@ impl Reading {
     }
 }
 
-/// One loop: its error and its controller.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoopChannel {
-    /// Its controller, output in Vpp or rad/s.
     pub pi: PiGains,
     /// The error per µm of deviation of Wd and of Wq.
     pub error_weights: [f64; 2],
 }
 
-/// Two loops on one plate: drive and excitation frequency.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LinearController {
-    /// Loop of the drive, Vpp.
     pub drive: Option<LoopChannel>,
-    /// Loop of the excitation frequency, rad/s.
     pub frequency: Option<LoopChannel>,
     /// Feedforward of the drive, Vpp per µm of setpoint.
     pub feedforward: f64,
@@ -77,7 +69,6 @@ impl LinearController {
         })
     }
 
-    /// Whether drive and frequency have a loop.
     pub(crate) fn closed_channels(&self) -> [bool; 2] {
         [self.drive.is_some(), self.frequency.is_some()]
     }

@@ -7,30 +7,24 @@ use platebench_plate::Complex64;
 use platebench_runner::delay_boundary::DelayBoundary;
 use std::f64::consts::PI;
 
-/// Number of frequencies from the lowest to half the sampling frequency, logarithmically spaced.
 const FREQUENCIES: u32 = 400;
-/// rad per period.
 const LOWEST_FREQUENCY: f64 = 1e-3;
 const BISECTIONS: u32 = 40;
 /// Step of the delay scan as a share of a period.
 const SCAN_STEP: f64 = 0.05;
 
-/// Gain and phase margin of the worse of both channels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StabilityMargins {
-    /// Factor by which the gain may rise; below 1 it must fall. `None` if no gain makes the loop
-    /// unstable.
+    /// Factor by which the gain may rise; below 1 it must fall. `None` if it is unlimited.
     pub gain: Option<f64>,
-    /// Phase margin at |L| = 1, degrees; `None` if |L| is never 1.
+    /// At |L| = 1; `None` if |L| is never 1.
     pub phase_deg: Option<f64>,
 }
 
 impl ClosedLoop {
-    /// Gain and phase margin on the unit circle: the smaller of both loops, each with the other
-    /// closed.
-    ///
-    /// These loops are stable at small gain, so a rising gain meets the outermost crossing of the
-    /// negative real axis; half the sampling frequency, where L is real, counts.
+    /// The smaller margin of both loops, each with the other closed. These loops are stable at
+    /// small gain, so a rising gain meets the outermost crossing of the negative real axis (or L at
+    /// half the rate).
     pub fn margins(&self) -> StabilityMargins {
         let mut margins = StabilityMargins { gain: None, phase_deg: None };
         let smaller = |known: Option<f64>, new: f64| Some(known.map_or(new, |known| known.min(new)));
@@ -69,7 +63,6 @@ fn frequency_grid() -> Vec<f64> {
     (0..=FREQUENCIES).map(|n| LOWEST_FREQUENCY * (ratio * f64::from(n) / f64::from(FREQUENCIES)).exp()).collect()
 }
 
-/// The argument between `low` and `high` at which `value` changes its sign.
 fn bisect(mut low: f64, mut high: f64, value: impl Fn(f64) -> Option<f64>) -> f64 {
     let sign = value(low).unwrap_or(0.0).signum();
     for _ in 0..BISECTIONS {
@@ -83,11 +76,7 @@ fn bisect(mut low: f64, mut high: f64, value: impl Fn(f64) -> Option<f64>) -> f6
     f64::midpoint(low, high)
 }
 
-/// The first delay at which the spectral radius reaches 1, up to `longest` s. Fractions of a period
-/// are exact. The delay margin at a given delay is the difference.
-///
-/// # Errors
-/// As [`ClosedLoop::new`] and [`ClosedLoop::poles`].
+/// First delay, up to `longest` s, at which the spectral radius reaches 1.
 pub fn delay_boundary(
     plant: &LinearPlant,
     controller: &LinearController,

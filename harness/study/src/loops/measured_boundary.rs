@@ -3,9 +3,6 @@
 //! The loop reaches its steady state without delay. Then its commands act late, one sample is
 //! perturbed, and the perturbation decays or grows. The drive limit does not act. `deadbeat` starts
 //! without delay, so its holding loops know of none.
-//!
-//! [`measure_delay_boundary_from_rest`] measures whether the law reaches its setpoint if the delay
-//! acts from the start.
 
 use crate::loops::case::LoopCase;
 use platebench_plate::{Complex64, Tier, Time};
@@ -21,33 +18,27 @@ const STEADY_TOLERANCE: f64 = 1e-4;
 const PERTURBATION: f64 = 3e-2;
 /// The same for laws that identify the plate from each sample, which must treat it as noise.
 const PERTURBATION_OF_ADAPTIVE_LAWS: f64 = 3e-3;
-/// Growth beyond which a motion is no small one.
+/// Growth beyond which a motion is not small.
 const DIVERGENCE_FACTOR: f64 = 8.0;
 /// Resolution of the frequency in mHz and of f32, as a share of the setpoint.
 const RESOLUTION: f64 = 5e-5;
 /// Periods until the slowest pole dominates, and the length of the two compared windows.
 const TRANSIENT_PERIODS: usize = 40;
 const WINDOW: usize = 160;
-/// A hunting loop never rests. It is stable if |W| stays within this share of the setpoint in the
-/// last periods.
+/// A hunting loop is stable if |W| stays within this share of the setpoint in the last periods.
 const HUNT_BAND: f64 = 0.05;
 const HUNT_PERIODS: usize = 3_000;
 const HUNT_WINDOW: usize = 300;
-/// Motion of a loop at a delay.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LoopMotion {
     /// Decays or grows by this factor per period.
     Factor(f64),
-    /// Decayed too fast to measure the factor.
     Decayed,
-    /// Hunts within bounds.
     BoundedHunting,
-    /// Hunts beyond bounds.
     UnboundedHunting,
 }
 
 impl LoopMotion {
-    /// True if it decays or stays within bounds.
     pub fn is_stable(self) -> bool {
         match self {
             Self::Factor(factor) => factor < 1.0,
@@ -67,13 +58,13 @@ pub struct LoopSimulation {
     steady: Complex64,
 }
 
-/// The case at rest; `None` if the firmware rejects its configuration.
+/// `None` if the firmware rejects the configuration.
 pub fn loop_at_rest(case: &LoopCase<'_>) -> Option<DelayedLoop> {
     DelayedLoop::new(&case.configure(), case.plate, case.condition.conditions(), Tier::Modal, case.setpoint())
 }
 
 impl LoopSimulation {
-    /// The case in its steady state; `None` if it has none without delay.
+    /// `None` if the case has no steady state without delay.
     pub fn in_steady_state(case: &LoopCase<'_>) -> Option<Self> {
         let mut delayed_loop = loop_at_rest(case)?;
         let mut steady = Complex64::ZERO;
@@ -100,7 +91,6 @@ impl LoopSimulation {
         })
     }
 
-    /// Motion after one perturbed sample if commands act after `delay`.
     pub fn perturbed_motion(mut self, delay: Time) -> LoopMotion {
         if self.is_hunting_law {
             return self.hunting_motion(delay);
@@ -125,7 +115,7 @@ impl LoopSimulation {
         }
     }
 
-    /// Motion of a hunting loop, which needs no perturbation.
+    /// A hunting loop needs no perturbation.
     fn hunting_motion(mut self, delay: Time) -> LoopMotion {
         for number in 0..HUNT_PERIODS {
             let Some(w) = self.delayed_loop.step(delay, 0.0) else { return LoopMotion::UnboundedHunting };
@@ -138,15 +128,13 @@ impl LoopSimulation {
     }
 }
 
-/// The longest delay, up to `longest` s, at which the controller holds its steady state. `None`
-/// without a steady state.
+/// Longest delay, up to `longest` s, that holds the steady state; `None` without a steady state.
 pub fn measure_delay_boundary(case: &LoopCase<'_>, longest: f64) -> Option<DelayBoundary> {
     let simulation = LoopSimulation::in_steady_state(case)?;
     Some(search_boundary(case.period(), longest, |delay| simulation.clone().perturbed_motion(delay).is_stable()))
 }
 
-/// The longest delay, up to `longest` s, with which the controller reaches 5 % of its setpoint from
-/// rest and stays there.
+/// Longest delay, up to `longest` s, with which a start from rest reaches and keeps the 5 % band.
 pub fn measure_delay_boundary_from_rest(case: &LoopCase<'_>, longest: f64) -> DelayBoundary {
     loop_at_rest(case).map_or(DelayBoundary::Unstable, |at_rest| at_rest.settling_boundary(longest))
 }

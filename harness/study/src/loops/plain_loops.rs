@@ -10,23 +10,19 @@ use crate::loops::controller::{LinearController, LoopChannel, PiGains, Reading};
 use crate::loops::plant::LinearPlant;
 use platebench_plate::{Complex64, Drive, Flow, Plate, State, Tier};
 
-/// Half the band of the settling time.
 const BAND: f64 = 0.05;
 /// Amplitude of a divergence in setpoints.
 const DIVERGENCE_LIMIT: f64 = 1e6;
 
-/// Two loops in f64.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlainLoops {
     /// Drive from the error of Wd, Vpp per µm.
     pub amplitude: PiGains,
     /// Excitation from Wq/Wd, rad/s.
     pub frequency: PiGains,
-    /// Control period, s.
     pub period: f64,
 }
 
-/// Result of a start from rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StartResult {
     /// First control instant from which |W| stays within 5 % of the setpoint, s.
@@ -35,7 +31,7 @@ pub struct StartResult {
     pub range: [f64; 2],
     /// ω − ω0 at the end, rad/s.
     pub detuning: f64,
-    /// True if W diverged, or the excitation left the resonance by the resonance frequency.
+    /// W diverged, or the excitation left the resonance by the resonance frequency.
     pub diverged: bool,
 }
 
@@ -47,10 +43,7 @@ impl PlainLoops {
         Self { amplitude, frequency, period }
     }
 
-    /// The loops around their steady state under `condition`, on the envelope and without delay.
-    ///
-    /// # Errors
-    /// As [`ClosedLoop::new`].
+    /// Linearises around the steady state under `condition`, on the envelope and without delay.
     pub fn linearise(
         &self,
         plate: &Plate,
@@ -68,7 +61,7 @@ impl PlainLoops {
         ClosedLoop::new(LinearPlant::linearised_at(Tier::Envelope, &mode, &drive), controller, timing)
     }
 
-    /// A start from rest towards `setpoint` µm over `periods`, without delay.
+    /// Starts from rest towards `setpoint` µm, without delay.
     pub fn simulate_start(
         &self,
         plate: &Plate,
@@ -88,7 +81,6 @@ impl PlainLoops {
             if number >= periods - periods / 4 {
                 result.range = [result.range[0].min(share), result.range[1].max(share)];
             }
-            // At rest there is no ratio.
             let ratio = if wd == 0.0 { 0.0 } else { wq / wd };
             let mut outputs = [0.0; 2];
             let loops = [(self.amplitude, setpoint - wd), (self.frequency, ratio)];

@@ -13,7 +13,6 @@
 
 use platebench_plate::{Complex64, Drive, Flow, Mode, State, Tier};
 
-/// One pole of the plate in the rotating frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pole {
     /// The pole s, 1/s.
@@ -25,12 +24,11 @@ pub struct Pole {
 }
 
 impl Pole {
-    /// `e^{sh}` after `seconds`.
     pub(crate) fn transition(&self, seconds: f64) -> Complex64 {
         (self.value * seconds).exp()
     }
 
-    /// Effects of a unit of drive and of frequency after `seconds`.
+    /// Effects of a unit of drive and of a unit of frequency.
     pub(crate) fn input_effects(&self, seconds: f64) -> [Complex64; 2] {
         let phi = (self.transition(seconds) - 1.0) / self.value;
         [phi * self.drive_gain, phi * self.frequency_gain]
@@ -80,7 +78,7 @@ impl LinearPlant {
         Self { poles, operating_point: at }
     }
 
-    /// The poles, the slow one first.
+    /// The slow pole first.
     pub fn poles(&self) -> &[Pole] {
         &self.poles
     }

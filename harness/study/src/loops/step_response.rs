@@ -5,9 +5,7 @@ use nalgebra::Vector2;
 use platebench_plate::Complex64;
 use std::collections::VecDeque;
 
-/// Points per period at which the response is read.
 const POINTS_PER_PERIOD: u32 = 40;
-/// Half the band of the settling time.
 const BAND: f64 = 0.05;
 /// Amplitude of a divergence in setpoints.
 const DIVERGENCE_LIMIT: f64 = 1e3;
@@ -17,20 +15,16 @@ const DIVERGENCE_LIMIT: f64 = 1e3;
 pub struct StepResponse {
     /// 5 % settling time, s; `None` if the response is outside at the end.
     pub settling: Option<f64>,
-    /// Overshoot as a share of the step.
+    /// As a share of the step.
     pub overshoot: f64,
-    /// Highest drive, Vpp.
+    /// Vpp.
     pub peak_drive: f64,
-    /// True if the response diverged.
     pub diverged: bool,
 }
 
 impl ClosedLoop {
-    /// The response of W, along the phase of its steady state, to a setpoint step from 0 to
-    /// `setpoint` µm at the first control instant, over `periods`.
-    ///
-    /// At resonance the loop is linear in the amplitude, so the response from rest is exact.
-    /// Otherwise it is the scaled response to a small step.
+    /// Response of W, along the phase of its steady state, to a setpoint step from rest, µm.
+    /// Exact at resonance; otherwise the scaled response to a small step.
     pub fn step_response(&self, setpoint: f64, periods: u32) -> StepResponse {
         let [direct, integral] = self.controller.matrices();
         let along = self.output_direction();
@@ -68,7 +62,6 @@ impl ClosedLoop {
                     response.overshoot = response.overshoot.max(share - 1.0);
                     let (was, is) = ((before - 1.0).abs() <= BAND, (share - 1.0).abs() <= BAND);
                     if is && !was {
-                        // Linear interpolation of the crossing.
                         let edge = if before < 1.0 { 1.0 - BAND } else { 1.0 + BAND };
                         let part = ((edge - before) / (share - before)).clamp(0.0, 1.0);
                         let step = span / f64::from(POINTS_PER_PERIOD);

@@ -1,5 +1,4 @@
-//! Studies all laws under all conditions: boundaries, and maps over period, delay and response
-//! time.
+//! Studies all laws under all conditions: boundaries; maps over period, delay and response time.
 
 use crate::loops::case::{LoopCase, OperatingCondition};
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
@@ -11,62 +10,49 @@ use platebench_wire::LawId;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Longest delay of the table, s.
 pub const MAX_DELAY_S: f64 = 12e-3;
-/// Ranges of a map: periods in µs, delays in s.
+/// Periods in µs, delays in s.
 const MAP_PERIODS_US: [u32; 2] = [200, 2_000];
 const MAX_MAP_DELAY_S: f64 = 3e-3;
 const MAP_COLUMNS: u32 = 37;
 const MAP_ROWS: u32 = 40;
-/// Periods of the measured boundary of a map.
+/// µs.
 const MEASURED_PERIODS_US: [u32; 7] = [250, 500, 750, 1_000, 1_300, 1_600, 1_900];
 /// Response times of the maps relative to the law's default.
 const MAP_RESPONSE_FACTORS: [f64; 3] = [0.75, 1.0, 2.0];
 
-/// Settings of a study.
 #[derive(Debug, Clone)]
 pub struct StudyConfig {
-    /// The plate.
     pub plate: Plate,
-    /// The laws.
     pub laws: Vec<LawId>,
     /// Loop delay of the margins, s; 0 if unknown.
     pub delay: f64,
-    /// True to compute maps.
     pub maps: bool,
-    /// Number of threads.
     pub jobs: usize,
 }
 
-/// A law under a condition, at 1 kHz, with its own design.
+/// A law with its own design under a condition.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StudyRow {
-    /// The law.
     pub law: LawId,
-    /// The condition.
     pub condition: OperatingCondition,
-    /// Control period, µs.
     pub period_us: u32,
     /// Response time of the design, s.
     pub response: f64,
     /// Spectral radius at the delay of the margins.
     pub spectral_radius: f64,
-    /// Delay boundary of the linear loop.
     pub predicted: DelayBoundary,
     /// Delay boundary of the firmware's code; `None` without a steady state.
     pub measured: Option<DelayBoundary>,
     /// Longest delay with which the firmware reaches its setpoint from rest.
     pub from_rest: DelayBoundary,
-    /// Gain margin.
     pub gain_margin: Option<f64>,
-    /// Phase margin, degrees.
     pub phase_margin_deg: Option<f64>,
     /// Predicted boundary − delay, s.
     pub delay_margin: Option<f64>,
 }
 
 impl StudyRow {
-    /// Difference of measured and predicted boundary, percent.
     pub fn difference_percent(&self) -> Option<f64> {
         let measured = self.measured?.seconds()?;
         Some((measured / self.predicted.seconds()? - 1.0) * 100.0)
@@ -76,28 +62,21 @@ impl StudyRow {
 /// Spectral radius over period and delay, for one law, condition and response time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StabilityMap {
-    /// The law.
     pub law: LawId,
-    /// The condition.
     pub condition: OperatingCondition,
     /// Response time of the design, s.
     pub response: f64,
-    /// Periods of the columns, s.
     pub periods: Vec<f64>,
-    /// Delays of the rows, s.
     pub delays: Vec<f64>,
-    /// Spectral radius, by column and then by row.
+    /// By column and then by row.
     pub spectral_radius: Vec<Vec<f64>>,
-    /// Measured boundaries within the map: period and delay, s.
+    /// Period and delay, s.
     pub measured: Vec<(f64, f64)>,
 }
 
-/// Result of a study.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Study {
-    /// Rows by law and condition with a steady state.
     pub rows: Vec<StudyRow>,
-    /// Laws and conditions without a reachable steady state.
     pub out_of_reach: Vec<(LawId, OperatingCondition)>,
     /// Maps by law with a loop, condition and response time.
     pub maps: Vec<StabilityMap>,
@@ -113,10 +92,6 @@ enum TaskResult {
     Map(Option<StabilityMap>),
 }
 
-/// Runs the study.
-///
-/// # Errors
-/// [`AnalysisError`] of a loop.
 pub fn study(config: &StudyConfig) -> Result<Study, AnalysisError> {
     let pairs = config.laws.iter().flat_map(|&law| OperatingCondition::ALL.map(|condition| (law, condition)));
     let rows = pairs.clone().map(|(law, condition)| StudyTask::Row(law, condition));
@@ -138,7 +113,6 @@ pub fn study(config: &StudyConfig) -> Result<Study, AnalysisError> {
     Ok(study)
 }
 
-/// Runs the tasks on several threads; results in the order of the tasks.
 fn run_tasks(config: &StudyConfig, tasks: &[StudyTask]) -> Vec<Result<TaskResult, AnalysisError>> {
     let next = AtomicUsize::new(0);
     let outcomes = Mutex::new(Vec::with_capacity(tasks.len()));

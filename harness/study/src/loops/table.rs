@@ -7,7 +7,7 @@ use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_wire::LawId;
 use std::fmt::Write;
 
-/// The table of boundaries, for a terminal. Delays are µs.
+/// Delays are µs.
 pub fn boundary_table(study: &Study, delay: f64) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
@@ -49,7 +49,6 @@ pub fn boundary_table(study: &Study, delay: f64) -> String {
     text
 }
 
-/// Note on the row of a law.
 pub const fn law_note(law: LawId) -> Option<&'static str> {
     Some(match law {
         LawId::OpenLoop => "without feedback no delay makes it unstable; its poles are the plate's",
@@ -70,7 +69,6 @@ pub const fn law_note(law: LawId) -> Option<&'static str> {
     })
 }
 
-/// The start of two plain loops with a backward integral, at resonance and detuned.
 pub fn format_plain_loop_starts(starts: &[(OperatingCondition, f64, StartResult)]) -> String {
     let mut text = String::from(
         "Known limit: equation 24 with a backward-Euler integral, no delay, no limits, from rest to 2 µm\n",
@@ -131,8 +129,7 @@ fn boundary_seconds(boundary: DelayBoundary) -> f64 {
     }
 }
 
-/// Every point of every map as CSV: `kind` is `predicted` with a spectral radius, or `measured` for
-/// a boundary.
+/// Every point: `kind` is `predicted` with a spectral radius, or `measured` for a boundary.
 pub fn maps_csv(study: &Study) -> String {
     let mut text = String::from("law,condition,response_ms,kind,period_us,delay_us,spectral_radius\n");
     for map in &study.maps {

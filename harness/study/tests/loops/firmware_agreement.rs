@@ -9,7 +9,6 @@ use platebench_study::loops::{
 use platebench_wire::LawId;
 use rstest::rstest;
 
-/// Longest delay that is looked at, s.
 const LONGEST: f64 = 12e-3;
 
 fn predicted_boundary(case: &LoopCase<'_>) -> DelayBoundary {
@@ -35,7 +34,6 @@ fn firmware_loses_stability_at_the_predicted_boundary(
     #[values(1_000, 400)] period_us: u32,
 ) {
     if law == LawId::BangBang && period_us == 400 {
-        // Below.
         return;
     }
     let plate = paper_plate();
@@ -62,8 +60,7 @@ fn motion_grows_or_decays_by_the_spectral_radius(
     let radius = closed.spectral_radius().unwrap();
     let motion = LoopSimulation::in_steady_state(&case).unwrap().perturbed_motion(Time::from_seconds(delay).unwrap());
     let LoopMotion::Factor(factor) = motion else { panic!("{motion:?}, predicted {radius}") };
-    // What is left of 1 is what tells stable from unstable. Both loops of a pair have nearly the
-    // same poles, so the windows see their sum.
+    // Both loops of a pair have nearly the same poles, so the windows see their sum.
     assert!((factor - radius).abs() < 0.4 * (radius - 1.0).abs(), "{factor}, predicted {radius}");
 }
 

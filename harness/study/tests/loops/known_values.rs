@@ -11,7 +11,6 @@ use rstest::rstest;
 const PERIOD: f64 = 1e-3;
 const RESPONSE: f64 = 2e-3;
 
-/// The amplitude's loop alone on the envelope at resonance: equation 13 and nothing else.
 fn amplitude_loop(pi: impl Fn(f64, f64) -> PiGains) -> (LinearPlant, LinearController) {
     let plate = paper_plate();
     let mode = plate.mode(&Conditions::default());
@@ -140,8 +139,6 @@ fn margins_end_at_the_stability_boundary() {
     let margins = closed_amplitude_loop(matched, 0.0).margins();
     assert_close(margins.gain.unwrap(), 2.0 / 0.7769, 1e-3);
     assert_close(margins.phase_deg.unwrap(), 90.0 - (0.7769_f64 / 2.0).asin().to_degrees(), 1e-2);
-    // Half the sampling frequency is where whole periods turn the phase: what is past its boundary
-    // has less than none.
     let late = closed_amplitude_loop(forward, PERIOD).margins();
     assert!(late.gain.unwrap() < 1.0 && late.phase_deg.unwrap() < 0.0, "{late:?}");
 }

@@ -6,7 +6,6 @@ use platebench_study::loops::plant::steady_state;
 use platebench_study::loops::{LinearPlant, OperatingCondition};
 use rstest::rstest;
 
-/// W after `seconds` of `drive`, from the steady state of another.
 fn propagated(tier: Tier, condition: OperatingCondition, from: &Drive, drive: &Drive, seconds: f64) -> Complex64 {
     let mode = paper_plate().mode(&condition.conditions());
     let w = steady_state(tier, &mode, from);

@@ -12,7 +12,6 @@ use platebench_plate::Plate;
 use platebench_plate::RawPlate;
 use platebench_study::loops::PiGains;
 
-/// The paper's plate.
 fn paper_plate() -> Plate {
     let text = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
     toml::from_str::<RawPlate>(text).unwrap().check().unwrap()
@@ -23,7 +22,6 @@ fn assert_close(found: f64, expected: f64, tolerance: f64) {
     assert!((found - expected).abs() <= tolerance, "{found} instead of {expected} ± {tolerance}");
 }
 
-/// Both gains times `factor`.
 fn scaled(pi: PiGains, factor: f64) -> PiGains {
     PiGains { proportional: pi.proportional * factor, integral_per_period: pi.integral_per_period * factor }
 }

@@ -1,4 +1,4 @@
-//! Tunings, held against known figures and at the edges of what can be met.
+//! Compares tunings with known figures and at the edges of feasibility.
 
 use crate::{assert_close, paper_plate, scaled};
 use platebench_plate::{Plate, Tier};
@@ -37,8 +37,7 @@ fn evaluate_printed(demand: &TuningTarget<'_>, reading: Reading) -> DesignEvalua
 }
 
 #[rstest]
-// Reading, delay in ms, settling in ms, overshoot in percent, peak drive in Vpp, spectral radius,
-// delay that is left in ms.
+// Units: ms of delay and settling, percent of overshoot, Vpp; the last is the delay margin, ms.
 #[case(Reading::Forward, 0.0, Some(2.834), 16.3, 808.0, 0.257, 0.830)]
 #[case(Reading::Backward, 0.0, Some(19.05), 78.2, 1237.8, 0.862, 0.634)]
 #[case(Reading::Matched, 0.0, Some(1.998), 0.0, 539.6, 0.5875, 1.668)]
@@ -62,8 +61,7 @@ fn equation_24_at_1_khz_in_three_readings(
         assert_close(found.linear.overshoot_percent, overshoot, 0.1);
         assert_close(found.linear.peak_drive_vpp, peak, 0.1);
     }
-    // Forward without delay: z² − 0.424z + 0.043. The other component's own pole, 0.5875, is none
-    // of the loop's.
+    // Forward without delay: z² − 0.424z + 0.043. 0.5875 is the pole of the other component.
     assert_close(found.amplitude.spectral_radius, radius, 1e-3);
     for loop_figures in [&found.amplitude, &found.frequency] {
         assert_close(loop_figures.delay_margin_ms.unwrap(), left, 1e-3);
@@ -76,8 +74,7 @@ fn ripple_moves_a_marginal_band_crossing() {
     let plate = paper_plate();
     let demand = demand(&plate);
     let of = |response| evaluate_design(&demand, GainDesign::new(&demand, Reading::Matched, response)).unwrap();
-    // Designed for 2.0 ms it leaves 4.98 % at two periods, less of a margin than the ripple; for
-    // 1.9 ms 4.2 %.
+    // Designed for 2.0 ms it leaves 4.98 % at two periods, too close to the band for the ripple.
     let (two, shorter) = (of(2e-3), of(1.9e-3));
     assert!(two.linear.settling_ms.unwrap() < 2.0 && two.plate.settling_ms.unwrap() > 2.01);
     assert_close(shorter.plate.settling_ms.unwrap(), 1.956, 1e-3);
@@ -103,7 +100,6 @@ fn the_drive_limit_sets_a_time_floor(#[case] limit: f64, #[case] response_ms: f6
     if let (Some((found_ms, needed)), Some(expected)) = (floor, floor_ms) {
         assert_close(found_ms, expected, 1e-3);
         assert!(!found.met);
-        // With that drive the floor is the demand.
         let enough = plate_with_limit(needed);
         assert_close(TuningTarget { plate: &enough, ..demand }.time_floor().unwrap(), demand.response, 1e-9);
         // What is possible is near the floor and never below it.
@@ -151,7 +147,6 @@ fn a_delay_beyond_the_boundary_is_a_cause(#[case] delay_ms: f64, #[case] boundar
     if let (Some(reported), Some(boundary)) = (reported, boundary) {
         assert_close(reported, boundary, 2e-3);
     }
-    // Something slower is always possible, and stable.
     assert!(found.possible.unwrap().spectral_radius < 1.0);
 }
 
@@ -189,7 +184,7 @@ fn margins_end_at_the_last_settling_response(
     #[values(Reading::Forward, Reading::Matched)] reading: Reading,
     #[values(0.0, 0.3)] delay_ms: f64,
 ) {
-    // No limit in the way: what does not settle is unstable.
+    // No drive limit: what does not settle is unstable.
     let plate = plate_with_limit(1e9);
     let demand = TuningTarget { delay: delay_ms * 1e-3, response: 4e-3, ..demand(&plate) };
     let found = evaluate_printed(&demand, reading);
@@ -200,7 +195,7 @@ fn margins_end_at_the_last_settling_response(
     for (share, settles) in [(0.97, true), (1.03, false)] {
         let mut louder = found.design;
         louder.amplitude = scaled(louder.amplitude, gain * share);
-        // The linear loop: on the plate a loud one hits 0 V, where nothing brakes it.
+        // The linear loop: on the plate a too high gain reaches 0 V, where nothing brakes.
         let closed = louder.closed_loop(&long, &plate, Tier::Envelope, [true, false]).unwrap();
         let settled = closed.step_response(2.0, long.horizon()).settling;
         assert_eq!(settled.is_some(), settles, "{share} of the gain margin {gain}");
@@ -234,9 +229,7 @@ fn worst_case_is_the_worst_and_repeats_with_its_seed() {
     let in_time = found.corners.iter().filter(|other| settling(other) <= 2.0).count();
     assert_eq!(found.worst_corner.meeting, in_time);
     assert!(0 < in_time && in_time < 8);
-    // Drawn from between the corners: never worse than the worst of them.
     assert!(found.worst_sample.unwrap().settling_ms.unwrap() <= longest);
-    // Fixed gains under 2 N.
     assert_eq!(found.other_finger.force_n, 2.0);
     assert!((9.1..9.5).contains(&settling(&found.other_finger)));
     let none = evaluate_sensitivity(
@@ -272,7 +265,7 @@ fn backward_gains_convert_to_the_firmware_s_forward_integral() {
 fn the_horizon_includes_a_long_loop_delay() {
     let plate = paper_plate();
     let demand = TuningTarget { delay: 0.52e-3, response: 4e-3, ..demand(&plate) };
-    // Among the plates drawn is one whose poles the solver does not find the first way.
+    // The poles of one random plate are not found at the first attempt.
     let found = tune(&demand, Reading::Matched, &PlateSpread { samples: 64, ..SPREAD }).unwrap();
     let chosen = found.chosen.unwrap();
     assert!(chosen.plate.settling_ms.unwrap() <= 4.0 && chosen.plate.overshoot_percent <= 4.0);

@@ -7,50 +7,43 @@ use crate::loops::tuning::transient::{self, StepSimulation, TransientResponse};
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
 use platebench_wire::Gains;
 
-/// Horizon of a response: the longest of these numbers of periods, response times and time
-/// constants, plus delays.
+/// The horizon is the longest of these periods, response times and time constants, plus delays.
 const HORIZON_PERIODS: f64 = 60.0;
 const HORIZON_RESPONSES: f64 = 6.0;
 const HORIZON_TIME_CONSTANTS: f64 = 20.0;
 const HORIZON_DELAYS: f64 = 20.0;
 
-/// Target of a tuning.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TuningTarget<'a> {
-    /// The plate of the design, with its drive limit.
     pub plate: &'a Plate,
-    /// Force of the finger of the design, N.
+    /// N.
     pub force_n: f64,
-    /// Setpoint, µm, above 0.
+    /// µm, above 0.
     pub setpoint: f64,
     /// 5 % response time of |W|, s, above 0.
     pub response: f64,
     /// Control period, µs, above 0.
     pub period_us: u32,
-    /// Delay from sampling to actuation, s, 0 or more.
+    /// From sampling to actuation, s.
     pub delay: f64,
-    /// Smallest phase margin of both loops, degrees.
+    /// Smallest phase margin of both loops.
     pub phase_margin_deg: f64,
 }
 
 impl TuningTarget<'_> {
-    /// The control period, s.
     pub fn period(&self) -> f64 {
         f64::from(self.period_us) * 1e-6
     }
 
-    /// The mode under the finger.
     pub fn mode(&self) -> Mode {
         self.plate.mode(&Conditions { temperature_offset_k: 0.0, finger_force_n: self.force_n })
     }
 
-    /// Shortest time from rest to the edge of the band with the drive limit, s; `None` if out of
-    /// reach.
+    /// Shortest time from rest to the band with the drive limit, s; `None` if out of reach.
     pub fn time_floor(&self) -> Option<f64> {
         self.mode().min_rise_time(self.setpoint, 0.95, self.plate.drive_limit_vpp)
     }
 
-    /// Horizon of a response, periods.
     pub fn horizon(&self) -> u32 {
         let slowest = (HORIZON_RESPONSES * self.response).max(HORIZON_TIME_CONSTANTS / self.mode().sigma);
         let seconds = (HORIZON_PERIODS * self.period()).max(slowest) + HORIZON_DELAYS * self.delay;
@@ -58,10 +51,8 @@ impl TuningTarget<'_> {
     }
 }
 
-/// Both loops of a design.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GainDesign {
-    /// The reading of equation 24.
     pub reading: Reading,
     /// Response time of the design, s.
     pub response: f64,
@@ -72,8 +63,8 @@ pub struct GainDesign {
 }
 
 impl GainDesign {
-    /// Equation 24 for the plate under the target's finger and `response` s. With that plate's σ, K
-    /// = b/σ and τ = 1/σ for the amplitude, K = τ for the frequency.
+    /// Equation 24 with the σ of the plate under the target's finger: K = b/σ and τ = 1/σ for the
+    /// amplitude, K = τ for the frequency.
     pub fn new(target: &TuningTarget<'_>, reading: Reading, response: f64) -> Self {
         let mode = target.mode();
         let tau = 1.0 / mode.sigma;
@@ -87,11 +78,7 @@ impl GainDesign {
         transient::firmware_gains(self.amplitude, self.frequency, period)
     }
 
-    /// Both loops, or one of them, around the steady state at the setpoint, on `plate` under the
-    /// target's finger.
-    ///
-    /// # Errors
-    /// [`AnalysisError::NotFinite`].
+    /// One or both loops around the setpoint's steady state, on `plate` under the target's finger.
     pub fn closed_loop(
         &self,
         target: &TuningTarget<'_>,
@@ -108,7 +95,6 @@ impl GainDesign {
         ClosedLoop::new(plant, controller, LoopTiming { period: target.period(), delay: target.delay })
     }
 
-    /// The plate around its steady state, and the loops.
     pub(crate) fn linear_parts(&self, target: &TuningTarget<'_>, tier: Tier) -> (LinearPlant, LinearController) {
         let mode = target.mode();
         let drive = Drive { vpp: mode.drive_for(target.setpoint), omega: mode.omega0 };
@@ -121,7 +107,6 @@ impl GainDesign {
         (plant, controller)
     }
 
-    /// A step from rest on `plate` under `force_n`.
     pub fn simulate_step(&self, target: &TuningTarget<'_>, plate: &Plate, force_n: f64) -> TransientResponse {
         let TuningTarget { period_us, delay, setpoint, .. } = *target;
         let Self { amplitude, frequency, .. } = *self;

@@ -20,29 +20,24 @@ const PENDING_POLE_RADIUS: f64 = 1e-6;
 pub struct LoopEvaluation {
     /// Vpp per µm, or rad/s per unit of Wq/Wd.
     pub kp: f64,
-    /// The same and per second.
+    /// Per second, otherwise as `kp`.
     pub ki_per_s: f64,
     /// Poles in the z plane, [re, im], without those of pending commands.
     pub poles: Vec<[f64; 2]>,
-    /// The largest magnitude of a pole.
     pub spectral_radius: f64,
     /// Factor by which the gain may rise; `None` if unlimited.
     pub gain_margin: Option<f64>,
     /// Degrees; `None` if |L| is never 1.
     pub phase_margin_deg: Option<f64>,
-    /// Allowed growth of the delay, ms; 0 or less if unstable, `None` if stable up to the end of
-    /// the search.
+    /// Allowed growth of the delay; 0 or less if unstable, `None` if stable over the whole search.
     pub delay_margin_ms: Option<f64>,
 }
 
-/// Result of a setpoint step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct StepEvaluation {
     /// 5 % settling time; `None` if it does not settle.
     pub settling_ms: Option<f64>,
-    /// Overshoot.
     pub overshoot_percent: f64,
-    /// Highest drive.
     pub peak_drive_vpp: f64,
 }
 
@@ -66,16 +61,11 @@ impl From<TransientResponse> for StepEvaluation {
     }
 }
 
-/// A design and its behaviour.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DesignEvaluation {
-    /// The reading of equation 24.
     pub reading: Reading,
-    /// Response time of the design, ms.
     pub designed_for_ms: f64,
-    /// Amplitude loop.
     pub amplitude: LoopEvaluation,
-    /// Frequency loop.
     pub frequency: LoopEvaluation,
     /// Largest magnitude of a pole of both loops on the modal plate.
     pub spectral_radius: f64,
@@ -83,14 +73,12 @@ pub struct DesignEvaluation {
     pub linear: StepEvaluation,
     /// |W| on the modal plate within the drive limit.
     pub plate: StepEvaluation,
-    /// Control periods at the limit.
+    /// At the drive limit.
     pub saturated_periods: u32,
-    /// The design itself.
     #[serde(skip)]
     pub design: GainDesign,
 }
 
-/// The delay boundary of both loops of the design on `plate`.
 pub(crate) fn design_delay_boundary(
     target: &TuningTarget<'_>,
     plate: &Plate,
@@ -104,12 +92,10 @@ fn longest_delay(target: &TuningTarget<'_>) -> f64 {
     target.delay + MAX_DELAY_FACTOR * (target.period() + design_time(target))
 }
 
-/// The longer of the plate's time constant and the response time, s.
 fn design_time(target: &TuningTarget<'_>) -> f64 {
     (1.0 / target.mode().sigma).max(target.response)
 }
 
-/// Boundary − delay, ms.
 pub(crate) fn delay_margin_ms(target: &TuningTarget<'_>, boundary: DelayBoundary) -> Option<f64> {
     match boundary {
         DelayBoundary::Unstable => Some(0.0 - target.delay * 1e3),
@@ -118,10 +104,6 @@ pub(crate) fn delay_margin_ms(target: &TuningTarget<'_>, boundary: DelayBoundary
     }
 }
 
-/// Evaluates a design.
-///
-/// # Errors
-/// [`AnalysisError`] of a loop.
 pub fn evaluate_design(target: &TuningTarget<'_>, design: GainDesign) -> Result<DesignEvaluation, AnalysisError> {
     let GainDesign { amplitude, frequency, reading, response } = design;
     let both = design.closed_loop(target, target.plate, Tier::Modal, [true; 2])?;

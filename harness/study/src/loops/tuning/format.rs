@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 const NONE: &str = "–";
 
-/// The tuning as text. `spread` is that of the sensitivity.
+/// `spread` is that of the sensitivity.
 pub fn format_tuning(target: &TuningTarget<'_>, spread: &PlateSpread, tuning: &TuningResult) -> String {
     let mut text = format_target(target, tuning);
     text += "\nEquation 24 for the target response time\n";
@@ -87,7 +87,6 @@ fn format_readings(readings: &[DesignEvaluation]) -> String {
         let step = |step: &StepEvaluation| {
             let StepEvaluation { overshoot_percent, peak_drive_vpp, .. } = step;
             let settling = step.settling_ms.map_or_else(|| "never".to_owned(), |ms| format!("{ms:.3} ms"));
-            // A divergence has no figures.
             if *overshoot_percent > 999.0 {
                 return format!("{settling:>9} {NONE:>9} {NONE:>8}");
             }

@@ -1,10 +1,8 @@
-//! Searches the response time for equation 24 with which the plate meets the target, and the
-//! fastest design.
+//! Searches the response time for equation 24 with which the plate meets the target.
 //!
-//! The response differs from the design: equation 24 ignores the length of the period, the ripple
-//! of the fast mode, the delay and the drive limit, and the response is not a smooth function of
-//! the design. Therefore designs with logarithmically spaced response times are simulated on the
-//! plate.
+//! Equation 24 ignores the length of the period, the ripple of the fast mode, the delay and the
+//! drive limit, and the response is not smooth in the design. Therefore designs with
+//! logarithmically spaced response times are simulated on the plate.
 
 use crate::loops::closed_loop::AnalysisError;
 use crate::loops::controller::Reading;
@@ -12,7 +10,6 @@ use crate::loops::tuning::design::{GainDesign, TuningTarget};
 use crate::loops::tuning::transient::BAND;
 use platebench_plate::Tier;
 
-/// Number of simulated designs, and refinement around the fastest.
 const DESIGNS: u32 = 160;
 const REFINEMENT: u32 = 24;
 /// The fastest design in periods: the error after a period is e^(−15).
@@ -21,33 +18,27 @@ const FASTEST_RESPONSE_PERIODS: f64 = 0.2;
 const LAST: f64 = 3.0;
 const LAST_PERIODS: f64 = 30.0;
 const BISECTIONS: u32 = 20;
-/// Safety factors of the response time: a design at the limit of the target meets it on no other
-/// plate.
+/// A design at the limit of the target meets it on no other plate.
 const RESPONSE_FACTORS: [f64; 3] = [0.97, 0.99, 1.0];
 
 /// An overshoot between this share of the band and the whole band settles on no other plate.
 const MAX_BAND_SHARE: f64 = 0.8;
 
-/// A design with its response.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DesignCandidate {
-    /// The design.
     pub design: GainDesign,
     /// 5 % settling time of |W|, s.
     pub settling: f64,
 }
 
-/// All designs of one reading.
 #[derive(Debug, Clone)]
 pub struct DesignSearch<'a> {
     target: TuningTarget<'a>,
     reading: Reading,
-    /// Response times of the designs, rising, with their results.
     candidates: Vec<(f64, Option<DesignCandidate>)>,
 }
 
 impl<'a> DesignSearch<'a> {
-    /// Simulates all designs.
     pub fn new(target: &TuningTarget<'a>, reading: Reading) -> Self {
         let first = FASTEST_RESPONSE_PERIODS * target.period();
         let own = 20.0_f64.ln() / target.mode().sigma;
@@ -59,8 +50,7 @@ impl<'a> DesignSearch<'a> {
         search
     }
 
-    /// Simulates the design for `response` s; `None` if it does not settle or its overshoot almost
-    /// fills the band.
+    /// `None` if the design does not settle or its overshoot almost fills the band.
     fn evaluate(&self, response: f64) -> Option<DesignCandidate> {
         let design = GainDesign::new(&self.target, self.reading, response);
         let transient = design.simulate_step(&self.target, self.target.plate, self.target.force_n);
@@ -68,16 +58,11 @@ impl<'a> DesignSearch<'a> {
         Some(DesignCandidate { design, settling: transient.settling.filter(|_| !by_a_hair)? })
     }
 
-    /// True if the candidate's loops are stable with a phase margin of `phase_deg`.
     fn has_margin(&self, candidate: &DesignCandidate, phase_deg: f64) -> Result<bool, AnalysisError> {
         let closed = candidate.design.closed_loop(&self.target, self.target.plate, Tier::Modal, [true; 2])?;
         Ok(closed.spectral_radius()? < 1.0 && closed.margins().phase_deg.is_none_or(|found| found >= phase_deg))
     }
 
-    /// The fastest design with a phase margin of `phase_deg`.
-    ///
-    /// # Errors
-    /// [`AnalysisError`] of a loop.
     pub fn fastest(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
         let mut ranked: Vec<(usize, DesignCandidate)> = Vec::new();
         ranked
@@ -104,11 +89,8 @@ impl<'a> DesignSearch<'a> {
         Ok(None)
     }
 
-    /// The design that meets the target with a phase margin of `phase_deg`: equation 24 for the
-    /// target's response time if it does, otherwise the slowest that does, with a safety factor.
-    ///
-    /// # Errors
-    /// [`AnalysisError`] of a loop.
+    /// Equation 24 for the target's response time if that meets the target, otherwise the slowest
+    /// design that does, with a safety factor.
     pub fn meeting_target(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
         let meets = |response: f64| -> Result<Option<DesignCandidate>, AnalysisError> {
             match self.evaluate(response).filter(|candidate| candidate.settling <= self.target.response) {

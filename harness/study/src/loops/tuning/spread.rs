@@ -10,67 +10,49 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};
 use serde::Serialize;
 
-/// Spread of the plate and number of random plates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlateSpread {
-    /// ±K1, percent.
+    /// ±K1.
     pub gain_percent: f64,
-    /// ±τ, percent.
+    /// ±τ.
     pub time_constant_percent: f64,
-    /// Number of random plates, uniform between the corners.
+    /// Random plates, uniform between the corners.
     pub samples: u32,
-    /// Their seed.
     pub seed: u64,
 }
 
-/// A plate and the behaviour of the gains on it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PlateVariant {
     /// Deviation of K1 from the plate file.
     pub gain_percent: f64,
     /// Deviation of τ from the plate file.
     pub time_constant_percent: f64,
-    /// Normal force of a finger, N.
+    /// N.
     pub force_n: f64,
-    /// |W| within the drive limit.
+    /// Within the drive limit.
     pub plate: StepEvaluation,
     /// The smaller gain margin of both loops, each with the other closed.
     pub gain_margin: Option<f64>,
-    /// The smaller phase margin, degrees.
     pub phase_margin_deg: Option<f64>,
-    /// Allowed growth of the delay, ms; 0 or less if unstable, `None` if stable up to the end of
-    /// the search.
     pub delay_margin_ms: Option<f64>,
 }
 
-/// The worst of several plates. `None` if a plate does not settle, or if no plate has a bounded
-/// margin.
+/// `None` if a plate does not settle, or if no plate has a bounded margin.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WorstCase {
-    /// Number of plates.
     pub plates: usize,
-    /// Number of plates that meet the target.
     pub meeting: usize,
-    /// Longest 5 % settling time.
     pub settling_ms: Option<f64>,
-    /// Largest overshoot.
     pub overshoot_percent: f64,
-    /// Smallest gain margin.
     pub gain_margin: Option<f64>,
-    /// Smallest phase margin, degrees.
     pub phase_margin_deg: Option<f64>,
-    /// Smallest delay margin, ms.
     pub delay_margin_ms: Option<f64>,
 }
 
-/// Behaviour of the gains on other plates.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Sensitivity {
-    /// Corners and edges of the spread.
     pub corners: Vec<PlateVariant>,
-    /// The worst of them.
     pub worst_corner: WorstCase,
-    /// The worst random plate.
     pub worst_sample: Option<WorstCase>,
     /// The nominal plate without the design's finger; under 2 N if the design has no finger.
     pub other_finger: PlateVariant,
@@ -79,10 +61,6 @@ pub struct Sensitivity {
 /// Finger that the design does not know, N (Fig. 16).
 const FINGER: f64 = 2.0;
 
-/// Evaluates the design on corners, random plates and another finger.
-///
-/// # Errors
-/// [`AnalysisError`] of a loop.
 pub fn evaluate_sensitivity(
     target: &TuningTarget<'_>,
     design: &GainDesign,
@@ -107,7 +85,6 @@ pub fn evaluate_sensitivity(
     })
 }
 
-/// The design on one plate.
 fn evaluate_variant(
     target: &TuningTarget<'_>,
     design: &GainDesign,

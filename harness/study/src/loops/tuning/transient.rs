@@ -1,8 +1,7 @@
 //! Simulates a setpoint step on the exact plate with the firmware's loops, including their limits.
 //!
-//! [`crate::loops::ClosedLoop::step_response`] is the linear loop along Wd without limits. This is
-//! |W| of the modal plate with the ripple of the fast mode, a saturating drive with anti-windup,
-//! and a frequency loop that is inactive while Wd is small.
+//! Unlike [`crate::loops::ClosedLoop::step_response`]: |W| with the ripple of the fast mode, a
+//! saturating drive with anti-windup, and a frequency loop that is inactive while Wd is small.
 
 use crate::loops::controller::PiGains;
 use platebench_controller::{Law, Measurement};
@@ -12,17 +11,16 @@ use platebench_wire::{Configure, Gains, LawId, flags};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
-/// Half the band of the settling time.
 pub(crate) const BAND: f64 = 0.05;
 /// Points of |W| per period, as in the rows of a trace at 1 kHz.
 const POINTS_PER_PERIOD: u64 = 20;
 /// A later entry into the band, as a share of the horizon, is not settled.
 const LATEST_ENTRY_SHARE: f64 = 0.9;
-/// A scenario's default range of the excitation and its slew limit, Hz and Hz per period.
+/// A scenario's default range and slew limit, Hz and Hz per period.
 const RANGE_HZ: f32 = 250.0;
 const SLEW_HZ: f32 = 100.0;
 
-/// Gains in the units of the firmware's configuration; `period` in s.
+/// `period` in s.
 pub(crate) fn firmware_gains(amplitude: PiGains, frequency: PiGains, period: f64) -> Gains {
     Gains {
         amplitude_kp: amplitude.proportional as f32,
@@ -32,47 +30,43 @@ pub(crate) fn firmware_gains(amplitude: PiGains, frequency: PiGains, period: f64
     }
 }
 
-/// A plate and the loops around it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepSimulation<'a> {
-    /// The plate; its drive limit acts.
+    /// Its drive limit acts.
     pub plate: &'a Plate,
-    /// Normal force of a finger, N, 0 or more.
+    /// N.
     pub force_n: f64,
     /// Drive from the error of Wd, Vpp per µm.
     pub amplitude: PiGains,
     /// Excitation from Wq/Wd, rad/s.
     pub frequency: PiGains,
-    /// Control period, µs, above 0.
+    /// µs, above 0.
     pub period_us: u32,
-    /// Delay from sampling to actuation, s.
+    /// From sampling to actuation, s.
     pub delay: f64,
-    /// Setpoint, µm, above 0.
+    /// µm, above 0.
     pub setpoint: f64,
 }
 
-/// Response of |W| to a setpoint step from rest.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct TransientResponse {
     /// Last entry into ±5 % of the setpoint, s; `None` if |W| does not stay there.
     pub settling: Option<f64>,
-    /// Overshoot as a share of the setpoint.
+    /// As a share of the setpoint.
     pub overshoot: f64,
-    /// Highest drive, Vpp.
+    /// Vpp.
     pub peak_drive: f64,
     /// Highest drive before the limit, Vpp.
     pub requested_drive: f64,
-    /// Control periods at the drive limit.
     pub saturated_periods: u32,
 }
 
 impl StepSimulation<'_> {
-    /// The control period, s.
     pub fn period(&self) -> f64 {
         f64::from(self.period_us) * 1e-6
     }
 
-    /// The firmware's law with fixed gains; `None` if it rejects them.
+    /// `None` if the firmware rejects the gains.
     fn law(&self) -> Option<Law> {
         let configure = Configure {
             law: LawId::DqPiFixed,
@@ -93,8 +87,8 @@ impl StepSimulation<'_> {
         Law::design(&configure).ok().map(|(law, _)| law)
     }
 
-    /// A setpoint step from rest at the first control instant, over `periods`. The excitation
-    /// starts at the untouched plate's resonance. Gains that the firmware rejects give no response.
+    /// Steps the setpoint from rest. The excitation starts at the untouched plate's resonance.
+    /// Gains that the firmware rejects give no response.
     pub fn step(&self, periods: u32) -> TransientResponse {
         let Some(mut law) = self.law() else { return TransientResponse::default() };
         let (plate, setpoint) = (self.plate, self.setpoint);

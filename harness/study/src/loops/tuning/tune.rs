@@ -10,53 +10,47 @@ use platebench_plate::Tier;
 use platebench_runner::delay_boundary::DelayBoundary;
 use serde::Serialize;
 
-/// Why a target cannot be met.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum InfeasibilityCause {
     /// The drive limit cannot hold the setpoint.
     OutOfReach {
-        /// Necessary drive, Vpp.
+        /// To hold the setpoint.
         needed_vpp: f64,
     },
     /// The drive limit does not allow the response time.
     DriveFloor {
-        /// The shortest time, ms.
         floor_ms: f64,
-        /// Necessary drive, Vpp.
+        /// For the response time.
         needed_vpp: f64,
     },
     /// The response time ends before the first command with feedback acts.
     Period {
-        /// From the step to the first command with feedback in it, ms.
+        /// From the step to the first command with feedback in it.
         first_feedback_ms: f64,
     },
     /// Equation 24 for this response is unstable at this delay.
     Delay {
-        /// The longest stable delay, ms; 0 if unstable without delay.
+        /// The longest stable delay; 0 if unstable without delay.
         boundary_ms: f64,
     },
     /// Only designs with less phase margin meet the target.
     PhaseMargin {
-        /// Phase margin of the fastest stable design, degrees.
+        /// Of the fastest stable design.
         found_deg: f64,
     },
     /// No design of this reading is fast enough at this period and delay.
     Reading,
 }
 
-/// Result of a tuning.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TuningResult {
-    /// True if the target is met.
     pub met: bool,
-    /// Why the target is not met.
     pub obstacles: Vec<InfeasibilityCause>,
-    /// The shortest time that the drive limit allows, ms; `None` if the setpoint is out of reach.
+    /// The shortest time that the drive limit allows; `None` if the setpoint is out of reach.
     pub floor_ms: Option<f64>,
     /// Equation 24 for the target's response time, in each reading.
     pub readings: Vec<DesignEvaluation>,
-    /// The design that meets the target.
     pub chosen: Option<DesignEvaluation>,
     /// The fastest design with the target's phase margin, if the target is not met.
     pub possible: Option<DesignEvaluation>,
@@ -64,10 +58,6 @@ pub struct TuningResult {
     pub sensitivity: Option<Sensitivity>,
 }
 
-/// Searches a design of `reading` that meets the target.
-///
-/// # Errors
-/// [`AnalysisError`] of a loop.
 pub fn tune(target: &TuningTarget<'_>, reading: Reading, spread: &PlateSpread) -> Result<TuningResult, AnalysisError> {
     let printed = |reading| evaluate_design(target, GainDesign::new(target, reading, target.response));
     let readings = Reading::ALL.into_iter().map(printed).collect::<Result<Vec<_>, _>>()?;

@@ -12,39 +12,26 @@ use std::path::Path;
 /// Rounding of an f32 integral gain that the controller multiplies by the period and divides again.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
 
-/// Gains to verify by a step.
 #[derive(Debug, Clone, Copy)]
 pub struct VerificationStep<'a> {
-    /// The target of the design.
     pub target: &'a TuningTarget<'a>,
-    /// The law of the gains.
     pub law: LawId,
-    /// The gains.
     pub gains: Gains,
-    /// True if the rig follows the wall clock.
     pub real_time: bool,
 }
 
-/// Why there is no scenario.
 #[derive(Debug, thiserror::Error)]
 pub enum VerificationError {
-    /// A file cannot be written.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// The scenario cannot be written as TOML.
     #[error(transparent)]
     Toml(#[from] toml::ser::Error),
-    /// The scenario is not valid.
     #[error("{0}")]
     Scenario(Box<Diagnostic>),
 }
 
-/// One step on the tuned plate, written to `folder` so that `judge` can read it from the run folder.
-///
-/// # Errors
-/// [`VerificationError`].
+/// A step on the tuned plate, written to `folder` so that `judge` can read it from there.
 pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -> Result<Scenario, VerificationError> {
-    /// The keys that differ from the defaults of a scenario.
     #[derive(Serialize)]
     struct StepScenario {
         title: &'static str,
