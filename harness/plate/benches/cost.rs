@@ -1,6 +1,4 @@
 //! Measures the time of a step of each tier: `cargo bench -p platebench-plate --bench cost`.
-//!
-//! Builds are checked by the instruction counts of `counts.rs`.
 
 mod steps;
 

@@ -1,8 +1,8 @@
 //! Counts the instructions of a step and compares them with `counts.toml`; `ci/counts` runs it.
 //!
-//! Callgrind counts do not depend on clock or load. A step runs 200 times in one process and 400
-//! times in another; the difference excludes start and end. Counts are compared only if compiler,
-//! C library, Valgrind and vector instructions are the same; otherwise a message is printed.
+//! Callgrind counts do not depend on clock or load. Runs of 200 and 400 steps are subtracted, which
+//! excludes start and end. Counts are compared only for the same compiler, C library, Valgrind and
+//! vector instructions; otherwise a message is printed.
 
 #![allow(clippy::format_push_string, reason = "twenty lines, once")]
 
@@ -16,9 +16,7 @@ use std::process::{Command, ExitCode};
 use steps::{STEPS, Step};
 use toml::{Table, Value};
 
-/// Allowed increase.
 const TOLERANCE: f64 = 0.03;
-/// Runs of a step.
 const RUNS: u64 = 200;
 
 fn main() -> ExitCode {
@@ -38,7 +36,6 @@ fn main() -> ExitCode {
     }
 }
 
-/// The process that Callgrind counts.
 fn run(name: &str, runs: &str) -> Result<(), String> {
     let step = STEPS.iter().find(|step| step.name == name).ok_or("no such step")?;
     let mut step = step.prepare();
@@ -78,7 +75,6 @@ fn command_output(program: &str, arguments: &[&str]) -> String {
     text.lines().next().unwrap_or("unknown").trim().to_owned()
 }
 
-/// Tools and features on which counts depend.
 fn environment() -> BTreeMap<&'static str, String> {
     let vectors = if cfg!(target_arch = "x86_64") && has_vectors() { "avx2 and fma" } else { "baseline" };
     BTreeMap::from([

@@ -6,19 +6,14 @@ use crate::time::Time;
 /// Spacing of the search: about 15 points per period of the fast pole.
 const SCAN_STEP_NS: u64 = 1_000;
 
-/// A signal of the plate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum BandSignal {
-    /// |W|
     Amplitude,
-    /// Wd
     InPhase,
-    /// Wq
     Quadrature,
 }
 
 impl BandSignal {
-    /// The signal's value in µm.
     pub fn value(self, state: &State) -> f64 {
         match self {
             Self::Amplitude => state.amplitude(),
@@ -28,14 +23,12 @@ impl BandSignal {
     }
 }
 
-/// A band around a signal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BandMonitor {
-    /// Monitored signal.
     pub signal: BandSignal,
-    /// Lower edge, µm, still inside.
+    /// µm; the edge is inside.
     pub low: f64,
-    /// Upper edge, µm, still inside.
+    /// µm; the edge is inside.
     pub high: f64,
 }
 
@@ -44,26 +37,22 @@ impl BandMonitor {
         (self.low..=self.high).contains(&self.signal.value(state))
     }
 
-    /// Distance in µm of `state` from the nearer edge.
     pub(crate) fn distance(&self, state: &State) -> f64 {
         let value = self.signal.value(state);
         (value - self.low).abs().min((value - self.high).abs())
     }
 }
 
-/// A monitored signal entered or left its band.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crossing {
     /// The first nanosecond on the other side.
     pub time: Time,
-    /// The state at `time`.
     pub state: State,
-    /// The state 1 ns earlier.
+    /// 1 ns before `time`.
     pub before: State,
 }
 
-/// Appends the crossings between `start` and `end` to `found`. The state is `from` at `start` and
-/// `after(t)` t seconds later.
+/// Appends to `found`. The state is `from` at `start` and `after(t)` t seconds later.
 pub(crate) fn find_crossings(
     monitor: &BandMonitor,
     after: &impl Fn(f64) -> State,

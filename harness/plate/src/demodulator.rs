@@ -17,28 +17,25 @@ use crate::time::Time;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// Samples between two direct evaluations. In between the waveform advances by complex
-/// multiplication, with an error of about 2e-16 per sample.
+/// Samples between direct evaluations. In between the waveform advances by complex multiplication,
+/// with an error of about 2e-16 per sample.
 const REFRESH_INTERVAL: u32 = 64;
-/// Components smaller than this, in µm, are set to zero; see `flow.rs`.
+/// µm; smaller components are set to zero, see `flow.rs`.
 const NEGLIGIBLE: f64 = 1e-150;
 
-/// A lock-in demodulator with its window of samples.
 #[derive(Debug, Clone)]
 pub struct Demodulator {
     lockin: Lockin,
     /// Converter period, ns times 2⁶⁴.
     period: u128,
-    /// Converter period, s.
     spacing: f64,
-    /// Number of the next sample; sample k is k periods after the start.
+    /// Sample k is k periods after the start.
     next: u64,
     /// `2 y e^{−jθ}` of the last samples, the oldest at `oldest`.
     products: Box<[Complex64]>,
     oldest: usize,
 }
 
-/// The waveform at a sample.
 struct Wave {
     rest: Complex64,
     parts: [Complex64; 2],
@@ -62,8 +59,7 @@ impl Wave {
 }
 
 impl Demodulator {
-    /// A demodulator on a plate at rest. The window grows with the carrier's period down to half of
-    /// `omega` rad/s. The only allocation.
+    /// The window grows with the carrier's period, down to `omega`/2 rad/s. Only this allocates.
     pub fn new(lockin: Lockin, omega: f64) -> Self {
         let longest = 2.0 * f64::from(lockin.periods) * lockin.converter_hz * TAU / omega;
         let period = 1e9 / lockin.converter_hz;
@@ -77,13 +73,11 @@ impl Demodulator {
         }
     }
 
-    /// Number of samples so far.
     pub fn samples(&self) -> u64 {
         self.next
     }
 
-    /// Takes the samples up to and including `end` of a plate that moves along `flow` from `start`.
-    /// The carrier has `phase` at `start` and the frequency `omega`, rad/s.
+    /// Takes the samples up to and including `end`; `flow` starts at `start` with `phase`.
     pub fn advance(&mut self, flow: &Flow, start: Time, end: Time, phase: Phase, omega: f64) {
         let period = self.period;
         let instant = |number: u64| u128::from(number) * period;
@@ -122,7 +116,7 @@ impl Demodulator {
         }
     }
 
-    /// The demodulated W while the excitation is `omega` rad/s, µm.
+    /// W while the excitation is `omega` rad/s, µm.
     pub fn read(&self, omega: f64) -> Complex64 {
         let window = f64::from(self.lockin.periods) * self.lockin.converter_hz * TAU / omega.abs();
         // At ω = 0 the window is as long as the buffer; it has at least one sample.
@@ -160,7 +154,6 @@ mod tests {
         Lockin { converter_hz, periods, resolution: None }
     }
 
-    /// Compares each product with `2 Re(W e^{jθ}) e^{−jθ}`, over intervals of many lengths.
     #[test]
     fn every_sample_equals_the_closed_form() {
         // Samples on whole nanoseconds, so that the phase at each is known exactly.

@@ -1,5 +1,4 @@
-//! Propagates the plate exactly while drive, excitation frequency, damping and resonance are
-//! constant.
+//! Propagates the plate exactly while drive, frequency, damping and resonance are constant.
 //!
 //! With `y = Re(W e^{jθ})`, `θ' = ω` and the voltage on the q axis, equation 1 reads `y'' + 2σy' +
 //! ω0²y = (N/m) Re(jV e^{jθ})`.
@@ -22,27 +21,23 @@ use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;
 
-/// Components smaller than this, in µm or µm/s, are set to zero. A decaying component would
-/// otherwise become subnormal, and subnormal arithmetic is many times slower.
+/// µm or µm/s. Smaller components are set to zero: subnormal arithmetic is many times slower.
 const NEGLIGIBLE: f64 = 1e-150;
 
-/// The plate's state in the rotating frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
     /// `W = Wd + jWq`, µm.
     pub w: Complex64,
     /// `U = W' + jωW`, µm/s; zero in the envelope tier. In the linear tier the real part is the
-    /// dimensionless ratio Wq/Wd, and `w` is `Wd (1 + j Wq/Wd)`.
+    /// ratio Wq/Wd, and `w` is `Wd (1 + j Wq/Wd)`.
     pub u: Complex64,
 }
 
 impl State {
-    /// |W|, µm.
     pub fn amplitude(&self) -> f64 {
         self.w.norm()
     }
 
-    /// False if a component is NaN or infinite.
     pub fn is_finite(&self) -> bool {
         self.w.is_finite() && self.u.is_finite()
     }
@@ -56,7 +51,6 @@ impl State {
     }
 }
 
-/// The plate's motion after an instant, while mode and drive are constant.
 #[derive(Debug, Clone, Copy)]
 pub struct Flow {
     steady_state: Complex64,
@@ -64,15 +58,13 @@ pub struct Flow {
     second_term: SecondTerm,
 }
 
-/// The term in addition to the slow pole.
 #[derive(Debug, Clone, Copy)]
 enum SecondTerm {
-    /// None, for the envelope.
+    /// For the envelope.
     None,
     /// Fast pole, and ω.
     FastPole(ExponentialTerm, f64),
-    /// Ratio of the linear tier: its steady state and its deviation from it. The slow term is that
-    /// of Wd.
+    /// Ratio of the linear tier; the slow term is that of Wd.
     Ratio { rest: f64, amplitude: f64 },
 }
 
@@ -90,8 +82,6 @@ impl ExponentialTerm {
 }
 
 impl Flow {
-    /// The motion of a plate in `state` under `mode` and `drive`.
-    ///
     /// `mode` must be resonant (σ < ω0), which a checked plate and scenario guarantee.
     pub fn new(tier: Tier, mode: &Mode, drive: &Drive, state: &State) -> Self {
         match tier {
@@ -142,7 +132,6 @@ impl Flow {
         }
     }
 
-    /// The state `seconds` later.
     pub fn after(&self, seconds: f64) -> State {
         let state = match &self.second_term {
             SecondTerm::None => State { w: self.steady_state + self.slow_pole.after(seconds), u: Complex64::ZERO },

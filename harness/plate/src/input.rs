@@ -4,14 +4,11 @@ use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
-/// More than a profile of 10⁶ points needs, bytes.
+/// A profile of 10⁶ points needs less.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// Reads the file at `path`.
-///
-/// # Errors
-/// I/O errors; `InvalidInput` for a pipe, a device or a socket, which is not
-/// opened; `FileTooLarge` above 64 MiB.
+/// Fails with `InvalidInput` for a pipe, a device or a socket, which is not opened, and with
+/// `FileTooLarge` above 64 MiB.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     let kind = fs::metadata(path)?.file_type();
     if !kind.is_file() && !kind.is_dir() {

@@ -1,22 +1,9 @@
 //! Simulates a plate with one bending mode, in the frame that rotates with the excitation.
 //!
-//! * `raw_plate`, `plate`, `lockin`: the plate file.
-//! * `raw_profile`, `profile`: setpoint, temperature offset and finger force over time.
-//! * `mode`: damping and resonance under a force and at a temperature.
-//! * `tier`: the models of the plate.
-//! * `flow`: exact propagation between two events; `varying`: the same while the mode changes.
-//! * `crossing`: times at which a signal enters or leaves a band.
-//! * `phase`, `demodulator`, `sensor`: the carrier's phase and the signals that the controller
-//!   receives.
-//! * `plant`: advances a plate through its profiles.
-//! * [`input`]: reads files of limited size.
-//!
 //! Symbols and equations are those of Ben Messaoud et al., "Amplitude control of an ultrasonic
 //! vibration for a tactile stimulator", IEEE/ASME Transactions on Mechatronics, 2016;
 //! `docs/mathematics.md` derives the others. Amplitudes are µm and voltages Vpp, both peak to peak;
 //! angular frequencies are rad/s; times are s unless a name has another unit.
-//!
-//! The plate knows no wall clock, no controller and no run folder.
 
 mod crossing;
 mod demodulator;

@@ -3,25 +3,23 @@
 use crate::plate_error::{PlateError, check, positive};
 use crate::raw_plate::RawSensor;
 
-/// Largest window, samples at the plate's resonance.
+/// At the plate's resonance.
 pub(crate) const MAX_WINDOW_SAMPLES: f64 = 1e6;
-/// Resolution and range of the converter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConverterResolution {
-    /// Bits of the converter, sign included, 2 to 32.
+    /// Sign included, 2 to 32.
     pub bits: u32,
-    /// The largest amplitude that is not clipped, µm peak to peak.
+    /// The largest amplitude that is not clipped, peak to peak.
     pub range_um: f64,
 }
 
 impl ConverterResolution {
-    /// The step between two codes, µm: 2^bits codes over twice the range.
+    /// µm: 2^bits codes over twice the range.
     pub fn step_um(&self) -> f64 {
         self.range_um / f64::from(1_u32 << (self.bits - 1))
     }
 }
 
-/// A converter and a lock-in demodulator.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lockin {
     /// Samples per second.
@@ -82,10 +80,8 @@ impl Lockin {
         Ok(Some(Self { converter_hz, periods: periods as u32, resolution }))
     }
 
-    /// A sample as the converter codes it, µm.
     pub(crate) fn convert(&self, y: f64) -> f64 {
-        // 1.5 · 2⁵²: adding it drops the fraction, which rounds to the nearest integer, halves to
-        // even.
+        // 1.5 · 2⁵²: adding it drops the fraction; rounds to nearest, halves to even.
         const WHOLE: f64 = 6_755_399_441_055_744.0;
         let Some(resolution) = &self.resolution else { return y };
         let (step, codes) = (resolution.step_um(), f64::from(1_u32 << (resolution.bits - 1)));

@@ -2,16 +2,13 @@
 
 use crate::plate::Plate;
 
-/// Temperature and force at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Conditions {
-    /// Kelvin above the plate's reference temperature.
+    /// Above the reference temperature.
     pub temperature_offset_k: f64,
-    /// Normal force of the finger, N.
     pub finger_force_n: f64,
 }
 
-/// The mode's parameters under given conditions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mode {
     /// Damping σ = d/2m, 1/s.
@@ -27,14 +24,12 @@ pub struct Mode {
 /// Output of the amplifier, constant between two actuations.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Drive {
-    /// Voltage, Vpp.
     pub vpp: f64,
     /// Excitation frequency ω, rad/s.
     pub omega: f64,
 }
 
 impl Plate {
-    /// The mode under the given conditions.
     pub fn mode(&self, conditions: &Conditions) -> Mode {
         let omega0 = self.omega0
             + self.omega0_per_k * conditions.temperature_offset_k
@@ -47,7 +42,7 @@ impl Plate {
         }
     }
 
-    /// Highest σ while the force is between `low` and `high` N.
+    /// `low` and `high` in N.
     pub(crate) fn max_sigma(&self, (low, high): (f64, f64)) -> f64 {
         let bends = self.damping_ratio.iter().map(|point| point[0]).filter(|force| (low..=high).contains(force));
         self.sigma0 * bends.chain([low, high]).map(|force| self.damping_ratio_at(force)).fold(0.0_f64, f64::max)
@@ -60,12 +55,12 @@ impl Mode {
         self.sigma > 0.0 && self.omega0 > self.sigma
     }
 
-    /// The drive in Vpp that holds `amplitude` µm at resonance: `V = W σ / b`.
+    /// Holds `amplitude` µm at resonance: `V = W σ / b`, Vpp.
     pub fn drive_for(&self, amplitude: f64) -> f64 {
         amplitude * self.sigma / self.envelope_constant
     }
 
-    /// The shortest time in s from rest to `share` of `setpoint` µm with at most `limit` Vpp at
+    /// Shortest time in s from rest to `share` of `setpoint` µm with at most `limit` Vpp at
     /// resonance: `−ln(1 − share·setpoint/W∞)/σ`. `None` if the limit is too low.
     pub fn min_rise_time(&self, setpoint: f64, share: f64, limit: f64) -> Option<f64> {
         let missing = 1.0 - share * self.drive_for(setpoint) / limit;

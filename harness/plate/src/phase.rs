@@ -3,9 +3,8 @@
 //! θ is in turns, a fixed-point fraction of 128 bits that wraps; ω is in turns per nanosecond in
 //! the same format. Time is an integer of nanoseconds, so an interval adds an integer product: no
 //! interval rounds, and intervals may be split anywhere. The only error is the rounding of ω to
-//! 2⁻¹²⁸ turns/ns: below 1e-22 turns in 104 days, the range of [`Time`]. A sum of `ω Δt` in doubles
-//! has an error of 2e-7 rad after 1e9 periods if it is wrapped after each interval, else of 8e-7
-//! rad.
+//! 2⁻¹²⁸ turns/ns: below 1e-22 turns in 104 days, the range of [`Time`]. A sum of `ω Δt` in
+//! doubles, wrapped after each interval, has an error of 2e-7 rad after 1e9 periods.
 
 use crate::time::Time;
 use num_complex::Complex64;
@@ -23,7 +22,6 @@ pub struct Phase(u128);
 pub struct PhaseRate(u128);
 
 impl Phase {
-    /// The phase after `span` at `rate`.
     #[must_use]
     pub const fn after(self, span: Time, rate: PhaseRate) -> Self {
         Self(self.0.wrapping_add(rate.0.wrapping_mul(span.as_nanos() as u128)))
@@ -42,8 +40,8 @@ impl Phase {
 }
 
 impl PhaseRate {
-    /// The rate of `omega` rad/s, exact to 2⁻¹²⁸ turns/ns. Zero if ω is NaN, infinite or above 2⁸⁵
-    /// rad/s, where a double cannot resolve a turn.
+    /// `omega` in rad/s, exact to 2⁻¹²⁸ turns/ns. Zero if ω is NaN, infinite or above 2⁸⁵ rad/s,
+    /// where a double cannot resolve a turn.
     pub const fn from_omega(omega: f64) -> Self {
         const MANTISSA: u64 = (1 << 52) - 1;
         let bits = omega.abs().to_bits();
@@ -72,8 +70,7 @@ mod tests {
         (phase.radians() / TAU).rem_euclid(1.0)
     }
 
-    /// Expected: the fraction of ωt/2π, computed in decimal with 120 digits from the doubles as
-    /// they are.
+    /// Expected: the fraction of ωt/2π, computed from the doubles with 120 decimal digits.
     #[test]
     fn the_phase_is_exact_after_a_billion_periods() {
         for (omega, nanos, turns) in [
@@ -98,7 +95,6 @@ mod tests {
         let (mut left, mut piece) = (31_000_000_000_000_u64, 1_u64);
         let mut summed = 0.0_f64;
         while left > 0 {
-            // Intervals of 1 ns to 62 ms, pseudo-random.
             piece = piece.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let span = ((piece >> 38) + 1).min(left);
             phase = phase.after(Time::from_nanos(span), rate);
@@ -135,7 +131,6 @@ mod tests {
 
         #[test]
         fn rates_add(a in 1.0..1e9_f64, b in 1.0..1e9_f64) {
-            // Exact sums of doubles: whole numbers.
             let (a, b) = (a.round(), b.round());
             let apart = PhaseRate::from_omega(a).0 + PhaseRate::from_omega(b).0;
             prop_assert!(PhaseRate::from_omega(a + b).0.abs_diff(apart) <= 2);

@@ -15,32 +15,27 @@ use crate::varying::VaryingFlow;
 use num_complex::Complex64;
 use std::f64::consts::PI;
 
-/// Allowed error of the substeps of a varying mode, as a fraction of the amplitude that the drive
-/// reaches at resonance.
+/// Allowed error of a varying mode relative to its resonance amplitude (`docs/mathematics.md`).
 ///
 /// Two terms of the Magnus series (`varying.rs`) leave the error `λ'² bV h⁵/240` for a pole λ with
 /// the rate λ'. It decays with σ, so the total is at most `λ'² h⁴/240 · bV/σ`. A mode that is
-/// frozen at the substep's midpoint leaves the first commutator, `|λ'| h²/12 · bV/σ`.
-/// `docs/mathematics.md` derives both, and the terms of a curved profile.
+/// frozen at the midpoint leaves the first commutator, `|λ'| h²/12 · bV/σ`.
 const VARYING_ERROR: f64 = 1e-7;
 /// Shortest substep, s. A profile that needs shorter ones lasts only microseconds.
 const MIN_SUBSTEP: f64 = 1e-7;
 /// Largest rate of a pole for `varying.rs`, as a share of Ω³/ω0 (Ω: frequency of the free
-/// oscillation). Its transformation requires a slow change; a faster mode is frozen per substep.
+/// oscillation): its transformation requires a slow change; a faster mode is frozen per substep.
 /// About 1e6 rad/s² for the paper's plate, 1 N in 0.35 ms.
 const SLOW_POLE_SHARE: f64 = 1.0 / 40_000.0;
 
-/// Temperature and force during a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConditionProfiles {
-    /// Kelvin above the reference temperature.
+    /// Above the reference temperature.
     pub temperature_offset_k: Profile,
-    /// Normal force, N.
     pub finger_force_n: Profile,
 }
 
 impl ConditionProfiles {
-    /// Temperature and force at `time`.
     pub fn at(&self, time: Time) -> Conditions {
         Conditions {
             temperature_offset_k: self.temperature_offset_k.at(time),
@@ -48,13 +43,12 @@ impl ConditionProfiles {
         }
     }
 
-    /// The next point of either profile after `time`.
+    /// The next point of either profile.
     pub fn next_point_after(&self, time: Time) -> Option<Time> {
         let points = [&self.temperature_offset_k, &self.finger_force_n].map(|profile| profile.next_point_after(time));
         points.into_iter().flatten().min()
     }
 
-    /// The higher angular frequency of the two profiles, rad/s.
     fn angular_frequency(&self) -> f64 {
         self.temperature_offset_k.angular_frequency().max(self.finger_force_n.angular_frequency())
     }
@@ -66,11 +60,10 @@ struct SmoothInterval {
     end: Time,
     /// Bound on |λ'|, rad/s².
     rate: f64,
-    /// The mode at its start; constant if `rate` is 0.
+    /// At the interval's start; constant if `rate` is 0.
     mode: Mode,
 }
 
-/// A plate with its state, drive and profiles.
 #[derive(Debug, Clone)]
 pub struct Plant {
     plate: Plate,
@@ -84,13 +77,11 @@ pub struct Plant {
     demodulator: Option<Demodulator>,
     /// The largest |λ'| for [`VaryingFlow`], rad/s².
     max_pole_rate: f64,
-    /// The interval of the last call of `smooth_interval`.
     interval: Option<SmoothInterval>,
 }
 
 impl Plant {
-    /// A plate at rest and without drive at the start of `scene`. In the carrier tier the sensor is
-    /// the plate's demodulator, if any.
+    /// At rest and without drive. In the carrier tier the sensor is the plate's demodulator.
     pub fn new(plate: Plate, scene: ConditionProfiles, tier: Tier) -> Self {
         let lockin = plate.lockin.filter(|_| tier == Tier::Carrier);
         Self {
@@ -108,57 +99,49 @@ impl Plant {
         }
     }
 
-    /// The present time.
     pub fn time(&self) -> Time {
         self.time
     }
 
-    /// The present state.
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// The carrier's present phase θ, in every tier.
+    /// The carrier's θ, in every tier.
     pub fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// The present displacement `y = Re(W e^{jθ})`, µm.
+    /// `y = Re(W e^{jθ})`, µm.
     pub fn waveform(&self) -> f64 {
         (self.state.w * self.phase.rotation()).re
     }
 
-    /// The sensed W, µm: W itself, or the demodulator's mean over the last carrier periods.
+    /// µm: W itself, or the demodulator's mean over the last carrier periods.
     pub fn sensor_reading(&self) -> Complex64 {
         self.demodulator.as_ref().map_or(self.state.w, |demodulator| demodulator.read(self.drive.omega))
     }
 
-    /// The present drive.
     pub fn drive(&self) -> Drive {
         self.drive
     }
 
-    /// The plate.
     pub fn plate(&self) -> &Plate {
         &self.plate
     }
 
-    /// Temperature and force at `time`.
     pub fn conditions_at(&self, time: Time) -> Conditions {
         self.scene.at(time)
     }
 
-    /// The mode at `time`.
     pub fn mode_at(&self, time: Time) -> Mode {
         self.plate.mode(&self.scene.at(time))
     }
 
-    /// The next point of a profile after `time`.
     pub fn next_point_after(&self, time: Time) -> Option<Time> {
         self.scene.next_point_after(time)
     }
 
-    /// Replaces the profiles by constant `conditions`.
     pub fn hold_conditions(&mut self, conditions: Conditions) {
         self.scene = ConditionProfiles {
             temperature_offset_k: Profile::constant(conditions.temperature_offset_k),
@@ -167,14 +150,14 @@ impl Plant {
         self.interval = None;
     }
 
-    /// Changes the drive. W, U and θ are continuous.
+    /// W, U and θ are continuous.
     pub fn set_drive(&mut self, drive: Drive) {
         self.rate = PhaseRate::from_omega(drive.omega);
         self.drive = drive;
     }
 
-    /// Advances to `end`; an earlier time changes nothing. Appends crossings of the bands to
-    /// `crossings` in order of time; an excursion shorter than 1 µs may be missed.
+    /// An earlier `end` changes nothing. Appends to `crossings` in order of time; an excursion
+    /// shorter than 1 µs may be missed.
     pub fn advance(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         while self.time < end {
             let interval = self.smooth_interval();
@@ -205,7 +188,6 @@ impl Plant {
         }
     }
 
-    /// The smooth interval that contains the present time.
     fn smooth_interval(&mut self) -> SmoothInterval {
         if let Some(interval) = self.interval.filter(|interval| self.time < interval.end) {
             return interval;
@@ -244,14 +226,12 @@ impl Plant {
         damping.hypot(plate.omega0_per_k.abs() * warming + plate.omega0_per_n.abs() * pressing)
     }
 
-    /// The next time at which the force passes a bend of the damping curve.
     fn next_bend(&self) -> Option<Time> {
         // The last segment is extended, so its end is no bend.
         let (_, bends) = self.plate.damping_ratio.split_last()?;
         bends.iter().filter_map(|[force, _]| self.scene.finger_force_n.next_crossing(*force, self.time)).min()
     }
 
-    /// Advances to `end` with a constant mode.
     fn advance_frozen(&mut self, mode: &Mode, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         let seconds = (end - self.time).seconds();
         let flow = Flow::new(self.tier, mode, &self.drive, &self.state);
@@ -263,8 +243,7 @@ impl Plant {
         self.finish_step(end, flow.after(seconds));
     }
 
-    /// Advances to `end` with a varying mode; the demodulator advances in pieces of at most
-    /// `longest` s.
+    /// The demodulator advances in pieces of at most `longest` s.
     fn advance_varying(&mut self, end: Time, longest: f64, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         let start = self.time;
         // A held profile may jump at the end itself.
@@ -275,8 +254,8 @@ impl Plant {
         let reach = if monitors.is_empty() { 0.0 } else { varying.max_excursion(seconds) };
         self.find_crossings(end, reach, |seconds| varying.after(seconds), monitors, crossings);
         if let Some(mut demodulator) = self.demodulator.take() {
-            // It advances by exponentials. Each piece starts at the plate's exact state, so errors
-            // do not accumulate.
+            // The demodulator advances by exponentials. Each piece starts at the plate's exact
+            // state, so errors do not accumulate.
             let mut from = start;
             for to in split_interval(start, end, longest) {
                 let (mode, state) = (self.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
@@ -290,7 +269,7 @@ impl Plant {
         self.finish_step(end, varying.after(seconds));
     }
 
-    /// Finds crossings up to `end`; W changes by at most `reach` µm until then.
+    /// W changes by at most `reach` µm.
     fn find_crossings(
         &self,
         end: Time,
@@ -319,8 +298,7 @@ impl Plant {
     }
 }
 
-/// The largest |λ'| in rad/s² that is slow compared with the free oscillation, for every condition
-/// in `scene`.
+/// The largest |λ'| that is slow against the oscillation in every condition of `scene`, rad/s².
 fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
     let largest = |profile: &Profile| profile.range().0.abs().max(profile.range().1.abs());
     let shift = plate.omega0_per_k.abs() * largest(&scene.temperature_offset_k)
@@ -331,8 +309,7 @@ fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
     SLOW_POLE_SHARE * squared * squared.sqrt() / plate.omega0
 }
 
-/// Longest substep in s for a mode that is frozen at its midpoint while the pole changes at `rate`
-/// rad/s².
+/// Longest substep in s for a mode frozen at its midpoint while the pole changes at `rate` rad/s².
 fn max_frozen_substep(rate: f64) -> f64 {
     (12.0 * VARYING_ERROR / rate).sqrt().max(MIN_SUBSTEP)
 }
@@ -342,7 +319,7 @@ fn split_interval(start: Time, end: Time, longest: f64) -> impl Iterator<Item = 
     let span = end - start;
     let pieces = ((span.seconds() / longest).ceil().max(1.0) as u64).min(span.as_nanos());
     (1..=pieces).map(move |piece| {
-        // The last end is exact; it is usually the only one and then needs no division of 128 bits.
+        // The last end is exact; it is usually the only one and needs no division of 128 bits.
         if piece == pieces {
             end
         } else {

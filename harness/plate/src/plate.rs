@@ -5,18 +5,14 @@ use crate::plate_error::{PlateError, check, finite, positive};
 use crate::raw_plate::{HIGHEST_RESONANCE_HZ, RawPlate, RawUncertainty};
 use std::f64::consts::TAU;
 
-/// A checked plate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plate {
-    /// Name of the plate.
     pub name: String,
-    /// Source of the numbers.
     pub source: String,
-    /// Resonance at the reference temperature, rad/s.
+    /// At the reference temperature, rad/s.
     pub omega0: f64,
-    /// Reference of temperature offsets, °C.
     pub reference_temperature_c: f64,
-    /// Change of the resonance per kelvin, rad/s.
+    /// rad/s per kelvin.
     pub omega0_per_k: f64,
     /// Damping σ = d/2m = 1/τ untouched, 1/s.
     pub sigma0: f64,
@@ -24,25 +20,20 @@ pub struct Plate {
     pub gain: f64,
     /// Points [force N, σ/σ0], at least one, forces rising, ratios positive.
     pub damping_ratio: Vec<[f64; 2]>,
-    /// Change of the resonance per newton, rad/s.
+    /// rad/s per newton.
     pub omega0_per_n: f64,
-    /// Highest drive, Vpp.
     pub drive_limit_vpp: f64,
-    /// Standard deviation of the noise on each sensed component, µm.
+    /// Of the noise on each sensed component.
     pub noise_um_rms: f64,
-    /// The sensor's converter and demodulator, for the carrier tier; `None` if W is sensed without
-    /// delay.
+    /// `None` if W is sensed without delay. Only for the carrier tier.
     pub lockin: Option<Lockin>,
-    /// Uncertainty of the numbers.
     pub uncertainty: Uncertainty,
 }
 
 /// Half widths of the intervals of 95 %, percent; `None` if unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Uncertainty {
-    /// Of the gain K1.
     pub gain_percent: Option<f64>,
-    /// Of the time constant τ.
     pub time_constant_percent: Option<f64>,
 }
 
@@ -58,10 +49,6 @@ fn uncertainty(raw: &RawUncertainty) -> Result<Uncertainty, PlateError> {
 }
 
 impl RawPlate {
-    /// Checks every number.
-    ///
-    /// # Errors
-    /// [`PlateError`] with the first invalid key.
     pub fn check(self) -> Result<Plate, PlateError> {
         let resonance_hz = positive("mode.resonance_hz", self.mode.resonance_hz)?;
         check(
@@ -113,15 +100,11 @@ fn damping_curve(points: Vec<[f64; 2]>) -> Result<Vec<[f64; 2]>, PlateError> {
 }
 
 impl Plate {
-    /// The plant's constant N/m, µm/s² per Vpp: `K1 · 2σ0 · ω0` (from equation 8 at the reference
-    /// temperature).
-    ///
-    /// A finger changes σ and a temperature changes ω0, but not this.
+    /// N/m, µm/s² per Vpp: `K1 · 2σ0 · ω0` (equation 8); independent of finger and temperature.
     pub fn force_constant(&self) -> f64 {
         self.gain * 2.0 * self.sigma0 * self.omega0
     }
 
-    /// Largest change of σ/σ0 per newton.
     pub fn max_damping_slope(&self) -> f64 {
         let slopes = self.damping_ratio.windows(2).map(|pair| (pair[1][1] - pair[0][1]) / (pair[1][0] - pair[0][0]));
         slopes.fold(0.0, |steepest, slope| slope.abs().max(steepest))

@@ -1,14 +1,11 @@
 //! Checks numbers of a plate file.
 
-/// An invalid value in a plate file.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("`{key}` is {value}, expected {expected}")]
 pub struct PlateError {
-    /// Dotted path of the key.
+    /// Dotted path.
     pub key: &'static str,
-    /// The value.
     pub value: String,
-    /// The valid values.
     pub expected: &'static str,
 }
 

@@ -3,7 +3,6 @@
 use crate::time::Time;
 use std::f64::consts::{PI, TAU};
 
-/// A checked profile.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Profile {
     /// Each value holds from its instant to the next point; the first one from the start.
@@ -12,19 +11,15 @@ pub enum Profile {
     Linear(Vec<(Time, f64)>),
     /// `mean + amplitude sin(omega t + phase)`
     Sine {
-        /// Mean.
         mean: f64,
-        /// Amplitude.
         amplitude: f64,
-        /// rad/s.
+        /// rad/s; `phase` is rad.
         omega: f64,
-        /// rad.
         phase: f64,
     },
 }
 
 impl Profile {
-    /// A constant value.
     pub fn constant(value: f64) -> Self {
         Self::Hold(vec![(Time::ZERO, value)])
     }
@@ -51,7 +46,6 @@ impl Profile {
         }
     }
 
-    /// The next point after `time`, at which the profile may jump or bend.
     pub fn next_point_after(&self, time: Time) -> Option<Time> {
         match self {
             Self::Hold(points) | Self::Linear(points) => {
@@ -72,7 +66,7 @@ impl Profile {
         }
     }
 
-    /// The angular frequency of a sine, rad/s; otherwise 0.
+    /// rad/s; 0 if not a sine.
     pub fn angular_frequency(&self) -> f64 {
         match self {
             Self::Sine { amplitude, omega, .. } if *amplitude != 0.0 => *omega,
@@ -80,8 +74,7 @@ impl Profile {
         }
     }
 
-    /// The first nanosecond after `after` and before the next point at which the profile has passed
-    /// `value`.
+    /// The first nanosecond after `after` and before the next point at which `value` is passed.
     pub fn next_crossing(&self, value: f64, after: Time) -> Option<Time> {
         match self {
             Self::Hold(_) => None,
@@ -108,7 +101,6 @@ impl Profile {
         }
     }
 
-    /// Smallest and largest value.
     pub fn range(&self) -> (f64, f64) {
         match self {
             Self::Hold(points) | Self::Linear(points) => {
@@ -176,7 +168,6 @@ mod tests {
         assert_eq!(profile.angular_frequency(), TAU * 2.0);
     }
 
-    /// Every passage is exact to a nanosecond, and none is missing.
     #[rstest]
     #[case::sine("{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 123.0, phase_deg = 40.0 } }")]
     #[case::sine_upside_down("{ sine = { mean = 1.0, amplitude = -0.5, frequency_hz = 123.0, phase_deg = -400.0 } }")]
@@ -212,7 +203,6 @@ mod tests {
             assert_eq!(read(text).unwrap().next_crossing(1.6, Time::ZERO), None, "{text}");
         }
         let line = read("{ linear = [[2.0, 0.0], [12.0, 10.0], [13.0, 10.0]] }").unwrap();
-        // It is constant before its first point, and the present value does not count.
         assert_eq!(line.next_crossing(1.0, Time::ZERO), None);
         assert_eq!(line.next_crossing(1.0, ms(2.0)), Some(ms(3.0)));
         assert_eq!(line.next_crossing(1.0, ms(3.0)), None);

@@ -5,7 +5,6 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// A sensor without delay.
 #[derive(Debug, Clone)]
 pub struct Sensor {
     gain: f64,
@@ -14,13 +13,11 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// A sensor that returns `gain · W` plus noise of standard deviation `noise_um_rms` on each
-    /// component, from `seed`.
+    /// Returns `gain · W` plus noise of standard deviation `noise_um_rms` on each component.
     pub fn new(gain: f64, noise_um_rms: f64, seed: u64) -> Self {
         Self { gain, noise_um_rms, random: ChaCha8Rng::seed_from_u64(seed) }
     }
 
-    /// The measured value of `w`, µm.
     pub fn measure(&mut self, w: Complex64) -> Complex64 {
         if self.noise_um_rms == 0.0 {
             return w * self.gain;

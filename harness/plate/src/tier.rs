@@ -2,28 +2,23 @@
 
 use crate::plate::Plate;
 
-/// Model of the plate. `docs/mathematics.md` states the terms that each omits and the resulting
-/// error.
+/// Model of the plate. `docs/mathematics.md` states the terms that each omits and its error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub enum Tier {
-    /// Equations 13 and 19: Wd from V and Wq/Wd from Δω, two decoupled first-order systems. For
-    /// analysis.
+    /// Equations 13 and 19: Wd from V and Wq/Wd from Δω, two decoupled first-order systems.
     Linear,
     /// First order in complex W: only the slow pole.
     Envelope,
     /// Second order, exact for one mode.
     #[default]
     Modal,
-    /// The modal plate with the phase of its carrier, converter and demodulator. W and U equal
-    /// those of [`Tier::Modal`] bit for bit.
+    /// The modal plate with carrier, converter and demodulator; same W and U, bit for bit.
     Carrier,
 }
 
 impl Tier {
-    /// Every tier, from simplest to most complete.
     pub const ALL: [Self; 4] = [Self::Linear, Self::Envelope, Self::Modal, Self::Carrier];
 
-    /// The tier's name in scenario files and records.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Linear => "linear",
@@ -33,7 +28,6 @@ impl Tier {
         }
     }
 
-    /// The tier of that name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|tier| tier.name() == name)
     }

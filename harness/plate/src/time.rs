@@ -11,20 +11,18 @@ pub struct Time(u64);
 const LARGEST_NS: u64 = 1 << 53;
 
 impl Time {
-    /// Start of a trial.
     pub const ZERO: Self = Self(0);
 
-    /// Time from nanoseconds.
     pub const fn from_nanos(nanos: u64) -> Self {
         Self(nanos)
     }
 
-    /// Time from milliseconds, rounded to 1 ns; `None` if negative, not finite or above 104 days.
+    /// Rounded to 1 ns; `None` if negative, not finite or above 104 days.
     pub fn from_ms(ms: f64) -> Option<Self> {
         Self::from_scaled(ms, 1e6)
     }
 
-    /// Time from seconds, rounded to 1 ns; `None` if negative, not finite or above 104 days.
+    /// Rounded to 1 ns; `None` if negative, not finite or above 104 days.
     pub fn from_seconds(seconds: f64) -> Option<Self> {
         Self::from_scaled(seconds, 1e9)
     }
@@ -34,45 +32,40 @@ impl Time {
         (nanos >= 0.0 && nanos <= LARGEST_NS as f64).then_some(Self(nanos as u64))
     }
 
-    /// Nanoseconds.
     pub const fn as_nanos(self) -> u64 {
         self.0
     }
 
-    /// Microseconds, rounded down, modulo 2³²: the time stamp of the wire protocol.
+    /// Rounded down, modulo 2³²: the time stamp of the wire protocol.
     pub const fn wrapping_micros(self) -> u32 {
         (self.0 / 1000) as u32
     }
 
-    /// Seconds, rounded to the nearest double.
     pub fn seconds(self) -> f64 {
         self.0 as f64 / 1e9
     }
 
-    /// Milliseconds, rounded to the nearest double.
     pub fn ms(self) -> f64 {
         self.0 as f64 / 1e6
     }
 
-    /// The span since `earlier`; zero if `earlier` is later.
+    /// Zero if `earlier` is later.
     #[must_use]
     pub const fn since(self, earlier: Self) -> Self {
         Self(self.0.saturating_sub(earlier.0))
     }
 
-    /// The instant in the middle between this and `later`.
     #[must_use]
     pub const fn midpoint(self, later: Self) -> Self {
         Self(u64::midpoint(self.0, later.0))
     }
 
-    /// `count` times this span.
     #[must_use]
     pub const fn times(self, count: u64) -> Self {
         Self(self.0.saturating_mul(count))
     }
 
-    /// The first multiple of this span after `instant`; the largest time for a span of zero.
+    /// The largest time for a span of zero.
     #[must_use]
     pub const fn next_multiple_after(self, instant: Self) -> Self {
         match instant.0.checked_div(self.0) {

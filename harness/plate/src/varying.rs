@@ -55,7 +55,6 @@ impl Parabola {
         self.slope + t * self.curvature
     }
 
-    /// Bound on the change from 0 to t.
     fn max_change(&self, t: f64) -> f64 {
         t * (self.slope.abs() + t * self.curvature.abs())
     }
@@ -93,7 +92,6 @@ impl PoleStep {
     }
 }
 
-/// The plate's motion over a step in which its mode changes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VaryingFlow {
     tier: Tier,
@@ -106,8 +104,7 @@ pub(crate) struct VaryingFlow {
 }
 
 impl VaryingFlow {
-    /// The motion of a plate in `state` under `drive`. Its mode is `first` at 0 and `middle`,
-    /// `last` at their times in s.
+    /// The mode is `first` at 0 and `middle`, `last` at their times in s.
     pub(crate) fn new(
         tier: Tier,
         first: &Mode,
@@ -129,7 +126,6 @@ impl VaryingFlow {
         }
     }
 
-    /// The state `seconds` later, within the step.
     pub(crate) fn after(&self, seconds: f64) -> State {
         let state = match self.tier {
             Tier::Linear => self.linear(seconds),
@@ -139,8 +135,7 @@ impl VaryingFlow {
         state.flush_negligible()
     }
 
-    /// Upper bound on the change of W within `seconds`, µm: its initial speed, and the effect of
-    /// the changing pole.
+    /// Upper bound on the change of W, µm: its initial speed, and the effect of the changing pole.
     pub(crate) fn max_excursion(&self, seconds: f64) -> f64 {
         let State { w, u } = self.state;
         let force = self.envelope_constant * self.drive.vpp;

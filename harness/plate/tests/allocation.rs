@@ -20,7 +20,6 @@ fn detects_an_allocation() {
     assert_eq!(measure(|| drop(black_box(vec![1_u8; 3]))).count_total, 1);
 }
 
-/// With a ramp of force, a monitored band and a noisy sensor.
 #[rstest]
 fn no_control_period_allocates(#[values(Tier::Linear, Tier::Envelope, Tier::Modal, Tier::Carrier)] tier: Tier) {
     let ms = |ms| Time::from_ms(ms).unwrap();

@@ -1,5 +1,4 @@
-//! Lists the steps that `cost` and `counts` measure: a control period in each tier, with constant
-//! conditions and with a ramp, and a sample.
+//! Lists the steps that `cost` and `counts` measure.
 
 #![allow(clippy::expect_used, reason = "the repository's plate file is valid")]
 
@@ -10,7 +9,6 @@ use std::fmt;
 use std::hint::black_box;
 
 const PERIOD: Time = Time::from_nanos(1_000_000);
-/// A repeated operation.
 pub(crate) struct Step {
     pub(crate) name: &'static str,
     /// Control periods or samples per step.
@@ -38,12 +36,10 @@ pub(crate) static STEPS: &[Step] = &[
     Step { name: "plant-modal", items: 1, make: || plant(Tier::Modal) },
     Step { name: "ramp-envelope", items: 1, make: || ramp(Tier::Envelope) },
     Step { name: "ramp-modal", items: 1, make: || ramp(Tier::Modal) },
-    // A sample per microsecond.
     Step { name: "carrier-sample", items: 1_000, make: || plant(Tier::Carrier) },
     Step { name: "lock-in-read", items: 1, make: read },
 ];
 
-/// The paper's plate with a lock-in.
 fn plate() -> Plate {
     let text = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
     let lockin = Some(Lockin { converter_hz: 1e6, periods: 8, resolution: None });
@@ -51,7 +47,6 @@ fn plate() -> Plate {
     Plate { lockin, ..raw.check().expect("a plate file of this repository") }
 }
 
-/// A drive that changes in every period, like that of a controller.
 fn drive(plate: &Plate, period: u64) -> Drive {
     let turn = (period % 64) as f64;
     Drive { vpp: 200.0 + turn, omega: plate.omega0 + 10.0 * turn }

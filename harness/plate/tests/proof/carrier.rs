@@ -14,7 +14,6 @@ fn with_lockin(periods: u32, converter_hz: f64, resolution: Option<ConverterReso
     Plate { lockin: Some(Lockin { converter_hz, periods, resolution }), ..paper_plate() }
 }
 
-/// Calls `each` with the end of a period in ms and a random drive.
 fn random_drives(seed: u64, plate: &Plate, mut each: impl FnMut(f64, Drive)) {
     let mut random = Random::new(seed);
     for period in 1..=30 {
@@ -72,8 +71,7 @@ fn the_waveform_equals_the_reference() {
     assert!(worst <= 1e-10, "{worst:e}");
 }
 
-/// The constant drive for the setpoint, or both loops of the paper matched to the zero-order hold
-/// (2 ms, no limit) with samples of W or of the lock-in.
+/// Loops: those of the paper, matched to the zero-order hold (2 ms, no limit).
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum ControlLoop {
     Open,
@@ -81,9 +79,7 @@ enum ControlLoop {
     ThroughLockin,
 }
 
-/// W at the control instants of 40 ms from rest, and the largest error of the lock-in at the
-/// control
-/// instants and at any time.
+/// W at the control instants, and the error of the lock-in at the control instants and at any time.
 fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex64>, [f64; 2]) {
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
     let normalised = (1.0 - loop_pole) / (1.0 - plant_pole);
@@ -118,8 +114,7 @@ fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex6
 }
 
 /// Expected, in 1/1000 of the setpoint: the error of a lock-in of one period at the control
-/// instants
-/// and at any time, and the change of W at the control instants by that error.
+/// instants and at any time, and the change of W at the control instants by that error.
 #[rstest]
 #[case::step_open(0.0, ControlLoop::Open, [5.90, 10.36, 0.0])]
 #[case::step_closed(0.0, ControlLoop::ThroughLockin, [11.11, 19.52, 8.65])]
@@ -162,7 +157,6 @@ fn the_ripple_of_a_steady_reading_is_bounded(
     println!("{periods} periods at {converter_hz} Hz, steady: {worst:.1e}, bound {bound:.1e}");
     // The bound is of first order in 1/L; 20 % for higher orders at 6 samples per period.
     assert!(worst <= 1.2 * bound + 1e-12, "{worst:e} > {bound:e}");
-    // The bound is not far too large.
     assert!(periods > 8 || worst >= 0.02 * bound, "{worst:e} << {bound:e}");
 }
 
@@ -171,7 +165,6 @@ fn a_lock_in_delays_by_half_its_window(#[values(1, 8, 32)] periods: u32) {
     let plate = with_lockin(periods, 2e6, None);
     // The mean age of the samples in the window; the newest has age 0.
     let latency = (f64::from(periods) * TAU / plate.omega0 - 0.5e-6) / 2.0;
-    // Samples are at multiples of 0.5 µs, like the instant of reading.
     let mut plant = holding_plant(&plate, Tier::Carrier, 0.0);
     let mut earlier = plant.clone();
     state_at(&mut plant, 4.0);
@@ -236,7 +229,6 @@ fn the_first_window_contains_the_rest_before_the_start() {
     let plate = with_lockin(100, 1e6, None);
     let mut plant = holding_plant(&plate, Tier::Carrier, 0.0);
     assert_eq!(plant.sensor_reading(), Complex64::ZERO);
-    // A third of the window.
     let w = state_at(&mut plant, 1.0).w;
     assert!(plant.sensor_reading().norm() < 0.3 * w.norm());
 }
@@ -255,7 +247,6 @@ fn readings_are_finite_for_any_frequency_and_interval(#[values(0.0, 1.0, 1e5, 4e
     }
 }
 
-/// The drive changes every carrier cycle, 31 µs.
 #[test]
 fn a_control_period_of_one_carrier_cycle_is_exact() {
     let plate = with_lockin(1, 1e6, None);

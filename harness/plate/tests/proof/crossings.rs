@@ -13,7 +13,6 @@ fn band(signal: BandSignal, low: f64, high: f64) -> BandMonitor {
 
 const FIVE_PERCENT: BandMonitor = BandMonitor { signal: BandSignal::Amplitude, low: 1.9, high: 2.1 };
 
-/// Crossings up to `end_ms`, in intervals of `interval_ns`.
 fn crossings(plant: &mut Plant, monitors: &[BandMonitor], end_ms: f64, interval_ns: u64) -> Vec<Crossing> {
     let end = Time::from_ms(end_ms).unwrap();
     let mut found = Vec::new();
@@ -37,13 +36,12 @@ fn the_first_order_plate_settles_after_tau_ln_20(
     assert!((found[0].state.amplitude() - 1.9).abs() < 1e-7);
 }
 
-/// Starts of the intervals of 50 ns in which the closed form crosses.
 fn crossing_intervals(flow: &Flow, is_inside: impl Fn(&State) -> bool, end_ns: u64) -> Vec<u64> {
     let side = |ns: u64| is_inside(&flow.after(ns as f64 / 1e9));
     (0..end_ns / 50).map(|step| 50 * step).filter(|ns| side(*ns) != side(ns + 50)).collect()
 }
 
-/// Drops excursions of less than a microsecond without crossings, which `Plant::advance` may miss.
+/// Drops excursions of less than 1 µs, which `Plant::advance` may miss.
 fn without_short_excursions(brackets: &[u64], found: &[Crossing]) -> Vec<u64> {
     let mut kept = Vec::new();
     let mut rest = brackets;
@@ -92,7 +90,6 @@ fn modal_crossings_match_closed_form_and_reference(
             (bracket + 1..=bracket + 50).contains(&crossing.time.as_nanos()),
             "{crossing:?} not after {bracket} ns"
         );
-        // The reference crosses within the nanosecond before.
         let mut carrier = ReferencePlate::at_rest(plate.omega0);
         let before = crossing.time - Time::from_nanos(1);
         carrier.advance(before.seconds(), plate.force_constant(), &drive, &|_| (plate.sigma0, plate.omega0));
@@ -115,12 +112,10 @@ fn a_decaying_amplitude_leaves_the_band() {
     let expected = 10e6 + (from / 1.9).ln() * 1.88e6;
     println!("entered at {}, left at {} (closed form {:.6} ms)", found[0].time, found[1].time, expected / 1e6);
     assert_eq!(found.len(), 2);
-    // The edge is inside.
     assert_eq!(found[1].time.as_nanos(), expected.floor() as u64 + 1);
     assert!(found[0].state.amplitude() >= 1.9 && found[1].state.amplitude() < 1.9);
 }
 
-/// Time and value of the first peak of |W|, by golden section on the closed form.
 fn first_peak(flow: &Flow) -> (f64, f64) {
     let amplitude = |t: f64| flow.after(t).amplitude();
     let (mut low, mut high) = (0.5e-3, 1.5e-3);
@@ -168,11 +163,9 @@ fn crossings_of_several_bands_are_in_order_of_time() {
         band(BandSignal::Amplitude, 1.98, 2.02),
         band(BandSignal::InPhase, 0.2, 9.0),
         band(BandSignal::Amplitude, 1.5, 1.6),
-        // Never entered.
         band(BandSignal::Quadrature, 5.0, 6.0),
     ];
     let mut plant = holding_plant(&plate, Tier::Envelope, 0.0);
-    // All in one interval; earlier entries of the list stay.
     let other = Crossing { time: Time::from_ms(99.0).unwrap(), state: State::default(), before: State::default() };
     let mut found = vec![other];
     plant.advance(Time::from_ms(12.0).unwrap(), &monitors, &mut found);
@@ -185,7 +178,6 @@ fn crossings_of_several_bands_are_in_order_of_time() {
         // A band is left up to 1 ns after its edge.
         assert!(time.abs_diff(expected) <= 1, "{times:?} instead of {expected:?}");
     }
-    // Earlier crossings do not change.
     plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 });
     let before = found.clone();
     plant.advance(Time::from_ms(30.0).unwrap(), &monitors, &mut found);
@@ -194,7 +186,6 @@ fn crossings_of_several_bands_are_in_order_of_time() {
     assert_eq!(found.len(), 2 * before.len());
 }
 
-/// Monitors do not change the state, and intervals do not change the times of crossings.
 #[test]
 fn a_finger_moves_the_amplitude_out_of_its_band() {
     let plate: Plate = paper_plate();

@@ -1,5 +1,4 @@
-//! Checks that the length of intervals changes nothing while the mode varies, and that jumps act at
-//! their time.
+//! Checks that the length of intervals changes nothing while the mode varies.
 
 use crate::reference::{
     HOLDING_DRIVE_VPP, ReferencePlate, SETPOINT, distance, driven_plant, finger_profile, line, paper_plate, state_at,
@@ -12,7 +11,6 @@ fn ms(value: f64) -> Time {
     Time::from_ms(value).unwrap()
 }
 
-/// A rising force and a rising temperature.
 fn moving_conditions(start_ms: f64, warm_up_ms: f64) -> ConditionProfiles {
     ConditionProfiles {
         temperature_offset_k: line(0.0, 0.0, warm_up_ms, 9.0),
@@ -20,7 +18,6 @@ fn moving_conditions(start_ms: f64, warm_up_ms: f64) -> ConditionProfiles {
     }
 }
 
-/// The largest `error` between intervals of 1 ms and of `short_ns` during 30 ms.
 fn largest_error(plate: &Plate, tier: Tier, short_ns: u64, error: impl Fn(&Plant, &Plant) -> f64) -> f64 {
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 50.0 };
     let [mut long, mut short] = [(); 2].map(|()| driven_plant(plate, &moving_conditions(3.0, 500.0), tier, drive));
@@ -56,7 +53,6 @@ fn the_lock_in_does_not_depend_on_the_interval() {
     assert!(worst <= 3e-7, "{worst:e}");
 }
 
-/// Intervals too short for three instants before their end, and just long enough.
 #[rstest]
 fn intervals_of_nanoseconds_add_up(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
     let plate = paper_plate();
@@ -86,7 +82,6 @@ fn held_conditions_replace_the_profiles(#[values(0.0, 50.0)] newtons_per_second:
     assert!(distance(&state_at(&mut plant, 7.0), &expected, plate.omega0) < 1e-14);
 }
 
-/// Force and temperature jump within intervals.
 #[test]
 fn a_jump_within_an_interval_acts_at_its_time() {
     let plate = paper_plate();

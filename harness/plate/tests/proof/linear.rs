@@ -35,25 +35,20 @@ fn the_ratio_does_not_depend_on_the_vibration() {
     let settled = -200.0 / plate.sigma0;
     assert_eq!(state.w, Complex64::ZERO);
     assert!((state.u.re / settled - 1.0).abs() < 1e-6);
-    // Wq follows Wd at once.
     plant.set_drive(Drive { vpp: HOLDING_DRIVE_VPP, ..off });
     let w = state_at(&mut plant, 31.0).w;
     assert!(w.re > 0.5 && (w.im / w.re / settled - 1.0).abs() < 1e-6, "{w}");
 }
 
-/// Start of a run in closed loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum StartCondition {
-    /// At rest.
     Rest,
-    /// Settled at resonance, as assumed by equation 19.
+    /// As equation 19 assumes.
     Settled,
 }
 
-/// Error relative to the setpoint at the control instants of 40 ms after the detuning. Both loops
-/// of
-/// the paper, matched to the zero-order hold (2 ms, no limit), control the modal plate; the linear
-/// plate gets the same drives.
+/// Both loops of the paper, matched to the zero-order hold (2 ms, no limit), control the modal
+/// plate; the linear plate gets the same drives.
 fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
     let plate = paper_plate();
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
@@ -86,7 +81,6 @@ fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
     worst
 }
 
-/// Error after settling with a constant drive, relative to the setpoint and to |W|.
 fn open_loop_error(detuning: f64) -> [f64; 2] {
     let plate = paper_plate();
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
@@ -96,9 +90,7 @@ fn open_loop_error(detuning: f64) -> [f64; 2] {
     [error / SETPOINT, error / modal.norm()]
 }
 
-/// Expected: errors of the closed loop from rest and from a settled plate, relative to the
-/// setpoint,
-/// and of the settled open loop relative to |W|.
+/// Expected: errors from rest and from a settled plate relative to the setpoint, open loop to |W|.
 #[rstest]
 #[case::at_resonance(0.0, [3.44e-3, 0.0, 0.0])]
 #[case::one_step_of_figure_9(77.0, [2.24e-2, 2.19e-3, 2.13e-2])]

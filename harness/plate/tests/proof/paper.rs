@@ -9,7 +9,6 @@ fn mode(plate: &Plate, temperature_offset_k: f64, finger_force_n: f64) -> Mode {
     plate.mode(&Conditions { temperature_offset_k, finger_force_n })
 }
 
-/// W after 100 ms of a constant drive from rest.
 fn steady_state(plate: &Plate, tier: Tier, [offset_k, force_n]: [f64; 2], drive: Drive) -> Complex64 {
     state_at(&mut driven_plant(plate, &conditions(offset_k, force_n), tier, drive), 100.0).w
 }
@@ -70,9 +69,7 @@ fn nine_kelvin_shift_the_resonance_as_in_fig_4() {
     assert!(response(top) > response(top + 5.0) && response(top) > response(top - 5.0));
 }
 
-/// Open loop at the resonance of 24 °C with the plate 9 K or 4 K warmer: −20 % and −8 % in the
-/// paper.
-/// A linear resonator with the paper's τ differs.
+/// −20 % and −8 % in the paper; a linear resonator with the paper's τ differs.
 #[rstest]
 #[case::tau1_9k(1.88, 9.0, 1.40, 1.6)]
 #[case::tau2_9k(1.62, 9.0, 1.50, 1.6)]
@@ -114,7 +111,6 @@ fn the_shortest_settling_time(#[case] limit: f64, #[case] expected_ms: Option<f6
     assert_eq!(floor.is_some(), expected_ms.is_some());
     if let (Some(floor), Some(expected_ms)) = (floor, expected_ms) {
         assert!((1e3 * floor / expected_ms - 1.0).abs() < 1e-4, "{floor}");
-        // The envelope reaches the band by then.
         let mut plant =
             driven_plant(&plate, &conditions(0.0, 0.0), Tier::Envelope, Drive { vpp: limit, omega: plate.omega0 });
         let reached = state_at(&mut plant, 1e3 * floor).amplitude();
@@ -134,7 +130,6 @@ fn the_drive_that_holds_the_setpoint(#[case] force: f64, #[case] expected: f64) 
     assert!((needed - expected).abs() < 0.01, "{needed}");
     let amplitude = steady_state(&plate, Tier::Modal, [0.0, force], Drive { vpp: needed, omega: plate.omega0 }).norm();
     assert!((amplitude / SETPOINT - 1.0).abs() < 1e-12, "{amplitude}");
-    // 95 % of the setpoint is just reachable, and just not.
     assert!(mode.min_rise_time(SETPOINT, 0.95, 0.95 * needed * 1.000_001).is_some());
     assert_eq!(mode.min_rise_time(SETPOINT, 0.95, 0.95 * needed * 0.999_999), None);
 }

@@ -13,8 +13,6 @@ fn nominal_mode(plate: &Plate) -> Mode {
     plate.mode(&Conditions::default())
 }
 
-/// Largest error in 40 control periods of 1 ms with random drives and, if `jumps`, random force and
-/// temperature.
 fn error_under_random_drives(seed: u64, detuning: f64, jumps: bool) -> f64 {
     let plate = paper_plate();
     let mut random = Random::new(seed);
@@ -52,11 +50,10 @@ fn modal_equals_the_reference(#[case] seed: u64, #[case] detuning: f64, #[case] 
     assert!(error <= 1e-10, "{error:e}");
 }
 
-/// The paper's plate with another quality.
 fn plate_with_quality(quality: Option<f64>) -> Plate {
     let plate = paper_plate();
     let sigma0 = quality.map_or(plate.sigma0, |quality| plate.omega0 / (2.0 * quality));
-    // The same N/m, so that amplitudes stay within reach.
+    // The same N/m.
     Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate }
 }
 
@@ -83,8 +80,7 @@ fn a_minute_in_steps_equals_one_step(
         let step = if irregular { random.in_range(0.0, 16.0).exp() as u64 } else { 1_000_000 };
         plant.advance((plant.time() + Time::from_nanos(step)).min(end), &[], &mut Vec::new());
         let expected = whole.after(plant.time().seconds());
-        // The linear tier has no resonance curve: at quality 10⁶, 545 rad/s make 5000 times the
-        // setpoint.
+        // No resonance curve: at quality 10⁶, 545 rad/s make 5000 times the setpoint.
         let scale = if tier == Tier::Linear { expected.amplitude().max(1.0) } else { 1.0 };
         worst = worst.max(distance(&plant.state(), &expected, plate.omega0) / scale);
         steps += 1;
@@ -131,15 +127,14 @@ fn splitting_an_interval_changes_nothing(#[values(Tier::Linear, Tier::Envelope, 
     assert!(worst <= 1e-12, "{worst:e}");
 }
 
-/// The constant drive for the setpoint, or equation 24 matched to a zero-order hold (2 ms, no
-/// limit).
+/// Loops: equation 24 matched to a zero-order hold (2 ms, no limit).
 #[derive(Debug, Clone, Copy)]
 enum ControlLoop {
     Open,
     Closed,
 }
 
-/// Expected: largest error in 1/1000 of the setpoint, at the control instants and at any time.
+/// Expected, in 1/1000 of the setpoint: at the control instants and at any time.
 #[rstest]
 #[case::step(0.0, ControlLoop::Open, [1.83, 2.56])]
 #[case::step_closed(0.0, ControlLoop::Closed, [3.44, 4.83])]
@@ -224,7 +219,6 @@ fn a_new_drive_does_not_change_the_state(#[values(Tier::Linear, Tier::Envelope, 
     let before = state_at(&mut plant, 3.0);
     plant.set_drive(Drive { vpp: 10.0, omega: plate.omega0 - 300.0 });
     assert_eq!(plant.state(), before);
-    // An earlier time is ignored.
     plant.advance(Time::from_ms(1.0).unwrap(), &[], &mut Vec::new());
     assert_eq!((plant.time(), plant.state()), (Time::from_ms(3.0).unwrap(), before));
 }

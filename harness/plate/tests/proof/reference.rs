@@ -10,26 +10,23 @@ use std::f64::consts::TAU;
 
 /// µm, peak to peak. Errors are relative to it.
 pub(crate) const SETPOINT: f64 = 2.0;
-/// The drive that holds [`SETPOINT`] at resonance, Vpp.
+/// Holds [`SETPOINT`] at resonance, Vpp.
 pub(crate) const HOLDING_DRIVE_VPP: f64 = SETPOINT / 0.006_98;
 
-/// The paper's plate.
 pub(crate) fn paper_plate() -> Plate {
     let text = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
     toml::from_str::<RawPlate>(text).unwrap().check().unwrap()
 }
 
-/// Without a finger, at the reference temperature.
 pub(crate) fn constant_conditions() -> ConditionProfiles {
     conditions(0.0, 0.0)
 }
 
-/// A constant offset in K and force in N.
+/// K and N.
 pub(crate) fn conditions(offset_k: f64, force_n: f64) -> ConditionProfiles {
     ConditionProfiles { temperature_offset_k: Profile::constant(offset_k), finger_force_n: Profile::constant(force_n) }
 }
 
-/// A linear change from one instant in ms to another; constant before and after.
 pub(crate) fn line(from_ms: f64, from: f64, to_ms: f64, to: f64) -> Profile {
     Profile::Linear(vec![(Time::from_ms(from_ms).unwrap(), from), (Time::from_ms(to_ms).unwrap(), to)])
 }
@@ -42,31 +39,28 @@ pub(crate) fn temperature_profile(temperature_offset_k: Profile) -> ConditionPro
     ConditionProfiles { temperature_offset_k, ..constant_conditions() }
 }
 
-/// A plant at rest with the drive that holds the setpoint, `detuning` rad/s off resonance.
+/// `detuning` in rad/s.
 pub(crate) fn holding_plant(plate: &Plate, tier: Tier, detuning: f64) -> Plant {
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
     driven_plant(plate, &constant_conditions(), tier, drive)
 }
 
-/// A plant at rest with a drive.
 pub(crate) fn driven_plant(plate: &Plate, scene: &ConditionProfiles, tier: Tier, drive: Drive) -> Plant {
     let mut plant = Plant::new(plate.clone(), scene.clone(), tier);
     plant.set_drive(drive);
     plant
 }
 
-/// Advances `plant` to `ms`.
 pub(crate) fn state_at(plant: &mut Plant, ms: f64) -> State {
     plant.advance(Time::from_ms(ms).unwrap(), &[], &mut Vec::new());
     plant.state()
 }
 
-/// Distance of two states relative to the setpoint, the velocity scaled by the carrier.
+/// Relative to the setpoint, the velocity scaled by the carrier.
 pub(crate) fn distance(a: &State, b: &State, omega: f64) -> f64 {
     (a.w - b.w).norm().max((a.u - b.u).norm() / omega) / SETPOINT
 }
 
-/// Random numbers that are equal on every machine.
 pub(crate) struct Random(ChaCha8Rng);
 
 impl Random {
@@ -74,16 +68,13 @@ impl Random {
         Self(ChaCha8Rng::seed_from_u64(seed))
     }
 
-    /// Uniform between `low` and `high`.
     pub(crate) fn in_range(&mut self, low: f64, high: f64) -> f64 {
         Uniform::new(low, high).unwrap().sample(&mut self.0)
     }
 }
 
 /// `z'' + 2σ(t) z' + ω0(t)² z = (N/m) jV e^{jθ}`: its real part is equation 1, its imaginary part
-/// the same a quarter period later.
-///
-/// The integration uses no rotating frame; only [`Self::state`] rotates back by θ.
+/// the same a quarter period later. Uses no rotating frame; only [`Self::state`] rotates back by θ.
 pub(crate) struct ReferencePlate {
     time: f64,
     theta: f64,
@@ -104,8 +95,8 @@ struct Equation1<'a> {
     scale: f64,
 }
 
-/// Autonomous, with time as the fifth component: in `ode_solvers` 0.6.2 the twelfth stage of DOP853
-/// has the node 0 instead of 1, which costs seven digits if the right-hand side uses the time.
+/// Autonomous, with time as the fifth component: DOP853 of `ode_solvers` 0.6.2 has a wrong node in
+/// the twelfth stage, which costs seven digits if the right-hand side uses the time.
 impl System<f64, Vector5<f64>> for Equation1<'_> {
     fn system(&self, _: f64, z: &Vector5<f64>, change: &mut Vector5<f64>) {
         let t = z[4];
@@ -122,18 +113,15 @@ impl System<f64, Vector5<f64>> for Equation1<'_> {
 }
 
 impl ReferencePlate {
-    /// At rest at time 0; `scale` is about the carrier's angular frequency, so that z and z'/scale
-    /// have similar magnitudes.
+    /// `scale`: about the carrier's angular frequency, so that z and z'/scale are similar.
     pub(crate) fn at_rest(scale: f64) -> Self {
         Self { time: 0.0, theta: 0.0, z: Vector5::zeros(), scale }
     }
 
-    /// Integrates `seconds` with a constant drive.
     pub(crate) fn advance(&mut self, seconds: f64, force_constant: f64, drive: &Drive, mode: ModeOverTime<'_>) {
         let (theta, omega, scale) = (self.theta, drive.omega, self.scale);
         let equation = Equation1 { mode, start: self.time, theta, omega, force: force_constant * drive.vpp, scale };
-        // At most a fortieth of a carrier period: at rest the error estimate does not see the
-        // drive.
+        // A fortieth of a carrier period: at rest the error estimate does not see the drive.
         let longest = TAU / scale / 40.0;
         let out = OutputType::Sparse;
         let mut solver = Dop853::from_param(
@@ -148,7 +136,6 @@ impl ReferencePlate {
         self.theta = (theta + omega * seconds) % TAU;
     }
 
-    /// W and U in the rotating frame.
     pub(crate) fn state(&self) -> State {
         let back = Complex64::cis(-self.theta);
         State {
@@ -162,7 +149,6 @@ impl ReferencePlate {
         [self.z[0], self.z[1]]
     }
 
-    /// The waveform of a state in the rotating frame.
     pub(crate) fn waveform_of(&self, state: &State) -> [f64; 2] {
         let ahead = Complex64::cis(self.theta);
         [(state.w * ahead).re, (state.u * ahead).re / self.scale]

@@ -11,33 +11,27 @@ use std::f64::consts::TAU;
 /// Slope of the resonance, rad/s per K.
 const SLOPE: f64 = -9.638 * TAU;
 
-/// The value of [`line`] at `t` seconds.
 fn ramp(t: f64, from_ms: f64, from: f64, to_ms: f64, to: f64) -> f64 {
     from + (to - from) * ((t * 1e3 - from_ms) / (to_ms - from_ms)).clamp(0.0, 1.0)
 }
 
-/// A force of 1 N that oscillates by `amplitude`.
 fn oscillating_force(amplitude: f64, hertz: f64) -> Profile {
     Profile::Sine { mean: 1.0, amplitude, omega: TAU * hertz, phase: 0.0 }
 }
 
-/// The value of [`oscillating_force`] at `t` seconds.
 fn force_at(t: f64, amplitude: f64, hertz: f64) -> f64 {
     1.0 + amplitude * (TAU * hertz * t).sin()
 }
 
-/// Drive of the plate during a test.
 #[derive(Debug, Clone, Copy)]
 enum DrivePattern {
-    /// Constant; holds the setpoint at resonance without a finger.
     Hold,
     /// Random every millisecond: 0 or 800 Vpp, within ±600 rad/s.
     Bang,
 }
 
 impl DrivePattern {
-    /// The bound of `docs/mathematics.md`: three times `VARYING_ERROR` of the amplitude at
-    /// resonance, relative to the setpoint.
+    /// `docs/mathematics.md`: three times `VARYING_ERROR` of the amplitude at resonance.
     fn bound(self) -> f64 {
         match self {
             Self::Hold => 3e-7,
@@ -46,8 +40,7 @@ impl DrivePattern {
     }
 }
 
-/// Largest error of W and U/ω relative to the setpoint, every millisecond up to `end` ms, for each
-/// of the intervals in ns.
+/// Largest error of W and U/ω relative to the setpoint for each of the intervals in ns.
 fn errors(
     plate: &Plate,
     scene: &ConditionProfiles,
@@ -93,7 +86,6 @@ fn assert_errors(what: &str, drive_pattern: DrivePattern, intervals: &[u64], err
     }
 }
 
-/// Checks `end` ms with both drives, in intervals of 1 ms and 50 µs.
 fn check(what: &str, end: u64, plate: &Plate, scene: &ConditionProfiles, mode: ModeOverTime<'_>) {
     const INTERVALS_NS: [u64; 2] = [1_000_000, 50_000];
     for drive_pattern in [DrivePattern::Hold, DrivePattern::Bang] {
@@ -102,8 +94,7 @@ fn check(what: &str, end: u64, plate: &Plate, scene: &ConditionProfiles, mode: M
     }
 }
 
-/// A ramp of force at 20 ms: 0.4 ms is the shortest with separate poles, 0.3 ms the longest that is
-/// frozen, 1 µs almost a jump.
+/// 0.4 ms is the shortest ramp with separate poles, 0.3 ms the longest that is frozen.
 #[rstest]
 #[case::press(100.0, 140)]
 #[case::quick(0.4, 40)]
@@ -162,7 +153,6 @@ fn a_force_across_bends_of_the_damping_curve(
     check(&format!("across {bends:?}"), end, &plate, &scene, &mode);
 }
 
-/// Force and temperature both shift the resonance.
 #[test]
 fn a_force_that_shifts_the_resonance() {
     let plate = Plate { omega0_per_n: -400.0, ..paper_plate() };
@@ -219,7 +209,6 @@ fn a_long_interval_is_as_accurate_as_many(#[case] hertz: f64, #[case] end: u64) 
     assert_errors(&format!("0.5 to 1.5 N at {hertz} Hz"), DrivePattern::Hold, &intervals, &found);
 }
 
-/// Crossings within substeps have accurate states.
 #[test]
 fn the_state_within_a_substep_is_accurate() {
     let plate = paper_plate();
@@ -250,7 +239,7 @@ fn the_state_within_a_substep_is_accurate() {
     assert!(worst <= 1e-7, "{worst:e}");
 }
 
-/// A held force jumps within a substep of the temperature. The reference stops at the jump.
+/// The reference stops at the jump.
 #[test]
 fn a_jump_during_a_ramp_acts_at_its_time() {
     let plate = paper_plate();
