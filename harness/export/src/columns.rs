@@ -1,39 +1,30 @@
-//! Lists the columns of a row: names, units, meanings.
-//!
-//! Names are those of the trace. Each flag is a column, so that other programs can filter by it.
+//! Lists the columns of a row, named as in the trace. Each flag is a column, so that programs can
+//! filter by it.
 
 use platebench_trace::{Flags, Row};
 
-/// A number of a row.
 #[derive(Debug, Clone, Copy)]
 pub struct Number {
-    /// The column's name in the trace.
     pub name: &'static str,
-    /// Its unit.
     pub unit: &'static str,
-    /// Its meaning.
     pub meaning: &'static str,
-    /// Its value; NaN if unknown.
+    /// NaN if unknown.
     pub of: fn(&Row) -> f64,
-    /// True if it can be unknown for a real plate.
+    /// For a real plate.
     pub can_be_unknown: bool,
 }
 
 impl Number {
-    /// Its value, if known.
     pub fn known_value(&self, row: &Row) -> Option<f64> {
         Some((self.of)(row)).filter(|value| !value.is_nan())
     }
 }
 
-/// A flag of a row.
 #[derive(Debug, Clone, Copy)]
 pub struct FlagColumn {
-    /// The flag's name in the trace, with `_` instead of `-`.
+    /// As in the trace, with `_` instead of `-`.
     pub name: &'static str,
-    /// Its meaning if set.
     pub meaning: &'static str,
-    /// The flag.
     pub flag: Flags,
 }
 
@@ -52,7 +43,7 @@ macro_rules! number {
     };
 }
 
-/// The numbers of a row, time first. Amplitudes and voltages are peak to peak.
+/// Time first. Amplitudes and voltages are peak to peak.
 pub const NUMBER_COLUMNS: [Number; 13] = [
     number!(t_s, "s", "time since the start of the trial"),
     number!(setpoint_um, "µm", "setpoint of the amplitude"),
@@ -69,7 +60,6 @@ pub const NUMBER_COLUMNS: [Number; 13] = [
     number!(lateness_us, "µs", "lateness of the bench at this instant"),
 ];
 
-/// The flags of a row.
 pub const FLAG_COLUMNS: [FlagColumn; 6] = [
     FlagColumn {
         name: "control",

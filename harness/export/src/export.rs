@@ -8,7 +8,6 @@ use platebench_trace::AtomicFile;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-/// File format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ExportFormat {
     /// Apache Parquet: a file per scenario.
@@ -22,7 +21,6 @@ pub enum ExportFormat {
 }
 
 impl ExportFormat {
-    /// File name extension.
     pub const fn extension(self) -> &'static str {
         match self {
             Self::Parquet => "parquet",
@@ -33,21 +31,15 @@ impl ExportFormat {
     }
 }
 
-/// Result of an export.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct ExportResult {
-    /// The new files.
     pub files: Vec<PathBuf>,
-    /// Number of skipped trials without a complete trace.
+    /// Trials without a complete trace, which are skipped.
     pub incomplete_trials: usize,
 }
 
-/// Exports the traces of `run` in `folder` to `out`: of the named scenarios (with or without
-/// `.toml`), or of all if `scenarios` is empty.
-///
-/// # Errors
-/// [`ExportError`]. Unknown names, existing files and a run without a complete trial are found
-/// before anything is written.
+/// Exports the named scenarios (with or without `.toml`) to `out`; all if `scenarios` is empty.
+/// Unknown names, existing files and a run without a complete trial are found before any write.
 pub fn export(
     run: &RunRecord,
     folder: &Path,
@@ -104,10 +96,9 @@ pub fn export(
     Ok(ExportResult { files, incomplete_trials: cut_off })
 }
 
-/// Writes the content of a file; the path is for messages.
+/// The path is for messages.
 type WriteFile<'a> = dyn Fn(&File, &Path) -> Result<(), ExportError> + 'a;
 
-/// Writes a new file atomically.
 fn write_new_file(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(ExportError::io(folder))?;
@@ -122,9 +113,6 @@ fn write_new_file(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError>
 }
 
 /// The requested scenarios in the order of the run; all if `requested` is empty.
-///
-/// # Errors
-/// [`ExportError::NoSuchScenario`].
 pub fn select_scenarios<'a>(run: &'a RunRecord, requested: &[String]) -> Result<Vec<&'a ScenarioRecord>, ExportError> {
     let bare = |name: &str| name.strip_suffix(".toml").unwrap_or(name).to_owned();
     let known: Vec<String> = run.scenarios.iter().map(|scenario| bare(&scenario.file)).collect();

@@ -1,9 +1,8 @@
 //! Exports the traces of a run to Parquet, MDF4, MCAP and CSV. `docs/formats.md` describes the
 //! formats.
 //!
-//! Every format has the same [`columns`]: the numbers bit for bit, one column per flag, scenario,
-//! trial and units. A trace is copied row by row, so that memory does not grow with its length. No
-//! existing file is overwritten.
+//! Every format has the same [`columns`]. A trace is copied row by row: memory does not grow with
+//! its length. No existing file is overwritten.
 
 pub mod columns;
 mod error;

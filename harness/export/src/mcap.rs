@@ -14,10 +14,9 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-/// Bytes of a chunk; one chunk is in memory.
+/// One chunk is in memory.
 const CHUNK_BYTES: u64 = 1 << 20;
 
-/// Writes the file of a scenario.
 pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
     let format_error = ExportError::format::<McapError>(path);
     let library = format!("{} {}", source.run.tool.name, source.run.tool.version);

@@ -1,11 +1,7 @@
 //! Writes ASAM MDF 4.10: a file per scenario, a data group per trial.
 //!
-//! A file has identification, header and file history. A data group has one channel group, its
-//! channels and one data block. Time is the master channel; flags are bits of one byte. [`blocks`]
-//! writes the bytes.
-//!
-//! The library mdf4-rs 0.6 needs a newer compiler than this workspace and writes neither start time
-//! nor history.
+//! A data group has one channel group, its channels and one data block; flags are bits of one byte.
+//! The library mdf4-rs 0.6 needs a newer compiler and writes neither start time nor history.
 
 mod blocks;
 
@@ -18,10 +14,9 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
-/// Bytes of a record: the numbers, and one for the flags.
+/// The numbers, and one byte for the flags.
 const RECORD_BYTES: usize = NUMBER_COLUMNS.len() * 8 + 1;
 
-/// Writes the file of a scenario.
 pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
     let mut blocks = BlockWriter::start(file).map_err(ExportError::io(path))?;
     let signals = write_header(source, &mut blocks).map_err(ExportError::io(path))?;
@@ -31,7 +26,7 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
     blocks.finish().map_err(ExportError::io(path))
 }
 
-/// Texts of a channel, shared by all groups.
+/// Positions of the texts of a channel, shared by all groups.
 struct ChannelTemplate {
     name: u64,
     unit: u64,
@@ -39,12 +34,10 @@ struct ChannelTemplate {
     kind: ChannelKind,
 }
 
-/// Everything before the first data group.
 fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io::Result<Vec<ChannelTemplate>> {
     let facts = source.metadata();
     let mut properties = String::new();
     for (name, value) in &facts {
-        // Writing into a string does not fail.
         let _ = write!(properties, "<e name=\"{name}\">{}</e>", escape_xml(value));
     }
     let title = escape_xml(&source.scenario.title);
@@ -81,7 +74,6 @@ fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io
     Ok(signals)
 }
 
-/// One trial.
 fn write_group(
     trial: &ExportTrial,
     signals: &[ChannelTemplate],
@@ -118,7 +110,7 @@ fn write_group(
     blocks.end_group(&group).map_err(ExportError::io(path))
 }
 
-/// Escapes text for XML, without characters that XML 1.0 forbids.
+/// Omits characters that XML 1.0 forbids.
 fn escape_xml(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for character in text.chars() {

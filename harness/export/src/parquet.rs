@@ -21,7 +21,6 @@ use std::sync::Arc;
 /// Rows of a row group: some 8 MB of numbers.
 const ROW_GROUP_ROWS: usize = 65_536;
 
-/// Writes the table of a scenario.
 pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
     let format_error = ExportError::format::<ParquetError>(path);
     let facts = source.metadata().into_iter().map(|(name, value)| (name.to_owned(), value));
@@ -75,7 +74,6 @@ fn schema() -> Result<TypePtr, ParquetError> {
     Type::group_type_builder("trace").with_fields(fields).build().map(Arc::new)
 }
 
-/// Rows of a row group.
 #[derive(Default)]
 struct RowGroup {
     trials: Vec<i32>,

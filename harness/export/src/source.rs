@@ -15,7 +15,6 @@ pub(crate) struct ExportTrial {
 }
 
 impl ExportTrial {
-    /// Reads its rows.
     pub(crate) fn rows(&self) -> Result<impl Iterator<Item = Result<Row, ExportError>>, ExportError> {
         Ok(TraceReader::open(&self.trace)?.map(|row| row.map_err(ExportError::from)))
     }
@@ -34,7 +33,7 @@ pub(crate) struct ExportScenario<'a> {
 }
 
 impl<'a> ExportScenario<'a> {
-    /// The scenario of the run in `folder`, and the number of its trials without a trace.
+    /// Also returns the number of trials without a trace.
     pub(crate) fn of(
         run: &'a RunRecord,
         scenario: &'a ScenarioRecord,
@@ -64,7 +63,7 @@ impl<'a> ExportScenario<'a> {
         Ok((Self { run, scenario, name, started_ns, trials }, cut_off))
     }
 
-    /// Metadata of all rows by name, equal in every format.
+    /// The same in every format.
     pub(crate) fn metadata(&self) -> Vec<(&'static str, String)> {
         let (run, scenario) = (self.run, self.scenario);
         let firmware = run.rig.firmware.as_ref().map(|firmware| format!("{} {}", firmware.name, firmware.version));
@@ -90,7 +89,6 @@ impl<'a> ExportScenario<'a> {
     }
 }
 
-/// True for a relative path that stays below its start.
 fn is_inside_folder(path: &str) -> bool {
     !path.is_empty() && Path::new(path).components().all(|part| matches!(part, Component::Normal(_)))
 }

@@ -10,10 +10,9 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// The table's name.
 pub(crate) const FILE: &str = "traces.csv";
 
-/// The description of the table at `path`, with the name that the W3C specifies.
+/// The name is specified by the W3C.
 pub(crate) fn description_path(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push("-metadata.json");
@@ -37,7 +36,6 @@ const KEY_COLUMNS: [(&str, &str, &str); 3] = [
     ("seed", "integer", "seed of plate, sensor and noise of the trial"),
 ];
 
-/// Writes the rows of all scenarios.
 pub(crate) fn write(sources: &[ExportScenario<'_>], file: &File, path: &Path) -> Result<(), ExportError> {
     let format_error = ExportError::format::<csv::Error>(path);
     let mut table = csv::WriterBuilder::new().has_headers(false).from_writer(file);
@@ -63,7 +61,6 @@ pub(crate) fn write(sources: &[ExportScenario<'_>], file: &File, path: &Path) ->
     table.flush().map_err(ExportError::io(path))
 }
 
-/// Writes the description of the columns.
 pub(crate) fn write_description(file: &File, path: &Path) -> Result<(), ExportError> {
     let keys = KEY_COLUMNS
         .iter()

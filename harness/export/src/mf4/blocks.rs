@@ -6,36 +6,28 @@
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 
-/// Bytes before a block's links: kind, reserved, length, number of links.
+/// Kind, reserved, length, number of links.
 const BLOCK_HEADER_BYTES: u64 = 24;
-/// Bytes of a link.
 const LINK_BYTES: u64 = 8;
 /// The header block follows the identification.
 const HEADER_POSITION: u64 = 64;
 
-/// Content of a channel and its position in a record.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum ChannelKind {
-    /// Time, s, as a double: the master channel.
+    /// The master channel: time, s, as a double.
     Time {
-        /// Its first byte.
         byte: u32,
     },
-    /// A double.
     Real {
-        /// Its first byte.
         byte: u32,
     },
-    /// One bit.
     Bit {
-        /// Its byte.
         byte: u32,
-        /// Counted from the least.
+        /// From the least significant bit.
         bit: u8,
     },
 }
 
-/// A channel with the positions of its texts.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Channel {
     pub(super) name: u64,
@@ -44,7 +36,6 @@ pub(super) struct Channel {
     pub(super) kind: ChannelKind,
 }
 
-/// An open group.
 pub(super) struct ChannelGroup {
     channels: u64,
     data: u64,
@@ -52,17 +43,13 @@ pub(super) struct ChannelGroup {
     record_bytes: u64,
 }
 
-/// A file of blocks.
 pub(super) struct BlockWriter<'a> {
     file: BufWriter<&'a File>,
-    /// Position of the next byte.
     position: u64,
-    /// The link to the next data group.
     next_group_link: u64,
 }
 
 impl<'a> BlockWriter<'a> {
-    /// Starts a file.
     pub(super) fn start(file: &'a File) -> io::Result<Self> {
         let mut blocks =
             Self { file: BufWriter::new(file), position: 0, next_group_link: HEADER_POSITION + BLOCK_HEADER_BYTES };
@@ -75,7 +62,7 @@ impl<'a> BlockWriter<'a> {
         Ok(blocks)
     }
 
-    /// Writes header and file history, each with a comment in XML.
+    /// Header and file history contain XML comments.
     pub(super) fn write_header(&mut self, started_ns: u64, comment: &str, history: &str) -> io::Result<()> {
         let mut time = Vec::with_capacity(16);
         time.extend(started_ns.to_le_bytes());
@@ -95,12 +82,11 @@ impl<'a> BlockWriter<'a> {
         self.set_link(header, 1, history)
     }
 
-    /// Writes a text and returns its position.
     pub(super) fn write_text(&mut self, text: &str) -> io::Result<u64> {
         self.write_string(*b"TX", text)
     }
 
-    /// Starts a data group with one channel group; its records follow.
+    /// The records of the group must follow.
     pub(super) fn start_group(
         &mut self,
         name: &str,
@@ -142,25 +128,22 @@ impl<'a> BlockWriter<'a> {
         self.write_block(*b"CN", &[next, 0, name, 0, 0, 0, unit, comment], &data)
     }
 
-    /// Appends a record to the last group.
     pub(super) fn write_record(&mut self, group: &mut ChannelGroup, record: &[u8]) -> io::Result<()> {
         group.records += 1;
         self.write_bytes(record)
     }
 
-    /// Ends the last group and writes its length.
     pub(super) fn end_group(&mut self, group: &ChannelGroup) -> io::Result<()> {
         self.write_number_at(group.data + LINK_BYTES, BLOCK_HEADER_BYTES + group.records * group.record_bytes)?;
         // The cycle count follows six links and the record identifier.
         self.write_number_at(group.channels + BLOCK_HEADER_BYTES + 6 * LINK_BYTES + 8, group.records)
     }
 
-    /// Writes buffered bytes.
     pub(super) fn finish(mut self) -> io::Result<()> {
         self.file.flush()
     }
 
-    /// Writes text or XML with a terminating zero.
+    /// For text or XML; with a terminating zero.
     fn write_string(&mut self, kind: [u8; 2], text: &str) -> io::Result<u64> {
         let mut data: Vec<u8> = text.bytes().filter(|byte| *byte != 0).collect();
         data.resize((data.len() / 8 + 1) * 8, 0);
@@ -183,12 +166,10 @@ impl<'a> BlockWriter<'a> {
         Ok(place)
     }
 
-    /// Sets link `number` of the block at `place`.
     fn set_link(&mut self, place: u64, number: u64, target: u64) -> io::Result<()> {
         self.write_number_at(place + BLOCK_HEADER_BYTES + number * LINK_BYTES, target)
     }
 
-    /// Overwrites a number.
     fn write_number_at(&mut self, place: u64, number: u64) -> io::Result<()> {
         self.file.seek(SeekFrom::Start(place))?;
         self.file.write_all(&number.to_le_bytes())?;

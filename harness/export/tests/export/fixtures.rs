@@ -8,14 +8,12 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// A run in a folder.
 pub(crate) struct StoredRun {
     pub(crate) folder: TempDir,
     pub(crate) record: RunRecord,
 }
 
-/// Numbers that a format could change: signed zeros, extreme numbers, numbers without a decimal
-/// form.
+/// Signed zeros, extreme numbers, numbers without a decimal form.
 const EDGE_VALUES: [f64; 8] = [0.0, -0.0, 0.1, -1.0 / 3.0, f64::MIN_POSITIVE, 5e-324, f64::MAX, -32_307.612_345_678_9];
 
 /// Rows that differ in every column; every fifth has unknown numbers.
@@ -48,7 +46,6 @@ pub(crate) fn rows(count: usize, salt: usize) -> Vec<Row> {
     (0..count).map(row).collect()
 }
 
-/// Writes the trace of a trial below `folder`.
 pub(crate) fn write_trial(folder: &Path, scenario: &str, index: u32, rows: &[Row]) -> TrialRecord {
     let trace = format!("traces/{scenario}/{index:03}.csv");
     let path = folder.join(&trace);
@@ -87,8 +84,6 @@ fn scenario_record(name: &str, title: &str, trials: Vec<TrialRecord>) -> Scenari
     }
 }
 
-/// Two scenarios: one with trials of seven and nine rows and markup in its title; one with a single
-/// row.
 pub(crate) fn stored_run() -> StoredRun {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();

@@ -18,7 +18,6 @@ fn export_run(run: &StoredRun, scenarios: &[&str], format: ExportFormat) -> Resu
     export(&run.record, run.folder.path(), &scenarios, format, &export_folder(run))
 }
 
-/// Every file below a folder, in order.
 fn relative_files(folder: &Path) -> Vec<String> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_owned()];

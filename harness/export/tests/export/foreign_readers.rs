@@ -8,12 +8,11 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// `1` makes a missing program a failure.
+/// If `1`, a missing program is a failure.
 const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/test-readers/bin/python");
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/export/read.py");
 
-/// True if the readers are installed; prints a note if not.
 fn has_readers() -> bool {
     let exists = Path::new(PYTHON).exists();
     let all = std::env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
@@ -24,7 +23,6 @@ fn has_readers() -> bool {
     exists
 }
 
-/// The content of a file by a foreign reader.
 fn read_with_python(format: &str, path: &Path) -> Value {
     let output = Command::new(PYTHON).arg(SCRIPT).arg(format).arg(path).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -47,7 +45,6 @@ fn known_bits(value: f64) -> Value {
     if value.is_nan() { Value::Null } else { bits_of(value) }
 }
 
-/// A column of rows, as the script prints it.
 fn column_bits(rows: &[Row], name: &str) -> Value {
     let number = NUMBER_COLUMNS.iter().find(|number| number.name == name);
     let flag = FLAG_COLUMNS.iter().find(|flag| flag.name == name);
