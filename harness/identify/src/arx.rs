@@ -1,19 +1,15 @@
-//! Fits ARX models of order one at the control period, the paper's method (section IV.B, reference
-//! \[24\]).
+//! Fits ARX models of order one at the control period (section IV.B, reference \[24\]).
 //!
-//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so that `τ = −Ts / ln a` and a static gain is `c / (1 −
-//! a)`.
-//!
-//! Least squares assume that `y[k]` is exact. Noise on it makes `a` and τ too small, for any number
-//! of samples. Instrumental variables (T. Söderström, P. Stoica, *System Identification*, 1989,
+//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so that `τ = −Ts / ln a`; a static gain is `c / (1 − a)`.
+//! Least squares assume that `y[k]` is exact: noise makes `a` and τ too small for any number of
+//! samples. Instrumental variables (T. Söderström, P. Stoica, *System Identification*, 1989,
 //! chapter 8) use the noise-free response of an auxiliary model, iterated three times. They are
-//! consistent, and their intervals include that the error `e[k] = v[k+1] − a v[k]` of white noise v
-//! on the output is not white.
+//! consistent; their intervals include that the error `e[k] = v[k+1] − a v[k]` of white noise v is
+//! not white.
 
 use crate::estimate::Estimate;
 use nalgebra::{DMatrix, DVector};
 
-/// Method of an ARX fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ArxMethod {
     /// As in the paper: biased by noise on the output.
@@ -22,18 +18,16 @@ pub enum ArxMethod {
     InstrumentalVariables,
 }
 
-/// A fitted model of order one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ArxModel {
-    /// τ, s.
+    /// s.
     pub time_constant: Estimate,
-    /// Static gain from each input.
+    /// One per input.
     pub gains: Vec<Estimate>,
 }
 
-/// Fits outputs `y`, `period` seconds apart, to `inputs` of the same length, constant between
-/// samples. `None` if they do not determine a stable first order: `a` outside 0 to 1, dependent
-/// inputs, too few samples.
+/// Outputs and inputs are `period` s apart; inputs are constant between samples. `None` without a
+/// stable first order: `a` outside 0 to 1, dependent inputs, too few samples.
 pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: ArxMethod) -> Option<ArxModel> {
     let (rows, width) = (y.len().checked_sub(1)?, inputs.len() + 1);
     let freedom = rows.checked_sub(width).filter(|&freedom| freedom > 0)? as f64;
@@ -96,7 +90,7 @@ fn solve(instruments: &DMatrix<f64>, regressors: &DMatrix<f64>, target: &DVector
     theta.iter().all(|value| value.is_finite()).then_some(theta)
 }
 
-/// The response of the model to the inputs, from rest.
+/// From rest.
 fn response(theta: &DVector<f64>, inputs: &[Vec<f64>], length: usize) -> Option<Vec<f64>> {
     let a = theta.get(0).copied().filter(|a| a.abs() < 1.0)?;
     let forced = |k: usize| -> f64 {

@@ -8,17 +8,14 @@ use serde::Serialize;
 use std::f64::consts::PI;
 use std::fmt;
 
-/// Level of each test of whiteness.
 const LEVEL: f64 = 0.01;
-/// Share of the largest |W|. Smaller residuals are rounding (the wire carries single precision) and
-/// need not be white.
+/// Share of the largest |W|. Smaller residuals are rounding: the wire carries single precision.
 const ROUNDING: f64 = 1e-5;
-/// A component that has its largest or smallest value in more than this share of its samples is
-/// clipped.
+/// A value that is the largest or smallest in more than this share of samples is clipped.
 const CLIPPED_SHARE: f64 = 0.02;
-/// Fewest samples at a limit other than 0.
+/// At a limit other than 0.
 const MIN_CLIPPED: usize = 5;
-/// Quality factors of plates: a hand on rubber to a bell in vacuum.
+/// A hand on rubber to a bell in vacuum.
 const QUALITY: [f64; 2] = [5.0, 20_000.0];
 /// Change of K1 over the drives, percent, that still counts as linear.
 const LINEAR_PERCENT: f64 = 2.0;
@@ -29,35 +26,27 @@ const LINEAR_PERCENT: f64 = 2.0;
 pub enum Doubt {
     /// Residuals are not white: the plate changed in a way that the model does not have.
     Residuals {
-        /// Recordings with residuals that are not white.
+        /// Recordings.
         rejected: usize,
-        /// Recordings that were tested.
         tested: usize,
     },
-    /// Samples stay at a limit.
     Clipped {
-        /// The recording.
         recording: String,
         /// `Wd` or `Wq`.
         component: &'static str,
-        /// The limit, µm.
         limit_um: f64,
-        /// Samples at the limit.
         samples: usize,
     },
-    /// The recording fits better with Wd and Wq exchanged.
     Swapped {
         /// The recording.
         recording: String,
     },
-    /// The quality factor is outside the range of plates.
     QualityFactor {
         /// Its value, π · resonance · τ.
         value: f64,
     },
-    /// K1 depends on the amplitude.
     NotLinear {
-        /// Change from the lowest to the highest drive, percent.
+        /// From the lowest to the highest drive.
         change_percent: f64,
     },
 }
@@ -89,7 +78,6 @@ impl fmt::Display for Doubt {
     }
 }
 
-/// Reasons to doubt recordings and their fits.
 pub(crate) fn doubtful_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec<Doubt> {
     let mut doubts: Vec<Doubt> = fitted.iter().flat_map(|(recording, _)| clipped(recording)).collect();
     let coloured: Vec<_> = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).collect();
@@ -102,8 +90,7 @@ pub(crate) fn doubtful_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec<Dou
     doubts
 }
 
-/// Reasons to doubt the resonance in Hz, the time constant in s, and the change of K1 over the
-/// drives in percent.
+/// Resonance in Hz, time constant in s, change of K1 in percent.
 pub(crate) fn doubtful_parameters(
     resonance_hz: Option<Estimate>,
     time_constant_s: Option<Estimate>,
@@ -156,8 +143,7 @@ fn fits_better_exchanged(recording: &Recording, fit: &DirectFit) -> bool {
     fit_direct(&exchanged).is_ok_and(|other| other.noise_um < 0.5 * fit.noise_um)
 }
 
-/// True if at least `rejected` rejections in `tests` independent tests have a probability above 1 %
-/// for white residuals.
+/// True if a probability above 1 % explains the rejections of white residuals in independent tests.
 pub(crate) fn is_explained_by_chance(rejected: usize, tests: usize) -> bool {
     let (mut fewer, mut term) = (0.0, (1.0 - LEVEL).powi(i32::try_from(tests).unwrap_or(i32::MAX)));
     for count in 0..rejected {
@@ -173,8 +159,7 @@ mod tests {
 
     #[test]
     fn rejections_explained_by_chance() {
-        // Binomial: at least 1 of 1: 1.00 %; 1 of 2: 1.99 %; 2 of 15: 0.96 %, of 16: 1.09 %; 3 of
-        // 66: 2.9 %, 4 of 66: 0.44 %.
+        // Binomial: 1 of 2: 1.99 %; 2 of 15: 0.96, of 16: 1.09; 3 of 66: 2.9, 4 of 66: 0.44.
         let cases =
             [(1, 1, false), (1, 2, true), (2, 15, false), (2, 16, true), (3, 66, true), (4, 66, false), (0, 5, true)];
         for (rejected, tests, expected) in cases {

@@ -9,18 +9,15 @@ pub const CONFIDENCE: f64 = 0.95;
 /// A value with its two-sided interval of 95 %.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
-    /// The best value.
     pub value: f64,
-    /// Its standard error.
+    /// Standard error.
     pub error: f64,
-    /// Lower end.
     pub low: f64,
-    /// Upper end.
     pub high: f64,
 }
 
 impl Estimate {
-    /// A value with a normal error known from `freedom` degrees of freedom.
+    /// `freedom`: degrees of freedom of the error.
     pub fn new(value: f64, error: f64, freedom: f64) -> Self {
         let reach = quantile(freedom) * error;
         Self { value, error, low: value - reach, high: value + reach }
@@ -33,19 +30,17 @@ impl Estimate {
         Self { value, error: value * error, low: (logarithm - reach).exp(), high: (logarithm + reach).exp() }
     }
 
-    /// Converts the unit.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         let (a, b) = (self.low * factor, self.high * factor);
         Self { value: self.value * factor, error: (self.error * factor).abs(), low: a.min(b), high: a.max(b) }
     }
 
-    /// True if the interval contains `truth`.
     pub fn contains(&self, truth: f64) -> bool {
         (self.low..=self.high).contains(&truth)
     }
 
-    /// Pools estimates; those of one recording count as one.
+    /// Estimates of one recording count as one.
     pub fn pool_by_recording(estimates: &[(String, Self)]) -> Option<Self> {
         let mut sorted = estimates.to_vec();
         sorted.sort_by(|a, b| a.0.cmp(&b.0));
@@ -54,8 +49,7 @@ impl Estimate {
         Self::pool(&groups.filter_map(own).collect::<Vec<_>>())
     }
 
-    /// Pools estimates to their mean. Its error is from their scatter or from their own errors, the
-    /// larger one.
+    /// Mean, with the error from the scatter or from the estimates' errors, the larger one.
     pub fn pool(estimates: &[Self]) -> Option<Self> {
         let (first, count) = (*estimates.first()?, estimates.len() as f64);
         if estimates.len() == 1 {
@@ -68,7 +62,6 @@ impl Estimate {
     }
 }
 
-/// Two-sided quantile of Student's t.
 fn quantile(freedom: f64) -> f64 {
     StudentsT::new(0.0, 1.0, freedom.max(1.0)).map_or(f64::INFINITY, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
 }
@@ -80,16 +73,14 @@ pub struct WhitenessTest {
     pub statistic: f64,
     /// Degrees of freedom: lags times components.
     pub freedom: usize,
-    /// Probability of a statistic at least this large for white residuals.
+    /// Of a statistic at least this large for white residuals.
     pub p_value: f64,
 }
 
 impl WhitenessTest {
-    /// Tests components of residuals together, at lags up to 10 or a fifth of their length. `None`
-    /// for fewer than ten residuals or residuals of zero.
-    ///
-    /// G. M. Ljung, G. E. P. Box, Biometrika 65, 1978. The degrees of freedom are not reduced,
-    /// because the response of the model does not depend on past outputs.
+    /// Tests at lags up to 10 or a fifth of the length; `None` below ten residuals or for zeros.
+    /// G. M. Ljung, G. E. P. Box, Biometrika 65, 1978. The degrees of freedom are not reduced:
+    /// the model's response does not depend on past outputs.
     pub fn ljung_box(components: &[Vec<f64>]) -> Option<Self> {
         let mut whole = Self { statistic: 0.0, freedom: 0, p_value: 1.0 };
         for residuals in components {
@@ -110,7 +101,7 @@ impl WhitenessTest {
         Some(whole)
     }
 
-    /// True if whiteness is rejected at the level of 1 %.
+    /// At the level of 1 %.
     pub fn is_rejected(&self) -> bool {
         self.p_value < 0.01
     }

@@ -6,7 +6,6 @@ use std::f64::consts::TAU;
 use std::io::Read;
 use std::str::FromStr;
 
-/// Quantity of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ColumnRole {
     Time,
@@ -68,28 +67,19 @@ impl FromStr for ColumnMapping {
     }
 }
 
-/// Why a table was rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum ExternalCsvError {
-    /// A cell or the header cannot be used.
     #[error("{name}:{line}: {message}")]
     Content {
-        /// The table.
         name: String,
-        /// Counted from 1.
         line: u64,
-        /// The column, its content and what was expected.
+        /// The column, its content and the expected values.
         message: String,
     },
-    /// The cells are valid, but the recording cannot be used.
     #[error("{0}: {1}")]
     Unusable(String, RecordingError),
 }
 
-/// Reads a table.
-///
-/// # Errors
-/// [`ExternalCsvError`].
 pub fn read(name: &str, table: impl Read, columns: &ColumnMapping) -> Result<Recording, ExternalCsvError> {
     let error_at = |line: u64, message: String| ExternalCsvError::Content { name: name.to_owned(), line, message };
     let csv_error = |error: csv::Error| error_at(error.position().map_or(1, csv::Position::line), error.to_string());

@@ -1,13 +1,10 @@
 //! Fits the exact response of the mode to all samples: the direct fit.
 //!
-//! The model is the modal tier of `platebench-plate` with piecewise constant drive, frequency,
-//! temperature and force. Parameters: K1, one time constant per force, one resonance per
-//! temperature and force, and W at the first sample. Noise is an error of the output, as on a
-//! plate: the estimates are unbiased to first order, and the residuals of the right model are
-//! white.
-//!
-//! Levenberg-Marquardt on logarithms of positive parameters; intervals from the curvature at the
-//! minimum and the power of the residuals.
+//! The model is the modal tier with piecewise constant drive, frequency, temperature and force.
+//! Parameters: K1, one time constant per force, one resonance per temperature and force, and W at
+//! the first sample. Noise is an error of the output: the estimates are unbiased to first order,
+//! and the residuals of the right model are white. Levenberg-Marquardt on logarithms of positive
+//! parameters; intervals from the curvature at the minimum and the power of the residuals.
 
 use crate::arx::{ArxMethod, arx};
 use crate::estimate::{Estimate, WhitenessTest};
@@ -15,18 +12,14 @@ use crate::recording::{Recording, RecordingError};
 use nalgebra::{DMatrix, DVector};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, State, Tier};
 
-/// Largest number of iterations.
 const MAX_ITERATIONS: usize = 80;
-/// Relative decrease of the sum of squares at convergence.
 const CONVERGENCE_TOLERANCE: f64 = 1e-10;
-/// Step of difference quotients; every parameter is of order one.
 const DIFFERENCE_STEP: f64 = 1e-6;
-/// Unit of a resonance relative to the mean excitation frequency, rad/s.
+/// Relative to the mean excitation frequency, rad/s.
 const OMEGA_UNIT: f64 = 500.0;
-/// Largest relative standard error of K1 or τ.
+/// Of K1 or τ.
 const MAX_RELATIVE_ERROR: f64 = 0.5;
 
-/// Result of a direct fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DirectFit {
     /// K1 at the lowest force, µm/Vpp.
@@ -37,30 +30,25 @@ pub struct DirectFit {
     pub damping: Vec<(f64, Estimate)>,
     /// Per temperature and force: ω0 in rad/s.
     pub resonances: Vec<(Conditions, Estimate)>,
-    /// Their covariance, (rad/s)²: an error of τ moves all resonances that are excited off
-    /// resonance.
+    /// (rad/s)²: an error of τ moves all resonances that are excited off resonance.
     pub resonance_covariance: DMatrix<f64>,
-    /// Standard deviation of the residuals on each component, µm.
+    /// Standard deviation of the residuals on each component.
     pub noise_um: f64,
-    /// Test of the residuals; `None` if there are too few.
     pub whiteness: Option<WhitenessTest>,
     /// W of the model at each sample.
     pub curve: Vec<Complex64>,
 }
 
 impl DirectFit {
-    /// τ at the lowest force, s.
     pub fn time_constant(&self) -> Option<Estimate> {
         self.time_constants.first().map(|(_, estimate)| *estimate)
     }
 }
 
-/// Positions of the parameters.
 struct ParameterLayout<'a> {
     recording: &'a Recording,
     /// Lowest first, N.
     forces: Vec<f64>,
-    /// The index of the force of each condition of the recording.
     force_index: Vec<usize>,
     /// rad/s
     mean_omega: f64,
@@ -86,7 +74,6 @@ impl<'a> ParameterLayout<'a> {
         1 + self.forces.len() + conditions
     }
 
-    /// W at each output.
     fn response(&self, theta: &DVector<f64>) -> Vec<Complex64> {
         let sigma = |force: usize| (-theta[1 + force]).exp();
         let constant = theta[0].exp() * sigma(0);
@@ -137,7 +124,6 @@ impl<'a> ParameterLayout<'a> {
         let first = self.recording.outputs[0].w;
         let last = self.parameter_count();
         (theta[last - 2], theta[last - 1]) = (first.re, first.im);
-        // The best K1 for these poles; the response is linear in it, except for the start.
         let unit = self.response(&theta);
         let seen = &self.recording.outputs;
         let along: f64 = seen.iter().zip(&unit).map(|(output, w)| output.w.re * w.re + output.w.im * w.im).sum();
@@ -147,10 +133,7 @@ impl<'a> ParameterLayout<'a> {
     }
 }
 
-/// Fits the exact response to a recording.
-///
-/// # Errors
-/// [`RecordingError::Undetermined`].
+/// Fails if the samples do not determine the parameters.
 pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     let layout = ParameterLayout::new(recording);
     let freedom = (2 * recording.outputs.len()).checked_sub(layout.parameter_count()).filter(|&freedom| freedom > 1);
@@ -197,8 +180,7 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     })
 }
 
-/// Start points `(τ in s, Δω in rad/s)`: the first order of Wd at resonance, and two around the
-/// paper's plate.
+/// `(τ in s, Δω in rad/s)`: first order of Wd at resonance, and two around the paper's plate.
 fn start_points(recording: &Recording) -> Vec<(f64, f64)> {
     let wd: Vec<f64> = recording.outputs.iter().map(|output| output.w.re).collect();
     let drive: Vec<f64> = recording.inputs_at_samples().iter().map(|input| input.vpp).collect();
@@ -216,7 +198,6 @@ fn jacobian(layout: &ParameterLayout<'_>, theta: &DVector<f64>, residuals: &DVec
     DMatrix::from_columns(&(0..theta.len()).map(column).collect::<Vec<_>>())
 }
 
-/// The minimum from this start, with its sum of squares.
 fn minimise(layout: &ParameterLayout<'_>, mut theta: DVector<f64>) -> Option<(DVector<f64>, f64)> {
     let mut residuals = layout.residuals(&theta);
     let mut squares = residuals.norm_squared();

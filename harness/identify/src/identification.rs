@@ -10,73 +10,57 @@ use platebench_plate::Conditions;
 use serde::Serialize;
 use std::f64::consts::TAU;
 
-/// Degrees of freedom of known errors.
 const FREEDOM_OF_KNOWN_ERRORS: f64 = 1e4;
 
-/// Result of the direct fit of a recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingFit {
-    /// The recording.
     pub recording: String,
-    /// Number of samples.
     pub samples: usize,
-    /// K1 at the lowest force, µm/Vpp.
+    /// At the lowest force.
     pub gain_um_per_vpp: Estimate,
-    /// τ at the lowest force, s.
+    /// At the lowest force.
     pub time_constant_s: Estimate,
-    /// Resonance under the first temperature and force, Hz.
+    /// Under the first temperature and force.
     pub resonance_hz: Estimate,
-    /// First excitation frequency above that resonance, Hz.
+    /// First excitation frequency above that resonance.
     pub detuning_hz: Estimate,
-    /// Standard deviation of the residuals on each component, µm.
     pub noise_um: f64,
-    /// The Ljung-Box test of the residuals.
     pub whiteness: Option<WhitenessTest>,
 }
 
 /// The identified plate. Parameters that the recordings do not determine are `None` or empty.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Identification {
-    /// Table I.
+    /// Table I; `frequency_steps`: Table II.
     pub voltage_steps: Vec<VoltageStep>,
-    /// Table II.
     pub frequency_steps: Vec<FrequencyStep>,
-    /// The direct fit of each recording.
     pub recordings: Vec<RecordingFit>,
-    /// Recordings that do not determine the parameters.
     pub undetermined: Vec<String>,
-    /// K1 by direct fits, without a finger, µm/Vpp.
+    /// By direct fits, without a finger.
     pub gain_um_per_vpp: Option<Estimate>,
-    /// τ1 by direct fits, without a finger, s.
+    /// By direct fits, without a finger.
     pub time_constant_s: Option<Estimate>,
-    /// K2 by ARX with instruments, s.
+    /// K2 by ARX with instruments.
     pub frequency_gain_s: Option<Estimate>,
-    /// τ2 by ARX with instruments, s.
+    /// τ2 by ARX with instruments.
     pub frequency_time_constant_s: Option<Estimate>,
-    /// Resonance at the reference temperature, Hz.
+    /// At the reference temperature.
     pub resonance_hz: Option<Estimate>,
-    /// Change of the resonance per kelvin, Hz.
     pub slope_hz_per_k: Option<Estimate>,
     /// Per force in N: σ/σ0.
     pub damping_ratio: Vec<(f64, Estimate)>,
-    /// Change of the resonance per newton, Hz.
     pub shift_hz_per_n: Option<Estimate>,
-    /// Change of K1 from the lowest to the highest drive, percent.
+    /// K1 from the lowest to the highest drive.
     pub gain_change_percent: Option<Estimate>,
-    /// Standard deviation of the residuals on each component, µm.
+    /// Standard deviation of the residuals on each component.
     pub noise_um: f64,
-    /// Highest drive, Vpp.
     pub highest_vpp: f64,
-    /// Reasons to doubt the parameters; none for recordings that a single plate can produce.
     pub doubts: Vec<Doubt>,
 }
 
-/// Identifies the plate, and returns the fits in the order of [`Identification::recordings`].
-/// `slope_hz_per_k` is a known slope of the resonance; without it, temperature steps count as
-/// frequency steps only if the recordings determine it.
-///
-/// # Errors
-/// [`RecordingError::Undetermined`] if no recording determines the parameters.
+/// Returns the fits in the order of [`Identification::recordings`]. Without a known slope of the
+/// resonance, temperature steps count as frequency steps only if the recordings determine it.
+/// Fails if no recording determines the parameters.
 pub fn identify(
     recordings: &[Recording],
     slope_hz_per_k: Option<f64>,
@@ -177,8 +161,7 @@ fn summarise_fit(recording: &Recording, fit: &DirectFit) -> Option<RecordingFit>
 /// Resonance at the reference temperature, rad/s, and its slope, rad/s per K.
 type TemperatureLine = (Estimate, Option<Estimate>);
 
-/// Resonance at the reference temperature and its slope; for a single temperature the resonance
-/// without a slope.
+/// Without a slope for a single temperature.
 fn temperature_line(fit: &DirectFit) -> Option<TemperatureLine> {
     let force = fit.time_constants.first()?.0;
     let untouched = |conditions: &Conditions| conditions.finger_force_n == force;
@@ -187,7 +170,7 @@ fn temperature_line(fit: &DirectFit) -> Option<TemperatureLine> {
     line.map(|(start, slope)| (start, Some(slope))).or_else(only)
 }
 
-/// Change of the resonance per newton, rad/s, at the temperature of the first conditions.
+/// rad/s per newton, at the temperature of the first conditions.
 fn force_slope(fit: &DirectFit) -> Option<Estimate> {
     let warm = fit.resonances.first()?.0.temperature_offset_k;
     let line = fit_resonance_line(fit, |conditions| {
@@ -196,7 +179,7 @@ fn force_slope(fit: &DirectFit) -> Option<Estimate> {
     line.map(|(_, slope)| slope)
 }
 
-/// σ/σ0 over all recordings with an untouched plate, by rising force.
+/// Over all recordings with an untouched plate, by rising force.
 fn damping_ratios(fitted: &[(&Recording, DirectFit)]) -> Vec<(f64, Estimate)> {
     let untouched = fitted
         .iter()
@@ -211,7 +194,7 @@ fn damping_ratios(fitted: &[(&Recording, DirectFit)]) -> Vec<(f64, Estimate)> {
     groups.filter_map(pool).collect()
 }
 
-/// Change of K1 over the range of drives, percent of its mean; `None` below three levels.
+/// Percent of the mean; `None` below three levels.
 fn gain_change_percent(steps: &[VoltageStep]) -> Option<Estimate> {
     let points: Vec<_> = steps.iter().filter_map(|step| Some((step.vpp, step.direct?[0]))).collect();
     let drives = points.iter().map(|point| point.0);
@@ -224,8 +207,6 @@ fn gain_change_percent(steps: &[VoltageStep]) -> Option<Estimate> {
     Some(slope.scaled((high - low) / middle * 100.0))
 }
 
-/// The line through the resonances of a fit over the quantity that `abscissa` returns; resonances
-/// with `None` are skipped.
 fn fit_resonance_line(fit: &DirectFit, abscissa: impl Fn(&Conditions) -> Option<f64>) -> Option<(Estimate, Estimate)> {
     let picked = fit.resonances.iter().enumerate();
     let picked: Vec<(usize, f64, f64)> =
@@ -235,8 +216,8 @@ fn fit_resonance_line(fit: &DirectFit, abscissa: impl Fn(&Conditions) -> Option<
     fit_line(&points, &fit.resonance_covariance.select_rows(&numbers).select_columns(&numbers))
 }
 
-/// The line through points by generalised least squares: value at 0, and slope. The errors grow if
-/// the points scatter more than their covariance. `None` if all have the same abscissa.
+/// Generalised least squares: value at 0, and slope. The errors grow if the points scatter more
+/// than their covariance. `None` if all have the same abscissa.
 fn fit_line(points: &[(f64, f64)], covariance: &DMatrix<f64>) -> Option<(Estimate, Estimate)> {
     let first = points.first()?;
     if points.iter().all(|point| point.0 == first.0) {

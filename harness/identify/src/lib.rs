@@ -1,11 +1,4 @@
 //! Identifies plate parameters from recorded responses (section IV of the paper).
-//!
-//! * [`recording`]: inputs and samples, from a trace or ([`external_csv`]) another table.
-//! * [`mod@arx`]: the paper's method, order one, by least squares and by instrumental variables.
-//! * [`fit`]: fits the exact response to all samples; its values are the result.
-//! * [`estimate`]: intervals, and a test of the residuals.
-//! * [`steps`], [`identification`]: Tables I and II and the plate, from all recordings together.
-//! * [`table`]: the tables as text, and the plate file.
 
 pub mod arx;
 mod doubt;

@@ -4,20 +4,16 @@ use platebench_plate::{Complex64, Conditions};
 use platebench_trace::{Flags, Row};
 use std::f64::consts::TAU;
 
-/// Input of the plate from `t` on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedInput {
     /// s
     pub t: f64,
-    /// Drive, Vpp.
     pub vpp: f64,
-    /// Excitation frequency ω, rad/s.
+    /// rad/s.
     pub omega: f64,
-    /// Temperature and force.
     pub conditions: Conditions,
 }
 
-/// Sample at `t`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedSample {
     /// s
@@ -26,75 +22,56 @@ pub struct RecordedSample {
     pub w: Complex64,
 }
 
-/// Columns of a trace that are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleSource {
     /// Samples of the controller, with noise.
     Sensed,
-    /// State of the simulated plate.
     True,
 }
 
-/// Why a recording cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RecordingError {
-    /// Too few control instants.
     #[error("{0} samples at control instants, expected at least {FEWEST}")]
     TooShort(usize),
-    /// Too many control instants for a fit in reasonable time.
     #[error("{0} samples at control instants, expected at most {MOST}")]
     TooLong(usize),
-    /// The plate was never driven.
     #[error("the drive is 0 V throughout, expected a step")]
     NoDrive,
-    /// Times that do not rise.
     #[error("times that do not rise at sample {0}")]
     NotInOrder(usize),
-    /// Temperature or force changes too often.
     #[error(
         "temperature or force changes: more than {MOST_CONDITIONS} levels, or one of fewer than {FEWEST_HELD} samples; \
          expected each to be constant for some 10 ms"
     )]
     VaryingConditions,
-    /// The response does not determine the parameters.
     #[error(
         "the response does not determine gain, time constant and resonance; expected steps of the drive or the frequency, each held for some 10 ms"
     )]
     Undetermined,
 }
 
-/// Fewer samples tell nothing.
+/// Fewer samples determine no parameter.
 const FEWEST: usize = 8;
 /// 100 s at 1 kHz.
 const MOST: usize = 100_000;
 /// More levels of temperature and force are a ramp.
 const MOST_CONDITIONS: usize = 64;
-/// A level that is seen less often is passed through and not held.
+/// A level with fewer samples is passed through, not held.
 const FEWEST_HELD: usize = 5;
-/// Temperatures within this much of each other, K, are one.
 const SAME_TEMPERATURE_K: f64 = 0.05;
-/// Forces within this much of each other, N, are one.
 const SAME_FORCE_N: f64 = 0.02;
 
-/// A response with its inputs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Name of its source.
     pub name: String,
     /// Changes of the inputs, in order; the first not after the first output.
     pub inputs: Vec<RecordedInput>,
-    /// Samples, in order.
     pub outputs: Vec<RecordedSample>,
-    /// The different temperatures and forces, in order of appearance.
     pub conditions: Vec<Conditions>,
 }
 
 impl Recording {
-    /// Checks a recording; drops inputs without a change, and unifies close temperatures and
-    /// forces.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
+    /// Drops inputs without a change, and unifies close temperatures and forces.
     pub fn new(name: String, inputs: Vec<RecordedInput>, outputs: Vec<RecordedSample>) -> Result<Self, RecordingError> {
         if outputs.len() < FEWEST {
             return Err(RecordingError::TooShort(outputs.len()));
@@ -130,11 +107,7 @@ impl Recording {
         if is_varying { Err(RecordingError::VaryingConditions) } else { Ok(whole) }
     }
 
-    /// Converts a trace: inputs from every row, outputs from rows flagged `control` whose sample
-    /// arrived.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
+    /// Inputs from every row, outputs from rows flagged `control` whose sample arrived.
     pub fn from_trace(name: String, rows: &[Row], signal: SampleSource) -> Result<Self, RecordingError> {
         let input = |row: &Row| RecordedInput {
             t: row.t_s,
@@ -156,7 +129,7 @@ impl Recording {
         Self::new(name, rows.iter().map(input).collect(), rows.iter().filter(arrived).map(output).collect())
     }
 
-    /// Median spacing of the outputs, s.
+    /// Median spacing, s.
     pub fn period(&self) -> f64 {
         let mut spacings: Vec<f64> = self.outputs.windows(2).map(|pair| pair[1].t - pair[0].t).collect();
         spacings.sort_by(f64::total_cmp);
@@ -169,10 +142,6 @@ impl Recording {
         self.outputs.iter().filter_map(|output| self.inputs.get(at(output.t)).copied()).collect()
     }
 
-    /// The outputs `from..to` with their inputs.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
     pub fn slice(&self, from: usize, to: usize) -> Result<Self, RecordingError> {
         let outputs = self.outputs.get(from..to).unwrap_or_default().to_vec();
         let (Some(first), Some(last)) = (outputs.first(), outputs.last()) else {
@@ -184,7 +153,6 @@ impl Recording {
     }
 }
 
-/// True if the difference does not matter to a plate.
 pub(crate) fn are_same_conditions(a: &Conditions, b: &Conditions) -> bool {
     (a.temperature_offset_k - b.temperature_offset_k).abs() <= SAME_TEMPERATURE_K
         && (a.finger_force_n - b.finger_force_n).abs() <= SAME_FORCE_N

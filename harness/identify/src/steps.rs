@@ -6,7 +6,6 @@ use crate::fit::{DirectFit, fit_direct};
 use crate::recording::{RecordedInput, Recording};
 use serde::Serialize;
 
-/// Fewest samples of a constant level.
 const MIN_SAMPLES: usize = 6;
 /// Drives within this share of the largest one are the same.
 const SAME_DRIVE: f64 = 0.01;
@@ -18,52 +17,41 @@ const MAX_TAU_DETUNING: f64 = 0.1;
 const HELD_BAND: f64 = 0.1;
 /// … and the loop has started when it is this close.
 const STARTED_BAND: f64 = 0.03;
-/// Detunings within this much of each other, rad/s, are the same.
 const SAME_DETUNING: f64 = 1.0;
 
 /// A step of the drive, open loop: a row of Table I.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct VoltageStep {
-    /// The recording.
     pub recording: String,
-    /// Time, s.
     pub t: f64,
-    /// Drive before, Vpp.
     pub from_vpp: f64,
-    /// Drive after, Vpp.
     pub vpp: f64,
-    /// Mean of Wd over the last third of the step, µm: a point of Fig. 7.
+    /// Mean of Wd over the last third of the step: a point of Fig. 7.
     pub settled_um: f64,
     /// K1 in µm/Vpp and τ1 in s, ARX by least squares; `None` without a stable first order.
     pub least_squares: Option<[Estimate; 2]>,
-    /// The same by instrumental variables.
     pub instruments: Option<[Estimate; 2]>,
-    /// The same by the direct fit.
     pub direct: Option<[Estimate; 2]>,
 }
 
 /// A step of the detuning at constant Wd: a row of Table II.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrequencyStep {
-    /// The recording.
     pub recording: String,
-    /// Time, s.
     pub t: f64,
-    /// Detuning before, rad/s, by the resonance of the direct fit of the recording.
+    /// By the resonance of the direct fit of the recording, rad/s.
     pub from_detuning: f64,
-    /// Detuning after, rad/s.
     pub detuning: f64,
     /// Largest deviation of Wd from its mean, percent (Fig. 10).
     pub wd_percent: f64,
     /// K2 in s and τ2 in s, ARX by least squares.
     pub least_squares: Option<[Estimate; 2]>,
-    /// The same by instrumental variables.
     pub instruments: Option<[Estimate; 2]>,
     /// τ in s by the direct fit; its gain is K2 = τ (equation 19).
     pub direct: Option<Estimate>,
 }
 
-/// Intervals of samples whose input is the `same` as at their start: first, and one past the last.
+/// Intervals whose input is the `same` as at their start: first sample, and one past the last.
 fn constant_intervals(
     acting: &[RecordedInput],
     same: impl Fn(&RecordedInput, &RecordedInput) -> bool,
@@ -78,8 +66,7 @@ fn constant_intervals(
     runs
 }
 
-/// Upward steps of a drive that is constant before and after, at constant frequency, temperature
-/// and force, near the resonance of the fit `whole`.
+/// Upward steps of a drive that is constant before and after, near the resonance of `whole`.
 pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageStep> {
     let Some(tau) = whole.time_constant() else { return Vec::new() };
     let is_near = |input: &RecordedInput| {
@@ -134,9 +121,7 @@ fn estimate_pair(arx: &ArxModel) -> Option<[Estimate; 2]> {
     Some([*arx.gains.first()?, arx.time_constant])
 }
 
-/// Steps of the detuning while a loop keeps Wd constant. `whole` is the direct fit of the
-/// recording, `slope` that of the resonance, rad/s per K.
-///
+/// Steps of the detuning while a loop keeps Wd constant. `slope` of the resonance in rad/s per K.
 /// A step of the resonance by `−Δ` equals a step of the frequency by `+Δ`: only Δω matters
 /// (equations 11 and 18).
 pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f64>) -> Vec<FrequencyStep> {
@@ -167,7 +152,6 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
             recording.outputs.get(from..to).unwrap_or_default().iter().map(|output| output.w.re)
         };
         let mean = wd(start, end).sum::<f64>() / (end - start) as f64;
-        // Skips the start of the loop.
         let deviation = |value: &f64| (value - mean).abs() / mean.abs();
         first += wd(first, middle)
             .collect::<Vec<_>>()

@@ -9,7 +9,6 @@ use std::fmt::Write as _;
 /// Table I as printed: Vpp, K1 in pm/V, τ1 in ms.
 const TABLE_I: [[f64; 3]; 4] =
     [[120.0, 7108.0, 1.85], [208.0, 6547.0, 1.71], [312.0, 6620.0, 1.94], [370.0, 7103.0, 2.07]];
-/// Its printed means.
 const TABLE_I_MEANS: [f64; 2] = [6980.0, 1.88];
 /// K2 and τ2 at the end of section IV, s.
 const TABLE_II: [f64; 2] = [1.812e-3, 1.624e-3];
@@ -18,16 +17,12 @@ const SLOPE_HZ_PER_K: f64 = -9.638;
 /// σ/σ0 at 1.5 N: the amplitude is halved (Fig. 3).
 const FINGER_DAMPING: [f64; 2] = [1.5, 2.0];
 
-/// A table with notes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IdentificationTable {
-    /// Title.
     pub title: String,
-    /// Titles of the columns.
     pub header: Vec<String>,
-    /// Cells; each row is as long as the header.
+    /// Each row is as long as the header.
     pub rows: Vec<Vec<String>>,
-    /// Sentences below it.
     pub notes: Vec<String>,
 }
 
@@ -37,7 +32,6 @@ impl IdentificationTable {
         Self { title: title.to_owned(), header, rows: Vec::new(), notes: Vec::new() }
     }
 
-    /// Markdown with aligned columns.
     pub fn markdown(&self) -> String {
         let lines = || std::iter::once(&self.header).chain(&self.rows);
         let width = |column: usize| lines().filter_map(|row| Some(row.get(column)?.chars().count())).max().unwrap_or(0);
@@ -53,7 +47,7 @@ impl IdentificationTable {
     }
 }
 
-/// Mean with half the interval, as `1.88 ± 0.02`; a dash without an estimate.
+/// As `1.88 ± 0.02`: half the interval; a dash without an estimate.
 fn format_estimate(estimate: Option<Estimate>, factor: f64, decimals: usize) -> String {
     estimate.map_or("–".to_owned(), |estimate| {
         let estimate = estimate.scaled(factor);
@@ -61,7 +55,7 @@ fn format_estimate(estimate: Option<Estimate>, factor: f64, decimals: usize) -> 
     })
 }
 
-/// Standard deviation over steps, percent of their mean; empty below two steps.
+/// Percent of the mean over steps; empty below two.
 fn format_scatter(values: &[f64]) -> String {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
@@ -73,19 +67,17 @@ fn format_scatter(values: &[f64]) -> String {
     }
 }
 
-/// Tables I and II, the plate and the residuals; tables without a row are omitted.
+/// Tables without a row are omitted.
 pub fn tables(found: &Identification) -> Vec<IdentificationTable> {
     let all = [voltage_table(found), frequency_table(found), plate_table(found), residuals_table(found)];
     all.into_iter().filter(|table| !table.rows.is_empty()).collect()
 }
 
-/// One of the pair of estimates at each step of a group.
 fn estimates_of_steps<T>(group: &[&T], of: impl Fn(&T) -> NamedEstimates<'_>, index: usize) -> Vec<(String, Estimate)> {
     let named = group.iter().filter_map(|step| of(step));
     named.filter_map(|(recording, pair)| Some((recording.to_owned(), *pair.get(index)?))).collect()
 }
 
-/// Name of a recording and two of its estimates.
 type NamedEstimates<'a> = Option<(&'a str, [Estimate; 2])>;
 
 /// Label of the row, the paper's values, and the steps.
@@ -293,20 +285,15 @@ fn residuals_table(found: &Identification) -> IdentificationTable {
 /// Content of a plate file that no recording determines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlateFileDetails {
-    /// Name of the plate.
     pub name: String,
-    /// Source of the numbers.
     pub source: String,
-    /// Reference temperature, °C.
     pub reference_temperature_c: f64,
-    /// Limit of the amplifier, Vpp; `None` for the highest drive of the recordings.
+    /// `None` for the highest drive of the recordings.
     pub limit_vpp: Option<f64>,
-    /// Slope if the recordings do not determine it, Hz/K.
     pub slope_hz_per_k: Option<f64>,
 }
 
-/// The plate file, with intervals as comments and as `[uncertainty]`; `None` if gain, time constant
-/// or resonance is unknown.
+/// Intervals are comments and `[uncertainty]`; `None` without gain, time constant or resonance.
 pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<String> {
     let line = |key: &str, estimate: Estimate, factor: f64, decimals: usize| {
         let Estimate { value, low, high, .. } = estimate.scaled(factor);
@@ -350,8 +337,8 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
     Some(text)
 }
 
-/// Half width of an interval for a plate file, percent, rounded up. A doubtful identification has
-/// at least [`DOUBTFUL_PERCENT`], because the formula for one plate with white noise is not valid.
+/// Percent, rounded up. A doubtful identification has at least [`DOUBTFUL_PERCENT`], because the
+/// formula for one plate with white noise is not valid.
 fn uncertainty_percent(found: &Identification, estimate: Estimate) -> f64 {
     let floor = if found.doubts.is_empty() { 0.0 } else { DOUBTFUL_PERCENT };
     reach_percent(estimate).max(floor)
@@ -360,7 +347,7 @@ fn uncertainty_percent(found: &Identification, estimate: Estimate) -> f64 {
 /// Covers a damping that changes by 5 % per µm up to 4 µm.
 const DOUBTFUL_PERCENT: f64 = 25.0;
 
-/// The longer side of an interval, percent of the value, rounded up to the printed digits.
+/// Percent of the value, rounded up to the printed digits.
 fn reach_percent(Estimate { value, low, high, .. }: Estimate) -> f64 {
     ((high - value).max(value - low) / value * 1e4).ceil() / 100.0
 }

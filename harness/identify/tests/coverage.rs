@@ -12,12 +12,11 @@ use std::f64::consts::TAU;
 
 const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const PLATES: u64 = 300;
-/// Range of the noise, standard deviation in µm: 0.1 to 1 % of 2 µm …
+/// µm: 0.1 to 1 % of 2 µm …
 const LOW_NOISE_UM: [f64; 2] = [0.002, 0.02];
 /// … and 2.5 to 10 %, with a visible bias of least squares.
 const HIGH_NOISE_UM: [f64; 2] = [0.05, 0.2];
 
-/// A random plate with its excitation.
 struct RandomPlate {
     plate: Plate,
     omega: f64,
@@ -39,8 +38,7 @@ fn random_plate(seed: u64, farthest_hz: f64, noise_um: [f64; 2]) -> RandomPlate 
     RandomPlate { plate, omega, seed }
 }
 
-/// What a controller with a period of 1 ms sees of the drawn plate under `levels` of [ms, Vpp] and
-/// `scene`.
+/// Controller period 1 ms; `levels` are [ms, Vpp].
 fn simulate_recording(drawn: &RandomPlate, levels: &[[f64; 2]], scene: &ConditionProfiles, samples: u32) -> Recording {
     let mut plant = Plant::new(drawn.plate.clone(), scene.clone(), Tier::Modal);
     let mut sensor = Sensor::new(1.0, drawn.plate.noise_um_rms, drawn.seed);
@@ -60,7 +58,6 @@ fn constant_scene() -> ConditionProfiles {
     ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) }
 }
 
-/// Checks the coverage of estimates with known true values.
 fn check_coverage(results: &[(Estimate, f64)]) -> Result<(), String> {
     let count = results.len() as f64;
     let covered = results.iter().filter(|(estimate, truth)| estimate.contains(*truth)).count() as f64 / count;

@@ -1,5 +1,4 @@
-//! Checks that captures which no single plate can produce are named as doubtful, and clean ones are
-//! not.
+//! Checks that recordings that no single plate can produce are doubtful, and clean ones are not.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
@@ -13,12 +12,11 @@ const SIGMA0: f64 = 532.0;
 const GAIN: f64 = 0.00698;
 const NOISE_UM: f64 = 0.004;
 
-/// How a capture differs from that of one linear plate.
 #[derive(Clone, Copy, Default)]
 struct Defect {
-    /// Relative increase of the damping per µm.
+    /// Relative increase per µm.
     damping_per_um: f64,
-    /// Change of the resonance during the capture, rad/s.
+    /// Of the resonance during the capture, rad/s.
     drift: f64,
     clip_um: Option<f64>,
     swapped: bool,
@@ -83,8 +81,6 @@ fn a_capture_that_no_single_plate_produces_is_doubtful(#[case] defect: Defect, #
     assert!(found.doubts.iter().any(expected), "{:?}", found.doubts);
 }
 
-/// The plate of small amplitudes is inside the interval of the doubtful file, which states the
-/// doubt.
 #[test]
 fn a_doubtful_plate_file_states_the_doubt_and_has_wider_intervals() {
     let found = identified(Defect { damping_per_um: 0.05, ..Defect::default() });

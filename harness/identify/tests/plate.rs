@@ -75,7 +75,6 @@ fn four_levels_are_four_rows_and_linear() {
     }
 }
 
-/// A law that holds Wd at 2 µm with a frequency that `hz` steps.
 fn amplitude_controller(hz: impl Fn(u32) -> f64) -> impl FnMut(u32, f64) -> (f64, f64) {
     let mut integral = 0.0;
     move |ms, wd| {
@@ -108,7 +107,6 @@ fn frequency_and_temperature_steps_agree() {
             assert!((gain.value / 1.88e-3 - 1.0).abs() < 0.04, "{step:?}");
             assert!((step.direct.unwrap().value / 1.88e-3 - 1.0).abs() < 0.1, "{step:?}");
         }
-        // At the resonance Wd hardly changes: the paper's ratio of one.
         let [gain, tau] =
             found.frequency_steps.iter().find(|step| step.detuning.abs() < 5.0).unwrap().instruments.unwrap();
         assert!((gain.value / tau.value - 1.0).abs() < 0.08, "{gain:?} {tau:?}");
@@ -139,7 +137,6 @@ fn a_sweep_and_forces_complete_the_plate_file() {
     assert!((plate.gain / 0.006_98 - 1.0).abs() < 3e-3 && (plate.sigma0 * 1.88e-3 - 1.0).abs() < 0.01, "{text}");
     assert!((plate.omega0 / TAU - RESONANCE).abs() < 0.5 && (plate.noise_um_rms - 0.004).abs() < 5e-4, "{text}");
     assert!((plate.damping_ratio_at(1.5) - 2.0).abs() < 0.03 && (plate.damping_ratio_at(0.5) - 4.0 / 3.0).abs() < 0.02);
-    // The whole interval, and hardly more.
     let uncertainties = [
         (found.gain_um_per_vpp.unwrap(), plate.uncertainty.gain_percent.unwrap()),
         (found.time_constant_s.unwrap(), plate.uncertainty.time_constant_percent.unwrap()),
@@ -195,7 +192,7 @@ fn a_trace_gives_the_samples_of_the_controller() {
 
 #[test]
 fn parameters_without_evidence_stay_empty() {
-    // At 3 K throughout, without a slope: the resonance at the reference is not known.
+    // 3 K throughout, without a slope: the resonance at the reference is not known.
     let level = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, RESONANCE);
     let warm = simulate_recording("warm", &scene(&[(0, 3.0)], STILL), 40, level);
     let named = PlateFileDetails {
@@ -209,7 +206,7 @@ fn parameters_without_evidence_stay_empty() {
     assert_eq!((found.resonance_hz, plate_file(&found, &named)), (None, None));
     let (found, _) = identify(&[warm], Some(-9.638)).unwrap();
     assert!((found.resonance_hz.unwrap().value - RESONANCE).abs() < 0.5);
-    // Settled before it begins: two numbers for three unknowns.
+    // Steady from the first sample: two numbers for three unknowns.
     let whole = simulate_recording("settled", &scene(STILL, STILL), 80, |_, _| (300.0, RESONANCE));
     assert_eq!(identify(&[whole.slice(50, 80).unwrap()], None).unwrap_err(), RecordingError::Undetermined);
     let jumping = |held: u32| {

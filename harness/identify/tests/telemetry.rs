@@ -9,7 +9,6 @@ use std::f64::consts::TAU;
 const HEADER: &str = "t,V,f,Wd,Wq,T";
 const COLUMNS: &str = "time=t:ms,drive=V,frequency=f:kHz,wd=Wd:nm,wq=Wq:nm,temperature=T";
 
-/// A step of 300 Vpp at 2 ms, sampled at 1 kHz.
 fn step_table() -> Vec<String> {
     let row = |k: u32| {
         let (vpp, wd) = if k < 2 { (0.0, 0.0) } else { (300.0, 2094.0 * (1.0 - (-f64::from(k - 2) / 1.88).exp())) };

@@ -51,6 +51,7 @@ impl State {
     }
 }
 
+/// Motion of the plate after an instant, while mode and drive are constant.
 #[derive(Debug, Clone, Copy)]
 pub struct Flow {
     steady_state: Complex64,

@@ -22,9 +22,8 @@ impl ConverterResolution {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lockin {
-    /// Samples per second.
     pub converter_hz: f64,
-    /// Carrier periods in the window.
+    /// Window length in carrier periods.
     pub periods: u32,
     /// `None` if the converter neither rounds nor clips.
     pub resolution: Option<ConverterResolution>,

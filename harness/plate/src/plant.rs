@@ -64,6 +64,7 @@ struct SmoothInterval {
     mode: Mode,
 }
 
+/// A plate with its state, drive and profiles.
 #[derive(Debug, Clone)]
 pub struct Plant {
     plate: Plate,
@@ -169,8 +170,7 @@ impl Plant {
             let frequency = self.scene.angular_frequency();
             let fast = interval.rate > self.max_pole_rate || frequency > self.plate.omega0 / 10.0;
             let longest = if fast {
-                // Shorter than a turn of the fast pole, else the substeps would excite it in
-                // resonance.
+                // Shorter than a turn of the fast pole, else the substeps would excite it.
                 let rate = interval.rate * 1.0_f64.hypot(frequency / (2.0 * self.plate.sigma0));
                 max_frozen_substep(rate).min(0.75 * PI / self.plate.omega0)
             } else {

@@ -154,7 +154,6 @@ mod tests {
     #[case("resonance_hz = 32307.6", "resonance_hz = 2500001.0", "mode.resonance_hz")]
     #[case("time_constant_ms = 1.88", "time_constant_ms = -1.88", "mode.time_constant_ms")]
     #[case("time_constant_ms = 1.88", "time_constant_ms = 0.0", "mode.time_constant_ms")]
-    // No damping.
     #[case("time_constant_ms = 1.88", "time_constant_ms = inf", "mode.time_constant_ms")]
     // Q = π f τ: 1 at 9.853 µs.
     #[case("time_constant_ms = 1.88", "time_constant_ms = 0.00985", "mode.time_constant_ms")]
