@@ -20,7 +20,6 @@ use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::text::Line;
 use ratatui::widgets::Paragraph;
 
-/// Smallest size in columns and rows.
 const MIN_SIZE: [u16; 2] = [80, 24];
 /// From this size on every signal has its own chart.
 const LARGE_SIZE: [u16; 2] = [140, 36];

@@ -5,11 +5,8 @@
 //!   standard error ── pipe ── StderrCapture ────────┘
 //! ```
 //!
-//! * [`run_description`]: scenarios and rig, known before the run.
-//! * `view_state`, `signal_history`: the trial so far, decimated to the resolution of a screen.
-//! * `draw`: draws the state; knows no terminal.
-//! * `screen`, `stderr_capture`: take the terminal and restore it.
-//! * [`view`]: the thread that reads, draws and never blocks the run; [`view_event`]: events that it shows.
+//! `view_state` and `signal_history` decimate the trial to the resolution of a screen; `draw` knows
+//! no terminal; the thread of [`view`] never blocks the run.
 //!
 //! This crate judges and records nothing. If it cannot draw, the run continues without it.
 

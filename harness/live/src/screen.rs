@@ -15,7 +15,7 @@ use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Longest wait for a terminal that accepts no output.
+/// For a terminal that accepts no output.
 const WRITE_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: 300_000_000 };
 /// Disables a control character (`_POSIX_VDISABLE` on Linux).
 const DISABLED: u8 = 0;
@@ -28,7 +28,6 @@ pub(crate) struct Screen {
 }
 
 impl Screen {
-    /// Switches the terminal on standard output to the alternate screen.
     pub(crate) fn enter() -> Result<Self, LiveViewError> {
         if !stdout().is_terminal() {
             return Err(LiveViewError::NoTerminal);
@@ -44,7 +43,6 @@ impl Screen {
         let saved = tcgetattr(&terminal).map_err(io::Error::from)?;
         tcsetattr(&terminal, OptionalActions::Now, &with_single_keys(&saved)).map_err(io::Error::from)?;
         let entered = execute!(terminal, EnterAlternateScreen, Hide);
-        // From here on `drop` restores the terminal.
         let screen = Self { terminal, saved };
         entered?;
         Ok(screen)
@@ -55,7 +53,7 @@ impl Screen {
         Ok(File::from(stdout().as_fd().try_clone_to_owned()?))
     }
 
-    /// Writer for frames; sets `gone` if the terminal accepts no more output.
+    /// Sets `gone` if the terminal accepts no more output.
     pub(crate) fn frame_writer(gone: Arc<AtomicBool>) -> io::Result<FrameWriter> {
         Ok(FrameWriter { terminal: Self::open_terminal()?, is_gone: gone })
     }
@@ -112,7 +110,6 @@ fn with_single_keys(saved: &Termios) -> Termios {
 
 impl Drop for Screen {
     fn drop(&mut self) {
-        // Fails only if the terminal is gone.
         let _ = tcsetattr(&self.terminal, OptionalActions::Now, &self.saved);
         if self.is_writable() {
             let _ = execute!(self.terminal, LeaveAlternateScreen, Show);

@@ -8,7 +8,6 @@ const SLICES: f64 = 512.0;
 /// Rows further apart than this many row distances leave a gap in the curve.
 const GAP_SPACINGS: f64 = 3.5;
 
-/// Signals that are drawn over time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum LiveSignal {
     Setpoint,
@@ -33,18 +32,16 @@ struct HistorySlice {
     high: [f64; SIGNALS],
 }
 
-/// Slices of one trial.
 #[derive(Debug)]
 pub(crate) struct SignalHistory {
-    /// Length of the window in s.
     window_s: f64,
-    /// A longer distance between two slices is a gap, in s.
+    /// A longer distance between two slices is a gap.
     gap_s: f64,
     slices: VecDeque<HistorySlice>,
 }
 
 impl SignalHistory {
-    /// `window_s` and the largest row distance `spacing_s` are in s and above 0.
+    /// Both arguments must be above 0.
     pub(crate) fn new(window_s: f64, spacing_s: f64) -> Self {
         let slice_s = window_s / SLICES;
         Self { window_s, gap_s: GAP_SPACINGS * spacing_s.max(slice_s), slices: VecDeque::new() }
@@ -54,7 +51,7 @@ impl SignalHistory {
         self.window_s / SLICES
     }
 
-    /// Adds a row that is not older than the last one; ignores rows without a finite time.
+    /// The row must not be older than the last one. Ignores rows without a finite time.
     pub(crate) fn push(&mut self, row: &Row) {
         let values = signal_values(row);
         if !row.t_s.is_finite() || values.iter().any(|value| !value.is_finite()) {
@@ -75,14 +72,12 @@ impl SignalHistory {
         }
     }
 
-    /// Start and end of the visible window in s.
     pub(crate) fn span_s(&self) -> [f64; 2] {
         let newest = self.slices.back().map_or(0.0, |last| (last.number + 1) as f64 * self.slice_s());
         let end = newest.max(self.window_s);
         [end - self.window_s, end]
     }
 
-    /// Minimum and maximum over `signals`; `None` without rows.
     pub(crate) fn range(&self, signals: &[LiveSignal]) -> Option<[f64; 2]> {
         let all = signals.iter().flat_map(|signal| {
             let signal = *signal as usize;
@@ -91,7 +86,6 @@ impl SignalHistory {
         all.reduce(|[low, high], [lower, higher]| [low.min(lower), high.max(higher)])
     }
 
-    /// Curves of (s, `of(value)`), split at gaps.
     pub(crate) fn lines(&self, signal: LiveSignal, of: impl Fn(f64) -> f64) -> Vec<Vec<(f64, f64)>> {
         let signal = signal as usize;
         let mut lines: Vec<Vec<(f64, f64)>> = Vec::new();
@@ -150,7 +144,6 @@ mod tests {
             history.lines(LiveSignal::Amplitude, |value| value).len()
         };
         assert_eq!([of_gap(1.0), of_gap(3.0), of_gap(4.0)], [1, 1, 2]);
-        // The row distance itself is large.
         let mut sparse = SignalHistory::new(512.0, 20.0);
         (0..5).for_each(|number| sparse.push(&row(f64::from(number) * 20.0, 1.0)));
         assert_eq!(sparse.lines(LiveSignal::Amplitude, |value| value).len(), 1);

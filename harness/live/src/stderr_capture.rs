@@ -12,19 +12,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 
-/// Captured lines; older ones are dropped and counted.
+/// Older lines are dropped and counted.
 const MAX_LINES: usize = 500;
-/// A longer line is split.
 const MAX_LINE_BYTES: usize = 4096;
-/// Interval at which the reader checks for the end of the capture.
 const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
 
-/// Captured lines, oldest first.
 #[derive(Debug, Default)]
 pub(crate) struct CapturedLines {
     lines: VecDeque<String>,
     dropped_lines: u64,
-    /// The unfinished last line.
     partial_line: Vec<u8>,
 }
 
@@ -52,13 +48,11 @@ impl CapturedLines {
         self.lines.push_back(line);
     }
 
-    /// The last `count` lines, oldest first.
     pub(crate) fn last_lines(&self, count: usize) -> Vec<String> {
         self.lines.iter().skip(self.lines.len().saturating_sub(count)).cloned().collect()
     }
 }
 
-/// Removes control sequences that move the cursor or change colours.
 fn strip_control_sequences(text: &str) -> String {
     let mut plain = String::with_capacity(text.len());
     let mut characters = text.chars();
@@ -76,7 +70,6 @@ fn strip_control_sequences(text: &str) -> String {
     plain.trim_end().to_owned()
 }
 
-/// Redirects standard error into a pipe until it is dropped.
 #[derive(Debug)]
 pub(crate) struct StderrCapture {
     original: OwnedFd,
@@ -104,13 +97,12 @@ impl StderrCapture {
         Ok(Some(diverted))
     }
 
-    /// Shared access to the captured lines.
     pub(crate) fn lines(&self) -> Arc<Mutex<CapturedLines>> {
         Arc::clone(&self.captured_lines)
     }
 }
 
-/// Reads until the capture has ended and the pipe is empty. A child that still holds the pipe does not block the end.
+/// Stops after the capture although a child may still hold the pipe.
 fn read_pipe(mut pipe: File, kept: &Mutex<CapturedLines>, over: &AtomicBool) {
     let mut bytes = [0; 4096];
     loop {

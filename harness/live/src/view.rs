@@ -21,20 +21,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 const FRAME_INTERVAL: Duration = Duration::from_millis(50);
-/// The queue holds many times the rows of this interval.
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
 /// Bounds the rows per poll: in lockstep rows may arrive as fast as they are read.
 const MAX_ROWS_PER_POLL: usize = 1 << 15;
 /// One frame fits, so each frame is one write.
 const FRAME_CAPACITY: usize = 1 << 16;
-/// Longest wait for the last frame at the end.
 const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(500);
-/// Lines of standard error per frame.
 const MAX_MESSAGES: usize = 64;
-/// Interval at which the wait for a key checks for the end.
 const KEY_POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Messages to the view thread.
 #[derive(Debug)]
 enum ViewMessage {
     Event(ViewEvent),
@@ -54,10 +49,7 @@ pub struct LiveView {
 }
 
 impl LiveView {
-    /// Takes the terminal and starts to draw.
-    ///
-    /// # Errors
-    /// [`LiveViewError`]; the terminal is then unchanged.
+    /// Takes the terminal and starts to draw. On an error the terminal is unchanged.
     pub fn open(run: RunDescription, tap_reader: TapReader) -> Result<Self, LiveViewError> {
         if let Ok((columns, rows)) = size()
             && !is_drawable(columns, rows)
@@ -93,13 +85,11 @@ impl LiveView {
         })
     }
 
-    /// Sends an event; never blocks.
     pub fn send(&self, event: ViewEvent) {
         // Fails only if the view has ended.
         let _ = self.messages.send(ViewMessage::Event(event));
     }
 
-    /// A sender for other threads.
     pub fn sender(&self) -> ViewSender {
         ViewSender(self.messages.clone())
     }
@@ -113,7 +103,6 @@ impl LiveView {
                 || is_stopped.load(Ordering::Relaxed),
                 |letter| {
                     if letter == 'q' {
-                        // A process may always send a signal to itself.
                         let _ = kill_process(getpid(), Signal::INT);
                     }
                 },
@@ -122,12 +111,10 @@ impl LiveView {
     }
 }
 
-/// Sends events to a view that may have ended.
 #[derive(Debug, Clone)]
 pub struct ViewSender(Sender<ViewMessage>);
 
 impl ViewSender {
-    /// See [`LiveView::send`].
     pub fn send(&self, event: ViewEvent) {
         let _ = self.0.send(ViewMessage::Event(event));
     }
@@ -149,7 +136,6 @@ struct ViewThread {
     tap_reader: TapReader,
     messages: Receiver<ViewMessage>,
     captured_lines: Option<Arc<Mutex<CapturedLines>>>,
-    /// See [`LiveView`].
     is_stopped: Arc<AtomicBool>,
 }
 
@@ -194,10 +180,10 @@ fn is_drawable(columns: u16, rows: u16) -> bool {
     u32::from(columns) * u32::from(rows) <= MAX_CELLS
 }
 
-/// Character that [`watch_keys`] reports for Ctrl-C in a raw terminal. In the view Ctrl-C is a signal.
+/// Ctrl-C in a raw terminal. In the view Ctrl-C is a signal.
 pub const INTERRUPT: char = '\u{3}';
 
-/// Passes typed letters to `typed` until `is_over`. Returns at once if standard input is not a terminal.
+/// Returns at once if standard input is not a terminal.
 pub fn watch_keys(is_over: impl Fn() -> bool, mut typed: impl FnMut(char)) {
     if !stdin().is_terminal() {
         return;
@@ -206,7 +192,6 @@ pub fn watch_keys(is_over: impl Fn() -> bool, mut typed: impl FnMut(char)) {
         match poll(KEY_POLL_INTERVAL) {
             Ok(true) => {}
             Ok(false) => continue,
-            // The terminal is gone.
             Err(_) => return,
         }
         if let Ok(Event::Key(key)) = read()

@@ -7,7 +7,6 @@ use platebench_record::Verdict;
 use platebench_runner::live_tap::{TapCounts, TapRow};
 use platebench_trace::Row;
 
-/// Counts of finished scenarios and trials.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct FinishedCounts {
     pub(crate) trials: u64,
@@ -16,17 +15,15 @@ pub(crate) struct FinishedCounts {
     pub(crate) inconclusive: usize,
 }
 
-/// State of the view.
 #[derive(Debug)]
 pub(crate) struct ViewState {
     pub(crate) run: RunDescription,
-    /// Scenario and trial index of the newest row.
+    /// Indices of scenario and trial.
     newest_trial: Option<(usize, u32)>,
     pub(crate) newest_row: Option<Row>,
     pub(crate) history: SignalHistory,
     pub(crate) counts: TapCounts,
     pub(crate) finished: FinishedCounts,
-    /// Last lines of standard error, oldest first.
     pub(crate) messages: Vec<String>,
 }
 
@@ -43,7 +40,7 @@ impl ViewState {
         }
     }
 
-    /// Adds a row. Another trial, or a time that runs backwards, starts a new history.
+    /// Another trial, or a time that runs backwards, starts a new history.
     pub(crate) fn add_row(&mut self, tap_row: &TapRow) {
         let playing = Some((tap_row.scenario, tap_row.trial));
         let is_new = self.newest_trial != playing || self.newest_row.is_none_or(|newest| newest.t_s > tap_row.row.t_s);
@@ -55,7 +52,6 @@ impl ViewState {
         self.history.push(&tap_row.row);
     }
 
-    /// Scenario of the newest row, and the number of its trial counted from 1.
     pub(crate) fn current_trial(&self) -> Option<(&ScenarioDescription, u64)> {
         self.newest_trial.and_then(|(_, trial)| Some((self.current_scenario()?, u64::from(trial) + 1)))
     }
@@ -64,7 +60,6 @@ impl ViewState {
         self.run.scenarios.get(self.newest_trial?.0)
     }
 
-    /// Applies an event of the run.
     pub(crate) fn apply_event(&mut self, event: ViewEvent) {
         match event {
             ViewEvent::RigLocation(location) => self.run.rig = location,

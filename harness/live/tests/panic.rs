@@ -1,4 +1,4 @@
-//! A bench that panics gives the terminal back too.
+//! Checks that a panic restores the terminal.
 
 use platebench_live::{LiveView, RunDescription};
 use platebench_runner::LiveTap;
@@ -12,7 +12,7 @@ use std::thread;
 
 const MESSAGE: &str = "the bench comes to grief";
 
-/// Not a test: what the test below starts as a process in a terminal.
+/// Not a test: the test below starts it as a process in a terminal.
 #[test]
 #[ignore = "started by the other one"]
 fn grief() {
@@ -42,7 +42,6 @@ fn a_panic_gives_the_terminal_back_and_is_told_afterwards() {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.args(["--exact", "grief", "--ignored", "--nocapture"]).env("TERM", "xterm-256color");
     let mut child = command.stdin(Stdio::null()).stdout(end()).stderr(end()).spawn().unwrap();
-    // The command holds ends of its own.
     drop(command);
     let mut output = File::from(master);
     let reader = thread::spawn(move || {

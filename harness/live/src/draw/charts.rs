@@ -10,12 +10,10 @@ use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType};
 
 /// Band edges and resonance: one dash per three characters, so that the signal below stays visible.
 const REFERENCE_MARKER: Marker = Marker::Custom('-');
-/// Second signal of a chart.
 const SECOND_MARKER: Marker = Marker::Custom('o');
 
 type Points = Vec<(f64, f64)>;
 
-/// Curves with one marker and style.
 struct ChartCurve {
     lines: Vec<Points>,
     marker: Marker,
@@ -27,7 +25,6 @@ impl ChartCurve {
         Self { lines, marker, style }
     }
 
-    /// The finite points for a chart of `width` characters from `x[0]` to `x[1]` s.
     fn visible(&self, x: [f64; 2], width: usize) -> Self {
         let is_shown = |(at, value): &(f64, f64)| {
             let place = (at - x[0]) / (x[1] - x[0]) * width as f64;
@@ -136,7 +133,6 @@ fn draw_chart(
     let (scale, unit) = if x[1] - x[0] < 1.0 { (1e3, "ms") } else { (1.0, "s") };
     let middle = f64::midpoint(y[0], y[1]);
     let y_labels = [y[0], middle, y[1]].map(|value| format!("{value:.digits$}"));
-    // Borders, labels and axis.
     let taken = 3 + y_labels.iter().map(String::len).max().unwrap_or(0);
     let width = usize::from(area.width).saturating_sub(taken);
     let visible: Vec<_> = curves.iter().map(|curve| curve.visible(x, width)).collect();
@@ -153,7 +149,7 @@ fn draw_chart(
     frame.render_widget(chart.legend_position(None), area);
 }
 
-/// The next of 1, 1.5, 2, 2.5, 3, 4, 5, 8 times a power of ten above `value`, so that the axis rarely changes.
+/// The next of 1, 1.5, 2, 2.5, 3, 4, 5, 8 times a power of ten, so that the axis rarely changes.
 fn round_up(value: f64) -> f64 {
     const STEPS: [f64; 8] = [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 8.0];
     if !(value > 0.0 && value < 1e12) {

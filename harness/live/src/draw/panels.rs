@@ -85,7 +85,6 @@ fn controller_state(row: &Row) -> (&'static str, Color) {
     found.map_or(("controller runs", Color::Green), |(_, words, colour)| (words, colour))
 }
 
-/// Bar of `width` characters for a share from 0 to 1.
 fn progress_bar(share: f64, width: usize) -> String {
     let full = ((share.clamp(0.0, 1.0) * width as f64).round() as usize).min(width);
     "█".repeat(full) + &"░".repeat(width - full)
@@ -114,7 +113,7 @@ pub(super) fn draw_lateness(frame: &mut Frame<'_>, area: Rect, state: &ViewState
     frame.render_widget(Paragraph::new(lines), inner);
 }
 
-/// Merges neighbouring classes until there are at most `most`, each with its label. The last class is open.
+/// Merges neighbouring classes until there are at most `most`. The last class is open.
 pub(super) fn group_lateness_classes(classes: &[u64; LATENESS_CLASSES], most: usize) -> Vec<(String, u64)> {
     let size = LATENESS_CLASSES.div_ceil(most.max(1));
     let micros = |class: usize| match 1_u64 << class {
@@ -125,7 +124,6 @@ pub(super) fn group_lateness_classes(classes: &[u64; LATENESS_CLASSES], most: us
     let groups = classes.chunks(size).enumerate();
     let named = groups.map(|(number, group)| {
         let from = number * size;
-        // Upper edge of the last class in the group.
         let name = if number == last {
             format!(">={}", micros(from.max(1) - 1))
         } else {
