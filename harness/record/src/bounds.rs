@@ -6,9 +6,7 @@ use std::fmt;
 /// An interval; an end is `None` if it is infinite, because JSON has no infinity.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
-    /// Lower end.
     pub low: Option<f64>,
-    /// Upper end.
     pub high: Option<f64>,
 }
 

@@ -1,5 +1,4 @@
-//! Compares instructions per control step with earlier runs. An expectation on
-//! `instructions_per_step` judges them.
+//! Compares instructions per control step with earlier runs.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,21 +10,16 @@ const MIN_CHANGE_PERCENT: f64 = 1.0;
 pub struct StepCost {
     /// Mean over the trials of each trial's mean.
     pub mean: f64,
-    /// The most expensive step.
     pub worst: f64,
 }
 
-/// Instructions per control step under one law.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CostTrend {
-    /// The control law.
     pub law: String,
     /// Build identity of the firmware, hexadecimal.
     pub build: String,
-    /// Over all trials of the run under this law.
     pub cost: StepCost,
-    /// Earlier runs of the same trials on the same kind of rig with firmware of the same name:
-    /// newest first, reference last.
+    /// Runs of the same trials on the same kind of rig and firmware: newest first, reference last.
     pub earlier: Vec<EarlierCost>,
 }
 
@@ -34,42 +28,32 @@ pub struct CostTrend {
 pub struct EarlierCost {
     /// The run folder's name; `null` for the reference that came with the bench.
     pub run: Option<String>,
-    /// When the run started, UTC, RFC 3339; `null` for the reference.
     pub started: Option<String>,
-    /// Build identity of its firmware, hexadecimal.
     pub build: String,
     /// Number of trials in both runs.
     pub trials: usize,
-    /// Their cost then.
     pub then: StepCost,
-    /// Their cost now.
     pub now: StepCost,
 }
 
-/// A change that is reported.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CostChange<'a> {
     /// What is compared: `worst` or `mean`.
     pub statistic: &'static str,
-    /// Instructions per step now.
     pub now: f64,
-    /// Instructions per step then.
     pub then: f64,
     /// From then to now, percent; positive if it costs more.
     pub percent: f64,
-    /// The earlier run.
     pub earlier: &'a EarlierCost,
 }
 
 impl CostTrend {
-    /// The newest earlier run of another build, otherwise the newest: a second run of a new build
-    /// does not hide what the build changed.
+    /// The newest earlier run of another build, so that a second run of a build hides no change.
     pub fn comparison_run(&self) -> Option<&EarlierCost> {
         self.earlier.iter().find(|earlier| earlier.build != self.build).or_else(|| self.earlier.first())
     }
 
-    /// The change of the worst step against that run, or of the mean if only the mean changed by
-    /// more than 1 %.
+    /// The change of the worst step, or of the mean if only the mean changed by more than 1 %.
     pub fn significant_change(&self) -> Option<CostChange<'_>> {
         let against = self.comparison_run()?;
         let EarlierCost { now, then, .. } = against;

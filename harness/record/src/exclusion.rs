@@ -8,18 +8,15 @@ use thiserror::Error;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Exclusion {
-    /// The controller did not answer a sample.
     #[error("no answer at {at_ms} ms")]
     NoAnswer {
         /// Control instant.
         at_ms: f64,
     },
-    /// The bench missed control instants.
     #[error("the bench was too late {count}×, first at {first_ms} ms")]
     LateBench {
-        /// Number of instants.
         count: usize,
-        /// The first.
+        /// The first late instant.
         first_ms: f64,
     },
     /// The controller's timer is off by more than an oscillator can be.
@@ -34,31 +31,24 @@ pub enum Exclusion {
         /// Number of rows.
         count: u64,
     },
-    /// The trace does not start at 0.
     #[error("the trace starts at {at_ms} ms")]
     LateStart {
         /// First row.
         at_ms: f64,
     },
-    /// Rows are missing.
     #[error("no rows between {from_ms} and {to_ms} ms, expected one every {step_ms} ms")]
     Gap {
-        /// Row before the gap.
         from_ms: f64,
-        /// Row after it.
         to_ms: f64,
         /// Largest distance of rows.
         step_ms: f64,
     },
-    /// The trace ends before the trial.
     #[error("the trace ends at {at_ms} ms instead of {duration_ms} ms")]
     EarlyEnd {
-        /// Last row.
         at_ms: f64,
         /// Duration of the trial.
         duration_ms: f64,
     },
-    /// The run was cancelled or killed.
     #[error("the run was cut off before this trial was complete")]
     CutOff,
     /// The trace was removed from the run folder.
@@ -76,68 +66,52 @@ pub enum Exclusion {
         /// When the bench gave up.
         at_ms: f64,
     },
-    /// Real plate: the first telemetry is missing.
     #[error("the telemetry starts at {at_ms} ms")]
     LateTelemetry {
         /// First row.
         at_ms: f64,
     },
-    /// Real plate: telemetry is missing.
     #[error("no telemetry between {from_ms} and {to_ms} ms")]
     TelemetryGap {
-        /// Row before the gap.
         from_ms: f64,
-        /// Row after it.
+        /// Row after the gap.
         to_ms: f64,
     },
-    /// Real plate: the last telemetry is missing.
     #[error("the telemetry ends at {at_ms} ms instead of {duration_ms} ms")]
     EarlyTelemetryEnd {
-        /// Last row.
         at_ms: f64,
         /// Duration of the trial.
         duration_ms: f64,
     },
-    /// Real plate: the controller reports another setpoint.
     #[error("the controller held a setpoint of {held_um} µm at {at_ms} ms, expected {}", range(*sent_um))]
     WrongSetpoint {
-        /// Reported, µm.
         held_um: f64,
-        /// When.
         at_ms: f64,
         /// Smallest and largest that was sent, µm.
         sent_um: [f64; 2],
     },
-    /// Real plate: the operator did not make the conditions of the scenario.
     #[error("{why}")]
     ConditionsNotMade {
-        /// Reported by the prompt.
+        /// Real plate; reported by the prompt.
         why: String,
     },
-    /// Real plate: the trial is too short for a person.
     #[error("finger or temperature change within a trial of {duration_ms} ms, which no person can do")]
     TooFastForOperator {
         /// Duration of the trial.
         duration_ms: f64,
     },
-    /// Real plate: no record of what the operator did.
     #[error("it is not known whether finger and temperature were those of the scenario")]
     UnknownConditions,
-    /// Real plate: the measured force is not the scenario's.
     #[error(
         "the finger pressed with {force_n:.2} N at {at_ms} ms, expected {}; {wrong_rows} of {rows} rows are off",
         range(*expected_n)
     )]
     WrongForce {
-        /// Measured, N.
         force_n: f64,
-        /// When it was off for the first time.
         at_ms: f64,
         /// Smallest and largest of the scenario around that instant, N.
         expected_n: [f64; 2],
-        /// Rows that are off.
         wrong_rows: usize,
-        /// Rows with a measured force.
         rows: usize,
     },
 }
@@ -147,7 +121,6 @@ fn range([low, high]: [f64; 2]) -> String {
 }
 
 impl Exclusion {
-    /// What caused it.
     pub const fn cause(&self) -> Cause {
         match self {
             Self::LateBench { .. }

@@ -11,27 +11,21 @@ use thiserror::Error;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Excuse {
-    /// The setpoint needs more voltage than the amplifier has.
     #[error(
         "saturated: holding the setpoint needs {needed_vpp:.0} Vpp, the amplifier gives {limit_vpp:.0} Vpp: at best {best}"
     )]
     SetpointOutOfReach {
-        /// Drive that holds the setpoint at resonance.
+        /// At resonance.
         needed_vpp: f64,
-        /// Limit of the amplifier.
         limit_vpp: f64,
-        /// What the best possible controller reaches.
         best: BestResponse,
     },
-    /// The response is limited by the amplifier.
     #[error("saturated: from 0 to {limit_vpp:.0} Vpp no controller does better than {best}")]
     DriveLimited {
-        /// Limit of the amplifier.
         limit_vpp: f64,
         /// What the best possible controller reaches.
         best: BestResponse,
     },
-    /// Real plate: the drive was at its limit.
     #[error("the drive was at its limit at {at_ms} ms; whether this plate can be driven better is not known")]
     SaturatedRealPlate {
         /// When for the first time.
@@ -45,24 +39,18 @@ pub enum Excuse {
         value(*undelayed)
     )]
     LoopDelay {
-        /// Number of the trial.
         trial: u32,
-        /// Median.
         typical_us: f64,
-        /// Largest.
         longest_us: f64,
-        /// Value of the metric with the delay.
         delayed: Option<f64>,
         /// Value of the metric without delay.
         undelayed: Option<f64>,
     },
-    /// In real time the loop delay includes line and bench.
     #[error("in real time the loop delay includes line and bench, not the controller alone")]
     RealTimeDelay,
 }
 
 impl Excuse {
-    /// What caused the miss instead.
     pub const fn cause(&self) -> Cause {
         match self {
             Self::SetpointOutOfReach { .. } | Self::DriveLimited { .. } => Cause::Infeasible,
@@ -80,11 +68,9 @@ fn value(value: Option<f64>) -> String {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BestResponse {
-    /// Value of the metric.
     Value(Metric, f64),
     /// Window mean, percent of the setpoint.
     Mean(f64),
-    /// No value.
     Missing(MissingValue),
 }
 

@@ -1,15 +1,4 @@
 //! Holds what a run leaves: its record, its events and its folder.
-//!
-//! * `run_record`, `expectation_record`, `trial_record`: `run.json` as types.
-//! * `verdict`, `reason`, `exclusion`, `excuse`, `missing_value`, `bounds`: verdicts and why
-//!   something did not pass.
-//! * `violation`: breaches of the protocol, which fail a trial.
-//! * `cost`: instructions per control step.
-//! * `timing`: lateness and loop delay in real time.
-//! * `real_plate`: a trial on a plate that the controller drives itself.
-//! * `event`: what happens during a run.
-//! * `store`: reads and writes records, finds earlier runs.
-//! * `run_folder`: inputs, traces and record on disk.
 
 mod bounds;
 mod cost;

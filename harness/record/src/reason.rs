@@ -13,7 +13,6 @@ use thiserror::Error;
 /// When and how a trial diverged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Divergence {
-    /// When it began, s.
     pub at_s: f64,
     /// True if a NaN or infinite drive command began it.
     pub is_non_finite: bool,
@@ -30,16 +29,13 @@ impl fmt::Display for Divergence {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum TrialReason {
-    /// It does not count.
     #[error(transparent)]
     Excluded(Exclusion),
-    /// The controller was lost; the rig's words.
+    /// How the controller was lost, in the rig's words.
     #[error("{0}")]
     Ended(String),
-    /// The loop does not converge.
     #[error("{0}")]
     Diverged(Divergence),
-    /// The controller breached the protocol.
     #[error("{0}")]
     Violation(Violation),
 }
@@ -48,54 +44,41 @@ pub enum TrialReason {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum TrialFinding {
-    /// No value: the controller's failure.
+    /// No value, which is the controller's failure.
     #[error(transparent)]
     Missing(MissingValue),
-    /// The metric does not apply.
     #[error(transparent)]
     Undefined(UndefinedValue),
-    /// The value breaks the limit; `None` if it is infinite.
     #[error("{}, expected {limit}", format_value(*value))]
     Outside {
-        /// The value.
+        /// `None` if it is infinite.
         value: Option<f64>,
-        /// The limit.
         limit: Limit,
     },
-    /// The value is known to lie in an interval, which breaks the limit.
     #[error("{bounds}, expected {limit}")]
     IntervalOutside {
-        /// The interval.
+        /// Contains the true value.
         bounds: Bounds,
-        /// The limit.
         limit: Limit,
     },
-    /// Samples are too coarse to decide.
     #[error("{bounds} by its samples, which does not decide {limit}")]
     CoarseSamples {
-        /// Interval of the value.
+        /// Contains the limit because samples are too coarse.
         bounds: Bounds,
-        /// The limit.
         limit: Limit,
     },
-    /// The error of the simulation is too large to decide.
     #[error("{bounds} with the bench's own error, which does not decide {limit}")]
     SimulationError {
-        /// Interval of the value.
+        /// Contains the limit because of the simulation's own error.
         bounds: Bounds,
-        /// The limit.
         limit: Limit,
     },
 }
 
-/// Trials that diverged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DivergedTrials {
-    /// Number of the first.
     pub first: u32,
-    /// How that one diverged.
     pub divergence: Divergence,
-    /// Number of further ones.
     pub further: usize,
 }
 
@@ -109,18 +92,14 @@ impl fmt::Display for DivergedTrials {
     }
 }
 
-/// Why bounds are wide.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum WideBounds {
-    /// Order statistics need more trials.
     #[error("a bound of the {} quantile needs {needed} trials, {trials} were run", percent(*share))]
     TooFewForQuantile {
-        /// Which quantile.
         share: f64,
-        /// Trials that it needs.
+        /// For order statistics.
         needed: u32,
-        /// Trials that count.
         trials: usize,
     },
     /// Bounds come from resampling.
@@ -134,92 +113,61 @@ pub enum WideBounds {
 pub enum Reason {
     /// One trial decided.
     Trial {
-        /// Its number.
         trial: u32,
-        /// Whether it diverged, if it failed.
+        /// Present if it failed because it diverged.
         divergence: Option<Divergence>,
-        /// What it shows.
         finding: TrialFinding,
-        /// How the controller was lost.
+        /// How the controller was lost, in the rig's words.
         ended: Option<String>,
     },
-    /// The controller breached the protocol.
     Violation {
-        /// The first trial with a breach.
         trial: u32,
-        /// Its first kind of breach.
         violation: Violation,
     },
-    /// A trial does not count.
     Excluded {
-        /// Its number.
         trial: u32,
-        /// Why.
         exclusion: Exclusion,
     },
     /// The failure is not the controller's.
     Excused(Excuse),
-    /// Trials are missing.
     NotPlayed {
-        /// Trials that were played.
         played: usize,
-        /// Trials that were planned.
         planned: usize,
     },
-    /// Too few trials count.
     TooFewTrials {
-        /// Trials that count.
         counted: usize,
-        /// Trials that are needed.
         needed: usize,
     },
-    /// The statistic over trials breaks the limit.
+    /// The statistic over trials breaks the limit; `value` is `None` if it is infinite.
     Outside {
-        /// The statistic; `None` if it is infinite.
         value: Option<f64>,
-        /// Its interval.
         bounds: Bounds,
-        /// The limit.
         limit: Limit,
-        /// Trials that diverged.
         diverged: Option<DivergedTrials>,
     },
-    /// The interval over trials contains the limit.
+    /// The interval of the statistic over trials contains the limit.
     Undecided {
-        /// Trials that count.
         trials: usize,
-        /// Interval of the statistic.
         bounds: Bounds,
-        /// The limit.
         limit: Limit,
-        /// Why the interval is wide.
         cause: Option<WideBounds>,
     },
     /// All trials gave the same value, so they show no repeatability.
     NoVariation {
-        /// Trials that count.
         trials: usize,
     },
     /// The deviation over trials differs from the expected one.
     Disagrees {
-        /// The deviation.
         value: f64,
-        /// Its interval.
         bounds: Bounds,
-        /// The expected deviation.
         expected: f64,
-        /// Trials that diverged.
         diverged: Option<DivergedTrials>,
     },
     /// The interval is too wide to tell the expected deviation from its half or double.
     Indistinct {
-        /// Trials that count.
         trials: usize,
-        /// The deviation.
         value: f64,
-        /// Its interval.
         bounds: Bounds,
-        /// The expected deviation.
         expected: f64,
     },
 }

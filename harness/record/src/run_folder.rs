@@ -16,26 +16,20 @@ use std::sync::Arc;
 const INPUTS: &str = "inputs";
 const TRACES: &str = "traces";
 
-/// Why a run folder cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
-    /// It contains a run.
     #[error("{} already contains a run, expected a new folder", .0.display())]
     AlreadyUsed(PathBuf),
-    /// Another process writes a run into it.
     #[error("{} is in use by another run, expected a new folder", .0.display())]
     InUse(PathBuf),
-    /// It cannot be written or read.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file or folder.
         path: PathBuf,
         /// The operating system's error.
         source: io::Error,
     },
 }
 
-/// The folder of a run.
 #[derive(Debug, Clone)]
 pub struct RunFolder {
     path: PathBuf,
@@ -50,11 +44,7 @@ fn io_error(path: &Path) -> impl FnOnce(io::Error) -> FolderError + use<> {
 }
 
 impl RunFolder {
-    /// Creates a folder at `path`; default: below `runs/`, with the time and a unique short id as
-    /// name.
-    ///
-    /// # Errors
-    /// [`FolderError`]: the folder contains a run or cannot be created.
+    /// Creates a folder at `path`, or below `runs/` without a path. Fails if it contains a run.
     pub fn create(path: Option<&Path>) -> Result<Self, FolderError> {
         let started = Timestamp::now();
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
@@ -71,14 +61,10 @@ impl RunFolder {
     }
 
     /// Creates a folder below `runs`, with the time and a unique short id as name.
-    ///
-    /// # Errors
-    /// [`FolderError::Io`].
     pub fn create_below(runs: &Path) -> Result<Self, FolderError> {
         Self::create(Some(&runs.join(generate_name(Timestamp::now()))))
     }
 
-    /// Its path.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -93,20 +79,12 @@ impl RunFolder {
         self.started.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
     }
 
-    /// Creates the folder of a scenario's traces.
-    ///
-    /// # Errors
-    /// [`FolderError::Io`].
     pub fn create_trace_folder(&self, scenario: &Scenario) -> Result<(), FolderError> {
         let folder = self.path.join(TRACES).join(scenario.name());
         fs::create_dir_all(&folder).map_err(io_error(&folder))
     }
 
-    /// Copies every input of every scenario, with their relative paths, and returns them by
-    /// scenario.
-    ///
-    /// # Errors
-    /// [`FolderError::Io`].
+    /// Copies every input of every scenario, with their relative paths; returns them by scenario.
     pub fn store_inputs(&self, scenarios: &[Scenario]) -> Result<Vec<Vec<InputRecord>>, FolderError> {
         let place = |input: &InputFile| fs::canonicalize(&input.path).map_err(io_error(&input.path));
         let all =
@@ -131,15 +109,11 @@ pub fn trace_path(scenario: &str, index: u32) -> String {
     format!("{TRACES}/{scenario}/{index:03}.csv")
 }
 
-/// SHA-256 in hexadecimal.
 pub fn sha256(bytes: &[u8]) -> String {
     to_hex(&Sha256::digest(bytes))
 }
 
-/// SHA-256 of a regular file, hexadecimal.
-///
-/// # Errors
-/// The operating system's; not a regular file.
+/// SHA-256 of a file, hexadecimal. Fails if it is not a regular file.
 pub fn sha256_of_file(path: &Path) -> io::Result<String> {
     let mut file = BufReader::new(open_regular_file(path, u64::MAX)?);
     let mut hash = Sha256::new();
@@ -154,10 +128,8 @@ pub fn sha256_of_file(path: &Path) -> io::Result<String> {
     }
 }
 
-/// Bytes in hexadecimal, two digits each.
 pub fn to_hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::new(), |mut text, byte| {
-        // Writing to a string cannot fail.
         let _ = write!(text, "{byte:02x}");
         text
     })
@@ -169,7 +141,6 @@ fn generate_name(now: Timestamp) -> String {
     format!("{time}-{}", unique.get(..6).unwrap_or_default())
 }
 
-/// The deepest folder that contains all files.
 fn common_folder(files: &BTreeSet<PathBuf>) -> PathBuf {
     let mut folders = files.iter().filter_map(|file| file.parent());
     let Some(first) = folders.next() else { return PathBuf::new() };

@@ -8,71 +8,51 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Component, Path, PathBuf};
 
-/// Name of the record in a run folder.
 pub const RECORD_FILE: &str = "run.json";
 /// A record of 10⁶ trials has some 600 MB.
 const MAX_RECORD_BYTES: u64 = 1 << 30;
-/// Largest number of earlier runs that are read.
 const MAX_EARLIER_RUNS: usize = 20;
 
-/// Why a record cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// The file cannot be read.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file.
+        /// Run folder's record.
         path: PathBuf,
-        /// The operating system's error.
         source: io::Error,
     },
-    /// The file is not a run record.
     #[error("{}:{}:{}: {source}", path.display(), source.line(), source.column())]
     Content {
-        /// The file.
         path: PathBuf,
         /// The parser's error.
         source: serde_json::Error,
     },
-    /// Another version of the format.
     #[error("{}: format {found}, expected {FORMAT}", path.display())]
     Format {
-        /// The file.
         path: PathBuf,
         /// Version in the file.
         found: u32,
     },
-    /// A path of the record leaves the run folder.
     #[error("{}: {what} `{found}`, expected a path below the run folder", path.display())]
     OutsidePath {
-        /// The file.
         path: PathBuf,
         /// Which path.
         what: &'static str,
-        /// The path.
         found: String,
     },
 }
 
 impl RunRecord {
     /// Replaces the record in `folder` atomically.
-    ///
-    /// # Errors
-    /// The operating system's.
     pub fn write(&self, folder: &Path) -> io::Result<()> {
         let mut text = serde_json::to_string_pretty(self)?;
         text.push('\n');
         let mut file = AtomicFile::create(&folder.join(RECORD_FILE))?;
         file.write_all(text.as_bytes())?;
-        // During a run the record is replaced after every scenario; waiting for the disk would
-        // delay the run.
+        // A sync after every scenario would delay the run.
         if self.complete { file.commit() } else { file.commit_without_sync() }
     }
 
-    /// Reads the record of the run in `folder`.
-    ///
-    /// # Errors
-    /// [`RecordError`].
     pub fn read(folder: &Path) -> Result<Self, RecordError> {
         let record: Self = read(folder)?;
         match record.outside_path() {
@@ -84,8 +64,7 @@ impl RunRecord {
         }
     }
 
-    /// The first path that is absolute or contains `..`; readers and `baseline accept` join these
-    /// paths to folders.
+    /// The first path that is absolute or contains `..`; readers join these paths to folders.
     fn outside_path(&self) -> Option<(&'static str, &str)> {
         let paths = self.scenarios.iter().flat_map(|scenario| {
             let inputs = scenario.inputs.iter().map(|input| ("input", input.file.as_str()));
@@ -96,9 +75,8 @@ impl RunRecord {
         paths.into_iter().find(|(_, path)| is_outside(path))
     }
 
-    /// Runs in neighbouring folders of `folder`, the run's own, that started before it or in the
-    /// same second: newest first, at most 20, each with the name of its folder. Unreadable records
-    /// are passed to `skipped`.
+    /// Runs in neighbouring folders that started no later, newest first, at most 20, with folder.
+    /// Unreadable records are passed to `skipped`.
     pub fn earlier_runs(&self, folder: &Path, skipped: impl Fn(&Path, &RecordError)) -> Vec<(String, Self)> {
         #[derive(Deserialize)]
         struct Started {

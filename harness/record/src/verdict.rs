@@ -7,17 +7,13 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// Demonstrated.
     Pass,
-    /// Refuted.
     Fail,
-    /// Neither; see [`Cause`].
     Inconclusive,
 }
 
 impl Verdict {
-    /// Combines verdicts: one failure fails all, one inconclusive verdict makes the rest
-    /// inconclusive, and so does an empty list.
+    /// One failure fails all; one inconclusive verdict or an empty list makes it inconclusive.
     pub fn combine(verdicts: impl IntoIterator<Item = Self>) -> Self {
         verdicts
             .into_iter()
@@ -29,7 +25,6 @@ impl Verdict {
             .unwrap_or(Self::Inconclusive)
     }
 
-    /// Its name in records.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Pass => "pass",

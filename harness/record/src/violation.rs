@@ -6,14 +6,10 @@ use std::fmt;
 /// All breaches of one kind in a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Violation {
-    /// What was breached.
     pub kind: ViolationKind,
-    /// Time of the first breach, s.
     pub at_s: f64,
-    /// Number of breaches.
     pub count: u64,
-    /// The worst commanded value in the kind's unit; `null` if it has none or the value was not
-    /// finite.
+    /// The worst commanded value in the kind's unit; `null` if it has none or was not finite.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worst: Option<f64>,
     /// The limit that the value breached, in the same unit.
@@ -21,7 +17,6 @@ pub struct Violation {
     pub limit: Option<f64>,
 }
 
-/// A rule of the protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViolationKind {
@@ -46,7 +41,6 @@ pub enum ViolationKind {
 }
 
 impl ViolationKind {
-    /// The number of kinds.
     pub const COUNT: usize = 9;
 }
 

@@ -20,7 +20,6 @@ fn combines_verdicts() {
     assert_eq!(Verdict::combine([]), Inconclusive);
 }
 
-/// A record with something in every field.
 fn record() -> RunRecord {
     let passed = ExpectationRecord {
         name: "settling".to_owned(),
