@@ -24,7 +24,6 @@ use std::time::{SystemTime, UNIX_EPOCH};
 const NO_PLAN: &str =
     "--plan FILE names the plan; platebench's own is scenarios/plans/acceptance.toml in the folder of its sources";
 
-/// `platebench accept`
 #[derive(Debug, Args)]
 #[command(
     args_conflicts_with_subcommands = true,
@@ -100,7 +99,6 @@ struct SessionArgs {
     sign: Option<PathBuf>,
 }
 
-/// Conducts a session, or verifies its record.
 pub(crate) fn accept(arguments: &AcceptArgs, quiet: bool) -> Exit {
     match &arguments.action {
         Some(AcceptAction::Verify { record, key }) => verify_record(record, key.as_deref()),
@@ -125,7 +123,6 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> Exit {
         conduct(&config, &mut hooks)
     };
     let ended = run_until_signal(&cancel, None, session, |()| {});
-    // A session that does not end is abandoned with its view open.
     view.close();
     let (result, signal) = match ended {
         Ok(WorkResult::Finished(result, signal)) => (result, signal),
@@ -160,10 +157,7 @@ fn is_resumable(error: &AcceptError) -> bool {
     )
 }
 
-/// The session of the command line.
-///
-/// # Errors
-/// Exit code 2; the fault is reported.
+/// Returns exit code 2 and reports the fault.
 fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Exit> {
     let Some(rig) = arguments.rig.clone() else { return Err(stdio::reject(&"--rig is missing")) };
     rig.check().map_err(|error| stdio::reject(&error))?;
@@ -205,7 +199,6 @@ fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Exit> {
     })
 }
 
-/// A new folder below runs/ that no other session uses.
 fn new_folder() -> PathBuf {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     Path::new("runs").join(format!("acceptance-{seconds}-{}", std::process::id()))

@@ -79,10 +79,7 @@ pub(crate) enum Command {
     Man(man::ManArgs),
 }
 
-/// The arguments of the process and the settings behind them. Ends the process on wrong usage and after help.
-///
-/// # Errors
-/// The faults of `platebench.toml`.
+/// Ends the process on wrong usage and after help. Errors: the faults of `platebench.toml`.
 pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     let definition = Arguments::command();
     let found = match std::env::current_dir() {
@@ -105,7 +102,6 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     if needs_config && !faults.is_empty() { Err(faults) } else { Ok((arguments, config)) }
 }
 
-/// The environment variable whose value clap rejects.
 fn variable_of(error: &clap::Error) -> Option<&'static str> {
     let Some(ContextValue::String(option)) = error.get(ContextKind::InvalidArg) else { return None };
     let option = option.split_whitespace().next()?;

@@ -13,7 +13,6 @@ use platebench_verdict::golden::{Baseline, BaselineBuild, ResponseFeatures};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// `platebench baseline`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -66,7 +65,6 @@ fn parse_share(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Lists, compares or accepts baselines.
 pub(crate) fn baseline(arguments: &BaselineArgs) -> Exit {
     let done = match &arguments.action {
         BaselineAction::List { run, baselines } => list_baselines(run.as_deref(), baselines),
@@ -80,7 +78,7 @@ pub(crate) fn baseline(arguments: &BaselineArgs) -> Exit {
     done.unwrap_or_else(|error| stdio::reject(&error))
 }
 
-/// Prints what accepting the run changes; with `write`, accepts it.
+/// With `write`, accepts the run.
 fn review(run: &Path, record: &RunRecord, baselines: &Path, rate: f64, write: bool) -> Exit {
     if record.scenarios.is_empty() {
         stdio::error("the run has no scenario");
@@ -121,7 +119,7 @@ fn print_difference(
     };
     let compared = compare_with_tubes(&old.golden, trials)?;
     let mut lines = comparison::lines(&scenario.file, &compared);
-    // Without a new baseline only the comparison is printed.
+    // Without a new baseline, prints only the comparison.
     if let Ok(new) = build_baseline(record, scenario, trials, Some(old), rate) {
         lines.extend(describe_changes(old, &new));
     }
@@ -129,7 +127,6 @@ fn print_difference(
     Ok(compared.verdict)
 }
 
-/// Accepts the scenario if it passed.
 fn accept_scenario(
     record: &RunRecord,
     scenario: &ScenarioRecord,
@@ -164,7 +161,6 @@ fn accept_scenario(
     Ok(Verdict::Pass)
 }
 
-/// Lists the changes other than those of the curves.
 fn describe_changes(old: &Baseline, new: &Baseline) -> Vec<String> {
     let number = |value: Option<f64>| value.map_or_else(|| "none".to_owned(), |value| value.to_string());
     let mut lines = Vec::new();
@@ -188,7 +184,6 @@ fn format_features(features: &ResponseFeatures) -> String {
     known.collect::<Vec<_>>().join(", ")
 }
 
-/// Lists every baseline, or those of the scenarios of a run.
 fn list_baselines(run: Option<&Path>, baselines: &Path) -> Result<Exit, CompareError> {
     let mut names = Vec::new();
     match run {
@@ -224,7 +219,6 @@ fn list_baselines(run: Option<&Path>, baselines: &Path) -> Result<Exit, CompareE
     Ok(Exit::Passed)
 }
 
-/// Collects the scenarios with a baseline below `folder`, sorted by name.
 fn collect_names(folder: &Path, prefix: &str, names: &mut Vec<String>) -> Result<(), CompareError> {
     let refused = |source| CompareError::Io { path: folder.to_owned(), source };
     let mut entries = fs::read_dir(folder).map_err(refused)?.collect::<Result<Vec<_>, _>>().map_err(refused)?;

@@ -10,10 +10,9 @@ use platebench_scenario::{Diagnostic, Scenario, find};
 use platebench_study::charts::{ChartError, laws, load_law_scenarios, precision, scenes};
 use std::path::{Path, PathBuf};
 
-/// Rounds over all models; the cost is their median.
+/// The cost is their median.
 const COST_ROUNDS: u32 = 3;
-/// Default of the methods' chart, below the folder of scenes: a step at resonance, one detuned by 545 rad/s, the same
-/// under 2 N, and a finger that comes down.
+/// For methods: at resonance; detuned by 545 rad/s; the same under 2 N; a finger comes down.
 const DEFAULT_SCENARIOS: [&str; 4] = [
     "paper/fig13-closed-loop.toml",
     "paper/fig14-closed-loop.toml",
@@ -21,7 +20,6 @@ const DEFAULT_SCENARIOS: [&str; 4] = [
     "paper/force-ramp.toml",
 ];
 
-/// `platebench chart`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -49,7 +47,6 @@ pub(crate) struct ChartArgs {
     pub(crate) scenes: PathBuf,
 }
 
-/// The charts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum ChartKind {
     /// Integration methods: error against cost
@@ -60,7 +57,6 @@ pub(crate) enum ChartKind {
     Laws,
 }
 
-/// Why there is no chart.
 #[derive(Debug, thiserror::Error)]
 enum ChartsError {
     #[error("invalid scenario")]
@@ -98,7 +94,6 @@ impl ChartsError {
     }
 }
 
-/// Measures, draws and prints the charts.
 pub(crate) fn chart(arguments: &ChartArgs) -> Exit {
     match write_charts(arguments) {
         Ok((summary, page)) => {
@@ -110,10 +105,8 @@ pub(crate) fn chart(arguments: &ChartArgs) -> Exit {
     }
 }
 
-/// The summary of the charts, and the path of their page.
 fn write_charts(arguments: &ChartArgs) -> Result<(String, PathBuf), ChartsError> {
     let is_selected = |kind| arguments.only.is_empty() || arguments.only.contains(&kind);
-    // Everything is read before anything is written or played.
     let default = DEFAULT_SCENARIOS.map(|file| arguments.scenes.join(file));
     let methods = is_selected(ChartKind::Methods).then(|| find_scenarios(arguments, &default)).transpose()?;
     let scenes = is_selected(ChartKind::Scenes)
@@ -142,7 +135,6 @@ fn write_charts(arguments: &ChartArgs) -> Result<(String, PathBuf), ChartsError>
     Ok((summary, page))
 }
 
-/// The scenarios of the command line, otherwise those of `default`.
 fn find_scenarios(arguments: &ChartArgs, default: &[PathBuf]) -> Result<Vec<Scenario>, ChartsError> {
     let named = if arguments.scenarios.is_empty() { default } else { &arguments.scenarios };
     let found = find(named).map_err(ChartsError::Scenarios)?;

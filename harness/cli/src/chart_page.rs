@@ -8,7 +8,6 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a file cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum WriteError {
     #[error(transparent)]
@@ -17,13 +16,11 @@ pub(crate) enum WriteError {
     Io { path: PathBuf, source: io::Error },
 }
 
-/// Creates the folder and its parents.
 pub(crate) fn create_folder(folder: &Path) -> Result<(), WriteError> {
     fs::create_dir_all(folder).map_err(|source| WriteError::Io { path: folder.to_owned(), source })
 }
 
-/// Writes the sections as one page, and their files, into `folder`. Returns the page's path. A section has a heading
-/// unless its title is that of the page.
+/// Returns the page's path. A section has a heading unless its title is that of the page.
 pub(crate) fn write_page(
     folder: &Path,
     name: &str,

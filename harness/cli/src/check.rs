@@ -11,7 +11,6 @@ use platebench_scenario::{Diagnostic, FileKind, list_files, load, load_with_diag
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// `platebench check`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -26,7 +25,6 @@ pub(crate) struct CheckArgs {
     scenarios: Vec<PathBuf>,
 }
 
-/// Every fault of a file.
 fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) -> Vec<Diagnostic> {
     match kind {
         FileKind::Scenario => match load_with_diagnostics(path, name) {
@@ -39,7 +37,7 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
     }
 }
 
-/// Checks files and prints every fault. `definition` is the command line, which checks settings.
+/// `definition` is the command line, which checks settings.
 pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
     let (files, mut faults) = list_files(&arguments.scenarios);
     let kinds: Vec<_> = files.iter().map(|(path, _)| FileKind::detect(path)).collect();
@@ -82,7 +80,6 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
     Exit::Passed
 }
 
-/// A number with its noun.
 fn count(number: usize, noun: &str) -> String {
     format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }

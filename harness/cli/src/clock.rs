@@ -6,7 +6,6 @@ use platebench_runner::{Clock, Pacing, TimeBase};
 use platebench_scenario::Scenario;
 use std::time::Duration;
 
-/// The default clock of a rig.
 pub(crate) fn default_clock(rig: &RigSpec) -> ClockArg {
     match rig {
         RigSpec::Serial { .. } | RigSpec::Probe { port: Some(_), .. } => ClockArg::RealTime,
@@ -16,7 +15,6 @@ pub(crate) fn default_clock(rig: &RigSpec) -> ClockArg {
     }
 }
 
-/// The options that determine the clock.
 pub(crate) struct ClockRequest<'a> {
     pub(crate) rig: &'a RigSpec,
     pub(crate) clock: Option<ClockArg>,
@@ -27,7 +25,7 @@ pub(crate) struct ClockRequest<'a> {
 }
 
 impl ClockRequest<'_> {
-    /// The clock, or why the options contradict each other.
+    /// Errors: why the options contradict each other.
     pub(crate) fn resolve(&self) -> Result<Clock, &'static str> {
         let Self { time_scale, wire_time, .. } = *self;
         let pacing = match self.pacing {
@@ -73,7 +71,7 @@ impl ClockRequest<'_> {
     }
 }
 
-/// Refuses a line that is too slow for the scenarios in real time; in lockstep the plate waits for it.
+/// Refuses a line that is too slow in real time; in lockstep the plate waits for it.
 pub(crate) fn check_line_speed(rig: &RigSpec, clock: Clock, scenarios: &[Scenario]) -> Result<(), String> {
     let Some(baud) = rig.baud() else { return Ok(()) };
     let time_scale = match clock {

@@ -14,7 +14,6 @@ use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// `platebench compare`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -41,20 +40,17 @@ pub(crate) struct CompareArgs {
     format: OutputFormat,
 }
 
-/// The folder of drawings in a run folder.
 const DRAWINGS_FOLDER: &str = "comparison";
 
-/// A comparison in the output.
 #[derive(Serialize)]
 struct ComparisonOutput {
     scenario: String,
     #[serde(flatten)]
     comparison: TubeComparison,
-    /// The drawing of the largest deviation.
+    /// Of the largest deviation.
     drawing: Option<PathBuf>,
 }
 
-/// Compares and prints the result.
 pub(crate) fn compare(arguments: &CompareArgs) -> Exit {
     match compare_all(arguments) {
         Ok(comparisons) => print_comparisons(&comparisons, arguments.format),
@@ -100,7 +96,7 @@ fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, Compare
     Ok(comparisons)
 }
 
-/// Lists scenarios of the reference with fewer trials in the subject: a smaller comparison passes as easily.
+/// A smaller comparison passes as easily.
 fn note_missing(arguments: &CompareArgs, subject: &[ScenarioTrials]) -> Result<(), CompareError> {
     let against = Path::new(&arguments.against);
     if arguments.against == BASELINE_KEYWORD || !is_run_folder(&arguments.subject) || !is_run_folder(against) {

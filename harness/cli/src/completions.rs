@@ -5,7 +5,6 @@ use crate::stdio;
 use clap::{Args, Command};
 use clap_complete::Shell;
 
-/// `platebench completions`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -18,7 +17,6 @@ pub(crate) struct CompletionsArgs {
     shell: Shell,
 }
 
-/// Prints the completion script of `definition`.
 pub(crate) fn completions(arguments: &CompletionsArgs, mut definition: Command) -> Exit {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut definition, "platebench", &mut script);

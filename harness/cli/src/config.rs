@@ -1,7 +1,7 @@
 //! Takes options from the environment and from `platebench.toml`.
 //!
-//! Flags override the environment, the environment overrides the file, the file overrides the built-in default. clap
-//! applies this order: a setting's variable becomes the `env` of its option, its value in the file the default.
+//! Order: flags, environment, file, built-in default. clap applies it: a setting's variable becomes
+//! the `env` of its option, its value in the file the default.
 
 use clap::Command;
 use platebench_scenario::{Diagnostic, input, parse};
@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// The name of the settings file. The nearest one applies, from the working directory upwards.
+/// The nearest one applies, from the working directory upwards.
 pub(crate) use platebench_scenario::SETTINGS_FILE as FILE;
 
 /// The keys of `platebench.toml` and their types. [`SETTINGS`] reads the values by key.
@@ -66,17 +66,15 @@ struct RawRun {
     seed: Option<i64>,
 }
 
-/// An option that the environment and the file can set.
 struct Setting {
-    /// The field of the option in the arguments of its command.
+    /// Field in the arguments of its command.
     id: &'static str,
-    /// Its environment variable; lists have none.
+    /// Lists have none.
     variable: Option<&'static str>,
-    /// Its key in the file.
     key: &'static str,
-    /// The commands that it applies to; empty: every command that has the option.
+    /// Empty: every command that has the option.
     commands: &'static [&'static str],
-    /// True for a path relative to the file.
+    /// Relative to the file.
     is_path: bool,
 }
 
@@ -117,17 +115,14 @@ const SETTINGS: [Setting; 14] = [
     setting("seed", "PLATEBENCH_SEED", "run.seed", RUN),
 ];
 
-/// The values of a settings file.
 #[derive(Debug, Default)]
 pub(crate) struct Config {
-    /// The file, if there is one.
     pub(crate) path: Option<PathBuf>,
-    /// Each key with its values.
     values: Vec<(&'static str, Vec<String>)>,
 }
 
 impl Config {
-    /// Reads the nearest file from `folder`, the working directory, upwards.
+    /// Searches from `folder`, the working directory, upwards.
     pub(crate) fn find_above(folder: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
         match folder.ancestors().map(|ancestor| ancestor.join(FILE)).find(|path| path.symlink_metadata().is_ok()) {
             // Paths in a file of the working directory stay relative.
@@ -137,10 +132,7 @@ impl Config {
         }
     }
 
-    /// Reads the file at `path`; `definition` checks its values.
-    ///
-    /// # Errors
-    /// Every fault of the file.
+    /// `definition` checks the values. Errors: every fault of the file.
     pub(crate) fn read(path: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
         let refused = |why: String| vec![Diagnostic::for_file(path, why)];
         let content = input::read(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
@@ -170,10 +162,7 @@ impl Config {
 }
 
 impl Setting {
-    /// Parses `text` as the option's value of `platebench run`.
-    ///
-    /// # Errors
-    /// clap's message.
+    /// Parses `text` as the option's value of `platebench run`. Errors: clap's message.
     fn check(&self, text: &str, definition: &Command) -> Result<(), String> {
         if self.is_path {
             return if text.is_empty() { Err("empty, expected a path".to_owned()) } else { Ok(()) };
@@ -195,7 +184,7 @@ impl Setting {
     }
 }
 
-/// The values at a dotted key, as words of the command line.
+/// As words of the command line.
 fn value_at(document: &toml::Table, key: &str) -> Option<Vec<String>> {
     let word = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let value = match key.split_once('.') {
@@ -205,7 +194,6 @@ fn value_at(document: &toml::Table, key: &str) -> Option<Vec<String>> {
     Some(value.as_array().map_or_else(|| vec![word(value)], |values| values.iter().map(word).collect()))
 }
 
-/// Adds the environment variables and the values of `config` to the command line.
 pub(crate) fn with_settings(command: Command, config: &Config) -> Command {
     subcommand_names(&command).into_iter().fold(command, |command, name| {
         command.mut_subcommand(&name, |command| with_settings_of(command, &name, config))
@@ -238,7 +226,6 @@ fn with_settings_of(command: Command, name: &str, config: &Config) -> Command {
     })
 }
 
-/// The environment variable of `--option`.
 pub(crate) fn variable_of_option(option: &str) -> Option<&'static str> {
     SETTINGS.iter().find(|setting| format!("--{}", setting.id.replace('_', "-")) == option)?.variable
 }

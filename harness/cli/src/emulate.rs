@@ -21,7 +21,6 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// `platebench emulate`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -64,7 +63,6 @@ const LIVE_KEYS: &str = "f/F finger  t/T plate  s/S setpoint  r release, cool do
 const KEYS: &str =
     "keys: f/F finger -/+ 0.25 N, t/T plate -/+ 1 K, s/S setpoint -/+ 0.1 µm, r release and cool down, q quit";
 
-/// Emulates the plate until a signal, a key or `--seconds` ends it.
 pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
     let scenario = match load(&arguments.scenario, &arguments.scenario.display().to_string()) {
         Ok(scenario) => scenario,
@@ -108,7 +106,6 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
         let cancel = cancel.clone();
         move |_: &mut EventSender<_, ()>| {
             let exit = plate.serve(&port, &cancel);
-            // The key thread ends too.
             cancel.cancel();
             exit
         }
@@ -126,11 +123,9 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
     }
 }
 
-/// A terminal in raw mode until this is dropped.
 struct RawTerminalMode;
 
 impl RawTerminalMode {
-    /// `None` if standard input is not a terminal.
     fn enter() -> Option<Self> {
         (stdin().is_terminal() && enable_raw_mode().is_ok()).then_some(Self)
     }
@@ -142,7 +137,6 @@ impl Drop for RawTerminalMode {
     }
 }
 
-/// The scenario without an end, with one row per control instant.
 fn without_end(mut scenario: Scenario) -> Scenario {
     scenario.duration = UNLIMITED_DURATION;
     scenario.trace_step = UNLIMITED_DURATION;
@@ -150,9 +144,7 @@ fn without_end(mut scenario: Scenario) -> Scenario {
     scenario
 }
 
-/// The port of the controller.
 enum ControllerPort {
-    /// A new pseudo-terminal.
     PseudoTerminal,
     Serial(RigSpec),
 }
@@ -172,7 +164,7 @@ impl ControllerPort {
         }
     }
 
-    /// Opens the port. An error is reported and decides the exit code.
+    /// Reports an error and returns the exit code.
     fn open(&self, view_sender: Option<&ViewSender>) -> Result<BoxedLink, Exit> {
         let refused = |error: &dyn std::fmt::Display, exit| {
             stdio::error(&error.to_string());
@@ -203,7 +195,6 @@ struct PlateServer {
 }
 
 impl PlateServer {
-    /// Serves one controller after the other until `cancel`.
     fn serve(&self, port: &ControllerPort, cancel: &CancelToken) -> Exit {
         let control = Arc::new(ManualControl::default());
         let mut link = match port.open(self.view_sender.as_ref()) {
@@ -235,7 +226,6 @@ impl PlateServer {
                 TrialSpec { scenario: &self.scenario, law: self.law, index: 0, wire_time: false, own_clock: true };
             loop {
                 let mut tap = self.live_tap.acquire(0, 0);
-                // The view reads its own queue.
                 let consume = if self.view_sender.is_some() { discard_rows } else { print_status };
                 match play(&mut session, &spec, self.time_base, cancel, &control, tap.tap(), consume) {
                     EmulationEnd::Stopped(reason) => {
@@ -255,7 +245,6 @@ impl PlateServer {
     }
 }
 
-/// Prints the newest control instant at intervals until the rows end.
 fn print_status(mut rows: Consumer<Row>) {
     let terminal = stdout().is_terminal();
     let interval = STATUS_INTERVALS[usize::from(!terminal)];
@@ -310,7 +299,6 @@ fn status_line(row: &Row) -> String {
     )
 }
 
-/// Discards rows that the view shows.
 fn discard_rows(mut rows: Consumer<Row>) {
     while !rows.is_abandoned() {
         while rows.pop().is_ok() {}
@@ -318,7 +306,6 @@ fn discard_rows(mut rows: Consumer<Row>) {
     }
 }
 
-/// Applies keys until `cancel`.
 fn handle_keys(mut inputs: ManualInputs, control: &ManualControl, cancel: &CancelToken) {
     watch_keys(
         || cancel.is_cancelled(),
@@ -331,12 +318,12 @@ fn handle_keys(mut inputs: ManualInputs, control: &ManualControl, cancel: &Cance
     );
 }
 
-/// Replaces the status line, which has no line end. Raw mode needs the carriage returns.
+/// The status line has no line end. Raw mode needs the carriage returns.
 fn print_note(text: &str) {
     stdio::note(&if stdin().is_terminal() { format!("\r\u{1b}[K{text}\r") } else { text.to_owned() });
 }
 
-/// Applies a key; false if it has no function.
+/// Returns false if the key has no function.
 fn apply_key(inputs: &mut ManualInputs, letter: char) -> bool {
     match letter {
         'f' => inputs.finger_force_n = (inputs.finger_force_n - 0.25).max(0.0),

@@ -5,27 +5,26 @@ use platebench_rig::RigError;
 use platebench_runner::RunError;
 use std::process::ExitCode;
 
-/// How the program ends. If several apply: invalid, then unreachable, then failed, then inconclusive.
+/// If several apply: invalid, then unreachable, then failed, then inconclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Exit {
-    /// 0: everything passed.
+    /// 0
     Passed,
-    /// 1: something failed.
+    /// 1
     Failed,
     /// 2: wrong usage or invalid input.
     Invalid,
     /// 3: nothing failed but something is inconclusive.
     Inconclusive,
-    /// 4: there was nothing to run.
+    /// 4
     NothingToRun,
     /// 5: the rig could not be reached or was lost.
     Unreachable,
-    /// 128 + the number of the signal that ended the run.
+    /// 128 + the number of the signal.
     Signal(u8),
 }
 
 impl Exit {
-    /// The exit code of a run.
     pub(crate) fn of_record(record: &RunRecord) -> Self {
         if record.scenarios.is_empty() && record.verdict != Verdict::Fail && !record.not_applicable.is_empty() {
             return Self::NothingToRun;
@@ -37,7 +36,6 @@ impl Exit {
         Self::of_verdict(record.verdict)
     }
 
-    /// The exit code of a verdict.
     pub(crate) fn of_verdict(verdict: Verdict) -> Self {
         match verdict {
             Verdict::Pass => Self::Passed,
@@ -58,7 +56,7 @@ impl Exit {
         }
     }
 
-    /// The exit code of a run without a record.
+    /// A run without a record.
     pub(crate) fn of_error(error: &RunError) -> Self {
         match error {
             // The firmware rejects a scenario or plate that it cannot control.

@@ -9,7 +9,6 @@ use platebench_runner::rejudge::check_trace;
 use platebench_runner::{RejudgeError, rejudge};
 use std::path::PathBuf;
 
-/// `platebench export`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -31,7 +30,6 @@ pub(crate) struct ExportArgs {
     out: Option<PathBuf>,
 }
 
-/// `--format`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ExportFormatArg {
     /// Apache Parquet, one file per scenario
@@ -44,7 +42,6 @@ enum ExportFormatArg {
     Mcap,
 }
 
-/// Writes the traces of a stored run.
 pub(crate) fn export(arguments: &ExportArgs) -> Exit {
     let record = match RunRecord::read(&arguments.run) {
         Ok(record) if record.complete => Ok(record),
@@ -83,7 +80,7 @@ pub(crate) fn export(arguments: &ExportArgs) -> Exit {
     }
 }
 
-/// The first trace of the chosen scenarios that was modified after the run. `export` reports missing ones.
+/// The first one that was modified after the run. `export` reports missing ones.
 fn changed_trace(record: &RunRecord, arguments: &ExportArgs) -> Option<RejudgeError> {
     let chosen = platebench_export::select_scenarios(record, &arguments.scenarios).ok()?;
     let trials = chosen.into_iter().flat_map(|scenario| &scenario.trials);

@@ -17,10 +17,8 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The page draws the curves of this many recordings.
 const MAX_DRAWN_RECORDINGS: usize = 12;
 
-/// `platebench identify`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -69,7 +67,6 @@ pub(crate) struct IdentifyArgs {
     format: OutputFormat,
 }
 
-/// `--signal`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum SignalSource {
     /// `sensed_wd_um`, `sensed_wq_um`
@@ -111,7 +108,6 @@ enum IdentifyError {
     Report(#[from] ReportError),
 }
 
-/// Identifies a plate, prints the parameters and writes the files.
 pub(crate) fn identify(arguments: &IdentifyArgs) -> Exit {
     match identify_plate(arguments) {
         Ok(exit) => exit,
@@ -187,7 +183,7 @@ fn write_file(path: &Path, text: &str) -> Result<(), IdentifyError> {
     write_atomically(path, text.as_bytes()).map_err(|source| IdentifyError::Io { path: path.to_owned(), source })
 }
 
-/// Collects the CSV files below a folder, sorted by name; a file is itself.
+/// Sorted by name; a file is itself.
 fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), IdentifyError> {
     let refused = |source| IdentifyError::Io { path: path.to_owned(), source };
     if !path.is_dir() {

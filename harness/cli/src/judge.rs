@@ -8,7 +8,6 @@ use platebench_record::RunRecord;
 use platebench_runner::rejudge;
 use std::path::PathBuf;
 
-/// `platebench judge`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -25,7 +24,6 @@ pub(crate) struct JudgeArgs {
     format: OutputFormat,
 }
 
-/// Judges a stored run again and prints the record.
 pub(crate) fn judge(arguments: &JudgeArgs) -> Exit {
     let record = match rejudge(&arguments.run, arguments.scenario.as_deref()) {
         Ok(record) => record,
@@ -38,7 +36,6 @@ pub(crate) fn judge(arguments: &JudgeArgs) -> Exit {
     Exit::of_record(&record)
 }
 
-/// Lists every expectation whose stored verdict differs.
 fn note_changed_verdicts(arguments: &JudgeArgs, again: &RunRecord) {
     let Ok(stored) = RunRecord::read(&arguments.run) else { return };
     if !stored.complete {

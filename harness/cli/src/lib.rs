@@ -1,10 +1,4 @@
 //! The command line: arguments, wiring and exit codes. The other crates decide and measure.
-//!
-//! * `args`: the definition of the command line; each command owns its arguments, in the module of its name.
-//! * `config`: options from the environment and `platebench.toml`. `options`: options of several commands.
-//! * `shutdown`: signals. `stdio`, `logging`: standard output and error. `exit`: exit codes.
-//! * `run_plan`, `clock`, `live`, `prompt`: shared by the commands that play scenarios.
-//!
 //! A library so that the whole-bench tests can build the same program.
 
 mod accept;

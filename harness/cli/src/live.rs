@@ -9,7 +9,6 @@ pub(crate) const KEYS: &str = "q or Ctrl-C ends the run, with the plate at 0 V";
 
 const SESSION_KEYS: &str = "Ctrl-C ends the session, with the plate at 0 V; --resume goes on with it";
 
-/// Describes a plan for the view.
 pub(crate) fn describe_run(command: &'static str, keys: &'static str, plan: &RunPlan) -> RunDescription {
     RunDescription {
         command,
@@ -21,7 +20,7 @@ pub(crate) fn describe_run(command: &'static str, keys: &'static str, plan: &Run
     }
 }
 
-/// Opens the view. Without a terminal prints a note and returns none.
+/// Without a terminal prints a note and returns none.
 pub(crate) fn open_view(description: RunDescription) -> (Option<LiveView>, LiveTap) {
     let (live_tap, viewer) = LiveTap::new();
     match LiveView::open(description, viewer) {
@@ -33,12 +32,11 @@ pub(crate) fn open_view(description: RunDescription) -> (Option<LiveView>, LiveT
     }
 }
 
-/// The view of a session, which is open while a scenario is played.
+/// Open while a scenario is played.
 #[derive(Debug, Clone)]
 pub(crate) struct SessionView(Option<Arc<Mutex<Option<LiveView>>>>);
 
 impl SessionView {
-    /// A view that stays closed unless `wanted`.
     pub(crate) fn new(wanted: bool) -> Self {
         Self(wanted.then(Arc::default))
     }
@@ -47,7 +45,6 @@ impl SessionView {
         self.0.as_deref().map(|slot| slot.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Opens the view of a plan; `None` without a view.
     pub(crate) fn open(&self, plan: &RunPlan) -> Option<LiveTap> {
         let mut slot = self.lock_view()?;
         // Only one view may use the terminal.
@@ -57,14 +54,12 @@ impl SessionView {
         Some(live_tap)
     }
 
-    /// Sends an event to the open view.
     pub(crate) fn send(&self, event: &Event) {
         if let (Some(Some(view)), Some(news)) = (self.lock_view().as_deref(), ViewEvent::of(event)) {
             view.send(news);
         }
     }
 
-    /// Closes the view and restores the terminal.
     pub(crate) fn close(&self) {
         if let Some(mut slot) = self.lock_view() {
             *slot = None;

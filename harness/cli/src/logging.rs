@@ -21,7 +21,6 @@ pub(crate) struct LoggingArgs {
     pub(crate) log_format: LogFormat,
 }
 
-/// `--log-format`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum LogFormat {
     /// For people
@@ -30,7 +29,7 @@ pub(crate) enum LogFormat {
     Json,
 }
 
-/// Starts the log with the filter in `PLATEBENCH_LOG`, or else with the level of -v and -q.
+/// The filter is `PLATEBENCH_LOG`, or else the level of -v and -q.
 pub(crate) fn start(arguments: &LoggingArgs) {
     let level = match (arguments.quiet, arguments.verbose) {
         (true, _) => "error",
@@ -41,8 +40,8 @@ pub(crate) fn start(arguments: &LoggingArgs) {
     };
     let filter = std::env::var(VARIABLE).ok().and_then(|text| EnvFilter::try_new(text).ok());
     let filter = filter.unwrap_or_else(|| EnvFilter::new(level));
-    // The thread that talks to the controller logs too: a slow reader must not delay it. The subscriber's own
-    // complaint about a closed terminal would panic, so it is off.
+    // The thread that talks to the controller logs too: a slow reader must not delay it.
+    // The subscriber's complaint about a closed terminal would panic, so it is off.
     let builder =
         tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| NonBlockingStderr).log_internal_errors(false);
     // A second start, as in a test, changes nothing.

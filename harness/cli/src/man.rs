@@ -7,7 +7,6 @@ use std::fs;
 use std::io;
 use std::path::PathBuf;
 
-/// `platebench man`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -21,7 +20,6 @@ pub(crate) struct ManArgs {
     out: Option<PathBuf>,
 }
 
-/// Prints the manual page of `definition`, or writes all pages.
 pub(crate) fn man(arguments: &ManArgs, definition: Command) -> Exit {
     let written = match &arguments.out {
         Some(folder) => fs::create_dir_all(folder)

@@ -10,7 +10,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The paper's plate, for folders without a plate.
+/// For folders without a plate.
 const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const PLATE_FILE: &str = "plates/aluminium-198x138.toml";
 const SCENARIOS: &str = "scenarios";
@@ -18,7 +18,6 @@ const TEMPLATE: &str = include_str!("new/scenario.toml");
 /// The plate is searched this many folders upwards.
 const MAX_FOLDERS_UP: usize = 4;
 
-/// `platebench new`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -47,7 +46,6 @@ enum NewError {
     Io { path: PathBuf, source: io::Error },
 }
 
-/// Writes a scenario, and the paper's plate if there is none.
 pub(crate) fn new(arguments: &NewArgs) -> Exit {
     match write_files(Path::new(""), &arguments.name, &arguments.law) {
         Ok(files) => {
@@ -62,7 +60,7 @@ pub(crate) fn new(arguments: &NewArgs) -> Exit {
     }
 }
 
-/// Writes files below `folder` and returns their paths, the scenario first.
+/// Returns the paths, the scenario first.
 fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, NewError> {
     let path = scenario_path(folder, name)?;
     let home = path.parent().unwrap_or(Path::new("")).to_owned();
@@ -107,7 +105,6 @@ fn scenario_path(folder: &Path, name: &str) -> Result<PathBuf, NewError> {
     Ok(if bare && scenarios.is_dir() { scenarios.join(file) } else { folder.join(file) })
 }
 
-/// Writes a file that must not exist.
 fn write_new_file(path: PathBuf, text: &str) -> Result<PathBuf, NewError> {
     let io = |source| NewError::Io { path: path.clone(), source };
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
@@ -120,8 +117,7 @@ fn write_new_file(path: PathBuf, text: &str) -> Result<PathBuf, NewError> {
     }
 }
 
-/// Expectations that the law meets in the template, with a margin. Laws without amplitude control settle late;
-/// bang-bang never settles.
+/// Laws without amplitude control settle late; bang-bang never settles.
 fn expectations_of_law(law: &str) -> &'static str {
     match LawId::from_name(law) {
         Some(LawId::BangBang) => {

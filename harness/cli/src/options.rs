@@ -5,11 +5,9 @@ use clap::builder::PossibleValuesParser;
 use platebench_wire::LawId;
 use std::num::NonZero;
 
-/// The scenarios if the command line names none.
 pub(crate) const SCENARIOS: &str = "scenarios";
 pub(crate) const BASELINES: &str = "scenarios/baselines";
 
-/// `--format`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum OutputFormat {
     /// A table
@@ -18,7 +16,6 @@ pub(crate) enum OutputFormat {
     Json,
 }
 
-/// `--clock`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ClockArg {
     /// The plate waits while a sample travels and the controller computes
@@ -27,7 +24,6 @@ pub(crate) enum ClockArg {
     RealTime,
 }
 
-/// `--plate-mode`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PlateModeArg {
     /// The bench computes the plate
@@ -37,7 +33,6 @@ pub(crate) enum PlateModeArg {
     Real,
 }
 
-/// `--pacing`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PacingArg {
     /// The bench: a sample triggers a control step
@@ -46,7 +41,6 @@ pub(crate) enum PacingArg {
     Target,
 }
 
-/// Accepts the names of the control laws.
 pub(crate) fn law_names() -> PossibleValuesParser {
     PossibleValuesParser::new(LawId::ALL.map(LawId::name))
 }
@@ -56,7 +50,6 @@ pub(crate) fn parse_time_scale(text: &str) -> Result<f64, String> {
     scale.ok_or_else(|| "expected a number from 0.001 to 10".to_owned())
 }
 
-/// The value of `--jobs`, or one job per core.
 pub(crate) fn job_count(jobs: Option<u16>) -> usize {
     jobs.map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from)
 }

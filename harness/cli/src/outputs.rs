@@ -1,6 +1,4 @@
 //! Writes the result of a run for other programs: Markdown summary, TAP, annotations on GitHub.
-//!
-//! `platebench-report` knows the formats; this module knows where they go.
 
 use crate::exit::Exit;
 use clap::{Args, ValueEnum};
@@ -27,7 +25,6 @@ pub(crate) struct Outputs {
     github: GithubMode,
 }
 
-/// `--github`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
 enum GithubMode {
     /// If `GITHUB_ACTIONS` is true
@@ -40,7 +37,7 @@ enum GithubMode {
 }
 
 impl Outputs {
-    /// Rejects files that cannot be written, before the run.
+    /// Before the run.
     pub(crate) fn check(&self) -> Result<(), String> {
         for (option, file) in [("--summary", &self.summary), ("--tap", &self.tap)] {
             let Some(file) = file else { continue };
@@ -55,7 +52,6 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes the files and annotations of a run.
     pub(crate) fn write(&self, record: &RunRecord, locations: &ScenarioLocations) -> Result<(), ReportError> {
         if let Some(file) = &self.summary {
             markdown::write(record, file)?;
@@ -81,7 +77,6 @@ impl Outputs {
     }
 }
 
-/// The files of the scenarios of a run with their text.
 pub(crate) struct ScenarioLocations(Vec<(String, PathBuf, String)>);
 
 impl ScenarioLocations {
@@ -94,7 +89,7 @@ impl ScenarioLocations {
         Self(read.collect())
     }
 
-    /// The line of an expectation, or the first line of the scenario.
+    /// The line of the expectation, or the first line of the scenario.
     fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
         let (_, path, source) = self.0.iter().find(|(file, ..)| *file == scenario.file)?;
         let line = index.map_or(1, |index| {
@@ -104,7 +99,7 @@ impl ScenarioLocations {
     }
 }
 
-/// The path relative to the checkout, or to the working directory.
+/// Relative to the checkout, or to the working directory.
 fn repository_path(path: &Path) -> String {
     let whole = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let roots = [env::var_os("GITHUB_WORKSPACE").map(PathBuf::from), env::current_dir().ok()];
@@ -113,7 +108,6 @@ fn repository_path(path: &Path) -> String {
     below.unwrap_or(whole).display().to_string().replace('\\', "/")
 }
 
-/// The reason in the last event of a run without a verdict.
 pub(crate) fn exit_reason(exit: Exit) -> &'static str {
     match exit {
         Exit::Invalid => "invalid input",

@@ -6,10 +6,6 @@ use platebench_scenario::{Diagnostic, input};
 use std::io;
 use std::path::Path;
 
-/// Reads and checks the file.
-///
-/// # Errors
-/// A [`Diagnostic`], with line and column if the content is invalid.
 pub(crate) fn read(path: &Path) -> Result<Plate, Diagnostic> {
     let refused = |error: io::Error| Diagnostic::for_file(path, format!("cannot be read: {error}"));
     let text = String::from_utf8(input::read(path).map_err(refused)?)
@@ -19,7 +15,6 @@ pub(crate) fn read(path: &Path) -> Result<Plate, Diagnostic> {
     raw.check().map_err(|error| Diagnostic::at_key(path, &text, error.key, error.to_string()))
 }
 
-/// A diagnostic at `key` of the file.
 pub(crate) fn diagnostic_at(path: &Path, key: &str, message: String) -> Diagnostic {
     let text = input::read(path).ok().and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or_default();
     Diagnostic::at_key(path, &text, key, message)

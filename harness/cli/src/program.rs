@@ -10,12 +10,11 @@ use crate::{
 use clap::CommandFactory;
 use std::process::ExitCode;
 
-/// The definition of the command line, for the generated reference and the documentation tests.
+/// For the generated reference and the documentation tests.
 pub fn command() -> clap::Command {
     Arguments::command()
 }
 
-/// Runs the program with the process's arguments.
 pub fn main() -> ExitCode {
     std::panic::set_hook(Box::new(|panic| tracing::error!("{panic}")));
     let (arguments, config) = match args::parse() {
@@ -39,7 +38,7 @@ pub fn main() -> ExitCode {
 
 fn dispatch(arguments: &Arguments) -> Exit {
     let quiet = arguments.logging.quiet;
-    // Without the values of `platebench.toml`, which belong to this folder only.
+    // Without `platebench.toml`, whose values belong to this folder only.
     let definition = || config::with_settings(command(), &Config::default());
     match &arguments.command {
         Command::Run(arguments) => run::run(arguments, quiet),

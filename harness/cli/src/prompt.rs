@@ -1,8 +1,8 @@
 //! Asks the operator: questions on standard error, answers on standard input.
 //!
-//! At a real plate a terminal shows the force as a live bar; elsewhere every prompt and every answer is a line: empty
-//! for done, `n` for not done. Without an operator (`--yes`, or the end of standard input) what needs a person stays
-//! inconclusive. The questions of an acceptance session are asked only at a terminal.
+//! At a real plate a terminal shows the force as a live bar; elsewhere each prompt and answer is a
+//! line: empty for done, `n` for not done. Without an operator (`--yes`, or the end of standard
+//! input) what needs a person stays inconclusive. Session questions are asked only at a terminal.
 
 use crate::stdio::{self, NonBlockingStderr};
 use platebench_plate::Time;
@@ -21,10 +21,8 @@ const REDRAW_INTERVAL: Duration = Duration::from_millis(100);
 const BAR_CELLS: usize = 30;
 const BAR_FULL_N: f64 = 3.0;
 
-/// The operator at the terminal, if there is one.
 pub(crate) struct TerminalOperator {
     is_interactive: bool,
-    /// True if every confirmation is answered with yes.
     assume_yes: bool,
     shows_bar: bool,
     state: Mutex<PromptState>,
@@ -34,25 +32,23 @@ pub(crate) struct TerminalOperator {
 struct PromptState {
     /// Lines of standard input; read from the first question on.
     lines: Option<Receiver<String>>,
-    /// The next action, shown next to the bar.
     next_action: String,
     last_drawn: Option<Instant>,
 }
 
 impl TerminalOperator {
-    /// The operator of a real plate, who is absent unless `asks`.
+    /// Absent unless `asks`.
     pub(crate) fn at_plate(asks: bool) -> Self {
         let shows_bar = asks && stderr().is_terminal();
         Self { is_interactive: asks, assume_yes: false, shows_bar, state: Mutex::default() }
     }
 
-    /// The operator of an acceptance session. `assume_yes` confirms everything and asks nothing.
+    /// `assume_yes` confirms everything and asks nothing.
     pub(crate) fn in_session(assume_yes: bool) -> Self {
         let is_interactive = !assume_yes && stdin().is_terminal();
         Self { is_interactive, assume_yes, shows_bar: false, state: Mutex::default() }
     }
 
-    /// Removes the bar.
     fn clear_bar(&self, state: &mut PromptState) {
         if self.shows_bar && state.last_drawn.take().is_some() {
             let _ = write!(NonBlockingStderr, "\r\x1b[K");
@@ -60,7 +56,7 @@ impl TerminalOperator {
     }
 }
 
-/// Lines of standard input; the channel closes with it. The thread ends with the process.
+/// The channel closes with standard input. The thread ends with the process.
 fn read_stdin_lines() -> Receiver<String> {
     let (sender, receiver) = channel();
     thread::spawn(move || {
@@ -73,7 +69,7 @@ fn read_stdin_lines() -> Receiver<String> {
     receiver
 }
 
-/// The next line; `None` at the end of the input, on cancellation or after `timeout`.
+/// `None` at the end of the input, on cancellation or after `timeout`.
 fn read_line(lines: &Receiver<String>, cancel: &CancelToken, timeout: Option<Duration>) -> Option<String> {
     let started = Instant::now();
     while !cancel.is_cancelled() && timeout.is_none_or(|timeout| started.elapsed() < timeout) {
@@ -86,7 +82,7 @@ fn read_line(lines: &Receiver<String>, cancel: &CancelToken, timeout: Option<Dur
     None
 }
 
-/// Writes a question without a line end. If standard error is closed, the question is lost.
+/// If standard error is closed, the question is lost.
 fn write_prompt(text: &str) {
     let mut out = stderr().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
@@ -155,7 +151,7 @@ impl Operator for TerminalOperator {
     }
 }
 
-/// The answer in a line; `None` if a confirmation is neither yes nor no.
+/// `None` if a confirmation is neither yes nor no.
 fn parse_answer(kind: QuestionKind, line: &str) -> Option<String> {
     let answer = match (kind, line.to_lowercase().as_str()) {
         (QuestionKind::Text, _) => line,

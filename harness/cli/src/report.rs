@@ -11,7 +11,6 @@ use platebench_runner::rejudge::check_trace;
 use platebench_runner::{RejudgeError, rejudge};
 use std::path::{Path, PathBuf};
 
-/// `platebench report`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -28,7 +27,6 @@ pub(crate) struct ReportArgs {
     baselines: PathBuf,
 }
 
-/// Renders the report and prints its path.
 pub(crate) fn report(arguments: &ReportArgs) -> Exit {
     let both = || {
         let record = read_record(&arguments.run)?;
@@ -57,7 +55,7 @@ pub(crate) fn report(arguments: &ReportArgs) -> Exit {
     }
 }
 
-/// The record in `folder`. The traces of an interrupted run are judged first, unless one of them was changed.
+/// Judges the traces of an interrupted run first, unless one of them was changed.
 fn read_record(folder: &Path) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.complete {

@@ -12,7 +12,6 @@ use crate::stdio;
 use platebench_scenario::{FoundScenarios, Scenario, find};
 use std::path::Path;
 
-/// Runs scenarios and writes their report.
 pub(crate) fn run(arguments: &RunArgs, quiet: bool) -> Exit {
     let clock = play::check_options(arguments);
     if let (true, Ok(clock)) = (arguments.watch, clock) {
@@ -29,10 +28,7 @@ pub(crate) fn run(arguments: &RunArgs, quiet: bool) -> Exit {
     })
 }
 
-/// The scenarios of the command line.
-///
-/// # Errors
-/// Every fault of every file, or a named folder without a scenario; both are reported.
+/// Reports every fault of every file, or a named folder without a scenario.
 fn find_scenarios(arguments: &RunArgs) -> Result<Vec<Scenario>, Exit> {
     let found = find(&arguments.scenarios).map_err(|faults| {
         let exit = stdio::reject_files(&faults);

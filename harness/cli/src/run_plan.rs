@@ -1,4 +1,4 @@
-//! Plays a plan on a separate thread, forwards its events, and stops it on a signal of the operating system.
+//! Plays a plan on a separate thread, forwards its events, and stops it on a signal.
 
 use crate::prompt::TerminalOperator;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
@@ -10,7 +10,6 @@ use platebench_rig::{ConnectOptions, RigSpec};
 use platebench_runner::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
 use std::time::Duration;
 
-/// The receivers of a run's events.
 pub(crate) struct EventSinks<'a> {
     pub(crate) progress: Progress,
     pub(crate) view: Option<&'a LiveView>,
@@ -37,10 +36,7 @@ impl EventSinks<'_> {
     }
 }
 
-/// Plays the plan until its end or a signal.
-///
-/// # Errors
-/// The reason for an early end, with the signal that caused it.
+/// Errors: the reason for an early end, with the signal that caused it.
 pub(crate) fn run_plan(
     plan: RunPlan,
     folder: &RunFolder,
@@ -71,7 +67,6 @@ pub(crate) fn run_plan(
     }
 }
 
-/// Shows the progress of a run.
 pub(crate) fn show_progress(progress: &mut Progress, event: &Event) {
     match event {
         Event::ScenarioStarted { file, trials } => progress.scenario_started(file, *trials),

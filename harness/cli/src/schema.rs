@@ -11,7 +11,6 @@ use platebench_wire::LawId;
 use std::fs;
 use std::path::PathBuf;
 
-/// `platebench schema`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -72,7 +71,6 @@ impl SchemaKind {
     }
 }
 
-/// Prints or writes schemas.
 pub(crate) fn schema(arguments: &SchemaArgs) -> Exit {
     let done = match &arguments.out {
         None => arguments.kind.to_text().map(|text| stdio::show(&text)).map_err(|error| error.to_string()),

@@ -25,29 +25,25 @@ const HANG_UP: u8 = 1;
 const TERMINATION_SIGNALS: [u8; 6] = [HANG_UP, 2, 3, 6, 15, 24];
 /// SIGXFSZ (`ulimit -f`): if it is caught, the write fails instead of the program.
 const FILE_SIZE: u8 = 25;
-/// The time that work has to end. A closing terminal sends two signals, so only a later signal abandons the work.
+/// Time that work has to end. A closing terminal sends two signals; only a later one abandons it.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(3);
-/// The time that a reader of the output has after a signal.
+/// Time that a reader of the output has after a signal.
 const OUTPUT_TIMEOUT: Duration = Duration::from_secs(1);
-/// The same while work may drive a plate: longer than a controller needs to confirm 0 V.
+/// While work may drive a plate: longer than a controller needs to confirm 0 V.
 const OUTPUT_TIMEOUT_WHILE_BUSY: Duration = Duration::from_secs(10);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 const MAX_QUEUED_EVENTS: usize = 64;
-/// The time that a full event queue has after cancellation.
+/// Time that a full event queue has after cancellation.
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 const RETRY_INTERVAL: Duration = Duration::from_millis(1);
 
 static STATE: Mutex<State> = Mutex::new(State { first: None, insistent: None, work: None, is_busy: false });
 
-/// What the listener and the work share.
 struct State {
-    /// The first signal and its time.
     first: Option<(u8, Instant)>,
     /// A signal that came more than [`SHUTDOWN_TIMEOUT`] after the first.
     insistent: Option<u8>,
-    /// Cancels the work.
     work: Option<CancelToken>,
-    /// True while the work may drive a plate.
     is_busy: bool,
 }
 
@@ -67,15 +63,11 @@ impl State {
     }
 }
 
-/// The first signal since the listener started.
 pub(crate) fn received_signal() -> Option<u8> {
     State::lock().first.map(|(number, _)| number)
 }
 
-/// Starts the listener, once. From then on the signals do not end the program.
-///
-/// # Errors
-/// The system provides no thread or no signals.
+/// Once. From then on the signals do not end the program.
 pub(crate) fn listen() -> io::Result<()> {
     static STARTED: OnceLock<Result<(), String>> = OnceLock::new();
     let started = STARTED.get_or_init(|| {
@@ -117,7 +109,6 @@ impl Signals {
     }
 }
 
-/// True if the parent process set the signal to be ignored.
 fn is_ignored(number: u8) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -145,7 +136,6 @@ async fn handle_signals(mut signals: Signals) {
     }
 }
 
-/// Marks the work as busy until it is dropped.
 struct BusyGuard;
 
 impl BusyGuard {
@@ -165,9 +155,8 @@ impl Drop for BusyGuard {
     }
 }
 
-/// How work ended.
 pub(crate) enum WorkResult<T> {
-    /// The work returned; a signal may have cancelled it.
+    /// A signal may have cancelled the work.
     Finished(T, Option<u8>),
     /// The program ends without the work, because of this signal.
     Abandoned(u8),
@@ -178,7 +167,6 @@ enum Message<T, E> {
     Done(T),
 }
 
-/// Sends the events of work to the thread that shows them.
 pub(crate) struct EventSender<T, E> {
     sender: SyncSender<Message<T, E>>,
     cancel: CancelToken,
@@ -199,11 +187,8 @@ impl<T, E> EventSender<T, E> {
     }
 }
 
-/// Runs `work` on its own thread until it returns. A signal, or the end of `max_duration`, cancels it. `on_event`
-/// receives its events on this thread.
-///
-/// # Errors
-/// The system provides no thread or no signals, or the work panicked.
+/// Runs `work` on its own thread until it returns. A signal, or the end of `max_duration`, cancels
+/// it. `on_event` receives its events on this thread. Fails if `work` panics.
 pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
     cancel: &CancelToken,
     max_duration: Option<Duration>,
@@ -217,7 +202,6 @@ pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
     let worker = thread::Builder::new().name("work".to_owned()).spawn(move || {
         let result = work(&mut events);
         drop(busy);
-        // Without a receiver the work was abandoned.
         let _ = sender.send(Message::Done(result));
     })?;
     let started = Instant::now();

@@ -17,7 +17,6 @@ use std::path::{Path, PathBuf};
 
 const HIGHEST_DELAY_US: f64 = 12e3;
 
-/// `platebench stability`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -65,7 +64,6 @@ enum StabilityError {
     Write(#[from] WriteError),
 }
 
-/// Analyses methods and loops and prints the limits.
 pub(crate) fn stability(arguments: &StabilityArgs) -> Exit {
     match analyse(arguments) {
         Ok(text) => {
@@ -100,7 +98,6 @@ fn analyse(arguments: &StabilityArgs) -> Result<String, StabilityError> {
     Ok(section.summary)
 }
 
-/// The loop delay of a stored run.
 fn delay_of_run(run: &Path) -> Result<RigDelay, StabilityError> {
     let refused = |reason: String| StabilityError::Run { path: run.to_owned(), reason };
     let record = RunRecord::read(run).map_err(|error| refused(error.to_string()))?;

@@ -16,17 +16,16 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// The first write error on standard output, unless the reader closed its end.
+/// The first one on standard output, unless the reader closed its end.
 static WRITE_ERROR: OnceLock<String> = OnceLock::new();
 /// True if the last log line was dropped because nothing read standard error.
 static LOG_BLOCKED: AtomicBool = AtomicBool::new(false);
-/// How long a log line waits for its reader. After a dropped line the next ones do not wait.
+/// After a dropped line the next ones do not wait.
 const LOG_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 const NO_WAIT: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 /// `PIPE_BUF`: what a writable pipe takes in one write, bytes.
 const MAX_ATOMIC_WRITE: usize = 4096;
 
-/// Standard output that remembers its first write error.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct CheckedStdout;
 
@@ -53,25 +52,22 @@ impl Write for CheckedStdout {
     }
 }
 
-/// Writes text to standard output. [`checked_exit`] reports a failure.
 pub(crate) fn show(text: &str) {
     let _ = CheckedStdout.write_all(text.as_bytes()).and_then(|()| CheckedStdout.flush());
 }
 
-/// The exit code, or 2 if standard output is incomplete.
+/// 2 if standard output is incomplete.
 pub(crate) fn checked_exit(exit: Exit) -> Exit {
     let Some(why) = WRITE_ERROR.get() else { return exit };
     error(&format!("standard output is incomplete: {why}"));
     Exit::Invalid
 }
 
-/// Writes an error to standard error.
 pub(crate) fn error(message: &str) {
     let _ = writeln!(stderr().lock(), "error: {}", harmless(message));
 }
 
-/// The message without control characters. A line of it that GitHub Actions would read as a command does not begin
-/// with `::`, which a file name after a line feed could contain.
+/// No control characters, no line that begins with `::`: a command for GitHub Actions.
 fn harmless(message: &str) -> String {
     let message = printable_lines(message);
     let is_command = |line: &str| line.trim_start().starts_with("::");
@@ -79,13 +75,11 @@ fn harmless(message: &str) -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
-/// Writes an error to standard error and ends with exit code 2.
 pub(crate) fn reject(error: &dyn Display) -> Exit {
     self::error(&error.to_string());
     Exit::Invalid
 }
 
-/// As [`reject`], with a pointer into the file if the error has one.
 pub(crate) fn reject_stored_run(error: &RejudgeError) -> Exit {
     match error {
         RejudgeError::Scenario(diagnostic) => reject_file(diagnostic),
@@ -93,29 +87,24 @@ pub(crate) fn reject_stored_run(error: &RejudgeError) -> Exit {
     }
 }
 
-/// Writes a note to standard error.
 pub(crate) fn note(message: &str) {
     let _ = writeln!(stderr().lock(), "{}", harmless(message));
 }
 
-/// Shows a fault of an input file with its position.
 pub(crate) fn diagnostic(diagnostic: &Diagnostic) {
     let _ = writeln!(stderr().lock(), "{}\n", diagnostic.render(stderr().is_terminal()));
 }
 
-/// Shows a fault of an input file and ends with exit code 2.
 pub(crate) fn reject_file(fault: &Diagnostic) -> Exit {
     diagnostic(fault);
     Exit::Invalid
 }
 
-/// Shows every fault of the input files and ends with exit code 2.
 pub(crate) fn reject_files(faults: &[Diagnostic]) -> Exit {
     faults.iter().for_each(diagnostic);
     Exit::Invalid
 }
 
-/// Prints a value as JSON.
 pub(crate) fn show_json(value: &impl Serialize) {
     match serde_json::to_string_pretty(value) {
         Ok(text) => show(&format!("{text}\n")),
@@ -123,7 +112,6 @@ pub(crate) fn show_json(value: &impl Serialize) {
     }
 }
 
-/// Prints the result of a run.
 pub(crate) fn record(record: &RunRecord, format: OutputFormat) {
     match format {
         OutputFormat::Human => show(&console::run_table(record, console::Style { colour: stdout().is_terminal() })),
@@ -131,17 +119,16 @@ pub(crate) fn record(record: &RunRecord, format: OutputFormat) {
     }
 }
 
-/// True if standard output and standard error take more bytes now.
 pub(crate) fn is_read() -> bool {
     is_writable(stdout().as_fd(), NO_WAIT) && is_writable(stderr().as_fd(), NO_WAIT)
 }
 
-/// True if `output` takes bytes within `timeout`, or reports an error at once.
+/// An error counts as writable.
 fn is_writable(output: BorrowedFd<'_>, timeout: Timespec) -> bool {
     poll(&mut [PollFd::new(&output, PollFlags::OUT)], Some(&timeout)).map_or(true, |ready| ready > 0)
 }
 
-/// Standard error for threads that must not wait: bytes that nothing reads are dropped.
+/// For threads that must not wait: drops bytes that nothing reads.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct NonBlockingStderr;
 

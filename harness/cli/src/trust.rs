@@ -12,7 +12,6 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// `platebench trust`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -42,7 +41,6 @@ pub(crate) struct TrustArgs {
     out: Option<PathBuf>,
 }
 
-/// Plays mutants and clean runs, and prints kill rate and false-alarm rate.
 pub(crate) fn trust(arguments: &TrustArgs) -> Exit {
     let found = match find(&arguments.scenarios) {
         Ok(found) => found,

@@ -21,7 +21,6 @@ use serde_json::json;
 use verify::{RigVerification, VerificationConfig, verify_on_rig};
 use write::write_gains;
 
-/// Designs gains, prints them, writes and sends them.
 pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
     let plate = match plate_file::read(&arguments.plate) {
         Ok(plate) => plate,
@@ -75,7 +74,6 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
     exit
 }
 
-/// Predicted and measured response.
 fn comparison_table(tuning: &TuningResult, measured: &RigVerification) -> String {
     let Some(DesignEvaluation { plate: predicted, .. }) = &tuning.chosen else { return String::new() };
     let row = |name: &str, predicted: Option<f64>, measured: Option<f64>| {

@@ -1,6 +1,6 @@
 //! Fits ARX models of order one at the control period (section IV.B, reference \[24\]).
 //!
-//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so that `τ = −Ts / ln a`; a static gain is `c / (1 − a)`.
+//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so `τ = −Ts / ln a`; a static gain is `c / (1 − a)`.
 //! Least squares assume that `y[k]` is exact: noise makes `a` and τ too small for any number of
 //! samples. Instrumental variables (T. Söderström, P. Stoica, *System Identification*, 1989,
 //! chapter 8) use the noise-free response of an auxiliary model, iterated three times. They are

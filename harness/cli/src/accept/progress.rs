@@ -8,7 +8,6 @@ use platebench_acceptance::session_record::{StepKind, StepRecord};
 use platebench_report::{Progress, ProgressKind};
 use platebench_runner::{Event, LiveTap, RunPlan};
 
-/// The progress of a session on standard error.
 pub(crate) struct SessionProgress {
     kind: ProgressKind,
     progress: Option<Progress>,

@@ -18,7 +18,6 @@ fn arguments(only: ChartKind, named: &[PathBuf], out: &Path) -> ChartArgs {
     }
 }
 
-/// The rows of a CSV file, the header first.
 fn parse_csv(csv: &str) -> Vec<Vec<String>> {
     let fields = |line: &str| {
         let (mut fields, mut is_quoted) = (vec![String::new()], false);
@@ -67,7 +66,6 @@ fn writes_a_page_drawings_and_numbers_for_methods() {
             "{problem}"
         );
     }
-    // Failed settings are listed as such.
     let failed: Vec<_> = rows.iter().filter(|row| row[5] != "ok").collect();
     assert!(
         failed.iter().any(|row| row[1] == "modal" && row[2] == "RK4" && row[5] == "diverged" && row[6].is_empty()),
@@ -113,7 +111,7 @@ fn rejects_missing_files_and_empty_folders() {
     assert!(!out.exists(), "nothing was drawn");
 }
 
-/// Writes a scenario: 30 ms of a step to 2 µm at resonance, whose end may be off by `tolerance`.
+/// 30 ms of a step to 2 µm at resonance, whose end may be off by `tolerance`.
 fn scenario_with_tolerance(folder: &Path, law: &str, model: &str, tolerance: f64) -> PathBuf {
     let plate = scenario("plates/aluminium-198x138.toml");
     let (low, high) = (2.0 - tolerance, 2.0 + tolerance);
@@ -128,7 +126,6 @@ fn scenario_with_tolerance(folder: &Path, law: &str, model: &str, tolerance: f64
     file
 }
 
-/// The rows of one scenario on one model.
 fn rows_of<'a>(rows: &'a [Vec<String>], file: &str, model: &str) -> Vec<&'a Vec<String>> {
     let model_column = rows[0].iter().position(|column| column == "model").unwrap();
     rows.iter().filter(|row| row[0].contains(file) && row[model_column] == model).collect()
@@ -181,7 +178,7 @@ fn scenes_show_a_verdict_that_a_wrong_model_changes() {
     assert!(page.contains("fail instead of pass"), "{page}");
 }
 
-/// Every law in every scene, once; docs/laws.md contains the same table.
+/// docs/laws.md contains the same table.
 #[test]
 fn law_table_equals_the_documented_one() {
     let (folder, rows) = run_chart(ChartKind::Laws, &[], "laws.csv");

@@ -17,7 +17,6 @@ fn what_is_written_can_be_read_for_every_law() {
     }
 }
 
-/// Each line that a hash takes out can be put in by taking it away.
 #[test]
 fn what_is_commented_out_can_be_read_as_well() {
     let folder = tempdir().unwrap();

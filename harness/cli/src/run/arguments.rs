@@ -13,7 +13,6 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// `platebench run`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -106,7 +105,6 @@ impl RunArgs {
         }
     }
 
-    /// What the command line overrides in every scenario.
     pub(crate) fn overrides(&self) -> Overrides {
         Overrides {
             law: self.law.clone(),
@@ -126,7 +124,6 @@ fn parse_reply_timeout(text: &str) -> Result<Duration, String> {
         .ok_or_else(|| "expected 1 to 60000 ms".to_owned())
 }
 
-/// `--shard K/N`
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Shard {
     number: usize,
@@ -134,7 +131,7 @@ pub(crate) struct Shard {
 }
 
 impl Shard {
-    /// True if scenario `index`, counted from 0, belongs to this shard.
+    /// `index` counts from 0.
     pub(crate) fn contains(self, index: usize) -> bool {
         index % self.count == self.number - 1
     }

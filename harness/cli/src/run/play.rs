@@ -16,10 +16,7 @@ use platebench_scenario::Scenario;
 use std::path::Path;
 use tracing::info;
 
-/// Checks clock, rig and output files before anything is played.
-///
-/// # Errors
-/// A contradiction, which is reported.
+/// Before anything is played. Reports a contradiction.
 pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Exit> {
     let clock = arguments.clock().resolve().map_err(|fault| stdio::reject(&fault))?;
     arguments.rig.check().map_err(|fault| stdio::reject(&fault))?;
@@ -27,7 +24,6 @@ pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Exit> {
     Ok(clock)
 }
 
-/// The scenarios of this shard with the overrides of the command line.
 pub(super) fn prepare_scenarios(mut scenarios: Vec<Scenario>, arguments: &RunArgs) -> Vec<Scenario> {
     let overrides = arguments.overrides();
     for scenario in &mut scenarios {
@@ -38,7 +34,7 @@ pub(super) fn prepare_scenarios(mut scenarios: Vec<Scenario>, arguments: &RunArg
     scenarios
 }
 
-/// Calls `play` with the JSON event stream, if `--format json` asks for one, and ends the stream.
+/// Writes the JSON event stream of `--format json`, and ends it.
 pub(super) fn with_events(
     arguments: &RunArgs,
     play: impl FnOnce(&mut Option<EventWriter>) -> Result<(Exit, RunRecord), Exit>,
@@ -55,10 +51,7 @@ pub(super) fn with_events(
     exit
 }
 
-/// Plays `scenarios` and writes the reports.
-///
-/// # Errors
-/// How a run without a record ends; the reason is reported.
+/// Reports why a run has no record, and returns the exit code.
 pub(super) fn play(
     arguments: &RunArgs,
     clock: Clock,
@@ -73,7 +66,7 @@ pub(super) fn play(
     };
     let folder = folder.map_err(|fault| stdio::reject(&fault))?;
     let is_real = clock == Clock::RealPlate;
-    // A serial line carries one trial. In real time nothing competes with the control loop unless --jobs allows it.
+    // A serial line carries one trial. In real time only --jobs lets work compete with the loop.
     let jobs = match arguments.jobs {
         _ if !arguments.rig.allows_parallel_links() || is_real => 1,
         None if !matches!(clock, Clock::Lockstep { .. }) => 1,
@@ -111,7 +104,6 @@ pub(super) fn play(
     };
     let sinks = EventSinks { progress: Progress::new(progress), view: view.as_ref(), events: events.as_mut() };
     let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, arguments.reply_timeout);
-    // The messages below need the terminal.
     drop(view);
     match played {
         Ok(record) => {
@@ -163,7 +155,6 @@ fn report_run_error(error: &RunError, folder: &RunFolder) {
     }
 }
 
-/// Lists the scenarios that need what the controller does not announce.
 fn note_not_applicable(record: &RunRecord) {
     for scenario in &record.not_applicable {
         stdio::note(&format!("{}: not applicable, {}", scenario.file, scenario.reason));

@@ -1,7 +1,5 @@
-//! Runs scenarios again when they change.
-//!
-//! Time and length of each file are polled, which works on every file system. A scenario runs again if the content of
-//! its file, plate, profiles or firmware differs from its last run.
+//! Runs scenarios again when the content of file, plate, profiles or firmware changes.
+//! Polls time and length of each file, which works on every file system.
 
 use super::arguments::RunArgs;
 use super::play;
@@ -18,18 +16,16 @@ use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime};
 
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
-/// Editors write in several steps: a change counts once nothing changed between two polls, or after this time.
+/// Editors write in several steps: a change counts once two polls agree, or after this time.
 const MAX_SETTLE_TIME: Duration = Duration::from_secs(2);
-/// Files with a fault are read again after this time: a file outside the polled ones may have been missing.
+/// For files with a fault: the missing file may be outside the polled ones.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Time and length of each file.
 type FileStamps = BTreeMap<PathBuf, Option<(SystemTime, u64)>>;
 type FileContent = (PathBuf, Vec<u8>);
-/// The inputs of each scenario's last run, by the scenario's own file.
+/// By the scenario's own file.
 type PlayedInputs = BTreeMap<PathBuf, Vec<FileContent>>;
 
-/// Runs scenarios, then the changed ones, until a signal.
 pub(super) fn watch(arguments: &RunArgs, clock: Clock, quiet: bool) -> Exit {
     if arguments.out.is_some() {
         return stdio::reject(&"--watch makes many runs, expected --runs FOLDER instead of --out");
@@ -83,7 +79,6 @@ fn input_paths(scenario: &Scenario) -> Vec<PathBuf> {
     scenario.inputs.iter().map(|input| input.path.clone()).collect()
 }
 
-/// The rig's image, if it is a file.
 fn read_firmware(arguments: &RunArgs) -> Result<Option<FileContent>, Diagnostic> {
     let read = |path: &Path| match input::read(path) {
         Ok(bytes) => Ok((path.to_owned(), bytes)),
@@ -92,7 +87,7 @@ fn read_firmware(arguments: &RunArgs) -> Result<Option<FileContent>, Diagnostic>
     arguments.rig.image().map(read).transpose()
 }
 
-/// The scenarios whose inputs differ from those in `played`; updates `played`.
+/// Updates `played`.
 fn changed_scenarios(
     scenarios: Vec<Scenario>,
     firmware: Option<&FileContent>,
@@ -111,7 +106,6 @@ fn changed_scenarios(
     scenarios.into_iter().filter(is_changed).collect()
 }
 
-/// The stamps of every file of the command line, of the rig's image and of `inputs`.
 fn file_stamps(arguments: &RunArgs, inputs: &[PathBuf]) -> FileStamps {
     let (files, _) = list_files(&arguments.scenarios);
     let files = files.into_iter().map(|(path, _)| path).chain(inputs.iter().cloned());
@@ -122,7 +116,7 @@ fn file_stamps(arguments: &RunArgs, inputs: &[PathBuf]) -> FileStamps {
     files.chain(arguments.rig.image().map(Path::to_owned)).map(stamped).collect()
 }
 
-/// Waits for a signal, which it returns, or until `now` differs from `before` and is stable.
+/// Waits for a signal, or until `now` differs from `before` and is stable.
 fn wait_for_change(before: &FileStamps, now: impl Fn() -> FileStamps, retry: bool) -> Option<u8> {
     let started = Instant::now();
     let mut last = before.clone();

@@ -1,4 +1,4 @@
-//! Tests the command from its arguments to its files. The tests of `platebench-study` check the analysis.
+//! Tests the command from its arguments to its files.
 
 use super::*;
 use platebench_study::integration::StepLimit;
@@ -16,7 +16,6 @@ fn arguments(out: Option<&Path>) -> StabilityArgs {
     }
 }
 
-/// Table and file contain measurement and theory, so that a difference is visible.
 #[test]
 fn the_largest_steps_of_methods_are_next_to_theory() {
     let folder = tempfile::tempdir().unwrap();

@@ -26,7 +26,6 @@ const MAX_SPREAD_PERCENT: f64 = 50.0;
 /// The spread of K1 and τ in Tables I and II, percent.
 const PAPER_SPREAD: Uncertainty = Uncertainty { gain_percent: Some(5.0), time_constant_percent: Some(6.0) };
 
-/// `platebench tune`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -119,10 +118,7 @@ fn parse_percent(text: &str) -> Result<f64, String> {
 }
 
 impl TuneArgs {
-    /// The control period in whole microseconds.
-    ///
-    /// # Errors
-    /// A message for the user if period, response time and delay do not fit together.
+    /// In whole microseconds. Errors: period, response time and delay do not fit together.
     fn period_us(&self) -> Result<u32, String> {
         let micros = self.period_ms * 1e3;
         if (micros - micros.round()).abs() > 1e-6 || micros < MIN_PERIOD_US {
@@ -146,10 +142,6 @@ impl TuneArgs {
         Ok(micros.round() as u32)
     }
 
-    /// The design target.
-    ///
-    /// # Errors
-    /// A message for the user.
     pub(super) fn target<'a>(&self, plate: &'a Plate) -> Result<TuningTarget<'a>, String> {
         let target = TuningTarget {
             plate,
@@ -169,10 +161,7 @@ impl TuneArgs {
         }
     }
 
-    /// The spread of plates: from the command line, else from the plate file, else from the paper.
-    ///
-    /// # Errors
-    /// The uncertainty in the plate file is too large.
+    /// From the command line, else from the plate file, else from the paper.
     pub(super) fn spread(&self, plate: &Plate) -> Result<PlateSpread, Diagnostic> {
         let choose = |given: Option<f64>, key: &str, of: fn(&Uncertainty) -> Option<f64>| match of(&plate.uncertainty) {
             Some(known) if given.is_none() && known > MAX_SPREAD_PERCENT => Err(plate_file::diagnostic_at(
@@ -199,7 +188,6 @@ impl TuneArgs {
         LawId::from_name(&self.law).unwrap_or(LawId::DqPi)
     }
 
-    /// How equation 24 is read for the law.
     pub(super) fn reading(&self) -> Reading {
         if self.law() == LawId::DqPiEuler { Reading::Forward } else { Reading::Matched }
     }

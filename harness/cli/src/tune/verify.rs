@@ -16,14 +16,12 @@ use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// The gains to verify.
 pub(super) struct VerificationConfig<'a> {
     pub(super) plate: &'a Path,
     pub(super) step: VerificationStep<'a>,
     pub(super) out: Option<&'a Path>,
 }
 
-/// The measured step.
 #[derive(Debug)]
 pub(super) struct RigVerification {
     pub(super) rig: String,
@@ -35,10 +33,7 @@ pub(super) struct RigVerification {
     pub(super) exit: Exit,
 }
 
-/// Configures the rig, reads the gains back and plays a step.
-///
-/// # Errors
-/// How the program ends; the reason is reported.
+/// Reports an error and returns the exit code.
 pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> Result<RigVerification, Exit> {
     let invalid = |error: &dyn Display| stdio::reject(error);
     let run_error = |error: RunError| {
@@ -93,7 +88,7 @@ pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> R
     })
 }
 
-/// The firmware's name and the gains that it reports after its configuration. Leaves the rig at 0 V.
+/// Returns the firmware's name and the gains that it reports. Leaves the rig at 0 V.
 fn configure_rig(rig: &RigSpec, law: LawId, scenario: &Scenario, clock: Clock) -> Result<(String, Gains), RunError> {
     let mut session = Session::open(clock.connect(rig, &ConnectOptions::default())?)?;
     let accepted = session.start_trial(&configure(scenario, law))?;

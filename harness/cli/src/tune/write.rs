@@ -12,11 +12,8 @@ use std::path::Path;
 use tempfile::NamedTempFile;
 use toml_edit::{DocumentMut, Item, Table, TableLike, Value};
 
-/// Writes `gains` into the scenario at `path` and returns a message for the user.
-///
-/// # Errors
-/// The file is not a scenario, has another plate, period or kind of law, has a design delay, or cannot be replaced.
-/// Then it is unchanged.
+/// Returns a message for the user. Rejects another plate, period or kind of law, or a design delay;
+/// then the file is unchanged.
 pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) -> Result<String, Diagnostic> {
     let refuse = |message: String| Diagnostic::for_file(path, message);
     let cannot_write = |error: std::io::Error| refuse(format!("cannot be written: {error}"));
@@ -73,14 +70,13 @@ pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) 
     Ok(format!("{name}: gains written into [controller.gains]"))
 }
 
-/// A table without its own header line.
 fn implicit_table() -> Item {
     let mut table = Table::new();
     table.set_implicit(true);
     Item::Table(table)
 }
 
-/// Sets the gains; `None` if `controller` or its gains are not tables.
+/// `None` if `controller` or its gains are not tables.
 fn set_gains<'a>(document: &mut DocumentMut, pairs: impl Iterator<Item = (&'a str, f64)>) -> Option<()> {
     let root = document.as_table_mut();
     let inline = root.get("controller").is_some_and(Item::is_value);
