@@ -5,7 +5,6 @@ mod interface;
 
 use crate::mutant_spec::MutantSpec;
 
-/// Every mutant.
 pub fn catalogue() -> Vec<MutantSpec> {
     [
         control::amplitude_mutants(),

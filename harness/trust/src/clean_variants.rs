@@ -7,21 +7,17 @@ use platebench_rig::{BoxedLink, HostedLink};
 /// A correct controller that differs from the firmware.
 #[derive(Debug, Clone, Copy)]
 pub struct CleanVariant {
-    /// Unique name.
     pub name: &'static str,
-    /// The difference, in one line.
     pub description: &'static str,
     build: fn() -> Box<dyn Mutant>,
 }
 
 impl CleanVariant {
-    /// A link to the hosted controller with the difference.
     pub fn link(&self) -> BoxedLink {
         Box::new(MutantController::new(HostedLink::new(), self.build))
     }
 }
 
-/// Every clean variant.
 pub fn clean_variants() -> Vec<CleanVariant> {
     let variant = |name, description, build| CleanVariant { name, description, build };
     vec![

@@ -4,13 +4,11 @@ use crate::report::{MutantOutcome, MutantResult, Rate, TrustReport};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Write};
 
-/// Number of expectations listed per mutant.
 const MAX_LISTED: usize = 6;
 
-/// Both rates, surviving mutants and false alarms as text.
+/// As text: both rates, surviving mutants and false alarms.
 pub fn summary(report: &TrustReport) -> String {
     let mut text = String::new();
-    // Writing to a string cannot fail.
     let _ = write_summary(&mut text, report);
     text
 }
@@ -65,7 +63,7 @@ fn format_rate(rate: Rate) -> String {
     }
 }
 
-/// Metrics per mutant and mutants per scenario, in Markdown.
+/// As Markdown: metrics per mutant and mutants per scenario.
 pub fn matrix(report: &TrustReport) -> String {
     let mut text = String::new();
     let _ = write_matrix(&mut text, report);

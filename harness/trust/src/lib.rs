@@ -1,14 +1,6 @@
 //! Measures the bench's own errors: the kill rate over mutants and the false-alarm rate over clean
 //! controllers.
 //!
-//! * [`mod@catalogue`]: the mutants, each with the metrics that should detect it.
-//! * [`mod@clean_variants`]: correct controllers that differ from the firmware.
-//! * [`mutant_controller`]: a link that changes messages to and from a controller.
-//! * `mutants`: the changes.
-//! * [`mod@play`]: plays and judges a scenario in memory.
-//! * [`mod@measure`]: both rates.
-//! * [`report`], [`mod@format`]: the result for machines and people.
-//!
 //! A mutant is caught if an expectation on one of its metrics fails that its reference passes.
 //! `inconclusive` catches nothing. See `docs/trust.md`.
 

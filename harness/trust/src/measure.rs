@@ -24,27 +24,16 @@ const SEEDS_PER_RUN: u64 = 100_000;
 /// Longest scenario in clean runs, s: one of a minute costs as much as a thousand others.
 const MAX_CLEAN_DURATION_S: f64 = 2.0;
 
-/// Settings of a measurement.
 #[derive(Debug, Clone)]
 pub struct TrustConfig {
-    /// The suite.
     pub scenarios: Vec<Scenario>,
-    /// The mutants.
     pub mutants: Vec<MutantSpec>,
-    /// Correct controllers that differ from the firmware.
     pub variants: Vec<CleanVariant>,
-    /// Number of clean runs.
     pub clean_runs: u32,
-    /// Seed of the first clean run.
     pub seed: u64,
-    /// Number of threads.
     pub jobs: usize,
 }
 
-/// Measures the suite's error rates.
-///
-/// # Errors
-/// [`TrustError`] if a scenario cannot be played.
 pub fn measure(order: &TrustConfig) -> Result<TrustReport, TrustError> {
     let (suite, faults) = (&order.scenarios, &order.mutants);
     let references =
@@ -103,7 +92,6 @@ fn scenario_rate(scenario: &Scenario, outcomes: &[MutantResult]) -> ScenarioRate
     }
 }
 
-/// Compares the judgements of a mutant with those of its reference.
 fn mutant_result(
     entry: &MutantSpec,
     suite: &[Scenario],
@@ -137,7 +125,6 @@ fn mutant_result(
     }
 }
 
-/// Why a scenario failed.
 enum Reason {
     Metric(Metric),
     Violation(ViolationKind),
@@ -157,7 +144,6 @@ fn failures<'a>(
     by_metric.chain(result.violations.iter().map(move |&kind| (Reason::Violation(kind), cell(0, violation_name(kind)))))
 }
 
-/// The name in the report.
 fn violation_name(kind: ViolationKind) -> String {
     format!("violation {kind:?}")
 }
@@ -211,7 +197,7 @@ fn with_plate_spread(scenario: &Scenario) -> Option<Scenario> {
     Some(varied)
 }
 
-/// Plays every scenario with every controller; a row per controller.
+/// Returns a row per controller.
 fn run_suite<T: Sync>(
     jobs: usize,
     suite: &[Scenario],
@@ -230,7 +216,7 @@ fn run_suite<T: Sync>(
     Ok(judged.chunks(suite.len()).map(<[PlayResult]>::to_vec).collect())
 }
 
-/// Applies `work` to each task on several threads; results in the order of the tasks.
+/// Returns the results in the order of the tasks.
 fn in_parallel<T: Sync, R: Send>(
     jobs: usize,
     tasks: &[T],

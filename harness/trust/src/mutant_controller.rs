@@ -7,7 +7,6 @@ use std::time::Duration;
 
 /// A mistake with its state. The default of each method changes nothing.
 pub trait Mutant: Send {
-    /// Changes a message to the controller.
     fn on_receive(&mut self, packet: &mut Packet) {
         match &mut packet.message {
             Message::Configure(configure) => self.on_configure(configure),
@@ -25,16 +24,12 @@ pub trait Mutant: Send {
         }
     }
 
-    /// Changes the configuration.
     fn on_configure(&mut self, _configure: &mut Configure) {}
 
-    /// Receives the gains that the controller designed.
     fn on_configured(&mut self, _gains: &Gains) {}
 
-    /// Changes a sample.
     fn on_sample(&mut self, _sample: &mut Sample) {}
 
-    /// Changes a command.
     fn on_command(&mut self, _command: &mut Command) {}
 
     /// Replaces an undecodable frame, delimiter included; `None` drops it.
@@ -47,12 +42,10 @@ pub trait Mutant: Send {
         None
     }
 
-    /// True if the controller reads its line byte by byte.
     fn reads_bytewise(&self) -> bool {
         false
     }
 
-    /// Delay of the next command.
     fn command_delay(&mut self) -> Duration {
         Duration::ZERO
     }
@@ -61,7 +54,7 @@ pub trait Mutant: Send {
 /// Longest run of bytes without a delimiter that is stored before it is passed on.
 const MAX_UNDELIMITED_BYTES: usize = 4096;
 
-/// The controller behind `inner` with a mistake. In lockstep only.
+/// Changes the messages to and from `inner`. In lockstep only.
 pub struct MutantController<L> {
     inner: L,
     build: fn() -> Box<dyn Mutant>,
@@ -74,7 +67,7 @@ pub struct MutantController<L> {
 }
 
 impl<L: Link> MutantController<L> {
-    /// Wraps `inner`; calls `build` for every trial.
+    /// Calls `build` for every trial.
     pub fn new(inner: L, build: fn() -> Box<dyn Mutant>) -> Self {
         Self {
             inner,
@@ -87,7 +80,7 @@ impl<L: Link> MutantController<L> {
         }
     }
 
-    /// Passes a frame with its delimiter to the controller. Returns the controller's compute time.
+    /// `frame` includes its delimiter. Returns the controller's compute time.
     fn deliver(&mut self, now: Duration, frame: &[u8]) -> Result<Duration, LinkError> {
         let Some(mut packet) = decode(frame) else {
             let kept = if frame.len() > 1 { self.mutant.on_unreadable_frame(frame) } else { Some(frame.to_vec()) };
@@ -116,7 +109,6 @@ impl<L: Link> MutantController<L> {
         Ok(took)
     }
 
-    /// Queues the controller's answers from `scratch`.
     fn queue_answers(&mut self, now: Duration) {
         for byte in self.scratch.drain(..) {
             let Some(Ok(mut packet)) = self.reader.push(byte) else { continue };
@@ -171,7 +163,6 @@ impl<L: Link> Link for MutantController<L> {
     }
 }
 
-/// The packet of a frame with its delimiter.
 fn decode(frame: &[u8]) -> Option<Packet> {
     PacketReader::new().packets(frame).next().and_then(Result::ok)
 }

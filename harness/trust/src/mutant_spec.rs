@@ -10,17 +10,14 @@ use platebench_scenario::Metric;
 /// A mutant without its mistake. An expectation that the reference fails catches no mutant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ReferenceController {
-    /// The firmware.
     Firmware,
     /// The firmware with independent PI loops instead of its `dq-pi`.
     Handwritten,
 }
 
 impl ReferenceController {
-    /// Every reference.
     pub const ALL: [Self; 2] = [Self::Firmware, Self::Handwritten];
 
-    /// A link to the controller without a mistake.
     pub fn link(self) -> BoxedLink {
         match self {
             Self::Firmware => Box::new(HostedLink::new()),
@@ -31,32 +28,26 @@ impl ReferenceController {
     }
 }
 
-/// A mutant of the catalogue.
 #[derive(Debug, Clone, Copy)]
 pub struct MutantSpec {
-    /// Unique name.
     pub name: &'static str,
-    /// The mistake, in one line.
     pub description: &'static str,
     /// Metrics that should detect it; a failure of another metric is the wrong reason.
     pub detecting_metrics: &'static [Metric],
-    /// Violations of the protocol that should detect it.
     pub detecting_violations: &'static [ViolationKind],
-    /// A scenario that detects it by one of these metrics or violations.
+    /// Detects it by one of these metrics or violations.
     pub witness_scenario: &'static str,
-    /// The controller without the mistake.
     pub reference: ReferenceController,
-    /// Creates the mutant for a trial.
+    /// Called for each trial.
     pub build: fn() -> Box<dyn Mutant>,
 }
 
 impl MutantSpec {
-    /// A link to a hosted controller with the mistake.
     pub fn link(&self) -> BoxedLink {
         Box::new(MutantController::new(HostedLink::new(), self.build))
     }
 
-    /// A mutant without a mistake, which must survive.
+    /// Must survive.
     pub fn unmutated() -> Self {
         Self {
             name: "unmutated",

@@ -12,52 +12,38 @@ use std::collections::BTreeSet;
 /// Why there is no verdict.
 #[derive(Debug, thiserror::Error)]
 pub enum TrustError {
-    /// The scenario's law does not exist.
     #[error("{file}: unknown law `{law}`")]
     UnknownLaw {
         /// The scenario.
         file: String,
-        /// Its law.
         law: String,
     },
-    /// The controller does not answer or rejects the scenario.
     #[error("{file}, {controller}: {source}")]
     Rig {
         /// The scenario.
         file: String,
-        /// The controller's name.
         controller: String,
-        /// The rig's error.
         source: RigError,
     },
-    /// A worker thread ended early.
     #[error("internal error: a worker thread ended early; please report it")]
     Internal,
 }
 
-/// The result of a scenario.
 #[derive(Debug, Clone)]
 pub struct PlayResult {
-    /// Its verdicts.
     pub judgement: Judgement,
-    /// Violations of the protocol in its trials, each kind once.
+    /// Each kind once.
     pub violations: Vec<ViolationKind>,
 }
 
-/// Plays trials of `scenario` over `link` in lockstep until the verdict is decided.
-///
-/// # Errors
-/// As [`play_as`].
+/// Plays trials in lockstep until the verdict is decided. Errors: see [`play_as`].
 pub fn play(scenario: &Scenario, controller: &str, link: BoxedLink) -> Result<PlayResult, TrustError> {
     play_as(scenario, scenario, controller, link)
 }
 
 /// Plays trials of `variant`, which differs from `scenario` in its spread only, and judges them by
-/// `scenario`.
-///
-/// # Errors
-/// [`TrustError`] if the controller does not answer or rejects the scenario. A link lost within a
-/// trial is judged.
+/// `scenario`. Fails if the controller does not answer or rejects the scenario; a link that is lost
+/// within a trial is judged.
 pub fn play_as(
     scenario: &Scenario,
     variant: &Scenario,

@@ -12,7 +12,6 @@ use platebench_scenario::Metric;
 use platebench_wire::LawId;
 use std::time::Duration;
 
-/// Mistakes in sample, setpoint and drive.
 pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
     vec![
         mutant(
@@ -80,7 +79,6 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
     ]
 }
 
-/// Mistakes in the excitation frequency.
 pub(super) fn resonance_mutants() -> Vec<MutantSpec> {
     vec![
         mutant("swapped-components", "Wd and Wq swapped", AMPLITUDE, FIG13, || {
@@ -109,7 +107,6 @@ pub(super) fn resonance_mutants() -> Vec<MutantSpec> {
     ]
 }
 
-/// Mistakes in timing.
 pub(super) fn timing_mutants() -> Vec<MutantSpec> {
     vec![
         mutant("stale-sample", "uses the sample of the previous period", DYNAMICS, FIG13, || {
@@ -141,7 +138,6 @@ pub(super) fn timing_mutants() -> Vec<MutantSpec> {
     ]
 }
 
-/// Mistakes in the drive limit.
 pub(super) fn drive_limit_mutants() -> Vec<MutantSpec> {
     vec![
         mutant(
@@ -168,7 +164,6 @@ pub(super) fn drive_limit_mutants() -> Vec<MutantSpec> {
     ]
 }
 
-/// Mistakes in the control law.
 pub(super) fn law_mutants() -> Vec<MutantSpec> {
     vec![
         mutant("untouched-gains", "gains of the untouched plate under a finger", DYNAMICS, FIG16, || {

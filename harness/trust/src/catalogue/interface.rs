@@ -10,7 +10,6 @@ use crate::mutants::values::{OnCommand, OnConfigure, OnSample};
 use platebench_record::ViolationKind;
 use platebench_scenario::Metric;
 
-/// Mistakes in the wire protocol.
 pub(super) fn protocol_mutants() -> Vec<MutantSpec> {
     vec![
         mutant("no-watchdog", "no watchdog: holds its drive when samples stop", SHUTDOWN, SILENCE, || {

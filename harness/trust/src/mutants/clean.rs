@@ -3,11 +3,8 @@
 use crate::mutant_controller::Mutant;
 use platebench_wire::{Command, Configure, LawId, Message, Packet};
 
-/// Designs its loops for a plate with `factor` of the gain, so its gains are those divided by
-/// `factor`.
-///
-/// Laws without an amplitude loop take the gain as a feedforward, and `deadbeat` for its first
-/// period: they keep it.
+/// Designs for a plate with `factor` of the gain, so its gains are those divided by `factor`.
+/// Other laws use the gain as a feedforward, and `deadbeat` for its first period: they keep it.
 pub(crate) struct OtherGains(pub(crate) f32);
 
 impl Mutant for OtherGains {

@@ -17,7 +17,6 @@ impl Mutant for NoChecksumCheck {
     }
 }
 
-/// Decodes COBS without delimiter.
 fn decode_cobs(mut stuffed: &[u8]) -> Option<Vec<u8>> {
     let mut content = Vec::new();
     while let Some((&code, rest)) = stuffed.split_first() {
@@ -31,7 +30,6 @@ fn decode_cobs(mut stuffed: &[u8]) -> Option<Vec<u8>> {
     Some(content)
 }
 
-/// Ignores undecodable frames.
 pub(crate) struct NoBadFrameCount;
 
 impl Mutant for NoBadFrameCount {

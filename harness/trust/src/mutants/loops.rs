@@ -1,7 +1,6 @@
 //! Implements the paper's two PI loops independently, with one line missing.
 //!
-//! They replace `dq-pi` and `dq-pi-fixed` and use their gains, within the firmware's state machine.
-//! Other laws are unchanged.
+//! They replace `dq-pi` and `dq-pi-fixed` and use their gains.
 
 use crate::mutant_controller::Mutant;
 use platebench_controller::design::PiGains;
@@ -9,18 +8,13 @@ use platebench_controller::pi::{Pi, Tracking};
 use platebench_wire::{Command, Configure, Gains, LawId, Sample};
 use std::f32::consts::TAU;
 
-/// The missing line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Omission {
-    /// Nothing.
     Nothing,
-    /// The amplitude loop's integral.
     AmplitudeIntegral,
-    /// The frequency loop's integral.
     FrequencyIntegral,
-    /// The anti-windup of the amplitude loop.
     AntiWindup,
-    /// The guard against a division by a small Wd.
+    /// Guard against a division by a small Wd.
     SmallWdGuard,
 }
 
@@ -28,7 +22,6 @@ pub(crate) enum Omission {
 const SMALLEST_WD: f32 = 0.1;
 const LARGEST_RATIO: f32 = 2.0;
 
-/// Both loops.
 pub(crate) struct HandwrittenLoops {
     omission: Omission,
     /// `None` for other laws.

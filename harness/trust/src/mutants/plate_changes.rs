@@ -5,7 +5,6 @@ use platebench_controller::design::PiGains;
 use platebench_controller::pi::{Pi, Tracking};
 use platebench_wire::{Command, Configure, LawId, Sample};
 
-/// Adds an alternating share to the drive.
 pub(crate) struct AlternatingDrive {
     share: f32,
     is_positive: bool,
@@ -66,7 +65,6 @@ impl Mutant for PressLatch {
 /// An amplitude loop whose gains follow a rising damping and never a falling one. Replaces `dq-pi`.
 #[derive(Default)]
 pub(crate) struct RisingDampingOnly {
-    /// `None` for other laws.
     configure: Option<Configure>,
     amplitude: Option<Pi>,
     sample: [f32; 2],

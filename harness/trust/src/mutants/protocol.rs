@@ -23,7 +23,6 @@ impl Mutant for IgnoredGains {
     }
 }
 
-/// Changes the reported gains.
 pub(crate) struct OnConfigured(pub(crate) fn(&mut Gains));
 
 impl Mutant for OnConfigured {
@@ -66,7 +65,7 @@ impl Mutant for StaleAnswer {
 /// Ignores samples whose time stamp, read as a counter that wraps, is older than the last one: the
 /// drive freezes.
 pub(crate) struct WrappingCounter {
-    /// The counter of a time stamp in µs.
+    /// Converts a time stamp in µs.
     count: fn(u32) -> i64,
     last: Option<i64>,
     is_old: bool,

@@ -63,7 +63,7 @@ impl Mutant for CommandJitter {
     }
 }
 
-/// Reads the setpoint in every n-th period.
+/// Reads a new setpoint only in every n-th period.
 pub(crate) struct SlowSetpoint {
     every: u32,
     count: u32,

@@ -3,12 +3,10 @@
 use crate::mutant_controller::Mutant;
 use platebench_wire::{Command, Configure, Sample};
 
-/// Changes nothing.
 pub(crate) struct NoMutation;
 
 impl Mutant for NoMutation {}
 
-/// Changes the configuration.
 pub(crate) struct OnConfigure(pub(crate) fn(&mut Configure));
 
 impl Mutant for OnConfigure {
@@ -17,7 +15,6 @@ impl Mutant for OnConfigure {
     }
 }
 
-/// Changes samples.
 pub(crate) struct OnSample(pub(crate) fn(&mut Sample));
 
 impl Mutant for OnSample {
@@ -26,7 +23,6 @@ impl Mutant for OnSample {
     }
 }
 
-/// Changes commands.
 pub(crate) struct OnCommand(pub(crate) fn(&mut Command));
 
 impl Mutant for OnCommand {
@@ -63,7 +59,6 @@ impl Mutant for TightPlausibilityLimit {
     }
 }
 
-/// The nearest multiple of `step`.
 pub(crate) fn round_to_step(value: f32, step: f32) -> f32 {
     (value / step).round() * step
 }
