@@ -1,5 +1,4 @@
-//! Measures the emulated rig: speed, start, memory, instructions per control step, stack.
-//! `ci/firmware` runs it for a new image.
+//! Measures the emulated rig. `ci/firmware` runs it for a new image.
 //!
 //! `cargo run --release --ignore-rust-version -p platebench-rig --example emulated-figures [ELF]`
 

@@ -2,18 +2,14 @@
 
 use std::time::Duration;
 
-/// Bytes of a sample or a command on the line.
 const CYCLIC_FRAME_BYTES: f64 = 24.0;
-/// A byte with its start and stop bit.
 const BITS_PER_BYTE: f64 = 10.0;
 
-/// Common rates of adapters and chips, bits per second.
 const STANDARD_RATES: [u32; 19] = [
     9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000,
     1_500_000, 2_000_000, 2_500_000, 3_000_000, 3_500_000, 4_000_000, 12_000_000,
 ];
 
-/// A baud rate that is too low for the control period.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "{baud} baud cannot carry a sample and a command every {} µs: each takes {frame_us:.0} µs; {}",
@@ -24,32 +20,25 @@ const STANDARD_RATES: [u32; 19] = [
     }
 )]
 pub struct BaudTooLow {
-    /// The rate, bits per second.
     pub baud: u32,
-    /// The control period in wall time.
     pub period: Duration,
-    /// Time of a frame of 24 bytes at this rate, µs.
     pub frame_us: f64,
-    /// See [`minimum_baud`].
     pub smallest: Option<u32>,
 }
 
-/// The lowest common rate, in bits per second, that carries a sample and then its command within one
-/// control period; `None` if there is none. `time_scale`: plate seconds per wall second.
+/// The lowest common rate that carries a sample and then its command within one control period.
+/// `time_scale`: plate seconds per wall second.
 pub fn minimum_baud(period: Duration, time_scale: f64) -> Option<u32> {
     let needed = 2.0 * CYCLIC_FRAME_BYTES * BITS_PER_BYTE / wall_seconds(period, time_scale);
     STANDARD_RATES.into_iter().find(|&rate| f64::from(rate) >= needed)
 }
 
-/// Checks that `baud` carries one frame each way per control period. Both directions run at once, so
-/// this is the limit of what works at all; the resulting loop delay may still be too long for a law.
-///
-/// # Errors
-/// [`BaudTooLow`], with a sufficient rate.
+/// Fails if one frame each way per control period does not fit. Both directions run at once: the
+/// limit of what works at all; the loop delay may still be too long for a law.
 pub fn check_baud(baud: u32, period: Duration, time_scale: f64) -> Result<(), BaudTooLow> {
     let wall = wall_seconds(period, time_scale);
     let frame = CYCLIC_FRAME_BYTES * BITS_PER_BYTE / f64::from(baud);
-    // False for a period that is not a number.
+    // False if the period is NaN.
     if frame <= wall {
         return Ok(());
     }

@@ -2,10 +2,9 @@
 
 use platebench_wire::{Command, ControllerState};
 
-/// Counts since the start of a trial.
 #[derive(Debug)]
 pub(crate) struct CommandAudit {
-    /// By sequence number: drive (as bits, because NaN differs from itself) and frequency of the reply.
+    /// By sequence number: drive (as bits, because NaN differs from itself) and frequency.
     replies: [Option<(u32, u32)>; 256],
     /// True from the confirmation of 0 V to the next message.
     is_safe: bool,
@@ -29,12 +28,11 @@ impl CommandAudit {
         }
     }
 
-    /// Forgets replies and counts.
     pub(crate) fn reset(&mut self) {
         *self = Self::new();
     }
 
-    /// Records the reply to a request for 0 V. True if it confirms 0 V.
+    /// True if the reply confirms 0 V.
     pub(crate) fn record_safe_reply(&mut self, command: &Command) -> bool {
         self.is_safe = command.state == ControllerState::Safe && command.drive_vpp == 0.0;
         let drives_on = command.state == ControllerState::Running || command.drive_vpp != 0.0;
@@ -50,7 +48,6 @@ impl CommandAudit {
         }
     }
 
-    /// Compares a command with earlier ones. `last_sent` is the number of the last message that was sent.
     pub(crate) fn record_command(&mut self, last_sent: u8, sequence: u8, command: &Command) {
         // A delayed reply to an earlier message has an older number.
         if self.is_safe && sequence == last_sent && command.drive_vpp != 0.0 {

@@ -12,32 +12,25 @@ use crate::spec::RigSpec;
 use crate::wall_clock::WallClockLink;
 use std::path::Path;
 
-/// Why there is no link to a controller.
 #[derive(Debug, thiserror::Error)]
 pub enum ConnectError {
-    /// This build has no support for debug probes.
     #[error(
         "`{0}`: this bench was built without debug probes; build it with `cargo build --release \
          --ignore-rust-version --package platebench-cli --features probe`"
     )]
     ProbeSupportMissing(RigSpec),
-    /// The link is too slow and too irregular for real time.
     #[error(
         "`{0}`: RTT through a debug probe does not keep real time; use --clock lockstep, or add the board's \
          serial port as ,port=PORT[@BAUD]"
     )]
     NoRealTime(RigSpec),
-    /// The board on a debug probe cannot be used.
     #[cfg(feature = "probe")]
     #[error(transparent)]
     Probe(ProbeError),
-    /// The emulated board did not start.
     #[error(transparent)]
     Emulated(#[from] EmulatedError),
-    /// The program did not start.
     #[error(transparent)]
     Exec(#[from] ExecError),
-    /// The serial port cannot be used.
     #[error(transparent)]
     Serial(#[from] SerialError),
 }
@@ -81,9 +74,6 @@ impl ConnectError {
 
 impl RigSpec {
     /// Checks what can be checked without starting a program or opening a device.
-    ///
-    /// # Errors
-    /// [`ConnectError`], always with [`ConnectError::is_invalid_input`].
     pub fn check(&self) -> Result<(), ConnectError> {
         match self {
             Self::Hosted | Self::Emulated(_) | Self::Serial { .. } => Ok(()),
@@ -95,7 +85,7 @@ impl RigSpec {
         }
     }
 
-    /// Bits per second; `None` for a link whose rate does not matter, such as a pseudo-terminal.
+    /// `None` for a link whose rate does not matter, such as a pseudo-terminal.
     pub fn baud(&self) -> Option<u32> {
         match self {
             Self::Serial { baud, .. } | Self::Probe { port: Some(_), baud, .. } => Some(baud.unwrap_or(DEFAULT_BAUD)),
@@ -103,7 +93,7 @@ impl RigSpec {
         }
     }
 
-    /// The file of the firmware that the rig loads; `None` for the bench's image and for other rigs.
+    /// `None` for the bench's image and for other rigs.
     pub fn image(&self) -> Option<&Path> {
         match self {
             Self::Emulated(elf) | Self::Probe { elf, .. } => elf.as_deref(),
@@ -111,7 +101,6 @@ impl RigSpec {
         }
     }
 
-    /// True if each link has a controller of its own.
     pub fn allows_parallel_links(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) | Self::Exec(_) => true,
@@ -119,8 +108,8 @@ impl RigSpec {
         }
     }
 
-    /// True if the controller's clock runs on while the plate waits. In lockstep such a controller needs
-    /// a longer sample time-out than five periods.
+    /// The controller's clock runs on while the plate waits: in lockstep it needs a longer sample
+    /// time-out.
     pub fn has_own_clock(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) => false,
@@ -128,31 +117,19 @@ impl RigSpec {
         }
     }
 
-    /// False for RTT, which is polled through a probe and takes some milliseconds per message.
+    /// RTT is polled through a probe and takes some milliseconds per message.
     pub fn supports_real_time(&self) -> bool {
         !matches!(self, Self::Probe { port: None, .. })
     }
 
-    /// Opens a new link for lockstep with the default options.
-    ///
-    /// # Errors
-    /// [`ConnectError`].
     pub fn connect(&self) -> Result<BoxedLink, ConnectError> {
         self.connect_with(&ConnectOptions::default())
     }
 
-    /// Opens a new link for real time with the default options, see [`crate::Link::real_time_line`].
-    ///
-    /// # Errors
-    /// [`ConnectError`].
     pub fn connect_real_time(&self) -> Result<BoxedLink, ConnectError> {
         self.connect_real_time_with(&ConnectOptions::default())
     }
 
-    /// Opens a new link for lockstep.
-    ///
-    /// # Errors
-    /// [`ConnectError`].
     pub fn connect_with(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         Ok(match self {
             Self::Hosted => Box::new(HostedLink::new()),
@@ -169,10 +146,6 @@ impl RigSpec {
         })
     }
 
-    /// Opens a new link for real time.
-    ///
-    /// # Errors
-    /// [`ConnectError`].
     pub fn connect_real_time_with(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         match self {
             Self::Hosted => Ok(Box::new(WallClockLink::new(HostedLink::new()))),

@@ -1,13 +1,12 @@
-//! Options for connecting to a controller.
+//! Defines options for connecting to a controller.
 
 use crate::cancel::CancelToken;
 use crate::tty::DEFAULT_REPLY_TIMEOUT;
 use std::time::Duration;
 
-/// How to connect to a controller.
 #[derive(Debug, Clone)]
 pub struct ConnectOptions {
-    /// Time for a reply in lockstep over a serial line, from the last byte of the request on.
+    /// In lockstep over a serial line, counted from the last byte of the request.
     pub reply_timeout: Duration,
     /// Ends the wait for a program that does not answer its handshake.
     pub cancel: CancelToken,

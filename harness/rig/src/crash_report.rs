@@ -1,7 +1,5 @@
-//! Reports a crash of the firmware: fault status registers, place and callers.
-//!
-//! The emulator and the debug probe read the registers each in its own way; the report is the same.
-//! Registers: ARMv7-M Architecture Reference Manual, B1.5 and B3.2.
+//! Reports a crash of the firmware: fault status registers, place and callers. Registers: ARMv7-M
+//! Architecture Reference Manual, B1.5 and B3.2.
 
 mod backtrace;
 
@@ -10,7 +8,6 @@ pub(crate) use backtrace::{MAX_STACK_WORDS, StackReader, StoppedAt, callers, exc
 use crate::symbols::CodeLocation;
 use std::fmt;
 
-/// System control block: interrupt control and state, the faults' status and the addresses.
 #[cfg(feature = "probe")]
 pub(crate) const ICSR: u64 = 0xE000_ED04;
 const CFSR: u64 = 0xE000_ED28;
@@ -18,10 +15,10 @@ const HFSR: u64 = 0xE000_ED2C;
 const MMFAR: u64 = 0xE000_ED34;
 const BFAR: u64 = 0xE000_ED38;
 
-/// Bits of CFSR that say whether MMFAR and BFAR hold an address.
+/// Bits of CFSR: MMFAR or BFAR holds an address.
 const MMFAR_VALID: u32 = 1 << 7;
 const BFAR_VALID: u32 = 1 << 15;
-/// Bits of CFSR: the processor could not push its registers on the stack.
+/// Bits of CFSR: the processor could not push its registers.
 const STACKING_FAILED: u32 = 1 << 12 | 1 << 4;
 
 /// Bits of CFSR. B3.2.15.
@@ -47,26 +44,20 @@ const CAUSES: [(u32, &str); 17] = [
 /// Bits of HFSR that have no bit in CFSR. B3.2.16.
 const HARD_CAUSES: [(u32, &str); 2] = [(1, "vector table not readable"), (31, "breakpoint without a debugger")];
 
-/// Exception numbers of the fault handlers.
 const EXCEPTIONS: [(u32, &str); 5] =
     [(2, "NMI"), (3, "HardFault"), (4, "MemManage"), (5, "BusFault"), (6, "UsageFault")];
 
-/// The fault handler with exception number `number`; `None` for other exceptions.
 pub(crate) fn fault_handler(number: u32) -> Option<&'static str> {
     EXCEPTIONS.iter().find(|(other, _)| *other == number).map(|&(_, name)| name)
 }
 
-/// Exception numbers of all fault handlers.
 pub(crate) fn fault_handlers() -> impl Iterator<Item = u32> {
     EXCEPTIONS.iter().map(|&(number, _)| number)
 }
 
-/// The processor's fault registers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FaultStatus {
-    /// Configurable fault status register.
     pub cfsr: u32,
-    /// Hard fault status register.
     pub hfsr: u32,
     /// Address of the failed data access, if the processor kept it.
     pub address: Option<u32>,
@@ -79,7 +70,6 @@ impl FaultStatus {
         Ok(Self { cfsr, hfsr, address: register.map(word).transpose()? })
     }
 
-    /// The causes that the registers name.
     pub fn causes(&self) -> Vec<&'static str> {
         let set = |table: &'static [(u32, &'static str)], bits: u32| {
             table.iter().filter(move |(bit, _)| bits & 1 << bit != 0).map(|&(_, cause)| cause)
@@ -87,30 +77,27 @@ impl FaultStatus {
         set(&CAUSES, self.cfsr).chain(set(&HARD_CAUSES, self.hfsr)).collect()
     }
 
-    /// True if the processor could not push its registers, which leaves no exception frame.
+    /// The processor could not push its registers, so there is no exception frame.
     pub fn is_stacking_failure(&self) -> bool {
         self.cfsr & STACKING_FAILED != 0
     }
 }
 
-/// A crash of the firmware.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CrashReport {
     /// `HardFault`, `BusFault`, …, `lockup` or `panic`.
     pub exception: &'static str,
-    /// Fault registers.
     pub status: FaultStatus,
     /// The failed instruction, or the innermost known call.
     pub place: Option<CodeLocation>,
-    /// Callers of `place`, innermost first, as found on the stack.
+    /// Innermost first, as found on the stack.
     pub callers: Vec<CodeLocation>,
-    /// The peripheral or memory at the failed address, if the rig knows.
+    /// The peripheral or memory at the failed address.
     pub address_owner: Option<&'static str>,
-    /// Stack pointer in the handler.
     pub sp: u32,
     /// Time since power-on, if the rig knows it.
     pub at_us: Option<u64>,
-    /// True if the watchdog reset the chip during the reading; then place and callers are missing.
+    /// The watchdog reset the chip during the reading; place and callers are missing.
     pub watchdog_reset: bool,
 }
 

@@ -1,9 +1,9 @@
 //! Runs a firmware image on an emulated STM32F427 in this process, in virtual time.
 //!
-//! Bytes enter USART2 (PA2, PA3) at the firmware's own baud rate, and a command takes effect with the
-//! last stop bit of its answer: the delay of an exchange contains the wire both ways, the idle line that
-//! ends a frame, and the computing time. While the firmware sleeps, time jumps. Every trial begins with
-//! a power-on, so that equal trials give equal bytes.
+//! USART2 (PA2, PA3) runs at the firmware's baud rate, and a command takes effect with its last
+//! stop bit: the delay contains the wire both ways, the idle line that ends a frame, and the
+//! computing time. While the firmware sleeps, time jumps. Every trial begins with a power-on: equal
+//! trials give equal bytes.
 //!
 //! ```text
 //!   EmulatedLink   trial time to virtual time, handshake, time-outs   this file
@@ -11,9 +11,8 @@
 //!          └ Machine   event loop, board, memory, crashes             machine, board, bus, memory, post_mortem
 //! ```
 //!
-//! An access without a model ends the trial with address, function and line, as do traps, lock-ups,
-//! resets and silence. Instructions are counted exactly, but each takes 1/168 µs: a real processor waits
-//! for its flash and its pipeline.
+//! An access without a model ends the trial, as do traps, lock-ups, resets and silence. Each
+//! instruction takes 1/168 µs: a real processor waits for its flash and its pipeline.
 
 mod board;
 mod bus;
@@ -40,34 +39,33 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use target::{ReceivedByte, Target};
 
-/// The firmware of the bench, an ELF for STM32F405, F407 and F427; built from `firmware-under-test/stm32f4`.
+/// An ELF for STM32F405, F407 and F427; built from `firmware-under-test/stm32f4`.
 pub(crate) const BUILT_IN_IMAGE: &[u8] = include_bytes!("../../../firmware-under-test/images/platebench-stm32f4.elf");
 const BUILT_IN_BAUD: u32 = 1_000_000;
 
 const NS_PER_MS: u64 = 1_000_000;
 const BITS_PER_BYTE: u64 = 10;
 
-/// Time for an answer from the last bit of the question on.
+/// Counts from the last bit of the request.
 const ANSWER_TIMEOUT_NS: u64 = 20 * NS_PER_MS;
-/// Time for an answer to a message that needs none.
+/// Applies to a message that needs no answer.
 const OPTIONAL_ANSWER_TIMEOUT_NS: u64 = NS_PER_MS / 5;
 const HANDSHAKE_INTERVAL_NS: u64 = 10 * NS_PER_MS;
 const HANDSHAKE_TIMEOUT_NS: u64 = 1_000 * NS_PER_MS;
 /// Bounds the wall time, because the emulator may run polling firmware slower than real time.
 const HANDSHAKE_WALL_TIMEOUT: Duration = Duration::from_secs(20);
-/// Time from the handshake to time zero of a trial, at least.
+/// Minimum time from the handshake to time zero of a trial.
 const START_DELAY_NS: u64 = NS_PER_MS;
-/// Allowed deviation of the baud rate. From 5 % for both ends together, a UART misreads the tenth bit.
+/// From 5 % for both ends together, a UART misreads the tenth bit.
 const BAUD_TOLERANCE_PERCENT: u64 = 2;
 
-/// Options of an emulated board.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EmulatedOptions {
-    /// Frequency of the crystal on PH0 and PH1; 0: no crystal.
+    /// Crystal on PH0 and PH1; 0: no crystal.
     pub crystal_hz: u64,
-    /// The baud rate that the firmware must use; `None`: any.
+    /// `None`: any rate.
     pub baud: Option<u32>,
-    /// Report traps, panics and resets as errors at once. False: the firmware handles them, as on a board.
+    /// False: the firmware handles traps, panics and resets, as on a board.
     pub stop_at_traps: bool,
 }
 
@@ -77,33 +75,26 @@ impl Default for EmulatedOptions {
     }
 }
 
-/// Why an emulated board cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatedError {
-    /// The file could not be read.
     #[error("{}: {error}", path.display())]
     Read {
-        /// Which file.
+        /// Path of the ELF.
         path: PathBuf,
-        /// The system's error.
         error: std::io::Error,
     },
-    /// The file is not a firmware for this board.
     #[error("not a firmware for the emulated board: {0}")]
     Image(#[from] ImageError),
-    /// The firmware did not start.
     #[error(transparent)]
     Target(#[from] TargetError),
 }
 
-/// An emulated board with running firmware.
 #[derive(Debug)]
 pub struct EmulatedLink {
     target: Box<dyn Target>,
     options: EmulatedOptions,
-    /// Virtual time at the trial's time zero.
     trial_start_ns: u64,
-    /// Duration of a byte at the firmware's baud rate; 0 before its first frame.
+    /// 0 before the firmware's first frame.
     byte_ns: u64,
     received: Vec<ReceivedByte>,
     pending_requests: PendingRequests,
@@ -112,32 +103,20 @@ pub struct EmulatedLink {
 }
 
 impl EmulatedLink {
-    /// A board with the firmware of the bench.
-    ///
-    /// # Errors
-    /// [`EmulatedError`] if it does not start.
     pub fn built_in() -> Result<Self, EmulatedError> {
         Self::new(BUILT_IN_IMAGE, EmulatedOptions { baud: Some(BUILT_IN_BAUD), ..EmulatedOptions::default() })
     }
 
-    /// The firmware of the bench, an ELF.
     pub const fn built_in_image() -> &'static [u8] {
         BUILT_IN_IMAGE
     }
 
-    /// A board with the firmware in the file `elf`, at any baud rate.
-    ///
-    /// # Errors
-    /// [`EmulatedError`] if the file is not a firmware for this board, or the firmware does not start.
+    /// Runs the firmware in the file `elf`, at any baud rate.
     pub fn open(elf: &Path) -> Result<Self, EmulatedError> {
         let content = read_elf(elf).map_err(|error| EmulatedError::Read { path: elf.to_owned(), error })?;
         Self::new(&content, EmulatedOptions::default())
     }
 
-    /// A board with `options` and the firmware `elf`.
-    ///
-    /// # Errors
-    /// [`EmulatedError`] if `elf` is not a firmware for this board, or does not start.
     pub fn new(elf: &[u8], options: EmulatedOptions) -> Result<Self, EmulatedError> {
         let image = Image::new(Arc::from(elf))?;
         let config = MachineConfig { crystal_hz: options.crystal_hz, stop_at_traps: options.stop_at_traps };
@@ -155,18 +134,16 @@ impl EmulatedLink {
         Ok(emulated)
     }
 
-    /// The measured baud rate of the firmware.
     pub fn baud(&self) -> u32 {
         (BITS_PER_BYTE * 1_000_000_000).checked_div(self.byte_ns).unwrap_or(0) as u32
     }
 
-    /// Largest stack use since the trial's power-on, bytes; `None` if the image does not define `_stack_end`, the
-    /// stack's lowest address.
+    /// Largest stack use since power-on, bytes; `None` if the image does not define `_stack_end`.
     pub fn stack_used(&self) -> Option<u32> {
         self.target.stack_used()
     }
 
-    /// Power-on and handshake. Sets time zero to a whole millisecond soon after.
+    /// Powers on and shakes hands. Time zero is a whole millisecond soon after.
     fn start(&mut self) -> Result<(), TargetError> {
         self.target_error = None;
         self.instructions = None;
@@ -202,7 +179,6 @@ impl EmulatedLink {
         Ok(())
     }
 
-    /// Measures the baud rate of the frame in `received`.
     fn check_baud(&mut self) -> Result<(), TargetError> {
         let (Some(first), Some(last)) = (self.received.first(), self.received.last()) else { return Ok(()) };
         let gaps = self.received.len() as u64 - 1;
@@ -223,8 +199,8 @@ impl EmulatedLink {
         Ok(())
     }
 
-    /// Runs to the end of the awaited answer, or to `until_ns`, or to the end of a frame that has begun by
-    /// then. Returns the instant of the answer's last stop bit.
+    /// Runs to the end of the answer, to `until_ns`, or to the end of a frame that has begun by
+    /// then. Returns the end of the answer's last stop bit.
     fn run_until_answer(&mut self, mut until_ns: u64) -> Result<Option<u64>, TargetError> {
         let mut read = self.received.len();
         let mut extended = false;
@@ -255,8 +231,8 @@ impl EmulatedLink {
         self.trial_start_ns.saturating_add(u64::try_from(now.as_nanos()).unwrap_or(u64::MAX))
     }
 
-    /// Runs to the trial's instant `now`. If the target is past it, because its last answer took longer than
-    /// a period, moves the rest of the trial: the plate waits for the firmware.
+    /// Runs to the trial's instant `now`. If the last answer took longer than a period, moves the
+    /// rest of the trial: the plate waits for the firmware.
     fn catch_up(&mut self, now: Duration) -> Result<(), TargetError> {
         let wanted = self.virtual_ns(now);
         let ahead = self.target.now_ns().saturating_sub(wanted);
@@ -283,7 +259,7 @@ impl EmulatedLink {
         }
     }
 
-    /// Calls `run` and appends the received bytes. After an error, returns that error until the restart.
+    /// After an error, returns that error until the restart.
     fn run_unless_failed<T>(
         &mut self,
         received: &mut Vec<u8>,
@@ -303,7 +279,6 @@ impl EmulatedLink {
     }
 }
 
-/// Turns a panic of the emulator into an error.
 fn catch_emulator_panic<T>(run: impl FnOnce() -> Result<T, TargetError>) -> Result<T, TargetError> {
     let panicked = |cause: Box<dyn Any + Send>| {
         let text = cause.downcast_ref::<String>().map(String::as_str);
@@ -336,7 +311,7 @@ impl Link for EmulatedLink {
     }
 }
 
-/// Reads the file `elf`. Rejects pipes and devices, whose reading may never end.
+/// Rejects pipes and devices, whose reading may never end.
 pub(crate) fn read_elf(elf: &Path) -> io::Result<Vec<u8>> {
     let kind = fs::metadata(elf)?.file_type();
     if !kind.is_file() && !kind.is_dir() {

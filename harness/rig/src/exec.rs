@@ -4,10 +4,10 @@
 //!   bench ── master ═ pseudo-terminal ═ slave ── program, which opens {port} like /dev/ttyUSB0
 //! ```
 //!
-//! The program gets its own process group, so that Ctrl-C reaches only the bench, which then requests
-//! 0 V. Its standard input is empty; its standard output goes to the bench's standard error, because
-//! the bench's output may be JSON. The bench ends it in three bounded steps: the line hangs up, SIGTERM,
-//! SIGKILL. If the bench is killed, the line hangs up and the program's own watchdog acts.
+//! The program gets its own process group: Ctrl-C reaches only the bench, which then requests 0 V.
+//! Its standard output goes to the bench's standard error, because the bench's output may be JSON.
+//! It ends in bounded steps: hang-up, SIGTERM, SIGKILL. If the bench is killed, the line hangs up
+//! and the program's own watchdog acts.
 
 use crate::cancel::CancelToken;
 use crate::connect_options::ConnectOptions;
@@ -20,63 +20,47 @@ use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};
 use tracing::debug;
 
-/// Placeholder for the port's path in a command.
 const PORT_PLACEHOLDER: &str = "{port}";
-/// Time from the start of the program to its first answer.
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
-/// The handshake is repeated: a program that flushes its port at the start loses the first ones.
+/// A program that flushes its port at the start loses the first ones.
 const HANDSHAKE_INTERVAL: Duration = Duration::from_millis(100);
 /// The line may hang up a moment before the end of its program is visible.
 const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_millis(50);
 
-/// Why a program cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ExecError {
-    /// The command cannot be split into words.
     #[error("`{0}` cannot be split into words: a quote is not closed, or a backslash ends it")]
     Quoting(String),
-    /// The command is empty.
     #[error("`{0}` names no program")]
     Empty(String),
-    /// The command does not pass the port to the program.
     #[error("`{0}` has no {{port}}, the placeholder for the path of the controller's serial port")]
     NoPortPlaceholder(String),
-    /// The program could not be started.
     #[error("cannot start `{program}`: {error}")]
     Start {
-        /// Its name or path.
+        /// Name or path.
         program: String,
-        /// The system's error.
         error: std::io::Error,
     },
-    /// The system has no pseudo-terminal.
     #[error("no pseudo-terminal: {0}")]
     Terminal(std::io::Error),
-    /// It ended before the handshake.
     #[error("`{program}` {how} before the handshake")]
     Exited {
-        /// Its name or path.
         program: String,
         /// Exit status or signal.
         how: String,
     },
-    /// It does not answer.
     #[error("`{program}` runs, but did not answer the handshake on {port} within {} s", HANDSHAKE_TIMEOUT.as_secs())]
     Silent {
-        /// Its name or path.
         program: String,
-        /// The path of its line.
+        /// Path of the pseudo-terminal.
         port: String,
     },
-    /// The bench was cancelled before the handshake.
     #[error("cancelled while waiting for the handshake of `{0}`")]
     Cancelled(String),
-    /// The line is lost.
     #[error(transparent)]
     Link(#[from] LinkError),
 }
 
-/// The words of a command, with the placeholder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct CommandLine(Vec<String>);
 
@@ -102,7 +86,6 @@ impl CommandLine {
     }
 }
 
-/// A running controller program.
 #[derive(Debug)]
 pub struct ExecLink {
     // Declared before `program`: fields are dropped in this order, so the line hangs up first.
@@ -111,18 +94,11 @@ pub struct ExecLink {
 }
 
 impl ExecLink {
-    /// Starts `command` with the default options, see [`ExecLink::start_with`].
-    ///
-    /// # Errors
-    /// [`ExecError`].
     pub fn start(command: &str) -> Result<Self, ExecError> {
         Self::start_with(command, &ConnectOptions::default())
     }
 
-    /// Starts `command`, with the path of its serial port for `{port}`, and waits for the handshake.
-    ///
-    /// # Errors
-    /// [`ExecError`].
+    /// Passes the path of the port for `{port}` and waits for the handshake.
     pub fn start_with(command: &str, options: &ConnectOptions) -> Result<Self, ExecError> {
         let words = CommandLine::parse(command)?;
         let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
@@ -137,7 +113,6 @@ impl ExecLink {
         Ok(exec)
     }
 
-    /// Number of the program's process.
     pub fn process_id(&self) -> u32 {
         self.program.process_id()
     }
@@ -167,7 +142,7 @@ impl ExecLink {
         Err(ExecError::Silent { program: self.program.name().to_owned(), port: name.to_owned() })
     }
 
-    /// Uses the line. If it is lost, the error says how the program ended.
+    /// If the line is lost, the error says how the program ended.
     fn with_port<T>(&mut self, call: impl FnOnce(&mut Port<OwnedFd>) -> Result<T, LinkError>) -> Result<T, LinkError> {
         call(&mut self.port).map_err(|error| match (error, self.program.wait_for_exit(EXIT_DETECTION_TIMEOUT)) {
             (LinkError::Disconnected(_), Some(how)) => {

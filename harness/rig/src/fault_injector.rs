@@ -6,12 +6,10 @@
 //!      └ ActiveFaults  the effect of the faults on one message              inject.rs, packet.rs
 //! ```
 //!
-//! Faults affect samples and commands only. Handshake, configuration and `Safe` pass unchanged, so that a
-//! fault never prevents 0 V. Faults depend on the trial's instants and on seeds, so that equal trials get
-//! equal faults. In lockstep a lost sample still advances the target: its own time-out acts, and its
-//! unsolicited messages come back. A line keeps the order: messages behind a delayed one wait.
-//!
-//! The effect of each kind, for users: `docs/scenarios.md`.
+//! Faults affect samples and commands only: handshake, configuration and `Safe` pass, so that no
+//! fault prevents 0 V. Instants and seeds determine them: equal trials get equal faults. In
+//! lockstep a lost sample still advances the target, so that its time-out acts. A line keeps the
+//! order: messages behind a delayed one wait. Effects for users: `docs/scenarios.md`.
 
 mod inject;
 mod injector;

@@ -5,7 +5,6 @@ use platebench_controller::Device;
 use platebench_wire::{Identity, LawId, capabilities};
 use std::time::Duration;
 
-/// A controller without a board.
 #[derive(Debug, Clone)]
 pub struct HostedLink {
     device: Device,
@@ -18,7 +17,6 @@ impl Default for HostedLink {
 }
 
 impl HostedLink {
-    /// A controller right after power-on.
     pub fn new() -> Self {
         Self { device: Device::new(identity()) }
     }
@@ -41,7 +39,7 @@ fn identity() -> Identity {
     }
 }
 
-/// The target's clock: microseconds, wrapping, as on the board.
+/// Wraps, as on the board.
 fn micros(now: Duration) -> u32 {
     now.as_micros() as u32
 }

@@ -1,21 +1,6 @@
-//! Connects the bench to a controller.
-//!
-//! * [`spec`]: `--rig` as typed. [`connect`]: opens the link that it names.
-//! * [`link`]: bytes to a target and back, the interface of every rig.
-//! * [`hosted`]: the controller crate in this process.
-//! * [`emulated`]: a firmware image on an emulated STM32F4, in virtual time.
-//! * `probe` (feature `probe`): a board on a debug probe.
-//! * [`exec`]: a controller program on a pseudo-terminal.
-//! * [`serial`]: a controller on a serial port. [`baud`]: the lowest sufficient baud rate.
-//! * [`pty`]: a pseudo-terminal for a controller that is started by hand.
-//! * [`wall_clock`]: runs a link in virtual time by the wall clock.
-//! * [`fault_injector`]: planned line faults around any link.
-//! * [`session`]: handshake, configuration, samples and 0 V over any link. `command_audit`: replies that break the
-//!   protocol. [`rig_error`]: why a session cannot continue.
-//! * [`crash_report`], [`target_error`]: crashes of the firmware.
-//!
-//! Above the bytes all rigs are the same: a hosted controller and one on a cable see the same
-//! exchange. Plate, profiles and verdicts do not belong here. Time is an argument.
+//! Connects the bench to a controller over a [`link::Link`]: hosted, emulated, program, serial port
+//! or debug probe. All rigs carry the same bytes. Plate, profiles and verdicts do not belong here.
+//! Time is an argument.
 
 #[cfg(not(target_os = "linux"))]
 compile_error!("the bench needs Linux: pseudo-terminals, signals and real-time scheduling are those of Linux");

@@ -3,13 +3,10 @@
 use crate::target_error::TargetError;
 use std::time::{Duration, Instant};
 
-/// A link of any kind.
 pub type BoxedLink = Box<dyn Link>;
 
-/// Why a link no longer works.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
-    /// The other side is gone: process ended, cable unplugged, port closed.
     #[error("the link to the controller is lost: {0}")]
     Disconnected(String),
     /// The firmware crashed, or the emulator cannot go on with it.
@@ -17,57 +14,37 @@ pub enum LinkError {
     Target(Box<TargetError>),
 }
 
-/// A link in real time. One thread sends and receives.
+/// One thread sends and receives.
 pub trait RealTimeLine: Send {
-    /// Sends `bytes` and returns at once. Drops what a full line does not take.
-    ///
-    /// # Errors
-    /// [`LinkError`] if the link is lost.
+    /// Returns at once. Drops what a full line does not take.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 
-    /// Waits for bytes until `until`, appends them to `bytes` and returns their instant of arrival;
-    /// `None` on time-out. Takes waiting bytes even if `until` is past. Does not allocate if `bytes`
-    /// has capacity.
-    ///
-    /// # Errors
-    /// [`LinkError`] if the link is lost.
+    /// Appends bytes that arrive by `until` and returns their arrival; `None` on time-out. Takes
+    /// waiting bytes even if `until` is past. Does not allocate if `bytes` has capacity.
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError>;
 }
 
-/// A link to a target. Instants count from the start of the trial.
-///
-/// A rig is the innermost link; the fault injector is a link around a link.
+/// The fault injector wraps another link. Instants count from the trial's start.
 pub trait Link: Send {
-    /// Sends `bytes` at `now` and appends the answer to `answer`, up to the answer's end or the link's
-    /// time-out. Returns the delay on the target's clock; zero for a transparent link.
-    ///
-    /// # Errors
-    /// [`LinkError`] if the link is lost. Silence is no error: the answer stays empty.
+    /// Sends `bytes` and appends the answer, up to its end or the time-out; silence is no error.
+    /// Returns the delay on the target's clock; zero for a transparent link.
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError>;
 
     /// Advances the target's time to `now` and appends the bytes that it sends meanwhile.
-    ///
-    /// # Errors
-    /// [`LinkError`] if the link is lost.
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError>;
 
-    /// Restarts the target as after power-on, and the trial's time at zero. Returns false if the link
-    /// cannot do that.
-    ///
-    /// # Errors
-    /// [`LinkError`] if the target does not come back.
+    /// Restarts the target as after power-on, and the trial's time. False if the link cannot.
     fn restart(&mut self) -> Result<bool, LinkError> {
         Ok(false)
     }
 
-    /// Instructions executed from the first bit of the last [`Link::exchange`] to the last bit of its
-    /// answer, if the link counts them.
+    /// From the first bit of the last [`Link::exchange`] to the last bit of its answer.
     fn instruction_count(&self) -> Option<u64> {
         None
     }
 
-    /// The same link in real time, if it supports that. Within a trial, samples go either over this or
-    /// over [`Link::exchange`]; handshake, configuration and `Safe` may always use the latter.
+    /// Samples of a trial go either over this or over [`Link::exchange`]; handshake, configuration
+    /// and `Safe` may always use the latter.
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
         None
     }

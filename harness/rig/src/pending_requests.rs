@@ -2,32 +2,26 @@
 
 use platebench_wire::{ControllerState, Message, PacketReader};
 
-/// The request of an exchange and the answers to it.
 #[derive(Debug, Default)]
 pub(crate) struct PendingRequests {
     requests: PacketReader,
     answers: PacketReader,
-    /// Number of the last request, if it asks for an answer.
+    /// `None` if the last request needs no answer.
     expected: Option<u8>,
     request: Request,
 }
 
-/// What a message asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Request {
-    /// No answer.
     #[default]
     None,
-    /// The command for a sample.
     Sample,
-    /// An identity, or the gains of a configuration.
     Setup,
-    /// Any other answer.
     Other,
 }
 
 impl PendingRequests {
-    /// Takes the bytes to send. Returns what the last whole message in them asks for.
+    /// Returns what the last whole message in `bytes` asks for.
     pub(crate) fn send(&mut self, bytes: &[u8]) -> Request {
         (self.expected, self.request) = (None, Request::None);
         for packet in self.requests.packets(bytes).flatten() {
@@ -42,9 +36,8 @@ impl PendingRequests {
         self.request
     }
 
-    /// Takes a received byte. True at the end of the awaited answer, and of a message after which none
-    /// comes: a fault report, or a command with a number that was not sent yet. Ticks and telemetry have
-    /// their own numbers.
+    /// True at the end of the answer, and of a message after which none comes: a fault report, or a
+    /// command with a number not sent yet. Ticks and telemetry have their own numbers.
     pub(crate) fn is_answered_by(&mut self, byte: u8) -> bool {
         let (Some(Ok(packet)), Some(expected)) = (self.answers.push(byte), self.expected) else { return false };
         // Half of the numbers are behind the expected one: late answers.

@@ -1,7 +1,5 @@
-//! Locks a port against other processes.
-//!
-//! An advisory lock (`flock`) on the port's file: the kernel releases it when the process ends, also
-//! after a crash. `/proc/locks` names the holder.
+//! Locks a port with `flock`: the kernel releases it when the process ends, also after a crash.
+//! `/proc/locks` names the holder.
 
 use rustix::fd::AsFd;
 use rustix::fs::{FlockOperation, Stat, flock, fstat, major, minor, stat};
@@ -10,10 +8,9 @@ use std::fmt;
 use std::fs;
 use std::path::Path;
 
-/// The process that has locked a port.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct LockHolder {
-    /// Number and command line, if they are visible to this process.
+    /// Number and command line, if visible to this process.
     process: Option<(u32, String)>,
 }
 
@@ -27,7 +24,6 @@ impl fmt::Display for LockHolder {
     }
 }
 
-/// Locks `file` while it is open. Returns the holder if it is locked already.
 pub(crate) fn lock(file: impl AsFd) -> rustix::io::Result<Option<LockHolder>> {
     match flock(&file, FlockOperation::NonBlockingLockExclusive) {
         Ok(()) => Ok(None),
@@ -36,7 +32,6 @@ pub(crate) fn lock(file: impl AsFd) -> rustix::io::Result<Option<LockHolder>> {
     }
 }
 
-/// The holder of the port at `path`, if it is locked and the holder is visible.
 pub(crate) fn holder_of(path: &Path) -> Option<LockHolder> {
     stat(path).ok().map(|status| LockHolder::from_status(&status)).filter(|holder| holder.process.is_some())
 }
@@ -53,8 +48,8 @@ impl LockHolder {
     }
 }
 
-/// Finds the process in lines such as `1: FLOCK  ADVISORY  WRITE 9494 fe:00:10021135 0 EOF`: number,
-/// device in hexadecimal, inode. Lines of waiting processes begin with an arrow.
+/// Lines such as `1: FLOCK  ADVISORY  WRITE 9494 fe:00:10021135 0 EOF`: number, device in
+/// hexadecimal, inode. Lines of waiting processes begin with an arrow.
 fn parse_holder(locks: &str, (major, minor): (u32, u32), inode: u64) -> Option<u32> {
     let file = format!("{major:02x}:{minor:02x}:{inode}");
     locks.lines().find_map(|line| match line.split_whitespace().collect::<Vec<_>>()[..] {

@@ -5,14 +5,8 @@
 //!                     │ each call runs on the probe's thread and has a time-out
 //!                     └─▶ read_crash: registers, symbols, callers     shut_down: 0 V, reset, release
 //! ```
-//!
-//! * [`setup`]: checks the input and opens the link. [`spec`]: chip and probe. `selection`: finds the probe.
-//! * `probe_thread`: a thread that may hang without the bench. `board`: the work with probe-rs there.
-//! * [`image`]: flash content of an ELF. `crash`: reads a trap from the processor.
-//! * [`rtt_link`]: the wire protocol over RTT; `rtt_channels`: its bytes. `port_link`: over the board's serial port.
-//!
-//! Enables no vector catch and leaves the watchdog running: a processor that is stopped at the entry of its
-//! fault handler cannot take the drive to 0 V.
+//! Enables no vector catch and leaves the watchdog running: a processor that is stopped at the
+//! entry of its fault handler cannot take the drive to 0 V.
 
 mod attached_board;
 mod board;
@@ -33,7 +27,6 @@ pub use board::{ChipId, FlashOutcome};
 pub use error::ProbeError;
 pub use image::Image;
 pub use port_link::PortLink;
-/// Lists probes; `Lister::new` lists those on USB.
 pub use probe_rs::probe::list::Lister;
 pub use rtt_link::{RttLink, ShutdownResult};
 pub use setup::ProbeSetup;

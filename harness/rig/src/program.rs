@@ -9,23 +9,21 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tracing::{debug, warn};
 
-/// Time for the program to end after its line hangs up, and again after SIGTERM.
+/// Applies after the hang-up, and again after SIGTERM.
 const EXIT_GRACE: Duration = Duration::from_millis(500);
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// Environment variable that marks the program and all that it starts.
 const MARKER: &str = "PLATEBENCH_PROGRAM";
 
-/// A running program. Dropping it ends its process group.
+/// Dropping it ends its process group.
 #[derive(Debug)]
 pub(crate) struct Program {
     name: String,
     child: Child,
-    /// Value of [`MARKER`] in the environment of the program and of all that it starts.
     marker: String,
 }
 
 impl Program {
-    /// Starts `name` in a process group of its own; `port` is the path of its line.
     pub(crate) fn start(name: &str, arguments: impl Iterator<Item = String>, port: &str) -> io::Result<Self> {
         let output = io::stderr().as_fd().try_clone_to_owned()?;
         let marker = format!("{} {port}", std::process::id());
@@ -34,12 +32,10 @@ impl Program {
         Ok(Self { name: name.to_owned(), child: command.spawn()?, marker })
     }
 
-    /// Its path or name.
     pub(crate) fn name(&self) -> &str {
         &self.name
     }
 
-    /// Number of its process.
     pub(crate) fn process_id(&self) -> u32 {
         self.child.id()
     }
@@ -48,7 +44,7 @@ impl Program {
         Pid::from_child(&self.child)
     }
 
-    /// Waits for its end: exit status or signal. It stays a zombie, which reserves its number and group.
+    /// Returns exit status or signal. Keeps the zombie, which reserves its number and group.
     pub(crate) fn wait_for_exit(&self, timeout: Duration) -> Option<String> {
         let deadline = Instant::now() + timeout;
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
@@ -62,13 +58,12 @@ impl Program {
         }
     }
 
-    /// Processes that it started and that have left its group.
+    /// Finds processes that the program started and that have left its group.
     fn processes_outside_group(&self) -> Vec<u32> {
         let marker = format!("{MARKER}={}", self.marker).into_bytes();
         let numbers = fs::read_dir("/proc").into_iter().flatten().flatten();
         let numbers = numbers.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
         let is_marked = |pid: &u32| {
-            // Empty for a process that has ended.
             let environment = fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
             environment.split(|&byte| byte == 0).any(|variable| variable == marker)
         };
@@ -106,7 +101,7 @@ impl Drop for Program {
         if ended.is_none() {
             warn!(program = self.name, "the program still runs after SIGTERM: sending SIGKILL");
         }
-        // Also ends the rest of its group.
+        // This also ends the rest of the group.
         self.signal(Signal::KILL);
         let left = self.processes_outside_group();
         if !left.is_empty() {
@@ -131,7 +126,7 @@ mod tests {
     use super::*;
     use rustix::process::kill_process;
 
-    /// True if the process exists and is not a zombie.
+    /// False for a zombie.
     fn is_running(pid: &str) -> bool {
         let status = fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
         status.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))

@@ -9,7 +9,7 @@ use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use std::io;
 use std::time::Duration;
 
-/// Opens a pseudo-terminal in raw mode: the bench's end, the controller's end and its path.
+/// Returns the bench's end in raw mode, the controller's end and its path.
 pub(crate) fn open_pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, OwnedFd, String)> {
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
     grantpt(&master)?;
@@ -23,8 +23,7 @@ pub(crate) fn open_pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, Owned
     Ok((Port::from_fd(master)?, slave, name.to_string_lossy().into_owned()))
 }
 
-/// A pseudo-terminal for a controller that is started by hand. It may come and go: without a
-/// controller the line is silent, not lost.
+/// A controller is started by hand: without one the line is silent, not lost.
 #[derive(Debug)]
 pub struct PtyLink {
     port: Port<OwnedFd>,
@@ -34,16 +33,12 @@ pub struct PtyLink {
 }
 
 impl PtyLink {
-    /// Opens a new pseudo-terminal.
-    ///
-    /// # Errors
-    /// The system's error if it has none.
     pub fn open() -> io::Result<Self> {
         let (port, other_end, path) = open_pseudo_terminal()?;
         Ok(Self { port, path, _other_end: other_end })
     }
 
-    /// The path that the controller opens as its serial port.
+    /// The controller opens it as its serial port.
     pub fn path(&self) -> &str {
         &self.path
     }

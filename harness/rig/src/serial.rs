@@ -11,57 +11,45 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tracing::{debug, info};
 
-/// Default bits per second: those of the firmware of the bench.
+/// Rate of the bench's firmware.
 pub const DEFAULT_BAUD: u32 = 1_000_000;
 
-/// Why a serial port cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
-    /// It does not exist, or this user may not open it.
     #[error("cannot open {}: {error}", port.display())]
     Open {
-        /// Which port.
         port: PathBuf,
-        /// The system's error.
+        /// Often a missing file or a missing permission.
         error: std::io::Error,
     },
-    /// Another process uses it.
     #[error("{} is in use by {holder}", port.display())]
     InUse {
-        /// Which port.
         port: PathBuf,
-        /// The process.
+        /// Unknown if its process is not visible to this user.
         holder: LockHolder,
     },
-    /// The file is not a serial port.
     #[error("{} is not a serial port", port.display())]
     NotATerminal {
-        /// Which file.
+        /// Exists, but is another kind of file.
         port: PathBuf,
     },
-    /// The port rejects its settings.
     #[error("{} cannot be set to {baud} baud: {error}", port.display())]
     Settings {
-        /// Which port.
         port: PathBuf,
-        /// Bits per second.
         baud: u32,
-        /// The system's error.
+        /// Error of the driver.
         error: std::io::Error,
     },
 }
 
-/// An open serial port, 8N1 without flow control, locked against other processes.
+/// Uses 8N1 without flow control; locked against other processes.
 #[derive(Debug)]
 pub struct SerialLink {
     port: Port<TTYPort>,
 }
 
 impl SerialLink {
-    /// Opens the port at `path` and discards the bytes that it holds.
-    ///
-    /// # Errors
-    /// [`SerialError`].
+    /// Discards the bytes that the port holds.
     pub fn open(path: &Path, baud: u32) -> Result<Self, SerialError> {
         check_free(path)?;
         // Exclusive: sets TIOCEXCL and `flock`.
@@ -85,7 +73,6 @@ impl SerialLink {
         self.port.expect_silence();
     }
 
-    /// The link with another time for a reply in lockstep.
     #[must_use]
     pub fn with_reply_timeout(mut self, timeout: Duration) -> Self {
         self.port.set_reply_timeout(timeout);
@@ -93,7 +80,7 @@ impl SerialLink {
     }
 }
 
-/// Checks that `path` is a terminal and that no other process uses it, before any of its settings change.
+/// Runs before any setting of the port changes.
 fn check_free(path: &Path) -> Result<(), SerialError> {
     let port = || path.to_owned();
     let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;

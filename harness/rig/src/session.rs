@@ -9,31 +9,25 @@ use platebench_wire::{
 use std::time::{Duration, Instant};
 use tracing::{debug, trace, warn};
 
-/// A controller's answer to a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reply {
-    /// The command for the plate.
     pub command: Command,
-    /// Its delay on the link's clock.
+    /// Delay on the link's clock.
     pub delay: Duration,
-    /// Instructions that the target executed for it, if the link counts them.
+    /// Instructions of the target for this command, if the link counts them.
     pub instructions: Option<u64>,
 }
 
-/// A message that arrived in real time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReceivedMessage {
-    /// Arrival of its last byte.
     pub received_at: Instant,
-    /// Its sequence number.
     pub sequence: u8,
-    /// Its content.
     pub message: Message,
 }
 
-/// More than a pseudo-terminal holds, so that receiving never allocates.
+/// Larger than a pseudo-terminal's buffer, so that receiving never allocates.
 const RECEIVE_CAPACITY: usize = 8 * 1024;
-/// Repeats, because one lost frame must not prevent the confirmation of 0 V.
+/// One lost frame must not prevent the confirmation of 0 V.
 const SAFE_ATTEMPTS: u32 = 3;
 
 /// A session with one controller. Dropping it requests 0 V.
@@ -42,17 +36,15 @@ pub struct Session<L: Link> {
     link: L,
     reader: PacketReader,
     identity: Identity,
-    /// Number of the last message that was sent.
     sequence: u8,
-    /// Number of the last command that was returned to the caller.
     last_command_sequence: u8,
-    /// A command that arrived with the answer to something else, not yet returned to the caller.
+    /// Came with the answer to something else, not yet returned to the caller.
     pending_command: Option<(u8, Command)>,
     now: Duration,
     bytes: Vec<u8>,
     /// How many of `bytes` are decoded.
     consumed: usize,
-    /// In real time: arrival of the last of `bytes`.
+    /// In real time: arrival of the last byte of `bytes`.
     received_at: Instant,
     has_identity: bool,
     is_closed: bool,
@@ -61,10 +53,6 @@ pub struct Session<L: Link> {
 }
 
 impl<L: Link> Session<L> {
-    /// Asks the controller for its identity.
-    ///
-    /// # Errors
-    /// [`RigError`] if no identity arrives.
     pub fn open(link: L) -> Result<Self, RigError> {
         let mut session = Self {
             link,
@@ -101,31 +89,23 @@ impl<L: Link> Session<L> {
         Ok(session)
     }
 
-    /// The link.
     pub fn link(&self) -> &L {
         &self.link
     }
 
-    /// The link, mutable.
     pub fn link_mut(&mut self) -> &mut L {
         &mut self.link
     }
 
-    /// The controller's identity.
     pub fn identity(&self) -> &Identity {
         &self.identity
     }
 
-    /// The firmware's name, see [`printable_name`].
     pub fn firmware_name(&self) -> String {
         printable_name(&self.identity)
     }
 
-    /// Starts a trial: time zero, 0 V, the design that `configure` asks for. Restarts the target if the
-    /// link can, so that no trial depends on earlier ones.
-    ///
-    /// # Errors
-    /// [`RigError`] if the target refuses or does not answer.
+    /// Restarts the target if the link can, so that no trial depends on earlier ones.
     pub fn start_trial(&mut self, configure: &Configure) -> Result<Gains, RigError> {
         if self.link.restart()? {
             self.sequence = 0;
@@ -139,11 +119,7 @@ impl<L: Link> Session<L> {
         Ok(gains)
     }
 
-    /// Configures the target within a trial, at `now`: 0 V, and the new design from the next sample on. A
-    /// controller that has stopped runs again.
-    ///
-    /// # Errors
-    /// [`RigError`] if the target refuses or does not answer.
+    /// Goes to 0 V; the new design acts from the next sample on. A stopped controller runs again.
     pub fn reconfigure(&mut self, now: Duration, configure: &Configure) -> Result<Gains, RigError> {
         self.now = now;
         self.pending_command = None;
@@ -156,10 +132,7 @@ impl<L: Link> Session<L> {
         }
     }
 
-    /// Sends a sample at `now`. Returns `None` if no answer arrives: the last command stays in force.
-    ///
-    /// # Errors
-    /// [`RigError`] if the link is lost or the target trapped.
+    /// `None` if no answer arrives: the last command stays in force.
     pub fn send_sample(&mut self, now: Duration, sample: &Sample) -> Result<Option<Reply>, RigError> {
         self.now = now;
         match self.request(Message::Sample(*sample))? {
@@ -171,16 +144,13 @@ impl<L: Link> Session<L> {
         }
     }
 
-    /// True if the last sample has an answer, in time or late.
+    /// True if the answer came in time or late.
     pub fn last_sample_answered(&self) -> bool {
         self.last_command_sequence == self.sequence
     }
 
-    /// Advances to `now` without a sample. Returns the last command that arrived since the previous call:
-    /// a late answer, or a stop of the controller. Ignores commands older than those returned before.
-    ///
-    /// # Errors
-    /// [`RigError`] if the link is lost or the target trapped.
+    /// Advances without a sample. Returns the last command since the previous call: a late answer,
+    /// or a stop of the controller. Ignores commands older than those returned before.
     pub fn advance_to(&mut self, now: Duration) -> Result<Option<Command>, RigError> {
         self.now = now;
         self.discard_consumed();
@@ -194,7 +164,6 @@ impl<L: Link> Session<L> {
         Ok(last.map(|(_, command)| command))
     }
 
-    /// Requests 0 V, repeatedly if no answer arrives. True if the target confirmed it.
     pub fn request_safe_state(&mut self) -> bool {
         for _ in 0..SAFE_ATTEMPTS {
             match self.request(Message::Safe) {
@@ -211,33 +180,24 @@ impl<L: Link> Session<L> {
         false
     }
 
-    /// Requests 0 V and ends the session. True if the target confirmed 0 V.
+    /// True if the target confirmed 0 V.
     pub fn close(mut self) -> bool {
         self.is_closed = true;
         self.request_safe_state()
     }
 
-    /// True if [`Session::send`] and [`Session::receive`] can be used.
     pub fn supports_real_time(&mut self) -> bool {
         self.link.real_time_line().is_some()
     }
 
-    /// Sends `message` in real time, without waiting for the answer; returns its sequence number. Neither
-    /// allocates nor logs.
-    ///
-    /// # Errors
-    /// [`RigError`] if the link is lost or knows virtual time only.
+    /// Does not wait for the answer. Returns the sequence number. Neither allocates nor logs.
     pub fn send(&mut self, message: Message) -> Result<u8, RigError> {
         let frame = Packet { sequence: self.sequence.wrapping_add(1), message }.encode();
         self.link.real_time_line().ok_or(RigError::NoRealTime)?.send(frame.as_bytes())?;
         Ok(self.next_sequence())
     }
 
-    /// Waits for the next message in real time, at most until `until`; one per call. Counts frames that
-    /// cannot be decoded, see [`Session::rejected_frames`]. Neither allocates nor logs.
-    ///
-    /// # Errors
-    /// [`RigError`] if the link is lost or knows virtual time only, or the target trapped.
+    /// Waits for one message in real time. Counts invalid frames. Neither allocates nor logs.
     pub fn receive(&mut self, until: Instant) -> Result<Option<ReceivedMessage>, RigError> {
         let mut is_over = false;
         loop {
@@ -256,46 +216,43 @@ impl<L: Link> Session<L> {
         }
     }
 
-    /// Frames since [`Session::start_trial`] that could not be decoded.
     pub fn rejected_frames(&self) -> u64 {
         self.rejected_frames
     }
 
-    /// Commands since [`Session::start_trial`] whose drive or frequency differs from an earlier answer to
-    /// the same sample. A repeated frame is equal, and a controller that stops may repeat the number of
-    /// its last command; neither counts.
+    /// Commands whose drive or frequency differs from an earlier answer to the same sample. A
+    /// repeated frame does not count, nor does a stop that repeats the number of the last command.
     pub fn contradictions(&self) -> u64 {
         self.audit.contradictions
     }
 
-    /// Replies since the start of the trial that repeat an earlier reply to the same sample.
     pub fn second_replies(&self) -> u64 {
         self.audit.second_replies
     }
 
-    /// Commands with a drive above 0 V since the controller confirmed 0 V.
+    /// Counts since the controller confirmed 0 V.
     pub fn drives_after_safe(&self) -> u64 {
         self.audit.drives_after_safe
     }
 
-    /// Replies since the start of the trial whose sequence number was not sent yet.
+    /// Replies with a sequence number that was not sent yet.
     pub fn wrong_sequences(&self) -> u64 {
         self.audit.wrong_sequences
     }
 
-    /// Requests for 0 V since the start of the trial that the controller answered with a running state or a drive.
+    /// Requests for 0 V answered with a running state or a drive.
     pub fn ignored_safe_requests(&self) -> u64 {
         self.audit.ignored_safe_requests
     }
 
-    /// The number of the next message; forgets the answer to the earlier message with this number.
+    /// Forgets the answer to the earlier message with this number.
     fn next_sequence(&mut self) -> u8 {
         self.sequence = self.sequence.wrapping_add(1);
         self.audit.record_sent(self.sequence);
         self.sequence
     }
 
-    /// Sends `message` and returns the answer with its number, if one arrives.
+    /// `None` if no answer arrives.
     fn request(&mut self, message: Message) -> Result<Option<(Message, Duration)>, RigError> {
         let sequence = self.next_sequence();
         self.discard_consumed();
@@ -333,7 +290,6 @@ impl<L: Link> Session<L> {
         Ok(())
     }
 
-    /// The next packet of the received bytes. Counts rejected frames.
     fn next_packet(&mut self) -> Result<Option<Packet>, RigError> {
         while let Some(&byte) = self.bytes.get(self.consumed) {
             self.consumed += 1;
@@ -360,14 +316,13 @@ impl<L: Link> Session<L> {
     }
 }
 
-/// The firmware's name in printable ASCII. Replaces other bytes, which a terminal might interpret.
+/// In printable ASCII, because a terminal might interpret other bytes.
 pub fn printable_name(identity: &Identity) -> String {
     let name = identity.name.split(|&byte| byte == 0).next().unwrap_or_default();
     let printable = |&byte: &u8| matches!(byte, b' '..=b'~');
     name.iter().map(|byte| if printable(byte) { char::from(*byte) } else { char::REPLACEMENT_CHARACTER }).collect()
 }
 
-/// Separates new commands from those that arrive too late to matter.
 #[derive(Clone, Copy)]
 struct CommandFilter {
     last_sent: u8,
@@ -375,8 +330,7 @@ struct CommandFilter {
 }
 
 impl CommandFilter {
-    /// The command of `packet` if it answers a later message than the last command did, or if the
-    /// controller stops and repeats that number.
+    /// Accepts a command later than the last one, and a stop that repeats its number.
     fn new_command(self, packet: &Packet) -> Option<(u8, Command)> {
         let Message::Command(command) = packet.message else { return None };
         let [age, known] = [packet.sequence, self.last_command].map(|number| self.last_sent.wrapping_sub(number));

@@ -4,36 +4,28 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// A rig.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum RigSpec {
-    /// The controller crate in this process.
     Hosted,
-    /// An ELF on an emulated STM32F4; the image of the bench by default.
+    /// Uses the image of the bench by default.
     Emulated(Option<PathBuf>),
     /// A command that starts a controller program on a pseudo-terminal.
     Exec(String),
-    /// A board on a serial port.
     Serial {
-        /// Path or name of the port.
         port: String,
-        /// Bits per second.
         baud: Option<u32>,
     },
-    /// A board on a debug probe.
     Probe {
         /// `CHIP[@VID:PID[:SERIAL]]`, see `probe::ProbeSpec`.
         board: String,
-        /// The firmware to flash; the image of the bench by default.
+        /// Uses the image of the bench by default.
         elf: Option<PathBuf>,
-        /// Path of the board's serial port; without it, RTT through the probe.
+        /// Without a serial port, RTT through the probe.
         port: Option<String>,
-        /// Bits per second of that port.
         baud: Option<u32>,
     },
 }
 
-/// `--rig` has a wrong form.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{text}`: {problem}, expected hosted, emulated[:ELF], exec:COMMAND, serial:PORT[@BAUD] or \
@@ -69,7 +61,6 @@ impl FromStr for RigSpec {
     }
 }
 
-/// `PORT[@BAUD]`.
 fn parse_port(text: &str) -> Result<(String, Option<u32>), &'static str> {
     let (port, baud) = text.rsplit_once('@').map_or((text, None), |(port, baud)| (port, Some(baud)));
     let baud = baud.map(|baud| baud.parse().ok().filter(|&baud| baud > 0).ok_or(())).transpose();
@@ -79,7 +70,7 @@ fn parse_port(text: &str) -> Result<(String, Option<u32>), &'static str> {
     }
 }
 
-/// Parses the part after `probe:`. A path cannot contain a comma.
+/// A path cannot contain a comma.
 fn parse_probe(text: &str) -> Result<RigSpec, &'static str> {
     let mut parts = text.split(',');
     let chip = parts.next().filter(|chip| !chip.is_empty()).ok_or("the chip is missing")?;

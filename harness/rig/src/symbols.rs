@@ -11,14 +11,11 @@ pub(crate) type DebugSlice = EndianArcSlice<RunTimeEndian>;
 /// Compilers merge identical functions, which then have several names.
 const MAX_ALIASES: usize = 8;
 
-/// A place in a firmware image.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CodeLocation {
-    /// Address of the instruction.
     pub address: u32,
-    /// Its function, if the image has symbols.
     pub symbol: Option<String>,
-    /// Source file and line, if the image has debug information.
+    /// Source file and line; `None` without debug information.
     pub line: Option<String>,
 }
 
@@ -41,7 +38,6 @@ struct Function {
     name: String,
 }
 
-/// Symbols and debug information of an image.
 pub(crate) struct Symbols {
     functions: Vec<Function>,
     all: Vec<(String, u64)>,
@@ -49,7 +45,7 @@ pub(crate) struct Symbols {
 }
 
 impl Symbols {
-    /// Reads an ELF. Without symbols, places are addresses only.
+    /// Without symbols, places are addresses only.
     pub(crate) fn read(elf: &[u8]) -> Self {
         let file = object::File::parse(elf).ok();
         let file = file.as_ref();
@@ -65,12 +61,10 @@ impl Symbols {
         }
     }
 
-    /// Address of the symbol `name`.
     pub(crate) fn address(&self, name: &str) -> Option<u64> {
         self.all.iter().find(|(other, _)| other == name).map(|&(_, address)| address)
     }
 
-    /// Address of the panic handler of a Rust program.
     pub(crate) fn panic_handler(&self) -> Option<u64> {
         self.functions
             .iter()
@@ -78,7 +72,6 @@ impl Symbols {
             .map(|function| function.address)
     }
 
-    /// True if a function of the image contains `address`.
     pub(crate) fn is_code(&self, address: u64) -> bool {
         self.function(address).is_some()
     }
@@ -89,13 +82,13 @@ impl Symbols {
         before.take(MAX_ALIASES).find(|function| address < function.end)
     }
 
-    /// Function and line at `address`; names the innermost inlined function, too.
+    /// Names the innermost inlined function, too.
     pub(crate) fn locate(&self, address: u32) -> CodeLocation {
         let at = u64::from(address);
         let mut symbol = self.function(at).map(|function| function.name.clone());
         let mut line = None;
-        // Functions that the linker removed stay in the line table at address 0: outside of all known
-        // functions, a line is not valid.
+        // Functions that the linker removed stay in the line table at address 0: a line is not
+        // valid outside of known functions.
         let lines = self.lines.as_ref().filter(|_| symbol.is_some() || self.functions.is_empty());
         let mut frames = lines.and_then(|lines| lines.find_frames(at).skip_all_loads().ok());
         let mut inlined = Vec::new();
@@ -126,7 +119,7 @@ impl Symbols {
     }
 }
 
-/// Functions by address. One without a size, as from assemblers, ends at the next one.
+/// One without a size, as from assemblers, ends at the next one.
 fn functions(named: &[(String, object::Symbol<'_, '_>)]) -> Vec<Function> {
     let defined = named.iter().filter(|(_, symbol)| symbol.kind() == SymbolKind::Text && symbol.is_definition());
     let function = |(name, symbol): &(String, object::Symbol<'_, '_>)| {
@@ -140,7 +133,6 @@ fn functions(named: &[(String, object::Symbol<'_, '_>)]) -> Vec<Function> {
     functions
 }
 
-/// Ends functions without a size. `functions` is sorted.
 fn fill_missing_ends(functions: &mut [Function]) {
     let mut next = None;
     let mut same = None;

@@ -1,7 +1,6 @@
 //! Exchanges bytes over an open terminal: a serial port, or the bench's end of a pseudo-terminal.
-//!
-//! Waits have nanosecond deadlines. End of file, `EIO`, a broken pipe and a hang-up all become
-//! [`LinkError::Disconnected`]. A successful write does not prove that the other side is there.
+//! End of file, `EIO`, a broken pipe and a hang-up all become [`LinkError::Disconnected`]. A
+//! successful write does not prove that the other side is there.
 
 use crate::link::{LinkError, RealTimeLine};
 use crate::pending_requests::{PendingRequests, Request};
@@ -12,27 +11,25 @@ use serialport::{SerialPort as _, TTYPort};
 use std::io::{self, Read, Write};
 use std::time::{Duration, Instant};
 
-/// Default time for the answer to a hello, a configuration or a sample, from the last byte of the request on.
-/// Longer than a busy computer usually needs to run the controller's process.
+/// Counts from the last byte of a hello, a configuration or a sample. Longer than a busy computer
+/// usually needs to run the controller's process.
 pub const DEFAULT_REPLY_TIMEOUT: Duration = Duration::from_millis(500);
-/// Time for other answers, and for a reply after one that did not come.
+/// Applies to other answers, and to a reply after one that did not come.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
-/// Time for an answer to a message that needs none.
+/// Applies to a message that needs no answer.
 const OPTIONAL_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
-/// After this time without progress a full line is given up.
+/// Time without progress.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 const READ_CHUNK_BYTES: usize = 512;
 
-/// A terminal with bounded waits.
 pub(crate) trait Tty: Send {
-    /// Waits for bytes and reads them; `None` if none arrive by `until`.
+    /// `None` if no bytes arrive by `until`.
     fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError>;
 
     /// Writes as much as fits; `None` if nothing fits by `until`.
     fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError>;
 }
 
-/// A terminal in non-blocking mode.
 impl Tty for OwnedFd {
     fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
         let read = retry_until(self, PollFlags::IN, until, |file| rustix::io::read(file, &mut *buffer));
@@ -47,7 +44,7 @@ impl Tty for OwnedFd {
     }
 }
 
-/// Repeats `transfer`, which does not block, until it succeeds; `None` after `until`.
+/// Repeats a non-blocking `transfer`; `None` after `until`.
 fn retry_until(
     file: &OwnedFd,
     events: PollFlags,
@@ -66,7 +63,7 @@ fn retry_until(
     }
 }
 
-/// Waits for `events` until `instant`. True if there may be some: the next read or write finds out.
+/// True if there may be events: the next read or write finds out.
 fn poll_until(file: &OwnedFd, events: PollFlags, instant: Instant) -> rustix::io::Result<bool> {
     let left = instant.saturating_duration_since(Instant::now());
     let left =
@@ -78,7 +75,6 @@ fn poll_until(file: &OwnedFd, events: PollFlags, instant: Instant) -> rustix::io
     }
 }
 
-/// A serial port, which has its own time-out.
 impl Tty for TTYPort {
     fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
         match with_timeout(self, until, |port| Read::read(port, buffer)) {
@@ -112,7 +108,6 @@ fn disconnected(cause: impl std::fmt::Display) -> LinkError {
     LinkError::Disconnected(cause.to_string())
 }
 
-/// An open terminal in raw mode.
 #[derive(Debug)]
 pub(crate) struct Port<T> {
     terminal: T,
@@ -139,7 +134,6 @@ impl<T: Tty> Port<T> {
         }
     }
 
-    /// Sets the time for the answer to a hello, a configuration or a sample.
     pub(crate) fn set_reply_timeout(&mut self, timeout: Duration) {
         self.reply_timeout = timeout;
     }
@@ -158,7 +152,6 @@ impl<T: Tty> Port<T> {
         }
     }
 
-    /// Writes as much of `bytes` as the line takes by `deadline`.
     fn write(&mut self, mut bytes: &[u8], deadline: Instant) -> Result<(), LinkError> {
         while !bytes.is_empty() {
             match self.terminal.write(bytes, deadline)? {
@@ -169,7 +162,7 @@ impl<T: Tty> Port<T> {
         Ok(())
     }
 
-    /// As [`crate::Link::exchange`]; the delay is wall time up to the last byte of the answer.
+    /// The delay is wall time up to the last byte of the answer.
     pub(crate) fn exchange(&mut self, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let request = self.pending_requests.send(bytes);
         let start = Instant::now();
@@ -194,7 +187,6 @@ impl<T: Tty> Port<T> {
         Ok(Duration::ZERO)
     }
 
-    /// As [`crate::Link::advance_to`]; reads what has arrived.
     pub(crate) fn read_available(&mut self, received: &mut Vec<u8>) -> Result<(), LinkError> {
         let now = Instant::now();
         while self.receive(now, received)?.is_some_and(|at| at < now + OPTIONAL_ANSWER_TIMEOUT) {}

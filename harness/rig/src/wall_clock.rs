@@ -1,35 +1,29 @@
 //! Runs a link in virtual time by the wall clock.
-//!
-//! The target's only clock is its argument `now`; this link passes it the time since the trial began. An
-//! answer arrives at that instant plus the inner link's delay. While the bench waits, the target's time
-//! advances in small steps to the end of the wait or to its next message; only then the thread sleeps.
-//! Nothing can be sent in between, because the thread that sends is the one that waits.
+//! The target's only clock is its argument `now`, the wall time since the trial began. An answer
+//! arrives after the inner link's delay. While the bench waits, the target's time advances in small
+//! steps to the end of the wait or to its next message; only then the thread sleeps.
 
 use crate::link::{Link, LinkError, RealTimeLine};
 use std::collections::VecDeque;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Step of the target's time: the largest error of the instant of an unsolicited message.
+/// Largest error of the instant of an unsolicited message.
 const TIME_STEP: Duration = Duration::from_micros(20);
 const MAX_FRAMES_IN_FLIGHT: usize = 64;
 
-/// A link in virtual time that follows the wall clock.
 #[derive(Debug)]
 pub struct WallClockLink<L> {
     link: L,
-    /// Wall instant of the trial's time zero.
     trial_start: Instant,
-    /// The target's time since then.
     target_time: Duration,
-    /// Arrival of each frame, and its number of bytes in `bytes`.
+    /// Arrival and length of each frame in `bytes`.
     in_flight: VecDeque<(Instant, usize)>,
     bytes: VecDeque<u8>,
     received: Vec<u8>,
 }
 
 impl<L: Link> WallClockLink<L> {
-    /// Wraps `link`; time zero is now.
     pub fn new(link: L) -> Self {
         Self {
             link,
@@ -41,13 +35,12 @@ impl<L: Link> WallClockLink<L> {
         }
     }
 
-    /// Moves the target's time up to the wall clock, never back.
+    /// Never moves back.
     fn elapsed(&mut self) -> Duration {
         self.target_time = self.target_time.max(self.trial_start.elapsed());
         self.target_time
     }
 
-    /// Lets the bytes in `received` arrive at trial time `at`.
     fn queue_received(&mut self, at: Duration) {
         let at = self.trial_start + at;
         if !self.received.is_empty() {
@@ -56,7 +49,6 @@ impl<L: Link> WallClockLink<L> {
         }
     }
 
-    /// Advances the target to `until` or to its next message.
     fn advance_target(&mut self, until: Duration) -> Result<(), LinkError> {
         while self.target_time < until && self.in_flight.is_empty() {
             self.target_time = until.min(self.target_time + TIME_STEP);
@@ -118,7 +110,7 @@ impl<L: Link> RealTimeLine for WallClockLink<L> {
             self.queue_received(now);
         }
         let delay = self.link.exchange(now, bytes, &mut self.received)?;
-        // A message that is sent earlier waits until the target listens again.
+        // An earlier message waits until the target listens again.
         self.target_time = now + delay;
         self.queue_received(self.target_time);
         Ok(())
@@ -147,7 +139,6 @@ mod tests {
     use platebench_test_kit::CONFIGURE;
     use platebench_wire::{Configure, Message, Sample, Tick};
 
-    /// Echoes each message after a fixed delay on its own clock.
     struct EchoLink(Duration);
 
     impl Link for EchoLink {

@@ -1,5 +1,4 @@
 //! Finds the exception frame and the callers on the stack of a stopped processor.
-//!
 //! A word on the stack counts as a return address if it is odd, lies in a function and follows a
 //! BL or BLX instruction. This needs no call frame information and works on an overflowed stack.
 //! A return address that an earlier call left behind looks the same.
@@ -7,28 +6,22 @@
 use crate::symbols::{CodeLocation, Symbols};
 
 const MAX_CALLERS: usize = 6;
-/// Words of the stack that are searched.
 pub(crate) const MAX_STACK_WORDS: usize = 4_096;
-/// Values of the link register from here on are exception returns. B1.5.8.
+/// Link register values from here on are exception returns. B1.5.8.
 const EXCEPTION_RETURN: u32 = 0xFFFF_FFE0;
 /// Bit of an exception return: the process stack was in use.
 const RETURN_TO_PSP: u32 = 1 << 2;
 /// Bit of the stacked program status: Thumb code, always set in a valid frame.
 const XPSR_THUMB: u32 = 1 << 24;
-/// Bytes of an exception frame without floats.
 const FRAME_BYTES: u32 = 32;
 
-/// Memory of a stopped processor.
 pub(crate) trait StackReader {
-    /// The words from `address` to the top of its stack, at most [`MAX_STACK_WORDS`], each with its
-    /// address. Skips words that cannot be read.
+    /// The words from `address` to the top of the stack, with addresses. Skips unreadable words.
     fn stack(&mut self, address: u32) -> Vec<(u32, u32)>;
 
-    /// The half-word of code at `address`.
     fn code(&self, address: u32) -> Option<u16>;
 }
 
-/// Registers that the processor pushed at the entry of an exception.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct ExceptionFrame {
     pub(crate) pc: u32,
@@ -37,7 +30,6 @@ pub(crate) struct ExceptionFrame {
     pub(crate) end: u32,
 }
 
-/// Where the processor stopped in its fault handler.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum StoppedAt {
     /// At the handler's first instruction: the link register holds the exception return.
@@ -47,7 +39,6 @@ pub(crate) enum StoppedAt {
     Body,
 }
 
-/// The frame of the innermost exception.
 pub(crate) fn exception_frame(
     memory: &mut dyn StackReader,
     stopped: StoppedAt,
@@ -76,8 +67,8 @@ fn is_exception_return(word: u32) -> bool {
     (EXCEPTION_RETURN..u32::MAX).contains(&word)
 }
 
-/// The callers of a function with return address `lr` and its stack from `sp` on; innermost first.
-/// `in_panic`: leaves out the calls from the panicking function to the panic handler.
+/// The callers of a function with return address `lr` and stack `sp`, innermost first. `in_panic`:
+/// leaves out the calls from the panicking function to the panic handler.
 pub(crate) fn callers(
     memory: &mut dyn StackReader,
     symbols: &Symbols,
@@ -116,7 +107,6 @@ fn is_return(memory: &dyn StackReader, symbols: &Symbols, word: u32) -> bool {
 mod tests {
     use super::*;
 
-    /// A stack of words at `0x2000_0000`, without code.
     struct Stack(Vec<u32>);
 
     impl StackReader for Stack {
@@ -133,7 +123,6 @@ mod tests {
     const PC: u32 = 0x0800_0200;
     const LR: u32 = 0x0800_0101;
 
-    /// Four words that the handler pushed, the last one `exception_return`, then an exception frame.
     fn stack(exception_return: u32, xpsr: u32) -> Stack {
         Stack(vec![7, 7, 7, exception_return, 1, 2, 3, 4, 12, LR, PC, xpsr])
     }

@@ -14,16 +14,14 @@ use std::num::{NonZeroU32, NonZeroU64};
 
 use super::target::ReceivedByte;
 
-/// 168 MHz with one cycle per instruction. A fixed rate, no model of pipeline and flash.
+/// One cycle per instruction: a fixed rate, no model of pipeline and flash.
 pub(super) const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(168_000_000).unwrap();
 
 const INTERRUPT_PRIORITY_BITS: u8 = 4;
 const SYSTICK_DIVIDER: NonZeroU32 = NonZeroU32::new(8).unwrap();
 const SUPPLY_MV: u32 = 3_300;
-/// Index of USART2 among the part's serial ports.
 const USART2: usize = 1;
 
-/// The bench's end of the wire.
 #[derive(Debug, Default)]
 pub(super) struct UartPeer {
     pub(super) to_target: VecDeque<u8>,
@@ -49,40 +47,34 @@ impl uart::Peer for UartPeer {
     }
 }
 
-/// The microcontroller. After the start of the firmware it polls only the peripherals that the firmware
-/// has used, because the others stay in their reset state; this saves a quarter of the time. During the
-/// start all are polled, because a change of clocks concerns them.
+/// Polls only the peripherals that the firmware has used, which saves a quarter of the time. During
+/// the start it polls all, because a change of clocks concerns them.
 #[derive(Debug)]
 pub(super) struct Microcontroller {
     mcu: Stm32f427,
     usart2: usize,
     clocks: usize,
     used: Box<[bool]>,
-    /// Poll used peripherals only.
     pub(super) booted: bool,
-    /// The bench has sent bytes that the USART has not yet polled.
+    /// The USART has not yet polled all bytes of the bench.
     pub(super) has_pending_bytes: bool,
 }
 
 impl Microcontroller {
-    /// Marks the peripheral at `address` as used. False if there is none.
     pub(super) fn mark_used(&mut self, address: u64) -> bool {
         let Some(slot) = self.mcu.bus().slot_at(address) else { return false };
         if let Some(used) = self.used.get_mut(slot) {
             *used = true;
         }
-        // A change of clocks concerns all peripherals.
         self.booted &= slot != self.clocks;
         true
     }
 
-    /// Names of the peripherals that the firmware has used.
     pub(super) fn used_instances(&self) -> Vec<&'static str> {
         let slots = self.mcu.bus().slots().iter().zip(&self.used);
         slots.filter(|(_, used)| **used).map(|(slot, _)| slot.peripheral().name).collect()
     }
 
-    /// Name of the peripheral or memory at `address`.
     pub(super) fn instance_at(&self, address: u64) -> Option<&'static str> {
         let bus = self.mcu.bus();
         let slot = bus.slot_at(address).and_then(|slot| bus.slots().get(slot));
@@ -127,7 +119,6 @@ impl Mcu for Microcontroller {
     }
 }
 
-/// The microcontroller and its surroundings.
 #[derive(Debug)]
 pub(super) struct EmulatedBoard {
     pub(super) part: Microcontroller,
@@ -147,7 +138,7 @@ impl EmulatedBoard {
         Ok(Self { part: Microcontroller { mcu, usart2, clocks, used, booted: false, has_pending_bytes: false } })
     }
 
-    /// The bench's end of the wire; always there, because `new` attaches it.
+    /// Always `Some`, because `new` attaches it.
     pub(super) fn wire(&mut self) -> Option<&mut UartPeer> {
         self.part.mcu.usart.get_mut(USART2).and_then(|usart| usart.chip_mut())
     }

@@ -11,24 +11,19 @@ use rigless::soc::Width;
 use rigless::time::{NO_DEADLINE, VirtualNanos};
 use std::num::NonZeroU64;
 
-/// Longest run of the processor without a return to the event loop.
 const MAX_RUN_INSTRUCTIONS: u64 = 1 << 20;
 
-/// Memory, signals and time of the processor.
 #[derive(Debug)]
 pub(super) struct SystemBus {
     pub(super) memory: Memory,
     queued: Vec<Queued>,
     rate: InstructionRate,
-    /// Time that passed while the processor slept.
     pub(super) slept_ns: u64,
-    /// The next event of a peripheral.
     pub(super) deadline: VirtualNanos,
     pub(super) reset_requested: bool,
 }
 
-/// Duration of instructions as a fraction in lowest terms: years fit 64 bits, and the conversion is cheap
-/// enough for every event.
+/// A fraction in lowest terms: years fit 64 bits, and the conversion is cheap.
 #[derive(Debug, Clone, Copy)]
 struct InstructionRate {
     nanoseconds: u64,
@@ -46,12 +41,11 @@ impl InstructionRate {
         Self { nanoseconds: NS_PER_S / divisor, instructions }
     }
 
-    /// Duration of `instructions`, rounded down.
     fn nanoseconds(self, instructions: u64) -> u64 {
         instructions.saturating_mul(self.nanoseconds) / self.instructions
     }
 
-    /// The lowest instruction count that takes at least `nanoseconds`.
+    /// The lowest count that takes at least `nanoseconds`.
     fn instructions(self, nanoseconds: u64) -> u64 {
         nanoseconds.saturating_mul(self.instructions.get()).div_ceil(self.nanoseconds)
     }
@@ -71,23 +65,19 @@ impl SystemBus {
         self.reset_requested = false;
     }
 
-    /// The instant after so many instructions.
     pub(super) fn time_at(&self, instructions: u64) -> VirtualNanos {
         VirtualNanos(self.slept_ns + self.rate.nanoseconds(instructions))
     }
 
-    /// Number of further instructions up to `target`, at least one.
     pub(super) fn instructions_until(&self, instructions: u64, target: VirtualNanos) -> u32 {
         let needed = self.rate.instructions(target.0.saturating_sub(self.slept_ns));
         needed.saturating_sub(instructions).clamp(1, MAX_RUN_INSTRUCTIONS) as u32
     }
 
-    /// The earlier of the processor's next event and that of the peripherals.
     pub(super) fn next_event(&self, event: Option<VirtualNanos>) -> VirtualNanos {
         event.map_or(self.deadline, |event| event.min(self.deadline))
     }
 
-    /// Passes signals and changes of memory to the processor.
     pub(super) fn notify_core(&mut self, core: &mut dyn Processor) {
         for queued in self.queued.drain(..) {
             core.ask(queued);
@@ -119,7 +109,6 @@ impl Host for SystemBus {
     }
 }
 
-/// The bus with the peripherals, for one run of the processor.
 pub(super) struct BusGuard<'a> {
     pub(super) bus: &'a mut SystemBus,
     pub(super) session: &'a mut Session<EmulatedBoard>,

@@ -4,7 +4,6 @@ use object::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _};
 use std::sync::Arc;
 
-/// Address of the vector table.
 pub(super) const FLASH_START: u64 = 0x0800_0000;
 const FLASH: std::ops::Range<u64> = FLASH_START..0x0820_0000;
 const SRAM: std::ops::RangeInclusive<u32> = 0x2000_0000..=0x2003_0000;
@@ -12,42 +11,31 @@ const CCM: std::ops::RangeInclusive<u32> = 0x1000_0000..=0x1001_0000;
 const ARM: u16 = 40;
 const EXECUTABLE: u16 = 2;
 
-/// Why a file is not an image for the emulated board.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ImageError {
-    /// The file is not an ELF.
     #[error("not an ELF file")]
     NotElf,
-    /// Another word size or byte order than an STM32's.
     #[error("a {0} ELF, expected 32 bits, little endian")]
     Class(&'static str),
-    /// Built for another processor.
     #[error("built for {}, expected ARM (thumbv7em-none-eabihf, thumbv7em-none-eabi or arm-none-eabi)", machine(*.0))]
     Machine(u16),
-    /// An object file, a library or a core dump.
     #[error("not linked to an executable (ELF type {0})")]
     NotExecutable(u16),
-    /// Truncated or damaged.
     #[error("damaged: {0}")]
     Damaged(String),
-    /// Linked to addresses outside the flash.
     #[error(
         "{length} bytes are linked to {address:#010x}, expected flash from 0x08000000 to 0x08200000, \
          where the processor starts"
     )]
     Misplaced {
-        /// Address of the segment.
         address: u64,
-        /// Its length, bytes.
+        /// In bytes.
         length: u64,
     },
-    /// The start of the flash is empty.
     #[error("no vector table at 0x08000000, where the processor starts")]
     NoVectors,
-    /// The first word of the vector table is not a stack pointer.
     #[error("the vector table's stack pointer {0:#010x} is not an address in SRAM or CCM, or not a multiple of 4")]
     Stack(u32),
-    /// The second word of the vector table is not Thumb code of this image.
     #[error("the vector table's reset vector {0:#010x} is not Thumb code of this image")]
     Reset(u32),
 }
@@ -66,14 +54,12 @@ fn machine(number: u16) -> String {
     name.to_owned()
 }
 
-/// A part of the image and its address in flash.
 #[derive(Debug, Clone)]
 pub(super) struct Segment {
     pub(super) address: u64,
     pub(super) bytes: Arc<[u8]>,
 }
 
-/// A checked ELF.
 #[derive(Debug, Clone)]
 pub(super) struct Image {
     pub(super) elf: Arc<[u8]>,

@@ -15,22 +15,19 @@ use rigless::session::Session;
 use rigless::time::{NO_DEADLINE, VirtualNanos};
 use std::fmt;
 
-/// Rounds of the run loop at one instant before it counts as hung. Some hundred are normal if many events
-/// coincide.
+/// Rounds of the run loop at one instant before it counts as hung; some hundred are normal.
 const MAX_ROUNDS_WITHOUT_PROGRESS: u32 = 100_000;
 
 /// Device signature in the system memory. RM0090, chapter 39.
 const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
 const FLASH_KIB: (u64, [u8; 2]) = (0x1FFF_7A22, 2048_u16.to_le_bytes());
 
-/// Options of a [`Machine`].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MachineConfig {
     pub(super) crystal_hz: u64,
     pub(super) stop_at_traps: bool,
 }
 
-/// The emulator with one image.
 pub(super) struct Machine {
     // Declared before `bus`, whose memory it points into: fields are dropped in this order.
     core: Box<dyn Processor>,
@@ -39,7 +36,7 @@ pub(super) struct Machine {
     image: Image,
     config: MachineConfig,
     handlers: FaultHandlers,
-    /// The processor right after power-on. Loading this state keeps the translated code, unlike a reset.
+    /// State right after power-on. Loading it keeps the translated code, unlike a reset.
     power_on_state: Vec<u8>,
     reported_resets: usize,
 }
@@ -60,7 +57,6 @@ fn session(config: MachineConfig) -> Result<Session<EmulatedBoard>, TargetError>
 }
 
 impl Machine {
-    /// A board with `image` in its flash, after power-on.
     pub(super) fn new(image: Image, config: MachineConfig) -> Result<Self, TargetError> {
         let mut session = session(config)?;
         let mut targets = session.board_mut().targets();
@@ -96,7 +92,6 @@ impl Machine {
         self.bus.notify_core(&mut *self.core);
     }
 
-    /// Resets the processor; the emulator has reset the peripherals.
     fn reset_core(&mut self) {
         let Self { core, bus, .. } = self;
         core.reset();
@@ -115,7 +110,7 @@ impl Machine {
         self.session.board_mut().wire().is_some_and(|wire| std::mem::take(&mut wire.frames) > 0)
     }
 
-    /// Checks for errors that end the trial although the firmware runs on.
+    /// Errors that end the trial although the firmware runs on.
     fn check_for_errors(&mut self) -> Result<(), TargetError> {
         if let Some(error) = self.session.take_error() {
             return Err(emulator_error(&error));
@@ -134,7 +129,6 @@ impl Machine {
         Ok(())
     }
 
-    /// Runs to the next event, or until the processor returns earlier.
     fn step(&mut self) -> Result<(), TargetError> {
         let target = self.bus.next_event(self.core.next_event());
         let budget = self.bus.instructions_until(self.core.retired(), target);

@@ -1,13 +1,11 @@
-//! Holds the target's memory in pages that the translated code accesses directly.
-//!
-//! Contains the crate's unsafe code.
+//! Holds the target's memory in pages that translated code accesses directly; all unsafe code.
 #![allow(unsafe_code, reason = "the emulator holds raw pointers to the target's memory")]
 
 use rigless::emulator::{Alias, Error, Memory as GuestMemory, Processor};
 use rigless::soc::{Region, Width};
 use std::ops::Range;
 
-/// Content of RAM at power-on. Not zero, so that firmware that relies on zero fails here, too.
+/// Not zero: firmware that relies on zero must fail here, too.
 pub(super) const POWER_ON_FILL: u8 = 0xA5;
 
 const PAGE: usize = 4096;
@@ -16,7 +14,7 @@ const PAGE: usize = 4096;
 #[derive(Clone, Copy)]
 struct Page([u8; PAGE]);
 
-/// A memory region and all its start addresses.
+/// A region may be visible at several addresses.
 #[derive(Debug)]
 struct MemoryRegion {
     starts: Vec<u64>,
@@ -58,11 +56,10 @@ impl Drop for MemoryRegion {
     }
 }
 
-/// All memory of the microcontroller.
 #[derive(Debug)]
 pub(super) struct Memory {
     regions: Vec<MemoryRegion>,
-    /// Addresses whose content changed without the processor; it must discard its translated code there.
+    /// Content that changed without the processor, which must discard its translated code there.
     dirty_ranges: Vec<Range<u64>>,
 }
 
@@ -88,7 +85,6 @@ impl Memory {
         })
     }
 
-    /// `length` bytes at `address`, if one region holds them all.
     pub(super) fn slice(&self, address: u64, length: usize) -> Option<&[u8]> {
         let (index, offset) = self.find(address, length)?;
         self.regions.get(index)?.bytes().get(offset..offset + length)
@@ -103,12 +99,12 @@ impl Memory {
         Some(bytes.iter().rev().fold(0, |value, &byte| value << 8 | u64::from(byte)))
     }
 
-    /// Whether the firmware can write at `address`; `None` without memory there.
+    /// `None` without memory at `address`.
     pub(super) fn is_writable(&self, address: u64) -> Option<bool> {
         self.find(address, 1).and_then(|(index, _)| self.regions.get(index)).map(|region| region.writable)
     }
 
-    /// Stores `bytes`, also in flash. False if no region holds all of them.
+    /// Also in flash. False if no region holds all of `bytes`.
     pub(super) fn store(&mut self, address: u64, bytes: &[u8]) -> bool {
         let Some((index, offset)) = self.find(address, bytes.len()) else { return false };
         let Some(place) =
@@ -125,7 +121,6 @@ impl Memory {
         true
     }
 
-    /// Fills all RAM with [`POWER_ON_FILL`].
     pub(super) fn power_off(&mut self) {
         for region in self.regions.iter_mut().filter(|region| region.writable) {
             region.bytes_mut().fill(POWER_ON_FILL);

@@ -21,7 +21,6 @@ const SP: usize = 13;
 const LR: usize = 14;
 const XPSR: usize = 16;
 
-/// Addresses of the handlers for faults and panics.
 #[derive(Debug)]
 pub(super) struct FaultHandlers {
     exceptions: Vec<u64>,
@@ -33,7 +32,6 @@ impl FaultHandlers {
         Self { exceptions: Vec::new(), panic: None }
     }
 
-    /// The handlers of the image's vector table, and its panic handler if it has one.
     pub(super) fn from_image(memory: &Memory, image: &Image) -> Self {
         let mut exceptions: Vec<_> = fault_handlers()
             .filter_map(|number| memory.word(FLASH_START + 4 * u64::from(number)))
@@ -51,8 +49,7 @@ impl FaultHandlers {
         }
     }
 
-    /// Reads the crash if the processor is at the first instruction of a handler; `None` if another
-    /// exception shares that handler.
+    /// `None` if the processor is not at the start of a handler, or another exception shares it.
     pub(super) fn read_crash(
         &self,
         core: &mut dyn Processor,
@@ -125,7 +122,6 @@ pub(super) fn reset_cause(cause: ResetCause) -> String {
     }
 }
 
-/// The first access that the emulator answered without a model.
 pub(super) fn first_unsupported_access(session: &Session<EmulatedBoard>, image: &Image) -> Option<UnsupportedAccess> {
     let place = |pc: u64| Some(Symbols::read(&image.elf).locate(pc as u32));
     let part = &session.board().part;

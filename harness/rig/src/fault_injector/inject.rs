@@ -7,19 +7,17 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
 
-/// Streams 0 and 1 of a trial's seed belong to the sensor's noise and the plate's spread.
+/// Streams 0 and 1 of a trial's seed belong to sensor noise and plate spread.
 const FIRST_STREAM: u64 = 2;
 
-/// Babble: so many invalid frames of so many bytes, delimiter included.
+/// Babble sends invalid frames; the length includes the delimiter.
 const NOISE_FRAMES: usize = 4;
 const NOISE_FRAME_BYTES: usize = 16;
 
-/// The faults of a trial and their state.
 #[derive(Debug, Default)]
 pub(super) struct ActiveFaults {
-    /// Faults of the sensor first: it precedes the line.
+    /// Faults of the sensor come first: it precedes the line.
     faults: Vec<ActiveFault>,
-    /// Components of the last sample that the bench sent.
     last_sample: Option<[f32; 2]>,
     counts: [Option<(&'static str, u64)>; WireFaultKind::COUNT],
 }
@@ -28,7 +26,7 @@ pub(super) struct ActiveFaults {
 struct ActiveFault {
     fault: WireFault,
     random: ChaCha8Rng,
-    /// Messages in the window: to the controller, from it.
+    /// In the fault's window: to the controller, from it.
     message_counts: [u64; 2],
     frozen: Option<[f32; 2]>,
 }
@@ -49,7 +47,7 @@ impl ActiveFaults {
         self.counts
     }
 
-    /// The message as it arrives if it is sent at `now`; `None` if it is lost.
+    /// `None` if the message is lost.
     pub(super) fn apply(&mut self, direction: Direction, now: Duration, frame: &[u8]) -> Option<QueuedPacket> {
         let mut packet = QueuedPacket::new(now, frame);
         let Self { faults, last_sample, counts } = self;
@@ -78,7 +76,6 @@ impl ActiveFault {
         Self { fault, random, message_counts: [0; 2], frozen: None }
     }
 
-    /// True if the fault affects the message that is sent now.
     fn selects(&mut self, direction: Direction, now: Duration, last_sample: Option<[f32; 2]>) -> bool {
         let applies = if self.fault.kind.affects_sensor() {
             direction == Direction::ToController
@@ -127,7 +124,6 @@ impl ActiveFault {
     }
 }
 
-/// The sample in `packet` with other components.
 fn with_components(packet: QueuedPacket, change: impl FnOnce([f32; 2]) -> [f32; 2]) -> Option<QueuedPacket> {
     let Some(Packet { sequence, message: Message::Sample(sample) }) = decode_first_packet(packet.bytes()) else {
         return Some(packet);

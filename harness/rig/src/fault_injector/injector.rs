@@ -9,22 +9,20 @@ use platebench_wire::{ControllerState, Message, Packet};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Messages in flight per direction; more are lost.
+/// Per direction; further messages are lost.
 pub(super) const MAX_QUEUED: usize = 256;
 
-/// Sent before a message that must pass unchanged: ends a truncated frame on the line.
+/// Ends a truncated frame on the line before a message that must pass unchanged.
 pub(super) const DELIMITER: u8 = 0;
 
-/// A link with planned faults; at first none.
 #[derive(Debug)]
 pub struct FaultInjector<L> {
     pub(super) inner: L,
     pub(super) active_faults: ActiveFaults,
-    /// Both queues in order of arrival.
     pub(super) to_controller: VecDeque<QueuedPacket>,
     pub(super) from_controller: VecDeque<QueuedPacket>,
     frames: FrameSplitter,
-    /// In-phase and quadrature component of the last sample that reached the controller intact, µm.
+    /// Last intact sample, in phase and quadrature, µm.
     delivered_sample: [f32; 2],
     overflow_count: u64,
     pub(super) scratch: Vec<u8>,
@@ -32,7 +30,6 @@ pub struct FaultInjector<L> {
 }
 
 impl<L: Link> FaultInjector<L> {
-    /// Wraps `inner`, without faults.
     pub fn new(inner: L) -> Self {
         Self {
             inner,
@@ -47,7 +44,7 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
-    /// Sets the faults of the next trial and clears the counts. Call it before the trial's configuration.
+    /// Applies to the next trial and clears the counts. Call it before the trial's configuration.
     pub fn set_faults(&mut self, faults: &[WireFault]) {
         self.active_faults = ActiveFaults::new(faults);
         self.overflow_count = 0;
@@ -56,26 +53,22 @@ impl<L: Link> FaultInjector<L> {
         self.clear();
     }
 
-    /// Arrival of the next message in flight, in either direction.
     pub fn next_due(&self) -> Option<Duration> {
         let fronts = [&self.to_controller, &self.from_controller].map(VecDeque::front);
         fronts.into_iter().flatten().map(|packet| packet.due).min()
     }
 
-    /// In-phase and quadrature component that the controller last received, µm; `None` without faults,
-    /// because then it received what was sent.
+    /// In phase and quadrature, µm; `None` without faults: the controller received what was sent.
     pub fn delivered_sample(&self) -> Option<[f32; 2]> {
         self.active_faults.has_faults().then_some(self.delivered_sample)
     }
 
-    /// Affected messages of the trial so far, by kind of fault, without zeros. `overflow` counts messages
-    /// that were lost because too many were in flight.
+    /// Affected messages by kind, without zeros. `overflow`: lost because too many were in flight.
     pub fn fault_counts(&self) -> impl Iterator<Item = (&'static str, u64)> + use<L> {
         let overflow = Some(("overflow", self.overflow_count));
         self.active_faults.counts().into_iter().flatten().chain(overflow).filter(|(_, count)| *count > 0)
     }
 
-    /// Discards the messages in flight.
     pub(super) fn clear(&mut self) {
         self.to_controller.clear();
         self.from_controller.clear();
@@ -88,7 +81,6 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
-    /// Queues the bytes in `scratch`, which arrived from the controller at `now`.
     pub(super) fn queue_answers(&mut self, now: Duration) {
         for &byte in &self.scratch {
             let Some(frame) = self.frames.push(byte) else { continue };
@@ -111,8 +103,7 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
-    /// Delivers everything that is due by `now` and advances the target to `now`. Returns the target's
-    /// delay for the last delivered message.
+    /// Delivers what is due and advances to `now`. Returns the target's delay for the last message.
     fn deliver_until(&mut self, now: Duration, answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let mut last = None;
         while let Some(packet) = pop_due(&mut self.to_controller, now) {
@@ -168,7 +159,7 @@ impl<L: Link> Link for FaultInjector<L> {
     }
 }
 
-/// Appends a packet, not before the one ahead of it; false if the queue is full.
+/// Keeps the order. False if the queue is full.
 fn enqueue(queue: &mut VecDeque<QueuedPacket>, mut packet: QueuedPacket) -> bool {
     if queue.len() >= MAX_QUEUED {
         return false;

@@ -3,13 +3,11 @@
 use platebench_wire::{MAX_ENCODED, Message, Packet, PacketReader};
 use std::time::Duration;
 
-/// Room for a message with noise, or twice.
+/// Holds a message with noise, or a message twice.
 const MAX_PACKET_BYTES: usize = 4 * MAX_ENCODED;
 
-/// Bytes that arrive together.
 #[derive(Debug, Clone)]
 pub(super) struct QueuedPacket {
-    /// Their arrival.
     pub(super) due: Duration,
     bytes: [u8; MAX_PACKET_BYTES],
     length: usize,
@@ -37,7 +35,6 @@ impl QueuedPacket {
         self.length = self.length.min(length);
     }
 
-    /// Puts `content` in front, if it fits.
     pub(super) fn prepend(&mut self, content: &[u8]) {
         let length = content.len() + self.length;
         if length <= MAX_PACKET_BYTES {
@@ -49,7 +46,6 @@ impl QueuedPacket {
         }
     }
 
-    /// Repeats the content, if it fits.
     pub(super) fn duplicate(&mut self) {
         if 2 * self.length <= MAX_PACKET_BYTES {
             self.bytes.copy_within(..self.length, self.length);
@@ -58,7 +54,6 @@ impl QueuedPacket {
     }
 }
 
-/// Cuts bytes into frames with their delimiters, valid or not.
 #[derive(Debug)]
 pub(super) struct FrameSplitter {
     bytes: [u8; MAX_ENCODED],
@@ -87,7 +82,6 @@ impl FrameSplitter {
     }
 }
 
-/// The packet of the first frame in `bytes`.
 pub(super) fn decode_first_packet(bytes: &[u8]) -> Option<Packet> {
     PacketReader::new().packets(bytes).next()?.ok()
 }

@@ -7,8 +7,7 @@ use crate::link::{Link, LinkError, RealTimeLine};
 use std::time::{Duration, Instant};
 
 impl<L: Link> FaultInjector<L> {
-    /// Starts the trial's clock at `start`, with `scale` trial seconds per wall second. Call it after
-    /// [`FaultInjector::set_faults`]; before, all messages pass unchanged.
+    /// `scale`: trial seconds per wall second. Until it is called, all messages pass unchanged.
     pub fn start_real_time(&mut self, start: Instant, scale: f64) {
         self.clock = Some(TrialClock { start, scale: scale.max(f64::MIN_POSITIVE) });
     }
@@ -28,7 +27,7 @@ impl<L: Link> FaultInjector<L> {
         Ok(())
     }
 
-    /// Appends the messages that are due and returns the arrival of the first one.
+    /// Returns the arrival of the first message.
     fn receive_due(&mut self, clock: TrialClock, bytes: &mut Vec<u8>) -> Option<Instant> {
         let now = clock.trial_time(Instant::now());
         let mut first = None;

@@ -20,13 +20,12 @@ const ALWAYS: WireFault = WireFault {
     seed: 1,
 };
 
-/// Bytes that reach the device, with their instants; empty if only time advances.
+/// Empty if only time advances.
 type Log = Arc<Mutex<Vec<(Duration, Vec<u8>)>>>;
 
 struct LoggedDevice {
     device: HostedLink,
     log: Log,
-    /// In real time: answers that are not yet received.
     waiting: Vec<u8>,
 }
 
@@ -59,7 +58,6 @@ impl RealTimeLine for LoggedDevice {
             std::thread::sleep(until.saturating_duration_since(Instant::now()));
             return Ok(None);
         }
-        // In pieces, like a line.
         let piece = self.waiting.len().min(7);
         bytes.extend(self.waiting.drain(..piece));
         Ok(Some(Instant::now()))
@@ -106,7 +104,6 @@ impl Fixture {
         self.session.advance_to(now).unwrap()
     }
 
-    /// The bytes that reached the device.
     fn delivered(&self) -> Vec<(Duration, Vec<u8>)> {
         self.log.lock().unwrap().iter().filter(|(_, bytes)| !bytes.is_empty()).cloned().collect()
     }
@@ -152,7 +149,7 @@ fn affects_every_nth_message_of_a_half_open_window() {
 fn counts_both_directions_separately() {
     let mut fixture = trial_with(&[WireFault { every: 3, ..ALWAYS }]);
     let answered: Vec<_> = (0..9).filter(|at| fixture.sample(ms(*at), 1.0).is_some()).collect();
-    // Samples 2, 5 and 8 are lost. Of the commands to samples 0, 1, 3, 4, 6, 7 the third and sixth are.
+    // Lost: samples 2, 5 and 8, and the third and sixth command.
     assert_eq!(answered, [0, 1, 4, 6]);
     assert_eq!(fixture.delivered().len(), 6);
     assert_eq!(fixture.counts(), [("drop", 5)]);
@@ -212,7 +209,7 @@ fn flips_one_bit_by_the_seed() {
     assert!((0..400).any(|seed| flipped(seed).last() != Some(&0)));
 }
 
-/// The seed of `scenarios/faults/flipped-bit.toml`: a controller that ignores the CRC acts on a large value.
+/// A controller that ignores the CRC acts on a large value: `scenarios/faults/flipped-bit.toml`.
 #[test]
 fn flips_the_highest_exponent_bit_in_the_scenario() {
     let flip = WireFault { kind: WireFaultKind::Flip, seed: SCENARIO_SEED, ..ALWAYS };
@@ -235,7 +232,6 @@ fn controls_once_with_a_duplicated_sample() {
         assert_eq!(duplicated.sample(ms(at), wd), single.sample(ms(at), wd), "at {at} ms");
     }
     assert_eq!(duplicated.delivered()[0].1, [frame(3, 0.0), frame(3, 0.0)].concat());
-    // The device answers a duplicated sample twice.
     assert_eq!(duplicated.counts(), [("duplicate", 20 + 2 * 20)]);
 }
 
@@ -312,7 +308,7 @@ fn precedes_a_message_with_four_invalid_frames() {
         let noise = &seeded.delivered()[0].1[..64];
         assert_eq!((0..64).filter(|at| noise[*at] == 0).collect::<Vec<_>>(), [15, 31, 47, 63]);
     }
-    // It ignores the first burst, before it runs. The second counts 8 of 10 rejected frames, the third stops it.
+    // Ignores the first burst, before it runs; the second is 8 of 10 rejected frames.
     assert_eq!(fixture.sample(ms(1), 1.0).unwrap().state, ControllerState::Running);
     let stopped = fixture.sample(ms(2), 1.0).unwrap();
     assert_eq!((stopped.state, stopped.cause), (ControllerState::Fault, StateCause::LineNoise));
@@ -376,7 +372,6 @@ fn loses_messages_beyond_the_capacity() {
     assert_eq!(fixture.delivered().len(), MAX_QUEUED);
 }
 
-/// A line with faults in real time, ten times as fast as the wall clock.
 fn real_time_trial_with(faults: &[WireFault]) -> Fixture {
     let mut fixture = trial_with(faults);
     fixture.session.link_mut().start_real_time(Instant::now(), 10.0);

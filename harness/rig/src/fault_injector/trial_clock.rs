@@ -2,7 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-/// Start and speed of a trial in real time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TrialClock {
     pub(super) start: Instant,

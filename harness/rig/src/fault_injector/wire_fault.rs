@@ -2,33 +2,28 @@
 
 use std::time::Duration;
 
-/// The effect of a fault on a message.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum WireFaultKind {
-    /// The message is lost.
     Drop,
-    /// One bit is flipped, possibly of the delimiter.
+    /// Flips one bit, possibly of the delimiter.
     Flip,
-    /// The message arrives twice.
     Duplicate,
-    /// The message arrives later by this time.
     Delay(Duration),
-    /// The second half is lost, with the delimiter.
+    /// Loses the second half of the message, with the delimiter.
     Truncate,
-    /// 64 bytes of noise precede the message: four invalid frames.
+    /// Puts four invalid frames, 64 bytes, before the message.
     Babble,
-    /// The message is lost, like all others in the window.
+    /// Loses all messages in the window.
     Disconnect,
-    /// The sample keeps the components from before the window.
+    /// Keeps the sample's components from before the window.
     Freeze,
-    /// The sample's components are multiplied by this factor.
+    /// Multiplies the sample's components.
     Scale(f32),
 }
 
 impl WireFaultKind {
     pub(super) const COUNT: usize = 9;
 
-    /// The name in scenario files and records.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Drop => "drop",
@@ -43,37 +38,31 @@ impl WireFaultKind {
         }
     }
 
-    /// True for faults of the sensor, which act on samples before the line does.
     pub(super) const fn affects_sensor(self) -> bool {
         matches!(self, Self::Freeze | Self::Scale(_))
     }
 }
 
-/// The messages that a fault affects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
-    /// Samples.
+    /// Affects samples.
     ToController,
-    /// Commands.
+    /// Affects commands.
     FromController,
-    /// Both, counted separately.
+    /// Affects both, counted separately.
     Both,
 }
 
-/// A planned fault. Instants count from the start of the trial.
+/// Instants count from the start of the trial.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WireFault {
-    /// Its effect.
     pub kind: WireFaultKind,
-    /// Start of its window.
     pub from: Duration,
-    /// End of its window, exclusive; `None`: the end of the trial.
+    /// The end is exclusive; `None`: the end of the trial.
     pub until: Option<Duration>,
-    /// The messages that it affects.
     pub direction: Direction,
-    /// Affects the n-th, 2n-th, … message per direction in the window; 0 affects none.
+    /// Affects every n-th message per direction in the window; 0: none.
     pub every: u32,
-    /// Seed of its random bits and bytes.
     pub seed: u64,
 }
 

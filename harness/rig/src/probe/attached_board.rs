@@ -13,8 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::{info, warn};
 
-/// A board with the requested chip. Dropping it resets the chip, which boots at 0 V, and releases the
-/// probe.
+/// Dropping it resets the chip, which boots at 0 V, and releases the probe.
 #[derive(Debug)]
 pub struct AttachedBoard {
     thread: ProbeThread<Board>,
@@ -24,10 +23,7 @@ pub struct AttachedBoard {
 }
 
 impl AttachedBoard {
-    /// Finds the probe among those that `list` finds, attaches and checks the chip. Writes nothing.
-    ///
-    /// # Errors
-    /// [`ProbeError`], within [`Timeouts::attach`].
+    /// Attaches and checks the chip. Writes nothing.
     pub fn attach(
         spec: &ProbeSpec,
         list: impl FnOnce() -> Lister + Send + 'static,
@@ -39,12 +35,10 @@ impl AttachedBoard {
         Ok(Self { thread, chip, timeouts, is_shut_down: false })
     }
 
-    /// The chip.
     pub fn chip(&self) -> &ChipId {
         &self.chip
     }
 
-    /// The time-outs of its calls.
     pub fn timeouts(&self) -> &Timeouts {
         &self.timeouts
     }
@@ -58,11 +52,8 @@ impl AttachedBoard {
         self.thread.call(doing, timeout + self.timeouts.grace, job)
     }
 
-    /// Writes the image to flash and reads it back; writes nothing if it is there already. Flashing resets
-    /// and halts the processor: its outputs float until [`AttachedBoard::restart`].
-    ///
-    /// # Errors
-    /// [`ProbeError`] if it does not fit, cannot be written, or reads back differently.
+    /// Writes the image and reads it back; writes nothing if it is there already. Resets and halts
+    /// the processor: its outputs float until [`AttachedBoard::restart`].
     pub fn flash(&mut self, image: &Arc<Image>) -> Result<FlashOutcome, ProbeError> {
         let image = Arc::clone(image);
         let outcome = self.call("flashing", self.timeouts.flash, move |board| board.flash(&image))?;
@@ -70,25 +61,17 @@ impl AttachedBoard {
         Ok(outcome)
     }
 
-    /// Resets the chip and lets the firmware run.
-    ///
-    /// # Errors
-    /// [`ProbeError`] if the chip does not restart.
     pub fn restart(&mut self, image: &Image) -> Result<(), ProbeError> {
         let (rtt, timeout) = (image.rtt(), self.timeouts.reset);
         self.call("resetting the chip", timeout, move |board| board.restart(rtt, timeout))
     }
 
-    /// Reads the crash if the processor is in a fault handler; it then stays halted.
-    ///
-    /// # Errors
-    /// [`ProbeError`] if the probe cannot read it.
+    /// If the processor is in a fault handler, it stays halted.
     pub fn read_crash(&mut self, image: &Arc<Image>) -> Result<Option<CrashReport>, ProbeError> {
         let image = Arc::clone(image);
         self.call("reading a crash", self.timeouts.crash, move |board| board.read_crash(&image))
     }
 
-    /// The crash of the firmware as an error, if there is one.
     pub(super) fn trap_error(&mut self, image: &Arc<Image>) -> Option<ProbeError> {
         match self.read_crash(image) {
             Ok(crash) => crash.map(|crash| ProbeError::Trapped(Box::new(crash))),
@@ -104,7 +87,7 @@ impl AttachedBoard {
         self.call("starting RTT", timeout, move |board| board.rtt(address, timeout))
     }
 
-    /// Exchanges bytes over RTT; moves the channels to the probe's thread and back.
+    /// Moves the channels to the probe's thread and back.
     pub(super) fn exchange(
         &mut self,
         mut channels: RttChannels,
@@ -118,9 +101,6 @@ impl AttachedBoard {
     }
 
     /// Resets the chip, lets it boot at 0 V and releases the probe; at most once.
-    ///
-    /// # Errors
-    /// [`ProbeError`] if the reset fails.
     pub fn shut_down(&mut self) -> Result<(), ProbeError> {
         if std::mem::replace(&mut self.is_shut_down, true) {
             return Ok(());

@@ -15,9 +15,9 @@ use probe_rs::{Core, MemoryInterface, Permissions, Session, Target};
 use std::time::{Duration, Instant};
 use tracing::{debug, warn};
 
-/// `DBGMCU_IDCODE`: device identity in the lower twelve bits, revision in the upper sixteen.
+/// `DBGMCU_IDCODE`: device in the lower twelve bits, revision in the upper sixteen.
 const IDCODE: u64 = 0xe004_2000;
-/// Device identities of the STM32F4 from the reference manuals, with the prefixes of the chips' names.
+/// Identities from the reference manuals, with prefixes of the chips' names.
 const DEVICES: [(u16, &str, &[&str]); 10] = [
     (0x413, "STM32F405/407/415/417", &["STM32F405", "STM32F407", "STM32F415", "STM32F417"]),
     (0x419, "STM32F427/429/437/439", &["STM32F427", "STM32F429", "STM32F437", "STM32F439"]),
@@ -40,27 +40,20 @@ const DEVICES: [(u16, &str, &[&str]); 10] = [
 ];
 const UNKNOWN_FAMILY: &str = "not a known STM32F4";
 
-/// Identity of a chip.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChipId {
-    /// Its name in the chip description.
     pub name: String,
-    /// `DBGMCU_IDCODE`, all bits.
     pub idcode: u32,
-    /// The probe, in the form of a selector.
+    /// Has the form of a selector.
     pub probe: String,
 }
 
-/// Result of flashing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FlashOutcome {
-    /// The flash already held the image.
     Unchanged,
-    /// Number of bytes written and read back.
     Written(usize),
 }
 
-/// A session with the chip.
 #[derive(Debug)]
 pub(super) struct Board {
     session: Session,
@@ -68,7 +61,7 @@ pub(super) struct Board {
 }
 
 impl Board {
-    /// The device identity and the description of the chip in `spec`. Does not use a probe.
+    /// Does not use a probe.
     pub(super) fn resolve_target(spec: &ProbeSpec) -> Result<(u16, Target), ProbeError> {
         let chip = spec.chip.to_ascii_uppercase();
         let matches = |prefixes: &[&str]| prefixes.iter().any(|prefix| chip.starts_with(prefix));
@@ -82,7 +75,6 @@ impl Board {
         Ok((expected, target))
     }
 
-    /// Finds the probe and checks the chip.
     pub(super) fn attach(spec: &ProbeSpec, lister: &Lister) -> Result<(Self, ChipId), ProbeError> {
         let (expected, target) = Self::resolve_target(spec)?;
         let (probe, probe_name) = selection::open_probe(spec, lister)?;
@@ -105,7 +97,6 @@ impl Board {
         self.session.core(0).map_err(ProbeError::line_error("reaching the processor"))
     }
 
-    /// Writes the image unless the flash holds it, and reads it back.
     pub(super) fn flash(&mut self, image: &Image) -> Result<FlashOutcome, ProbeError> {
         self.check_flash_range(image)?;
         if self.first_difference(image)?.is_none() {
@@ -149,8 +140,7 @@ impl Board {
         Ok(None)
     }
 
-    /// Resets the chip and lets it run. Clears the RTT control block at `rtt` first, so that an old one is
-    /// not taken for a new one.
+    /// Clears the RTT control block at `rtt` first, so that an old one is not taken for a new one.
     pub(super) fn restart(&mut self, rtt: Option<u64>, timeout: Duration) -> Result<(), ProbeError> {
         let until = Instant::now() + timeout;
         let mut core = self.core()?;
@@ -174,7 +164,6 @@ impl Board {
         read_crash(&mut self.core()?, image)
     }
 
-    /// Opens RTT with its control block at `address`.
     pub(super) fn rtt(&mut self, address: u64, timeout: Duration) -> Result<RttChannels, ProbeError> {
         let rtt = try_attach_to_rtt(&mut self.core()?, timeout, &ScanRegion::Exact(address)).map_err(|error| {
             ProbeError::RttNotStarted { address, waited: timeout, cause: super::error::error_chain(&error) }

@@ -1,7 +1,6 @@
 //! Reads a crash of the firmware through the debug probe.
-//!
-//! The processor runs until its fault handler has taken the drive to 0 V. The fault registers are read while
-//! it runs; it is halted only for its core registers and stack. The chip's watchdog may reset it meanwhile.
+//! The processor runs until its fault handler has taken the drive to 0 V; it is halted only for its
+//! core registers and stack. The chip's watchdog may reset it meanwhile.
 
 use super::error::ProbeError;
 use super::image::Image;
@@ -11,7 +10,7 @@ use crate::crash_report::{
 use probe_rs::{Core, MemoryInterface, RegisterId};
 use std::time::Duration;
 
-/// Debug halting control and status; its bit for a fault within a fault handler. ARMv7-M ARM, C1.6.2.
+/// DHCSR and its bit for a fault within a fault handler. ARMv7-M ARM, C1.6.2.
 const DHCSR: u64 = 0xE000_EDF0;
 const LOCKED_UP: u32 = 1 << 19;
 const SP: RegisterId = RegisterId(13);
@@ -20,10 +19,9 @@ const PC: RegisterId = RegisterId(15);
 const PSP: RegisterId = RegisterId(18);
 /// The processor stops within some cycles or never.
 const HALT_TIMEOUT: Duration = Duration::from_millis(100);
-/// Words of the stack that are read: some 10 ms at 1 MHz.
+/// Reading them takes some 10 ms at 1 MHz.
 const STACK_WORDS: usize = 512;
 
-/// Reads the crash if the processor is in a fault handler.
 pub(super) fn read_crash(core: &mut Core<'_>, image: &Image) -> Result<Option<CrashReport>, ProbeError> {
     let Some(exception) = active_handler(core)? else { return Ok(None) };
     let status = FaultStatus::read(|address| core.read_word_32(address))
@@ -56,7 +54,7 @@ fn active_handler(core: &mut Core<'_>) -> Result<Option<&'static str>, ProbeErro
     if read(DHCSR)? & LOCKED_UP != 0 {
         return Ok(Some("lockup"));
     }
-    // NMI is no trap of the firmware's own.
+    // NMI is no trap of the firmware.
     Ok(Some(read(ICSR)? & 0x1FF).filter(|&number| number > 2).and_then(fault_handler))
 }
 

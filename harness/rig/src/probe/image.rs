@@ -6,16 +6,14 @@ use object::elf::{EM_ARM, FileHeader32, PT_LOAD};
 use object::read::elf::{FileHeader, ProgramHeader};
 use object::{Endianness, Object, ObjectSymbol};
 
-/// Content of a part of the flash.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
-    /// Its address in flash; initialised data is used at another one.
+    /// Address in flash; initialised data is used at another address.
     pub address: u32,
-    /// Its content.
     pub bytes: Vec<u8>,
 }
 
-/// A checked firmware image: for ARM, with content to flash.
+/// The image is for ARM and has content to flash.
 #[derive(Debug, Clone)]
 pub struct Image {
     elf: Vec<u8>,
@@ -24,10 +22,6 @@ pub struct Image {
 }
 
 impl Image {
-    /// Reads an ELF.
-    ///
-    /// # Errors
-    /// [`ProbeError::Image`] if it is not for a 32-bit ARM or has no content to flash.
     pub fn parse(elf: &[u8]) -> Result<Self, ProbeError> {
         let refuse = |problem: &str| ProbeError::Image { problem: problem.to_owned() };
         let invalid = |error: object::Error| refuse(&error.to_string());
@@ -51,22 +45,18 @@ impl Image {
         Ok(Self { rtt_address: rtt.map(|symbol| symbol.address()), segments, elf: elf.to_vec() })
     }
 
-    /// The content of the flash.
     pub fn segments(&self) -> &[Segment] {
         &self.segments
     }
 
-    /// Number of bytes in all segments.
     pub fn flash_bytes(&self) -> usize {
         self.segments.iter().map(|segment| segment.bytes.len()).sum()
     }
 
-    /// Address of the RTT control block, if the firmware has one.
     pub fn rtt(&self) -> Option<u64> {
         self.rtt_address
     }
 
-    /// Function and source line at `address`, as far as known.
     pub fn locate(&self, address: u32) -> CodeLocation {
         self.symbols().locate(address)
     }
@@ -81,7 +71,6 @@ impl Image {
         first.bytes.first_chunk().map(|bytes| u32::from_le_bytes(*bytes))
     }
 
-    /// The half-word of flash at `address`.
     pub(super) fn half_word(&self, address: u32) -> Option<u16> {
         self.segments.iter().find_map(|segment| {
             let from = address.checked_sub(segment.address)? as usize;

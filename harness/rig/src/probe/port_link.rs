@@ -1,4 +1,4 @@
-//! Speaks the wire protocol over a board's serial port; the debug probe flashes, resets and reads crashes.
+//! Speaks the wire protocol over a board's serial port, with the board on a debug probe.
 
 use super::attached_board::AttachedBoard;
 use super::error::ProbeError;
@@ -11,8 +11,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::debug;
 
-/// A controller on a serial port whose board is on a debug probe. Dropping it resets the chip, which
-/// boots at 0 V, and releases port and probe.
+/// Dropping it resets the chip, which boots at 0 V, and releases port and probe.
 #[derive(Debug)]
 pub struct PortLink {
     serial: SerialLink,
@@ -22,11 +21,8 @@ pub struct PortLink {
 }
 
 impl PortLink {
-    /// Waits for the handshake of the firmware after its start. Discards earlier bytes: noise of the
-    /// reset, and the report of an earlier trap.
-    ///
-    /// # Errors
-    /// [`ProbeError::NoHandshake`] on time-out, [`ProbeError::Trapped`] if the firmware trapped.
+    /// Waits for the handshake. Discards earlier bytes: noise of the reset, and an earlier trap
+    /// report.
     pub(super) fn open(
         serial: SerialLink,
         path: &Path,

@@ -1,7 +1,6 @@
 //! Runs the probe on a thread that may hang without the bench.
-//!
-//! A hanging USB transfer cannot be interrupted. After a time-out the thread is abandoned: further calls fail
-//! at once, and the end of the process releases the probe.
+//! A hanging USB transfer cannot be interrupted. After a time-out the thread is abandoned: further
+//! calls fail at once, and the end of the process releases the probe.
 
 use super::error::ProbeError;
 use std::cell::Cell;
@@ -12,7 +11,6 @@ use tracing::warn;
 
 type Job<T> = Box<dyn FnOnce(&mut T) + Send>;
 
-/// A value on its own thread, with a queue of calls.
 #[derive(Debug)]
 pub(super) struct ProbeThread<T> {
     jobs: Option<Sender<Job<T>>>,
@@ -22,7 +20,6 @@ pub(super) struct ProbeThread<T> {
 }
 
 impl<T: 'static> ProbeThread<T> {
-    /// Spawns the thread and builds `T` on it; returns `R`.
     pub(super) fn spawn<R: Send + 'static>(
         doing: &'static str,
         timeout: Duration,
@@ -32,7 +29,7 @@ impl<T: 'static> ProbeThread<T> {
         let (built, answer) = channel();
         let (alive, ended) = channel::<()>();
         let run = move || {
-            // Dropped last: disconnects after the value is dropped.
+            // Disconnects last, after the value is dropped.
             let _alive = alive;
             let mut value = match build() {
                 Ok((value, result)) => {
@@ -56,7 +53,6 @@ impl<T: 'static> ProbeThread<T> {
         Ok((Self { jobs: Some(jobs), ended, abandoned: Cell::new(false) }, result))
     }
 
-    /// Runs `job` on the thread and waits for its result.
     pub(super) fn call<R: Send + 'static>(
         &self,
         doing: &'static str,
@@ -78,7 +74,7 @@ impl<T: 'static> ProbeThread<T> {
         result?
     }
 
-    /// Ends the thread. Warns if its value is not dropped in time.
+    /// Warns if the value is not dropped in time.
     pub(super) fn stop(&mut self, timeout: Duration) {
         self.jobs = None;
         let timeout = if self.abandoned.get() { Duration::ZERO } else { timeout };

@@ -5,7 +5,6 @@ use probe_rs::Core;
 use probe_rs::rtt::{DownChannel, Rtt, UpChannel};
 use std::time::{Duration, Instant};
 
-/// Channel 0 in both directions.
 #[derive(Debug)]
 pub(super) struct RttChannels {
     up: UpChannel,
@@ -22,7 +21,7 @@ impl RttChannels {
         })
     }
 
-    /// Reads the waiting bytes. Then sends `bytes`, if any, and reads up to the end of the next frame.
+    /// Reads waiting bytes. Then sends `bytes`, if any, and reads to the end of the next frame.
     pub(super) fn exchange(
         &mut self,
         core: &mut Core<'_>,

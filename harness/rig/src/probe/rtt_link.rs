@@ -1,4 +1,4 @@
-//! Speaks the wire protocol over RTT: channel 0 in both directions, with the bytes of a serial line.
+//! Speaks the wire protocol over RTT channel 0, with the bytes of a serial line.
 
 use super::attached_board::AttachedBoard;
 use super::error::ProbeError;
@@ -10,19 +10,17 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
-/// Sequence number of the request for 0 V at the end.
 const SAFE_SEQUENCE: u8 = 0xff;
 
-/// Result of the end of a session.
 #[derive(Debug)]
 pub struct ShutdownResult {
-    /// The firmware confirmed 0 V before the reset.
+    /// True if the firmware confirmed 0 V before the reset.
     pub zero_volts_confirmed: bool,
-    /// The reset that follows in any case; the chip boots at 0 V.
+    /// The reset follows in any case; the chip boots at 0 V.
     pub reset: Result<(), ProbeError>,
 }
 
-/// A controller on a debug probe. Dropping it requests 0 V, resets the chip and releases the probe.
+/// Dropping it requests 0 V, resets the chip and releases the probe.
 #[derive(Debug)]
 pub struct RttLink {
     board: AttachedBoard,
@@ -33,10 +31,6 @@ pub struct RttLink {
 }
 
 impl RttLink {
-    /// Opens the RTT of the firmware on `board`.
-    ///
-    /// # Errors
-    /// [`ProbeError::NoRtt`] if the image has none, [`ProbeError::RttNotStarted`] if it does not start it.
     pub fn open(mut board: AttachedBoard, image: Arc<Image>) -> Result<Self, ProbeError> {
         let address = image.rtt().ok_or(ProbeError::NoRtt)?;
         let channels = match board.rtt(address) {
@@ -46,7 +40,6 @@ impl RttLink {
         Ok(Self { board, image, channels: Some(channels), is_shut_down: false })
     }
 
-    /// The board.
     pub fn board(&mut self) -> &mut AttachedBoard {
         &mut self.board
     }
@@ -65,7 +58,7 @@ impl RttLink {
         Ok(received)
     }
 
-    /// Requests 0 V, resets the chip and releases the probe; at most once.
+    /// Acts at most once.
     pub fn shut_down(&mut self) -> ShutdownResult {
         let first = !std::mem::replace(&mut self.is_shut_down, true);
         let zero_volts_confirmed = first && self.channels.is_some() && self.request_safe_state();

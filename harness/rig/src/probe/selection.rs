@@ -6,10 +6,6 @@ use probe_rs::probe::list::{Accessibility, Lister, ProbeListItem};
 use probe_rs::probe::{DebugProbeError, DebugProbeInfo, DebugProbeSelector, Probe, ProbeCreationError, WireProtocol};
 use std::io::ErrorKind;
 
-/// Opens the probe that `spec` names; also returns its name.
-///
-/// # Errors
-/// [`ProbeError`] if none or several match, or if it cannot be opened.
 pub(super) fn open_probe(spec: &ProbeSpec, lister: &Lister) -> Result<(Probe, String), ProbeError> {
     let mut found = lister.list_with_access(spec.selector.as_ref());
     let item = match found.len() {
@@ -31,7 +27,6 @@ pub(super) fn open_probe(spec: &ProbeSpec, lister: &Lister) -> Result<(Probe, St
     Ok((probe, name))
 }
 
-/// The probe in the form of a selector, with its type.
 fn selector_of(info: &DebugProbeInfo) -> String {
     let serial = info.serial_number.as_ref().map(|serial| format!(":{serial}")).unwrap_or_default();
     format!("{:04x}:{:04x}{serial} ({})", info.vendor_id, info.product_id, info.identifier)

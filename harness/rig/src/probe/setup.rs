@@ -1,6 +1,4 @@
-//! Checks the input for a board on a debug probe and opens its link.
-//!
-//! Checks everything that needs no board first.
+//! Checks the input for a board on a debug probe, then opens its link.
 
 use super::attached_board::AttachedBoard;
 use super::board::Board;
@@ -19,10 +17,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use tracing::info;
 
-/// Path and bits per second of a serial port.
+/// Path and bits per second.
 pub type SerialPort = (PathBuf, u32);
 
-/// A board, its firmware and its line.
 #[derive(Debug, Clone)]
 pub struct ProbeSetup {
     spec: ProbeSpec,
@@ -31,10 +28,8 @@ pub struct ProbeSetup {
 }
 
 impl ProbeSetup {
-    /// The board `spec` with the firmware `elf`, over the serial port `port`, or over RTT without one.
-    ///
-    /// # Errors
-    /// [`ProbeError`] if the chip is unknown, the ELF cannot be flashed, or there is neither a port nor RTT.
+    /// Uses RTT without `port`. Fails for an unknown chip, an ELF without content to flash, or an
+    /// image without RTT if there is no `port`.
     pub fn new(spec: ProbeSpec, elf: &[u8], port: Option<SerialPort>) -> Result<Self, ProbeError> {
         Board::resolve_target(&spec)?;
         let image = Arc::new(Image::parse(elf)?);
@@ -44,10 +39,7 @@ impl ProbeSetup {
         Ok(Self { spec, image, port })
     }
 
-    /// The board that `rig` names; with the image of the bench by default.
-    ///
-    /// # Errors
-    /// As [`ProbeSetup::new`]; [`ProbeError::Read`] if the ELF cannot be read, [`ProbeError::Spec`] for other rigs.
+    /// Uses the image of the bench by default. Fails if `rig` is not `Probe`.
     pub fn from_spec(rig: &RigSpec) -> Result<Self, ProbeError> {
         let RigSpec::Probe { board, elf, port, baud } = rig else {
             return Err(ProbeError::Spec { text: rig.to_string() });
@@ -62,10 +54,6 @@ impl ProbeSetup {
         }
     }
 
-    /// Attaches, flashes if needed, resets and opens the link to the controller.
-    ///
-    /// # Errors
-    /// [`ProbeError`].
     pub fn connect(
         self,
         list: impl FnOnce() -> Lister + Send + 'static,
@@ -77,10 +65,6 @@ impl ProbeSetup {
         }
     }
 
-    /// As [`ProbeSetup::connect`], over RTT.
-    ///
-    /// # Errors
-    /// [`ProbeError`]; [`ProbeError::NoRtt`] if the firmware has no RTT.
     pub fn connect_rtt(
         self,
         list: impl FnOnce() -> Lister + Send + 'static,

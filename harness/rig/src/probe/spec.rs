@@ -5,12 +5,11 @@ use probe_rs::probe::DebugProbeSelector;
 use std::fmt;
 use std::str::FromStr;
 
-/// The expected chip and its probe.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ProbeSpec {
-    /// The chip's name, for example `STM32F407VG`.
+    /// For example `STM32F407VG`.
     pub chip: String,
-    /// USB vendor and product in hexadecimal, and the serial number; `None` if there is one probe only.
+    /// `None` selects the only probe.
     pub selector: Option<DebugProbeSelector>,
 }
 

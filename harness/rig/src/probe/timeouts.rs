@@ -2,22 +2,19 @@
 
 use std::time::Duration;
 
-/// Time-outs of the calls to a board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timeouts {
-    /// Finding the probe, waking the debug port, reading the chip's identity.
+    /// Includes waking the debug port and reading the chip's identity.
     pub attach: Duration,
-    /// Comparing, erasing, programming and comparing again.
+    /// Includes comparing before and after.
     pub flash: Duration,
-    /// A reset up to running firmware.
     pub reset: Duration,
-    /// The firmware's RTT control block after a reset.
+    /// Waits for the RTT control block after a reset.
     pub rtt: Duration,
-    /// The firmware's first answer on its serial port after a reset.
+    /// Waits for the first answer on the serial port after a reset.
     pub handshake: Duration,
-    /// The answer to one message over RTT. Silence beyond it is no error.
+    /// Silence beyond it is no error.
     pub exchange: Duration,
-    /// Reading registers and stack after a trap.
     pub crash: Duration,
     /// Additional time of each call before the probe counts as hung.
     pub grace: Duration,

@@ -10,7 +10,6 @@ use std::sync::{Arc, Mutex};
 
 const AT_REST: Sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
 
-/// Fault of the link to a hosted device.
 #[derive(Clone, Copy, PartialEq)]
 enum LinkFault {
     None,
@@ -23,7 +22,6 @@ enum LinkFault {
     Disconnected,
 }
 
-/// A hosted device behind a switchable fault, with a log of the messages to it.
 struct FaultyDevice {
     device: HostedLink,
     fault: Arc<Mutex<LinkFault>>,
@@ -197,7 +195,7 @@ fn counts_two_different_answers_to_one_sample() {
         [0, 0],
         "duplicated by the line"
     );
-    // Also after the numbers wrap.
+    // It also counts after the numbers wrap.
     assert!((1..=300).all(|number| sample(LinkFault::Contradicting, number) == number));
     assert_eq!(sample(LinkFault::None, 301), 300);
     *fixture.fault.lock().unwrap() = LinkFault::None;
@@ -222,7 +220,6 @@ fn repeats_the_request_for_0_v_without_an_answer() {
     assert_eq!(*fixture.sent.lock().unwrap(), [Message::Safe; 3]);
 }
 
-/// A hosted device on a line that delivers garbage at each receive.
 struct BabblingLink {
     device: HostedLink,
     until: Instant,
@@ -284,7 +281,7 @@ fn filters_commands_by_sequence_number() {
             .new_command(&Packet { sequence, message: Message::Command(command(state)) })
             .is_some()
     };
-    // Also across the wrap of the numbers.
+    // This includes the wrap of the numbers.
     for (sent, last) in [(7, 5), (1, 255), (0, 254)] {
         let at = |offset: i8| is_new(sent, last, last.wrapping_add_signed(offset), ControllerState::Running);
         assert_eq!([-1, 0, 1, 2, 3].map(at), [false, false, true, true, false], "{sent} {last}");
@@ -315,7 +312,6 @@ fn counts_requests_for_0_v_that_were_ignored() {
     assert_eq!(fixture.session.ignored_safe_requests(), 0);
 }
 
-/// Sends a command with a drive of 100 Vpp after it confirmed 0 V.
 #[derive(Default)]
 struct DrivesAfterSafe {
     inner: HostedLink,

@@ -9,8 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
 
-/// Two frames of 24 bytes, and the idle line of one byte that ends the first; 10 µs per byte at 1
-/// Mbaud.
+/// Two frames of 24 bytes and one byte of idle line; 10 µs per byte at 1 Mbaud.
 const SAMPLE_AND_COMMAND: Duration = Duration::from_micros((24 + 1 + 24) * 10);
 
 #[test]
@@ -188,7 +187,7 @@ fn repeats_a_trial_bit_for_bit_after_others() {
 
     let (mut used, log) = open_logged(EmulatedLink::built_in().unwrap());
     trial(&mut used, LawId::DqPiEuler);
-    // A copy, because a failed assertion with the lock held would also panic in `Session::drop`.
+    // A failed assertion with the lock held would also panic in `Session::drop`.
     let other = log.lock().unwrap().clone();
     assert_ne!(other, expected);
     used.send_sample(Duration::from_millis(31), &sample(f32::NAN, 0.0)).unwrap();

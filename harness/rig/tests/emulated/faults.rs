@@ -8,7 +8,6 @@ use rstest::rstest;
 use std::time::{Duration, Instant};
 
 const PLANTED_FAULT_SETPOINT_UM: f32 = 900.0;
-/// The place of the faults.
 const SOURCE: &str = "(firmware-under-test/stm32f4/src/planted_faults.rs:";
 /// Most take milliseconds; unoptimised code on a busy machine takes a multiple.
 const TIMEOUT: Duration = Duration::from_secs(10);

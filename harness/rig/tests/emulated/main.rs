@@ -1,5 +1,4 @@
-//! Tests the firmware image on the emulated board: equivalence with the hosted controller, crashes,
-//! invalid images.
+//! Tests the firmware image on the emulated board.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -30,10 +29,9 @@ fn image(name: &str) -> Vec<u8> {
     std::fs::read(firmware_under_test().join("images").join(name)).unwrap()
 }
 
-/// Per call of a link: received bytes, delay, instructions.
+/// Per call: received bytes, delay, instructions.
 type Log = Arc<Mutex<Vec<(Vec<u8>, Duration, Option<u64>)>>>;
 
-/// A link with a log.
 struct LoggedLink<L> {
     link: L,
     log: Log,

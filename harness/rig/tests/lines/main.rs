@@ -12,10 +12,8 @@ use std::time::Duration;
 /// A controller on its own clock: a sample time-out for a busy machine.
 const CONFIGURE: Configure = Configure { watchdog_timeout_ms: 1_000, ..platebench_test_kit::CONFIGURE };
 
-/// Long enough for a busy machine.
 const RECEIVE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A sample that moves.
 fn sample(step: u32) -> Sample {
     let wave = (step as f32 * 0.7).sin();
     Sample { time_us: step * 1_000, setpoint_um: 2.0, wd_um: 1.5 + wave, wq_um: 0.3 * wave }

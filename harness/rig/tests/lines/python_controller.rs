@@ -27,7 +27,6 @@ fn controls_like_the_firmware() {
         close(gains.amplitude_kp, known.amplitude_kp) && close(gains.frequency_ki, known.frequency_ki),
         "{gains:?}"
     );
-    // Near the setpoint, without saturation.
     for step in 0..50 {
         let wave = (step as f32 * 0.7).sin();
         let sample = platebench_wire::Sample { wd_um: 1.9 + 0.05 * wave, wq_um: 0.01 * wave, ..sample(step) };

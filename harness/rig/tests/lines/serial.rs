@@ -11,13 +11,11 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// The other end of a cable, and the path of the port.
 fn cable() -> (File, PathBuf) {
     let (master, path) = open_terminal();
     (master, path.into())
 }
 
-/// A board that sends each answer `times` times, until its line hangs up.
 fn board(mut line: File, times: usize) {
     let mut device = Device::new(IDENTITY);
     thread::spawn(move || {

@@ -1,8 +1,5 @@
 //! Emulates an STM32F407 for a debugger: memory map, debug registers of a Cortex-M4, flash.
-//!
-//! Executes no instruction. The effect of a flash algorithm or a program happens when the processor
-//! is started at
-//! its entry point.
+//! Executes no instruction: programs act when they are started at their entry point.
 
 use crate::image::{CONTROL_STEP, HANDLER, MAIN_LOOP, PROGRAM, Program};
 use crate::rtt_buffers::RttBuffers;
@@ -23,25 +20,20 @@ const LR: usize = 14;
 const PC: usize = 15;
 const XPSR: usize = 16;
 
-/// State for the tests, and faults.
 #[expect(clippy::struct_excessive_bools, reason = "each is an independent fault")]
 pub(crate) struct Chip {
     pub(crate) idcode: u32,
     pub(crate) resets: u32,
     pub(crate) erased_sectors: u32,
     pub(crate) programmed_pages: u32,
-    /// Each programmed page flips a bit of this byte of flash.
+    /// Each programmed page flips a bit of it.
     pub(crate) failing_byte: Option<u32>,
-    /// The flash algorithm never returns.
     pub(crate) algorithm_hangs: bool,
-    /// Number of memory accesses without acknowledgement.
+    /// Number of accesses without acknowledgement.
     pub(crate) failing_accesses: u32,
-    /// Memory accesses block.
     pub(crate) memory_hangs: bool,
-    /// The watchdog resets the chip when the processor is halted.
     pub(crate) watchdog_resets_when_halted: bool,
     pub(crate) device: Device,
-    /// Number of received chunks of the serial port that are lost.
     pub(crate) lost_serial_chunks: u32,
     flash: Vec<u8>,
     ram: Vec<u8>,
@@ -99,7 +91,6 @@ impl Chip {
         &mut self.flash[(address - FLASH) as usize]
     }
 
-    /// An access by a debugger; `None` without memory there.
     pub(crate) fn read(&mut self, address: u32, size: u32) -> Option<u32> {
         self.run_firmware();
         if address >= 0xe000_0000 {
@@ -205,7 +196,6 @@ impl Chip {
         }
     }
 
-    /// Halts with a bit of the debug fault status register.
     fn stop(&mut self, reason: u32) {
         self.halted = true;
         self.control |= 3;
@@ -229,7 +219,6 @@ impl Chip {
         if catch { self.stop(8) } else { self.boot() }
     }
 
-    /// Starts the program whose number is in flash.
     fn boot(&mut self) {
         self.program = Program::from_word(self.word(PROGRAM));
         if matches!(self.program, Some(Program::Controller | Program::Mute | Program::Traps)) {
@@ -284,7 +273,6 @@ impl Chip {
         }
     }
 
-    /// Runs the firmware between two accesses of the debugger.
     fn run_firmware(&mut self) {
         if !self.is_running() {
             return;
@@ -308,7 +296,6 @@ impl Chip {
         !self.halted && !in_a_handler
     }
 
-    /// The answer of the firmware on its serial port.
     pub(crate) fn serial_port(&mut self, received: &[u8]) -> Vec<u8> {
         let program = self.program.filter(|_| self.is_running());
         let Some(program @ (Program::Port | Program::PortTraps | Program::PortReports)) = program else {
@@ -338,8 +325,7 @@ impl Chip {
         answer
     }
 
-    /// A data bus error at `0x4000_1000` in `control_step`, called from `main_loop`; the handler
-    /// loops.
+    /// A data bus error at `0x4000_1000` in `control_step`, called from `main_loop`.
     fn trap(&mut self) {
         for (address, value) in
             [(0xe000_ed04, 3), (0xe000_ed28, 0x8200), (0xe000_ed2c, 1 << 30), (0xe000_ed38, 0x4000_1000)]

@@ -16,7 +16,6 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::sleep;
 use std::time::Duration;
 
-/// The chip, shared between the probe and the test.
 #[derive(Clone)]
 pub(crate) struct SharedChip(Arc<Mutex<Chip>>);
 
@@ -35,13 +34,11 @@ impl SharedChip {
         self.0.lock().unwrap()
     }
 
-    /// Erased sectors and programmed pages.
     pub(crate) fn written(&self) -> (u32, u32) {
         let chip = self.lock();
         (chip.erased_sectors, chip.programmed_pages)
     }
 
-    /// One ST-Link with this chip.
     pub(crate) fn lister(&self) -> impl FnOnce() -> Lister + Send + 'static {
         self.lister_of(vec![("ST-Link V2-1", 0x0483, 0x374b, "066DFF")], OpenResult::Works)
     }
@@ -56,7 +53,6 @@ impl SharedChip {
     }
 }
 
-/// Result of opening a probe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum OpenResult {
     Works,
@@ -132,7 +128,6 @@ impl EmulatedProbe {
         Self { chip, select: 0, power: 0, status: 0x0300_0042, target: 0 }
     }
 
-    /// Bytes per transfer of the access port.
     fn size(&self) -> u32 {
         1 << (self.status & 3)
     }

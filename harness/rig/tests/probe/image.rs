@@ -1,33 +1,30 @@
 //! Builds firmware images: an ELF with three functions and optionally an RTT control block.
 
-/// Start of the code.
 pub(crate) const FLASH: u32 = 0x0800_0000;
-/// Address of the RTT control block.
 pub(crate) const RTT: u32 = 0x2000_0400;
-/// Functions, each 0x40 bytes.
+/// Each 0x40 bytes.
 pub(crate) const CONTROL_STEP: u32 = 0x0800_0200;
 pub(crate) const MAIN_LOOP: u32 = 0x0800_0240;
 pub(crate) const HANDLER: u32 = 0x0800_0280;
 const FUNCTION_BYTES: u32 = 0x40;
-/// Address in flash of the number of the program.
+/// Where flash holds the number of the program.
 pub(crate) const PROGRAM: u32 = 0x0800_0010;
 
-/// What the emulated processor does with an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Program {
-    /// The controller crate behind RTT.
+    /// Runs the controller behind RTT.
     Controller = 1,
     /// RTT that never answers.
     Mute = 2,
-    /// RTT, and a trap at the first received byte.
+    /// RTT; traps at the first received byte.
     Traps = 3,
     /// A symbol for RTT, which never starts.
     Asleep = 4,
-    /// The controller crate behind a serial port; no RTT.
+    /// Runs the controller behind a serial port, without RTT.
     Port = 5,
-    /// The same, and a trap at the first sample, without a report.
+    /// Traps at the first sample, without a report.
     PortTraps = 6,
-    /// The same, with a report.
+    /// Traps at the first sample, with a report.
     PortReports = 7,
 }
 
@@ -39,7 +36,6 @@ impl Program {
     }
 }
 
-/// Variants of the image.
 pub(crate) struct ImageSpec {
     pub(crate) program: Program,
     pub(crate) rtt: bool,

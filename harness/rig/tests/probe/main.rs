@@ -1,8 +1,5 @@
-//! Tests `--rig probe` without a board: probe-rs's code for debug port, Cortex-M, STM32, flash and
-//! RTT works on an
-//! emulated memory map.
-//!
-//! Not covered, see `docs/attach-a-board.md`: USB, SWD signals, real flash algorithms.
+//! Tests `--rig probe` without a board: probe-rs works on an emulated memory map. Not covered, see
+//! `docs/attach-a-board.md`: USB, SWD signals, real flash algorithms.
 
 #![allow(clippy::unwrap_used, reason = "a failed fixture fails the test")]
 
@@ -24,7 +21,6 @@ use image::ImageSpec;
 use platebench_rig::probe::{AttachedBoard, ProbeError, ProbeSetup, ProbeSpec, RttLink, Timeouts};
 use std::time::Duration;
 
-/// Short time-outs for the tests of hangs.
 fn timeouts() -> Timeouts {
     Timeouts {
         attach: Duration::from_secs(10),
@@ -46,7 +42,6 @@ fn attach(chip: &SharedChip) -> Result<AttachedBoard, ProbeError> {
     AttachedBoard::attach(&spec(), chip.lister(), timeouts())
 }
 
-/// A link to a board that runs the image `spec`.
 fn link(chip: &SharedChip, image: &ImageSpec) -> Result<RttLink, ProbeError> {
     ProbeSetup::new(spec(), &image.elf(), None)?.connect_rtt(chip.lister(), timeouts())
 }

@@ -13,8 +13,7 @@ use std::sync::{Arc, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A cable from the chip's serial port to the returned path. It lasts until the returned guard is
-/// dropped.
+/// The cable lasts until the returned guard is dropped.
 fn cable(chip: &SharedChip) -> (String, Arc<()>) {
     let mut terminal = PtyLink::open().unwrap();
     let (path, chip, plugged) = (terminal.path().to_owned(), chip.clone(), Arc::new(()));

@@ -29,7 +29,6 @@ impl RttBuffers {
         }
     }
 
-    /// Reads the bytes from the bench.
     pub(crate) fn read_down(chip: &mut Chip) -> Vec<u8> {
         let channel = RTT + DOWN;
         let (buffer, end) = (chip.word(channel + 4), chip.word(channel + WRITE));
@@ -44,7 +43,6 @@ impl RttBuffers {
         received
     }
 
-    /// Sends bytes to the bench.
     pub(crate) fn write_up(chip: &mut Chip, bytes: &[u8]) {
         let channel = RTT + UP;
         let (buffer, mut at) = (chip.word(channel + 4), chip.word(channel + WRITE));

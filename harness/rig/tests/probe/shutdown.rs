@@ -14,7 +14,6 @@ fn confirms_0_v_and_resets() {
     assert!(ending.zero_volts_confirmed);
     assert!(ending.reset.is_ok());
     assert_eq!(chip.lock().resets, before + 1);
-    // Only once.
     assert!(!link.shut_down().zero_volts_confirmed);
     drop(link);
     assert_eq!(chip.lock().resets, before + 1);
