@@ -9,23 +9,20 @@ use std::path::PathBuf;
 /// An error that stops the whole suite, for any filter: a partial suite could pass by mistake.
 #[derive(Debug, thiserror::Error)]
 pub enum SuiteError {
-    /// The rig has invalid syntax.
     #[error("{0}")]
     Rig(SpecError),
     /// The rig is not part of this build, or its command is invalid.
     #[error(transparent)]
     Connect(ConnectError),
-    /// Invalid scenarios, with all faults of all files.
+    /// All faults of all files.
     #[error("{}", render_all(.0))]
     Scenarios(Vec<Diagnostic>),
-    /// There is no scenario.
     #[error("there is nothing to run below {}", .0.display())]
     NoScenarios(PathBuf),
 }
 
 impl SuiteError {
-    /// Exit code of the test program, as of `platebench run`: 2 for invalid input, 4 without
-    /// scenarios.
+    /// As of `platebench run`: 2 for invalid input, 4 without scenarios.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Rig(_) | Self::Connect(_) | Self::Scenarios(_) => 2,
@@ -36,7 +33,6 @@ impl SuiteError {
 
 fn render_all(faults: &[Diagnostic]) -> String {
     faults.iter().fold(String::new(), |mut text, fault| {
-        // Writing into a String cannot fail.
         let _ = writeln!(text, "{}\n", fault.render(false));
         text
     })

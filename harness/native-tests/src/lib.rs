@@ -10,10 +10,6 @@
 //! }
 //! ```
 //!
-//! * [`suite`]: the test program of a folder and a rig.
-//! * [`error`]: errors of an invalid suite and their exit codes.
-//! * `play`: one test.
-//!
 //! The program takes the arguments of a Rust test program and of `cargo nextest`. See
 //! `docs/native-tests.md`.
 

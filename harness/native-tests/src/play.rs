@@ -11,7 +11,6 @@ use std::io;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-/// Rig, clock and output folder of all tests of a suite.
 #[derive(Debug)]
 pub(crate) struct TestContext {
     rig: RigSpec,
@@ -19,10 +18,8 @@ pub(crate) struct TestContext {
     out: PathBuf,
 }
 
-/// A test that did not pass.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TestFailure {
-    /// Another exit code than expected.
     #[error(
         "it ends with {}, expected {}\n\n{table}\nrun folder: {}",
         describe_exit_code(*code),
@@ -30,13 +27,10 @@ pub(crate) enum TestFailure {
         folder.display()
     )]
     Verdict { code: u8, expected: u8, table: String, folder: PathBuf },
-    /// An error before the verdict.
     #[error("{0}")]
     Run(#[from] RunError),
-    /// The report could not be written.
     #[error("{0}")]
     Report(#[from] ReportError),
-    /// The run folder could not be created.
     #[error("{}: {source}", path.display())]
     Folder { path: PathBuf, source: io::Error },
 }
@@ -61,7 +55,6 @@ impl TestContext {
         Self { rig, clock, out }
     }
 
-    /// Runs `scenario` and compares the exit code with `expected_exit`.
     pub(crate) fn run_scenario(&self, mut scenario: Scenario) -> Result<(), TestFailure> {
         let overrides = Overrides::default();
         rejudge::apply_overrides(&overrides, &mut scenario);
@@ -84,8 +77,7 @@ impl TestContext {
         Err(TestFailure::Verdict { code, expected, table, folder })
     }
 
-    /// Runs `plan` into a temporary folder and then replaces `folder`, which so contains one run
-    /// only.
+    /// Runs into a temporary folder and then replaces `folder`, which so contains one run only.
     fn run_and_replace(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let parent = folder.parent().unwrap_or(&self.out);
         fs::create_dir_all(parent).map_err(folder_error(parent))?;
@@ -122,7 +114,6 @@ fn folder_error(path: &Path) -> impl FnOnce(io::Error) -> TestFailure + use<> {
     |source| TestFailure::Folder { path, source }
 }
 
-/// The exit code of `platebench run` for this record.
 fn exit_code(record: &RunRecord) -> u8 {
     let unsafe_end = record.verdict == Verdict::Inconclusive && record.safe_confirmed == Some(false);
     match record.verdict {

@@ -12,7 +12,6 @@ use std::sync::Arc;
 /// Environment variable that replaces the rig of the suite, for example by a board.
 pub const RIG_VARIABLE: &str = "PLATEBENCH_RIG";
 
-/// A folder of scenarios and their rig.
 #[derive(Debug, Clone)]
 pub struct Suite {
     scenarios: PathBuf,
@@ -27,17 +26,13 @@ impl Suite {
         Self { scenarios: scenarios.into(), out: out.into(), rig: "emulated".to_owned() }
     }
 
-    /// Sets the rig, in the syntax of `platebench run --rig`; `emulated` by default.
-    /// [`RIG_VARIABLE`]
-    /// overrides it.
+    /// As for `platebench run --rig`; `emulated` by default. [`RIG_VARIABLE`] overrides it.
     #[must_use]
     pub fn rig(mut self, rig: impl Into<String>) -> Self {
         self.rig = rig.into();
         self
     }
 
-    /// Runs the test program with the arguments and the environment of the process.
-    ///
     /// Exit codes: 0 all tests passed; 101 a test failed; 2 a scenario or the rig is invalid; 4 no
     /// scenario.
     pub fn run(mut self) -> ExitCode {

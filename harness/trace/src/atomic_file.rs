@@ -4,10 +4,9 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Ends the name of a file that is not whole yet.
 const TEMPORARY_SUFFIX: &str = ".part";
 
-/// A file that gets its name once it is whole; removed if it is dropped before.
+/// Gets its name once it is whole; removed if it is dropped before.
 #[derive(Debug)]
 pub struct AtomicFile {
     file: File,
@@ -15,7 +14,7 @@ pub struct AtomicFile {
     path: PathBuf,
 }
 
-/// Removes its file when dropped. After the rename there is nothing to remove.
+/// After the rename there is nothing to remove.
 #[derive(Debug)]
 struct TemporaryPath(PathBuf);
 
@@ -27,9 +26,6 @@ impl Drop for TemporaryPath {
 
 impl AtomicFile {
     /// Starts the file that replaces `path`. Its folder must exist.
-    ///
-    /// # Errors
-    /// The operating system's.
     pub fn create(path: &Path) -> io::Result<Self> {
         let mut temporary = path.to_owned().into_os_string();
         temporary.push(TEMPORARY_SUFFIX);
@@ -37,25 +33,19 @@ impl AtomicFile {
         Ok(Self { file: File::create(&temporary.0)?, temporary, path: path.to_owned() })
     }
 
-    /// The open file, for writers that seek.
+    /// For writers that seek.
     pub fn file(&self) -> &File {
         &self.file
     }
 
     /// Gives the file its name and brings both to the disk.
-    ///
-    /// # Errors
-    /// The operating system's.
     pub fn commit(self) -> io::Result<()> {
         self.file.sync_all()?;
         fs::rename(&self.temporary.0, &self.path)?;
         self.path.parent().map_or(Ok(()), sync)
     }
 
-    /// Gives the file its name without waiting for the disk: a kill leaves it whole, a power cut may not.
-    ///
-    /// # Errors
-    /// The operating system's.
+    /// Does not wait for the disk: after a kill the file is whole, after a power cut it may not be.
     pub fn commit_without_sync(self) -> io::Result<()> {
         fs::rename(&self.temporary.0, &self.path)
     }
@@ -71,21 +61,14 @@ impl Write for AtomicFile {
     }
 }
 
-/// Replaces the file at `path` by one with this content.
-///
-/// # Errors
-/// The operating system's. The earlier file is then still there.
+/// If this fails, the earlier file is still there.
 pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = AtomicFile::create(path)?;
     file.write_all(content)?;
     file.commit()
 }
 
-/// Writes a file that must not exist, whole or not at all.
-///
-/// # Errors
-/// The operating system's: [`io::ErrorKind::AlreadyExists`], or a failed write, after which the file is
-/// removed.
+/// Fails with [`io::ErrorKind::AlreadyExists`] if the file exists; removes it after a failed write.
 pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = File::create_new(path)?;
     file.write_all(content).and_then(|()| file.sync_all()).inspect_err(|_| {
@@ -94,9 +77,6 @@ pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
 }
 
 /// Brings everything below `folder`, and its own entry, to the disk.
-///
-/// # Errors
-/// The path that failed, with the operating system's error.
 pub fn sync_tree(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
     let at = |path: &Path| {
         let path = path.to_owned();
@@ -116,9 +96,6 @@ pub fn sync_tree(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
 }
 
 /// Removes the files directly in `folder` that a kill left unfinished.
-///
-/// # Errors
-/// The path that failed, with the operating system's error.
 pub fn remove_temporary_files(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
     for entry in fs::read_dir(folder).map_err(|error| (folder.to_owned(), error))? {
         let path = entry.map_err(|error| (folder.to_owned(), error))?.path();

@@ -1,9 +1,8 @@
 //! Reads and writes traces: what happened in a trial, row by row, as CSV.
 //!
-//! A row contains the plate state **at** `t_s`, and the drive and frequency applied **from** `t_s` until the next row.
-//! Floats have the shortest form that parses back to the same double, so equal trials have equal bytes.
-//!
-//! The runner writes traces and `platebench-verdict` judges them. This crate does not judge.
+//! A row contains the plate state **at** `t_s`, and the drive and frequency applied **from** `t_s`
+//! until the next row. Floats have the shortest form that parses back to the same double, so equal
+//! trials have equal bytes.
 
 mod atomic_file;
 mod regular_file;

@@ -3,21 +3,20 @@
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 bitflags::bitflags! {
-    /// Marks of a row.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
     pub struct Flags: u8 {
-        /// A control instant: the controller received this state.
+        /// The controller received this state.
         const CONTROL = 1;
         /// The drive is at the amplifier's limit.
         const SATURATED = 1 << 1;
         /// The bench was too late for this instant.
         const OVERRUN = 1 << 2;
-        /// No answer; the last drive remains.
+        /// The last drive remains.
         const LINK_LOST = 1 << 3;
-        /// The controller is not running: 0 V.
+        /// The drive is 0 V.
         const SAFE = 1 << 4;
-        /// Reported by a controller that drives a real plate: `wd_um`, `wq_um` and `amplitude_um`
-        /// come from its sensor, and quantities that are not measured are empty.
+        /// From a real plate: `wd_um`, `wq_um` and `amplitude_um` come from its sensor, and
+        /// quantities that are not measured are empty.
         const SENSED = 1 << 5;
     }
 }
@@ -56,21 +55,18 @@ impl<'de> Deserialize<'de> for Flags {
 /// The state of a trial at an instant. Amplitudes and voltages are peak to peak.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
 pub struct Row {
-    /// Seconds since the start of the trial.
+    /// Since the start of the trial.
     pub t_s: f64,
-    /// Setpoint of the amplitude, µm.
     pub setpoint_um: f64,
-    /// In-phase component of the plate's vibration, µm.
+    /// In-phase component of the plate's vibration.
     pub wd_um: f64,
-    /// Quadrature component, µm.
+    /// Quadrature component.
     pub wq_um: f64,
-    /// |W|, µm.
+    /// |W|.
     pub amplitude_um: f64,
-    /// Drive from here on, Vpp.
     pub drive_vpp: f64,
-    /// Excitation frequency from here on, Hz.
     pub frequency_hz: f64,
-    /// The plate's true resonance ω0/2π, Hz; NaN, and empty in the file, if unknown.
+    /// The plate's true resonance ω0/2π; NaN, and empty in the file, if unknown.
     #[serde(with = "optional_number")]
     pub resonance_hz: f64,
     /// Kelvin above the plate's reference temperature; NaN, and empty in the file, if not measured.
@@ -79,17 +75,15 @@ pub struct Row {
     /// Normal force of the finger, N; NaN, and empty in the file, if not measured.
     #[serde(with = "optional_number")]
     pub finger_force_n: f64,
-    /// In-phase component that the controller received last, µm.
+    /// In-phase component that the controller received last.
     pub sensed_wd_um: f64,
-    /// Quadrature component that the controller received last, µm.
+    /// Quadrature component that the controller received last.
     pub sensed_wq_um: f64,
-    /// How late the bench was at this instant, µs.
     pub lateness_us: f64,
-    /// See [`Flags`].
     pub flags: Flags,
 }
 
-/// Stores an unknown number: NaN in memory, an empty field in the file.
+/// NaN in memory, an empty field in the file.
 mod optional_number {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -106,7 +100,6 @@ mod optional_number {
 /// Columns that may be empty in a row with the flag `sensed`.
 pub const OPTIONAL_COLUMNS: [&str; 3] = ["resonance_hz", "temperature_offset_k", "finger_force_n"];
 
-/// The columns of a trace, in order.
 pub const COLUMNS: [&str; 14] = [
     "t_s",
     "setpoint_um",
@@ -127,23 +120,16 @@ pub const COLUMNS: [&str; 14] = [
 /// A column in µm, which can be compared with the setpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum AmplitudeColumn {
-    /// `amplitude_um`
     Amplitude,
-    /// `wd_um`
     Wd,
-    /// `wq_um`
     Wq,
-    /// `sensed_wd_um`
     SensedWd,
-    /// `sensed_wq_um`
     SensedWq,
 }
 
 impl AmplitudeColumn {
-    /// Every such column.
     pub const ALL: [Self; 5] = [Self::Amplitude, Self::Wd, Self::Wq, Self::SensedWd, Self::SensedWq];
 
-    /// The column's name in the header.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Amplitude => "amplitude_um",
@@ -154,7 +140,6 @@ impl AmplitudeColumn {
         }
     }
 
-    /// The column's value in a row.
     pub const fn value(self, row: &Row) -> f64 {
         match self {
             Self::Amplitude => row.amplitude_um,

@@ -7,33 +7,27 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A trace may be this large: 10⁷ rows.
+/// 4 GiB, some 10⁷ rows.
 const MAX_BYTES: u64 = 4 << 30;
 
-/// Why a trace cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
-    /// The file cannot be opened, read or written.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file.
+        /// The trace.
         path: PathBuf,
-        /// The operating system's error.
         source: io::Error,
     },
-    /// The content is not a trace.
     #[error("{}:{line}: {message}", path.display())]
     Content {
-        /// The file.
         path: PathBuf,
         /// Counted from 1.
         line: u64,
-        /// What is wrong and what was expected.
         message: String,
     },
 }
 
-/// Writes a trace. The file gets its name in [`TraceWriter::finish`], so a file of that name is complete.
+/// The file gets its name in [`TraceWriter::finish`], so a file of that name is complete.
 #[derive(Debug)]
 pub struct TraceWriter {
     rows: csv::Writer<AtomicFile>,
@@ -42,26 +36,16 @@ pub struct TraceWriter {
 
 impl TraceWriter {
     /// Starts the trace at `path`. Its folder must exist.
-    ///
-    /// # Errors
-    /// [`TraceError::Io`].
     pub fn create(path: &Path) -> Result<Self, TraceError> {
         let file = AtomicFile::create(path).map_err(|source| TraceError::Io { path: path.to_owned(), source })?;
         Ok(Self { rows: csv::Writer::from_writer(file), path: path.to_owned() })
     }
 
-    /// Appends a row.
-    ///
-    /// # Errors
-    /// [`TraceError::Io`].
     pub fn write(&mut self, row: &Row) -> Result<(), TraceError> {
         self.rows.serialize(row).map_err(|error| self.io_error(error.into()))
     }
 
     /// Gives the trace its final name.
-    ///
-    /// # Errors
-    /// [`TraceError::Io`].
     pub fn finish(self) -> Result<(), TraceError> {
         let path = self.path;
         // The record holds the hash of every trace, so a power cut does not go unnoticed.
@@ -75,24 +59,19 @@ impl TraceWriter {
     }
 }
 
-/// Reads and checks the rows of a trace one by one, so memory does not grow with the trace.
-///
-/// A trace without rows gives one error. The iterator ends after an error.
+/// Reads and checks the rows one by one, so memory does not grow with the trace. A trace without
+/// rows gives one error. The iterator ends after an error.
 #[derive(Debug)]
 pub struct TraceReader {
     reader: csv::Reader<io::Take<File>>,
     record: csv::StringRecord,
     path: PathBuf,
-    /// Time of the previous row, s.
     previous_t_s: Option<f64>,
     finished: bool,
 }
 
 impl TraceReader {
-    /// Opens the trace at `path`.
-    ///
-    /// # Errors
-    /// [`TraceError`]: the file cannot be opened or has other columns.
+    /// Fails if the file cannot be opened or has other columns.
     pub fn open(path: &Path) -> Result<Self, TraceError> {
         let file =
             open_regular_file(path, MAX_BYTES).map_err(|source| TraceError::Io { path: path.to_owned(), source })?;
@@ -167,11 +146,8 @@ impl Iterator for TraceReader {
     }
 }
 
-/// Reads a trace: at least one row, times that do not decrease, every number finite. Unknown quantities of a real plate
-/// are empty.
-///
-/// # Errors
-/// [`TraceError`] with file and line.
+/// Fails unless there is a row, times do not decrease and every number is finite. Unknown
+/// quantities of a real plate are empty.
 pub fn read_trace(path: &Path) -> Result<Vec<Row>, TraceError> {
     TraceReader::open(path)?.collect()
 }
@@ -184,7 +160,7 @@ mod tests {
     use std::fs;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    /// A file of its own for each call; removed by the test that it is given to.
+    /// A new path for each call.
     fn temp_path() -> PathBuf {
         static COUNT: AtomicUsize = AtomicUsize::new(0);
         let number = COUNT.fetch_add(1, Ordering::Relaxed);

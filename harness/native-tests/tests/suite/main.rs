@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// A project with plates and scenarios.
 struct SuiteProject(TempDir);
 
 impl SuiteProject {
@@ -31,7 +30,7 @@ impl SuiteProject {
         self.path().join("out").join(name)
     }
 
-    /// Writes a step to 2 µm with a limit of the settling time in ms.
+    /// The step is to 2 µm; the limit is a settling time in ms.
     fn write_scenario(&self, name: &str, first: &str, at_most: f64) {
         let plate =
             self.path().join("scenarios/plates").join(if first.contains("weak") { "weak.toml" } else { "plate.toml" });
@@ -53,7 +52,6 @@ impl SuiteProject {
         command.args(arguments).envs(rig.map(|rig| ("PLATEBENCH_RIG", rig))).output().unwrap()
     }
 
-    /// Exit code and output.
     fn run_tests(&self, arguments: &[&str]) -> (i32, String) {
         exit_code_and_output(&self.start(arguments, None))
     }
@@ -117,7 +115,6 @@ fn an_inconclusive_scenario_does_not_pass() {
     );
 }
 
-/// A scenario of a known limit is ignored by default and must end with its `expected_exit`.
 #[test]
 fn a_limit_scenario_runs_on_request_and_ends_as_expected() {
     let project = project_with_mixed_results();
@@ -149,7 +146,6 @@ fn a_limit_keeps_its_name_in_a_folder_of_any_name() {
     assert!(project.run_folder("limits/slow/run.json").exists());
 }
 
-/// Also with a filter, and for a list.
 #[rstest]
 #[case(&["good", "--exact"])]
 #[case(&["--list", "--format", "terse"])]
