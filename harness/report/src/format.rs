@@ -4,7 +4,6 @@ use platebench_record::{ExpectationRecord, Limit, Metric, Reason, RunRecord, Sta
 use platebench_verdict::tube::{Exceedance, TubeSignal};
 use std::fmt;
 
-/// Number of items per verdict.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct VerdictCounts {
     pub(crate) passed: usize,
@@ -13,12 +12,10 @@ pub(crate) struct VerdictCounts {
 }
 
 impl VerdictCounts {
-    /// Counts scenarios.
     pub(crate) fn of_scenarios(record: &RunRecord) -> Self {
         record.scenarios.iter().map(|scenario| scenario.verdict).collect()
     }
 
-    /// Counts expectations.
     pub(crate) fn of_expectations(record: &RunRecord) -> Self {
         let expectations = record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
         expectations.map(|expectation| expectation.verdict).collect()
@@ -76,7 +73,6 @@ pub const fn sign(verdict: Verdict) -> &'static str {
     }
 }
 
-/// The verdict with its cause: `inconclusive: rig`.
 pub(crate) fn verdict(expectation: &ExpectationRecord) -> String {
     match expectation.cause {
         Some(cause) if expectation.verdict == Verdict::Inconclusive => format!("{}: {cause}", expectation.verdict),
@@ -155,7 +151,7 @@ pub(crate) fn windows(expectation: &ExpectationRecord) -> Option<String> {
     }
 }
 
-/// The value that decided, or `never` if the event that a metric times did not happen.
+/// `never` if the event that the metric times did not happen.
 pub(crate) fn value_or_not_reached(expectation: &ExpectationRecord) -> Option<String> {
     let is_time = unit(expectation.metric) == "ms";
     let missing = match &expectation.reason {
@@ -181,7 +177,6 @@ pub(crate) fn remaining_reason(expectation: &ExpectationRecord) -> Option<String
     }
 }
 
-/// How the value follows from the trials' values.
 pub(crate) fn statistic(expectation: &ExpectationRecord) -> String {
     let name = match (expectation.statistic, expectation.evidence.quantile) {
         (Statistic::Worst, _) => "worst trial",
@@ -203,7 +198,6 @@ pub(crate) fn interval(expectation: &ExpectationRecord) -> Option<String> {
     Some(format!("{} … {}{}", number(low), number(high), confidence.unwrap_or_default()))
 }
 
-/// The evidence of the record, and the look at which it was judged.
 pub(crate) fn evidence(expectation: &ExpectationRecord) -> Option<String> {
     let evidence = &expectation.evidence;
     let look = evidence.look.map(|[number, of]| format!("judged at look {number} of {of}"));
@@ -211,7 +205,6 @@ pub(crate) fn evidence(expectation: &ExpectationRecord) -> Option<String> {
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 
-/// The place where a trial is farthest outside its tolerance tube.
 pub fn exceedance(trial: u32, worst: &Exceedance) -> String {
     let unit = TubeSignal::from_name(&worst.signal).map_or("", |signal| signal.unit);
     format!(

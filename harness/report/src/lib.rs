@@ -1,11 +1,4 @@
-//! Renders run records and traces.
-//!
-//! * [`text`]: console, JUnit, TAP, Markdown, annotations, events, CSV.
-//! * [`page`]: HTML pages.
-//! * [`chart`]: SVG drawings.
-//! * [`mod@format`]: numbers, limits and verdicts as words, the same everywhere.
-//!
-//! This crate judges and measures nothing: every number comes from a record or a trace.
+//! Renders run records and traces. Every number comes from a record or a trace.
 
 pub mod chart;
 mod error;

@@ -1,12 +1,4 @@
 //! Writes pages: HTML in one file that loads nothing.
-//!
-//! * `report_page`: `report.html`, from its parts `summary`, `run_comparison`, `scenario`, `cost`,
-//!   `environment`.
-//! * `trace_data`, `curves`, `grid`, `golden`, `markers`, `resolution`: from traces to sampled curves.
-//! * `scenario_figures`, `figure`: which curves a figure shows.
-//! * `drawing`, `script`, `encode`: figures as SVG and as data of the interactive plots.
-//! * `block_page`: pages of texts, tables and drawings.
-//! * `frame`, `elements`: frame and small parts of every page.
 
 mod block_page;
 mod cost;

@@ -1,9 +1,9 @@
-//! Finds in a record what reports refer to: keys, trials, expectations that did not pass.
+//! Finds keys, trials and missed expectations in a record.
 
 use platebench_record::{Cause, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict};
 use serde_json::Value;
 
-/// The key of expectation `index` in a trial's metrics: the metric, with `[n]` for its n-th expectation.
+/// The metric, with `[n]` for its n-th expectation.
 pub(crate) fn metric_key(scenario: &ScenarioRecord, index: usize) -> String {
     let Some(expectation) = scenario.expectations.get(index) else { return String::new() };
     let before = scenario.expectations.iter().take(index);
@@ -13,7 +13,7 @@ pub(crate) fn metric_key(scenario: &ScenarioRecord, index: usize) -> String {
     }
 }
 
-/// The trial to inspect for expectation `index`: the one that decided it, or else the first; `None` if it passed.
+/// The trial that decided, or else the first; `None` if the expectation passed.
 pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     let expectation = scenario.expectations.get(index).filter(|found| found.verdict != Verdict::Pass)?;
     let key = metric_key(scenario, index);
@@ -34,7 +34,7 @@ pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Optio
     decided.or_else(|| scenario.trials.first())
 }
 
-/// Scenario and index of every expectation that did not pass, failures first.
+/// Failures first.
 pub(crate) fn expectations_not_passed(record: &RunRecord) -> Vec<(&ScenarioRecord, usize)> {
     let of = |verdict: Verdict| {
         record.scenarios.iter().flat_map(move |scenario| {
@@ -45,7 +45,6 @@ pub(crate) fn expectations_not_passed(record: &RunRecord) -> Vec<(&ScenarioRecor
     of(Verdict::Fail).chain(of(Verdict::Inconclusive)).collect()
 }
 
-/// The reason why the run did not pass if no scenario has one.
 pub(crate) fn run_inconclusive_reason(record: &RunRecord) -> Option<&'static str> {
     if !record.complete {
         Some("the run was not finished")
@@ -58,7 +57,6 @@ pub(crate) fn run_inconclusive_reason(record: &RunRecord) -> Option<&'static str
     }
 }
 
-/// The reason why a scenario did not pass if no expectation has one.
 pub(crate) fn scenario_inconclusive_reason(scenario: &ScenarioRecord) -> Option<&'static str> {
     let carried = scenario.expectations.iter().any(|expectation| expectation.verdict != Verdict::Pass);
     if scenario.verdict == Verdict::Pass || carried {
@@ -70,7 +68,7 @@ pub(crate) fn scenario_inconclusive_reason(scenario: &ScenarioRecord) -> Option<
     }
 }
 
-/// The scenario `X-open-loop` that belongs to the scenario `X-closed-loop`.
+/// `X-open-loop` for `X-closed-loop`.
 pub(crate) fn open_loop_counterpart(record: &RunRecord, scenario: &ScenarioRecord) -> Option<usize> {
     let bare = |file: &str| file.strip_suffix(".toml").unwrap_or(file).to_owned();
     let wanted = format!("{}-open-loop", bare(&scenario.file).strip_suffix("-closed-loop")?);

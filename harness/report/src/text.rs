@@ -1,12 +1,4 @@
 //! Writes a run as text, for people and for machines.
-//!
-//! * [`console`]: tables and progress for a terminal.
-//! * [`junit`], [`tap`], [`markdown`], [`annotations`], [`events`], [`traceability`]: files and
-//!   streams of `docs/formats.md`.
-//! * [`comparison`]: a response and its baseline.
-//! * `history`: since when an expectation does not pass.
-//! * `cost`, `timing`: sentences about computing cost and real time.
-//! * `table`, `escape`: one table type, one set of escapes.
 
 pub mod annotations;
 pub mod comparison;

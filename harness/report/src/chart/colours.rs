@@ -1,13 +1,10 @@
-//! Names every colour once, with its value for light and for dark.
-//!
-//! A page gets them as variables ([`variables`]). A drawing in a file of its own gets the values
-//! themselves ([`document_style`]): not every viewer of SVG knows variables.
+//! Names every colour once, for light and dark: as CSS variables for pages, as values for SVG
+//! files, because not every viewer of SVG knows variables.
 
-/// Rules for the classes of drawings; one rule per line.
+/// One rule per line.
 pub(crate) const RULES: &str = include_str!("roles.css");
 
-/// Name, value for light, value for dark. The colours of series follow Okabe and Ito's palette for
-/// colour-blind readers, darkened and lightened.
+/// Name, light, dark. Series: Okabe and Ito's colour-blind palette, darkened and lightened.
 const VALUES: [(&str, &str, &str); 39] = [
     ("page", "#f6f6f3", "#121518"),
     ("card", "#fff", "#1a1e23"),
@@ -50,7 +47,6 @@ const VALUES: [(&str, &str, &str); 39] = [
     ("radius-9", "#c4502c", "#dd7243"),
 ];
 
-/// The colours as CSS variables, for a page.
 pub(crate) fn variables() -> String {
     let list = |value: fn(&(&str, &'static str, &'static str)) -> &'static str| {
         VALUES.iter().map(|colour| ["--", colour.0, ":", value(colour), ";"].concat()).collect::<String>()
@@ -62,7 +58,7 @@ pub(crate) fn variables() -> String {
     )
 }
 
-/// The rules that the elements of `body` need, with values in place of variables, for a drawing in a file of its own.
+/// The rules that the elements of `body` need, with values in place of variables.
 pub(crate) fn document_style(body: &str) -> String {
     let is_needed = |rule: &&str| {
         let class = rule.strip_prefix('.').and_then(|rule| rule.split_whitespace().next());

@@ -9,13 +9,9 @@ use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};
 
 /// Time that is drawn on either side of the exceedance, ms.
 const MARGIN_MS: f64 = 5.0;
-/// Instants at which the edges of a tube are drawn.
 const EDGE_POINTS: u32 = 400;
 
-/// The tube, the golden curve and the trial around the exceedance, as an SVG file.
-///
-/// # Errors
-/// [`ReportError::Plot`].
+/// The tube, the golden curve and the trial around the exceedance.
 pub fn draw_exceedance(tube: &Tube, rows: &[Row], trial: u32, worst: &Exceedance) -> Result<String, ReportError> {
     let signal = TubeSignal::from_name(&tube.signal);
     let (first, last) = tube.span_ms();

@@ -4,27 +4,18 @@ use super::svg::Role;
 use super::time_chart::{CurvePoint, TimeChart, TimeWindow, padded_range};
 use crate::error::ReportError;
 
-/// Points of a curve that are drawn.
 const MAX_POINTS: usize = 2_000;
 
-/// A recording and its fitted response, both in order of time.
 #[derive(Debug, Clone)]
 pub struct FitChart {
-    /// Title of the drawing.
     pub title: String,
-    /// Unit of the values.
     pub unit: &'static str,
-    /// Recorded points, `(ms, value)`.
+    /// `(ms, value)`, in order of time.
     pub measured: Vec<(f64, f64)>,
-    /// Points of the fitted response, `(ms, value)`.
     pub fitted: Vec<(f64, f64)>,
 }
 
 impl FitChart {
-    /// The drawing as an SVG file.
-    ///
-    /// # Errors
-    /// [`ReportError::Plot`].
     pub fn svg(&self) -> Result<String, ReportError> {
         let shorten = |points: &[CurvePoint]| points.iter().take(MAX_POINTS).copied().collect::<Vec<CurvePoint>>();
         let (measured, fitted) = (shorten(&self.measured), shorten(&self.fitted));

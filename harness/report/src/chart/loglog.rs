@@ -8,49 +8,34 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 use std::ops::Range;
 
-/// CSS pixels.
 const SIZE: (i32, i32) = (720, 430);
-/// Space on the right for the legend.
 const LEGEND_WIDTH: i32 = 236;
 const LEGEND_LINE_HEIGHT: i32 = 24;
-/// Labels of an axis that fit next to each other.
 const MAX_LABELS: usize = 9;
 
-/// The line of one method.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogLogSeries {
-    /// Name in the legend.
     pub name: String,
-    /// x and y of each setting, both above zero, in the order of the line.
+    /// Both above zero, in the order of the line.
     pub points: Vec<(f64, f64)>,
-    /// y of each setting without a result: crosses at the right edge.
+    /// y of each setting without a result, drawn as crosses at the right edge.
     pub failed: Vec<f64>,
-    /// Draws larger points.
     pub is_highlighted: bool,
 }
 
-/// Lines of points on two logarithmic axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogLogChart {
-    /// Title.
     pub title: String,
-    /// Label of the horizontal axis, with its unit.
     pub x_label: String,
-    /// Label of the vertical axis, with its unit.
     pub y_label: String,
-    /// Lines, the first in front.
+    /// The first is in front.
     pub series: Vec<LogLogSeries>,
-    /// A dashed line at an x, with its name.
+    /// Drawn dashed.
     pub vertical_line: Option<(f64, String)>,
-    /// Meaning of the crosses at the right edge.
     pub failed_label: String,
 }
 
 impl LogLogChart {
-    /// The drawing as an SVG file.
-    ///
-    /// # Errors
-    /// [`ReportError::Plot`].
     pub fn svg(&self) -> Result<String, ReportError> {
         svg_document(&self.title, SIZE, |root| self.draw(root))
     }

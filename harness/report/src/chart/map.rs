@@ -1,34 +1,29 @@
-//! Draws maps of stability: spectral radius over control period and loop delay, with measured boundaries.
+//! Draws the spectral radius over control period and loop delay, with measured boundaries.
 
 use super::svg::{Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, length, svg_document, text_style};
 use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 
-/// CSS pixels of a panel.
+/// CSS pixels.
 const PANEL_SIZE: (i32, i32) = (330, 262);
-/// CSS pixels from one line of the legend to the next.
 const LEGEND_LINE_HEIGHT: i32 = 22;
-/// Upper edges of the classes of spectral radius; the last class has none. 1 is the boundary.
+/// Upper edges of the classes of spectral radius; 1 is the stability boundary.
 const CLASS_EDGES: [f64; 9] = [0.3, 0.5, 0.7, 0.8, 0.9, 1.0, 1.05, 1.2, 1.5];
 
-/// The measured loop delay of a rig, ms.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigDelay {
-    /// Median.
     pub typical_ms: f64,
-    /// Maximum.
     pub longest_ms: f64,
 }
 
 /// One law under one operating condition with one response time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapPanel {
-    /// Title.
     pub title: String,
-    /// Control periods of the columns, ms, ascending, evenly spaced, at least two.
+    /// Ascending, evenly spaced, at least two.
     pub periods_ms: Vec<f64>,
-    /// Loop delays of the rows, ms, ascending, evenly spaced, at least two.
+    /// Ascending, evenly spaced, at least two.
     pub delays_ms: Vec<f64>,
     /// Spectral radius by column and then by row.
     pub radius: Vec<Vec<f64>>,
@@ -36,24 +31,16 @@ pub struct MapPanel {
     pub measured: Vec<(f64, f64)>,
 }
 
-/// Panels side by side.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapFigure {
-    /// Title.
     pub title: String,
-    /// Panels, row by row.
     pub panels: Vec<MapPanel>,
-    /// Panels in a row, at least one.
+    /// At least one.
     pub columns: usize,
-    /// The rig whose delay is drawn in every panel.
     pub rig: Option<RigDelay>,
 }
 
 impl MapFigure {
-    /// The drawing as an SVG file, with a legend below the panels.
-    ///
-    /// # Errors
-    /// [`ReportError::Plot`].
     pub fn svg(&self) -> Result<String, ReportError> {
         let columns = self.columns.max(1);
         let rows = self.panels.len().div_ceil(columns).max(1);
@@ -123,7 +110,7 @@ impl MapPanel {
         canvas.text(Role::Text, HPos::Right, (PANEL_SIZE.0 - 16, PANEL_SIZE.1 - 10), "period, ms")
     }
 
-    /// The lines through the first delay of each column at which the spectral radius reaches 1, interpolated.
+    /// Per column the first delay with a spectral radius of 1, interpolated.
     fn stability_boundary(&self) -> Vec<Vec<(f64, f64)>> {
         let mut lines: Vec<Vec<(f64, f64)>> = vec![Vec::new()];
         for (period, radius) in self.periods_ms.iter().zip(&self.radius) {
@@ -144,7 +131,6 @@ impl MapPanel {
     }
 }
 
-/// An axis of cells around evenly spaced values.
 struct MapAxis {
     low: f64,
     high: f64,
@@ -158,7 +144,6 @@ impl MapAxis {
         usable.then(|| Self { low: first, high: last, half: (last - first) / (values.len() - 1) as f64 / 2.0 })
     }
 
-    /// The edges of the cell around `value`, within the axis.
     fn cell(&self, value: f64) -> (f64, f64) {
         ((value - self.half).max(self.low), (value + self.half).min(self.high))
     }
@@ -169,7 +154,7 @@ fn radius_class(radius: f64) -> usize {
     CLASS_EDGES.iter().position(|edge| radius < *edge).unwrap_or(CLASS_EDGES.len())
 }
 
-/// Runs of rows in one class: the class, the first and the last row.
+/// Runs of rows in one class: class, first row, last row.
 fn class_runs(radius: &[f64]) -> Vec<(usize, usize, usize)> {
     let mut runs: Vec<(usize, usize, usize)> = Vec::new();
     for (row, radius) in radius.iter().enumerate() {
@@ -182,7 +167,6 @@ fn class_runs(radius: &[f64]) -> Vec<(usize, usize, usize)> {
     runs
 }
 
-/// A sample and its meaning.
 enum LegendEntry {
     Heading,
     Class(usize),
@@ -219,7 +203,6 @@ impl LegendEntry {
     }
 }
 
-/// The entries of the legend and their places in lines of at most `width` CSS pixels.
 fn legend_places(has_rig: bool, width: i32) -> Vec<(LegendEntry, (i32, i32))> {
     let classes = (0..=CLASS_EDGES.len()).map(LegendEntry::Class);
     let lines = [LegendEntry::Boundary, LegendEntry::Measured].into_iter().chain(has_rig.then_some(LegendEntry::Delay));

@@ -1,5 +1,4 @@
-//! Draws points by colour and shape in panels above each other, with limit lines; the panels share
-//! the horizontal axis, and both axes are logarithmic.
+//! Draws panels of points by colour and shape on two logarithmic axes; the panels share x.
 
 use super::svg::{
     Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, decades, format_power_of_ten, length,
@@ -10,22 +9,17 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 use std::ops::Range;
 
-/// CSS pixels.
+/// CSS pixels, like all lengths below.
 const WIDTH: i32 = 900;
-/// Height of a panel's plot.
 const PLOT_HEIGHT: i32 = 250;
 const MARGIN_TOP: i32 = 84;
 const MARGIN_BOTTOM: i32 = 56;
-/// Space for the vertical axis.
 const MARGIN_LEFT: i32 = 70;
-/// Space for the legend.
 const MARGIN_RIGHT: i32 = 330;
 const TITLE_HEIGHT: i32 = 30;
-/// Distance of the legend's lines.
 const LINE_HEIGHT: i32 = 19;
-/// Radius of a shape.
 const RADIUS: f64 = 5.0;
-/// Corners of a shape in units of its radius; the first is almost a circle.
+/// Corners in units of the radius; the first shape is almost a circle.
 const SHAPES: [&[(f64, f64)]; 5] = [
     &[
         (1.0, 0.0),
@@ -47,56 +41,39 @@ const SHAPES: [&[(f64, f64)]; 5] = [
     &[(0.0, 1.25), (1.1, -0.75), (-1.1, -0.75)],
 ];
 
-/// A point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScatterPoint {
-    /// Index of its colour in the drawing.
+    /// Index in `ScatterChart::colours`.
     pub colour: usize,
-    /// Index of its shape in the panel.
+    /// Index in `ScatterPanel::shapes`.
     pub shape: usize,
-    /// Horizontal value; the point lies at the right edge without one.
+    /// The point lies at the right edge without a value.
     pub x: Option<f64>,
-    /// Vertical value.
     pub y: f64,
 }
 
-/// A part of the drawing with a vertical axis of its own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScatterPanel {
-    /// Label of the vertical axis, with its unit.
     pub y_label: String,
     /// Smallest y that is distinguished; smaller values lie on the lower edge.
     pub floor: f64,
-    /// Names of the shapes.
     pub shapes: Vec<String>,
-    /// Points.
     pub points: Vec<ScatterPoint>,
-    /// Limits of x and their names.
     pub x_limits: Vec<(f64, String)>,
-    /// Limits of y and their names.
     pub y_limits: Vec<(f64, String)>,
 }
 
-/// Panels of points above each other.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScatterChart {
-    /// Title.
     pub title: String,
-    /// Label of the horizontal axis, with its unit.
     pub x_label: String,
-    /// Names of the colours.
     pub colours: Vec<String>,
     /// Meaning of the right edge.
     pub edge_label: String,
-    /// Panels from the top.
     pub panels: Vec<ScatterPanel>,
 }
 
 impl ScatterChart {
-    /// The drawing as an SVG file.
-    ///
-    /// # Errors
-    /// [`ReportError::Plot`].
     pub fn svg(&self) -> Result<String, ReportError> {
         let height = TITLE_HEIGHT + (MARGIN_TOP + PLOT_HEIGHT + MARGIN_BOTTOM) * count_factor(self.panels.len());
         svg_document(&self.title, (WIDTH, height), |root| self.draw(root))
@@ -180,7 +157,6 @@ impl ScatterChart {
         self.draw_labels(panel, area)
     }
 
-    /// The colours, next to the first panel.
     fn draw_legend(&self, area: &DrawArea<'_>) -> DrawResult {
         for (number, name) in self.colours.iter().enumerate() {
             let (column, line) = (count_factor(number % 2), count_factor(number / 2));
@@ -191,7 +167,6 @@ impl ScatterChart {
         Ok(())
     }
 
-    /// The shapes, and the colours and shapes at the right edge, next to their panel.
     fn draw_labels(&self, panel: &ScatterPanel, area: &DrawArea<'_>) -> DrawResult {
         let canvas = Canvas(area);
         let x = WIDTH - MARGIN_RIGHT + 24;
@@ -222,7 +197,6 @@ impl ScatterChart {
     }
 }
 
-/// A shape around a point in CSS pixels.
 fn shape_polygon(number: usize, (x, y): (i32, i32), role: Role) -> Polygon<(i32, i32)> {
     let corner = |corner: &(f64, f64)| {
         (x * UNITS_PER_PIXEL + length(corner.0 * RADIUS), y * UNITS_PER_PIXEL + length(corner.1 * RADIUS))
@@ -231,7 +205,6 @@ fn shape_polygon(number: usize, (x, y): (i32, i32), role: Role) -> Polygon<(i32,
     Polygon::new(corners, role.colour().filled())
 }
 
-/// The range of the positive finite values with a margin at both ends.
 fn padded_range(values: impl Iterator<Item = f64>) -> Range<f64> {
     let drawn = values.filter(|value| value.is_finite() && *value > 0.0);
     let (low, high) = drawn.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
@@ -274,7 +247,7 @@ mod tests {
         }
     }
 
-    /// First corners of the shapes of a colour; the legend's come last to first: the last two lie in the legend.
+    /// The first corners of a colour's shapes, the legend's last.
     fn corners(svg: &str, colour: usize) -> Vec<(i64, i64)> {
         let class = format!("<path class=\"f-series-{colour}\" d=\"m");
         let first = |path: &str| {

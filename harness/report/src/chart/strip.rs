@@ -4,57 +4,44 @@ use super::svg::{Canvas, DrawArea, DrawResult, Role, count_factor, decades, form
 use crate::error::ReportError;
 use plotters::style::text_anchor::HPos;
 
-/// CSS pixels.
 const WIDTH: i32 = 980;
 const MARGIN_LEFT: i32 = 300;
 const MARGIN_RIGHT: i32 = 190;
 const MARGIN_TOP: i32 = 66;
 const MARGIN_BOTTOM: i32 = 60;
 const LINE_HEIGHT: i32 = 16;
-/// Height of the legend's centre.
 const LEGEND_Y: i32 = 44;
 /// Width at the left for values of exactly 0, in decades.
 const ZERO_DECADES: f64 = 10.0;
 
-/// An item and its marks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StripRow {
-    /// Name.
     pub name: String,
-    /// Limit: a stroke across the line.
+    /// A stroke across the line.
     pub limit: Option<f64>,
-    /// Colour and value of each mark; 0 lies at the left edge.
+    /// Colour and value; 0 lies at the left edge.
     pub values: Vec<(usize, f64)>,
-    /// Colour of the chosen mark, which has a ring.
+    /// Has a ring.
     pub chosen_colour: usize,
-    /// Text at the right; may be empty.
+    /// At the right; may be empty.
     pub note: String,
 }
 
-/// Lines of marks below each other.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StripChart {
-    /// Title.
     pub title: String,
-    /// Label of the horizontal axis.
     pub x_label: String,
     /// Smallest value that is distinguished from 0.
     pub floor: f64,
-    /// Names of the colours.
     pub colours: Vec<String>,
     /// Meaning of the ring.
     pub chosen_label: String,
     /// Meaning of the stroke.
     pub limit_label: String,
-    /// Lines from the top.
     pub rows: Vec<StripRow>,
 }
 
 impl StripChart {
-    /// The drawing as an SVG file.
-    ///
-    /// # Errors
-    /// [`ReportError::Plot`].
     pub fn svg(&self) -> Result<String, ReportError> {
         let height = MARGIN_TOP + LINE_HEIGHT * count_factor(self.rows.len()) + MARGIN_BOTTOM;
         svg_document(&self.title, (WIDTH, height), |root| self.draw(root))

@@ -1,7 +1,5 @@
-//! Draws with plotters in CSS pixels and writes SVG whose elements have classes instead of colours.
-//!
-//! Plotters knows colours only. Each [`Role`] therefore draws in a code colour, and the finished SVG has the role's
-//! class in its place: the style sheet decides about light, dark and paper.
+//! Draws with plotters and writes SVG with classes instead of colours. Plotters knows only
+//! colours: each [`Role`] draws in a code colour, which the finished SVG replaces by its class.
 
 use super::colours;
 use crate::error::ReportError;
@@ -11,13 +9,13 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::error::Error;
 use std::ops::Range;
 
-/// Units of a drawing per CSS pixel at natural size: plotters puts points on whole numbers only.
+/// Plotters puts points on whole numbers only.
 pub(crate) const UNITS_PER_PIXEL: i32 = 4;
 
 pub(crate) type DrawArea<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(crate) type DrawResult = Result<(), Box<dyn Error + Send + Sync>>;
 
-/// What an element of a drawing is. The style sheet gives it colour, width and dashes.
+/// What an element is. The style sheet gives it colour, width and dashes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Role {
     Text,
@@ -47,13 +45,11 @@ pub(crate) enum Role {
     Boundary,
     Delay,
     Measured,
-    /// A series by its number.
     Series(usize),
-    /// A class of spectral radius by its number.
     Radius(usize),
 }
 
-/// Colours of series and of classes of spectral radius; a higher number begins again with the first.
+/// A higher number begins again with the first colour.
 const COLOURS: usize = 10;
 
 const NAMED: [(Role, &str); 27] = [
@@ -87,7 +83,7 @@ const NAMED: [(Role, &str); 27] = [
 ];
 
 impl Role {
-    /// The class; drawings put `s-` before it for a stroke and `f-` for a filling.
+    /// Drawings put `s-` before it for a stroke and `f-` for a filling.
     pub(crate) fn name(self) -> String {
         match self {
             Self::Series(number) => format!("series-{}", number % COLOURS),
@@ -96,7 +92,6 @@ impl Role {
         }
     }
 
-    /// The code colour.
     pub(crate) fn colour(self) -> RGBColor {
         match self {
             Self::Series(number) => RGBColor(1, 1, (number % COLOURS) as u8),
@@ -116,11 +111,7 @@ impl Role {
     }
 }
 
-/// Draws on an area of `size` CSS pixels and returns the elements, for an `svg` element with the
-/// view box of [`view_box`].
-///
-/// # Errors
-/// [`ReportError::Plot`].
+/// Draws `size` CSS pixels; returns the elements for an `svg` element with [`view_box`].
 pub(crate) fn svg_elements(
     title: &str,
     (width, height): (i32, i32),
@@ -138,10 +129,7 @@ pub(crate) fn svg_elements(
     Ok(compact_elements(&svg))
 }
 
-/// Like [`svg_elements`], as a file of its own with a background and the style of light and dark.
-///
-/// # Errors
-/// [`ReportError::Plot`].
+/// Like [`svg_elements`], as a file with a background and the style of light and dark.
 pub(crate) fn svg_document(
     title: &str,
     size: (i32, i32),
@@ -158,7 +146,6 @@ pub(crate) fn svg_document(
     ))
 }
 
-/// The view box of a drawing of `size` CSS pixels.
 pub(crate) fn view_box((width, height): (i32, i32)) -> String {
     format!("0 0 {} {}", width * UNITS_PER_PIXEL, height * UNITS_PER_PIXEL)
 }
@@ -192,7 +179,7 @@ impl Canvas<'_, '_> {
     }
 }
 
-/// A length in CSS pixels in units of the drawing.
+/// CSS pixels to units of the drawing.
 pub(crate) fn length(pixels: f64) -> i32 {
     (pixels * f64::from(UNITS_PER_PIXEL)).round() as i32
 }
@@ -211,7 +198,6 @@ pub(crate) fn text_style(role: Role, side: HPos) -> TextStyle<'static> {
 /// More items are not drawn to scale.
 const MAX_COUNT: i32 = 20_000;
 
-/// A count as a factor of a length.
 pub(crate) fn count_factor(count: usize) -> i32 {
     i32::try_from(count).map_or(MAX_COUNT, |count| count.min(MAX_COUNT))
 }
@@ -242,7 +228,6 @@ pub(crate) fn format_power_of_ten(value: f64) -> String {
     format!("10{}", digits.chars().map(raised).collect::<String>())
 }
 
-/// The drawing without its outer element, with classes in place of code colours, and short.
 fn compact_elements(svg: &str) -> String {
     let body = svg.split_once('>').map_or(svg, |(_, rest)| rest).trim_end().trim_end_matches("</svg>");
     let mut body = body.replace("opacity=\"1\" ", "").replace("stroke-width=\"1\" ", "");
@@ -262,7 +247,7 @@ fn compact_elements(svg: &str) -> String {
     body.replace(" \"/>", "\"/>").lines().map(|line| compact_element(line.trim())).collect()
 }
 
-/// Lines and areas as paths of differences, texts without the font that the style sheet gives them.
+/// Lines and areas as relative paths, texts without the font of the style sheet.
 fn compact_element(element: &str) -> String {
     let outline = element.strip_prefix("<polyline fill=\"none\" ").or_else(|| element.strip_prefix("<polygon "));
     if let Some((before, points)) = outline.and_then(|outline| outline.split_once("points=\""))
@@ -330,8 +315,7 @@ mod tests {
         assert_eq!(format_power_of_ten(value), expected);
     }
 
-    /// Every role comes back from its code colour and has a rule in the style sheet, unless it is
-    /// drawn by the page's script only.
+    /// Roles that only the page's script draws need no rule.
     #[test]
     fn every_role_has_its_own_class() {
         let numbered = (0..COLOURS).flat_map(|number| [Role::Series(number), Role::Radius(number)]);

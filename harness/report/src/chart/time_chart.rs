@@ -5,17 +5,15 @@ use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 
-/// Width and height of every drawing, CSS pixels.
+/// CSS pixels.
 pub(crate) const SIZE: (i32, i32) = (560, 306);
 
 /// Height of the first mark's text in parts of the plot, and the distance to the next one's.
 const LOWEST_TEXT: f64 = 0.12;
 const TEXT_HEIGHT: f64 = 0.1;
 
-/// Milliseconds and a value.
 pub(crate) type CurvePoint = (f64, f64);
 
-/// A part of a trial.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct TimeWindow {
     pub(crate) from_ms: f64,
@@ -32,7 +30,6 @@ impl TimeWindow {
     }
 }
 
-/// A vertical line, with an optional text next to it.
 #[derive(Debug, Clone)]
 pub(crate) struct Mark {
     pub(crate) role: Role,
@@ -40,11 +37,10 @@ pub(crate) struct Mark {
     pub(crate) text: Option<String>,
 }
 
-/// The contents of a drawing, from the back to the front.
+/// From the back to the front.
 #[derive(Debug, Clone)]
 pub(crate) struct TimeChart {
     pub(crate) window: TimeWindow,
-    /// Lowest and highest value of the vertical axis.
     pub(crate) range: (f64, f64),
     pub(crate) unit: &'static str,
     pub(crate) spans: Vec<(Role, TimeWindow)>,
@@ -55,18 +51,10 @@ pub(crate) struct TimeChart {
 }
 
 impl TimeChart {
-    /// The elements of the drawing, for an `svg` element of [`SIZE`].
-    ///
-    /// # Errors
-    /// [`ReportError::Plot`].
     pub(crate) fn elements(&self, title: &str) -> Result<String, ReportError> {
         svg_elements(title, SIZE, |root| self.draw(root))
     }
 
-    /// The drawing as a file of its own.
-    ///
-    /// # Errors
-    /// [`ReportError::Plot`].
     pub(crate) fn document(&self, title: &str) -> Result<String, ReportError> {
         svg_document(title, SIZE, |root| self.draw(root))
     }
@@ -108,7 +96,7 @@ impl TimeChart {
         for mark in &self.marks {
             chart.draw_series([PathElement::new([(mark.at_ms, low), (mark.at_ms, high)], mark.role.colour())])?;
             let Some(text) = &mark.text else { continue };
-            // Text left of the middle is written to the right and the reverse: a settled response leaves room there.
+            // A settled response leaves room right of early marks and left of late ones.
             let is_left = mark.at_ms - self.window.from_ms < 0.55 * self.window.span_ms();
             let (side, shift) = if is_left { (HPos::Left, 1.0) } else { (HPos::Right, -1.0) };
             let place = (mark.at_ms + shift * 0.012 * self.window.span_ms(), low + share * (high - low));
@@ -129,7 +117,6 @@ pub(crate) fn padded_range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (low - margin, high + margin)
 }
 
-/// Decimals that distinguish the ticks of a range.
 fn tick_decimals(span: f64) -> usize {
     let step = span / 8.0;
     if step > 0.0 { (-step.log10().floor()).clamp(0.0, 9.0) as usize } else { 0 }

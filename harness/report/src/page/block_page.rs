@@ -1,4 +1,4 @@
-//! Writes pages of headings, texts, tables and drawings: `charts.html`, `stability.html`, `identification.html`.
+//! Writes `charts.html`, `stability.html` and `identification.html`.
 
 use super::elements::text_table;
 use super::frame::report_page_frame;
@@ -10,44 +10,32 @@ use std::path::Path;
 const STYLE: &str = "figure{margin:1.5rem 0}figure>img{max-width:100%;height:auto;border:1px solid var(--hair);\
                      border-radius:.5rem}p{max-width:70ch;margin:.6rem 0}pre{white-space:pre-wrap}";
 
-/// A page of blocks below a title.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BlockPage {
-    /// Title.
     pub title: String,
-    /// Text below the title; may be empty.
+    /// May be empty.
     pub intro: String,
-    /// Blocks from the top.
     pub blocks: Vec<PageBlock>,
 }
 
-/// A part of a page.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PageBlock {
-    /// A heading.
     Heading(String),
-    /// A paragraph.
     Text(String),
     /// Text with its line feeds and columns.
     Preformatted(String),
     /// Drawings side by side: an SVG file and its caption each.
     Drawings(Vec<(String, String)>),
-    /// A table.
     Table(Table),
     /// A link to a file in the page's folder.
     File(String),
 }
 
 impl BlockPage {
-    /// Writes the page to `path`.
-    ///
-    /// # Errors
-    /// [`ReportError::Io`].
     pub fn write(&self, path: &Path) -> Result<(), ReportError> {
         write_file(path, &self.html())
     }
 
-    /// The page.
     pub fn html(&self) -> String {
         let body = html! {
             header { h1 { (self.title) } @if !self.intro.is_empty() { p.lead { (self.intro) } } }
@@ -76,7 +64,6 @@ impl PageBlock {
     }
 }
 
-/// An SVG file as part of a URL.
 fn percent_encode(svg: &str) -> String {
     svg.replace('%', "%25").replace('#', "%23").replace('\n', "%0A")
 }

@@ -1,4 +1,4 @@
-//! Writes the section on computing cost: instructions per control step, compared with earlier runs.
+//! Writes the section on instructions per control step, compared with earlier runs.
 
 use super::elements::scroll_table;
 use crate::format;
@@ -6,7 +6,7 @@ use crate::text::cost;
 use maud::{Markup, html};
 use platebench_record::{CostTrend, EarlierCost, RunRecord};
 
-/// A table by law and earlier run; nothing if the rig counts no instructions.
+/// Empty if the rig counts no instructions.
 pub(super) fn section(record: &RunRecord) -> Markup {
     html! {
         @if !record.cost.is_empty() {

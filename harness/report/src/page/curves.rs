@@ -4,7 +4,6 @@ use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use platebench_trace::{Flags, Row};
 use platebench_verdict::metrics::setpoint_steps;
 
-/// A signal that figures show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum PlotSignal {
     Amplitude,
@@ -55,7 +54,7 @@ fn row_ms(row: &Row) -> f64 {
     row.t_s * 1e3
 }
 
-/// The signal at the rows after `from_ms` up to and including `to_ms`.
+/// After `from_ms`, up to and including `to_ms`.
 pub(crate) fn points_between(
     rows: &[Row],
     signal: PlotSignal,
@@ -68,7 +67,7 @@ pub(crate) fn points_between(
     between.iter().map(move |row| (row_ms(row), signal.value_in(row)))
 }
 
-/// The signal at an instant; `None` outside the trace.
+/// `None` outside the trace.
 pub(crate) fn value_at(rows: &[Row], signal: PlotSignal, at_ms: f64) -> Option<f64> {
     let next = rows.partition_point(|row| row_ms(row) <= at_ms);
     let before = rows.get(next.checked_sub(1)?)?;
@@ -80,7 +79,7 @@ pub(crate) fn value_at(rows: &[Row], signal: PlotSignal, at_ms: f64) -> Option<f
     Some(signal.value_in(before) + (signal.value_in(after) - signal.value_in(before)) * share)
 }
 
-/// A line of the signal at an instant; `None` outside the line.
+/// `None` outside the line.
 pub(crate) fn interpolate(points: &[CurvePoint], signal: PlotSignal, at_ms: f64) -> Option<f64> {
     let next = points.partition_point(|point| point.0 <= at_ms);
     let (before, after) = (points.get(next.checked_sub(1)?)?, points.get(next));
@@ -91,7 +90,6 @@ pub(crate) fn interpolate(points: &[CurvePoint], signal: PlotSignal, at_ms: f64)
     Some(before.1 + (after.1 - before.1) * (at_ms - before.0) / (after.0 - before.0))
 }
 
-/// The windows in which one of `flags` is set, for example a saturated drive or a lost link.
 pub(crate) fn flagged_windows(rows: &[Row], flags: Flags) -> Vec<TimeWindow> {
     let mut windows: Vec<TimeWindow> = Vec::new();
     for pair in rows.windows(2) {
@@ -104,12 +102,10 @@ pub(crate) fn flagged_windows(rows: &[Row], flags: Flags) -> Vec<TimeWindow> {
     merge_windows(windows)
 }
 
-/// Control instants at which the bench was late, ms.
 pub(crate) fn overrun_instants(rows: &[Row]) -> impl Iterator<Item = f64> {
     rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN)).map(row_ms)
 }
 
-/// Joins windows that touch or overlap.
 pub(crate) fn merge_windows(mut windows: Vec<TimeWindow>) -> Vec<TimeWindow> {
     windows.sort_by(|a, b| a.from_ms.total_cmp(&b.from_ms));
     let mut result: Vec<TimeWindow> = Vec::new();
@@ -122,7 +118,7 @@ pub(crate) fn merge_windows(mut windows: Vec<TimeWindow>) -> Vec<TimeWindow> {
     result
 }
 
-/// The instants at which the setpoint starts to change, as the judge defines them, ms.
+/// As the judge defines them.
 pub(crate) fn setpoint_steps_ms(rows: &[Row]) -> Vec<f64> {
     setpoint_steps(rows).into_iter().filter_map(|step| rows.get(step).map(row_ms)).collect()
 }

@@ -7,13 +7,8 @@ use crate::error::ReportError;
 use crate::format;
 use maud::{Markup, PreEscaped, html};
 
-/// The drawings of a scenario below their headings; `views` are the response and the whole trial,
-/// or the whole trial alone.
-///
-/// Of the response, and if not `all`, there are the first two figures.
-///
-/// # Errors
-/// [`ReportError::Plot`].
+/// `views` are the response and the whole trial, or the whole trial alone.
+/// The response, and everything if not `all`, has the first two figures only.
 pub(super) fn drawings(
     t_ms: &[f64],
     views: &[TimeWindow],

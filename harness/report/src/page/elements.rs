@@ -6,17 +6,15 @@ use maud::{Markup, html};
 use platebench_record::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 
-/// The verdict with its sign.
 pub fn verdict_badge(verdict: Verdict, text: &str) -> Markup {
     html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (format::sign(verdict)) } " " (text) } }
 }
 
-/// The id of a scenario's section.
 pub(super) fn scenario_anchor(index: usize) -> String {
     format!("scenario-{index}")
 }
 
-/// Scenarios with their index in the record: failed, inconclusive, passed, each in the order of the record.
+/// With the index in the record: failed, inconclusive, passed.
 pub(super) fn sorted_by_verdict(record: &RunRecord) -> Vec<(usize, &ScenarioRecord)> {
     let mut scenarios: Vec<_> = record.scenarios.iter().enumerate().collect();
     scenarios.sort_by_key(|(_, scenario)| match scenario.verdict {
@@ -27,7 +25,6 @@ pub(super) fn sorted_by_verdict(record: &RunRecord) -> Vec<(usize, &ScenarioReco
     scenarios
 }
 
-/// A link to a file of the run folder.
 pub(super) fn file_link(path: &str) -> Markup {
     html! { @if !path.is_empty() { a href={ "./" (percent_encode_path(path)) } { (path) } } }
 }
@@ -38,17 +35,16 @@ fn percent_encode_path(path: &str) -> String {
         if byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte) {
             url.push(char::from(byte));
         } else {
-            // Writing into a string does not fail.
             let _ = write!(url, "%{byte:02X}");
         }
         url
     })
 }
 
-/// Several names, the first ones in full.
+/// The number of names that a text lists in full.
 pub(super) const MAX_NAMED: usize = 5;
 
-/// A table that scrolls sideways, with `rows` below its header; a column that starts with `#` holds numbers.
+/// A table that scrolls sideways; a column that starts with `#` holds numbers.
 pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Markup) -> Markup {
     html! {
         div.scroll role="group" aria-label=(label) tabindex="0" {
@@ -67,7 +63,6 @@ pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Ma
     }
 }
 
-/// A table of plain texts.
 pub(super) fn text_table(table: &Table) -> Markup {
     html! {
         div.scroll {
@@ -79,7 +74,6 @@ pub(super) fn text_table(table: &Table) -> Markup {
     }
 }
 
-/// A value with its unit; a dash without a value.
 pub(super) fn with_unit(text: Option<String>, unit: &str) -> Markup {
     html! { @match text {
         Some(text) => span { (text) @if !unit.is_empty() { " " span.unit { (unit) } } },

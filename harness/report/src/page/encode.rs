@@ -1,14 +1,10 @@
-//! Encodes curves in few characters, and JSON for a script element.
-//!
-//! A line is quantised in 65 535 steps between its lowest and its highest value. The differences of neighbours are
-//! written in base64 digits of five bits with a sign and a continuation bit, the variable-length quantity of source
-//! maps (<https://tc39.es/ecma426/>); `!` is a missing value. The error is below 1e-5 of the line's range. `plots.js`
-//! decodes it.
+//! Encodes curves in few characters, and JSON for a script element. A line has 65 535 steps
+//! between its extremes (error below 1e-5 of the range). Differences are base64 digits of five bits
+//! with sign and continuation bit, as in source maps (<https://tc39.es/ecma426/>); `!` is missing.
 
 use serde_json::{Value, json};
 
 const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-/// Steps between the lowest and the highest value.
 const QUANTISATION_STEPS: f64 = 65_535.0;
 
 /// Lowest value, height of a step, and the encoded differences.

@@ -6,7 +6,6 @@ use maud::{Markup, html};
 use platebench_record::RunRecord;
 use std::collections::BTreeSet;
 
-/// Tool, rig, firmware, clock, host, overrides and inputs.
 pub(super) fn section(record: &RunRecord) -> Markup {
     let firmware = record.rig.firmware.as_ref().map(|firmware| {
         format!("{} {}, build {}, chip {}", firmware.name, firmware.version, firmware.build, firmware.chip)

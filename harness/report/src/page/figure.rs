@@ -3,23 +3,20 @@
 use crate::chart::svg::Role;
 use crate::chart::time_chart::{CurvePoint, Mark, TimeChart, TimeWindow};
 
-/// Values at the instants of a scenario's grid.
+/// One value per instant of the grid.
 pub(crate) type SampledLine = Vec<Option<f64>>;
 
-/// Curves with one axis.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Figure {
     pub(crate) title: &'static str,
     pub(crate) unit: &'static str,
-    /// Whether the axis begins at zero.
     pub(crate) from_zero: bool,
-    /// Least span of the axis.
     pub(crate) min_span: f64,
     /// From the back to the front.
     pub(crate) layers: Vec<Layer>,
 }
 
-/// What is switched on and off together and has one entry in the legend.
+/// Curves that are switched together and share an entry of the legend.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Layer {
     pub(crate) role: Role,
@@ -27,26 +24,21 @@ pub(crate) struct Layer {
     pub(crate) content: Content,
 }
 
-/// The content of a layer.
+/// Stepped for a signal that holds its value; marks are instants in ms with an optional text.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Content {
-    /// Lines, stepped for a signal that holds its value.
     Lines { is_stepped: bool, lines: Vec<SampledLine> },
-    /// The area between two lines.
     Area { is_stepped: bool, upper: SampledLine, lower: SampledLine },
-    /// Parts of the time.
     Spans(Vec<TimeWindow>),
-    /// Instants in ms, with an optional text next to the line.
     Marks(Vec<(f64, Option<String>)>),
 }
 
 impl Layer {
-    /// Whether the legend shows an area.
     pub(crate) fn is_area(&self) -> bool {
         matches!(self.content, Content::Area { .. } | Content::Spans(_))
     }
 
-    /// Whether an SVG drawing shows it: lines of all trials would make the page too large.
+    /// Lines of all trials would make an SVG drawing too large.
     pub(crate) fn is_drawn(&self) -> bool {
         self.role != Role::Trial
     }
@@ -57,7 +49,7 @@ impl Figure {
         Self { title, unit, from_zero, min_span, layers: Vec::new() }
     }
 
-    /// Adds lines, spans, marks or an area unless there is nothing in them.
+    /// Adds the content unless it is empty.
     pub(crate) fn add(&mut self, role: Role, text: impl Into<String>, content: Content) {
         let has_values = |line: &SampledLine| line.iter().any(Option::is_some);
         let is_empty = match &content {
@@ -71,7 +63,7 @@ impl Figure {
         }
     }
 
-    /// The figure in a window, with lines of at most some `limit` points; `t_ms` are the instants of the grid.
+    /// Lines have at most some `limit` points; `t_ms` are the instants of the grid.
     pub(crate) fn chart(&self, t_ms: &[f64], window: TimeWindow, limit: usize) -> TimeChart {
         let points = |line: &SampledLine, is_stepped| line_points(t_ms, line, is_stepped, window, limit);
         let mut chart = TimeChart {
@@ -105,7 +97,6 @@ impl Figure {
         chart
     }
 
-    /// The range of all values with a margin, at least as wide as the least span.
     fn axis_range(&self, chart: &TimeChart) -> (f64, f64) {
         let edges = chart.areas.iter().flat_map(|(_, edges)| edges).flatten();
         let values = chart.lines.iter().flat_map(|(_, points)| points).chain(edges).map(|point| point.1);
@@ -119,7 +110,7 @@ impl Figure {
     }
 }
 
-/// The known values within the window as points, with corners if stepped.
+/// Missing values are omitted; a stepped line has corners.
 fn line_points(
     t_ms: &[f64],
     line: &SampledLine,
@@ -139,7 +130,7 @@ fn line_points(
     decimate(&points, window, limit)
 }
 
-/// The lowest and the highest point of each of `limit / 2` parts of the window, in order of time, and both ends.
+/// Keeps the extremes of each of `limit / 2` parts of the window, and both ends.
 fn decimate(points: &[CurvePoint], window: TimeWindow, limit: usize) -> Vec<CurvePoint> {
     if points.len() <= limit {
         return points.to_vec();

@@ -1,4 +1,4 @@
-//! Writes the frame of every page: a file of its own that loads nothing.
+//! Writes the frame of every page, which loads nothing.
 
 use crate::chart::colours;
 use crate::text::escape::printable_lines;
@@ -6,13 +6,11 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 const STYLE: &str = include_str!("style.css");
 
-/// A page in the report's style; `head` follows the style.
 pub(super) fn report_page_frame(title: &str, head: &Markup, body: &Markup) -> String {
     let style = format!("{}\n{}\n{STYLE}", colours::variables(), colours::RULES);
     page_frame(title, &style, head, body)
 }
 
-/// A page with a style sheet of its own.
 pub fn page_frame(title: &str, style: &str, head: &Markup, body: &Markup) -> String {
     let page = html! {
         (DOCTYPE)

@@ -1,4 +1,4 @@
-//! Samples the accepted response of a scenario and its tolerance tube at the instants of its figures.
+//! Samples a scenario's baseline and its tolerance tube at the instants of its figures.
 
 use super::curves::PlotSignal;
 use super::grid::TimeGrid;
@@ -6,7 +6,6 @@ use platebench_verdict::golden::{Baseline, BaselineError};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Golden curves with their tubes.
 #[derive(Debug, Clone)]
 pub(crate) struct GoldenCurves {
     /// Name in legends.
@@ -14,7 +13,6 @@ pub(crate) struct GoldenCurves {
     tubes: BTreeMap<PlotSignal, SampledTube>,
 }
 
-/// A golden curve with the lower and the upper edge of its tube.
 #[derive(Debug, Clone)]
 pub(crate) struct SampledTube {
     pub(crate) line: Vec<Option<f64>>,
@@ -22,10 +20,7 @@ pub(crate) struct SampledTube {
 }
 
 impl GoldenCurves {
-    /// The baseline of the scenario in `file`; `None` if none was accepted.
-    ///
-    /// # Errors
-    /// [`BaselineError`] if the file is not a baseline.
+    /// `None` if no baseline was accepted.
     pub(crate) fn read(folder: &Path, file: &str, grid: &TimeGrid) -> Result<Option<Self>, BaselineError> {
         Ok(Baseline::read(folder, file)?.map(|accepted| Self::from_baseline(&accepted, grid)))
     }
@@ -48,7 +43,6 @@ impl GoldenCurves {
         Self { text: format!("golden trace ({})", accepted.law), tubes: tubes.collect() }
     }
 
-    /// The curve of that signal.
     pub(crate) fn tube_of(&self, signal: PlotSignal) -> Option<&SampledTube> {
         self.tubes.get(&signal)
     }

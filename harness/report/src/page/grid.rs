@@ -1,18 +1,17 @@
-//! Samples all trials of a scenario at the same instants: the plotting library draws curves with shared instants fast.
+//! Samples all trials at the same instants, which the plotting library draws fast.
 
 use super::curves::{self, PlotSignal};
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use platebench_trace::Row;
 
-/// Instants, ms, ascending.
+/// Ascending.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct TimeGrid {
     pub(crate) t_ms: Vec<f64>,
 }
 
 impl TimeGrid {
-    /// About `limit` instants over `whole`, half of them in `response` if there is one; if they
-    /// suffice, every row has its own.
+    /// About `limit` instants, half of them in `response`; fewer if every row has its own.
     pub(crate) fn new(rows: &[Row], whole: TimeWindow, response: Option<TimeWindow>, limit: usize) -> Self {
         let mut t_ms = Vec::new();
         match response {
@@ -37,14 +36,12 @@ impl TimeGrid {
         Self { t_ms }
     }
 
-    /// The signal at every instant.
     pub(crate) fn sample(&self, rows: &[Row], signal: PlotSignal) -> Vec<Option<f64>> {
         self.t_ms.iter().map(|t_ms| curves::value_at(rows, signal, *t_ms)).collect()
     }
 
-    /// The signal as a line that keeps every peak. If the signal leaves the range of three
-    /// neighbouring instants between them, the first two hold its lowest and its highest value
-    /// there, in order of time.
+    /// Keeps every peak: if the signal leaves the range of three neighbouring instants, the
+    /// first two hold its lowest and its highest value there, in order of time.
     pub(crate) fn sample_peaks(&self, rows: &[Row], signal: PlotSignal) -> Vec<Option<f64>> {
         let mut line = Vec::with_capacity(self.t_ms.len());
         let mut start = 0;
@@ -77,7 +74,7 @@ impl TimeGrid {
     }
 }
 
-/// Both ends and the instants of the rows between them, or `limit` instants at equal distances if those are more.
+/// Both ends and the rows between, or `limit` equidistant instants if those are more.
 fn window_instants(rows: &[Row], window: TimeWindow, limit: usize) -> Vec<f64> {
     let limit = limit.max(4);
     let inside = curves::points_between(rows, PlotSignal::Setpoint, window.from_ms, window.to_ms).map(|(t_ms, _)| t_ms);
@@ -90,7 +87,7 @@ fn window_instants(rows: &[Row], window: TimeWindow, limit: usize) -> Vec<f64> {
     (0..limit).map(|index| window.from_ms + window.span_ms() * index as f64 / last).collect()
 }
 
-/// Percentiles over trials at each instant, linear between neighbours; `None` at instants with fewer than two trials.
+/// Linear between neighbours; `None` at instants with fewer than two trials.
 pub(crate) fn percentiles(trials: &[&[Option<f64>]], shares: [f64; 3]) -> [Vec<Option<f64>>; 3] {
     let length = trials.iter().map(|trial| trial.len()).max().unwrap_or(0);
     let mut found: [Vec<Option<f64>>; 3] = std::array::from_fn(|_| Vec::with_capacity(length));

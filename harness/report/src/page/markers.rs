@@ -1,4 +1,4 @@
-//! Finds the times that expectations measure in a trial: start, end and deadline of each, for the figures.
+//! Finds start, end and deadline of the times that expectations measure in a trial.
 
 use crate::{format, record_queries};
 use platebench_record::{ExpectationRecord, Limit, Metric, MetricDefinition, ScenarioRecord, TrialRecord, Verdict};
@@ -10,29 +10,22 @@ const ELAPSED_METRICS: [(Metric, &str, &str); 2] = [
     (Metric::ShutdownTime, "stopped after", "does not stop"),
 ];
 
-/// A time that an expectation measures. Instants count from the start of the trial.
+/// Instants count from the start of the trial.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct TimeMarker {
-    /// Result: `settled after 1.949 ms`.
+    /// `settled after 1.949 ms`
     pub(crate) text: String,
-    /// Start of the time, if known.
     pub(crate) from_ms: Option<f64>,
-    /// End of the time, if reached.
     pub(crate) instant_ms: Option<f64>,
     /// Latest allowed end, and the expectation.
     pub(crate) deadline: Option<(f64, String)>,
-    /// Whether the drive's figure shows it instead of the amplitude's.
     pub(crate) is_on_drive: bool,
 }
 
-/// Whether a trial settles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Settling {
-    /// Not measured.
     Unknown,
-    /// Measured, and not settled at the end.
     Never,
-    /// Settled.
     At {
         /// Since the start of the trial.
         instant_ms: f64,
@@ -41,8 +34,7 @@ pub(crate) enum Settling {
     },
 }
 
-/// Index of the expectation whose band and settling time are drawn: the first settling time that did not pass, else the
-/// first settling time, else the first expectation with a band.
+/// The first settling time that did not pass, else the first one, else the first with a band.
 pub(crate) fn settling_expectation(scenario: &ScenarioRecord) -> Option<usize> {
     let all = || scenario.expectations.iter().enumerate();
     let settling = || all().filter(|(_, found)| found.metric == Metric::SettlingTime);
@@ -51,7 +43,6 @@ pub(crate) fn settling_expectation(scenario: &ScenarioRecord) -> Option<usize> {
     not_passed.or_else(|| settling().next()).or(banded).map(|(index, _)| index)
 }
 
-/// Whether and when the trial settles, measured from the setpoint step of expectation `index`.
 pub(crate) fn settling(scenario: &ScenarioRecord, trial: &TrialRecord, index: usize, steps_ms: &[f64]) -> Settling {
     let Some(expectation) = scenario.expectations.get(index).filter(|found| found.metric == Metric::SettlingTime)
     else {
@@ -71,7 +62,7 @@ fn settling_start_ms(definition: &MetricDefinition, steps_ms: &[f64]) -> Option<
     steps_ms.get(passed.saturating_sub(1)).copied()
 }
 
-/// The times in `trial`: its settling, and of every other metric the expectations that did not pass, or else the first.
+/// Settling, and of every other metric the expectations that did not pass, or else the first.
 pub(crate) fn time_markers(
     scenario: &ScenarioRecord,
     trial: &TrialRecord,
@@ -106,7 +97,7 @@ pub(crate) fn time_markers(
     found
 }
 
-/// The time of expectation `index`; `None` if the trial has no result or the expectation no start.
+/// `None` if the trial has no result or the expectation no start.
 fn elapsed_marker(
     scenario: &ScenarioRecord,
     trial: &TrialRecord,
@@ -128,7 +119,6 @@ fn elapsed_marker(
     })
 }
 
-/// The last instant within an upper limit, and the expectation.
 fn deadline(scenario: &ScenarioRecord, index: usize, from_ms: f64) -> Option<(f64, String)> {
     let expectation = scenario.expectations.get(index)?;
     let at_ms = from_ms + upper_limit(expectation)?;

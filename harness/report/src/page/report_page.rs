@@ -17,15 +17,9 @@ use platebench_record::{RunRecord, ScenarioRecord, TrialRecord};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// The file's name in a run folder.
 pub const FILE: &str = "report.html";
-/// The file's name for a comparison of two runs.
 pub const COMPARISON_FILE: &str = "comparison.html";
 
-/// Writes the page of a run into its folder.
-///
-/// # Errors
-/// [`ReportError`] if the file cannot be written or a drawing cannot be made.
 pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
     ReportPage::new(record, folder).write(&folder.join(FILE))
 }
@@ -41,16 +35,14 @@ pub struct ReportPage<'a> {
     is_trace_changed: Option<IsTraceChanged>,
 }
 
-/// Whether the trace of a trial in a run folder differs from the recorded one.
+/// Compares the trace of a trial in a run folder with its record.
 pub type IsTraceChanged = fn(&Path, &TrialRecord) -> bool;
 
 impl<'a> ReportPage<'a> {
-    /// The page of the run in `folder`.
     pub fn new(record: &'a RunRecord, folder: &'a Path) -> Self {
         Self { record, folder, baselines: None, other: None, history: RunHistory::default(), is_trace_changed: None }
     }
 
-    /// Adds the golden traces in `folder` with their tolerance tubes.
     #[must_use]
     pub fn with_baselines(self, folder: &'a Path) -> Self {
         Self { baselines: Some(folder), ..self }
@@ -68,16 +60,12 @@ impl<'a> ReportPage<'a> {
         Self { is_trace_changed: Some(is_changed), ..self }
     }
 
-    /// Adds a comparison with another run.
     #[must_use]
     pub fn with_other_run(self, record: &'a RunRecord, folder: &'a Path) -> Self {
         Self { other: Some((record, folder)), ..self }
     }
 
-    /// Writes the page. It lists traces and baselines that cannot be read.
-    ///
-    /// # Errors
-    /// [`ReportError`] if the file cannot be written or a drawing cannot be made.
+    /// Lists traces and baselines that cannot be read.
     pub fn write(&self, path: &Path) -> Result<(), ReportError> {
         write_file(path, &self.html()?)
     }
@@ -110,7 +98,6 @@ impl<'a> ReportPage<'a> {
         Some(OtherRun { name, record })
     }
 
-    /// The traces of these scenarios in `folder` that differ from the recorded ones.
     fn changed_traces(&self, folder: &Path, scenarios: &[ScenarioRecord]) -> BTreeSet<String> {
         let Some(is_changed) = self.is_trace_changed else { return BTreeSet::new() };
         let trials = scenarios.iter().flat_map(|scenario| &scenario.trials);
@@ -153,7 +140,7 @@ impl<'a> ReportPage<'a> {
         Ok(articles)
     }
 
-    /// A trial of the same scenario in the other run: the one that is drawn as a line here, or else the first.
+    /// The trial that is drawn as a line here, or else the first.
     fn other_run_trial(
         &self,
         scenario: &ScenarioRecord,

@@ -6,7 +6,6 @@ use crate::text::cost;
 use maud::{Markup, html};
 use platebench_record::{ExpectationRecord, Metric, RunRecord, ScenarioRecord};
 
-/// The run to compare with.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OtherRun<'a> {
     pub(super) name: &'a str,
@@ -14,15 +13,13 @@ pub(super) struct OtherRun<'a> {
 }
 
 impl<'a> OtherRun<'a> {
-    /// Its scenario in `file`.
     pub(super) fn scenario(self, file: &str) -> Option<&'a ScenarioRecord> {
         self.record.scenarios.iter().find(|scenario| scenario.file == file)
     }
 }
 
-/// A row of the comparison: an expectation of either run.
 struct ExpectationPair<'a> {
-    /// Index of the scenario in this run's record, if it is there.
+    /// In this run's record.
     scenario_index: Option<usize>,
     file: &'a str,
     name: &'a str,
@@ -35,7 +32,6 @@ impl ExpectationPair<'_> {
         self.this_run.map(|found| found.verdict) != self.other_run.map(|found| found.verdict)
     }
 
-    /// The change from the other run's value to this one's.
     fn format_change(&self) -> Option<String> {
         let (now, then) = (self.this_run?.value?, self.other_run?.value?);
         if now == then {
@@ -48,7 +44,6 @@ impl ExpectationPair<'_> {
     }
 }
 
-/// The expectations of both runs, those with changed verdicts first.
 fn expectation_pairs<'a>(record: &'a RunRecord, other: OtherRun<'a>) -> Vec<ExpectationPair<'a>> {
     let here = record.scenarios.iter().enumerate().map(|(number, scenario)| (Some(number), scenario.file.as_str()));
     let known = |file: &str| record.scenarios.iter().any(|scenario| scenario.file == file);
@@ -75,7 +70,6 @@ fn expectation_pairs<'a>(record: &'a RunRecord, other: OtherRun<'a>) -> Vec<Expe
     pairs
 }
 
-/// The section with the table of both runs.
 pub(super) fn section(record: &RunRecord, other: OtherRun<'_>) -> Markup {
     let pairs = expectation_pairs(record, other);
     let changed = pairs.iter().filter(|pair| pair.verdict_changed()).count();

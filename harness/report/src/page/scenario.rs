@@ -12,22 +12,14 @@ use maud::{Markup, html};
 use platebench_record::{ExpectationRecord, ScenarioRecord, Statistic};
 use serde_json::Value;
 
-/// The content of a section, next to the record.
 pub(super) struct ScenarioParts<'a> {
     pub(super) data: &'a TraceData,
     pub(super) figures: Vec<Figure>,
-    /// Why its baseline cannot be shown.
     pub(super) baseline_error: Option<String>,
-    /// Points of a line in a drawing.
     pub(super) line_points: usize,
-    /// Whether it has all drawings.
     pub(super) has_all_figures: bool,
 }
 
-/// The section of the scenario with this index in the record.
-///
-/// # Errors
-/// [`ReportError::Plot`].
 pub(super) fn scenario_article(
     index: usize,
     scenario: &ScenarioRecord,
@@ -57,17 +49,15 @@ pub(super) fn scenario_article(
     })
 }
 
-/// Whether the paper has a value for an expectation.
 fn has_paper(scenario: &ScenarioRecord) -> bool {
     scenario.expectations.iter().any(|expectation| expectation.paper.is_some())
 }
 
-/// Whether an interval differs from its value.
 fn has_interval(scenario: &ScenarioRecord) -> bool {
     scenario.expectations.iter().any(|expectation| interval(expectation).is_some())
 }
 
-/// The interval, unless all trials have the same value.
+/// `None` if all trials have the same value.
 fn interval(expectation: &ExpectationRecord) -> Option<String> {
     let is_one =
         expectation.statistic == Statistic::Worst && expectation.interval.is_some_and(|[low, high]| low == high);
@@ -142,7 +132,6 @@ fn unreadable_traces(data: &TraceData) -> Markup {
     }
 }
 
-/// Every trial with its numbers, folded.
 fn trials_table(scenario: &ScenarioRecord) -> Markup {
     let metrics: Vec<String> = (0..scenario.expectations.len())
         .map(|index| record_queries::metric_key(scenario, index))

@@ -11,10 +11,8 @@ use crate::format;
 /// Fewer trials show their range: they have no outer percentiles.
 const MIN_PERCENTILE_TRIALS: usize = 20;
 
-/// Curves of other responses at the instants of the scenario's grid.
 #[derive(Debug, Default)]
 pub(crate) struct ReferenceCurves<'a> {
-    /// The accepted response.
     pub(crate) golden: Option<&'a GoldenCurves>,
     /// Name and first trial of another scenario or run.
     pub(crate) other: Option<(String, &'a SampledTrial)>,
@@ -35,7 +33,6 @@ pub(crate) fn scenario_figures(data: &TraceData, references: &ReferenceCurves<'_
 struct FigureBuilder<'a> {
     data: &'a TraceData,
     references: &'a ReferenceCurves<'a>,
-    /// Trials with a line of their own.
     overlaid: usize,
 }
 
@@ -81,7 +78,7 @@ impl FigureBuilder<'_> {
         }
     }
 
-    /// Percentiles of many trials, the range of few; nothing if all trials are equal. `name` distinguishes two signals.
+    /// Percentiles of many trials, the range of few; nothing if all trials are equal.
     fn add_spread(&self, figure: &mut Figure, signal: PlotSignal, role: Role, name: &str) {
         let lines = self.data.sampled_trials.iter().filter_map(|trial| trial.values.get(&signal).map(Vec::as_slice));
         let lines: Vec<&[Option<f64>]> = lines.collect();
@@ -101,7 +98,6 @@ impl FigureBuilder<'_> {
         }
     }
 
-    /// Spread, all trials if `all`, the first trial, and the trial that decided.
     fn add_trials(&self, figure: &mut Figure, signal: PlotSignal, all: bool) {
         self.add_spread(figure, signal, Role::Spread, "");
         let trials = &self.data.sampled_trials;
@@ -124,7 +120,6 @@ impl FigureBuilder<'_> {
         }
     }
 
-    /// Start, end and deadline of each time that is measured on this figure.
     fn add_markers(&self, figure: &mut Figure, on_drive: bool) {
         for marker in self.data.markers.iter().filter(|marker| marker.is_on_drive == on_drive) {
             let start = marker.from_ms.map(|at_ms| (at_ms, None));
@@ -166,7 +161,7 @@ impl FigureBuilder<'_> {
         let mut figure = Figure::new("Excitation frequency against resonance", "Hz", false, 20.0);
         self.add_references(&mut figure, PlotSignal::Frequency);
         let first = self.first_trial_line(PlotSignal::Frequency);
-        // Before the first command there is no excitation; 0 Hz would flatten all other values.
+        // 0 Hz before the first command would flatten all other values.
         if first.iter().flatten().all(|value| *value > 0.0) {
             self.add_trials(&mut figure, PlotSignal::Frequency, false);
         } else {

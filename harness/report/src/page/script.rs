@@ -1,6 +1,4 @@
-//! Adds interactive plots: the plotting library, the script that uses it, and the figures as data.
-//!
-//! Everything is in the page itself. Without scripts the page shows the same figures as drawings.
+//! Adds interactive plots to the page. Without scripts the page shows the same figures as drawings.
 
 use super::encode::{embed_json, encode_values};
 use super::figure::{Content, Figure};
@@ -19,7 +17,6 @@ const STYLE: &str = include_str!("plots.css");
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; \
                       base-uri 'none'; form-action 'none'";
 
-/// For the page's head.
 pub(super) fn head() -> Markup {
     html! {
         meta http-equiv="Content-Security-Policy" content=(POLICY);
@@ -27,7 +24,7 @@ pub(super) fn head() -> Markup {
     }
 }
 
-/// The figures of a scenario, for its section; `views` are the response and the whole trial, or the whole trial alone.
+/// `views` are the response and the whole trial, or the whole trial alone.
 pub(super) fn figure_data(title: &str, t_ms: &[f64], views: &[TimeWindow], figures: &[Figure]) -> Markup {
     let names = ["Response", "Whole trial"].into_iter().skip(2_usize.saturating_sub(views.len()));
     let views: Vec<Value> = names.zip(views).map(|(name, view)| json!([name, view.from_ms, view.to_ms])).collect();
@@ -40,8 +37,7 @@ pub(super) fn figure_data(title: &str, t_ms: &[f64], views: &[TimeWindow], figur
     html! { script.curves type="application/json" { (PreEscaped(embed_json(&data))) } }
 }
 
-/// A figure as `plots.js` reads it: layers are groups, and every series, band, span and mark has
-/// the number of its group.
+/// For `plots.js`: layers are groups; series, bands, spans and marks have their group's number.
 fn panel(figure: &Figure) -> Value {
     let (mut series, mut bands, mut spans, mut marks) = (vec![], vec![], vec![], vec![]);
     for (group, layer) in figure.layers.iter().enumerate() {
@@ -77,7 +73,6 @@ fn panel(figure: &Figure) -> Value {
     })
 }
 
-/// For the page's end.
 pub(super) fn end() -> Markup {
     html! {
         script { (PreEscaped("/* uPlot\n")) (PreEscaped(LICENCE)) (PreEscaped("*/\n")) (PreEscaped(LIBRARY)) }

@@ -9,7 +9,6 @@ use maud::{Markup, html};
 use platebench_record::{RunRecord, ScenarioRecord, Statistic, Verdict};
 use std::collections::BTreeSet;
 
-/// Title, verdict, counts.
 pub(super) fn head(record: &RunRecord) -> Markup {
     let scenarios = format::VerdictCounts::of_scenarios(record);
     let expectations = format::VerdictCounts::of_expectations(record);
@@ -40,7 +39,6 @@ pub(super) fn head(record: &RunRecord) -> Markup {
     }
 }
 
-/// Expectations that did not pass, with reason, history and trace, and traces that were changed after the run.
 pub(super) fn not_passed_section(record: &RunRecord, history: &RunHistory, changed: &BTreeSet<String>) -> Markup {
     let open = record_queries::expectations_not_passed(record);
     html! {
@@ -56,7 +54,6 @@ pub(super) fn not_passed_section(record: &RunRecord, history: &RunHistory, chang
     }
 }
 
-/// The changed traces of a scenario.
 fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<String>) -> Markup {
     let traces: Vec<&str> =
         scenario.trials.iter().map(|trial| trial.trace.as_str()).filter(|trace| changed.contains(*trace)).collect();
@@ -121,7 +118,6 @@ fn not_passed_item(
     }
 }
 
-/// The table of all scenarios.
 pub(super) fn scenarios(record: &RunRecord) -> Markup {
     let row = |index: usize, scenario: &ScenarioRecord| {
         let expectations = &scenario.expectations;
@@ -151,7 +147,7 @@ pub(super) fn scenarios(record: &RunRecord) -> Markup {
     }
 }
 
-/// Scenarios that the controller cannot play; they change no verdict.
+/// They change no verdict.
 fn not_applicable(record: &RunRecord) -> Markup {
     html! {
         div.notice {
@@ -165,7 +161,6 @@ fn not_applicable(record: &RunRecord) -> Markup {
     }
 }
 
-/// The table of requirements and their expectations.
 pub(super) fn requirements(record: &RunRecord) -> Markup {
     let links = traceability::requirement_links(record);
     let all: usize = record.scenarios.iter().map(|scenario| scenario.expectations.len()).sum();

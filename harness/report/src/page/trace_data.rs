@@ -1,6 +1,4 @@
-//! Reads the traces of a scenario, once each, and samples what its figures show.
-//!
-//! A trace that cannot be read is listed in the report; it is no error.
+//! Reads each trace of a scenario once and samples it. An unreadable trace is listed, no error.
 
 use super::curves::{self, PlotSignal};
 use super::grid::TimeGrid;
@@ -13,44 +11,35 @@ use platebench_trace::{Flags, Row, TraceError};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Trials whose traces are read, and the one that decided a verdict.
+/// Plus the one that decided a verdict.
 pub(crate) const MAX_TRIALS: usize = 30;
-/// Reason for a trace whose content is not the recorded one.
 pub(crate) const TRACE_CHANGED: &str = "changed after the run";
-/// Half width of the band if no expectation has one, percent of the setpoint.
+/// If no expectation has a band, percent of the setpoint.
 const DEFAULT_BAND_PERCENT: f64 = 5.0;
 const MAX_OVERRUN_MARKS: usize = 200;
 
-/// The content of the figures of a scenario.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TraceData {
-    /// The response to the setpoint step, if the trial is much longer, and the whole trial; empty without a trace.
+    /// The response, if the trial is much longer, and the whole trial; empty without a trace.
     pub(crate) views: Vec<TimeWindow>,
-    /// Number of the trial that is drawn as a line.
+    /// Drawn as a line.
     pub(crate) first_trial: u32,
-    /// Trial and metric that decided an expectation that did not pass, unless it is the first trial.
+    /// Trial and metric that decided a missed expectation, unless it is the first trial.
     pub(crate) deciding_trial: Option<(u32, String)>,
-    /// Trials that were read.
     pub(crate) trial_count: usize,
-    /// Times measured in the first trial.
+    /// Of the first trial.
     pub(crate) markers: Vec<TimeMarker>,
-    /// Traces that cannot be shown, with the reason.
+    /// With the reason.
     pub(crate) unreadable: Vec<String>,
-    /// The band around the setpoint.
     pub(crate) band: Band,
-    /// Instants of the curves.
     pub(crate) grid: TimeGrid,
-    /// The trials at these instants, in the order of the record.
     pub(crate) sampled_trials: Vec<SampledTrial>,
-    /// The drive of a trial was at its limit.
     pub(crate) saturated: Vec<TimeWindow>,
-    /// A trial lost its link.
     pub(crate) link_lost: Vec<TimeWindow>,
-    /// Overruns of the bench in all trials, ms.
+    /// Of all trials, ms.
     pub(crate) overruns: Vec<f64>,
 }
 
-/// A trial at the instants of the grid.
 #[derive(Debug, Clone)]
 pub(crate) struct SampledTrial {
     pub(crate) index: u32,
@@ -60,12 +49,11 @@ pub(crate) struct SampledTrial {
     pub(crate) values: BTreeMap<PlotSignal, Vec<Option<f64>>>,
 }
 
-/// A band around the setpoint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Band {
-    /// Half width, percent of the setpoint.
+    /// Half width, of the setpoint.
     pub(crate) percent: f64,
-    /// Whether it applies to a component of the vibration instead of |W|.
+    /// For a component of the vibration instead of |W|.
     pub(crate) is_for_components: bool,
 }
 
@@ -76,14 +64,13 @@ impl Default for Band {
 }
 
 impl Band {
-    /// The edge above (`side` 1) or below (`side` -1) a setpoint.
+    /// `side` is 1 above and -1 below the setpoint.
     pub(crate) fn edge(self, setpoint: f64, side: f64) -> f64 {
         setpoint + side * setpoint.abs() * self.percent / 100.0
     }
 }
 
 impl TraceData {
-    /// Reads the traces of `scenario` in the run's `folder`, without those in `changed`.
     pub(crate) fn read(
         scenario: &ScenarioRecord,
         folder: &Path,
@@ -112,7 +99,6 @@ impl TraceData {
         data
     }
 
-    /// The first trial at the instants of another scenario's grid.
     pub(crate) fn first_trial_on(&self, grid: &TimeGrid) -> Option<SampledTrial> {
         let first = self.sampled_trials.first()?;
         let resample = |signal: PlotSignal, line: &Vec<Option<f64>>| {
@@ -171,7 +157,7 @@ impl TraceData {
     }
 }
 
-/// The trial and metric that decided the first failed expectation, or else the first inconclusive one.
+/// Of the first failed expectation, or else the first inconclusive one.
 fn find_deciding_trial(scenario: &ScenarioRecord) -> Option<(u32, String)> {
     let first = |verdict| scenario.expectations.iter().position(|expectation| expectation.verdict == verdict);
     let index = first(Verdict::Fail).or_else(|| first(Verdict::Inconclusive))?;
@@ -184,7 +170,7 @@ fn whole_window(rows: &[Row]) -> TimeWindow {
     TimeWindow { from_ms, to_ms: if to_ms > from_ms { to_ms } else { from_ms + 1.0 } }
 }
 
-/// The time around the setpoint step: four settling times, if the trial is at least three times as long.
+/// Four settling times, if the trial is at least three times as long.
 fn response_window(scenario: &ScenarioRecord, settling: Settling, whole: TimeWindow) -> Option<TimeWindow> {
     let Settling::At { instant_ms, after_ms } = settling else { return None };
     let step_ms = instant_ms - after_ms;

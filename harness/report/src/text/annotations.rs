@@ -1,23 +1,20 @@
-//! Writes workflow commands of GitHub Actions: each expectation that did not pass, at its line in the scenario file.
-//!
-//! A failure is an `error`. An inconclusive expectation is a `warning`; the exit code still fails
-//! the job. Failures come first, because GitHub shows ten annotations of a kind per step.
+//! Writes workflow commands of GitHub Actions: a failure is an `error`, inconclusive a `warning`.
+//! Failures come first, because GitHub shows ten annotations of a kind per step.
 
 use super::escape::{workflow_message, workflow_property};
 use crate::{format, record_queries};
 use platebench_record::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 
-/// A line in a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SourceLocation {
-    /// Path relative to the repository, with `/`.
+    /// Relative to the repository, with `/`.
     pub file: String,
-    /// Line, counted from 1.
+    /// Counted from 1.
     pub line: usize,
 }
 
-/// One command per line. `location` returns the place of an expectation by its index, or of the scenario.
+/// `location` returns the place of an expectation by its index, or of the scenario.
 pub fn workflow_commands(
     record: &RunRecord,
     location: &dyn Fn(&ScenarioRecord, Option<usize>) -> Option<SourceLocation>,

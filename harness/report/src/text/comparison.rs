@@ -4,7 +4,6 @@ use super::escape::printable;
 use crate::format;
 use platebench_verdict::golden::TubeComparison;
 
-/// Verdict, the largest exceedance, and the reason if it is no pass.
 pub fn lines(name: &str, comparison: &TubeComparison) -> Vec<String> {
     let verdict = comparison.verdict;
     let trials = format::count(comparison.trials, "trial");

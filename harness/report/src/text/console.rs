@@ -1,6 +1,4 @@
-//! Writes a run for a terminal: a table per scenario, the counts, and the traces to inspect.
-//!
-//! The text depends on the record alone, not on the terminal's width, so that tests compare it as a whole.
+//! Writes a run for a terminal. The text does not depend on the terminal's width.
 
 mod progress;
 
@@ -14,13 +12,11 @@ use platebench_record::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
-/// Columns of a wrapped line.
 const WIDTH: usize = 100;
 
-/// The style of a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Style {
-    /// Whether to use ANSI colours. Verdicts have a sign in any case.
+    /// ANSI colours. Verdicts have a sign in any case.
     pub colour: bool,
 }
 
@@ -39,8 +35,6 @@ impl Style {
     }
 }
 
-/// The whole run: scenarios in the order of the record, counts, verdict, and the traces of
-/// expectations that did not pass.
 pub fn run_table(record: &RunRecord, style: Style) -> String {
     let mut text = String::new();
     for scenario in &record.scenarios {
@@ -52,10 +46,7 @@ pub fn run_table(record: &RunRecord, style: Style) -> String {
     text
 }
 
-/// Writes `text` and a line feed to `out`.
-///
-/// # Errors
-/// The operating system's error, unless the pipe is closed.
+/// A closed pipe is no error.
 pub fn print(text: &str, out: &mut dyn Write) -> io::Result<()> {
     match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
@@ -68,7 +59,7 @@ fn write_heading(text: &mut String, scenario: &ScenarioRecord, style: Style) {
     let trials = format::count(scenario.trials.len(), "trial");
     let file = style.paint("1", &printable(&scenario.file));
     let verdict = style.paint_verdict(scenario.verdict, &verdict);
-    // The other models are exact.
+    // All other models are exact.
     let is_simplified = matches!(scenario.model.as_str(), "linear" | "envelope");
     let model = if is_simplified { format!("model {}, ", scenario.model) } else { String::new() };
     let _ = writeln!(text, "{verdict}  {file}  (law {}, {model}{trials})", printable(&scenario.law));
@@ -152,7 +143,7 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style) {
     }
 }
 
-/// Appends `sentence` in lines of at most [`WIDTH`] columns, longer only for a longer word.
+/// Lines of at most [`WIDTH`] columns, longer only for a longer word.
 fn write_wrapped(text: &mut String, first: &str, further: &str, sentence: &str) {
     let mut line = first.to_owned();
     let mut empty = true;

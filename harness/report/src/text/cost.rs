@@ -1,4 +1,4 @@
-//! Describes the instructions per control step, for console and page.
+//! Describes the instructions per control step.
 
 use crate::format;
 use platebench_record::CostTrend;
@@ -6,7 +6,6 @@ use platebench_record::CostTrend;
 /// Instructions of an STM32F4 in a period of 1 ms at 168 MHz, one a cycle.
 const INSTRUCTIONS_PER_MS: f64 = 168_000.0;
 
-/// Name of the comparison without an earlier run.
 pub(crate) const SHIPPED_IMAGE: &str = "the image that comes with the bench";
 
 /// `3 332 worst (dq-pi), 2.0 % of 1 ms at 168 MHz`
@@ -19,7 +18,7 @@ pub(crate) fn format_worst(trend: &CostTrend) -> String {
     )
 }
 
-/// The worst step's share of a period of 1 ms at 168 MHz.
+/// Of a period of 1 ms at 168 MHz.
 pub(crate) fn format_share(trend: &CostTrend) -> String {
     format!("{:.1} %", trend.cost.worst / INSTRUCTIONS_PER_MS * 100.0)
 }
@@ -45,12 +44,10 @@ pub(crate) fn describe_change(trend: &CostTrend) -> Option<String> {
     ))
 }
 
-/// The first eight digits of a build's identity.
 pub(crate) fn short_build_id(build: &str) -> &str {
     build.get(..8).unwrap_or(build)
 }
 
-/// Whole instructions in groups of three digits.
 pub(crate) fn format_instructions(value: f64) -> String {
     let digits = format!("{value:.0}");
     let mut grouped = String::with_capacity(digits.len() + digits.len() / 3);

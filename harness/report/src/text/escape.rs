@@ -1,17 +1,14 @@
-//! Escapes text from files and devices, so that it cannot act on a terminal, a table or a CI system.
-//!
-//! File names, titles, requirements and reasons may contain anything. [`printable`] is the base of
-//! every other function here.
+//! Escapes text of files and devices, so that it cannot act on a terminal, a table or a CI system.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-/// The text with control characters and characters that change the direction of writing in visible form: `\u{1b}`.
+/// Shows control characters and characters that change the writing direction: `\u{1b}`.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escape(text, is_active)
 }
 
-/// Like [`printable`] for a whole document: line feeds stay.
+/// Like [`printable`], but keeps line feeds.
 pub fn printable_lines(text: &str) -> Cow<'_, str> {
     escape(text, |character| character != '\n' && is_active(character))
 }
@@ -31,18 +28,15 @@ fn escape(text: &str, is_escaped: fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(escaped)
 }
 
-/// Control characters, line and paragraph separators, and marks, embeddings, overrides and isolates
-/// of the writing direction.
+/// Control characters, separators of lines and paragraphs, marks of the writing direction.
 fn is_active(character: char) -> bool {
     character.is_control()
         || matches!(character, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
 }
 
-/// Longest cell of a Markdown table, in characters.
 const MAX_CELL_CHARS: usize = 400;
 
-/// A cell of a Markdown table: no character is markup or ends the cell; the text has at most
-/// [`MAX_CELL_CHARS`] characters.
+/// No character is markup or ends the cell.
 pub(crate) fn markdown_cell(text: &str) -> String {
     let mut cell = String::with_capacity(text.len());
     for character in text.chars().take(MAX_CELL_CHARS) {
@@ -63,8 +57,7 @@ pub(crate) fn markdown_cell(text: &str) -> String {
     cell
 }
 
-/// A field of CSV (RFC 4180). A spreadsheet takes a field that starts with `=`, `+`, `-` or `@` for
-/// a formula: such a text gets a `'` in front; a number does not.
+/// RFC 4180. A spreadsheet takes `=`, `+`, `-` or `@` in front as a formula: adds a `'`.
 pub(crate) fn csv_field(text: &str) -> String {
     let text = printable(text);
     let is_formula = text.starts_with(['=', '+', '-', '@']) && text.parse::<f64>().is_err();
@@ -72,22 +65,21 @@ pub(crate) fn csv_field(text: &str) -> String {
     if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into_owned() }
 }
 
-/// A description in TAP: one line without directives.
+/// One line without directives.
 pub(crate) fn tap_description(text: &str) -> String {
     printable(&text.replace('\\', "\\\\").replace('#', "\\#")).into_owned()
 }
 
-/// The message of a workflow command; line feeds stay.
+/// Line feeds stay.
 pub(crate) fn workflow_message(text: &str) -> String {
     printable_lines(text).replace('%', "%25").replace('\n', "%0A")
 }
 
-/// A property of a workflow command.
 pub(crate) fn workflow_property(text: &str) -> String {
     printable(text).replace('%', "%25").replace(':', "%3A").replace(',', "%2C")
 }
 
-/// JSON in one line whose texts hold no character that [`printable`] would escape.
+/// One line; escapes the characters of [`printable`].
 pub(crate) fn json_line(value: &serde_json::Value) -> String {
     let text = value.to_string();
     if !text.contains(is_active) {
@@ -97,7 +89,6 @@ pub(crate) fn json_line(value: &serde_json::Value) -> String {
         if is_active(character) {
             let mut units = [0; 2];
             for unit in character.encode_utf16(&mut units) {
-                // Writing into a string does not fail.
                 let _ = write!(line, "\\u{unit:04x}");
             }
         } else {
@@ -112,7 +103,6 @@ mod tests {
     use super::*;
     use rstest::rstest;
 
-    /// ESC, a right-to-left override, a line feed before a workflow command, and a formula.
     const HOSTILE: &str = "=1\u{1b}[2J\u{202e}\n::error::#|";
 
     #[rstest]

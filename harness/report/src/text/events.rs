@@ -1,6 +1,4 @@
-//! Writes the events of a run as lines of JSON; the last line has the verdict.
-//!
-//! `docs/formats.md` specifies the lines. Each one is flushed at once.
+//! Writes the events of a run as lines of JSON (`docs/formats.md`), flushed at once.
 
 use super::escape::json_line;
 use crate::format::VerdictCounts;
@@ -8,21 +6,19 @@ use platebench_record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use serde_json::{Value, json};
 use std::io::Write;
 
-/// Version of the lines; readers refuse others.
+/// Readers refuse other versions.
 pub const FORMAT: u32 = 1;
 
-/// Writes events. A closed pipe is no error.
+/// A closed pipe is no error.
 pub struct EventWriter {
     out: Box<dyn Write + Send>,
 }
 
 impl EventWriter {
-    /// Writes events to `out`.
     pub fn new(out: impl Write + Send + 'static) -> Self {
         Self { out: Box::new(out) }
     }
 
-    /// The run begins, with the file and the planned trials of each scenario.
     pub fn run_started(&mut self, folder: &str, rig: &str, clock: &str, scenarios: &[(String, u32)]) {
         let scenarios: Vec<_> =
             scenarios.iter().map(|(file, trials)| json!({"scenario": file, "trials": trials})).collect();
@@ -31,17 +27,14 @@ impl EventWriter {
         }));
     }
 
-    /// A scenario begins.
     pub fn scenario_started(&mut self, file: &str, trials: u32) {
         self.write(&json!({"event": "scenario-started", "scenario": file, "trials": trials}));
     }
 
-    /// A trial has ended and its trace is complete.
     pub fn trial_finished(&mut self, file: &str, trial: &TrialRecord) {
         self.write(&json!({"event": "trial-finished", "scenario": file, "trial": trial}));
     }
 
-    /// A scenario is judged.
     pub fn scenario_finished(&mut self, scenario: &ScenarioRecord) {
         self.write(&json!({
             "event": "scenario-finished", "scenario": scenario.file, "title": scenario.title, "law": scenario.law,
@@ -49,7 +42,7 @@ impl EventWriter {
         }));
     }
 
-    /// The run has ended; without a record there is no verdict, and `error` is the reason.
+    /// Without a record there is no verdict, and `error` is the reason.
     pub fn run_finished(&mut self, record: Option<&RunRecord>, error: Option<&str>, exit_code: u8) {
         let count = |counts: VerdictCounts| json!({"passed": counts.passed, "failed": counts.failed, "inconclusive": counts.inconclusive});
         self.write(&json!({

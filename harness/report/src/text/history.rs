@@ -1,21 +1,17 @@
-//! Finds since when an expectation does not pass, from the runs in neighbouring folders.
-//!
-//! Only runs on the same kind of rig and with the same law are compared. If the expectation
-//! differed, the text says how.
+//! Finds since when an expectation does not pass, in runs on the same kind of rig and law.
 
 use super::cost::short_build_id;
 use crate::format;
 use maud::{Markup, html};
 use platebench_record::{ExpectationRecord, MetricDefinition, RunRecord, ScenarioRecord, Verdict};
 
-/// Earlier runs, the newest first, with the names of their folders.
+/// The newest first, with the names of their folders.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RunHistory {
     /// `None` without a search.
     pub(crate) runs: Option<Vec<(String, RunRecord)>>,
 }
 
-/// An expectation in an earlier run.
 struct EarlierExpectation<'a> {
     run: &'a str,
     record: &'a RunRecord,
@@ -23,7 +19,7 @@ struct EarlierExpectation<'a> {
 }
 
 impl RunHistory {
-    /// Since when expectation `index` has not passed, as a sentence; `None` without a search.
+    /// A sentence; `None` without a search.
     pub(crate) fn not_passed_since(
         &self,
         record: &RunRecord,
@@ -63,7 +59,6 @@ impl RunHistory {
 }
 
 impl EarlierExpectation<'_> {
-    /// The run, its start, and how the expectation differed.
     fn describe(&self, now: &ExpectationRecord) -> String {
         let differs = differences(now, self.expectation);
         let differs = if differs.is_empty() { String::new() } else { format!(", then with {}", differs.join(", ")) };
@@ -71,8 +66,7 @@ impl EarlierExpectation<'_> {
     }
 }
 
-/// The expectation of `played` that corresponds to expectation `index`: an identical one, or else
-/// the one with the same name.
+/// An identical expectation, or else the one with the same name.
 fn matching_expectation<'a>(
     scenario: &ScenarioRecord,
     index: usize,
@@ -84,7 +78,7 @@ fn matching_expectation<'a>(
     namesake.filter(same).or_else(|| played.expectations.iter().find(same)).or(namesake)
 }
 
-/// How the earlier expectation differed; empty if it was the same.
+/// Empty if it was the same.
 fn differences(now: &ExpectationRecord, then: &ExpectationRecord) -> Vec<String> {
     let unit = format::unit(now.metric);
     let mut texts = Vec::new();
@@ -113,7 +107,6 @@ fn differences(now: &ExpectationRecord, then: &ExpectationRecord) -> Vec<String>
     texts
 }
 
-/// Whether the firmware changed between the runs.
 fn describe_build_change(now: &RunRecord, then: &RunRecord) -> String {
     let build = |record: &RunRecord| record.rig.firmware.as_ref().map(|firmware| firmware.build.clone());
     match (build(now), build(then)) {

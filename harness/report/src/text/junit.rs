@@ -1,12 +1,10 @@
 //! Writes `junit.xml`: a test suite per scenario, a test case per expectation.
 //!
-//! A failed expectation is a `failure`. An inconclusive one is an `error`, because readers count `skipped` as harmless.
-//! A run or scenario that did not pass although its expectations did (unfinished, or without expectations) has one more
-//! case with an error. A scenario that is not applicable has one case, `skipped`.
-//!
-//! The file follows the schema of Jenkins' xunit plugin (`tests/report/junit-10.xsd`). The schema allows properties of
-//! suites only, so requirements are properties `requirement.<name>` of the suite, and the other facts of a case are
-//! lines in its `system-out`. Times come from the record, so that equal records give equal files.
+//! An inconclusive expectation is an `error`, because readers count `skipped` as harmless. A run or
+//! scenario that did not pass although its expectations did has one more case with an error.
+//! Jenkins' xunit schema (`tests/report/junit-10.xsd`) allows properties of suites only:
+//! requirements are `requirement.<name>` of the suite, other facts are lines in `system-out`.
+//! Times come from the record, so that equal records give equal files.
 
 use super::escape::printable;
 use crate::error::{ReportError, write_file};
@@ -16,17 +14,12 @@ use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 use std::path::Path;
 use std::time::Duration;
 
-/// The file's name in a run folder.
 pub const FILE: &str = "junit.xml";
 
-/// Writes the run to `path`.
-///
-/// # Errors
-/// [`ReportError`] if the file cannot be written.
 pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     let text =
         junit_report(record).to_string().map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
-    // The schema has no attribute `skipped` of all suites together.
+    // The schema has no attribute `skipped` of all suites.
     write_file(path, &text.replacen(&format!(" skipped=\"{}\"", record.not_applicable.len()), "", 1))
 }
 
@@ -80,12 +73,11 @@ fn not_applicable_suite(scenario: &NotApplicable) -> TestSuite {
     suite
 }
 
-/// The file without `.toml`. Jenkins splits a class name at its last dot, so dots become `_`.
+/// Jenkins splits a class name at its last dot, so dots become `_`.
 fn class_name(file: &str) -> String {
     printable(file.strip_suffix(".toml").unwrap_or(file)).replace('.', "_")
 }
 
-/// A case without an expectation that does not pass.
 fn inconclusive_case(name: &str, class: &str, reason: &str) -> TestCase {
     let mut status = TestCaseStatus::non_success(NonSuccessKind::Error);
     status.set_type(Verdict::Inconclusive.name()).set_message(reason);

@@ -1,7 +1,6 @@
-//! Writes a run as one page of Markdown for summaries of CI, comments and mails: verdict, what did
-//! not pass, all scenarios.
+//! Writes a run as one page of Markdown.
 //!
-//! GitHub refuses a summary above 1 MiB. Each table therefore lists at most `MAX_ROWS` rows and the number of others.
+//! GitHub refuses a summary above 1 MiB: a table lists at most `MAX_ROWS` rows.
 
 use super::escape::markdown_cell;
 use super::table::Table;
@@ -13,28 +12,19 @@ use std::fs;
 use std::io::Write as _;
 use std::path::Path;
 
-/// Rows of a table.
 const MAX_ROWS: usize = 200;
 
-/// Writes the page to `path`.
-///
-/// # Errors
-/// [`ReportError`] if the file cannot be written.
 pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     write_file(path, &render_page(record))
 }
 
-/// Appends the page to `path`, which need not exist.
-///
-/// # Errors
-/// [`ReportError`] if the file cannot be written.
+/// Creates the file if it does not exist.
 pub fn append(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     let file = fs::OpenOptions::new().append(true).create(true).open(path);
     file.and_then(|mut file| file.write_all(format!("{}\n", render_page(record)).as_bytes()))
         .map_err(ReportError::io(path))
 }
 
-/// The page.
 pub fn render_page(record: &RunRecord) -> String {
     let mut text = String::new();
     let counts = format::VerdictCounts::of_expectations(record);
@@ -66,7 +56,7 @@ pub fn render_page(record: &RunRecord) -> String {
     text
 }
 
-/// Expectations that did not pass, failures first.
+/// Failures first.
 fn not_passed_table(record: &RunRecord) -> Table {
     let mut table = Table::new(["", "Scenario", "Expected", "Measured", "Requirement", "Reason", "Trace"]);
     for (scenario, index) in record_queries::expectations_not_passed(record).into_iter().take(MAX_ROWS) {
@@ -111,7 +101,7 @@ fn not_applicable_table(record: &RunRecord) -> Table {
     table
 }
 
-/// Writes a table and the number of rows of `all` that it does not list.
+/// Adds the number of the rows of `all` that the table does not list.
 fn write_table(text: &mut String, table: &Table, all: usize) {
     *text += &table.markdown();
     if all > table.rows.len() {

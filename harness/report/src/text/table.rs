@@ -2,22 +2,18 @@
 
 use super::escape::{csv_field, markdown_cell, printable};
 
-/// A table: one text per cell, every row as wide as the header.
+/// Every row is as wide as the header.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Table {
-    /// Titles of the columns.
     pub header: Vec<String>,
-    /// Cells by row.
     pub rows: Vec<Vec<String>>,
 }
 
 impl Table {
-    /// A table without rows.
     pub fn new<'a>(header: impl IntoIterator<Item = &'a str>) -> Self {
         Self { header: header.into_iter().map(str::to_owned).collect(), rows: Vec::new() }
     }
 
-    /// Lines of aligned columns, the header first.
     pub fn lines(&self) -> Vec<String> {
         let all = || std::iter::once(&self.header).chain(&self.rows);
         let cells: Vec<Vec<String>> =
@@ -31,7 +27,7 @@ impl Table {
         cells.iter().map(line).collect()
     }
 
-    /// A Markdown table; no text in a cell is markup.
+    /// No text in a cell is markup.
     pub fn markdown(&self) -> String {
         let line = |row: &Vec<String>| {
             format!("| {} |\n", row.iter().map(|cell| markdown_cell(cell)).collect::<Vec<_>>().join(" | "))
@@ -40,7 +36,7 @@ impl Table {
         format!("{}|{}\n{rows}", line(&self.header), "---|".repeat(self.header.len()))
     }
 
-    /// Comma-separated values (RFC 4180) with a header; no text in a field is a formula.
+    /// RFC 4180; no text in a field is a formula.
     pub fn csv(&self) -> String {
         let line = |row: &Vec<String>| row.iter().map(|cell| csv_field(cell)).collect::<Vec<_>>().join(",") + "\n";
         std::iter::once(&self.header).chain(&self.rows).map(line).collect()

@@ -1,8 +1,5 @@
-//! Writes TAP 14, the Test Anything Protocol: a subtest per scenario, a test point per expectation.
-//!
-//! An inconclusive expectation is `not ok`, because readers count `SKIP` and `TODO` as passed. `SKIP` marks scenarios
-//! that are not applicable. An unfinished run ends in
-//! `Bail out!`.
+//! Writes TAP 14: a subtest per scenario, a test point per expectation. Inconclusive is `not ok`,
+//! because readers count `SKIP` and `TODO` as passed. `SKIP` marks what is not applicable.
 
 use super::escape::tap_description;
 use crate::error::{ReportError, write_file};
@@ -12,15 +9,10 @@ use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Writes the run to `path`.
-///
-/// # Errors
-/// [`ReportError`] if the file cannot be written.
 pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     write_file(path, &text(record))
 }
 
-/// The run as TAP.
 pub fn text(record: &RunRecord) -> String {
     let reason = record_queries::run_inconclusive_reason(record);
     let listed = record.scenarios.len() + record.not_applicable.len();
@@ -82,7 +74,7 @@ fn write_test_point(text: &mut String, indent: &str, verdict: Verdict, number: u
     let _ = writeln!(text, "{indent}{ok} {number} - {}", tap_description(name));
 }
 
-/// A block of YAML; every value is JSON, which is YAML in one line.
+/// Every value is JSON, which is YAML in one line.
 fn write_yaml_block(text: &mut String, indent: &str, entries: &[(&str, Value)]) {
     let _ = writeln!(text, "{indent}  ---");
     for (name, value) in entries.iter().filter(|(_, value)| !value.is_null()) {

@@ -2,7 +2,7 @@
 
 use platebench_record::{ScenarioRecord, TimingRecord};
 
-/// The worst of each quantity over trials, and the sums of the counts. `None` in lockstep.
+/// Worst of each quantity over trials, sums of counts; `None` in lockstep.
 pub(crate) fn summary(scenario: &ScenarioRecord) -> Option<String> {
     let trials: Vec<&TimingRecord> =
         scenario.trials.iter().filter_map(|trial| trial.telemetry.timing.as_ref()).collect();

@@ -6,10 +6,8 @@ use crate::{format, record_queries};
 use platebench_record::{RunRecord, Verdict};
 use std::path::Path;
 
-/// The file's name in a run folder.
 pub const FILE: &str = "traceability.csv";
 
-/// An expectation with a requirement.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct RequirementLink {
     pub(crate) requirement: String,
@@ -23,7 +21,7 @@ pub(crate) struct RequirementLink {
     pub(crate) trace: String,
 }
 
-/// Every expectation with a requirement, sorted by requirement and then in the order of the record.
+/// Sorted by requirement, then in the order of the record.
 pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink> {
     let mut links = Vec::new();
     for (scenario_index, scenario) in record.scenarios.iter().enumerate() {
@@ -46,15 +44,10 @@ pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink> {
     links
 }
 
-/// Writes the table into the run folder.
-///
-/// # Errors
-/// [`ReportError`] if the file cannot be written.
 pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
     write_file(&folder.join(FILE), &text(record))
 }
 
-/// The table as CSV.
 pub fn text(record: &RunRecord) -> String {
     let mut table = Table::new(["requirement", "expectation", "limit", "scenario", "verdict", "value", "trace"]);
     table.rows.extend(requirement_links(record).into_iter().map(|link| {

@@ -1,8 +1,5 @@
 //! Controls a headless Chromium by the `WebDriver` protocol (<https://www.w3.org/TR/webdriver2/>).
-//!
-//! The kernel ends the driver with the thread that started it; the browser ends when its pipe to
-//! the
-//! driver closes.
+//! The kernel ends the driver with its thread; the browser ends when its pipe to the driver closes.
 
 use platebench_test_kit::{ChildGuard, skip_without};
 use serde_json::{Value, json};
@@ -21,7 +18,6 @@ const PROGRAM: &str = "chromedriver";
 const DRIVER_TIMEOUT: Duration = Duration::from_mins(1);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Window and settings of the browser.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BrowserOptions {
     pub(crate) width: u32,
@@ -30,17 +26,15 @@ pub(crate) struct BrowserOptions {
     pub(crate) scripts: bool,
 }
 
-/// A running browser with one window.
 pub(crate) struct Browser {
     _driver: ChildGuard,
     agent: Agent,
     session: String,
-    /// The browser's own files.
     _profile: TempDir,
 }
 
 impl Browser {
-    /// A new browser; `None`, with a message, if the driver is neither installed nor required.
+    /// `None`, with a message, if the driver is neither installed nor required.
     pub(crate) fn start_if_installed(options: BrowserOptions) -> Option<Self> {
         match Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output() {
             Ok(_) => Some(Self::start(options)),
@@ -114,7 +108,6 @@ impl Browser {
         browser
     }
 
-    /// Sends a command of the `DevTools` protocol.
     pub(crate) fn devtools_command(&self, command: &str, parameters: &Value) -> Value {
         self.post("goog/cdp/execute", &json!({ "cmd": command, "params": parameters }))
     }
@@ -127,7 +120,7 @@ impl Browser {
         self.post("url", &json!({ "url": format!("file://{}", page.display()) }));
     }
 
-    /// Evaluates an expression in the page and awaits a promise.
+    /// Awaits a promise.
     pub(crate) fn evaluate(&self, expression: &str) -> Value {
         let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
         let answer = self.devtools_command("Runtime.evaluate", &parameters);
@@ -135,7 +128,6 @@ impl Browser {
         answer["result"]["value"].clone()
     }
 
-    /// Waits until `expression` is true in the page.
     pub(crate) fn wait_for(&self, expression: &str) {
         let started = Instant::now();
         while self.evaluate(expression) != json!(true) {
@@ -144,7 +136,7 @@ impl Browser {
         }
     }
 
-    /// Drags the pointer; coordinates in the window.
+    /// In coordinates of the window.
     pub(crate) fn drag(&self, from: (f64, f64), to: (f64, f64)) {
         let pointer_to =
             |(x, y): (f64, f64)| json!({ "type": "pointerMove", "duration": 50, "x": x.round(), "y": y.round() });
@@ -157,21 +149,19 @@ impl Browser {
         self.act(&json!([{ "type": "pointerMove", "duration": 20, "x": x.round(), "y": y.round() }]));
     }
 
-    /// Performs actions of the mouse.
     fn act(&self, actions: &Value) {
         let parameters = json!({ "pointerType": "mouse" });
         let pointer = json!({ "type": "pointer", "id": "mouse", "parameters": parameters, "actions": actions });
         self.post("actions", &json!({ "actions": [pointer] }));
     }
 
-    /// Warnings and errors on the console since the last call.
     pub(crate) fn console_messages(&self) -> Vec<Value> {
         let log = self.post("se/log", &json!({ "type": "browser" }));
         let entries = log.as_array().unwrap_or_else(|| panic!("no log: {log}")).iter();
         entries.filter(|entry| ["SEVERE", "WARNING"].contains(&entry["level"].as_str().unwrap())).cloned().collect()
     }
 
-    /// Writes a screenshot `name`.png if `REPORT_PICTURES` names a folder.
+    /// If `REPORT_PICTURES` names a folder.
     pub(crate) fn save_screenshot(&self, name: &str) {
         let Some(folder) = std::env::var_os("REPORT_PICTURES") else { return };
         let answer = self.devtools_command("Page.captureScreenshot", &json!({ "format": "png" }));

@@ -1,8 +1,5 @@
-//! Tests `report.html` in a browser: light and dark, phone and desktop, with and without scripts.
-//!
-//! Needs `chromium` and `chromedriver` (`ci/install-test-tools`). Without them the tests print a
-//! message and pass, unless
-//! `PLATEBENCH_REQUIRE_ALL=1`. `REPORT_PICTURES=FOLDER` keeps screenshots.
+//! Tests `report.html` in Chromium. Without it (`ci/install-test-tools`) they print a message and
+//! pass, unless `PLATEBENCH_REQUIRE_ALL=1`. `REPORT_PICTURES=FOLDER` keeps screenshots.
 
 #![allow(
     clippy::unwrap_used,

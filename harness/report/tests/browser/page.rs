@@ -13,14 +13,11 @@ use tempfile::TempDir;
 const DESKTOP: BrowserOptions = BrowserOptions { width: 1280, height: 900, dark: false, scripts: true };
 const PHONE: BrowserOptions = BrowserOptions { width: 390, height: 844, ..DESKTOP };
 const TITLE: &str = "</script><b>\"A\" & 'B'</b>";
-/// True once the plots of the first scenario are drawn.
 const READY: &str = "document.querySelector('.plots').dataset.ready === 'true'";
-/// The button of the first trial in the legend.
 const KEY: &str = "[...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('trial 0'))";
 /// Start and end of the plots of the first scenario, ms.
 const RANGE: &str = "(({from, to}) => [+from, +to])(document.querySelector('.tools').dataset)";
 
-/// A page with a hostile title, costs, a golden trace and another run.
 fn write_page(folder: &Path) -> PathBuf {
     let mut record = fixtures::run_with_traces(folder);
     TITLE.clone_into(&mut record.scenarios[2].title);
@@ -51,7 +48,7 @@ fn plot_range(browser: &Browser) -> [f64; 2] {
     serde_json::from_value(browser.evaluate(RANGE)).unwrap()
 }
 
-/// Left edge, upper edge, width and height of an element in the window.
+/// Left, top, width, height in the window.
 fn element_rect(browser: &Browser, selector: &str) -> [f64; 4] {
     let expression = format!(
         "(() => {{ const found = document.querySelector({}); \
@@ -76,7 +73,6 @@ fn plots_zoom_move_and_switch() {
     assert!(titles.as_str().unwrap().contains(TITLE), "{titles}");
     assert_eq!(browser.evaluate("document.querySelectorAll('.scenario h2 b').length"), 0);
 
-    // Zoom by buttons, by dragging and by keys.
     let start = plot_range(&browser);
     let pixels = "document.querySelector('.canvas canvas').toDataURL()";
     let frame = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))";
@@ -123,7 +119,6 @@ fn plots_zoom_move_and_switch() {
     let amplitude: f64 = browser.evaluate(&value).as_str().unwrap().parse().unwrap();
     assert!((amplitude - 2.0).abs() < 0.06, "{amplitude}");
 
-    // Hide a signal and show it again.
     browser.move_pointer((1.0, 1.0));
     browser.evaluate(frame);
     let on = browser.evaluate(pixels);
@@ -136,7 +131,6 @@ fn plots_zoom_move_and_switch() {
     browser.evaluate(frame);
     assert_eq!(browser.evaluate(pixels), on);
 
-    // Print shows the drawings.
     browser.devtools_command("Emulation.setEmulatedMedia", &json!({ "media": "print" }));
     let displays = "['.plots', '.drawings'].map((part) => getComputedStyle(document.querySelector(part)).display)";
     assert_eq!(browser.evaluate(displays), json!(["none", "block"]));
@@ -226,7 +220,6 @@ fn picture() {
     browser.save_screenshot("report");
 }
 
-/// axe-core, unpacked.
 fn axe_source() -> String {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/browser/axe/axe.min.js.gz");
     let unpacked = Command::new("gzip").args(["-dc", file]).output().unwrap();

@@ -12,7 +12,6 @@ use std::path::Path;
 
 pub(crate) use crate::response::Response;
 
-/// A run of these scenarios.
 pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
     RunRecord {
         format: FORMAT,
@@ -39,7 +38,6 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
     }
 }
 
-/// A scenario without trials.
 pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<ExpectationRecord>) -> ScenarioRecord {
     let input = |file: String, digit: &str| InputRecord { file, sha256: digit.repeat(64) };
     ScenarioRecord {
@@ -59,7 +57,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
     }
 }
 
-/// As the scenario's reader names them: the metric, `metric 2`, `metric 3`.
+/// As the reader names them: the metric, `metric 2`, `metric 3`.
 fn with_default_names(mut expectations: Vec<ExpectationRecord>) -> Vec<ExpectationRecord> {
     for index in 0..expectations.len() {
         let metric = expectations[index].metric;
@@ -69,7 +67,6 @@ fn with_default_names(mut expectations: Vec<ExpectationRecord>) -> Vec<Expectati
     expectations
 }
 
-/// An expectation that passed.
 #[allow(clippy::needless_pass_by_value, reason = "short calls")]
 pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64) -> ExpectationRecord {
     ExpectationRecord {
@@ -95,7 +92,6 @@ pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64)
     }
 }
 
-/// Settling time from the first setpoint step.
 pub(crate) fn settling_definition(band_percent: f64, signal: &str) -> MetricDefinition {
     MetricDefinition { from_ms: None, band_percent: Some(band_percent), signal: Some(signal.to_owned()) }
 }
@@ -111,30 +107,26 @@ pub(crate) fn open_loop() -> ScenarioRecord {
     scenario("paper/fig13-open-loop.toml", "Open loop", "open-loop", vec![settling])
 }
 
-/// The same, failed.
 pub(crate) fn failed_expectation(expectation: ExpectationRecord, reason: Reason) -> ExpectationRecord {
     ExpectationRecord { verdict: Verdict::Fail, reason: Some(reason), ..expectation }
 }
 
-/// A trial whose value breaks an upper limit.
 pub(crate) fn outside(trial: u32, value: f64, limit: f64) -> Reason {
     let finding = TrialFinding::Outside { value: Some(value), limit: Limit::AtMost(limit) };
     Reason::Trial { trial, divergence: None, finding, ended: None }
 }
 
-/// A trial that never settles.
 pub(crate) fn never_settles(trial: u32) -> Reason {
     let finding = TrialFinding::Missing(MissingValue::NeverSettles);
     Reason::Trial { trial, divergence: None, finding, ended: None }
 }
 
-/// A setpoint that 400 Vpp cannot hold.
+/// With 400 Vpp.
 fn out_of_reach(settling_ms: f64) -> Reason {
     let best = BestResponse::Value(Metric::SettlingTime, settling_ms);
     Reason::Excused(Excuse::SetpointOutOfReach { needed_vpp: 668.0, limit_vpp: 400.0, best })
 }
 
-/// The same, inconclusive.
 pub(crate) fn inconclusive_expectation(
     expectation: ExpectationRecord,
     cause: Cause,
@@ -143,7 +135,6 @@ pub(crate) fn inconclusive_expectation(
     ExpectationRecord { verdict: Verdict::Inconclusive, cause: Some(cause), reason: Some(reason), ..expectation }
 }
 
-/// A trial with these metrics.
 pub(crate) fn trial(file: &str, index: u32, metrics: &[(&str, Value)]) -> TrialRecord {
     let name = file.strip_suffix(".toml").unwrap();
     TrialRecord {
@@ -163,7 +154,6 @@ pub(crate) fn trial(file: &str, index: u32, metrics: &[(&str, Value)]) -> TrialR
 const NO_ANSWER: Exclusion = Exclusion::NoAnswer { at_ms: 12.0 };
 const LATE_BENCH: Exclusion = Exclusion::LateBench { count: 1, first_ms: 31.05 };
 
-/// A pass, a failure, and an inconclusive expectation of every cause.
 pub(crate) fn mixed_run() -> RunRecord {
     let closed = "paper/fig13-closed-loop.toml";
     let open = "paper/fig13-open-loop.toml";
@@ -264,8 +254,7 @@ pub(crate) fn mixed_run() -> RunRecord {
     RunRecord { not_applicable: vec![not_applicable], ..run(vec![passing, failing, doubted]) }
 }
 
-/// The cost of a step under three laws: a third more than in an earlier run, a lower mean, and no
-/// earlier run.
+/// One a third above an earlier run, one with a lower mean, one without an earlier run.
 pub(crate) fn cost_trends() -> Vec<CostTrend> {
     let cost = |mean, worst| StepCost { mean, worst };
     let earlier = |run: Option<&str>, build: &str, then, now| EarlierCost {
@@ -301,7 +290,7 @@ pub(crate) fn cost_trends() -> Vec<CostTrend> {
     ]
 }
 
-/// Adds trials with traces to `scenario`, with gains within ±`spread` of that of `response`.
+/// Gains vary by ±`spread` around that of `response`.
 pub(crate) fn write_trials(scenario: &mut ScenarioRecord, folder: &Path, trials: u32, response: Response, spread: f64) {
     for index in 0..trials {
         let offset = (f64::from(index) * 2.399_963).sin() * spread;
@@ -314,8 +303,7 @@ pub(crate) fn write_trials(scenario: &mut ScenarioRecord, folder: &Path, trials:
     }
 }
 
-/// A run of three scenarios with their traces below `folder`: one passed, one failed, one is
-/// inconclusive and saturated.
+/// One passed, one failed, one is inconclusive and saturated.
 pub(crate) fn run_with_traces(folder: &Path) -> RunRecord {
     let settling = |value: f64, paper: f64| ExpectationRecord {
         paper: Some(paper),
@@ -366,7 +354,6 @@ pub(crate) fn run_with_traces(folder: &Path) -> RunRecord {
     run(vec![closed, open, finger])
 }
 
-/// Writes the first trace of `scenario` below `folder` as its baseline.
 pub(crate) fn write_baseline(scenario: &ScenarioRecord, folder: &Path, baselines: &Path) {
     let rows = platebench_trace::read_trace(&folder.join(&scenario.trials[0].trace)).unwrap();
     let build =

@@ -9,7 +9,6 @@ use serde_json::Value;
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 
-/// A run that ended before its first scenario was judged.
 fn cancelled_run() -> RunRecord {
     let mut record = fixtures::mixed_run();
     record.complete = false;

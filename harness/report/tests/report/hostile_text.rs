@@ -1,5 +1,4 @@
-//! Tests hostile texts in every report: ESC, right-to-left override, a line feed before a workflow
-//! command, a formula.
+//! Tests every report with ESC, right-to-left override, a workflow command and a formula.
 
 use crate::fixtures;
 use platebench_record::{MissingValue, Reason, RunRecord, TrialFinding};
@@ -46,7 +45,6 @@ impl Write for SharedBuffer {
     }
 }
 
-/// The text that `write` writes.
 pub(crate) fn written(write: impl FnOnce(SharedBuffer)) -> String {
     let buffer = SharedBuffer::default();
     write(buffer.clone());

@@ -15,7 +15,6 @@ fn write_junit(record: &RunRecord) -> String {
     std::fs::read_to_string(path).unwrap()
 }
 
-/// How often each element occurs in a well-formed document.
 fn count_elements(text: &str) -> BTreeMap<String, usize> {
     let mut reader = Reader::from_str(text);
     reader.config_mut().check_end_names = true;
@@ -97,7 +96,7 @@ fn markup_in_titles_and_reasons_is_text() {
 }
 
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/test-readers/bin/python");
-/// The schema of Jenkins, MIT licence, from pytest's sources.
+/// From pytest's sources, MIT licence.
 const SCHEMA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/report/junit-10.xsd");
 const VALIDATE: &str = "\
 import sys
@@ -106,8 +105,7 @@ schema = etree.XMLSchema(etree.parse(sys.argv[1]))
 schema.validate(etree.parse(sys.argv[2]))
 print(schema.error_log)";
 
-/// The violations of the schema; `None` with a message if the validator is not installed and not
-/// required.
+/// `None`, with a message, if the validator is neither installed nor required.
 fn schema_errors(text: &str) -> Option<String> {
     if !std::path::Path::new(PYTHON).exists() {
         platebench_test_kit::skip_without(&format!("lxml at {PYTHON}"));

@@ -7,7 +7,7 @@ use platebench_record::ScenarioRecord;
 use rstest::rstest;
 use serde_json::{Map, Value, json};
 
-/// Instants of the marks of a drawing, ms: 0 ms to 60 ms lie at x = 264 to 2184.
+/// 0 ms to 60 ms lie at x = 264 to 2184.
 fn marks(drawing: &str, ink: &str) -> Vec<f64> {
     let start = format!("class=\"s-{ink}\" d=\"m");
     let lines = drawing.split(&start).skip(1);
@@ -15,7 +15,6 @@ fn marks(drawing: &str, ink: &str) -> Vec<f64> {
     x.map(|x| ((x - 264.0) / (2184.0 - 264.0) * 600.0).round() / 10.0).collect()
 }
 
-/// Marks of a figure with their legend.
 fn panel_marks(curves: &Value, panel: usize) -> Vec<(String, f64)> {
     let keys = legend_texts(curves, panel);
     let marks = curves["panels"][panel]["marks"].as_array().unwrap().iter();
@@ -72,7 +71,6 @@ fn marks_start_end_and_deadline(
     assert!(drawing.contains(&format!("trial 0 {text}")), "{drawing}");
     let (svg, _) = drawing.split_once("</svg>").unwrap();
     assert_eq!((marks(svg, "settling").as_slice(), marks(svg, "deadline").as_slice()), (came, deadline));
-    // The interactive figure has the same marks, and no other figure has any.
     let curves = &plot_data(&page)[0];
     let all: Vec<_> = panel_marks(curves, panel);
     let of = |wanted: &dyn Fn(&str) -> bool| -> Vec<f64> {
@@ -83,7 +81,6 @@ fn marks_start_end_and_deadline(
     let until: Vec<f64> = of(&|key| key.starts_with(metric)).into_iter().filter(|at_ms| *at_ms <= 60.0).collect();
     assert_eq!(until, deadline, "{all:?}");
     assert_eq!(panel_marks(curves, 1 - panel), []);
-    // Without a start there is nothing to mark.
     tap.expectations[0].definition.from_ms = None;
     let page = write_page(&fixtures::run(vec![tap]), folder.path());
     assert!(!section(&page, "scenario-0").contains(text));

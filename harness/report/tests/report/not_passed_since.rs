@@ -9,7 +9,6 @@ use rstest::rstest;
 use std::fs;
 use std::path::PathBuf;
 
-/// Runs of the open loop in neighbouring folders.
 struct RunFolders(tempfile::TempDir);
 
 impl RunFolders {
@@ -17,7 +16,6 @@ impl RunFolders {
         Self(tempfile::tempdir().unwrap())
     }
 
-    /// Writes a run with a failed expectation; `change` modifies it first.
     fn write(&self, name: &str, started: &str, change: impl FnOnce(&mut RunRecord)) -> (RunRecord, PathBuf) {
         let mut record = fixtures::run(vec![open_loop()]);
         started.clone_into(&mut record.started);
@@ -33,7 +31,6 @@ fn set_passed(record: &mut RunRecord) {
     record.scenarios[0].expectations[0].verdict = Verdict::Pass;
 }
 
-/// The sentence on the page of a run.
 fn not_passed_since((record, folder): &(RunRecord, PathBuf)) -> String {
     let path = folder.join(page::FILE);
     page::ReportPage::new(record, folder).with_earlier_runs().write(&path).unwrap();
@@ -133,7 +130,6 @@ fn names_how_the_earlier_expectation_differed(#[case] change: fn(&mut Expectatio
         text.starts_with(&format!("New in this run. It last passed in then (2026-03-04T00:00:00Z{expected})")),
         "{text}"
     );
-    // An identical expectation under another number is compared instead.
     runs.write("then", "2026-03-04T00:00:00Z", |record| {
         defined(record);
         let same = record.scenarios[0].expectations[0].clone();

@@ -21,13 +21,11 @@ fn scenario_section(page: &str, index: usize) -> &str {
     section(page, &format!("scenario-{index}"))
 }
 
-/// The figures of the scenarios as data, in the order of the page.
 pub(crate) fn plot_data(page: &str) -> Vec<Value> {
     let parts = page.split("<script class=\"curves\" type=\"application/json\">").skip(1);
     parts.map(|part| serde_json::from_str(part.split_once("</script>").unwrap().0).unwrap()).collect()
 }
 
-/// The legend of a figure.
 pub(crate) fn legend_texts(curves: &Value, figure: usize) -> Vec<String> {
     let groups = curves["panels"][figure]["groups"].as_array().unwrap().iter();
     groups.map(|group| group["text"].as_str().unwrap().to_owned()).collect()
@@ -93,7 +91,6 @@ fn lists_missing_and_damaged_traces() {
     assert_eq!(notice[0], "traces/paper/fig13-closed-loop/000.csv: No such file or directory (os error 2)");
     assert!(notice[1].starts_with("traces/paper/fig13-closed-loop/001.csv: line 1: columns"), "{notice:?}");
     assert!(!page.contains(&folder.path().display().to_string()), "a report is read elsewhere");
-    // The third trace is drawn; a scenario without trials has no figures.
     assert!(text.contains("[Amplitude |W| in µm") && text.contains("trial 2"), "{text}");
     assert!(!scenario_section(&page, 1).contains("<figure>"));
 }
@@ -109,8 +106,7 @@ fn the_open_loop_is_behind_its_closed_loop_only() {
     fixtures::write_trials(&mut other, folder.path(), 1, Response::default(), 0.0);
     let page = write_page(&fixtures::run(vec![closed, open, other]), folder.path());
     let lines = |index| scenario_section(&page, index).matches("class=\"s-other\" d=").count();
-    // A line and a swatch each: |W| and drive in the response; |W|, drive and frequency in the
-    // whole trial.
+    // Line and swatch each: |W| and drive twice, frequency once.
     assert_eq!([lines(0), lines(1), lines(2)], [5, 0, 0]);
     assert_eq!(scenario_section(&page, 0).matches("</svg>open loop (paper/fig13-open-loop.toml)").count(), 5);
 }
@@ -260,12 +256,10 @@ fn links_of_traces_stay_in_the_run_folder(#[case] name: &str, #[case] url: &str)
     let mut record = fixtures::mixed_run();
     name.clone_into(&mut record.scenarios[1].trials[1].trace);
     let page = write_page(&record, folder.path());
-    // In the open items, the requirements and the trials.
     assert_eq!(page.matches(&format!("href=\"{url}\"")).count(), 3);
     assert_balanced(&page);
 }
 
-/// The trace of a decisive trial and an unread trace are changed.
 #[test]
 fn lists_changed_traces_instead_of_drawing_them() {
     let folder = tempfile::tempdir().unwrap();
@@ -288,13 +282,11 @@ fn lists_changed_traces_instead_of_drawing_them() {
     let notice = "1 trace cannot be shown:\ntraces/paper/fig13-open-loop/000.csv: changed after the run\n";
     assert!(open.contains(notice), "{open}");
     assert!(legend_texts(&plot_data(&page)[0], 0).contains(&"trial 1".to_owned()), "the first unchanged trial");
-    // Also if all expectations passed.
     let passed = fixtures::run(vec![record.scenarios[1].clone()]);
     let page = render(&passed, |_, _| true);
     assert!(page.contains(">Changed traces<") && !page.contains("What did not pass") && !page.contains("<figure>"));
 }
 
-/// The traces of the other run are compared with the record of the other run.
 #[rstest]
 #[case::unchanged(|_: &Path, _: &TrialRecord| false, true)]
 #[case::changed(|folder: &Path, _: &TrialRecord| !folder.join(page::FILE).exists(), false)]

@@ -21,7 +21,6 @@ const BLOCKS: [&str; 16] = [
 ];
 const CELLS: [&str; 4] = ["th", "td", "dt", "summary"];
 
-/// The visible text of a page or a part of it; of a drawing its label.
 pub(crate) fn page_text(html: &str) -> String {
     let html = ["style", "script", "title"].iter().fold(html.to_owned(), |html, name| strip_elements(&html, name));
     let mut text = String::new();
@@ -54,7 +53,6 @@ pub(crate) fn page_text(html: &str) -> String {
     lines.into_iter().filter(|line| !line.is_empty()).collect::<Vec<_>>().join("\n")
 }
 
-/// The section with this id or label.
 pub(crate) fn section<'a>(page: &'a str, id: &str) -> &'a str {
     let labelled = page.split("<section").find(|part| part.contains(&format!("id=\"{id}\"")));
     labelled
@@ -65,7 +63,6 @@ pub(crate) fn section<'a>(page: &'a str, id: &str) -> &'a str {
         .unwrap()
 }
 
-/// The page without these elements and their content.
 pub(crate) fn strip_elements(page: &str, element: &str) -> String {
     let (start, end) = (format!("<{element}"), format!("</{element}>"));
     let mut parts = page.split(&start);
@@ -73,7 +70,6 @@ pub(crate) fn strip_elements(page: &str, element: &str) -> String {
     parts.fold(first, |kept, part| kept + part.split_once(&end).unwrap().1)
 }
 
-/// Panics if an element is closed that is not open, or stays open.
 pub(crate) fn assert_balanced(page: &str) {
     const VOID: [&str; 3] = ["meta", "!DOCTYPE", "br"];
     let mut open: Vec<&str> = Vec::new();

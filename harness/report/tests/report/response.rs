@@ -11,7 +11,6 @@ pub(crate) struct Response {
     pub(crate) duration_ms: f64,
     pub(crate) step_ms: f64,
     pub(crate) time_constant_ms: f64,
-    /// Final value relative to the setpoint.
     pub(crate) gain: f64,
     /// Detuning at the start, Hz; the frequency then follows the resonance.
     pub(crate) detuned_hz: f64,
@@ -39,7 +38,6 @@ impl Default for Response {
 }
 
 impl Response {
-    /// When it enters the 5 % band, counted from the step.
     pub(crate) fn settling_ms(&self) -> f64 {
         self.time_constant_ms * (1.0 / (1.0 - 0.95 / self.gain)).ln()
     }
@@ -77,7 +75,6 @@ impl Response {
         }
     }
 
-    /// Writes the trace of `trial` below `folder`.
     pub(crate) fn write(&self, folder: &Path, trial: &TrialRecord) {
         let path = folder.join(&trial.trace);
         fs::create_dir_all(path.parent().unwrap()).unwrap();

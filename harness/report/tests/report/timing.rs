@@ -44,7 +44,6 @@ fn table(trials: impl IntoIterator<Item = Option<TimingRecord>>) -> String {
     table.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// The part of the console's text on real time.
 fn summary(trials: impl IntoIterator<Item = Option<TimingRecord>>) -> Option<String> {
     let table = table(trials);
     let start = table.find("real time")?;

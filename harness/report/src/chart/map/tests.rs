@@ -55,6 +55,5 @@ fn skips_a_panel_without_numbers() {
     let mut empty = map();
     empty.panels[0] = MapPanel { periods_ms: vec![1.0], ..empty.panels[0].clone() };
     empty.panels[1] = MapPanel { radius: Vec::new(), measured: Vec::new(), ..empty.panels[1].clone() };
-    // The legend has the only circle.
     assert_eq!(empty.svg().unwrap().matches("<circle").count(), 1);
 }

@@ -6,14 +6,11 @@ use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use platebench_record::ScenarioRecord;
 use std::io::{self, IsTerminal as _, Write};
 
-/// The form of the progress.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProgressKind {
-    /// A bar for each running scenario.
     Bars,
     /// A line at the start and one at the end of a scenario.
     Lines,
-    /// Nothing.
     Quiet,
 }
 
@@ -24,7 +21,7 @@ impl ProgressKind {
     }
 }
 
-/// Shows the progress of scenarios, named by their files; several may run at once.
+/// Scenarios are named by their files; several may run at once.
 pub struct Progress {
     sink: Sink,
 }
@@ -36,7 +33,6 @@ enum Sink {
 }
 
 impl Progress {
-    /// Progress on stderr.
     pub fn new(kind: ProgressKind) -> Self {
         let sink = match kind {
             ProgressKind::Bars => {
@@ -48,12 +44,10 @@ impl Progress {
         Self { sink }
     }
 
-    /// Lines on `out`.
     pub fn to_writer(out: impl Write + Send + 'static) -> Self {
         Self { sink: Sink::Lines(Box::new(out)) }
     }
 
-    /// Scenario `name` starts with this number of planned trials.
     pub fn scenario_started(&mut self, name: &str, trials: u32) {
         match &mut self.sink {
             Sink::Bars { all, under_way } => {
@@ -70,7 +64,6 @@ impl Progress {
         }
     }
 
-    /// Trial `index`, counted from 0, of scenario `name` has ended.
     pub fn trial_finished(&mut self, name: &str, index: u32) {
         let Sink::Bars { under_way, .. } = &mut self.sink else { return };
         if let Some((_, bar)) = under_way.iter().find(|(scenario, _)| scenario == name) {
@@ -81,7 +74,6 @@ impl Progress {
         }
     }
 
-    /// A scenario has ended and is judged.
     pub fn scenario_finished(&mut self, scenario: &ScenarioRecord) {
         let verdict = scenario.verdict;
         let trials = format::count(scenario.trials.len(), "trial");
@@ -102,7 +94,6 @@ impl Progress {
         }
     }
 
-    /// Removes the remaining bars.
     pub fn finish(&mut self) {
         match &mut self.sink {
             Sink::Bars { all, under_way } => {
