@@ -7,8 +7,7 @@ use platebench_record::Verdict;
 use platebench_rig::RigSpec;
 use platebench_runner::{Answer, CancelToken, Operator, Question, QuestionKind};
 
-/// Asks the operator. A confirmation before the first scenario is required on a rig that may drive
-/// a plate: no, or no answer, ends the session.
+/// Ends the session if a rig that may drive a plate is not confirmed before the first scenario.
 pub(crate) fn ask_operator(
     ask: &Ask,
     rig: &RigSpec,

@@ -1,12 +1,11 @@
-//! From stored runs to a verdict for each requirement, and one for all.
+//! Derives a verdict for each requirement and one for the session from stored runs.
 
 use crate::plan::Requirement;
 use crate::session_record::{EvidenceRecord, RequirementRecord, StepRecord};
 use platebench_record::{ExpectationRecord, RunRecord, Verdict};
 use platebench_report::format;
 
-/// What a session shows: each requirement's verdict, and the verdict over all of it. `runs` are
-/// those of the scenario steps, by their identifier.
+/// `runs` are those of the scenario steps, by their identifier.
 pub(crate) fn judge_requirements(
     requirements: &[Requirement],
     steps: &[StepRecord],
@@ -17,7 +16,6 @@ pub(crate) fn judge_requirements(
     let over_requirements = decided.iter().map(|requirement| requirement.verdict);
     // Expectations without a requirement count too.
     let over_runs = runs.iter().map(|(_, run)| run.verdict);
-    // Scenario steps have the verdicts of their runs.
     let over_steps = steps.iter().map(|step| if step.done { step.verdict } else { Some(Verdict::Inconclusive) });
     let verdict = Verdict::combine(over_requirements.chain(over_runs).chain(over_steps.flatten()));
     (decided, verdict)
@@ -35,7 +33,6 @@ fn requirement_record(requirement: &Requirement, runs: &[(String, RunRecord)]) -
     RequirementRecord {
         id: requirement.id.clone(),
         text: requirement.text.clone(),
-        // Without evidence it is inconclusive.
         verdict: Verdict::combine(evidence.iter().map(|evidence| evidence.verdict)),
         evidence,
     }

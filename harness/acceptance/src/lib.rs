@@ -1,18 +1,7 @@
 //! Conducts an acceptance session: plan, operator, board, and a sealed, signed record.
 //!
-//! * [`plan`]: the plan file, which states the requirements.
-//! * [`config`]: describes a session and who observes it.
-//! * [`conduct()`]: conducts it step by step (`steps`); a session that was interrupted resumes.
-//! * `ask`: questions; `self_test`: tests the bench; `scenario_run`: plays a scenario; `judge`:
-//!   judges requirements.
-//! * `provenance`: the bench, rig, inputs and firmware that a session may not change.
-//! * [`session_record`] reads and writes `session.json`.
-//! * [`manifest`], [`signature`]: SHA-256 of every file, and the signature of that list.
-//! * [`mod@verify`]: checks a sealed record.
-//! * [`page`] writes `record.html`.
-//!
-//! `platebench-runner` plays scenarios and `platebench-verdict` judges them. The terminal belongs
-//! to the command line.
+//! `platebench-runner` plays scenarios, `platebench-verdict` judges them, and the command line owns
+//! the terminal.
 
 mod ask;
 pub mod config;

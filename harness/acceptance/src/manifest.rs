@@ -1,7 +1,5 @@
-//! `manifest.sha256`: SHA-256 over every file of a record, in the format that `sha256sum -c`
-//! accepts.
-//!
-//! The manifest does not list itself nor its signature.
+//! Lists SHA-256 of every file of a record except the manifest and its signature. `sha256sum -c`
+//! accepts the format.
 
 use crate::error::AcceptError;
 use crate::signature;
@@ -13,30 +11,21 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-/// The manifest's name in a record.
 pub const FILE: &str = "manifest.sha256";
-/// Deepest folder of a record.
 const MAX_DEPTH: usize = 32;
 
-/// A difference between files and manifest.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Difference {
-    /// Another content.
     #[error("{0}: changed, its SHA-256 is not the one in the manifest")]
     Changed(String),
-    /// A missing file.
     #[error("{0}: missing, the manifest names it")]
     Missing(String),
-    /// A file without a line.
     #[error("{0}: added, or its line was taken out of the manifest")]
     Added(String),
-    /// Neither a file nor a folder.
     #[error("{0}: neither a file nor a folder, expected only these in a record")]
     NotAFile(String),
-    /// A file cannot be read.
     #[error("{0}: cannot be read: {1}")]
     Unreadable(String, String),
-    /// An invalid line.
     #[error(
         "{FILE}:{0}: not a line of a manifest, expected 64 hexadecimal digits, two spaces and a file below the record, \
          each once and in order"
@@ -44,7 +33,6 @@ pub enum Difference {
     Line(usize),
 }
 
-/// Writes the manifest of everything in `folder`.
 pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
     let mut found = FolderContents::default();
     found.collect_below(folder, "", 0);
@@ -59,14 +47,12 @@ pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
         }
         let path = folder.join(name);
         let bytes = fs::read(&path).map_err(AcceptError::io(&path))?;
-        // Writing to a string cannot fail.
         let _ = writeln!(text, "{}  {name}", sha256(&bytes));
     }
     let path = folder.join(FILE);
     write_atomically(&path, text.as_bytes()).map_err(AcceptError::io(&path))
 }
 
-/// Compares every file in `folder` with the manifest `text`.
 pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
     let mut differences = Vec::new();
     let mut listed: BTreeMap<&str, &str> = BTreeMap::new();
@@ -104,7 +90,6 @@ fn parse_line(line: &str) -> Option<(&str, &str)> {
     (is_hash && is_inside).then_some((hash, name))
 }
 
-/// Content of a record.
 #[derive(Default)]
 struct FolderContents {
     files: BTreeSet<String>,

@@ -5,12 +5,10 @@ use maud::{Markup, html};
 use platebench_record::Verdict;
 use platebench_report::page::{page_frame, verdict_badge};
 
-/// File name.
 pub const FILE: &str = "record.html";
 
 const STYLE: &str = include_str!("page/style.css");
 
-/// The page of a session.
 pub fn render(session: &SessionRecord) -> String {
     let title = format!("{} · {} {}", session.verdict, session.title, session.started);
     let body = html! {
@@ -91,7 +89,6 @@ fn requirements(session: &SessionRecord) -> Markup {
     }
 }
 
-/// Number of met expectations.
 fn evidence_summary(requirement: &RequirementRecord) -> String {
     let met = requirement.evidence.iter().filter(|evidence| evidence.verdict == Verdict::Pass).count();
     match requirement.evidence.len() {
@@ -150,7 +147,6 @@ fn step_row(step: &StepRecord) -> Markup {
     }
 }
 
-/// The description of a mutant in the catalogue.
 fn mutant_description(name: &str) -> String {
     let known = platebench_trust::catalogue().into_iter().find(|entry| entry.name == name);
     known.map_or_else(String::new, |entry| format!(", {}", entry.description))

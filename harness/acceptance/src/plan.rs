@@ -1,6 +1,6 @@
 //! Reads the plan of a session: requirements, scenarios, questions.
 //!
-//! The plan contains the text of each requirement; expectations of scenarios contain its identifier.
+//! A plan has the text of each requirement; expectations of scenarios refer to its identifier.
 
 use platebench_scenario::{Diagnostic, Scenario, find, input, schema};
 use schemars::{JsonSchema, Schema};
@@ -127,37 +127,24 @@ impl Default for BenchDemands {
     }
 }
 
-/// A scenario of a plan.
 #[derive(Debug, Clone)]
 pub struct PlannedScenario {
-    /// The scenario.
     pub scenario: Scenario,
-    /// Number of trials.
     pub repetitions: u32,
 }
 
-/// A checked plan, with its scenarios.
+/// A plan whose scenarios are loaded and checked.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The file's content.
     pub bytes: Vec<u8>,
-    /// Title, one line.
     pub title: String,
-    /// Requirements; at least one.
     pub requirements: Vec<Requirement>,
-    /// Scenarios; at least one.
     pub scenarios: Vec<PlannedScenario>,
-    /// Questions.
     pub asks: Vec<Ask>,
-    /// Demands on the bench.
     pub bench: BenchDemands,
 }
 
 impl Plan {
-    /// Reads the plan at `path` and its scenarios.
-    ///
-    /// # Errors
-    /// Every [`Diagnostic`] of the plan, or of its scenarios.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let bytes =
             input::read(path).map_err(|error| vec![Diagnostic::for_file(path, format!("cannot be read: {error}"))])?;
@@ -194,7 +181,6 @@ impl Plan {
     }
 }
 
-/// The requirements of a stored plan.
 pub(crate) fn read_requirements(path: &Path, bytes: &[u8]) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
     parse(path, bytes).map(|(_, raw)| raw.requirement)
 }
@@ -206,7 +192,6 @@ fn parse(path: &Path, bytes: &[u8]) -> Result<(String, RawPlan), Vec<Diagnostic>
     Ok((text, raw))
 }
 
-/// The schema of plan files.
 pub fn plan_schema() -> Schema {
     schema::schema_of::<RawPlan>("platebench acceptance plan")
 }
@@ -268,7 +253,6 @@ fn is_valid_name(text: &str) -> bool {
     !text.is_empty() && text.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '-')
 }
 
-/// Rejects requirements of a scenario that the plan does not contain.
 fn unknown_requirements(scenario: &Scenario, known: &[Requirement]) -> Vec<Diagnostic> {
     let named = scenario.expectations.iter().map(|expectation| expectation.requirement.as_deref()).enumerate();
     let unknown = named.filter_map(|(number, id)| Some((number, id?)));

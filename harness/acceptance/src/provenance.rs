@@ -16,7 +16,6 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The record of a new session.
 pub(crate) fn new_session_record(config: &SessionConfig) -> Result<SessionRecord, AcceptError> {
     let SessionConfig { plan, rig, clock, details, .. } = config;
     let inputs = plan.scenarios.iter().flat_map(|planned| {
@@ -86,7 +85,6 @@ pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError>
     }
 }
 
-/// Checks that the runs of finished steps are unchanged.
 pub(crate) fn check_run_hashes(folder: &Path, record: &SessionRecord) -> Result<(), AcceptError> {
     for step in record.steps.iter().filter(|step| step.done) {
         if let Some(then) = &step.run_sha256 {
@@ -113,7 +111,6 @@ pub(crate) fn format_firmware(firmware: &Firmware) -> String {
     format!("{name} {version}, build {build}, chip {chip}")
 }
 
-/// Rejects a difference from the start of the session.
 pub(crate) fn check_unchanged(then: &SessionRecord, now: &SessionRecord) -> Result<(), AcceptError> {
     let bench = |record: &SessionRecord| format!("{} {}", record.bench.tool.version, record.bench.sha256);
     let clock = |record: &SessionRecord| {
@@ -143,7 +140,6 @@ pub(crate) fn check_unchanged(then: &SessionRecord, now: &SessionRecord) -> Resu
     Ok(())
 }
 
-/// Rejects another controller than at the start of the session.
 pub(crate) fn check_same_firmware(then: Option<&FirmwareRecord>, now: &FirmwareRecord) -> Result<(), AcceptError> {
     let describe = |record: &FirmwareRecord| {
         let image = record.image_sha256.as_deref().unwrap_or("none");

@@ -8,7 +8,6 @@ use platebench_runner::{Clock, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_scenario::Scenario;
 use std::path::Path;
 
-/// A scenario to play.
 pub(crate) struct ScenarioRun<'a> {
     pub(crate) scenario: &'a Scenario,
     pub(crate) trials: u32,

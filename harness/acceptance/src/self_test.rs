@@ -21,8 +21,8 @@ use std::time::Duration;
 const SEED: u64 = 31_415;
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Plays the plan's shortest scenario to the bench's own controller: twice in lockstep, which must
-/// give the same bytes, and then in real time.
+/// Plays the shortest scenario to the hosted controller: twice in lockstep, which must give the
+/// same bytes, and then in real time.
 pub(crate) fn run_self_test(
     plan: &Plan,
     real_time: bool,
@@ -87,8 +87,6 @@ fn self_test_record(timed: &RunRecord, scenario: &Scenario, repeats: bool) -> Se
     found
 }
 
-/// Measures how well the plan's scenarios catch faulty controllers, and how often they blame a
-/// clean one.
 pub(crate) fn measure_trust(
     plan: &Plan,
     folder: &Path,
@@ -146,7 +144,7 @@ pub(crate) fn measure_trust(
     Ok(())
 }
 
-/// Lower confidence bound of a rate, percent; NaN without trials.
+/// Percent; NaN without trials.
 fn lower_bound_percent(rate: Rate) -> f64 {
     rate.bounds.map_or(f64::NAN, |[low, _]| low * 100.0)
 }

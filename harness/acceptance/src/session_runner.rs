@@ -5,8 +5,7 @@
 //!            └── each step: started (written) → done (written, with its files) ──┘
 //! ```
 //!
-//! A resumed session repeats the step that was interrupted. It never repeats a step that is done,
-//! whatever its result.
+//! A resumed session repeats the step that was interrupted, never a step that is done.
 
 use crate::ask::ask_operator;
 use crate::config::{SessionConfig, SessionHooks};
@@ -32,11 +31,8 @@ use std::fs::{self, File, TryLockError};
 use std::path::Path;
 use tracing::info;
 
-/// Starts the session, or resumes it if it was interrupted, and brings it to its end.
-///
-/// # Errors
-/// [`AcceptError`]. The record then holds the steps that are done, and the same call resumes the
-/// session.
+/// Starts the session, or resumes it if it was interrupted. After an error the record holds the
+/// steps that are done, and the same call resumes the session.
 pub fn conduct(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Result<SessionRecord, AcceptError> {
     let mut session = SessionRunner::open(config, hooks)?;
     let actions = step_actions(&config.plan);
@@ -60,7 +56,7 @@ pub fn conduct(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Result<S
     session.judge_and_seal()
 }
 
-/// A session whose folder is locked against other sessions.
+/// The folder is locked against other sessions.
 struct SessionRunner<'a> {
     config: &'a SessionConfig,
     record: SessionRecord,
@@ -196,7 +192,6 @@ impl<'a> SessionRunner<'a> {
         Ok(())
     }
 
-    /// Connects to the controller and reads its identity.
     fn read_firmware_identity(&self) -> Result<FirmwareRecord, AcceptError> {
         let link = self
             .config
@@ -254,7 +249,7 @@ impl<'a> SessionRunner<'a> {
     }
 }
 
-/// Reads the record of an interrupted session. `new` is the record of a session that starts now.
+/// `new` is the record of a session that starts now.
 fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, AcceptError> {
     let folder = &config.out;
     let mut record = SessionRecord::read(folder)?;
@@ -271,7 +266,7 @@ fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, 
     Ok(record)
 }
 
-/// Asks for the details that the command line did not give.
+/// Only for details that the command line did not give.
 fn ask_details(mut record: SessionRecord, hooks: &SessionHooks<'_>) -> SessionRecord {
     for (detail, text) in [
         (&mut record.operator, "Who is the operator?"),
@@ -291,7 +286,6 @@ fn is_sealed(folder: &Path, record: &SessionRecord) -> bool {
     record.complete && exists(manifest::FILE) && (record.signature.is_none() || exists(signature::FILE))
 }
 
-/// The stored runs of the scenario steps, by step.
 fn read_runs(folder: &Path, steps: &[StepRecord]) -> Result<Vec<(String, RunRecord)>, AcceptError> {
     let played = steps.iter().filter(|step| step.kind == StepKind::Scenario && step.done);
     played

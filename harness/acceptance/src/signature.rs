@@ -1,8 +1,7 @@
 //! Signs and checks the manifest: `manifest.sha256.sig`.
 //!
 //! The signature is ed25519 over the manifest, 64 raw bytes; keys are in PEM as OpenSSL writes
-//! them. `openssl genpkey -algorithm ed25519` makes a key, and `openssl pkeyutl -verify -rawin`
-//! checks a signature too.
+//! them. `openssl pkeyutl -verify -rawin` checks a signature too.
 
 use crate::error::AcceptError;
 use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
@@ -12,33 +11,25 @@ use platebench_record::sha256;
 use std::fs;
 use std::path::Path;
 
-/// File name.
 pub const FILE: &str = "manifest.sha256.sig";
 
-/// Key that signs.
 #[derive(Clone)]
 pub struct SecretKey(SigningKey);
 
-/// Key that checks signatures.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PublicKey(VerifyingKey);
 
 impl SecretKey {
-    /// Reads a key from PKCS #8 in PEM.
-    ///
-    /// # Errors
-    /// [`AcceptError::Io`], [`AcceptError::Key`].
+    /// From PKCS #8 in PEM.
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
         let text = fs::read_to_string(path).map_err(AcceptError::io(path))?;
         SigningKey::from_pkcs8_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 
-    /// The public key of the pair.
     pub fn public_key(&self) -> PublicKey {
         PublicKey(self.0.verifying_key())
     }
 
-    /// The signature of `content`.
     pub(crate) fn sign(&self, content: &[u8]) -> [u8; Signature::BYTE_SIZE] {
         self.0.sign(content).to_bytes()
     }
@@ -51,38 +42,32 @@ impl std::fmt::Debug for SecretKey {
 }
 
 impl PublicKey {
-    /// Reads a key from SPKI in PEM.
-    ///
-    /// # Errors
-    /// [`AcceptError::Io`], [`AcceptError::Key`].
+    /// From SPKI in PEM.
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
         let text = fs::read_to_string(path).map_err(AcceptError::io(path))?;
         VerifyingKey::from_public_key_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 
-    /// The key in `text`, if it contains one.
     pub(crate) fn from_pem(text: &str) -> Option<Self> {
         VerifyingKey::from_public_key_pem(text).ok().map(Self)
     }
 
-    /// The key in PEM; empty if it cannot be encoded.
+    /// Empty if the key cannot be encoded.
     pub(crate) fn to_pem(&self) -> String {
         self.0.to_public_key_pem(LineEnding::LF).unwrap_or_default()
     }
 
-    /// SHA-256 of the 32 bytes of the key, hexadecimal.
+    /// SHA-256 of the 32 bytes, hexadecimal.
     pub fn fingerprint(&self) -> String {
         sha256(self.0.as_bytes())
     }
 
-    /// True if `signature` is by this key over `content`. Rejects weak keys, whose signatures fit
-    /// many messages.
+    /// Rejects weak keys, whose signatures fit many messages.
     pub(crate) fn verifies(&self, content: &[u8], signature: &[u8]) -> bool {
         Signature::from_slice(signature).is_ok_and(|signature| self.0.verify_strict(content, &signature).is_ok())
     }
 }
 
-/// Why `text` is not the expected key.
 fn key_error(path: &Path, text: &str, error: &str) -> AcceptError {
     let path_text = path.display();
     let message = match decode_label(text.as_bytes()) {

@@ -3,7 +3,6 @@
 use crate::plan::{Ask, Plan, PlannedScenario, When};
 use crate::session_record::{StepKind, StepRecord};
 
-/// What a step does.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum StepAction<'a> {
     Identity,
@@ -13,7 +12,6 @@ pub(crate) enum StepAction<'a> {
     Scenario(&'a PlannedScenario),
 }
 
-/// The steps of a plan, in order.
 pub(crate) fn step_actions(plan: &Plan) -> Vec<StepAction<'_>> {
     let asks = |when| plan.asks.iter().filter(move |ask| ask.when == when).map(StepAction::Ask);
     let mut actions = vec![StepAction::Identity];
@@ -24,7 +22,7 @@ pub(crate) fn step_actions(plan: &Plan) -> Vec<StepAction<'_>> {
     actions
 }
 
-/// The records of a plan's steps before the session starts.
+/// Before the session starts.
 pub(crate) fn step_records(plan: &Plan) -> Vec<StepRecord> {
     let describe = |action: StepAction<'_>| match action {
         StepAction::Identity => ("identity".to_owned(), "Board and firmware".to_owned(), StepKind::Identity),

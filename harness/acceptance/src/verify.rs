@@ -19,66 +19,48 @@ use std::path::Path;
 /// A difference from the sealed record; each names its file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Finding {
-    /// A difference between files and manifest.
     #[error(transparent)]
     File(Difference),
-    /// No manifest.
     #[error("{}: missing, expected the SHA-256 of every file", manifest::FILE)]
     NoManifest,
-    /// No signature, although one is expected.
     #[error("{file}: missing, {0}", file = signature::FILE)]
     NoSignature(&'static str),
-    /// An unexpected or invalid signature.
     #[error("{file}: wrong, {0}", file = signature::FILE)]
     WrongSignature(&'static str),
-    /// The content of a file contradicts the traces.
     #[error("{file}: {message}")]
     Contradiction {
-        /// The file.
         file: String,
-        /// The contradiction.
+        /// The contradiction between file and traces.
         message: String,
     },
 }
 
-/// Who signed the manifest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Signer {
-    /// No signature.
     Unsigned,
     /// The key in the record itself, by its fingerprint.
     RecordKey(String),
-    /// The given key.
     GivenKey,
 }
 
-/// Result of a verification.
 #[derive(Debug, Clone)]
 pub struct Verification {
-    /// All differences; empty for an unchanged record.
     pub findings: Vec<Finding>,
-    /// The session, if it can be read.
     pub session: Option<SessionRecord>,
-    /// Who signed it.
     pub signer: Signer,
-    /// SHA-256 of the manifest, hexadecimal.
+    /// Hexadecimal.
     pub manifest_sha256: Option<String>,
-    /// Number of files in the manifest.
+    /// In the manifest.
     pub files: usize,
 }
 
 impl Verification {
-    /// True if the session has not ended and is not sealed.
     pub fn is_unfinished(&self) -> bool {
         self.manifest_sha256.is_none() && self.session.as_ref().is_some_and(|session| !session.complete)
     }
 }
 
-/// Verifies the record in `folder` by its manifest, its traces, and its signature: by `key` if
-/// given.
-///
-/// # Errors
-/// [`AcceptError::NoSession`] without a record.
+/// Verifies manifest, traces and signature. Fails if `folder` contains no record.
 pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, AcceptError> {
     let manifest = fs::read(folder.join(manifest::FILE)).ok();
     let session = match (SessionRecord::read(folder), &manifest) {
@@ -103,7 +85,6 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
     match session {
         Ok(session) => {
             if manifest.is_none() && !session.complete {
-                // Not sealed yet.
                 found.findings.clear();
                 found.session = Some(session);
                 return Ok(found);
@@ -122,7 +103,7 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
     Ok(found)
 }
 
-/// Who signed `manifest`. `named` is the key in the session.
+/// `named` is the key in the session.
 fn check_signature(
     manifest: &[u8],
     signature: Option<&[u8]>,
@@ -147,7 +128,6 @@ fn contradiction(file: &str, message: String) -> Finding {
     Finding::Contradiction { file: file.to_owned(), message }
 }
 
-/// Verdicts in the record that its traces contradict.
 fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
     let mut findings = Vec::new();
     let mut runs = Vec::new();
