@@ -1,8 +1,5 @@
-//! Measures the cost of a live view for the loop, for the table of `docs/live-view.md`.
-//!
-//! `cargo bench --ignore-rust-version -p platebench-runner --bench live-view`. Variants alternate
-//! within one run and processor time is measured, so that ratios also hold on a busy computer.
-//! Lockstep has no waits, so only the work of the loop counts.
+//! Measures the cost of a live view for the loop, for the table of `docs/live-view.md`. Variants
+//! alternate within one run and processor time is measured: ratios also hold on a busy computer.
 
 use platebench_rig::{FaultInjector, HostedLink, Session};
 use platebench_runner::live_tap::{TapGuard, TapReader};
@@ -18,11 +15,8 @@ use std::thread;
 use std::time::Duration;
 
 const SCENARIO: &str = "paper/fig13-closed-loop.toml";
-/// Every variant runs once per round.
 const ROUNDS: usize = 60;
-/// Of a variant per round.
 const TRIALS: usize = 20;
-/// As of the live view.
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
 const VARIANTS: [&str; 4] =
@@ -42,7 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let live_taps = [LiveTap::default(), LiveTap::default(), active, stalled];
         let mut taps = live_taps.each_ref().map(|tap| tap.acquire(0, 0));
         let cancel = CancelToken::default();
-        // The first round warms up and fills the queue of the stalled tap.
+        // The first round also fills the queue of the stalled tap.
         for round in 0..=ROUNDS {
             // Every variant is first equally often.
             for place in 0..VARIANTS.len() {
@@ -69,7 +63,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Processor time per row, ns.
 fn time_trials(
     session: &mut Session<FaultInjector<HostedLink>>,
     spec: &TrialSpec<'_>,
@@ -84,7 +77,6 @@ fn time_trials(
     (processor_s() - begun) * 1e9 / rows.max(1) as f64
 }
 
-/// Processor time of this thread.
 fn processor_s() -> f64 {
     let spent = clock_gettime(ClockId::ThreadCPUTime);
     spent.tv_sec as f64 + spent.tv_nsec as f64 / 1e9

@@ -1,9 +1,6 @@
-//! Compares the lateness of the real-time clock with the limits of the computer, for
-//! `docs/real-time.md`.
-//!
-//! `cargo bench --ignore-rust-version -p platebench-runner --bench real-time`. All measurements are
-//! in one run, so that ratios also hold on a busy computer. With a path as argument the program is
-//! the controller on that port; with `--echo` and a path it echoes.
+//! Compares the lateness of the real-time clock with the computer's limits, for
+//! `docs/real-time.md`. With a path as argument the program is the controller on that port; with
+//! `--echo` it echoes.
 
 mod real_time {
     pub(crate) mod exchange;
@@ -24,9 +21,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// Duration of each measurement.
 const LENGTH: Duration = Duration::from_secs(4);
-/// Periods of the bench's loop, µs.
 const PERIODS_US: [u32; 4] = [1_000, 500, 200, 100];
 
 fn main() -> ExitCode {
@@ -76,13 +71,11 @@ fn measure() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The command that starts this program at the other end of a line.
 fn controller_command(option: &str) -> Result<String, Box<dyn Error>> {
     let program = std::env::current_exe()?;
     Ok(format!("'{}' {option}{{port}}", program.display()))
 }
 
-/// A trial of the paper's step over a pseudo-terminal to the host controller.
 fn play_at(period_us: u32) -> Result<TimingRecord, Box<dyn Error>> {
     let scenario = scenario(period_us)?;
     let spec = TrialSpec { scenario: &scenario, law: LawId::DqPi, index: 0, wire_time: false, own_clock: true };
@@ -100,7 +93,6 @@ fn play_at(period_us: u32) -> Result<TimingRecord, Box<dyn Error>> {
     result.telemetry.timing.ok_or_else(|| "no timing".into())
 }
 
-/// The paper's step with this period, for the duration of a measurement.
 fn scenario(period_us: u32) -> Result<Scenario, Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
     let mut scenario = load(&path, "fig13-closed-loop.toml").map_err(|fault| fault.to_string())?;

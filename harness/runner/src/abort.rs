@@ -2,11 +2,8 @@
 
 use platebench_rig::RigError;
 
-/// Why a trial ended early.
 pub(crate) enum TrialAbort {
-    /// It was cancelled.
     Cancelled,
-    /// The controller was lost.
     Lost(RigError),
 }
 

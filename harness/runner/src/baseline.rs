@@ -6,33 +6,22 @@ use platebench_verdict::golden::{
     Baseline, BaselineBuild, GoldenTubes, LearnError, LearningParameters, ResponseFeatures,
 };
 
-/// Why a response cannot become a baseline.
 #[derive(Debug, thiserror::Error)]
 pub enum BaselineAcceptError {
-    /// A trace or a baseline cannot be read or written.
     #[error(transparent)]
     Compare(#[from] CompareError),
-    /// The trials give no tube.
     #[error(transparent)]
     Learn(#[from] LearnError),
-    /// The scenario has no trial.
     #[error("no trial")]
     NoTrial,
-    /// The run was cut off.
     #[error("the run was cut off; accept a complete run")]
     Incomplete,
-    /// The run did not end at 0 V.
     #[error("the controller did not confirm 0 V at the end of the run; accept a run that ended safely")]
     NotSafe,
-    /// A trial does not count.
     #[error("{0}")]
     ExcludedTrial(String),
 }
 
-/// Checks that the run is complete and safe, and that every trial counts.
-///
-/// # Errors
-/// [`BaselineAcceptError`].
 pub fn check_acceptable(record: &RunRecord, trials: &ScenarioTrials) -> Result<(), BaselineAcceptError> {
     if !record.complete {
         return Err(BaselineAcceptError::Incomplete);
@@ -46,10 +35,6 @@ pub fn check_acceptable(record: &RunRecord, trials: &ScenarioTrials) -> Result<(
     }
 }
 
-/// Builds a baseline: one curve if all trials are equal, otherwise a tube that is learned from them.
-///
-/// # Errors
-/// [`BaselineAcceptError`].
 pub fn build_baseline(
     record: &RunRecord,
     scenario: &ScenarioRecord,

@@ -6,19 +6,18 @@ use platebench_record::{Violation, ViolationKind};
 use platebench_scenario::Scenario;
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId};
 
-/// A controller that computes in f32 rounds 32 kHz to 2 mHz, and the wire rounds to 1 mHz; a difference has two errors.
+/// f32 rounds 32 kHz to 2 mHz, and the wire rounds to 1 mHz; a difference has two errors.
 const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
 /// The wire carries gains as f32.
 const GAIN_TOLERANCE: f32 = 1e-5;
 
-/// The violations of a trial.
 #[derive(Debug)]
 pub(crate) struct CommandChecks {
     drive_limit_vpp: f32,
     start_hz: f64,
     range_hz: f64,
     slew_hz: f64,
-    /// The frequency of the last command; `None` after a stop, from which the frequency may start anew.
+    /// `None` after a stop, from which the frequency may start anew.
     last_hz: Option<f64>,
     violations: [Option<Violation>; ViolationKind::COUNT],
 }
@@ -36,10 +35,9 @@ impl CommandChecks {
         }
     }
 
-    /// Checks a command that answers at most `samples` samples since the last one.
+    /// The command answers at most `samples` samples.
     pub(crate) fn check_command(&mut self, command: &Command, samples: u32, now: Time) {
         let drive = command.drive_vpp;
-        // The plant simulation records a drive that is NaN or infinite.
         if drive.is_finite() && drive > self.drive_limit_vpp {
             let limit = f64::from(self.drive_limit_vpp);
             self.record(ViolationKind::DriveAboveLimit, now, Some(drive.into()), Some(limit));
@@ -64,8 +62,7 @@ impl CommandChecks {
         }
     }
 
-    /// Checks the gains of a configuration that was accepted. A gain of 0 means that the law does not use it; the
-    /// `dq-pi` laws use all.
+    /// A gain of 0 means that the law does not use it; the `dq-pi` laws use all.
     pub(crate) fn check_gains(&mut self, configure: &Configure, gains: &Gains, now: Time) {
         let values = |gains: &Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
         let uses_all = matches!(configure.law, LawId::DqPi | LawId::DqPiFixed | LawId::DqPiEuler);
@@ -83,7 +80,7 @@ impl CommandChecks {
         self.last_hz = None;
     }
 
-    /// Sets the number of breaches of a kind that the session counts.
+    /// Sets the number of breaches that the session counts.
     pub(crate) fn set_count(&mut self, kind: ViolationKind, count: u64, now: Time) {
         if count > 0 {
             let first = Violation { kind, at_s: now.seconds(), count, worst: None, limit: None };
@@ -93,7 +90,6 @@ impl CommandChecks {
         }
     }
 
-    /// The violations so far, one for each kind.
     pub(crate) fn violations(&self) -> Vec<Violation> {
         self.violations.iter().flatten().copied().collect()
     }
@@ -138,7 +134,7 @@ mod tests {
         Time::from_nanos(ms * 1_000_000)
     }
 
-    /// Each case: drive, offset from the start frequency, and samples since the last command of a sequence.
+    /// Drive, offset from the start frequency, and samples since the last command of a sequence.
     #[rstest]
     #[case::within_limits(&[(0.0, 0, 1), (900.0, 100_004, 1), (900.0, 0, 1)], &[])]
     #[case::above_limit(&[(900.1, 0, 1), (1e30, 0, 1)], &[(ViolationKind::DriveAboveLimit, 2)])]

@@ -6,25 +6,18 @@ use platebench_trace::read_trace;
 use platebench_verdict::golden::{Baseline, GoldenTubes, TubeComparison};
 use std::path::Path;
 
-/// Names the accepted baselines as the reference.
 pub const BASELINE_KEYWORD: &str = "baseline";
 
-/// The reference of a scenario.
 pub enum Reference {
-    /// All trials are compared with the same tubes.
+    /// Compares all trials with the same tubes.
     SameTubes(Box<GoldenTubes>),
-    /// Each trial is compared with the trial of the same index.
+    /// Compares with the trial of the same index.
     PerTrial(Vec<StoredTrial>),
-    /// No reference has this name.
     Nothing,
 }
 
 impl Reference {
-    /// The reference that `against` names for a scenario of `subject`: [`BASELINE_KEYWORD`], the TOML file of a
-    /// baseline, a trace or a run folder.
-    ///
-    /// # Errors
-    /// [`CompareError`].
+    /// `against`: [`BASELINE_KEYWORD`], the TOML file of a baseline, a trace or a run folder.
     pub fn find(
         subject: &Path,
         against: &str,
@@ -59,10 +52,6 @@ impl Reference {
         }
     }
 
-    /// The tubes for the trial `index`.
-    ///
-    /// # Errors
-    /// [`CompareError`].
     pub fn tubes_for(&self, index: u32) -> Result<Option<GoldenTubes>, CompareError> {
         match self {
             Self::SameTubes(golden) => Ok(Some((**golden).clone())),
@@ -71,10 +60,6 @@ impl Reference {
         }
     }
 
-    /// Compares the trials of `scenario` with this reference.
-    ///
-    /// # Errors
-    /// [`CompareError`].
     pub fn compare(&self, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
         match self {
             Self::SameTubes(golden) => compare_with_tubes(golden, scenario),
@@ -84,7 +69,6 @@ impl Reference {
     }
 }
 
-/// The tubes of the trial `index` in `trials`.
 fn tubes_of_trial(trials: &[StoredTrial], index: u32) -> Result<Option<GoldenTubes>, CompareError> {
     let trial = trials.iter().find(|trial| trial.index == index);
     Ok(trial.map(StoredTrial::rows).transpose()?.and_then(|rows| GoldenTubes::from_rows(&rows)))
@@ -94,7 +78,7 @@ fn empty_comparison(why: &str) -> TubeComparison {
     TubeComparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: Some(why.to_owned()) }
 }
 
-/// Compares each trial with the trial of the same index: with the same seed, plate and noise are the same.
+/// With the same seed, plate and noise are the same.
 fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
     let mut all = empty_comparison("no trial to compare");
     let mut verdicts = Vec::new();
@@ -129,10 +113,7 @@ fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> 
     Ok(all)
 }
 
-/// Compares all trials with `golden`. A pass is inconclusive if a trial does not count.
-///
-/// # Errors
-/// [`CompareError`] if a trace cannot be read.
+/// A pass is inconclusive if a trial does not count.
 pub fn compare_with_tubes(golden: &GoldenTubes, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
     // One trace is in memory at a time.
     let mut failed = None;
@@ -155,7 +136,6 @@ pub fn compare_with_tubes(golden: &GoldenTubes, scenario: &ScenarioTrials) -> Re
     })
 }
 
-/// The scenario of a trace in a run folder, from its path below `traces`.
 fn scenario_of(trace: &Path) -> Option<String> {
     let parts: Vec<_> = trace.parent()?.components().map(|part| part.as_os_str().to_string_lossy()).collect();
     let below = parts.iter().rposition(|part| part == "traces")? + 1;

@@ -4,10 +4,6 @@ use platebench_plate::Time;
 use platebench_scenario::{Diagnostic, Scenario, suggestion};
 use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};
 
-/// The scenario's law.
-///
-/// # Errors
-/// A [`Diagnostic`] at the law's name if no law has this name.
 pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
     let name = &scenario.controller.law;
     LawId::from_name(name).ok_or_else(|| {
@@ -17,7 +13,7 @@ pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
     })
 }
 
-/// The controller's configuration for a trial: the nominal plate, not the trial's variation of it.
+/// Uses the nominal plate, not the trial's variation of it.
 pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
     let controller = &scenario.controller;
     let plate = &scenario.plate;
@@ -44,7 +40,7 @@ pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
     }
 }
 
-/// What `scenario` needs and `identity` does not announce; `None` if the controller can play it.
+/// `None` if the controller can play the scenario.
 pub(crate) fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {
     if !identity.has_law(law) {
         return Some(format!("the controller does not announce the law {}", law.name()));
@@ -54,7 +50,6 @@ pub(crate) fn missing_capability(scenario: &Scenario, law: LawId, identity: &Ide
         .then(|| "the controller does not announce that it accepts a loop delay (design_delay_ms)".to_owned())
 }
 
-/// The excitation frequency at the start, mHz, as the wire carries it.
 pub(crate) fn start_frequency_mhz(scenario: &Scenario) -> u32 {
     (scenario.controller.start_frequency_hz * 1e3).round() as u32
 }
@@ -82,7 +77,7 @@ mod tests {
         assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);
         let reason = missing(&scenario, identity(0, 1 << LawId::OpenLoop as u8)).unwrap();
         assert!(reason.contains("the law dq-pi"), "{reason}");
-        // The delay that acts on the plate is not the delay that the law is designed for.
+        // The delay of the plate is not the delay for which the law is designed.
         scenario.controller.loop_delay = Time::from_nanos(700_000);
         assert_eq!(configure(&scenario, LawId::DqPi).loop_delay_us, 0);
         assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);

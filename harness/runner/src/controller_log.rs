@@ -11,24 +11,19 @@ use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, StateCa
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A controller is lost after this many control instants without a reply: enough for its own watchdog, which takes
-/// five periods, and for several repetitions.
+/// Enough for the controller's watchdog, which takes five periods, and for several repetitions.
 pub(crate) const MAX_MISSED_REPLIES: u32 = 20;
-/// How long the bench watches a controller that confirmed 0 V.
+/// The bench watches the controller after it confirmed 0 V.
 const WATCHED_PERIODS: u64 = 10;
 
-/// The state of a trial's controller as its commands report it.
 #[derive(Debug)]
 pub(crate) struct ControllerLog<'a> {
     scenario: &'a Scenario,
     law: LawId,
-    /// Control instants since the last command.
     missed_replies: u32,
-    /// When the controller reported that it stopped; `None` while it runs.
+    /// `None` while the controller runs.
     stopped_at: Option<Time>,
-    /// The cause of the first stop.
     stop_cause: Option<StateCause>,
-    /// Samples since the last command.
     samples: u32,
     checks: CommandChecks,
 }
@@ -70,23 +65,20 @@ impl<'a> ControllerLog<'a> {
         self.stopped_at.is_some()
     }
 
-    /// The cause of the first stop.
     pub(crate) fn stop_cause(&self) -> Option<StateCause> {
         self.stop_cause
     }
 
-    /// The controller's configuration in lockstep.
     pub(crate) fn configuration(&self) -> Configure {
         configure(self.scenario, self.law)
     }
 
-    /// The configuration to repeat at `now`, because a fault that stopped the controller is over.
+    /// Repeats the configuration after a fault that stopped the controller.
     pub(crate) fn reconfiguration(&self, now: Time) -> Option<Configure> {
         let stopped = self.stopped_at?;
         needs_reconfiguration(self.scenario, stopped, now).then(|| self.configuration())
     }
 
-    /// Checks the gains in the reply to a configuration, if it arrived.
     pub(crate) fn record_configuration(&mut self, configure: &Configure, gains: Option<&Gains>, now: Time) {
         self.stopped_at = None;
         if let Some(gains) = gains {
@@ -94,7 +86,7 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// Takes over what the session counts. A planned duplicate repeats a reply, but does not change it.
+    /// A planned duplicate repeats a reply, but does not change it.
     pub(crate) fn record_session<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
         self.checks.set_count(ViolationKind::WrongSequence, session.wrong_sequences(), now);
         let is_planned = self.scenario.faults.iter().any(|fault| fault.kind == FaultKind::Duplicate);
@@ -102,12 +94,11 @@ impl<'a> ControllerLog<'a> {
         self.checks.set_count(ViolationKind::SecondReply, session.contradictions() + repeated, now);
     }
 
-    /// Takes over whether the controller ignored a request for 0 V.
     pub(crate) fn record_safe_request<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
         self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
     }
 
-    /// Watches a controller in lockstep that confirmed 0 V at `now`; one with its own clock gets the wall time.
+    /// A controller with its own clock is watched in wall time.
     pub(crate) fn watch_after_safe<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -128,7 +119,6 @@ impl<'a> ControllerLog<'a> {
         self.checks.set_count(ViolationKind::DriveAfterSafe, session.drives_after_safe(), now);
     }
 
-    /// Watches a controller in real time that confirmed 0 V at `now`.
     pub(crate) fn watch_after_safe_in_real_time<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -140,7 +130,6 @@ impl<'a> ControllerLog<'a> {
         self.checks.set_count(ViolationKind::DriveAfterSafe, session.drives_after_safe(), now);
     }
 
-    /// The telemetry that both clocks record. `lost` is why the controller was lost, if it was.
     pub(crate) fn telemetry<L: Link>(&self, session: &Session<FaultInjector<L>>, lost: Option<&RigError>) -> Telemetry {
         Telemetry {
             ended: lost.map(ToString::to_string),
@@ -152,7 +141,6 @@ impl<'a> ControllerLog<'a> {
     }
 }
 
-/// Why a controller stopped, as it reports it.
 pub(crate) const fn stop_reason(cause: StateCause) -> &'static str {
     match cause {
         StateCause::SampleTimeout => "no sample for five periods",

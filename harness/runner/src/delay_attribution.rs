@@ -1,7 +1,5 @@
-//! Measures a trial and excuses what the rig's delay makes impossible.
-//!
-//! If the firmware's law, simulated here, meets an expectation without the rig's delay and misses it with the delay,
-//! the rig cannot decide that expectation.
+//! Excuses expectations that the rig's delay makes impossible: those that the simulated law meets
+//! without the rig's delay and misses with it.
 
 use crate::real_time::Pacing;
 use crate::trial;
@@ -14,7 +12,6 @@ use platebench_verdict::metrics::Measure;
 use platebench_verdict::{TrialMeasures, measure};
 use platebench_wire::LawId;
 
-/// Measures a trial and excuses expectations that the rig's delay makes impossible.
 pub(crate) fn measure_trial(
     scenario: &Scenario,
     law: LawId,
@@ -59,17 +56,16 @@ pub(crate) fn measure_trial(
     measures
 }
 
-/// The typical and the longest loop delay in real time. In lockstep, delay is part of the experiment and excuses
-/// nothing.
+/// Typical and longest delay in real time. In lockstep, delay is part of the experiment.
 fn rig_delay(telemetry: &Telemetry) -> Option<(Time, Time)> {
     let timing = telemetry.timing.as_ref()?;
     let delay = timing.loop_delay_us?;
-    // If the target paces, late sampling is not part of the measured delay but has the same effect.
+    // With target pacing, late sampling is not measured but has the same effect.
     let late = if timing.pacing == Pacing::Target.name() { timing.lateness_us.max } else { 0.0 };
     Some((Time::from_ms(delay.p50 / 1e3)?, Time::from_ms((delay.max + late) / 1e3)?))
 }
 
-/// In real time the loop delay includes line and bench.
+/// The loop delay includes line and bench.
 fn excuse_loop_delay(scenario: &Scenario, measures: &mut TrialMeasures) {
     let both = scenario.expectations.iter().zip(&measures.measures);
     for ((expectation, measure), excuse) in both.zip(&mut measures.excuses) {
@@ -79,7 +75,6 @@ fn excuse_loop_delay(scenario: &Scenario, measures: &mut TrialMeasures) {
     }
 }
 
-/// The numbers of the expectations that this trial misses and that a delay could excuse.
 fn missed_expectations<'a>(scenario: &'a Scenario, measures: &'a TrialMeasures) -> impl Iterator<Item = usize> + 'a {
     let both = scenario.expectations.iter().zip(&measures.measures).enumerate();
     both.filter(|(_, (expectation, measure))| {
@@ -90,13 +85,13 @@ fn missed_expectations<'a>(scenario: &'a Scenario, measures: &'a TrialMeasures) 
 }
 
 fn is_met(expectation: &Expectation, measure: &Measure) -> bool {
-    // The measure of the static error has a sign.
+    // The static error has a sign.
     let signed = expectation.metric == Metric::StaticError;
     let value = measure.value().map(|value| if signed { value.abs() } else { value });
     value.is_some_and(|value| expectation.holds(value))
 }
 
-/// Plays the trial with the firmware's law in this process at a constant loop delay. `None` if that fails.
+/// Uses the firmware's law and a constant loop delay. `None` if that fails.
 fn simulate_trial(scenario: &Scenario, law: LawId, index: u32, delay: Time) -> Option<TrialMeasures> {
     let mut delayed = scenario.clone();
     delayed.controller.loop_delay = delay;
@@ -126,7 +121,6 @@ mod tests {
         Telemetry { timing: Some(timing), ..Telemetry::default() }
     }
 
-    /// The excuse for the first expectation, a settling time of at most 2 ms, at a delay of the rig.
     fn excuse(played_law: LawId, delay_us: f64) -> Option<Cause> {
         let scenario = scenario("paper/fig13-closed-loop.toml");
         let mut delayed = scenario.clone();

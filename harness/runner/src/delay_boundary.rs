@@ -1,7 +1,5 @@
-//! Finds the longest loop delay at which a law still settles on the exact plate.
-//!
-//! The firmware's state machine runs in this process, in lockstep with the nominal plate, without noise and without a
-//! link. The delay is constant.
+//! Finds the longest constant loop delay at which a law still settles, in lockstep with the nominal
+//! plate, without noise and link.
 
 use crate::configure::configure;
 use platebench_controller::StateMachine;
@@ -11,21 +9,18 @@ use platebench_wire::{Configure, ControllerState, LawId, Sample};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
-/// The search range for a scenario, periods.
 const MAX_PERIODS: f64 = 3.0;
-/// Step of the scan as a share of a period, and bisections after it.
+/// Step as a share of a period, then bisections.
 const SCAN_STEP: f64 = 0.25;
 const BISECTIONS: u32 = 8;
-/// A stable loop has settled after so many periods; the last ones are checked.
+/// A stable loop has settled by then; the last periods are checked.
 const TRIAL_PERIODS: u32 = 400;
 const WINDOW_PERIODS: u32 = 40;
-/// Half the band around the setpoint.
+/// Half width, as a share of the setpoint.
 const BAND: f64 = 0.05;
 
-/// Longest delay at which a loop is stable.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DelayBoundary {
-    /// Unstable without any delay.
     Unstable,
     /// Stable up to this delay, s.
     At(f64),
@@ -34,7 +29,6 @@ pub enum DelayBoundary {
 }
 
 impl DelayBoundary {
-    /// The boundary in s, if one was found.
     pub fn seconds(self) -> Option<f64> {
         match self {
             Self::At(seconds) => Some(seconds),
@@ -43,20 +37,18 @@ impl DelayBoundary {
     }
 }
 
-/// A controller and a plate in lockstep, without link and trace.
 #[derive(Debug, Clone)]
 pub struct DelayedLoop {
     machine: StateMachine,
     plant: Plant,
     setpoint: f64,
     period: Time,
-    /// Drives with the time from which they act, in order.
+    /// The time from which each drive acts, in order.
     pending: VecDeque<(Time, Drive)>,
 }
 
 impl DelayedLoop {
-    /// The plate at rest under constant conditions; the setpoint is in µm. `None` if the firmware rejects the
-    /// configuration.
+    /// The plate rests; setpoint in µm. `None` if the firmware rejects `configure`.
     pub fn new(
         configure: &Configure,
         plate: &Plate,
@@ -76,13 +68,12 @@ impl DelayedLoop {
         Some(Self { machine, plant, setpoint, period, pending: VecDeque::new() })
     }
 
-    /// The setpoint, µm.
     pub fn setpoint(&self) -> f64 {
         self.setpoint
     }
 
-    /// Advances one period; returns W at its start, µm. The command acts after `delay`; `perturbation` is added to
-    /// both measured components. `None` if the controller has stopped or W is not finite.
+    /// Returns W at the period's start, µm. `perturbation` is added to both measured components.
+    /// `None` if the controller stopped or W is not finite.
     pub fn step(&mut self, delay: Time, perturbation: f64) -> Option<Complex64> {
         let (now, w) = (self.plant.time(), self.plant.state().w);
         let sensed = self.plant.sensor_reading();
@@ -112,7 +103,7 @@ impl DelayedLoop {
         Some(w)
     }
 
-    /// True if |W| reaches 5 % of the setpoint and stays there.
+    /// |W| must reach 5 % of the setpoint and stay there.
     fn settles(mut self, delay: Time) -> bool {
         (0..TRIAL_PERIODS).all(|number| {
             let is_early = number < TRIAL_PERIODS - WINDOW_PERIODS;
@@ -121,14 +112,13 @@ impl DelayedLoop {
         })
     }
 
-    /// The longest delay, up to `longest` s, at which the controller settles from here.
+    /// Searches up to `longest` s.
     pub fn settling_boundary(&self, longest: f64) -> DelayBoundary {
         search_boundary(self.period.seconds(), longest, |delay| self.clone().settles(delay))
     }
 }
 
-/// The longest delay of the scenario's law, at its highest setpoint, in its initial conditions. `None` if it does not
-/// settle without delay.
+/// Uses the highest setpoint. `None` if the law does not settle without delay.
 pub(crate) fn scenario_delay_boundary(scenario: &Scenario, law: LawId) -> Option<Time> {
     let (_, setpoint) = scenario.setpoint.range();
     let conditions = scenario.conditions.at(Time::ZERO);
@@ -139,7 +129,7 @@ pub(crate) fn scenario_delay_boundary(scenario: &Scenario, law: LawId) -> Option
     }
 }
 
-/// The first delay, up to `longest` s, at which `is_stable` becomes false; resolution 1/1024 of `period`.
+/// Searches up to `longest` s with a resolution of 1/1024 of `period`.
 pub fn search_boundary(period: f64, longest: f64, is_stable: impl Fn(Time) -> bool) -> DelayBoundary {
     let at = |seconds: f64| Time::from_seconds(seconds).is_some_and(&is_stable);
     if !at(0.0) {
@@ -179,14 +169,14 @@ mod tests {
 
     #[test]
     fn delay_boundary_is_the_stability_boundary() {
-        // Derived for a response time of 2 ms at 1 kHz: 0.83 periods with the forward-Euler integral.
+        // Derived for a response of 2 ms at 1 kHz: 0.83 periods with the forward-Euler integral.
         let found = boundary_periods(LawId::DqPiEuler, 2.0);
         assert!((found - 0.83).abs() < 0.02, "{found}");
-        // The matched design is stable at one period (z² − z + 0.777 has its roots at 0.88), but not at two
-        // (z³ − z² + 0.777 has a pair at 1.07).
+        // The matched design is stable at one period (z² − z + 0.777 has its roots at 0.88), not at
+        // two (z³ − z² + 0.777 has a pair at 1.07).
         let found = boundary_periods(LawId::DqPiFixed, 2.0);
         assert!((found - 1.64).abs() < 0.02, "{found}");
-        // Gains that follow the damping tolerate less, because a delay looks like damping.
+        // A delay looks like damping, so gains that follow the damping tolerate less.
         let found = boundary_periods(LawId::DqPi, 2.0);
         assert!((found - 1.4).abs() < 0.02, "{found}");
     }

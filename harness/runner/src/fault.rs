@@ -5,7 +5,6 @@ use platebench_rig::{Direction as Way, WireFault, WireFaultKind};
 use platebench_scenario::{Direction, Fault, FaultKind, Scenario, Variation};
 use std::time::Duration;
 
-/// The faults of trial `index`.
 pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
     let seed = Variation::of_trial(scenario, index).seed;
     scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
@@ -37,7 +36,7 @@ fn wire_fault(fault: &Fault, seed: u64) -> WireFault {
     }
 }
 
-/// True if a fault that stopped the controller at `stopped` is over by `now` and requests a new configuration.
+/// True if the fault that stopped the controller is over and requests a new configuration.
 pub(crate) fn needs_reconfiguration(scenario: &Scenario, stopped: Time, now: Time) -> bool {
     let period = scenario.controller.period;
     scenario.faults.iter().any(|fault| {

@@ -1,16 +1,5 @@
 //! Plays scenarios to a controller.
 //!
-//! * [`plan`]: describes a run and its errors.
-//! * [`mod@run`]: plays all trials of all scenarios on several workers; `worker`: one of them.
-//! * [`trial`]: one trial in lockstep; [`real_time`]: one in real time; [`real_plate`]: one on a real plate.
-//! * `plant_simulation`, `controller_log`, `command_checks`: what the first two share.
-//! * [`live_tap`]: rows for a live view; [`operator`]: the person at the plate.
-//! * [`mod@rejudge`]: judges a stored run without a rig. [`stored_trials`]: its trials; [`comparison`] with a
-//!   reference; [`baseline`]: a new reference.
-//! * [`delay_boundary`]: the longest loop delay at which a law settles.
-//! * `delay_attribution`: excuses what the rig's loop delay makes impossible.
-//! * `trend`: compares the cost of control steps with earlier runs.
-//!
 //! Reports belong to `platebench-report`, exit codes to the command line.
 
 mod abort;

@@ -5,34 +5,29 @@
 //!                └─ TapWriter ── bounded queue without locks ── TapReader
 //! ```
 //!
-//! The loop neither waits nor allocates for a reader: if the queue is full, the row is counted and dropped. The record
-//! does not pass through here, so a live view cannot change it.
+//! The loop neither waits nor allocates for a reader: a full queue counts and drops the row. The
+//! record does not pass through here, so a live view cannot change it.
 
 use platebench_trace::{Flags, Row};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Half a second of the densest default trace in real time: four megabytes.
+/// Half a second of the densest default trace in real time: 4 MB.
 const CAPACITY: usize = 1 << 15;
-/// Classes of [`TapCounts::lateness`].
+/// Number of classes of [`TapCounts::lateness`].
 pub const LATENESS_CLASSES: usize = 16;
 
-/// A row with its trial.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct TapRow {
-    /// The scenario's number in the plan, from 0.
     pub scenario: usize,
-    /// The trial's number, from 0.
     pub trial: u32,
-    /// The recorded row.
     pub row: Row,
 }
 
-/// Counts over all trials that the tap followed.
+/// Counts all trials that the tap followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TapCounts {
-    /// Rows.
     pub rows: u64,
     /// Rows that did not fit into the queue.
     pub dropped_rows: u64,
@@ -42,11 +37,10 @@ pub struct TapCounts {
     pub missed_replies: u64,
     /// Frames with a wrong checksum or form.
     pub rejected_frames: u64,
-    /// Control instants by the bench's lateness: below 1 µs, below 2 µs, then powers of two; the last class is open.
+    /// Classes below 1 µs, below 2 µs, then powers of two; the last class is open.
     pub lateness: [u64; LATENESS_CLASSES],
 }
 
-/// [`TapCounts`] that one thread writes and another reads.
 #[derive(Debug, Default)]
 struct AtomicTapCounts {
     rows: AtomicU64,
@@ -57,36 +51,32 @@ struct AtomicTapCounts {
     lateness: [AtomicU64; LATENESS_CLASSES],
 }
 
-/// Adds without a locked instruction: only one thread writes.
+/// Needs no locked instruction: only one thread writes.
 fn add_unshared(counter: &AtomicU64, count: u64) {
     counter.store(counter.load(Ordering::Relaxed).wrapping_add(count), Ordering::Relaxed);
 }
 
-/// The class of a lateness in µs.
 fn lateness_class(lateness_us: f64) -> usize {
-    // The bit length of an integer is the power of two above it. Negative values and NaN become 0.
+    // The bit length is the power of two above. Negative values and NaN become 0.
     let bits = u64::BITS - (lateness_us as u64).leading_zeros();
     (bits as usize).min(LATENESS_CLASSES - 1)
 }
 
-/// The loop's end of the tap.
 #[derive(Debug)]
 pub struct TapWriter {
     producer: Producer<TapRow>,
     counters: Arc<AtomicTapCounts>,
     scenario: usize,
     trial: u32,
-    /// Refused frames of this trial that were counted.
     rejected_frames: u64,
 }
 
 impl TapWriter {
-    /// Attributes the next rows to this trial.
     fn start_trial(&mut self, scenario: usize, trial: u32) {
         (self.scenario, self.trial, self.rejected_frames) = (scenario, trial, 0);
     }
 
-    /// Passes on a row, or counts it as dropped. Neither waits nor allocates.
+    /// A full queue counts the row as dropped. Neither waits nor allocates.
     pub(crate) fn push(&mut self, row: &Row) {
         let counters = &*self.counters;
         add_unshared(&counters.rows, 1);
@@ -102,19 +92,16 @@ impl TapWriter {
         }
     }
 
-    /// Counts samples without a reply.
     pub(crate) fn count_missed_replies(&mut self, count: u64) {
         add_unshared(&self.counters.missed_replies, count);
     }
 
-    /// Sets the total of rejected frames of this trial.
     pub(crate) fn set_rejected_frames(&mut self, of_trial: u64) {
         add_unshared(&self.counters.rejected_frames, of_trial.saturating_sub(self.rejected_frames));
         self.rejected_frames = of_trial;
     }
 }
 
-/// The live view's end of the tap.
 #[derive(Debug)]
 pub struct TapReader {
     consumer: Consumer<TapRow>,
@@ -122,12 +109,11 @@ pub struct TapReader {
 }
 
 impl TapReader {
-    /// The oldest row that was not read yet.
     pub fn next_row(&mut self) -> Option<TapRow> {
         self.consumer.pop().ok()
     }
 
-    /// The counts so far, each read at a slightly different instant.
+    /// Each count is read at a slightly different instant.
     pub fn counts(&self) -> TapCounts {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let AtomicTapCounts { rows, dropped_rows, overruns, missed_replies, rejected_frames, lateness } =
@@ -143,12 +129,11 @@ impl TapReader {
     }
 }
 
-/// Lets a live view follow one trial at a time: the next that starts while none is followed. The default follows none.
+/// Follows one trial at a time: the next that starts while none is followed. Default: none.
 #[derive(Debug, Clone, Default)]
 pub struct LiveTap(Option<Arc<Mutex<Option<TapWriter>>>>);
 
 impl LiveTap {
-    /// A tap and its reader.
     pub fn new() -> (Self, TapReader) {
         Self::with_capacity(CAPACITY)
     }
@@ -161,7 +146,7 @@ impl LiveTap {
         (Self(Some(Arc::new(Mutex::new(Some(tap))))), viewer)
     }
 
-    /// The writer for a trial that starts, unless another trial has it. Not for use in a trial's loop: it locks.
+    /// Has no writer if another trial holds it. Locks: do not call it in a trial's loop.
     pub fn acquire(&self, scenario: usize, trial: u32) -> TapGuard<'_> {
         let slot = self.0.as_deref();
         let mut tap = slot.and_then(|slot| slot.lock().unwrap_or_else(PoisonError::into_inner).take());
@@ -172,7 +157,6 @@ impl LiveTap {
     }
 }
 
-/// Returns the writer at the end of a trial.
 #[derive(Debug)]
 pub struct TapGuard<'a> {
     slot: Option<&'a Mutex<Option<TapWriter>>>,
@@ -180,7 +164,6 @@ pub struct TapGuard<'a> {
 }
 
 impl TapGuard<'_> {
-    /// The writer, if this trial is followed.
     pub fn tap(&mut self) -> Option<&mut TapWriter> {
         self.writer.as_mut()
     }

@@ -1,6 +1,7 @@
 //! Simulates the plate, sensor and drive of a trial and writes its rows, for both clocks.
 //!
-//! Nothing changes between events. If a profile varies, the plant divides the interval itself.
+//! The plant divides an interval in which a profile varies; otherwise nothing changes between
+//! events.
 
 use crate::configure::start_frequency_mhz;
 use crate::live_tap::TapWriter;
@@ -12,10 +13,9 @@ use platebench_trace::{Flags, Row};
 use platebench_wire::{Command, ControllerState as Mode, Sample};
 use std::f64::consts::TAU;
 
-/// The drive counts as saturated from this fraction of its limit: the wire carries the limit as f32.
+/// The wire carries the limit as f32.
 const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
 
-/// Receives rows.
 pub(crate) trait RowSink {
     /// Must not wait.
     fn push(&mut self, row: Row);
@@ -27,20 +27,16 @@ impl RowSink for Vec<Row> {
     }
 }
 
-/// The approximate number of rows: one per trace step and some per control instant.
+/// One row per trace step and some per control instant.
 pub(crate) fn expected_rows(scenario: &Scenario) -> usize {
     let of = |span: Time| (scenario.duration.seconds() / span.seconds()) as usize;
     of(scenario.trace_step) + 2 * of(scenario.controller.period) + 64
 }
 
-/// Inputs that a user changes by hand.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ManualInputs {
-    /// Setpoint, µm.
     pub setpoint_um: f64,
-    /// Kelvin above the plate's reference temperature.
     pub temperature_offset_k: f64,
-    /// Normal force of the finger, N.
     pub finger_force_n: f64,
 }
 
@@ -49,17 +45,14 @@ pub(crate) struct PlantSimulation<'a, R> {
     plant: Plant,
     sensor: Sensor,
     sink: R,
-    /// A live view gets the same rows, as long as it has room.
+    /// A live view gets the same rows, if it has room.
     tap: Option<&'a mut TapWriter>,
-    /// The last row, which further events of its instant change.
+    /// Further events of its instant change it.
     pending_row: Option<Row>,
     crossings: Vec<Crossing>,
     bands: Vec<BandMonitor>,
-    /// The setpoint that `bands` belong to.
     bands_setpoint_um: Option<f64>,
-    /// Replaces the scenario's setpoint.
     manual_setpoint_um: Option<f64>,
-    /// The time stamp of the first sample.
     clock_start_us: u32,
     frequency_hz: f64,
     sensed: [f64; 2],
@@ -107,7 +100,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.sink
     }
 
-    /// Replaces the scenario's setpoint, temperature and force from now on. Allocates.
+    /// Replaces the scenario's profiles. Allocates.
     pub(crate) fn set_manual_inputs(&mut self, held: &ManualInputs) {
         let ManualInputs { setpoint_um, temperature_offset_k, finger_force_n } = *held;
         self.manual_setpoint_um = Some(setpoint_um);
@@ -118,7 +111,6 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.manual_setpoint_um.unwrap_or_else(|| self.scenario.setpoint.at(time))
     }
 
-    /// Samples the plate for the controller.
     pub(crate) fn sense(&mut self) -> Sample {
         let now = self.time();
         let sensed = self.sensor.measure(self.plant.sensor_reading());
@@ -132,7 +124,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         sample
     }
 
-    /// Applies a command from now on. A drive that is NaN or infinite becomes 0 V and is counted.
+    /// A drive that is NaN or infinite becomes 0 V and is counted.
     pub(crate) fn actuate(&mut self, command: &Command) {
         self.safe = command.state != Mode::Running;
         let commanded = f64::from(command.drive_vpp);
@@ -147,18 +139,15 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.plant.set_drive(Drive { vpp, omega: TAU * self.frequency_hz });
     }
 
-    /// The commands so far whose drive was NaN or infinite.
     pub(crate) fn not_finite(&self) -> Option<NonFiniteDrive> {
         self.not_finite
     }
 
-    /// Sets the drive to 0 V.
     pub(crate) fn stop_drive(&mut self) {
         self.safe = true;
         self.plant.set_drive(Drive { vpp: 0.0, ..self.plant.drive() });
     }
 
-    /// The next instant of a trace step or profile point.
     pub(crate) fn next_scheduled_row(&self) -> Time {
         let now = self.time();
         let points = [self.plant.next_point_after(now), self.scenario.setpoint.next_point_after(now)];
@@ -166,8 +155,8 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         points.into_iter().flatten().fold(step, Time::min)
     }
 
-    /// Moves the plate to `end`, with a row before and after each crossing of a band that an expectation uses. No
-    /// scheduled row may lie between.
+    /// Adds a row before and after each crossing of an expectation's band. No scheduled row may lie
+    /// between.
     pub(crate) fn advance(&mut self, end: Time) {
         self.update_bands();
         self.plant.advance(end, &self.bands, &mut self.crossings);
@@ -184,7 +173,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.crossings = crossings;
     }
 
-    /// Moves the plate to `end` with every scheduled row before it.
+    /// Includes every scheduled row before `end`.
     pub(crate) fn advance_through(&mut self, end: Time) {
         let end = end.min(self.scenario.duration);
         while self.time() < end {
@@ -196,12 +185,12 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         }
     }
 
-    /// Records the sample that a fault changed on its way to the controller.
+    /// A fault may change the sample on its way.
     pub(crate) fn set_delivered_sample(&mut self, sensed: [f32; 2]) {
         self.sensed = sensed.map(|value| f64::from(to_wire(value.into())));
     }
 
-    /// Adds a row for now, or extends the last one if it has the same instant.
+    /// Extends the last row if it has the same instant.
     pub(crate) fn push_row(&mut self, lateness_us: f64, flags: Flags) {
         let (now, state) = (self.time(), self.plant.state());
         self.push(now, &state, lateness_us, flags);
@@ -212,7 +201,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         let conditions = self.plant.conditions_at(time);
         let resonance_hz = self.plant.mode_at(time).omega0 / TAU;
         if !state.is_finite() || !resonance_hz.is_finite() {
-            // A state that is not finite is a defect of the bench. Its trace ends here, and the judge refuses it.
+            // A defect of the bench: the trace ends here, and the judge refuses it.
             return;
         }
         let saturated = drive.vpp >= self.scenario.plate.drive_limit_vpp * SATURATION_THRESHOLD;
@@ -234,7 +223,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             flags: also.into_iter().filter(|(holds, _)| *holds).fold(flags, |flags, (_, flag)| flags | flag),
         };
         match &mut self.pending_row {
-            // Several events at one instant: the final state, and the flags of all events.
+            // Events at one instant: the final state, and the flags of all.
             Some(last) if last.t_s == row.t_s => {
                 let happened = last.flags & (Flags::CONTROL | Flags::OVERRUN | Flags::LINK_LOST);
                 *last = Row { lateness_us: row.lateness_us.max(last.lateness_us), flags: row.flags | happened, ..row };
@@ -247,7 +236,6 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         }
     }
 
-    /// Passes on a row that no event changes any more.
     fn emit_row(&mut self, row: Row) {
         if let Some(tap) = &mut self.tap {
             tap.push(&row);
@@ -255,7 +243,6 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.sink.push(row);
     }
 
-    /// Reports new missed replies and the total of rejected frames to the live view.
     pub(crate) fn report_counts(&mut self, missed: u64, refused: u64) {
         if let Some(tap) = &mut self.tap {
             tap.count_missed_replies(missed);
@@ -263,7 +250,6 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         }
     }
 
-    /// Sets the bands of the scenario's expectations around the present setpoint.
     fn update_bands(&mut self) {
         let setpoint = self.setpoint_at(self.time());
         if self.bands_setpoint_um.replace(setpoint) == Some(setpoint) {
@@ -289,8 +275,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 }
 
-/// The first time stamp of trial `index`: 0 or just before 2^16 ms, 2^31 µs or 2^32 µs, so that counters of these
-/// widths overflow within the trial.
+/// 0 or just before 2^16 ms, 2^31 µs or 2^32 µs: counters of these widths overflow in the trial.
 fn clock_start_us(scenario: &Scenario, index: u32) -> u32 {
     let before_us = (scenario.duration.wrapping_micros() / 2).min(20_000);
     match index % 4 {
@@ -301,18 +286,17 @@ fn clock_start_us(scenario: &Scenario, index: u32) -> u32 {
     }
 }
 
-/// Limits a sensor value to the range of f32, which the wire carries.
+/// The wire carries f32.
 fn to_wire(value: f64) -> f32 {
     value.clamp(f32::MIN.into(), f32::MAX.into()) as f32
 }
 
 impl PlantSimulation<'_, Vec<Row>> {
-    /// The number of rows so far, without the row of this instant.
+    /// Without the row of this instant.
     pub(crate) fn row_count(&self) -> usize {
         self.sink.len() + usize::from(self.pending_row.is_some())
     }
 
-    /// Adds to the flags of the row with this number.
     pub(crate) fn add_flags(&mut self, number: usize, flags: Flags) {
         let row = if number == self.sink.len() { self.pending_row.as_mut() } else { self.sink.get_mut(number) };
         if let Some(row) = row {

@@ -1,5 +1,5 @@
-//! Plays one trial on a real plate: the controller drives its own plate by its own sensor and timer. The bench sends
-//! setpoints, asks the operator to prepare the plate, and records the controller's telemetry.
+//! Plays one trial on a real plate: the controller drives it by its own sensor and timer; the bench
+//! sends setpoints, prompts the operator and records telemetry.
 
 mod prompts;
 mod telemetry_loop;
@@ -22,14 +22,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 use telemetry_loop::{TelemetryLoop, TelemetryLoopResult};
 
-/// Countdown before a trial that needs an operator, s.
 const COUNTDOWN_S: u32 = 3;
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Plays a trial. `None` if it was cancelled.
-///
-/// # Errors
-/// [`RigError`] if the controller was lost before its first telemetry.
+/// `None` if it was cancelled. Fails if the controller was lost before its first telemetry.
 pub(crate) fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -69,16 +65,14 @@ pub(crate) fn play<L: Link>(
     Ok(Some(TrialResult { trace_rows, telemetry, link_error }))
 }
 
-/// What the operator was asked to do at the plate.
 #[derive(Default)]
 struct Preparation {
     requests: Vec<OperatorRequest>,
-    /// Why the last request was not done.
     not_done: Option<String>,
 }
 
 impl Preparation {
-    /// Asks for `action`; true if it was done. `None` if the run was cancelled.
+    /// True if the action was done. `None` if the run was cancelled.
     fn request(&mut self, action: String, operator: &dyn Operator, cancel: &CancelToken) -> Option<bool> {
         let answer = operator.ask(Question { text: &action, kind: QuestionKind::Action }, cancel);
         if answer == Answer::Absent && cancel.is_cancelled() {
@@ -95,7 +89,7 @@ impl Preparation {
     }
 }
 
-/// Has the operator bring the plate to its state at the start. `None` if the run was cancelled.
+/// `None` if the run was cancelled.
 fn prepare_plate(scenario: &Scenario, operator: &dyn Operator, cancel: &CancelToken) -> Option<Preparation> {
     let mut preparation = Preparation::default();
     if !needs_operator(scenario) {
@@ -124,7 +118,7 @@ fn prepare_plate(scenario: &Scenario, operator: &dyn Operator, cancel: &CancelTo
     Some(preparation)
 }
 
-/// Asks whether the actions within the trial were done, if no sensor measured them.
+/// Asks only about actions that no sensor measured.
 fn confirm_actions(
     scenario: &Scenario,
     mut preparation: Preparation,
@@ -142,7 +136,7 @@ fn confirm_actions(
     Some(preparation)
 }
 
-/// Takes every row until the queue's producer is dropped, and announces the operator's actions.
+/// Runs until the queue's producer is dropped.
 fn collect_and_prompt(
     mut consumer: Consumer<Row>,
     scenario: &Scenario,

@@ -1,8 +1,8 @@
-//! Plays one trial in real time: every microsecond that bench, line and controller take acts on the plate.
+//! Plays one trial in real time: delays of bench, line and controller act on the plate.
 //!
-//! One thread owns the loop. It neither allocates nor logs; rows leave it through a bounded queue. The plate moves
-//! exactly to the instant of every event: it is sampled at the deadline, however late the sample leaves, and driven
-//! anew when a command arrives. Lateness therefore acts as loop delay and nothing else.
+//! The loop has its own thread; it neither allocates nor logs. The plate moves exactly to the
+//! instant of every event: it is sampled at the deadline, however late the sample leaves, and
+//! driven anew when a command arrives. Lateness acts as loop delay and nothing else.
 
 mod control_loop;
 mod manual_control;
@@ -28,9 +28,8 @@ use platebench_trace::Row;
 use std::panic::resume_unwind;
 use std::thread;
 
-/// Plays a trial; `tap` receives its rows. `None` if it was cancelled. The rig must support real time.
-///
-/// Blocks the calling thread, which only collects rows; the loop has its own thread.
+/// Blocks the calling thread, which only collects rows. `None` if it was cancelled. The rig must
+/// support real time.
 pub fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -43,8 +42,8 @@ pub fn play<L: Link>(
     end.map(|(telemetry, link_error)| TrialResult { trace_rows, telemetry, link_error })
 }
 
-/// Plays the plate to the controller until `cancel`, a lost controller or a stop. `manual` replaces the scenario's
-/// profiles once it is used. `consume` and `tap` receive the rows.
+/// Runs until `cancel`, a lost controller or a stop. `manual` replaces the scenario's profiles once
+/// it is used.
 pub fn emulate_plate<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -62,18 +61,15 @@ pub fn emulate_plate<L: Link>(
     }
 }
 
-/// Why an emulation ended.
 #[derive(Debug)]
 pub enum EmulationEnd {
-    /// It was cancelled.
     Cancelled,
-    /// The controller was lost.
     Lost(RigError),
-    /// The controller stopped, for the reason that it reported, and waits for a configuration.
+    /// Reported reason; the controller waits for a configuration.
     Stopped(Option<String>),
 }
 
-/// Runs the loop on its own thread; `consume` receives its rows. The second result is `None` if it was cancelled.
+/// The second result is `None` if it was cancelled.
 fn run_loop<L: Link, T>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -89,7 +85,7 @@ fn run_loop<L: Link, T>(
     thread::scope(|scope| {
         let real_time = scope.spawn(move || {
             let scheduling = ThreadScheduling::request();
-            // A target that paces itself ticks from its configuration on, so this comes last.
+            // A self-pacing target ticks from its configuration on, so this comes last.
             let configuration = time_base.with_target_timing(configure(spec.scenario, spec.law));
             let started = session.start_trial(&configuration).map_err(TrialAbort::Lost);
             let mut real_time = RealTimeLoop::new(session, spec, time_base, plant, manual);

@@ -14,73 +14,54 @@ use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequent
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The limit of the command line.
+/// Equals the limit of the command line.
 const MAX_TRIALS: u32 = 100_000;
 
-/// Why a stored run cannot be judged.
 #[derive(Debug, thiserror::Error)]
 pub enum RejudgeError {
-    /// The record cannot be read.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// A stored or given scenario is invalid.
     #[error("{0}")]
     Scenario(Box<Diagnostic>),
-    /// A trace is invalid.
     #[error(transparent)]
     Trace(#[from] TraceError),
-    /// A file cannot be read.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// The given scenario describes another experiment.
     #[error("{}: {what} differs from the scenario that was played; only expectations may differ", path.display())]
     DifferentExperiment {
-        /// The file.
         path: PathBuf,
-        /// What differs.
+        /// Names the part that differs.
         what: &'static str,
     },
-    /// An input or a trace was modified.
     #[error("{}: SHA-256 {found}, expected {expected}: not the file that the run was made with", path.display())]
     Modified {
-        /// The file.
         path: PathBuf,
-        /// Its hash now.
+        /// Hash of the present file.
         found: String,
-        /// Its hash in the record.
         expected: String,
     },
-    /// The amplitude of a row is not the length of its components.
     #[error(
         "{}: the amplitude at {t_s} s is {amplitude_um} µm, its components give {expected_um} µm; the trace was changed",
         path.display()
     )]
     Contradiction {
-        /// The trace.
         path: PathBuf,
-        /// Time of the row, s.
         t_s: f64,
-        /// In the trace, µm.
         amplitude_um: f64,
         /// √(Wd² + Wq²), µm.
         expected_um: f64,
     },
-    /// Two random trials have the same trace.
     #[error("{}: trial {second} has the trace of trial {first}, expected one trace per trial", path.display())]
     SameTrace {
-        /// The trace of the second trial.
+        /// Trace of the second trial.
         path: PathBuf,
-        /// A trial.
         first: u32,
-        /// Another trial.
         second: u32,
     },
-    /// No scenario of the run has this name.
     #[error("{}: none of the run's scenarios has this name ({known})", path.display())]
     NoSuchScenario {
-        /// The file.
         path: PathBuf,
-        /// The run's scenarios.
+        /// Scenarios of the run.
         known: String,
     },
 }
@@ -91,13 +72,8 @@ impl From<Diagnostic> for RejudgeError {
     }
 }
 
-/// Judges the traces in `folder` with the scenarios stored there; `replacement` replaces the expectations of the
-/// scenario with its name.
-///
-/// A trial without a trace was interrupted and makes its scenario inconclusive.
-///
-/// # Errors
-/// [`RejudgeError`].
+/// `replacement` replaces the expectations of the scenario with its name. A trial without a trace
+/// was interrupted and makes its scenario inconclusive.
 pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     let replaced =
@@ -105,7 +81,7 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
     let mut scenarios = Vec::with_capacity(record.scenarios.len());
     for (number, stored) in record.scenarios.iter().enumerate() {
         let mut scenario = load_stored_scenario(folder, stored)?;
-        // The run's model, even if another would be chosen today.
+        // Uses the run's model, because today another one might be chosen.
         let tier = Tier::from_name(&stored.model).unwrap_or(scenario.tier);
         if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
             scenario.expectations = replacement_expectations(path, &scenario, tier, &record.overrides)?;
@@ -119,7 +95,6 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
     Ok(record)
 }
 
-/// Applies the overrides of the run's command line to a scenario.
 pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     if let Some(law) = &overrides.law {
         scenario.controller.law.clone_from(law);
@@ -136,7 +111,7 @@ pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     }
 }
 
-/// The number of the run's only scenario, or of the one with the same file name as `path`.
+/// Takes the only scenario, or the one with the same file name.
 fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeError> {
     let file_name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let same_name = |scenario: &ScenarioRecord| scenario.file.rsplit('/').next() == Some(&*file_name);
@@ -149,7 +124,7 @@ fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeEr
     }
 }
 
-/// The expectations of the scenario at `path`, which must otherwise equal the one that was played.
+/// The scenario at `path` must otherwise equal the one that was played.
 fn replacement_expectations(
     path: &Path,
     played: &Scenario,
@@ -191,7 +166,6 @@ fn load_stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenar
     Ok(scenario)
 }
 
-/// Refuses a file whose content differs from the record.
 fn check_hash(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeError> {
     check_equal(path, sha256(bytes), expected)
 }
@@ -203,19 +177,13 @@ fn check_equal(path: &Path, found: String, expected: &str) -> Result<(), Rejudge
     Err(RejudgeError::Modified { path: path.to_owned(), found, expected: expected.to_owned() })
 }
 
-/// The rows of a trial of the run in `folder`.
-///
-/// # Errors
-/// [`RejudgeError`] if the trace is missing or was modified.
+/// Fails if the trace is missing or was modified.
 pub fn read_trial_rows(folder: &Path, trial: &TrialRecord) -> Result<Vec<Row>, RejudgeError> {
     check_trace(folder, trial)?;
     Ok(read_trace(&folder.join(&trial.trace))?)
 }
 
-/// Refuses a trial whose trace was modified. A trial without a hash was interrupted and is accepted.
-///
-/// # Errors
-/// [`RejudgeError::Modified`], or [`RejudgeError::Folder`] if the trace is missing.
+/// A trial without a hash was interrupted and is accepted.
 pub fn check_trace(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeError> {
     let Some(expected) = trial.sha256.as_deref() else { return Ok(()) };
     let path = folder.join(&trial.trace);
@@ -223,7 +191,7 @@ pub fn check_trace(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeErro
     check_equal(&path, found, expected)
 }
 
-/// Judges the trials up to the look that decides, as in the run.
+/// Stops at the look that decides, as in the run.
 fn rejudge_scenario(
     folder: &Path,
     scenario: &Scenario,
@@ -244,7 +212,7 @@ fn rejudge_scenario(
                 None => measures.push(incomplete_trial(scenario, index)),
             }
         }
-        // A complete run has all its trials, even if other expectations would need more.
+        // A complete run has all its trials.
         if complete && records.len() == played {
             measures.truncate(played);
             break;
@@ -258,7 +226,7 @@ fn rejudge_scenario(
     Ok(record)
 }
 
-/// Rejects two trials with the same trace. Only trials that nothing random distinguishes may be equal.
+/// Only trials that nothing random distinguishes may be equal.
 fn check_distinct_traces(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result<(), RejudgeError> {
     let mut known: BTreeMap<&str, u32> = BTreeMap::new();
     for trial in &stored.trials {
@@ -273,9 +241,8 @@ fn check_distinct_traces(folder: &Path, scenario: &Scenario, stored: &ScenarioRe
     Ok(())
 }
 
-/// Rejects rows whose amplitude contradicts their components.
 fn check_amplitude(path: &Path, rows: &[Row]) -> Result<(), RejudgeError> {
-    // The amplitude is computed from the components; a text round trip changes nothing.
+    // Computed from the components; a text round trip changes nothing.
     const RELATIVE_ERROR: f64 = 1e-9;
     const ABSOLUTE_ERROR_UM: f64 = 1e-12;
     let expected = |row: &Row| row.wd_um.hypot(row.wq_um);
@@ -291,7 +258,7 @@ fn check_amplitude(path: &Path, rows: &[Row]) -> Result<(), RejudgeError> {
     })
 }
 
-/// Measures the stored trial `index`. `None` if its trace is missing.
+/// `None` if the trace is missing.
 fn rejudge_trial(
     folder: &Path,
     scenario: &Scenario,
@@ -320,7 +287,6 @@ fn rejudge_trial(
     Ok(Some(CompletedTrial { measures, record }))
 }
 
-/// The measures of a trial that was interrupted.
 fn incomplete_trial(scenario: &Scenario, index: u32) -> TrialMeasures {
     TrialMeasures {
         index,

@@ -6,19 +6,17 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use std::thread;
 use std::time::Duration;
 
-/// More than a second of the densest default trace at 1 kHz.
+/// More than 1 s of the densest default trace at 1 kHz.
 const CAPACITY: usize = 1 << 15;
 /// Filling the queue takes hundreds of times longer.
 const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
-/// The loop's end of the queue.
 pub(crate) struct RowQueue {
     producer: Producer<Row>,
     lost_rows: u64,
 }
 
 impl RowQueue {
-    /// Both ends of a queue.
     pub(crate) fn new() -> (Self, Consumer<Row>) {
         Self::with_capacity(CAPACITY)
     }
@@ -28,7 +26,6 @@ impl RowQueue {
         (Self { producer, lost_rows: 0 }, consumer)
     }
 
-    /// The rows that did not fit.
     pub(crate) fn lost(&self) -> u64 {
         self.lost_rows
     }
@@ -40,7 +37,7 @@ impl RowSink for RowQueue {
     }
 }
 
-/// Takes every row until the producer is dropped; `expected` rows are allocated first.
+/// Runs until the producer is dropped; allocates `expected` rows first.
 pub(crate) fn collect_rows(mut consumer: Consumer<Row>, expected: usize) -> Vec<Row> {
     let mut rows = Vec::with_capacity(expected);
     loop {

@@ -17,10 +17,8 @@ use std::sync::{OnceLock, mpsc};
 use std::thread;
 use tracing::info;
 
-/// Plays `plan` into `folder` and returns the record, which is also in the folder.
-///
-/// # Errors
-/// [`RunError`]. The trials that were complete can still be judged and reported.
+/// Returns the record, which is also in `folder`. After an error, complete trials can still be
+/// judged.
 pub fn run(
     plan: &RunPlan,
     folder: &RunFolder,
@@ -41,7 +39,6 @@ pub fn run(
     record.not_applicable = not_applicable;
     let identity = *first.identity();
     write_record(&record, folder)?;
-    // The first worker gets this controller; the others connect to theirs.
     let mut sessions: Vec<Option<RigSession>> = (0..plan.jobs.max(1)).map(|_| None).collect();
     if let Some(session) = sessions.first_mut() {
         *session = Some(first);
@@ -77,7 +74,6 @@ pub fn run(
     Ok(record)
 }
 
-/// Refuses a plan that needs what the controller does not announce.
 fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError> {
     let identity = session.identity();
     if let Clock::RealTime(TimeBase { pacing: Pacing::Target, .. }) = plan.clock
@@ -97,8 +93,7 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
     Ok(())
 }
 
-/// The plan without the scenarios that need a law or capability that `identity` does not announce, its laws, and
-/// these scenarios.
+/// Splits off the scenarios that need what `identity` does not announce.
 fn select_applicable(
     plan: &RunPlan,
     laws: Vec<LawId>,
@@ -125,7 +120,7 @@ fn write_record(record: &RunRecord, folder: &RunFolder) -> Result<(), FolderErro
     record.write(folder.path()).map_err(|source| FolderError::Io { path: folder.path().to_owned(), source })
 }
 
-/// The trials of a scenario so far, in order of completion, and how many the next look needs.
+/// In order of completion; the next look needs `goal` trials.
 struct ScenarioProgress {
     measures: Vec<TrialMeasures>,
     records: Vec<TrialRecord>,
@@ -142,7 +137,6 @@ impl ScenarioProgress {
     }
 }
 
-/// Plays until every scenario is decided and judges each one at its last look.
 fn play_scenarios(
     run: RunContext<'_>,
     sessions: &mut [Option<RigSession>],
@@ -155,7 +149,7 @@ fn play_scenarios(
     let mut tasks: Vec<TrialTask> =
         (0..).zip(&progress).flat_map(|(number, progress)| trial_tasks(number, 0, progress.goal)).collect();
     while !tasks.is_empty() {
-        // The longest trials come first, so that no worker ends long after the others.
+        // The longest trials come first: no worker ends long after the others.
         tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
         let batch = std::mem::take(&mut tasks);
         let work = WorkQueue { run, tasks: &batch, next: AtomicUsize::new(0) };
@@ -213,7 +207,6 @@ fn play_scenarios(
     if cancel.is_cancelled() { Err(RunError::Cancelled) } else { Ok(()) }
 }
 
-/// Adds judgement and trials to the record of a scenario.
 pub(crate) fn complete_record(record: &mut ScenarioRecord, judgement: Judgement, mut trials: Vec<TrialRecord>) {
     trials.sort_by_key(|trial| trial.index);
     record.verdict = judgement.verdict;
@@ -221,7 +214,6 @@ pub(crate) fn complete_record(record: &mut ScenarioRecord, judgement: Judgement,
     record.trials = trials;
 }
 
-/// The record of a scenario before its first trial.
 pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> ScenarioRecord {
     ScenarioRecord {
         file: scenario.file.clone(),

@@ -9,17 +9,15 @@ use thread_priority::{ThreadPriority, ThreadPriorityValue};
 /// Below the kernel's interrupt threads, which run at 50 and serve the line.
 const RT_PRIORITY: u8 = 45;
 
-/// The scheduling that a thread was granted. It lasts until the thread ends.
+/// Lasts until the thread ends.
 #[derive(Debug, Clone)]
 pub(crate) struct ThreadScheduling {
     /// The scheduling class, and why it is not a better one.
     pub(crate) scheduling: String,
-    /// True if the program's memory is locked.
     pub(crate) memory_locked: bool,
 }
 
 impl ThreadScheduling {
-    /// Requests the best scheduling for the calling thread.
     pub(crate) fn request() -> Self {
         let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
         let outcome = ThreadPriorityValue::try_from(RT_PRIORITY).and_then(|priority| {

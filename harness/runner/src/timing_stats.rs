@@ -4,16 +4,14 @@ use hdrhistogram::Histogram;
 use platebench_record::{Quantiles, TimingRecord};
 use std::time::Duration;
 
-/// Three significant digits up to a minute.
+/// Three significant digits up to 1 min.
 const MAX_DURATION_NS: u64 = 60_000_000_000;
 
-/// A distribution of durations.
 pub(crate) struct DurationHistogram(Histogram<u64>);
 
 impl DurationHistogram {
     pub(crate) fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, MAX_DURATION_NS, 3);
-        // The bounds are valid constants.
         Self(histogram.unwrap_or_else(|_| unreachable!()))
     }
 
@@ -21,7 +19,6 @@ impl DurationHistogram {
         self.0.saturating_record(u64::try_from(span.as_nanos()).unwrap_or(u64::MAX).max(1));
     }
 
-    /// In µs; `None` without a value.
     pub(crate) fn quantiles_us(&self) -> Option<Quantiles> {
         let at = |share: f64| self.0.value_at_quantile(share) as f64 / 1e3;
         (!self.0.is_empty()).then(|| Quantiles {
@@ -33,13 +30,11 @@ impl DurationHistogram {
     }
 }
 
-/// The drift of a target's clock against the bench's: least squares over the instants of samples.
-///
-/// A line with occasional delays widens the standard error. A line that slows down steadily looks like drift.
+/// Least squares over the instants of samples. Occasional delays widen the standard error; a line
+/// that slows down steadily looks like drift.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ClockDrift {
     last_target_us: Option<u32>,
-    /// Unwrapped.
     target_us: f64,
     count: f64,
     mean_bench: f64,
@@ -50,13 +45,12 @@ pub(crate) struct ClockDrift {
 }
 
 impl ClockDrift {
-    /// Adds a pair of readings; `target_us` wraps.
+    /// `target_us` wraps.
     pub(crate) fn record(&mut self, bench: Duration, target_us: u32) {
         let step = self.last_target_us.replace(target_us).map_or(0, |last| target_us.wrapping_sub(last));
         self.target_us += f64::from(step);
         let bench_us = bench.as_secs_f64() * 1e6;
         let ahead = self.target_us - bench_us;
-        // Welford's update of means and products.
         self.count += 1.0;
         let (from_bench, from_ahead) = (bench_us - self.mean_bench, ahead - self.mean_ahead);
         self.mean_bench += from_bench / self.count;
@@ -66,8 +60,7 @@ impl ClockDrift {
         self.square_ahead += from_ahead * (ahead - self.mean_ahead);
     }
 
-    /// The drift and its standard error, ppm; positive if the target's clock is fast. `None` with fewer than three
-    /// pairs.
+    /// Drift and standard error, ppm; positive if the target is fast. `None` below three pairs.
     pub(crate) fn ppm(&self) -> Option<(f64, f64)> {
         if self.count < 3.0 || self.square_bench <= 0.0 {
             return None;
@@ -78,7 +71,6 @@ impl ClockDrift {
     }
 }
 
-/// The timing of a trial.
 pub(crate) struct TimingStats {
     pub(crate) periods: u64,
     pub(crate) overruns: u64,
@@ -86,9 +78,9 @@ pub(crate) struct TimingStats {
     pub(crate) missed_replies: u64,
     pub(crate) lost_replies: u64,
     pub(crate) lateness: DurationHistogram,
-    /// Plate time.
+    /// In plate time.
     pub(crate) loop_delay: DurationHistogram,
-    /// Wall time.
+    /// In wall time.
     pub(crate) longest_rig_delay: Duration,
     pub(crate) drift: ClockDrift,
 }
@@ -108,7 +100,6 @@ impl TimingStats {
         }
     }
 
-    /// The record's part that these counts determine.
     pub(crate) fn timing(&self) -> TimingRecord {
         let drift = self.drift.ppm();
         TimingRecord {
@@ -143,7 +134,7 @@ mod tests {
         assert!((spans.quantiles_us().unwrap().max / 60e6 - 1.0).abs() < 2e-3, "values beyond the range are clamped");
     }
 
-    /// A target that starts at `offset_us` and runs `ppm` fast, with `jitter_us` of delay on every second sample.
+    /// `jitter_us` delays every second sample.
     fn drift(offset_us: f64, ppm: f64, jitter_us: f64, count: u32) -> ClockDrift {
         let mut drift = ClockDrift::default();
         for number in 0..count {

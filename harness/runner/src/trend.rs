@@ -1,8 +1,7 @@
 //! Compares instructions per control step with earlier runs and with the shipped image.
 //!
-//! The count depends on the plate's motion by a percent or two, so only equal trials are compared: same law, same
-//! inputs, same seed. Runs of another kind of rig or of another firmware are ignored, and so are folders without a
-//! readable record.
+//! The count depends on the plate's motion by a percent or two: compares only equal trials (law,
+//! inputs, seed) of the same kind of rig and firmware.
 
 use platebench_record::sha256;
 use platebench_record::{CostTrend, EarlierCost, RecordError, RigRecord, StepCost};
@@ -12,11 +11,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use tracing::{info, warn};
 
-/// The cost of the shipped image; `ci/cost --update` writes it.
+/// `ci/cost --update` writes it.
 const REFERENCE: &str = include_str!("../../../firmware-under-test/images/cost.toml");
 const EMULATED: &str = "emulated";
 
-/// Law, digest of the inputs, seed: equal for equal trials.
+/// Law, digest of the inputs, seed.
 type TrialKey = (String, String, u64);
 type Costs = BTreeMap<TrialKey, StepCost>;
 
@@ -37,13 +36,12 @@ struct ReferenceTrial {
     worst: f64,
 }
 
-/// One digest of all inputs of a scenario, in their order.
 pub fn inputs_digest(scenario: &ScenarioRecord) -> String {
     let digests: Vec<&str> = scenario.inputs.iter().map(|input| input.sha256.as_str()).collect();
     sha256(digests.join("\n").as_bytes())
 }
 
-/// The cost of each law, in the order of its first scenario, with that of earlier runs. `folder` is this run's.
+/// By law, in the order of its first scenario.
 pub(crate) fn cost_trends(record: &RunRecord, folder: &Path) -> Vec<CostTrend> {
     let here = trial_costs(record);
     if here.is_empty() {
@@ -75,7 +73,6 @@ fn compare_costs(
     laws.into_iter().filter_map(|law| law_trend(law, record, here, &earlier)).collect()
 }
 
-/// The origin of earlier costs.
 struct EarlierRun {
     run: Option<String>,
     started: Option<String>,
@@ -101,14 +98,13 @@ fn law_trend(law: &str, record: &RunRecord, here: &Costs, earlier: &[(EarlierRun
     Some(CostTrend { law: law.to_owned(), build: firmware_build(&record.rig), cost, earlier: earlier.collect() })
 }
 
-/// The average of the means and the maximum of the worst; `None` without a trial.
+/// Average of the means, maximum of the worst.
 fn average_cost(costs: impl ExactSizeIterator<Item = StepCost>) -> Option<StepCost> {
     let count = costs.len() as f64;
     let sum = costs.reduce(|a, b| StepCost { mean: a.mean + b.mean, worst: a.worst.max(b.worst) })?;
     Some(StepCost { mean: sum.mean / count, ..sum })
 }
 
-/// The cost of every trial whose rig counted instructions.
 fn trial_costs(record: &RunRecord) -> Costs {
     let of_scenario = |scenario: &ScenarioRecord| {
         let digest = inputs_digest(scenario);

@@ -1,7 +1,5 @@
-//! Plays one trial in lockstep: the plate waits while a sample travels, the controller computes and the command
-//! returns.
-//!
-//! Events at one instant happen in this order: control instant, actuation, row.
+//! Plays one trial in lockstep: the plate waits while a sample travels, the controller computes and
+//! the command returns. Order at one instant: control instant, actuation, row.
 
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES};
 use crate::fault::wire_faults;
@@ -17,43 +15,35 @@ use std::collections::VecDeque;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// In lockstep a controller with its own clock receives samples at the bench's pace. Its watchdog outlasts a stall of
-/// the host.
+/// A controller with its own clock gets samples at the bench's pace: its watchdog outlasts a stall
+/// of the host.
 const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
-/// Its watchdog in a trial with a planned silence that should trigger it.
+/// Applies to a trial with a planned silence that should trigger the watchdog.
 const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
-/// The watchdog is triggered after its time-out and this much.
+/// The bench waits so much longer than the watchdog's time-out.
 const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
-/// The watchdog's default, periods.
 const WATCHDOG_PERIODS: u64 = 5;
 
-/// A trial to play.
 #[derive(Debug, Clone, Copy)]
 pub struct TrialSpec<'a> {
-    /// The scenario.
     pub scenario: &'a Scenario,
-    /// The scenario's law.
     pub law: LawId,
-    /// The trial's number, from 0.
     pub index: u32,
-    /// True if the rig's wire and computing time acts as loop delay.
+    /// The rig's wire and computing time acts as loop delay.
     pub wire_time: bool,
-    /// True if the controller's clock runs while the plate waits.
+    /// The controller's clock runs while the plate waits.
     pub own_clock: bool,
 }
 
-/// The result of a trial.
 #[derive(Debug)]
 pub struct TrialResult {
-    /// The trace.
     pub trace_rows: Vec<Row>,
-    /// What the trace does not contain.
     pub telemetry: Telemetry,
-    /// Why the controller was lost, if it was; the plate then rests at 0 V.
+    /// The plate then rests at 0 V.
     pub link_error: Option<RigError>,
 }
 
-/// Plays a trial; `tap` receives its rows. `None` if it was cancelled.
+/// `None` if it was cancelled.
 pub fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -70,10 +60,7 @@ pub fn play<L: Link>(
     Some(trial.finish())
 }
 
-/// Plays a trial with the firmware in this process.
-///
-/// # Errors
-/// The firmware does not answer before the trial.
+/// Fails if the firmware does not answer before the trial.
 pub fn play_hosted(scenario: &Scenario, law: LawId, index: u32) -> Result<TrialResult, RigError> {
     let mut session = Session::open(FaultInjector::new(HostedLink::new()))?;
     let spec = TrialSpec { scenario, law, index, wire_time: false, own_clock: false };
@@ -82,20 +69,18 @@ pub fn play_hosted(scenario: &Scenario, law: LawId, index: u32) -> Result<TrialR
     Ok(trial.finish())
 }
 
-/// A command before the loop delay is over.
 struct PendingActuation {
     at: Time,
     command: Command,
 }
 
-/// The delays and costs of the controller's replies.
 #[derive(Default)]
 struct ReplyStats {
     replies: u64,
     late_replies: u64,
     longest_delay: Time,
     longest_rig_delay: Duration,
-    /// Sum and maximum of the instructions per control step.
+    /// Sum and maximum per control step.
     instructions: Option<(u64, u64)>,
 }
 
@@ -136,19 +121,17 @@ struct Trial<'a, L: Link> {
     replies: ReplyStats,
     plant: PlantSimulation<'a, Vec<Row>>,
     next_control: Time,
-    /// In order of time.
     pending: VecDeque<PendingActuation>,
-    /// The last control instant and the number of its row, until its sample is answered.
+    /// Control instant and row of the last sample without an answer.
     unanswered: Option<(Time, usize)>,
     last_sample_sent: Instant,
     watchdog_timeout_ms: u16,
-    /// Instants at which a planned silence triggers the watchdog of a controller with its own clock; last one first.
+    /// Instants at which a planned silence triggers the watchdog, last one first.
     planned_stops: Vec<Time>,
     link_error: Option<RigError>,
 }
 
 impl<'a, L: Link> Trial<'a, L> {
-    /// Plans the faults and configures the controller.
     fn start(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, tap: Option<&'a mut TapWriter>) -> Self {
         session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
         let mut trial = Self::new(session, spec, tap);
@@ -186,7 +169,7 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Handles all events of this instant and moves the plate to the next one. Returns true at the scenario's end.
+    /// True at the scenario's end.
     fn step(&mut self) -> bool {
         let now = self.plant.time();
         let mut flags = Flags::empty();
@@ -233,7 +216,7 @@ impl<'a, L: Link> Trial<'a, L> {
         self.plant.report_counts(0, self.session.rejected_frames());
         let mut flags = Flags::CONTROL;
         match reply {
-            // A configured controller that is idle has lost its configuration.
+            // An idle controller has lost its configuration.
             Ok(Some(reply)) if reply.command.state == Mode::Idle => self.end_on_link_error(RigError::Restarted),
             Ok(Some(reply)) => {
                 flags.set(Flags::OVERRUN, host_stalled && reply.command.cause == StateCause::SampleTimeout);
@@ -244,7 +227,7 @@ impl<'a, L: Link> Trial<'a, L> {
                 self.schedule_command(now, now + delay, reply.command);
             }
             Ok(None) => {
-                // A reply may still arrive before the next control instant. This instant's row comes later.
+                // A reply may still arrive before the next control instant.
                 self.unanswered = Some((now, self.plant.row_count()));
                 self.receive_late_commands(now);
                 if self.session.wrong_sequences() > 0 && self.link_error.is_none() {
@@ -256,7 +239,7 @@ impl<'a, L: Link> Trial<'a, L> {
         flags
     }
 
-    /// Commands that come late or unasked act from the instant of their reception.
+    /// Late commands act from the instant of their reception.
     fn receive_late_commands(&mut self, now: Time) {
         let received = self.session.advance_to(to_duration(now));
         self.record_delivered_sample();
@@ -273,7 +256,6 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Schedules a command that was received at `now` to act on the plate at `at`.
     fn schedule_command(&mut self, now: Time, at: Time, command: Command) {
         self.controller.record_command(&command, now);
         // A command never overtakes an earlier one.
@@ -281,7 +263,6 @@ impl<'a, L: Link> Trial<'a, L> {
         self.pending.push_back(PendingActuation { at, command });
     }
 
-    /// Counts the last sample as unanswered: its period is over.
     fn count_missed_reply(&mut self) {
         let Some((sampled, row)) = self.unanswered.take() else { return };
         self.plant.add_flags(row, Flags::LINK_LOST);
@@ -296,7 +277,7 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Configures the controller again, as a line operator does after a fault that stopped it.
+    /// A line operator does the same after a fault that stopped the controller.
     fn reconfigure(&mut self, now: Time) {
         let Some(configure) = self.controller.reconfiguration(now) else { return };
         let configure = self.with_watchdog(configure);
@@ -306,7 +287,7 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Lets the wall time pass that a planned silence takes to trigger the watchdog, while the plate waits.
+    /// Waits the wall time that triggers the watchdog, while the plate waits.
     fn wait_for_planned_stop(&mut self, now: Time) {
         if self.planned_stops.pop_if(|stop| *stop <= now).is_some() && !self.controller.is_stopped() {
             let timeout = Duration::from_millis(self.watchdog_timeout_ms.into()) + WATCHDOG_MARGIN;
@@ -317,14 +298,14 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Records the sample that the controller received, which a fault may have changed.
+    /// A fault may have changed the sample.
     fn record_delivered_sample(&mut self) {
         if let Some(sample) = self.session.link().delivered_sample() {
             self.plant.set_delivered_sample(sample);
         }
     }
 
-    /// Plays the rest of the trial at 0 V, without the controller.
+    /// Plays the rest at 0 V.
     fn end_on_link_error(&mut self, error: RigError) {
         self.pending.clear();
         self.plant.stop_drive();
@@ -367,7 +348,7 @@ impl<'a, L: Link> Trial<'a, L> {
     }
 }
 
-/// True if the controller itself failed, which fails a trial. A dead line only leaves it undecided.
+/// A failed controller fails a trial. A dead line only leaves it undecided.
 pub(crate) fn is_controller_failure(error: &RigError) -> bool {
     match error {
         RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_)) => true,
@@ -379,7 +360,6 @@ pub(crate) fn is_controller_failure(error: &RigError) -> bool {
     }
 }
 
-/// The instants at which planned silences trigger the watchdog, the last one first.
 fn planned_stops(scenario: &Scenario) -> Vec<Time> {
     let period = scenario.controller.period;
     let watchdog = period.times(WATCHDOG_PERIODS);

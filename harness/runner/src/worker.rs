@@ -21,28 +21,24 @@ use std::sync::mpsc;
 use std::time::Instant;
 use tracing::{debug, error, info_span};
 
-/// A controller on any rig, behind the fault injector.
 pub(crate) type RigSession = platebench_rig::Session<FaultInjector<BoxedLink>>;
 
-/// A run, as all its workers see it.
 #[derive(Clone, Copy)]
 pub(crate) struct RunContext<'a> {
     pub(crate) plan: &'a RunPlan,
     pub(crate) laws: &'a [LawId],
-    /// By scenario: the longest loop delay at which its law settles; computed when it is first needed.
+    /// By scenario: longest loop delay at which its law settles.
     pub(crate) delay_boundaries: &'a [OnceLock<Option<Time>>],
     pub(crate) folder: &'a RunFolder,
     pub(crate) connect: &'a LinkFactory<'a>,
-    /// The controller in the record.
     pub(crate) identity: Identity,
     pub(crate) cancel: &'a CancelToken,
     pub(crate) operator: &'a dyn Operator,
     pub(crate) live_tap: &'a LiveTap,
-    /// Set if a controller did not confirm 0 V at its end.
+    /// Set if a controller did not confirm 0 V.
     pub(crate) safe_unconfirmed: &'a AtomicBool,
 }
 
-/// Drives the plate to 0 V and closes the link.
 pub(crate) fn close_session(session: &mut Option<RigSession>, unconfirmed: &AtomicBool) {
     let Some(session) = session.take() else { return };
     // A link that panics confirms nothing.
@@ -50,7 +46,6 @@ pub(crate) fn close_session(session: &mut Option<RigSession>, unconfirmed: &Atom
     unconfirmed.fetch_or(!confirmed, Ordering::Relaxed);
 }
 
-/// A trial to play.
 #[derive(Clone, Copy)]
 pub(crate) struct TrialTask {
     pub(crate) scenario: usize,
@@ -61,7 +56,6 @@ pub(crate) fn trial_tasks(scenario: usize, from: u32, to: u32) -> impl Iterator<
     (from..to).map(move |index| TrialTask { scenario, index })
 }
 
-/// A trial that was played.
 pub(crate) struct CompletedTrial {
     pub(crate) measures: TrialMeasures,
     pub(crate) record: TrialRecord,
@@ -72,7 +66,6 @@ pub(crate) enum Progress {
     Completed(usize, Box<CompletedTrial>),
 }
 
-/// The trials that the workers share.
 pub(crate) struct WorkQueue<'a> {
     pub(crate) run: RunContext<'a>,
     pub(crate) tasks: &'a [TrialTask],
@@ -80,7 +73,6 @@ pub(crate) struct WorkQueue<'a> {
 }
 
 impl WorkQueue<'_> {
-    /// Plays trials until none is left or the run is cancelled.
     pub(crate) fn run_worker(
         &self,
         session: &mut Option<RigSession>,
@@ -100,7 +92,7 @@ impl WorkQueue<'_> {
             };
             let is_over = result.is_err();
             if is_over {
-                // Before the other workers end.
+                // Close it before the other workers end.
                 close_session(session, self.run.safe_unconfirmed);
             }
             if results.send(result).is_err() || is_over {
@@ -109,7 +101,6 @@ impl WorkQueue<'_> {
         }
     }
 
-    /// A new link to the controller that the record names.
     fn connect_session(&self) -> Result<RigSession, RunError> {
         let session = RigSession::open(FaultInjector::new((self.run.connect)()?))?;
         let (found, expected) = (*session.identity(), self.run.identity);
@@ -120,7 +111,7 @@ impl WorkQueue<'_> {
         Err(RunError::DifferentController { found: controller_name(&found), expected: controller_name(&expected) })
     }
 
-    /// Plays and measures one trial. `None` if it was cancelled.
+    /// `None` if it was cancelled.
     fn play_trial(
         &self,
         session: &mut Option<RigSession>,
@@ -165,7 +156,6 @@ impl WorkQueue<'_> {
         record.sha256 = Some(sha256_of_file(&path).map_err(|source| TraceError::Io { path, source })?);
         if let Some(lost) = played.link_error {
             error!(error = %lost, "controller lost");
-            // The next trial starts over a new link.
             close_session(session, self.run.safe_unconfirmed);
         }
         Ok(Some(CompletedTrial { measures, record }))
@@ -183,7 +173,6 @@ fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
     text.unwrap_or("no message").to_owned()
 }
 
-/// Name, version, build and number of a controller.
 fn controller_name(identity: &Identity) -> String {
     let [major, minor, patch] = identity.version;
     let [build, unique] = [&identity.build[..], &identity.unique[..]].map(to_hex);

@@ -1,5 +1,4 @@
-//! Measures one exchange per millisecond with the host controller, by a blocking thread and by a
-//! tokio task.
+//! Measures one exchange per millisecond by a blocking thread and by a tokio task.
 
 use super::table::{Quantiles, quantiles};
 use platebench_rig::{ExecLink, FaultInjector, Session};
@@ -11,26 +10,23 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_serial::{SerialPort, SerialStream};
 
-/// A later command is missed.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
 const PERIOD: Duration = Duration::from_millis(1);
 
 pub(crate) struct ExchangeStats {
-    /// Of the sample.
     pub(crate) lateness: Quantiles,
     /// From the sample to the command.
     pub(crate) round_trip: Quantiles,
     pub(crate) missed: u32,
 }
 
-/// With a sample time-out for a busy machine.
+/// Has a sample time-out for a busy machine.
 const CONFIGURE: Configure = Configure { watchdog_timeout_ms: 1_000, ..platebench_test_kit::CONFIGURE };
 
 fn sample(number: u32) -> Sample {
     Sample { time_us: number * 1_000, setpoint_um: 2.0, wd_um: 1.9, wq_um: 0.0 }
 }
 
-/// Measured values.
 #[derive(Default)]
 struct ExchangeTimes {
     lateness: Vec<Duration>,
@@ -48,7 +44,6 @@ impl ExchangeTimes {
     }
 }
 
-/// A thread that sleeps to the deadline and waits for the answer in `ppoll`.
 pub(crate) fn measure_blocking(length: Duration) -> Result<ExchangeStats, Box<dyn Error>> {
     let mut session = Session::open(FaultInjector::new(ExecLink::start(&crate::controller_command("")?)?))?;
     session.start_trial(&CONFIGURE)?;
@@ -75,7 +70,6 @@ pub(crate) fn measure_blocking(length: Duration) -> Result<ExchangeStats, Box<dy
     Ok(times.finish())
 }
 
-/// A task on a runtime of one thread, with its timer and tokio-serial.
 pub(crate) fn measure_tokio(length: Duration) -> Result<ExchangeStats, Box<dyn Error>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
@@ -88,7 +82,6 @@ pub(crate) fn measure_tokio(length: Duration) -> Result<ExchangeStats, Box<dyn E
         let child = Command::new(std::env::current_exe()?).arg(&path).stdin(Stdio::null()).spawn()?;
         let _child = ChildGuard(child);
         let mut line = AsyncPort { port: &mut port, reader: PacketReader::new(), buffer: [0; 512], filled: 0, read: 0 };
-        // The controller may still be starting.
         let begun = Instant::now();
         while !line.request(0, Message::Hello).await? {
             if begun.elapsed() > Duration::from_secs(5) {
@@ -125,7 +118,6 @@ struct AsyncPort<'a> {
 }
 
 impl AsyncPort<'_> {
-    /// True if the answer with this sequence number arrived in time.
     async fn request(&mut self, sequence: u8, message: Message) -> std::io::Result<bool> {
         self.port.write_all(Packet { sequence, message }.encode().as_bytes()).await?;
         match tokio::time::timeout(ANSWER_TIMEOUT, self.await_answer(sequence)).await {

@@ -18,19 +18,17 @@ use thread_priority::unix::{
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 const PERIOD_NS: i64 = 1_000_000;
-/// As of the control loop.
+/// Equals the control loop's priority.
 const PRIORITY: u8 = 45;
-/// Bytes of a sample's frame.
 const FRAME: usize = 24;
 
 fn nanos(time: Timespec) -> i64 {
     time.tv_sec * 1_000_000_000 + time.tv_nsec
 }
 
-/// Lateness of a thread that sleeps to an absolute instant every millisecond. `None` if `realtime`
-/// scheduling is not permitted.
+/// `None` if `realtime` scheduling is not permitted.
 pub(crate) fn measure_sleep(length: Duration, realtime: bool) -> Result<Option<Quantiles>, Box<dyn Error>> {
-    // In a thread of its own, because processes would inherit its priority.
+    // Processes would inherit the thread's priority.
     let thread = std::thread::spawn(move || {
         let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
         let priority = ThreadPriorityValue::try_from(PRIORITY).map(ThreadPriority::Crossplatform);
@@ -56,7 +54,7 @@ fn sleep_repeatedly(length: Duration) -> std::io::Result<Quantiles> {
     Ok(quantiles(&mut late))
 }
 
-/// Lateness by `cyclictest`; `None` if it is not installed or not permitted.
+/// `None` if it is not installed or not permitted.
 pub(crate) fn run_cyclictest(length: Duration) -> Result<Option<Reference>, Box<dyn Error>> {
     let loops = (length.as_millis()).to_string();
     let output =
@@ -85,7 +83,6 @@ pub(crate) fn run_cyclictest(length: Duration) -> Result<Option<Reference>, Box<
     Ok(Some(Reference::new("`cyclictest`, SCHED_FIFO: lateness", quantiles(&mut late))))
 }
 
-/// Both ends of a pseudo-terminal in raw mode, and the path of the other end.
 fn raw_terminal() -> Result<(File, OwnedFd, String), Box<dyn Error>> {
     let (ours, path) = open_terminal();
     let other = OwnedFd::from(OpenOptions::new().read(true).write(true).open(&path)?);
@@ -95,7 +92,6 @@ fn raw_terminal() -> Result<(File, OwnedFd, String), Box<dyn Error>> {
     Ok((ours, other, path))
 }
 
-/// Sends back all bytes until the line hangs up.
 pub(crate) fn echo(path: &str) -> std::io::Result<()> {
     let mut port = OpenOptions::new().read(true).write(true).open(path)?;
     let mut buffer = [0; 512];
@@ -107,7 +103,6 @@ pub(crate) fn echo(path: &str) -> std::io::Result<()> {
     }
 }
 
-/// Round trip of a frame to a process that echoes it, every millisecond.
 pub(crate) fn measure_echo(length: Duration) -> Result<Quantiles, Box<dyn Error>> {
     let (mut line, other, path) = raw_terminal()?;
     let program = std::env::current_exe()?;
@@ -115,7 +110,6 @@ pub(crate) fn measure_echo(length: Duration) -> Result<Quantiles, Box<dyn Error>
     let _child = ChildGuard(child);
     let frame = [0x55; FRAME];
     let mut buffer = [0; FRAME];
-    // The first echo shows that the process has started.
     line.write_all(&frame)?;
     if poll(&mut [PollFd::new(&line, PollFlags::IN)], Some(&Timespec { tv_sec: 5, tv_nsec: 0 }))? == 0 {
         return Err("the other process does not answer".into());

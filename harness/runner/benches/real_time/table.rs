@@ -5,7 +5,7 @@ pub(crate) use platebench_record::Quantiles;
 use platebench_record::TimingRecord;
 use std::time::Duration;
 
-/// Quantiles in µs; sorts `spans`. Zeros without values.
+/// Quantiles in µs; zeros without values.
 pub(crate) fn quantiles(spans: &mut [Duration]) -> Quantiles {
     spans.sort_unstable();
     let at = |share: f64| {
@@ -15,7 +15,6 @@ pub(crate) fn quantiles(spans: &mut [Duration]) -> Quantiles {
     Quantiles { p50: at(0.5), p99: at(0.99), p999: at(0.999), max: at(1.0) }
 }
 
-/// A limit of the computer.
 pub(crate) struct Reference {
     name: &'static str,
     measured: Quantiles,

@@ -3,19 +3,16 @@
 use platebench_plate::{Profile, Time};
 use platebench_scenario::Scenario;
 
-/// Announcements before an action, s.
 const COUNTDOWN_STEPS_S: [u32; 4] = [3, 2, 1, 0];
-/// The least time between two actions; the later one is dropped.
+/// The later of two closer actions is dropped.
 const MIN_PROMPT_SPACING: Time = Time::from_nanos(500_000_000);
 
-/// An action at an instant of the trial.
 #[derive(Debug, Clone, PartialEq)]
 struct Prompt {
     at: Time,
     what: String,
 }
 
-/// The announcements of a trial, in order.
 #[derive(Debug)]
 pub(super) struct Prompts {
     list: Vec<Prompt>,
@@ -37,7 +34,7 @@ fn temperature_prompt(scenario: &Scenario, offset_k: f64) -> String {
     format!("bring the plate to {} °C ({offset_k:+} K)", ((reference + offset_k) * 1e3).round() / 1e3)
 }
 
-/// The actions before the trial, in the order in which they are possible.
+/// In the order in which they are possible.
 pub(super) fn initial_prompts(scenario: &Scenario) -> Vec<String> {
     let start = scenario.conditions.at(Time::ZERO);
     let mut asked = Vec::new();
@@ -53,7 +50,6 @@ pub(super) fn initial_prompts(scenario: &Scenario) -> Vec<String> {
 }
 
 impl Prompts {
-    /// The prompts of a trial of `scenario`.
     pub(super) fn from_scenario(scenario: &Scenario) -> Self {
         let scene = &scenario.conditions;
         let mut prompts = profile_prompts(&scene.finger_force_n, scenario.duration, force_prompt);
@@ -71,7 +67,6 @@ impl Prompts {
         Self { list: prompts, schedule, next: 0 }
     }
 
-    /// The next announcement that is due by `now`, with the seconds until its action.
     pub(super) fn next_due(&mut self, now: Time) -> Option<(&str, u32)> {
         let (at, left, number) = *self.schedule.get(self.next)?;
         if at > now {
@@ -92,7 +87,7 @@ fn profile_prompts(profile: &Profile, duration: Time, word: impl Fn(f64) -> Stri
     let points = std::iter::successors(Some(Time::ZERO), |point| profile.next_point_after(*point));
     let mut before = profile.at(Time::ZERO);
     for point in points.take_while(|point| *point < duration) {
-        // A linear segment asks for its end value, a constant one for its value.
+        // A linear segment asks for its end value.
         let (until, goal) = match (profile, profile.next_point_after(point)) {
             (Profile::Linear(_), Some(next)) => (Some(next), profile.at(next)),
             _ => (None, profile.at(point)),
@@ -133,7 +128,7 @@ mod tests {
             prompt_texts(&line),
             [(5_000.0, "press the plate with 1.5 N and hold, evenly until 9 s".to_owned())]
         );
-        // Actions after the trial are not announced; of actions in quick succession only the first is.
+        // Only the first of actions in quick succession is announced.
         assert_eq!(profile_prompts(&held, ms(5_000.0), force_prompt), []);
         let fast = Profile::Hold((0..20).map(|n| (ms(f64::from(n) * 100.0), f64::from(n))).collect());
         assert_eq!(prompt_texts(&fast).iter().map(|(at, _)| *at).collect::<Vec<_>>(), [100.0, 600.0, 1_100.0, 1_600.0]);

@@ -1,7 +1,7 @@
 //! Exchanges setpoints and telemetry with a controller that drives its own plate.
 //!
-//! One thread, without allocation from the first setpoint on. Setpoints are sent when the profile changes, by the
-//! controller's clock, and repeated to keep it alive. Every trial ends with a request for 0 V.
+//! One thread, no allocation from the first setpoint on. Setpoints follow the profile by the
+//! controller's clock and are repeated to keep it alive. Every trial ends with a request for 0 V.
 
 use super::telemetry_rows::{TelemetryRows, TelemetryUpdate};
 use crate::abort::TrialAbort;
@@ -19,32 +19,27 @@ use platebench_trace::Flags;
 use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Setpoint, StateCause};
 use std::time::{Duration, Instant};
 
-/// Without a setpoint for this long the controller goes to 0 V.
+/// Without a setpoint for so long, the controller goes to 0 V.
 const WATCHDOG_TIMEOUT_MS: u16 = 250;
-/// A constant setpoint is repeated after this long.
+/// A constant setpoint is repeated after this time.
 const KEEP_ALIVE_INTERVAL: Duration = Duration::from_millis(50);
-/// A repetition later than this is an overrun of the bench.
+/// A later repetition is an overrun of the bench.
 const LATE_SETPOINT: Duration = Duration::from_millis(200);
-/// A setpoint without an acknowledgement for this long is unacknowledged.
 const ACKNOWLEDGE_TIMEOUT: Duration = Duration::from_millis(100);
-/// Without telemetry for this long the controller is lost.
+/// Without telemetry for so long, the controller is lost.
 const SILENCE_TIMEOUT: Duration = Duration::from_millis(500);
-/// Cancellation is checked at least this often.
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// The end of a telemetry loop.
 pub(super) struct TelemetryLoopResult {
     pub(super) abort: Option<TrialAbort>,
-    /// Why the controller stopped, as it reports it.
     pub(super) stop_reason: Option<&'static str>,
     pub(super) real_plate: RealPlateRecord,
 }
 
-/// A setpoint without an acknowledgement.
 #[derive(Clone, Copy)]
 struct PendingSetpoint {
     sent_at: Instant,
-    /// The time of the last telemetry before it.
+    /// Time of the last telemetry before it.
     telemetry_time: Time,
 }
 
@@ -54,17 +49,14 @@ pub(super) struct TelemetryLoop<'a, L: Link> {
     law: LawId,
     telemetry: TelemetryRows,
     queue: RowQueue,
-    /// Flags for the next row.
     next_flags: Flags,
     last_telemetry: Instant,
-    /// The last setpoint and when it was sent.
     last_setpoint: Option<(f32, Instant)>,
-    /// By sequence number: setpoints without an acknowledgement.
+    /// Indexed by sequence number.
     pending_setpoints: [Option<PendingSetpoint>; 256],
     acknowledge_time: DurationHistogram,
     setpoints: u64,
     unacknowledged: u64,
-    /// Since the first telemetry.
     drift: ClockDrift,
     first_telemetry: Option<Instant>,
     stop_reason: Option<&'static str>,
@@ -92,7 +84,6 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         }
     }
 
-    /// Plays the trial from the configuration to 0 V.
     pub(super) fn run(mut self, cancel: &CancelToken) -> TelemetryLoopResult {
         let ended = self.exchange_until_end(cancel).err();
         let safe_confirmed = self.session.request_safe_state();
@@ -149,13 +140,12 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         }
     }
 
-    /// The trial's time at `now`, extrapolated from the last telemetry.
+    /// Extrapolated from the last telemetry.
     fn trial_time(&self, now: Instant) -> Time {
         let since = now.saturating_duration_since(self.last_telemetry).as_nanos();
         self.telemetry.time().map_or(Time::ZERO, |last| last + Time::from_nanos(since as u64))
     }
 
-    /// The next instant of a setpoint or a check.
     fn next_instant(&self, now: Instant) -> Instant {
         let trial = self.trial_time(now);
         let point = self.scenario.setpoint.next_point_after(trial).filter(|_| self.telemetry.time().is_some());
@@ -163,7 +153,6 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         now + to_point.min(CANCEL_POLL_INTERVAL)
     }
 
-    /// Sends the setpoint if it changed or is due again.
     fn send_setpoint(&mut self, now: Instant) -> Result<(), TrialAbort> {
         let setpoint_um = self.scenario.setpoint.at(self.trial_time(now)) as f32;
         let since = self.last_setpoint.map(|(_, sent)| now.saturating_duration_since(sent));
@@ -183,7 +172,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         Ok(())
     }
 
-    /// Counts expired setpoints. Telemetry that is newer than the time-out shows that the bench has read the line.
+    /// Telemetry newer than the time-out shows that the bench has read the line.
     fn count_unacknowledged(&mut self, now: Instant) {
         let within = Time::from_nanos(ACKNOWLEDGE_TIMEOUT.as_nanos() as u64);
         let last = self.telemetry.time().unwrap_or(Time::ZERO);
@@ -235,7 +224,6 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
     }
 }
 
-/// Why a controller that receives setpoints stopped.
 const fn setpoint_stop_reason(cause: StateCause) -> &'static str {
     match cause {
         StateCause::SampleTimeout => "no setpoint before its watchdog expired",

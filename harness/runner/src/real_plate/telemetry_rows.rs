@@ -4,18 +4,16 @@ use platebench_plate::Time;
 use platebench_trace::{Flags, Row};
 use platebench_wire::{ControllerState, Telemetry};
 
-/// The drive counts as saturated from this fraction of its limit: the wire carries the limit as f32.
+/// The wire carries the limit as f32.
 const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
 
-/// The result of one telemetry message.
 pub(super) enum TelemetryUpdate {
-    /// The row of a new period.
     Row(Row),
     /// A duplicate, an older period, or a value that is not finite.
     Ignored,
 }
 
-/// Orders telemetry on the target's clock, which starts with its period 0.
+/// Orders by the target's clock, which starts with its period 0.
 pub(super) struct TelemetryRows {
     period_us: u32,
     limit_vpp: f64,
@@ -29,7 +27,6 @@ pub(super) struct TelemetryRows {
 struct LastPeriod {
     period: u32,
     target_time_us: u32,
-    /// Since period 0, unwrapped.
     since_start_us: u64,
     row: Row,
 }
@@ -39,7 +36,6 @@ impl TelemetryRows {
         Self { period_us, limit_vpp, last: None, received: 0, missing: 0, force_measured: false }
     }
 
-    /// The time of the last telemetry.
     pub(super) fn time(&self) -> Option<Time> {
         self.last.map(|last| Time::from_nanos(last.since_start_us * 1_000))
     }
@@ -100,7 +96,7 @@ impl TelemetryRows {
         TelemetryUpdate::Row(row)
     }
 
-    /// The row of a controller that stopped and sends no more: 0 V, one period after its last telemetry.
+    /// 0 V, one period after the last telemetry of a stopped controller.
     pub(super) fn stop_row(&self) -> Option<Row> {
         let last = self.last.filter(|last| !last.row.flags.contains(Flags::SAFE))?;
         let t_s = (last.since_start_us + u64::from(self.period_us)) as f64 / 1e6;
@@ -142,9 +138,7 @@ mod tests {
         let first = row(&mut rows, &telemetry(0, u32::MAX - 499)).unwrap();
         assert_eq!((first.t_s, first.amplitude_um, first.flags), (0.0, 2.5, Flags::CONTROL | Flags::SENSED));
         assert!(first.finger_force_n.is_nan() && first.resonance_hz.is_nan());
-        // Across the wrap.
         assert_eq!(row(&mut rows, &telemetry(1, 510)).unwrap().t_s, 0.001_010);
-        // Doubled, and older than what was telemetry.
         assert!(
             row(&mut rows, &telemetry(1, 510)).is_none() && row(&mut rows, &telemetry(0, u32::MAX - 499)).is_none()
         );

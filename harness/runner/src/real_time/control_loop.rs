@@ -18,15 +18,14 @@ use platebench_trace::Flags;
 use platebench_wire::{Configure, ControllerState, Gains, Message, StateCause};
 use std::time::{Duration, Instant};
 
-/// Cancellation is checked at least this often.
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
-/// Before a deadline the thread polls instead of sleeping: a timer wakes it some tens of microseconds late.
+/// The thread polls before a deadline: a timer wakes it some tens of microseconds late.
 const SPIN_TIME: Duration = Duration::from_micros(80);
-/// A sample that leaves later than this share of the period is an overrun of the bench.
+/// Share of the period; a later sample is an overrun of the bench.
 const OVERRUN_SHARE: f64 = 0.25;
-/// A controller is lost only after at least this silence: a shared host may stall for some ten milliseconds.
+/// A shared host may stall for some 10 ms.
 const MIN_SILENT_TIME: Duration = Duration::from_millis(250);
-/// From the configuration to the first control instant.
+/// Time from the configuration to the first control instant.
 const START_DELAY: Duration = Duration::from_millis(2);
 
 pub(super) struct RealTimeLoop<'a, L: Link> {
@@ -34,14 +33,14 @@ pub(super) struct RealTimeLoop<'a, L: Link> {
     scenario: &'a Scenario,
     controller: ControllerLog<'a>,
     plant: PlantSimulation<'a, RowQueue>,
-    /// With the number of its changes that have acted.
+    /// The number counts its changes that have acted.
     manual_control: Option<(&'a ManualControl, u64)>,
     time_base: TimeBase,
     period: Time,
     duration: Time,
     start: Instant,
     next_control: Time,
-    /// By sequence number: the control instants whose samples are not answered yet.
+    /// By sequence number: control instants of samples without a reply.
     unanswered: [Option<Time>; 256],
     last_sent: Option<u8>,
     last_received: Instant,
@@ -75,7 +74,6 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         }
     }
 
-    /// Plays the trial of a controller that accepted `configuration` with `gains`.
     pub(super) fn run(
         &mut self,
         configuration: &Configure,
@@ -116,7 +114,6 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             let until =
                 deadline.checked_sub(SPIN_TIME).map_or(now, |until| until.max(now)).min(now + CANCEL_POLL_INTERVAL);
             if let Some(received) = self.session.receive(until)? {
-                // A command that arrived after a deadline acts after that deadline's sample.
                 while self.next_control < self.duration && self.wall_instant(self.next_control) <= received.received_at
                 {
                     self.control_at_deadline(received.received_at)?;
@@ -127,14 +124,13 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.receive_until_end(cancel)
     }
 
-    /// Handles the control instant that is due at or before `now`.
     fn control_at_deadline(&mut self, now: Instant) -> Result<(), TrialAbort> {
         let due = self.next_control;
         self.next_control = due + self.period;
         let lateness = now.saturating_duration_since(self.wall_instant(due));
         self.plant.advance_through(due);
         if now >= self.wall_instant(self.next_control) {
-            // The next sample is already due; this one would only add to the delay.
+            // This sample would only add to the delay of the next.
             self.timing.periods += 1;
             self.timing.overruns += 1;
             self.timing.skipped += 1;
@@ -145,7 +141,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.send_sample(lateness, 0)
     }
 
-    /// Control instants are the arrivals of the target's ticks; the trial starts with the first one.
+    /// Ticks of the target are the control instants; the trial starts with the first one.
     fn run_target_paced(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
         let mut ticks = TickTracker::default();
         let first = Instant::now() + MIN_SILENT_TIME;
@@ -180,7 +176,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             }
             self.plant.advance_through(instant);
             last_tick = instant;
-            // A missing tick was skipped by the target or lost on the line; the bench cannot distinguish them.
+            // A missing tick was skipped by the target or lost on the line.
             let (lateness, missing) = ticks.record(received.received_at, tick.target_time_us, self.period);
             self.send_sample(lateness, missing)?;
         }
@@ -189,7 +185,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Ok(())
     }
 
-    /// Counts the ticks that are missing at the end, unless the controller reported that it stopped.
+    /// A stop that the controller reported explains missing ticks.
     fn count_missed_ticks(&mut self, last_tick: Time) {
         let periods = (self.duration - last_tick).as_nanos() / self.period.as_nanos().max(1);
         let has_stopped = self.controller.stop_cause().is_some_and(|cause| cause != StateCause::SampleTimeout);
@@ -205,8 +201,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Instant::now() >= self.wall_instant(self.duration)
     }
 
-    /// Samples the plate, which is at the control instant, and sends the sample. `missing` control instants before it
-    /// had no tick.
+    /// The plate is at the control instant; `missing` earlier instants had no tick.
     fn send_sample(&mut self, lateness: Duration, missing: u64) -> Result<(), TrialAbort> {
         let now = self.plant.time();
         if let Some(inputs) = self.manual_control.as_mut().and_then(|(manual, seen)| manual.changed_inputs(seen)) {
@@ -215,7 +210,6 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         let sample = self.plant.sense();
         let sent = Instant::now();
         if let Some(configure) = self.controller.reconfiguration(now) {
-            // Its reply is not waited for.
             self.session.send(Message::Configure(self.time_base.with_target_timing(configure)))?;
             self.controller.record_configuration(&configure, None, now);
         }
@@ -240,7 +234,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.plant.push_row(to_micros(lateness), flags);
         let sequence = outcome?;
         if let Some(unanswered) = self.unanswered.get_mut(usize::from(sequence)) {
-            // Sequence numbers repeat after 256 samples: an older reply would be taken for this sample's.
+            // Numbers repeat after 256 samples: an older reply would be taken for this sample's.
             self.timing.lost_replies += u64::from(unanswered.replace(now).is_some());
         }
         self.last_sent = Some(sequence);
@@ -261,11 +255,11 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.last_received = received.received_at;
         self.controller.reset_missed_replies();
         let sampled = self.unanswered.get_mut(usize::from(received.sequence)).and_then(Option::take);
-        // A second reply to a sample is a duplicated frame, unless it reports a stop.
+        // A second reply is a duplicated frame, unless it reports a stop.
         if sampled.is_none() && command.state == ControllerState::Running {
             return Ok(());
         }
-        // A configured controller that is idle has lost its configuration.
+        // An idle controller has lost its configuration.
         if sampled.is_some() && command.state == ControllerState::Idle {
             return Err(RigError::Restarted.into());
         }
@@ -287,12 +281,10 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Ok(())
     }
 
-    /// True if the plate is emulated for a controller that has stopped.
     fn is_emulation_stopped(&self) -> bool {
         self.controller.is_stopped() && self.manual_control.is_some()
     }
 
-    /// Applies the replies to the last samples.
     fn receive_until_end(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
         let end = self.wall_instant(self.duration);
         while Instant::now() < end {
@@ -304,7 +296,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
                 self.handle_message(&received)?;
             }
         }
-        // Messages that arrived in time may not be read yet. The bound ends a controller that never stops sending.
+        // The bound ends a controller that never stops sending.
         for _ in 0..self.unanswered.len() {
             let Some(received) = self.session.receive(Instant::now())? else { break };
             self.handle_message(&received)?;
@@ -317,13 +309,13 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Ok(())
     }
 
-    /// True if the last sample has no reply after a whole period. No later control instant would notice.
+    /// No later control instant would notice the missing reply.
     fn is_last_reply_missing(&self) -> bool {
         let sampled = self.last_sent.and_then(|last| self.unanswered.get(usize::from(last)).copied().flatten());
         sampled.is_some_and(|sampled| self.duration.since(sampled) >= self.period)
     }
 
-    /// Requests 0 V and returns telemetry and the error that lost the controller. `None` if the trial was cancelled.
+    /// Ends at 0 V. `None` if the trial was cancelled.
     pub(super) fn finish(
         mut self,
         abort: Option<TrialAbort>,
@@ -341,7 +333,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             Some(TrialAbort::Lost(error)) => Some(error),
         };
         if let Some(error) = &lost {
-            // The rest of the trial is played at 0 V, without waiting.
+            // The rest is played at 0 V, without waiting.
             let flags = if is_controller_failure(error) { Flags::empty() } else { Flags::LINK_LOST };
             self.plant.stop_drive();
             self.plant.push_row(0.0, flags);

@@ -4,7 +4,6 @@ use crate::plant_simulation::ManualInputs;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Manual inputs, which the loop reads once per period.
 #[derive(Debug, Default)]
 pub struct ManualControl {
     change_count: AtomicU64,
@@ -12,13 +11,12 @@ pub struct ManualControl {
 }
 
 impl ManualControl {
-    /// Replaces the scenario's profiles, or the earlier inputs.
     pub fn set(&self, inputs: ManualInputs) {
         *self.inputs.lock().unwrap_or_else(PoisonError::into_inner) = inputs;
         self.change_count.fetch_add(1, Ordering::Release);
     }
 
-    /// The inputs if they changed since change `seen`. Does not wait: a change in progress is read in the next period.
+    /// Does not wait: a change in progress is read in the next period.
     pub(super) fn changed_inputs(&self, seen: &mut u64) -> Option<ManualInputs> {
         let changes = self.change_count.load(Ordering::Acquire);
         if changes == *seen {

@@ -3,41 +3,37 @@
 use platebench_plate::Time;
 use std::time::{Duration, Instant};
 
-/// Compares ticks with their arrivals; the earliest recent arrival counts as punctual.
-///
-/// A tick carries the instant at which the target handled it, which does not show if the target itself was late, so
-/// its periods are counted instead.
+/// The earliest recent arrival counts as punctual. A tick carries the instant at which the target
+/// handled it, which does not show the target's own lateness.
 #[derive(Debug, Default)]
 pub(super) struct TickTracker {
     first: Option<Instant>,
     last_us: u32,
-    /// On the target's clock since its first tick, µs, unwrapped.
+    /// µs, unwrapped.
     target_us: u64,
-    /// The last period's number.
     period: u64,
-    /// The least arrival minus start of period on the target's clock, µs, in this interval and the one before: clocks
-    /// drift.
+    /// Least arrival minus start of period, µs, in two intervals: clocks drift.
     earliest: [Option<f64>; 2],
     interval: u64,
 }
 
 impl TickTracker {
-    /// Two clocks drift by at most some 0.1 µs per millisecond.
+    /// Two clocks drift by at most some 0.1 µs per ms.
     const DRIFT_INTERVAL: Duration = Duration::from_millis(500);
 
     pub(super) fn has_ticks(&self) -> bool {
         self.first.is_some()
     }
 
-    /// Records a tick that arrived at `at`. Returns its lateness within its period and the number of periods without a
-    /// tick since the last one. An unusually early tick gives the same lateness: the punctual ones before were late.
+    /// Returns the lateness within the period and the number of periods without a tick. An
+    /// unusually early tick gives the same lateness: the punctual ones before were late.
     pub(super) fn record(&mut self, at: Instant, target_us: u32, period: Time) -> (Duration, u64) {
         if self.first.is_none() {
             self.last_us = target_us;
         }
         let since = at.saturating_duration_since(*self.first.get_or_insert(at));
         let step = target_us.wrapping_sub(std::mem::replace(&mut self.last_us, target_us));
-        // A step back of the counter looks like more than half its range.
+        // A step back looks like more than half the range.
         self.target_us += if step > u32::MAX / 2 { 0 } else { u64::from(step) };
         let period_us = period.seconds() * 1e6;
         let number = (self.target_us as f64 / period_us).round();
@@ -73,7 +69,6 @@ mod tests {
             ticks.record(at, 0xFFFF_0000_u32.wrapping_add(target), PERIOD).0.as_micros()
         };
         assert_eq!(tick(0, 0), 0);
-        // The target counts whole microseconds.
         assert!((299..=301).contains(&tick(1, 300)));
         assert!(tick(2, 0) <= 1);
         for number in 3..5_000 {

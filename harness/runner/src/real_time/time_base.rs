@@ -4,18 +4,16 @@ use platebench_plate::Time;
 use platebench_wire::Configure;
 use std::time::Duration;
 
-/// Whose timer sets the control instants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Pacing {
-    /// The bench's: its sample triggers a control step.
+    /// The bench's sample triggers a control step.
     #[default]
     Bench,
-    /// The target's: its tick requests a sample.
+    /// The target's tick requests a sample.
     Target,
 }
 
 impl Pacing {
-    /// The name in records.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Bench => "bench",
@@ -24,27 +22,23 @@ impl Pacing {
     }
 }
 
-/// The relation of plate time to wall time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeBase {
     /// Plate seconds per wall second, above 0.
     pub time_scale: f64,
-    /// Whose timer sets the control instants.
     pub pacing: Pacing,
 }
 
 impl TimeBase {
-    /// The wall time of a plate time.
     pub fn wall_duration(&self, span: Time) -> Duration {
         Duration::from_nanos((span.as_nanos() as f64 / self.time_scale).round() as u64)
     }
 
-    /// The plate time of a wall time.
     pub fn plate_time(&self, span: Duration) -> Time {
         Time::from_nanos((span.as_nanos() as f64 * self.time_scale).round() as u64)
     }
 
-    /// Adds pacing and watchdog, both on the wall clock, to a configuration.
+    /// Both pacing and watchdog run on the wall clock.
     pub(super) fn with_target_timing(&self, configure: Configure) -> Configure {
         let period = Duration::from_micros(u64::from(configure.period_us)).as_secs_f64();
         // 0 leaves the controller's default of five periods.
@@ -66,7 +60,6 @@ mod tests {
         assert_eq!(base(1.0).wall_duration(period), Duration::from_millis(1));
         assert_eq!(base(0.1).wall_duration(period), Duration::from_millis(10));
         assert_eq!(base(0.1).plate_time(Duration::from_millis(10)), period);
-        // Three hours, to the nanosecond.
         let long = Time::from_nanos(3 * 3_600_000_000_000 + 1);
         assert_eq!(base(1.0).plate_time(base(1.0).wall_duration(long)), long);
     }

@@ -56,7 +56,7 @@ fn record(build: &str, second: u32, scenarios: Vec<ScenarioRecord>) -> RunRecord
     }
 }
 
-/// Runs in one folder; the last is the present one.
+/// The last run is the present one.
 struct RunsFolder(TempDir);
 
 impl RunsFolder {
@@ -139,7 +139,6 @@ fn ignores_other_firmware_rigs_and_damaged_records() {
 #[test]
 fn reads_the_twenty_newest_runs() {
     let earlier: Vec<_> = (0..22).map(|second| record("old", second, vec![scenario("dq-pi", "1", &[1e3])])).collect();
-    // Names are in reverse order of time.
     let names: Vec<String> = (0..22).map(|second| format!("run-{}", 99 - second)).collect();
     let named: Vec<_> = names.iter().map(String::as_str).zip(earlier).collect();
     let trends = RunsFolder::new(&named).cost(&record("new", 30, vec![scenario("dq-pi", "1", &[1e3])]));

@@ -18,7 +18,6 @@ fn divergence_time(scenario: &Scenario, law: LawId) -> Option<f64> {
     divergence_time_s(scenario, &result.trace_rows)
 }
 
-/// Fig. 13's step with a loop delay in periods.
 fn scenario_with_delay(periods: f64, duration_ms: f64) -> Scenario {
     let mut scenario = load_scenario(FIG13);
     scenario.controller.loop_delay = Time::from_ms(periods).unwrap();
@@ -26,8 +25,8 @@ fn scenario_with_delay(periods: f64, duration_ms: f64) -> Scenario {
     scenario
 }
 
-/// At the boundary, in periods of 1 ms, the spectral radius of the linear loop is 1. At 1.5 % from
-/// it an oscillation changes by 0.5 to 0.9 % per period, so two seconds decide.
+/// At the boundary the spectral radius is 1. At 1.5 % from it an oscillation changes by at least
+/// 0.5 % per period, so 2 s decide.
 #[test]
 fn a_loop_diverges_just_past_its_stability_limit() {
     for (law, boundary) in [(LawId::DqPiEuler, 0.8302), (LawId::DqPiFixed, 1.6685)] {
@@ -36,7 +35,6 @@ fn a_loop_diverges_just_past_its_stability_limit() {
                 let mut scenario = scenario_with_delay(share * boundary, 2000.0);
                 scenario.controller.response_time_ms = Some(2.0);
                 scenario.controller.start_frequency_hz = start_hz;
-                // Large enough not to limit.
                 scenario.plate.drive_limit_vpp = 1e5;
                 divergence_time(&scenario, law)
             };
@@ -46,7 +44,6 @@ fn a_loop_diverges_just_past_its_stability_limit() {
     }
 }
 
-/// With the drive limit of 900 Vpp an unstable loop ends in a limit cycle.
 #[test]
 fn a_limit_cycle_of_an_unstable_loop_is_a_divergence() {
     for (law, periods) in [
@@ -76,8 +73,7 @@ fn files(folder: &str) -> impl Iterator<Item = String> {
     names.into_iter().map(move |entry| format!("{folder}/{}", entry.file_name().into_string().unwrap()))
 }
 
-/// Every scenario under every law. Only loops beyond their stability limit diverge: that of the
-/// forward-Euler integral is 0.83 periods.
+/// The limit of the forward-Euler integral is 0.83 periods.
 #[test]
 fn scenarios_raise_no_false_alarm_under_any_law() {
     let names = ["paper", "guards", "laws", "faults", "limits"].into_iter().flat_map(files);
@@ -104,8 +100,7 @@ fn scenarios_raise_no_false_alarm_under_any_law() {
     );
 }
 
-/// Noise of 0.4 % to 50 % of the setpoint: at resonance, detuned, under a finger, with a small
-/// delay.
+/// Noise of 0.4 % to 50 % of the setpoint: at resonance, detuned, under a finger, with delay.
 #[test]
 fn noise_raises_no_false_alarm() {
     for law in LawId::ALL {

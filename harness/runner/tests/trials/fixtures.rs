@@ -11,19 +11,16 @@ pub(crate) const FIG13: &str = "paper/fig13-closed-loop.toml";
 pub(crate) const LOCKSTEP: Clock = Clock::Lockstep { wire_time: false };
 pub(crate) const REAL_TIME: Clock = Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench });
 
-/// A plan for one worker.
 pub(crate) fn plan(scenarios: Vec<Scenario>, clock: Clock) -> RunPlan {
     let overrides = Overrides::default();
     RunPlan { scenarios, jobs: 1, clock, own_clock: false, rig: "hosted".to_owned(), overrides }
 }
 
-/// Runs `plan` on the hosted rig into the folder `out`.
 pub(crate) fn run_hosted(plan: &RunPlan, out: &Path) -> RunRecord {
     let folder = RunFolder::create(Some(out)).unwrap();
     run(plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap()
 }
 
-/// The valid packets in `bytes`.
 pub(crate) fn packets(bytes: &[u8]) -> Vec<Packet> {
     PacketReader::new().packets(bytes).flatten().collect()
 }

@@ -6,7 +6,6 @@ use platebench_test_kit::{PLATE, write_scenario};
 const AT_RESONANCE: &str = "";
 const NINE_KELVIN_OFF: &str = "start_frequency_hz = 32220.9";
 
-/// Metrics of a step to 2 µm.
 #[derive(Debug, Clone, Copy)]
 struct Response {
     settling_ms: Option<f64>,
@@ -16,12 +15,12 @@ struct Response {
     frequency_error_hz: f64,
 }
 
-/// Plays 60 ms on the paper's plate. `controller` and `profile` are TOML.
+/// `controller` and `profile` are TOML.
 fn play(law: &str, controller: &str, profile: &str) -> Response {
     play_with_noise(law, controller, profile, 0.0)
 }
 
-/// Like [`play`], with `noise_um` of noise on each component; then the step follows 3 ms of noise.
+/// µm on each component; the step follows 3 ms of noise.
 fn play_with_noise(law: &str, controller: &str, profile: &str, noise_um: f64) -> Response {
     let plate = PLATE.replace("noise_um_rms = 0.0", &format!("noise_um_rms = {noise_um:?}"));
     let expectations =
@@ -65,7 +64,6 @@ fn deadbeat_needs_two_periods_and_800_vpp() {
     }
 }
 
-/// The first drive ends 3 % below the setpoint, within the band.
 #[test]
 fn deadbeat_needs_one_period_without_a_finger() {
     for start in [AT_RESONANCE, NINE_KELVIN_OFF] {
@@ -74,8 +72,7 @@ fn deadbeat_needs_one_period_without_a_finger() {
     }
 }
 
-/// Delays that are not configured. Below about 0.3 periods a start without a finger overshoots;
-/// above, the first sample shows the delay. With a finger the second sample is needed.
+/// Below about 0.3 periods a start overshoots; above, the first sample shows the delay.
 #[test]
 fn deadbeat_identifies_an_unknown_delay() {
     for (delay_ms, settling_ms, overshoot_percent) in
@@ -92,7 +89,7 @@ fn deadbeat_identifies_an_unknown_delay() {
     }
 }
 
-/// Settling times in ms for Fig. 13, 14 and 16 with a configured delay, which both laws predict.
+/// Settling times in ms for Fig. 13, 14 and 16.
 #[test]
 fn a_configured_delay_costs_little_more_than_itself() {
     // The first sample is ignored from 0.75 periods on, by deadbeat from 0.55 on.
@@ -130,7 +127,7 @@ fn a_configured_delay_costs_little_more_than_itself() {
     }
 }
 
-/// With a long delay the effect of the drive on the first sample is smaller than the noise.
+/// A long delay makes the effect of the drive smaller than the noise.
 #[test]
 fn noise_in_the_first_sample_is_not_identified_as_a_mode() {
     for (law, delay_ms, overshoot_percent, settling_ms) in
@@ -145,9 +142,7 @@ fn noise_in_the_first_sample_is_not_identified_as_a_mode() {
     }
 }
 
-/// With 0.5 ms configured `dq-pi` settles up to a delay of 1.85 ms, without up to 1 ms. Limit
-/// cycles
-/// of the gain schedule make the limit uncertain by about a tenth of a period.
+/// Limit cycles of the gain schedule blur the limit by about a tenth of a period.
 #[test]
 fn a_configured_delay_shifts_the_stability_limit() {
     let settles = |configured: f64, delay: f64| {
@@ -220,7 +215,7 @@ fn the_pll_holds_the_resonance_but_not_the_amplitude() {
     assert!(finger.frequency_error_hz < 0.01 && (finger.static_error_percent - 50.0).abs() < 0.1, "{finger:?}");
 }
 
-/// Table I varies by 5 %. The law assumes N/m, so another gain costs one or two periods.
+/// Table I varies by 5 %; the law assumes N/m, so another gain costs one or two periods.
 #[test]
 fn deadbeat_tolerates_the_spread_of_table_1() {
     let spread = "[trials]\ncount = 20\nseed = 7\n[trials.spread]\ngain_percent = 5.0\ntime_constant_percent = 5.0";

@@ -1,5 +1,4 @@
-//! Checks that a reader of live rows does not change a run, and that it sees the rows of the
-//! record.
+//! Checks that a reader of live rows does not change a run and sees the record's rows.
 
 use crate::fixtures::{LOCKSTEP, plan};
 use platebench_record::{RunFolder, RunRecord};
@@ -21,7 +20,6 @@ fn plan_of(names: &[&str], trials: u32, clock: Clock) -> RunPlan {
     plan(scenarios, clock)
 }
 
-/// Runs `plan` and returns its record and every trace, in the record's order.
 fn run_with_tap(plan: &RunPlan, tap: &LiveTap) -> (RunRecord, Vec<Vec<u8>>) {
     let out = tempfile::tempdir().unwrap();
     let folder = RunFolder::create(Some(&out.path().join("run"))).unwrap();

@@ -6,7 +6,7 @@ use std::fs;
 
 const LOCKIN: &str = "[sensor]\ndemodulator_periods = 8\nconverter_hz = 1e6";
 
-/// Wd and the controller's sample of it at each control instant of 10 ms.
+/// Wd and the controller's sample of it, per control instant.
 fn play(model: &str, sensor: &str) -> Vec<[f64; 2]> {
     assert!(PLATE.contains("[sensor]"));
     let text = format!(

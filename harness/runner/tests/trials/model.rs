@@ -15,7 +15,6 @@ fn rows(scenario: &Scenario, tier: Tier) -> Vec<Row> {
     trial::play_hosted(&scenario, law(&scenario).unwrap(), 0).unwrap().trace_rows
 }
 
-/// The largest |ΔW|/setpoint over the common instants, and their number.
 fn max_deviation(left: &[Row], right: &[Row]) -> (f64, usize) {
     let common = left.iter().filter_map(|row| Some((row, right.iter().find(|other| other.t_s == row.t_s)?)));
     common.fold((0.0, 0), |(worst, count), (a, b)| {
@@ -40,7 +39,6 @@ fn every_model_has_a_row_at_every_control_instant() {
 const STEP: &str = "title = \"step\"\nplate = \"plate.toml\"\nduration_ms = 30.0\n[controller]\nlaw = \"open-loop\"\n\
     [profile]\nsetpoint_um = 2.0\n[[expect]]\nmetric = \"final_amplitude_um\"\nwithin = [1.8, 2.2]\n";
 
-/// Plays [`STEP`] with `--model`.
 fn run_step(folder: &Path, model: Option<&str>) -> RunRecord {
     let mut scenario = write_scenario(folder, STEP, PLATE);
     let overrides = Overrides { model: model.map(ToOwned::to_owned), ..Overrides::default() };

@@ -1,5 +1,4 @@
-//! Tests a controller whose drive is NaN or infinite: 0 V, a reason, and finite numbers in all
-//! files.
+//! Tests a drive that is NaN or infinite: 0 V, a reason, and finite numbers in all files.
 
 use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
 use platebench_record::{Cause, Exclusion, NonFiniteDrive, RunFolder, RunRecord, ScenarioRecord, TrialReason, Verdict};
@@ -12,7 +11,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// Replaces the drive from a control instant on, except in the confirmation of 0 V.
+/// Replaces the drive, except in the confirmation of 0 V.
 struct FixedDriveLink {
     inner: HostedLink,
     drive_vpp: f32,
@@ -44,7 +43,6 @@ impl Link for FixedDriveLink {
     }
 }
 
-/// Asserts that no file of the run holds a NaN or an infinity.
 fn assert_finite_numbers(folder: &Path) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -65,7 +63,6 @@ fn run_with_drive(drive: f32) -> RunRecord {
     live
 }
 
-/// The record of a run over a [`FixedDriveLink`], and its scenarios judged again.
 fn run_and_rejudge(scenario: Scenario, drive_vpp: f32, from_ms: u64) -> (RunRecord, Vec<ScenarioRecord>) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
@@ -84,7 +81,6 @@ fn a_non_finite_drive_is_the_reason_of_the_failure() {
     for drive in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let record = run_with_drive(drive);
         let trial = &record.scenarios[0].trials[0];
-        // Every millisecond from 10 to 59 ms.
         assert_eq!(trial.telemetry.not_finite, Some(NonFiniteDrive { at_s: 0.01, count: 50 }), "{drive}");
         assert_eq!(trial.diverged_at_s, Some(0.01));
         assert_eq!(record.verdict, Verdict::Fail);
@@ -110,7 +106,7 @@ fn a_drive_beyond_the_amplifier_is_no_divergence() {
     }
 }
 
-/// The plate rests only because the bench applied 0 V instead of NaN.
+/// Only the bench's 0 V let the plate rest.
 #[test]
 fn a_stop_with_a_non_finite_drive_fails() {
     // The controller stops at 41 ms.
@@ -118,8 +114,7 @@ fn a_stop_with_a_non_finite_drive_fails() {
     assert_eq!([verdict(0.0), verdict(f32::NAN)], [Verdict::Pass, Verdict::Fail]);
 }
 
-/// No plate file is that extreme. The trace ends at the last finite state; the trial does not
-/// count.
+/// The trace ends at the last finite state.
 #[test]
 fn a_plate_that_overflows_excludes_the_trial() {
     let mut scenario = load_scenario(FIG13);

@@ -11,7 +11,6 @@ use std::time::{Duration, Instant};
 
 const SAMPLES_BEFORE_FAILURE: u32 = 20;
 
-/// After [`SAMPLES_BEFORE_FAILURE`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum BoardFailure {
     Restart,
@@ -74,7 +73,6 @@ impl RealTimeLine for FailingBoard {
     }
 }
 
-/// Runs two trials. The first board fails; the board of the next connection has the second number.
 fn run_on_boards(clock: Clock, failure: BoardFailure, numbers: [u8; 2]) -> (Result<RunRecord, RunError>, RunRecord) {
     let mut scenario = load_scenario(FIG13);
     (scenario.trials.count, scenario.trials.max_count) = (2, 2);

@@ -1,5 +1,4 @@
-//! Checks that a failed trial ends with a request for 0 V, and that the record has the
-//! confirmation.
+//! Checks that a failed trial ends with a request for 0 V and a recorded confirmation.
 
 use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
 use platebench_record::{RunFolder, RunRecord};
@@ -10,7 +9,6 @@ use platebench_wire::{ControllerState, Message};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Failure of the link after twenty samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum InjectedFailure {
     PanicOnSend,
@@ -19,9 +17,9 @@ enum InjectedFailure {
     LostOnSend,
     LostOnReceive,
     LostOnExchange,
-    /// `LostOnSend`, and every later exchange fails.
+    /// Every later exchange fails, too.
     LostPermanently,
-    /// `PanicOnSend`, and the request for 0 V panics too.
+    /// The request for 0 V panics, too.
     PanicPermanently,
 }
 
@@ -34,7 +32,6 @@ enum LinkEvent {
 
 type EventLog = Arc<Mutex<Vec<LinkEvent>>>;
 
-/// A hosted controller on a link that fails.
 struct FailingLink {
     inner: BoxedLink,
     failure: InjectedFailure,
@@ -142,7 +139,6 @@ impl RealTimeLine for FailingLink {
     }
 }
 
-/// Runs one trial with a failure. Returns the result, the stored record and the events of the link.
 fn run_with_failure(failure: InjectedFailure) -> (Result<RunRecord, RunError>, RunRecord, Vec<LinkEvent>) {
     let folder = tempfile::tempdir().unwrap();
     let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
@@ -163,7 +159,6 @@ fn run_with_failure(failure: InjectedFailure) -> (Result<RunRecord, RunError>, R
     (result, record, events)
 }
 
-/// The controller drove the plate, the link failed, and only confirmations of 0 V followed.
 #[track_caller]
 fn assert_ends_at_zero_drive(events: &[LinkEvent]) {
     let failure = events.iter().position(|event| *event == LinkEvent::Failure).expect("a failure");

@@ -11,7 +11,7 @@ use platebench_wire::PacketReader;
 use std::path::Path;
 use std::thread;
 
-/// The target's own allocations are not the bench's.
+/// Does not count the target's allocations.
 struct UncountedLink(HostedLink);
 
 impl Link for UncountedLink {
@@ -37,8 +37,7 @@ fn scenario(name: &str) -> Scenario {
     load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
 }
 
-/// Allocations of the loop's thread between the first and the last control instant with a live view, and the number
-/// of periods.
+/// Counts from the first to the last control instant; returns the number of periods, too.
 fn count_allocations<L: Link>(
     scenario: &Scenario,
     session: &mut Session<FaultInjector<L>>,
@@ -87,7 +86,6 @@ fn the_loop_allocates_nothing_in_process() {
     }
 }
 
-/// Plays the board until the line hangs up.
 fn run_controller(mut port: SerialLink) {
     let start = Instant::now();
     let mut device = HostedLink::new();
@@ -124,7 +122,6 @@ fn the_loop_allocates_nothing_over_a_terminal() {
     board.join().unwrap();
 }
 
-/// Answers every sample but the one at the last control instant.
 struct SilentAtLastSample {
     inner: HostedLink,
     last_us: u32,
@@ -153,7 +150,6 @@ impl Link for SilentAtLastSample {
     }
 }
 
-/// No further control instant would notice.
 #[test]
 fn a_last_sample_without_an_answer_is_a_missing_answer() {
     let scenario = scenario("paper/fig13-closed-loop.toml");
@@ -165,6 +161,6 @@ fn a_last_sample_without_an_answer_is_a_missing_answer() {
     let last = played.trace_rows.last().unwrap();
     assert!(last.flags.contains(Flags::LINK_LOST) && played.link_error.is_none(), "{last:?}");
     let timing = played.telemetry.timing.unwrap();
-    // A computer that stalls may have skipped it; then its instant is an overrun.
+    // A host that stalls may skip it; then its instant is an overrun.
     assert!(timing.missed_replies > 0 || timing.skipped > 0, "{timing:?}");
 }
