@@ -4,6 +4,5 @@ pub(crate) const MAX_PERIOD_MS: f64 = 1_000.0;
 pub(crate) const MAX_DELAY_PERIODS: u64 = 100;
 pub(crate) const MAX_TRIALS: i64 = 100_000;
 pub(crate) const MAX_SPREAD_PERCENT: f64 = 20.0;
-/// A higher quality factor is a mistyped unit: the plate would ring for hours, and far above it
-/// rounding loses the damping.
+/// A higher one is a mistyped unit, and far above it rounding loses the damping.
 pub(crate) const MAX_QUALITY: f64 = 1e9;

@@ -6,7 +6,6 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 
-/// Terms of serde and of TOML files.
 const SERDE_WORDS: [(&str, &str); 6] = [
     ("unknown field", "unknown key"),
     ("missing field", "missing key"),
@@ -16,37 +15,30 @@ const SERDE_WORDS: [(&str, &str); 6] = [
     ("a sequence", "a list"),
 ];
 
-/// An error of an input file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
-    /// The file.
     pub path: PathBuf,
-    /// Its text; empty if it could not be read.
+    /// Empty if unreadable.
     source: String,
-    /// The wrong bytes of the text.
     span: Range<usize>,
-    /// What is wrong and what was expected.
     pub message: String,
 }
 
 impl Diagnostic {
-    /// An error of a file as a whole, such as a missing file.
     pub fn for_file(path: &Path, message: impl Into<String>) -> Self {
         Self { path: path.to_owned(), source: String::new(), span: 0..0, message: message.into() }
     }
 
-    /// An error at a byte range of `source`.
     pub fn at_span(path: &Path, source: &str, span: Range<usize>, message: impl Into<String>) -> Self {
         Self { path: path.to_owned(), source: source.to_owned(), span, message: message.into() }
     }
 
-    /// An error of the value at a dotted `key` of a TOML document, with array elements by number:
-    /// `expect.0.metric`. Points at the nearest parent if the key is missing.
+    /// `key` is dotted, with array elements by number: `expect.0.metric`. Points at the nearest
+    /// parent if the key is missing.
     pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
         Self::at_span(path, source, span_of_key(source, key), message)
     }
 
-    /// An error of the TOML parser, in terms of TOML, with a suggestion for an unknown key.
     pub fn from_toml(path: &Path, source: &str, error: &toml::de::Error) -> Self {
         let span = error.span().unwrap_or(0..0);
         let mut message = error.message().trim().to_owned();
@@ -62,7 +54,7 @@ impl Diagnostic {
         Self::at_span(path, source, span, format!("{message}{hint}"))
     }
 
-    /// Line and column, counted from 1, columns in characters.
+    /// Both counted from 1, columns in characters.
     pub fn position(&self) -> (usize, usize) {
         let before = self.source.get(..self.span.start).unwrap_or_default();
         let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
@@ -70,7 +62,6 @@ impl Diagnostic {
         (before.matches('\n').count() + 1, column)
     }
 
-    /// The error with its marked line.
     pub fn render(&self, colour: bool) -> String {
         let path = self.path.display().to_string();
         if self.source.is_empty() {
@@ -99,8 +90,7 @@ impl fmt::Display for Diagnostic {
 
 impl std::error::Error for Diagnostic {}
 
-/// `; did you mean …?` if one of `known` is similar to `name`, or the same quantity in another
-/// unit.
+/// `; did you mean …?` for a similar name, or the same quantity in another unit.
 pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     const CLOSE: f64 = 0.85;
     let known: Vec<_> = known.into_iter().collect();
@@ -121,9 +111,7 @@ pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> S
     }
 }
 
-/// Units at the end of keys.
 const UNITS: [&str; 9] = ["ms", "us", "um", "hz", "k", "c", "n", "vpp", "percent"];
-/// Units at the end of misspelt keys.
 const FOREIGN_UNITS: [&str; 24] = [
     "s", "sec", "seconds", "min", "ns", "m", "mm", "nm", "micron", "khz", "mhz", "rad", "mn", "newton", "v", "mv",
     "volt", "volts", "kelvin", "celsius", "degc", "pct", "ratio", "rms",

@@ -50,7 +50,6 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// Every metric.
     pub const ALL: [Self; 19] = [
         Self::SettlingTime,
         Self::StaticError,
@@ -73,7 +72,6 @@ impl Metric {
         Self::RestDrive,
     ];
 
-    /// The metric's name in scenario files and records, with its unit.
     pub const fn name(self) -> &'static str {
         match self {
             Self::SettlingTime => "settling_time_ms",
@@ -98,12 +96,10 @@ impl Metric {
         }
     }
 
-    /// The metric of that name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|metric| metric.name() == name)
     }
 
-    /// Smallest and largest possible value.
     pub const fn value_range(self) -> (f64, f64) {
         match self {
             Self::Saturated => (0.0, 100.0),
@@ -111,7 +107,6 @@ impl Metric {
         }
     }
 
-    /// True if a band around the setpoint is part of the definition.
     pub const fn has_band(self) -> bool {
         matches!(self, Self::SettlingTime | Self::RecoveryTime | Self::PeakDeviation)
     }
@@ -126,12 +121,10 @@ impl Metric {
         !matches!(self, Self::LoopDelay | Self::InstructionsPerStep)
     }
 
-    /// True if the response to a setpoint step is measured.
     pub const fn is_step_response(self) -> bool {
         matches!(self, Self::SettlingTime | Self::Overshoot)
     }
 
-    /// True if the value is relative to the setpoint, which must then not be 0.
     pub const fn is_relative_to_setpoint(self) -> bool {
         self.has_band() || matches!(self, Self::StaticError | Self::Repeatability | Self::RipplePercent)
     }
@@ -157,7 +150,6 @@ impl Metric {
         )
     }
 
-    /// True if the signal can be chosen.
     pub const fn has_signal(self) -> bool {
         self.has_band() || self.has_window() || matches!(self, Self::Overshoot)
     }
@@ -236,10 +228,8 @@ pub enum Aggregation {
 }
 
 impl Aggregation {
-    /// Names in scenario files.
     pub const NAMES: [&str; 3] = ["each", "mean", "quantile"];
 
-    /// The default of a metric.
     pub const fn default_for(metric: Metric) -> Self {
         match metric {
             Metric::Repeatability => Self::StandardDeviation,
@@ -249,54 +239,42 @@ impl Aggregation {
     }
 }
 
-/// One expectation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Expectation {
     /// Unique in the scenario: the key `name`, else the metric, `metric 2`, `metric 3`.
     pub name: String,
-    /// The measured quantity.
     pub metric: Metric,
-    /// The required range.
     pub limit: Limit,
     /// Tolerance of [`Limit::About`], percent of the value; not used for [`Metric::Repeatability`].
     pub tolerance_percent: f64,
-    /// The paper's value.
     pub paper: Option<f64>,
-    /// Identifier of a requirement.
     pub requirement: Option<String>,
-    /// Confidence at which a verdict over trials is made.
     pub confidence: f64,
-    /// The statistic over trials.
     pub aggregation: Aggregation,
-    /// Half width of the band around the setpoint, percent.
+    /// Half width around the setpoint.
     pub band_percent: f64,
-    /// The judged windows, at least one, in rising order; the worst decides. Of a mean: the
-    /// intervals of the mean.
+    /// At least one, in rising order; the worst decides. Of a mean: the intervals of the mean.
     pub windows: Vec<Window>,
     /// The profile whose changes start the windows, if the key `after` is given.
     pub after: Option<ChangingProfile>,
-    /// The key `from_ms`, if given.
     pub from: Option<Time>,
-    /// Name of the judged column.
     pub signal: &'static str,
 }
 
-/// Columns that can be judged: those that follow the setpoint.
+/// Those that follow the setpoint.
 pub const SIGNALS: [&str; 5] = ["amplitude_um", "wd_um", "wq_um", "sensed_wd_um", "sensed_wq_um"];
 
 impl Expectation {
-    /// The smallest and the largest value that meet the limit.
     pub fn range(&self) -> (f64, f64) {
         self.limit.range(self.tolerance_percent)
     }
 
-    /// True if `value` meets the limit.
     pub fn holds(&self, value: f64) -> bool {
         let (low, high) = self.range();
         (low..=high).contains(&value)
     }
 
-    /// The edges of the band around `setpoint`, both inclusive.
+    /// Both edges are inclusive.
     pub fn band(&self, setpoint: f64) -> (f64, f64) {
         let half = setpoint.abs() * self.band_percent / 100.0;
         (setpoint - half, setpoint + half)

@@ -1,64 +1,50 @@
-//! Defines planned faults of line and sensor. `docs/scenarios.md` describes their effects;
-//! `platebench-rig` applies them.
+//! Defines planned faults of line and sensor (`docs/scenarios.md`); `platebench-rig` applies them.
 
 use platebench_plate::Time;
 
-/// The effect of a fault.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FaultKind {
-    /// The message is lost.
     Drop,
-    /// One of its bits is flipped.
     Flip,
-    /// The message is doubled.
     Duplicate,
-    /// The message is delayed.
     Delay(Time),
     /// The second half is lost, including the delimiter.
     Truncate,
     /// Noise of four frames precedes the message.
     Babble,
-    /// Every message is lost.
     Disconnect,
     /// The sensor keeps its reading from before the window.
     Freeze,
-    /// The sensor's reading is multiplied.
     Scale(f64),
 }
 
 impl FaultKind {
-    /// Every kind by its name in scenario files.
     pub const NAMES: [&'static str; 9] =
         ["drop", "flip", "duplicate", "delay", "truncate", "babble", "disconnect", "freeze", "scale"];
 
-    /// True if it acts on the sensor instead of the line.
     pub const fn affects_sensor(self) -> bool {
         matches!(self, Self::Freeze | Self::Scale(_))
     }
 
-    /// True if its effect is random.
     pub const fn is_random(self) -> bool {
         matches!(self, Self::Flip | Self::Babble)
     }
 }
 
-/// Direction of the messages that a fault acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Direction {
     /// Samples.
     ToController,
     /// Commands.
     FromController,
-    /// Samples and commands, counted separately.
+    /// Counted separately.
     #[default]
     Both,
 }
 
 impl Direction {
-    /// Every direction.
     pub const ALL: [Self; 3] = [Self::ToController, Self::FromController, Self::Both];
 
-    /// The direction's name in scenario files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::ToController => "to-controller",
@@ -68,35 +54,29 @@ impl Direction {
     }
 }
 
-/// One fault with its window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fault {
-    /// Its effect.
     pub kind: FaultKind,
-    /// Start of the window.
     pub from: Time,
-    /// End of the window, exclusive; `None` for a line that stays dead.
+    /// Exclusive; `None` for a line that stays dead.
     pub until: Option<Time>,
-    /// The messages that it acts on.
     pub direction: Direction,
     /// The n-th, 2n-th, … message of a direction in the window.
     pub every: u32,
-    /// Seed of random effects; `None` for the trial's.
+    /// `None` for the trial's.
     pub seed: Option<u64>,
-    /// True if a controller that stopped because of it is configured again after the window.
+    /// Configures a controller that stopped because of it again after the window.
     pub reconfigure: bool,
 }
 
 impl Fault {
-    /// True within the window.
     pub fn is_active_at(&self, time: Time) -> bool {
         self.from <= time && self.until.is_none_or(|until| time < until)
     }
 
-    /// True if the fault can cause a missing answer or a stop at `time`: in the window, for one
-    /// period after it, and while delayed messages arrive. One period, because a frame without a
-    /// delimiter destroys the next one, and a stop is reported then. A line that stays dead
-    /// explains nothing: its controller is lost.
+    /// True if the fault can cause a missing answer or a stop: in the window, one period after it
+    /// (a frame without a delimiter destroys the next one), and while delayed messages arrive. A
+    /// line that stays dead explains nothing: its controller is lost.
     pub fn can_explain(&self, time: Time, period: Time) -> bool {
         let delay = match self.kind {
             FaultKind::Delay(delay) => delay,
@@ -105,8 +85,7 @@ impl Fault {
         self.until.is_some_and(|until| self.from <= time && time < until + period + delay)
     }
 
-    /// True if the fault can cause a missing answer at `time`: [`Self::can_explain`], and it loses
-    /// messages or delays them by a period.
+    /// Like [`Self::can_explain`], and the fault loses messages or delays them by a period.
     pub fn can_explain_silence(&self, time: Time, period: Time) -> bool {
         let loses = match self.kind {
             FaultKind::Drop | FaultKind::Flip | FaultKind::Truncate | FaultKind::Disconnect => true,
@@ -116,7 +95,6 @@ impl Fault {
         loses && self.can_explain(time, period)
     }
 
-    /// True if the controller gets no sample for at least `timeout`.
     pub fn exceeds_watchdog(&self, timeout: Time, period: Time) -> bool {
         let silent = match self.kind {
             FaultKind::Delay(delay) => Some(delay),

@@ -4,25 +4,18 @@ use platebench_plate::input;
 use std::path::Path;
 use toml::de::DeTable;
 
-/// Name of the settings file.
 pub const SETTINGS_FILE: &str = "platebench.toml";
 
-/// The kind of a file, from its name and its keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum FileKind {
-    /// A scenario, or a file without a key that decides.
     Scenario,
-    /// A plate.
     Plate,
-    /// An acceptance plan.
     Plan,
-    /// The settings.
     Config,
 }
 
 impl FileKind {
-    /// The kind of the file at `path`; a file that cannot be read counts as a scenario, whose reader
-    /// reports the error.
+    /// A file that cannot be read counts as a scenario, whose reader reports the error.
     pub fn detect(path: &Path) -> Self {
         if path.file_name().is_some_and(|name| name == SETTINGS_FILE) {
             return Self::Config;
@@ -41,7 +34,6 @@ impl FileKind {
         }
     }
 
-    /// Its name in messages.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Scenario => "scenario",

@@ -9,37 +9,28 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folders that are searched only if they are named: they contain other files, or scenarios that
-/// record a plate for `identify`.
+/// Searched only if named; `identify` has scenarios that record a plate.
 const NON_SCENARIO_FOLDERS: [&str; 4] = ["plates", "baselines", "plans", "identify"];
-/// Folders with generated files.
 const GENERATED_FOLDERS: [&str; 1] = ["baselines"];
-/// Content of a run folder; the scenarios in `inputs` are copies.
+/// A run folder has these entries; the scenarios in `inputs` are copies.
 const RUN_RECORD: &str = "run.json";
 const RUN_TRACES: &str = "traces";
 const RUN_INPUTS: &str = "inputs";
 /// The name of a scenario is its path below a folder of this name.
 const SCENARIOS_FOLDER: &str = "scenarios";
 
-/// Result of a search.
 #[derive(Debug)]
 pub struct FoundScenarios {
-    /// The scenarios, by name.
     pub scenarios: Vec<Scenario>,
-    /// Scenarios of known limits that were skipped, because neither they nor their folder were
-    /// named.
     pub skipped: Vec<String>,
-    /// Named folders without a scenario file.
     pub empty_folders: Vec<PathBuf>,
-    /// Folders of copies in run folders, which are not searched.
+    /// Folders in run folders, which are not searched.
     pub copies: Vec<PathBuf>,
 }
 
-/// Searches folders for TOML files.
 struct Search<'a> {
-    /// Names of folders that are not searched.
     excluded: &'a [&'a str],
-    /// Canonical folders that were searched; a link may lead back to one.
+    /// Canonical; a link may lead back to a folder.
     visited: BTreeSet<PathBuf>,
     copies: BTreeSet<PathBuf>,
     faults: Vec<Diagnostic>,
@@ -51,17 +42,10 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Loads the named scenarios and all scenarios below the named folders. Plates, plans and settings
-/// next to them are not scenarios.
-///
-/// A scenario with `expected_exit` is not meant to pass; it is loaded only if it or its own folder
-/// is named.
-///
-/// # Errors
-/// Every [`Diagnostic`] of every file.
+/// Loads the named scenarios and those below the named folders. One with `expected_exit` is not
+/// meant to pass: it is loaded only if it or its own folder is named.
 pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     let mut search = Search::new(&NON_SCENARIO_FOLDERS);
-    // By canonical path, so that a file is loaded once.
     let mut files: BTreeMap<PathBuf, (PathBuf, String, bool)> = BTreeMap::new();
     let mut empty = Vec::new();
     for argument in arguments {
@@ -102,8 +86,8 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     if faults.is_empty() { Ok(found) } else { Err(faults) }
 }
 
-/// Every named TOML file and every TOML file below a named folder, with its name in records, except
-/// baselines and the inputs of run folders; and the errors of folders that cannot be read.
+/// Named TOML files and those below named folders, with names in records, without baselines and
+/// inputs of run folders; and the errors of unreadable folders.
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
     let mut search = Search::new(&GENERATED_FOLDERS);
     let mut files = BTreeMap::new();
@@ -144,7 +128,6 @@ impl Search<'_> {
                     files.extend(self.files_below(&path));
                 }
             } else if name.starts_with('.') {
-                // Temporary files of editors.
             } else if path.is_symlink() && !path.exists() {
                 let message = "a broken symbolic link, expected a file";
                 self.faults.push(Diagnostic::for_file(&path, message));
@@ -156,8 +139,7 @@ impl Search<'_> {
     }
 }
 
-/// True if the folder has traces and a record that parses. Any other `run.json` must not hide
-/// scenarios.
+/// Any other `run.json` must not hide scenarios.
 fn is_run_folder(folder: &Path) -> bool {
     let parses = |text: Vec<u8>| {
         serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|record| record.get("scenarios").is_some())
@@ -165,8 +147,7 @@ fn is_run_folder(folder: &Path) -> bool {
     folder.join(RUN_TRACES).is_dir() && input::read(&folder.join(RUN_RECORD)).is_ok_and(parses)
 }
 
-/// The name of a scenario in records: its path below the nearest folder `scenarios`, else below the
-/// named folder, else its file name.
+/// Path below the nearest folder `scenarios`, else below the named folder, else the file name.
 fn record_name(path: &Path, argument: &Path) -> String {
     let components: Vec<_> = path.components().map(|component| component.as_os_str().to_string_lossy()).collect();
     let folders = components.len().saturating_sub(1);

@@ -1,15 +1,4 @@
 //! Reads and checks scenario files.
-//!
-//! * [`raw`]: the file as serde reads it, with every key.
-//! * [`mod@load`]: raw to [`Scenario`], which is always valid.
-//! * [`mod@schema`]: JSON Schemas for editors.
-//! * [`diagnostic`]: an error with its position in a file.
-//! * [`expect`]: metrics, limits, expectations.
-//! * [`fault`]: planned faults of line and sensor.
-//! * [`variation`]: the plate and sensor of a trial.
-//! * [`mod@find`]: searches for scenario files.
-//!
-//! `platebench-runner` runs scenarios, and `platebench-verdict` judges them.
 
 mod bounds;
 pub mod diagnostic;

@@ -20,29 +20,18 @@ use checker::{Checker, Diagnostics};
 use std::path::{Path, PathBuf};
 use text::read_text;
 
-/// Reads and checks the scenario at `path`; records call it `file`.
-///
-/// # Errors
-/// The first [`Diagnostic`] of the scenario, its plate or one of its profile files.
+/// Records call the scenario at `path` `file`. Returns the first error of its files.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
     load_with_diagnostics(path, file).map_err(|faults| first_diagnostic(path, faults))
 }
 
-/// Like [`load()`], with every error: of a text that cannot be parsed each wrong key, else each
-/// wrong value that does not depend on another wrong one, and the first of each `[[fault]]` and
-/// each `[[expect]]`.
-///
-/// # Errors
-/// At least one [`Diagnostic`].
+/// Like [`load()`], with every error that does not depend on another one, and the first of each
+/// `[[fault]]` and `[[expect]]`.
 pub fn load_with_diagnostics(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
     load_from(path, file, &[])
 }
 
-/// Reads and checks the scenario whose inputs were copied to `copies`, in the order of
-/// [`Scenario::inputs`].
-///
-/// # Errors
-/// As for [`load()`].
+/// Loads a scenario from copies of its inputs, in the order of [`Scenario::inputs`].
 pub fn load_copies(copies: &[PathBuf], file: &str) -> Result<Scenario, Diagnostic> {
     let [path, named @ ..] = copies else { return Err(Diagnostic::for_file(Path::new(file), "has no copy")) };
     load_from(path, file, named).map_err(|faults| first_diagnostic(path, faults))
@@ -52,7 +41,6 @@ fn first_diagnostic(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {
     faults.into_iter().next().unwrap_or_else(|| Diagnostic::for_file(path, "rejected without a reason"))
 }
 
-/// Replaces the files that the scenario names by `copies`, in order.
 fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec<Diagnostic>> {
     let text = read_text(path).map_err(|fault| vec![fault])?;
     let mut raw: RawScenario = parse(path, &text)?;

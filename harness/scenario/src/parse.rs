@@ -7,14 +7,11 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 
-/// Largest number of reported errors. Each one takes another pass over the whole file.
+/// Each reported error takes another pass over the whole file.
 pub(crate) const MAX_DIAGNOSTICS: usize = 50;
 
-/// Reads `text`, the content of the file at `path`.
-///
-/// # Errors
-/// Every syntax error; if there is none, every unknown key and every value of a wrong type in the
-/// order of the file, then every missing key.
+/// Errors: all syntax errors; if none, all unknown keys and wrong types in the order of the file,
+/// then all missing keys.
 pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
     let (document, errors) = DeTable::parse_recoverable(text);
     let mut faults: Vec<_> =
@@ -22,8 +19,7 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
     if !faults.is_empty() {
         return Err(with_truncation_note(path, faults));
     }
-    // serde stops at the first error. It is removed and the rest read again, until nothing is wrong
-    // or removable.
+    // serde stops at the first error: it is removed and the rest read again.
     let mut rest = document;
     let mut holes: Vec<Range<usize>> = Vec::new();
     loop {
@@ -48,7 +44,6 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
     Err(with_truncation_note(path, faults))
 }
 
-/// Adds a note if the list is full.
 pub(crate) fn with_truncation_note(path: &Path, mut faults: Vec<Diagnostic>) -> Vec<Diagnostic> {
     if faults.len() >= MAX_DIAGNOSTICS {
         faults.push(Diagnostic::for_file(path, format!("only the first {MAX_DIAGNOSTICS} errors are listed")));
@@ -56,7 +51,7 @@ pub(crate) fn with_truncation_note(path: &Path, mut faults: Vec<Diagnostic>) -> 
     faults
 }
 
-/// Removes the element at `span` from `table`, whose own span is `own`; true if there was one.
+/// `own` is the span of `table`; true if there was an element at `span`.
 fn remove_span(
     table: &mut DeTable<'_>,
     own: &Range<usize>,

@@ -5,11 +5,10 @@ use crate::scenario::Scenario;
 use crate::window::{ChangingProfile, ProfileChanges, Window};
 use platebench_plate::Time;
 
-/// Times in a message; the rest is counted.
+/// In a message; the rest is counted.
 const MAX_TIMES: usize = 5;
 
-/// Warns of changes of force and temperature that are in no window of an expectation about the
-/// plate.
+/// Changes of force and temperature outside all windows of expectations about the plate.
 pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
     let conditions = &scenario.conditions;
     let changes = ProfileChanges::new(
@@ -46,7 +45,7 @@ pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
     profiles.into_iter().filter_map(warning).collect()
 }
 
-/// The union of the windows of all expectations about the plate, in rising order.
+/// In rising order.
 fn judged_intervals(scenario: &Scenario) -> Vec<Window> {
     let plate = scenario.expectations.iter().filter(|expectation| expectation.metric.is_of_the_plate());
     let mut windows: Vec<Window> = plate.flat_map(|expectation| expectation.windows.iter().copied()).collect();

@@ -6,15 +6,13 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Another stream of the generator than the sensor's noise, so that each can be switched off alone.
+/// Not the stream of the sensor's noise, so that each can be switched off alone.
 const SPREAD_STREAM: u64 = 1;
-/// Largest deviation of a factor from 1; a permitted spread never reaches it.
+/// A permitted spread never reaches this deviation of a factor from 1.
 const MAX_DEVIATION: f64 = 0.9;
 
-/// One trial's plate, sensor and temperature, drawn from its seed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Variation {
-    /// Seed of the trial.
     pub seed: u64,
     /// Factor on K1.
     pub gain: f64,
@@ -22,17 +20,14 @@ pub struct Variation {
     pub time_constant: f64,
     /// Factor on the sensor's readings.
     pub sensor_gain: f64,
-    /// Added to the temperature profile, K.
     pub temperature_k: f64,
 }
 
 impl Variation {
-    /// The variation of trial `index`, counted from 0.
     pub fn of_trial(scenario: &Scenario, index: u32) -> Self {
         Self::draw(&scenario.trials.spread, scenario.trials.seed.wrapping_add(u64::from(index)))
     }
 
-    /// Draws from normal distributions. The same seed gives the same trial.
     pub fn draw(spread: &Spread, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(SPREAD_STREAM);
@@ -47,12 +42,11 @@ impl Variation {
         }
     }
 
-    /// The plate of this trial.
     pub fn plate(&self, nominal: &Plate) -> Plate {
         Plate { gain: nominal.gain * self.gain, sigma0: nominal.sigma0 / self.time_constant, ..nominal.clone() }
     }
 
-    /// The plate of this trial at rest at the start of the scenario.
+    /// At rest at the start of the scenario.
     pub fn plant(&self, scenario: &Scenario) -> Plant {
         let scene = ConditionProfiles {
             temperature_offset_k: shift_profile(&scenario.conditions.temperature_offset_k, self.temperature_k),
@@ -61,7 +55,6 @@ impl Variation {
         Plant::new(self.plate(&scenario.plate), scene, scenario.tier)
     }
 
-    /// The sensor of this trial.
     pub fn sensor(&self, scenario: &Scenario) -> Sensor {
         Sensor::new(self.sensor_gain, scenario.plate.noise_um_rms, self.seed)
     }

@@ -2,12 +2,10 @@
 
 use platebench_plate::{Profile, Time};
 
-/// An interval of a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Window {
-    /// Its start.
     pub from: Time,
-    /// Its end, at most the end of the trial.
+    /// At most the end of the trial.
     pub to: Time,
 }
 
@@ -17,29 +15,23 @@ impl Window {
         self.from <= time && time < self.to
     }
 
-    /// The last third, over which a mean is taken.
+    /// A mean is taken over it.
     #[must_use]
     pub fn last_third(self) -> Self {
         Self { from: self.from + Time::from_nanos((self.to - self.from).as_nanos() / 3 * 2), to: self.to }
     }
 }
 
-/// The profile whose changes start windows: the key `after`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ChangingProfile {
-    /// Setpoint.
     Setpoint,
-    /// Finger force.
     Force,
-    /// Temperature offset.
     Temperature,
 }
 
 impl ChangingProfile {
-    /// Every profile.
     pub const ALL: [Self; 3] = [Self::Setpoint, Self::Force, Self::Temperature];
 
-    /// Its name in scenario files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Setpoint => "setpoint",
@@ -49,19 +41,17 @@ impl ChangingProfile {
     }
 }
 
-/// Start times of all changes of the profiles before the end of a trial, in rising order.
 #[derive(Debug, Clone)]
 pub(crate) struct ProfileChanges {
-    /// Of setpoint, force and temperature.
+    /// Of setpoint, force and temperature, before the end of the trial, in rising order.
     starts: [Vec<Time>; 3],
-    /// Of all of them.
+    /// Of all profiles.
     all: Vec<Time>,
     duration: Time,
 }
 
 impl ProfileChanges {
-    /// The plate starts at rest, so a setpoint above 0 at the start is a change. A force or
-    /// temperature at the start is not.
+    /// The plate starts at rest: an initial setpoint is a change, force or temperature is not.
     pub(crate) fn new(setpoint: &Profile, force: &Profile, temperature: &Profile, duration: Time) -> Self {
         let starts = [(setpoint, true), (force, false), (temperature, false)].map(|(profile, from_rest)| {
             let mut starts = change_starts(profile, from_rest);
@@ -74,7 +64,6 @@ impl ProfileChanges {
         Self { starts, all, duration }
     }
 
-    /// Start times of the changes of `profile`.
     pub(crate) fn starts(&self, profile: ChangingProfile) -> &[Time] {
         let [setpoint, force, temperature] = &self.starts;
         match profile {
@@ -84,8 +73,7 @@ impl ProfileChanges {
         }
     }
 
-    /// A window from each change of `profile` to the next change of any profile or the end of the
-    /// trial.
+    /// From each change of `profile` to the next change of any profile or the end of the trial.
     pub(crate) fn windows(&self, profile: ChangingProfile) -> impl Iterator<Item = Window> + '_ {
         self.starts(profile).iter().map(|&from| {
             let next = self.all.get(self.all.partition_point(|start| *start <= from));
@@ -93,8 +81,7 @@ impl ProfileChanges {
         })
     }
 
-    /// From the last setpoint change at or before `from`, else from the first one, to the next one
-    /// or the end of the trial.
+    /// From the last setpoint change up to `from`, else the first, to the next or the trial's end.
     pub(crate) fn response_window(&self, from: Option<Time>) -> Option<Window> {
         let starts = self.starts(ChangingProfile::Setpoint);
         let passed = from.map_or(0, |from| starts.partition_point(|start| *start <= from));
@@ -104,8 +91,7 @@ impl ProfileChanges {
     }
 }
 
-/// Consecutive segments of a `linear` profile that are not constant are one change, at their first
-/// point; so is a sine.
+/// Connected segments of a `linear` profile that are not constant are one change; so is a sine.
 fn change_starts(profile: &Profile, from_rest: bool) -> Vec<Time> {
     let at_start = from_rest && profile.at(Time::ZERO) != 0.0;
     let mut starts = if at_start { vec![Time::ZERO] } else { Vec::new() };

@@ -7,33 +7,28 @@ use crate::window::ProfileChanges;
 use platebench_plate::{Profile, Time};
 use std::path::Path;
 
-/// The scenario file.
 pub(super) struct Checker<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
 }
 
-/// The parts of a scenario that the windows of expectations depend on.
 pub(super) struct TrialContext<'a> {
     pub(super) duration: Time,
-    /// Longest time from a setpoint change to the actuation that follows it.
+    /// Longest time from a setpoint change to actuation.
     pub(super) response_delay: Time,
     pub(super) setpoint: &'a Profile,
     pub(super) changes: ProfileChanges,
     pub(super) faults: &'a [Fault],
 }
 
-/// Errors so far.
 #[derive(Debug, Default)]
 pub(super) struct Diagnostics(pub(super) Vec<Diagnostic>);
 
 impl Diagnostics {
-    /// The value, or `None` after keeping the error.
     pub(super) fn collect<T>(&mut self, result: Result<T, Diagnostic>) -> Option<T> {
         result.map_err(|error| self.0.push(error)).ok()
     }
 
-    /// The values without an error. Stops at [`MAX_DIAGNOSTICS`].
     pub(super) fn collect_each<T>(&mut self, results: &mut dyn Iterator<Item = Result<T, Diagnostic>>) -> Vec<T> {
         let mut kept = Vec::new();
         while self.0.len() < MAX_DIAGNOSTICS
@@ -74,7 +69,6 @@ impl Checker<'_> {
         }
     }
 
-    /// The element of `all` that is called `name`; `what` names its kind.
     pub(super) fn named<T: Copy, const N: usize>(
         &self,
         key: &str,

@@ -10,8 +10,7 @@ use std::f64::consts::TAU;
 
 const DEFAULT_LAW: &str = "dq-pi";
 const DEFAULT_PERIOD_MS: f64 = 1.0;
-/// The temperature of a day moves the resonance of the paper's plate by 87 Hz; more than twice that
-/// is another mode.
+/// A day's temperature moves the paper's resonance by 87 Hz; twice that is another mode.
 const DEFAULT_FREQUENCY_RANGE_HZ: f64 = 250.0;
 /// Enough to cross the range of a day in one period of 1 ms.
 const DEFAULT_FREQUENCY_SLEW_HZ: f64 = 100.0;

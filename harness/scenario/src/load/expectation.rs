@@ -12,8 +12,7 @@ const DEFAULT_BAND_PERCENT: f64 = 5.0;
 const DEFAULT_TOLERANCE_PERCENT: f64 = 5.0;
 const DEFAULT_QUANTILE: f64 = 0.95;
 
-/// The name of each expectation: its key `name`, else the metric, `metric 2`, `metric 3` in the
-/// order of the file.
+/// The key `name`, else the metric, `metric 2`, `metric 3` in the order of the file.
 pub(super) fn expectation_names(raw: &[RawExpectation]) -> Vec<String> {
     let mut counts = HashMap::<String, usize>::new();
     let name = |expect: &RawExpectation| {
@@ -29,7 +28,6 @@ pub(super) fn expectation_names(raw: &[RawExpectation]) -> Vec<String> {
 }
 
 impl Checker<'_> {
-    /// Rejects two expectations with the same name.
     pub(super) fn check_names(&self, raw: &[RawExpectation], expectations: &[Expectation]) -> Result<(), Diagnostic> {
         let mut known = HashSet::new();
         let twice = expectations.iter().position(|expectation| !known.insert(&expectation.name));

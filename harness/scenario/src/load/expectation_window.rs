@@ -8,14 +8,13 @@ use crate::raw::{RawExpectation, RawWindow};
 use crate::window::{ChangingProfile, Window};
 use platebench_plate::{Profile, Time};
 
-/// End of the interval in which a controller that stops after `from` must stay at 0 V: the end of
-/// the trial, or the next reconfiguration.
+/// How long a controller that stops after `from` must stay at 0 V.
 fn reconfiguration_time(faults: &[Fault], from: Time, duration: Time) -> Time {
     let ends = faults.iter().filter(|fault| fault.reconfigure).filter_map(|fault| fault.until);
     ends.filter(|until| *until > from).fold(duration, Time::min)
 }
 
-/// The parts of `window` in which the setpoint is 0 and the controller has had time to follow it.
+/// The parts in which the setpoint is 0 and the controller had time to follow it.
 fn rest_windows(window: Window, trial: &TrialContext<'_>) -> Vec<Window> {
     let Profile::Hold(points) = trial.setpoint else { return Vec::new() };
     let ends = points.iter().skip(1).map(|point| point.0).chain([trial.duration]);
@@ -28,7 +27,6 @@ fn rest_windows(window: Window, trial: &TrialContext<'_>) -> Vec<Window> {
 }
 
 impl Checker<'_> {
-    /// The judged windows in rising order, and the profile whose changes start them.
     pub(super) fn windows(
         &self,
         key: &impl Fn(&str) -> String,

@@ -100,7 +100,6 @@ impl Checker<'_> {
     }
 }
 
-/// Number of multiples of the period from `from` to before `until`.
 fn count_control_instants(from: Time, until: Time, period: Time) -> u64 {
     let before = |time: Time| time.as_nanos().div_ceil(period.as_nanos());
     before(until) - before(from)

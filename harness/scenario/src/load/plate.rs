@@ -9,10 +9,7 @@ use crate::scenario::InputFile;
 use platebench_plate::{Plate, RawPlate, input};
 use std::path::Path;
 
-/// Reads and checks the plate file at `path`.
-///
-/// # Errors
-/// Every wrong key, else the first wrong value.
+/// Returns every wrong key, else the first wrong value.
 pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
     parse_plate(path, &read_text(path).map_err(|fault| vec![fault])?)
 }
@@ -32,7 +29,6 @@ impl Checker<'_> {
     }
 }
 
-/// Checks the plate file with this text.
 fn parse_plate(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
     let raw: RawPlate = parse(path, text)?;
     let error_at = |key: &str, message: String| vec![Diagnostic::at_key(path, text, key, message)];

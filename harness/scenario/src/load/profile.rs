@@ -1,5 +1,4 @@
-//! Checks profiles, and that the plate has a resonance under all of their values. Points at the
-//! wrong number in the scenario or in its CSV file.
+//! Checks profiles, and that the plate has a resonance under all of their values.
 
 use super::checker::Checker;
 use crate::bounds::MAX_QUALITY;
@@ -15,15 +14,11 @@ use std::path::Path;
 
 const MAX_SETPOINT_UM: f64 = 1_000.0;
 const ABSOLUTE_ZERO_C: f64 = -273.15;
-/// The bound of plate files, under all conditions: the wire carries the excitation frequency in
-/// millihertz.
+/// The wire carries the excitation frequency in millihertz.
 const MAX_RESONANCE_HZ: f64 = 2.5e6;
-/// What messages expect of a resonance.
 const EXPECTED: &str = "expected one of at most 2.5e6 Hz with a quality factor from 0.5 to 1e9";
-/// A draw of a trial is closer than this many standard deviations.
 const SPREAD_SIGMAS: f64 = 5.0;
 
-/// A number of a point.
 #[derive(Clone, Copy)]
 enum PointField {
     Time,
@@ -89,7 +84,6 @@ impl Checker<'_> {
         }
     }
 
-    /// An error of point `index`, counted from 1, in the scenario or the CSV file.
     fn point_error(
         &self,
         folder: &Path,
@@ -117,7 +111,6 @@ impl Checker<'_> {
         Diagnostic::at_key(self.path, self.text, &key, message)
     }
 
-    /// Rejects the first point of `profile` whose value is not good.
     fn require_values(
         &self,
         folder: &Path,
@@ -151,7 +144,6 @@ impl Checker<'_> {
         )
     }
 
-    /// Checks that the plate has a resonance under all conditions of the scenario.
     pub(super) fn check_conditions(
         &self,
         folder: &Path,
@@ -214,7 +206,7 @@ impl Checker<'_> {
     }
 }
 
-/// The record `number`; the header is 0. Comments and empty lines do not count.
+/// The header is 0. Comments and empty lines do not count.
 fn record_span(text: &str, number: u64) -> Range<usize> {
     let mut start = 0;
     let mut counted = 0;
@@ -231,7 +223,7 @@ fn record_span(text: &str, number: u64) -> Range<usize> {
     0..0
 }
 
-/// Field `column` of a line, counted from 0, trimmed.
+/// `column` counts from 0.
 fn field_span(text: &str, line: Range<usize>, column: usize) -> Range<usize> {
     let mut start = line.start;
     for (index, field) in text.get(line.clone()).unwrap_or_default().split(',').enumerate() {
@@ -244,7 +236,6 @@ fn field_span(text: &str, line: Range<usize>, column: usize) -> Range<usize> {
     line
 }
 
-/// A number of point `index`, counted from 1, in a CSV text.
 fn csv_point_span(text: &str, index: usize, part: PointField) -> Range<usize> {
     let header = text.get(record_span(text, 0)).unwrap_or_default();
     let name = match part {

@@ -15,11 +15,9 @@ const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
 const MAX_FINE_TRACE_MS: f64 = 1_000.0;
 /// A trial is held in memory: at most some 250 MB.
 const MAX_ROWS: f64 = 2e6;
-/// Each expectation is measured on every trial.
 const MAX_EXPECTATIONS: usize = 2_000;
 
 impl Checker<'_> {
-    /// `None` if something is wrong, with the reasons in `faults`.
     pub(super) fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Diagnostics) -> Option<Scenario> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         let one_line = !raw.title.trim().is_empty() && !raw.title.contains(char::is_control);
@@ -95,7 +93,6 @@ impl Checker<'_> {
         })
     }
 
-    /// Checks the trial's length against the controller's timing; returns the spacing of rows.
     fn timing(&self, raw: &RawScenario, controller: &Controller, duration: Time) -> Result<Time, Diagnostic> {
         self.require(duration >= controller.period, "duration_ms", || {
             format!("{} ms, expected at least one control period of {}", raw.duration_ms, controller.period)

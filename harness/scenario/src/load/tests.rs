@@ -72,7 +72,6 @@ about = 2.0
 tolerance_percent = 3.0
 "#;
 
-/// Added to the base for the cases of faults.
 const FAULTS: &str = r#"
 [[fault]]
 kind = "flip"
@@ -102,8 +101,7 @@ from_ms = 30.0
 
 const FORCE: &str = "# a finger\nt_ms, value\n20.0, 0.0\n\n  30.0, 1.0\n";
 
-/// A folder with the base scenario after each replacement `(good, bad)`, in the file that contains
-/// `good`.
+/// The base scenario after each replacement `(good, bad)`, in the file that contains `good`.
 fn create_folder(changes: &[(&str, &str)]) -> TempDir {
     let folder = TempDir::new().unwrap();
     std::fs::create_dir(folder.path().join("plates")).unwrap();

@@ -48,7 +48,7 @@ fn every_key_has_a_description() {
     }
 }
 
-/// Plans and settings belong to other crates, which check that the committed schemas are current.
+/// Other crates check that the committed schemas of plans and settings are current.
 fn accepts(schema: &str, text: &str) -> bool {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/schema").join(schema);
     let schema: serde_json::Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();

@@ -4,7 +4,6 @@ use rstest::rstest;
 
 const PLATE: &str = include_str!("../../../../../scenarios/plates/aluminium-198x138.toml");
 
-/// 60 ms: two setpoint steps, a finger that presses twice and leaves, a temperature ramp.
 fn scenario_text(expectations: &str) -> String {
     format!(
         "title = \"s\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[profile]\n\

@@ -1,9 +1,8 @@
-//! Last good values.
+//! Accepts the last good values; the snapshots of `rejected` contain the first bad ones.
 
 use super::{create_folder, load_with_change, load_with_changes, render};
 use rstest::rstest;
 
-/// Last good values; the snapshots contain the first bad ones.
 #[rstest]
 #[case("duration_ms = 60.0", "duration_ms = 60")]
 #[case("period_ms = 1.0", "period_ms = 0.001")]
@@ -117,7 +116,6 @@ fn checks_damping_corners_between_forces() {
     assert_eq!(fault.position(), (28, 55), "{}", render(&fault));
 }
 
-/// Last good and first bad value: a quality factor of 1e9, and the range of single precision.
 #[rstest]
 #[case(
     "time_constant_ms = 1.88",

@@ -8,7 +8,6 @@ use insta::assert_snapshot;
 use rstest::{Context, rstest};
 use std::fmt::Write;
 
-/// True if the schema of the wrong file rejects it too.
 fn is_rejected_by_schema(fault: &Diagnostic, good: &str, bad: &str) -> bool {
     let folder = create_folder(&[(good, bad)]);
     let schema = match fault.path.to_str().unwrap() {
@@ -31,7 +30,6 @@ fn is_rejected_by_schema(fault: &Diagnostic, good: &str, bad: &str) -> bool {
     is_rejected
 }
 
-/// The messages of a group of cases as one table.
 fn message_table(cases: &[(&str, &str)]) -> String {
     let mut table = String::new();
     for (good, bad) in cases {
@@ -286,7 +284,6 @@ fn rejects_a_scenario_without_expectations() {
     assert!(fault.message.starts_with("no [[expect]], expected at least one"), "{fault}");
 }
 
-/// `marked`: the part of the text that must be marked.
 #[rstest]
 #[case("period_ms = 1.0", "period_ms = 0.0", "0.0")]
 #[case("[1.0, 2.0]", "[1.0, -2.5]", "-2.5")]
