@@ -1,8 +1,8 @@
 //! Simulates a board with its own plate behind a serial line, for tests of `--plate-mode real`.
 //!
-//! `real-plate-under-test PORT [KEY=VALUE]...` contains plate, sensor, amplifier and controller.
-//! Its timer is virtual: a period that a busy machine missed is computed later, without a gap. The
-//! plate is the paper's. Options, with the periods of a trial counted from 0:
+//! Usage: `real-plate-under-test PORT [KEY=VALUE]...`. Its timer is virtual: a period that a busy
+//! machine missed is computed later, without a gap. The plate is the paper's. N counts the periods
+//! of a trial from 0:
 //!
 //! | key | effect |
 //! |---|---|
@@ -34,7 +34,6 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, channel, sync_chan
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Frames in the queue of the line.
 const MAX_QUEUED_FRAMES: usize = 256;
 const PLATE: &str = include_str!("../../scenarios/plates/aluminium-198x138.toml");
 
@@ -50,7 +49,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     SimulatedBoard::new(spawn_writer(line), options)?.run(&bytes)
 }
 
-/// Reads from the line until it hangs up.
 fn spawn_reader(mut line: File) -> Receiver<Vec<u8>> {
     let (sender, receiver) = channel();
     thread::spawn(move || {
@@ -64,7 +62,7 @@ fn spawn_reader(mut line: File) -> Receiver<Vec<u8>> {
     receiver
 }
 
-/// Writes frames to the line; a full queue drops frames, like a UART.
+/// A full queue drops frames, like a UART.
 fn spawn_writer(mut line: File) -> SyncSender<Vec<u8>> {
     let (sender, frames) = sync_channel::<Vec<u8>>(MAX_QUEUED_FRAMES);
     thread::spawn(move || {
@@ -89,7 +87,6 @@ struct SimulatedBoard {
     last_state: Option<ControllerState>,
 }
 
-/// A configured trial, which starts with its first setpoint.
 struct BoardTrial {
     configure: Configure,
     plant: Plant,
@@ -133,7 +130,6 @@ impl SimulatedBoard {
         }
     }
 
-    /// The number of an option.
     fn option<T: std::str::FromStr>(&self, key: &str) -> Option<T> {
         self.options.get(key).and_then(|value| value.parse().ok())
     }
@@ -230,11 +226,9 @@ impl SimulatedBoard {
         let starts = trial.started.is_none();
         trial.started.get_or_insert_with(Instant::now);
         let output = *self.machine.output();
-        // The first control step begins now.
         if starts { Command { state: ControllerState::Running, ..output } } else { output }
     }
 
-    /// Reads force in N and offset in K.
     fn read_conditions(&self) -> Conditions {
         let text = self.options.get("conditions").and_then(|file| fs::read_to_string(file).ok()).unwrap_or_default();
         let mut numbers = text.split_whitespace().map(|number| number.parse().unwrap_or(0.0));
@@ -242,7 +236,6 @@ impl SimulatedBoard {
         Conditions { finger_force_n: next(), temperature_offset_k: next() }
     }
 
-    /// Runs one control period.
     fn step(&mut self) -> Result<(), Box<dyn Error>> {
         let Some(mut trial) = self.trial.take() else { return Ok(()) };
         let period = trial.period;

@@ -2,7 +2,7 @@
 
 use platebench_wire::{Configure, LawId};
 
-/// `dq-pi` at 1 ms on the paper's plate; the bench paces, the sample time-out has its default.
+/// The bench paces; the sample time-out has its default.
 pub const CONFIGURE: Configure = Configure {
     law: LawId::DqPi,
     paced_by_target: false,

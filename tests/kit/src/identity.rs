@@ -2,7 +2,6 @@
 
 use platebench_wire::Identity;
 
-/// The laws 0 to 2, no capability, no chip.
 pub const IDENTITY: Identity = Identity {
     version: [0, 1, 0],
     capabilities: 0,

@@ -7,25 +7,21 @@ use std::process::Child;
 /// If 1, a missing program fails the test instead of skipping it.
 const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
 
-/// A process that ends with its owner.
 #[derive(Debug)]
 pub struct ChildGuard(pub Child);
 
 impl Drop for ChildGuard {
     fn drop(&mut self) {
-        // It may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// Prints that a test is skipped because `what` is missing.
-///
 /// # Panics
 /// If `PLATEBENCH_REQUIRE_ALL=1`.
 pub fn skip_without(what: &str) {
     let required = env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
     assert!(!required, "{what} is missing and {REQUIRE_ALL}=1: ci/install-test-tools");
-    // `eprintln!` of a passing test is not shown.
+    // Standard error that the test harness does not capture.
     let _ = writeln!(std::io::stderr(), "NOT TESTED: {what} is missing (ci/install-test-tools)");
 }

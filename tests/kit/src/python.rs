@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 /// Distributions may install pyserial for another Python than the first one on the path.
 const PYTHONS: [&str; 2] = ["python3", "/usr/bin/python3"];
 
-/// A Python with pyserial; `None`, with a message, if there is none.
+/// `None`, with a message, if there is no such Python.
 ///
 /// # Panics
 /// If there is none and `PLATEBENCH_REQUIRE_ALL=1`.

@@ -6,11 +6,8 @@ use platebench_scenario::{Scenario, load};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The file of the paper's plate.
 pub const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 
-/// The root of the workspace.
-///
 /// # Panics
 /// If the sources have been moved since the build.
 #[must_use]
@@ -18,14 +15,12 @@ pub fn workspace_root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
 }
 
-/// The path of a file below `scenarios`, for example `paper/fig13-closed-loop.toml`.
+/// `name` is for example `paper/fig13-closed-loop.toml`.
 #[must_use]
 pub fn scenario_path(name: &str) -> PathBuf {
     workspace_root().join("scenarios").join(name)
 }
 
-/// Loads the scenario `name` from below `scenarios`.
-///
 /// # Panics
 /// If the file is not a valid scenario.
 #[must_use]
@@ -34,9 +29,7 @@ pub fn load_scenario(name: &str) -> Scenario {
     load(&scenario_path(name), name).unwrap_or_else(|fault| panic!("{}", fault.render(false)))
 }
 
-/// Loads the scenario `s.toml` from text; its `plate = "plate.toml"` has the text `plate`.
-///
-/// A run needs the files: see [`write_scenario`].
+/// In memory: a run needs the files of [`write_scenario`].
 ///
 /// # Panics
 /// If one of the two is invalid.

@@ -5,7 +5,7 @@
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use std::fs::File;
 
-/// The master end of a new pseudo-terminal, and the path of its other end.
+/// The master end, and the path of the other end.
 ///
 /// # Panics
 /// If the system has no pseudo-terminal left.

@@ -15,7 +15,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Secret and public key in PEM.
 fn key_pair(seed: u8) -> (String, String) {
     let key = SigningKey::from_bytes(&[seed; 32]);
     let public = key.verifying_key().to_public_key_pem(LineEnding::LF).unwrap();
@@ -36,7 +35,6 @@ fn plan_text(scenarios: &[&str], repetitions: u32) -> String {
     )
 }
 
-/// A folder with a plan of one scenario, and keys.
 fn session_folder() -> TestFolder {
     let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138-noisy", "", "", GOOD));
     let (secret, public) = key_pair(1);
@@ -49,7 +47,7 @@ fn session_folder() -> TestFolder {
 
 const SESSION: [&str; 7] = ["accept", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
 const RESUME: [&str; 7] = ["accept", "--plan", "plan.toml", "--resume", "record", "--yes", "--rig"];
-/// `--rig` of a board that does not answer.
+/// A board that does not answer.
 const ABSENT: &str = "exec:false {port}";
 
 #[track_caller]
@@ -111,7 +109,6 @@ fn a_session_is_sealed_signed_and_verified() {
     }
     verify(&folder, "scenarios", &[]).assert_exit(2).assert_output(&["contains no session"]);
 
-    // `sha256sum` may be missing.
     let mut check = Command::new("sha256sum");
     check.args(["-c", "--strict", "manifest.sha256"]).current_dir(folder.join("record"));
     if let Ok(sums) = check.output() {
@@ -213,7 +210,6 @@ fn a_board_is_not_driven_without_confirmation() {
     assert!(record.steps[2..].iter().all(|step| step.attempts.is_empty()));
 }
 
-/// A session that began without a reachable rig.
 fn interrupted_session() -> TestFolder {
     let folder = session_folder();
     folder
@@ -272,7 +268,6 @@ fn rejects_a_folder_with_other_content() {
     assert!(!folder.exists("scenarios/session.json"));
 }
 
-/// Copies every file below `folder` to `copy`.
 fn copy_folder(folder: &Path, copy: &Path) {
     fs::create_dir_all(copy).unwrap();
     for entry in fs::read_dir(folder).unwrap() {
@@ -302,8 +297,6 @@ fn the_supplied_plan_has_every_acceptance_scenario() {
     assert!(plan.requirements.iter().all(|requirement| named.contains(&requirement.id.as_str())));
 }
 
-/// The text of a requirement states the limits of its expectations, unless it refers to the
-/// scenario.
 #[test]
 fn the_supplied_plan_states_the_limits_of_its_scenarios() {
     let plan = supplied_plan();

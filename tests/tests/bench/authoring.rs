@@ -31,7 +31,6 @@ fn a_new_scenario_is_valid_and_passes(
     let check = call(&["check", "mine.toml", "plates"]).assert_exit(0);
     assert_eq!(check.text(), "no faults in 1 scenario, 1 plate\n");
     call(&["run", "mine.toml", "--rig", "hosted"]).assert_exit(0);
-    // Never overwritten.
     let before = fs::read(folder.path().join("mine.toml")).unwrap();
     call(&["new", "mine"]).assert_exit(2);
     assert_eq!(fs::read(folder.path().join("mine.toml")).unwrap(), before);
@@ -72,7 +71,6 @@ fn check_without_files_is_an_error() {
     run_bench(folder.path(), ["check", "no-such.toml"]).assert_exit(2);
 }
 
-/// File: 2 trials; environment: 3; flag: 4.
 #[rstest]
 fn flags_override_environment_file_and_defaults(
     #[values(None, Some("[run]\ntrials = 2\n"))] file: Option<&str>,
@@ -163,7 +161,6 @@ fn completions_and_manual_pages_know_every_command() {
     }
 }
 
-/// The scenarios of each complete run, in the order of the runs.
 fn scenarios_of_runs(folder: &Path) -> Vec<Vec<String>> {
     let entries = fs::read_dir(folder.join("runs")).into_iter().flatten().flatten();
     let mut records: Vec<_> = entries
@@ -180,7 +177,6 @@ fn scenarios_of_runs(folder: &Path) -> Vec<Vec<String>> {
     records.into_iter().map(|(_, names)| names).collect()
 }
 
-/// A watched run with its messages.
 struct WatchedRun<'a> {
     folder: &'a TestFolder,
     child: ChildGuard,
@@ -195,7 +191,6 @@ impl<'a> WatchedRun<'a> {
         Self { folder, child: ChildGuard(run.spawn().unwrap()), expected: Vec::new() }
     }
 
-    /// Waits for the next run and checks its scenarios.
     #[track_caller]
     fn expect_run(&mut self, names: &[&'static str]) {
         self.expected.push(names.to_vec());
@@ -227,7 +222,6 @@ fn a_watched_run_repeats_changed_scenarios() {
     run.expect_run(&["a.toml", "b.toml", "c.toml"]);
     write_b("duration_ms = 61.0");
     run.expect_run(&["b.toml"]);
-    // An invalid file is reported, and valid files are not repeated.
     write_b("duration_s = 0.06");
     run.wait_for_messages(&["did you mean `duration_ms`"]);
     write_b("duration_ms = 62.0");
@@ -284,7 +278,6 @@ fn an_absent_rig_leaves_no_run_folder() {
     assert!(!folder.exists("run"));
 }
 
-/// `scenarios` is then a run folder itself.
 #[test]
 fn run_folders_among_scenarios_are_not_run() {
     let folder = TestFolder::with_step(SETTLING);

@@ -1,5 +1,4 @@
-//! Compares the control laws on the plate with derived values, at and beyond their stability
-//! limits.
+//! Compares the control laws on the plate with derived values, up to and beyond stability.
 
 use crate::test_folder::{PLATE, TestFolder, step_scenario, step_text};
 use rstest::rstest;
@@ -107,7 +106,6 @@ fn the_frequency_loop_keeps_to_its_range(#[case] start_hz: f64, #[case] reaches:
     assert!(furthest <= 250.001, "{furthest} Hz");
 }
 
-/// At rest the phase is noise; the frequency must not follow it.
 #[test]
 fn a_plate_at_rest_does_not_move_the_frequency() {
     let text = step_scenario("aluminium-198x138-noisy", "law = \"dq-pi\"", "", SETTLING)

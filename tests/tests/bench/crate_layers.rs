@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use toml::Table;
 
-/// Each crate with its level. A crate imports only crates of lower levels.
+/// A crate imports only crates of lower levels.
 const LEVELS: [(&str, u8); 19] = [
     ("firmware-under-test/wire", 0),
     ("firmware-under-test/controller", 0),
@@ -31,24 +31,21 @@ const LEVELS: [(&str, u8); 19] = [
     ("harness/cli", 7),
 ];
 
-/// Imports within level 0.
 const WITHIN_LEVEL_0: [(&str, &str); 3] = [
     ("firmware-under-test/controller", "firmware-under-test/wire"),
     ("firmware-under-test/host", "firmware-under-test/wire"),
     ("firmware-under-test/host", "firmware-under-test/controller"),
 ];
 
-/// Fixtures and whole-bench tests, which may import every crate.
 const TEST_CRATES: [&str; 2] = ["tests", "tests/kit"];
 
-/// Offences that are still open, one per line. The list may only shrink.
+/// The list may only shrink.
 const OPEN: &str = include_str!("crate_layers/open.txt");
 
 fn manifest(folder: &str) -> Table {
     fs::read_to_string(workspace_root().join(folder).join("Cargo.toml")).unwrap().parse().unwrap()
 }
 
-/// The folders of the project's crates that `folder` depends on.
 fn imported_crates(folder: &str, folders: &BTreeMap<String, String>) -> Vec<String> {
     let manifest = manifest(folder);
     let dependencies = manifest.get("dependencies").and_then(toml::Value::as_table);
@@ -79,7 +76,6 @@ fn crate_offences() -> Vec<String> {
     offences
 }
 
-/// Compares with the open offences.
 #[track_caller]
 fn assert_only_open(offences: Vec<String>, is_of_this_test: impl Fn(&str) -> bool) {
     let found: BTreeSet<String> = offences.into_iter().collect();

@@ -25,7 +25,6 @@ at_most = 1000.0
 "#;
 
 fn run(folder: &TestFolder, out: &str, more: &[&str]) -> Vec<Vec<u8>> {
-    // Any verdict is allowed.
     folder.bench(["run", "--out", out].iter().chain(more)).assert_exit_in(&[0, 1, 3]);
     read_traces(&folder.join(out)).into_values().collect()
 }

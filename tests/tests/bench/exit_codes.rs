@@ -104,7 +104,6 @@ fn a_run_without_scenarios_is_not_a_pass() {
     TestFolder::with_step(SETTLING).bench(["run", "--shard", "2/2"]).assert_exit(4);
 }
 
-/// Scenarios in another named folder do not replace those of an empty one.
 #[test]
 fn a_named_folder_without_scenarios_is_not_a_pass() {
     let folder = TestFolder::with_step(SETTLING);

@@ -9,7 +9,7 @@ use std::path::Path;
 
 const CHANGED_PLATE: &str = "scenarios/plates/plate.toml";
 
-/// A scenario with every metric that divides; 60 ms long unless `head` sets the duration.
+/// The scenario takes 60 ms unless `head` sets the duration.
 fn scenario_text(head: &str, controller: &str) -> String {
     let duration = if head.contains("duration_ms") { "" } else { "duration_ms = 60.0\n" };
     let metrics =
@@ -21,7 +21,6 @@ fn scenario_text(head: &str, controller: &str) -> String {
     )
 }
 
-/// A folder with [`scenario_text`] and a changed copy of the paper's plate.
 fn extreme_folder(head: &str, controller: &str, (from, to): (&str, &str)) -> TestFolder {
     let folder = TestFolder::with_scenario(&scenario_text(head, controller));
     fs::copy(folder.join(PLATE), folder.join(CHANGED_PLATE)).unwrap();
@@ -29,7 +28,6 @@ fn extreme_folder(head: &str, controller: &str, (from, to): (&str, &str)) -> Tes
     folder
 }
 
-/// Checks the numbers in every file; style sheets and scripts are skipped.
 fn assert_no_nan_in_files(folder: &Path) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -113,7 +111,6 @@ fn rejects_a_period_between_two_microseconds() {
     folder.run_hosted("run").assert_exit(2).assert_stderr(&["expected whole microseconds"]);
 }
 
-/// In the console, JUnit and `report.html`, live and judged again.
 #[rstest]
 #[case("past-the-delay-budget.toml")]
 #[case("backward-euler.toml")]

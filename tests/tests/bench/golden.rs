@@ -50,7 +50,6 @@ fn another_law_differs_from_every_baseline() {
     assert!(svg.contains("amplitude_um at 2 ms"));
 }
 
-/// Of the first trial of each scenario.
 #[test]
 fn features_of_the_paper_s_scenarios() {
     let folder = tempfile::tempdir().unwrap();
@@ -67,7 +66,6 @@ fn features_of_the_paper_s_scenarios() {
     insta::assert_snapshot!(table);
 }
 
-/// A run of one scenario.
 fn run_folder(text: &str) -> TestFolder {
     let folder = TestFolder::with_scenario(text);
     folder.run_hosted("run");
@@ -93,7 +91,6 @@ fn an_accepted_baseline_is_listed_and_compared() {
             compare(&folder, subject, reference).assert_exit(0);
         }
     }
-    // Baselines are below the scenarios but are not scenarios.
     folder.run_hosted("again");
     assert_eq!(folder.record("again").scenarios.len(), 1);
 }

@@ -1,5 +1,4 @@
-//! Identifies the plate from recordings of the repository's scenarios: Tables I and II, the plate
-//! file, invalid input.
+//! Identifies the plate from recordings of the repository's scenarios.
 
 use crate::test_folder::{run_bench, workspace_root};
 use serde_json::Value;
@@ -12,7 +11,6 @@ fn run_recordings(folder: &Path) {
         .assert_exit(0);
 }
 
-/// Standard deviation relative to the mean.
 fn relative_deviation(values: &[f64]) -> f64 {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (values.len() - 1) as f64).sqrt() / mean
@@ -51,7 +49,6 @@ fn identified_tables_match_the_paper() {
     assert!(plate.starts_with("name = \"found\"\n"), "{plate}");
     let page = fs::read_to_string(folder.path().join("page.html")).unwrap();
     assert!(page.contains("Table II") && page.contains("s-first") && page.contains("6844.5"));
-    // The result is a valid plate file.
     let scenario = "title = \"again\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[controller]\nlaw = \"dq-pi\"\n\
                     [profile]\nsetpoint_um = 2.0\n[trials]\ncount = 5\n\
                     [[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\n";

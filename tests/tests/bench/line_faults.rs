@@ -9,7 +9,6 @@ use std::path::Path;
 
 const MISSED: &str = "metric = \"missed_replies\"\nat_most = 100.0";
 
-/// A step to 2 µm with faults, hosted.
 fn run_with_faults(faults: &str) -> (RunRecord, Vec<Row>) {
     TestFolder::new().run_scenario(&(step_text(MISSED) + faults))
 }
@@ -18,7 +17,6 @@ fn telemetry(record: &RunRecord) -> &Telemetry {
     &record.scenarios[0].trials[0].telemetry
 }
 
-/// The first row at 0 V after the start, ms.
 fn first_zero_drive_ms(rows: &[Row]) -> Option<f64> {
     rows.iter().find(|row| row.t_s > 0.0 && row.drive_vpp == 0.0).map(|row| row.t_s * 1e3)
 }
@@ -27,7 +25,6 @@ fn times_with_flag_ms(rows: &[Row], flag: Flags) -> Vec<f64> {
     rows.iter().filter(|row| row.flags.contains(flag)).map(|row| (row.t_s * 1e3).round()).collect()
 }
 
-/// Runs `scenarios/faults/<name>` into the run folder `out`.
 fn run_faults(folder: &Path, name: &str, out: &str, more: &[&str]) -> RunRecord {
     let scenarios = workspace_root().join("scenarios/faults").join(name);
     let output = run_bench(folder, ["run", scenarios.to_str().unwrap(), "--out", out].iter().chain(more));
@@ -92,7 +89,6 @@ fn the_watchdog_acts_on_the_fifth_missing_sample() {
     assert_eq!((first_zero_drive_ms(&rows), telemetry(&record).stopped.as_deref()), (None, None));
     assert_eq!(times_with_flag_ms(&rows, Flags::LINK_LOST), [30.0, 31.0, 32.0]);
     assert_eq!((record.verdict, record.scenarios[0].expectations[0].value), (Verdict::Pass, Some(3.0)));
-    // The controller holds the last drive meanwhile.
     let drives: Vec<_> = rows.iter().filter(|row| (0.029..0.033).contains(&row.t_s)).map(|row| row.drive_vpp).collect();
     assert!(drives.iter().all(|drive| *drive == drives[0] && *drive > 280.0));
 
@@ -125,7 +121,6 @@ fn a_dead_line_is_lost_after_twenty_periods() {
     assert!(telemetry(&record).ended.is_some());
     assert_eq!(telemetry(&record).faults["disconnect"], 21, "20 samples and the controller's stop message");
 
-    // A fault with an end is waited for.
     let (record, rows) = run_with_faults("[[fault]]\nkind = \"disconnect\"\nfrom_ms = 20.0\nuntil_ms = 50.0\n");
     assert_eq!((first_zero_drive_ms(&rows), record.verdict), (Some(50.0), Verdict::Pass));
     assert_eq!((telemetry(&record).ended.as_deref(), rows.last().unwrap().drive_vpp), (None, 0.0));

@@ -103,7 +103,6 @@ fn a_run_is_exported_once() {
         export().assert_exit(2);
         assert_eq!(fs::read(&path).unwrap(), before);
     }
-    // An unknown scenario and a missing run.
     for wrong in [&["export", "run", "--format", "csv", "t"][..], &["export", "nothing", "--format", "csv"]] {
         folder.bench(wrong).assert_exit(2);
     }
@@ -115,7 +114,6 @@ fn a_run_is_exported_once() {
     assert!(!folder.exists("other"));
 }
 
-/// One of two scenarios has a changed trace; only the other one can be exported.
 #[test]
 fn a_tampered_trace_is_not_exported() {
     let folder = TestFolder::with_step(SETTLING);
@@ -135,7 +133,6 @@ fn a_tampered_trace_is_not_exported() {
     assert_eq!(fs::read_dir(folder.join("run/export")).unwrap().count(), 1);
 }
 
-/// After a kill the record has no trials, and the second trace is incomplete.
 #[test]
 fn complete_trials_of_a_killed_run_are_exported() {
     let folder = TestFolder::with_step(SETTLING);

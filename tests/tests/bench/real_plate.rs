@@ -17,7 +17,6 @@ const EXPECT: &str = "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 3.0\n
 const STEP: &str = "setpoint_um = { hold = [[0.0, 0.0], [100.0, 2.0]] }";
 const RUN: [&str; 6] = ["run", "--plate-mode", "real", "--out", "run", "--rig"];
 
-/// `--rig` for the simulated board with these options.
 fn board_rig(options: &str) -> String {
     format!("exec:'{}' {{port}} {options}", env!("CARGO_BIN_EXE_real-plate-under-test"))
 }
@@ -50,7 +49,6 @@ fn read_rows(folder: &TestFolder, record: &RunRecord) -> Vec<Row> {
     folder.rows("run", only_trial(record))
 }
 
-/// Repeats a run up to [`ATTEMPTS`] times until its trial counts.
 fn repeat_until_counted<T>(mut run: impl FnMut() -> (T, RunRecord)) -> (T, RunRecord) {
     let mut last = run();
     for _ in 1..ATTEMPTS {
@@ -62,7 +60,6 @@ fn repeat_until_counted<T>(mut run: impl FnMut() -> (T, RunRecord)) -> (T, RunRe
     last
 }
 
-/// The record by `platebench judge`.
 #[track_caller]
 fn rejudge(folder: &TestFolder) -> RunRecord {
     serde_json::from_value(folder.bench(["judge", "run", "--format", "json"]).json()).unwrap()
@@ -150,7 +147,6 @@ fn rejects_unsuitable_rigs_clocks_and_scenarios(#[case] rig: String, #[case] mor
     folder.bench(RUN.iter().chain(&[&*rig]).chain(more)).assert_exit(2).assert_stderr(&[message]);
 }
 
-/// A finger of 1 N, 2 K above the reference.
 const TOUCHED_PROFILE: &str =
     "setpoint_um = { hold = [[0.0, 0.0], [100.0, 1.0]] }\nfinger_force_n = 1.0\ntemperature_offset_k = 2.0";
 const STATIC_ERROR: &str =
@@ -170,10 +166,9 @@ fn without_an_operator_manual_steps_are_inconclusive(#[case] more: &[&str]) {
     assert_eq!(rejudge(&folder).verdict, Verdict::Inconclusive);
 }
 
-/// Exit code and prompts of a run.
 type OperatorRun = (i32, Vec<String>);
 
-/// Confirms every request. `act` gets each prompt and the file with force in N and offset in K.
+/// `act` gets each prompt and the file with force in N and offset in K.
 fn run_with_operator(folder: &TestFolder, mut act: impl FnMut(&str, &Path)) -> (OperatorRun, RunRecord) {
     let _ = fs::remove_dir_all(folder.join("run"));
     let conditions = folder.join("conditions");
@@ -244,7 +239,6 @@ fn a_finger_within_the_trial_has_a_countdown() {
     assert_eq!((rows[0].finger_force_n, rows.last().unwrap().finger_force_n), (0.0, 1.0));
 }
 
-/// A run of a minute whose board drives its plate, and the log of the board.
 fn running_board(folder: &TestFolder) -> (ChildGuard, PathBuf) {
     let log = folder.join("log");
     let rig = board_rig(&format!("'log={}'", log.display()));

@@ -28,7 +28,6 @@ fn a_program_in_lockstep_gives_the_hosted_traces() {
     assert_same_traces(folder.path(), ["hosted", "program"]);
 }
 
-/// Runs the paper's step in real time.
 fn run_real_time(arguments: &[&str]) -> (TestFolder, RunRecord) {
     let folder = TestFolder::with_step(EXPECT);
     let output = folder.bench(["run", "--clock", "real-time", "--out", "run"].iter().chain(arguments));

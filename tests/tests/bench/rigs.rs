@@ -37,8 +37,7 @@ fn wire_and_computing_time_are_optional() {
     let wired = run_and_read(&folder, &["--rig", "emulated", "--wire-time"], 1);
     let telemetry = |record: &RunRecord| record.scenarios[0].trials[0].telemetry.clone();
     assert_eq!(telemetry(&transparent).loop_delay_us, Some(0.0));
-    // 24 bytes each way at 1 Mbaud take 480 µs, plus the idle line after a frame and the control
-    // step.
+    // 24 bytes each way at 1 Mbaud take 480 µs, plus the idle line and the control step.
     let delay = telemetry(&wired).loop_delay_us.unwrap();
     assert!((480.0..560.0).contains(&delay), "{delay} µs");
     // Other samples take other branches: up to 36 instructions at 168 MHz.
@@ -63,8 +62,7 @@ fn instruction_limits_need_a_counting_rig() {
     assert_eq!(hosted.scenarios[0].expectations[0].cause, Some(Cause::Evidence));
 }
 
-/// A setpoint of 900 + n µm triggers fault n of
-/// `firmware-under-test/stm32f4/src/planted_faults.rs`.
+/// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`.
 #[rstest]
 #[case::unaligned_access(1, "planted_faults::unaligned_access")]
 #[case::division_by_zero(2, "planted_faults::division_by_zero")]

@@ -11,7 +11,6 @@ use std::process::Command;
 const WATCHDOG_US: u64 = 5_000;
 const BUSY_MACHINE_ALLOWANCE_US: u64 = 60_000;
 
-/// A run whose controller drives the plate, and the log of the controller.
 fn running_bench(folder: &TestFolder) -> (ChildGuard, PathBuf) {
     let log = folder.join("controller.log");
     let rig = controller_rig(Some(&log));

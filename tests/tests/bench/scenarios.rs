@@ -54,15 +54,13 @@ fn the_default_run_excludes_limits() {
 fn the_table_of_the_default_run() {
     let folder = tempfile::tempdir().unwrap();
     let output = run_all(folder.path(), &["--quiet"]).assert_exit(0);
-    // Rounding errors depend on the mathematics library, and the column widths on them. The cost of
-    // a step changes with every image and is checked with `images/cost.toml`.
+    // Rounding errors and column widths depend on the mathematics library, the cost on the image.
     let cost = (r"step: [\d ]+ worst (.*), [\d.]+ %", "step: # worst $1, # %");
     insta::with_settings!({ filters => vec![(r"\d(\.\d+)?e-\d+", "tiny"), (" {2,}", "  "), cost] }, {
         insta::assert_snapshot!(output.stdout);
     });
 }
 
-/// In the scenarios that compare all laws, expectations without a requirement document a law.
 #[rstest]
 fn each_law_behaves_as_documented(
     #[files("../scenarios/laws/drive-*.toml")]

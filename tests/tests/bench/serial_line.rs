@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 const STOPPED: Option<&str> = Some("no sample for five periods");
 
-/// Runs `scenarios/faults/<name>.toml` with a program at a tenth of real time.
+/// The run has a tenth of real time.
 fn run_with_line_fault(name: &str, out: &str) -> (RunRecord, Vec<Row>) {
     let folder = tempfile::tempdir().unwrap();
     let scenario = workspace_root().join(format!("scenarios/faults/{name}.toml"));
@@ -22,7 +22,6 @@ fn run_with_line_fault(name: &str, out: &str) -> (RunRecord, Vec<Row>) {
     let arguments = ["--clock", "real-time", "--time-scale", "0.1", "--rig", &rig, "--out", out];
     let output = run_bench(folder.path(), ["run", scenario.to_str().unwrap()].iter().chain(&arguments));
     let record = RunRecord::read(&folder.path().join(out)).unwrap();
-    // A late bench may make it inconclusive, never failed.
     assert_ne!(record.verdict, Verdict::Fail, "{}", output.stdout);
     output.assert_exit(if record.verdict == Verdict::Pass { 0 } else { 3 });
     assert_eq!(record.safe_confirmed, Some(true));
@@ -71,7 +70,6 @@ fn wire_faults_act_on_a_live_line(
     }
 }
 
-/// A controller at the other end of a port, until it is dropped.
 struct SimulatedBoard {
     path: String,
     samples: Arc<AtomicU32>,

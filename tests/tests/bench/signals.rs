@@ -10,7 +10,6 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
 
-/// A folder with more trials than can be run during a test.
 fn long_folder() -> TestFolder {
     let expect = "metric = \"settling_time_ms\"\nat_most = 100.0";
     let text = step_scenario("aluminium-198x138-noisy", "", "", expect);
@@ -33,7 +32,6 @@ fn wait_for_traces(folder: &TestFolder) {
     wait_until("no complete trial", || complete_trace_count(folder) >= 3);
 }
 
-/// A bench that a shell starts after `setup`.
 fn start_by_shell(folder: &TestFolder, setup: &str) -> ChildGuard {
     let bench = bench_command(folder.path());
     let mut shell = Command::new("sh");
@@ -87,8 +85,7 @@ fn a_file_size_limit_is_a_reported_error() {
     start_by_shell(&folder, "ulimit -f 20").finish().assert_exit(2).assert_stderr(&["File too large"]);
 }
 
-/// Longer than the watchdog timeout of 10 s that the bench states to a controller with its own
-/// clock.
+/// Above 10 s, the watchdog timeout that the bench sends to a controller with its own clock.
 const SUSPENSION: Duration = Duration::from_millis(11_500);
 
 #[test]

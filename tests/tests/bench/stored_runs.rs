@@ -9,7 +9,6 @@ use rstest::rstest;
 use std::fs;
 use std::os::unix::fs::symlink;
 
-/// A hosted run of the paper's step.
 fn step_run() -> TestFolder {
     let folder = TestFolder::with_step(SETTLING);
     folder.run_hosted("run").assert_exit(0);
@@ -54,7 +53,6 @@ fn rejudging_repeats_the_sequential_decision() {
     for (live, out) in [(one, "one"), (five, "five")] {
         assert_eq!(live, rejudge(&folder.join(out), None).unwrap());
     }
-    // A stricter limit needs more trials than the stored ones.
     let stricter =
         folder.write_scenario("stricter.toml", &sequential_scenario().replace("at_most = 1.4", "at_most = 0.8"));
     let stricter = rejudge(&folder.join("one"), Some(&stricter)).unwrap();
@@ -79,7 +77,6 @@ fn a_run_killed_between_interim_analyses_is_inconclusive() {
     assert!(again.scenarios[0].expectations.iter().all(|it| it.cause == Some(Cause::Bench)));
 }
 
-/// After a kill the record has no verdicts, and one trace is incomplete.
 #[test]
 fn an_interrupted_run_can_be_judged_and_reported() {
     let expect = "metric = \"settling_time_ms\"\nat_most = 4.0";
@@ -105,7 +102,6 @@ fn an_interrupted_run_can_be_judged_and_reported() {
     assert!(folder.read("run/report.html").contains("inconclusive"));
 }
 
-/// All trials are complete, but 0 V was not confirmed at the end.
 #[test]
 fn a_run_killed_after_its_last_trial_does_not_pass() {
     let folder = step_run();
@@ -151,7 +147,6 @@ fn a_changed_file_is_rejected_by_name(#[case] file: &str, #[case] from: &str, #[
     folder.bench(["judge", "run"]).assert_exit(2).assert_stderr(&[name, "SHA-256"]);
 }
 
-/// The report lists changed traces instead of drawing them, also of an interrupted run.
 #[test]
 fn a_tampered_trace_is_named_and_not_drawn() {
     const NOTICE: &str = "traces/s/000.csv: changed after the run";
@@ -214,7 +209,6 @@ fn an_absolute_plate_path_is_judged_by_its_copy() {
     );
     folder.run_hosted("run").assert_exit(0);
     folder.bench(["judge", "run"]).assert_exit(0);
-    // A change of the original does not change the run, a change of the copy does.
     folder.replace("elsewhere.toml", "limit_vpp = 900.0", "limit_vpp = 500.0");
     folder.bench(["judge", "run"]).assert_exit(0);
     fs::remove_file(&plate).unwrap();

@@ -18,14 +18,12 @@ use tempfile::TempDir;
 
 pub(crate) use platebench_test_kit::workspace_root;
 
-/// The paper's plate in a [`TestFolder`].
 pub(crate) const PLATE: &str = "scenarios/plates/aluminium-198x138.toml";
-/// An expectation that `dq-pi` meets on the paper's plate.
 pub(crate) const SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
 /// The drive of the paper's plate settles in 1.96 ms.
 pub(crate) const FAILED_SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 1.9";
 
-/// The program in `folder`, without the environment of the tests.
+/// The program does not get the environment of the tests.
 pub(crate) fn bench_command(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_platebench-under-test"));
     command.current_dir(folder);
@@ -35,26 +33,23 @@ pub(crate) fn bench_command(folder: &Path) -> Command {
     command
 }
 
-/// Runs the program with `arguments` in `folder`.
 #[track_caller]
 pub(crate) fn run_bench<A: AsRef<OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> ProgramOutput {
     bench_command(folder).args(arguments).output().unwrap().into()
 }
 
-/// Starts the program without input; only standard error is kept.
+/// The program has no input; only standard error is kept.
 pub(crate) fn start_bench<A: AsRef<OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> ChildGuard {
     let mut bench = bench_command(folder);
     bench.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     ChildGuard(bench.spawn().unwrap())
 }
 
-/// `--rig` for the controller as a program, which writes its states to `log`.
 pub(crate) fn controller_rig(log: Option<&Path>) -> String {
     let log = log.map_or_else(String::new, |file| format!(" --log '{}'", file.display()));
     format!("exec:'{}' {{port}}{log}", env!("CARGO_BIN_EXE_controller-under-test"))
 }
 
-/// Exit code and output of a program.
 #[derive(Debug)]
 pub(crate) struct ProgramOutput {
     pub(crate) exit: i32,
@@ -72,7 +67,6 @@ impl From<Output> for ProgramOutput {
 }
 
 impl ProgramOutput {
-    /// Standard output and standard error.
     pub(crate) fn text(&self) -> String {
         format!("{}{}", self.stdout, self.stderr)
     }
@@ -101,7 +95,6 @@ impl ProgramOutput {
         self
     }
 
-    /// Checks standard output and standard error together.
     #[track_caller]
     pub(crate) fn assert_output(self, parts: &[&str]) -> Self {
         assert_parts(&self.text(), parts);
@@ -114,7 +107,6 @@ impl ProgramOutput {
         self
     }
 
-    /// Standard output as JSON.
     #[track_caller]
     pub(crate) fn json(&self) -> Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
@@ -128,7 +120,6 @@ fn assert_parts(text: &str, parts: &[&str]) {
     }
 }
 
-/// Waits up to a minute for `condition`.
 #[track_caller]
 pub(crate) fn wait_until(failure: &str, mut condition: impl FnMut() -> bool) {
     let started = Instant::now();
@@ -138,12 +129,10 @@ pub(crate) fn wait_until(failure: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
-/// A process that does not outlive its test.
 pub(crate) struct ChildGuard(pub(crate) Child);
 
 impl Drop for ChildGuard {
     fn drop(&mut self) {
-        // It may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -154,7 +143,6 @@ impl ChildGuard {
         self.0.try_wait().unwrap().is_some()
     }
 
-    /// Sends the signal with this name.
     #[track_caller]
     pub(crate) fn signal(&self, name: &str) {
         let id = self.0.id().to_string();
@@ -166,7 +154,6 @@ impl ChildGuard {
         self.0.wait().unwrap();
     }
 
-    /// Waits for the end; standard output must not be a pipe.
     #[track_caller]
     pub(crate) fn finish(mut self) -> ProgramOutput {
         let mut stderr = Vec::new();
@@ -176,7 +163,6 @@ impl ChildGuard {
         Output { status: self.0.wait().unwrap(), stdout: Vec::new(), stderr }.into()
     }
 
-    /// Waits up to a minute for one of these exit codes.
     #[track_caller]
     pub(crate) fn wait_for_exit(&mut self, expected: &[i32]) {
         wait_until("the process does not end", || self.has_ended());
@@ -184,17 +170,14 @@ impl ChildGuard {
         assert!(code.is_some_and(|code| expected.contains(&code)), "{code:?}");
     }
 
-    /// The process that this process started.
     #[track_caller]
     pub(crate) fn child_id(&self) -> String {
         let tasks = fs::read_dir(format!("/proc/{}/task", self.0.id())).unwrap();
-        // A task that ends meanwhile has no children.
         let children = tasks.flatten().filter_map(|task| fs::read_to_string(task.path().join("children")).ok());
         children.collect::<String>().split_whitespace().next().expect("a child process").to_owned()
     }
 }
 
-/// Every trace below `folder`, by its path.
 pub(crate) fn read_traces(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut traces = BTreeMap::new();
     let mut open = vec![folder.join("traces")];
@@ -210,7 +193,6 @@ pub(crate) fn read_traces(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     traces
 }
 
-/// Asserts that two runs of more than 20 trials have identical traces.
 #[track_caller]
 pub(crate) fn assert_same_traces(folder: &Path, [first, second]: [&str; 2]) {
     let [first, second] = [first, second].map(|run| read_traces(&folder.join(run)));
@@ -221,7 +203,6 @@ pub(crate) fn assert_same_traces(folder: &Path, [first, second]: [&str; 2]) {
     }
 }
 
-/// A folder with the repository's plates and a test's own scenarios.
 pub(crate) struct TestFolder {
     folder: TempDir,
 }
@@ -238,19 +219,17 @@ impl TestFolder {
         Self { folder }
     }
 
-    /// With the scenario `s.toml`.
     pub(crate) fn with_scenario(text: &str) -> Self {
         let folder = Self::new();
         folder.write_scenario("s.toml", text);
         folder
     }
 
-    /// With [`step_text`] of `expect` as `s.toml`.
     pub(crate) fn with_step(expect: &str) -> Self {
         Self::with_scenario(&step_text(expect))
     }
 
-    /// With a step of a minute as `s.toml`, which ends by a signal.
+    /// The step takes a minute and ends by a signal.
     pub(crate) fn with_minute() -> Self {
         let text = step_text("metric = \"overshoot_percent\"\nat_most = 100.0");
         Self::with_scenario(&text.replace("duration_ms = 60.0", "duration_ms = 60000.0"))
@@ -278,7 +257,6 @@ impl TestFolder {
         fs::write(self.join(name), text).unwrap();
     }
 
-    /// Replaces the first `from`, which must exist, in a file.
     #[track_caller]
     pub(crate) fn replace(&self, name: &str, from: &str, to: &str) {
         let text = self.read(name);
@@ -286,7 +264,6 @@ impl TestFolder {
         self.write(name, &text.replacen(from, to, 1));
     }
 
-    /// Writes `scenarios/<name>` and returns its path.
     pub(crate) fn write_scenario(&self, name: &str, text: &str) -> PathBuf {
         let path = self.join("scenarios").join(name);
         fs::write(&path, text).unwrap();
@@ -298,13 +275,11 @@ impl TestFolder {
         run_bench(self.path(), arguments)
     }
 
-    /// Runs the scenarios on the hosted rig into the run folder `out`.
     #[track_caller]
     pub(crate) fn run_hosted(&self, out: &str) -> ProgramOutput {
         self.bench(["run", "--rig", "hosted", "--out", out])
     }
 
-    /// The record of the run folder `run`.
     #[track_caller]
     pub(crate) fn record(&self, run: &str) -> RunRecord {
         RunRecord::read(&self.join(run)).unwrap()
@@ -315,13 +290,12 @@ impl TestFolder {
         read_trace(&self.join(run).join(&trial.trace)).unwrap()
     }
 
-    /// Removes the word "control" from the first trace of `s.toml`.
+    /// Removes the word "control" from the first trace.
     #[track_caller]
     pub(crate) fn tamper_with_trace(&self) {
         self.replace("run/traces/s/000.csv", "control", "");
     }
 
-    /// Runs a scenario on the hosted rig and returns its record and its first trace.
     pub(crate) fn run_scenario(&self, text: &str) -> (RunRecord, Vec<Row>) {
         let path = self.write_scenario("value.toml", text);
         let scenario = load(&path, "value.toml").unwrap_or_else(|fault| panic!("{fault}"));
@@ -341,13 +315,12 @@ impl TestFolder {
         (record, read_trace(&trace).unwrap())
     }
 
-    /// The value of the first expectation of a scenario.
     pub(crate) fn first_value(&self, text: &str) -> Option<f64> {
         self.run_scenario(text).0.scenarios[0].expectations[0].value
     }
 }
 
-/// A step to 2 µm at the start; `controller`, `profile` and `expect` are TOML.
+/// `controller`, `profile` and `expect` are TOML.
 pub(crate) fn step_scenario(plate: &str, controller: &str, profile: &str, expect: &str) -> String {
     format!(
         "title = \"step\"\nplate = \"plates/{plate}.toml\"\nduration_ms = 60.0\n\
@@ -355,7 +328,6 @@ pub(crate) fn step_scenario(plate: &str, controller: &str, profile: &str, expect
     )
 }
 
-/// [`step_scenario`] of the default law on the paper's plate.
 pub(crate) fn step_text(expect: &str) -> String {
     step_scenario("aluminium-198x138", "", "", expect)
 }

@@ -1,5 +1,4 @@
-//! Compares the instructions of a control step with earlier runs and with the reference of the
-//! shipped image.
+//! Compares the instructions of a control step with earlier runs and with the shipped image.
 
 use crate::test_folder::{SETTLING, TestFolder, workspace_root};
 use platebench_record::{Overrides, RECORD_FILE, RunFolder, RunRecord};
@@ -20,7 +19,6 @@ fn a_longer_control_step_is_reported() {
     let run = |out: &str| folder.bench(["run", "--rig", "emulated", "--out", out]).assert_exit(0);
     let first = run("runs/first").stdout;
     assert!(first.contains("instructions per step: 4 ") && !first.contains('↳'), "{first}");
-    // The record of a faster firmware.
     let mut faster = folder.record("runs/first");
     faster.rig.firmware.as_mut().unwrap().build = "1a2b3c4d5e6f7081".to_owned();
     let telemetry = &mut faster.scenarios[0].trials[0].telemetry;
@@ -34,7 +32,6 @@ fn a_longer_control_step_is_reported() {
     assert_eq!(rejudge(&folder.join("runs/second"), None).unwrap().cost, folder.record("runs/second").cost);
 }
 
-/// Appends a table for the first trial of each scenario.
 fn append_reference_lines(record: &RunRecord, text: &mut String) {
     for scenario in &record.scenarios {
         let trial = &scenario.trials[0];
@@ -51,8 +48,7 @@ fn append_reference_lines(record: &RunRecord, text: &mut String) {
     }
 }
 
-/// Compares `firmware-under-test/images/cost.toml` with the image; `PLATEBENCH_COST=update` writes
-/// it.
+/// `PLATEBENCH_COST=update` writes `firmware-under-test/images/cost.toml`.
 #[test]
 fn the_cost_reference_matches_the_image() {
     let mut scenarios =

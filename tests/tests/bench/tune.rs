@@ -17,7 +17,7 @@ fn json_number(json: &Value, pointer: &str) -> f64 {
     json.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number at {pointer} of {json:#}"))
 }
 
-/// A folder whose plate has another limit, and a gain and time constant scaled by factors.
+/// `gain` and `time_constant` are factors.
 fn scaled_plate_folder(gain: f64, time_constant: f64, limit: f64) -> TestFolder {
     let folder = TestFolder::new();
     folder.replace(PLATE, "gain_um_per_vpp = 0.00698", &format!("gain_um_per_vpp = {}", 0.006_98 * gain));
@@ -123,7 +123,6 @@ fn an_unmet_demand_is_neither_written_nor_sent(
     assert_eq!(obstacles.iter().any(|obstacle| obstacle["kind"] == kind), expected == 1, "{obstacles:?}");
     assert_eq!(folder.read("scenarios/mine.toml") == text, expected == 1);
     assert_eq!(folder.exists("run"), expected == 0);
-    // The text output has the same exit code.
     run_tune(&folder, arguments).assert_exit(expected);
 }
 
@@ -134,7 +133,6 @@ fn gains_are_sent_and_confirmed() {
         .assert_stdout(&["accepted the gains", "measured"]);
 }
 
-/// The part of pyserial that the example uses.
 const SERIAL: &str = r#"
 import os, select, tty
 
@@ -185,7 +183,6 @@ fn an_absent_rig_is_not_a_failed_tuning(#[case] rig: &str) {
     assert!(!folder.exists("run"));
 }
 
-/// A scenario with comments; `controller` is TOML.
 fn commented_scenario(controller: &str) -> String {
     format!(
         "# Mine.\ntitle = \"step\" # a title\nplate   = \"plates/aluminium-198x138.toml\"\nduration_ms = 60.0\n\
@@ -220,7 +217,6 @@ fn writing_gains_keeps_the_rest_of_the_scenario(#[case] controller: &str) {
     // All comments and lines without gains are still there, in their order.
     let mut rest = written.as_str();
     for line in text.lines().filter(|line| !line.contains("gains") && !line.contains("_k")) {
-        // In an inline table the gains are on the same line.
         let line = line.trim_end_matches(" }");
         let at = rest.find(line).unwrap_or_else(|| panic!("{line} is not in\n{written}"));
         rest = &rest[at + line.len()..];
@@ -238,10 +234,8 @@ fn writing_gains_keeps_the_rest_of_the_scenario(#[case] controller: &str) {
     assert!((settling - predicted).abs() < 0.002, "{settling}\n{written}");
     let scenario = platebench_scenario::load(&path, "mine.toml").unwrap();
     assert_eq!(scenario.controller.gains.unwrap().amplitude_ki, json_number(&tuning, "/gains/amplitude_ki"));
-    // Writing again changes nothing.
     run_tune(&folder, &["--write", "scenarios/mine.toml"]).assert_exit(0).assert_stderr(&["already"]);
     assert_eq!(fs::read_to_string(&path).unwrap(), written);
-    // No temporary file remains.
     let names = fs::read_dir(path.parent().unwrap()).unwrap().count();
     assert_eq!(names, ["plates", "mine.toml"].len() + usize::from(path.with_file_name("value.toml").exists()));
 }

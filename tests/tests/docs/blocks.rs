@@ -6,7 +6,6 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// Content of a TOML block.
 #[derive(Debug, PartialEq, Eq)]
 enum TomlKind {
     Scenario,
@@ -26,7 +25,6 @@ fn toml_kind(table: &toml::Table) -> TomlKind {
     }
 }
 
-/// Folder with links to the project's scenarios, for blocks that name them.
 fn example_folder() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let scenarios = folder.path().join("scenarios");
@@ -38,7 +36,6 @@ fn example_folder() -> TempDir {
     folder
 }
 
-/// Kind of a TOML block, or its fault.
 fn check_toml(text: &str) -> Result<TomlKind, String> {
     let table: toml::Table = match text.parse() {
         Ok(table) => table,
@@ -68,7 +65,6 @@ fn check_toml(text: &str) -> Result<TomlKind, String> {
     loaded.map(|()| kind)
 }
 
-/// Loads a plate through a scenario that names it.
 fn check_plate(plate: &Path, folder: &Path) -> Result<(), String> {
     let text = format!(
         "title = \"t\"\nplate = \"{}\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 1.0\n\
@@ -118,9 +114,7 @@ fn finds_blocks_that_do_not_load() {
     assert!(check_toml("{ a = 1 }\n] 2\n").is_err());
 }
 
-/// True for a complete command of the project.
-///
-/// The bare name of a command, alternatives, options in brackets and placeholders are not complete.
+/// Rejects bare names of commands, alternatives, options in brackets and placeholders.
 fn is_own_command(text: &str) -> bool {
     let words = text.split_whitespace().count();
     let own = text.starts_with("cargo ") || text.starts_with("platebench ");

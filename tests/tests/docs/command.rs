@@ -1,11 +1,9 @@
-//! Checks commands in the documentation: the bench's arguments parse, and programs, packages and
-//! files exist.
+//! Checks commands in the documentation: arguments parse; programs, packages and files exist.
 
 use crate::page::workspace_root;
 use std::fs;
 use std::path::Path;
 
-/// Foreign programs that pages may name.
 const ALLOWED_PROGRAMS: [&str; 16] = [
     "cd",
     "chmod",
@@ -24,12 +22,11 @@ const ALLOWED_PROGRAMS: [&str; 16] = [
     "test",
     "mdbook",
 ];
-/// Folders of the project whose files a command may name.
 const PROJECT_FOLDERS: [&str; 6] = ["ci/", "docs/", "firmware-under-test/", "harness/", "scenarios/", "tests/"];
 const CARGO_COMMANDS: [&str; 10] =
     ["add", "bench", "build", "clippy", "doc", "fmt", "install", "nextest", "run", "test"];
 
-/// Commands of a shell script or, if `prompted`, of a console with a prompt before each.
+/// If `prompted`, `text` is a console with a prompt before each command.
 pub(crate) fn commands(text: &str, prompted: bool) -> Vec<String> {
     let joined = text.replace("\\\n", " ");
     let lines = joined.lines().map(str::trim);
@@ -37,13 +34,11 @@ pub(crate) fn commands(text: &str, prompted: bool) -> Vec<String> {
     typed.filter(|line| !line.is_empty() && !line.starts_with('#')).map(str::to_owned).collect()
 }
 
-/// Fault of a line of shell with files below `folder`, if any.
 pub(crate) fn command_fault(line: &str, folder: &Path) -> Option<String> {
     let Some(words) = shlex::split(line) else { return Some("a quote is not closed".to_owned()) };
     words.split(|word| matches!(&**word, "&&" | "||" | "|" | ";")).find_map(|words| simple_command_fault(words, folder))
 }
 
-/// Arguments of a call of the bench, by `platebench` or `cargo platebench`.
 pub(crate) fn bench_arguments(words: &[String]) -> Option<&[String]> {
     match words {
         [program, arguments @ ..] if program == "platebench" => Some(arguments),
@@ -57,7 +52,6 @@ fn simple_command_fault(words: &[String], folder: &Path) -> Option<String> {
         words.iter().take_while(|word| word.split_once('=').is_some_and(|(name, _)| is_variable_name(name))).count();
     let words = words.get(assigned..).unwrap_or_default();
     let Some((program, arguments)) = words.split_first() else { return Some("no command".to_owned()) };
-    // A redirection is not an argument.
     let end = words.iter().position(|word| word.starts_with('>')).unwrap_or(words.len());
     let fault = match (bench_arguments(&words[..end]), &**program) {
         (Some(arguments), _) => parse_arguments(arguments).err(),
@@ -72,7 +66,6 @@ fn is_variable_name(name: &str) -> bool {
     !name.is_empty() && name.chars().all(|c| c.is_ascii_uppercase() || c == '_')
 }
 
-/// Parses `arguments` of the bench.
 pub(crate) fn parse_arguments(arguments: &[String]) -> Result<(), String> {
     let words = std::iter::once("platebench".to_owned()).chain(arguments.iter().cloned());
     match platebench_cli::command().try_get_matches_from(words) {
@@ -99,7 +92,7 @@ fn cargo_fault(arguments: &[String]) -> Option<String> {
     })
 }
 
-/// Fault of a path of the project in `word` that does not exist.
+/// Only for a path of the project.
 pub(crate) fn missing_path(word: &str, folder: &Path) -> Option<String> {
     let path = word.split_once("./").map_or(word, |(before, rest)| if before.is_empty() { rest } else { word });
     if !PROJECT_FOLDERS.iter().any(|folder| path.starts_with(folder)) {
@@ -112,7 +105,6 @@ pub(crate) fn missing_path(word: &str, folder: &Path) -> Option<String> {
     (!exists).then(|| format!("`{path}` does not exist"))
 }
 
-/// True if the path of a file starts with `before` and ends with `after`.
 fn exists_matching(folder: &Path, before: &str, after: &str) -> bool {
     let (parent, start) = before.rsplit_once('/').unwrap_or(("", before));
     let entries = fs::read_dir(folder.join(parent)).into_iter().flatten().flatten();

@@ -5,14 +5,12 @@ use crate::page::workspace_root;
 use std::fs;
 use yaml_serde::Value;
 
-/// Files of a run folder that a recipe may keep.
 const RUN_FOLDER_FILES: [&str; 3] = ["junit.xml", "report.html", "run.json"];
 
 fn recipe(name: &str) -> Value {
     yaml_serde::from_str(&fs::read_to_string(workspace_root().join("docs/examples/ci").join(name)).unwrap()).unwrap()
 }
 
-/// Collects every text of `keys`, also in lists.
 fn collect_texts(value: &Value, keys: &[&str], found: &mut Vec<String>) {
     match value {
         Value::Mapping(mapping) => {
@@ -34,7 +32,6 @@ fn collect_texts(value: &Value, keys: &[&str], found: &mut Vec<String>) {
     }
 }
 
-/// Checks the commands of a recipe and the files that it keeps.
 fn check_recipe(recipe: &Value, script: &[&str], kept: &[&str]) {
     let mut scripts = Vec::new();
     collect_texts(recipe, script, &mut scripts);

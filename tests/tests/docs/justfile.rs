@@ -4,7 +4,6 @@ use crate::command::command_fault;
 use crate::page::workspace_root;
 use std::fs;
 
-/// Recipe names and their commands.
 fn recipes() -> Vec<(String, String)> {
     let text = fs::read_to_string(workspace_root().join("justfile")).unwrap();
     let lines: Vec<_> = text.lines().collect();

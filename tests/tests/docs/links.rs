@@ -9,7 +9,6 @@ use std::path::Path;
 /// Folder of the book's pages, as in `book.toml`; its folder `examples` contains no pages.
 const BOOK: &str = "docs";
 
-/// Fault of a link of `page`, if any.
 fn link_fault(page: &DocumentPage, link: &str) -> Option<String> {
     if link.contains("://") || link.starts_with("mailto:") {
         return None;

@@ -1,5 +1,4 @@
-//! Compares the documentation with the project: links, commands, files, the tutorial, and the
-//! generated reference.
+//! Compares the documentation with the project.
 
 #![allow(
     clippy::unwrap_used,

@@ -7,17 +7,14 @@ use std::path::{Path, PathBuf};
 
 pub(crate) use platebench_test_kit::workspace_root;
 
-/// A code block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Block {
     /// Word after the fence; `indented` without a fence.
     pub(crate) language: String,
     pub(crate) text: String,
-    /// Line of its text in the page, counted from 1.
     pub(crate) line: usize,
 }
 
-/// A page with everything that the tests check.
 #[derive(Debug, Default)]
 pub(crate) struct DocumentPage {
     /// Relative to the workspace.
@@ -26,7 +23,6 @@ pub(crate) struct DocumentPage {
     /// Destination and line.
     pub(crate) links: Vec<(String, usize)>,
     pub(crate) blocks: Vec<Block>,
-    /// Inline code and its line.
     pub(crate) code_spans: Vec<(String, usize)>,
 }
 
@@ -79,8 +75,7 @@ impl DocumentPage {
     }
 }
 
-/// Anchor of a heading on GitHub: lower case, no punctuation, hyphens for spaces; a repeated title
-/// gets a number.
+/// As GitHub: lower case, no punctuation, hyphens for spaces; a repeated title gets a number.
 fn anchor(title: &str, counts: &mut BTreeMap<String, usize>) -> String {
     let kept = title.trim().to_lowercase().replace(' ', "-");
     let name: String = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, '-' | '_')).collect();
@@ -89,7 +84,6 @@ fn anchor(title: &str, counts: &mut BTreeMap<String, usize>) -> String {
     if *times == 1 { name } else { format!("{name}-{}", *times - 1) }
 }
 
-/// Reads every Markdown file of the project.
 pub(crate) fn read_pages() -> Vec<DocumentPage> {
     let mut files = Vec::new();
     collect(Path::new(""), &mut files);
@@ -103,7 +97,6 @@ fn collect(folder: &Path, files: &mut Vec<PathBuf>) {
         let path = folder.join(entry.file_name());
         let name = entry.file_name().to_string_lossy().into_owned();
         if entry.file_type().unwrap().is_dir() {
-            // Skip folders with outputs and vendored files.
             if !name.starts_with('.') && !matches!(&*name, "target" | "runs" | "charts" | "node_modules" | "book") {
                 collect(&path, files);
             }

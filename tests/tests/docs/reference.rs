@@ -1,6 +1,4 @@
-//! Generates the reference pages: commands from clap, metrics from `Metric`, keys from the types of
-//! serde.
-//!
+//! Generates the reference pages from clap, `Metric` and the types of serde.
 //! `ci/reference --update` writes the pages; without it the tests compare them.
 
 use crate::page::workspace_root;
@@ -23,7 +21,7 @@ fn the_command_reference_matches_the_program() {
     check_or_update("docs/reference-commands.md", &page);
 }
 
-/// Hides values of environment variables, which differ between machines.
+/// Values of environment variables differ between machines.
 fn without_environment(command: Command) -> Command {
     command.mut_args(|argument| argument.hide_env_values(true)).mut_subcommands(without_environment)
 }
@@ -95,7 +93,6 @@ fn parse_source(file: &str) -> syn::File {
     syn::parse_file(&fs::read_to_string(workspace_root().join(file)).unwrap()).unwrap()
 }
 
-/// Structs of a source file by name.
 fn structs_by_name(file: &str) -> BTreeMap<String, ItemStruct> {
     let items = parse_source(file).items.into_iter();
     let structs = items.filter_map(|item| match item {
@@ -105,7 +102,6 @@ fn structs_by_name(file: &str) -> BTreeMap<String, ItemStruct> {
     structs.collect()
 }
 
-/// Appends the keys of a type, then those of its fields' types.
 fn append_keys(types: &BTreeMap<String, ItemStruct>, name: &str, path: &str, page: &mut String) {
     let of = types.get(name).unwrap_or_else(|| panic!("{name} does not exist"));
     let Fields::Named(fields) = &of.fields else { panic!("{name} has no keys") };
@@ -134,7 +130,6 @@ fn append_keys(types: &BTreeMap<String, ItemStruct>, name: &str, path: &str, pag
     }
 }
 
-/// Compares a generated page with the committed one; writes it with `ci/reference --update`.
 #[track_caller]
 fn check_or_update(file: &str, expected: &str) {
     let path = workspace_root().join(file);

@@ -2,7 +2,6 @@
 
 use syn::{Attribute, Expr, GenericArgument, Lit, Meta, PathArguments, Type};
 
-/// The documentation comment, in one line.
 pub(crate) fn doc_comment(attributes: &[Attribute]) -> String {
     let lines = attributes.iter().filter_map(|attribute| match &attribute.meta {
         Meta::NameValue(pair) if pair.path.is_ident("doc") => match &pair.value {
@@ -17,11 +16,9 @@ pub(crate) fn doc_comment(attributes: &[Attribute]) -> String {
     lines.collect::<Vec<_>>().join(" ").trim().to_owned()
 }
 
-/// True if serde has a default for a missing value.
 pub(crate) fn has_default(attributes: &[Attribute]) -> bool {
     let mut found = false;
     for attribute in attributes.iter().filter(|attribute| attribute.path().is_ident("serde")) {
-        // A value, such as the name of a function, is skipped.
         let _ = attribute.parse_nested_meta(|meta| {
             found |= meta.path.is_ident("default");
             if meta.input.peek(syn::Token![=]) {
@@ -33,7 +30,6 @@ pub(crate) fn has_default(attributes: &[Attribute]) -> bool {
     found
 }
 
-/// The type of a key's value.
 #[derive(Default)]
 pub(crate) struct KeyType {
     pub(crate) name: String,

@@ -19,7 +19,6 @@ fn example_clone() -> tempfile::TempDir {
     clone
 }
 
-/// Commands and the lines of their documented output.
 fn commands_with_output(text: &str) -> Vec<(String, Vec<String>)> {
     let mut typed: Vec<(String, Vec<String>)> = Vec::new();
     for line in text.lines() {
@@ -32,7 +31,7 @@ fn commands_with_output(text: &str) -> Vec<(String, Vec<String>)> {
     typed
 }
 
-/// First of `lines` that `output` does not contain in this order; `…` matches any text.
+/// Lines must appear in this order; `…` matches any text.
 fn first_missing_line<'a>(lines: &'a [String], output: &str) -> Option<&'a String> {
     let mut output_lines = output.lines().map(str::trim_end);
     lines.iter().find(|line| {

@@ -13,10 +13,10 @@ use platebench_wire::{Command, LawId, Message, Packet, PacketReader};
 use qemu::Qemu;
 use recorded_trials::{RecordedExchange, RecordedTrial};
 
-/// Far fewer bytes than the receive ring of the image holds.
+/// Far less than the receive ring of the image holds.
 const EXCHANGES_PER_WRITE: usize = 64;
 
-/// Repeats a trial on QEMU, whose clock is that of the samples: every byte must agree.
+/// The clock of QEMU is that of the samples, so every byte must agree.
 fn compare_with_qemu(qemu: &mut Qemu, trial: &RecordedTrial) -> Result<(), String> {
     for part in trial.exchanges.chunks(EXCHANGES_PER_WRITE) {
         let requests: Vec<u8> = part.iter().flat_map(|exchange| exchange.request.clone()).collect();
@@ -34,7 +34,7 @@ fn compare_with_qemu(qemu: &mut Qemu, trial: &RecordedTrial) -> Result<(), Strin
     Ok(())
 }
 
-/// Repeats a trial on the emulated board; times of its own clock are not compared.
+/// Does not compare times of the board's own clock.
 fn compare_with_emulated(emulated: &mut EmulatedLink, trial: &RecordedTrial) -> Result<(), String> {
     emulated.restart().unwrap();
     for exchange in &trial.exchanges {

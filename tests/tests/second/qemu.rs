@@ -13,13 +13,11 @@ use tempfile::TempDir;
 const PROGRAM: &str = "qemu-system-arm";
 const IMAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware-under-test/images/qemu.elf");
 
-/// Long enough for a busy machine.
 const START_TIMEOUT: Duration = Duration::from_secs(30);
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 const HELLO_INTERVAL: Duration = Duration::from_millis(200);
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
-/// A running QEMU.
 pub(crate) struct Qemu {
     child: ChildGuard,
     line: UnixStream,
@@ -27,7 +25,7 @@ pub(crate) struct Qemu {
 }
 
 impl Qemu {
-    /// A new machine; `None`, with a message, if QEMU is neither installed nor required.
+    /// `None`, with a message, if QEMU is neither installed nor required.
     pub(crate) fn start_if_installed() -> Option<Self> {
         match Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output() {
             Ok(_) => Some(Self::start().unwrap()),
@@ -94,7 +92,6 @@ impl Qemu {
         ))
     }
 
-    /// Sends `requests` and reads `length` bytes of answers.
     pub(crate) fn exchange(&mut self, requests: &[u8], length: usize) -> Result<Vec<u8>, String> {
         self.line.write_all(requests).map_err(|error| self.exit_message(&error))?;
         let mut answers = vec![0; length];
@@ -115,7 +112,6 @@ impl Qemu {
         Ok(answers)
     }
 
-    /// Ends the machine; an error if it sent further bytes.
     pub(crate) fn finish(mut self) -> Result<(), String> {
         let mut rest = [0; 64];
         match self.line.read(&mut rest) {

@@ -11,25 +11,21 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const TRIALS_PER_SCENARIO: u32 = 2;
-/// Per trial; the rest of a long scenario is left out.
 const MAX_EXCHANGES: usize = 900;
 const PERIOD: Duration = Duration::from_millis(1);
 
-/// A request and the answer of the hosted controller.
 pub(crate) struct RecordedExchange {
     pub(crate) now: Duration,
     pub(crate) request: Vec<u8>,
     pub(crate) answer: Vec<u8>,
 }
 
-/// One trial, from its configuration.
 pub(crate) struct RecordedTrial {
     pub(crate) name: String,
     pub(crate) exchanges: Vec<RecordedExchange>,
 }
 
 impl RecordedTrial {
-    /// Changes the last bit of the last expected drive.
     pub(crate) fn flip_a_bit_of_the_last_drive(&mut self) {
         let decode = |bytes: &[u8]| PacketReader::new().packets(bytes).flatten().next();
         let driven = self.exchanges.iter_mut().rev().find_map(|exchange| match decode(&exchange.answer)? {
@@ -49,7 +45,6 @@ struct RecordingLink {
     link: HostedLink,
     log: Arc<Mutex<Vec<RecordedExchange>>>,
     count: usize,
-    /// Cancelled after [`MAX_EXCHANGES`].
     cancel: Arc<Mutex<CancelToken>>,
 }
 
@@ -75,7 +70,6 @@ impl Link for RecordingLink {
     }
 }
 
-/// Records the paper's scenarios under `law`.
 pub(crate) fn record_paper_scenarios(law: LawId) -> Vec<RecordedTrial> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios/paper");
     let scenarios = find(&[folder]).unwrap_or_else(|faults| panic!("{}", faults[0])).scenarios;
@@ -98,7 +92,6 @@ pub(crate) fn record_paper_scenarios(law: LawId) -> Vec<RecordedTrial> {
     trials
 }
 
-/// Records at least `count` random samples under random designs, each law in turn.
 pub(crate) fn record_random_samples(count: u32) -> Vec<RecordedTrial> {
     const PER_DESIGN: u32 = 100;
     let recorder = RecordingLink::default();

@@ -11,12 +11,10 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-/// The program in a terminal of its own.
 struct OperatorTerminal {
     child: ChildGuard,
     keys: File,
     screen: Arc<Mutex<String>>,
-    /// End of the text that was waited for.
     read_to: usize,
 }
 
@@ -30,7 +28,6 @@ impl OperatorTerminal {
         let mut output = keys.try_clone().unwrap();
         let screen = Arc::new(Mutex::new(String::new()));
         let text = Arc::clone(&screen);
-        // Ends when no process has the terminal open.
         thread::spawn(move || {
             let mut bytes = [0; 4096];
             while let Ok(count @ 1..) = output.read(&mut bytes) {
@@ -44,7 +41,6 @@ impl OperatorTerminal {
         self.screen.lock().unwrap().clone()
     }
 
-    /// Waits for a prompt and answers it.
     #[track_caller]
     fn answer(&mut self, prompt: &str, answer: &str) {
         self.wait_for_text(prompt);
@@ -68,7 +64,7 @@ impl OperatorTerminal {
     }
 }
 
-/// Two scenarios; the second is long enough to kill the bench within it.
+/// The second scenario is long enough to kill the bench within it.
 fn long_session_folder() -> TestFolder {
     let folder = session_folder();
     let expect = "metric = \"settling_time_ms\"\nat_most = 100.0\nrequirement = \"R-1\"";
@@ -92,7 +88,6 @@ fn a_session_killed_twice_resumes_and_verifies() {
     first.answer("Where is this?", "Lab 2\n");
     first.answer("Notes?", "\n");
     first.answer("near the plate?", "perhaps\n");
-    // Killed while it waits for an answer.
     first.wait_for_text("yes or no?");
     first.child.kill();
     let record = read_session_record(&folder);
@@ -103,14 +98,12 @@ fn a_session_killed_twice_resumes_and_verifies() {
     assert!(record.steps[0].done && !record.steps[1].done);
     assert_eq!(record.steps[1].attempts.len(), 1);
 
-    // Answered questions are not repeated, interrupted steps are.
     let mut second = OperatorTerminal::start(folder.path(), &[&session[..], &["--resume", "record"]].concat());
     second.answer("near the plate?", "yes\n");
     let record_folder = folder.join("record");
     let traces = record_folder.join("steps/06-slow/traces/slow");
     wait_until("no complete trial", || complete_trace_count(&traces) >= 2);
     assert!(!second.screen().contains("operator?"));
-    // Killed within a scenario.
     second.child.kill();
     let record = read_session_record(&folder);
     let done: Vec<bool> = record.steps.iter().map(|step| step.done).collect();
@@ -163,7 +156,6 @@ fn end_of_input_does_not_confirm() {
     ] {
         let call: Vec<&str> = arguments.iter().chain(&[name, "--rig", rig]).copied().collect();
         let mut session = OperatorTerminal::start(folder.path(), &call);
-        // Ctrl-D.
         session.answer("near the plate?", "\u{4}");
         let screen = session.wait_for_exit(&[3]);
         assert!(screen.contains(message), "{screen}");
@@ -196,7 +188,6 @@ fn a_no_ends_the_session_and_ctrl_c_allows_resuming() {
     let record = read_session_record(&folder);
     assert!(record.steps[4].done && !record.steps[5].done && !record.complete);
     assert!(!folder.exists("record/manifest.sha256"));
-    // Another firmware and changed evidence are rejected before anything is played.
     let text = folder.read("record/session.json");
     let build = &record.firmware.as_ref().unwrap().firmware.build;
     folder.write("record/session.json", &text.replace(build.as_str(), "0123456789abcdef"));

@@ -17,7 +17,6 @@ fn replace_text(path: &Path, from: &str, to: &str) {
     fs::write(path, text.replacen(from, to, 1)).unwrap();
 }
 
-/// Writes the manifest again, which needs no key.
 fn reseal(folder: &Path) {
     let script = "find . -type f ! -name 'manifest.sha256*' -printf '%P\\n' | LC_ALL=C sort \
                   | xargs -d '\\n' sha256sum > manifest.sha256";
@@ -31,7 +30,6 @@ fn flip_one_byte(path: &Path) {
     fs::write(path, bytes).unwrap();
 }
 
-/// A change of a record, and its message.
 type TamperCase = (fn(&Path), &'static str);
 
 const CASES: [TamperCase; 13] = [
@@ -54,7 +52,6 @@ const CASES: [TamperCase; 13] = [
     (|folder| fs::remove_file(folder.join("manifest.sha256")).unwrap(), "manifest.sha256: missing"),
     (|folder| fs::remove_file(folder.join("manifest.sha256.sig")).unwrap(), "manifest.sha256.sig: missing"),
     (|folder| flip_one_byte(&folder.join("manifest.sha256.sig")), "manifest.sha256.sig: wrong"),
-    // The signature does not match a new manifest.
     (
         |folder| {
             replace_text(&folder.join(SESSION), "Lab 2", "Lab 3");
@@ -89,7 +86,6 @@ fn every_change_is_rejected_with_its_file() {
     }
 }
 
-/// No trace contains the place, so only a signature protects it.
 #[test]
 fn a_resealed_record_is_checked_against_its_traces() {
     let folder = session_folder();

@@ -11,18 +11,14 @@ use syn::{Attribute, Item, ItemMod, ItemUse, Meta, UseTree};
 /// A path from the root of the crate, without `crate`.
 type ModulePath = Vec<String>;
 
-/// A module's names and the paths that it uses.
 #[derive(Default)]
 struct Module {
-    /// Names that the module's file defines.
     defined: BTreeSet<String>,
-    /// Names that the module imports or re-exports, with their paths.
     aliases: BTreeMap<String, ModulePath>,
     globs: Vec<ModulePath>,
     used: BTreeSet<ModulePath>,
 }
 
-/// The modules of one crate.
 pub(crate) struct SourceTree {
     modules: BTreeMap<ModulePath, Module>,
 }
@@ -82,8 +78,7 @@ impl SourceTree {
         }
     }
 
-    /// The module that defines what `path` names, re-exports followed. `None` if it is outside the
-    /// crate.
+    /// Follows re-exports. `None` if the module is outside the crate.
     fn defining_module(&self, path: &[String], depth: u8) -> Option<ModulePath> {
         let known = (0..=path.len()).rev().find(|&count| self.modules.contains_key(&path[..count]))?;
         let (module_path, rest) = path.split_at(known);
@@ -104,7 +99,6 @@ impl SourceTree {
         })
     }
 
-    /// Every import: from a module to the module that defines what is imported.
     fn imports(&self) -> BTreeSet<(ModulePath, ModulePath)> {
         let from_module = |(from, module): (&ModulePath, &Module)| -> Vec<_> {
             let targets = module.used.iter().filter_map(|path| self.defining_module(path, 8));
@@ -113,7 +107,6 @@ impl SourceTree {
         self.modules.iter().flat_map(from_module).collect()
     }
 
-    /// Submodules that import what the file of a parent defines.
     pub(crate) fn imports_of_ancestors(&self) -> Vec<String> {
         let imports = self.imports().into_iter();
         let upward = imports.filter(|(from, to)| from.len() > to.len() && from.starts_with(to));
@@ -155,7 +148,6 @@ fn name(path: &[String]) -> String {
     if path.is_empty() { "lib.rs".to_owned() } else { path.join("::") }
 }
 
-/// Everything that is imported from `start`, directly or not.
 fn reachable<'a>(edges: &BTreeMap<&'a str, BTreeSet<&'a str>>, start: &str) -> BTreeSet<&'a str> {
     let mut reached = BTreeSet::new();
     let mut open: Vec<&str> = edges.get(start).into_iter().flatten().copied().collect();
@@ -167,7 +159,6 @@ fn reachable<'a>(edges: &BTreeMap<&'a str, BTreeSet<&'a str>>, start: &str) -> B
     reached
 }
 
-/// Collects the names and paths of one module.
 struct ModuleReader<'a> {
     path: &'a [String],
     children: &'a BTreeSet<String>,
@@ -194,7 +185,7 @@ impl ModuleReader<'_> {
         self.module.defined.insert(name.to_string());
     }
 
-    /// The path from the root of the crate. `None` for paths of other crates and of local names.
+    /// `None` for paths of other crates and of local names.
     fn path_from_root(&self, segments: &[String]) -> Option<ModulePath> {
         let first = segments.first()?;
         match first.as_str() {
@@ -251,7 +242,6 @@ impl<'ast> Visit<'ast> for ModuleReader<'_> {
             Item::Struct(item) => &item.attrs,
             Item::Trait(item) => &item.attrs,
             Item::Use(item) => &item.attrs,
-            // A module is read by itself.
             Item::Mod(_) => return,
             _ => &[],
         };

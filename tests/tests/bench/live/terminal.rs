@@ -20,11 +20,9 @@ use vt100::{Color, Parser};
 pub(super) const SMALL: [u16; 2] = [80, 24];
 pub(super) const LARGE: [u16; 2] = [200, 50];
 
-/// A terminal and the program in it.
 pub(super) struct TestTerminal {
     pub(super) child: ChildGuard,
     keys: Option<File>,
-    /// The program's end, for its modes.
     line: Option<File>,
     initial_modes: Termios,
     screen: Arc<Mutex<Parser>>,
@@ -71,7 +69,6 @@ impl TestTerminal {
         self.screen.lock().unwrap()
     }
 
-    /// The text on the screen.
     pub(super) fn text(&self) -> String {
         self.screen().screen().contents()
     }
@@ -95,13 +92,11 @@ impl TestTerminal {
         assert!(self.text().contains(text), "{text} is not in:\n{}", self.text());
     }
 
-    /// Waits until the view shows `text`.
     #[track_caller]
     pub(super) fn wait_for_view_text(&mut self, text: &str) {
         self.wait_for_text(text, true);
     }
 
-    /// Waits until `text` is on the normal screen.
     #[track_caller]
     pub(super) fn wait_for_terminal_text(&mut self, text: &str) {
         self.wait_for_text(text, false);
@@ -124,13 +119,11 @@ impl TestTerminal {
         set_size(self.keys.as_ref().unwrap(), size);
     }
 
-    /// Waits for one of these exit codes and checks that the terminal is restored.
     #[track_caller]
     pub(super) fn wait_for_exit(&mut self, expected: &[i32]) {
         wait_until("the program does not end", || self.child.has_ended());
         let code = self.child.0.wait().unwrap().code();
         let after = tcgetattr(self.line.as_ref().unwrap()).unwrap();
-        // The reader ends when no end of the terminal is open.
         self.line = None;
         self.reader.take().unwrap().join().unwrap();
         assert!(code.is_some_and(|code| expected.contains(&code)), "{code:?}\n{}", self.text());
@@ -144,7 +137,6 @@ impl TestTerminal {
         assert!(!self.screen().screen().hide_cursor());
     }
 
-    /// Closes the terminal like a window.
     pub(super) fn close(mut self) -> ChildGuard {
         self.closed.store(true, Ordering::Relaxed);
         self.reader.take().unwrap().join().unwrap();
@@ -161,7 +153,6 @@ fn set_size(terminal: &File, [columns, rows]: [u16; 2]) {
     tcsetwinsize(terminal, Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 }).unwrap();
 }
 
-/// Reads until no process has the terminal open.
 fn read_until_closed(mut output: File, screen: &Mutex<Parser>, closed: &AtomicBool) {
     let mut bytes = [0; 4096];
     let soon = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
