@@ -1,50 +1,36 @@
-//! Detects a loop that does not converge.
+//! Detects a loop that does not converge (`docs/verdicts.md`); it is the reason of a failure only.
 //!
-//! An unstable loop does not grow without bound: the amplifier stays between 0 V and its limit, the
-//! frequency is limited by its slew, and an oscillation remains that does not decay. A loop
-//! diverges if, after the last event of the trial, the amplitude keeps leaving the band around the
-//! setpoint to both sides and this swing does not decay. An offset, a saturated drive, a slow
-//! approach, a decaying oscillation and sensor noise are no divergence.
-//!
-//! A NaN or infinite drive command is a divergence too; the rig reports it, because a trace cannot
-//! contain it.
-//!
-//! A divergence fails nothing by itself: it is the reason of an expectation that fails. See
-//! `docs/verdicts.md`.
+//! An unstable loop does not grow without bound: drive and frequency slew are limited, and an
+//! oscillation remains. A loop diverges if, after the last event of the trial, the amplitude keeps
+//! leaving the band around the setpoint to both sides and this swing does not decay. The rig
+//! reports a NaN or infinite drive command, because a trace cannot contain it.
 
 use platebench_plate::Time;
 use platebench_record::{Divergence, Telemetry};
 use platebench_scenario::Scenario;
 use platebench_trace::{Flags, Row};
 
-/// Half width of the band that a loop must enter and a swing must leave, in units of the setpoint.
+/// In units of the setpoint.
 const BAND_HALF_WIDTH: f64 = 0.05;
-/// A swing within so many standard deviations of the sensor's noise may be noise: 10⁵ samples reach
-/// 4.5, and a settled loop amplifies it.
+/// A swing within so many deviations of the sensor's noise may be noise: 10⁵ samples reach 4.5, and
+/// a settled loop amplifies it.
 const NOISE_DEVIATIONS: f64 = 25.0;
-/// Fewest control periods in each third of the time after the last event.
+/// In each third of the time after the last event.
 const MIN_PERIODS: f64 = 10.0;
-/// Fewest changes of side in a third.
 const MIN_SIDE_CHANGES: u32 = 3;
-/// A swing that keeps this share from one third to the next does not decay: it would need some
-/// hundred thirds to enter the band.
+/// Share that a swing keeps from one third to the next: it would need some hundred thirds to decay.
 const MIN_DECAY_RATIO: f64 = 0.98;
-/// The same if the drive switches between 0 V and its limit in both thirds, because clipping
-/// varies.
+/// If the drive switches between 0 V and its limit in both thirds, because clipping varies.
 const MIN_DECAY_RATIO_AT_LIMITS: f64 = 0.9;
-/// After so many control periods within the band the loop has converged.
 const CONVERGED_PERIODS: f64 = 10.0;
-/// Share of the limit from which a drive counts as saturated.
 const LIMIT_SHARE: f64 = 1.0 - 1e-6;
 
-/// Detects a NaN or infinite drive command, or a loop that does not converge.
 pub(crate) fn detect_divergence(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<Divergence> {
     let commanded = telemetry.not_finite.map(|drive| Divergence { at_s: drive.at_s, is_non_finite: true });
     commanded.or_else(|| divergence_time_s(scenario, rows).map(|at_s| Divergence { at_s, is_non_finite: false }))
 }
 
-/// When, s, the loop left the band for good; `None` if it converges, or if the trace is too short
-/// to decide.
+/// When the loop left the band for good; `None` if it converges or the trace is too short.
 pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     let period = scenario.controller.period.seconds();
     let held = rows.get(row_after_last_event(scenario, rows)..)?;
@@ -84,8 +70,7 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     diverged.then(|| final_band_exit_s(held, reach, CONVERGED_PERIODS * period))
 }
 
-/// Index of the row after the last event: from there setpoint and conditions are constant, the
-/// controller runs, every answer arrives, and no planned fault acts.
+/// From there setpoint and conditions are constant, the controller runs and answers, no fault acts.
 fn row_after_last_event(scenario: &Scenario, rows: &[Row]) -> usize {
     let moved = |pair: &[Row]| match pair {
         [left, right] => {
@@ -106,7 +91,7 @@ fn row_after_last_event(scenario: &Scenario, rows: &[Row]) -> usize {
     rows.iter().rposition(disturbed).map_or(0, |index| index + 1).max(rested)
 }
 
-/// Counts how often a signal goes from beyond `reach` on one side of 0 to beyond it on the other.
+/// From beyond `reach` on one side of 0 to beyond it on the other.
 fn count_side_changes(rows: &[Row], reach: f64, signal: &dyn Fn(&Row) -> f64) -> u32 {
     let mut side = 0.0;
     let mut changes = 0;
@@ -117,7 +102,7 @@ fn count_side_changes(rows: &[Row], reach: f64, signal: &dyn Fn(&Row) -> f64) ->
     changes
 }
 
-/// Time-weighted standard deviation of a signal around its own mean.
+/// Time-weighted, around the signal's own mean.
 fn standard_deviation(rows: &[Row], signal: &dyn Fn(&Row) -> f64) -> f64 {
     let (mut length, mut area, mut squares) = (0.0, 0.0, 0.0);
     for pair in rows.windows(2) {
@@ -130,7 +115,6 @@ fn standard_deviation(rows: &[Row], signal: &dyn Fn(&Row) -> f64) -> f64 {
     if length > 0.0 { (squares / length - (area / length).powi(2)).max(0.0).sqrt() } else { 0.0 }
 }
 
-/// True if the drive switches repeatedly between 0 V and `limit`.
 fn switches_between_limits(rows: &[Row], limit: f64) -> bool {
     let mut at_limit = None;
     let mut changes = 0;
@@ -147,8 +131,7 @@ fn switches_between_limits(rows: &[Row], limit: f64) -> bool {
     changes >= MIN_SIDE_CHANGES
 }
 
-/// When the amplitude left the band after its last stay of at least `stay` seconds, or after its
-/// first entry.
+/// After the last stay in the band of at least `stay` seconds, or after the first entry.
 fn final_band_exit_s(rows: &[Row], reach: f64, stay: f64) -> f64 {
     let start = rows.first().map_or(0.0, |row| row.t_s);
     let mut left = None;

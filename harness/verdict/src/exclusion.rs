@@ -5,20 +5,18 @@ use platebench_record::{Exclusion, Telemetry};
 use platebench_scenario::{Metric, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// An oscillator on the chip is off by 1 %, a crystal by some 100 ppm; a wrongly configured timer
-/// is off by a factor.
+/// An oscillator on the chip is off by 1 %; a wrongly configured timer is off by a factor.
 const CLOCK_TOLERANCE_PPM: f64 = 20_000.0;
-/// One stall of the computer at either end of a trial, s.
+/// One stall of the computer at either end of a trial.
 const STALL_S: f64 = 0.05;
-/// Half a nanosecond: instants are whole nanoseconds.
+/// Instants are whole nanoseconds.
 const INSTANT_ROUNDING_S: f64 = 0.5e-9;
 
-/// An instant in ms, rounded to 1 ns.
+/// Rounded to 1 ns.
 pub(crate) fn rounded_ms(t_s: f64) -> f64 {
     (t_s * 1e9).round() / 1e6
 }
 
-/// Why a trial does not count, if a disturbance was not the controller's.
 pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<Exclusion> {
     let timing = telemetry.timing.as_ref();
     let clock = timing.filter(|timing| timing.pacing == "target");
@@ -37,7 +35,6 @@ fn unplanned_silence(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
     flagged.find(|row| !is_planned(row)).map(|row| Exclusion::NoAnswer { at_ms: rounded_ms(row.t_s) })
 }
 
-/// Overruns beyond the number that the scenario allows.
 fn late_bench(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
     let late = || rows.iter().filter(|row| row.flags.contains(Flags::OVERRUN));
     let expectations = scenario.expectations.iter();
@@ -47,7 +44,6 @@ fn late_bench(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
     (count as f64 > allowed).then(|| Exclusion::LateBench { count, first_ms: rounded_ms(first.t_s) })
 }
 
-/// A controller whose timer makes other control instants than those of the scenario.
 pub(crate) fn wrong_clock(scenario: &Scenario, ppm: f64, error_ppm: f64) -> Option<Exclusion> {
     let allowed = CLOCK_TOLERANCE_PPM + 4.0 * error_ppm + STALL_S / scenario.duration.seconds() * 1e6;
     (ppm.abs() > allowed).then_some(Exclusion::WrongClock { ppm })

@@ -1,9 +1,8 @@
 //! Decides whether any controller could meet a demand within the amplifier's limits.
 //!
-//! An ideal controller plays the trial again: it drives at resonance, knows the plate, and brings
-//! the amplitude to the setpoint as fast as the amplifier allows. What it misses, no controller can
-//! meet. Between two rows its amplitude follows the exact envelope `W' = −σ W + b V`, with V at the
-//! limit while W must rise and 0 while it must fall.
+//! An ideal controller plays the trial again: at resonance, it brings the amplitude to the setpoint
+//! as fast as the amplifier allows. Its amplitude follows the exact envelope `W' = −σ W + b V`,
+//! with V at the limit while W must rise and 0 while it must fall.
 
 use crate::metrics::{self, Measure};
 use platebench_plate::{Plant, Time};
@@ -11,8 +10,7 @@ use platebench_record::{BestResponse, Excuse, Telemetry};
 use platebench_scenario::{Expectation, Metric, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// Why no controller could meet the demand in this trial. Only a trial whose drive was at a limit
-/// is excused.
+/// Only a trial whose drive was at a limit is excused.
 pub(crate) fn infeasibility_excuse(
     scenario: &Scenario,
     expectation: &Expectation,
@@ -37,7 +35,7 @@ pub(crate) fn infeasibility_excuse(
     })
 }
 
-/// What the ideal controller reaches, if that misses the limit.
+/// `None` if the ideal controller meets the limit.
 fn unreachable_best(expectation: &Expectation, best: Measure) -> Option<BestResponse> {
     let (lowest, highest) = expectation.range();
     let metric = expectation.metric;
@@ -50,7 +48,6 @@ fn unreachable_best(expectation: &Expectation, best: Measure) -> Option<BestResp
         }
         (_, Measure::Value(value) | Measure::Interval([value, _])) => {
             let is_out_of_reach = match metric {
-                // The ideal amplitude never exceeds the setpoint.
                 Metric::FinalAmplitude => value < lowest,
                 _ => value.abs() > highest,
             };
@@ -59,7 +56,6 @@ fn unreachable_best(expectation: &Expectation, best: Measure) -> Option<BestResp
     }
 }
 
-/// True if a drive at its limit can worsen the metric.
 pub(crate) const fn is_drive_limited(metric: Metric) -> bool {
     matches!(
         metric,
@@ -75,12 +71,11 @@ pub(crate) const fn is_drive_limited(metric: Metric) -> bool {
 /// Rounding error of a mean that equals the setpoint.
 const RATIO_TOLERANCE_PERCENT: f64 = 1e-6;
 
-/// The trial as the ideal controller plays it.
 struct IdealResponse {
     rows: Vec<Row>,
     /// The amplitude must fall faster than the plate decays, and the drive was at 0 V.
     falls_with_drive_off: bool,
-    /// The highest drive that holds the setpoint at resonance, Vpp.
+    /// At resonance.
     required_drive_vpp: f64,
 }
 

@@ -1,10 +1,8 @@
 //! Judges the expectations of a scenario by its trials.
 //!
-//! A scenario with `max_count` is judged after `count` trials, after twice as many and so on;
-//! [`alpha_spending`](crate::statistics::alpha_spending) corrects the error rate for looking early.
-//! The looks depend on the scenario alone, and a decision depends on the trials up to its look. A
-//! stored run is therefore judged at the same look as live, whatever the order in which its trials
-//! were played.
+//! A scenario with `max_count` is judged after `count` trials, after twice as many and so on. The
+//! looks depend on the scenario alone, and a decision depends on the trials up to its look: a
+//! stored run is judged as live, whatever the order in which its trials were played.
 
 mod expectation_judge;
 mod outcome;
@@ -17,30 +15,22 @@ use platebench_record::{Cause, ExpectationRecord, Verdict};
 use platebench_scenario::Scenario;
 use std::borrow::Cow;
 
-/// The verdict of a scenario.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judgement {
-    /// Over all expectations.
     pub verdict: Verdict,
-    /// One per expectation of the scenario.
     pub expectations: Vec<ExpectationRecord>,
 }
 
-/// What to do after a number of trials.
 #[derive(Debug, Clone, PartialEq)]
 pub enum SequentialDecision {
-    /// This is the verdict; more trials do not change it.
+    /// More trials do not change it.
     Stop(Judgement),
-    /// More trials are needed.
     Continue {
-        /// Number of trials at the next look, including those already played.
+        /// At the next look, including those already played.
         trials: u32,
     },
 }
 
-/// Judges a scenario at the first planned look that decides, or returns how many trials the next
-/// look needs.
-///
 /// A look decides if every expectation passes, one fails, or one is inconclusive and more trials
 /// cannot change that. The last look always decides.
 pub fn judge_sequentially(scenario: &Scenario, trials: &[TrialMeasures]) -> SequentialDecision {
@@ -50,13 +40,12 @@ pub fn judge_sequentially(scenario: &Scenario, trials: &[TrialMeasures]) -> Sequ
     }
 }
 
-/// Judges a scenario by the trials that were played, even if some are missing.
+/// Judges the trials that were played, even if some are missing.
 pub fn judge(scenario: &Scenario, trials: &[TrialMeasures]) -> Judgement {
     let trials = sorted_by_index(trials);
     judge_at_deciding_look(scenario, &trials).unwrap_or_else(|next| judge_at_look(scenario, &trials, next))
 }
 
-/// The judgement of the first look that decides, or the first look that has too few trials.
 fn judge_at_deciding_look(scenario: &Scenario, trials: &[TrialMeasures]) -> Result<Judgement, Look> {
     let mut planned = plan_looks(scenario.trials.count, scenario.trials.max_count).into_iter().peekable();
     loop {
@@ -72,7 +61,6 @@ fn judge_at_deciding_look(scenario: &Scenario, trials: &[TrialMeasures]) -> Resu
     }
 }
 
-/// True if more trials cannot change the verdict.
 fn is_final(judgement: &Judgement) -> bool {
     let is_decided = |expectation: &ExpectationRecord| match expectation.verdict {
         Verdict::Pass => false,

@@ -1,10 +1,9 @@
 //! Measures one trial from its trace.
 //!
-//! The runner adds a row on either side of every crossing of an expected band, found on the
-//! continuous solution. Between rows the plate's signals count as linear, which changes a settling
-//! time by less than 1 ns. For a band that the run did not know the change is some µs at the
-//! default row spacing. The controller's samples are known at control instants only, so a time
-//! measured from them is an interval.
+//! The runner adds a row on either side of every crossing of an expected band. Between rows the
+//! plate's signals count as linear, which changes a settling time by less than 1 ns (some µs for a
+//! band that the run did not know). The controller's samples are known at control instants only: a
+//! time measured from them is an interval.
 
 mod band;
 mod measure;
@@ -25,10 +24,8 @@ use signal::MetricSignal;
 use window::{flagged_share, window_mean_ratio};
 use window_rows::{window_rows, window_rows_with_previous};
 
-/// Measures the metric of `expectation` in one trial; the worst of its windows decides.
-/// [`Metric::Repeatability`] gives the window mean in percent of the setpoint.
-///
-/// A trial with a command that its trace cannot show has no number.
+/// The worst window decides. [`Metric::Repeatability`] gives the window mean in percent of the
+/// setpoint. A trial with a command that its trace cannot show has no number.
 pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let measure = measure_trace(expectation, rows, telemetry);
     let has_number = measure.value().is_some();
@@ -40,8 +37,8 @@ pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -
 
 fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let Some(last) = rows.last() else { return Measure::Undefined(UndefinedValue::EmptyTrace) };
-    // A controller at rest neither overshoots nor saturates. Only these two metrics may credit a
-    // stop, and only one that the controller made: if it was lost, the bench applied the 0 V.
+    // Only these two may credit a stop (at rest nothing overshoots), and only one that the
+    // controller made: if it was lost, the bench applied the 0 V.
     let allows_stop = matches!(expectation.metric, Metric::ShutdownTime | Metric::MissedReplies);
     if last.flags.contains(Flags::SAFE) && !(allows_stop && telemetry.ended.is_none()) {
         return Measure::Missing(MissingValue::NotRunning);
@@ -59,8 +56,7 @@ fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry)
     worst.map_or(Measure::Undefined(UndefinedValue::EmptyWindow), |(_, measure)| measure)
 }
 
-/// Orders the measures of windows: value by its distance from the limit, undefined, value that
-/// breaks the limit, missing.
+/// Value by its distance from the limit, undefined, value that breaks the limit, missing.
 fn severity(expectation: &Expectation, measure: &Measure) -> (u8, f64) {
     let (lowest, highest) = expectation.range();
     match measure {
@@ -125,7 +121,7 @@ fn measure_window(
     }
 }
 
-/// Why a metric cannot be measured on a real plate, whose controller reports only what it knows.
+/// A real plate's controller reports only what it knows.
 const fn unknown_on_a_real_plate(metric: Metric) -> Option<UndefinedValue> {
     match metric {
         Metric::FrequencyError => Some(UndefinedValue::UnknownResonance),

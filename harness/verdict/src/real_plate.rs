@@ -1,8 +1,7 @@
 //! Decides whether a trial on a real plate counts.
 //!
-//! The rows contain what the controller reports about itself: motion, setpoint and drive. A person
-//! makes the conditions. A trial counts if all of it was received, the controller held the
-//! setpoints that it was sent, and finger and temperature are known to be those of the scenario.
+//! The rows contain what the controller reports about itself. A trial counts if all of it was
+//! received, the controller held the setpoints that it was sent, and a person made the conditions.
 
 use crate::exclusion::{lost_rows, rounded_ms, wrong_clock};
 use crate::feasibility::is_drive_limited;
@@ -11,26 +10,22 @@ use platebench_record::{Exclusion, Excuse, RealPlateRecord};
 use platebench_scenario::{Expectation, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// Longest time from the profile to the controller; the earlier setpoint may be in force as long.
+/// The earlier setpoint may be in force as long.
 const MAX_SETPOINT_DELAY: Time = Time::from_nanos(100_000_000);
 /// The wire carries setpoints as f32.
 const SETPOINT_TOLERANCE: f64 = 1e-6;
-/// A person acts this much earlier or later.
 pub const OPERATOR_TIME_TOLERANCE: Time = Time::from_nanos(1_000_000_000);
 /// A person cannot act on time in a shorter trial.
 pub const MIN_DURATION_FOR_OPERATOR: Time = Time::from_nanos(2_000_000_000);
-/// Tolerance of a hand: N, and share of the force of the scenario.
+/// Tolerance of a hand.
 const FORCE_TOLERANCE_N: f64 = 0.3;
 const FORCE_TOLERANCE_SHARE: f64 = 0.2;
-/// Share of rows that may be outside this tolerance.
 const MAX_WRONG_FORCE_SHARE: f64 = 0.05;
 
-/// True if a person must warm or touch the plate.
 pub fn needs_operator(scenario: &Scenario) -> bool {
     condition_ranges(scenario).iter().any(|range| *range != (0.0, 0.0))
 }
 
-/// True if temperature or force change during a trial.
 pub fn scene_changes(scenario: &Scenario) -> bool {
     condition_ranges(scenario).iter().any(|(low, high)| low < high)
 }
@@ -40,13 +35,11 @@ fn condition_ranges(scenario: &Scenario) -> [(f64, f64); 2] {
     [conditions.temperature_offset_k.range(), conditions.finger_force_n.range()]
 }
 
-/// Why a person cannot make the conditions of `scenario`.
 pub fn operator_exclusion(scenario: &Scenario) -> Option<Exclusion> {
     (scene_changes(scenario) && scenario.duration < MIN_DURATION_FOR_OPERATOR)
         .then(|| Exclusion::TooFastForOperator { duration_ms: scenario.duration.ms() })
 }
 
-/// Why a trial does not count, if a disturbance was not the controller's.
 pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], record: Option<&RealPlateRecord>) -> Option<Exclusion> {
     let flagged = |flag: Flags| rows.iter().find(|row| row.flags.contains(flag)).map(|row| rounded_ms(row.t_s));
     wrong_conditions(scenario, rows, record)
@@ -58,13 +51,12 @@ pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], record: Option<&
         .or_else(|| wrong_setpoint(scenario, rows))
 }
 
-/// Excuses a miss with the drive at its limit: what a real plate needs is not known.
+/// What a real plate needs is not known.
 pub(crate) fn saturation_excuse(expectation: &Expectation, rows: &[Row]) -> Option<Excuse> {
     let saturated = rows.iter().find(|row| row.flags.contains(Flags::SATURATED))?;
     is_drive_limited(expectation.metric).then(|| Excuse::SaturatedRealPlate { at_ms: rounded_ms(saturated.t_s) })
 }
 
-/// Telemetry that is missing at the start, in between or at the end.
 fn missing_telemetry(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
     let widest = 1.5 * scenario.controller.period.seconds();
     let first = rows.first()?;
@@ -81,7 +73,6 @@ fn missing_telemetry(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
         .then(|| Exclusion::EarlyTelemetryEnd { at_ms: rounded_ms(last.t_s), duration_ms: scenario.duration.ms() })
 }
 
-/// The first row with a setpoint that the bench did not send.
 fn wrong_setpoint(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
     let range_at = |row: &Row| range_around(&scenario.setpoint, row.t_s, MAX_SETPOINT_DELAY);
     let wrong = rows.iter().filter(|row| !row.flags.contains(Flags::SAFE)).find(|row| {
@@ -89,7 +80,6 @@ fn wrong_setpoint(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
         let margin = SETPOINT_TOLERANCE * high.abs().max(low.abs());
         let is_held = |value: f64| (value - row.setpoint_um).abs() <= margin;
         match &scenario.setpoint {
-            // Only the levels themselves are sent.
             Profile::Hold(_) => {
                 !values_around(&scenario.setpoint, row.t_s, MAX_SETPOINT_DELAY).into_iter().any(is_held)
             }
@@ -100,7 +90,6 @@ fn wrong_setpoint(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
     Some(Exclusion::WrongSetpoint { held_um, at_ms, sent_um: range_at(wrong) })
 }
 
-/// Conditions that are not those of the scenario, or not known to be.
 fn wrong_conditions(scenario: &Scenario, rows: &[Row], record: Option<&RealPlateRecord>) -> Option<Exclusion> {
     if let Some(why) = record.and_then(|record| record.undone.clone()) {
         return Some(Exclusion::ConditionsNotMade { why });
@@ -131,7 +120,7 @@ fn wrong_conditions(scenario: &Scenario, rows: &[Row], record: Option<&RealPlate
     })
 }
 
-/// The smallest and the largest value of `profile` from `within` before `t_s` to `within` after it.
+/// From `within` before `t_s` to `within` after it.
 fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     if let Profile::Sine { .. } = profile {
         let (low, high) = profile.range();
@@ -141,8 +130,7 @@ fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }
 
-/// The values of `profile` at its points from `within` before `t_s` to `within` after it, and at
-/// both ends.
+/// At the points from `within` before `t_s` to `within` after it, and at both ends.
 fn values_around(profile: &Profile, t_s: f64, within: Time) -> Vec<f64> {
     let time = Time::from_seconds(t_s).unwrap_or(Time::ZERO);
     let (from, to) = (time.since(within), time + within);

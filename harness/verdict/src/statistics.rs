@@ -1,12 +1,4 @@
-//! Intervals over trials.
-//!
-//! * [`sample_summary`]: mean and standard deviation of normal data, by t and chi-square.
-//! * [`normality`]: test of normality.
-//! * [`bootstrap`]: mean and deviation of other data.
-//! * [`bounds`]: chooses between both.
-//! * [`proportion`], [`quantile`]: failure rates and quantiles.
-//! * [`equivalence`]: the bench's own error.
-//! * [`alpha_spending`]: error rate of a sequential test.
+//! Computes intervals over trials.
 //!
 //! Each end of an interval is a one-sided bound at the stated confidence c (two one-sided tests):
 //! `at_most` is demonstrated if the upper end meets it. As a two-sided interval it has the

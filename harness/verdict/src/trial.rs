@@ -16,23 +16,18 @@ use std::collections::BTreeMap;
 pub struct TrialMeasures {
     /// Counted from 0.
     pub index: u32,
-    /// Seed of its plate and noise.
     pub seed: u64,
-    /// One measure per expectation of the scenario.
+    /// One per expectation of the scenario.
     pub measures: Vec<Measure>,
-    /// Per expectation, why a miss is not the controller's failure.
     pub excuses: Vec<Option<Excuse>>,
-    /// What the rig reported.
     pub telemetry: Telemetry,
-    /// When the loop diverged; explains a failure.
+    /// Explains a failure.
     pub divergence: Option<Divergence>,
-    /// Why the trial does not count.
     pub exclusion: Option<Exclusion>,
-    /// True if the controller drove a real plate, which only its own sensor observes.
+    /// Only the controller's own sensor observes a real plate.
     pub is_real_plate: bool,
 }
 
-/// Measures the trial with number `index`.
 pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Telemetry) -> TrialMeasures {
     let variation = Variation::of_trial(scenario, index);
     let plant = variation.plant(scenario);
@@ -61,13 +56,11 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
     }
 }
 
-/// The record of a trial, with its metrics by name.
 pub fn trial_record(scenario: &Scenario, trial: &TrialMeasures, trace: String, wall_ms: Option<f64>) -> TrialRecord {
     let mut counts: BTreeMap<Metric, u32> = BTreeMap::new();
     let mut by_name = Map::new();
     for (expectation, measure) in scenario.expectations.iter().zip(&trial.measures) {
         let metric = expectation.metric;
-        // A single trial has no repeatability.
         if metric == Metric::Repeatability {
             continue;
         }

@@ -1,31 +1,22 @@
 //! Compares a response with a golden curve and its tolerance.
 //!
-//! A comparison row by row would fail a step that is slightly later by its whole height. Therefore,
-//! at every instant of the golden grid, the response must be within the tolerance of the golden
-//! curve at some time within the tolerance in time. The tolerance has a relative and an absolute
-//! part; the absolute part serves signals near zero.
-//!
-//! Curves are linear between points; a jump is a steep line from one row to the next.
+//! Row by row, a step that is slightly later would fail by its whole height. Therefore the response
+//! must be within the tolerance of the golden curve at some time within the tolerance in time, at
+//! every instant of the golden grid. Curves are linear between points.
 
 use platebench_trace::Row;
 use serde::{Deserialize, Serialize};
 
-/// A column that is compared.
 #[derive(Debug)]
 pub struct TubeSignal {
-    /// Its name in a trace.
     pub name: &'static str,
-    /// Its unit.
     pub unit: &'static str,
-    /// Its value in a row.
     pub value_in: fn(&Row) -> f64,
-    /// Default tolerance.
     pub tolerance: Tolerance,
-    /// Decimals in a file: a thousandth of the absolute tolerance, or finer.
+    /// A thousandth of the absolute tolerance, or finer.
     pub decimals: usize,
 }
 
-/// Tolerance of a signal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerance {
@@ -33,7 +24,6 @@ pub struct Tolerance {
     pub absolute: f64,
     /// Share of the golden value.
     pub relative: f64,
-    /// Earlier or later, ms.
     pub time_ms: f64,
 }
 
@@ -41,7 +31,6 @@ const VIBRATION: Tolerance = Tolerance { absolute: 0.01, relative: 0.005, time_m
 const DRIVE: Tolerance = Tolerance { absolute: 3.0, relative: 0.01, time_ms: 0.05 };
 const FREQUENCY: Tolerance = Tolerance { absolute: 0.5, relative: 0.0, time_ms: 0.05 };
 
-/// All signals that are compared.
 pub const TUBE_SIGNALS: [TubeSignal; 5] = [
     TubeSignal {
         name: "amplitude_um",
@@ -63,46 +52,33 @@ pub const TUBE_SIGNALS: [TubeSignal; 5] = [
 ];
 
 impl TubeSignal {
-    /// The signal of that name.
     pub fn from_name(name: &str) -> Option<&'static Self> {
         TUBE_SIGNALS.iter().find(|signal| signal.name == name)
     }
 }
 
-/// A point of a golden curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TubePoint {
-    /// When, ms.
     pub t_ms: f64,
-    /// Accepted value.
     pub value: f64,
-    /// Learned width in addition to the tolerance; 0 without learning.
+    /// Learned, in addition to the tolerance; 0 without learning.
     pub width: f64,
 }
 
-/// A golden curve with its tolerance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tube {
-    /// Name of the signal.
     pub signal: String,
-    /// Around the curve.
     pub tolerance: Tolerance,
     /// At least one, in order of time.
     pub points: Vec<TubePoint>,
 }
 
-/// The point at which a response is farthest outside its tube.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Exceedance {
-    /// Name of the signal.
     pub signal: String,
-    /// When, ms.
     pub t_ms: f64,
-    /// Value of the response.
     pub value: f64,
-    /// Accepted value.
     pub golden: f64,
-    /// Distance from the tube's edge.
     pub distance: f64,
     /// Half the height of the tube there.
     pub allowed: f64,
@@ -116,12 +92,11 @@ impl Exceedance {
 }
 
 impl Tube {
-    /// The first and the last instant, ms.
     pub fn span_ms(&self) -> (f64, f64) {
         (self.points.first().map_or(0.0, |point| point.t_ms), self.points.last().map_or(0.0, |point| point.t_ms))
     }
 
-    /// The golden curve at an instant; constant beyond its ends.
+    /// Constant beyond the ends.
     pub fn point_at(&self, t_ms: f64) -> TubePoint {
         let next = self.points.partition_point(|point| point.t_ms <= t_ms);
         let ends = (next.checked_sub(1).and_then(|index| self.points.get(index)), self.points.get(next));
@@ -136,12 +111,12 @@ impl Tube {
         }
     }
 
-    /// Half the height of the tube at a point, without the tolerance in time.
+    /// Without the tolerance in time.
     pub fn half_height(&self, point: TubePoint) -> f64 {
         self.tolerance.absolute + self.tolerance.relative * point.value.abs() + point.width
     }
 
-    /// The lower and the upper edge at an instant, over the tolerance in time.
+    /// Over the tolerance in time.
     pub fn edges(&self, t_ms: f64) -> [f64; 2] {
         let (from, to) = (t_ms - self.tolerance.time_ms, t_ms + self.tolerance.time_ms);
         let start = self.points.partition_point(|point| point.t_ms <= from);
@@ -155,7 +130,6 @@ impl Tube {
         })
     }
 
-    /// The instants that are compared: every `step_ms`, and every point of the curve.
     fn comparison_instants(&self, step_ms: Option<f64>) -> impl Iterator<Item = f64> + '_ {
         let (from, to) = self.span_ms();
         let steps = step_ms.filter(|step| *step > 0.0).map_or(0, |step| ((to - from) / step).floor() as u64);
@@ -163,8 +137,7 @@ impl Tube {
         (0..=steps).map(move |index| from + index as f64 * step).chain(self.points.iter().map(|point| point.t_ms))
     }
 
-    /// Where `response` (ms, value; in order of time) is farthest outside the tube; `None` if it is
-    /// inside.
+    /// `response` is (ms, value) in order of time; `None` if it is inside.
     pub fn worst_exceedance(&self, response: &[(f64, f64)], step_ms: Option<f64>) -> Option<Exceedance> {
         let outside = self.comparison_instants(step_ms).filter_map(|t_ms| {
             let value = value_at(response, t_ms)?;
@@ -182,7 +155,7 @@ impl Tube {
     }
 }
 
-/// The response at an instant; `None` before its start and after its end.
+/// `None` before the start and after the end.
 fn value_at(response: &[(f64, f64)], t_ms: f64) -> Option<f64> {
     let next = response.partition_point(|(t, _)| *t <= t_ms);
     let (left, before) = *response.get(next.checked_sub(1)?)?;
@@ -192,7 +165,6 @@ fn value_at(response: &[(f64, f64)], t_ms: f64) -> Option<f64> {
     }
 }
 
-/// A signal of a trace: (ms, value).
 pub fn signal_response(signal: &TubeSignal, rows: &[Row]) -> Vec<(f64, f64)> {
     rows.iter().map(|row| (row.t_s * 1e3, (signal.value_in)(row))).collect()
 }

@@ -5,7 +5,6 @@ use std::f64::consts::TAU;
 
 const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
 
-/// 2 µm for 120 ms at 1 kHz, followed by `more` TOML.
 fn scenario(noise_um: f64, more: &str) -> Scenario {
     let folder = tempfile::tempdir().unwrap();
     let silent = "noise_um_rms = 0.0";
@@ -38,7 +37,6 @@ fn rows(end_ms: f64, deviation: impl Fn(f64) -> f64, quadrature: impl Fn(f64) ->
     (0..=count).map(row).collect()
 }
 
-/// An oscillation of 200 Hz with the height `size(t_ms)`.
 fn oscillation(size: impl Fn(f64) -> f64) -> impl Fn(f64) -> f64 {
     move |t_ms| size(t_ms) * (TAU * 0.2 * t_ms).sin()
 }
@@ -51,7 +49,6 @@ fn divergence_of(rows: &[Row]) -> Option<f64> {
     divergence_time_s(&scenario(0.0, ""), rows)
 }
 
-/// Over 120 ms a third is 40 ms.
 #[rstest]
 #[case::sustained(0.2, 0.0, true)]
 #[case::growing(0.1, 0.01, true)]
@@ -75,14 +72,14 @@ fn ignores_deviations_without_a_swing(#[case] deviation: fn(f64) -> f64) {
     assert_eq!(divergence_of(&rows(120.0, deviation, zero)), None);
 }
 
-/// A frequency loop that crosses the resonance keeps |W| on one side of the setpoint.
+/// |W| stays on one side of the setpoint.
 #[test]
 fn counts_a_quadrature_swing_with_an_amplitude_swing() {
     let one_sided = |t_ms: f64| 0.2 * (TAU * 0.2 * t_ms).sin().powi(2);
     let quadrature = oscillation(|_| 0.6);
     assert!(divergence_of(&rows(120.0, one_sided, &quadrature)).is_some());
     assert_eq!(divergence_of(&rows(120.0, one_sided, zero)), None);
-    // The frequency oscillates around the resonance at an offset: the amplitude hardly moves.
+    // Around the resonance at an offset the amplitude hardly moves.
     let offset = |t_ms: f64| -0.3 + one_sided(t_ms) / 4.0;
     assert_eq!(divergence_of(&rows(120.0, offset, &quadrature)), None);
 }
@@ -95,7 +92,6 @@ fn ignores_swings_that_noise_could_cause() {
     assert_eq!(divergence_time_s(&noisy, &rows(120.0, oscillation(|_| 0.099), zero)), None);
 }
 
-/// Thirty periods after the last event are required.
 #[test]
 fn starts_after_the_last_event() {
     let swinging = |end_ms| rows(end_ms, oscillation(|_| 0.2), zero);
@@ -137,7 +133,6 @@ fn a_planned_fault_is_an_event_until_its_end() {
     assert_eq!(divergence_time_s(&fault("100.0"), &swinging), None);
 }
 
-/// Clipping varies the height of a swing between the limits of the drive.
 #[test]
 fn allows_uneven_swings_between_the_drive_limits() {
     let uneven = |keeps: f64, low: f64| {

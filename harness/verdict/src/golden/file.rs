@@ -1,5 +1,4 @@
-//! Reads and writes a baseline: `<scenario>.csv` with the curves, and `<scenario>.toml` with
-//! tolerances, features and origin. Both are small enough for a review.
+//! Reads and writes a baseline: `<scenario>.csv` with curves, `<scenario>.toml` with tolerances.
 
 use super::thin::thin;
 use super::tubes::GoldenTubes;
@@ -16,69 +15,52 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Suffix of a column with a learned width.
+/// Of a column with a learned width.
 const WIDTH: &str = "_width";
 const TIME: &str = "t_ms";
-/// Largest size of a baseline file.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// Why a baseline cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum BaselineError {
-    /// A file cannot be read or written.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file.
+        /// Cannot be read or written.
         path: PathBuf,
-        /// The operating system's error.
         source: io::Error,
     },
-    /// The content is not a baseline.
     #[error("{}:{line}: {message}", path.display())]
     Content {
-        /// The file.
         path: PathBuf,
         /// Counted from 1.
         line: usize,
-        /// What is wrong and what was expected.
         message: String,
     },
 }
 
-/// The accepted response of a scenario.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Baseline {
-    /// The scenario's file below the scenario folder.
     pub scenario: String,
-    /// The control law.
     pub law: String,
-    /// Its rig and firmware.
     pub build: BaselineBuild,
-    /// Features of the first trial.
     pub features: ResponseFeatures,
     /// Present if the tubes were learned from trials that differ.
     pub learned: Option<LearningParameters>,
-    /// The curves.
     pub golden: GoldenTubes,
 }
 
-/// Rig and firmware of a baseline.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BaselineBuild {
-    /// The rig.
     pub rig: String,
-    /// Name and version of the firmware.
     pub firmware: String,
-    /// Its build identity.
     pub id: String,
 }
 
-/// Features of a response, rounded; `None` if the trial has no such number.
+/// Rounded; `None` if the trial has no such number.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ResponseFeatures {
-    /// 5 % settling time of |W| after the first step, to 0.01 ms.
+    /// 5 % settling of |W| after the first step, to 0.01 ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub settling_time_ms: Option<f64>,
     /// To 0.1 %.
@@ -89,23 +71,20 @@ pub struct ResponseFeatures {
     pub drive_peak_vpp: Option<f64>,
 }
 
-/// Parameters of a learned tube.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LearningParameters {
-    /// Number of trials.
     pub trials: u32,
     /// Declared share of unchanged trials that leave the tube.
     pub false_alarm_rate: f64,
 }
 
-/// Content of the TOML file.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BaselineHeader {
     scenario: String,
     law: String,
-    /// SHA-256 of the CSV file, hexadecimal.
+    /// SHA-256 of the CSV file.
     curves_sha256: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     step_ms: Option<f64>,
@@ -118,7 +97,6 @@ struct BaselineHeader {
 }
 
 impl ResponseFeatures {
-    /// The features of a trial.
     pub fn of(rows: &[Row]) -> Self {
         let end = rows.last().and_then(|row| Time::from_seconds(row.t_s)).unwrap_or(Time::ZERO);
         let number = |metric: Metric, grain: f64| {
@@ -150,7 +128,6 @@ impl ResponseFeatures {
         }
     }
 
-    /// Each feature by name.
     pub fn by_name(&self) -> [(&'static str, Option<f64>); 3] {
         [
             ("settling_time_ms", self.settling_time_ms),
@@ -161,7 +138,7 @@ impl ResponseFeatures {
 }
 
 impl GoldenTubes {
-    /// The curves of one trial, thinned, compared every `step_ms`.
+    /// Thinned; compared every `step_ms`.
     pub fn from_trial(rows: &[Row], step_ms: f64) -> Option<Self> {
         let mut golden = Self { step_ms: Some(step_ms), ..Self::from_rows(rows)? };
         thin(&mut golden.tubes);
@@ -174,7 +151,6 @@ fn baseline_path(folder: &Path, scenario: &str, extension: &str) -> PathBuf {
 }
 
 impl Baseline {
-    /// Content of the two files: TOML and CSV.
     pub fn to_texts(&self) -> [String; 2] {
         let tubes = &self.golden.tubes;
         let is_learned = self.learned.is_some();
@@ -210,11 +186,7 @@ impl Baseline {
         [toml::to_string(&head).unwrap_or_default(), table]
     }
 
-    /// Replaces both files below `folder`. The TOML file contains the hash of the CSV file, so a
-    /// reader detects if only one file was replaced.
-    ///
-    /// # Errors
-    /// [`BaselineError::Io`].
+    /// The TOML file has the hash of the CSV file, so a reader detects if only one was replaced.
     pub fn write(&self, folder: &Path) -> Result<(), BaselineError> {
         let [head, table] = self.to_texts();
         for (extension, text) in [("csv", table), ("toml", head)] {
@@ -228,19 +200,12 @@ impl Baseline {
         Ok(())
     }
 
-    /// Reads the baseline of the scenario in file `scenario`; `None` if there is none.
-    ///
-    /// # Errors
-    /// [`BaselineError`]: one of the two files is missing or is not a baseline.
+    /// `None` if there is no baseline. Fails if one of its two files is missing or no baseline.
     pub fn read(folder: &Path, scenario: &str) -> Result<Option<Self>, BaselineError> {
         let (head, table) = (baseline_path(folder, scenario, "toml"), baseline_path(folder, scenario, "csv"));
         if !head.exists() && !table.exists() { Ok(None) } else { Self::read_files(&head, &table).map(Some) }
     }
 
-    /// Reads the two files of a baseline.
-    ///
-    /// # Errors
-    /// [`BaselineError`].
     pub fn read_files(head_path: &Path, table_path: &Path) -> Result<Self, BaselineError> {
         let text = |path: &Path| {
             read_text_file(path, MAX_BYTES).map_err(|source| BaselineError::Io { path: path.to_owned(), source })
@@ -297,7 +262,6 @@ impl Baseline {
     }
 }
 
-/// Parses the curves of the CSV file.
 fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tube>, BaselineError> {
     let content_error = |line: usize, message: String| BaselineError::Content { path: path.to_owned(), line, message };
     let mut lines = (1..).zip(table.lines()).filter(|(_, line)| !line.trim().is_empty());
@@ -355,7 +319,7 @@ fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tu
     Ok(tubes.into_iter().map(|(tube, ..)| tube).collect())
 }
 
-/// A number with at most `decimals` decimals, without trailing zeros.
+/// At most `decimals` decimals, without trailing zeros.
 fn format_decimal(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };

@@ -1,10 +1,7 @@
-//! Learns a tube from trials that differ, by split conformal prediction.
-//!
-//! A third of the trials gives the curve (their mean) and the shape of the tube (their deviation at
-//! each instant). Each of the m other trials has a score: the factor on the shape at which it is
-//! just inside at every instant and in every signal. A further trial leaves the tube at the r-th
-//! smallest score with a probability of at most `1 − r/(m + 1)`, whatever the distribution, on
-//! average over the trials that were learned from.
+//! Learns a tube from trials that differ, by split conformal prediction. A third of the trials
+//! gives the curve (mean) and the shape (deviation at each instant). The m others have a score: the
+//! factor on the shape at which all is just inside. With the r-th smallest one a further trial
+//! leaves the tube with probability `≤ 1 − r/(m + 1)`, on average over the learned trials.
 //!
 //! J. Lei, M. G'Sell, A. Rinaldo, R. J. Tibshirani, L. Wasserman, "Distribution-free predictive
 //! inference for regression", *J. Am. Stat. Assoc.* 113, 2018, theorem 2; for curves: J.
@@ -17,42 +14,32 @@ use crate::statistics::SampleSummary;
 use crate::tube::{TUBE_SIGNALS, Tube, TubePoint, signal_response};
 use platebench_trace::Row;
 
-/// Smallest width of the shape as a share of its largest: a constant signal may vary a little.
+/// Share of the largest width: a constant signal may vary a little.
 const MIN_SHAPE_SHARE: f64 = 0.1;
-/// Fewest trials for the curve.
 const MIN_CURVE_TRIALS: usize = 3;
-/// Bisections of a score.
 const BISECTION_STEPS: u32 = 40;
-/// Largest score: above it the trials are not comparable.
+/// Above it the trials are not comparable.
 const MAX_SCORE: f64 = 1e6;
 
-/// Why no tube can be learned.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LearnError {
-    /// Too few trials for the false-alarm rate.
     #[error("a false-alarm rate of {rate} needs at least {needed} trials, this run has {count}")]
     TooFewTrials {
         /// The declared rate.
         rate: f64,
-        /// Number of trials.
         count: usize,
-        /// Number that is needed.
         needed: usize,
     },
-    /// A trial is shorter or longer than the first one.
     #[error("trial {0} has other instants than the first one")]
     InstantsDiffer(usize),
-    /// The trials are not comparable.
     #[error("the trials differ so much that no tolerance tube can be learned from them")]
     TrialsDiffer,
 }
 
-/// Number of trials, out of `count`, that give the curve.
 fn curve_trial_count(count: usize) -> usize {
     (count / 3).max(MIN_CURVE_TRIALS)
 }
 
-/// Number of trials that a false-alarm rate needs.
 fn min_trials(rate: f64) -> usize {
     // r = ⌈(m + 1)(1 − rate)⌉ ≤ m requires m ≥ 1/rate − 1; a third of all trials is added.
     let scores = ((1.0 / rate).ceil() as usize).saturating_sub(1).max(1);
@@ -61,11 +48,7 @@ fn min_trials(rate: f64) -> usize {
 }
 
 impl GoldenTubes {
-    /// Learns a tube that a further trial leaves with probability `rate`, from trials with instants
-    /// every `step_ms`.
-    ///
-    /// # Errors
-    /// [`LearnError`].
+    /// Learns a tube that a further trial leaves with probability `rate`.
     pub fn learn(trials: &[Vec<Row>], step_ms: f64, rate: f64) -> Result<Self, LearnError> {
         let needed = min_trials(rate);
         if trials.len() < needed {
@@ -163,7 +146,6 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
     use rstest::rstest;
 
-    /// A response with random height and delay, and noise.
     fn trial(random: &mut ChaCha8Rng) -> Vec<Row> {
         let mut normal = || -> f64 { StandardNormal.sample(random) };
         let (height, late) = (2.0 + 0.03 * normal(), 0.1 * normal());
@@ -186,7 +168,6 @@ mod tests {
         (0..count).map(|_| trial(random)).collect()
     }
 
-    /// Expected: 1 − r/(m + 1), m = 20; r = 19 gives 2/21 and r = 20 gives 1/21.
     #[rstest]
     #[case(0.1, 2.0 / 21.0)]
     #[case(0.05, 1.0 / 21.0)]
@@ -200,8 +181,7 @@ mod tests {
             outside += golden.compare(tried.iter().map(|rows| (0, rows.as_slice()))).outside as u32;
         }
         let found = f64::from(outside) / (tubes * further) as f64;
-        // The rate of one tube is Beta distributed with a deviation of 5 to 6 %; 60 tubes reduce it
-        // to 0.8 %.
+        // The rate of one tube is Beta distributed (deviation 5 to 6 %); 60 tubes give 0.8 %.
         assert!((found - expected).abs() < 0.025, "{found}");
     }
 

@@ -6,8 +6,7 @@ use rstest::rstest;
 use std::fs;
 use tempfile::TempDir;
 
-/// A first-order response over 20 ms with a row every 0.05 ms, `late` ms late and `factor` times as
-/// high.
+/// A first-order response over 20 ms, `late` ms late and `factor` times as high.
 fn rows(late: f64, factor: f64) -> Vec<Row> {
     rows_to(400, late, factor)
 }

@@ -2,14 +2,11 @@
 
 use crate::tube::{Tube, TubePoint};
 
-/// Share of the tolerance that removed points may cost.
+/// Of the tolerance that removed points may cost.
 const TOLERANCE_SHARE: f64 = 0.1;
 
-/// Removes, at the same instants of all tubes, the points that are on the line between their
-/// neighbours to a tenth of the tolerance.
-///
-/// D. H. Douglas and T. K. Peucker, *Cartographica* 10, 1973, pp. 112-122, with the distance
-/// measured along the values.
+/// D. H. Douglas and T. K. Peucker, *Cartographica* 10, 1973, pp. 112-122, with the distance along
+/// the values; the same instants of all tubes are removed.
 pub(super) fn thin(tubes: &mut [Tube]) {
     let count = tubes.first().map_or(0, |tube| tube.points.len());
     let mut kept = vec![false; count];
@@ -39,7 +36,7 @@ pub(super) fn thin(tubes: &mut [Tube]) {
     }
 }
 
-/// Distance of a point from the line between two others, in units of its tolerance.
+/// Distance from the line between the two others, in units of the tolerance.
 fn relative_distance(tube: &Tube, from: usize, index: usize, to: usize) -> f64 {
     let [Some(left), Some(point), Some(right)] = [from, index, to].map(|at| tube.points.get(at)) else { return 0.0 };
     let length = right.t_ms - left.t_ms;

@@ -1,4 +1,4 @@
-//! Holds golden curves and compares trials with them. `docs/verdicts.md` explains their width.
+//! Compares trials with golden curves (`docs/verdicts.md`).
 
 use crate::statistics::proportion::probability_at_least;
 use crate::tube::{Exceedance, TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
@@ -6,56 +6,43 @@ use platebench_record::Verdict;
 use platebench_trace::Row;
 use serde::Serialize;
 
-/// More trials outside a learned tube than this probability allows are a failure.
+/// More trials outside a learned tube fail.
 const SIGNIFICANCE_LEVEL: f64 = 0.05;
-/// Rounding error of a probability.
 const PROBABILITY_ROUNDING: f64 = 1e-12;
 
-/// The golden curves of a scenario.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GoldenTubes {
-    /// One per signal.
     pub tubes: Vec<Tube>,
-    /// Spacing of the instants that are compared in addition to the curves' own, ms.
+    /// Of the instants that are compared in addition to the curves' own.
     pub step_ms: Option<f64>,
-    /// Share of unchanged trials that leave a learned tube; `None` for a tube that was not learned.
+    /// Of unchanged trials that leave a learned tube; `None` for a tube that was not learned.
     pub false_alarm_rate: Option<f64>,
 }
 
-/// Result of comparing one trial.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TubeMatch {
-    /// Inside every tube.
     Inside,
-    /// Outside at least one tube; the worst exceedance.
+    /// The worst exceedance.
     Outside(Exceedance),
-    /// Starts or ends at another instant, so a part is not compared.
     Length {
-        /// First and last instant of the trial, ms.
+        /// First and last instant.
         trial_ms: [f64; 2],
-        /// Of the golden curves, ms.
         golden_ms: [f64; 2],
     },
 }
 
-/// Result of comparing the trials of a scenario.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TubeComparison {
-    /// Over all trials.
     pub verdict: Verdict,
-    /// Number of trials.
     pub trials: usize,
-    /// Number of trials outside.
     pub outside: usize,
-    /// The trial that is farthest outside, and where.
     pub worst: Option<(u32, Exceedance)>,
-    /// Why it is not a pass.
     pub reason: Option<String>,
 }
 
 impl GoldenTubes {
-    /// The curves of a trace with the default tolerances; `None` without rows.
+    /// With the default tolerances; `None` without rows.
     pub fn from_rows(rows: &[Row]) -> Option<Self> {
         let points = |signal: &TubeSignal| {
             signal_response(signal, rows)
@@ -75,7 +62,6 @@ impl GoldenTubes {
         })
     }
 
-    /// Compares a trial with the curves.
     pub fn match_trial(&self, rows: &[Row]) -> TubeMatch {
         let exceedances = self.tubes.iter().filter_map(|tube| {
             let signal = TubeSignal::from_name(&tube.signal)?;
@@ -100,10 +86,7 @@ impl GoldenTubes {
         }
     }
 
-    /// Compares trials (number, rows) with the curves.
-    ///
-    /// Every trial must be inside. A learned tube fails if the probability of so many trials
-    /// outside is at most 5 %.
+    /// A learned tube fails if the probability of so many trials outside is at most 5 %.
     pub fn compare<R: AsRef<[Row]>>(&self, trials: impl IntoIterator<Item = (u32, R)>) -> TubeComparison {
         let mut comparison =
             TubeComparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: None };

@@ -13,14 +13,12 @@ use platebench_record::{
 };
 use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Scenario};
 
-/// Error of the bench itself, percent of the setpoint: twice the bound of the plate's propagation
-/// error.
+/// Of the setpoint: twice the bound of the plate's propagation error.
 const SIMULATION_ERROR_PERCENT: f64 = 2e-4;
 
-/// Stored as `observed`: the true motion of a real plate is not known.
+/// The true motion of a real plate is not known.
 const OBSERVED_BY_SENSOR: &str = "by the controller's own sensor, at its control instants";
 
-/// One expectation and the trials of a look.
 pub(super) struct ExpectationJudge<'a> {
     pub(super) scenario: &'a Scenario,
     pub(super) expectation: &'a Expectation,
@@ -54,7 +52,6 @@ impl ExpectationJudge<'_> {
             value: outcome.value.filter(|value| value.is_finite()),
             statistic: outcome.statistic,
             limit: self.expectation.limit,
-            // JSON has no infinity.
             interval: outcome.interval.filter(|ends| ends.iter().all(|end| end.is_finite())),
             confidence: outcome.confidence,
             cause: outcome.cause,
@@ -66,15 +63,12 @@ impl ExpectationJudge<'_> {
         }
     }
 
-    /// The trials that count, with the measure of this expectation.
     fn counted_trials(&self) -> impl Iterator<Item = (&TrialMeasures, &Measure)> {
         let counted = self.trials.iter().filter(|trial| trial.exclusion.is_none());
         counted.filter_map(|trial| Some((trial, trial.measures.get(self.expectation_index)?)))
     }
 
-    /// The interval that contains a trial's value; an error counts without its sign.
-    ///
-    /// A missing value is the worst one for a quantile.
+    /// An error counts without its sign. A missing value is the worst one for a quantile.
     fn value_interval(&self, measure: &Measure) -> Option<[f64; 2]> {
         match measure {
             Measure::Value(value) if self.expectation.metric == Metric::StaticError => Some([value.abs(); 2]),
@@ -88,12 +82,12 @@ impl ExpectationJudge<'_> {
         }
     }
 
-    /// Error of the bench itself, in units of the metric.
+    /// In units of the metric.
     fn simulation_error(&self) -> f64 {
         if self.expectation.metric == Metric::StaticError { SIMULATION_ERROR_PERCENT } else { 0.0 }
     }
 
-    /// Turns a pass into inconclusive if a trial is missing or does not count. A failure remains.
+    /// A trial that is missing or does not count turns a pass into inconclusive.
     fn check_excluded_trials(&self, outcome: Outcome) -> Outcome {
         let (played, planned) = (self.trials.len(), self.look.trials as usize);
         let outcome = if outcome.verdict == Verdict::Pass && played < planned {
@@ -110,7 +104,6 @@ impl ExpectationJudge<'_> {
         }
     }
 
-    /// Judges one trial by itself.
     fn judge_trial(&self, statistic: Statistic, trial: &TrialMeasures, measure: &Measure) -> Outcome {
         let limit = self.expectation.limit;
         let value = measure.value().and_then(|_| self.value_interval(measure)).map(|[_, high]| high);
@@ -150,7 +143,7 @@ impl ExpectationJudge<'_> {
         self.apply_excuse(outcome, trial)
     }
 
-    /// Turns a failure into inconclusive if no controller could have avoided it.
+    /// A failure that no controller could have avoided becomes inconclusive.
     fn apply_excuse(&self, outcome: Outcome, trial: &TrialMeasures) -> Outcome {
         match trial.excuses.get(self.expectation_index) {
             Some(Some(excuse)) if outcome.verdict == Verdict::Fail => {
@@ -160,7 +153,6 @@ impl ExpectationJudge<'_> {
         }
     }
 
-    /// The worst outcome of the trials without a value.
     fn worst_without_value(&self, statistic: Statistic) -> Option<Outcome> {
         let without = self.counted_trials().filter(|(_, measure)| self.value_interval(measure).is_none());
         without
@@ -168,8 +160,7 @@ impl ExpectationJudge<'_> {
             .reduce(|worst, other| if other.severity() > worst.severity() { other } else { worst })
     }
 
-    /// Judges a statistic over all trials. A failure is excused if the trials without an excuse do
-    /// not fail alone.
+    /// A failure is excused if the trials without an excuse do not fail alone.
     fn judge_over_trials(&self) -> Outcome {
         let statistic = match self.expectation.aggregation {
             Aggregation::StandardDeviation => Statistic::Deviation,
@@ -210,12 +201,10 @@ impl ExpectationJudge<'_> {
         Some(DivergedTrials { first, divergence, further: diverged.count() })
     }
 
-    /// True if nothing in the scenario is random.
     fn can_be_deterministic(&self) -> bool {
         self.scenario.is_deterministic() && !self.trials.iter().any(|trial| trial.is_real_plate)
     }
 
-    /// Judges each trial by itself: the worst one decides.
     fn judge_each_trial(&self) -> Outcome {
         let spans: Vec<[f64; 2]> =
             self.counted_trials().filter_map(|(_, measure)| self.value_interval(measure)).collect();
@@ -242,7 +231,6 @@ impl ExpectationJudge<'_> {
         }
     }
 
-    /// Adds the bounds of the share of trials that fail.
     fn add_failure_rate(&self, outcome: Outcome, failed: u32, not_passed: u32, count: u32) -> Outcome {
         let look_confidence = self.look.confidence(self.expectation.confidence);
         let bounds = |seen: u32| clopper_pearson(seen, count, look_confidence);

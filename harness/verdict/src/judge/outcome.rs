@@ -2,7 +2,6 @@
 
 use platebench_record::{Cause, Evidence, Reason, Statistic, Verdict};
 
-/// The verdict of one expectation.
 #[derive(Debug, Clone)]
 pub(super) struct Outcome {
     pub(super) verdict: Verdict,
@@ -37,7 +36,6 @@ impl Outcome {
         Self { verdict: Verdict::Inconclusive, cause: Some(cause), reason: Some(reason), ..self }
     }
 
-    /// Orders verdicts: pass, inconclusive, fail.
     pub(super) fn severity(&self) -> u8 {
         match self.verdict {
             Verdict::Fail => 2,
@@ -47,18 +45,13 @@ impl Outcome {
     }
 }
 
-/// Position of an interval relative to a limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Containment {
-    /// The whole interval meets the limit.
     Inside,
-    /// No part of it does.
     Outside,
-    /// Only a part of it does.
     Straddles,
 }
 
-/// Compares the interval from `low` to `high` with the range of good values.
 pub(super) fn containment((lowest, highest): (f64, f64), [low, high]: [f64; 2]) -> Containment {
     if lowest <= low && high <= highest {
         Containment::Inside
@@ -69,8 +62,7 @@ pub(super) fn containment((lowest, highest): (f64, f64), [low, high]: [f64; 2]) 
     }
 }
 
-/// Distance of the worst value of an interval from the range of good values; negative if all are
-/// good.
+/// Distance of the worst value from the range of good values; negative if all are good.
 pub(super) fn exceedance((lowest, highest): (f64, f64), [low, high]: [f64; 2]) -> f64 {
     (lowest - low).max(high - highest)
 }

@@ -8,26 +8,21 @@ use crate::statistics::{SampleSummary, deviation_bounds, mean_bounds};
 use platebench_record::{Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, WideBounds, percent};
 use platebench_scenario::{Aggregation, Expectation, Limit};
 
-/// A deviation agrees with a value if its interval excludes this multiple and this fraction of the
-/// value.
+/// The interval of a deviation must exclude this multiple and this fraction of the expected value.
 const DISTINGUISHABLE_RATIO: f64 = 2.0;
 
-/// One statistic over trials.
 pub(super) struct OverTrials<'a> {
     pub(super) expectation: &'a Expectation,
     pub(super) statistic: Statistic,
-    /// Number of trials that count.
+    /// Trials that count.
     pub(super) counted: usize,
-    /// Confidence of each bound at this look.
     pub(super) confidence: f64,
-    /// Error of the bench itself, in units of the metric.
+    /// In units of the metric.
     pub(super) simulation_error: f64,
-    /// True if nothing in the scenario is random.
     pub(super) is_deterministic: bool,
     pub(super) diverged: Option<DivergedTrials>,
 }
 
-/// A statistic with bounds.
 struct Estimate {
     value: f64,
     bounds: [f64; 2],
@@ -35,7 +30,6 @@ struct Estimate {
     wide: Option<WideBounds>,
 }
 
-/// True if all intervals are the same.
 pub(super) fn all_equal(spans: &[[f64; 2]]) -> bool {
     spans.windows(2).all(|pair| matches!(pair, [one, other] if one == other))
 }
@@ -45,7 +39,6 @@ fn column(spans: &[[f64; 2]], end: usize) -> Vec<f64> {
 }
 
 impl OverTrials<'_> {
-    /// Judges the intervals of the trials' values.
     pub(super) fn judge(&self, spans: &[[f64; 2]]) -> Outcome {
         match self.expectation.aggregation {
             Aggregation::StandardDeviation => self.judge_deviation(spans),
@@ -64,7 +57,7 @@ impl OverTrials<'_> {
         spans.first().copied().filter(|_| self.is_deterministic && all_equal(spans))
     }
 
-    /// Mean of each trial's absolute value: errors of opposite sign do not cancel.
+    /// Of absolute values: errors of opposite sign do not cancel.
     fn judge_mean(&self, spans: &[[f64; 2]]) -> Outcome {
         let (lows, highs) = (column(spans, 0), column(spans, 1));
         let Some(summary) = SampleSummary::of(&highs) else { return self.too_few_trials(None, 1) };
@@ -82,7 +75,6 @@ impl OverTrials<'_> {
         self.judge_interval(&Estimate { value: summary.mean, bounds, evidence, wide })
     }
 
-    /// A quantile of the trials, by order statistics.
     fn judge_quantile(&self, spans: &[[f64; 2]], share: f64) -> Outcome {
         let [lows, highs] = [0, 1].map(|end| quantile_bounds(&column(spans, end), share, self.confidence));
         let Some(((_, [low, _]), (value, [_, high]))) = lows.zip(highs) else { return self.too_few_trials(None, 1) };
@@ -103,7 +95,6 @@ impl OverTrials<'_> {
         self.judge_interval(&Estimate { value, bounds, evidence, wide })
     }
 
-    /// The standard deviation over trials.
     fn judge_deviation(&self, spans: &[[f64; 2]]) -> Outcome {
         let values = column(spans, 1);
         // Agreement with a value is a two-sided question.
@@ -137,7 +128,6 @@ impl OverTrials<'_> {
         }
     }
 
-    /// Pass if the whole interval meets the limit, fail if no part of it does.
     fn judge_interval(&self, estimate: &Estimate) -> Outcome {
         let (limit, outcome) = (self.expectation.limit, self.outcome_of(estimate));
         let (value, bounds) = (estimate.value, estimate.bounds.into());
@@ -154,7 +144,6 @@ impl OverTrials<'_> {
         }
     }
 
-    /// Pass if the interval of a deviation contains `expected` and excludes its half and double.
     fn judge_agreement(
         &self,
         estimate: &Estimate,

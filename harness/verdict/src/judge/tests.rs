@@ -25,7 +25,6 @@ mod sequential;
 
 const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
 
-/// A scenario with the given expectations, as TOML inline tables, and changes to the text.
 struct ScenarioBuilder<'a> {
     expect: &'a [&'a str],
     trials: u32,
@@ -69,7 +68,6 @@ impl ScenarioBuilder<'_> {
     }
 }
 
-/// A scenario of `trials` trials that differ, with one expectation.
 fn varied_scenario(expect: &str, trials: u32) -> Scenario {
     ScenarioBuilder { expect: &[expect], trials, is_varied: true, ..BASE }.scenario()
 }
@@ -115,14 +113,12 @@ const fn inconclusive(cause: Cause) -> (Verdict, Option<Cause>) {
     (Verdict::Inconclusive, Some(cause))
 }
 
-/// `count` values with exactly this mean and standard deviation.
 fn values_with_moments(count: usize, mean: f64, deviation: f64) -> Vec<f64> {
     let raw: Vec<f64> = (0..count).map(|index| index as f64).collect();
     let summary = SampleSummary::of(&raw).unwrap();
     raw.iter().map(|value| mean + (value - summary.mean) / summary.deviation * deviation).collect()
 }
 
-/// A trial whose amplitude follows `amplitude` of the time in ms, with a row every 0.05 ms.
 fn trace_rows(scenario: &Scenario, amplitude: impl Fn(f64) -> f64) -> Vec<Row> {
     let instants = (0..=1_200_u64).map(|index| Time::from_nanos(index * 50_000));
     let row = |time: Time| Row {

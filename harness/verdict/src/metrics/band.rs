@@ -30,7 +30,6 @@ pub(super) fn recovery_time(expectation: &Expectation, window: &Window, signal: 
         return Measure::Undefined(UndefinedValue::NoSetpointToRecoverTo);
     }
     match last_band_entry(expectation, signal, rows) {
-        // Never outside the band.
         Some(entry) if rows.first().is_some_and(|first| entry == [first.t_s; 2]) => Measure::Value(0.0),
         Some(entry) => elapsed_ms(window.from.seconds(), entry),
         None => Measure::Missing(MissingValue::NeverRecovers),
@@ -56,10 +55,8 @@ pub(super) fn peak_deviation(window: &Window, signal: MetricSignal, rows: &[Row]
     peak.map_or(Measure::Undefined(UndefinedValue::NoSetpointToDeviateFrom), |peak| Measure::Value(peak * 100.0))
 }
 
-/// The interval, s, that contains the last entry of the signal into the band; `None` if the signal
-/// ends outside.
-///
-/// Both ends are equal for a signal that is known between rows.
+/// The interval, s, with the last entry into the band; equal ends for a signal that is known
+/// between rows. `None` if the signal ends outside.
 fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]) -> Option<[f64; 2]> {
     if signal.is_zero_order_hold {
         return last_sampled_band_entry(expectation, signal, rows);
@@ -68,7 +65,7 @@ fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]
         return rows.first().map(|row| [row.t_s; 2]);
     };
     let (left, entered) = (rows.get(outside)?, rows.get(outside + 1)?);
-    // Distance to the edge of entry, which may move; not positive inside.
+    // Distance to the edge of entry, which may move.
     let below = signal.value_in(left) < expectation.band(left.setpoint_um).0;
     let beyond = |row: &Row| {
         let (low, high) = expectation.band(row.setpoint_um);
@@ -80,12 +77,10 @@ fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]
     Some([left.t_s + (entered.t_s - left.t_s) * share; 2])
 }
 
-/// [`last_band_entry`] of a signal that is known at control instants only: from the last sample
-/// outside to the next one.
+/// [`last_band_entry`] of a sampled signal: from the last sample outside to the next one.
 fn last_sampled_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]) -> Option<[f64; 2]> {
     let has_flags = rows.iter().any(|row| row.flags.contains(Flags::CONTROL));
-    // Rows between control instants repeat the last sample; a trace without flags contains samples
-    // only.
+    // Rows between control instants repeat the last sample; a trace without flags has samples only.
     let mut samples = rows.iter().filter(|row| !has_flags || row.flags.contains(Flags::CONTROL));
     let start = rows.first()?.t_s;
     let outside = samples.clone().rfind(|row| signal.is_outside(row, expectation)).map(|row| row.t_s);
@@ -93,7 +88,6 @@ fn last_sampled_band_entry(expectation: &Expectation, signal: MetricSignal, rows
     Some([outside.unwrap_or(start), entered.t_s])
 }
 
-/// Time from `from_s` to `entry`, ms.
 fn elapsed_ms(from_s: f64, entry: [f64; 2]) -> Measure {
     let [first, last] = entry.map(|t_s| (t_s - from_s) * 1e3);
     if first == last { Measure::Value(last) } else { Measure::Interval([first, last].map(rounded_ms)) }

@@ -2,7 +2,6 @@
 
 use platebench_trace::Row;
 
-/// Largest minus smallest value of a signal, µm; `None` without rows.
 pub(super) fn ripple_um(rows: &[Row], value: impl Fn(&Row) -> f64) -> Option<f64> {
     let (low, high) = rows
         .iter()

@@ -6,8 +6,7 @@ use platebench_record::MissingValue;
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
 
-/// Time from the start of `window` to the first row from which the controller is stopped at 0 V
-/// until the window ends.
+/// To the first row from which the controller is stopped at 0 V until the window ends.
 pub(super) fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {
     let (from, to) = (window.from.seconds(), window.to.seconds());
     let has_stopped = |row: &Row| row.flags.contains(Flags::SAFE) && row.drive_vpp == 0.0;

@@ -3,7 +3,6 @@
 use platebench_scenario::Expectation;
 use platebench_trace::{AmplitudeColumn, Row};
 
-/// A column and its behaviour between rows.
 #[derive(Clone, Copy)]
 pub(super) struct MetricSignal {
     column: AmplitudeColumn,

@@ -3,17 +3,14 @@
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
 
-/// Index of each row at which a setpoint step starts. A constant setpoint above 0 steps at the
-/// start.
-///
-/// A ramp or curve is one step; it starts at the row before the first change. It ends when two
-/// instants in a row do not change: a curve may rest for one instant at its crest.
+/// Index of each row at which a step starts; a constant setpoint above 0 steps at the start. A ramp
+/// or curve is one step from the row before the first change. It ends when two instants in a row do
+/// not change: a curve may rest for one instant at its crest.
 pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
     let mut steps = Vec::new();
     let mut before = 0.0;
     let mut start = 0;
     let (mut moved, mut rested) = (0_u32, 0_u32);
-    // Several rows may share an instant.
     for instant in rows.chunk_by(|a, b| a.t_s == b.t_s) {
         let first_moved = instant.iter().position(|row| row.setpoint_um != before);
         before = instant.last().map_or(before, |row| row.setpoint_um);
@@ -43,12 +40,10 @@ pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
     steps
 }
 
-/// The telemetry of a real plate shows a setpoint this much later than the profile, s.
+/// The telemetry of a real plate shows a setpoint this much later than the profile.
 const MAX_TELEMETRY_DELAY_S: f64 = 0.1;
 
-/// The response to the setpoint step at the start of `window`, and the setpoint before the step.
-///
-/// The response ends at the next setpoint step or at the end of the window.
+/// Rows up to the next step or the end of the window, and the setpoint before the step.
 pub(super) fn step_response<'a>(window: &Window, rows: &'a [Row]) -> Option<(&'a [Row], f64)> {
     let delay = if rows.iter().any(|row| row.flags.contains(Flags::SENSED)) { MAX_TELEMETRY_DELAY_S } else { 0.0 };
     let (from, to) = (window.from.seconds(), window.to.seconds() + delay);

@@ -28,7 +28,6 @@ fn ms(value: f64) -> Time {
     Time::from_ms(value).unwrap()
 }
 
-/// After the end of every trace.
 const END_MS: f64 = 1e6;
 
 fn window([from, to]: [f64; 2]) -> Window {
@@ -61,7 +60,6 @@ fn expectation_with_from(metric: Metric, from_ms: f64) -> Expectation {
     expectation_in(metric, &[[from_ms, END_MS]])
 }
 
-/// Rows of (ms, setpoint, amplitude).
 fn rows(points: &[(f64, f64, f64)]) -> Vec<Row> {
     let row = |&(t_ms, setpoint_um, amplitude_um)| Row {
         t_s: ms(t_ms).seconds(),
@@ -72,7 +70,6 @@ fn rows(points: &[(f64, f64, f64)]) -> Vec<Row> {
     points.iter().map(row).collect()
 }
 
-/// A trace at the given instants, ms.
 fn trace_at(
     instants: impl IntoIterator<Item = f64>,
     setpoint: impl Fn(f64) -> f64,

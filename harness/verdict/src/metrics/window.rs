@@ -5,10 +5,8 @@ use platebench_record::UndefinedValue;
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
 
-/// Time-weighted mean of the signal over the window, divided by the setpoint.
-///
-/// The setpoint must be constant in the window: a mean over a moving one could be right for a
-/// signal that is stuck.
+/// Time-weighted mean divided by the setpoint, which must be constant: a mean over a moving one
+/// could be right for a signal that is stuck.
 pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[Row]) -> Result<f64, UndefinedValue> {
     let (from, to) = (window.from.seconds(), window.to.seconds());
     let mut setpoint = None;
@@ -39,7 +37,6 @@ pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[R
     }
 }
 
-/// Share of the time during which `flag` is set.
 pub(super) fn flagged_share(rows: &[Row], flag: Flags) -> f64 {
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return 0.0 };
     let flagged: f64 = rows

@@ -3,8 +3,7 @@
 use platebench_scenario::Window;
 use platebench_trace::Row;
 
-/// The rows of `window`. The row at its end belongs to the next window, except at the end of the
-/// trace.
+/// The row at the end belongs to the next window, except at the end of the trace.
 pub(super) fn window_rows<'a>(window: &Window, rows: &'a [Row]) -> &'a [Row] {
     let (from, to) = (window.from.seconds(), window.to.seconds());
     let start = rows.partition_point(|row| row.t_s < from);
@@ -13,8 +12,7 @@ pub(super) fn window_rows<'a>(window: &Window, rows: &'a [Row]) -> &'a [Row] {
     rows.get(start..end).unwrap_or_default()
 }
 
-/// [`window_rows`] and the row before, whose drive and flags are in force at the start of the
-/// window.
+/// With the row before, whose drive and flags are in force at the start of the window.
 pub(super) fn window_rows_with_previous<'a>(window: &Window, rows: &'a [Row]) -> &'a [Row] {
     let inside = window_rows(window, rows);
     let from = window.from.seconds();

@@ -89,11 +89,9 @@ fn excludes_a_trial_with_missing_telemetry() {
     let mut overrun = whole.clone();
     overrun[250].flags |= Flags::OVERRUN;
     assert_eq!(find_exclusion(&scenario, &overrun, None).as_ref().map(Exclusion::cause), Some(Cause::Bench));
-    // Timer jitter is not a gap.
     let mut late = whole.clone();
     late[300].t_s += 4e-4;
     assert_eq!(exclusion(&scenario, &late), None);
-    // The metrics judge a controller that stopped.
     let mut stopped = whole[..300].to_vec();
     stopped[299].flags |= Flags::SAFE;
     assert_eq!(exclusion(&scenario, &stopped), None);
@@ -109,7 +107,6 @@ fn excludes_a_trial_with_a_wrong_setpoint() {
     let sent_um = [2.0, 2.0];
     let expected = Exclusion::WrongSetpoint { held_um: 1.0, at_ms: 399.0, sent_um };
     assert_eq!(exclusion(&scenario, &other), Some(expected));
-    // No value between two levels is allowed.
     let mut between = rows(212.0, 400);
     between[205].setpoint_um = 1.0;
     assert!(exclusion(&scenario, &between).is_some());
@@ -138,7 +135,6 @@ fn excludes_a_trial_with_a_wrong_force() {
     assert_eq!(pressed(2.71, "finger_force_n = 2.0"), Some(expected));
     assert!(pressed(0.0, "finger_force_n = 2.0").is_some());
     assert!(pressed(2.0, "").is_some(), "a hand rests on the plate");
-    // If force is not measured, the operator's confirmation counts.
     assert_eq!(pressed(f64::NAN, "finger_force_n = 2.0"), None);
     // A force from 1.5 s must be present 1 s later.
     let late = "finger_force_n = { hold = [[0.0, 0.0], [1500.0, 2.0]] }";

@@ -1,31 +1,24 @@
 //! Corrects the error rate of a test that is evaluated several times.
 //!
-//! A test that stops at the first favourable look exceeds its error rate. Here the looks are
-//! planned, and the error 1 − c is spent over them: look k may be wrong with probability `α(t_k) −
-//! α(t_{k−1})`. By Boole's inequality the probability of any wrong look is at most 1 − c, for every
-//! test, dependence and reason to stop. Boundaries computed for Brownian motion have more power but
-//! need large samples.
+//! A test that stops at the first favourable look exceeds its error rate. Here look k of the
+//! planned ones may be wrong with probability `α(t_k) − α(t_{k−1})`. By Boole's inequality the sum
+//! is at most 1 − c, for every test and dependence. Boundaries for Brownian motion need large
+//! samples.
 
-/// A planned look at the trials.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
     /// Counted from 1.
     pub number: u32,
-    /// Number of planned looks.
     pub planned_looks: u32,
-    /// Number of trials at this look.
     pub trials: u32,
-    /// Share of the error that this look may make.
     error_share: f64,
 }
 
 impl Look {
-    /// The only look of a test that is evaluated once.
     pub const SINGLE: Self = Self { number: 1, planned_looks: 1, trials: 0, error_share: 1.0 };
 
-    /// The confidence of a bound at this look, if all looks together have `confidence`.
+    /// Of a bound at this look, if all looks together have `confidence`.
     pub fn confidence(&self, confidence: f64) -> f64 {
-        // Rounding must not lead to certainty.
         if self.error_share >= 1.0 {
             confidence
         } else {
@@ -34,7 +27,7 @@ impl Look {
     }
 }
 
-/// Looks at `count` trials, at 2, 4, 8 … times as many, and at `max_count`.
+/// At `count` trials, 2, 4, 8 … times as many, and `max_count`.
 pub fn plan_looks(count: u32, max_count: u32) -> Vec<Look> {
     let last = max_count.max(count);
     let doubled = std::iter::successors(Some(count.max(1)), |trials| trials.checked_mul(2));
@@ -50,12 +43,9 @@ pub fn plan_looks(count: u32, max_count: u32) -> Vec<Look> {
     (1..).zip(sizes).map(look).collect()
 }
 
-/// The share of the error that is spent at the share `t` of the trials: `ln(1 + (e − 1) t)`, of
-/// Pocock's type.
-///
-/// K. K. G. Lan and D. L. DeMets, "Discrete sequential boundaries for clinical trials",
-/// *Biometrika* 70, 1983, pp. 659-663. It spends early, so that a clear run ends after `count`
-/// trials; with the function of O'Brien and Fleming hardly any run would end before the last look.
+/// `ln(1 + (e − 1) t)` for the share `t` of the trials, of Pocock's type. It spends early, so that
+/// a clear run ends after `count` trials; O'Brien and Fleming's function would hardly end any
+/// early. K. K. G. Lan and D. L. DeMets, *Biometrika* 70, 1983, pp. 659-663.
 fn spent_error_share(t: f64) -> f64 {
     if t >= 1.0 { 1.0 } else { ((std::f64::consts::E - 1.0) * t).ln_1p() }
 }

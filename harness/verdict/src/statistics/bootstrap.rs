@@ -1,21 +1,19 @@
-//! Computes bounds of data that are not normal, by resampling.
-//!
-//! The seed is the number of values, so that a stored run is judged as live.
+//! Computes bounds of data that are not normal. The seed is the number of values, so that a stored
+//! run is judged as live.
 
 use super::sample_summary::SampleSummary;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// Fewest resamples; a bound at 95 % leaves 100 of 1999 outside.
+/// A bound at 95 % leaves 100 of 1999 outside.
 const MIN_RESAMPLES: usize = 1_999;
-/// Fewest resamples beyond a bound.
 const MIN_TAIL_RESAMPLES: f64 = 10.0;
 /// If more are needed, there are no bounds.
 const MAX_RESAMPLES: usize = 20_000;
 
-/// Bias-corrected and accelerated bounds of a statistic, each one-sided at `confidence`; `None`
-/// below three values or if the statistic does not vary.
+/// Bias-corrected and accelerated bounds, each one-sided at `confidence`; `None` below three values
+/// or without variation.
 ///
 /// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185:
 /// the percentile `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is
@@ -41,8 +39,7 @@ pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence:
     Some([bound(1.0 - confidence)?, bound(confidence)?])
 }
 
-/// `Σ d³ / 6 (Σ d²)^1.5` with d the distance of each leave-one-out statistic below their mean
-/// (Efron 1987, equation 7.3).
+/// `Σ d³ / 6 (Σ d²)^1.5`, d: leave-one-out statistic below their mean (Efron 1987, equation 7.3).
 fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f64> {
     if values.len() < 3 {
         return None;
@@ -50,7 +47,6 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
     let mut left = values.to_vec();
     let last = left.pop()?;
     let mut without = Vec::with_capacity(values.len());
-    // Replaces each value in turn by the last one.
     without.push(statistic(&left));
     for index in 0..left.len() {
         let taken = std::mem::replace(left.get_mut(index)?, last);
@@ -63,12 +59,11 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
     (squares > 0.0).then(|| sum(3) / (6.0 * squares.powf(1.5)))
 }
 
-/// Studentised bounds of an estimate, each one-sided at `confidence`; `estimate` returns it with
-/// its standard error. `None` below three values or without an error.
+/// Studentised one-sided bounds; `estimate` returns a value and its standard error. `None` below
+/// three values or without an error.
 ///
-/// P. Hall, "Theoretical comparison of bootstrap confidence intervals", *Ann. Stat.* 16, 1988, pp.
-/// 927-953: the pivot `(θ* − θ)/s*` of the resamples replaces Student's t. For the mean of skewed
-/// data and the logarithm of a deviation its upper end covers more than that of BCa.
+/// P. Hall, *Ann. Stat.* 16, 1988, pp. 927-953: the pivot `(θ* − θ)/s*` replaces Student's t. For
+/// the mean of skewed data and the logarithm of a deviation its upper end covers more than BCa.
 pub fn studentised_bounds(
     values: &[f64],
     estimate: impl Fn(&[f64]) -> (f64, f64),
@@ -80,7 +75,6 @@ pub fn studentised_bounds(
     }
     let pivot = |sample: &[f64]| {
         let (other, error) = estimate(sample);
-        // A resample of equal values has no error.
         if error > 0.0 { (other - centre) / error } else { f64::INFINITY.copysign(other - centre) }
     };
     let mut pivots = resample(values, pivot, confidence)?;
@@ -88,16 +82,15 @@ pub fn studentised_bounds(
     Some([centre - percentile(&pivots, confidence)? * error, centre - percentile(&pivots, 1.0 - confidence)? * error])
 }
 
-/// The value below which `share` of the sorted values are, interpolated.
+/// Interpolated between the sorted values.
 fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
     let count = sorted.len() as f64;
     let position = (share * (count + 1.0)).clamp(1.0, count) - 1.0;
     let (left, right) = (*sorted.get(position.floor() as usize)?, *sorted.get(position.ceil() as usize)?);
-    // Two infinite values have no middle.
     Some(if left == right { left } else { left + (right - left) * position.fract() })
 }
 
-/// The statistic of enough resamples for `confidence`; `None` if that takes too many.
+/// Enough for `confidence`; `None` if that takes too many.
 fn resample(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<Vec<f64>> {
     let outside = 1.0 - confidence;
     let resamples = ((MIN_TAIL_RESAMPLES / outside).ceil() as usize).saturating_sub(1).max(MIN_RESAMPLES);
@@ -134,8 +127,7 @@ mod tests {
 
     #[test]
     fn the_acceleration_follows_the_skewness() {
-        // The leave-one-out means are the mirrored and scaled data: a = skewness/(6 √n) with the
-        // moments over n.
+        // The leave-one-out means are mirrored and scaled: a = skewness/(6 √n), moments over n.
         let centre = mean(&SKEWED);
         let moment = |power: i32| SKEWED.iter().map(|value| (value - centre).powi(power)).sum::<f64>();
         let expected = moment(3) / (6.0 * moment(2).powf(1.5));

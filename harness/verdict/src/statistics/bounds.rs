@@ -5,8 +5,7 @@ use super::{bootstrap, normality};
 use platebench_record::EvidenceMethod;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Bounds of the mean, each one-sided at `confidence`: by t, or by bootstrap if normality is
-/// rejected. `None` below two values.
+/// By t, or by bootstrap if normality is rejected; each one-sided. `None` below two values.
 pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], EvidenceMethod)> {
     let summary = SampleSummary::of(values)?;
     let normal = summary.mean_bounds(confidence)?;
@@ -17,8 +16,7 @@ pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Evidenc
     Some((bootstrap_bounds(values, mean_of, mean_and_error, confidence), EvidenceMethod::Bootstrap))
 }
 
-/// Bounds of the standard deviation, each one-sided at `confidence`: by chi-square, or by bootstrap
-/// if normality is rejected. `None` below two values.
+/// By chi-square, or by bootstrap if normality is rejected. `None` below two values.
 pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], EvidenceMethod)> {
     let summary = SampleSummary::of(values)?;
     let normal = summary.deviation_bounds(confidence)?;
@@ -32,25 +30,21 @@ pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Ev
     Some((outer_bounds(normal, bounds), EvidenceMethod::Bootstrap))
 }
 
-/// Probability that a deviation of `ratio` times the expected value is rejected, if agreement means
-/// that the expected value is in the two-sided chi-square interval with each end at `per_side`
-/// (normal data). `None` below two values.
-///
-/// `P = 1 − F(χ²_hi/ρ²) + F(χ²_lo/ρ²)`: s² (n − 1)/σ² is chi-square distributed with n − 1 degrees
-/// of freedom, σ = ρ σ0.
+/// Probability that a deviation of `ratio` times the expected value is rejected, if the two-sided
+/// chi-square interval with each end at `per_side` must contain the expected value (normal data):
+/// `P = 1 − F(χ²_hi/ρ²) + F(χ²_lo/ρ²)`, as s² (n − 1)/σ² has n − 1 degrees of freedom, σ = ρ σ0.
 pub fn agreement_power(count: usize, per_side: f64, ratio: f64) -> Option<f64> {
     let chi_squared = ChiSquared::new(count.checked_sub(1)? as f64).ok()?;
     let scaled = |probability: f64| chi_squared.cdf(chi_squared.inverse_cdf(probability) / (ratio * ratio));
     Some(1.0 - scaled(per_side) + scaled(1.0 - per_side))
 }
 
-/// The outer ends of two intervals.
 fn outer_bounds(one: [f64; 2], other: [f64; 2]) -> [f64; 2] {
     [one[0].min(other[0]), one[1].max(other[1])]
 }
 
-/// The outer ends of both bootstraps: BCa is too short above for skewed data, the studentised one
-/// for data with corners. Infinite if one of them has no bounds.
+/// BCa is too short above for skewed data, the studentised one for data with corners. Infinite if
+/// one of them has no bounds.
 fn bootstrap_bounds(
     values: &[f64],
     statistic: impl Fn(&[f64]) -> f64,
@@ -111,12 +105,10 @@ mod tests {
         for ([low, high], value) in [(mean.0, summary.mean), (deviation.0, summary.deviation)] {
             assert!(0.0 < low && low < value && value < high, "{low} {value} {high}");
         }
-        // Never narrower than for normal data.
         let flat: Vec<f64> = [0.0, 1.0].repeat(15);
         let (bounds, method) = deviation_bounds(&flat, 0.95).unwrap();
         let normal = SampleSummary::of(&flat).unwrap().deviation_bounds(0.95).unwrap();
         assert_eq!((method, bounds), (EvidenceMethod::Bootstrap, normal));
-        // No bounds at a confidence that is too high for resampling.
         assert_eq!(deviation_bounds(&skewed, 0.999_999_9).unwrap().0, [0.0, f64::INFINITY]);
         assert_eq!(mean_bounds(&skewed, 0.999_999_9).unwrap().0, [f64::NEG_INFINITY, f64::INFINITY]);
     }

@@ -3,14 +3,12 @@
 use super::sample_summary::SampleSummary;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// Critical value of the modified statistic at the level of 5 % (Stephens 1986, table 4.7, case 3).
+/// Of the modified statistic at the level of 5 % (Stephens 1986, table 4.7, case 3).
 const CRITICAL_VALUE: f64 = 0.752;
-/// The correction for small samples needs at least this many values (Stephens 1986).
+/// For the correction for small samples (Stephens 1986).
 const MIN_VALUES: usize = 8;
 
-/// The modified statistic A²\* of Anderson and Darling for normal data of unknown mean and
-/// deviation; `None` below eight values or if all are equal.
-///
+/// The modified statistic A²\* for normal data; `None` below eight values or if all are equal.
 /// M. A. Stephens, "Tests based on EDF statistics", in D'Agostino and Stephens, *Goodness-of-Fit
 /// Techniques*, 1986, section 4.8.5: `A² = −n − Σ (2i − 1)/n · (ln Φ(z_i) + ln(1 − Φ(z_{n+1−i})))`
 /// over the sorted standardised values, times `1 + 0.75/n + 2.25/n²`.
@@ -34,7 +32,7 @@ pub fn anderson_darling(values: &[f64]) -> Option<f64> {
     Some(statistic * (1.0 + 0.75 / count + 2.25 / (count * count)))
 }
 
-/// True if normality is rejected at the level of 5 %; false for too few values.
+/// At the level of 5 %; false for too few values.
 pub fn is_rejected(values: &[f64]) -> bool {
     anderson_darling(values).is_some_and(|statistic| statistic > CRITICAL_VALUE)
 }

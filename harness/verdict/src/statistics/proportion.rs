@@ -3,15 +3,14 @@
 use crate::bisection::bisect;
 use statrs::function::beta::beta_reg;
 
-/// Halvings of the unit interval, to the resolution of a double.
+/// To the resolution of a double.
 const BISECTION_STEPS: u32 = 60;
 
-/// Bounds of the probability of an event that was observed `seen` times in `count` independent
-/// trials, each one-sided at `confidence`; `None` without trials. They cover at least at that rate.
+/// Bounds, each one-sided at `confidence`, which cover at least at that rate; `None` without
+/// trials.
 ///
 /// C. J. Clopper and E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413: the probabilities at which
-/// as many, or as few, are observed with probability `1 − confidence`. No event in n trials gives
-/// `1 − (1 − confidence)^(1/n)`.
+/// as many, or as few, are observed with probability `1 − confidence`.
 pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2]> {
     if count == 0 || seen > count {
         return None;
@@ -30,8 +29,7 @@ pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2
     Some([lower, upper])
 }
 
-/// Probability of at most `seen` events of probability `p` in `count` trials: `I_{1−p}(n − k, k +
-/// 1)`.
+/// `I_{1−p}(n − k, k + 1)`
 pub fn probability_at_most(seen: u32, count: u32, p: f64) -> f64 {
     if seen >= count {
         1.0
@@ -40,7 +38,7 @@ pub fn probability_at_most(seen: u32, count: u32, p: f64) -> f64 {
     }
 }
 
-/// Probability of at least `seen` events of probability `p` in `count` trials: `I_p(k, n − k + 1)`.
+/// `I_p(k, n − k + 1)`
 pub fn probability_at_least(seen: u32, count: u32, p: f64) -> f64 {
     match seen {
         0 => 1.0,
@@ -55,12 +53,11 @@ mod tests {
     use rstest::rstest;
 
     #[rstest]
-    // 1 − 0.05^(1/n): no event in 30 trials gives 9.5 %; below 1 % needs 299 and below 0.1 % 2995
-    // trials.
+    // 1 − 0.05^(1/n): below 1 % needs 299 and below 0.1 % 2995 trials.
     #[case(0, 30, 0.0, 0.095_034)]
     #[case(0, 299, 0.0, 0.009_969)]
     #[case(0, 2_995, 0.0, 0.000_999_7)]
-    // One-sided at 97.5 % each: the two-sided 95 % interval of the tables.
+    // 97.5 % each: the two-sided 95 % interval of the tables.
     #[case(5, 10, 0.187_086, 0.812_914)]
     #[case(10, 10, 0.691_503, 1.0)]
     fn the_bounds_are_the_tabulated_ones(#[case] seen: u32, #[case] count: u32, #[case] low: f64, #[case] high: f64) {

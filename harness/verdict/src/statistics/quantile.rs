@@ -2,14 +2,12 @@
 
 use super::proportion::probability_at_most;
 
-/// The quantile of `values` at `share` and its bounds, each one-sided at `confidence`. Both are
-/// values of the sample, for any distribution. A bound is infinite if the sample is too small: the
-/// upper one of the 95 % quantile at 95 % needs 59 values. `None` without values.
+/// Quantile at `share` with bounds, each one-sided at `confidence`, for any distribution. A bound
+/// is infinite if the sample is too small: 95 % at 95 % needs 59 values.
 ///
-/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: the number of
-/// values at or below the quantile is binomial. The upper bound is the r-th smallest value with the
-/// least r for which `P(B(n, share) ≤ r − 1) ≥ confidence`, the lower one that with the greatest r
-/// for which `P(B(n, share) ≤ r − 1) ≤ 1 − confidence`.
+/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: upper bound =
+/// r-th smallest value with the least r for which `P(B(n, share) ≤ r − 1) ≥ confidence`, lower
+/// bound = that with the greatest r for which `P(B(n, share) ≤ r − 1) ≤ 1 − confidence`.
 pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f64, [f64; 2])> {
     let count = u32::try_from(values.len()).ok().filter(|count| *count > 0)?;
     let mut sorted = values.to_vec();
@@ -25,13 +23,12 @@ pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f
     Some((estimate, [lower.unwrap_or(f64::NEG_INFINITY), upper.unwrap_or(f64::INFINITY)]))
 }
 
-/// Fewest values for a bound of the quantile at `share`, on the side with fewer values.
+/// On the side with fewer values.
 pub fn min_values_for_bound(share: f64, confidence: f64) -> u32 {
     let rarer = share.max(1.0 - share);
     ((1.0 - confidence).ln() / rarer.ln()).ceil().min(f64::from(u32::MAX)) as u32
 }
 
-/// The first number from `low` to `high` from which `holds` is true.
 fn bisect_index(low: u32, high: u32, holds: impl Fn(u32) -> bool) -> Option<u32> {
     let (mut low, mut high) = (low, high.checked_add(1)?);
     let end = high;

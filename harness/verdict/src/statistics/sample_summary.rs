@@ -2,19 +2,16 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
 
-/// Mean and standard deviation of a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SampleSummary {
-    /// Number of values.
     pub count: usize,
-    /// Their mean.
     pub mean: f64,
-    /// Their standard deviation with n − 1 in the denominator; zero for one value.
+    /// With n − 1 in the denominator; zero for one value.
     pub deviation: f64,
 }
 
 impl SampleSummary {
-    /// Summary of `values`; `None` without values.
+    /// `None` without values.
     pub fn of(values: &[f64]) -> Option<Self> {
         let count = values.len();
         if count == 0 {
@@ -26,8 +23,7 @@ impl SampleSummary {
         Some(Self { count, mean, deviation })
     }
 
-    /// One-sided bounds of the mean by Student's t (normal data, unknown deviation). `None` below
-    /// two values.
+    /// One-sided, by Student's t (normal data). `None` below two values.
     pub fn mean_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
         let freedom = self.degrees_of_freedom()?;
         let quantile = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(confidence);
@@ -35,8 +31,7 @@ impl SampleSummary {
         Some([self.mean - half, self.mean + half])
     }
 
-    /// One-sided bounds of the standard deviation by chi-square: `s √(f/χ²)` (normal data). `None`
-    /// below two values.
+    /// One-sided, by chi-square: `s √(f/χ²)` (normal data). `None` below two values.
     pub fn deviation_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
         let freedom = self.degrees_of_freedom()?;
         let chi_squared = ChiSquared::new(freedom).ok()?;

@@ -9,7 +9,6 @@ use rand_distr::{Distribution, Exp1, Gamma, StandardNormal, StandardUniform};
 use rstest::rstest;
 use std::f64::consts::{FRAC_2_PI, SQRT_2};
 
-/// Data with known mean and standard deviation.
 #[derive(Debug, Clone, Copy)]
 enum TestDistribution {
     Normal,
@@ -58,8 +57,7 @@ impl TestDistribution {
     }
 }
 
-/// Share of runs, percent, in which each lower and upper end is on its side of the truth: mean,
-/// then deviation.
+/// Percent of runs in which each end of mean and deviation is on its side of the truth.
 fn coverage(data: TestDistribution, count: usize, confidence: f64, runs: u32) -> [[f64; 2]; 2] {
     let mut random = ChaCha8Rng::seed_from_u64(2016);
     let mut covered = [[0_u32; 2]; 2];
@@ -94,8 +92,7 @@ fn covers_normal_data_by_two_sided_intervals() {
     }
 }
 
-/// The lowest coverage of an end, mean and deviation, of `docs/verdicts.md`, less two standard
-/// errors of the simulation.
+/// Lowest coverage in `docs/verdicts.md`, less two standard errors of the simulation.
 #[rstest]
 #[case(TestDistribution::HalfNormal, 30, 92.5, 91.0)]
 #[case(TestDistribution::Exponential, 30, 91.5, 84.5)]
@@ -110,11 +107,9 @@ fn covers_skewed_data_as_documented(
     for (ends, least) in covered.into_iter().zip([mean, deviation]) {
         assert!(ends.iter().all(|end| *end >= least), "{data:?} {count}: {covered:?}");
     }
-    // Without resampling the deviation of exponential data would be covered in 77 % of runs.
 }
 
-/// The table of `docs/verdicts.md`: `cargo test -p platebench-verdict --release -- --ignored
-/// coverage_table --nocapture`.
+/// `cargo test -p platebench-verdict --release -- --ignored coverage_table --nocapture`
 #[test]
 #[ignore = "takes minutes; for the documentation"]
 fn coverage_table() {
@@ -177,7 +172,6 @@ fn covers_quantiles_at_least_at_the_nominal_rate(
     assert!(rates.iter().all(|rate| (0.942..0.99).contains(rate)), "{rates:?}");
 }
 
-/// Ten values with a deviation of `ratio` times the expected 1.
 #[rstest]
 #[case(2.0)]
 #[case(1.5)]

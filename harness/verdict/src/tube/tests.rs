@@ -36,7 +36,6 @@ fn names_the_worst_exceedance() {
     assert_eq!(found.ratio(), 4.0);
 }
 
-/// The relative part is relative to the golden value.
 #[rstest]
 #[case(100.0, 111.0, true)]
 #[case(100.0, 111.0_f64.next_up(), false)]
@@ -50,7 +49,6 @@ fn adds_absolute_and_relative_tolerance(#[case] level: f64, #[case] value: f64, 
     assert_eq!(golden.worst_exceedance(&[(0.0, value), (1.0, value)], None).is_none(), inside);
 }
 
-/// A step of 2 in 0.05 ms, `late` ms late.
 fn late_step(late: f64) -> Vec<(f64, f64)> {
     vec![(0.0, 0.0), (4.95 + late, 0.0), (5.0 + late, 2.0), (10.0 + late, 2.0)]
 }

@@ -41,7 +41,6 @@ fn one_bad_trial_among_thirty_fails() {
     );
 }
 
-/// A divergence changes no verdict, for any statistic.
 #[test]
 fn a_divergence_is_the_reason_of_a_failure() {
     let diverged = |mut trials: Vec<TrialMeasures>, which: &[usize]| {
@@ -144,7 +143,6 @@ fn a_killed_run_can_fail_but_not_pass() {
 fn a_stopped_controller_fails() {
     let expect: Vec<String> = Metric::ALL
         .into_iter()
-        // The last three allow a stop.
         .filter(|metric| {
             !matches!(metric, Metric::Overruns | Metric::ShutdownTime | Metric::MissedReplies | Metric::RestDrive)
         })

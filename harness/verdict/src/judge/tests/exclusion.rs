@@ -124,7 +124,6 @@ fn a_planned_fault_explains_a_missing_answer(#[case] at_ms: usize, #[case] fault
     let mut rows = trace_rows(&scenario, |_| 2.0);
     rows[at_ms * 20].flags |= Flags::LINK_LOST;
     assert_eq!(judge_rows(&scenario, &rows), if planned { PASS } else { inconclusive(Cause::Rig) });
-    // A planned silence does not hide an unplanned one.
     rows[100].flags |= Flags::LINK_LOST;
     assert_eq!(judge_rows(&scenario, &rows), inconclusive(Cause::Rig));
 }

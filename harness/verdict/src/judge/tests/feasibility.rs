@@ -17,7 +17,6 @@ fn a_stop_at_the_limit_fails_a_feasible_demand() {
     }
 }
 
-/// The envelope from rest at full drive, then at the setpoint.
 fn fastest_envelope(limit_vpp: f64) -> impl Fn(f64) -> f64 {
     move |t| (0.006_98 * limit_vpp * (1.0 - (-t / 1.88).exp())).min(2.0)
 }

@@ -13,7 +13,6 @@ const T_29: f64 = 1.699_127;
 #[case::just_not_fail(1.2 + 2e-4 - 1e-4, inconclusive(Cause::Evidence))]
 #[case::just_fail(1.2 + 2e-4 + 1e-4, FAIL)]
 fn compares_both_bounds_of_the_static_error(#[case] mean_plus_half: f64, #[case] expected: (Verdict, Option<Cause>)) {
-    // Half width 0.1.
     let deviation = 0.1 * 30.0_f64.sqrt() / T_29;
     let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 30);
     for sign in [1.0, -1.0] {
@@ -75,7 +74,6 @@ fn one_trial_decides_a_deterministic_scenario() {
     ] {
         assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[error])), expected, "{error}");
     }
-    // Trials of a deterministic scenario that differ are random.
     let scenario =
         ScenarioBuilder { expect: &["metric = \"static_error_percent\", at_most = 1.0"], trials: 2, ..BASE }.scenario();
     assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[0.5, 0.5])), PASS);
@@ -137,7 +135,6 @@ fn constant_values_are_inconclusive() {
     assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[100.0; 30])), inconclusive(Cause::Evidence));
 }
 
-/// Share of passes if the true value is at the limit.
 fn pass_rate(expect: &str, count: usize, draw: impl Fn(f64) -> f64) -> f64 {
     let scenario = varied_scenario(expect, count as u32);
     let mut random = ChaCha8Rng::seed_from_u64(7);

@@ -16,7 +16,6 @@ fn trials_without_a_failure_bound_the_failure_rate() {
     values[3] = 2.1;
     let [low, high] = judge_single_expectation(&scenario, &trials_with_values(&values)).evidence.failure_rate.unwrap();
     assert!((low - 0.001_708).abs() < 1e-5 && (high - 0.148_6).abs() < 1e-3, "{low} {high}");
-    // An interval that straddles the limit may be a failure.
     let mut open = trials_with_values(&[1.9; 30]);
     open[3].measures = vec![Measure::Interval([1.5, 2.5])];
     let [low, high] = judge_single_expectation(&scenario, &open).evidence.failure_rate.unwrap();
@@ -43,7 +42,6 @@ fn judges_a_response_time_by_each_statistic(
     assert_eq!(verdict_and_cause(&varied_scenario(&expect, 30), &values), expected);
     let record = judge_single_expectation(&varied_scenario(&expect, 30), &values);
     assert_eq!(record.statistic, statistic);
-    // Slower trials: the mean is still good, the worst is not.
     let slower = trials_with_values(&values_with_moments(30, 1.9, 0.1));
     let expected = match over {
         "mean" => PASS,
@@ -69,7 +67,6 @@ fn a_quantile_is_demonstrated_by_ranks(
     let expect = "metric = \"settling_time_ms\", at_most = 2.0, over = \"quantile\"";
     let values: Vec<f64> = (0..count as usize).map(|index| if index < beyond { 3.0 } else { 1.9 }).collect();
     assert_eq!(verdict_and_cause(&varied_scenario(expect, count), &trials_with_values(&values)), expected);
-    // A trial that never settled counts like one that settled too late.
     let mut never = trials_with_values(&values);
     for trial in never.iter_mut().take(beyond) {
         trial.measures = vec![Measure::Missing(MissingValue::NotRunning)];
@@ -77,7 +74,6 @@ fn a_quantile_is_demonstrated_by_ranks(
     assert_eq!(verdict_and_cause(&varied_scenario(expect, count), &never), expected);
     let text = serde_json::to_string(&judge_single_expectation(&varied_scenario(expect, count), &never)).unwrap();
     assert!(serde_json::from_str::<ExpectationRecord>(&text).is_ok(), "{text}");
-    // Mirrored: the 5 % quantile from below.
     let mirrored = "metric = \"settling_time_ms\", at_least = 2.0, over = \"quantile\", quantile = 0.05";
     let values: Vec<f64> = values.iter().map(|value| 4.0 - value).collect();
     let scenario = varied_scenario(mirrored, count);
@@ -120,7 +116,6 @@ fn adds_the_error_of_the_bench_to_each_trial() {
     }
 }
 
-/// A limit between the two samples is inconclusive.
 #[rstest]
 #[case("at_most = 2.0", [1.0, 2.0], PASS)]
 #[case("at_most = 2.0", [1.0, 2.0_f64.next_up()], inconclusive(Cause::Evidence))]
@@ -140,7 +135,6 @@ fn an_interval_that_straddles_the_limit_is_inconclusive(
     let sampled = [trial_measures(0, &[Measure::Interval(between)])];
     assert_eq!(verdict_and_cause(&scenario, &sampled), expected);
     assert_eq!(judge_single_expectation(&scenario, &sampled).interval, Some(between));
-    // The mean of thirty such trials has the same interval.
     let scenario = varied_scenario(&format!("metric = \"settling_time_ms\", {limit}, over = \"mean\""), 30);
     let many: Vec<_> = (0..30).map(|index| trial_measures(index, &[Measure::Interval(between)])).collect();
     assert_eq!(verdict_and_cause(&scenario, &many), expected);

@@ -2,7 +2,6 @@
 
 use super::*;
 
-/// A scenario of `count` to `most` trials that differ.
 fn sequential_scenario(expect: &[&str], count: u32, most: u32) -> Scenario {
     ScenarioBuilder { expect, trials: count, max_count: most, is_varied: true, ..BASE }.scenario()
 }
@@ -58,7 +57,6 @@ fn stops_if_more_trials_cannot_change_the_verdict() {
     let scenario = sequential_scenario(&expect, 4, 50);
     let four = |exclusion: Option<Exclusion>, excuse: Option<Excuse>, settling: f64| -> Vec<_> {
         let one = |index: u32| {
-            // At the limit: inconclusive alone.
             let error = 0.9 + 0.2 * f64::from(index % 2);
             let mut trial = trial_measures(index, &[Measure::Value(error), Measure::Value(settling)]);
             trial.exclusion = exclusion.clone().filter(|_| index == 2);
@@ -80,8 +78,6 @@ fn stops_if_more_trials_cannot_change_the_verdict() {
     }
 }
 
-/// Shares of passed and failed runs, and the mean number of trials; `draw` converts a standard
-/// normal number.
 fn sequential_pass_rate(expect: &str, count: u32, most: u32, runs: u32, draw: impl Fn(f64) -> f64) -> (f64, f64, f64) {
     let scenario = sequential_scenario(&[expect], count, most);
     let mut random = ChaCha8Rng::seed_from_u64(11);
@@ -106,7 +102,6 @@ fn sequential_pass_rate(expect: &str, count: u32, most: u32, runs: u32, draw: im
     (share(passed), share(failed), played as f64 / f64::from(runs))
 }
 
-/// A controller at its limit passes at most 5 % of runs, and fails at most 5 %.
 #[rstest]
 #[case::mean("metric = \"static_error_percent\", at_most = 1.0", |z: f64| 1.0 + 0.3 * z)]
 #[case::deviation("metric = \"repeatability_percent\", at_most = 1.3", |z: f64| 100.0 + 1.3 * z)]
@@ -114,7 +109,6 @@ fn sequential_pass_rate(expect: &str, count: u32, most: u32, runs: u32, draw: im
 fn several_looks_keep_the_error_rate(#[case] expect: &str, #[case] draw: fn(f64) -> f64) {
     let (passed, failed, played) = sequential_pass_rate(expect, 20, 160, 2_000, draw);
     assert!(passed <= 0.05 && failed <= 0.05, "{passed} {failed}");
-    // The bounds still decide some runs.
     assert!(passed > 0.01 && failed > 0.01 && played > 120.0, "{passed} {failed} {played}");
 }
 

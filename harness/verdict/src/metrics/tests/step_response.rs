@@ -99,8 +99,7 @@ fn finds_the_starts_of_setpoint_changes(#[case] points: &[(f64, f64)], #[case] s
     assert_eq!(setpoint_steps(&trace), steps);
 }
 
-/// 2 µm from 0 ms, 1 µm from 10 ms, 3 µm from 20 ms; each reached on a straight line, in 2, 1 and 4
-/// ms.
+/// 2 µm from 0 ms, 1 µm from 10 ms, 3 µm from 20 ms; reached in 2, 1 and 4 ms.
 fn staircase_rows() -> Vec<Row> {
     let setpoint = |t: f64| {
         if t < 10.0 {
@@ -140,8 +139,7 @@ fn the_worst_window_decides() {
     assert_eq!(measure(&settling, &never, &EMPTY_TELEMETRY), Measure::Missing(MissingValue::NeverSettles));
 }
 
-/// Two taps at 10 and 20 ms, recovered after 3 and 6 ms. A step of 0.0001 µm at 15 ms must not end
-/// the second window.
+/// A step of 0.0001 µm at 15 ms must not end the second window.
 #[test]
 fn judges_each_tap_in_its_own_window() {
     let setpoint = |t: f64| if t < 15.0 { 2.0 } else { 2.0001 };
@@ -167,7 +165,6 @@ fn ignores_rows_after_the_next_step() {
 
 #[test]
 fn settling_of_a_ramp_ends_in_its_moving_band() {
-    // From 1 to 2 µm between 10 and 20 ms; the signal lags by 1 ms.
     let setpoint = |t: f64| 1.0 + ((t - 10.0) / 10.0).clamp(0.0, 1.0);
     let trace = trace_at(grid(0.5, 30.0), setpoint, |t| setpoint(t - 1.0));
     let ramp = expectation_with_from(Metric::SettlingTime, 10.0);
@@ -230,14 +227,12 @@ fn a_time_from_samples_is_an_interval() {
     let Measure::Interval([first, last]) = measure(&recovery, &trace, &EMPTY_TELEMETRY) else { panic!("samples") };
     assert_close(first, 1.25, 1e-12);
     assert_close(last, 2.25, 1e-12);
-    // Inside from the first sample: it settled before.
     for row in &mut trace {
         row.sensed_wd_um = 2.0;
     }
     assert_eq!(measure(&settling, &trace, &EMPTY_TELEMETRY), Measure::Interval([0.0, 0.5]));
     trace[0].flags = Flags::CONTROL;
     assert_eq!(measure(&settling, &trace, &EMPTY_TELEMETRY), Measure::Value(0.0));
-    // Outside at the last sample.
     trace[7].sensed_wd_um = 0.0;
     assert!(matches!(measure(&settling, &trace, &EMPTY_TELEMETRY), Measure::Missing(_)));
 }

@@ -7,7 +7,6 @@ fn a_stopped_controller_has_no_values() {
     let mut trace = trace_at(grid(0.05, 60.0), |_| 2.0, |_| 2.0);
     trace[3].flags = Flags::SAFE;
     let reported = Telemetry { loop_delay_us: Some(0.0), instructions_worst: Some(900.0), ..EMPTY_TELEMETRY };
-    // These two allow a stop.
     let of_the_line = [Metric::ShutdownTime, Metric::MissedReplies];
     let others = || Metric::ALL.into_iter().filter(|metric| !of_the_line.contains(metric));
     for metric in others().filter(|metric| *metric != Metric::QuadratureRatio) {
@@ -26,7 +25,6 @@ fn a_stopped_controller_has_no_values() {
     }
 }
 
-/// A row per millisecond up to 60 ms, stopped while `stopped` is true.
 fn rows_with_stop(stopped: impl Fn(u32) -> bool) -> Vec<Row> {
     let row = |t: u32| Row {
         t_s: ms(f64::from(t)).seconds(),
@@ -49,7 +47,6 @@ fn shutdown_time_ends_at_the_lasting_stop() {
     assert_close(time(60.0, &rows_with_stop(|t| t >= 40)), 0.0, 1e-9);
     assert_close(time(60.0, &rows_with_stop(|t| t == 42 || t >= 44)), 4.0, 1e-9);
     assert_close(time(60.0, &rows_with_stop(|t| t >= 60)), 20.0, 1e-9);
-    // Configured again at 50 ms.
     let resumed = rows_with_stop(|t| (44..50).contains(&t));
     assert_close(time(50.0, &resumed), 4.0, 1e-9);
     assert_eq!(
@@ -76,7 +73,6 @@ fn other_stops_have_no_shutdown_time() {
     };
     assert_eq!(missing(&with(|row| row.flags = Flags::empty()), &EMPTY_TELEMETRY), MissingValue::NotAtRest);
     assert_eq!(missing(&with(|row| row.drive_vpp = 1.0), &EMPTY_TELEMETRY), MissingValue::NotAtRest);
-    // A controller that never drove cannot shut down.
     let idle = stopped.iter().map(|row| Row { drive_vpp: 0.0, ..*row }).collect::<Vec<_>>();
     assert_eq!(missing(&idle, &EMPTY_TELEMETRY), MissingValue::NeverDrove);
     let without_setpoint = idle.iter().map(|row| Row { setpoint_um: 0.0, ..*row }).collect::<Vec<_>>();
@@ -95,7 +91,6 @@ fn control_instants_without_an_answer_are_missed_replies() {
     assert_eq!(measured_value(&expectation_for(Metric::MissedReplies), &rows), 1.0);
 }
 
-/// The same rows as reported for a real plate.
 fn as_real_plate(rows: &[Row]) -> Vec<Row> {
     let reported = |row: &Row| Row {
         sensed_wd_um: row.wd_um,
@@ -154,7 +149,6 @@ fn a_non_finite_drive_has_no_values() {
         matches!(measure(&shutdown_expectation(60.0), &shut, &not_a_number), Measure::Missing(_)),
         "the bench applied its 0 V"
     );
-    // Missed replies keep their value, and a missing value its reason.
     assert_eq!(measure(&expectation_for(Metric::MissedReplies), &settled, &not_a_number), Measure::Value(0.0));
     let never = trace_at([0.0, 1.0, 60.0], |_| 2.0, |_| 0.0);
     assert_eq!(
