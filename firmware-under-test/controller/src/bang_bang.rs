@@ -1,23 +1,19 @@
-//! Implements `bang-bang`: PI on the amplitude, a fixed frequency step per period (\[10\] and
-//! \[11\] of the paper).
+//! Implements `bang-bang`: PI on the amplitude, a fixed frequency step per period (\[10\], \[11\]).
 //!
-//! The paper describes \[10\]: "the frequency control was based on a 'bang-bang' strategy \[11\]",
-//! good close to the resonance, slow "with unsuited initial condition". Assumed: the amplitude loop
-//! is that of `voltage-only`; the sign of Wq gives the direction (Wq/Wd → −τΔω, equation 19); the
-//! step is a twentieth of the plate's half bandwidth, `1/(20 τ)` or 4.2 Hz. One step changes the
-//! amplitude by 0.1 %; a start that is 9 K off needs twenty periods.
+//! The paper describes \[10\]: good close to the resonance, slow "with unsuited initial condition".
+//! Assumed: the amplitude loop is that of `voltage-only`; the sign of Wq gives the direction (Wq/Wd
+//! → −τΔω, equation 19); the step is a twentieth of the plate's half bandwidth, `1/(20 τ)` or 4.2
+//! Hz, which changes the amplitude by 0.1 %. A start that is 9 K off needs twenty periods.
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop, Excitation};
 use platebench_wire::{Configure, Gains, flags};
 
-/// Steps per half bandwidth.
 const STEPS_PER_HALF_BANDWIDTH: f32 = 20.0;
 /// Fraction of the setpoint below which the sign of Wq is noise.
 const MIN_AMPLITUDE_SHARE: f32 = 0.1;
 
-/// State of the amplitude loop and the excitation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BangBang {
     amplitude: AmplitudeLoop,

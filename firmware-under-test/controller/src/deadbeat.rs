@@ -1,5 +1,4 @@
-//! Implements `deadbeat`: identifies the plate, brings W to the setpoint in one drive, then holds
-//! with two PI loops.
+//! Implements `deadbeat`: identifies the plate, steers to the setpoint, holds with two PI loops.
 //!
 //! ```text
 //!          setpoint             one sample later                 as predicted, on the setpoint
@@ -17,24 +16,19 @@
 //! * **First period.** The finger is unknown. The drive brings the untouched plate nearly to the
 //!   setpoint; a finger or a detuning only lowers the amplitude.
 //! * **Steering.** λ follows from the last drive and its sample; then V and ω bring W to the real
-//!   setpoint at the end of the period. At the drive limit this is the fastest response, from
-//!   period to period; at the slew limit |W| comes before its angle.
-//! * **Holding.** PI loops matched to the zero-order hold as in `dq-pi`, for the plant of their own
-//!   integrals: σ = bV/W, the excitation is the resonance. They start with the integrals of the
-//!   steady state, so that no step occurs.
-//! * **Prediction.** Each sample is compared with the prediction of the last drive. If noise does
-//!   not explain the error, either the plate has changed and is identified again, or the drive acts
-//!   late: the law adopts a loop delay of up to nine tenths of a period if it explains both
-//!   samples. After four missed predictions in a row, it uses its PI loops for twenty periods and
-//!   raises [`flags::PREDICTION_MISSED`].
+//!   setpoint at the end of the period. At the slew limit |W| comes before its angle.
+//! * **Holding.** PI loops matched to the zero-order hold, for the plant of their own integrals:
+//!   σ = bV/W, the excitation is the resonance. They start with the integrals of the steady state.
+//! * **Prediction.** If noise does not explain the error of a prediction, either the plate has
+//!   changed and is identified again, or the drive acts late: the law adopts a loop delay of up to
+//!   nine tenths of a period if it explains the last two samples. After four misses in a row, it
+//!   uses its PI loops for twenty periods and raises [`flags::PREDICTION_MISSED`].
 //! * **Configured delay.** It applies from the first drive on; high damping in the first sample is
-//!   then a heavy finger. After a missed prediction, a wrong delay is searched for as an unknown
-//!   one.
+//!   then a heavy finger.
 //!
 //! The number of instructions of a step is bounded. In exponentials of [`crate::envelope`] (about
 //! 100 multiplications and additions): 1 while holding, at most 14 while steering, 19 with a delay;
-//! 100 more in a step that searches the delay, at most once per period of a start that misses its
-//! predictions.
+//! 100 more in a step that searches the delay, at most once per period.
 
 use crate::envelope::{Complex, Drive, DriveBounds, EnvelopeModel, PlateMode};
 use crate::law::{Actuation, Law, Measurement};
@@ -42,38 +36,32 @@ use crate::loops::{self, Excitation};
 use crate::pi::{Pi, Tracking};
 use platebench_wire::{Configure, Gains, flags};
 
-/// Target of the first drive as a share of the setpoint: a plate with 8 % more gain stays within
-/// the 5 % band.
+/// Share of the setpoint: a plate with 8 % more gain stays within the 5 % band.
 const FIRST_TARGET_SHARE: f32 = 0.97;
-/// Largest prediction error as a share of the setpoint: half a percent of noise causes a third of
-/// it.
+/// Share of the setpoint: half a percent of noise causes a third of it.
 const PREDICTION_TOLERANCE: f32 = 0.08;
-/// A larger relative change of the setpoint is steered to, a smaller one is left to the PI loops.
+/// A larger relative change is steered to, a smaller one is left to the PI loops.
 const SETPOINT_STEP: f32 = 0.02;
-/// Largest error on arrival, as a share of the setpoint.
+/// Share of the setpoint.
 const ARRIVAL_BAND: f32 = 0.03;
-/// Largest amplitude of a plate at rest, as a share of the setpoint.
+/// Share of the setpoint: the largest amplitude of a plate at rest.
 const REST_BAND: f32 = 0.1;
-/// Periods of steering without arrival, for example at the drive limit, before the PI loops take
-/// over.
+/// The PI loops take over after these periods, for example at the drive limit.
 const MAX_STEERING_PERIODS: u8 = 12;
-/// Drives that may miss the setpoint before the PI loops take over.
+/// The PI loops take over after these drives.
 const MAX_ATTEMPTS: u8 = 3;
 /// A missed prediction adds this to the score, every other one subtracts one.
 const MISSED_WEIGHT: u8 = 2;
 /// Score that starts the fallback: four in a row. A start with an unknown delay misses one or two.
 const FALLBACK_MISS_SCORE: u8 = 8;
-/// Periods of the fallback.
 const FALLBACK_PERIODS: u8 = 20;
-/// Damping of the first sample, relative to the untouched plate, above which a delay is assumed;
-/// 2.25 N.
+/// First sample's damping, relative to the untouched plate, above which a delay is assumed: 2.25 N.
 const MAX_FINGER_DAMPING: f32 = 2.5;
-/// Upper end of the search for the loop delay, as a share of the period.
+/// Upper end of the search for the loop delay.
 const MAX_DELAY_SHARE: f32 = 0.9;
-/// With a configured delay, the first sample is skipped if the drive acted for less than this share
-/// of the period: with a third of the period, 0.5 % of noise causes 15 % of overshoot.
+/// With a configured delay, a first sample after less drive is skipped: with a third of the period,
+/// 0.5 % of noise causes 15 % of overshoot.
 const MIN_ACTING_SHARE: f32 = 0.45;
-/// Steps of the search for the delay.
 const DELAY_ITERATIONS: u32 = 6;
 /// As in `dq-pi`.
 const LARGEST_RATIO: f32 = 2.0;
@@ -89,7 +77,6 @@ enum Phase {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Steering {
     periods: u8,
-    /// Drives that missed the setpoint.
     attempts: u8,
     /// The law, not a disturbance, started the motion: only then can a missed prediction be a
     /// delay.
@@ -102,13 +89,11 @@ impl Steering {
     }
 }
 
-/// State of the law.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Deadbeat {
     envelope: EnvelopeModel,
     period: f32,
     limit_vpp: f32,
-    /// Configured gains do not follow the plate.
     fixed_gains: bool,
     /// Pole of the holding loops per period.
     holding_pole: f32,
@@ -117,19 +102,17 @@ pub struct Deadbeat {
     excitation: Excitation,
     phase: Phase,
     mode: PlateMode,
-    /// Known delay from sampling to actuation, s.
+    /// From sampling to actuation, s.
     delay: f32,
-    /// The configuration has a delay: only a missed prediction changes it, not the first sample.
+    /// Only a missed prediction changes a configured delay, not the first sample.
     is_delay_given: bool,
-    /// The last two samples, the latest first.
+    /// The latest first.
     samples: [Complex; 2],
-    /// The last three drives, the latest first.
+    /// The latest first.
     drives: [Drive; 3],
-    /// Prediction of the next sample.
     expected: Complex,
     setpoint: f32,
     miss_score: u8,
-    /// Remaining periods of the fallback.
     fallback_periods: u8,
 }
 
@@ -208,7 +191,6 @@ impl Deadbeat {
         }
     }
 
-    /// Chooses the next phase and updates the plate.
     fn choose_phase(&mut self, w: Complex, setpoint: f32, missed: bool) {
         self.phase = match self.phase {
             Phase::Rest => {
@@ -237,13 +219,11 @@ impl Deadbeat {
         };
     }
 
-    /// True if the first drive of a start has acted for too short a time.
     fn is_sample_too_early(&self) -> bool {
         self.is_delay_given && self.drives[1].vpp == 0.0 && self.period - self.delay < MIN_ACTING_SHARE * self.period
     }
 
-    /// Identifies the plate from the first sample. More damping than a heavy finger's means that
-    /// the drive acted late.
+    /// More damping than a heavy finger's means that the drive acted late.
     fn learn_from_first_sample(&mut self, w: Complex) {
         let untouched = self.mode;
         self.mode = self.identify_mode(w);
@@ -260,7 +240,6 @@ impl Deadbeat {
         }
     }
 
-    /// The phase after a period of steering.
     fn continue_steering(&mut self, steering: Steering, w: Complex, setpoint: f32, missed: bool) -> Phase {
         let off = |w: Complex| (w.norm() - setpoint).abs().max(w.im.abs());
         let arrived = off(w) < ARRIVAL_BAND * setpoint;
@@ -282,13 +261,11 @@ impl Deadbeat {
         Phase::Steering(Steering { periods: periods + 1, attempts, is_commanded })
     }
 
-    /// λ of the last period.
     fn identify_mode(&self, w: Complex) -> PlateMode {
         let drives = [(self.drives[1], self.delay), (self.drives[0], self.period - self.delay)];
         self.envelope.identify(self.mode, self.samples[0], drives, w)
     }
 
-    /// The loop delay with which the last two periods agree.
     fn find_delay(&self, w: Complex, setpoint: f32) -> Option<f32> {
         let predicted = |delay: f32| {
             let drives = [(self.drives[2], delay), (self.drives[1], self.period - delay)];
@@ -321,7 +298,6 @@ impl Deadbeat {
         (delay.is_finite() && explains(delay)).then_some(delay)
     }
 
-    /// Starts the loops with the integrals of the steady state.
     fn start_holding(&mut self, setpoint: f32) -> Phase {
         self.amplitude.seed((self.mode.sigma * setpoint / self.envelope.force).min(self.limit_vpp));
         self.frequency.seed(self.mode.resonance);
@@ -355,7 +331,6 @@ impl Deadbeat {
         Drive { vpp, offset: self.excitation.offset_rad() }
     }
 
-    /// Derives the plate from the integrals, and the gains from the plate.
     fn adapt_to_integrals(&mut self, setpoint: f32) {
         let sigma = self.envelope.force * self.amplitude.integral() / setpoint;
         self.mode = self.envelope.clamped(PlateMode { sigma, resonance: self.frequency.integral() });

@@ -1,22 +1,18 @@
 //! Designs the gains of the laws.
 //!
-//! The board computes a design in f32. A study of the loops computes the same design in f64.
+//! The board computes a design in f32, a study of the loops in f64.
 
 use core::ops::{Add, Div, Mul, Neg, Sub};
 use platebench_wire::LawId;
 
-/// The drive of `frequency-only` as a share of the drive limit.
 pub const FREQUENCY_ONLY_DRIVE_SHARE: f32 = 0.5;
-/// Smallest detuning of the design of `frequency-only`, half bandwidths: the slope of the resonance
-/// curve vanishes at its peak.
+/// In half bandwidths: the slope of the resonance curve vanishes at its peak.
 const SMALLEST_DETUNING: f32 = 0.5;
 
-/// The law's default 5 % response time, s.
-///
-/// At 2.0 ms the matched design leaves 4.98 % after two periods of 1 ms: less margin to the 5 %
-/// band than the ripple of the plate's fast mode. 1.9 ms leave 4.2 %. `dq-pi-euler` has the paper's
-/// response time. That of `deadbeat` is for its holding loops. `frequency-only` is slow because the
-/// plate answers a step of ω with an oscillation at Δω that decays with τ.
+/// In s. At 2.0 ms the matched design leaves 4.98 % after two periods of 1 ms: less margin to the
+/// 5 % band than the ripple of the plate's fast mode. 1.9 ms leave 4.2 %. `dq-pi-euler` has the
+/// paper's response time. `frequency-only` is slow because the plate answers a step of ω with an
+/// oscillation at Δω that decays with τ.
 pub const fn default_response_time_s(law: LawId) -> f64 {
     match law {
         LawId::DqPiEuler => 2.0e-3,
@@ -26,7 +22,6 @@ pub const fn default_response_time_s(law: LawId) -> f64 {
     }
 }
 
-/// The arithmetic of a design.
 pub trait Real:
     Copy
     + From<f32>
@@ -36,10 +31,8 @@ pub trait Real:
     + Div<Output = Self>
     + Neg<Output = Self>
 {
-    /// e to the power of `self`.
     #[must_use]
     fn exp(self) -> Self;
-    /// The larger one.
     #[must_use]
     fn max(self, other: Self) -> Self;
 }
@@ -64,17 +57,15 @@ impl Real for f64 {
     }
 }
 
-/// Gains of one loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PiGains<F = f32> {
-    /// Proportional gain, output per error.
+    /// Output per error.
     pub proportional: F,
-    /// Integral gain times the period, output per error and period.
+    /// Ki·Ts, output per error and period.
     pub integral_per_period: F,
 }
 
 impl PiGains {
-    /// An inactive loop.
     pub const NONE: Self = Self { proportional: 0.0, integral_per_period: 0.0 };
 }
 
@@ -89,24 +80,20 @@ impl<F: Real> PiGains<F> {
     }
 
     /// Equation 24 as printed, with a forward-Euler integral: `Kp = 3τ/(K t_r)`, `Ki = Kp/τ`.
-    ///
-    /// `gain` is the static gain K of the plant, times in seconds.
     pub fn as_printed(gain: F, time_constant: F, response_time: F, period: F) -> Self {
         let proportional = F::from(3.0) * time_constant / (gain * response_time);
         Self { proportional, integral_per_period: proportional / time_constant * period }
     }
 
     /// Equation 24 matched to the zero-order hold: the controller's zero on the plant's sampled
-    /// pole `a = e^(−Ts/τ)`, the closed loop's pole at `p = e^(−3 Ts/t_r)`.
-    ///
-    /// From `Kp (1 − a) K / (z − 1)` in the open loop: `Kp = (1 − p) / (K (1 − a))`, `Ki·Ts = Kp (1
-    /// − a)`.
+    /// pole `a = e^(−Ts/τ)`, the closed loop's pole at `p = e^(−3 Ts/t_r)`. The open loop is
+    /// `Kp (1 − a) K / (z − 1)`, so `Kp = (1 − p) / (K (1 − a))`, `Ki·Ts = Kp (1 − a)`.
     pub fn zero_order_hold_matched(gain: F, time_constant: F, response_time: F, period: F) -> Self {
         let plant_pole = (-period / time_constant).exp();
         Self::from_poles(gain, plant_pole, closed_loop_pole(response_time, period))
     }
 
-    /// As [`Self::zero_order_hold_matched`], for poles per period.
+    /// Poles are per period.
     pub fn from_poles(gain: F, plant_pole: F, closed_loop_pole: F) -> Self {
         let one = F::from(1.0);
         let proportional = (one - closed_loop_pole) / (gain * (one - plant_pole));
@@ -114,7 +101,7 @@ impl<F: Real> PiGains<F> {
     }
 }
 
-/// The pole per period of a loop that settles to 5 % in `response_time`: `e^(−3 Ts/t_r)`.
+/// Per period, if the loop settles to 5 % in `response_time`: `e^(−3 Ts/t_r)`.
 pub fn closed_loop_pole<F: Real>(response_time: F, period: F) -> F {
     (F::from(-3.0) * period / response_time).exp()
 }

@@ -6,29 +6,24 @@ use platebench_wire::{
     Command, Configure, Configured, FrameReader, Identity, Message, Packet, Rejection, capabilities,
 };
 
-/// The controller as the line sees it.
 #[derive(Debug, Clone)]
 pub struct Device {
     identity: Identity,
     reader: FrameReader,
     machine: StateMachine,
-    /// Sequence number of the last sample.
     last_sequence: Option<u8>,
     compute_us: u16,
-    /// Present if the target paces the control.
     pacer: Option<Pacer>,
 }
 
 impl Device {
-    /// A controller at 0 V. Without [`capabilities::TARGET_PACED`] in `identity` it rejects target
-    /// pacing.
+    /// Without [`capabilities::TARGET_PACED`] in `identity` it rejects target pacing.
     pub fn new(identity: Identity) -> Self {
         let (reader, machine) = (FrameReader::new(), StateMachine::new());
         Self { identity, reader, machine, last_sequence: None, compute_us: 0, pacer: None }
     }
 
-    /// Takes received bytes at `now_us` on the target's clock; calls `send` once for each frame of
-    /// the answer.
+    /// `now_us` is on the target's clock. Calls `send` once for each frame of the answer.
     pub fn receive(&mut self, bytes: &[u8], now_us: u32, mut send: impl FnMut(&[u8])) {
         for &byte in bytes {
             let Some(frame) = self.reader.push(byte) else { continue };
@@ -43,8 +38,7 @@ impl Device {
         }
     }
 
-    /// Lets time pass without bytes. Call it at least once per period, and at
-    /// [`Device::next_tick_us`].
+    /// Call it at least once per period, and at [`Device::next_tick_us`].
     pub fn tick(&mut self, now_us: u32, mut send: impl FnMut(&[u8])) {
         if let Some(command) = self.machine.tick(now_us) {
             send(self.unsolicited(command).encode().as_bytes());
@@ -56,22 +50,21 @@ impl Device {
         }
     }
 
-    /// The control period of the active configuration.
     pub fn period_us(&self) -> Option<u32> {
         self.machine.period_us()
     }
 
-    /// Start of the next period on the target's clock, if the target paces the control.
+    /// On the target's clock, if the target paces the control.
     pub fn next_tick_us(&self) -> Option<u32> {
         self.pacer.as_ref().map(Pacer::next_us)
     }
 
-    /// The present drive, for a board with its own amplifier.
+    /// For a board with its own amplifier.
     pub fn output(&self) -> &Command {
         self.machine.output()
     }
 
-    /// Duration of the last call of [`Device::receive`]; the next command reports it.
+    /// Of the last call of [`Device::receive`]; the next command reports it.
     pub fn set_compute_us(&mut self, compute_us: u16) {
         self.compute_us = compute_us;
     }

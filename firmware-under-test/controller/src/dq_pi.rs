@@ -7,17 +7,14 @@
 //!
 //! The paper designs its gains once, for the untouched plate: `dq-pi-euler` and `dq-pi-fixed`. A
 //! finger moves the plate's pole away from the controller's zero and leaves a slow residue: 9 ms
-//! under 2 N. `dq-pi` equals `dq-pi-fixed` until the plate shows another damping; then it uses the
-//! same design for that damping (*derived*). The last drive and sample give λ
-//! ([`crate::envelope`]), and its σ gives both plants, K = b/σ and τ = 1/σ. Two periods in a row
-//! must agree on a change of more than a quarter, and the smaller change counts: after one sample a
-//! finger and a late drive look the same, after two they differ. Configured gains are not
-//! scheduled.
+//! under 2 N. `dq-pi` uses the same design for the present damping (*derived*). The last drive and
+//! sample give λ ([`crate::envelope`]), and its σ gives both plants, K = b/σ and τ = 1/σ. Two
+//! periods in a row must agree on a change of more than a quarter, and the smaller change counts:
+//! after one sample a finger and a late drive look the same. Configured gains are not scheduled.
 //!
 //! A configured loop delay is compensated (O. J. M. Smith's predictor, with the plate's state):
 //! both loops use W at the time when their drive begins to act, predicted from λ and the previous
-//! drive. With correct delay and λ the response is that without delay, later by the delay. Near the
-//! steady state λ follows from the samples, so the prediction leaves no static error for any b.
+//! drive. λ follows from the samples, so the prediction leaves no static error for any b.
 //!
 //! A step needs 4 exponentials of [`crate::envelope`], 9 with a loop delay.
 
@@ -26,22 +23,18 @@ use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop, FrequencyLoop};
 use platebench_wire::{Configure, Gains, LawId, flags};
 
-/// The frequency loop is inactive if Wd is below this fraction of the setpoint: near rest `Wq/Wd`
-/// is noise. At 10 µs it is 0.34, the envelope's value is 0.003.
+/// Fraction of the setpoint: near rest `Wq/Wd` is noise.
 const SMALLEST_WD: f32 = 0.1;
-/// Limit of `Wq/Wd`: 63°, a detuning of two half bandwidths; beyond it the ratio gives little more
-/// than the direction.
+/// 63°, a detuning of two half bandwidths: beyond it the ratio gives only the direction.
 const LARGEST_RATIO: f32 = 2.0;
 
 /// A larger relative change of the damping is another plate; a smaller one is tracked.
 const PLATE_CHANGE_SHARE: f32 = 0.25;
-/// With a loop delay, the first drive after a start may have acted for less than this share of the
-/// period when the sample is taken. λ from such a sample is noise.
+/// If the first drive after a start acted for a smaller share of the period, λ is noise.
 const MIN_ACTING_SHARE: f32 = 0.25;
 /// Share of a new σ in the tracked one.
 const TRACKING_SHARE: f32 = 0.125;
 
-/// State of both loops.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DqPi {
     amplitude: AmplitudeLoop,
@@ -49,7 +42,7 @@ pub struct DqPi {
     schedule: Option<GainSchedule>,
 }
 
-/// Identified plate of `dq-pi`.
+/// Of `dq-pi` only.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct GainSchedule {
     envelope: EnvelopeModel,
@@ -58,16 +51,15 @@ struct GainSchedule {
     pole: f32,
     /// 1/s.
     sigma: f32,
-    /// The resonance in rad/s above the start frequency.
+    /// rad/s above the start frequency.
     resonance: f32,
     /// Large change of σ that only the last period shows.
     suspected_change: f32,
     previous: Complex,
-    /// The last two drives, the latest first.
+    /// The latest first.
     drives: [Drive; 2],
-    /// Configured delay from sampling to actuation, s.
+    /// From sampling to actuation, s.
     delay: f32,
-    /// Configured gains do not follow σ.
     fixed_gains: bool,
 }
 
@@ -90,13 +82,12 @@ impl GainSchedule {
         }
     }
 
-    /// True if the first drive of a start has acted for too short a time.
     fn is_sample_too_early(&self) -> bool {
         // At rest, noise causes some drive.
         self.drives[1].vpp < 0.1 * self.drives[0].vpp && self.period - self.delay < MIN_ACTING_SHARE * self.period
     }
 
-    /// Updates the plate from the last period. True if its damping changed at once.
+    /// Returns true if the damping changed at once.
     fn learn(&mut self, w: Complex) -> bool {
         let mode = PlateMode { sigma: self.sigma, resonance: self.drives[0].offset };
         let drives = [(self.drives[1], self.delay), (self.drives[0], self.period - self.delay)];
@@ -104,7 +95,6 @@ impl GainSchedule {
         let change = identified.sigma - self.sigma;
         self.track_resonance(identified.resonance);
         let least = PLATE_CHANGE_SHARE * self.sigma;
-        // The smaller of two changes in the same direction.
         let agreed = if change > 0.0 { change.min(self.suspected_change) } else { change.max(self.suspected_change) };
         let is_other_plate = change.abs() > least && agreed * change > 0.0 && agreed.abs() > least;
         if is_other_plate {
@@ -119,14 +109,14 @@ impl GainSchedule {
         is_other_plate
     }
 
-    /// Adopts a distant resonance at once (no delay resembles it) and tracks a near one.
+    /// Adopts a distant resonance at once, because no delay resembles it, and tracks a near one.
     fn track_resonance(&mut self, identified: f32) {
         let change = identified - self.resonance;
         self.resonance +=
             if change.abs() > PLATE_CHANGE_SHARE * self.envelope.sigma { change } else { TRACKING_SHARE * change };
     }
 
-    /// The plate at the time when the next drive begins to act.
+    /// At the time when the next drive begins to act.
     fn predict(&self, measurement: &Measurement) -> Measurement {
         let w = Complex::new(measurement.wd_um, measurement.wq_um);
         let mode = PlateMode { sigma: self.sigma, resonance: self.resonance };
@@ -163,7 +153,6 @@ impl DqPi {
         Actuation { drive_vpp, frequency_offset_hz: self.frequency.excitation.offset_hz(), flags }
     }
 
-    /// Updates plate and gains; returns the measurement for the loops.
     fn track_plate(&mut self, measurement: &Measurement) -> Measurement {
         let Some(schedule) = &mut self.schedule else { return *measurement };
         if quadrature_ratio(measurement).is_none() || schedule.is_sample_too_early() {
@@ -179,15 +168,14 @@ impl DqPi {
         self.amplitude.pi.set_gains(amplitude);
         self.frequency.pi.set_gains(frequency);
         if is_other_plate {
-            // The integral of a loop matched from the start: the drive that holds the present
-            // amplitude.
+            // The drive that holds the present amplitude.
             self.amplitude.pi.seed(sigma * ahead.wd_um / envelope.force);
         }
         ahead
     }
 }
 
-/// Limited `Wq/Wd`; `None` if Wd is too small to divide by.
+/// `None` if Wd is too small to divide by.
 pub(crate) fn quadrature_ratio(measurement: &Measurement) -> Option<f32> {
     let divisible = measurement.setpoint_um > 0.0 && measurement.wd_um > SMALLEST_WD * measurement.setpoint_um;
     divisible.then(|| (measurement.wq_um / measurement.wd_um).clamp(-LARGEST_RATIO, LARGEST_RATIO))

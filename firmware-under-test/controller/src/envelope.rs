@@ -6,14 +6,13 @@
 //! `W(h) = e^z W(0) + b V h φ(z)`, `z = λh`, `φ(z) = (e^z − 1)/z`.
 //!
 //! [`EnvelopeModel::identify`] solves it for λ, [`EnvelopeModel::steer`] for V and ω. The
-//! exponential is a polynomial with a fixed number of doublings: the same instructions on every
-//! target for every argument, in f32 throughout (`sinf` and `cosf` of `libm` calculate in f64,
-//! which a Cortex-M4F must emulate).
+//! exponential is a polynomial with a fixed number of doublings, so the instructions do not depend
+//! on argument or target; `sinf` and `cosf` of `libm` calculate in f64, which a Cortex-M4F must
+//! emulate.
 
 use crate::design::PiGains;
 use core::ops::{Add, Mul, Sub};
 
-/// A complex number.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Complex {
     pub(crate) re: f32,
@@ -106,12 +105,11 @@ impl Exponentials {
     }
 }
 
-/// Damping and resonance of the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PlateMode {
-    /// σ, 1/s.
+    /// σ.
     pub(crate) sigma: f32,
-    /// The resonance in rad/s above the start frequency.
+    /// rad/s above the start frequency.
     pub(crate) resonance: f32,
 }
 
@@ -121,15 +119,13 @@ impl PlateMode {
     }
 }
 
-/// Voltage and frequency of an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Drive {
     pub(crate) vpp: f32,
-    /// Excitation in rad/s above the start frequency.
+    /// rad/s above the start frequency.
     pub(crate) offset: f32,
 }
 
-/// A drive and its predicted effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct SteeringStep {
     pub(crate) drive: Drive,
@@ -137,7 +133,6 @@ pub(crate) struct SteeringStep {
     pub(crate) end: Complex,
 }
 
-/// Limits of a drive.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DriveBounds {
     pub(crate) limit_vpp: f32,
@@ -145,18 +140,16 @@ pub(crate) struct DriveBounds {
     pub(crate) highest_offset: f32,
 }
 
-/// Iterations of each solver; convergence is quadratic from a start within a factor of two, down to
-/// rounding in four.
+/// Convergence is quadratic: four iterations from a start within a factor of two.
 const ITERATIONS: u32 = 4;
 /// Range of σ as a multiple of the nominal one, and its inverse: four times is a finger of 4.5 N.
 const LARGEST_DAMPING: f32 = 6.0;
 
-/// The nominal plate and the range of λ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct EnvelopeModel {
     /// b, µm/s per Vpp.
     pub(crate) force: f32,
-    /// Untouched, 1/s.
+    /// Untouched plate, 1/s.
     pub(crate) sigma: f32,
     /// Largest distance of the resonance from the start frequency, rad/s.
     range: f32,
@@ -164,8 +157,7 @@ pub(crate) struct EnvelopeModel {
 }
 
 impl EnvelopeModel {
-    /// `gain` in µm per Vpp, `time_constant` in s, `range` in rad/s, for intervals of up to
-    /// `period` s.
+    /// `gain` in µm per Vpp, `time_constant` and `period` in s, `range` in rad/s.
     pub(crate) fn new(gain: f32, time_constant: f32, range: f32, period: f32) -> Self {
         let sigma = 1.0 / time_constant;
         // Worst case: excitation and resonance at opposite ends of the range.
@@ -174,12 +166,11 @@ impl EnvelopeModel {
         Self { force: gain * sigma, sigma, range, doublings }
     }
 
-    /// The untouched plate with its resonance at `resonance`.
     pub(crate) fn nominal(&self, resonance: f32) -> PlateMode {
         PlateMode { sigma: self.sigma, resonance }
     }
 
-    /// W and dW/dλ after `seconds` of `drive`, from W and dW/dλ at the start.
+    /// W and dW/dλ after `seconds` of `drive`.
     fn propagate_with_derivative(
         &self,
         mode: PlateMode,
@@ -193,12 +184,11 @@ impl EnvelopeModel {
         (exp * w + phi.scaled(push), exp * by_lambda + (exp * w + slope.scaled(push)).scaled(seconds))
     }
 
-    /// W after `seconds` of `drive`.
     pub(crate) fn propagate(&self, mode: PlateMode, w: Complex, drive: Drive, seconds: f32) -> Complex {
         if seconds > 0.0 { self.propagate_with_derivative(mode, (w, Complex::default()), drive, seconds).0 } else { w }
     }
 
-    /// λ from two samples and the two successive drives between them: Newton's method from `mode`.
+    /// From two samples and the two drives between them: Newton's method from `mode`.
     pub(crate) fn identify(
         &self,
         mode: PlateMode,
@@ -220,15 +210,13 @@ impl EnvelopeModel {
         mode
     }
 
-    /// Gains of both loops for a plate of damping `sigma`: static gains b/σ (equation 13) and 1/σ
-    /// (equation 19).
+    /// Static gains b/σ (equation 13) and 1/σ (equation 19).
     pub(crate) fn matched_gains(&self, sigma: f32, closed_loop_pole: f32, period: f32) -> (PiGains, PiGains) {
         let plant_pole = libm::expf(-sigma * period);
         let gains = |gain| PiGains::from_poles(gain, plant_pole, closed_loop_pole);
         (gains(self.force / sigma), gains(1.0 / sigma))
     }
 
-    /// `mode` within the range of λ.
     pub(crate) fn clamped(&self, mode: PlateMode) -> PlateMode {
         PlateMode {
             sigma: mode.sigma.clamp(self.sigma / LARGEST_DAMPING, self.sigma * LARGEST_DAMPING),
@@ -236,8 +224,7 @@ impl EnvelopeModel {
         }
     }
 
-    /// The drive that brings W to the real `target` within `seconds`; at `bounds` first |W|, then
-    /// its angle.
+    /// Brings W to the real `target` within `seconds`; at `bounds` first |W|, then its angle.
     pub(crate) fn steer(
         &self,
         mode: PlateMode,
@@ -273,7 +260,7 @@ impl EnvelopeModel {
     }
 }
 
-/// The larger root V of `|free + push·V| = target`. Negative if |free| is already larger.
+/// The larger root V of `|free + push·V| = target`; negative if |free| is already larger.
 fn drive_to(free: Complex, push: Complex, target: f32) -> f32 {
     let squared = push.norm_squared();
     let along = free.times_conjugate(push).re;

@@ -1,31 +1,27 @@
-//! Implements `frequency-only`: constant voltage, the frequency adjusts the amplitude (\[8\] and
-//! \[9\] of the paper).
+//! Implements `frequency-only`: constant voltage, the frequency adjusts the amplitude (\[8\]
+//! and \[9\] of the paper).
 //!
-//! The paper describes them: "the piezoelectric ceramics are supplied with a constant voltage
-//! amplitude while the frequency is adjusted in order to reach the required vibration amplitude";
-//! resonance is not guaranteed. Assumed:
+//! Resonance is not guaranteed. Assumed beyond the paper:
 //!
-//! * The excitation stays above the start frequency, which is assumed to be the resonance. Below
-//!   the resonance the loop's sign is wrong and it diverges. A start below the true resonance
-//!   leaves such a range.
+//! * The excitation stays above the start frequency, which is assumed to be the resonance: below
+//!   the resonance the loop's sign is wrong and it diverges.
 //! * The voltage is half of the limit while the setpoint is positive: 450 Vpp reach from 1.0 µm at
 //!   the end of a range of 250 Hz to 3.1 µm at the resonance of the untouched plate.
-//! * A new setpoint starts at the detuning at which the nominal plate has it, `Δω = √((K1 V /
-//!   setpoint)² − 1)/τ`. Then an integral controller acts on the relative error of |W|. Its gain is
-//!   the inverse slope of the resonance curve, `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`, times
-//!   `1 − e^(−3 Ts/t_r)`.
+//! * A new setpoint starts at the detuning `Δω = √((K1 V / setpoint)² − 1)/τ` of the nominal plate.
+//!   Then an integral controller acts on the relative error of |W|. Its gain is
+//!   `1 − e^(−3 Ts/t_r)` times the inverse slope of the resonance curve,
+//!   `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`.
 
 use crate::design::{FREQUENCY_ONLY_DRIVE_SHARE, PiGains, inverse_slope};
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, Excitation};
 use platebench_wire::{Configure, Gains, flags};
 
-/// State of the excitation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrequencyOnly {
     excitation: Excitation,
     drive_vpp: f32,
-    /// Amplitude of the nominal plate at resonance, µm.
+    /// Of the nominal plate at resonance.
     highest_um: f32,
     time_constant_s: f32,
     gain: Gain,
@@ -79,7 +75,6 @@ impl FrequencyOnly {
                 Gain::Designed { share } => share * inverse_slope(nominal, self.time_constant_s),
                 Gain::Given { rad_per_unit } => rad_per_unit,
             };
-            // Too little amplitude lowers the frequency towards the resonance.
             let offset = self.excitation.offset_rad() - rad_per_unit * error;
             let at_resonance = if offset < 0.0 { flags::FREQUENCY_LIMITED } else { 0 };
             self.excitation.move_to(offset.max(0.0)) | at_resonance

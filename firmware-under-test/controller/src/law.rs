@@ -9,72 +9,55 @@ use crate::pll::Pll;
 use crate::voltage_only::VoltageOnly;
 use platebench_wire::{Configure, Gains, LawId, Rejection};
 
-/// The plate at a control instant, µm peak to peak.
+/// At a control instant; peak to peak.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measurement {
-    /// Setpoint of the amplitude.
     pub setpoint_um: f32,
-    /// In-phase component of the vibration.
     pub wd_um: f32,
-    /// Quadrature component, zero at resonance.
+    /// Zero at resonance.
     pub wq_um: f32,
 }
 
 impl Measurement {
-    /// |W|, µm.
     pub fn amplitude_um(&self) -> f32 {
         libm::sqrtf(self.wd_um * self.wd_um + self.wq_um * self.wq_um)
     }
 
-    /// False if a value is NaN or infinite.
     pub fn is_finite(&self) -> bool {
         self.setpoint_um.is_finite() && self.wd_um.is_finite() && self.wq_um.is_finite()
     }
 }
 
-/// The drive until the next control instant.
+/// Until the next control instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Actuation {
-    /// Drive, Vpp, within 0 and the limit.
+    /// Within 0 and the limit.
     pub drive_vpp: f32,
-    /// Excitation frequency above the start frequency, Hz.
+    /// Above the start frequency.
     pub frequency_offset_hz: f32,
-    /// See [`platebench_wire::flags`].
     pub flags: u8,
 }
 
 impl Actuation {
-    /// False if a value is NaN or infinite.
     pub fn is_finite(&self) -> bool {
         self.drive_vpp.is_finite() && self.frequency_offset_hz.is_finite()
     }
 }
 
-/// A control law with its state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Law {
-    /// `open-loop`
     OpenLoop(OpenLoop),
-    /// `dq-pi`, `dq-pi-fixed` and `dq-pi-euler`
     DqPi(DqPi),
-    /// `voltage-only`
     VoltageOnly(VoltageOnly),
-    /// `frequency-only`
     FrequencyOnly(FrequencyOnly),
-    /// `bang-bang`
     BangBang(BangBang),
-    /// `pll`
     Pll(Pll),
-    /// `deadbeat`
     Deadbeat(Deadbeat),
 }
 
 impl Law {
-    /// Designs the law of `configure`, at rest; returns it with its gains.
-    ///
-    /// # Errors
-    /// [`Rejection::Value`] if a number or a designed gain is not finite or not positive, or if the
-    /// loop delay exceeds the period.
+    /// Designs the law of `configure` at rest. Fails with [`Rejection::Value`] if a number or a
+    /// gain is not finite or not positive, or if the loop delay exceeds the period.
     pub fn design(configure: &Configure) -> Result<(Self, Gains), Rejection> {
         let positive = [
             configure.gain_um_per_vpp,
@@ -105,7 +88,6 @@ impl Law {
         if all.iter().all(|gain| gain.is_finite()) { Ok((law, gains)) } else { Err(Rejection::Value) }
     }
 
-    /// One control period.
     pub fn step(&mut self, measurement: &Measurement) -> Actuation {
         match self {
             Self::OpenLoop(law) => law.step(measurement),
@@ -123,7 +105,6 @@ impl Law {
 pub(crate) mod example {
     use super::*;
 
-    /// The paper's plate and design.
     pub(crate) const CONFIGURE: Configure = Configure {
         law: LawId::DqPi,
         paced_by_target: false,

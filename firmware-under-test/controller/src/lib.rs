@@ -3,12 +3,6 @@
 //! Board, emulated board and hosted rig compile the same source and give the same bits: f32
 //! throughout, `libm` for the functions that `core` lacks, no `mul_add`.
 //!
-//! * [`law`]: the interface of a law and the dispatch to the laws.
-//! * [`design`]: the gains of the laws.
-//! * [`pi`]: a proportional-integral controller with anti-windup.
-//! * [`state_machine`]: idle, running, fault, safe; only it decides whether the plate is driven.
-//! * [`device`]: bytes in, bytes out; called by a board's main loop or a hosted rig.
-//!
 //! Clocks, registers and allocation do not belong here: time and bytes are arguments.
 #![no_std]
 

@@ -1,5 +1,4 @@
-//! Implements the two loops of most laws: amplitude by the drive, frequency by the distance from
-//! the resonance.
+//! Implements the amplitude loop and the frequency loop that most laws share.
 
 use crate::design::{self, PiGains};
 use crate::pi::{Pi, Tracking};
@@ -7,13 +6,11 @@ use core::f32::consts::TAU;
 use platebench_wire::{Configure, Gains, flags};
 
 /// At the upper limit, full tracking settles 16 % above the shortest possible time at 400 Vpp, and
-/// no tracking overshoots by 14 % at 340 Vpp. With 0.6 the response settles within 10 % of the
-/// shortest time from 300 to 416 Vpp and overshoots by less than 4 %. At 0 V only the plate's
-/// damping brakes, and full tracking is best.
+/// none overshoots by 14 % at 340 Vpp. With 0.6 the response settles within 10 % of that time from
+/// 300 to 416 Vpp and overshoots by less than 4 %. At 0 V only damping brakes; tracking is full.
 pub(crate) const AMPLITUDE_TRACKING: Tracking = Tracking { low: 1.0, high: 0.6 };
 
-/// The gains of `configure`, or of equation 24. Amplitude (plant K1/(1 + τp), equation 13), then
-/// frequency (plant −τ/(1 + τp), equation 19).
+/// Amplitude (plant K1/(1 + τp), equation 13), then frequency (plant −τ/(1 + τp), equation 19).
 pub(crate) fn loop_gains(configure: &Configure) -> (PiGains, PiGains) {
     let period = period_s(configure);
     let (gain, tau) = (configure.gain_um_per_vpp, configure.time_constant_s);
@@ -25,17 +22,16 @@ pub(crate) fn loop_gains(configure: &Configure) -> (PiGains, PiGains) {
     }
 }
 
-/// The control period in s.
 pub(crate) fn period_s(configure: &Configure) -> f32 {
     configure.period_us as f32 * 1e-6
 }
 
-/// The configured loop delay in s; 0 if unknown.
+/// Zero if unknown.
 pub(crate) fn loop_delay_s(configure: &Configure) -> f32 {
     configure.loop_delay_us as f32 * 1e-6
 }
 
-/// The configured 5 % response time in s, or the law's default.
+/// Of the configuration, or the law's default.
 pub(crate) fn response_time_s(configure: &Configure) -> f32 {
     if configure.response_time_s > 0.0 {
         configure.response_time_s
@@ -44,12 +40,11 @@ pub(crate) fn response_time_s(configure: &Configure) -> f32 {
     }
 }
 
-/// The pole per period of a loop with the response time.
 pub(crate) fn closed_loop_pole(configure: &Configure) -> f32 {
     design::closed_loop_pole(response_time_s(configure), period_s(configure))
 }
 
-/// The active gains in the units of the protocol.
+/// In the units of the protocol.
 pub(crate) fn reported_gains(amplitude: PiGains, frequency: PiGains, period: f32) -> Gains {
     Gains {
         amplitude_kp: amplitude.proportional,
@@ -59,7 +54,6 @@ pub(crate) fn reported_gains(amplitude: PiGains, frequency: PiGains, period: f32
     }
 }
 
-/// Controls the amplitude by the drive, within its limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct AmplitudeLoop {
     pub(crate) pi: Pi,
@@ -71,14 +65,14 @@ impl AmplitudeLoop {
         Self { pi: Pi::new(gains, AMPLITUDE_TRACKING), limit_vpp: configure.drive_limit_vpp }
     }
 
-    /// Drive in Vpp, and [`flags::SATURATED`] at the limit. `error_um` is setpoint − amplitude.
+    /// Also returns [`flags::SATURATED`] at the limit. `error_um` is setpoint − amplitude.
     pub(crate) fn step(&mut self, error_um: f32) -> (f32, u8) {
         let drive_vpp = self.pi.step(error_um, 0.0, self.limit_vpp);
         (drive_vpp, if drive_vpp >= self.limit_vpp { flags::SATURATED } else { 0 })
     }
 }
 
-/// The excitation frequency relative to its start, with range and slew limit, rad/s.
+/// Relative to the start frequency, rad/s.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Excitation {
     range: f32,
@@ -91,19 +85,17 @@ impl Excitation {
         Self { range: configure.frequency_range_hz * TAU, slew: configure.frequency_slew_hz * TAU, offset: 0.0 }
     }
 
-    /// Lowest and highest offset of the next period, rad/s.
     pub(crate) fn offset_limits(&self) -> (f32, f32) {
         ((self.offset - self.slew).max(-self.range), (self.offset + self.slew).min(self.range))
     }
 
-    /// Moves to `offset_rad` within range and slew; [`flags::FREQUENCY_LIMITED`] at a limit.
+    /// Keeps range and slew limit; returns [`flags::FREQUENCY_LIMITED`] at a limit.
     pub(crate) fn move_to(&mut self, offset_rad: f32) -> u8 {
         let (low, high) = self.offset_limits();
         self.offset = offset_rad.clamp(low, high);
         if self.offset <= low || self.offset >= high { flags::FREQUENCY_LIMITED } else { 0 }
     }
 
-    /// Largest offset, rad/s.
     pub(crate) fn range(&self) -> f32 {
         self.range
     }
@@ -117,7 +109,6 @@ impl Excitation {
     }
 }
 
-/// Controls the excitation frequency by a measure of its distance below the resonance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FrequencyLoop {
     pub(crate) pi: Pi,
@@ -129,7 +120,7 @@ impl FrequencyLoop {
         Self { pi: Pi::new(gains, Tracking::CONDITIONED), excitation: Excitation::new(configure) }
     }
 
-    /// One period; a positive `ratio` raises the frequency. Returns the flags.
+    /// A positive `ratio` raises the frequency. Returns the flags.
     pub(crate) fn step(&mut self, ratio: f32) -> u8 {
         let (low, high) = self.excitation.offset_limits();
         let offset = self.pi.step(ratio, low, high);

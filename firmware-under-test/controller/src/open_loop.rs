@@ -1,5 +1,4 @@
-//! Implements `open-loop`: the drive of an undisturbed plate at a fixed frequency (Fig. 13 to 16 of
-//! the paper).
+//! Implements `open-loop`: the drive of an undisturbed plate at a fixed frequency (Fig. 13 to 16).
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};

@@ -5,14 +5,12 @@ use platebench_wire::{Configure, ControllerState, Message, Packet, Tick};
 /// Ticks end if no sample answers them for this long after the configuration, µs.
 const FIRST_SAMPLE_TIMEOUT_US: u32 = 1_000_000;
 
-/// Determines the start of each period. Periods count from the configuration, so late calls do not
-/// accumulate.
+/// Periods count from the configuration, so late calls do not accumulate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Pacer {
     period_us: u32,
     configured_us: u32,
     period_start_us: u32,
-    /// Own counter of the ticks.
     sequence: u8,
 }
 
@@ -22,12 +20,10 @@ impl Pacer {
         Self { period_us: configure.period_us, configured_us: now_us, period_start_us: now_us, sequence: 0 }
     }
 
-    /// Time of the next tick on the target's clock.
     pub(crate) fn next_us(&self) -> u32 {
         self.period_start_us.wrapping_add(self.period_us)
     }
 
-    /// True while a controller in `state` needs ticks.
     pub(crate) fn is_active(&self, state: ControllerState, now_us: u32) -> bool {
         match state {
             ControllerState::Idle => now_us.wrapping_sub(self.configured_us) < FIRST_SAMPLE_TIMEOUT_US,
@@ -36,8 +32,7 @@ impl Pacer {
         }
     }
 
-    /// The tick of a period that began since the last call. Skips missed periods: their samples
-    /// would be too late.
+    /// Skips missed periods: their samples would be too late.
     pub(crate) fn tick(&mut self, now_us: u32) -> Option<Packet> {
         let elapsed_us = now_us.wrapping_sub(self.period_start_us);
         let periods = elapsed_us.checked_div(self.period_us)?;

@@ -5,31 +5,24 @@
 
 use crate::design::PiGains;
 
-/// Tracking constant c as a fraction of `Ki·Ts/Kp`, at either limit.
-///
-/// 1 is the conditioning technique: the loop leaves saturation with the design's closed-loop pole.
-/// 0 is no anti-windup.
+/// Tracking constant c as a fraction of `Ki·Ts/Kp`, at either limit. 1 is the conditioning
+/// technique: the loop leaves saturation with the design's closed-loop pole. 0 is no anti-windup.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tracking {
-    /// At the lower limit.
     pub low: f32,
-    /// At the upper limit.
     pub high: f32,
 }
 
 impl Tracking {
-    /// The conditioning technique at both limits.
     pub const CONDITIONED: Self = Self { low: 1.0, high: 1.0 };
 }
 
-/// The tracking constant c.
 fn tracking_gain(gains: PiGains, share: f32) -> f32 {
     // Without a proportional part the integral is held at the limit.
     let ratio = if gains.proportional > 0.0 { gains.integral_per_period / gains.proportional } else { 1.0 };
     (share * ratio).min(1.0)
 }
 
-/// The state of one loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pi {
     gains: PiGains,
@@ -38,22 +31,19 @@ pub struct Pi {
 }
 
 impl Pi {
-    /// A loop at rest.
     pub fn new(gains: PiGains, tracking: Tracking) -> Self {
         Self { gains, tracking, integral: 0.0 }
     }
 
-    /// Replaces the gains and keeps the integral.
+    /// Keeps the integral.
     pub fn set_gains(&mut self, gains: PiGains) {
         self.gains = gains;
     }
 
-    /// Replaces the integral.
     pub fn seed(&mut self, integral: f32) {
         self.integral = integral;
     }
 
-    /// One period: the output for `error`, limited to `low..=high`.
     pub fn step(&mut self, error: f32, low: f32, high: f32) -> f32 {
         let unlimited = self.gains.proportional * error + self.integral;
         let output = unlimited.clamp(low, high);
@@ -107,7 +97,6 @@ mod tests {
     fn a_saturated_integral_stays_recoverable() {
         let mut pi = Pi::new(PiGains::zero_order_hold_matched(K1, TAU, 2e-3, 1e-3), Tracking { low: 1.0, high: 0.5 });
         for _ in 0..1000 {
-            // An error that no drive removes.
             pi.step(0.5, 0.0, 400.0);
         }
         assert_eq!(pi.step(0.5, 0.0, 400.0), 400.0);

@@ -1,11 +1,8 @@
 //! Implements `pll`: locks the phase to the resonance at a constant voltage (\[13\] of the paper).
 //!
-//! The paper describes \[13\]: "axis d was attached to W using a phase locked loop, leading to Wq =
-//! 0, and the voltage components Vd and Vq were constrained by the condition of a constant voltage
-//! amplitude". Assumed: the loop locks the vibration 90° behind the voltage, at resonance; the
-//! voltage is that of an undisturbed plate, `V = setpoint / K1`. The bench's frame rotates with the
-//! voltage, so the loop brings arg W to zero. \[13\] can also lock at another angle to set the
-//! amplitude, off resonance; this law does not control the amplitude.
+//! Assumed: the loop locks the vibration 90° behind the voltage, at resonance; the voltage is that
+//! of an undisturbed plate, `V = setpoint / K1`. The bench's frame rotates with the voltage, so the
+//! loop brings arg W to zero. This law does not control the amplitude.
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
@@ -16,7 +13,6 @@ use platebench_wire::{Configure, Gains, flags};
 /// Fraction of the setpoint below which the phase is noise.
 const MIN_AMPLITUDE_SHARE: f32 = 0.1;
 
-/// State of the phase-locked loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pll {
     drive: OpenLoop,

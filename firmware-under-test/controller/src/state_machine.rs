@@ -15,7 +15,7 @@
 use crate::law::{Actuation, Law, Measurement};
 use platebench_wire::{Command, Configure, Configured, ControllerState, Rejection, Sample, StateCause};
 
-/// Watchdog timeout in periods if the configuration has none.
+/// In periods, if the configuration has none.
 pub const DEFAULT_WATCHDOG_PERIODS: u32 = 5;
 
 /// A rejected frame adds this to the score, a sample subtracts one. The limit is reached after five
@@ -23,11 +23,11 @@ pub const DEFAULT_WATCHDOG_PERIODS: u32 = 5;
 const REJECTED_FRAME_WEIGHT: u8 = 2;
 const MAX_REJECTED_FRAME_SCORE: u8 = 10;
 
-/// State and last command. Times are the target's clock in µs and may wrap.
+/// Times are the target's clock in µs and may wrap.
 #[derive(Debug, Clone, Copy)]
 pub struct StateMachine {
     mode: MachineState,
-    /// The last command of this trial; also the answer to a repeated sample.
+    /// Of this trial; also the answer to a repeated sample.
     last_command: Command,
 }
 
@@ -71,17 +71,14 @@ impl Default for StateMachine {
 }
 
 impl StateMachine {
-    /// Idle, at 0 V, without a configuration.
     pub fn new() -> Self {
         Self { mode: MachineState::Idle(None), last_command: ZERO_DRIVE }
     }
 
-    /// The present drive.
     pub fn output(&self) -> &Command {
         &self.last_command
     }
 
-    /// The control period, if a configuration is active.
     pub fn period_us(&self) -> Option<u32> {
         match self.mode {
             MachineState::Idle(configuration) => configuration.map(|configuration| configuration.period_us),
@@ -112,14 +109,12 @@ impl StateMachine {
         Configured { outcome }
     }
 
-    /// Goes to 0 V without a configuration.
     pub(crate) fn reject(&mut self, rejection: Rejection) -> Rejection {
         self.mode = MachineState::Idle(None);
         self.stop(ControllerState::Idle, StateCause::None);
         rejection
     }
 
-    /// One control step.
     pub fn sample(&mut self, sample: &Sample, now_us: u32) -> Command {
         self.last_command.target_time_us = now_us;
         let mut run = match self.mode {
@@ -154,7 +149,7 @@ impl StateMachine {
         self.last_command
     }
 
-    /// Counts a frame that could not be decoded. At the limit returns the command with 0 V.
+    /// At the limit returns the command with 0 V.
     pub fn count_rejected_frame(&mut self, now_us: u32) -> Option<Command> {
         let MachineState::Running(run) = &mut self.mode else { return None };
         run.rejected_frame_score = run.rejected_frame_score.saturating_add(REJECTED_FRAME_WEIGHT);
@@ -165,7 +160,7 @@ impl StateMachine {
         Some(self.enter_fault(StateCause::LineNoise))
     }
 
-    /// Lets time pass. When the watchdog expires, returns the command with 0 V.
+    /// When the watchdog expires, returns the command with 0 V.
     pub fn tick(&mut self, now_us: u32) -> Option<Command> {
         match self.mode {
             MachineState::Running(run) if run.is_watchdog_expired(now_us) => {
@@ -176,7 +171,6 @@ impl StateMachine {
         }
     }
 
-    /// 0 V until the next configuration.
     pub fn enter_safe(&mut self, now_us: u32) -> Command {
         self.mode = MachineState::Safe;
         self.last_command.target_time_us = now_us;
@@ -195,7 +189,7 @@ impl StateMachine {
 }
 
 impl ActiveConfiguration {
-    /// The excitation frequency in mHz; `None` if the actuation is not finite.
+    /// `None` if the actuation is not finite.
     fn frequency_mhz(&self, actuation: &Actuation) -> Option<u32> {
         if !actuation.is_finite() {
             return None;

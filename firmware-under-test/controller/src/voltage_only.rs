@@ -1,16 +1,13 @@
-//! Implements `voltage-only`: adjusts the drive at a fixed frequency (\[7\] of the paper, a haptic
-//! knob).
+//! Implements `voltage-only`: a PI controller on |W| at a fixed frequency (\[7\] of the paper).
 //!
-//! The paper describes \[7\]: "the voltage across the piezoelectric material is adjusted in order
-//! to obtain the required vibration amplitude". Assumed: a PI controller on |W|, designed as
-//! `dq-pi`'s amplitude loop. Off resonance it needs more drive: |W|/V = K1/√(1 + (τΔω)²).
+//! Assumed: the design of `dq-pi`'s amplitude loop. Off resonance it needs more drive: |W|/V =
+//! K1/√(1 + (τΔω)²).
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop};
 use platebench_wire::{Configure, Gains};
 
-/// State of the amplitude loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VoltageOnly {
     amplitude: AmplitudeLoop,

@@ -1,8 +1,6 @@
-//! Feeds millions of random, mutated and spliced byte strings to the frame reader, the decoder and
-//! the device. Compares them with a second reader after `docs/wire-protocol.md` that shares no code
-//! with them.
-//!
-//! Deterministic: a failure names the round, and the same round fails again.
+//! Feeds random, mutated and spliced byte strings to the frame reader, the decoder and the device.
+//! A second reader after `docs/wire-protocol.md` shares no code with them. Deterministic: a failure
+//! names the round, and the same round fails again.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "a panic fails the test")]
 
@@ -12,9 +10,7 @@ use platebench_wire::{
     capabilities,
 };
 
-/// Number of byte strings, which are fed byte by byte.
 const ROUNDS: u64 = 2_000_000;
-/// Strings after which another device begins.
 const STRINGS_PER_DEVICE: u64 = 200;
 
 const LIMIT_VPP: f32 = 900.0;
@@ -43,13 +39,11 @@ impl Random {
     }
 }
 
-/// A simple reader of the page's frames.
 #[derive(Default)]
 struct ReferenceFrameReader {
     since_delimiter: Vec<u8>,
 }
 
-/// Result of a byte.
 #[derive(Debug, PartialEq)]
 enum ByteOutcome {
     Nothing,
@@ -90,14 +84,12 @@ impl ReferenceFrameReader {
     }
 }
 
-/// CRC-32/ISO-HDLC, bit by bit.
 fn crc_32(data: &[u8]) -> u32 {
     !data
         .iter()
         .fold(!0, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), |crc: u32, _| (crc >> 1) ^ (0xEDB8_8320 * (crc & 1))))
 }
 
-/// A random message of a bench.
 fn random_message(random: &mut Random) -> Packet {
     let sequence = random.next() as u8;
     let small = |random: &mut Random| random.below(4_000) as f32 / 1_000.0;
@@ -130,7 +122,6 @@ fn random_message(random: &mut Random) -> Packet {
     Packet { sequence, message }
 }
 
-/// A random body with a correct checksum.
 fn random_framed_body(random: &mut Random, into: &mut Vec<u8>) {
     let mut body = vec![0x10 | random.below(16) as u8];
     let length = [1, 2, 6, 18, 20, 50, 54, 58, 64][random.below(9)];
@@ -156,7 +147,6 @@ fn mutate(random: &mut Random, bytes: &mut Vec<u8>) {
     }
 }
 
-/// The next byte string on the line.
 fn next_byte_string(random: &mut Random, into: &mut Vec<u8>) {
     into.clear();
     match random.below(8) {
@@ -184,7 +174,6 @@ struct Counts {
     ticks: u64,
 }
 
-/// Feeds one byte to the readers and the device and checks the device from outside.
 fn feed_byte(
     byte: u8,
     now_us: u32,
@@ -253,7 +242,6 @@ fn only_a_complete_sample_drives_the_plate() {
     for round in 0..ROUNDS {
         if round % STRINGS_PER_DEVICE == 0 {
             (device, reader, page) = (Device::new(identity), FrameReader::new(), ReferenceFrameReader::default());
-            // Each device starts with a configuration.
             bytes.clear();
             let packet = std::iter::repeat_with(|| random_message(&mut random));
             let configure = packet.take(1_000).find(|packet| matches!(packet.message, Message::Configure(_))).unwrap();

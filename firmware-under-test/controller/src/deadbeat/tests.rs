@@ -17,7 +17,6 @@ fn raised_flags(periods: &[SimulatedPeriod]) -> u8 {
     periods.iter().fold(0, |all, period| all | period.actuation.flags)
 }
 
-/// In two periods with at most 800 Vpp, for fingers up to 2 N and detuning up to 9 K.
 #[test]
 fn settles_in_two_periods() {
     for damping in [1.0, 1.2, 1.5, 2.0, 7.0 / 3.0] {
@@ -58,7 +57,6 @@ fn a_new_setpoint_is_reached_in_one_period() {
         assert!((periods[1].amplitude - setpoint).abs() < 0.005 * setpoint, "{setpoint} µm: {:?}", periods[1]);
         assert!(periods[1..].iter().all(|period| (period.amplitude - setpoint).abs() < 0.01 * setpoint), "{periods:?}");
     }
-    // Down by more than a period's decay: at 0 V until the last period, and no undershoot.
     let periods = simulation.run_periods(0.5, 12);
     assert_eq!(periods[0].actuation.drive_vpp, 0.0);
     assert!(periods.iter().all(|period| period.amplitude > 0.495), "{periods:?}");
@@ -92,7 +90,6 @@ fn out_of_reach_only_raises_saturated_and_recovers() {
     assert!(periods[6..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "{periods:?}");
 }
 
-/// A finger may leave while the setpoint is 0.
 #[test]
 fn a_restart_assumes_an_untouched_plate() {
     let mut simulation = LawSimulation::new(&DEADBEAT, 7.0 / 3.0, NINE_KELVIN);
@@ -123,7 +120,6 @@ fn a_sudden_finger_is_corrected_at_once() {
         simulation.run_periods(2.0, 30);
         simulation.damping = after;
         let periods = simulation.run_periods(2.0, 30);
-        // Visible in the first sample, corrected in the second.
         assert!((periods[1].amplitude - 2.0).abs() > 0.2, "{periods:?}");
         assert!(
             periods[2..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02),
@@ -149,7 +145,6 @@ fn a_finger_within_a_period_is_not_taken_for_a_delay() {
     }
 }
 
-/// A plate that varies by 3.3 % never arrives.
 #[test]
 fn steering_ends_on_an_unsteady_plate() {
     let mut simulation = LawSimulation::new(&DEADBEAT, 1.0, 0.0);
@@ -161,7 +156,6 @@ fn steering_ends_on_an_unsteady_plate() {
     assert_eq!(law.phase, Phase::Holding);
 }
 
-/// An unknown delay may cause an overshoot at the first start only.
 #[test]
 fn an_unknown_delay_is_found_and_compensated() {
     for delay in [0.1e-3, 0.2e-3, 0.3e-3, 0.4e-3, 0.5e-3] {
@@ -189,7 +183,6 @@ fn an_unknown_delay_is_found_and_compensated() {
     }
 }
 
-/// The law assumes a delay after the first sample and corrects it after the second.
 #[test]
 fn a_very_heavy_finger_costs_one_period() {
     for damping in [2.6, 3.0, 4.0] {
@@ -203,8 +196,7 @@ fn a_very_heavy_finger_costs_one_period() {
     }
 }
 
-/// Exception: a gain below nominal under 2 N looks like more damping than a finger has, and is
-/// identified as a tenth of a period.
+/// Exception: a gain below nominal under 2 N is identified as a tenth of a period.
 #[test]
 fn a_gain_error_is_not_taken_for_a_delay() {
     for gain in [0.9, 0.95, 1.05, 1.1] {
@@ -224,8 +216,6 @@ fn a_gain_error_is_not_taken_for_a_delay() {
     }
 }
 
-/// With an unrelated sensor signal every prediction fails: the law raises its flag and keeps its
-/// limits.
 #[test]
 fn an_unpredictable_plate_ends_in_the_fallback() {
     let mut law = Law::design(&DEADBEAT).unwrap().0;
@@ -237,15 +227,12 @@ fn an_unpredictable_plate_ends_in_the_fallback() {
         flagged += u32::from(actuation.flags & flags::PREDICTION_MISSED != 0);
     }
     assert!(flagged > 100, "{flagged} of 200");
-    // After the fallback the law uses its predictions again.
     let Law::Deadbeat(law) = law else { panic!("another law") };
     let mut simulation = LawSimulation { law: Law::Deadbeat(law), ..LawSimulation::new(&DEADBEAT, 1.0, 0.0) };
     simulation.run_periods(2.0, 60);
     assert_eq!(raised_flags(&simulation.run_periods(2.0, 10)) & flags::PREDICTION_MISSED, 0);
 }
 
-/// If the delay is configured, the amplitude reaches the setpoint two periods after the drive begins
-/// to act, for any damping by the finger.
 #[test]
 fn a_given_delay_never_overshoots() {
     for loop_delay_us in [100, 300, 500, 550, 600, 800, 1_000] {
@@ -269,7 +256,6 @@ fn a_given_delay_never_overshoots() {
     }
 }
 
-/// The search starts at the configured delay.
 #[test]
 fn a_wrong_given_delay_is_corrected() {
     for (loop_delay_us, delay) in [(400, 0.3e-3), (400, 0.5e-3), (200, 0.4e-3)] {
@@ -288,7 +274,6 @@ fn a_wrong_given_delay_is_corrected() {
     }
 }
 
-/// A configured delay prevents the wrong assumption of a delay.
 #[test]
 fn a_heavy_finger_costs_nothing_with_a_given_delay() {
     for damping in [2.6, 3.0, 4.0] {

@@ -124,7 +124,6 @@ fn tick(sequence: u8, target_time_us: u32) -> Packet {
 
 #[test]
 fn a_pacing_target_sends_a_tick_per_period() {
-    // The clock wraps.
     let start = u32::MAX - 1_499;
     let (mut device, answer) = target_paced_device(IDENTITY, 1_000, start);
     assert!(matches!(answer[..], [Packet { message: Message::Configured(Configured { outcome: Ok(_) }), .. }]));
@@ -177,8 +176,7 @@ fn ticks_end_with_the_trial() {
     receive(&mut again, 2_500, &frame(3, Message::Configure(CONFIGURE)));
     assert_eq!(ticks(&mut again, 3_000), []);
 
-    // The sample at 1.1 ms was the last one: five periods later the drive goes to 0 V, sent once,
-    // and no period after that.
+    // Five periods after the sample at 1.1 ms the drive goes to 0 V, sent once.
     let mut deserted = running();
     assert_eq!(ticks(&mut deserted, 6_099).len(), 1);
     let packets_sent = ticks(&mut deserted, 6_100);

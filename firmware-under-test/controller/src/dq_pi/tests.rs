@@ -11,7 +11,6 @@ fn simulate(law: LawId, damping: f64, resonance: f64, delay: f64) -> Vec<Simulat
     LawSimulation { delay, ..LawSimulation::new(&configure, damping, resonance) }.run_periods(2.0, 40)
 }
 
-/// The first period from which on |W| stays within 5 %.
 fn settling_period(periods: &[SimulatedPeriod]) -> usize {
     periods.iter().rposition(|period| (period.amplitude - 2.0).abs() > 0.1).map_or(0, |outside| outside + 1)
 }
@@ -59,7 +58,6 @@ fn a_single_outlier_does_not_change_the_gains() {
     assert!((gains(&simulation) - 1.0).abs() < 1e-3, "one sample shows the finger: {}", gains(&simulation));
     simulation.run_period(2.0);
     assert!((gains(&simulation) - 2.0).abs() < 1e-2, "two do: {}", gains(&simulation));
-    // A slow change is followed at once.
     for step in 0..1000 {
         simulation.damping = 2.0 - f64::from(step) * 1e-3;
         simulation.run_period(2.0);
@@ -79,7 +77,6 @@ fn given_gains_stay_as_they_are() {
     }
 }
 
-/// The loops use the predicted plate: the response is that without delay, later by the delay.
 #[test]
 fn a_given_delay_only_shifts_the_response() {
     for loop_delay_us in [100, 500, 900, 1_000] {
@@ -115,7 +112,6 @@ fn a_given_delay_causes_no_static_error() {
     }
 }
 
-/// Configured gains stay fixed but use the prediction too.
 #[test]
 fn given_gains_predict_over_the_delay_too() {
     let gains = Gains { amplitude_kp: 270.0, amplitude_ki: 1.1e5, frequency_kp: 1000.0, frequency_ki: 4e5 };

@@ -17,7 +17,6 @@ fn bounds() -> DriveBounds {
     DriveBounds { limit_vpp: 900.0, lowest_offset: -RANGE, highest_offset: RANGE }
 }
 
-/// `e^z` and `φ(z)` in f64.
 fn reference_exponentials(re: f64, im: f64) -> [(f64, f64); 2] {
     let (growth, (sin, cos)) = (libm::exp(re), (libm::sin(im), libm::cos(im)));
     let exp = (growth * cos, growth * sin);
@@ -26,7 +25,7 @@ fn reference_exponentials(re: f64, im: f64) -> [(f64, f64); 2] {
     [exp, phi]
 }
 
-/// The envelope in f64: b in µm/s per Vpp, σ in 1/s, Δω in rad/s.
+/// b in µm/s per Vpp, σ in 1/s, Δω in rad/s.
 pub(crate) fn reference_propagation(
     w: (f64, f64),
     force: f64,
@@ -53,7 +52,6 @@ fn the_polynomial_is_the_exponential() {
         let growth = Exponentials::of(Complex::new(re as f32, im as f32), 4);
         let [exp, phi] = reference_exponentials(f64::from(re as f32), f64::from(im as f32));
         worst = worst.max(distance(growth.exp, exp)).max(distance(growth.phi, phi));
-        // φ' by a central difference.
         let [_, (a, b)] = reference_exponentials(re + 1e-4, im);
         let [_, (c, d)] = reference_exponentials(re - 1e-4, im);
         let slope = ((a - c) / 2e-4, (b - d) / 2e-4);
@@ -79,9 +77,7 @@ fn long_periods_get_enough_doublings() {
 fn the_larger_root_is_the_drive() {
     // |0.5 + 0.01 V| = 2: V = 150 rather than −250.
     assert!((drive_to(Complex::new(0.5, 0.0), Complex::new(0.01, 0.0), 2.0) - 150.0).abs() < 1e-3);
-    // Above the setpoint without a drive.
     assert!(drive_to(Complex::new(2.5, 0.0), Complex::new(0.01, 0.0), 2.0) < 0.0);
-    // A drive without effect.
     assert_eq!(drive_to(Complex::new(0.5, 0.0), Complex::default(), 2.0), 0.0);
 }
 
@@ -106,7 +102,6 @@ fn any_sample_leaves_the_mode_in_its_range() {
 }
 
 proptest! {
-    /// One sample after a start at rest gives λ for any finger, detuning and known delay.
     #[test]
     fn one_sample_gives_the_mode(
         damping in 0.8_f64..3.0, detuning in -1000.0_f64..1000.0, vpp in 200.0_f64..900.0, late in 0.0_f64..0.6,
@@ -123,7 +118,6 @@ proptest! {
         prop_assert!((f64::from(mode.resonance) + detuning).abs() < 0.2, "{} instead of {}", mode.resonance, -detuning);
     }
 
-    /// Within the limits one period reaches the setpoint with Wq = 0.
     #[test]
     fn steering_ends_on_the_setpoint(
         damping in 0.8_f64..2.4, resonance in -600.0_f32..600.0, wd in 1.0_f64..2.0, wq in -0.6_f64..0.6,
@@ -140,7 +134,6 @@ proptest! {
         prop_assert!(reached.1.abs() < 2e-3, "{reached:?} with {:?}", aim.drive);
     }
 
-    /// At the limits |W| has priority over its angle.
     #[test]
     fn steering_keeps_to_its_bounds(
         limit in 50.0_f32..900.0,

@@ -9,7 +9,6 @@ use std::vec::Vec;
 
 const REST: Measurement = Measurement { setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
 const ON_SETPOINT: Measurement = Measurement { wd_um: 2.0, ..REST };
-/// Still vibrating at setpoint 0.
 const STOPPING: Measurement = Measurement { setpoint_um: 0.0, wd_um: 0.1, ..REST };
 
 fn design_law(id: LawId) -> Law {
@@ -36,8 +35,7 @@ fn every_law_keeps_range_slew_and_limit_for_any_sample() {
     for (id, loop_delay_us) in LawId::ALL.into_iter().flat_map(|id| [(id, 0), (id, 350), (id, 1_000)]) {
         let mut law = Law::design(&Configure { law: id, loop_delay_us, ..CONFIGURE }).unwrap().0;
         let mut before = 0.0;
-        // A fixed walk through all pairs of extremes, with the setpoint switched on and off in
-        // between.
+        // All pairs of extremes in a fixed order, with the setpoint switched on and off in between.
         for (number, (wd_um, wq_um)) in
             extremes.iter().flat_map(|&wd| extremes.map(|wq| (wd, wq))).cycle().take(400).enumerate()
         {
@@ -78,7 +76,6 @@ fn laws_without_a_frequency_loop_leave_the_frequency_alone() {
 
 #[test]
 fn voltage_only_looks_at_the_whole_amplitude() {
-    // |W| = 2 with hardly any Wd: nothing is missing.
     let turned = Measurement { wd_um: 1.2, wq_um: 1.6, ..REST };
     assert_eq!(
         design_law(LawId::VoltageOnly).step(&turned).drive_vpp,
@@ -97,7 +94,6 @@ fn bang_bang_steps_are_constant() {
     }
     let back = law.step(&Measurement { wq_um: -0.001, ..ON_SETPOINT }).frequency_offset_hz;
     assert!((back - step * 2.0).abs() < 1e-3, "{back} Hz");
-    // Below a tenth of the setpoint the sign is noise.
     let held = law.step(&Measurement { wd_um: 0.19, wq_um: 0.0, ..REST });
     assert_eq!((held.frequency_offset_hz, held.flags & flags::FREQUENCY_HELD), (back, flags::FREQUENCY_HELD));
     let moved = law.step(&Measurement { wd_um: 0.21, wq_um: 0.0, ..REST });
@@ -108,14 +104,13 @@ fn bang_bang_steps_are_constant() {
 fn the_pll_turns_towards_the_resonance_at_a_constant_voltage() {
     for wq_um in [0.3, -0.3] {
         let mut law = design_law(LawId::Pll);
-        // Wq > 0 is a drive below resonance.
         let actuation = law.step(&Measurement { wq_um, ..ON_SETPOINT });
         assert_eq!(actuation.frequency_offset_hz > 0.0, wq_um > 0.0);
         assert!((actuation.drive_vpp - 286.533).abs() < 1e-3);
         let low = law.step(&Measurement { wd_um: 0.5, ..REST });
         assert_eq!(low.drive_vpp, actuation.drive_vpp, "the amplitude is left to the plate");
     }
-    // The phase is read in all four quadrants: nearly turned around is far off, not close.
+    // The phase is read in all four quadrants.
     let offset = |wd_um, wq_um| design_law(LawId::Pll).step(&Measurement { wd_um, wq_um, ..REST }).frequency_offset_hz;
     assert!(offset(-1.0, 0.1) > offset(1.0, 0.1) * 5.0);
 }
@@ -156,19 +151,18 @@ pub(crate) const PERIOD: f64 = 1e-3;
 /// 9 K, rad/s.
 pub(crate) const NINE_KELVIN: f64 = 544.8;
 
-/// Law and plate, one period after the other.
 pub(crate) struct LawSimulation {
     pub(crate) law: Law,
     pub(crate) w: (f64, f64),
-    /// The drive that acts at the start of a period: Vpp and offset in rad/s.
+    /// Vpp and offset in rad/s.
     pub(crate) acting_drive: (f64, f64),
     /// σ/σ0
     pub(crate) damping: f64,
-    /// The resonance above the start frequency, rad/s.
+    /// Above the start frequency, rad/s.
     pub(crate) resonance: f64,
     /// b, µm/s per Vpp.
     pub(crate) force: f64,
-    /// Sampling to actuation, s.
+    /// From sampling to actuation, s.
     pub(crate) delay: f64,
     /// The next damping, and when in the next period, s.
     pub(crate) next_damping: Option<(f64, f64)>,
@@ -176,14 +170,12 @@ pub(crate) struct LawSimulation {
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SimulatedPeriod {
-    /// |W| and Wq of the sample, µm.
     pub(crate) amplitude: f64,
     pub(crate) wq: f64,
     pub(crate) actuation: Actuation,
 }
 
 impl LawSimulation {
-    /// At rest, with the law that `configure` asks for.
     pub(crate) fn new(configure: &Configure, damping: f64, resonance: f64) -> Self {
         let law = Law::design(configure).unwrap().0;
         Self {
@@ -198,7 +190,7 @@ impl LawSimulation {
         }
     }
 
-    /// The damping changes after `share` of the next period.
+    /// After `share` of the next period.
     pub(crate) fn change_damping(&mut self, damping: f64, share: f64) {
         self.next_damping = Some((damping, share * PERIOD));
     }
