@@ -3,16 +3,15 @@
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 use crate::identity::LawId;
 
-/// Proportional and integral gains of both loops.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gains {
-    /// Amplitude loop, Vpp per µm.
+    /// Vpp per µm.
     pub amplitude_kp: f32,
-    /// Amplitude loop, Vpp per µm and second.
+    /// Vpp per µm and second.
     pub amplitude_ki: f32,
-    /// Frequency loop, rad/s per unit of Wq/Wd.
+    /// rad/s per unit of Wq/Wd.
     pub frequency_kp: f32,
-    /// Frequency loop, rad/s per unit of Wq/Wd and second.
+    /// rad/s per unit of Wq/Wd and second.
     pub frequency_ki: f32,
 }
 layout!(Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki });
@@ -21,10 +20,8 @@ impl Gains {
     const NONE: Self = Self { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
 }
 
-/// Everything that a controller needs before a trial.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Configure {
-    /// The law to run.
     pub law: LawId,
     /// True: the target sends a [`Tick`](crate::Tick) in each period and the bench answers with a
     /// sample. False: the bench's samples pace the control.
@@ -33,29 +30,24 @@ pub struct Configure {
     /// of samples and receives [`Telemetry`](crate::Telemetry). Requires
     /// [`OWN_PLATE`](crate::capabilities::OWN_PLATE).
     pub drives_own_plate: bool,
-    /// Time without a sample (or setpoint) on the target's clock until the drive goes to 0 V, ms;
-    /// zero: five periods.
+    /// Time without a sample or setpoint until the drive goes to 0 V; zero: five periods.
     pub watchdog_timeout_ms: u16,
-    /// Control period, µs.
     pub period_us: u32,
-    /// Delay from sampling to actuation if the bench knows it, otherwise zero, µs. Only a target
-    /// with [`LOOP_DELAY`](crate::capabilities::LOOP_DELAY) accepts a value above zero.
+    /// From sampling to actuation; zero if unknown. Only a target with
+    /// [`LOOP_DELAY`](crate::capabilities::LOOP_DELAY) accepts a value above zero.
     pub loop_delay_us: u32,
-    /// Excitation frequency at the start, mHz.
     pub start_frequency_mhz: u32,
-    /// Nominal gain K1 of the plate, µm per Vpp.
+    /// K1.
     pub gain_um_per_vpp: f32,
-    /// Nominal time constant τ of the plate, s.
+    /// τ.
     pub time_constant_s: f32,
-    /// Design value of the 5 % response time, s (equation 24); zero for the law's default.
+    /// 5 % response time (equation 24); zero for the law's default.
     pub response_time_s: f32,
-    /// Limit of the drive, Vpp.
     pub drive_limit_vpp: f32,
-    /// Largest distance of the excitation frequency from the start frequency, Hz.
+    /// Largest distance from the start frequency.
     pub frequency_range_hz: f32,
-    /// Largest change of the excitation frequency per period, Hz.
+    /// Largest change per period.
     pub frequency_slew_hz: f32,
-    /// Gains that replace the law's own design.
     pub gains: Option<Gains>,
 }
 
@@ -122,20 +114,16 @@ impl Field for Configure {
     }
 }
 
-/// Why the target rejected a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Rejection {
     /// A value is not finite, not positive or outside the law's range.
     Value = 1,
-    /// The firmware does not have this law.
     Law = 2,
 }
 
-/// The target's answer to [`Configure`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Configured {
-    /// The active gains, or the reason for the rejection.
     pub outcome: Result<Gains, Rejection>,
 }
 

@@ -2,27 +2,24 @@
 
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 
-/// One measurement of the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
-    /// Time of sampling on the bench's clock, µs; wraps.
+    /// On the bench's clock; wraps.
     pub time_us: u32,
-    /// Setpoint of the amplitude, µm peak to peak.
+    /// Peak to peak.
     pub setpoint_um: f32,
-    /// In-phase component, µm.
+    /// In-phase component.
     pub wd_um: f32,
-    /// Quadrature component, µm.
+    /// Quadrature component.
     pub wq_um: f32,
 }
 layout!(Sample { time_us, setpoint_um, wd_um, wq_um });
 
-/// State of the target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ControllerState {
     /// At 0 V, waiting for a configuration or a first sample.
     Idle = 0,
-    /// Controlling.
     Running = 1,
     /// At 0 V after a fault; see [`StateCause`].
     Fault = 2,
@@ -42,16 +39,12 @@ impl Field for ControllerState {
     }
 }
 
-/// Why the target left `Running`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[repr(u8)]
 pub enum StateCause {
-    /// No fault.
     #[default]
     None = 0,
-    /// No sample for the watchdog timeout.
     SampleTimeout = 1,
-    /// Too many rejected frames.
     LineNoise = 2,
     /// A sample or a computed value was not finite.
     NonFinite = 3,
@@ -66,7 +59,6 @@ impl StateCause {
 
 /// Bits of [`Command::flags`].
 pub mod flags {
-    /// The law's drive is at the limit.
     pub const SATURATED: u8 = 1;
     /// The frequency is at the end of its range or changes at its largest rate.
     pub const FREQUENCY_LIMITED: u8 = 2;
@@ -76,22 +68,17 @@ pub mod flags {
     pub const PREDICTION_MISSED: u8 = 8;
 }
 
-/// The target's answer to a [`Sample`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Command {
-    /// Time at which the sample was received, on the target's clock, µs; wraps.
+    /// Time at which the sample was received, on the target's clock; wraps.
     pub target_time_us: u32,
-    /// Drive, Vpp.
     pub drive_vpp: f32,
-    /// Excitation frequency, mHz.
     pub frequency_mhz: u32,
-    /// State of the target.
     pub state: ControllerState,
-    /// Cause of the state.
     pub cause: StateCause,
-    /// See [`flags`]; four bits.
+    /// Four bits, see [`flags`].
     pub flags: u8,
-    /// Duration of the previous control step, µs; zero if not measured.
+    /// Of the previous control step; zero if not measured.
     pub compute_us: u16,
 }
 
@@ -118,66 +105,50 @@ impl Field for Command {
     }
 }
 
-/// The processor's registers at a crash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FaultReport {
     /// 1 panic, 2 `HardFault`, 3 watchdog reset before this start.
     pub code: u16,
-    /// Program counter.
     pub pc: u32,
-    /// Link register.
     pub lr: u32,
-    /// Configurable fault status register.
     pub cfsr: u32,
     /// Faulting address, zero if none is valid.
     pub address: u32,
 }
 layout!(FaultReport { code, pc, lr, cfsr, address });
 
-/// Start of a control period that the target paces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Tick {
-    /// Time of sending on the target's clock, µs; wraps.
+    /// Time of sending on the target's clock; wraps.
     pub target_time_us: u32,
 }
 layout!(Tick { target_time_us });
 
-/// Setpoint for a target that drives its own plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Setpoint {
-    /// Setpoint of the amplitude, µm peak to peak.
     pub setpoint_um: f32,
 }
 layout!(Setpoint { setpoint_um });
 
-/// One control period of a target that drives its own plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Telemetry {
-    /// Number of the period, counted from 0 at the first setpoint after the configuration; wraps.
+    /// Counted from 0 at the first setpoint after the configuration; wraps.
     pub period: u32,
-    /// Time of sampling on the target's clock, µs; wraps.
+    /// Time of sampling on the target's clock; wraps.
     pub target_time_us: u32,
-    /// The setpoint of this control step, µm.
     pub setpoint_um: f32,
-    /// In-phase component, measured by the target, µm.
     pub wd_um: f32,
-    /// Quadrature component, measured by the target, µm.
     pub wq_um: f32,
-    /// Drive from this control step on, Vpp.
     pub drive_vpp: f32,
-    /// Excitation frequency from this control step on, mHz.
     pub frequency_mhz: u32,
-    /// Normal force of the finger, N, if the target measures it.
+    /// Normal force of the finger, if the target measures it.
     pub force_n: Option<f32>,
-    /// State of the target.
     pub state: ControllerState,
-    /// Cause of the state.
     pub cause: StateCause,
-    /// See [`flags`]; four bits.
+    /// Four bits, see [`flags`].
     pub flags: u8,
 }
 
-/// Bit of the last byte of [`Telemetry`].
 const HAS_FORCE: u8 = 1;
 
 impl Field for Telemetry {

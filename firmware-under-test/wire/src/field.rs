@@ -5,17 +5,12 @@ use crate::frame::MAX_BODY;
 /// Why a body with a correct checksum was rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MessageError {
-    /// The body has another protocol version.
     Version(u8),
-    /// No message has this kind.
     Kind(u8),
-    /// The body is shorter or longer than its kind requires.
     Length,
-    /// A field holds an undefined value.
     Field,
 }
 
-/// A value with a fixed layout.
 pub(crate) trait Field: Sized {
     fn write(&self, writer: &mut Writer);
     fn read(reader: &mut Reader<'_>) -> Result<Self, MessageError>;
@@ -37,7 +32,6 @@ macro_rules! layout {
 }
 pub(crate) use layout;
 
-/// Appends fields to a body of at most [`MAX_BODY`] bytes.
 pub(crate) struct Writer {
     bytes: [u8; MAX_BODY],
     length: usize,
@@ -57,7 +51,6 @@ impl Writer {
     }
 }
 
-/// Takes fields from a body.
 pub(crate) struct Reader<'a> {
     remaining: &'a [u8],
 }
@@ -67,7 +60,7 @@ impl<'a> Reader<'a> {
         Self { remaining: body }
     }
 
-    /// The next field; [`MessageError::Length`] if the body ends within it.
+    /// Fails with [`MessageError::Length`] if the body ends within the field.
     pub(crate) fn read<T: Field>(&mut self) -> Result<T, MessageError> {
         T::read(self)
     }

@@ -6,29 +6,25 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
-/// Longest body in bytes, without the CRC.
+/// Without the CRC.
 pub const MAX_BODY: usize = 64;
-/// Longest frame in bytes on the line: body, CRC, one COBS byte, delimiter.
+/// Body, CRC, one COBS byte, delimiter.
 pub const MAX_ENCODED: usize = MAX_BODY + CRC_BYTES + 2;
 
 const CRC_BYTES: usize = 4;
 const MAX_UNSTUFFED: usize = MAX_BODY + CRC_BYTES;
 const CHECKSUM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
-/// Why a frame was rejected. None of its content may be used.
+/// None of the frame's content may be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameError {
-    /// The bytes between two delimiters are not valid COBS.
     InvalidCobs,
     /// More than [`MAX_ENCODED`] bytes without a delimiter.
     Overlong,
-    /// Fewer bytes than a checksum has.
     Truncated,
-    /// The checksum differs from the body's.
     Checksum,
 }
 
-/// A frame on the line, including the delimiter.
 #[derive(Debug, Clone, Copy)]
 pub struct EncodedFrame {
     bytes: [u8; MAX_ENCODED],
@@ -36,7 +32,7 @@ pub struct EncodedFrame {
 }
 
 impl EncodedFrame {
-    /// Frames `body`; `None` if it is longer than [`MAX_BODY`].
+    /// `None` if `body` is longer than [`MAX_BODY`].
     pub fn new(body: &[u8]) -> Option<Self> {
         let mut unstuffed = [0; MAX_UNSTUFFED];
         let end = body.len();
@@ -48,13 +44,11 @@ impl EncodedFrame {
         Some(Self { bytes, length: stuffed + 1 })
     }
 
-    /// The bytes to send.
     pub fn as_bytes(&self) -> &[u8] {
         self.bytes.get(..self.length).unwrap_or_default()
     }
 }
 
-/// Splits a stream of bytes into frames; stores at most one frame.
 #[derive(Debug, Clone)]
 pub struct FrameReader {
     buffer: [u8; MAX_ENCODED],
@@ -69,13 +63,12 @@ impl Default for FrameReader {
 }
 
 impl FrameReader {
-    /// A reader at the start of a stream.
     pub fn new() -> Self {
         Self { buffer: [0; MAX_ENCODED], length: 0, overlong: false }
     }
 
-    /// Takes one byte. A delimiter returns the body of the frame that it ends, or why that frame
-    /// was rejected. `None` between delimiters and for a delimiter without a frame.
+    /// A delimiter returns the body of the frame that it ends, or why that frame was rejected.
+    /// `None` between delimiters and for a delimiter without a frame.
     pub fn push(&mut self, byte: u8) -> Option<Result<&[u8], FrameError>> {
         if byte != 0 {
             match self.buffer.get_mut(self.length) {

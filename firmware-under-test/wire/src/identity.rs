@@ -2,33 +2,27 @@
 
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 
-/// Control laws by number. The names are those of scenario files and `--law`.
+/// The numbers are part of the protocol, the names those of scenario files and `--law`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum LawId {
-    /// Constant drive and frequency.
     OpenLoop = 0,
     /// Two PI loops, equation 24 matched to the zero-order hold and to the plate's damping.
     DqPi = 1,
     /// Two PI loops, equation 24 as printed with a forward-Euler integral.
     DqPiEuler = 2,
-    /// PI on the amplitude, fixed frequency.
     VoltageOnly = 3,
     /// Constant drive, the frequency adjusts the amplitude.
     FrequencyOnly = 4,
-    /// PI on the amplitude, fixed frequency steps by the sign of Wq.
     BangBang = 5,
-    /// Phase locked to the resonance, voltage of constant magnitude.
     Pll = 6,
-    /// Identifies the plate in one period, steers to the setpoint in the next, then holds with PI
-    /// loops.
+    /// Identifies the plate in one period, steers to the setpoint in the next, then PI loops.
     Deadbeat = 7,
     /// As `DqPi`, always with the gains of the untouched plate.
     DqPiFixed = 8,
 }
 
 impl LawId {
-    /// Every law, in the order of the numbers.
     pub const ALL: [Self; 9] = [
         Self::OpenLoop,
         Self::DqPi,
@@ -41,7 +35,6 @@ impl LawId {
         Self::DqPiFixed,
     ];
 
-    /// The law's name in scenario files and on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::OpenLoop => "open-loop",
@@ -56,7 +49,6 @@ impl LawId {
         }
     }
 
-    /// The law with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|law| law.name() == name)
     }
@@ -75,47 +67,40 @@ impl Field for LawId {
 
 /// Bits of [`Identity::capabilities`].
 pub mod capabilities {
-    /// A timer of the target can pace the control:
-    /// [`Configure::paced_by_target`](crate::Configure::paced_by_target).
+    /// See [`Configure::paced_by_target`](crate::Configure::paced_by_target).
     pub const TARGET_PACED: u8 = 1;
-    /// The target measures the duration of a control step:
-    /// [`Command::compute_us`](crate::Command::compute_us).
+    /// See [`Command::compute_us`](crate::Command::compute_us).
     pub const COMPUTE_TIME: u8 = 2;
-    /// The target accepts a loop delay:
-    /// [`Configure::loop_delay_us`](crate::Configure::loop_delay_us).
+    /// See [`Configure::loop_delay_us`](crate::Configure::loop_delay_us).
     pub const LOOP_DELAY: u8 = 4;
-    /// The target has its own plate, sensor and amplifier and accepts setpoints:
-    /// [`Configure::drives_own_plate`](crate::Configure::drives_own_plate).
+    /// See [`Configure::drives_own_plate`](crate::Configure::drives_own_plate).
     pub const OWN_PLATE: u8 = 8;
 }
 
-/// The target's answer to `Hello`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Identity {
-    /// Firmware version: major, minor, patch.
+    /// Major, minor, patch.
     pub version: [u8; 3],
-    /// See [`capabilities`]; other bits are ignored.
+    /// See [`capabilities`]; readers ignore other bits.
     pub capabilities: u8,
     /// Bit n is set if the target has the law with number n.
     pub laws: u32,
     /// First eight bytes of the SHA-256 of the firmware's sources; zero if unknown.
     pub build: [u8; 8],
-    /// The chip's identity code (`DBGMCU_IDCODE` on an STM32); zero for a program on a computer.
+    /// `DBGMCU_IDCODE` on an STM32; zero for a program on a computer.
     pub chip: u32,
-    /// The chip's unique number; zero for a program on a computer.
+    /// Zero for a program on a computer.
     pub unique: [u8; 12],
-    /// Name of the firmware in ASCII, padded with zeros.
+    /// ASCII, padded with zeros.
     pub name: [u8; 16],
 }
 layout!(Identity { version, capabilities, laws, build, chip, unique, name });
 
 impl Identity {
-    /// True if the target has `law`.
     pub fn has_law(&self, law: LawId) -> bool {
         self.laws & 1 << law as u8 != 0
     }
 
-    /// True if the target has `capability`, one of [`capabilities`].
     pub fn has_capability(&self, capability: u8) -> bool {
         self.capabilities & capability != 0
     }

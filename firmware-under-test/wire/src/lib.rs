@@ -1,12 +1,8 @@
 //! Encodes and decodes the messages between the bench and the controller under test.
 //!
-//! Two tiers: [`FrameReader`] and [`EncodedFrame`] turn a body of bytes into a frame on the line
-//! (CRC-32, COBS, a zero delimiter) and back; [`Packet`] gives the body its meaning and can hold
-//! only valid messages. `docs/wire-protocol.md` describes the protocol with test vectors; the tests
-//! here pin every byte of it.
-//!
-//! `platebench-controller` implements the target's side, `platebench-rig` the bench's side.
-//! Timing, retries and session state do not belong here.
+//! [`FrameReader`] and [`EncodedFrame`] turn a body into a frame on the line and back; [`Packet`]
+//! gives the body its meaning and holds only valid messages. `docs/wire-protocol.md` describes the
+//! protocol; the tests here pin every byte. Timing, retries and session state do not belong here.
 #![no_std]
 
 #[cfg(test)]

@@ -24,45 +24,35 @@ use crate::field::{MessageError, Reader, Writer};
 use crate::frame::EncodedFrame;
 use crate::identity::Identity;
 
-/// Version of the protocol, in the upper four bits of every body's first byte.
+/// In the upper four bits of every body's first byte.
 pub const VERSION: u8 = 1;
 
-/// The content of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Packet {
     /// The bench increments it per message, wrapping; answers repeat it. Ticks and telemetry have
     /// their own counters.
     pub sequence: u8,
-    /// The message.
     pub message: Message,
 }
 
-/// All messages of both sides.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Message {
-    /// Bench: requests the identity.
     Hello,
-    /// Target: answers `Hello`.
     Identity(Identity),
-    /// Bench: law, period, plate and limits of the next trial. Leaves `Fault` and `Safe`.
+    /// Starts a trial; leaves `Fault` and `Safe`.
     Configure(Configure),
-    /// Target: answers `Configure`.
     Configured(Configured),
-    /// Bench: the measured plate, once per period.
     Sample(Sample),
-    /// Target: answers `Sample` with drive and frequency.
     Command(Command),
-    /// Bench: requests 0 V until the next `Configure`. The answer is a `Command` with 0 V in state
-    /// `Safe`.
+    /// Requests 0 V until the next `Configure`. The answer is a `Command` with 0 V in state `Safe`.
     Safe,
-    /// Target: the processor crashed; sent once, with the drive already at 0 V.
+    /// The processor crashed; sent once, with the drive already at 0 V.
     Fault(FaultReport),
-    /// Target: starts a period that it paces, if the configuration asks for it; own sequence
-    /// numbers.
+    /// Starts a period that the target paces; own sequence numbers.
     Tick(Tick),
-    /// Bench: setpoint for a target that drives its own plate. The answer is a `Command`.
+    /// For a target that drives its own plate. The answer is a `Command`.
     Setpoint(Setpoint),
-    /// Target: one period of its own plate, if the configuration asks for it; own sequence numbers.
+    /// One period of the target's own plate; own sequence numbers.
     Telemetry(Telemetry),
 }
 
@@ -83,14 +73,13 @@ impl Message {
         }
     }
 
-    /// True if the target sends it without a request, with a sequence number of its own.
+    /// The target sends it without a request, with a sequence number of its own.
     pub const fn is_unsolicited(&self) -> bool {
         matches!(self, Self::Tick(_) | Self::Telemetry(_))
     }
 }
 
 impl Packet {
-    /// The frame of this packet.
     pub fn encode(&self) -> EncodedFrame {
         let mut writer = Writer::new();
         writer.write(&[VERSION << 4 | self.message.kind(), self.sequence]);
@@ -113,10 +102,7 @@ impl Packet {
         }
     }
 
-    /// Decodes the body of a frame.
-    ///
-    /// # Errors
-    /// [`MessageError`] if version, kind, length or a field is invalid.
+    /// Fails if version, kind, length or a field is invalid.
     pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
         let mut reader = Reader::new(body);
         let first: u8 = reader.read()?;

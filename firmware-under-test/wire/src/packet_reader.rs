@@ -4,32 +4,29 @@ use crate::field::MessageError;
 use crate::frame::{FrameError, FrameReader};
 use crate::packet::Packet;
 
-/// Why a frame holds no packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PacketError {
-    /// The frame is damaged.
     Frame(FrameError),
     /// The frame is intact, but its body is no message of the protocol.
     Message(MessageError),
 }
 
-/// Splits a stream of bytes into frames and decodes each one; stores at most one frame.
+/// Stores at most one frame.
 #[derive(Debug, Clone, Default)]
 pub struct PacketReader(FrameReader);
 
 impl PacketReader {
-    /// A reader at the start of a stream.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes one byte. Returns the packet of the frame that ends with it, or why that frame is rejected.
+    /// Takes the next byte of the stream. If it ends a frame, returns the frame's packet or error.
     pub fn push(&mut self, byte: u8) -> Option<Result<Packet, PacketError>> {
         let body = self.0.push(byte)?.map_err(PacketError::Frame);
         Some(body.and_then(|body| Packet::decode(body).map_err(PacketError::Message)))
     }
 
-    /// Takes `bytes`. Yields the packet of each frame that ends within them, or why it is rejected.
+    /// Takes `bytes`. Yields the packet or the error of each frame that ends within them.
     pub fn packets<'a>(&'a mut self, bytes: &'a [u8]) -> impl Iterator<Item = Result<Packet, PacketError>> + 'a {
         bytes.iter().filter_map(|&byte| self.push(byte))
     }
