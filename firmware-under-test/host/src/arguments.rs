@@ -26,7 +26,6 @@ pub(crate) enum UsageError {
 }
 
 impl Arguments {
-    /// `None` if help was requested.
     pub(crate) fn parse(mut words: impl Iterator<Item = String>) -> Result<Option<Self>, UsageError> {
         let (mut port, mut baud, mut log) = (None, DEFAULT_BAUD, None);
         while let Some(word) = words.next() {

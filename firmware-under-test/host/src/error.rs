@@ -1,6 +1,5 @@
 //! Defines the errors of the program.
 
-/// Why the program ends early.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum HostError {
     #[error("cannot open {port}: {error}")]

@@ -1,15 +1,13 @@
-//! Runs the controller on a computer, on a serial port or a pseudo-terminal, with the computer's
-//! clock.
+//! Runs the controller on a computer, on a serial port or a pseudo-terminal.
 //!
 //! ```text
 //! platebench-host-controller PORT [--baud N] [--log FILE]
 //! ```
 //!
-//! It replaces a board: `platebench run --rig "exec:platebench-host-controller {port}"`. After the
-//! line hangs up, it continues until its own watchdog has set 0 V, and ends with code 0.
+//! Replaces a board: `platebench run --rig "exec:platebench-host-controller {port}"`. After the
+//! line hangs up, it continues until its own watchdog has set 0 V.
 //!
-//! Exit codes: 0 the line hung up and the drive is at 0 V · 1 port or log cannot be opened or fail
-//! · 2 wrong usage.
+//! Exit codes: 0 the line hung up and the drive is at 0 V · 1 port or log failed · 2 wrong usage.
 
 mod arguments;
 mod error;

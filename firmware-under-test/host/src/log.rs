@@ -4,16 +4,14 @@
 //! {"event":"state","time_us":1034211,"state":"fault","cause":"sample-timeout","drive_vpp":0,"since_sample_us":5012}
 //! ```
 //!
-//! `event` is `start`, `state`, `hang-up` or `end`; times are on the controller's clock;
-//! `since_sample_us` is the time since the last sample with a control step, or `null`. The log
-//! shows what happened after the bench was gone.
+//! `event` is `start`, `state`, `hang-up` or `end`; `since_sample_us` is the time since the last
+//! sample with a control step, or `null`. The log shows what happened after the bench was gone.
 
 use crate::error::HostError;
 use platebench_wire::{Command, ControllerState, StateCause};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 
-/// A change of these values makes a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct LoggedState {
     state: ControllerState,
@@ -28,7 +26,6 @@ pub(crate) struct StateLog {
 }
 
 impl StateLog {
-    /// Appends to the file `name`, or logs nothing.
     pub(crate) fn open(name: Option<&str>) -> Result<Self, HostError> {
         let open = |name: &str| match OpenOptions::new().append(true).create(true).open(name) {
             Ok(file) => Ok((file, name.to_owned())),
@@ -37,7 +34,6 @@ impl StateLog {
         Ok(Self { file: name.map(open).transpose()?, last_logged: None, last_sample_us: None })
     }
 
-    /// Writes a line if state or cause changed, or the drive to or from 0 V.
     pub(crate) fn write_change(&mut self, now_us: u32, output: &Command) -> Result<(), HostError> {
         if output.state == ControllerState::Running {
             self.last_sample_us = Some(output.target_time_us);

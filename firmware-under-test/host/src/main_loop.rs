@@ -1,5 +1,4 @@
-//! Runs the controller as a board's main loop does: receives bytes, lets time pass, logs the
-//! output.
+//! Runs the controller as a board's main loop does.
 
 use crate::arguments::Arguments;
 use crate::error::HostError;
@@ -11,9 +10,7 @@ use std::time::{Duration, Instant};
 
 const SOURCE_HASH: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/source_hash.bin"));
 
-/// Longest wait, without a configuration.
 const IDLE_WAIT: Duration = Duration::from_millis(50);
-/// Shortest quarter of a period.
 const MIN_WAIT: Duration = Duration::from_micros(20);
 
 fn identity() -> Identity {
@@ -35,7 +32,6 @@ fn identity() -> Identity {
     }
 }
 
-/// Microseconds since the start, wrapping as on the board.
 struct ControllerClock(Instant);
 
 impl ControllerClock {
@@ -44,7 +40,6 @@ impl ControllerClock {
     }
 }
 
-/// Controls until the line hangs up and the drive is at 0 V.
 pub(crate) fn run(arguments: &Arguments) -> Result<(), HostError> {
     let port = Port::open(arguments)?;
     let mut log = StateLog::open(arguments.log.as_deref())?;
@@ -81,7 +76,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), HostError> {
     }
 }
 
-/// A quarter of a period, at most until the next tick that this side must send.
 fn receive_timeout(device: &Device, now_us: u32) -> Duration {
     let quarter = device.period_us().map_or(IDLE_WAIT, |period| Duration::from_micros(u64::from(period) / 4));
     let tick = device.next_tick_us().map_or(IDLE_WAIT, |at| {

@@ -11,7 +11,6 @@ use std::time::Duration;
 
 pub(crate) struct Port(OwnedFd);
 
-/// Result of [`Port::receive`].
 pub(crate) enum PortInput<'a> {
     Bytes(&'a [u8]),
     TimedOut,
@@ -37,13 +36,11 @@ impl Port {
         Ok(Self(file))
     }
 
-    /// Waits for bytes, at most for `timeout`.
     pub(crate) fn receive<'a>(&self, buffer: &'a mut [u8], timeout: Duration) -> PortInput<'a> {
         let timeout = Timespec {
             tv_sec: i64::try_from(timeout.as_secs()).unwrap_or(i64::MAX),
             tv_nsec: timeout.subsec_nanos().into(),
         };
-        // The read below reports the result of the wait, errors included.
         let _ = poll(&mut [PollFd::new(&self.0, PollFlags::IN)], Some(&timeout));
         match rustix::io::read(&self.0, &mut *buffer) {
             Ok(0) => PortInput::HungUp,

@@ -4,7 +4,6 @@ use crate::arguments::{Arguments, USAGE};
 use crate::main_loop;
 use std::process::ExitCode;
 
-/// Runs the program with the arguments of the process.
 pub fn main() -> ExitCode {
     let arguments = match Arguments::parse(std::env::args().skip(1)) {
         Ok(Some(arguments)) => arguments,

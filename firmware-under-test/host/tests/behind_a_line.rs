@@ -11,10 +11,8 @@ use std::time::{Duration, Instant};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_platebench-host-controller");
 
-/// With a sample time-out for a busy machine.
 const CONFIGURE: Configure = Configure { watchdog_timeout_ms: 1_000, ..platebench_test_kit::CONFIGURE };
 
-/// Long enough for a busy machine.
 const TIMEOUT: Duration = Duration::from_secs(5);
 
 fn start(log: Option<&Path>) -> ExecLink {
@@ -27,7 +25,6 @@ fn sample(step: u32) -> Sample {
     Sample { time_us: step * 1_000, setpoint_um: 2.0, wd_um: 1.5 + wave, wq_um: 0.3 * wave }
 }
 
-/// The values that act on the plate; times depend on the target.
 fn acting_bits(command: &Command) -> (u32, u32, ControllerState, u8) {
     (command.drive_vpp.to_bits(), command.frequency_mhz, command.state, command.flags)
 }
@@ -78,7 +75,6 @@ fn real_time_answers_repeat_the_sequence_number() {
         assert_eq!(command.state, ControllerState::Running);
         assert!(step == 0 || command.compute_us > 0);
     }
-    // No further answer.
     assert_eq!(session.receive(Instant::now()).unwrap(), None);
     assert!(session.request_safe_state());
 }
