@@ -1,10 +1,6 @@
-// Computes the hash of the firmware's sources, for the build scripts and the test of the committed
-// images.
-//
-// SHA-256 over the output of `sha256sum` for the files below, run in `firmware-under-test/`, paths
-// in byte order: `Cargo.toml` and `src/**.rs` of `wire`, `controller` and `stm32f4` without
-// `tests.rs`; also `Cargo.lock`, `build.rs`, `memory.x`, `source_hash.rs` and `.cargo/config.toml`
-// of `stm32f4`. `ci/firmware` does the same in shell.
+// Computes the SHA-256 over the output of `sha256sum` for the firmware's files, run in
+// `firmware-under-test/`, paths in byte order: the files in `SINGLE` and `src/**.rs` of `wire`,
+// `controller` and `stm32f4` without `tests.rs`. `ci/firmware` does the same in shell.
 
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
@@ -22,7 +18,6 @@ const SINGLE: [&str; 8] = [
     "wire/Cargo.toml",
 ];
 
-/// The firmware's files, relative to `firmware-under-test/`, in byte order.
 pub(crate) fn files(firmware_under_test: &Path) -> io::Result<Vec<String>> {
     let mut files: Vec<String> = SINGLE.map(str::to_owned).to_vec();
     for package in ["controller", "stm32f4", "wire"] {
@@ -46,7 +41,6 @@ fn walk(folder: &Path, name: &str, files: &mut Vec<String>) -> io::Result<()> {
     Ok(())
 }
 
-/// The hash of the sources below `firmware-under-test/`.
 pub(crate) fn source_hash(firmware_under_test: &Path) -> io::Result<[u8; 32]> {
     let mut listing = String::new();
     for file in files(firmware_under_test)? {
@@ -56,7 +50,6 @@ pub(crate) fn source_hash(firmware_under_test: &Path) -> io::Result<[u8; 32]> {
     Ok(Sha256::digest(listing).into())
 }
 
-/// Lower-case hexadecimal.
 pub(crate) fn hex(hash: &[u8; 32]) -> String {
     hash.iter().fold(String::new(), |mut text, byte| {
         let _ = write!(text, "{byte:02x}");

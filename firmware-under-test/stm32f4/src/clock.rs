@@ -16,18 +16,15 @@ const CRYSTAL_MHZ: Option<u32> = if cfg!(feature = "no-crystal") {
 };
 const INTERNAL_MHZ: u32 = 16;
 
-/// Bit of the first compare channel in a timer's flags and interrupt enables.
 const CHANNEL_1: u32 = 1 << 1;
 
-/// Bound of every wait. A crystal starts within a few ms; a round takes at least 6 cycles at 16
-/// MHz.
+/// Bound of every wait. A crystal starts within a few ms; a round takes at least 6 cycles.
 const ROUNDS: u32 = 30_000;
 
 #[derive(Clone, Copy)]
 #[allow(clippy::struct_field_names, reason = "the unit is in the name")]
 pub(crate) struct Clocks {
     pub(crate) core_hz: u32,
-    /// Clock of USART2.
     pub(crate) apb1_hz: u32,
     pub(crate) timer_hz: u32,
 }
@@ -39,7 +36,6 @@ fn wait_until(mut ready: impl FnMut() -> bool) -> bool {
     (0..ROUNDS).any(|_| ready())
 }
 
-/// Sets the clocks up and returns their frequencies.
 pub(crate) fn start(p: &pac::Peripherals) -> Clocks {
     let rcc = &p.RCC;
     // SAFETY: values and order of RM0090 chapters 5 to 7.
@@ -78,7 +74,6 @@ pub(crate) fn start(p: &pac::Peripherals) -> Clocks {
     FAST
 }
 
-/// TIM2 as a free-running 32-bit counter of microseconds.
 pub(crate) fn start_microseconds(p: &pac::Peripherals, timer_hz: u32) {
     let timer = &p.TIM2;
     // SAFETY: TIM2 belongs to this module; RM0090 chapter 18.
@@ -91,13 +86,11 @@ pub(crate) fn start_microseconds(p: &pac::Peripherals, timer_hz: u32) {
     }
 }
 
-/// Microseconds since the start, wrapping.
 pub(crate) fn now_us(p: &pac::Peripherals) -> u32 {
     p.TIM2.cnt().read().bits()
 }
 
-/// An alarm on the first compare channel of the counter, so that interrupt delays do not shift the
-/// periods.
+/// The first compare channel of the counter, so that interrupt delays do not shift the periods.
 pub(crate) struct Alarm {
     at_us: Option<u32>,
 }
@@ -110,8 +103,7 @@ impl Alarm {
         Self { at_us: None }
     }
 
-    /// Sets the alarm to `at_us` of [`now_us`], or off. False if `at_us` is already past: the alarm
-    /// will not fire.
+    /// Off if `at_us` is `None`. Returns false if `at_us` is already past: the alarm will not fire.
     #[must_use]
     pub(crate) fn set(&mut self, p: &pac::Peripherals, at_us: Option<u32>) -> bool {
         if self.at_us == at_us {
@@ -132,7 +124,6 @@ impl Alarm {
         at_us.is_none_or(|at_us| at_us.wrapping_sub(now_us(p)).wrapping_sub(1) < u32::MAX / 2)
     }
 
-    /// Clears the flag; called by the interrupt handler.
     pub(crate) fn acknowledge() {
         // SAFETY: clears only the flag of the first channel.
         unsafe { (*pac::TIM2::ptr()).sr().write(|w| w.bits(!CHANNEL_1)) };
@@ -160,7 +151,6 @@ pub(crate) fn feed_watchdog(p: &pac::Peripherals) {
     p.IWDG.kr().write(|w| unsafe { w.bits(0xAAAA) });
 }
 
-/// True if the watchdog reset the chip. Clears the flags.
 pub(crate) fn was_watchdog_reset(p: &pac::Peripherals) -> bool {
     let was = p.RCC.csr().read().bits() & 1 << 29 != 0;
     // SAFETY: RMVF only clears the flags.
@@ -168,7 +158,6 @@ pub(crate) fn was_watchdog_reset(p: &pac::Peripherals) -> bool {
     was
 }
 
-/// Starts `SysTick` with a period of 1 ms.
 pub(crate) fn start_tick(timer: &mut SYST, core_hz: u32) {
     timer.set_clock_source(SystClkSource::Core);
     timer.set_reload(core_hz / 1_000 - 1);

@@ -1,7 +1,6 @@
 //! Receives and sends bytes on USART2: PA2 (TX), PA3 (RX), 8N1.
 //!
-//! DMA1 stream 5 writes received bytes to a ring, and the idle line after a frame wakes the main
-//! loop. DMA1 stream 6 sends (both channel 4, RM0090 table 42).
+//! DMA1 stream 5 receives into a ring, stream 6 sends (both channel 4, RM0090 table 42).
 
 use crate::clock;
 use core::cell::UnsafeCell;
@@ -9,14 +8,13 @@ use core::sync::atomic::{AtomicBool, Ordering, compiler_fence};
 use pac::interrupt;
 use stm32f4::stm32f405 as pac;
 
-/// Divides both APB1 clocks: 42 MHz and 16 MHz.
+/// A divisor of both APB1 clocks: 42 MHz and 16 MHz.
 const BAUD: u32 = 1_000_000;
 const BITS_PER_BYTE: u32 = 10;
 
 const RING: usize = 512;
 const OUTBOX: usize = 256;
 
-/// Bytes that the main loop takes without waiting for an idle line.
 const TAKE_WITHOUT_IDLE: usize = RING / 2;
 
 const DATA_REGISTER: u32 = 0x4000_4404;
@@ -26,11 +24,11 @@ const CIRCULAR: u32 = 1 << 8;
 const TO_PERIPHERAL: u32 = 1 << 6;
 const ENABLE: u32 = 1;
 
-/// Memory that a DMA stream shares with the processor.
 #[repr(C, align(4))]
 struct Shared<const N: usize>(UnsafeCell<[u8; N]>);
 
-// SAFETY: one core; only the main loop accesses it, away from the stream's position.
+// SAFETY: the chip has one core, and only the main loop accesses the bytes. It never touches the
+// bytes that the DMA stream transfers at that moment.
 unsafe impl<const N: usize> Sync for Shared<N> {}
 
 impl<const N: usize> Shared<N> {
@@ -47,18 +45,15 @@ static RECEIVED: Shared<RING> = Shared::new();
 static LEAVING: Shared<OUTBOX> = Shared::new();
 static IDLE: AtomicBool = AtomicBool::new(false);
 
-/// Reader of the received bytes.
 pub(crate) struct Inbox {
     taken: usize,
 }
 
-/// Frames to send.
 pub(crate) struct Outbox {
     bytes: [u8; OUTBOX],
     length: usize,
 }
 
-/// Sets the line up; call it once.
 pub(crate) fn start(p: &pac::Peripherals, apb1_hz: u32) -> (Inbox, Outbox) {
     // SAFETY: only this module uses these pins, streams and USART; values of RM0090 chapters 8, 10
     // and 30. The streams are configured while disabled.
@@ -87,13 +82,12 @@ pub(crate) fn start(p: &pac::Peripherals, apb1_hz: u32) -> (Inbox, Outbox) {
 }
 
 impl Inbox {
-    /// True if the line became idle since the last [`Inbox::take`].
     pub(crate) fn went_idle() -> bool {
         IDLE.load(Ordering::Relaxed)
     }
 
-    /// The bytes since the last call, if the line is idle or [`TAKE_WITHOUT_IDLE`] bytes wait. Ends
-    /// at the end of the ring, so call it until it returns nothing.
+    /// The bytes since the last call, if the line is idle or [`TAKE_WITHOUT_IDLE`] bytes wait.
+    /// Stops at the end of the ring: call it until it returns nothing.
     pub(crate) fn take(&mut self, p: &pac::Peripherals) -> &[u8] {
         let idle = IDLE.swap(false, Ordering::Acquire);
         let written = (RING - p.DMA1.st(5).ndtr().read().bits() as usize) % RING;
@@ -115,7 +109,6 @@ impl Inbox {
 }
 
 impl Outbox {
-    /// Adds a frame to the next [`Outbox::flush`]; drops it if it does not fit.
     pub(crate) fn put(&mut self, frame: &[u8]) {
         if let Some(place) = self.bytes.get_mut(self.length..self.length + frame.len()) {
             place.copy_from_slice(frame);
@@ -123,7 +116,7 @@ impl Outbox {
         }
     }
 
-    /// Sends the frames. Waits for the previous transfer, at most for its longest duration.
+    /// Waits for the previous transfer, at most for its longest duration.
     pub(crate) fn flush(&mut self, p: &pac::Peripherals) {
         if self.length == 0 {
             return;
@@ -159,8 +152,8 @@ fn USART2() {
     IDLE.store(true, Ordering::Release);
 }
 
-/// Sends `frame` byte by byte, after a delimiter that ends an unfinished frame. For fault handlers:
-/// no interrupts, no DMA, bounded.
+/// Sends `frame` after a delimiter that ends an unfinished frame. For fault handlers: no
+/// interrupts, no DMA, bounded.
 pub(crate) fn send_by_polling(frame: &[u8]) {
     // SAFETY: all other code has stopped for good.
     let usart = unsafe { &*pac::USART2::ptr() };

@@ -7,9 +7,7 @@
 //! | PH0, PH1 | crystal, 8 MHz (features `crystal-25mhz`, `no-crystal`); the internal oscillator replaces a missing one |
 //!
 //! The main loop sleeps until the line is idle after a frame, a millisecond has passed or the alarm
-//! fires. Then `Device` answers, and the loop feeds the watchdog. One control step per sample: the
-//! bench paces the control. If it configures target pacing, the alarm fires at the start of each
-//! period and the board requests the samples.
+//! of target pacing fires.
 #![no_std]
 #![no_main]
 
@@ -53,8 +51,7 @@ fn main() -> ! {
     #[cfg(feature = "plant-faults")]
     let mut planted = planted_faults::SampleWatcher::new();
     loop {
-        // Masked from the check until the sleep, so that no interrupt is missed; a masked interrupt
-        // ends the sleep too.
+        // Masked until the sleep, so that no interrupt is missed; a masked one ends the sleep too.
         cortex_m::interrupt::disable();
         if !Inbox::went_idle() && !TICK.load(Ordering::Relaxed) {
             cortex_m::asm::wfi();

@@ -1,20 +1,15 @@
 //! Drives the board's outputs.
 //!
-//! With a bench, drive and frequency travel as a [`Command`] on the line, which replaces the
-//! converters. Every board has PB0, *amplifier enable*: high while the controller runs, low in
-//! every other state, low after reset (the amplifier needs a pull-down), and low first in a fault
-//! handler.
-//!
-//! A board with converters extends [`Output::apply`]: `drive_vpp` to the DAC or the amplitude
-//! register of a synthesiser, `frequency_mhz` to its tuning word. [`off`] must then silence the
-//! converters too, with plain register writes, since it runs in the fault handlers.
+//! The bench replaces the converters: drive and frequency travel as a [`Command`] on the line. PB0,
+//! *amplifier enable*, is high while the controller runs, low in every other state and after reset
+//! (the amplifier needs a pull-down), and low first in a fault handler. A board with converters
+//! extends [`Output::apply`]; [`off`] must silence them by plain register writes.
 
 use platebench_wire::{Command, ControllerState};
 use stm32f4::stm32f405 as pac;
 
 const ENABLE: u32 = 1 << 0;
 
-/// The board's outputs, off.
 pub(crate) struct Output {
     running: bool,
 }
@@ -31,7 +26,6 @@ impl Output {
         Self { running: false }
     }
 
-    /// Applies the controller's state.
     pub(crate) fn apply(&mut self, p: &pac::Peripherals, command: &Command) {
         let running = command.state == ControllerState::Running;
         if running != self.running {

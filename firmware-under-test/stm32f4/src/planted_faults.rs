@@ -1,5 +1,4 @@
-//! Causes faults on demand, for the bench's tests: a sample with setpoint `900 + n` µm triggers
-//! fault n.
+//! Causes fault n at a sample with setpoint `900 + n` µm, for the bench's tests.
 
 use core::arch::asm;
 use core::hint::black_box;
@@ -8,7 +7,6 @@ use stm32f4::stm32f405 as pac;
 
 const FIRST: f32 = 900.0;
 
-/// Scans the line for samples that request a fault.
 pub(crate) struct SampleWatcher(FrameReader);
 
 impl SampleWatcher {
@@ -29,8 +27,7 @@ impl SampleWatcher {
     }
 }
 
-// Each fault is a function, whose name the report shows. The differing constants prevent the linker
-// from merging two.
+// The report shows the function's name. Differing constants prevent the linker from merging two.
 fn trigger(which: u8) {
     match which {
         1 => unaligned_access(),

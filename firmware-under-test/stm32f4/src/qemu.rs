@@ -1,13 +1,8 @@
-//! Runs `platebench-controller` on QEMU's `netduinoplus2`, for a second opinion on every bit of the
-//! control law.
+//! Runs `platebench-controller` on QEMU's `netduinoplus2`, which checks every bit of the law again.
 //!
-//! QEMU models no clock tree, DMA, pins or watchdog, and its timers run at wrong rates. So the
-//! internal oscillator keeps its reset state, interrupts serve USART2, and the firmware's time is
-//! that of the last sample. Frames pace the control steps; nothing depends on QEMU's speed. This
-//! variant does not test the board support of `main.rs`.
-//!
-//! Panic and `HardFault` send a report on the line, then request a reset, which ends a QEMU with
-//! `-no-reboot`.
+//! QEMU models no clock tree, DMA, pins or watchdog, and its timers run at wrong rates. So
+//! interrupts serve USART2, and the time is that of the last sample. The reset after a report ends
+//! a QEMU with `-no-reboot`.
 #![no_std]
 #![no_main]
 
@@ -22,9 +17,8 @@ use platebench_controller::Device;
 use platebench_wire::{FaultReport, FrameReader, Message, Packet};
 use stm32f4::stm32f405 as pac;
 
-/// Larger than the number of bytes that a bench sends before it reads the answers.
+/// More bytes than a bench sends before it reads the answers.
 const RING: usize = 4_096;
-/// Bound of the wait for an empty transmit register; QEMU sends at once.
 const ROUNDS: u32 = 20_000;
 
 const RECEIVED_DATA: u32 = 1 << 5;
@@ -34,7 +28,6 @@ const PANIC: u16 = 1;
 const HARD_FAULT: u16 = 2;
 
 static RECEIVED: [AtomicU8; RING] = [const { AtomicU8::new(0) }; RING];
-/// Number of bytes stored by the handler; wraps.
 static STORED: AtomicUsize = AtomicUsize::new(0);
 
 #[entry]
@@ -50,8 +43,7 @@ fn main() -> ! {
     let mut reader = FrameReader::new();
     let (mut taken, mut now_us) = (0_usize, 0);
     loop {
-        // Masked from the check until the sleep, so that no byte is missed; a masked interrupt ends
-        // the sleep too.
+        // Masked until the sleep, so that no byte is missed; a masked interrupt ends the sleep too.
         cortex_m::interrupt::disable();
         if STORED.load(Ordering::Acquire) == taken {
             cortex_m::asm::wfi();
@@ -108,7 +100,6 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     end(FaultReport { code: PANIC, pc: 0, lr: 0, cfsr: 0, address })
 }
 
-/// Sends the report and ends QEMU.
 fn end(report: FaultReport) -> ! {
     send(&[0]);
     send(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());

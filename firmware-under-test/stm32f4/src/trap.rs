@@ -1,8 +1,7 @@
 //! Handles panic and `HardFault`: 0 V, then a fault report on the line, then the watchdog's reset.
 //!
-//! The report survives the reset, so that the next start can send it again. A panic has no faulting
-//! instruction: its `pc` is the caller of the handler, its `address` that of the panic's
-//! `core::panic::Location` in the image.
+//! The report survives the reset. A panic has no faulting instruction: its `pc` is the caller of
+//! the handler, its `address` that of the panic's `core::panic::Location` in the image.
 
 use crate::{clock, line, output};
 use core::arch::global_asm;
@@ -37,13 +36,12 @@ unsafe impl Sync for FaultStack {}
 const FAULT_STACK_BYTES: usize = 2_048;
 static FAULT_STACK: FaultStack = FaultStack(UnsafeCell::new([0; FAULT_STACK_BYTES]));
 
-/// Makes a division by zero trap. Unaligned access does not: the compiler uses it.
+/// Unaligned access does not trap: the compiler uses it.
 pub(crate) fn enable_division_trap(scb: &mut SCB) {
     // SAFETY: DIV_0_TRP.
     unsafe { scb.ccr.modify(|ccr| ccr | 1 << 4) };
 }
 
-/// The report of the previous run if the watchdog ended it.
 pub(crate) fn report_before_reset(p: &pac::Peripherals) -> Option<FaultReport> {
     // SAFETY: any bits are a valid array of numbers; volatile, since the program has not
     // initialised it.
@@ -118,7 +116,6 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     report(FaultReport { code: PANIC, pc: lr & !1, lr, cfsr: 0, address })
 }
 
-/// Saves the report, sends it once and waits for the watchdog's reset.
 fn report(report: FaultReport) -> ! {
     // SAFETY: all other code has stopped.
     unsafe {
