@@ -26,7 +26,7 @@ impl CommandChecks {
     pub(crate) fn new(scenario: &Scenario) -> Self {
         let start_hz = f64::from(start_frequency_mhz(scenario)) / 1e3;
         Self {
-            drive_limit_vpp: scenario.plate.drive_limit_vpp as f32,
+            drive_limit_vpp: scenario.design_plate().drive_limit_vpp as f32,
             start_hz,
             range_hz: scenario.controller.frequency_range_hz,
             slew_hz: scenario.controller.frequency_slew_hz,

@@ -16,7 +16,7 @@ pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
 /// Uses the nominal plate, not the trial's variation of it.
 pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
     let controller = &scenario.controller;
-    let plate = &scenario.plate;
+    let plate = scenario.design_plate();
     Configure {
         law,
         paced_by_target: false,

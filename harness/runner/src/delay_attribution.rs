@@ -78,7 +78,8 @@ fn excuse_loop_delay(scenario: &Scenario, measures: &mut TrialMeasures) {
 fn missed_expectations<'a>(scenario: &'a Scenario, measures: &'a TrialMeasures) -> impl Iterator<Item = usize> + 'a {
     let both = scenario.expectations.iter().zip(&measures.measures).enumerate();
     both.filter(|(_, (expectation, measure))| {
-        let concerns_rig = matches!(expectation.metric, Metric::Repeatability | Metric::LoopDelay | Metric::Overruns);
+        let metric = expectation.metric;
+        let concerns_rig = !metric.has_over() || matches!(metric, Metric::LoopDelay | Metric::Overruns);
         !concerns_rig && !is_met(expectation, measure)
     })
     .map(|(number, _)| number)

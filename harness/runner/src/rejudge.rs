@@ -97,7 +97,10 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
 
 pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     if let Some(law) = &overrides.law {
-        scenario.controller.law.clone_from(law);
+        // Scenes between trials keep a law that differs on purpose.
+        let own = std::mem::replace(&mut scenario.controller.law, law.clone());
+        let mut between = scenario.between.iter_mut().map(|scene| &mut scene.controller.law);
+        between.by_ref().filter(|other| **other == own).for_each(|other| other.clone_from(law));
     }
     if let Some(trials) = overrides.trials.filter(|trials| (1..=MAX_TRIALS).contains(trials)) {
         scenario.trials.count = trials;
@@ -105,6 +108,7 @@ pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     }
     if let Some(seed) = overrides.seed {
         scenario.trials.seed = seed;
+        scenario.between.iter_mut().for_each(|scene| scene.trials.seed = seed);
     }
     if let Some(model) = &overrides.model {
         scenario.tier = Scenario::tier_for(model, &scenario.plate).unwrap_or(scenario.tier);
@@ -132,6 +136,10 @@ fn replacement_expectations(
     overrides: &Overrides,
 ) -> Result<Vec<Expectation>, RejudgeError> {
     let other = load(path, &played.file)?;
+    let scene = |scene: &Scenario| {
+        let Scenario { duration, plate, controller, setpoint, conditions, .. } = scene.clone();
+        (duration, plate, controller, setpoint, conditions)
+    };
     let same_model = overrides.model.is_some() || other.tier == tier;
     let alike = [
         (other.duration == played.duration, "duration_ms"),
@@ -142,6 +150,7 @@ fn replacement_expectations(
         (other.setpoint == played.setpoint && other.conditions == played.conditions, "[profile]"),
         (other.trials == played.trials, "[trials]"),
         (other.faults == played.faults, "[[fault]]"),
+        (other.between.iter().map(scene).eq(played.between.iter().map(scene)), "[[between]]"),
     ];
     match alike.iter().find(|(holds, _)| !holds) {
         Some((_, what)) => Err(RejudgeError::DifferentExperiment { path: path.to_owned(), what }),

@@ -25,8 +25,9 @@ pub fn run(
     connect: &LinkFactory<'_>,
     mut hooks: RunHooks<'_>,
 ) -> Result<RunRecord, RunError> {
-    let laws = plan.scenarios.iter().map(configure::law).collect::<Result<Vec<_>, _>>();
-    let laws = laws.map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)))?;
+    let law = |scenario| configure::law(scenario).map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)));
+    let laws = plan.scenarios.iter().map(law).collect::<Result<Vec<_>, _>>()?;
+    plan.scenarios.iter().flat_map(|scenario| &scenario.between).try_for_each(|scene| law(scene).map(|_| ()))?;
     let first = RigSession::open(FaultInjector::new(connect()?))?;
     check_controller(plan, &first)?;
     let (plan, laws, not_applicable) = select_applicable(plan, laws, first.identity());
@@ -89,6 +90,10 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
             let what = "faults are for an emulated plate; a real one can break, expected no [[fault]]";
             return Err(RunError::Scenario(Box::new(scenario.diagnostic("fault", what))));
         }
+        if let Some(scenario) = plan.scenarios.iter().find(|scenario| !scenario.between.is_empty()) {
+            let what = "scenes between trials are for an emulated plate, expected no [[between]]";
+            return Err(RunError::Scenario(Box::new(scenario.diagnostic("between", what))));
+        }
     }
     Ok(())
 }
@@ -102,7 +107,10 @@ fn select_applicable(
     let mut selected = RunPlan { scenarios: Vec::new(), ..plan.clone() };
     let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
     for (scenario, law) in plan.scenarios.iter().zip(laws) {
-        match configure::missing_capability(scenario, law, identity) {
+        let mut between = scenario.between.iter().filter_map(|scene| Some((scene, configure::law(scene).ok()?)));
+        let missing = configure::missing_capability(scenario, law, identity)
+            .or_else(|| between.find_map(|(scene, law)| configure::missing_capability(scene, law, identity)));
+        match missing {
             None => {
                 selected.scenarios.push(scenario.clone());
                 selected_laws.push(law);
@@ -145,9 +153,13 @@ fn play_scenarios(
 ) -> Result<(), RunError> {
     let RunContext { plan, cancel, folder, .. } = run;
     let mut progress: Vec<_> = plan.scenarios.iter().map(ScenarioProgress::new).collect();
+    let tasks_of = |number: usize, trials| {
+        let keeps_controller = plan.scenarios.get(number).is_some_and(Scenario::keeps_controller);
+        trial_tasks(number, keeps_controller, trials)
+    };
     // All scenarios play up to their first look; then the undecided ones continue.
     let mut tasks: Vec<TrialTask> =
-        (0..).zip(&progress).flat_map(|(number, progress)| trial_tasks(number, 0, progress.goal)).collect();
+        (0..).zip(&progress).flat_map(|(number, progress)| tasks_of(number, 0..progress.goal)).collect();
     while !tasks.is_empty() {
         // The longest trials come first: no worker ends long after the others.
         tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
@@ -185,7 +197,7 @@ fn play_scenarios(
                 match judge_sequentially(scenario, &progress.measures) {
                     SequentialDecision::Continue { trials } => {
                         info!(scenario = %scenario.file, played = progress.goal, next = trials, "not decided yet");
-                        tasks.extend(trial_tasks(number, progress.goal, trials));
+                        tasks.extend(tasks_of(number, progress.goal..trials));
                         progress.goal = trials;
                     }
                     SequentialDecision::Stop(judgement) => {

@@ -1,18 +1,21 @@
 //! Plays and measures trials over one link to a controller.
 
+use crate::configure;
 use crate::delay_attribution::measure_trial;
 use crate::delay_boundary::scenario_delay_boundary;
-use crate::live_tap::LiveTap;
+use crate::live_tap::{LiveTap, TapWriter};
 use crate::operator::Operator;
 use crate::plan::{Clock, LinkFactory, RunError, RunPlan};
-use crate::trial::{self, TrialSpec};
+use crate::trial::{self, TrialResult, TrialSpec};
 use crate::{real_plate, real_time};
 use platebench_plate::Time;
-use platebench_record::{RunFolder, TrialRecord, sha256_of_file, to_hex, trace_path};
+use platebench_record::{RunFolder, TrialRecord, Violation, sha256_of_file, to_hex, trace_path};
 use platebench_rig::{BoxedLink, CancelToken, FaultInjector, RigError};
+use platebench_scenario::Scenario;
 use platebench_trace::{Row, TraceError, TraceWriter};
 use platebench_verdict::{TrialMeasures, trial_record};
 use platebench_wire::{Identity, LawId};
+use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::OnceLock;
@@ -46,14 +49,19 @@ pub(crate) fn close_session(session: &mut Option<RigSession>, unconfirmed: &Atom
     unconfirmed.fetch_or(!confirmed, Ordering::Relaxed);
 }
 
-#[derive(Clone, Copy)]
+/// Trials to play one after the other with one controller.
+#[derive(Clone)]
 pub(crate) struct TrialTask {
     pub(crate) scenario: usize,
-    pub(crate) index: u32,
+    pub(crate) trials: Range<u32>,
 }
 
-pub(crate) fn trial_tasks(scenario: usize, from: u32, to: u32) -> impl Iterator<Item = TrialTask> {
-    (from..to).map(move |index| TrialTask { scenario, index })
+/// One task per trial, or one for all if the history of the controller is part of the experiment.
+pub(crate) fn trial_tasks(scenario: usize, keeps_controller: bool, trials: Range<u32>) -> Vec<TrialTask> {
+    if keeps_controller {
+        return vec![TrialTask { scenario, trials }];
+    }
+    trials.map(|index| TrialTask { scenario, trials: index..index + 1 }).collect()
 }
 
 pub(crate) struct CompletedTrial {
@@ -79,28 +87,81 @@ impl WorkQueue<'_> {
         results: &mpsc::Sender<Result<Progress, RunError>>,
     ) {
         while !self.run.cancel.is_cancelled() {
-            let Some(&task) = self.tasks.get(self.next.fetch_add(1, Ordering::Relaxed)) else { break };
-            if task.index == 0 && results.send(Ok(Progress::Started(task.scenario))).is_err() {
+            let Some(task) = self.tasks.get(self.next.fetch_add(1, Ordering::Relaxed)) else { break };
+            if task.trials.start == 0 && results.send(Ok(Progress::Started(task.scenario))).is_err() {
                 break;
             }
-            let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(session, task)));
-            let result = match played {
-                Ok(Ok(Some(done))) => Ok(Progress::Completed(task.scenario, Box::new(done))),
-                Ok(Ok(None)) => break,
-                Ok(Err(error)) => Err(error),
-                Err(panic) => Err(RunError::Internal(panic_message(panic.as_ref()))),
-            };
-            let is_over = result.is_err();
-            if is_over {
-                // Close it before the other workers end.
-                close_session(session, self.run.safe_unconfirmed);
-            }
-            if results.send(result).is_err() || is_over {
+            if !task.trials.clone().all(|index| self.play_and_send(session, task.scenario, index, results)) {
                 break;
             }
         }
     }
 
+    /// Returns false if the worker must end.
+    fn play_and_send(
+        &self,
+        session: &mut Option<RigSession>,
+        scenario: usize,
+        index: u32,
+        results: &mpsc::Sender<Result<Progress, RunError>>,
+    ) -> bool {
+        let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(session, scenario, index)));
+        let result = match played {
+            Ok(Ok(Some(done))) => Ok(Progress::Completed(scenario, Box::new(done))),
+            Ok(Ok(None)) => return false,
+            Ok(Err(error)) => Err(error),
+            Err(panic) => Err(RunError::Internal(panic_message(panic.as_ref()))),
+        };
+        let is_over = result.is_err();
+        if is_over {
+            // Before the other workers end.
+            close_session(session, self.run.safe_unconfirmed);
+        }
+        results.send(result).is_ok() && !is_over
+    }
+
+    fn spec<'a>(&self, scenario: &'a Scenario, law: LawId, index: u32) -> TrialSpec<'a> {
+        let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
+        TrialSpec { scenario, law, index, wire_time, own_clock: self.run.plan.own_clock }
+    }
+
+    fn play_on_clock(
+        &self,
+        session: &mut RigSession,
+        spec: &TrialSpec<'_>,
+        tap: Option<&mut TapWriter>,
+    ) -> Result<Option<TrialResult>, RunError> {
+        match self.run.plan.clock {
+            Clock::RealPlate => Ok(real_plate::play(session, spec, self.run.operator, self.run.cancel)?),
+            Clock::Lockstep { .. } => Ok(trial::play(session, spec, self.run.cancel, tap)),
+            Clock::RealTime(time_base) => Ok(real_time::play(session, spec, time_base, self.run.cancel, tap)),
+        }
+    }
+
+    /// Plays the scenes before a further trial and returns what they violate. `None` if they were cancelled.
+    ///
+    /// A controller that is lost here is lost for the trial too.
+    fn play_between(
+        &self,
+        session: &mut RigSession,
+        scenario: &Scenario,
+        index: u32,
+    ) -> Result<Option<Vec<Violation>>, RunError> {
+        let mut violations = Vec::new();
+        for scene in scenario.between.iter().filter(|_| index > 0) {
+            let law = configure::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?;
+            let Some(played) = self.play_on_clock(session, &self.spec(scene, law, index), None)? else {
+                return Ok(None);
+            };
+            if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
+                return Err(refused.into());
+            }
+            violations.extend(played.telemetry.violations);
+        }
+        Ok(Some(violations))
+    }
+
+    /// A new link to the controller that the record names.
     fn connect_session(&self) -> Result<RigSession, RunError> {
         let session = RigSession::open(FaultInjector::new((self.run.connect)()?))?;
         let (found, expected) = (*session.identity(), self.run.identity);
@@ -115,41 +176,40 @@ impl WorkQueue<'_> {
     fn play_trial(
         &self,
         session: &mut Option<RigSession>,
-        task: TrialTask,
+        number: usize,
+        index: u32,
     ) -> Result<Option<CompletedTrial>, RunError> {
-        let (Some(scenario), Some(&law)) =
-            (self.run.plan.scenarios.get(task.scenario), self.run.laws.get(task.scenario))
-        else {
+        let (Some(scenario), Some(&law)) = (self.run.plan.scenarios.get(number), self.run.laws.get(number)) else {
             return Ok(None);
         };
-        let _span = info_span!("trial", scenario = %scenario.file, index = task.index).entered();
+        let _span = info_span!("trial", scenario = %scenario.file, index).entered();
         let started = Instant::now();
+        if !scenario.between.is_empty() && index == 0 {
+            // The first trial meets a controller without a history.
+            close_session(session, self.run.safe_unconfirmed);
+        }
         let open = match session {
             Some(open) => open,
             None => session.insert(self.connect_session()?),
         };
-        let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
-        let spec = TrialSpec { scenario, law, index: task.index, wire_time, own_clock: self.run.plan.own_clock };
-        let mut tap = self.run.live_tap.acquire(task.scenario, task.index);
-        let played = match self.run.plan.clock {
-            Clock::RealPlate => real_plate::play(open, &spec, self.run.operator, self.run.cancel)?,
-            Clock::Lockstep { .. } => trial::play(open, &spec, self.run.cancel, tap.tap()),
-            Clock::RealTime(time_base) => real_time::play(open, &spec, time_base, self.run.cancel, tap.tap()),
-        };
+        let Some(violations) = self.play_between(open, scenario, index)? else { return Ok(None) };
+        let mut tap = self.run.live_tap.acquire(number, index);
+        let played = self.play_on_clock(open, &self.spec(scenario, law, index), tap.tap())?;
         drop(tap);
         let Some(mut played) = played else { return Ok(None) };
+        played.telemetry.violations.extend(violations);
         if let Some(timing) = &mut played.telemetry.timing {
-            let boundary = self.run.delay_boundaries.get(task.scenario);
+            let boundary = self.run.delay_boundaries.get(number);
             let boundary = boundary.and_then(|cell| *cell.get_or_init(|| scenario_delay_boundary(scenario, law)));
             timing.loop_delay_budget_us = boundary.map(|boundary| boundary.seconds() * 1e6);
         }
         if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
             return Err(refused.into());
         }
-        let trace = trace_path(scenario.name(), task.index);
+        let trace = trace_path(scenario.name(), index);
         let path = self.run.folder.path().join(&trace);
         write_trace(&path, &played.trace_rows)?;
-        let measures = measure_trial(scenario, law, task.index, &played.trace_rows, &played.telemetry);
+        let measures = measure_trial(scenario, law, index, &played.trace_rows, &played.telemetry);
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
         debug!(rows = played.trace_rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
         let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));

@@ -6,3 +6,5 @@ pub(crate) const MAX_TRIALS: i64 = 100_000;
 pub(crate) const MAX_SPREAD_PERCENT: f64 = 20.0;
 /// A higher one is a mistyped unit, and far above it rounding loses the damping.
 pub(crate) const MAX_QUALITY: f64 = 1e9;
+/// Largest number of scenes between trials.
+pub(crate) const MAX_BETWEEN: usize = 16;

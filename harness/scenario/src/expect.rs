@@ -47,10 +47,12 @@ pub enum Metric {
     Ripple,
     /// Largest drive while the setpoint is 0, from one period and loop delay after it became 0.
     RestDrive,
+    /// Largest difference of the signal from the first trial at the same control instant.
+    TrialDifference,
 }
 
 impl Metric {
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 20] = [
         Self::SettlingTime,
         Self::StaticError,
         Self::Repeatability,
@@ -70,6 +72,7 @@ impl Metric {
         Self::RipplePercent,
         Self::Ripple,
         Self::RestDrive,
+        Self::TrialDifference,
     ];
 
     pub const fn name(self) -> &'static str {
@@ -93,6 +96,7 @@ impl Metric {
             Self::RipplePercent => "ripple_percent",
             Self::Ripple => "ripple_um",
             Self::RestDrive => "rest_drive_vpp",
+            Self::TrialDifference => "trial_difference_um",
         }
     }
 
@@ -136,10 +140,16 @@ impl Metric {
             | Self::InstructionsPerStep
             | Self::ShutdownTime
             | Self::Repeatability
-            | Self::RestDrive => false,
+            | Self::RestDrive
+            | Self::TrialDifference => false,
             _ if self.is_step_response() => profile == ChangingProfile::Setpoint,
             _ => true,
         }
+    }
+
+    /// True if the statistic over trials can be chosen: the metric does not compare trials itself.
+    pub const fn has_over(self) -> bool {
+        !matches!(self, Self::Repeatability | Self::TrialDifference)
     }
 
     /// True if the motion of the plate is judged, and not only the line or the controller's timing.
@@ -151,7 +161,7 @@ impl Metric {
     }
 
     pub const fn has_signal(self) -> bool {
-        self.has_band() || self.has_window() || matches!(self, Self::Overshoot)
+        self.has_band() || self.has_window() || matches!(self, Self::Overshoot | Self::TrialDifference)
     }
 }
 

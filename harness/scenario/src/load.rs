@@ -8,6 +8,7 @@ mod fault;
 mod plate;
 mod profile;
 mod scenario;
+mod scene;
 mod text;
 
 pub use plate::load_plate;
@@ -49,7 +50,7 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
         *named = std::path::absolute(copy).unwrap_or_else(|_| copy.clone());
     }
     let mut faults = Diagnostics::default();
-    match (Checker { path, text: &text }.scenario(raw, file, &mut faults), faults.0) {
+    match (Checker { path, text: &text, prefix: String::new() }.scenario(raw, file, &mut faults), faults.0) {
         (Some(scenario), faults) if faults.is_empty() => Ok(scenario),
         (_, faults) => Err(with_truncation_note(path, faults)),
     }

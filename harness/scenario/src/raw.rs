@@ -1,6 +1,6 @@
 //! Defines the scenario file as serde reads it, before any check.
 
-use crate::bounds::{MAX_PERIOD_MS, MAX_TRIALS};
+use crate::bounds::{MAX_BETWEEN, MAX_PERIOD_MS, MAX_TRIALS};
 use crate::scenario::{Gains, Spread};
 use platebench_plate::RawProfile;
 use schemars::JsonSchema;
@@ -45,6 +45,10 @@ pub struct RawScenario {
     /// Planned faults of line and sensor.
     #[serde(default)]
     pub fault: Vec<RawFault>,
+    /// Scenes that the same controller plays before every trial but the first; not judged.
+    #[serde(default)]
+    #[schemars(length(max = MAX_BETWEEN))]
+    pub between: Vec<RawBetween>,
     /// Expectations; at least one.
     #[serde(default)]
     #[schemars(length(min = 1))]
@@ -54,10 +58,39 @@ pub struct RawScenario {
 impl RawScenario {
     /// The named files, in the order in which they are read.
     pub(crate) fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
-        let RawProfiles { setpoint_um, temperature_offset_k, finger_force_n } = &mut self.profile;
-        let profiles = [setpoint_um, temperature_offset_k, finger_force_n].into_iter();
-        std::iter::once(&mut self.plate).chain(profiles.filter_map(RawProfile::file_name_mut))
+        let own = scene_files(Some(&mut self.plate), &mut self.controller, &mut self.profile);
+        let between = self.between.iter_mut();
+        own.chain(
+            between.flat_map(|scene| scene_files(scene.plate.as_mut(), &mut scene.controller, &mut scene.profile)),
+        )
     }
+}
+
+fn scene_files<'a>(
+    plate: Option<&'a mut PathBuf>,
+    controller: &'a mut RawController,
+    profiles: &'a mut RawProfiles,
+) -> impl Iterator<Item = &'a mut PathBuf> {
+    let RawProfiles { setpoint_um, temperature_offset_k, finger_force_n } = profiles;
+    let profiles = [setpoint_um, temperature_offset_k, finger_force_n].into_iter();
+    let plates = plate.into_iter().chain(&mut controller.design_plate);
+    plates.chain(profiles.filter_map(RawProfile::file_name_mut))
+}
+
+/// `[[between]]`
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawBetween {
+    /// Plate file, relative to this file; default: the plate of the scenario.
+    pub plate: Option<PathBuf>,
+    /// Length, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub duration_ms: f64,
+    /// The controller and its timing, independent of the scenario's.
+    #[serde(default)]
+    pub controller: RawController,
+    /// Setpoint and conditions.
+    pub profile: RawProfiles,
 }
 
 /// `[controller]`
@@ -90,6 +123,8 @@ pub struct RawController {
     pub frequency_slew_hz: Option<f64>,
     /// Gains instead of the law's own design.
     pub gains: Option<Gains>,
+    /// Plate file that the controller is configured for, relative to this file; default: the plate of the scenario.
+    pub design_plate: Option<PathBuf>,
 }
 
 /// `[profile]`

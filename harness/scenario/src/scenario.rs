@@ -2,7 +2,7 @@
 
 use crate::bounds::MAX_SPREAD_PERCENT;
 use crate::diagnostic::Diagnostic;
-use crate::expect::Expectation;
+use crate::expect::{Expectation, Metric};
 use crate::fault::Fault;
 use platebench_plate::{ConditionProfiles, Plate, Profile, Tier, Time};
 use schemars::JsonSchema;
@@ -39,6 +39,8 @@ pub struct Scenario {
     pub conditions: ConditionProfiles,
     pub trials: Trials,
     pub faults: Vec<Fault>,
+    /// Scenes, without expectations, that the same controller plays before every trial but the first.
+    pub between: Vec<Self>,
     /// At least one.
     pub expectations: Vec<Expectation>,
 }
@@ -59,6 +61,8 @@ pub struct Controller {
     /// Bound per period.
     pub frequency_slew_hz: f64,
     pub gains: Option<Gains>,
+    /// The plate that the controller is configured for, if it is not the played one.
+    pub design_plate: Option<Plate>,
 }
 
 /// `[controller.gains]`: gains of both loops.
@@ -108,7 +112,19 @@ impl Scenario {
         self.file.strip_suffix(".toml").unwrap_or(&self.file)
     }
 
-    /// `auto` is the exact tier. `None` if the name is unknown.
+    /// True if the history of the controller is part of the experiment: one controller plays all trials in order.
+    pub fn keeps_controller(&self) -> bool {
+        let mut metrics = self.expectations.iter().map(|expectation| expectation.metric);
+        !self.between.is_empty() || metrics.any(|metric| metric == Metric::TrialDifference)
+    }
+
+    /// The plate that the controller is configured for.
+    pub fn design_plate(&self) -> &Plate {
+        self.controller.design_plate.as_ref().unwrap_or(&self.plate)
+    }
+
+    /// The tier that `model` names on a plate: `auto` is the exact one. `None` if the name is
+    /// unknown.
     pub fn tier_for(model: &str, plate: &Plate) -> Option<Tier> {
         if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
     }

@@ -157,11 +157,7 @@ pub(crate) fn expectations(schema: &mut Schema) {
             required_one_for_rule(Metric::RecoveryTime),
             only_for_rule("metric", named(Metric::has_window), &["window_ms"]),
             only_for_rule("metric", named(Metric::has_signal), &["signal"]),
-            only_for_rule(
-                "metric",
-                named(|metric| metric != Metric::Repeatability),
-                &["over", "quantile", "tolerance_percent"],
-            ),
+            only_for_rule("metric", named(Metric::has_over), &["over", "quantile", "tolerance_percent"]),
             required_for_rule("metric", Metric::ShutdownTime.name(), "from_ms"),
             only_for_rule("over", std::iter::once("quantile"), &["quantile"]),
             json_schema!({ "dependentRequired": { "tolerance_percent": ["about"], "quantile": ["over"] } }),

@@ -41,7 +41,7 @@ fn unreachable_best(expectation: &Expectation, best: Measure) -> Option<BestResp
     let metric = expectation.metric;
     match (metric, best) {
         (_, Measure::Missing(missing)) => Some(BestResponse::Missing(missing)),
-        (_, Measure::Undefined(_)) => None,
+        (_, Measure::Undefined(_) | Measure::Samples(_)) => None,
         // A mean below the setpoint is limited by the drive.
         (Metric::Repeatability, Measure::Value(percent)) => {
             (percent < 100.0 - RATIO_TOLERANCE_PERCENT).then_some(BestResponse::Mean(percent))

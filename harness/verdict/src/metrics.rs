@@ -28,7 +28,7 @@ use window_rows::{window_rows, window_rows_with_previous};
 /// setpoint. A trial with a command that its trace cannot show has no number.
 pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let measure = measure_trace(expectation, rows, telemetry);
-    let has_number = measure.value().is_some();
+    let has_number = !matches!(measure, Measure::Missing(_) | Measure::Undefined(_));
     if telemetry.not_finite.is_some() && has_number && expectation.metric != Metric::MissedReplies {
         return Measure::Missing(MissingValue::NonFiniteDrive);
     }
@@ -62,6 +62,7 @@ fn severity(expectation: &Expectation, measure: &Measure) -> (u8, f64) {
     match measure {
         Measure::Missing(_) => (3, 0.0),
         Measure::Undefined(_) => (1, 0.0),
+        Measure::Samples(_) => (0, 0.0),
         Measure::Value(value) | Measure::Interval([_, value]) => {
             // Only the static error has a sign.
             let exceedance = (lowest - value.abs()).max(value.abs() - highest);
@@ -114,6 +115,10 @@ fn measure_window(
         Metric::RipplePercent => {
             value_or_undefined(ripple().and_then(|um| Ok(um / setpoint().ok_or(UndefinedValue::ZeroSetpoint)? * 100.0)))
         }
+        Metric::TrialDifference => {
+            let control = inside.iter().filter(|row| row.flags.contains(Flags::CONTROL));
+            Measure::Samples(control.map(|row| signal.value_in(row)).collect())
+        }
         Metric::RestDrive => {
             let highest = in_force().iter().map(|row| row.drive_vpp).reduce(f64::max);
             value_or_undefined(highest.ok_or(UndefinedValue::EmptyWindow))
@@ -140,6 +145,7 @@ const fn unknown_on_a_real_plate(metric: Metric) -> Option<UndefinedValue> {
         | Metric::RipplePercent
         | Metric::Ripple
         | Metric::RestDrive
+        | Metric::TrialDifference
         | Metric::ShutdownTime => None,
     }
 }

@@ -61,7 +61,8 @@ pub fn trial_record(scenario: &Scenario, trial: &TrialMeasures, trace: String, w
     let mut by_name = Map::new();
     for (expectation, measure) in scenario.expectations.iter().zip(&trial.measures) {
         let metric = expectation.metric;
-        if metric == Metric::Repeatability {
+        // A single trial cannot be compared.
+        if !metric.has_over() {
             continue;
         }
         let count = counts.entry(metric).or_default();

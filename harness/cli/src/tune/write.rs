@@ -21,7 +21,7 @@ pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) 
     let file = fs::canonicalize(path).map_err(|error| refuse(format!("cannot be read: {error}")))?;
     let name = path.display().to_string();
     let scenario = load(&file, &name)?;
-    if scenario.plate != *target.plate {
+    if *scenario.design_plate() != *target.plate {
         return Err(scenario.diagnostic("plate", "differs from the tuned plate, so the gains do not fit"));
     }
     if scenario.controller.period.wrapping_micros() != target.period_us {

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a failed fixture fails the test")]
 
+mod between;
 mod divergence;
 mod fixtures;
 mod laws;

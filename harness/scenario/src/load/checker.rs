@@ -10,6 +10,8 @@ use std::path::Path;
 pub(super) struct Checker<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
+    /// Table of the checked keys, with a dot at its end: `between.0.`; empty for the whole file.
+    pub(super) prefix: String,
 }
 
 pub(super) struct TrialContext<'a> {
@@ -41,8 +43,12 @@ impl Diagnostics {
 }
 
 impl Checker<'_> {
+    pub(super) fn diagnostic(&self, key: &str, message: impl Into<String>) -> Diagnostic {
+        Diagnostic::at_key(self.path, self.text, &format!("{}{key}", self.prefix), message)
+    }
+
     pub(super) fn error<T>(&self, key: &str, message: impl Into<String>) -> Result<T, Diagnostic> {
-        Err(Diagnostic::at_key(self.path, self.text, key, message))
+        Err(self.diagnostic(key, message))
     }
 
     pub(super) fn require(&self, holds: bool, key: &str, message: impl FnOnce() -> String) -> Result<(), Diagnostic> {

@@ -20,6 +20,7 @@ impl Checker<'_> {
         &self,
         raw: &RawController,
         plate: Option<&Plate>,
+        design_plate: Option<Plate>,
         faults: &mut Diagnostics,
     ) -> Option<Controller> {
         let period = faults.collect(self.period(raw));
@@ -27,7 +28,9 @@ impl Checker<'_> {
             let loop_delay = faults.collect(self.loop_delay(raw, period));
             loop_delay.zip(faults.collect(self.design_delay(raw, period)))
         });
-        let start_frequency_hz = plate.and_then(|plate| faults.collect(self.start_frequency(raw, plate)));
+        let start_frequency_hz = plate
+            .map(|plate| design_plate.as_ref().unwrap_or(plate))
+            .and_then(|plate| faults.collect(self.start_frequency(raw, plate)));
         let mut optional = |key: &str, value: Option<f64>| {
             let checked = |value| self.f32_range(key, self.positive(key, value)?);
             faults.collect(value.map(checked).transpose())
@@ -61,6 +64,7 @@ impl Checker<'_> {
             frequency_range_hz: range?.unwrap_or(DEFAULT_FREQUENCY_RANGE_HZ),
             frequency_slew_hz: slew?.unwrap_or(DEFAULT_FREQUENCY_SLEW_HZ),
             gains: gains?,
+            design_plate,
         })
     }
 

@@ -60,12 +60,8 @@ impl Checker<'_> {
             ("until_ms", raw.until_ms.is_some(), metric.has_from()),
             ("window_ms", raw.window_ms.is_some(), metric.has_window()),
             ("signal", raw.signal.is_some(), metric.has_signal()),
-            (
-                "tolerance_percent",
-                raw.tolerance_percent.is_some(),
-                raw.about.is_some() && metric != Metric::Repeatability,
-            ),
-            ("over", raw.over.is_some(), metric != Metric::Repeatability),
+            ("tolerance_percent", raw.tolerance_percent.is_some(), raw.about.is_some() && metric.has_over()),
+            ("over", raw.over.is_some(), metric.has_over()),
             ("quantile", raw.quantile.is_some(), raw.over.as_deref() == Some("quantile")),
         ] {
             self.require(used || !given, &key(name), || {

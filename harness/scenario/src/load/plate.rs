@@ -15,12 +15,19 @@ pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
 }
 
 impl Checker<'_> {
-    pub(super) fn plate(&self, path: &Path, inputs: &mut Vec<InputFile>, faults: &mut Diagnostics) -> Option<Plate> {
+    /// Reads the plate file that `key` names.
+    pub(super) fn plate(
+        &self,
+        key: &str,
+        path: &Path,
+        inputs: &mut Vec<InputFile>,
+        faults: &mut Diagnostics,
+    ) -> Option<Plate> {
         let text = match input::read(path) {
             Ok(bytes) => faults.collect(decode_text(path, bytes))?,
             Err(error) => {
                 let message = format!("plate file {} cannot be read: {error}", path.display());
-                return faults.collect(self.error("plate", message));
+                return faults.collect(self.error(key, message));
             }
         };
         let plate = parse_plate(path, &text).map_err(|found| faults.0.extend(found)).ok()?;

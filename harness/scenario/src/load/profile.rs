@@ -75,12 +75,10 @@ impl Checker<'_> {
                 let span = record_span(&text, position.record());
                 Diagnostic::at_span(path, &text, span, "not UTF-8, expected a text file in UTF-8")
             }
-            _ => Diagnostic::at_key(
-                self.path,
-                self.text,
-                &format!("{key}.csv"),
-                format!("profile file {} cannot be read: {error}", path.display()),
-            ),
+            _ => {
+                let message = format!("profile file {} cannot be read: {error}", path.display());
+                self.diagnostic(&format!("{key}.csv"), message)
+            }
         }
     }
 
@@ -108,7 +106,7 @@ impl Checker<'_> {
                 return Diagnostic::at_span(&path, &text, span, message);
             }
         };
-        Diagnostic::at_key(self.path, self.text, &key, message)
+        self.diagnostic(&key, message)
     }
 
     fn require_values(

@@ -2,12 +2,14 @@
 
 use super::checker::{Checker, Diagnostics, TrialContext};
 use super::expectation::expectation_names;
+use super::scene::{Scene, SceneSource};
 use crate::bounds::{MAX_SPREAD_PERCENT, MAX_TRIALS};
 use crate::diagnostic::Diagnostic;
+use crate::expect::Metric;
 use crate::raw::{RawScenario, RawTrials};
-use crate::scenario::{AUTO_MODEL, Controller, InputFile, Scenario, Spread, Trials};
+use crate::scenario::{AUTO_MODEL, InputFile, Scenario, Spread, Trials};
 use crate::window::ProfileChanges;
-use platebench_plate::{ConditionProfiles, Plate, RawProfile, Tier, Time};
+use platebench_plate::{Plate, Tier, Time};
 use std::path::Path;
 
 const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
@@ -23,27 +25,15 @@ impl Checker<'_> {
         let one_line = !raw.title.trim().is_empty() && !raw.title.contains(char::is_control);
         faults.collect(self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title)));
         let mut inputs = vec![InputFile { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
-        let plate = self.plate(&folder.join(&raw.plate), &mut inputs, faults);
-        let controller = self.controller(&raw.controller, plate.as_ref(), faults);
-        let positive = self.positive("duration_ms", raw.duration_ms);
-        let duration = faults.collect(positive.and_then(|ms| self.time_from_ms("duration_ms", ms)));
-        let timing = controller.as_ref().zip(duration);
-        let trace_step =
-            timing.and_then(|(controller, duration)| faults.collect(self.timing(&raw, controller, duration)));
-        let mut profile = |key: &str, raw: &RawProfile| faults.collect(self.profile(folder, key, raw, &mut inputs));
-        let setpoint = profile("profile.setpoint_um", &raw.profile.setpoint_um);
-        let temperature_offset_k = profile("profile.temperature_offset_k", &raw.profile.temperature_offset_k);
-        let finger_force_n = profile("profile.finger_force_n", &raw.profile.finger_force_n);
         let trials = faults.collect(self.trials(&raw.trials));
-        if let Some(setpoint) = &setpoint {
-            faults.collect(self.check_setpoints(folder, &raw.profile, setpoint));
-        }
-        let scene = temperature_offset_k.zip(finger_force_n);
-        let scene = scene
-            .map(|(temperature_offset_k, finger_force_n)| ConditionProfiles { temperature_offset_k, finger_force_n });
-        if let (Some(plate), Some(scene), Some(trials)) = (&plate, &scene, &trials) {
-            faults.collect(self.check_conditions(folder, &raw.profile, plate, scene, &trials.spread));
-        }
+        let spread = trials.map(|trials| trials.spread);
+        let plate = self.plate("plate", &folder.join(&raw.plate), &mut inputs, faults);
+        let source = SceneSource { duration_ms: raw.duration_ms, controller: &raw.controller, profile: &raw.profile };
+        let scene = self.scene(folder, &source, plate.as_ref(), spread, &mut inputs, faults);
+        let timing = scene.controller.as_ref().zip(scene.duration);
+        let trace_step = timing.and_then(|(controller, duration)| {
+            faults.collect(self.trace_step(raw.trace_step_ms, duration, controller.period))
+        });
         faults.collect(self.require(raw.expect.len() <= MAX_EXPECTATIONS, "expect", || {
             format!("{} [[expect]], expected at most {MAX_EXPECTATIONS}", raw.expect.len())
         }));
@@ -53,7 +43,9 @@ impl Checker<'_> {
         let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
         let tier = plate.as_ref().and_then(|plate| faults.collect(self.tier(model, plate)));
         let expected_exit = faults.collect(self.expected_exit(raw.expected_exit));
-        let (Some(controller), Some(duration), Some(setpoint), Some(scene)) = (controller, duration, setpoint, scene)
+        let Scene { controller, duration, setpoint, conditions } = scene;
+        let (Some(controller), Some(duration), Some(setpoint), Some(conditions)) =
+            (controller, duration, setpoint, conditions)
         else {
             return None;
         };
@@ -61,7 +53,8 @@ impl Checker<'_> {
         let mut line_faults =
             (0..).zip(&raw.fault).map(|(index, fault)| self.fault(index, fault, duration, controller.period));
         let line_faults = faults.collect_each(&mut line_faults);
-        let changes = ProfileChanges::new(&setpoint, &scene.finger_force_n, &scene.temperature_offset_k, duration);
+        let changes =
+            ProfileChanges::new(&setpoint, &conditions.finger_force_n, &conditions.temperature_offset_k, duration);
         let response_delay = controller.period + controller.loop_delay;
         let trial = TrialContext { duration, response_delay, setpoint: &setpoint, changes, faults: &line_faults };
         let names = expectation_names(&raw.expect);
@@ -73,7 +66,7 @@ impl Checker<'_> {
         if faults.0.len() > count {
             return None;
         }
-        Some(Scenario {
+        let mut scenario = Scenario {
             file: file.to_owned(),
             title: raw.title,
             source: raw.source,
@@ -82,28 +75,19 @@ impl Checker<'_> {
             expected_exit: expected_exit?,
             expectations: expected,
             faults: line_faults,
-            conditions: scene,
-            inputs,
+            between: Vec::new(),
+            conditions,
+            inputs: Vec::new(),
             plate: plate?,
             duration,
             trace_step: trace_step?,
             controller,
             setpoint,
             trials: trials?,
-        })
-    }
-
-    fn timing(&self, raw: &RawScenario, controller: &Controller, duration: Time) -> Result<Time, Diagnostic> {
-        self.require(duration >= controller.period, "duration_ms", || {
-            format!("{} ms, expected at least one control period of {}", raw.duration_ms, controller.period)
-        })?;
-        self.require(controller.loop_delay < duration, "controller.loop_delay_ms", || {
-            format!(
-                "{}, expected less than the scenario's {duration}: nothing would ever reach the plate",
-                controller.loop_delay
-            )
-        })?;
-        self.trace_step(raw.trace_step_ms, duration, controller.period)
+        };
+        faults.collect(self.check_trial_differences(&scenario));
+        scenario.between = self.scenes_between(folder, &raw.between, &scenario, &mut inputs, faults);
+        Some(Scenario { inputs, ..scenario })
     }
 
     fn trace_step(&self, raw: Option<f64>, duration: Time, period: Time) -> Result<Time, Diagnostic> {
@@ -156,6 +140,15 @@ impl Checker<'_> {
         self.require(raw.seed >= 0, "trials.seed", || format!("{}, expected 0 or more", raw.seed))?;
         self.check_spread(&raw.spread)?;
         Ok(Trials { count: raw.count as u32, max_count: max_count as u32, seed: raw.seed as u64, spread: raw.spread })
+    }
+
+    /// A difference between trials needs a second trial.
+    fn check_trial_differences(&self, scenario: &Scenario) -> Result<(), Diagnostic> {
+        let metrics = scenario.expectations.iter().map(|expectation| expectation.metric);
+        let compares = metrics.into_iter().any(|metric| metric == Metric::TrialDifference);
+        self.require(!compares || scenario.trials.count > 1, "trials.count", || {
+            format!("1 trial, expected at least 2 for {}", Metric::TrialDifference)
+        })
     }
 
     fn check_spread(&self, spread: &Spread) -> Result<(), Diagnostic> {

@@ -1,3 +1,4 @@
+mod between;
 mod bounds;
 mod files;
 mod rejected;

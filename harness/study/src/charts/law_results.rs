@@ -126,7 +126,7 @@ impl LawResult {
             let played = play_hosted(&what, &scene.scenario, law, index)?;
             let measured = |expectation| match metrics::measure(expectation, &played.trace_rows, &played.telemetry) {
                 Measure::Value(value) => Some(value),
-                Measure::Interval(_) | Measure::Missing(_) | Measure::Undefined(_) => None,
+                Measure::Interval(_) | Measure::Samples(_) | Measure::Missing(_) | Measure::Undefined(_) => None,
             };
             responses.push(measured(&scene.response_expectation).unwrap_or(f64::INFINITY));
             means.extend(measured(&scene.window_mean_expectation));

@@ -74,12 +74,22 @@ impl ExpectationJudge<'_> {
             Measure::Value(value) if self.expectation.metric == Metric::StaticError => Some([value.abs(); 2]),
             Measure::Value(value) => Some([*value; 2]),
             Measure::Interval(ends) => Some(*ends),
+            Measure::Samples(samples) => Some([self.difference_from_first(samples); 2]),
             Measure::Missing(_) if matches!(self.expectation.aggregation, Aggregation::Quantile(_)) => Some(
                 [if matches!(self.expectation.limit, Limit::AtLeast(_)) { f64::NEG_INFINITY } else { f64::INFINITY };
                     2],
             ),
             Measure::Missing(_) | Measure::Undefined(_) => None,
         }
+    }
+
+    /// Infinite if the first trial has another number of control instants.
+    fn difference_from_first(&self, samples: &[f64]) -> f64 {
+        let Some((_, Measure::Samples(first))) = self.counted_trials().next() else { return f64::INFINITY };
+        if first.len() != samples.len() {
+            return f64::INFINITY;
+        }
+        first.iter().zip(samples).map(|(one, other)| (one - other).abs()).fold(0.0, f64::max)
     }
 
     /// In units of the metric.
@@ -106,7 +116,8 @@ impl ExpectationJudge<'_> {
 
     fn judge_trial(&self, statistic: Statistic, trial: &TrialMeasures, measure: &Measure) -> Outcome {
         let limit = self.expectation.limit;
-        let value = measure.value().and_then(|_| self.value_interval(measure)).map(|[_, high]| high);
+        let has_value = !matches!(measure, Measure::Missing(_) | Measure::Undefined(_));
+        let value = self.value_interval(measure).filter(|_| has_value).map(|[_, high]| high);
         let outcome = Outcome { value, ..Outcome::pass(statistic) };
         let reason = |divergence, finding| Reason::Trial {
             trial: trial.index,
@@ -219,10 +230,13 @@ impl ExpectationJudge<'_> {
         let count_from = |least: u8| rated.iter().filter(|((severity, _), _)| *severity >= least).count() as u32;
         let (failed, not_passed, count) = (count_from(2), count_from(1), rated.len() as u32);
         let worst = rated.into_iter().reduce(|worst, other| if other.0 > worst.0 { other } else { worst });
+        let too_few = |needed| Reason::TooFewTrials { counted: count as usize, needed };
         let Some((_, outcome)) = worst else {
-            let reason = Reason::TooFewTrials { counted: 0, needed: 1 };
-            return Outcome::pass(Statistic::Worst).inconclusive(Cause::Evidence, reason);
+            return Outcome::pass(Statistic::Worst).inconclusive(Cause::Evidence, too_few(1));
         };
+        if self.expectation.metric == Metric::TrialDifference && count == 1 && outcome.verdict == Verdict::Pass {
+            return outcome.inconclusive(Cause::Evidence, too_few(2));
+        }
         let outcome = Outcome { interval, ..outcome };
         if self.can_be_deterministic() && all_equal(&spans) {
             outcome

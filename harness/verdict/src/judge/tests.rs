@@ -22,6 +22,7 @@ mod mean_and_deviation;
 mod over_trials;
 mod record;
 mod sequential;
+mod trial_difference;
 
 const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
 

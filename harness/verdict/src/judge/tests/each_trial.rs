@@ -96,7 +96,7 @@ fn a_failure_outweighs_a_trial_without_a_number() {
     let undefined = Measure::Undefined(UndefinedValue::NoSetpointStep);
     let with = |others: [Measure; 2]| -> Vec<_> {
         (0..)
-            .zip([undefined].into_iter().chain(others))
+            .zip([undefined.clone()].into_iter().chain(others))
             .map(|(index, measure)| trial_measures(index, &[measure]))
             .collect()
     };
@@ -154,7 +154,7 @@ fn a_stopped_controller_fails() {
         })
         .collect();
     let expect: Vec<_> = expect.iter().map(String::as_str).collect();
-    let scenario = ScenarioBuilder { expect: &expect, ..BASE }.scenario();
+    let scenario = ScenarioBuilder { expect: &expect, trials: 2, ..BASE }.scenario();
     let mut rows = trace_rows(&scenario, |_| 2.0);
     for row in rows.iter_mut().skip(900) {
         (row.flags, row.drive_vpp) = (Flags::SAFE, 0.0);

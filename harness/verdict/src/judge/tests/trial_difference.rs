@@ -1,0 +1,39 @@
+//! Trials that are compared with the first one.
+
+use super::*;
+
+fn trials(signals: &[Vec<f64>]) -> Vec<TrialMeasures> {
+    (0..).zip(signals).map(|(index, signal)| trial_measures(index, &[Measure::Samples(signal.clone())])).collect()
+}
+
+#[rstest]
+#[case::equal(&[vec![1.0, 2.0], vec![1.0, 2.0], vec![1.0, 2.0]], PASS)]
+#[case::at_the_limit(&[vec![1.0, 2.0], vec![1.0, 2.25], vec![1.0, 2.0]], PASS)]
+#[case::in_one_sample(&[vec![1.0, 2.0], vec![1.0, 2.0], vec![1.0, 1.7]], FAIL)]
+#[case::another_length(&[vec![1.0, 2.0], vec![1.0, 2.0], vec![1.0]], FAIL)]
+#[case::a_single_trial(&[vec![1.0, 2.0]], inconclusive(Cause::Evidence))]
+fn compares_each_trial_with_the_first(#[case] signals: &[Vec<f64>], #[case] expected: (Verdict, Option<Cause>)) {
+    let expect = &["metric = \"trial_difference_um\", at_most = 0.25"];
+    let scenario = ScenarioBuilder { expect, trials: 3, ..BASE }.scenario();
+    assert_eq!(verdict_and_cause(&scenario, &trials(signals)), expected);
+}
+
+#[test]
+fn reports_the_largest_difference_and_its_trial() {
+    let expect = &["metric = \"trial_difference_um\", at_most = 0.25"];
+    let scenario = ScenarioBuilder { expect, trials: 3, ..BASE }.scenario();
+    let record = judge_single_expectation(&scenario, &trials(&[vec![1.0], vec![1.5], vec![1.3]]));
+    assert_eq!(record.value, Some(0.5));
+    assert!(matches!(record.reason, Some(Reason::Trial { trial: 1, .. })), "{:?}", record.reason);
+}
+
+#[test]
+fn measures_the_signal_at_control_instants_of_the_window() {
+    let expect = &["metric = \"trial_difference_um\", at_most = 0.25, from_ms = 1.0, signal = \"wd_um\""];
+    let scenario = ScenarioBuilder { expect, trials: 2, ..BASE }.scenario();
+    let row = |t_ms: f64, wd_um: f64, flags| Row { t_s: t_ms / 1e3, wd_um, flags, ..Row::default() };
+    let control = Flags::CONTROL;
+    let rows = [row(0.0, 1.0, control), row(1.0, 2.0, control), row(1.5, 3.0, Flags::empty()), row(2.0, 4.0, control)];
+    let measures = measure(&scenario, 0, &rows, &Telemetry::default()).measures;
+    assert_eq!(measures, [Measure::Samples(vec![2.0, 4.0])]);
+}
