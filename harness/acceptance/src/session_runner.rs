@@ -253,7 +253,7 @@ impl<'a> SessionRunner<'a> {
 fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, AcceptError> {
     let folder = &config.out;
     let mut record = SessionRecord::read(folder)?;
-    if is_sealed(folder, &record) {
+    if has_sealed_manifest(folder, &record) {
         return Err(AcceptError::Finished(folder.clone()));
     }
     check_unchanged(&record, new)?;
@@ -281,7 +281,7 @@ fn ask_details(mut record: SessionRecord, hooks: &SessionHooks<'_>) -> SessionRe
     record
 }
 
-fn is_sealed(folder: &Path, record: &SessionRecord) -> bool {
+fn has_sealed_manifest(folder: &Path, record: &SessionRecord) -> bool {
     let exists = |name: &str| folder.join(name).exists();
     record.complete && exists(manifest::FILE) && (record.signature.is_none() || exists(signature::FILE))
 }

@@ -7,7 +7,7 @@ use crate::stdio;
 use clap::{Args, Command};
 use platebench_acceptance::Plan;
 use platebench_runner::law;
-use platebench_scenario::{Diagnostic, FileKind, list_files, load, load_with_diagnostics, unjudged_changes};
+use platebench_scenario::{Diagnostic, FileKind, list_files, load, load_with_all_errors, unjudged_changes};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -27,7 +27,7 @@ pub(crate) struct CheckArgs {
 
 fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) -> Vec<Diagnostic> {
     match kind {
-        FileKind::Scenario => match load_with_diagnostics(path, name) {
+        FileKind::Scenario => match load_with_all_errors(path, name) {
             Ok(scenario) => law(&scenario).err().into_iter().collect(),
             Err(faults) => faults,
         },

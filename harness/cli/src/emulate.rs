@@ -205,12 +205,12 @@ impl PlateServer {
             let inputs = ManualInputs { setpoint_um: self.scenario.setpoint.range().1, ..ManualInputs::default() };
             let (control, cancel) = (Arc::clone(&control), cancel.clone());
             if self.view_sender.is_none() {
-                print_note(KEYS);
+                print_on_stderr(KEYS);
             }
             // Never joined: a terminal that hung up blocks it until the program ends.
             thread::spawn(move || handle_keys(inputs, &control, &cancel));
         }
-        print_note("waiting for a controller");
+        print_on_stderr("waiting for a controller");
         while !cancel.is_cancelled() {
             let started = Instant::now();
             let Ok(mut session) = Session::open(FaultInjector::new(&mut link)) else {
@@ -221,7 +221,7 @@ impl PlateServer {
                 thread::sleep(RETRY_INTERVAL.saturating_sub(started.elapsed()));
                 continue;
             };
-            print_note(&format!("controller: {}", session.firmware_name()));
+            print_on_stderr(&format!("controller: {}", session.firmware_name()));
             let spec =
                 TrialSpec { scenario: &self.scenario, law: self.law, index: 0, wire_time: false, own_clock: true };
             loop {
@@ -230,11 +230,11 @@ impl PlateServer {
                 match play(&mut session, &spec, self.time_base, cancel, &control, tap.tap(), consume) {
                     EmulationEnd::Stopped(reason) => {
                         let reason = reason.as_deref().unwrap_or("without a reason");
-                        print_note(&format!("the controller stopped ({reason}) and is configured again"));
+                        print_on_stderr(&format!("the controller stopped ({reason}) and is configured again"));
                         thread::sleep(RETRY_INTERVAL);
                     }
                     EmulationEnd::Lost(error) => {
-                        print_note(&format!("{error}; waiting for a controller"));
+                        print_on_stderr(&format!("{error}; waiting for a controller"));
                         break;
                     }
                     EmulationEnd::Cancelled => break,
@@ -319,7 +319,7 @@ fn handle_keys(mut inputs: ManualInputs, control: &ManualControl, cancel: &Cance
 }
 
 /// The status line has no line end. Raw mode needs the carriage returns.
-fn print_note(text: &str) {
+fn print_on_stderr(text: &str) {
     stdio::note(&if stdin().is_terminal() { format!("\r\u{1b}[K{text}\r") } else { text.to_owned() });
 }
 

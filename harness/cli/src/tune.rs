@@ -37,7 +37,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
         Ok(spread) => spread,
         Err(fault) => return stdio::reject_file(&fault),
     };
-    let tuning = match design(&target, arguments.reading(), &spread) {
+    let tuning = match design(&target, arguments.discretisation(), &spread) {
         Ok(tuning) => tuning,
         Err(error) => return stdio::reject(&error),
     };

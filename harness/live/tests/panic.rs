@@ -10,12 +10,12 @@ use std::io::Read;
 use std::process::{Command, Stdio};
 use std::thread;
 
-const MESSAGE: &str = "the bench comes to grief";
+const MESSAGE: &str = "a panic on purpose";
 
 /// Not a test: the test below starts it as a process in a terminal.
 #[test]
 #[ignore = "started by the other one"]
-fn grief() {
+fn panics_on_purpose() {
     let subject = RunDescription {
         command: "run",
         rig: String::new(),
@@ -30,7 +30,7 @@ fn grief() {
 }
 
 #[test]
-fn a_panic_gives_the_terminal_back_and_is_told_afterwards() {
+fn a_panic_restores_the_terminal_before_its_message() {
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
     grantpt(&master).unwrap();
     unlockpt(&master).unwrap();
@@ -40,7 +40,7 @@ fn a_panic_gives_the_terminal_back_and_is_told_afterwards() {
     let before = tcgetattr(&line).unwrap();
     let end = || Stdio::from(line.try_clone().unwrap());
     let mut command = Command::new(std::env::current_exe().unwrap());
-    command.args(["--exact", "grief", "--ignored", "--nocapture"]).env("TERM", "xterm-256color");
+    command.args(["--exact", "panics_on_purpose", "--ignored", "--nocapture"]).env("TERM", "xterm-256color");
     let mut child = command.stdin(Stdio::null()).stdout(end()).stderr(end()).spawn().unwrap();
     drop(command);
     let mut output = File::from(master);

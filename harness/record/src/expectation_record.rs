@@ -61,7 +61,7 @@ impl MetricDefinition {
     pub fn of(expectation: &Expectation) -> Self {
         let metric = expectation.metric;
         Self {
-            from_ms: expectation.from.filter(|_| metric.has_from()).map(Time::ms),
+            from_ms: expectation.from.filter(|_| metric.has_from_ms()).map(Time::ms),
             band_percent: metric.has_band().then_some(expectation.band_percent),
             signal: metric.has_signal().then(|| expectation.signal.to_owned()),
         }

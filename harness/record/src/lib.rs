@@ -26,7 +26,7 @@ pub use expectation_record::{Evidence, EvidenceMethod, ExpectationRecord, Metric
 pub use missing_value::{MissingValue, UndefinedValue};
 pub use platebench_scenario::{Limit, Metric};
 pub use real_plate::{OperatorRequest, RealPlateRecord};
-pub use reason::{DivergedTrials, Divergence, Reason, TrialFinding, TrialReason, WideBounds, percent};
+pub use reason::{DivergedTrials, Divergence, Reason, TrialFinding, TrialReason, WideBoundsCause, percent};
 pub use run_folder::{FolderError, RunFolder, sha256, sha256_of_file, to_hex, trace_path};
 pub use run_record::{
     ClockKind, FORMAT, Firmware, Host, InputRecord, NotApplicable, Overrides, RigRecord, RunRecord, ScenarioRecord,

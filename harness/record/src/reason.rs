@@ -94,7 +94,7 @@ impl fmt::Display for DivergedTrials {
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Error)]
 #[serde(rename_all = "snake_case")]
-pub enum WideBounds {
+pub enum WideBoundsCause {
     #[error("a bound of the {} quantile needs {needed} trials, {trials} were run", percent(*share))]
     TooFewForQuantile {
         share: f64,
@@ -150,7 +150,7 @@ pub enum Reason {
         trials: usize,
         bounds: Bounds,
         limit: Limit,
-        cause: Option<WideBounds>,
+        cause: Option<WideBoundsCause>,
     },
     /// All trials gave the same value, so they show no repeatability.
     NoVariation {

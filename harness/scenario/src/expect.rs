@@ -116,12 +116,12 @@ impl Metric {
     }
 
     /// True if `window_ms` applies: the signal is averaged or compared over an interval.
-    pub const fn has_window(self) -> bool {
+    pub const fn has_window_ms(self) -> bool {
         matches!(self, Self::StaticError | Self::Repeatability | Self::RipplePercent | Self::Ripple)
     }
 
     /// True if `from_ms` and `until_ms` apply; the other metrics cover the whole trial.
-    pub const fn has_from(self) -> bool {
+    pub const fn has_from_ms(self) -> bool {
         !matches!(self, Self::LoopDelay | Self::InstructionsPerStep)
     }
 
@@ -161,7 +161,7 @@ impl Metric {
     }
 
     pub const fn has_signal(self) -> bool {
-        self.has_band() || self.has_window() || matches!(self, Self::Overshoot | Self::TrialDifference)
+        self.has_band() || self.has_window_ms() || matches!(self, Self::Overshoot | Self::TrialDifference)
     }
 }
 

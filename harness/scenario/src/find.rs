@@ -2,7 +2,7 @@
 
 use crate::diagnostic::Diagnostic;
 use crate::file_kind::FileKind;
-use crate::load::load_with_diagnostics;
+use crate::load::load_with_all_errors;
 use crate::scenario::Scenario;
 use platebench_plate::input;
 use std::collections::{BTreeMap, BTreeSet};
@@ -67,7 +67,7 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     let copies = copies.into_iter().collect();
     let mut found = FoundScenarios { scenarios: Vec::new(), skipped: Vec::new(), empty_folders: empty, copies };
     for (path, name, own) in files.into_values() {
-        match load_with_diagnostics(&path, &name) {
+        match load_with_all_errors(&path, &name) {
             Ok(scenario) if scenario.expected_exit.is_some() && !own => found.skipped.push(name),
             Ok(scenario) => found.scenarios.push(scenario),
             Err(found) => faults.extend(found),

@@ -20,7 +20,7 @@ pub use expect::{Aggregation, Expectation, Limit, Metric};
 pub use fault::{Direction, Fault, FaultKind};
 pub use file_kind::{FileKind, SETTINGS_FILE};
 pub use find::{FoundScenarios, find, list_files};
-pub use load::{load, load_copies, load_with_diagnostics};
+pub use load::{load, load_copies, load_with_all_errors};
 pub use parse::parse;
 pub use platebench_plate::input;
 pub use scenario::{AUTO_MODEL, Controller, Gains, InputFile, Scenario, Spread, Trials};

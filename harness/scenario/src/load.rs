@@ -23,12 +23,12 @@ use text::read_text;
 
 /// Records call the scenario at `path` `file`. Returns the first error of its files.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
-    load_with_diagnostics(path, file).map_err(|faults| first_diagnostic(path, faults))
+    load_with_all_errors(path, file).map_err(|faults| first_diagnostic(path, faults))
 }
 
 /// Like [`load()`], with every error that does not depend on another one, and the first of each
 /// `[[fault]]` and `[[expect]]`.
-pub fn load_with_diagnostics(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
+pub fn load_with_all_errors(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
     load_from(path, file, &[])
 }
 

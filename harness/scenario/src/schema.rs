@@ -145,7 +145,7 @@ pub(crate) fn expectations(schema: &mut Schema) {
         schema,
         vec![
             only_for_rule("metric", named(Metric::has_band), &["band_percent"]),
-            only_for_rule("metric", named(Metric::has_from), &["from_ms", "until_ms"]),
+            only_for_rule("metric", named(Metric::has_from_ms), &["from_ms", "until_ms"]),
             only_for_rule("metric", named(has_any_after), &["after"]),
             json_schema!({ "if": { "required": ["after"] }, "then": {
                 "properties": { "from_ms": false, "until_ms": false, "window_ms": false },
@@ -155,7 +155,7 @@ pub(crate) fn expectations(schema: &mut Schema) {
             } }),
             required_one_for_rule(Metric::PeakDeviation),
             required_one_for_rule(Metric::RecoveryTime),
-            only_for_rule("metric", named(Metric::has_window), &["window_ms"]),
+            only_for_rule("metric", named(Metric::has_window_ms), &["window_ms"]),
             only_for_rule("metric", named(Metric::has_signal), &["signal"]),
             only_for_rule("metric", named(Metric::has_over), &["over", "quantile", "tolerance_percent"]),
             required_for_rule("metric", Metric::ShutdownTime.name(), "from_ms"),

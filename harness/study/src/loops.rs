@@ -15,7 +15,7 @@ pub mod tuning;
 
 pub use case::{LoopCase, OperatingCondition};
 pub use closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
-pub use controller::{LinearController, LoopChannel, PiGains, Reading};
+pub use controller::{Discretisation, LinearController, LoopChannel, PiGains};
 pub use margins::{StabilityMargins, delay_boundary};
 pub use measured_boundary::{LoopMotion, LoopSimulation};
 pub use plain_loops::{PlainLoops, StartResult};

@@ -107,7 +107,7 @@ fn the_firmware_behaves_as_predicted_for_every_reading() {
 #[case::period(&["--response-ms", "0.5"], 900.0, 1, "period")]
 #[case::phase(&["--phase-margin-deg", "70"], 900.0, 1, "phase-margin")]
 #[case::out_of_reach(&["--setpoint-um", "7"], 900.0, 1, "out-of-reach")]
-#[case::too_fast_over_a_line(&["--delay-ms", "0.52"], 900.0, 1, "reading")]
+#[case::too_fast_over_a_line(&["--delay-ms", "0.52"], 900.0, 1, "discretisation")]
 fn an_unmet_demand_is_neither_written_nor_sent(
     #[case] arguments: &[&str],
     #[case] limit: f64,

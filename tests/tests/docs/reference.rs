@@ -73,8 +73,8 @@ fn append_metrics(page: &mut String) {
     for metric in Metric::ALL {
         let options = [
             (metric.has_band(), "`band_percent`"),
-            (metric.has_from(), "`from_ms`"),
-            (metric.has_window(), "`window_ms`"),
+            (metric.has_from_ms(), "`from_ms`"),
+            (metric.has_window_ms(), "`window_ms`"),
             (metric.has_signal(), "`signal`"),
         ];
         let options: Vec<_> = options.iter().filter_map(|(has, name)| has.then_some(*name)).collect();

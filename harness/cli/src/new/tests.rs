@@ -1,5 +1,5 @@
 use super::{NewError, PLATE, PLATE_FILE, write_files};
-use platebench_scenario::load_with_diagnostics;
+use platebench_scenario::load_with_all_errors;
 use platebench_wire::LawId;
 use rstest::rstest;
 use std::fs;
@@ -12,7 +12,7 @@ fn what_is_written_can_be_read_for_every_law() {
         let files = write_files(folder.path(), "mine", law).unwrap();
         assert_eq!(files, [folder.path().join("mine.toml"), folder.path().join(PLATE_FILE)]);
         let scenario =
-            load_with_diagnostics(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{law}: {faults:?}"));
+            load_with_all_errors(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{law}: {faults:?}"));
         assert_eq!((scenario.controller.law.as_str(), scenario.title.as_str()), (law, "mine"));
     }
 }
@@ -29,7 +29,7 @@ fn what_is_commented_out_can_be_read_as_well() {
     let whole: Vec<_> = text.lines().map(|line| if is_key(line) { &line[2..] } else { line }).collect();
     assert!(whole.len() > 30 && whole.contains(&"[trials.spread]") && whole.contains(&"kind = \"drop\""));
     fs::write(&files[0], whole.join("\n")).unwrap();
-    let scenario = load_with_diagnostics(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
+    let scenario = load_with_all_errors(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
     assert_eq!((scenario.trials.count, scenario.faults.len()), (30, 1));
 }
 
@@ -68,7 +68,7 @@ fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] fi
         text.starts_with(&format!("#:schema {}schema/scenario.json\n", plate.trim_end_matches("plates/"))),
         files.len() == 1
     );
-    assert!(load_with_diagnostics(&files[0], "a.toml").is_ok());
+    assert!(load_with_all_errors(&files[0], "a.toml").is_ok());
 }
 
 #[rstest]
@@ -87,6 +87,6 @@ fn what_is_no_name_is_refused(#[case] name: &str) {
 fn a_name_with_quotes_is_a_title() {
     let folder = tempdir().unwrap();
     let files = write_files(folder.path(), "a \"b\" \\c", "dq-pi").unwrap();
-    let scenario = load_with_diagnostics(&files[0], "a.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
+    let scenario = load_with_all_errors(&files[0], "a.toml").unwrap_or_else(|faults| panic!("{faults:?}"));
     assert_eq!(scenario.title, "a \"b\" \\c");
 }

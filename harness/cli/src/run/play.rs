@@ -156,9 +156,6 @@ fn report_run_error(error: &RunError, folder: &RunFolder) {
 }
 
 fn note_not_applicable(record: &RunRecord) {
-    for scenario in &record.not_applicable {
-        stdio::note(&format!("{}: not applicable, {}", scenario.file, scenario.reason));
-    }
     match record.not_applicable.len() {
         0 => {}
         1 => stdio::note("1 scenario is not applicable to this controller"),

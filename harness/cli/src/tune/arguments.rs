@@ -7,7 +7,7 @@ use clap::builder::PossibleValuesParser;
 use platebench_plate::{Plate, Uncertainty};
 use platebench_rig::RigSpec;
 use platebench_scenario::Diagnostic;
-use platebench_study::loops::Reading;
+use platebench_study::loops::Discretisation;
 use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::spread::PlateSpread;
 use platebench_wire::LawId;
@@ -188,7 +188,7 @@ impl TuneArgs {
         LawId::from_name(&self.law).unwrap_or(LawId::DqPi)
     }
 
-    pub(super) fn reading(&self) -> Reading {
-        if self.law() == LawId::DqPiEuler { Reading::Forward } else { Reading::Matched }
+    pub(super) fn discretisation(&self) -> Discretisation {
+        if self.law() == LawId::DqPiEuler { Discretisation::Forward } else { Discretisation::Matched }
     }
 }

@@ -70,7 +70,7 @@ impl Microcontroller {
         true
     }
 
-    pub(super) fn used_instances(&self) -> Vec<&'static str> {
+    pub(super) fn instances_the_firmware_used(&self) -> Vec<&'static str> {
         let slots = self.mcu.bus().slots().iter().zip(&self.used);
         slots.filter(|(_, used)| **used).map(|(slot, _)| slot.peripheral().name).collect()
     }

@@ -250,7 +250,7 @@ impl Target for Machine {
     }
 
     fn status(&self) -> TargetStatus {
-        TargetStatus { place: self.code_location(), instances: self.session.board().part.used_instances() }
+        TargetStatus { place: self.code_location(), instances: self.session.board().part.instances_the_firmware_used() }
     }
 
     fn stack_used(&self) -> Option<u32> {

@@ -27,16 +27,16 @@ pub(super) struct TrialContext<'a> {
 pub(super) struct Diagnostics(pub(super) Vec<Diagnostic>);
 
 impl Diagnostics {
-    pub(super) fn collect<T>(&mut self, result: Result<T, Diagnostic>) -> Option<T> {
+    pub(super) fn record_error<T>(&mut self, result: Result<T, Diagnostic>) -> Option<T> {
         result.map_err(|error| self.0.push(error)).ok()
     }
 
-    pub(super) fn collect_each<T>(&mut self, results: &mut dyn Iterator<Item = Result<T, Diagnostic>>) -> Vec<T> {
+    pub(super) fn record_errors<T>(&mut self, results: &mut dyn Iterator<Item = Result<T, Diagnostic>>) -> Vec<T> {
         let mut kept = Vec::new();
         while self.0.len() < MAX_DIAGNOSTICS
             && let Some(result) = results.next()
         {
-            kept.extend(self.collect(result));
+            kept.extend(self.record_error(result));
         }
         kept
     }
@@ -75,7 +75,7 @@ impl Checker<'_> {
         }
     }
 
-    pub(super) fn named<T: Copy, const N: usize>(
+    pub(super) fn find_by_name<T: Copy, const N: usize>(
         &self,
         key: &str,
         what: &str,

@@ -23,36 +23,36 @@ impl Checker<'_> {
         design_plate: Option<Plate>,
         faults: &mut Diagnostics,
     ) -> Option<Controller> {
-        let period = faults.collect(self.period(raw));
+        let period = faults.record_error(self.period(raw));
         let delays = period.and_then(|period| {
-            let loop_delay = faults.collect(self.loop_delay(raw, period));
-            loop_delay.zip(faults.collect(self.design_delay(raw, period)))
+            let loop_delay = faults.record_error(self.loop_delay(raw, period));
+            loop_delay.zip(faults.record_error(self.design_delay(raw, period)))
         });
         let start_frequency_hz = plate
             .map(|plate| design_plate.as_ref().unwrap_or(plate))
-            .and_then(|plate| faults.collect(self.start_frequency(raw, plate)));
+            .and_then(|plate| faults.record_error(self.start_frequency(raw, plate)));
         let mut optional = |key: &str, value: Option<f64>| {
             let checked = |value| self.f32_range(key, self.positive(key, value)?);
-            faults.collect(value.map(checked).transpose())
+            faults.record_error(value.map(checked).transpose())
         };
         let range = optional("controller.frequency_range_hz", raw.frequency_range_hz);
         let slew = optional("controller.frequency_slew_hz", raw.frequency_slew_hz);
         let key = "controller.frequency_range_hz";
         if let (Some(Some(range)), Some(start_frequency_hz)) = (range, start_frequency_hz) {
-            faults.collect(self.require(range < start_frequency_hz, key, || {
+            faults.record_error(self.require(range < start_frequency_hz, key, || {
                 format!("{range} Hz, expected less than the start frequency of {start_frequency_hz:.1} Hz")
             }));
         }
         let law = raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned());
-        faults.collect(
+        faults.record_error(
             self.require(!law.trim().is_empty(), "controller.law", || {
                 "an empty name, expected a control law".to_owned()
             }),
         );
         let key = "controller.response_time_ms";
         let checked = |value| self.f32_range(key, self.positive(key, value)?);
-        let response_time_ms = faults.collect(raw.response_time_ms.map(checked).transpose());
-        let gains = faults.collect(raw.gains.map(|gains| self.gains(gains)).transpose());
+        let response_time_ms = faults.record_error(raw.response_time_ms.map(checked).transpose());
+        let gains = faults.record_error(raw.gains.map(|gains| self.gains(gains)).transpose());
         let (loop_delay, design_delay) = delays?;
         Some(Controller {
             law,

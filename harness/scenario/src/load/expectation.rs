@@ -56,9 +56,9 @@ impl Checker<'_> {
         };
         for (name, given, used) in [
             ("band_percent", raw.band_percent.is_some(), metric.has_band()),
-            ("from_ms", raw.from_ms.is_some(), metric.has_from()),
-            ("until_ms", raw.until_ms.is_some(), metric.has_from()),
-            ("window_ms", raw.window_ms.is_some(), metric.has_window()),
+            ("from_ms", raw.from_ms.is_some(), metric.has_from_ms()),
+            ("until_ms", raw.until_ms.is_some(), metric.has_from_ms()),
+            ("window_ms", raw.window_ms.is_some(), metric.has_window_ms()),
             ("signal", raw.signal.is_some(), metric.has_signal()),
             ("tolerance_percent", raw.tolerance_percent.is_some(), raw.about.is_some() && metric.has_over()),
             ("over", raw.over.is_some(), metric.has_over()),
@@ -80,7 +80,8 @@ impl Checker<'_> {
         let one_line = !name.trim().is_empty() && !name.contains(char::is_control);
         self.require(one_line, &key("name"), || format!("{name:?}, expected one line of text"))?;
         let column = raw.signal.as_deref().unwrap_or("amplitude_um");
-        let signal = self.named(&key("signal"), "unknown signal ", column, SIGNALS.map(|signal| (signal, signal)))?;
+        let signal =
+            self.find_by_name(&key("signal"), "unknown signal ", column, SIGNALS.map(|signal| (signal, signal)))?;
         let (after, windows) = self.windows(&key, raw, metric, trial)?;
         let tolerance_percent = raw.tolerance_percent.unwrap_or(DEFAULT_TOLERANCE_PERCENT);
         Ok(Expectation {

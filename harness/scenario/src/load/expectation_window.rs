@@ -15,7 +15,7 @@ fn reconfiguration_time(faults: &[Fault], from: Time, duration: Time) -> Time {
 }
 
 /// The parts in which the setpoint is 0 and the controller had time to follow it.
-fn rest_windows(window: Window, trial: &TrialContext<'_>) -> Vec<Window> {
+fn windows_at_setpoint_zero(window: Window, trial: &TrialContext<'_>) -> Vec<Window> {
     let Profile::Hold(points) = trial.setpoint else { return Vec::new() };
     let ends = points.iter().skip(1).map(|point| point.0).chain([trial.duration]);
     let starts = points.iter().enumerate().map(|(index, point)| if index == 0 { Time::ZERO } else { point.0 });
@@ -52,7 +52,7 @@ impl Checker<'_> {
         }
         let window = self.bounded_window(key, raw, metric, trial)?;
         if metric == Metric::RestDrive {
-            let windows = rest_windows(window, trial);
+            let windows = windows_at_setpoint_zero(window, trial);
             self.require(!windows.is_empty(), &key("metric"), || {
                 format!("the setpoint is never 0 for longer than {}, expected a rest", trial.response_delay)
             })?;
@@ -68,7 +68,7 @@ impl Checker<'_> {
         metric: Metric,
     ) -> Result<ChangingProfile, Diagnostic> {
         let all = ChangingProfile::ALL.map(|profile| (profile.name(), profile));
-        let profile = self.named(&key("after"), "unknown profile ", name, all)?;
+        let profile = self.find_by_name(&key("after"), "unknown profile ", name, all)?;
         self.require(metric.has_after(profile), &key("after"), || {
             format!("`after = \"{name}\"` does not apply to {metric}")
         })?;
@@ -94,7 +94,7 @@ impl Checker<'_> {
         self.require(!windows.is_empty(), key, || {
             format!("the setpoint is 0 after every change of the {name}, expected one above 0")
         })?;
-        if metric.has_window() {
+        if metric.has_window_ms() {
             for window in &mut windows {
                 *window = window.last_third();
             }
@@ -139,7 +139,7 @@ impl Checker<'_> {
                 format!("{metric} without `from_ms`, expected the instant of the disturbance")
             })?;
             window.to = window.to.min(reconfiguration_time(trial.faults, start, duration));
-        } else if metric.has_window() {
+        } else if metric.has_window_ms() {
             let name = key(if bounded { "from_ms" } else { "window_ms" });
             if !bounded {
                 window = self.mean_window(&name, raw.window_ms, duration)?;

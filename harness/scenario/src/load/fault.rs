@@ -96,7 +96,7 @@ impl Checker<'_> {
     fn direction(&self, key: &impl Fn(&str) -> String, raw: &RawFault) -> Result<Direction, Diagnostic> {
         let Some(name) = raw.direction.as_deref() else { return Ok(Direction::default()) };
         let all = Direction::ALL.map(|direction| (direction.name(), direction));
-        self.named(&key("direction"), "unknown direction ", name, all)
+        self.find_by_name(&key("direction"), "unknown direction ", name, all)
     }
 }
 

@@ -24,10 +24,10 @@ impl Checker<'_> {
         faults: &mut Diagnostics,
     ) -> Option<Plate> {
         let text = match input::read(path) {
-            Ok(bytes) => faults.collect(decode_text(path, bytes))?,
+            Ok(bytes) => faults.record_error(decode_text(path, bytes))?,
             Err(error) => {
                 let message = format!("plate file {} cannot be read: {error}", path.display());
-                return faults.collect(self.error(key, message));
+                return faults.record_error(self.error(key, message));
             }
         };
         let plate = parse_plate(path, &text).map_err(|found| faults.0.extend(found)).ok()?;

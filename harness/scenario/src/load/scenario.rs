@@ -23,26 +23,26 @@ impl Checker<'_> {
     pub(super) fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Diagnostics) -> Option<Scenario> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         let one_line = !raw.title.trim().is_empty() && !raw.title.contains(char::is_control);
-        faults.collect(self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title)));
+        faults.record_error(self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title)));
         let mut inputs = vec![InputFile { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
-        let trials = faults.collect(self.trials(&raw.trials));
+        let trials = faults.record_error(self.trials(&raw.trials));
         let spread = trials.map(|trials| trials.spread);
         let plate = self.plate("plate", &folder.join(&raw.plate), &mut inputs, faults);
         let source = SceneSource { duration_ms: raw.duration_ms, controller: &raw.controller, profile: &raw.profile };
         let scene = self.scene(folder, &source, plate.as_ref(), spread, &mut inputs, faults);
         let timing = scene.controller.as_ref().zip(scene.duration);
         let trace_step = timing.and_then(|(controller, duration)| {
-            faults.collect(self.trace_step(raw.trace_step_ms, duration, controller.period))
+            faults.record_error(self.trace_step(raw.trace_step_ms, duration, controller.period))
         });
-        faults.collect(self.require(raw.expect.len() <= MAX_EXPECTATIONS, "expect", || {
+        faults.record_error(self.require(raw.expect.len() <= MAX_EXPECTATIONS, "expect", || {
             format!("{} [[expect]], expected at most {MAX_EXPECTATIONS}", raw.expect.len())
         }));
-        faults.collect(self.require(!raw.expect.is_empty(), "expect", || {
+        faults.record_error(self.require(!raw.expect.is_empty(), "expect", || {
             "no [[expect]], expected at least one: a scenario that expects nothing cannot fail".to_owned()
         }));
         let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
-        let tier = plate.as_ref().and_then(|plate| faults.collect(self.tier(model, plate)));
-        let expected_exit = faults.collect(self.expected_exit(raw.expected_exit));
+        let tier = plate.as_ref().and_then(|plate| faults.record_error(self.tier(model, plate)));
+        let expected_exit = faults.record_error(self.expected_exit(raw.expected_exit));
         let Scene { controller, duration, setpoint, conditions } = scene;
         let (Some(controller), Some(duration), Some(setpoint), Some(conditions)) =
             (controller, duration, setpoint, conditions)
@@ -52,7 +52,7 @@ impl Checker<'_> {
         let count = faults.0.len();
         let mut line_faults =
             (0..).zip(&raw.fault).map(|(index, fault)| self.fault(index, fault, duration, controller.period));
-        let line_faults = faults.collect_each(&mut line_faults);
+        let line_faults = faults.record_errors(&mut line_faults);
         let changes =
             ProfileChanges::new(&setpoint, &conditions.finger_force_n, &conditions.temperature_offset_k, duration);
         let response_delay = controller.period + controller.loop_delay;
@@ -61,8 +61,8 @@ impl Checker<'_> {
         let mut expected = (0..)
             .zip(raw.expect.iter().zip(names))
             .map(|(index, (expect, name))| self.expectation(index, expect, name, &trial));
-        let expected = faults.collect_each(&mut expected);
-        faults.collect(self.check_names(&raw.expect, &expected));
+        let expected = faults.record_errors(&mut expected);
+        faults.record_error(self.check_names(&raw.expect, &expected));
         if faults.0.len() > count {
             return None;
         }
@@ -85,7 +85,7 @@ impl Checker<'_> {
             setpoint,
             trials: trials?,
         };
-        faults.collect(self.check_trial_differences(&scenario));
+        faults.record_error(self.check_trial_differences(&scenario));
         scenario.between = self.scenes_between(folder, &raw.between, &scenario, &mut inputs, faults);
         Some(Scenario { inputs, ..scenario })
     }

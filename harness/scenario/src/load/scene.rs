@@ -38,30 +38,30 @@ impl Checker<'_> {
         let is_complete = design_plate.as_ref().is_none_or(Option::is_some);
         let controller = self.controller(raw, plate, design_plate.flatten(), faults).filter(|_| is_complete);
         let positive = self.positive("duration_ms", duration_ms);
-        let duration = faults.collect(positive.and_then(|ms| self.time_from_ms("duration_ms", ms)));
+        let duration = faults.record_error(positive.and_then(|ms| self.time_from_ms("duration_ms", ms)));
         if let (Some(controller), Some(duration)) = (&controller, duration) {
-            faults.collect(self.require(duration >= controller.period, "duration_ms", || {
+            faults.record_error(self.require(duration >= controller.period, "duration_ms", || {
                 format!("{duration_ms} ms, expected at least one control period of {}", controller.period)
             }));
-            faults.collect(self.require(controller.loop_delay < duration, "controller.loop_delay_ms", || {
+            faults.record_error(self.require(controller.loop_delay < duration, "controller.loop_delay_ms", || {
                 format!(
                     "{}, expected less than the scenario's {duration}: nothing would ever reach the plate",
                     controller.loop_delay
                 )
             }));
         }
-        let mut profile = |key: &str, raw: &RawProfile| faults.collect(self.profile(folder, key, raw, inputs));
+        let mut profile = |key: &str, raw: &RawProfile| faults.record_error(self.profile(folder, key, raw, inputs));
         let setpoint = profile("profile.setpoint_um", &profiles.setpoint_um);
         let temperature_offset_k = profile("profile.temperature_offset_k", &profiles.temperature_offset_k);
         let finger_force_n = profile("profile.finger_force_n", &profiles.finger_force_n);
         if let Some(setpoint) = &setpoint {
-            faults.collect(self.check_setpoints(folder, profiles, setpoint));
+            faults.record_error(self.check_setpoints(folder, profiles, setpoint));
         }
         let conditions = temperature_offset_k.zip(finger_force_n);
         let conditions = conditions
             .map(|(temperature_offset_k, finger_force_n)| ConditionProfiles { temperature_offset_k, finger_force_n });
         if let (Some(plate), Some(conditions), Some(spread)) = (plate, &conditions, spread) {
-            faults.collect(self.check_conditions(folder, profiles, plate, conditions, &spread));
+            faults.record_error(self.check_conditions(folder, profiles, plate, conditions, &spread));
         }
         Scene { controller, duration, setpoint, conditions }
     }
@@ -75,7 +75,7 @@ impl Checker<'_> {
         inputs: &mut Vec<InputFile>,
         faults: &mut Diagnostics,
     ) -> Vec<Scenario> {
-        faults.collect(self.require(raw.len() <= MAX_BETWEEN, "between", || {
+        faults.record_error(self.require(raw.len() <= MAX_BETWEEN, "between", || {
             format!("{} scenes, expected at most {MAX_BETWEEN}", raw.len())
         }));
         let mut between = |(index, raw): (usize, &RawBetween)| {

@@ -3,7 +3,7 @@
 use crate::charts::section::{ChartError, ChartSection};
 use crate::integration::stability::{step_limits, to_csv};
 use crate::integration::step_limit_table;
-use crate::loops::{AnalysisError, OperatingCondition, PlainLoops, Reading, Study, StudyConfig, study, table};
+use crate::loops::{AnalysisError, Discretisation, OperatingCondition, PlainLoops, Study, StudyConfig, study, table};
 use platebench_plate::Plate;
 use platebench_record::RunRecord;
 use platebench_report::ReportError;
@@ -52,7 +52,7 @@ pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
 
 /// Backward Euler without delay: small spectral radius, but a detuned start never settles.
 fn known_limit(plate: &Plate) -> Result<String, AnalysisError> {
-    let loops = PlainLoops::new(plate, Reading::Backward, RESPONSE_S, PERIOD_S);
+    let loops = PlainLoops::new(plate, Discretisation::Backward, RESPONSE_S, PERIOD_S);
     let starts = [OperatingCondition::Resonant, OperatingCondition::Detuned].map(|condition| {
         let radius = loops.linearise(plate, condition, SETPOINT_UM)?.spectral_radius()?;
         Ok((condition, radius, loops.simulate_start(plate, condition, SETPOINT_UM, START_PERIODS)))

@@ -6,10 +6,10 @@ use platebench_controller::design;
 /// `u = proportional · e + x`, then `x += integral_per_period · e`. The firmware's type, in f64.
 pub type PiGains = design::PiGains<f64>;
 
-/// Reading (discretisation) of equation 24.
+/// Discretisation of equation 24.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Reading {
+pub enum Discretisation {
     /// As printed, with a forward-Euler integral: `u = Kp e + x`, then `x += Ki Ts e`.
     Forward,
     /// As printed, with a backward-Euler integral: `x += Ki Ts e`, then `u = Kp e + x`.
@@ -18,7 +18,7 @@ pub enum Reading {
     Matched,
 }
 
-impl Reading {
+impl Discretisation {
     pub const ALL: [Self; 3] = [Self::Forward, Self::Backward, Self::Matched];
 
     pub const fn name(self) -> &'static str {

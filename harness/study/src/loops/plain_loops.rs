@@ -6,7 +6,7 @@
 
 use crate::loops::case::OperatingCondition;
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
-use crate::loops::controller::{LinearController, LoopChannel, PiGains, Reading};
+use crate::loops::controller::{Discretisation, LinearController, LoopChannel, PiGains};
 use crate::loops::plant::LinearPlant;
 use platebench_plate::{Complex64, Drive, Flow, Plate, State, Tier};
 
@@ -37,9 +37,9 @@ pub struct StartResult {
 
 impl PlainLoops {
     /// Equation 24 for the untouched plate, `response` in s (2 ms in the paper).
-    pub fn new(plate: &Plate, reading: Reading, response: f64, period: f64) -> Self {
+    pub fn new(plate: &Plate, discretisation: Discretisation, response: f64, period: f64) -> Self {
         let tau = 1.0 / plate.sigma0;
-        let [amplitude, frequency] = [plate.gain, tau].map(|gain| reading.gains(gain, tau, response, period));
+        let [amplitude, frequency] = [plate.gain, tau].map(|gain| discretisation.gains(gain, tau, response, period));
         Self { amplitude, frequency, period }
     }
 

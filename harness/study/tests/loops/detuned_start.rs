@@ -3,17 +3,17 @@
 use crate::{assert_close, paper_plate};
 use platebench_plate::Time;
 use platebench_study::loops::measured_boundary::loop_at_rest;
-use platebench_study::loops::{LoopCase, OperatingCondition, PlainLoops, Reading, StartResult};
+use platebench_study::loops::{Discretisation, LoopCase, OperatingCondition, PlainLoops, StartResult};
 use platebench_wire::{Gains, LawId};
 
 const PERIOD: f64 = 1e-3;
 
-fn plain_loops(reading: Reading) -> PlainLoops {
-    PlainLoops::new(&paper_plate(), reading, 2e-3, PERIOD)
+fn plain_loops(discretisation: Discretisation) -> PlainLoops {
+    PlainLoops::new(&paper_plate(), discretisation, 2e-3, PERIOD)
 }
 
-fn start(reading: Reading, condition: OperatingCondition) -> StartResult {
-    plain_loops(reading).simulate_start(&paper_plate(), condition, 2.0, 4_000)
+fn start(discretisation: Discretisation, condition: OperatingCondition) -> StartResult {
+    plain_loops(discretisation).simulate_start(&paper_plate(), condition, 2.0, 4_000)
 }
 
 fn firmware_gains(loops: &PlainLoops) -> Gains {
@@ -28,21 +28,21 @@ fn firmware_gains(loops: &PlainLoops) -> Gains {
 #[test]
 fn backward_euler_never_settles_from_a_detuned_start() {
     for condition in [OperatingCondition::Resonant, OperatingCondition::Detuned] {
-        let closed = plain_loops(Reading::Backward).linearise(&paper_plate(), condition, 2.0).unwrap();
+        let closed = plain_loops(Discretisation::Backward).linearise(&paper_plate(), condition, 2.0).unwrap();
         assert_close(closed.spectral_radius().unwrap(), 0.862, 1e-3);
     }
-    assert!(start(Reading::Backward, OperatingCondition::Resonant).settled.is_some());
-    let detuned = start(Reading::Backward, OperatingCondition::Detuned);
+    assert!(start(Discretisation::Backward, OperatingCondition::Resonant).settled.is_some());
+    let detuned = start(Discretisation::Backward, OperatingCondition::Detuned);
     assert_eq!(detuned.settled, None, "{detuned:?}");
     assert!(detuned.diverged);
-    assert!(start(Reading::Forward, OperatingCondition::Detuned).settled.is_some());
+    assert!(start(Discretisation::Forward, OperatingCondition::Detuned).settled.is_some());
 }
 
 #[test]
 fn the_firmware_settles_with_the_same_gains() {
     let plate = paper_plate();
     let case = LoopCase {
-        gains: Some(firmware_gains(&plain_loops(Reading::Backward))),
+        gains: Some(firmware_gains(&plain_loops(Discretisation::Backward))),
         ..LoopCase::new(&plate, LawId::DqPiFixed, OperatingCondition::Detuned)
     };
     let mut bench = loop_at_rest(&case).unwrap();

@@ -4,7 +4,8 @@ use crate::{assert_close, paper_plate, scaled};
 use platebench_plate::{Conditions, Drive, Tier};
 use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_study::loops::{
-    AnalysisError, ClosedLoop, LinearController, LinearPlant, LoopChannel, LoopTiming, PiGains, Reading, delay_boundary,
+    AnalysisError, ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopTiming, PiGains,
+    delay_boundary,
 };
 use rstest::rstest;
 
@@ -21,15 +22,15 @@ fn amplitude_loop(pi: impl Fn(f64, f64) -> PiGains) -> (LinearPlant, LinearContr
 }
 
 fn forward(gain: f64, tau: f64) -> PiGains {
-    Reading::Forward.gains(gain, tau, RESPONSE, PERIOD)
+    Discretisation::Forward.gains(gain, tau, RESPONSE, PERIOD)
 }
 
 fn backward(gain: f64, tau: f64) -> PiGains {
-    Reading::Backward.gains(gain, tau, RESPONSE, PERIOD)
+    Discretisation::Backward.gains(gain, tau, RESPONSE, PERIOD)
 }
 
 fn matched(gain: f64, tau: f64) -> PiGains {
-    Reading::Matched.gains(gain, tau, RESPONSE, PERIOD)
+    Discretisation::Matched.gains(gain, tau, RESPONSE, PERIOD)
 }
 
 fn closed_amplitude_loop(pi: fn(f64, f64) -> PiGains, delay: f64) -> ClosedLoop {

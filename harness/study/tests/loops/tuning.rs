@@ -2,7 +2,7 @@
 
 use crate::{assert_close, paper_plate, scaled};
 use platebench_plate::{Plate, Tier};
-use platebench_study::loops::Reading;
+use platebench_study::loops::Discretisation;
 use platebench_study::loops::tuning::design::{GainDesign, TuningTarget};
 use platebench_study::loops::tuning::spread::{PlateSpread, evaluate_sensitivity};
 use platebench_study::loops::tuning::{
@@ -29,23 +29,23 @@ fn plate_with_limit(limit: f64) -> Plate {
 }
 
 fn tune_matched(demand: &TuningTarget<'_>) -> TuningResult {
-    tune(demand, Reading::Matched, &SPREAD).unwrap()
+    tune(demand, Discretisation::Matched, &SPREAD).unwrap()
 }
 
-fn evaluate_printed(demand: &TuningTarget<'_>, reading: Reading) -> DesignEvaluation {
-    evaluate_design(demand, GainDesign::new(demand, reading, demand.response)).unwrap()
+fn evaluate_printed(demand: &TuningTarget<'_>, discretisation: Discretisation) -> DesignEvaluation {
+    evaluate_design(demand, GainDesign::new(demand, discretisation, demand.response)).unwrap()
 }
 
 #[rstest]
 // Units: ms of delay and settling, percent of overshoot, Vpp; the last is the delay margin, ms.
-#[case(Reading::Forward, 0.0, Some(2.834), 16.3, 808.0, 0.257, 0.830)]
-#[case(Reading::Backward, 0.0, Some(19.05), 78.2, 1237.8, 0.862, 0.634)]
-#[case(Reading::Matched, 0.0, Some(1.998), 0.0, 539.6, 0.5875, 1.668)]
-#[case(Reading::Forward, 1.0, None, f64::NAN, f64::NAN, 1.117, -0.170)]
-#[case(Reading::Backward, 1.0, None, f64::NAN, f64::NAN, 1.325, -0.366)]
-#[case(Reading::Matched, 1.0, Some(23.79), 72.7, 762.2, 0.8814, 0.668)]
+#[case(Discretisation::Forward, 0.0, Some(2.834), 16.3, 808.0, 0.257, 0.830)]
+#[case(Discretisation::Backward, 0.0, Some(19.05), 78.2, 1237.8, 0.862, 0.634)]
+#[case(Discretisation::Matched, 0.0, Some(1.998), 0.0, 539.6, 0.5875, 1.668)]
+#[case(Discretisation::Forward, 1.0, None, f64::NAN, f64::NAN, 1.117, -0.170)]
+#[case(Discretisation::Backward, 1.0, None, f64::NAN, f64::NAN, 1.325, -0.366)]
+#[case(Discretisation::Matched, 1.0, Some(23.79), 72.7, 762.2, 0.8814, 0.668)]
 fn equation_24_at_1_khz_in_three_readings(
-    #[case] reading: Reading,
+    #[case] discretisation: Discretisation,
     #[case] delay_ms: f64,
     #[case] settling: Option<f64>,
     #[case] overshoot: f64,
@@ -54,7 +54,7 @@ fn equation_24_at_1_khz_in_three_readings(
     #[case] left: f64,
 ) {
     let plate = paper_plate();
-    let found = evaluate_printed(&TuningTarget { delay: delay_ms * 1e-3, ..demand(&plate) }, reading);
+    let found = evaluate_printed(&TuningTarget { delay: delay_ms * 1e-3, ..demand(&plate) }, discretisation);
     assert_eq!(found.linear.settling_ms.is_some(), settling.is_some());
     if let (Some(found_ms), Some(settling)) = (found.linear.settling_ms, settling) {
         assert_close(found_ms, settling, 0.01);
@@ -73,7 +73,7 @@ fn equation_24_at_1_khz_in_three_readings(
 fn ripple_moves_a_marginal_band_crossing() {
     let plate = paper_plate();
     let demand = demand(&plate);
-    let of = |response| evaluate_design(&demand, GainDesign::new(&demand, Reading::Matched, response)).unwrap();
+    let of = |response| evaluate_design(&demand, GainDesign::new(&demand, Discretisation::Matched, response)).unwrap();
     // Designed for 2.0 ms it leaves 4.98 % at two periods, too close to the band for the ripple.
     let (two, shorter) = (of(2e-3), of(1.9e-3));
     assert!(two.linear.settling_ms.unwrap() < 2.0 && two.plate.settling_ms.unwrap() > 2.01);
@@ -181,13 +181,13 @@ fn a_phase_margin_is_met_or_is_a_cause(#[case] phase_margin_deg: f64, #[case] me
 
 #[rstest]
 fn margins_end_at_the_last_settling_response(
-    #[values(Reading::Forward, Reading::Matched)] reading: Reading,
+    #[values(Discretisation::Forward, Discretisation::Matched)] discretisation: Discretisation,
     #[values(0.0, 0.3)] delay_ms: f64,
 ) {
     // No drive limit: what does not settle is unstable.
     let plate = plate_with_limit(1e9);
     let demand = TuningTarget { delay: delay_ms * 1e-3, response: 4e-3, ..demand(&plate) };
-    let found = evaluate_printed(&demand, reading);
+    let found = evaluate_printed(&demand, discretisation);
     let gain = found.amplitude.gain_margin.unwrap();
     let delay = found.amplitude.delay_margin_ms.unwrap() * 1e-3;
     // Near the boundary a motion takes its time: a longer look.
@@ -209,7 +209,7 @@ fn margins_end_at_the_last_settling_response(
 fn worst_case_is_the_worst_and_repeats_with_its_seed() {
     let plate = paper_plate();
     let demand = demand(&plate);
-    let design = GainDesign::new(&demand, Reading::Matched, 1.9e-3);
+    let design = GainDesign::new(&demand, Discretisation::Matched, 1.9e-3);
     let of = |seed| evaluate_sensitivity(&demand, &design, &PlateSpread { samples: 12, seed, ..SPREAD }).unwrap();
     let found = of(1);
     assert_eq!(found, of(1));
@@ -254,8 +254,8 @@ fn a_design_for_a_finger_is_as_fast_under_it() {
 fn backward_gains_convert_to_the_firmware_s_forward_integral() {
     let plate = paper_plate();
     let demand = demand(&plate);
-    let [forward, backward] = [Reading::Forward, Reading::Backward]
-        .map(|reading| GainDesign::new(&demand, reading, demand.response).firmware_gains(demand.period()));
+    let [forward, backward] = [Discretisation::Forward, Discretisation::Backward]
+        .map(|discretisation| GainDesign::new(&demand, discretisation, demand.response).firmware_gains(demand.period()));
     let per_period = forward.amplitude_ki * 1e-3;
     assert!((backward.amplitude_kp - forward.amplitude_kp - per_period).abs() < 1e-3);
     assert_eq!(backward.amplitude_ki, forward.amplitude_ki);
@@ -266,7 +266,7 @@ fn the_horizon_includes_a_long_loop_delay() {
     let plate = paper_plate();
     let demand = TuningTarget { delay: 0.52e-3, response: 4e-3, ..demand(&plate) };
     // The poles of one random plate are not found at the first attempt.
-    let found = tune(&demand, Reading::Matched, &PlateSpread { samples: 64, ..SPREAD }).unwrap();
+    let found = tune(&demand, Discretisation::Matched, &PlateSpread { samples: 64, ..SPREAD }).unwrap();
     let chosen = found.chosen.unwrap();
     assert!(chosen.plate.settling_ms.unwrap() <= 4.0 && chosen.plate.overshoot_percent <= 4.0);
 }

@@ -7,7 +7,7 @@ use crate::mutant_spec::{
 use crate::mutants::excitation::{InvertedFrequency, SinglePrecisionPhase, round_to_timer_ticks};
 use crate::mutants::loops::{HandwrittenLoops, Omission};
 use crate::mutants::timing::{CommandJitter, LowPassFilter, RepeatedCommand, SlowSetpoint, StaleSample};
-use crate::mutants::values::{OnCommand, OnConfigure, OnSample, TightPlausibilityLimit, round_to_step};
+use crate::mutants::values::{OnCommand, OnConfigure, SampleMutation, TightPlausibilityLimit, round_to_step};
 use platebench_scenario::Metric;
 use platebench_wire::LawId;
 use std::time::Duration;
@@ -29,7 +29,7 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
             "setpoint scaled by the calibration of another plate, 2 % off",
             AMPLITUDE,
             FIG13,
-            || Box::new(OnSample(|sample| sample.setpoint_um *= 1.02)),
+            || Box::new(SampleMutation(|sample| sample.setpoint_um *= 1.02)),
         ),
         mutant(
             "peak-for-peak-to-peak",
@@ -37,7 +37,7 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
             AMPLITUDE,
             FIG13,
             || {
-                Box::new(OnSample(|sample| {
+                Box::new(SampleMutation(|sample| {
                     sample.wd_um *= 0.5;
                     sample.wq_um *= 0.5;
                 }))
@@ -48,14 +48,14 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
             "demodulator offset not trimmed: 10 nm on Wd, 0.5 % of 2 µm",
             AMPLITUDE,
             FIG13,
-            || Box::new(OnSample(|sample| sample.wd_um += 0.01)),
+            || Box::new(SampleMutation(|sample| sample.wd_um += 0.01)),
         ),
         mutant(
             "setpoint-drift",
             "reference voltage of the setpoint drifts, 0.5 % in a minute",
             &[Metric::StaticError, Metric::PeakDeviation],
             TEMPERATURE_RAMP,
-            || Box::new(OnSample(|sample| sample.setpoint_um *= 1.0 + 0.005 * sample.time_us as f32 / 60e6)),
+            || Box::new(SampleMutation(|sample| sample.setpoint_um *= 1.0 + 0.005 * sample.time_us as f32 / 60e6)),
         ),
         mutant(
             "coarse-sensor",
@@ -63,7 +63,7 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
             &[Metric::StaticError, Metric::PeakDeviation],
             FIG13,
             || {
-                Box::new(OnSample(|sample| {
+                Box::new(SampleMutation(|sample| {
                     sample.wd_um = round_to_step(sample.wd_um, 0.02);
                     sample.wq_um = round_to_step(sample.wq_um, 0.02);
                 }))
@@ -82,7 +82,7 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
 pub(super) fn resonance_mutants() -> Vec<MutantSpec> {
     vec![
         mutant("swapped-components", "Wd and Wq swapped", AMPLITUDE, FIG13, || {
-            Box::new(OnSample(|sample| std::mem::swap(&mut sample.wd_um, &mut sample.wq_um)))
+            Box::new(SampleMutation(|sample| std::mem::swap(&mut sample.wd_um, &mut sample.wq_um)))
         }),
         mutant("frequency-sign", "frequency loop with the wrong sign", RESONANCE, FIG15, || {
             Box::new(InvertedFrequency::default())

@@ -6,7 +6,7 @@ use crate::mutant_spec::{
 use crate::mutants::line::{NoBadFrameCount, NoChecksumCheck, NoSequenceCheck, RestartAfterStop};
 use crate::mutants::plate_changes::{AlternatingDrive, PressLatch, RisingDampingOnly};
 use crate::mutants::protocol::{IgnoredGains, LimitAfterLaw, OnConfigured, StaleAnswer, WrappingCounter};
-use crate::mutants::values::{OnCommand, OnConfigure, OnSample};
+use crate::mutants::values::{OnCommand, OnConfigure, SampleMutation};
 use platebench_record::ViolationKind;
 use platebench_scenario::Metric;
 
@@ -55,7 +55,7 @@ pub(super) fn blind_spot_mutants() -> Vec<MutantSpec> {
             AMPLITUDE,
             "guards/low-setpoints.toml",
             || {
-                Box::new(OnSample(|sample| {
+                Box::new(SampleMutation(|sample| {
                     if sample.wd_um.abs() < 0.5 {
                         sample.wd_um *= 0.97;
                     }

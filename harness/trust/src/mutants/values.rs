@@ -15,9 +15,9 @@ impl Mutant for OnConfigure {
     }
 }
 
-pub(crate) struct OnSample(pub(crate) fn(&mut Sample));
+pub(crate) struct SampleMutation(pub(crate) fn(&mut Sample));
 
-impl Mutant for OnSample {
+impl Mutant for SampleMutation {
     fn on_sample(&mut self, sample: &mut Sample) {
         (self.0)(sample);
     }

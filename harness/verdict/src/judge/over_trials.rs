@@ -5,7 +5,7 @@ use crate::statistics::bounds::agreement_power;
 use crate::statistics::equivalence::widen_bounds;
 use crate::statistics::quantile::{min_values_for_bound, quantile_bounds};
 use crate::statistics::{SampleSummary, deviation_bounds, mean_bounds};
-use platebench_record::{Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, WideBounds, percent};
+use platebench_record::{Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, WideBoundsCause, percent};
 use platebench_scenario::{Aggregation, Expectation, Limit};
 
 /// The interval of a deviation must exclude this multiple and this fraction of the expected value.
@@ -27,7 +27,7 @@ struct Estimate {
     value: f64,
     bounds: [f64; 2],
     evidence: Evidence,
-    wide: Option<WideBounds>,
+    wide: Option<WideBoundsCause>,
 }
 
 pub(super) fn all_equal(spans: &[[f64; 2]]) -> bool {
@@ -81,7 +81,7 @@ impl OverTrials<'_> {
         let certain = self.certain_interval(spans);
         let bounds = widen_bounds(certain.unwrap_or([low, high]), self.simulation_error);
         let (needed, trials) = (min_values_for_bound(share, self.confidence), spans.len());
-        let wide = (trials < needed as usize && certain.is_none()).then_some(WideBounds::TooFewForQuantile {
+        let wide = (trials < needed as usize && certain.is_none()).then_some(WideBoundsCause::TooFewForQuantile {
             share,
             needed,
             trials,
@@ -174,7 +174,7 @@ impl OverTrials<'_> {
     }
 }
 
-fn evidence_of_method(method: Option<EvidenceMethod>) -> (Evidence, Option<WideBounds>) {
-    let wide = (method == Some(EvidenceMethod::Bootstrap)).then_some(WideBounds::NotNormal);
+fn evidence_of_method(method: Option<EvidenceMethod>) -> (Evidence, Option<WideBoundsCause>) {
+    let wide = (method == Some(EvidenceMethod::Bootstrap)).then_some(WideBoundsCause::NotNormal);
     (Evidence { method, says: wide.map(|wide| wide.to_string()), ..Evidence::default() }, wide)
 }

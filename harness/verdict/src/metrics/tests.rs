@@ -41,7 +41,7 @@ fn expectation_in(metric: Metric, windows: &[[f64; 2]]) -> Expectation {
 fn expectation_for(metric: Metric) -> Expectation {
     Expectation {
         name: metric.name().to_owned(),
-        windows: vec![window(if metric.has_window() { [40.0, 60.0] } else { [0.0, END_MS] })],
+        windows: vec![window(if metric.has_window_ms() { [40.0, 60.0] } else { [0.0, END_MS] })],
         after: None,
         metric,
         limit: Limit::AtMost(2.0),

@@ -2,7 +2,7 @@
 
 use super::{BASE, FORCE, PLATE, create_folder, load_with_change, render};
 use crate::diagnostic::Diagnostic;
-use crate::load::{load, load_with_diagnostics};
+use crate::load::{load, load_with_all_errors};
 use crate::parse::MAX_DIAGNOSTICS;
 use insta::assert_snapshot;
 use rstest::{Context, rstest};
@@ -270,7 +270,7 @@ fn limits_the_number_of_reported_errors() {
     let wrong = "[[expect]]\nmetric = \"unknown\"\n".repeat(5_000);
     let path = folder.path().join("s.toml");
     std::fs::write(&path, format!("{BASE}\n{wrong}")).unwrap();
-    let faults = load_with_diagnostics(&path, "s.toml").unwrap_err();
+    let faults = load_with_all_errors(&path, "s.toml").unwrap_err();
     assert_eq!(faults.len(), MAX_DIAGNOSTICS + 1);
     assert!(faults.last().unwrap().message.starts_with("only the first"));
 }

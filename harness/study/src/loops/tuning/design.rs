@@ -1,7 +1,7 @@
 //! Designs gains by equation 24 in three discretisations.
 
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
-use crate::loops::controller::{LinearController, LoopChannel, PiGains, Reading};
+use crate::loops::controller::{Discretisation, LinearController, LoopChannel, PiGains};
 use crate::loops::plant::LinearPlant;
 use crate::loops::tuning::transient::{self, StepSimulation, TransientResponse};
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
@@ -53,7 +53,7 @@ impl TuningTarget<'_> {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GainDesign {
-    pub reading: Reading,
+    pub discretisation: Discretisation,
     /// Response time of the design, s.
     pub response: f64,
     /// Drive from the error of Wd, Vpp per µm.
@@ -65,12 +65,12 @@ pub struct GainDesign {
 impl GainDesign {
     /// Equation 24 with the σ of the plate under the target's finger: K = b/σ and τ = 1/σ for the
     /// amplitude, K = τ for the frequency.
-    pub fn new(target: &TuningTarget<'_>, reading: Reading, response: f64) -> Self {
+    pub fn new(target: &TuningTarget<'_>, discretisation: Discretisation, response: f64) -> Self {
         let mode = target.mode();
         let tau = 1.0 / mode.sigma;
         let [amplitude, frequency] =
-            [mode.envelope_constant * tau, tau].map(|gain| reading.gains(gain, tau, response, target.period()));
-        Self { reading, response, amplitude, frequency }
+            [mode.envelope_constant * tau, tau].map(|gain| discretisation.gains(gain, tau, response, target.period()));
+        Self { discretisation, response, amplitude, frequency }
     }
 
     /// The gains for the firmware's forward integral.

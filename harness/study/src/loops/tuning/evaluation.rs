@@ -1,7 +1,7 @@
 //! Evaluates a design: poles, margins and responses.
 
 use crate::loops::closed_loop::AnalysisError;
-use crate::loops::controller::{PiGains, Reading};
+use crate::loops::controller::{Discretisation, PiGains};
 use crate::loops::margins::delay_boundary;
 use crate::loops::step_response::StepResponse;
 use crate::loops::tuning::design::{GainDesign, TuningTarget};
@@ -63,7 +63,7 @@ impl From<TransientResponse> for StepEvaluation {
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DesignEvaluation {
-    pub reading: Reading,
+    pub discretisation: Discretisation,
     pub designed_for_ms: f64,
     pub amplitude: LoopEvaluation,
     pub frequency: LoopEvaluation,
@@ -105,12 +105,12 @@ pub(crate) fn delay_margin_ms(target: &TuningTarget<'_>, boundary: DelayBoundary
 }
 
 pub fn evaluate_design(target: &TuningTarget<'_>, design: GainDesign) -> Result<DesignEvaluation, AnalysisError> {
-    let GainDesign { amplitude, frequency, reading, response } = design;
+    let GainDesign { amplitude, frequency, discretisation, response } = design;
     let both = design.closed_loop(target, target.plate, Tier::Modal, [true; 2])?;
     let alone = design.closed_loop(target, target.plate, Tier::Envelope, [true, false])?;
     let transient = design.simulate_step(target, target.plate, target.force_n);
     Ok(DesignEvaluation {
-        reading,
+        discretisation,
         designed_for_ms: response * 1e3,
         amplitude: evaluate_loop(target, &design, amplitude, [true, false])?,
         frequency: evaluate_loop(target, &design, frequency, [false, true])?,

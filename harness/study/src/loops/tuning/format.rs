@@ -95,7 +95,7 @@ fn format_readings(readings: &[DesignEvaluation]) -> String {
         let _ = writeln!(
             text,
             "  {:<26} {} | {} | {:>7.3} {:>6}° {:>6} ms",
-            row.reading.name(),
+            row.discretisation.name(),
             step(&row.linear),
             step(&row.plate),
             row.spectral_radius,
@@ -111,7 +111,7 @@ fn format_design(title: &str, figures: &DesignEvaluation) -> String {
     let mut text = format!(
         "{title}: {}, designed for {:.3} ms\n  predicted   settling {} ms, overshoot {:.1} %, peak drive {:.0} Vpp, \
          {} periods at the limit; linear loop {} ms\n",
-        figures.reading.name(),
+        figures.discretisation.name(),
         figures.designed_for_ms,
         format_settling(&figures.plate),
         figures.plate.overshoot_percent,
@@ -199,6 +199,8 @@ fn format_cause(target: &TuningTarget<'_>, obstacle: &InfeasibilityCause) -> Str
             "phase margin: designs that are fast enough have {found_deg:.1}°, the target is {}°",
             target.phase_margin_deg
         ),
-        InfeasibilityCause::Reading => "no design of this reading is fast enough at this period and delay".to_owned(),
+        InfeasibilityCause::Discretisation => {
+            "no design of this discretisation is fast enough at this period and delay".to_owned()
+        }
     }
 }

@@ -5,7 +5,7 @@
 //! logarithmically spaced response times are simulated on the plate.
 
 use crate::loops::closed_loop::AnalysisError;
-use crate::loops::controller::Reading;
+use crate::loops::controller::Discretisation;
 use crate::loops::tuning::design::{GainDesign, TuningTarget};
 use crate::loops::tuning::transient::BAND;
 use platebench_plate::Tier;
@@ -34,16 +34,16 @@ pub struct DesignCandidate {
 #[derive(Debug, Clone)]
 pub struct DesignSearch<'a> {
     target: TuningTarget<'a>,
-    reading: Reading,
+    discretisation: Discretisation,
     candidates: Vec<(f64, Option<DesignCandidate>)>,
 }
 
 impl<'a> DesignSearch<'a> {
-    pub fn new(target: &TuningTarget<'a>, reading: Reading) -> Self {
+    pub fn new(target: &TuningTarget<'a>, discretisation: Discretisation) -> Self {
         let first = FASTEST_RESPONSE_PERIODS * target.period();
         let own = 20.0_f64.ln() / target.mode().sigma;
         let last = (LAST * own.max(target.response)).max(LAST_PERIODS * (target.period() + target.delay));
-        let mut search = Self { target: *target, reading, candidates: Vec::new() };
+        let mut search = Self { target: *target, discretisation, candidates: Vec::new() };
         let ratio = (last / first).ln() / f64::from(DESIGNS);
         let responses = (0..=DESIGNS).map(|number| first * (ratio * f64::from(number)).exp());
         search.candidates = responses.map(|response| (response, search.evaluate(response))).collect();
@@ -52,7 +52,7 @@ impl<'a> DesignSearch<'a> {
 
     /// `None` if the design does not settle or its overshoot almost fills the band.
     fn evaluate(&self, response: f64) -> Option<DesignCandidate> {
-        let design = GainDesign::new(&self.target, self.reading, response);
+        let design = GainDesign::new(&self.target, self.discretisation, response);
         let transient = design.simulate_step(&self.target, self.target.plate, self.target.force_n);
         let by_a_hair = (MAX_BAND_SHARE * BAND..=BAND).contains(&transient.overshoot);
         Some(DesignCandidate { design, settling: transient.settling.filter(|_| !by_a_hair)? })

@@ -1,7 +1,7 @@
 //! Searches a design that meets a target, and the causes if none does.
 
 use crate::loops::closed_loop::AnalysisError;
-use crate::loops::controller::Reading;
+use crate::loops::controller::Discretisation;
 use crate::loops::tuning::design::{GainDesign, TuningTarget};
 use crate::loops::tuning::evaluation::{DesignEvaluation, design_delay_boundary, evaluate_design};
 use crate::loops::tuning::search::DesignSearch;
@@ -40,7 +40,7 @@ pub enum InfeasibilityCause {
         found_deg: f64,
     },
     /// No design of this reading is fast enough at this period and delay.
-    Reading,
+    Discretisation,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -49,7 +49,7 @@ pub struct TuningResult {
     pub obstacles: Vec<InfeasibilityCause>,
     /// The shortest time that the drive limit allows; `None` if the setpoint is out of reach.
     pub floor_ms: Option<f64>,
-    /// Equation 24 for the target's response time, in each reading.
+    /// Equation 24 for the target's response time, in each discretisation.
     pub readings: Vec<DesignEvaluation>,
     pub chosen: Option<DesignEvaluation>,
     /// The fastest design with the target's phase margin, if the target is not met.
@@ -58,17 +58,21 @@ pub struct TuningResult {
     pub sensitivity: Option<Sensitivity>,
 }
 
-pub fn tune(target: &TuningTarget<'_>, reading: Reading, spread: &PlateSpread) -> Result<TuningResult, AnalysisError> {
-    let printed = |reading| evaluate_design(target, GainDesign::new(target, reading, target.response));
-    let readings = Reading::ALL.into_iter().map(printed).collect::<Result<Vec<_>, _>>()?;
-    let search = DesignSearch::new(target, reading);
+pub fn tune(
+    target: &TuningTarget<'_>,
+    discretisation: Discretisation,
+    spread: &PlateSpread,
+) -> Result<TuningResult, AnalysisError> {
+    let printed = |discretisation| evaluate_design(target, GainDesign::new(target, discretisation, target.response));
+    let readings = Discretisation::ALL.into_iter().map(printed).collect::<Result<Vec<_>, _>>()?;
+    let search = DesignSearch::new(target, discretisation);
     // Inside the band is not enough if the limit cannot hold the setpoint.
     let holds = target.mode().drive_for(target.setpoint) <= target.plate.drive_limit_vpp;
     let meeting = if holds { search.meeting_target(target.phase_margin_deg)? } else { None };
     let chosen = meeting.map(|candidate| evaluate_design(target, candidate.design)).transpose()?;
     let (mut obstacles, mut possible) = (Vec::new(), None);
     if chosen.is_none() {
-        obstacles = infeasibility_causes(target, reading, &search)?;
+        obstacles = infeasibility_causes(target, discretisation, &search)?;
         let fastest = if holds { search.fastest(target.phase_margin_deg)? } else { None };
         possible = fastest.map(|candidate| evaluate_design(target, candidate.design)).transpose()?;
     }
@@ -80,7 +84,7 @@ pub fn tune(target: &TuningTarget<'_>, reading: Reading, spread: &PlateSpread) -
 
 fn infeasibility_causes(
     target: &TuningTarget<'_>,
-    reading: Reading,
+    discretisation: Discretisation,
     search: &DesignSearch<'_>,
 ) -> Result<Vec<InfeasibilityCause>, AnalysisError> {
     let mode = target.mode();
@@ -96,7 +100,7 @@ fn infeasibility_causes(
     if target.response < feedback {
         causes.push(InfeasibilityCause::Period { first_feedback_ms: feedback * 1e3 });
     }
-    let itself = GainDesign::new(target, reading, target.response);
+    let itself = GainDesign::new(target, discretisation, target.response);
     let bears = design_delay_boundary(target, target.plate, &itself)?;
     if let DelayBoundary::Unstable | DelayBoundary::At(_) = bears {
         let boundary = bears.seconds().unwrap_or(0.0);
@@ -109,7 +113,7 @@ fn infeasibility_causes(
         causes.push(InfeasibilityCause::PhaseMargin { found_deg: closed.margins().phase_deg.unwrap_or(180.0) });
     }
     if causes.is_empty() {
-        causes.push(InfeasibilityCause::Reading);
+        causes.push(InfeasibilityCause::Discretisation);
     }
     Ok(causes)
 }
