@@ -5,6 +5,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
 
 /// Confidence of every interval here.
 pub const CONFIDENCE: f64 = 0.95;
+pub(crate) const FREEDOM_OF_KNOWN_ERRORS: f64 = 1e4;
 
 /// A value with its two-sided interval of 95 %.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -38,6 +39,17 @@ impl Estimate {
 
     pub fn contains(&self, truth: f64) -> bool {
         (self.low..=self.high).contains(&truth)
+    }
+
+    /// Estimates of one quantity with independent errors, weighted by their precision.
+    pub(crate) fn combine_independent(estimates: &[Self]) -> Option<Self> {
+        if let [] | [_] = estimates {
+            return estimates.first().copied();
+        }
+        let precision = |each: &Self| each.error.max(f64::MIN_POSITIVE).powi(-2);
+        let sum: f64 = estimates.iter().map(precision).sum();
+        let value = estimates.iter().map(|each| each.value * precision(each)).sum::<f64>() / sum;
+        Some(Self::new(value, sum.sqrt().recip(), FREEDOM_OF_KNOWN_ERRORS))
     }
 
     /// Estimates of one recording count as one.

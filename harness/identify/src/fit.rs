@@ -1,10 +1,15 @@
 //! Fits the exact response of the mode to all samples: the direct fit.
 //!
 //! The model is the modal tier with piecewise constant drive, frequency, temperature and force.
-//! Parameters: K1, one time constant per force, one resonance per temperature and force, and W at
-//! the first sample. Noise is an error of the output: the estimates are unbiased to first order,
-//! and the residuals of the right model are white. Levenberg-Marquardt on logarithms of positive
-//! parameters; intervals from the curvature at the minimum and the power of the residuals.
+//! Parameters: K1, one time constant per force, one resonance per temperature and force, the
+//! instant of each change of force, and W at the first sample. Noise is an error of the output: the
+//! estimates are unbiased to first order, and the residuals of the right model are white.
+//! Levenberg-Marquardt on logarithms of positive parameters; intervals from the curvature at the
+//! minimum and the power of the residuals.
+//!
+//! A finger touches between two rows, and the table has the new force from the next row on. The
+//! instant is known to one period, and an error of it is an error of τ: ΔW(1 − e^(−δ/τ)) in the
+//! first sample.
 
 use crate::arx::{ArxMethod, arx};
 use crate::estimate::{Estimate, WhitenessTest};
@@ -19,6 +24,10 @@ const DIFFERENCE_STEP: f64 = 1e-6;
 const OMEGA_UNIT: f64 = 500.0;
 /// Of K1 or τ.
 const MAX_RELATIVE_ERROR: f64 = 0.5;
+/// Fits with instants of touch: each takes the weight of a period from the noise of the previous.
+const TOUCH_FITS: usize = 2;
+/// Below rounding; without it an instant without effect is singular in a recording without noise.
+const SMALLEST_NOISE_UM: f64 = 1e-12;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct DirectFit {
@@ -45,8 +54,25 @@ impl DirectFit {
     }
 }
 
+/// Temperature or force takes another level.
+struct LevelChange {
+    /// By the table, s.
+    t: f64,
+    /// Index of the conditions from then on.
+    conditions: usize,
+    /// Number of the parameter of its instant; `None` without a change of force.
+    touch: Option<usize>,
+}
+
 struct ParameterLayout<'a> {
     recording: &'a Recording,
+    first_conditions: usize,
+    changes: Vec<LevelChange>,
+    touches: usize,
+    period: f64,
+    /// µm per period: standard deviation of an instant of touch, as a residual. 0: instants as in
+    /// the table.
+    touch_weight: f64,
     /// Lowest first, N.
     forces: Vec<f64>,
     force_index: Vec<usize>,
@@ -62,12 +88,42 @@ impl<'a> ParameterLayout<'a> {
         let number = |conditions: &Conditions| forces.iter().position(|force| *force == conditions.finger_force_n);
         let force_of = recording.conditions.iter().map(|conditions| number(conditions).unwrap_or(0)).collect();
         let omega = recording.inputs.iter().map(|input| input.omega).sum::<f64>() / recording.inputs.len() as f64;
-        Self { recording, forces, force_index: force_of, mean_omega: omega }
+        let level = |at: &Conditions| recording.conditions.iter().position(|other| other == at).unwrap_or(0);
+        let mut changes = Vec::new();
+        let mut touches = 0;
+        for pair in recording.inputs.windows(2) {
+            let [before, after] = pair else { continue };
+            let is_touch = before.conditions.finger_force_n != after.conditions.finger_force_n;
+            if before.conditions != after.conditions {
+                let touch = is_touch.then_some(touches);
+                changes.push(LevelChange { t: after.t, conditions: level(&after.conditions), touch });
+                touches += usize::from(is_touch);
+            }
+        }
+        Self {
+            recording,
+            first_conditions: recording.inputs.first().map_or(0, |first| level(&first.conditions)),
+            changes,
+            touches,
+            period: recording.period(),
+            touch_weight: 0.0,
+            forces,
+            force_index: force_of,
+            mean_omega: omega,
+        }
     }
 
-    /// `[ln K1, ln τ …, resonance …, Re W, Im W]`
+    /// `[ln K1, ln τ …, resonance …, Re W, Im W, instant of touch in periods …]`
     fn parameter_count(&self) -> usize {
-        self.resonance_index(0) + self.force_index.len() + 2
+        self.touch_index(if self.touch_weight > 0.0 { self.touches } else { 0 })
+    }
+
+    fn touch_index(&self, touch: usize) -> usize {
+        self.state_index() + 2 + touch
+    }
+
+    fn state_index(&self) -> usize {
+        self.resonance_index(0) + self.force_index.len()
     }
 
     fn resonance_index(&self, conditions: usize) -> usize {
@@ -86,17 +142,23 @@ impl<'a> ParameterLayout<'a> {
                 envelope_constant: constant,
             })
             .collect();
-        let Recording { inputs, outputs, conditions, .. } = self.recording;
-        let w = Complex64::new(theta[self.parameter_count() - 2], theta[self.parameter_count() - 1]);
+        let Recording { inputs, outputs, .. } = self.recording;
+        let w = Complex64::new(theta[self.state_index()], theta[self.state_index() + 1]);
+        let delay = |touch: usize| theta.get(self.touch_index(touch)).map_or(0.0, |periods| periods * self.period);
+        let at = |change: &LevelChange| change.t + change.touch.map_or(0.0, delay);
+        let (mut changes, mut number) = (self.changes.iter().peekable(), self.first_conditions);
         let mut state = State { w, u: Complex64::I * inputs[0].omega * w };
         let mut now = outputs[0].t;
         let mut index = inputs.partition_point(|input| input.t <= now).saturating_sub(1);
         let mut all = Vec::with_capacity(outputs.len());
         for output in outputs {
             while now < output.t {
+                while let Some(change) = changes.next_if(|change| at(change) <= now) {
+                    number = change.conditions;
+                }
                 let (input, next) = (inputs[index], inputs.get(index + 1));
                 let end = next.map_or(output.t, |next| next.t.min(output.t));
-                let number = conditions.iter().position(|level| *level == input.conditions).unwrap_or(0);
+                let end = changes.peek().map_or(end, |change| at(change).min(end));
                 let drive = Drive { vpp: input.vpp, omega: input.omega };
                 state = Flow::new(Tier::Modal, &modes[number], &drive, &state).after(end - now);
                 now = end;
@@ -110,7 +172,9 @@ impl<'a> ParameterLayout<'a> {
     fn residuals(&self, theta: &DVector<f64>) -> DVector<f64> {
         let response = self.response(theta);
         let differences = self.recording.outputs.iter().zip(response).map(|(output, w)| output.w - w);
-        DVector::from_vec(differences.flat_map(|difference| [difference.re, difference.im]).collect())
+        let touches = theta.iter().skip(self.touch_index(0)).map(|periods| periods * self.touch_weight);
+        let samples = differences.flat_map(|difference| [difference.re, difference.im]);
+        DVector::from_iterator(2 * self.recording.outputs.len() + touches.len(), samples.chain(touches))
     }
 
     fn start_vector(&self, tau: f64, detuning: f64) -> DVector<f64> {
@@ -122,8 +186,7 @@ impl<'a> ParameterLayout<'a> {
             theta[self.resonance_index(number)] = -detuning / OMEGA_UNIT;
         }
         let first = self.recording.outputs[0].w;
-        let last = self.parameter_count();
-        (theta[last - 2], theta[last - 1]) = (first.re, first.im);
+        (theta[self.state_index()], theta[self.state_index() + 1]) = (first.re, first.im);
         let unit = self.response(&theta);
         let seen = &self.recording.outputs;
         let along: f64 = seen.iter().zip(&unit).map(|(output, w)| output.w.re * w.re + output.w.im * w.im).sum();
@@ -135,14 +198,20 @@ impl<'a> ParameterLayout<'a> {
 
 /// Fails if the samples do not determine the parameters.
 pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
-    let layout = ParameterLayout::new(recording);
-    let freedom = (2 * recording.outputs.len()).checked_sub(layout.parameter_count()).filter(|&freedom| freedom > 1);
+    let mut layout = ParameterLayout::new(recording);
+    let count = layout.touch_index(layout.touches);
+    let freedom = (2 * recording.outputs.len()).checked_sub(count).filter(|&freedom| freedom > 1);
     let freedom = freedom.ok_or(RecordingError::Undetermined)? as f64;
     let best = start_points(recording)
         .into_iter()
         .filter_map(|(tau, detuning)| minimise(&layout, layout.start_vector(tau, detuning)))
         .min_by(|a, b| a.1.total_cmp(&b.1));
-    let (theta, squares) = best.ok_or(RecordingError::Undetermined)?;
+    let (mut theta, mut squares) = best.ok_or(RecordingError::Undetermined)?;
+    for _ in 0..if layout.touches > 0 { TOUCH_FITS } else { 0 } {
+        layout.touch_weight = (squares / freedom).sqrt().max(SMALLEST_NOISE_UM);
+        let start = theta.resize_vertically(count, 0.0);
+        (theta, squares) = minimise(&layout, start).ok_or(RecordingError::Undetermined)?;
+    }
     let jacobian = jacobian(&layout, &theta, &layout.residuals(&theta));
     let power = squares / freedom;
     let covariance = (jacobian.transpose() * &jacobian)
@@ -166,7 +235,8 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     };
     let forces = || layout.forces.iter().copied().enumerate();
     let (residuals, levels) = (layout.residuals(&theta), recording.conditions.len());
-    let component = |offset: usize| residuals.iter().skip(offset).step_by(2).copied().collect();
+    let samples = 2 * recording.outputs.len();
+    let component = |offset: usize| residuals.iter().take(samples).skip(offset).step_by(2).copied().collect();
     Ok(DirectFit {
         gain: positive(0),
         time_constants: forces().map(|(number, force)| (force, positive(1 + number))).collect(),

@@ -1,16 +1,14 @@
 //! Identifies the plate from all recordings together.
 
 use crate::doubt::{Doubt, doubtful_parameters, doubtful_recordings};
-use crate::estimate::{Estimate, WhitenessTest};
+use crate::estimate::{Estimate, FREEDOM_OF_KNOWN_ERRORS, WhitenessTest};
 use crate::fit::{DirectFit, fit_direct};
 use crate::recording::{Recording, RecordingError};
-use crate::steps::{FrequencyStep, VoltageStep, frequency_steps, voltage_steps};
+use crate::steps::{FrequencyStep, VoltageStep, frequency_steps, frequency_time_constant, voltage_steps};
 use nalgebra::{DMatrix, DVector};
 use platebench_plate::Conditions;
 use serde::Serialize;
 use std::f64::consts::TAU;
-
-const FREEDOM_OF_KNOWN_ERRORS: f64 = 1e4;
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingFit {
@@ -42,7 +40,7 @@ pub struct Identification {
     pub time_constant_s: Option<Estimate>,
     /// K2 by ARX with instruments.
     pub frequency_gain_s: Option<Estimate>,
-    /// τ2 by ARX with instruments.
+    /// τ2 by direct fits of the steps of the frequency.
     pub frequency_time_constant_s: Option<Estimate>,
     /// At the reference temperature.
     pub resonance_hz: Option<Estimate>,
@@ -98,12 +96,12 @@ pub fn identify(
     if open.is_empty() {
         open = free().map(|((_, fit), _)| fit).collect();
     }
-    let frequency: Vec<FrequencyStep> =
-        fitted.iter().flat_map(|(recording, fit)| frequency_steps(recording, fit, known_slope)).collect();
-    let by_instruments = |index: usize| {
-        let of = |step: &FrequencyStep| Some((step.recording.clone(), *step.instruments?.get(index)?));
-        Estimate::pool_by_recording(&frequency.iter().filter_map(of).collect::<Vec<_>>())
-    };
+    let frequency: Vec<Vec<FrequencyStep>> =
+        fitted.iter().map(|(recording, fit)| frequency_steps(recording, fit, known_slope)).collect();
+    let frequency_gain = |step: &FrequencyStep| Some((step.recording.clone(), step.instruments?[0]));
+    let frequency_gains: Vec<_> = frequency.iter().flatten().filter_map(frequency_gain).collect();
+    let frequency_taus = fitted.iter().zip(&frequency);
+    let frequency_taus = frequency_taus.filter_map(|((recording, _), steps)| frequency_time_constant(recording, steps));
     let squares: f64 = fitted.iter().map(|(_, fit)| fit.noise_um.powi(2)).sum();
     let highest = fitted.iter().flat_map(|(recording, _)| &recording.inputs).map(|input| input.vpp);
     let mut identification = Identification {
@@ -111,8 +109,8 @@ pub fn identify(
         undetermined,
         gain_um_per_vpp: pooled(open.iter().map(|fit| fit.gain).collect()),
         time_constant_s: pooled(open.iter().filter_map(|fit| fit.time_constant()).collect()),
-        frequency_gain_s: by_instruments(0),
-        frequency_time_constant_s: by_instruments(1),
+        frequency_gain_s: Estimate::pool_by_recording(&frequency_gains),
+        frequency_time_constant_s: pooled(frequency_taus.collect()),
         resonance_hz: resonance.map(|omega| omega.scaled(1.0 / TAU)),
         slope_hz_per_k: slope.map(|omega| omega.scaled(1.0 / TAU)),
         damping_ratio: damping_ratios(&fitted),
@@ -122,7 +120,7 @@ pub fn identify(
         noise_um: (squares / fitted.len() as f64).sqrt(),
         highest_vpp: highest.fold(0.0, f64::max),
         voltage_steps: voltage.into_iter().flatten().collect(),
-        frequency_steps: frequency,
+        frequency_steps: frequency.into_iter().flatten().collect(),
         doubts: Vec::new(),
     };
     identification.doubts = [

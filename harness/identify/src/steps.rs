@@ -15,8 +15,10 @@ const SMALLEST_STEP: f64 = 0.05;
 const MAX_TAU_DETUNING: f64 = 0.1;
 /// Wd counts as constant if it deviates by less than this share …
 const HELD_BAND: f64 = 0.1;
-/// … and the loop has started when it is this close.
+/// … and the loop has started when it is this close …
 const STARTED_BAND: f64 = 0.03;
+/// … or as close as the noise allows, in its standard deviations.
+const NOISE_BAND: f64 = 4.0;
 const SAME_DETUNING: f64 = 1.0;
 
 /// A step of the drive, open loop: a row of Table I.
@@ -49,6 +51,9 @@ pub struct FrequencyStep {
     pub instruments: Option<[Estimate; 2]>,
     /// τ in s by the direct fit; its gain is K2 = τ (equation 19).
     pub direct: Option<Estimate>,
+    /// Samples of both levels: first, and one past the last.
+    #[serde(skip)]
+    window: (usize, usize),
 }
 
 /// Intervals whose input is the `same` as at their start: first sample, and one past the last.
@@ -153,15 +158,19 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
         };
         let mean = wd(start, end).sum::<f64>() / (end - start) as f64;
         let deviation = |value: &f64| (value - mean).abs() / mean.abs();
+        let noise = NOISE_BAND * whole.noise_um / mean.abs();
         first += wd(first, middle)
             .collect::<Vec<_>>()
             .iter()
-            .rposition(|value| deviation(value) > STARTED_BAND)
+            .rposition(|value| deviation(value) > STARTED_BAND.max(noise))
             .map_or(0, |last| last + 1);
-        if middle.saturating_sub(first) < MIN_SAMPLES || !wd(start, end).all(|value| deviation(&value) < HELD_BAND) {
+        if middle.saturating_sub(first) < MIN_SAMPLES
+            || !wd(start, end).all(|value| deviation(&value) < HELD_BAND.max(noise))
+        {
             continue;
         }
-        let Ok(part) = recording.slice(first, (end + 1).min(acting.len())) else { continue };
+        let window = (first, (end + 1).min(acting.len()));
+        let Ok(part) = recording.slice(window.0, window.1) else { continue };
         // At a constant drive no loop controls Wd.
         if part.inputs.iter().all(|input| input.vpp == to.vpp) {
             continue;
@@ -183,7 +192,22 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
             least_squares: by(ArxMethod::LeastSquares),
             instruments: by(ArxMethod::InstrumentalVariables),
             direct: fit_direct(&part).ok().and_then(|fit| fit.time_constant()),
+            window,
         });
     }
     steps
+}
+
+/// τ2 in s: the direct fit of all steps of one recording. Neighbouring steps share a level, so
+/// their own estimates are not independent: steps without a gap are one fit.
+pub fn frequency_time_constant(recording: &Recording, steps: &[FrequencyStep]) -> Option<Estimate> {
+    let mut parts: Vec<(usize, usize)> = Vec::new();
+    for step in steps {
+        match parts.last_mut() {
+            Some(part) if step.window.0 < part.1 => part.1 = step.window.1,
+            _ => parts.push(step.window),
+        }
+    }
+    let fit = |(first, end)| fit_direct(&recording.slice(first, end).ok()?).ok()?.time_constant();
+    Estimate::combine_independent(&parts.into_iter().filter_map(fit).collect::<Vec<_>>())
 }

@@ -232,7 +232,7 @@ fn plate_table(found: &Identification) -> IdentificationTable {
     row("K1, pm/V", found.gain_um_per_vpp, 1e6, 1, format!("{:.0}", TABLE_I_MEANS[0]));
     row("τ1, ms", found.time_constant_s, 1e3, 4, format!("{:.2}", TABLE_I_MEANS[1]));
     row("K2, ms", found.frequency_gain_s, 1e3, 4, format!("{:.3}", TABLE_II[0] * 1e3));
-    row("τ2, ms", found.frequency_time_constant_s, 1e3, 4, format!("{:.3}", TABLE_II[1] * 1e3));
+    row("τ2 (direct), ms", found.frequency_time_constant_s, 1e3, 4, format!("{:.3}", TABLE_II[1] * 1e3));
     row("resonance, Hz", found.resonance_hz, 1.0, 2, "32307.6".to_owned());
     row("resonance per kelvin, Hz/K", found.slope_hz_per_k, 1.0, 3, format!("{SLOPE_HZ_PER_K}"));
     row("resonance per newton, Hz/N", found.shift_hz_per_n, 1.0, 2, String::new());
@@ -328,9 +328,14 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
         named.limit_vpp.map_or((found.highest_vpp, "    # highest drive of the recordings"), |limit| (limit, ""));
     let _ = writeln!(text, "\n[drive]\nlimit_vpp = {limit:?}{comment}");
     let _ = writeln!(text, "\n[sensor]\nnoise_um_rms = {:.6}    # of the residuals", found.noise_um);
+    let floor = if found.doubts.is_empty() {
+        String::new()
+    } else {
+        format!("    # doubtful: at least {DOUBTFUL_PERCENT:.0} %, and the intervals above do not cover")
+    };
     let _ = writeln!(
         text,
-        "\n[uncertainty]\ngain_percent = {:.2}\ntime_constant_percent = {:.2}",
+        "\n[uncertainty]{floor}\ngain_percent = {:.2}\ntime_constant_percent = {:.2}",
         uncertainty_percent(found, found.gain_um_per_vpp?),
         uncertainty_percent(found, found.time_constant_s?)
     );

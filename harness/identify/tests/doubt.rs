@@ -93,6 +93,7 @@ fn a_doubtful_plate_file_states_the_doubt_and_has_wider_intervals() {
     };
     let text = plate_file(&found, &details).unwrap();
     assert!(text.starts_with("# DOUBTFUL: 3 of 3 recordings have residuals that are not white"), "{text}");
+    assert!(text.contains("[uncertainty]    # doubtful: at least 25 %"), "{text}");
     let percent = |key: &str| -> f64 {
         let line = text.lines().find(|line| line.starts_with(key)).unwrap();
         line.split(" = ").nth(1).unwrap().parse().unwrap()

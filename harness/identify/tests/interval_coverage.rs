@@ -1,0 +1,116 @@
+//! Counts how often intervals contain the truth: τ with and without a finger, τ2 of frequency steps.
+
+#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
+
+use platebench_identify::{Estimate, RecordedInput, RecordedSample, Recording, fit_direct, identify};
+use platebench_plate::RawPlate;
+use platebench_plate::{ConditionProfiles, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, Uniform};
+use rstest::rstest;
+use std::f64::consts::TAU;
+
+const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
+const RECORDINGS: u64 = 200;
+const FORCES_N: [f64; 4] = [0.0, 0.5, 1.5, 2.0];
+
+struct Draw {
+    plate: Plate,
+    seed: u64,
+    /// 0 to 1.
+    phase: f64,
+}
+
+/// Relative spread of K1 and τ.
+fn draw(seed: u64, noise_um: f64, [gain, tau]: [f64; 2]) -> Draw {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut between = |low: f64, high: f64| Uniform::new_inclusive(low, high).unwrap().sample(&mut random);
+    let nominal = toml::from_str::<RawPlate>(PAPER).unwrap().check().unwrap();
+    let plate = Plate {
+        gain: nominal.gain * between(1.0 - gain, 1.0 + gain),
+        sigma0: nominal.sigma0 / between(1.0 - tau, 1.0 + tau),
+        omega0: nominal.omega0 + TAU * between(-50.0, 50.0),
+        noise_um_rms: noise_um,
+        ..nominal
+    };
+    Draw { plate, seed, phase: between(0.0, 1.0) }
+}
+
+/// A table with one row per millisecond. `drive` returns Vpp and rad/s from the millisecond and Wd.
+fn simulate(drawn: &Draw, force: Profile, samples: u32, mut drive: impl FnMut(f64, f64) -> (f64, f64)) -> Recording {
+    let scene = ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: force };
+    let mut plant = Plant::new(drawn.plate.clone(), scene.clone(), Tier::Modal);
+    let mut sensor = Sensor::new(1.0, drawn.plate.noise_um_rms, drawn.seed);
+    let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
+    for ms in (0..samples).map(f64::from) {
+        let time = Time::from_ms(ms).unwrap();
+        plant.advance(time, &[], &mut Vec::new());
+        let w = sensor.measure(plant.state().w);
+        let (vpp, omega) = drive(ms, w.re);
+        plant.set_drive(Drive { vpp, omega });
+        inputs.push(RecordedInput { t: time.seconds(), vpp, omega, conditions: scene.at(time) });
+        outputs.push(RecordedSample { t: time.seconds(), w });
+    }
+    Recording::new(format!("recording {}", drawn.seed), inputs, outputs).unwrap()
+}
+
+/// τ under a force from 40 ms on, touched at any instant of the period before.
+fn finger_case(seed: u64, noise_um: f64, force_n: f64) -> bool {
+    let drawn = draw(seed, noise_um, [0.2, 0.4]);
+    let at = |ms: f64| Time::from_ms(ms).unwrap();
+    let force = Profile::Hold(vec![(at(0.0), 0.0), (at(39.001 + 0.999 * drawn.phase), force_n)]);
+    let omega = drawn.plate.omega0;
+    let recording = simulate(&drawn, force, 80, |ms, _| (if ms < 5.0 { 0.0 } else { 300.0 }, omega));
+    let (_, tau) = *fit_direct(&recording).unwrap().time_constants.last().unwrap();
+    tau.contains(1.0 / drawn.plate.sigma0 / drawn.plate.damping_ratio_at(force_n))
+}
+
+/// τ2: Wd held at 2 µm, the detuning falls by 77 rad/s at 40, 60 and 80 ms.
+fn frequency_case(seed: u64, noise_um: f64) -> bool {
+    let drawn = draw(seed, noise_um, [0.06, 0.12]);
+    let omega0 = drawn.plate.omega0;
+    let mut integral = 0.0;
+    let recording = simulate(&drawn, Profile::constant(0.0), 100, |ms, wd| {
+        let error = 2.0 - wd;
+        integral += 75.6 * error;
+        let level = 3.0 - ((ms - 20.0) / 20.0).floor().max(0.0);
+        ((107.4 * error + integral).max(0.0), omega0 + 77.0 * level)
+    });
+    let (found, _) = identify(&[recording], None).unwrap();
+    let tau2: Estimate = found.frequency_time_constant_s.unwrap();
+    tau2.contains(1.0 / drawn.plate.sigma0)
+}
+
+/// 0.93 to 0.97 over all cases together, three binomial standard errors in each.
+fn assert_covered(name: &str, counts: &[usize]) {
+    println!("{name}: {counts:?} of {RECORDINGS}");
+    let n = RECORDINGS as f64;
+    let reach = 3.0 * (0.95_f64 * 0.05 / n).sqrt();
+    for &count in counts {
+        assert!((count as f64 / n - 0.95).abs() <= reach, "{name}: {counts:?} of {RECORDINGS}");
+    }
+    let share = counts.iter().sum::<usize>() as f64 / (n * counts.len() as f64);
+    assert!((0.93..=0.97).contains(&share), "{name}: {share:.3} of {counts:?}");
+}
+
+fn count(cases: impl Fn(u64) -> bool, first_seed: u64) -> usize {
+    (first_seed..first_seed + RECORDINGS).filter(|seed| cases(*seed)).count()
+}
+
+#[rstest]
+#[case::at_8_nm(0.008, 0)]
+#[case::at_32_nm(0.032, 4000)]
+fn intervals_of_tau_under_a_finger_cover(#[case] noise_um: f64, #[case] first_seed: u64) {
+    let seeds = (first_seed..).step_by(1000);
+    let cases = FORCES_N.into_iter().zip(seeds);
+    let counts: Vec<usize> =
+        cases.map(|(force_n, seed)| count(|seed| finger_case(seed, noise_um, force_n), seed)).collect();
+    assert_covered("τ at 0, 0.5, 1.5, 2 N", &counts);
+}
+
+#[test]
+fn intervals_of_tau2_from_frequency_steps_cover() {
+    let counts = [count(|seed| frequency_case(seed, 0.008), 10_000), count(|seed| frequency_case(seed, 0.032), 20_000)];
+    assert_covered("τ2 at 8 nm, 32 nm", &counts);
+}
