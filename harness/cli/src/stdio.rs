@@ -4,7 +4,7 @@ use crate::exit::Exit;
 use crate::options::OutputFormat;
 use platebench_record::RunRecord;
 use platebench_report::console;
-use platebench_report::text::printable_lines;
+use platebench_report::text::{printable, printable_lines};
 use platebench_runner::RejudgeError;
 use platebench_scenario::Diagnostic;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -92,7 +92,15 @@ pub(crate) fn note(message: &str) {
 }
 
 pub(crate) fn diagnostic(diagnostic: &Diagnostic) {
-    let _ = writeln!(stderr().lock(), "{}\n", diagnostic.render(stderr().is_terminal()));
+    let _ = writeln!(stderr().lock(), "{}\n", printable_diagnostic(diagnostic).render(stderr().is_terminal()));
+}
+
+/// A file name may contain control characters.
+fn printable_diagnostic(diagnostic: &Diagnostic) -> Diagnostic {
+    let mut printed = diagnostic.clone();
+    printed.path = printable(&diagnostic.path.display().to_string()).into_owned().into();
+    printed.message = harmless(&diagnostic.message);
+    printed
 }
 
 pub(crate) fn reject_file(fault: &Diagnostic) -> Exit {
@@ -162,5 +170,12 @@ mod tests {
     #[case("x\n  ::stop-commands::t", "x\n\\n  ::stop-commands::t")]
     fn messages_have_no_control_characters_and_no_workflow_commands(#[case] message: &str, #[case] expected: &str) {
         assert_eq!(harmless(message), expected);
+    }
+
+    #[test]
+    fn a_diagnostic_has_a_printable_path() {
+        let fault = Diagnostic::for_file("a\u{1b}[2J\n::error::b.toml".as_ref(), "x\n::error::y");
+        let printed = "error: a\\u{1b}[2J\\n::error::b.toml: x\n\\n::error::y";
+        assert_eq!(printable_diagnostic(&fault).render(true), printed);
     }
 }

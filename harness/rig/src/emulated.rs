@@ -306,6 +306,10 @@ impl Link for EmulatedLink {
         Ok(true)
     }
 
+    fn continue_trial(&mut self) {
+        self.trial_start_ns = self.target.now_ns();
+    }
+
     fn instruction_count(&self) -> Option<u64> {
         self.instructions
     }

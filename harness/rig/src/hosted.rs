@@ -8,6 +8,10 @@ use std::time::Duration;
 #[derive(Debug, Clone)]
 pub struct HostedLink {
     device: Device,
+    /// Start of the trial on the device's clock.
+    trial_start: Duration,
+    /// The device's clock.
+    now: Duration,
 }
 
 impl Default for HostedLink {
@@ -18,7 +22,13 @@ impl Default for HostedLink {
 
 impl HostedLink {
     pub fn new() -> Self {
-        Self { device: Device::new(identity()) }
+        Self { device: Device::new(identity()), trial_start: Duration::ZERO, now: Duration::ZERO }
+    }
+
+    /// The device's clock at the trial's instant `now`, µs; wraps, as on the board.
+    fn device_us(&mut self, now: Duration) -> u32 {
+        self.now = self.trial_start + now;
+        self.now.as_micros() as u32
     }
 }
 
@@ -39,24 +49,25 @@ fn identity() -> Identity {
     }
 }
 
-/// Wraps, as on the board.
-fn micros(now: Duration) -> u32 {
-    now.as_micros() as u32
-}
-
 impl Link for HostedLink {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.device.receive(bytes, micros(now), |frame| answer.extend_from_slice(frame));
+        let now_us = self.device_us(now);
+        self.device.receive(bytes, now_us, |frame| answer.extend_from_slice(frame));
         Ok(Duration::ZERO)
     }
 
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.device.tick(micros(now), |frame| received.extend_from_slice(frame));
+        let now_us = self.device_us(now);
+        self.device.tick(now_us, |frame| received.extend_from_slice(frame));
         Ok(())
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {
         *self = Self::new();
         Ok(true)
+    }
+
+    fn continue_trial(&mut self) {
+        self.trial_start = self.now;
     }
 }

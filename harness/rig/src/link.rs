@@ -38,6 +38,9 @@ pub trait Link: Send {
         Ok(false)
     }
 
+    /// Starts the time of another trial without a restart: the next `now` is zero again.
+    fn continue_trial(&mut self) {}
+
     /// From the first bit of the last [`Link::exchange`] to the last bit of its answer.
     fn instruction_count(&self) -> Option<u64> {
         None
@@ -63,6 +66,10 @@ macro_rules! forward_link {
 
             fn restart(&mut self) -> Result<bool, LinkError> {
                 (**self).restart()
+            }
+
+            fn continue_trial(&mut self) {
+                (**self).continue_trial();
             }
 
             fn instruction_count(&self) -> Option<u64> {

@@ -113,6 +113,19 @@ impl<L: Link> Session<L> {
             self.bytes.clear();
             self.consumed = 0;
         }
+        self.configure_trial(configure)
+    }
+
+    /// Starts a trial; `continues` keeps the target and its history.
+    pub fn begin_trial(&mut self, configure: &Configure, continues: bool) -> Result<Gains, RigError> {
+        if !continues {
+            return self.start_trial(configure);
+        }
+        self.link.continue_trial();
+        self.configure_trial(configure)
+    }
+
+    fn configure_trial(&mut self, configure: &Configure) -> Result<Gains, RigError> {
         let gains = self.reconfigure(Duration::ZERO, configure)?;
         self.rejected_frames = 0;
         self.audit.reset();

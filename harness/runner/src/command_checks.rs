@@ -77,7 +77,7 @@ impl CommandChecks {
         if differs || !answered.iter().all(|gain| gain.is_finite()) {
             self.record(ViolationKind::WrongConfiguration, now, None, None);
         }
-        self.last_hz = None;
+        self.last_hz = Some(self.start_hz);
     }
 
     /// Sets the number of breaches that the session counts.
@@ -145,6 +145,8 @@ mod tests {
     #[case::range(&[(0.0, -250_006, 3)], &[(ViolationKind::FrequencyOutOfRange, 1)])]
     fn checks_commands(#[case] commands: &[(f32, i32, u32)], #[case] expected: &[(ViolationKind, u64)]) {
         let mut checks = CommandChecks::new(&scenario());
+        let gains = Gains { amplitude_kp: 1.0, amplitude_ki: 1.0, frequency_kp: 1.0, frequency_ki: 1.0 };
+        checks.check_gains(&configure(&scenario(), LawId::DqPi), &gains, Time::ZERO);
         for (number, &(drive, offset, samples)) in (1..).zip(commands) {
             checks.check_command(&command(drive, offset, ControllerState::Running), samples, at(number));
         }

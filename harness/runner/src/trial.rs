@@ -33,6 +33,8 @@ pub struct TrialSpec<'a> {
     pub wire_time: bool,
     /// The controller's clock runs while the plate waits.
     pub own_clock: bool,
+    /// True if the target keeps its state from the trial before instead of a restart.
+    pub continues: bool,
 }
 
 #[derive(Debug)]
@@ -63,7 +65,7 @@ pub fn play<L: Link>(
 /// Fails if the firmware does not answer before the trial.
 pub fn play_hosted(scenario: &Scenario, law: LawId, index: u32) -> Result<TrialResult, RigError> {
     let mut session = Session::open(FaultInjector::new(HostedLink::new()))?;
-    let spec = TrialSpec { scenario, law, index, wire_time: false, own_clock: false };
+    let spec = TrialSpec { scenario, law, index, wire_time: false, continues: false, own_clock: false };
     let mut trial = Trial::start(&mut session, &spec, None);
     while !trial.step() {}
     Ok(trial.finish())
@@ -136,7 +138,7 @@ impl<'a, L: Link> Trial<'a, L> {
         session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
         let mut trial = Self::new(session, spec, tap);
         let configure = trial.configuration();
-        match trial.session.start_trial(&configure) {
+        match trial.session.begin_trial(&configure, spec.continues) {
             Ok(gains) => trial.controller.record_configuration(&configure, Some(&gains), Time::ZERO),
             Err(error) => trial.end_on_link_error(error),
         }

@@ -122,7 +122,7 @@ impl WorkQueue<'_> {
 
     fn spec<'a>(&self, scenario: &'a Scenario, law: LawId, index: u32) -> TrialSpec<'a> {
         let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
-        TrialSpec { scenario, law, index, wire_time, own_clock: self.run.plan.own_clock }
+        TrialSpec { scenario, law, index, wire_time, continues: false, own_clock: self.run.plan.own_clock }
     }
 
     fn play_on_clock(
@@ -150,9 +150,8 @@ impl WorkQueue<'_> {
         let mut violations = Vec::new();
         for scene in scenario.between.iter().filter(|_| index > 0) {
             let law = configure::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?;
-            let Some(played) = self.play_on_clock(session, &self.spec(scene, law, index), None)? else {
-                return Ok(None);
-            };
+            let spec = TrialSpec { continues: true, ..self.spec(scene, law, index) };
+            let Some(played) = self.play_on_clock(session, &spec, None)? else { return Ok(None) };
             if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
                 return Err(refused.into());
             }
@@ -194,7 +193,9 @@ impl WorkQueue<'_> {
         };
         let Some(violations) = self.play_between(open, scenario, index)? else { return Ok(None) };
         let mut tap = self.run.live_tap.acquire(number, index);
-        let played = self.play_on_clock(open, &self.spec(scenario, law, index), tap.tap())?;
+        let continues = index > 0 && scenario.keeps_controller();
+        let spec = TrialSpec { continues, ..self.spec(scenario, law, index) };
+        let played = self.play_on_clock(open, &spec, tap.tap())?;
         drop(tap);
         let Some(mut played) = played else { return Ok(None) };
         played.telemetry.violations.extend(violations);

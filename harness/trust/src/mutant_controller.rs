@@ -158,6 +158,10 @@ impl<L: Link> Link for MutantController<L> {
         Ok(restarted)
     }
 
+    fn continue_trial(&mut self) {
+        self.inner.continue_trial();
+    }
+
     fn instruction_count(&self) -> Option<u64> {
         self.inner.instruction_count()
     }

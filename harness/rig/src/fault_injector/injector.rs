@@ -150,6 +150,11 @@ impl<L: Link> Link for FaultInjector<L> {
         self.inner.restart()
     }
 
+    fn continue_trial(&mut self) {
+        self.clear();
+        self.inner.continue_trial();
+    }
+
     fn instruction_count(&self) -> Option<u64> {
         self.inner.instruction_count()
     }

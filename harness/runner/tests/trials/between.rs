@@ -48,6 +48,15 @@ impl Link for Remembering<'_> {
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         self.inner.advance_to(now, received)
     }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        self.has_run_deadbeat = false;
+        self.inner.restart()
+    }
+
+    fn continue_trial(&mut self) {
+        self.inner.continue_trial();
+    }
 }
 
 /// The record, the number of connections and of configurations.

@@ -254,8 +254,9 @@ fn a_design_for_a_finger_is_as_fast_under_it() {
 fn backward_gains_convert_to_the_firmware_s_forward_integral() {
     let plate = paper_plate();
     let demand = demand(&plate);
-    let [forward, backward] = [Discretisation::Forward, Discretisation::Backward]
-        .map(|discretisation| GainDesign::new(&demand, discretisation, demand.response).firmware_gains(demand.period()));
+    let [forward, backward] = [Discretisation::Forward, Discretisation::Backward].map(|discretisation| {
+        GainDesign::new(&demand, discretisation, demand.response).firmware_gains(demand.period())
+    });
     let per_period = forward.amplitude_ki * 1e-3;
     assert!((backward.amplitude_kp - forward.amplitude_kp - per_period).abs() < 1e-3);
     assert_eq!(backward.amplitude_ki, forward.amplitude_ki);
