@@ -3,8 +3,8 @@
 use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
-    accept, baseline, chart, check, compare, completions, emulate, export, identify, judge, man, new, report, run,
-    schema, stability, trust, tune,
+    accept, baseline, chart, check, compare, completions, emulate, explore, export, identify, judge, man, new, report,
+    run, schema, stability, trust, tune,
 };
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -55,6 +55,8 @@ pub(crate) enum Command {
     Baseline(baseline::BaselineArgs),
     /// Measure how well the scenarios catch faulty controllers: kill rate, false-alarm rate
     Trust(trust::TrustArgs),
+    /// Generate scenes from an operating envelope, check properties and reduce what fails to a minimal scenario
+    Explore(explore::ExploreArgs),
     /// Show where methods and loops become unstable: predicted and measured limits, margins, maps
     Stability(stability::StabilityArgs),
     /// Identify plate parameters from recorded steps

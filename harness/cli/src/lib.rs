@@ -13,6 +13,7 @@ mod completions;
 mod config;
 mod emulate;
 mod exit;
+mod explore;
 mod export;
 mod identify;
 mod judge;

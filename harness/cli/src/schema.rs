@@ -5,6 +5,7 @@ use crate::exit::Exit;
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_acceptance::plan::plan_schema;
+use platebench_explore::RawEnvelope;
 use platebench_scenario::schema;
 use platebench_trace::write_atomically;
 use platebench_wire::LawId;
@@ -16,7 +17,7 @@ use std::path::PathBuf;
 Examples:
   platebench schema > scenario.json        `#:schema scenario.json` as the first line of a scenario enables completion
   platebench schema config > config.json
-  platebench schema --out scenarios/schema all four files
+  platebench schema --out scenarios/schema all five files
 
 Exit codes: 0 written, 2 a file cannot be written")]
 pub(crate) struct SchemaArgs {
@@ -36,6 +37,8 @@ enum SchemaKind {
     Plate,
     /// Plans of acceptance sessions
     Plan,
+    /// Operating envelopes
+    Envelope,
     /// platebench.toml
     Config,
 }
@@ -46,6 +49,7 @@ impl SchemaKind {
             Self::Scenario => "scenario.json",
             Self::Plate => "plate.json",
             Self::Plan => "plan.json",
+            Self::Envelope => "envelope.json",
             Self::Config => "config.json",
         }
     }
@@ -62,6 +66,7 @@ impl SchemaKind {
             }
             Self::Plate => schema::plate_schema(),
             Self::Plan => plan_schema(),
+            Self::Envelope => schema::schema_of::<RawEnvelope>("Operating envelope"),
             Self::Config => schema::schema_of::<RawConfig>("platebench.toml"),
         }
     }

@@ -11,6 +11,7 @@ pub enum FileKind {
     Scenario,
     Plate,
     Plan,
+    Envelope,
     Config,
 }
 
@@ -22,12 +23,14 @@ impl FileKind {
         }
         let text = input::read(path).map(|content| String::from_utf8_lossy(&content).into_owned()).unwrap_or_default();
         let (document, _) = DeTable::parse_recoverable(&text);
-        let has = |keys: [&str; 3]| keys.iter().any(|key| document.get_ref().contains_key(*key));
-        if has(["profile", "expect", "controller"]) {
+        let has = |keys: &[&str]| keys.iter().any(|key| document.get_ref().contains_key(*key));
+        if has(&["profile", "expect", "controller"]) {
             Self::Scenario
-        } else if has(["requirement", "ask", "bench"]) {
+        } else if has(&["requirement", "ask", "bench"]) {
             Self::Plan
-        } else if has(["mode", "drive", "sensor"]) {
+        } else if has(&["range"]) {
+            Self::Envelope
+        } else if has(&["mode", "drive", "sensor"]) {
             Self::Plate
         } else {
             Self::Scenario
@@ -39,6 +42,7 @@ impl FileKind {
             Self::Scenario => "scenario",
             Self::Plate => "plate",
             Self::Plan => "plan",
+            Self::Envelope => "envelope",
             Self::Config => "settings file",
         }
     }

@@ -9,7 +9,7 @@ use std::fs;
 use toml::Table;
 
 /// A crate imports only crates of lower levels.
-const LEVELS: [(&str, u8); 19] = [
+const LEVELS: [(&str, u8); 20] = [
     ("firmware-under-test/wire", 0),
     ("firmware-under-test/controller", 0),
     ("firmware-under-test/host", 0),
@@ -24,6 +24,7 @@ const LEVELS: [(&str, u8); 19] = [
     ("harness/report", 4),
     ("harness/export", 4),
     ("harness/study", 5),
+    ("harness/explore", 5),
     ("harness/trust", 5),
     ("harness/live", 5),
     ("harness/native-tests", 5),

@@ -1,0 +1,154 @@
+//! `platebench explore`: generates scenes from an operating envelope and checks properties of the controller.
+
+mod budget;
+
+use crate::exit::Exit;
+use crate::options::{OutputFormat, job_count, law_names};
+use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::stdio;
+use budget::parse_duration;
+use clap::Args;
+use platebench_explore::session::{ExploreSession, ProgressEvent};
+use platebench_explore::{Envelope, ExploreError, report, text};
+use platebench_record::RunFolder;
+use platebench_rig::{CancelToken, RigSpec};
+use platebench_scenario::find;
+use platebench_wire::LawId;
+use std::path::PathBuf;
+use std::time::Duration;
+
+const DEFAULT_LAW: LawId = LawId::DqPi;
+
+/// `platebench explore`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench explore                                      60 s on the emulated board
+  platebench explore --rig 'exec:./controller {port}' --for 10m
+  platebench explore --scenes 1000 --seed 7 --law deadbeat --out /tmp/night
+  platebench explore envelopes/warm.toml --regressions tests/found
+
+Exit codes: 0 no property was violated, 1 a property was violated, 2 invalid input, 3 the rig left scenes undecided,
+5 the rig could not be reached or was lost")]
+pub(crate) struct ExploreArgs {
+    /// The operating envelope
+    #[arg(default_value = "scenarios/envelope.toml")]
+    envelope: PathBuf,
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
+    /// probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
+    #[arg(long, default_value = "emulated")]
+    rig: RigSpec,
+    /// Control law of the firmware under test; default: dq-pi
+    #[arg(long, value_name = "NAME", value_parser = law_names())]
+    law: Option<String>,
+    /// Duration: 30s, 10m, 8h; default: 60s
+    #[arg(long = "for", value_name = "DURATION", conflicts_with = "scenes", value_parser = parse_duration)]
+    time: Option<Duration>,
+    /// Number of scenes
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    scenes: Option<u64>,
+    /// Seed; scene i depends on the envelope, the seed and i only
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Scenes that are played at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// The run folder; default: a new folder below runs/
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+    /// Folder of minimal scenes; those in it are played first
+    #[arg(long, value_name = "FOLDER", default_value = "scenarios/regressions")]
+    regressions: PathBuf,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+/// Explores and prints the result.
+pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> Exit {
+    let session = match prepare(arguments) {
+        Ok(session) => session,
+        Err(exit) => return exit,
+    };
+    let folder = match RunFolder::create(arguments.out.as_deref()) {
+        Ok(folder) => folder,
+        Err(error) => return stdio::reject(&error),
+    };
+    let path = folder.path().to_owned();
+    let cancel = CancelToken::default();
+    let work_cancel = cancel.clone();
+    let work = move |events: &mut EventSender<_, ProgressEvent>| {
+        session.run(&work_cancel, &path, &mut |event| events.send(event))
+    };
+    let mut last = Duration::ZERO;
+    let result = run_until_signal(&cancel, None, work, |event| {
+        // A line every ten seconds tells a log that the work goes on.
+        if !quiet && event.elapsed >= last + Duration::from_secs(10) {
+            last = event.elapsed;
+            stdio::note(&event.to_string());
+        }
+    });
+    let report = match result {
+        Ok(WorkResult::Finished(Ok(report), None)) => report,
+        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => {
+            folder.remove_if_empty();
+            return Exit::Signal(signal);
+        }
+        Ok(WorkResult::Finished(Err(error), None)) => {
+            folder.remove_if_empty();
+            stdio::error(&error.to_string());
+            return exit_of_error(&error);
+        }
+        Err(error) => {
+            stdio::error(&error.to_string());
+            return Exit::Inconclusive;
+        }
+    };
+    match arguments.format {
+        OutputFormat::Human => stdio::show(&text::summary(&report)),
+        OutputFormat::Json => stdio::show_json(&report),
+    }
+    stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
+    Exit::of_verdict(report.verdict)
+}
+
+fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Exit> {
+    let envelope = Envelope::load(&arguments.envelope).map_err(|faults| stdio::reject_files(&faults))?;
+    arguments.rig.check().map_err(|fault| stdio::reject(&fault))?;
+    let has_regressions = arguments.regressions.is_dir();
+    let regressions = if has_regressions {
+        let found = find(std::slice::from_ref(&arguments.regressions));
+        found.map_err(|faults| stdio::reject_files(&faults))?.scenarios
+    } else {
+        Vec::new()
+    };
+    let law = arguments.law.as_deref().and_then(LawId::from_name).unwrap_or(DEFAULT_LAW);
+    let jobs = if arguments.rig.allows_parallel_links() { job_count(arguments.jobs) } else { 1 };
+    let time = arguments.time.unwrap_or(Duration::from_secs(60));
+    let budget = arguments.scenes.map_or(platebench_explore::Budget::Time(time), platebench_explore::Budget::Scenes);
+    Ok(ExploreSession {
+        envelope,
+        rig: arguments.rig.clone(),
+        law,
+        seed: arguments.seed,
+        budget,
+        jobs,
+        regressions,
+        regression_folder: arguments.regressions.clone(),
+    })
+}
+
+fn exit_of_error(error: &ExploreError) -> Exit {
+    match error {
+        ExploreError::Connect(error) if error.is_invalid_input() => Exit::Invalid,
+        ExploreError::Connect(_) => Exit::Unreachable,
+        ExploreError::Rig(platebench_rig::RigError::ConfigurationRejected(_)) => Exit::Invalid,
+        ExploreError::Rig(_) | ExploreError::Lost(_) => Exit::Unreachable,
+        ExploreError::LawNotAnnounced(_) | ExploreError::LawWithoutProperties(_) | ExploreError::Io { .. } => {
+            Exit::Invalid
+        }
+        ExploreError::Generated(_) | ExploreError::Strategy(_) | ExploreError::Cancelled | ExploreError::Internal => {
+            Exit::Inconclusive
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! Reads the operating envelope.
+
+use platebench_plate::{Plate, input};
+use platebench_scenario::{Diagnostic, load, parse};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
+
+/// An envelope file.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawEnvelope {
+    /// Title, one line.
+    #[schemars(length(min = 1))]
+    title: String,
+    /// Plate file, relative to this file.
+    plate: PathBuf,
+    /// Smallest and largest value of each quantity.
+    range: Ranges,
+    /// Smallest and largest number of events and trials.
+    count: Counts,
+}
+
+/// `[range]`
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Ranges {
+    /// Setpoints above 0, µm.
+    pub setpoint_um: [f64; 2],
+    /// Normal force of the finger, N.
+    pub finger_force_n: [f64; 2],
+    /// Rate of a force ramp, N/s.
+    pub force_rate_n_per_s: [f64; 2],
+    /// Kelvin above the plate's reference temperature.
+    pub temperature_offset_k: [f64; 2],
+    /// Rate of a temperature ramp, K/s.
+    pub temperature_rate_k_per_s: [f64; 2],
+    /// Excitation frequency at the start of a trial minus the resonance there, Hz.
+    pub start_frequency_offset_hz: [f64; 2],
+    /// Limit of the amplifier, Vpp.
+    pub drive_limit_vpp: [f64; 2],
+    /// Control period, ms.
+    pub period_ms: [f64; 2],
+    /// Loop delay, control periods; configured in the law.
+    pub loop_delay_periods: [f64; 2],
+    /// Sensor noise of each component, µm.
+    pub noise_um_rms: [f64; 2],
+    /// Gain of the played plate relative to the configured one, percent.
+    pub gain_deviation_percent: [f64; 2],
+    /// Time constant of the played plate relative to the configured one, percent.
+    pub time_constant_deviation_percent: [f64; 2],
+    /// Time between changes, ms.
+    pub quiet_ms: [f64; 2],
+    /// Time of a long hold or rest, ms.
+    pub long_quiet_ms: [f64; 2],
+}
+
+/// `[count]`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Counts {
+    /// Events of a trial.
+    pub events: [u32; 2],
+    /// Trials before the judged one, in a scene with a history.
+    pub earlier_trials: [u32; 2],
+}
+
+/// A checked envelope.
+#[derive(Debug, Clone)]
+pub struct Envelope {
+    /// The file.
+    pub path: PathBuf,
+    /// One line of text.
+    pub title: String,
+    /// The configured plate.
+    pub plate: Plate,
+    /// Ranges of the quantities.
+    pub range: Ranges,
+    /// Numbers of events and trials.
+    pub count: Counts,
+    /// SHA-256 of the envelope file and its plate file.
+    pub digest: [u8; 32],
+}
+
+/// Bounds of a range: smallest, largest, and their unit.
+type Bounds = (f64, f64, &'static str);
+
+const MAX_EVENTS: u32 = 20;
+const MAX_EARLIER_TRIALS: u32 = 4;
+
+impl Ranges {
+    /// Every range with the bounds that its ends must keep.
+    fn with_bounds(&self) -> [(&'static str, [f64; 2], Bounds); 14] {
+        [
+            ("setpoint_um", self.setpoint_um, (0.01, 100.0, "µm")),
+            ("finger_force_n", self.finger_force_n, (0.0, 20.0, "N")),
+            ("force_rate_n_per_s", self.force_rate_n_per_s, (0.01, 1e4, "N/s")),
+            ("temperature_offset_k", self.temperature_offset_k, (-100.0, 100.0, "K")),
+            ("temperature_rate_k_per_s", self.temperature_rate_k_per_s, (0.01, 1e4, "K/s")),
+            ("start_frequency_offset_hz", self.start_frequency_offset_hz, (-100.0, 100.0, "Hz")),
+            ("drive_limit_vpp", self.drive_limit_vpp, (1.0, 1e5, "Vpp")),
+            ("period_ms", self.period_ms, (0.1, 20.0, "ms")),
+            ("loop_delay_periods", self.loop_delay_periods, (0.0, 1.0, "periods")),
+            ("noise_um_rms", self.noise_um_rms, (0.0, 1.0, "µm")),
+            ("gain_deviation_percent", self.gain_deviation_percent, (-50.0, 50.0, "%")),
+            ("time_constant_deviation_percent", self.time_constant_deviation_percent, (-50.0, 50.0, "%")),
+            ("quiet_ms", self.quiet_ms, (1.0, 1e4, "ms")),
+            ("long_quiet_ms", self.long_quiet_ms, (1.0, 1e5, "ms")),
+        ]
+    }
+}
+
+impl Envelope {
+    /// Reads and checks the envelope at `path`.
+    ///
+    /// # Errors
+    /// Every wrong key, else every wrong value.
+    pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
+        let unreadable = |error| vec![Diagnostic::for_file(path, format!("cannot be read: {error}"))];
+        let bytes = input::read(path).map_err(unreadable)?;
+        let text = String::from_utf8(bytes)
+            .map_err(|_| vec![Diagnostic::for_file(path, "not UTF-8, expected a text file in UTF-8")])?;
+        let raw: RawEnvelope = parse(path, &text)?;
+        let mut faults = raw.faults(path, &text);
+        let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.plate);
+        let plate = load::load_plate(&plate_path).map_err(|found| faults.extend(found)).ok();
+        match plate {
+            Some(plate) if faults.is_empty() => {
+                let mut digest = Sha256::new_with_prefix(&text);
+                digest.update(format!("{plate:?}"));
+                let (title, range, count) = (raw.title, raw.range, raw.count);
+                Ok(Self { path: path.to_owned(), title, plate, range, count, digest: digest.finalize().into() })
+            }
+            _ => Err(faults),
+        }
+    }
+}
+
+impl RawEnvelope {
+    fn faults(&self, path: &Path, text: &str) -> Vec<Diagnostic> {
+        let mut faults = Vec::new();
+        let mut require = |holds: bool, key: String, message: &dyn Fn() -> String| {
+            if !holds {
+                faults.push(Diagnostic::at_key(path, text, &key, message()));
+            }
+        };
+        let one_line = !self.title.trim().is_empty() && !self.title.contains(char::is_control);
+        require(one_line, "title".to_owned(), &|| format!("{:?}, expected one line of text", self.title));
+        for (key, [low, high], (least, most, unit)) in self.range.with_bounds() {
+            // A NaN fails the first comparison.
+            let inside = least <= low && high <= most;
+            require(inside && low <= high, format!("range.{key}"), &|| {
+                format!("[{low}, {high}], expected [low, high] with low not above high, from {least} to {most} {unit}")
+            });
+        }
+        let counts = [("events", self.count.events, MAX_EVENTS)];
+        let counts = counts.into_iter().chain([("earlier_trials", self.count.earlier_trials, MAX_EARLIER_TRIALS)]);
+        for (key, [low, high], most) in counts {
+            require(1 <= low && low <= high && high <= most, format!("count.{key}"), &|| {
+                format!("[{low}, {high}], expected [low, high] with low not above high, from 1 to {most}")
+            });
+        }
+        faults
+    }
+}

@@ -1,0 +1,53 @@
+//! Why an exploration ends early.
+
+use platebench_rig::{ConnectError, RigError};
+use platebench_scenario::Diagnostic;
+use std::io;
+use std::path::PathBuf;
+
+/// Why there is no result.
+#[derive(Debug, thiserror::Error)]
+pub enum ExploreError {
+    /// The rig could not be opened.
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    /// The controller does not answer, or rejects a configuration of the envelope.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// The controller does not announce the law.
+    #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
+    LawNotAnnounced(&'static str),
+    /// No property is declared for the law.
+    #[error("{0} has no declared properties, expected dq-pi, dq-pi-fixed or deadbeat")]
+    LawWithoutProperties(&'static str),
+    /// A generated scenario is not valid.
+    #[error("the bench generated an invalid scenario, please report it: {0}")]
+    Generated(Box<Diagnostic>),
+    /// The strategy library rejected a scene.
+    #[error("the bench generated no scene, please report it: {0}")]
+    Strategy(String),
+    /// A file cannot be written.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// The operating system's error.
+        source: io::Error,
+    },
+    /// The controller was lost in several scenes in a row.
+    #[error("the controller was lost in {0} scenes in a row")]
+    Lost(u32),
+    /// A signal ended the exploration.
+    #[error("the exploration was cancelled")]
+    Cancelled,
+    /// A worker ended early.
+    #[error("internal error: a worker thread ended early; please report it")]
+    Internal,
+}
+
+impl ExploreError {
+    pub(crate) fn io(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io { path, source }
+    }
+}

@@ -1,0 +1,285 @@
+//! Plays generated scenes on several workers until the budget is used or enough scenes fail.
+
+use crate::coverage::Coverage;
+use crate::envelope::Envelope;
+use crate::error::ExploreError;
+use crate::generator::Generator;
+use crate::player::{Connect, Failure, Player, SceneResult};
+use crate::properties::{Property, demands};
+use crate::scenario_file::{ScenarioText, ScenarioWriter};
+use crate::scene::Scene;
+use crate::staging::Staging;
+use platebench_rig::CancelToken;
+use platebench_scenario::Scenario;
+use platebench_wire::LawId;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// After so many failing scenes more of them show nothing new.
+const ENOUGH_FAILURES: u64 = 25;
+/// Earlier scenes of a controller that may explain a failure.
+const MAX_HISTORY: usize = 8;
+
+/// When an exploration ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Budget {
+    /// After this time.
+    Time(Duration),
+    /// After this number of scenes.
+    Scenes(u64),
+}
+
+/// Settings of an exploration.
+#[derive(Debug, Clone)]
+pub struct ExploreConfig {
+    /// The envelope.
+    pub envelope: Envelope,
+    /// The seed.
+    pub seed: u64,
+    /// The law under test.
+    pub law: LawId,
+    /// Laws that earlier trials may use.
+    pub laws: Vec<LawId>,
+    /// When it ends.
+    pub budget: Budget,
+    /// Number of workers, each with its own controller.
+    pub jobs: usize,
+    /// True if the controller's clock runs while the plate waits.
+    pub own_clock: bool,
+    /// Scenarios that earlier explorations wrote; played first.
+    pub regressions: Vec<Scenario>,
+}
+
+impl ExploreConfig {
+    /// The generator of the scenes.
+    pub fn generator(&self) -> Generator<'_> {
+        Generator { envelope: &self.envelope, seed: self.seed, law: self.law, laws: &self.laws }
+    }
+}
+
+/// A scene with a violated property.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FailedScene {
+    /// Its number.
+    pub index: u64,
+    /// What it violates.
+    pub failures: Vec<Failure>,
+    /// Scenes that the same controller played before, oldest first.
+    pub history: Vec<u64>,
+}
+
+/// A regression scenario that fails.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FailedRegression {
+    /// Its file.
+    pub file: String,
+    /// What it violates.
+    pub failures: Vec<Failure>,
+}
+
+/// Counts of one property.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PropertyTally {
+    /// Judged windows.
+    pub windows: u64,
+    /// Windows that violate it.
+    pub violations: u64,
+    /// Smallest distance from the limit, relative to the limit.
+    pub smallest_margin: f64,
+    /// The scene with it.
+    pub tightest_scene: u64,
+}
+
+impl Default for PropertyTally {
+    fn default() -> Self {
+        Self { windows: 0, violations: 0, smallest_margin: f64::INFINITY, tightest_scene: 0 }
+    }
+}
+
+/// The result of an exploration before shrinking.
+#[derive(Debug, Clone, Default)]
+pub struct Exploration {
+    /// Played scenes.
+    pub scenes: u64,
+    /// Scenes that the rig did not decide.
+    pub undecided: u64,
+    /// By property.
+    pub properties: BTreeMap<Property, PropertyTally>,
+    /// Failed scenes by number.
+    pub failed: Vec<FailedScene>,
+    /// Regression scenarios that were played.
+    pub regressions: usize,
+    /// Those that fail.
+    pub failed_regressions: Vec<FailedRegression>,
+    /// What the scenes cover.
+    pub coverage: Coverage,
+    /// Duration.
+    pub elapsed: Duration,
+}
+
+impl Exploration {
+    fn add(&mut self, scene: &Scene, index: u64, result: &SceneResult, envelope: &Envelope) {
+        self.scenes += 1;
+        self.undecided += u64::from(result.undecided.is_some());
+        self.coverage.add(scene, envelope);
+        for window in &result.windows {
+            let tally = self.properties.entry(window.property).or_default();
+            let Some(margin) = window.margin else { continue };
+            tally.windows += 1;
+            tally.violations += u64::from(margin < 0.0);
+            if margin < tally.smallest_margin {
+                (tally.smallest_margin, tally.tightest_scene) = (margin, index);
+            }
+        }
+        let protocol = result.failures.iter().filter(|failure| failure.property == Property::Protocol).count() as u64;
+        if protocol > 0 {
+            let tally = self.properties.entry(Property::Protocol).or_default();
+            tally.windows += protocol;
+            tally.violations += protocol;
+            (tally.smallest_margin, tally.tightest_scene) = (-1.0, index);
+        }
+    }
+}
+
+/// The text of scene `index` as a scenario with every demand.
+pub fn scene_text(envelope: &Envelope, scene: &Scene, title: &str) -> ScenarioText {
+    let source = format!("platebench explore {}", envelope.title);
+    let writer = ScenarioWriter { base: &envelope.plate, title, source: &source, comment: &[], plate_prefix: "" };
+    writer.text(scene, &demands(scene, &envelope.plate))
+}
+
+/// Plays regressions and scenes. `on_scene` receives the number of scenes and failed scenes so far.
+///
+/// # Errors
+/// [`ExploreError`]. A violated property is no error.
+pub fn explore(
+    config: &ExploreConfig,
+    connect: &Connect<'_>,
+    cancel: &CancelToken,
+    on_scene: &mut dyn FnMut(u64, u64),
+) -> Result<Exploration, ExploreError> {
+    let started = Instant::now();
+    let mut exploration = Exploration::default();
+    play_regressions(config, connect, cancel, &mut exploration)?;
+    let shared = Shared { config, connect, cancel, started, next: AtomicU64::new(0), failed: AtomicU64::new(0) };
+    let (sender, results) = mpsc::channel();
+    thread::scope(|scope| {
+        for _ in 0..config.jobs.max(1) {
+            let (shared, sender) = (&shared, sender.clone());
+            scope.spawn(move || shared.run_worker(&sender));
+        }
+        drop(sender);
+        let mut outcome = Ok(());
+        for result in results {
+            match result {
+                Ok(Played { index, scene, result, history }) => {
+                    exploration.add(&scene, index, &result, &config.envelope);
+                    if !result.failures.is_empty() {
+                        exploration.failed.push(FailedScene { index, failures: result.failures, history });
+                    }
+                    on_scene(exploration.scenes, exploration.failed.len() as u64);
+                }
+                Err(error) => {
+                    shared.next.store(u64::MAX / 2, Ordering::Relaxed);
+                    outcome = outcome.and(Err(error));
+                }
+            }
+        }
+        outcome
+    })?;
+    if cancel.is_cancelled() {
+        return Err(ExploreError::Cancelled);
+    }
+    exploration.failed.sort_by_key(|scene| scene.index);
+    exploration.elapsed = started.elapsed();
+    Ok(exploration)
+}
+
+fn play_regressions(
+    config: &ExploreConfig,
+    connect: &Connect<'_>,
+    cancel: &CancelToken,
+    exploration: &mut Exploration,
+) -> Result<(), ExploreError> {
+    let mut player = Player::new(connect, config.own_clock, cancel);
+    for scenario in &config.regressions {
+        // As under `run`, the first trial meets a controller without a history.
+        player.renew();
+        let Some(result) = player.play(scenario)? else { return Err(ExploreError::Cancelled) };
+        exploration.regressions += 1;
+        if !result.failures.is_empty() {
+            let (file, failures) = (scenario.file.clone(), result.failures);
+            exploration.failed_regressions.push(FailedRegression { file, failures });
+        }
+    }
+    Ok(())
+}
+
+/// A scene that was played.
+struct Played {
+    index: u64,
+    scene: Scene,
+    result: SceneResult,
+    history: Vec<u64>,
+}
+
+/// What the workers share.
+struct Shared<'a> {
+    config: &'a ExploreConfig,
+    connect: &'a Connect<'a>,
+    cancel: &'a CancelToken,
+    started: Instant,
+    next: AtomicU64,
+    failed: AtomicU64,
+}
+
+impl Shared<'_> {
+    fn is_over(&self, index: u64) -> bool {
+        let used = match self.config.budget {
+            Budget::Time(time) => self.started.elapsed() >= time,
+            Budget::Scenes(count) => index >= count,
+        };
+        used || self.cancel.is_cancelled() || self.failed.load(Ordering::Relaxed) >= ENOUGH_FAILURES
+    }
+
+    fn run_worker(&self, results: &mpsc::Sender<Result<Played, ExploreError>>) {
+        if let Err(error) = self.play_scenes(results) {
+            // The receiver ends after the last worker.
+            let _ = results.send(Err(error));
+        }
+    }
+
+    fn play_scenes(&self, results: &mpsc::Sender<Result<Played, ExploreError>>) -> Result<(), ExploreError> {
+        let generator = self.config.generator();
+        let mut staging = Staging::new()?;
+        let mut player = Player::new(self.connect, self.config.own_clock, self.cancel);
+        let mut history = Vec::new();
+        loop {
+            let index = self.next.fetch_add(1, Ordering::Relaxed);
+            if self.is_over(index) || index >= u64::MAX / 2 {
+                return Ok(());
+            }
+            let scene = generator.tree(index).map_err(ExploreError::Strategy)?.current();
+            let title = format!("Scene {index} of seed {}", self.config.seed);
+            let scenario = staging.load(&scene_text(&self.config.envelope, &scene, &title))?;
+            let Some(result) = player.play(&scenario)? else { return Ok(()) };
+            if player.is_young() {
+                history.clear();
+            }
+            if !result.failures.is_empty() {
+                self.failed.fetch_add(1, Ordering::Relaxed);
+            }
+            let played = Played { index, scene, result, history: history.clone() };
+            history.push(index);
+            if history.len() > MAX_HISTORY {
+                history.remove(0);
+            }
+            if results.send(Ok(played)).is_err() {
+                return Ok(());
+            }
+        }
+    }
+}

@@ -1,0 +1,337 @@
+//! Generates scene i from the envelope, the seed and i alone.
+
+use crate::course::CourseBuilder;
+use crate::draw::{
+    self, ConfigurationDraw, DETUNING_STEP_HZ, DEVIATION_STEP_PERCENT, EventDraw, EventKind, FORCE_STEP_N, Gap,
+    LEVEL_STEP_UM, LIMIT_STEP_VPP, NOISE_STEP_UM, PERIOD_STEP_MS, SceneDraw, TEMPERATURE_STEP_K, Target, TrialDraw,
+    USUAL_LEVEL_UM, USUAL_PERIOD_MS,
+};
+use crate::envelope::Envelope;
+use crate::law_properties::LawProperties;
+use crate::scene::{Course, PlateChoice, Scene, SceneTrial};
+use crate::stratum::{SineOf, Stratum};
+use platebench_wire::LawId;
+use proptest::strategy::{BoxedStrategy, Strategy, ValueTree};
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
+use sha2::{Digest, Sha256};
+use std::f64::consts::TAU;
+
+/// Largest share of the drive limit that a setpoint needs in steady state; more is not feasible with a control reserve.
+const MAX_STEADY_DRIVE: f64 = 0.8;
+/// Small steps of a setpoint (nm), a force (0.01 N) and a temperature (0.01 K).
+const NEAR_STEPS: [i32; 3] = [5, 2, 10];
+/// Counters of time that programs may have, µs.
+const COUNTERS_US: [u32; 2] = [100_000, 1_000_000];
+/// Length of the steps of a staircase, control periods in tenths.
+const STAIR_TENTHS: u32 = 7;
+const SINE_STEP_TENTHS: u32 = 20;
+
+/// The generator of one exploration.
+#[derive(Debug, Clone)]
+pub struct Generator<'a> {
+    /// The envelope.
+    pub envelope: &'a Envelope,
+    /// The seed.
+    pub seed: u64,
+    /// Law of the judged trials.
+    pub law: LawId,
+    /// Laws that earlier trials may have.
+    pub laws: &'a [LawId],
+}
+
+/// A scene that can become simpler.
+pub struct SceneTree<'a> {
+    generator: Generator<'a>,
+    stratum: Stratum,
+    tree: Box<dyn ValueTree<Value = SceneDraw>>,
+}
+
+impl SceneTree<'_> {
+    /// The scene.
+    pub fn current(&self) -> Scene {
+        self.generator.build(&self.stratum, &self.tree.current())
+    }
+
+    /// Makes the scene simpler; false if it cannot be.
+    pub fn simplify(&mut self) -> bool {
+        self.tree.simplify()
+    }
+
+    /// Reverts the last simplification in part; false if it cannot be.
+    pub fn complicate(&mut self) -> bool {
+        self.tree.complicate()
+    }
+}
+
+impl<'a> Generator<'a> {
+    /// Scene `index`.
+    ///
+    /// # Errors
+    /// The reason of the strategy library; the strategies here reject nothing.
+    pub fn tree(&self, index: u64) -> Result<SceneTree<'a>, String> {
+        let mut hash = Sha256::new_with_prefix(self.envelope.digest);
+        hash.update(self.seed.to_le_bytes());
+        hash.update(index.to_le_bytes());
+        let random = TestRng::from_seed(RngAlgorithm::ChaCha, &hash.finalize());
+        let mut runner = TestRunner::new_with_rng(Config::default(), random);
+        let stratum = Stratum::of(index);
+        let strategy: BoxedStrategy<SceneDraw> = draw::scene(self.envelope, &stratum);
+        let tree = strategy.new_tree(&mut runner).map_err(|reason| reason.to_string())?;
+        Ok(SceneTree { generator: self.clone(), stratum, tree })
+    }
+
+    fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
+        let judged_configuration = self.configuration(&draw.configuration, self.law);
+        let judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum.sine) };
+        let law = |draw: &ConfigurationDraw| self.laws.get(draw.law % self.laws.len().max(1)).copied();
+        let earlier: Vec<_> = draw
+            .earlier
+            .iter()
+            .map(|(own, trial)| {
+                let law = own.as_ref().and_then(law).unwrap_or(self.law);
+                let configuration = own.as_ref().map_or(judged_configuration, |own| self.configuration(own, law));
+                SceneTrial { law, ..self.trial(configuration, trial, None) }
+            })
+            .collect();
+        let shifts_time = stratum.shifts_time && !stratum.is_long && judged.plate.noise_pm == 0;
+        let count = match (earlier.is_empty(), shifts_time) {
+            (false, _) => 2,
+            (true, true) => 4,
+            (true, false) => 1,
+        };
+        Scene { earlier, judged, count }
+    }
+
+    fn configuration(&self, draw: &ConfigurationDraw, law: LawId) -> Configuration {
+        let range = &self.envelope.range;
+        let usual_us = (USUAL_PERIOD_MS.clamp(range.period_ms[0], range.period_ms[1]) * 1e3).round();
+        let period_us = usual_us as u32;
+        let period_us = period_us.saturating_add_signed(draw.period * (PERIOD_STEP_MS * 1e3) as i32);
+        let has_delay = LawProperties::of(law).compensates_delay;
+        let permille = (DEVIATION_STEP_PERCENT * 10.0) as i32;
+        Configuration {
+            period_us,
+            delay_us: if has_delay { (period_us * draw.delay / 20).min(period_us) } else { 0 },
+            plate: PlateChoice {
+                limit_vpp: range.drive_limit_vpp[1] as u32 - draw.limit * LIMIT_STEP_VPP as u32,
+                noise_pm: draw.noise * (NOISE_STEP_UM * 1e6).round() as u32,
+                gain_permille: draw.gain * permille,
+                time_constant_permille: draw.time_constant * permille,
+            },
+        }
+    }
+
+    fn trial(&self, configuration: Configuration, draw: &TrialDraw, sine: Option<SineOf>) -> SceneTrial {
+        let Configuration { period_us, delay_us, plate } = configuration;
+        let mut timeline = Timeline::new(self, configuration, draw);
+        for event in &draw.events {
+            timeline.add(event);
+        }
+        let duration_us = timeline.now_us.max(1) + timeline.gap_us(draw.tail).max(10 * period_us);
+        let Timeline { setpoint, force, temperature, .. } = timeline;
+        let mut trial = SceneTrial {
+            law: self.law,
+            plate,
+            period_us,
+            delay_us,
+            start_frequency_tenths: 0,
+            duration_us,
+            setpoint: Vec::new(),
+            force: force.finish(),
+            temperature: temperature.finish(),
+        };
+        self.add_sine(&mut trial, draw, sine);
+        let highest = trial.largest_setpoint_nm(&self.envelope.plate, MAX_STEADY_DRIVE);
+        let mut points: Vec<(u32, u32)> =
+            setpoint.into_iter().map(|(at, level)| (at, (level as u32).min(highest))).collect();
+        points.dedup_by(|next, last| next.1 == last.1);
+        trial.setpoint = points;
+        let resonance_hz = trial.mode_at(&self.envelope.plate, 0).omega0 / TAU;
+        let start_hz = resonance_hz + f64::from(draw.detuning) * DETUNING_STEP_HZ;
+        trial.start_frequency_tenths = (start_hz * 10.0).round() as u32;
+        trial
+    }
+
+    /// Replaces a course by a sine within its range.
+    fn add_sine(&self, trial: &mut SceneTrial, draw: &TrialDraw, sine: Option<SineOf>) {
+        let range = &self.envelope.range;
+        let (course, full_rate) = match sine {
+            Some(SineOf::Force) => (&mut trial.force, range.force_rate_n_per_s[1]),
+            Some(SineOf::Temperature) => (&mut trial.temperature, range.temperature_rate_k_per_s[1]),
+            None => return,
+        };
+        let [low, high] = course.range();
+        let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
+        let mean = f64::midpoint(low, high).max(amplitude);
+        // The steepest slope keeps the largest rate.
+        let highest_tenths = (full_rate / (TAU * amplitude) * 10.0) as u32;
+        let frequency_tenths = (10 + draw.sine * SINE_STEP_TENTHS).min(highest_tenths).max(1);
+        let [mean, amplitude] = [mean, amplitude].map(|value| (value * 100.0).round() as i32);
+        *course = Course::Sine { mean, amplitude, frequency_tenths };
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Configuration {
+    period_us: u32,
+    delay_us: u32,
+    plate: PlateChoice,
+}
+
+/// A trial while its events are added.
+struct Timeline<'a> {
+    envelope: &'a Envelope,
+    period_us: u32,
+    /// Factor on quiet times.
+    stretch: f64,
+    now_us: u32,
+    /// Instants, µs, and levels, nm.
+    setpoint: Vec<(u32, i32)>,
+    force: CourseBuilder,
+    temperature: CourseBuilder,
+    /// Earlier levels, forces and temperatures.
+    values: [Vec<i32>; 3],
+}
+
+impl<'a> Timeline<'a> {
+    fn new(generator: &Generator<'a>, configuration: Configuration, draw: &TrialDraw) -> Self {
+        let period_ms = f64::from(configuration.period_us) / 1e3;
+        let slow = if LawProperties::of(generator.law).adapts_to_damping { 1.0 } else { 2.0 };
+        let mut timeline = Self {
+            envelope: generator.envelope,
+            period_us: configuration.period_us,
+            stretch: period_ms.max(1.0) * slow,
+            now_us: 0,
+            setpoint: Vec::new(),
+            force: CourseBuilder::new(),
+            temperature: CourseBuilder::new(),
+            values: [Vec::new(), Vec::new(), Vec::new()],
+        };
+        let level = timeline.level(draw.level);
+        timeline.setpoint.push((0, level));
+        let [force, temperature] = [timeline.force(draw.force), timeline.temperature(draw.temperature)];
+        timeline.force.step(0, force);
+        timeline.temperature.step(0, temperature);
+        timeline
+    }
+
+    fn resolve(&mut self, kind: usize, target: Target, range: [f64; 2], usual: f64, step: f64, scale: f64) -> i32 {
+        let [low, high] = range.map(|value| (value * scale).round() as i32);
+        let usual = (usual * scale).round() as i32;
+        let usual = usual.clamp(low, high);
+        let step = (step * scale).round() as i32;
+        let Some((values, near)) = self.values.get_mut(kind).zip(NEAR_STEPS.get(kind)) else { return usual };
+        let last = values.last().copied().unwrap_or(usual);
+        let value = match target {
+            Target::At(offset) => usual + offset * step,
+            Target::Near(0) => last,
+            Target::Near(offset) => last + offset * near,
+            Target::Back(count) => {
+                values.len().checked_sub(count + 1).and_then(|at| values.get(at)).copied().unwrap_or(last)
+            }
+            Target::Least => low,
+            Target::Most => high,
+        };
+        let value = value.clamp(low, high);
+        values.push(value);
+        value
+    }
+
+    fn level(&mut self, target: Target) -> i32 {
+        self.resolve(0, target, self.envelope.range.setpoint_um, USUAL_LEVEL_UM, LEVEL_STEP_UM, 1e3)
+    }
+
+    fn force(&mut self, target: Target) -> i32 {
+        self.resolve(1, target, self.envelope.range.finger_force_n, 0.0, FORCE_STEP_N, 100.0)
+    }
+
+    fn temperature(&mut self, target: Target) -> i32 {
+        self.resolve(2, target, self.envelope.range.temperature_offset_k, 0.0, TEMPERATURE_STEP_K, 100.0)
+    }
+
+    fn gap_us(&self, gap: Gap) -> u32 {
+        let range = &self.envelope.range;
+        match gap {
+            Gap::Quiet(tenths) => ((range.quiet_ms[0] * 1e3 + f64::from(tenths) * 100.0) * self.stretch) as u32,
+            Gap::Short(tenths) => tenths * 100,
+            Gap::Long(ms) => ((range.long_quiet_ms[0] + f64::from(ms)) * 1e3) as u32,
+            Gap::Counter(periods) => {
+                let next = COUNTERS_US.iter().find(|counter| **counter > self.now_us + 3 * self.period_us);
+                let until = next.copied().unwrap_or(self.now_us + 10 * self.period_us);
+                until.saturating_add_signed(periods * self.period_us as i32) - self.now_us
+            }
+        }
+    }
+
+    fn add(&mut self, event: &EventDraw) {
+        let mut at = self.now_us + self.gap_us(event.gap).max(100);
+        if event.is_aligned || matches!(event.gap, Gap::Counter(_)) {
+            at = at.div_ceil(self.period_us) * self.period_us;
+        } else if at.is_multiple_of(self.period_us) {
+            at += self.period_us / 3;
+        }
+        self.now_us = match event.kind {
+            EventKind::Step => {
+                let level = self.level(event.level);
+                self.setpoint.push((at, level));
+                at
+            }
+            EventKind::Staircase => self.add_staircase(event, at),
+            EventKind::Rest => {
+                let end = at + self.gap_us(event.gap).max(2 * self.period_us);
+                let level = self.level(event.level);
+                self.setpoint.extend([(at, 0), (end, level)]);
+                end
+            }
+            EventKind::Touch => {
+                let force = self.force(event.force);
+                self.force.step(at, force);
+                at
+            }
+            EventKind::Shock => {
+                let temperature = self.temperature(event.temperature);
+                self.temperature.step(at, temperature);
+                at
+            }
+            EventKind::Press => self.press(event, at),
+            EventKind::Heat => self.heat(event, at),
+            EventKind::Both => self.press(event, at).max(self.heat(event, at)),
+        };
+    }
+
+    fn add_staircase(&mut self, event: &EventDraw, at: u32) -> u32 {
+        let from = self.values.first().and_then(|levels| levels.last()).copied().unwrap_or(0);
+        let to = self.level(event.level);
+        let step_us = self.period_us * (STAIR_TENTHS + event.slowness / 4) / 10;
+        let count = event.steps as i32;
+        let mut end = at;
+        for step in 1..=count {
+            end = at + step_us * (step - 1) as u32;
+            self.setpoint.push((end, from + (to - from) * step / count));
+        }
+        end
+    }
+
+    fn press(&mut self, event: &EventDraw, at: u32) -> u32 {
+        let to = self.force(event.force);
+        let duration = ramp_us(self.force.last(), to, self.envelope.range.force_rate_n_per_s, event.slowness);
+        self.force.ramp(at, duration, to)
+    }
+
+    fn heat(&mut self, event: &EventDraw, at: u32) -> u32 {
+        let to = self.temperature(event.temperature);
+        let rates = self.envelope.range.temperature_rate_k_per_s;
+        let duration = ramp_us(self.temperature.last(), to, rates, event.slowness);
+        self.temperature.ramp(at, duration, to)
+    }
+}
+
+/// Longest ramp, µs; a slower one ends earlier at a higher rate.
+const MAX_RAMP_US: f64 = 100_000.0;
+
+/// Duration of a ramp in whole tenths of a ms. The slowness is logarithmic, in percent.
+fn ramp_us(from: i32, to: i32, [slowest, fastest]: [f64; 2], slowness: u32) -> u32 {
+    let rate = fastest * (slowest / fastest).powf(f64::from(slowness) / 100.0);
+    let us = f64::from((to - from).abs()) / 100.0 / rate * 1e6;
+    ((us.min(MAX_RAMP_US) / 100.0).ceil() as u32).max(1) * 100
+}

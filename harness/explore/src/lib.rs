@@ -1,0 +1,43 @@
+//! Explores an operating envelope: generates scenes, plays them, checks properties, shrinks what fails.
+//!
+//! * [`mod@envelope`]: the ranges from which scenes are drawn.
+//! * `draw`, `stratum`, `course`: numbers of a scene. [`generator`]: scene i from envelope, seed and i.
+//! * [`scene`]: a scene. [`scenario_file`]: the same as scenario file.
+//! * `windows`, `limits`, [`law_properties`], [`properties`]: what every scene must meet.
+//! * [`player`]: plays and judges a scene. [`mod@explore`]: plays many on several workers.
+//! * [`mod@shrink`]: makes a failing scene minimal. [`regression`]: writes it as a scenario.
+//! * [`mod@session`]: all of this. [`coverage`], [`report`], [`text`]: the result.
+//!
+//! `docs/exploration.md` derives the limits.
+
+mod course;
+pub mod coverage;
+mod draw;
+pub mod envelope;
+pub mod error;
+pub mod explore;
+pub mod generator;
+pub mod law_properties;
+mod limits;
+pub mod player;
+pub mod properties;
+pub mod regression;
+pub mod report;
+pub mod scenario_file;
+pub mod scene;
+pub mod session;
+pub mod shrink;
+mod staging;
+mod stratum;
+pub mod text;
+mod windows;
+
+pub use draw::EventKind;
+pub use envelope::{Envelope, RawEnvelope};
+pub use error::ExploreError;
+pub use explore::{Budget, Exploration, ExploreConfig, explore};
+pub use generator::Generator;
+pub use law_properties::LawProperties;
+pub use player::Player;
+pub use properties::Property;
+pub use report::ExploreReport;

@@ -1,0 +1,173 @@
+//! Derives limits from the plate, the drive limit, the period and the delay. `docs/exploration.md` contains the
+//! derivations and the measured margins.
+//!
+//! Times are in s.
+
+use crate::law_properties::LawProperties;
+use crate::scene::SceneTrial;
+use num_complex::Complex64;
+use platebench_plate::{Mode, Plate};
+
+/// Half width of the settled band, relative to the setpoint.
+pub(crate) const BAND: f64 = 0.05;
+/// The requirement: 5 % within 2 ms.
+const REQUIRED_S: f64 = 2e-3;
+/// Factor on the shortest time that the drive limit allows.
+const FLOOR_FACTOR: f64 = 1.5;
+/// Time constant of the slowest holding loop, s: its design reaches 5 % in 3 ms.
+const HOLD_TIME_CONSTANT_S: f64 = 1e-3;
+
+/// A larger relative change of the damping is adopted at once, after two periods.
+const MAX_MISMATCH: f64 = 0.3;
+
+/// Limits of one trial.
+pub(crate) struct Limits<'a> {
+    pub(crate) trial: &'a SceneTrial,
+    /// The configured plate, without deviations.
+    pub(crate) base: &'a Plate,
+    pub(crate) properties: LawProperties,
+    pub(crate) period_s: f64,
+    pub(crate) delay_s: f64,
+}
+
+/// What the law knows about damping and resonance when a setpoint steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Knowledge {
+    /// Both are as in the steady state before.
+    Settled,
+    /// First drive of the trial, or they changed since.
+    Unknown,
+}
+
+impl<'a> Limits<'a> {
+    pub(crate) fn new(trial: &'a SceneTrial, base: &'a Plate) -> Self {
+        Self {
+            trial,
+            base,
+            properties: LawProperties::of(trial.law),
+            period_s: f64::from(trial.period_us) * 1e-6,
+            delay_s: f64::from(trial.delay_us) * 1e-6,
+        }
+    }
+
+    pub(crate) fn mode(&self, time_us: u32) -> Mode {
+        self.trial.mode_at(self.base, time_us)
+    }
+
+    fn limit_vpp(&self) -> f64 {
+        self.trial.plate.limit_vpp.into()
+    }
+
+    /// Standard deviation of each sensed component, µm.
+    pub(crate) fn noise_um(&self) -> f64 {
+        f64::from(self.trial.plate.noise_pm) * 1e-6
+    }
+
+    /// Time from `time_us` to the next control instant.
+    fn wait(&self, time_us: u32) -> f64 {
+        let period = self.trial.period_us;
+        f64::from(time_us.div_ceil(period) * period - time_us) * 1e-6
+    }
+
+    /// Largest magnitude of a pole of the loop per period, under `mode`.
+    fn pole(&self, mode: &Mode) -> f64 {
+        let designed = (-self.period_s / HOLD_TIME_CONSTANT_S).exp();
+        if self.properties.adapts_to_damping {
+            return designed;
+        }
+        // Matched to the untouched plate: (z − 1)(z − a) + g (z − a0) = 0.
+        let (nominal, actual) = (self.base.sigma0, mode.sigma);
+        let [a0, a] = [nominal, actual].map(|sigma| (-sigma * self.period_s).exp());
+        let gain = mode.envelope_constant / actual;
+        let fast = (-3.0 * self.period_s / REQUIRED_S).exp();
+        let g = (1.0 - fast) * gain * (1.0 - a) / (self.base.gain * (1.0 - a0));
+        let half = (1.0 + a - g) / 2.0;
+        let root = Complex64::new(half * half - (a - g * a0), 0.0).sqrt();
+        (half + root).norm().max((half - root).norm()).clamp(designed, 0.999)
+    }
+
+    /// Time in which the loop reduces an error to `share` of it, in whole periods.
+    fn decay(&self, mode: &Mode, share: f64) -> f64 {
+        (share.ln() / self.pole(mode).ln()).ceil() * self.period_s
+    }
+
+    /// Shortest time from `from` to within 5 % of `to` µm: with the drive at its limit, or at 0 V.
+    pub(crate) fn floor(&self, mode: &Mode, from: f64, to: f64) -> f64 {
+        let strongest = self.limit_vpp() / mode.drive_for(1.0);
+        let (low, high) = (to * (1.0 - BAND), to * (1.0 + BAND));
+        if from < low {
+            ((strongest - from) / (strongest - low)).ln() / mode.sigma
+        } else if from > high {
+            (from / high).ln() / mode.sigma
+        } else {
+            0.0
+        }
+    }
+
+    /// Largest settling time of a step from `from` to `to` µm at `time_us`.
+    pub(crate) fn settling(&self, time_us: u32, from: f64, to: f64, knowledge: Knowledge) -> f64 {
+        let mode = self.mode(time_us);
+        let floor = (self.floor(&mode, from, to) / self.period_s).ceil() * self.period_s;
+        let designed = self.decay(&mode, self.share(from, to, BAND)).max(REQUIRED_S);
+        let learning = match knowledge {
+            Knowledge::Settled => 1.0,
+            Knowledge::Unknown => 5.0,
+        };
+        let controlled = designed.max(FLOOR_FACTOR * floor) + learning * self.period_s;
+        self.wait(time_us) + self.delay_s + controlled
+    }
+
+    /// Time after a change until the rest of its effect is far below the limits of a steady state.
+    pub(crate) fn steady(&self, time_us: u32, from: f64, to: f64) -> f64 {
+        let mode = self.mode(time_us);
+        self.settling(time_us, from, to, Knowledge::Unknown) + self.decay(&mode, 1.0 / 250.0)
+    }
+
+    /// Share of an error that is left when it is `band` of the setpoint. Fixed gains leave a slow mode with a share of
+    /// the step; adapted gains cancel it.
+    fn share(&self, from: f64, to: f64, band: f64) -> f64 {
+        if self.properties.adapts_to_damping { band } else { band * (to / (from - to).abs()).min(1.0) }
+    }
+
+    /// Relative error of the damping that the law starts with.
+    pub(crate) fn initial_mismatch(&self) -> f64 {
+        let plate = self.trial.plate;
+        let deviation = f64::from(plate.gain_permille.abs() + plate.time_constant_permille.abs()) * 1e-3;
+        self.bounded_mismatch(deviation + (self.mode(0).sigma / self.base.sigma0 - 1.0).abs())
+    }
+
+    /// What a change of the force adds to it.
+    pub(crate) fn mismatch_of(&self, from_us: u32, to_us: u32) -> f64 {
+        let [before, after] = [from_us.saturating_sub(1), to_us].map(|at| self.mode(at).sigma);
+        let ramp = f64::from(to_us - from_us) * 1e-6 / (self.period_s * self.properties.tracking_periods.max(1.0));
+        // A ramp is tracked while it lasts.
+        let lag = if ramp > 0.0 { (1.0 - (-ramp).exp()) / ramp } else { 1.0 };
+        self.bounded_mismatch((after / before - 1.0).abs() * lag)
+    }
+
+    /// Relative change of the damping, as far as the law adopts it at once.
+    pub(crate) fn change_of_damping(&self, from_us: u32, to_us: u32) -> f64 {
+        let [before, after] = [from_us.saturating_sub(1), to_us].map(|at| self.mode(at).sigma);
+        self.bounded_mismatch((after / before - 1.0).abs())
+    }
+
+    fn bounded_mismatch(&self, mismatch: f64) -> f64 {
+        // Fixed gains have a slow pole instead.
+        if self.properties.adapts_to_damping { mismatch.min(MAX_MISMATCH) } else { 0.0 }
+    }
+
+    /// Share of a wrong damping that is left after `time_us`.
+    pub(crate) fn tracked(&self, time_us: u32) -> f64 {
+        (-f64::from(time_us) * 1e-6 / (self.period_s * self.properties.tracking_periods.max(1.0))).exp()
+    }
+
+    /// Largest relative change of |W| in the time `time` at a constant drive, if damping and resonance change from
+    /// `before` to `after` at its start.
+    pub(crate) fn effect(before: &Mode, after: &Mode, time: f64) -> f64 {
+        let rate = Complex64::new(-after.sigma, after.omega0 - before.omega0);
+        // W' = λ W + σ_before, W(0) = 1.
+        let settled = -Complex64::from(before.sigma) / rate;
+        let deviation = |share: f64| (((1.0 - settled) * (rate * time * share).exp() + settled).norm() - 1.0).abs();
+        (1..=16).map(|part| deviation(f64::from(part) / 16.0)).fold(0.0, f64::max)
+    }
+}

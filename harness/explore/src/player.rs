@@ -1,0 +1,194 @@
+//! Plays scenarios on one controller and judges them, as `run` does.
+
+use crate::error::ExploreError;
+use crate::properties::Property;
+use platebench_record::{Cause, ExpectationRecord, Telemetry, Verdict, Violation};
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, FaultInjector, RigError, Session};
+use platebench_runner::law;
+use platebench_runner::trial::{self, TrialResult, TrialSpec};
+use platebench_scenario::{Limit, Scenario};
+use platebench_verdict::{TrialMeasures, judge, measure};
+
+/// Connects to a new controller.
+pub type Connect<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync + 'a;
+
+/// A violated property of a scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Failure {
+    /// The property.
+    pub property: Property,
+    /// Name of the expectation; the violation's text for [`Property::Protocol`].
+    pub name: String,
+    /// The measured value; `None` if there is none, as if a response never settles.
+    pub value: Option<f64>,
+    /// The limit; `None` for [`Property::Protocol`].
+    pub limit: Option<f64>,
+}
+
+/// A judged window.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindowResult {
+    /// The property.
+    pub property: Property,
+    /// Distance of the value from the limit, relative to the limit; `None` if it was not decided.
+    pub margin: Option<f64>,
+}
+
+/// The result of a scene.
+#[derive(Debug, Clone, Default)]
+pub struct SceneResult {
+    /// Violated properties, most severe first.
+    pub failures: Vec<Failure>,
+    /// Every judged window.
+    pub windows: Vec<WindowResult>,
+    /// Why the rig did not decide the scene.
+    pub undecided: Option<Cause>,
+}
+
+impl SceneResult {
+    /// The failure of `property`.
+    pub fn failure_of(&self, property: Property) -> Option<&Failure> {
+        self.failures.iter().find(|failure| failure.property == property)
+    }
+}
+
+/// Trials after which a program on a line is started again, so that many scenes meet a young controller.
+const SCENES_PER_CONTROLLER: u32 = 40;
+
+const MAX_LOSSES: u32 = 5;
+
+/// A controller with its session.
+pub struct Player<'a> {
+    connect: &'a Connect<'a>,
+    own_clock: bool,
+    cancel: &'a CancelToken,
+    session: Option<Session<FaultInjector<BoxedLink>>>,
+    scenes: u32,
+    /// Trials in a row in which the controller was lost.
+    losses: u32,
+}
+
+impl<'a> Player<'a> {
+    /// A player that connects when it first plays.
+    pub fn new(connect: &'a Connect<'a>, own_clock: bool, cancel: &'a CancelToken) -> Self {
+        Self { connect, own_clock, cancel, session: None, scenes: 0, losses: 0 }
+    }
+
+    /// Closes the controller; the next scene meets a new one.
+    pub fn renew(&mut self) {
+        if let Some(session) = self.session.take() {
+            session.close();
+        }
+        self.scenes = 0;
+    }
+
+    /// True if the last scene was the first of its controller.
+    pub(crate) fn is_young(&self) -> bool {
+        self.scenes <= 1
+    }
+
+    /// Plays and judges a scenario. `None` if it was cancelled.
+    ///
+    /// # Errors
+    /// [`ExploreError`] if the controller cannot be reached or rejects a configuration.
+    pub fn play(&mut self, scenario: &Scenario) -> Result<Option<SceneResult>, ExploreError> {
+        if self.scenes >= SCENES_PER_CONTROLLER {
+            self.renew();
+        }
+        self.scenes += 1;
+        let mut trials = Vec::with_capacity(scenario.trials.count as usize);
+        for index in 0..scenario.trials.count {
+            let mut violations = Vec::new();
+            for scene in scenario.between.iter().filter(|_| index > 0) {
+                let Some(played) = self.play_trial(scene, index)? else { return Ok(None) };
+                violations.extend(played.telemetry.violations);
+            }
+            let Some(played) = self.play_trial(scenario, index)? else { return Ok(None) };
+            let violations = violations.into_iter().chain(played.telemetry.violations.clone()).collect();
+            let telemetry = Telemetry { violations, ..played.telemetry };
+            trials.push(measure(scenario, index, &played.trace_rows, &telemetry));
+            if played.link_error.is_some() {
+                self.renew();
+                self.losses += 1;
+                if self.losses >= MAX_LOSSES {
+                    return Err(ExploreError::Lost(self.losses));
+                }
+            } else {
+                self.losses = 0;
+            }
+        }
+        Ok(Some(scene_result(scenario, &trials)))
+    }
+
+    fn play_trial(&mut self, scenario: &Scenario, index: u32) -> Result<Option<TrialResult>, ExploreError> {
+        let law = law(scenario).map_err(|unknown| ExploreError::Generated(Box::new(unknown)))?;
+        let session = match &mut self.session {
+            Some(open) => open,
+            None => self.session.insert(Session::open(FaultInjector::new((self.connect)()?))?),
+        };
+        let spec = TrialSpec { scenario, law, index, wire_time: false, own_clock: self.own_clock };
+        let Some(played) = trial::play(session, &spec, self.cancel, None) else { return Ok(None) };
+        match played.link_error {
+            Some(rejected @ RigError::ConfigurationRejected(_)) => Err(rejected.into()),
+            _ => Ok(Some(played)),
+        }
+    }
+}
+
+impl Drop for Player<'_> {
+    fn drop(&mut self) {
+        self.renew();
+    }
+}
+
+fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
+    let judgement = judge(scenario, trials);
+    let mut result = SceneResult::default();
+    let violations = trials.iter().flat_map(|trial| &trial.telemetry.violations);
+    result.failures.extend(violations.map(protocol_failure));
+    let breaks_protocol = !result.failures.is_empty();
+    for record in &judgement.expectations {
+        let Some(property) = Property::of_name(&record.name) else { continue };
+        let limit = match record.limit {
+            Limit::AtMost(limit) | Limit::Within(_, limit) => limit,
+            Limit::AtLeast(limit) | Limit::About(limit) => limit,
+        };
+        let has_own_failure = record.verdict == Verdict::Fail && !is_violation(record);
+        let margin = match (record.verdict, record.value) {
+            (Verdict::Inconclusive, _) => None,
+            (_, Some(value)) if limit > 0.0 => Some((limit - value.abs()) / limit),
+            (_, Some(value)) => Some(if value.abs() > limit { -1.0 } else { 1.0 }),
+            (Verdict::Pass, None) => None,
+            (Verdict::Fail, None) => Some(f64::NEG_INFINITY),
+        };
+        result.windows.push(WindowResult { property, margin });
+        if has_own_failure {
+            let (name, value) = (record.name.clone(), record.value);
+            result.failures.push(Failure { property, name, value, limit: Some(limit) });
+        }
+        if record.verdict == Verdict::Inconclusive
+            && let Some(cause @ (Cause::Rig | Cause::Bench)) = record.cause
+        {
+            result.undecided = Some(cause);
+        }
+    }
+    if !breaks_protocol {
+        let count = trials.len();
+        let passed = WindowResult { property: Property::Protocol, margin: Some(1.0) };
+        result.windows.extend(std::iter::repeat_n(passed, count));
+    }
+    result
+}
+
+fn is_violation(record: &ExpectationRecord) -> bool {
+    matches!(record.reason, Some(platebench_record::Reason::Violation { .. }))
+}
+
+fn protocol_failure(violation: &Violation) -> Failure {
+    Failure {
+        property: Property::Protocol,
+        name: violation.to_string(),
+        value: violation.worst,
+        limit: violation.limit,
+    }
+}

@@ -1,0 +1,299 @@
+//! Turns the windows of a trial into expectations: the properties that every scene must have.
+
+use crate::limits::{BAND, Knowledge, Limits};
+use crate::scene::{Course, Scene, SceneTrial};
+use crate::windows::{Window, windows};
+use platebench_plate::Plate;
+use platebench_scenario::Metric;
+use serde::Serialize;
+use std::f64::consts::TAU;
+use std::fmt;
+
+/// A property of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Property {
+    /// A setpoint step settles in time.
+    Settling,
+    /// A setpoint step does not overshoot.
+    Overshoot,
+    /// No static error in a quiet window.
+    StaticError,
+    /// No ripple in a quiet window.
+    Ripple,
+    /// The excitation is at the resonance at the end of a quiet window.
+    Frequency,
+    /// No drive at setpoint 0.
+    RestDrive,
+    /// A disturbance moves the amplitude only as far as it must.
+    Deviation,
+    /// The amplitude recovers from a change in time.
+    Recovery,
+    /// Trials differ in history and time stamp only and respond alike.
+    SameResponse,
+    /// The rules of the protocol, checked in every trial.
+    Protocol,
+    /// The commands are those of the reference.
+    Reference,
+}
+
+impl Property {
+    /// Every property.
+    pub const ALL: [Self; 11] = [
+        Self::Settling,
+        Self::Overshoot,
+        Self::StaticError,
+        Self::Ripple,
+        Self::Frequency,
+        Self::RestDrive,
+        Self::Deviation,
+        Self::Recovery,
+        Self::SameResponse,
+        Self::Protocol,
+        Self::Reference,
+    ];
+
+    /// Its name in scenarios and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Settling => "settling",
+            Self::Overshoot => "overshoot",
+            Self::StaticError => "static-error",
+            Self::Ripple => "ripple",
+            Self::Frequency => "frequency",
+            Self::RestDrive => "rest-drive",
+            Self::Deviation => "deviation",
+            Self::Recovery => "recovery",
+            Self::SameResponse => "same-response",
+            Self::Protocol => "protocol",
+            Self::Reference => "reference",
+        }
+    }
+
+    /// The metric that measures it.
+    pub(crate) const fn metric(self) -> Option<Metric> {
+        Some(match self {
+            Self::Settling => Metric::SettlingTime,
+            Self::Overshoot => Metric::Overshoot,
+            Self::StaticError => Metric::StaticError,
+            Self::Ripple => Metric::RipplePercent,
+            Self::Frequency => Metric::FrequencyError,
+            Self::RestDrive => Metric::RestDrive,
+            Self::Deviation => Metric::PeakDeviation,
+            Self::Recovery => Metric::RecoveryTime,
+            Self::SameResponse | Self::Protocol | Self::Reference => return None,
+        })
+    }
+
+    /// The property of an expectation's name, which may end with a number.
+    pub fn of_name(name: &str) -> Option<Self> {
+        let name = name.split_once(' ').map_or(name, |(name, _)| name);
+        Self::ALL.into_iter().find(|property| property.name() == name)
+    }
+}
+
+impl fmt::Display for Property {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
+
+/// An upper limit of a property in a window.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Demand {
+    /// The property.
+    pub property: Property,
+    /// Start of the window, µs.
+    pub from_us: u32,
+    /// End of the window, µs.
+    pub until_us: u32,
+    /// Largest value, in the unit of the metric.
+    pub at_most: f64,
+    /// Half width of the band, percent, if the metric has one.
+    pub band_percent: Option<f64>,
+}
+
+/// A drive at rest is 0 V; this allows a rounding error.
+const REST_DRIVE_VPP: f64 = 1e-3;
+/// Standard deviations of noise that a value may add.
+const NOISE_SIGMAS: f64 = 6.0;
+/// Shortest steady window, control periods.
+const STEADY_PERIODS: u32 = 4;
+const STATIC_ERROR_PERCENT: f64 = 0.05;
+const RIPPLE_PERCENT: f64 = 0.1;
+/// Shares of a wrong damping in static error and ripple while the law tracks it.
+const STATIC_OF_MISMATCH: f64 = 0.35;
+const RIPPLE_OF_MISMATCH: f64 = 0.7;
+const FREQUENCY_ERROR_HZ: f64 = 0.5;
+/// Share of a change of the resonance that is left while the law tracks it.
+const FREQUENCY_OF_MOVE: f64 = 0.5;
+const OVERSHOOT_PERCENT: f64 = 10.0;
+const UNKNOWN_OVERSHOOT_PERCENT: f64 = 30.0;
+/// Overshoot beyond a step that is independent of its height, percent of the setpoint.
+const OVERSHOOT_OF_SETPOINT_PERCENT: f64 = 1.0;
+/// Factor on the effect of a disturbance within one period and the delay.
+const DEVIATION_FACTOR: f64 = 2.0;
+/// Time constant of the slowest holding loop, µs.
+const CLOSED_LOOP_US: u32 = 1_000;
+/// Share of a change of the damping in |W| when the law adopts it.
+const DEVIATION_OF_MISMATCH: f64 = 0.08;
+const DEVIATION_PERCENT: f64 = 0.5;
+
+/// The demands on the judged trial of `scene`.
+pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
+    let trial = &scene.judged;
+    let limits = Limits::new(trial, base);
+    if !limits.properties.is_explored {
+        return Vec::new();
+    }
+    let has_sine = [&trial.force, &trial.temperature].iter().any(|course| matches!(course, Course::Sine { .. }));
+    if has_sine {
+        return Vec::new();
+    }
+    let mut demands = Vec::new();
+    // True while damping and resonance are those of the last steady state.
+    let mut is_known = false;
+    let mut was_steady = false;
+    let mut mismatch = limits.initial_mismatch();
+    for window in windows(trial) {
+        mismatch += limits.mismatch_of(window.change.from_us, window.change.to_us);
+        let judge = WindowJudge { limits: &limits, trial, window, is_known, was_steady, mismatch };
+        judge.add_demands(&mut demands);
+        let change = window.change;
+        if change.force || change.temperature {
+            is_known = false;
+        }
+        let is_driven = trial.setpoint_at(change.to_us) > 0.0;
+        if is_driven {
+            mismatch *= limits.tracked(window.quiet_us());
+        }
+        was_steady = window.quiet_us() >= judge.steady_us();
+        // At rest nothing is learned.
+        is_known |= was_steady && is_driven;
+    }
+    demands
+}
+
+struct WindowJudge<'a> {
+    limits: &'a Limits<'a>,
+    trial: &'a SceneTrial,
+    window: Window,
+    is_known: bool,
+    /// True if the window before was long enough to settle.
+    was_steady: bool,
+    /// Relative error of the damping in the law at the end of the change.
+    mismatch: f64,
+}
+
+impl WindowJudge<'_> {
+    /// Setpoints before and after the change, µm.
+    fn levels(&self) -> (f64, f64) {
+        let change = self.window.change;
+        let before = if change.from_us == 0 { 0.0 } else { self.trial.setpoint_at(change.from_us - 1) };
+        (before, self.trial.setpoint_at(change.to_us))
+    }
+
+    /// Time from the end of the change until the state is steady, µs.
+    fn steady_us(&self) -> u32 {
+        let (before, after) = self.levels();
+        if after == 0.0 {
+            // From the largest setpoint to a thousandth.
+            return (7.0 / self.limits.mode(self.window.change.to_us).sigma * 1e6) as u32;
+        }
+        to_us(self.limits.steady(self.window.change.to_us, before, after))
+    }
+
+    fn add_demands(&self, demands: &mut Vec<Demand>) {
+        let Window { change, until_us, .. } = self.window;
+        let (before, after) = self.levels();
+        if after == 0.0 {
+            let delay = self.trial.period_us + self.trial.delay_us;
+            if self.window.quiet_us() > delay + self.trial.period_us {
+                demands.push(self.demand(Property::RestDrive, change.to_us, until_us, REST_DRIVE_VPP));
+            }
+            return;
+        }
+        if self.noise_percent(after) > 3.0 {
+            return;
+        }
+        if change.setpoint && !change.force && !change.temperature {
+            self.add_step(demands, before, after);
+        } else if !change.setpoint {
+            self.add_disturbance(demands, after);
+        }
+        self.add_steady_state(demands, after);
+    }
+
+    /// Several standard deviations of noise, percent of the setpoint.
+    fn noise_percent(&self, setpoint: f64) -> f64 {
+        NOISE_SIGMAS * self.limits.noise_um() / setpoint * 100.0
+    }
+
+    fn demand(&self, property: Property, from_us: u32, until_us: u32, at_most: f64) -> Demand {
+        let band = matches!(property, Property::Settling | Property::Recovery | Property::Deviation);
+        let level = self.trial.setpoint_at(from_us);
+        let band_percent = band.then(|| BAND * 100.0 + self.noise_percent(level));
+        Demand { property, from_us, until_us, at_most, band_percent }
+    }
+
+    fn add_step(&self, demands: &mut Vec<Demand>, before: f64, after: f64) {
+        let Window { change, until_us, .. } = self.window;
+        let is_first = change.from_us == 0;
+        if !(is_first || self.was_steady) || change.from_us != change.to_us {
+            return;
+        }
+        let knowledge = if self.is_known { Knowledge::Settled } else { Knowledge::Unknown };
+        let allowed = self.limits.settling(change.to_us, before, after, knowledge);
+        if self.window.quiet_us() > to_us(allowed) + self.trial.period_us {
+            demands.push(self.demand(Property::Settling, change.to_us, until_us, allowed * 1e3));
+        }
+        if self.window.quiet_us() > 2 * self.trial.period_us {
+            // At rest a sample tells nothing about the plate.
+            let is_known = self.is_known && before > 0.0;
+            let of_step = if is_known { OVERSHOOT_PERCENT } else { UNKNOWN_OVERSHOOT_PERCENT };
+            let of_setpoint = OVERSHOOT_OF_SETPOINT_PERCENT + self.noise_percent(after.max(before));
+            let at_most = of_step + of_setpoint * after.max(before) / (after - before).abs();
+            demands.push(self.demand(Property::Overshoot, change.to_us, until_us, at_most));
+        }
+    }
+
+    fn add_disturbance(&self, demands: &mut Vec<Demand>, level: f64) {
+        let Window { change, until_us, .. } = self.window;
+        if !self.was_steady {
+            return;
+        }
+        let allowed = self.limits.settling(change.to_us, level, level, Knowledge::Unknown);
+        if self.window.quiet_us() > to_us(allowed) + self.trial.period_us {
+            demands.push(self.demand(Property::Recovery, change.to_us, until_us, allowed * 1e3));
+        }
+        let reaction_us = self.trial.period_us + self.trial.delay_us + self.trial.period_us.max(CLOSED_LOOP_US);
+        let moved_us = change.to_us.min(change.from_us + reaction_us).max(change.from_us);
+        let [mode_before, mode_after] = [change.from_us.saturating_sub(1), moved_us].map(|at| self.limits.mode(at));
+        let effect = Limits::effect(&mode_before, &mode_after, f64::from(reaction_us) * 1e-6) * 100.0;
+        let adoption = DEVIATION_OF_MISMATCH * self.limits.change_of_damping(change.from_us, change.to_us) * 100.0;
+        let at_most = DEVIATION_FACTOR * effect + adoption + DEVIATION_PERCENT + self.noise_percent(level);
+        demands.push(self.demand(Property::Deviation, change.from_us, until_us, at_most));
+    }
+
+    fn add_steady_state(&self, demands: &mut Vec<Demand>, level: f64) {
+        let Window { change, until_us, .. } = self.window;
+        let from_us = change.to_us + self.steady_us();
+        if from_us + STEADY_PERIODS * self.trial.period_us > until_us {
+            return;
+        }
+        let noise = self.noise_percent(level);
+        let mismatch = self.mismatch * self.limits.tracked(from_us - change.to_us) * 100.0;
+        let [before, after] = [change.from_us.saturating_sub(1), change.to_us].map(|at| self.limits.mode(at).omega0);
+        let moved_hz = (after - before).abs() / TAU * self.limits.tracked(until_us - change.to_us);
+        let pairs = [
+            (Property::StaticError, STATIC_ERROR_PERCENT + STATIC_OF_MISMATCH * mismatch + noise),
+            (Property::Ripple, RIPPLE_PERCENT + RIPPLE_OF_MISMATCH * mismatch + 2.0 * noise),
+            (Property::Frequency, FREQUENCY_ERROR_HZ + FREQUENCY_OF_MOVE * moved_hz + noise),
+        ];
+        demands.extend(pairs.map(|(property, at_most)| self.demand(property, from_us, until_us, at_most)));
+    }
+}
+
+fn to_us(seconds: f64) -> u32 {
+    (seconds * 1e6).ceil() as u32
+}

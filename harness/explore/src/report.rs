@@ -1,0 +1,205 @@
+//! Defines `explore.json`.
+
+use crate::coverage::{ChangeKind, RangeCoverage};
+use crate::explore::{Exploration, ExploreConfig, FailedScene};
+use crate::player::Failure;
+use crate::properties::Property;
+use platebench_record::Verdict;
+use platebench_verdict::statistics::proportion::clopper_pearson;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Confidence of the bound on the share of failing scenes.
+const CONFIDENCE: f64 = 0.95;
+/// Name of the file in the run folder.
+pub const FILE: &str = "explore.json";
+
+/// The result of an exploration.
+#[derive(Debug, Clone, Serialize)]
+pub struct ExploreReport {
+    /// Version of this format.
+    pub format: u32,
+    /// `fail` if a property was violated, otherwise `inconclusive` if the rig left a scene undecided.
+    pub verdict: Verdict,
+    /// The envelope file.
+    pub envelope: String,
+    /// The rig as named on the command line.
+    pub rig: String,
+    /// The firmware's name.
+    pub firmware: String,
+    /// The law.
+    pub law: &'static str,
+    /// The seed.
+    pub seed: u64,
+    /// Played scenes.
+    pub scenes: u64,
+    /// Scenes with a violated property.
+    pub failed: u64,
+    /// Scenes that the rig did not decide.
+    pub undecided: u64,
+    /// Duration of the exploration without shrinking, s.
+    pub elapsed_s: f64,
+    /// Bounds of the share of failing scenes under the generator's distribution, each one-sided at 95 %.
+    pub failing_share: Option<[f64; 2]>,
+    /// By property.
+    pub properties: Vec<PropertyReport>,
+    /// Regression scenarios that were played first.
+    pub regressions: usize,
+    /// Those that fail.
+    pub failed_regressions: Vec<RegressionReport>,
+    /// One per violated property, at most three.
+    pub violations: Vec<ViolationReport>,
+    /// What the scenes cover.
+    pub coverage: CoverageReport,
+}
+
+/// Counts of a property.
+#[derive(Debug, Clone, Serialize)]
+pub struct PropertyReport {
+    /// The property.
+    pub property: Property,
+    /// Judged windows.
+    pub windows: u64,
+    /// Windows that violate it.
+    pub violations: u64,
+    /// Smallest distance from the limit, relative to the limit; `null` if a value is missing.
+    pub smallest_margin: Option<f64>,
+    /// The scene with it.
+    pub tightest_scene: u64,
+}
+
+/// A regression scenario that fails.
+#[derive(Debug, Clone, Serialize)]
+pub struct RegressionReport {
+    /// Its file.
+    pub file: String,
+    /// What it violates.
+    pub properties: Vec<Property>,
+}
+
+/// A violated property with its scenes.
+#[derive(Debug, Clone, Serialize)]
+pub struct ViolationReport {
+    /// The property.
+    pub property: Property,
+    /// Number of the scene.
+    pub scene: u64,
+    /// The measured value in the original scene.
+    pub value: Option<f64>,
+    /// The limit there.
+    pub limit: Option<f64>,
+    /// The original scene as a scenario file.
+    pub original: String,
+    /// The minimal scene as a scenario file.
+    pub minimal: String,
+    /// The measured value in the minimal scene.
+    pub minimal_value: Option<f64>,
+    /// The limit there.
+    pub minimal_limit: Option<f64>,
+    /// Path of the minimal scene.
+    pub file: String,
+    /// True if the minimal scene fails with a new controller, played from its file.
+    pub is_reproduced: bool,
+    /// Replays for it.
+    pub replays: u32,
+}
+
+/// What the scenes cover.
+#[derive(Debug, Clone, Serialize)]
+pub struct CoverageReport {
+    /// Value ranges.
+    pub ranges: Vec<RangeCoverage>,
+    /// How often the second change followed the first.
+    pub pairs: Vec<PairCoverage>,
+    /// Scenes by number of earlier trials.
+    pub histories: BTreeMap<usize, u64>,
+}
+
+/// A pair of changes.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct PairCoverage {
+    /// The first.
+    pub first: &'static str,
+    /// The second.
+    pub second: &'static str,
+    /// How often.
+    pub count: u64,
+}
+
+impl ExploreReport {
+    /// The report of an exploration, without violations.
+    pub fn new(config: &ExploreConfig, exploration: &Exploration, rig: &str, firmware: &str) -> Self {
+        let failed = exploration.failed.len() as u64;
+        let has_failed = failed > 0 || !exploration.failed_regressions.is_empty();
+        let verdict = match (has_failed, exploration.undecided) {
+            (true, _) => Verdict::Fail,
+            (false, 0) => Verdict::Pass,
+            (false, _) => Verdict::Inconclusive,
+        };
+        let coverage = &exploration.coverage;
+        let pairs = ChangeKind::ALL.iter().flat_map(|first| ChangeKind::ALL.iter().map(move |second| (first, second)));
+        Self {
+            format: 1,
+            verdict,
+            envelope: config.envelope.path.display().to_string(),
+            rig: rig.to_owned(),
+            firmware: firmware.to_owned(),
+            law: config.law.name(),
+            seed: config.seed,
+            scenes: exploration.scenes,
+            failed,
+            undecided: exploration.undecided,
+            elapsed_s: exploration.elapsed.as_secs_f64(),
+            failing_share: clopper_pearson(failed as u32, exploration.scenes as u32, CONFIDENCE),
+            properties: exploration
+                .properties
+                .iter()
+                .map(|(property, tally)| PropertyReport {
+                    property: *property,
+                    windows: tally.windows,
+                    violations: tally.violations,
+                    smallest_margin: Some(tally.smallest_margin).filter(|margin| margin.is_finite()),
+                    tightest_scene: tally.tightest_scene,
+                })
+                .collect(),
+            regressions: exploration.regressions,
+            failed_regressions: exploration
+                .failed_regressions
+                .iter()
+                .map(|failed| RegressionReport { file: failed.file.clone(), properties: properties(&failed.failures) })
+                .collect(),
+            violations: Vec::new(),
+            coverage: CoverageReport {
+                ranges: coverage.ranges().cloned().collect(),
+                pairs: pairs
+                    .map(|(first, second)| PairCoverage {
+                        first: first.name(),
+                        second: second.name(),
+                        count: coverage.pair(*first, *second),
+                    })
+                    .collect(),
+                histories: coverage.histories.clone(),
+            },
+        }
+    }
+}
+
+fn properties(failures: &[Failure]) -> Vec<Property> {
+    let mut properties: Vec<_> = failures.iter().map(|failure| failure.property).collect();
+    properties.sort_unstable();
+    properties.dedup();
+    properties
+}
+
+/// The violated properties, each with the first scene that violates it; the most frequent first.
+pub fn violated_properties(exploration: &Exploration) -> Vec<(Property, &FailedScene)> {
+    let mut first: BTreeMap<Property, (usize, &FailedScene)> = BTreeMap::new();
+    for scene in &exploration.failed {
+        for property in properties(&scene.failures) {
+            first.entry(property).or_insert((0, scene)).0 += 1;
+        }
+    }
+    let mut violated: Vec<_> = first.into_iter().collect();
+    violated.sort_by_key(|(property, (count, _))| (std::cmp::Reverse(*count), *property));
+    violated.into_iter().map(|(property, (_, scene))| (property, scene)).collect()
+}

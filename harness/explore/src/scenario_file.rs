@@ -1,0 +1,240 @@
+//! Writes a scene as a scenario file with its plate files.
+
+use crate::properties::{Demand, Property};
+use crate::scene::{Course, PlateChoice, Scene, SceneTrial};
+use platebench_plate::Plate;
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+/// Spacing of rows, ms.
+const TRACE_STEP_MS: f64 = 0.1;
+/// Largest difference of two trials that differ in history or time stamps only, µm: some tens of the resolution of
+/// the wire at the largest setpoints.
+pub(crate) const SAME_RESPONSE_UM: f64 = 1e-5;
+
+/// The text of a scenario and of its plate files.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScenarioText {
+    /// The scenario.
+    pub scenario: String,
+    /// Plate files by name, relative to the scenario.
+    pub plates: BTreeMap<String, String>,
+}
+
+impl ScenarioText {
+    /// Writes the files; the scenario is `folder/name.toml`.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn write(&self, folder: &Path, name: &str) -> io::Result<()> {
+        for (file, text) in &self.plates {
+            let path = folder.join(file);
+            if let Some(parent) = path.parent() {
+                fs::create_dir_all(parent)?;
+            }
+            fs::write(path, text)?;
+        }
+        fs::write(folder.join(format!("{name}.toml")), &self.scenario)
+    }
+}
+
+/// Writes scenes for one envelope.
+pub struct ScenarioWriter<'a> {
+    /// The configured plate.
+    pub base: &'a Plate,
+    /// Title of the scenario.
+    pub title: &'a str,
+    /// Its source.
+    pub source: &'a str,
+    /// Comment lines at the beginning.
+    pub comment: &'a [String],
+    /// Beginning of the names of plate files.
+    pub plate_prefix: &'a str,
+}
+
+impl ScenarioWriter<'_> {
+    /// The text of `scene` with `demands` on its judged trial.
+    pub fn text(&self, scene: &Scene, demands: &[Demand]) -> ScenarioText {
+        let mut plates = BTreeMap::new();
+        let mut text = String::new();
+        for line in self.comment {
+            let _ = writeln!(text, "# {line}");
+        }
+        let _ = self.write_scenario(&mut text, scene, demands, &mut plates);
+        ScenarioText { scenario: text, plates }
+    }
+
+    fn write_scenario(
+        &self,
+        text: &mut String,
+        scene: &Scene,
+        demands: &[Demand],
+        plates: &mut BTreeMap<String, String>,
+    ) -> std::fmt::Result {
+        let trial = &scene.judged;
+        writeln!(text, "title = {:?}", self.title)?;
+        writeln!(text, "source = {:?}", self.source)?;
+        writeln!(text, "plate = {:?}", self.plate_file(trial.plate, plates))?;
+        writeln!(text, "duration_ms = {:?}", ms(trial.duration_us))?;
+        writeln!(text, "trace_step_ms = {TRACE_STEP_MS:?}")?;
+        writeln!(text, "tags = [\"explored\"]\n\n[controller]")?;
+        for (key, value) in self.controller(trial, plates) {
+            writeln!(text, "{key} = {value}")?;
+        }
+        writeln!(text, "\n[profile]")?;
+        for (key, value) in profile(trial) {
+            writeln!(text, "{key} = {value}")?;
+        }
+        writeln!(text, "\n[trials]\ncount = {}", scene.count)?;
+        for earlier in &scene.earlier {
+            writeln!(text, "\n[[between]]\nduration_ms = {:?}", ms(earlier.duration_us))?;
+            writeln!(text, "plate = {:?}", self.plate_file(earlier.plate, plates))?;
+            let controller = self.controller(earlier, plates);
+            for (table, keys) in [("controller", controller), ("profile", profile(earlier))] {
+                let keys: Vec<_> = keys.into_iter().map(|(key, value)| format!("{key} = {value}")).collect();
+                writeln!(text, "{table} = {{ {} }}", keys.join(", "))?;
+            }
+        }
+        let mut counts: BTreeMap<Property, u32> = BTreeMap::new();
+        for demand in demands {
+            let count = counts.entry(demand.property).or_default();
+            *count += 1;
+            write_demand(text, demand, *count)?;
+        }
+        if scene.compares_trials() {
+            let name = Property::SameResponse.name();
+            writeln!(text, "\n[[expect]]\nname = {name:?}\nmetric = \"trial_difference_um\"")?;
+            writeln!(text, "at_most = {SAME_RESPONSE_UM:?}")?;
+        } else if demands.is_empty() {
+            // Every scenario expects something; the rules of the protocol come with every trial.
+            writeln!(text, "\n[[expect]]\nname = {:?}", Property::Protocol.name())?;
+            writeln!(text, "metric = \"missed_replies\"\nwithin = [0.0, 0.0]")?;
+        }
+        Ok(())
+    }
+
+    fn controller(&self, trial: &SceneTrial, plates: &mut BTreeMap<String, String>) -> Vec<(&'static str, String)> {
+        let mut keys = vec![
+            ("law", format!("{:?}", trial.law.name())),
+            ("period_ms", format!("{:?}", ms(trial.period_us))),
+            ("start_frequency_hz", format!("{:?}", f64::from(trial.start_frequency_tenths) / 10.0)),
+        ];
+        if trial.delay_us > 0 {
+            keys.push(("loop_delay_ms", format!("{:?}", ms(trial.delay_us))));
+            keys.push(("design_delay_ms", format!("{:?}", ms(trial.delay_us))));
+        }
+        if trial.plate != trial.plate.design() {
+            keys.push(("design_plate", format!("{:?}", self.plate_file(trial.plate.design(), plates))));
+        }
+        keys
+    }
+
+    fn plate_file(&self, choice: PlateChoice, plates: &mut BTreeMap<String, String>) -> String {
+        let PlateChoice { limit_vpp, noise_pm, gain_permille, time_constant_permille } = choice;
+        let mut name = format!("plates/{}{limit_vpp}vpp", self.plate_prefix);
+        for (value, unit) in
+            [(i64::from(noise_pm), "pm"), (gain_permille.into(), "gain"), (time_constant_permille.into(), "tau")]
+        {
+            if value != 0 {
+                let _ = write!(name, "-{value}{unit}");
+            }
+        }
+        name.push_str(".toml");
+        plates.entry(name.clone()).or_insert_with(|| self.plate_text(choice));
+        name
+    }
+
+    fn plate_text(&self, choice: PlateChoice) -> String {
+        let plate = choice.apply(self.base);
+        let time_constant_ms = rounded(1e3 / plate.sigma0);
+        let curve: Vec<_> =
+            plate.damping_ratio.iter().map(|[force, ratio]| format!("[{force:?}, {ratio:?}]")).collect();
+        format!(
+            "name = {:?}\nsource = {:?}\n\n[mode]\nresonance_hz = {:?}\nreference_temperature_c = {:?}\n\
+             resonance_slope_hz_per_k = {:?}\ntime_constant_ms = {time_constant_ms:?}\ngain_um_per_vpp = {:?}\n\n\
+             [finger]\ndamping_ratio = [{}]\nresonance_shift_hz_per_n = {:?}\n\n[drive]\nlimit_vpp = {:?}\n\n\
+             [sensor]\nnoise_um_rms = {:?}\n",
+            plate.name,
+            plate.source,
+            rounded(plate.omega0 / TAU),
+            plate.reference_temperature_c,
+            rounded(plate.omega0_per_k / TAU),
+            rounded(plate.gain),
+            curve.join(", "),
+            rounded(plate.omega0_per_n / TAU),
+            plate.drive_limit_vpp,
+            rounded(plate.noise_um_rms),
+        )
+    }
+}
+
+impl Scene {
+    /// True if the scenario compares its trials with each other.
+    pub fn compares_trials(&self) -> bool {
+        self.count > 1 && self.judged.plate.noise_pm == 0
+    }
+}
+
+fn ms(us: u32) -> f64 {
+    f64::from(us) / 1e3
+}
+
+/// Nine significant digits: a product in double precision has more.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.9e}").parse().unwrap_or(value)
+}
+
+fn points<T: Copy>(points: &[(u32, T)], value: impl Fn(T) -> f64) -> String {
+    let points: Vec<_> = points.iter().map(|(at, level)| format!("[{:?}, {:?}]", ms(*at), value(*level))).collect();
+    format!("[{}]", points.join(", "))
+}
+
+fn course(course: &Course) -> String {
+    let hundredths = |value: i32| f64::from(value) / 100.0;
+    match course {
+        Course::Hold(list) if list.len() == 1 => list.first().map_or(0.0, |(_, value)| hundredths(*value)).to_string(),
+        Course::Hold(list) => format!("{{ hold = {} }}", points(list, hundredths)),
+        Course::Linear(list) => format!("{{ linear = {} }}", points(list, hundredths)),
+        Course::Sine { mean, amplitude, frequency_tenths } => format!(
+            "{{ sine = {{ mean = {:?}, amplitude = {:?}, frequency_hz = {:?} }} }}",
+            hundredths(*mean),
+            hundredths(*amplitude),
+            f64::from(*frequency_tenths) / 10.0
+        ),
+    }
+}
+
+fn profile(trial: &SceneTrial) -> Vec<(&'static str, String)> {
+    let mut keys = vec![("setpoint_um", format!("{{ hold = {} }}", points(&trial.setpoint, |nm| f64::from(nm) / 1e3)))];
+    let is_constant_zero = |course: &Course| matches!(course, Course::Hold(list) if list[..] == [(0, 0)]);
+    for (key, values) in [("temperature_offset_k", &trial.temperature), ("finger_force_n", &trial.force)] {
+        if !is_constant_zero(values) {
+            keys.push((key, course(values)));
+        }
+    }
+    keys
+}
+
+fn write_demand(text: &mut String, demand: &Demand, number: u32) -> std::fmt::Result {
+    let Some(metric) = demand.property.metric() else { return Ok(()) };
+    writeln!(text, "\n[[expect]]\nname = \"{} {number}\"\nmetric = \"{metric}\"", demand.property)?;
+    writeln!(text, "from_ms = {:?}\nuntil_ms = {:?}", ms(demand.from_us), ms(demand.until_us))?;
+    if let Some(band) = demand.band_percent
+        && band != 5.0
+    {
+        writeln!(text, "band_percent = {:?}", rounded_limit(band))?;
+    }
+    if demand.property == Property::StaticError {
+        writeln!(text, "over = \"each\"")?;
+    }
+    writeln!(text, "at_most = {:?}", rounded_limit(demand.at_most))
+}
+
+/// Five significant digits.
+fn rounded_limit(value: f64) -> f64 {
+    format!("{value:.4e}").parse().unwrap_or(value)
+}

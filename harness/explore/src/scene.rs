@@ -1,0 +1,174 @@
+//! Defines a scene: trials on one controller, of which the last one is judged.
+//!
+//! Times are whole microseconds and values whole multiples of a small unit, so that scenario files contain short
+//! numbers.
+
+use platebench_plate::{Mode, Plate};
+use platebench_wire::LawId;
+use std::f64::consts::TAU;
+
+/// A scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scene {
+    /// Trials between two trials of [`Self::judged`]; not judged.
+    pub earlier: Vec<SceneTrial>,
+    /// The judged trial.
+    pub judged: SceneTrial,
+    /// How often the judged trial is played; each further time starts at another time stamp.
+    pub count: u32,
+}
+
+/// One trial of a scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneTrial {
+    /// The configured law.
+    pub law: LawId,
+    /// Differences of the plate from the envelope's.
+    pub plate: PlateChoice,
+    /// Control period, µs.
+    pub period_us: u32,
+    /// Loop delay, also configured in the law, µs.
+    pub delay_us: u32,
+    /// Excitation frequency at the start, 0.1 Hz.
+    pub start_frequency_tenths: u32,
+    /// Length, µs.
+    pub duration_us: u32,
+    /// Instants, µs, and setpoints, nm; each holds until the next one. The first instant is 0.
+    pub setpoint: Vec<(u32, u32)>,
+    /// Finger force, 0.01 N.
+    pub force: Course,
+    /// Temperature offset, 0.01 K.
+    pub temperature: Course,
+}
+
+/// The plate of a trial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PlateChoice {
+    /// Limit of the drive, Vpp.
+    pub limit_vpp: u32,
+    /// Sensor noise, pm.
+    pub noise_pm: u32,
+    /// Gain relative to the configured one, 0.1 %.
+    pub gain_permille: i32,
+    /// Time constant relative to the configured one, 0.1 %.
+    pub time_constant_permille: i32,
+}
+
+impl PlateChoice {
+    /// The plate that the controller is configured for.
+    pub const fn design(self) -> Self {
+        Self { gain_permille: 0, time_constant_permille: 0, ..self }
+    }
+
+    /// `base` with these differences.
+    pub fn apply(self, base: &Plate) -> Plate {
+        Plate {
+            gain: base.gain * (1.0 + f64::from(self.gain_permille) * 1e-3),
+            sigma0: base.sigma0 / (1.0 + f64::from(self.time_constant_permille) * 1e-3),
+            drive_limit_vpp: self.limit_vpp.into(),
+            noise_um_rms: f64::from(self.noise_pm) * 1e-6,
+            ..base.clone()
+        }
+    }
+}
+
+/// A force or temperature over time, in hundredths of its unit.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Course {
+    /// Instants, µs, and values that hold until the next one. The first instant is 0.
+    Hold(Vec<(u32, i32)>),
+    /// Instants, µs, and values, linear in between. The first instant is 0.
+    Linear(Vec<(u32, i32)>),
+    /// `mean + amplitude · sin(2π f t)` with f in 0.1 Hz.
+    Sine {
+        /// Mean.
+        mean: i32,
+        /// Amplitude.
+        amplitude: i32,
+        /// Frequency, 0.1 Hz.
+        frequency_tenths: u32,
+    },
+}
+
+impl Course {
+    /// The value at `time_us`; a step counts from its instant on.
+    pub fn at(&self, time_us: u32) -> f64 {
+        match self {
+            Self::Hold(points) => {
+                let index = points.partition_point(|(at, _)| *at <= time_us).saturating_sub(1);
+                points.get(index).map_or(0.0, |(_, value)| f64::from(*value) / 100.0)
+            }
+            Self::Linear(points) => {
+                let next = points.partition_point(|(at, _)| *at <= time_us);
+                let value = |index: usize| points.get(index).map(|(at, value)| (f64::from(*at), f64::from(*value)));
+                match (value(next.saturating_sub(1)), value(next)) {
+                    (Some((from, low)), Some((to, high))) => {
+                        (low + (high - low) * (f64::from(time_us) - from) / (to - from)) / 100.0
+                    }
+                    (Some((_, last)), None) => last / 100.0,
+                    (None, _) => 0.0,
+                }
+            }
+            Self::Sine { mean, amplitude, frequency_tenths } => {
+                let phase = TAU * f64::from(*frequency_tenths) * 0.1 * f64::from(time_us) * 1e-6;
+                (f64::from(*mean) + f64::from(*amplitude) * phase.sin()) / 100.0
+            }
+        }
+    }
+
+    /// Smallest and largest value.
+    pub fn range(&self) -> [f64; 2] {
+        match self {
+            Self::Hold(points) | Self::Linear(points) => {
+                let values = points.iter().map(|(_, value)| f64::from(*value) / 100.0);
+                [values.clone().fold(f64::INFINITY, f64::min), values.fold(f64::NEG_INFINITY, f64::max)]
+            }
+            Self::Sine { mean, amplitude, .. } => {
+                [mean - amplitude.abs(), mean + amplitude.abs()].map(|value| f64::from(value) / 100.0)
+            }
+        }
+    }
+
+    /// Intervals in which it moves, µs; both ends of a step are equal.
+    pub fn moves(&self) -> Vec<[u32; 2]> {
+        match self {
+            Self::Hold(points) => {
+                let pairs = points.windows(2).filter(|pair| matches!(pair, [a, b] if a.1 != b.1));
+                pairs.filter_map(|pair| pair.get(1)).map(|(at, _)| [*at; 2]).collect()
+            }
+            Self::Linear(points) => {
+                let moving = |pair: &[(u32, i32)]| match pair {
+                    [from, to] if from.1 != to.1 => Some([from.0, to.0]),
+                    _ => None,
+                };
+                points.windows(2).filter_map(moving).collect()
+            }
+            Self::Sine { amplitude: 0, .. } => Vec::new(),
+            Self::Sine { .. } => vec![[0, u32::MAX]],
+        }
+    }
+}
+
+impl SceneTrial {
+    /// The setpoint, µm.
+    pub fn setpoint_at(&self, time_us: u32) -> f64 {
+        let index = self.setpoint.partition_point(|(at, _)| *at <= time_us).saturating_sub(1);
+        self.setpoint.get(index).map_or(0.0, |(_, level)| f64::from(*level) / 1e3)
+    }
+
+    /// The mode of the played plate.
+    pub fn mode_at(&self, base: &Plate, time_us: u32) -> Mode {
+        let conditions = platebench_plate::Conditions {
+            temperature_offset_k: self.temperature.at(time_us),
+            finger_force_n: self.force.at(time_us),
+        };
+        self.plate.apply(base).mode(&conditions)
+    }
+
+    /// Largest setpoint, nm, that needs at most `share` of the drive limit under the largest force.
+    pub fn largest_setpoint_nm(&self, base: &Plate, share: f64) -> u32 {
+        let plate = self.plate.apply(base);
+        let ratio = plate.damping_ratio_at(self.force.range()[1]);
+        (share * plate.drive_limit_vpp * plate.gain / ratio * 1e3) as u32
+    }
+}

@@ -1,0 +1,163 @@
+//! Runs a whole exploration: plays, shrinks, writes regressions and the result.
+
+use crate::envelope::Envelope;
+use crate::error::ExploreError;
+use crate::explore::{Budget, ExploreConfig, FailedScene, explore, scene_text};
+use crate::law_properties::LawProperties;
+use crate::player::Player;
+use crate::properties::Property;
+use crate::regression;
+use crate::report::{self, ExploreReport, ViolationReport, violated_properties};
+use crate::shrink::Shrinker;
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, FaultInjector, RigSpec, Session};
+use platebench_scenario::{Scenario, load};
+use platebench_trace::write_atomically;
+use platebench_wire::{Identity, LawId};
+use std::fmt;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Time for all minimal scenes together.
+const SHRINK_TIME: Duration = Duration::from_mins(1);
+/// Properties for which a minimal scene is written.
+const MAX_MINIMAL: usize = 3;
+
+/// An exploration as the user asks for it.
+#[derive(Debug, Clone)]
+pub struct ExploreSession {
+    /// The envelope.
+    pub envelope: Envelope,
+    /// The rig.
+    pub rig: RigSpec,
+    /// The law under test.
+    pub law: LawId,
+    /// The seed.
+    pub seed: u64,
+    /// When it ends.
+    pub budget: Budget,
+    /// Number of workers.
+    pub jobs: usize,
+    /// Scenarios to play first.
+    pub regressions: Vec<Scenario>,
+    /// Folder of minimal scenes.
+    pub regression_folder: PathBuf,
+}
+
+/// Progress of an exploration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ProgressEvent {
+    /// Since its start.
+    pub elapsed: Duration,
+    /// Played scenes.
+    pub scenes: u64,
+    /// Failed scenes.
+    pub failed: u64,
+}
+
+impl fmt::Display for ProgressEvent {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { elapsed, scenes, failed } = self;
+        write!(formatter, "{:.0} s: {scenes} scenes, {failed} failed", elapsed.as_secs_f64())
+    }
+}
+
+impl ExploreSession {
+    /// Explores, shrinks and writes `explore.json` to `folder`.
+    ///
+    /// # Errors
+    /// [`ExploreError`]. A violated property is no error.
+    pub fn run(
+        self,
+        cancel: &CancelToken,
+        folder: &Path,
+        on_progress: &mut dyn FnMut(ProgressEvent),
+    ) -> Result<ExploreReport, ExploreError> {
+        let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
+        let connect = || self.rig.connect_with(&options);
+        let identity = identify(&connect)?;
+        let config = self.config(&identity)?;
+        let started = Instant::now();
+        let exploration = explore(&config, &connect, cancel, &mut |scenes, failed| {
+            on_progress(ProgressEvent { elapsed: started.elapsed(), scenes, failed });
+        })?;
+        let rig = self.rig.to_string();
+        let mut report = ExploreReport::new(&config, &exploration, &rig, &platebench_rig::printable_name(&identity));
+        let violated = violated_properties(&exploration);
+        let deadline = Instant::now() + SHRINK_TIME;
+        for (position, (property, failed)) in violated.into_iter().take(MAX_MINIMAL).enumerate() {
+            let rest = deadline.saturating_duration_since(Instant::now());
+            let time = rest / (MAX_MINIMAL - position) as u32;
+            report.violations.push(self.minimise(&config, &connect, cancel, failed, property, time)?);
+        }
+        let text = serde_json::to_string_pretty(&report).unwrap_or_default();
+        let path = folder.join(report::FILE);
+        write_atomically(&path, text.as_bytes()).map_err(ExploreError::io(path))?;
+        Ok(report)
+    }
+
+    fn config(&self, identity: &Identity) -> Result<ExploreConfig, ExploreError> {
+        if !LawProperties::of(self.law).is_explored {
+            return Err(ExploreError::LawWithoutProperties(self.law.name()));
+        }
+        if !identity.has_law(self.law) {
+            return Err(ExploreError::LawNotAnnounced(self.law.name()));
+        }
+        let laws = LawId::ALL.into_iter().filter(|law| LawProperties::of(*law).is_explored && identity.has_law(*law));
+        let announced =
+            |scenario: &Scenario| LawId::from_name(&scenario.controller.law).is_some_and(|law| identity.has_law(law));
+        Ok(ExploreConfig {
+            envelope: self.envelope.clone(),
+            seed: self.seed,
+            law: self.law,
+            laws: laws.collect(),
+            budget: self.budget,
+            jobs: self.jobs,
+            own_clock: self.rig.has_own_clock(),
+            regressions: self.regressions.iter().filter(|scenario| announced(scenario)).cloned().collect(),
+        })
+    }
+
+    fn minimise(
+        &self,
+        config: &ExploreConfig,
+        connect: &(dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync),
+        cancel: &CancelToken,
+        failed: &FailedScene,
+        property: Property,
+        time: Duration,
+    ) -> Result<ViolationReport, ExploreError> {
+        let mut player = Player::new(connect, config.own_clock, cancel);
+        let minimal = Shrinker::new(config, &mut player, time)?.shrink(failed, property)?;
+        let rig = self.rig.to_string();
+        let path = regression::write(&self.regression_folder, config, &rig, failed, &minimal)?;
+        // The file itself must fail, played as `run` plays it.
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let scenario = load(&path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)))?;
+        player.renew();
+        let again = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+        let original = failed.failures.iter().find(|failure| failure.property == property);
+        let tree = config.generator().tree(failed.index).map_err(ExploreError::Strategy)?;
+        let title = format!("Scene {} of seed {}", failed.index, config.seed);
+        Ok(ViolationReport {
+            property,
+            scene: failed.index,
+            value: original.and_then(|failure| failure.value),
+            limit: original.and_then(|failure| failure.limit),
+            original: scene_text(&config.envelope, &tree.current(), &title).scenario,
+            minimal: fs::read_to_string(&path).map_err(ExploreError::io(&path))?,
+            minimal_value: minimal.failure.value,
+            minimal_limit: minimal.failure.limit,
+            file: path.display().to_string(),
+            is_reproduced: again.failure_of(property).is_some(),
+            replays: minimal.replays,
+        })
+    }
+}
+
+fn identify(connect: &dyn Fn() -> Result<BoxedLink, ConnectError>) -> Result<Identity, ExploreError> {
+    let session = Session::open(FaultInjector::new(connect()?))?;
+    let identity = *session.identity();
+    session.close();
+    Ok(identity)
+}

@@ -1,0 +1,267 @@
+//! Makes a failing scene minimal: fewer trials, events and digits, and a shorter trial.
+
+use crate::error::ExploreError;
+use crate::explore::{ExploreConfig, FailedScene};
+use crate::player::{Failure, Player};
+use crate::properties::{Demand, Property, demands};
+use crate::scenario_file::ScenarioWriter;
+use crate::scene::{Course, Scene, SceneTrial};
+use crate::staging::Staging;
+use std::time::{Duration, Instant};
+
+const MAX_REPLAYS: u32 = 2_000;
+/// Largest number of trials between two judged trials.
+const MAX_EARLIER: usize = 16;
+
+/// A minimal failing scene.
+#[derive(Debug, Clone)]
+pub struct MinimalScene {
+    /// The scene.
+    pub scene: Scene,
+    /// The violated demands; none for a property without expectation.
+    pub demands: Vec<Demand>,
+    /// The violation.
+    pub failure: Failure,
+    /// False if the scene did not fail again with a new controller; it is then not minimal.
+    pub is_reproduced: bool,
+    /// Number of replays.
+    pub replays: u32,
+}
+
+/// Replays candidates with new controllers until the time is used.
+pub struct Shrinker<'a, 'p> {
+    /// Settings of the exploration.
+    pub config: &'a ExploreConfig,
+    /// Plays the candidates.
+    pub player: &'a mut Player<'p>,
+    /// End of the time.
+    pub deadline: Instant,
+    staging: Staging,
+    replays: u32,
+}
+
+impl<'a, 'p> Shrinker<'a, 'p> {
+    /// A shrinker with `time` from now on.
+    ///
+    /// # Errors
+    /// [`ExploreError::Io`] without a temporary folder.
+    pub fn new(config: &'a ExploreConfig, player: &'a mut Player<'p>, time: Duration) -> Result<Self, ExploreError> {
+        Ok(Self { config, player, deadline: Instant::now() + time, staging: Staging::new()?, replays: 0 })
+    }
+
+    /// The smallest scene that violates the property as `failed` does.
+    ///
+    /// # Errors
+    /// [`ExploreError`] if the rig does not work, or the exploration was cancelled.
+    pub fn shrink(&mut self, failed: &FailedScene, property: Property) -> Result<MinimalScene, ExploreError> {
+        self.replays = 0;
+        let generator = self.config.generator();
+        let mut tree = generator.tree(failed.index).map_err(ExploreError::Strategy)?;
+        let original = tree.current();
+        let Some((earlier, mut best)) = self.reproduce(&original, failed, property)? else {
+            let failure = failed.failures.iter().find(|failure| failure.property == property).cloned();
+            let failure = failure.unwrap_or(Failure { property, name: String::new(), value: None, limit: None });
+            let demands = demands(&original, &self.config.envelope.plate);
+            return Ok(MinimalScene { scene: original, demands, failure, is_reproduced: false, replays: self.replays });
+        };
+        let with_history = |scene: Scene| match &earlier {
+            Some(earlier) => Scene { earlier: earlier.clone(), count: 2, ..scene },
+            None => scene,
+        };
+        if tree.simplify() {
+            loop {
+                let scene = with_history(tree.current());
+                let failure = self.replay(&scene, property)?;
+                let goes_on = if let Some(failure) = failure {
+                    best = (scene, failure);
+                    tree.simplify()
+                } else {
+                    tree.complicate()
+                };
+                if !goes_on || self.is_over() {
+                    break;
+                }
+            }
+        }
+        self.simplify_directly(&mut best, property)?;
+        let (scene, failure) = best;
+        let demands = demands(&scene, &self.config.envelope.plate);
+        let of_property: Vec<_> = demands.into_iter().filter(|demand| demand.property == property).collect();
+        let number = failure.name.rsplit(' ').next().and_then(|number| number.parse::<usize>().ok());
+        let only = number.and_then(|number| of_property.get(number - 1)).copied();
+        let demands = only.map_or(of_property, |only| vec![only]);
+        Ok(MinimalScene { scene, demands, failure, is_reproduced: true, replays: self.replays })
+    }
+
+    /// The scene as it fails with a new controller: alone, or after the trials of scenes before it.
+    #[expect(clippy::type_complexity, reason = "history, scene and failure belong together here only")]
+    fn reproduce(
+        &mut self,
+        original: &Scene,
+        failed: &FailedScene,
+        property: Property,
+    ) -> Result<Option<(Option<Vec<SceneTrial>>, (Scene, Failure))>, ExploreError> {
+        if let Some(failure) = self.replay(original, property)? {
+            return Ok(Some((None, (original.clone(), failure))));
+        }
+        let generator = self.config.generator();
+        let mut trials = Vec::new();
+        for index in failed.history.iter().rev() {
+            let scene = generator.tree(*index).map_err(ExploreError::Strategy)?.current();
+            trials.splice(0..0, scene.earlier.into_iter().chain([scene.judged]));
+            trials.drain(..trials.len().saturating_sub(MAX_EARLIER));
+            let scene = Scene { earlier: trials.clone(), count: 2, ..original.clone() };
+            if let Some(failure) = self.replay(&scene, property)? {
+                let (earlier, best) = self.remove_earlier(scene, failure, property)?;
+                return Ok(Some((Some(earlier), best)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Removes trials of the history that the failure does not need.
+    fn remove_earlier(
+        &mut self,
+        scene: Scene,
+        failure: Failure,
+        property: Property,
+    ) -> Result<(Vec<SceneTrial>, (Scene, Failure)), ExploreError> {
+        let mut best = (scene, failure);
+        let mut chunk = best.0.earlier.len().div_ceil(2);
+        while chunk > 0 && !self.is_over() {
+            let mut at = 0;
+            while at < best.0.earlier.len() {
+                let mut scene = best.0.clone();
+                let end = (at + chunk).min(scene.earlier.len());
+                scene.earlier.drain(at..end);
+                match self.replay(&scene, property)? {
+                    Some(failure) if !scene.earlier.is_empty() => best = (scene, failure),
+                    _ => at = end,
+                }
+            }
+            chunk /= 2;
+        }
+        Ok((best.0.earlier.clone(), best))
+    }
+
+    /// Tries changes that the numbers of the draw do not offer: rounder values, fewer points, an earlier end.
+    fn simplify_directly(&mut self, best: &mut (Scene, Failure), property: Property) -> Result<(), ExploreError> {
+        let mut has_changed = true;
+        while has_changed && !self.is_over() {
+            has_changed = false;
+            for scene in simpler_scenes(&best.0, self.end_of(best, property)) {
+                if scene == best.0 || self.is_over() {
+                    continue;
+                }
+                if let Some(failure) = self.replay(&scene, property)? {
+                    *best = (scene, failure);
+                    has_changed = true;
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// End of the failing window, µs.
+    fn end_of(&self, best: &(Scene, Failure), property: Property) -> Option<u32> {
+        let demands = demands(&best.0, &self.config.envelope.plate);
+        demands.iter().filter(|demand| demand.property == property).map(|demand| demand.until_us).min()
+    }
+
+    fn is_over(&self) -> bool {
+        self.replays >= MAX_REPLAYS || Instant::now() >= self.deadline
+    }
+
+    /// Plays `scene` with a new controller; its failure of `property`.
+    fn replay(&mut self, scene: &Scene, property: Property) -> Result<Option<Failure>, ExploreError> {
+        self.replays += 1;
+        let plate = &self.config.envelope.plate;
+        let writer = ScenarioWriter { base: plate, title: "Replay", source: "", comment: &[], plate_prefix: "" };
+        let scenario = self.staging.load(&writer.text(scene, &demands(scene, plate)))?;
+        self.player.renew();
+        let result = self.player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+        Ok(result.failure_of(property).cloned())
+    }
+}
+
+/// Variants of `scene` that are simpler in one respect.
+fn simpler_scenes(scene: &Scene, end_us: Option<u32>) -> Vec<Scene> {
+    let mut scenes = Vec::new();
+    if scene.count > 1 && scene.earlier.is_empty() {
+        scenes.push(Scene { count: scene.count - 1, ..scene.clone() });
+    }
+    if scene.count > 1 && !scene.earlier.is_empty() {
+        scenes.push(Scene { count: 1, earlier: Vec::new(), ..scene.clone() });
+    }
+    scenes.extend((0..scene.earlier.len()).map(|index| {
+        let mut scene = scene.clone();
+        scene.earlier.remove(index);
+        scene
+    }));
+    scenes.retain(|candidate| candidate.count == 1 || scene.earlier.is_empty() || !candidate.earlier.is_empty());
+    let variants = simpler_trials(&scene.judged, end_us);
+    scenes.extend(variants.into_iter().map(|judged| Scene { judged, ..scene.clone() }));
+    for (index, earlier) in scene.earlier.iter().enumerate() {
+        for variant in simpler_trials(earlier, None) {
+            let mut scene = scene.clone();
+            if let Some(place) = scene.earlier.get_mut(index) {
+                *place = variant;
+            }
+            scenes.push(scene);
+        }
+    }
+    scenes
+}
+
+fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
+    let mut trials = Vec::new();
+    if let Some(end_us) = end_us.filter(|end| *end < trial.duration_us) {
+        trials.push(cut(trial, end_us));
+    }
+    let ms = trial.duration_us / 1_000;
+    trials.push(SceneTrial { duration_us: (ms * 1_000).max(trial.period_us), ..trial.clone() });
+    for index in 1..trial.setpoint.len() {
+        let mut setpoint = trial.setpoint.clone();
+        setpoint.remove(index);
+        trials.push(SceneTrial { setpoint, ..trial.clone() });
+    }
+    let constant = Course::Hold(vec![(0, 0)]);
+    if trial.force != constant {
+        trials.push(SceneTrial { force: constant.clone(), ..trial.clone() });
+    }
+    if trial.temperature != constant {
+        trials.push(SceneTrial { temperature: constant, ..trial.clone() });
+    }
+    for (digits, at_digits) in [(500, 5_000), (100, 1_000), (10, 500)] {
+        let round = |value: u32, to: u32| (value + to / 2) / to * to;
+        let setpoint: Vec<_> = trial
+            .setpoint
+            .iter()
+            .map(|(at, level)| (round(*at, at_digits), if *level == 0 { 0 } else { round(*level, digits).max(digits) }))
+            .collect();
+        if setpoint.is_sorted_by(|one, other| one.0 < other.0)
+            && setpoint.last().is_none_or(|last| last.0 < trial.duration_us)
+        {
+            trials.push(SceneTrial { setpoint, ..trial.clone() });
+        }
+    }
+    trials
+}
+
+/// The trial up to `end_us`.
+fn cut(trial: &SceneTrial, end_us: u32) -> SceneTrial {
+    let mut cut = SceneTrial { duration_us: end_us, ..trial.clone() };
+    cut.setpoint.retain(|(at, _)| *at < end_us);
+    for course in [&mut cut.force, &mut cut.temperature] {
+        match course {
+            Course::Hold(points) => points.retain(|(at, _)| *at < end_us),
+            Course::Linear(points) => {
+                let kept = points.partition_point(|(at, _)| *at < end_us);
+                points.truncate(kept + 1);
+            }
+            Course::Sine { .. } => {}
+        }
+    }
+    cut
+}

@@ -1,0 +1,39 @@
+//! Passes generated scenarios through the loader that reads every scenario.
+
+use crate::error::ExploreError;
+use crate::scenario_file::ScenarioText;
+use platebench_scenario::{Scenario, load};
+use std::collections::BTreeMap;
+use std::fs;
+use tempfile::TempDir;
+
+const FILE: &str = "scene.toml";
+
+/// A folder for one scenario at a time.
+pub(crate) struct Staging {
+    folder: TempDir,
+    /// Plate files in the folder, with their text.
+    plates: BTreeMap<String, String>,
+}
+
+impl Staging {
+    pub(crate) fn new() -> Result<Self, ExploreError> {
+        let folder = tempfile::tempdir().map_err(ExploreError::io(std::env::temp_dir()))?;
+        let plates = folder.path().join("plates");
+        fs::create_dir(&plates).map_err(ExploreError::io(plates))?;
+        Ok(Self { folder, plates: BTreeMap::new() })
+    }
+
+    pub(crate) fn load(&mut self, text: &ScenarioText) -> Result<Scenario, ExploreError> {
+        for (name, content) in &text.plates {
+            if self.plates.get(name) != Some(content) {
+                let path = self.folder.path().join(name);
+                fs::write(&path, content).map_err(ExploreError::io(path))?;
+                self.plates.insert(name.clone(), content.clone());
+            }
+        }
+        let path = self.folder.path().join(FILE);
+        fs::write(&path, &text.scenario).map_err(ExploreError::io(&path))?;
+        load(&path, FILE).map_err(|fault| ExploreError::Generated(Box::new(fault)))
+    }
+}

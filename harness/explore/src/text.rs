@@ -1,0 +1,45 @@
+//! Renders the result as text.
+
+use crate::report::ExploreReport;
+use std::fmt::Write as _;
+
+/// The result for the terminal.
+pub fn summary(report: &ExploreReport) -> String {
+    let mut text = String::new();
+    let _ = write_summary(&mut text, report);
+    text
+}
+
+fn write_summary(text: &mut String, report: &ExploreReport) -> std::fmt::Result {
+    let ExploreReport { scenes, failed, law, seed, .. } = report;
+    writeln!(text, "{scenes} scenes of {} for {law}, seed {seed}, {:.1} s", report.envelope, report.elapsed_s)?;
+    writeln!(text, "\n{:<16}{:>10}{:>12}{:>18}", "property", "windows", "violations", "smallest margin")?;
+    for property in &report.properties {
+        let margin =
+            property.smallest_margin.map_or_else(|| "-".to_owned(), |margin| format!("{:.1} %", margin * 100.0));
+        let name = property.property.name();
+        writeln!(text, "{name:<16}{:>10}{:>12}{margin:>18}", property.windows, property.violations)?;
+    }
+    writeln!(text)?;
+    if report.undecided > 0 {
+        writeln!(text, "{} scenes undecided because of the rig", report.undecided)?;
+    }
+    for regression in &report.failed_regressions {
+        let properties: Vec<_> = regression.properties.iter().map(|property| property.name()).collect();
+        writeln!(text, "{} fails again: {}", regression.file, properties.join(", "))?;
+    }
+    for violation in &report.violations {
+        let number = |value: Option<f64>| value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.6}"));
+        let (value, limit) = (number(violation.minimal_value), number(violation.minimal_limit));
+        writeln!(text, "{} violated: {value}, limit {limit}; minimal scene: {}", violation.property, violation.file)?;
+        if !violation.is_reproduced {
+            writeln!(text, "  it did not fail again with a new controller")?;
+        }
+    }
+    match (failed, report.failing_share) {
+        (0, Some([_, most])) => {
+            writeln!(text, "no property violated: fewer than {:.3} % of all scenes fail, at 95 %", most * 100.0)
+        }
+        _ => writeln!(text, "{failed} of {scenes} scenes violate a property"),
+    }
+}
