@@ -126,7 +126,7 @@ impl<'a> Player<'a> {
             Some(open) => open,
             None => self.session.insert(Session::open(FaultInjector::new((self.connect)()?))?),
         };
-        let spec = TrialSpec { scenario, law, index, wire_time: false, own_clock: self.own_clock };
+        let spec = TrialSpec { scenario, law, index, wire_time: false, continues: true, own_clock: self.own_clock };
         let Some(played) = trial::play(session, &spec, self.cancel, None) else { return Ok(None) };
         match played.link_error {
             Some(rejected @ RigError::ConfigurationRejected(_)) => Err(rejected.into()),
