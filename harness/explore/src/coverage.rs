@@ -117,7 +117,8 @@ impl Coverage {
         }
     }
 
-    pub(crate) fn add(&mut self, scene: &Scene, envelope: &Envelope) {
+    /// Counts a scene.
+    pub fn add(&mut self, scene: &Scene, envelope: &Envelope) {
         let (trial, range) = (&scene.judged, &envelope.range);
         *self.histories.entry(scene.earlier.len()).or_default() += 1;
         for (_, level) in &trial.setpoint {

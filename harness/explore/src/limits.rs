@@ -108,10 +108,10 @@ impl<'a> Limits<'a> {
     pub(crate) fn settling(&self, time_us: u32, from: f64, to: f64, knowledge: Knowledge) -> f64 {
         let mode = self.mode(time_us);
         let floor = (self.floor(&mode, from, to) / self.period_s).ceil() * self.period_s;
-        let designed = self.decay(&mode, self.share(from, to, BAND)).max(REQUIRED_S);
+        let designed = self.decay(&mode, Self::share(from, to, BAND)).max(REQUIRED_S);
         let learning = match knowledge {
             Knowledge::Settled => 1.0,
-            Knowledge::Unknown => 5.0,
+            Knowledge::Unknown => 6.0,
         };
         let controlled = designed.max(FLOOR_FACTOR * floor) + learning * self.period_s;
         self.wait(time_us) + self.delay_s + controlled
@@ -123,10 +123,25 @@ impl<'a> Limits<'a> {
         self.settling(time_us, from, to, Knowledge::Unknown) + self.decay(&mode, 1.0 / 250.0)
     }
 
-    /// Share of an error that is left when it is `band` of the setpoint. Fixed gains leave a slow mode with a share of
-    /// the step; adapted gains cancel it.
-    fn share(&self, from: f64, to: f64, band: f64) -> f64 {
-        if self.properties.adapts_to_damping { band } else { band * (to / (from - to).abs()).min(1.0) }
+    /// Share of an error that is left when it is `band` of the setpoint: the error is a share of the step.
+    fn share(from: f64, to: f64, band: f64) -> f64 {
+        band * (to / (from - to).abs()).min(1.0)
+    }
+
+    /// Time in which plate and integral of the drive decay to less than a thousandth at setpoint 0. The integral follows
+    /// the plate of the design, which may be the untouched one.
+    pub(crate) fn decay_at_rest(&self, time_us: u32) -> f64 {
+        let open = 8.0 / self.base.sigma0 + 2.0 * self.period_s + self.delay_s;
+        // Fixed gains under a finger: the drive comes back, and the loop decays with its slow mode.
+        let closed = if self.properties.adapts_to_damping { 0.0 } else { self.decay(&self.mode(time_us), 1e-3) };
+        open + closed
+    }
+
+    /// Largest proportional gain of an amplitude loop, Vpp per µm.
+    pub(crate) fn strongest_gain(&self) -> f64 {
+        let heaviest = self.base.damping_ratio_at(self.trial.force.range()[1]);
+        let kept = (-self.base.sigma0 * heaviest * self.period_s).exp();
+        heaviest / (self.base.gain * (1.0 - kept))
     }
 
     /// Relative error of the damping that the law starts with.

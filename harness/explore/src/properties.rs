@@ -113,17 +113,17 @@ pub struct Demand {
     pub band_percent: Option<f64>,
 }
 
-/// A drive at rest is 0 V; this allows a rounding error.
-const REST_DRIVE_VPP: f64 = 1e-3;
+/// Drive at rest, Vpp: what is left of the integral, which decays with the plate.
+const REST_DRIVE_VPP: f64 = 0.5;
 /// Standard deviations of noise that a value may add.
 const NOISE_SIGMAS: f64 = 6.0;
 /// Shortest steady window, control periods.
 const STEADY_PERIODS: u32 = 4;
 const STATIC_ERROR_PERCENT: f64 = 0.05;
-const RIPPLE_PERCENT: f64 = 0.1;
+const RIPPLE_PERCENT: f64 = 0.15;
 /// Shares of a wrong damping in static error and ripple while the law tracks it.
-const STATIC_OF_MISMATCH: f64 = 0.35;
-const RIPPLE_OF_MISMATCH: f64 = 0.7;
+const STATIC_OF_MISMATCH: f64 = 0.5;
+const RIPPLE_OF_MISMATCH: f64 = 1.0;
 const FREQUENCY_ERROR_HZ: f64 = 0.5;
 /// Share of a change of the resonance that is left while the law tracks it.
 const FREQUENCY_OF_MOVE: f64 = 0.5;
@@ -136,7 +136,7 @@ const DEVIATION_FACTOR: f64 = 2.0;
 /// Time constant of the slowest holding loop, µs.
 const CLOSED_LOOP_US: u32 = 1_000;
 /// Share of a change of the damping in |W| when the law adopts it.
-const DEVIATION_OF_MISMATCH: f64 = 0.08;
+const DEVIATION_OF_MISMATCH: f64 = 0.15;
 const DEVIATION_PERCENT: f64 = 0.5;
 
 /// The demands on the judged trial of `scene`.
@@ -197,8 +197,7 @@ impl WindowJudge<'_> {
     fn steady_us(&self) -> u32 {
         let (before, after) = self.levels();
         if after == 0.0 {
-            // From the largest setpoint to a thousandth.
-            return (7.0 / self.limits.mode(self.window.change.to_us).sigma * 1e6) as u32;
+            return to_us(self.limits.decay_at_rest(self.window.change.to_us));
         }
         to_us(self.limits.steady(self.window.change.to_us, before, after))
     }
@@ -207,9 +206,11 @@ impl WindowJudge<'_> {
         let Window { change, until_us, .. } = self.window;
         let (before, after) = self.levels();
         if after == 0.0 {
-            let delay = self.trial.period_us + self.trial.delay_us;
-            if self.window.quiet_us() > delay + self.trial.period_us {
-                demands.push(self.demand(Property::RestDrive, change.to_us, until_us, REST_DRIVE_VPP));
+            // The drive loop goes on from the amplitude before, so the drive may come back while the plate decays.
+            let from_us = change.to_us + self.steady_us();
+            if from_us + STEADY_PERIODS * self.trial.period_us <= until_us {
+                let noise_vpp = NOISE_SIGMAS * self.limits.noise_um() * self.limits.strongest_gain();
+                demands.push(self.demand(Property::RestDrive, from_us, until_us, REST_DRIVE_VPP + noise_vpp));
             }
             return;
         }
@@ -270,7 +271,8 @@ impl WindowJudge<'_> {
         let moved_us = change.to_us.min(change.from_us + reaction_us).max(change.from_us);
         let [mode_before, mode_after] = [change.from_us.saturating_sub(1), moved_us].map(|at| self.limits.mode(at));
         let effect = Limits::effect(&mode_before, &mode_after, f64::from(reaction_us) * 1e-6) * 100.0;
-        let adoption = DEVIATION_OF_MISMATCH * self.limits.change_of_damping(change.from_us, change.to_us) * 100.0;
+        let change_of_damping = self.limits.change_of_damping(change.from_us, change.to_us).max(self.mismatch);
+        let adoption = DEVIATION_OF_MISMATCH * change_of_damping * 100.0;
         let at_most = DEVIATION_FACTOR * effect + adoption + DEVIATION_PERCENT + self.noise_percent(level);
         demands.push(self.demand(Property::Deviation, change.from_us, until_us, at_most));
     }

@@ -13,6 +13,7 @@ mod closed_loop;
 mod crate_layers;
 mod determinism;
 mod exit_codes;
+mod explore;
 mod extreme_inputs;
 mod golden;
 mod identify;

@@ -1,0 +1,22 @@
+//! The repository's envelope and explorations of it.
+
+use platebench_explore::{Budget, Envelope, ExploreConfig};
+use platebench_wire::LawId;
+use std::path::{Path, PathBuf};
+
+pub(crate) fn envelope_path() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml")
+}
+
+pub(crate) fn configuration(law: LawId, scenes: u64) -> ExploreConfig {
+    ExploreConfig {
+        envelope: Envelope::load(&envelope_path()).unwrap(),
+        seed: 1,
+        law,
+        laws: vec![LawId::DqPi, LawId::Deadbeat, LawId::DqPiFixed],
+        budget: Budget::Scenes(scenes),
+        jobs: 2,
+        own_clock: false,
+        regressions: Vec::new(),
+    }
+}

@@ -1,0 +1,55 @@
+//! Scene i depends on the envelope, the seed and i only, and every scene is a valid scenario.
+
+use crate::fixtures::configuration;
+use platebench_explore::coverage::{ChangeKind, Coverage};
+use platebench_explore::explore::scene_text;
+use platebench_scenario::load;
+use platebench_wire::LawId;
+use rstest::rstest;
+use std::collections::BTreeSet;
+
+#[test]
+fn a_scene_does_not_depend_on_other_scenes() {
+    let config = configuration(LawId::DqPi, 1);
+    let generator = config.generator();
+    let scene = |index| generator.tree(index).unwrap().current();
+    let forward: Vec<_> = (0..40).map(scene).collect();
+    let backward: Vec<_> = (0..40).rev().map(scene).collect();
+    assert!(forward.iter().eq(backward.iter().rev()));
+    let other = platebench_explore::Generator { seed: 2, ..generator };
+    assert_ne!(forward[7], other.tree(7).unwrap().current());
+}
+
+#[rstest]
+#[case(LawId::DqPi)]
+#[case(LawId::DqPiFixed)]
+#[case(LawId::Deadbeat)]
+fn every_scene_loads(#[case] law: LawId) {
+    let config = configuration(law, 1);
+    let folder = tempfile::tempdir().unwrap();
+    for index in 0..200 {
+        let scene = config.generator().tree(index).unwrap().current();
+        let text = scene_text(&config.envelope, &scene, "Scene");
+        text.write(folder.path(), "scene").unwrap();
+        let scenario = load(&folder.path().join("scene.toml"), "scene.toml");
+        let scenario = scenario.unwrap_or_else(|fault| panic!("scene {index}: {fault}\n{}", text.scenario));
+        assert_eq!(scenario.between.len(), scene.earlier.len());
+    }
+}
+
+#[test]
+fn a_hundred_scenes_cover_every_kind_of_change_and_history() {
+    let config = configuration(LawId::DqPi, 1);
+    let mut coverage = Coverage::default();
+    for index in 0..100 {
+        coverage.add(&config.generator().tree(index).unwrap().current(), &config.envelope);
+    }
+    let followed = |second: ChangeKind| ChangeKind::ALL.iter().any(|first| coverage.pair(*first, second) > 0);
+    let missing: Vec<_> = ChangeKind::ALL.into_iter().filter(|kind| !followed(*kind)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+    let lengths: BTreeSet<usize> = coverage.histories.keys().copied().collect();
+    assert_eq!(lengths, BTreeSet::from([0, 1, 2]));
+    for range in coverage.ranges().filter(|range| range.quantity == "setpoint_um" || range.quantity == "period_ms") {
+        assert!(range.counts.iter().filter(|count| **count > 0).count() >= 8, "{range:?}");
+    }
+}

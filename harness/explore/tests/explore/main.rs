@@ -1,0 +1,8 @@
+//! Tests of generation, limits, playing and shrinking.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a panic fails the test")]
+
+mod envelope;
+mod exploration;
+mod fixtures;
+mod generation;

@@ -1,0 +1,81 @@
+//! Tests `platebench explore`.
+
+use crate::test_folder::{bench_command, run_bench, workspace_root};
+use platebench_test_kit::python_with_pyserial;
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+
+fn envelope() -> String {
+    workspace_root().join("scenarios/envelope.toml").display().to_string()
+}
+
+fn report(folder: &Path) -> Value {
+    serde_json::from_slice(&fs::read(folder.join("out/explore.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn a_correct_controller_ends_with_0_and_a_bound() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["explore", &envelope(), "--rig", "hosted", "--scenes", "60", "--out", "out"];
+    run_bench(folder.path(), arguments).assert_exit(0).assert_stdout(&["fewer than 4.870 % of all scenes fail"]);
+    let report = report(folder.path());
+    assert_eq!((&report["scenes"], &report["failed"]), (&60.into(), &0.into()));
+    assert!(!folder.path().join("scenarios").exists());
+}
+
+#[test]
+fn the_minimal_scene_of_a_mutant_fails_under_run() {
+    let Some(python) = python_with_pyserial() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let example = fs::read_to_string(workspace_root().join("docs/examples/controller.py")).unwrap();
+    let call = "self.law.step(setpoint, wd, wq)";
+    assert!(example.contains(call));
+    // Levels above 1.5 µm are 3 % too high.
+    let mutant = example.replace(call, "self.law.step(setpoint * (1.03 if setpoint > 1.5 else 1.0), wd, wq)");
+    fs::write(folder.path().join("mutant.py"), mutant).unwrap();
+    let rig = format!("exec:{python} mutant.py {{port}}");
+    let arguments = ["explore", &envelope(), "--rig", &rig, "--scenes", "12", "--out", "out", "--regressions", "found"];
+    run_bench(folder.path(), arguments).assert_exit(1).assert_stdout(&["static-error violated"]);
+    let report = report(folder.path());
+    let violations = report["violations"].as_array().unwrap();
+    let violation = violations.iter().find(|violation| violation["property"] == "static-error").unwrap();
+    assert_eq!(violation["is_reproduced"], true, "{violation}");
+    let file = violation["file"].as_str().unwrap();
+    let text = fs::read_to_string(folder.path().join(file)).unwrap();
+    assert!(text.starts_with("# Written by platebench explore"), "{text}");
+    run_bench(folder.path(), ["run", file, "--rig", &rig, "--out", "again"]).assert_exit(1);
+    run_bench(folder.path(), ["run", file, "--rig", "hosted", "--out", "clean"]).assert_exit(0);
+}
+
+#[test]
+fn regressions_are_played_first() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("found")).unwrap();
+    let plate = workspace_root().join("scenarios/plates/aluminium-198x138.toml");
+    let scenario = format!(
+        "title = \"x\"\nplate = {:?}\nduration_ms = 20.0\n[profile]\nsetpoint_um = 2.0\n\
+         [[expect]]\nname = \"settling 1\"\nmetric = \"settling_time_ms\"\nat_most = 1.0\n",
+        plate.display().to_string()
+    );
+    fs::write(folder.path().join("found/old.toml"), scenario).unwrap();
+    let arguments = ["explore", &envelope(), "--rig", "hosted", "--scenes", "1", "--regressions", "found"];
+    let mut command = bench_command(folder.path());
+    let output: crate::test_folder::ProgramOutput = command.args(arguments).output().unwrap().into();
+    output.assert_exit(1).assert_stdout(&["old.toml fails again: settling"]);
+}
+
+#[test]
+fn rejects_what_it_cannot_explore() {
+    let folder = tempfile::tempdir().unwrap();
+    let envelope = envelope();
+    for (arguments, message) in [
+        (vec![&*envelope, "--law", "open-loop"], "open-loop has no declared properties"),
+        (vec![&*envelope, "--for", "60s", "--scenes", "3"], "cannot be used with"),
+        (vec![&*envelope, "--for", "soon"], "expected a duration"),
+        (vec!["missing.toml"], "cannot be read"),
+    ] {
+        let all = ["explore", "--rig", "hosted"].into_iter().chain(arguments);
+        run_bench(folder.path(), all).assert_exit(2).assert_stderr(&[message]);
+    }
+}
