@@ -9,10 +9,11 @@ use crate::properties::Property;
 use crate::regression;
 use crate::report::{self, ExploreReport, ViolationReport, violated_properties};
 use crate::shrink::Shrinker;
+use platebench_plate::Time;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, FaultInjector, RigSpec, Session};
 use platebench_scenario::{Scenario, load};
 use platebench_trace::write_atomically;
-use platebench_wire::{Identity, LawId};
+use platebench_wire::{Identity, LawId, capabilities};
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -104,10 +105,13 @@ impl ExploreSession {
             return Err(ExploreError::LawNotAnnounced(self.law.name()));
         }
         let laws = LawId::ALL.into_iter().filter(|law| LawProperties::of(*law).is_explored && identity.has_law(*law));
-        let announced =
-            |scenario: &Scenario| LawId::from_name(&scenario.controller.law).is_some_and(|law| identity.has_law(law));
+        let knows_delay = identity.has_capability(capabilities::LOOP_DELAY);
+        let announced = |scenario: &Scenario| {
+            LawId::from_name(&scenario.controller.law).is_some_and(|law| identity.has_law(law))
+                && (knows_delay || scenario.controller.design_delay == Time::ZERO)
+        };
         Ok(ExploreConfig {
-            envelope: self.envelope.clone(),
+            envelope: envelope_for(&self.envelope, identity),
             seed: self.seed,
             law: self.law,
             laws: laws.collect(),
@@ -155,9 +159,34 @@ impl ExploreSession {
     }
 }
 
+/// Without scenes that need a capability that the controller does not announce.
+fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
+    let mut reduced = envelope.clone();
+    if !identity.has_capability(capabilities::LOOP_DELAY) {
+        reduced.range.loop_delay_periods = [0.0; 2];
+    }
+    reduced
+}
+
 fn identify(connect: &dyn Fn() -> Result<BoxedLink, ConnectError>) -> Result<Identity, ExploreError> {
     let session = Session::open(FaultInjector::new(connect()?))?;
     let identity = *session.identity();
     session.close();
     Ok(identity)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_controller_without_the_capability_gets_no_loop_delay() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
+        let envelope = Envelope::load(&path).unwrap();
+        let identity = identify(&|| RigSpec::Hosted.connect()).unwrap();
+        assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
+        let without = Identity { capabilities: 0, ..identity };
+        assert!(envelope.range.loop_delay_periods[1] > 0.0);
+        assert_eq!(envelope_for(&envelope, &without).range.loop_delay_periods, [0.0; 2]);
+    }
 }
