@@ -124,7 +124,7 @@ fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Exit> {
     };
     let law = arguments.law.as_deref().and_then(LawId::from_name).unwrap_or(DEFAULT_LAW);
     let jobs = if arguments.rig.allows_parallel_links() { job_count(arguments.jobs) } else { 1 };
-    let time = arguments.time.unwrap_or(Duration::from_secs(60));
+    let time = arguments.time.unwrap_or(Duration::from_mins(1));
     let budget = arguments.scenes.map_or(platebench_explore::Budget::Time(time), platebench_explore::Budget::Scenes);
     Ok(ExploreSession {
         envelope,
@@ -141,9 +141,8 @@ fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Exit> {
 fn exit_of_error(error: &ExploreError) -> Exit {
     match error {
         ExploreError::Connect(error) if error.is_invalid_input() => Exit::Invalid,
-        ExploreError::Connect(_) => Exit::Unreachable,
         ExploreError::Rig(platebench_rig::RigError::ConfigurationRejected(_)) => Exit::Invalid,
-        ExploreError::Rig(_) | ExploreError::Lost(_) => Exit::Unreachable,
+        ExploreError::Connect(_) | ExploreError::Rig(_) | ExploreError::Lost(_) => Exit::Unreachable,
         ExploreError::LawNotAnnounced(_) | ExploreError::LawWithoutProperties(_) | ExploreError::Io { .. } => {
             Exit::Invalid
         }

@@ -258,7 +258,7 @@ impl<'a> Timeline<'a> {
             Gap::Counter(periods) => {
                 let next = COUNTERS_US.iter().find(|counter| **counter > self.now_us + 3 * self.period_us);
                 let until = next.copied().unwrap_or(self.now_us + 10 * self.period_us);
-                until.saturating_add_signed(periods * self.period_us as i32) - self.now_us
+                until.saturating_add_signed(periods * self.period_us.cast_signed()) - self.now_us
             }
         }
     }
@@ -303,7 +303,7 @@ impl<'a> Timeline<'a> {
         let from = self.values.first().and_then(|levels| levels.last()).copied().unwrap_or(0);
         let to = self.level(event.level);
         let step_us = self.period_us * (STAIR_TENTHS + event.slowness / 4) / 10;
-        let count = event.steps as i32;
+        let count = event.steps.cast_signed();
         let mut end = at;
         for step in 1..=count {
             end = at + step_us * (step - 1) as u32;

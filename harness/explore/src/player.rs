@@ -150,15 +150,13 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
     for record in &judgement.expectations {
         let Some(property) = Property::of_name(&record.name) else { continue };
         let limit = match record.limit {
-            Limit::AtMost(limit) | Limit::Within(_, limit) => limit,
-            Limit::AtLeast(limit) | Limit::About(limit) => limit,
+            Limit::AtMost(limit) | Limit::Within(_, limit) | Limit::AtLeast(limit) | Limit::About(limit) => limit,
         };
         let has_own_failure = record.verdict == Verdict::Fail && !is_violation(record);
         let margin = match (record.verdict, record.value) {
-            (Verdict::Inconclusive, _) => None,
+            (Verdict::Inconclusive, _) | (Verdict::Pass, None) => None,
             (_, Some(value)) if limit > 0.0 => Some((limit - value.abs()) / limit),
             (_, Some(value)) => Some(if value.abs() > limit { -1.0 } else { 1.0 }),
-            (Verdict::Pass, None) => None,
             (Verdict::Fail, None) => Some(f64::NEG_INFINITY),
         };
         result.windows.push(WindowResult { property, margin });

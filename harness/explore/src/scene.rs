@@ -56,6 +56,7 @@ pub struct PlateChoice {
 
 impl PlateChoice {
     /// The plate that the controller is configured for.
+    #[must_use]
     pub const fn design(self) -> Self {
         Self { gain_permille: 0, time_constant_permille: 0, ..self }
     }

@@ -4,6 +4,7 @@ use crate::draw::EventKind;
 
 /// What the number of a scene fixes. Everything else is drawn.
 #[derive(Debug, Clone, PartialEq)]
+#[allow(clippy::struct_excessive_bools, reason = "independent choices")]
 pub(crate) struct Stratum {
     /// 0: usual; 1: shortest; 2: longest; otherwise drawn.
     pub(crate) period: u64,

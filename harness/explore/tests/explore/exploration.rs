@@ -10,6 +10,7 @@ use platebench_wire::{LawId, Sample};
 use rstest::rstest;
 use std::time::Duration;
 
+#[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
 fn firmware() -> Result<BoxedLink, ConnectError> {
     Ok(Box::new(HostedLink::new()))
 }
@@ -25,6 +26,7 @@ impl Mutant for WrongTableEntry {
     }
 }
 
+#[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
 fn mutant() -> Result<BoxedLink, ConnectError> {
     Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(WrongTableEntry))))
 }
