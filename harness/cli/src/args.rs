@@ -1,5 +1,6 @@
 //! Defines the command line and parses it.
 
+use crate::color;
 use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
@@ -83,7 +84,8 @@ pub(crate) enum Command {
 
 /// Ends the process on wrong usage and after help. Errors: the faults of `platebench.toml`.
 pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
-    let definition = Arguments::command();
+    let words = std::env::args_os().map(|word| word.to_string_lossy().into_owned());
+    let definition = Arguments::command().color(color::requested(words).for_clap());
     let found = match std::env::current_dir() {
         Ok(folder) => Config::find_above(&folder, &definition),
         Err(_) => Ok(Config::default()),
@@ -100,6 +102,7 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
         error.exit()
     });
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    color::set(arguments.logging.color);
     let needs_config = !matches!(arguments.command, Command::Schema(_) | Command::Completions(_) | Command::Man(_));
     if needs_config && !faults.is_empty() { Err(faults) } else { Ok((arguments, config)) }
 }

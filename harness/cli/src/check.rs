@@ -4,6 +4,7 @@ use crate::config::Config;
 use crate::exit::Exit;
 use crate::options::SCENARIOS;
 use crate::stdio;
+use crate::tags::TagFilter;
 use clap::{Args, Command};
 use platebench_acceptance::Plan;
 use platebench_explore::Envelope;
@@ -18,12 +19,15 @@ Examples:
   platebench check                          every scenario, plate and plan below scenarios/
   platebench check scenarios/paper my.toml
   platebench check platebench.toml
+  platebench check --tag paper              scenarios with this tag only
 
 Exit codes: 0 no fault, 2 at least one fault, 4 there was nothing to check")]
 pub(crate) struct CheckArgs {
     /// Scenario, plate, plan and settings files, or folders with everything below them
     #[arg(value_name = "FILE|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
+    #[command(flatten)]
+    tags: TagFilter,
 }
 
 fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) -> Vec<Diagnostic> {
@@ -39,9 +43,18 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
     }
 }
 
+/// With tags only scenarios are checked. The tags of a faulty one are not known.
+fn is_selected(tags: &TagFilter, path: &Path, name: &str) -> bool {
+    FileKind::detect(path) == FileKind::Scenario
+        && load_with_all_errors(path, name).map_or(true, |scenario| tags.selects(&scenario))
+}
+
 /// `definition` is the command line, which checks settings.
 pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
-    let (files, mut faults) = list_files(&arguments.scenarios);
+    let (mut files, mut faults) = list_files(&arguments.scenarios);
+    if !arguments.tags.is_empty() {
+        files.retain(|(path, name)| is_selected(&arguments.tags, path, name));
+    }
     let kinds: Vec<_> = files.iter().map(|(path, _)| FileKind::detect(path)).collect();
     for ((path, name), kind) in files.iter().zip(&kinds) {
         for fault in diagnostics(*kind, path, name, definition) {

@@ -5,6 +5,7 @@ use crate::options::OutputFormat;
 use crate::stdio;
 use clap::Args;
 use platebench_record::RunRecord;
+use platebench_report::Detail;
 use platebench_runner::rejudge;
 use std::path::PathBuf;
 
@@ -24,12 +25,12 @@ pub(crate) struct JudgeArgs {
     format: OutputFormat,
 }
 
-pub(crate) fn judge(arguments: &JudgeArgs) -> Exit {
+pub(crate) fn judge(arguments: &JudgeArgs, detail: Detail) -> Exit {
     let record = match rejudge(&arguments.run, arguments.scenario.as_deref()) {
         Ok(record) => record,
         Err(error) => return stdio::reject_stored_run(&error),
     };
-    stdio::record(&record, arguments.format);
+    stdio::record(&record, arguments.format, detail);
     if arguments.scenario.is_none() {
         note_changed_verdicts(arguments, &record);
     }

@@ -8,6 +8,7 @@ mod chart;
 mod chart_page;
 mod check;
 mod clock;
+mod color;
 mod compare;
 mod completions;
 mod config;
@@ -33,6 +34,7 @@ mod schema;
 mod shutdown;
 mod stability;
 mod stdio;
+mod tags;
 mod trust;
 mod tune;
 

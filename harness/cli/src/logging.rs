@@ -1,8 +1,10 @@
 //! Writes the log to standard error.
 
+use crate::color::{self, ColorArg};
 use crate::stdio::NonBlockingStderr;
 use clap::{Args, ValueEnum};
-use std::io::{IsTerminal, stderr};
+use platebench_report::Detail;
+use std::io::stderr;
 use tracing_subscriber::EnvFilter;
 
 const VARIABLE: &str = "PLATEBENCH_LOG";
@@ -10,15 +12,28 @@ const VARIABLE: &str = "PLATEBENCH_LOG";
 /// Options of the log.
 #[derive(Debug, Args)]
 pub(crate) struct LoggingArgs {
-    /// Log more: -v the steps, -vv details, -vvv everything
+    /// Print more: -v a table for each scenario and a log of the steps, -vv details, -vvv everything
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub(crate) verbose: u8,
-    /// Print only errors and the result
+    /// Print only errors and what did not pass
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub(crate) quiet: bool,
     /// Format of the log on standard error; `PLATEBENCH_LOG` selects its content
     #[arg(long, global = true, value_enum, default_value_t = LogFormat::Human, value_name = "FORMAT")]
     pub(crate) log_format: LogFormat,
+    /// Colours of the output for people, of diagnostics and of the log
+    #[arg(long, global = true, value_enum, default_value_t = ColorArg::Auto, value_name = "WHEN")]
+    pub(crate) color: ColorArg,
+}
+
+impl LoggingArgs {
+    pub(crate) const fn detail(&self) -> Detail {
+        match (self.quiet, self.verbose) {
+            (true, _) => Detail::Failures,
+            (false, 0) => Detail::Summary,
+            (false, _) => Detail::Tables,
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -46,7 +61,7 @@ pub(crate) fn start(arguments: &LoggingArgs) {
         tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| NonBlockingStderr).log_internal_errors(false);
     // A second start, as in a test, changes nothing.
     let _ = match arguments.log_format {
-        LogFormat::Human => builder.with_ansi(stderr().is_terminal()).try_init(),
+        LogFormat::Human => builder.with_ansi(color::applies_to(&stderr())).try_init(),
         LogFormat::Json => builder.json().try_init(),
     };
 }

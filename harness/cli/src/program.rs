@@ -37,13 +37,13 @@ pub fn main() -> ExitCode {
 }
 
 fn dispatch(arguments: &Arguments) -> Exit {
-    let quiet = arguments.logging.quiet;
+    let (quiet, detail) = (arguments.logging.quiet, arguments.logging.detail());
     // Without `platebench.toml`, whose values belong to this folder only.
     let definition = || config::with_settings(command(), &Config::default());
     match &arguments.command {
-        Command::Run(arguments) => run::run(arguments, quiet),
+        Command::Run(arguments) => run::run(arguments, detail),
         Command::Emulate(arguments) => emulate::emulate(arguments),
-        Command::Judge(arguments) => judge::judge(arguments),
+        Command::Judge(arguments) => judge::judge(arguments, detail),
         Command::Report(arguments) => report::report(arguments),
         Command::Compare(arguments) => compare::compare(arguments),
         Command::Baseline(arguments) => baseline::baseline(arguments),

@@ -7,29 +7,41 @@ mod watch;
 pub(crate) use arguments::RunArgs;
 
 use crate::exit::Exit;
-use crate::options::SCENARIOS;
+use crate::options::{OutputFormat, SCENARIOS};
 use crate::stdio;
+use platebench_report::{Detail, scenario_list};
 use platebench_scenario::{FoundScenarios, Scenario, find};
 use std::path::Path;
 
-pub(crate) fn run(arguments: &RunArgs, quiet: bool) -> Exit {
+pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> Exit {
+    if arguments.list {
+        return list(arguments, detail);
+    }
     let clock = play::check_options(arguments);
     if let (true, Ok(clock)) = (arguments.watch, clock) {
-        return watch::watch(arguments, clock, quiet);
+        return watch::watch(arguments, clock, detail);
     }
     play::with_events(arguments, |events| {
         let clock = clock?;
-        let scenarios = find_scenarios(arguments)?;
-        if scenarios.is_empty() {
-            stdio::error("there is nothing to run");
-            return Err(Exit::NothingToRun);
-        }
-        play::play(arguments, clock, scenarios, quiet, events)
+        let scenarios = find_scenarios(arguments, detail)?;
+        play::play(arguments, clock, scenarios, detail, events)
     })
 }
 
-/// Reports every fault of every file, or a named folder without a scenario.
-fn find_scenarios(arguments: &RunArgs) -> Result<Vec<Scenario>, Exit> {
+fn list(arguments: &RunArgs, detail: Detail) -> Exit {
+    let scenarios = match find_scenarios(arguments, detail) {
+        Ok(scenarios) => scenarios,
+        Err(exit) => return exit,
+    };
+    match arguments.format {
+        OutputFormat::Human => stdio::show(&scenario_list::text(&scenarios)),
+        OutputFormat::Json => stdio::show_json(&scenario_list::json(&scenarios)),
+    }
+    Exit::Passed
+}
+
+/// At least one. Reports every fault of every file, or a named folder without a scenario.
+fn find_scenarios(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>, Exit> {
     let found = find(&arguments.scenarios).map_err(|faults| {
         let exit = stdio::reject_files(&faults);
         if arguments.scenarios == [Path::new(SCENARIOS)] && !Path::new(SCENARIOS).exists() {
@@ -37,10 +49,11 @@ fn find_scenarios(arguments: &RunArgs) -> Result<Vec<Scenario>, Exit> {
         }
         exit
     })?;
-    if !found.skipped.is_empty() {
+    if !found.skipped.is_empty() && detail != Detail::Failures {
+        let s = if found.skipped.len() == 1 { "" } else { "s" };
         let (count, names) = (found.skipped.len(), found.skipped.join(", "));
-        let s = if count == 1 { "" } else { "s" };
-        stdio::note(&format!("{count} scenario{s} of known limits skipped; name one to run it: {names}"));
+        let list = if detail == Detail::Tables { format!(": {names}") } else { "; -v lists them".to_owned() };
+        stdio::note(&format!("{count} scenario{s} of known limits skipped, name one to run it{list}"));
     }
     for copies in &found.copies {
         stdio::note(&format!("{}: skipped, copies of scenarios in a run folder", copies.display()));
@@ -48,7 +61,12 @@ fn find_scenarios(arguments: &RunArgs) -> Result<Vec<Scenario>, Exit> {
     if report_if_empty(&found) {
         return Err(Exit::NothingToRun);
     }
-    Ok(play::prepare_scenarios(found.scenarios, arguments))
+    let scenarios = play::prepare_scenarios(found.scenarios, arguments);
+    if scenarios.is_empty() {
+        stdio::error("there is nothing to run");
+        return Err(Exit::NothingToRun);
+    }
+    Ok(scenarios)
 }
 
 /// Reports and returns true if no scenario was found, or a named folder is empty.

@@ -70,7 +70,7 @@ pub(crate) fn run_plan(
 pub(crate) fn show_progress(progress: &mut Progress, event: &Event) {
     match event {
         Event::ScenarioStarted { file, trials } => progress.scenario_started(file, *trials),
-        Event::TrialFinished { file, trial } => progress.trial_finished(file, trial.index),
+        Event::TrialFinished { .. } => progress.trial_finished(),
         Event::ScenarioFinished(record) => progress.scenario_finished(record),
     }
 }

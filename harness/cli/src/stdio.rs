@@ -1,17 +1,18 @@
 //! Writes to standard output and standard error. A reader that closed its end is not an error.
 
+use crate::color;
 use crate::exit::Exit;
 use crate::options::OutputFormat;
 use platebench_record::RunRecord;
-use platebench_report::console;
 use platebench_report::text::{printable, printable_lines};
+use platebench_report::{Detail, Style, console};
 use platebench_runner::RejudgeError;
 use platebench_scenario::Diagnostic;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use serde::Serialize;
 use std::fmt::Display;
-use std::io::{self, IsTerminal, Write, stderr, stdout};
+use std::io::{self, Write, stderr, stdout};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -92,7 +93,7 @@ pub(crate) fn note(message: &str) {
 }
 
 pub(crate) fn diagnostic(diagnostic: &Diagnostic) {
-    let _ = writeln!(stderr().lock(), "{}\n", printable_diagnostic(diagnostic).render(stderr().is_terminal()));
+    let _ = writeln!(stderr().lock(), "{}\n", printable_diagnostic(diagnostic).render(color::applies_to(&stderr())));
 }
 
 /// A file name may contain control characters.
@@ -120,9 +121,10 @@ pub(crate) fn show_json(value: &impl Serialize) {
     }
 }
 
-pub(crate) fn record(record: &RunRecord, format: OutputFormat) {
+pub(crate) fn record(record: &RunRecord, format: OutputFormat, detail: Detail) {
+    let style = Style { colour: color::applies_to(&stdout()) };
     match format {
-        OutputFormat::Human => show(&console::run_table(record, console::Style { colour: stdout().is_terminal() })),
+        OutputFormat::Human => show(&console::run_text(record, style, detail)),
         OutputFormat::Json => show_json(record),
     }
 }

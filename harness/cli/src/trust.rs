@@ -4,6 +4,7 @@ use crate::exit::Exit;
 use crate::options::{OutputFormat, SCENARIOS, job_count};
 use crate::run::report_if_empty;
 use crate::stdio;
+use crate::tags::TagFilter;
 use clap::Args;
 use platebench_scenario::find;
 use platebench_trace::write_atomically;
@@ -24,6 +25,8 @@ pub(crate) struct TrustArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
+    #[command(flatten)]
+    tags: TagFilter,
     /// Clean runs: one scenario each, in turn, with its own plate and noise
     #[arg(long, value_name = "N", default_value_t = 3_000)]
     clean: u32,
@@ -42,10 +45,11 @@ pub(crate) struct TrustArgs {
 }
 
 pub(crate) fn trust(arguments: &TrustArgs) -> Exit {
-    let found = match find(&arguments.scenarios) {
+    let mut found = match find(&arguments.scenarios) {
         Ok(found) => found,
         Err(faults) => return stdio::reject_files(&faults),
     };
+    arguments.tags.retain(&mut found.scenarios);
     if report_if_empty(&found) {
         return Exit::NothingToRun;
     }

@@ -16,6 +16,9 @@ pub struct ExpectationRecord {
     pub value: Option<f64>,
     pub statistic: Statistic,
     pub limit: Limit,
+    /// Distance of the value to the limit over the limit's scale, see [`Limit::margin`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub margin: Option<f64>,
     /// [`Statistic::Worst`]: smallest and largest over trials; otherwise bounds at `confidence`.
     pub interval: Option<[f64; 2]>,
     /// Confidence of each bound or of the failure rate; `None` if nothing is random.

@@ -30,6 +30,9 @@ pub struct RunRecord {
     /// True if every controller confirmed 0 V at the end; `None` during the run or if killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub safe_confirmed: Option<bool>,
+    /// Wall-clock time of the run, ms; `None` during the run or if killed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wall_ms: Option<f64>,
     pub scenarios: Vec<ScenarioRecord>,
     /// Scenarios that need what the controller does not announce; they change no verdict.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -117,6 +120,9 @@ pub struct Overrides {
     /// `--require-all`: a scenario that is not applicable fails the run.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub require_all: bool,
+    /// `--fail-fast`: no trial starts after a scenario failed.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub fail_fast: bool,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -90,6 +90,15 @@ pub(crate) fn percent(value: f64) -> String {
     significant_digits(value.abs(), if value.abs() < 10.0 { 2 } else { 3 })
 }
 
+/// `340 ms`, `2.5 s`, `12 min 5 s`.
+pub(crate) fn duration(ms: f64) -> String {
+    match ms / 1e3 {
+        seconds if seconds < 1.0 => format!("{ms:.0} ms"),
+        seconds if seconds < 60.0 => format!("{seconds:.1} s"),
+        seconds => format!("{} min {:.0} s", (seconds / 60.0).floor(), (seconds % 60.0).floor()),
+    }
+}
+
 fn significant_digits(value: f64, significant: i32) -> String {
     if value == 0.0 {
         return "0".to_owned();
@@ -129,7 +138,11 @@ pub fn value(expectation: &ExpectationRecord) -> Option<String> {
 
 /// The limit: `≤ 2`, `≥ 2`, `1 … 2` or `≈ 2`.
 pub fn limit(expectation: &ExpectationRecord) -> String {
-    match expectation.limit {
+    limit_text(expectation.limit)
+}
+
+pub(crate) fn limit_text(limit: Limit) -> String {
+    match limit {
         Limit::AtMost(value) => format!("≤ {}", number(value)),
         Limit::AtLeast(value) => format!("≥ {}", number(value)),
         Limit::About(value) => format!("≈ {}", number(value)),
@@ -139,9 +152,12 @@ pub fn limit(expectation: &ExpectationRecord) -> String {
 
 /// The judged windows: `1 … 60 ms`, `1 … 10, 30 … 40 ms` or `12 windows, 1 … 190 ms`.
 pub(crate) fn windows(expectation: &ExpectationRecord) -> Option<String> {
+    window_list(&expectation.windows_ms)
+}
+
+pub(crate) fn window_list(windows_ms: &[[f64; 2]]) -> Option<String> {
     let range = |from: f64, until: f64| format!("{} … {}", number(from), number(until));
-    let windows = &expectation.windows_ms;
-    match (windows.as_slice(), windows.len()) {
+    match (windows_ms, windows_ms.len()) {
         ([], _) => None,
         ([[from, _], .., [_, until]], count @ 4..) => Some(format!("{count} windows, {} ms", range(*from, *until))),
         (few, _) => {
@@ -250,6 +266,15 @@ mod tests {
         assert_eq!(number(value), expected);
     }
 
+    #[rstest]
+    #[case(0.4, "0 ms")]
+    #[case(340.0, "340 ms")]
+    #[case(2_500.0, "2.5 s")]
+    #[case(725_900.0, "12 min 5 s")]
+    fn durations_have_their_unit(#[case] ms: f64, #[case] expected: &str) {
+        assert_eq!(duration(ms), expected);
+    }
+
     fn failed_settling_time() -> ExpectationRecord {
         ExpectationRecord {
             name: String::new(),
@@ -259,6 +284,7 @@ mod tests {
             value: Some(2.000_04),
             statistic: Statistic::Worst,
             limit: Limit::AtMost(2.0),
+            margin: None,
             interval: None,
             confidence: None,
             cause: None,

@@ -8,5 +8,5 @@ mod record_queries;
 pub mod text;
 
 pub use error::ReportError;
-pub use text::console::{Progress, ProgressKind, Style};
-pub use text::{annotations, comparison, console, events, junit, markdown, tap, traceability};
+pub use text::console::{Detail, Progress, ProgressKind, Style};
+pub use text::{annotations, comparison, console, events, junit, markdown, scenario_list, tap, traceability};

@@ -1,6 +1,6 @@
 //! Finds keys, trials and missed expectations in a record.
 
-use platebench_record::{Cause, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict};
+use platebench_record::{Cause, ExpectationRecord, Limit, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict};
 use serde_json::Value;
 
 /// The metric, with `[n]` for its n-th expectation.
@@ -45,6 +45,40 @@ pub(crate) fn expectations_not_passed(record: &RunRecord) -> Vec<(&ScenarioRecor
     of(Verdict::Fail).chain(of(Verdict::Inconclusive)).collect()
 }
 
+/// The passed expectation with the smallest margin, if its limit leaves one.
+pub(crate) fn smallest_margin(record: &RunRecord) -> Option<(&ScenarioRecord, &ExpectationRecord, f64)> {
+    let all = record.scenarios.iter().flat_map(|scenario| scenario.expectations.iter().map(move |of| (scenario, of)));
+    let passed = all.filter(|(_, expectation)| expectation.verdict == Verdict::Pass && allows_margin(expectation));
+    let rated = passed.filter_map(|(scenario, expectation)| Some((scenario, expectation, expectation.margin?)));
+    rated.min_by(|a, b| a.2.total_cmp(&b.2))
+}
+
+/// False for `overruns ≤ 0` or `missed_replies 5 … 5`: a single value meets the limit.
+fn allows_margin(expectation: &ExpectationRecord) -> bool {
+    let (least, most) = expectation.metric.value_range();
+    match expectation.limit {
+        Limit::AtMost(high) => high > least,
+        Limit::AtLeast(low) => low < most,
+        Limit::Within(low, high) => low < high,
+        Limit::About(_) => true,
+    }
+}
+
+/// Of several, with the sum of its trials, ms.
+pub(crate) fn slowest_scenario(record: &RunRecord) -> Option<(&ScenarioRecord, f64)> {
+    let wall_ms = |scenario: &ScenarioRecord| scenario.trials.iter().filter_map(|trial| trial.wall_ms).sum::<f64>();
+    let timed = record.scenarios.iter().map(|scenario| (scenario, wall_ms(scenario)));
+    let timed = timed.filter(|(_, wall_ms)| *wall_ms > 0.0 && record.scenarios.len() > 1);
+    timed.max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+/// Files of the scenarios that `--fail-fast` left out.
+pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
+    let is_unplayed =
+        |scenario: &&ScenarioRecord| record.overrides.fail_fast && record.complete && scenario.trials.is_empty();
+    record.scenarios.iter().filter(is_unplayed).map(|scenario| scenario.file.as_str()).collect()
+}
+
 pub(crate) fn run_inconclusive_reason(record: &RunRecord) -> Option<&'static str> {
     if !record.complete {
         Some("the run was not finished")
@@ -78,7 +112,7 @@ pub(crate) fn open_loop_counterpart(record: &RunRecord, scenario: &ScenarioRecor
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_record::{Evidence, ExpectationRecord, Limit, Metric, MetricDefinition, Telemetry};
+    use platebench_record::{Evidence, Metric, MetricDefinition, Telemetry};
     use serde_json::{Map, json};
 
     #[test]
@@ -91,6 +125,7 @@ mod tests {
             value: Some(2.0),
             statistic: Statistic::Mean,
             limit: Limit::AtMost(1.0),
+            margin: None,
             interval: None,
             confidence: None,
             cause: None,

@@ -212,14 +212,20 @@ fn rejudge_scenario(
     let mut records = Vec::new();
     while let SequentialDecision::Continue { trials } = judge_sequentially(scenario, &measures) {
         let played = measures.len();
+        let mut ends_early = false;
         for index in measures.len() as u32..trials {
             match rejudge_trial(folder, scenario, stored, index)? {
                 Some(done) => {
                     measures.push(done.measures);
                     records.push(done.record);
                 }
+                // `--fail-fast`: the run is complete without this trial.
+                None if complete && stored.trials.iter().all(|trial| trial.index != index) => ends_early = true,
                 None => measures.push(incomplete_trial(scenario, index)),
             }
+        }
+        if ends_early {
+            break;
         }
         // A complete run has all its trials.
         if complete && records.len() == played {

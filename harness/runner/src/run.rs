@@ -4,17 +4,20 @@ use crate::configure;
 use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
 use crate::real_time::{Pacing, TimeBase};
 use crate::trend;
-use crate::worker::{Progress, RigSession, RunContext, TrialTask, WorkQueue, close_session, trial_tasks};
+use crate::worker::{
+    Progress, RigSession, RunContext, TrialTask, WorkQueue, close_session, result_channel, trial_tasks,
+};
 use platebench_record::{Event, Firmware, FolderError, Host, InputRecord, RigRecord, RunFolder, RunRecord};
 use platebench_record::{NotApplicable, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex};
 use platebench_rig::FaultInjector;
 use platebench_scenario::Scenario;
-use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge_sequentially};
+use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge, judge_sequentially};
 use platebench_wire::{Identity, LawId, capabilities};
 use std::cmp::Reverse;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{OnceLock, mpsc};
 use std::thread;
+use std::time::Instant;
 use tracing::info;
 
 /// Returns the record, which is also in `folder`. After an error, complete trials can still be
@@ -25,6 +28,7 @@ pub fn run(
     connect: &LinkFactory<'_>,
     mut hooks: RunHooks<'_>,
 ) -> Result<RunRecord, RunError> {
+    let started = Instant::now();
     let law = |scenario| configure::law(scenario).map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)));
     let laws = plan.scenarios.iter().map(law).collect::<Result<Vec<_>, _>>()?;
     plan.scenarios.iter().flat_map(|scenario| &scenario.between).try_for_each(|scene| law(scene).map(|_| ()))?;
@@ -44,7 +48,7 @@ pub fn run(
     if let Some(session) = sessions.first_mut() {
         *session = Some(first);
     }
-    let unconfirmed = AtomicBool::new(false);
+    let (unconfirmed, stop) = (AtomicBool::new(false), AtomicBool::new(false));
     let delay_boundaries: Vec<_> = plan.scenarios.iter().map(|_| OnceLock::new()).collect();
     let context = RunContext {
         plan,
@@ -57,6 +61,7 @@ pub fn run(
         operator: hooks.operator,
         live_tap: &hooks.live_tap,
         safe_unconfirmed: &unconfirmed,
+        stop: &stop,
     };
     let played = play_scenarios(context, &mut sessions, &mut record, &mut hooks.on_event);
     // The record states whether 0 V was confirmed, however the run ended.
@@ -69,6 +74,7 @@ pub fn run(
         record.update_verdict();
         record.cost = trend::cost_trends(&record, folder.path());
     }
+    record.wall_ms = Some(started.elapsed().as_secs_f64() * 1e3);
     let written = write_record(&record, folder);
     played?;
     written?;
@@ -160,13 +166,13 @@ fn play_scenarios(
     // All scenarios play up to their first look; then the undecided ones continue.
     let mut tasks: Vec<TrialTask> =
         (0..).zip(&progress).flat_map(|(number, progress)| tasks_of(number, 0..progress.goal)).collect();
-    while !tasks.is_empty() {
+    while !tasks.is_empty() && !run.stop.load(Ordering::Relaxed) {
         // The longest trials come first: no worker ends long after the others.
         tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
         let batch = std::mem::take(&mut tasks);
         let work = WorkQueue { run, tasks: &batch, next: AtomicUsize::new(0) };
         thread::scope(|scope| {
-            let (sender, results) = mpsc::channel();
+            let (sender, results) = result_channel(plan.overrides.fail_fast);
             for session in sessions.iter_mut().take(batch.len()) {
                 let (work, sender) = (&work, sender.clone());
                 scope.spawn(move || work.run_worker(session, &sender));
@@ -174,6 +180,7 @@ fn play_scenarios(
             drop(sender);
             for result in results {
                 let (number, trial) = match result.inspect_err(|_| cancel.cancel())? {
+                    Progress::Ready => continue,
                     Progress::Started(number) => {
                         if let Some(scenario) = plan.scenarios.get(number) {
                             let (file, trials) = (scenario.file.clone(), scenario.trials.count);
@@ -204,6 +211,9 @@ fn play_scenarios(
                         progress.measures = Vec::new();
                         complete_record(scenario_record, judgement, std::mem::take(&mut progress.records));
                         info!(scenario = %scenario.file, verdict = %scenario_record.verdict, "scenario judged");
+                        if plan.overrides.fail_fast && scenario_record.verdict == Verdict::Fail {
+                            run.stop.store(true, Ordering::Relaxed);
+                        }
                         let finished = Box::new(scenario_record.clone());
                         write_record(record, folder)?;
                         on_event(Event::ScenarioFinished(finished));
@@ -216,7 +226,29 @@ fn play_scenarios(
             return Err(RunError::Cancelled);
         }
     }
-    if cancel.is_cancelled() { Err(RunError::Cancelled) } else { Ok(()) }
+    if cancel.is_cancelled() {
+        return Err(RunError::Cancelled);
+    }
+    if run.stop.load(Ordering::Relaxed) {
+        judge_unfinished(plan, progress, record, on_event);
+    }
+    Ok(())
+}
+
+/// Judges the scenarios that were stopped before their deciding look, by the trials that they have.
+fn judge_unfinished(
+    plan: &RunPlan,
+    progress: Vec<ScenarioProgress>,
+    record: &mut RunRecord,
+    on_event: &mut dyn FnMut(Event),
+) {
+    let unfinished = plan.scenarios.iter().zip(progress).zip(&mut record.scenarios);
+    for ((scenario, progress), record) in unfinished.filter(|(_, record)| record.expectations.is_empty()) {
+        complete_record(record, judge(scenario, &progress.measures), progress.records);
+        if !record.trials.is_empty() {
+            on_event(Event::ScenarioFinished(Box::new(record.clone())));
+        }
+    }
 }
 
 pub(crate) fn complete_record(record: &mut ScenarioRecord, judgement: Judgement, mut trials: Vec<TrialRecord>) {
@@ -262,6 +294,7 @@ fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inpu
         clock: plan.clock.kind(),
         overrides: plan.overrides.clone(),
         safe_confirmed: None,
+        wall_ms: None,
         host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
         scenarios: scenarios.collect(),
         not_applicable: Vec::new(),

@@ -24,6 +24,9 @@ use std::sync::mpsc;
 use std::time::Instant;
 use tracing::{debug, error, info_span};
 
+/// Results that workers need not wait for.
+const RESULT_QUEUE: usize = 256;
+
 pub(crate) type RigSession = platebench_rig::Session<FaultInjector<BoxedLink>>;
 
 #[derive(Clone, Copy)]
@@ -40,6 +43,8 @@ pub(crate) struct RunContext<'a> {
     pub(crate) live_tap: &'a LiveTap,
     /// Set if a controller did not confirm 0 V.
     pub(crate) safe_unconfirmed: &'a AtomicBool,
+    /// Set once no further trial may start; trials under way end normally.
+    pub(crate) stop: &'a AtomicBool,
 }
 
 pub(crate) fn close_session(session: &mut Option<RigSession>, unconfirmed: &AtomicBool) {
@@ -70,8 +75,17 @@ pub(crate) struct CompletedTrial {
 }
 
 pub(crate) enum Progress {
+    /// A worker can start a trial.
+    Ready,
     Started(usize),
     Completed(usize, Box<CompletedTrial>),
+}
+
+pub(crate) type ResultSender = mpsc::SyncSender<Result<Progress, RunError>>;
+
+/// Without capacity a sender waits until everything that it sent before is handled.
+pub(crate) fn result_channel(fail_fast: bool) -> (ResultSender, mpsc::Receiver<Result<Progress, RunError>>) {
+    mpsc::sync_channel(if fail_fast { 0 } else { RESULT_QUEUE })
 }
 
 pub(crate) struct WorkQueue<'a> {
@@ -81,20 +95,27 @@ pub(crate) struct WorkQueue<'a> {
 }
 
 impl WorkQueue<'_> {
-    pub(crate) fn run_worker(
-        &self,
-        session: &mut Option<RigSession>,
-        results: &mpsc::Sender<Result<Progress, RunError>>,
-    ) {
-        while !self.run.cancel.is_cancelled() {
+    pub(crate) fn run_worker(&self, session: &mut Option<RigSession>, results: &ResultSender) {
+        while self.may_start(results) {
             let Some(task) = self.tasks.get(self.next.fetch_add(1, Ordering::Relaxed)) else { break };
             if task.trials.start == 0 && results.send(Ok(Progress::Started(task.scenario))).is_err() {
                 break;
             }
-            if !task.trials.clone().all(|index| self.play_and_send(session, task.scenario, index, results)) {
+            let first = task.trials.start;
+            let mut trials = task.trials.clone();
+            if !trials.all(|index| {
+                (index == first || self.may_start(results))
+                    && self.play_and_send(session, task.scenario, index, results)
+            }) {
                 break;
             }
         }
+    }
+
+    /// With `--fail-fast`, waits until the worker's earlier results are judged.
+    fn may_start(&self, results: &ResultSender) -> bool {
+        let is_judged = !self.run.plan.overrides.fail_fast || results.send(Ok(Progress::Ready)).is_ok();
+        is_judged && !self.run.cancel.is_cancelled() && !self.run.stop.load(Ordering::Relaxed)
     }
 
     /// Returns false if the worker must end.
@@ -103,7 +124,7 @@ impl WorkQueue<'_> {
         session: &mut Option<RigSession>,
         scenario: usize,
         index: u32,
-        results: &mpsc::Sender<Result<Progress, RunError>>,
+        results: &ResultSender,
     ) -> bool {
         let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(session, scenario, index)));
         let result = match played {

@@ -213,6 +213,20 @@ impl Limit {
     }
 }
 
+impl Limit {
+    /// Signed distance of `value` to the limit over the limit's scale; negative if it is broken.
+    /// The scale is the limit, half the range or the tolerance, and 1 unit if that is 0.
+    pub fn margin(self, value: f64, tolerance_percent: f64) -> f64 {
+        let over = |distance: f64, scale: f64| distance / if scale == 0.0 { 1.0 } else { scale.abs() };
+        let (low, high) = self.range(tolerance_percent);
+        match self {
+            Self::AtMost(limit) => over(limit - value, limit),
+            Self::AtLeast(limit) => over(value - limit, limit),
+            Self::Within(..) | Self::About(_) => over((value - low).min(high - value), (high - low) / 2.0),
+        }
+    }
+}
+
 impl fmt::Display for Limit {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -279,6 +293,12 @@ impl Expectation {
         self.limit.range(self.tolerance_percent)
     }
 
+    /// See [`Limit::margin`]; `None` if a deviation must agree with a value, which has no tolerance.
+    pub fn margin(&self, value: f64) -> Option<f64> {
+        let is_agreement = self.aggregation == Aggregation::StandardDeviation && matches!(self.limit, Limit::About(_));
+        (!is_agreement).then(|| self.limit.margin(value, self.tolerance_percent))
+    }
+
     pub fn holds(&self, value: f64) -> bool {
         let (low, high) = self.range();
         (low..=high).contains(&value)
@@ -288,5 +308,29 @@ impl Expectation {
     pub fn band(&self, setpoint: f64) -> (f64, f64) {
         let half = setpoint.abs() * self.band_percent / 100.0;
         (setpoint - half, setpoint + half)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    #[case(Limit::AtMost(2.0), 1.5, 0.25)]
+    #[case(Limit::AtMost(2.0), 3.0, -0.5)]
+    #[case(Limit::AtMost(-2.0), -3.0, 0.5)]
+    #[case(Limit::AtMost(0.0), 0.5, -0.5)]
+    #[case(Limit::AtLeast(2.0), 3.0, 0.5)]
+    #[case(Limit::AtLeast(0.0), 3.0, 3.0)]
+    #[case(Limit::Within(1.0, 3.0), 2.0, 1.0)]
+    #[case(Limit::Within(1.0, 3.0), 2.5, 0.5)]
+    #[case(Limit::Within(1.0, 3.0), 0.5, -0.5)]
+    #[case(Limit::Within(2.0, 2.0), 5.0, -3.0)]
+    #[case(Limit::About(10.0), 10.5, 0.5)]
+    #[case(Limit::About(10.0), 12.0, -1.0)]
+    #[case(Limit::About(0.0), 2.0, -2.0)]
+    fn a_margin_is_the_distance_over_the_scale(#[case] limit: Limit, #[case] value: f64, #[case] expected: f64) {
+        assert!((limit.margin(value, 10.0) - expected).abs() < 1e-12, "{}", limit.margin(value, 10.0));
     }
 }

@@ -145,6 +145,47 @@ fn without_a_terminal_the_run_has_no_view(#[case] arguments: &[&str]) {
     assert!(!output.stdout.is_empty() && !output.stdout.contains('\u{1b}'));
 }
 
+#[rstest]
+#[case::auto(&[], &[], true)]
+#[case::variable(&[], &[("NO_COLOR", "1")], false)]
+#[case::never(&["--color", "never"], &[], false)]
+#[case::always(&["--color", "always"], &[("NO_COLOR", "1")], true)]
+fn a_terminal_has_colours_unless_they_are_off(
+    #[case] more: &[&str],
+    #[case] environment: &[(&str, &str)],
+    #[case] expected: bool,
+) {
+    let folder = run_folder("60.0");
+    let arguments = ["run", "--rig", "hosted", "--out", "run"];
+    let mut terminal = TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(more), environment);
+    terminal.wait_for_exit(&[0]);
+    terminal.assert_text("verdict: ✓ pass");
+    assert_eq!(terminal.has_colour(), expected);
+}
+
+#[test]
+fn progress_is_one_line_that_disappears() {
+    let folder = run_folder("60.0");
+    folder.write_scenario("t.toml", &folder.read("scenarios/s.toml"));
+    let arguments = ["run", "--out", "run", "--rig", &controller_rig(None)];
+    let mut terminal = TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&SLOW), &[]);
+    terminal.wait_for_terminal_text("1/2 trials");
+    assert_eq!(terminal.text().matches("trials").count(), 1, "{}", terminal.text());
+    terminal.wait_for_exit(&[0, 3]);
+    assert!(!terminal.text().contains("/2 trials"), "{}", terminal.text());
+}
+
+#[rstest]
+#[case::verdict(&["run", "--rig", "hosted"], 0)]
+#[case::diagnostic(&["check", "broken.toml"], 2)]
+#[case::usage(&["run", "--wrong"], 2)]
+fn colours_are_forced_in_a_pipe(#[case] arguments: &[&str], #[case] exit: i32) {
+    let folder = run_folder("60.0");
+    folder.write("broken.toml", "title = 3");
+    folder.bench(arguments).assert_exit(exit).assert_output_without("\u{1b}");
+    folder.bench(arguments.iter().chain(&["--color", "always"])).assert_exit(exit).assert_output(&["\u{1b}["]);
+}
+
 #[test]
 fn a_dumb_terminal_shows_no_view() {
     let folder = run_folder("60.0");

@@ -23,6 +23,7 @@ mod output_formats;
 mod real_plate;
 mod real_time;
 mod rigs;
+mod run_selection;
 mod safe_exit;
 mod scenarios;
 mod serial_line;

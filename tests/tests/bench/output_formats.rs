@@ -78,6 +78,47 @@ fn github_annotations_point_at_the_expectation(
 }
 
 #[test]
+fn a_passed_run_prints_a_summary_and_no_progress() {
+    let folder = TestFolder::with_step(SETTLING);
+    fs::create_dir(folder.join("scenarios/limits")).unwrap();
+    let limit = step_text(BAD).replace("\"plates/", "\"../plates/");
+    folder.write_scenario("limits/limit.toml", &format!("expected_exit = 1\n{limit}"));
+    let output = folder.run_hosted("run").assert_exit(0);
+    let stdout = output.stdout.replace(|digit: char| digit.is_ascii_digit(), "#");
+    assert_eq!(
+        stdout.lines().map(|line| line.split_once(": ").map_or(line, |(name, _)| name)).collect::<Vec<_>>(),
+        ["# scenario", "# expectation", "duration", "smallest margin", "verdict"]
+    );
+    assert!(output.stdout.contains(" %, s.toml: settling_time_ms: "), "{}", output.stdout);
+    let skipped = "1 scenario of known limits skipped, name one to run it; -v lists them";
+    assert_eq!(output.stderr, format!("{skipped}\nrun folder: run\nreport: run/report.html\n"));
+}
+
+#[test]
+fn verbose_output_has_the_tables() {
+    const ROW: &str = "  settling_time_ms  ✓ pass   1.9";
+    let folder = TestFolder::with_step(SETTLING);
+    assert!(!folder.run_hosted("short").assert_exit(0).stdout.contains(ROW));
+    folder.bench(["run", "--rig", "hosted", "--out", "run", "-v"]).assert_exit(0).assert_stdout(&[ROW]);
+    folder.bench(["judge", "run", "-v"]).assert_exit(0).assert_stdout(&[ROW]);
+}
+
+#[test]
+fn quiet_output_has_failures_only() {
+    let folder = TestFolder::with_step(SETTLING);
+    let run = |out: &str| folder.bench(["run", "--rig", "hosted", "--quiet", "--out", out]);
+    assert_eq!(run("good").assert_exit(0).text(), "");
+    folder.write_scenario("bad.toml", &step_text(BAD));
+    let output = run("run").assert_exit(1);
+    assert_eq!(
+        output.stdout,
+        "verdict: ✗ fail\n\nnot passed:\n  ✗ bad.toml: settling_time_ms: 1.956 ms, limit ≤ 0.5, window 0 … 60 ms\n    \
+         trace: traces/bad/000.csv\n"
+    );
+    assert_eq!(output.stderr, "run folder: run\nreport: run/report.html\n");
+}
+
+#[test]
 fn summary_and_tap_are_files() {
     let folder = TestFolder::with_step(BAD);
     folder

@@ -27,7 +27,7 @@ pub(crate) const FAILED_SETTLING: &str = "metric = \"settling_time_ms\"\nat_most
 pub(crate) fn bench_command(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_platebench-under-test"));
     command.current_dir(folder);
-    for variable in ["PLATEBENCH_LOG", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "GITHUB_WORKSPACE"] {
+    for variable in ["PLATEBENCH_LOG", "NO_COLOR", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "GITHUB_WORKSPACE"] {
         command.env_remove(variable);
     }
     command

@@ -3,6 +3,7 @@
 use crate::clock::ClockRequest;
 use crate::options::{ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_time_scale};
 use crate::outputs::Outputs;
+use crate::tags::TagFilter;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use platebench_plate::Tier;
@@ -20,7 +21,8 @@ Examples:
   platebench run scenarios/limits/one-period-delay.toml one scenario
   platebench run scenarios/paper --law dq-pi-euler      another law of the firmware
   platebench run --trials 300 --seed 7 --out /tmp/night
-  platebench run scenarios/paper --watch                run changed scenarios again")]
+  platebench run scenarios/paper --watch                run changed scenarios again
+  platebench run --list --tag paper --not-tag acceptance      list scenarios and limits without playing them")]
 #[expect(clippy::struct_excessive_bools, reason = "each is a flag of its own on the command line")]
 pub(crate) struct RunArgs {
     /// Scenario files, or folders with everything below them
@@ -83,12 +85,20 @@ pub(crate) struct RunArgs {
     /// Fail if the controller does not announce a law or capability that a scenario needs
     #[arg(long)]
     pub(crate) require_all: bool,
+    /// Start no further trial once a scenario failed; scenarios without all trials are inconclusive
+    #[arg(long)]
+    pub(crate) fail_fast: bool,
     /// Live view in the terminal; ignored without a terminal
     #[arg(long)]
     pub(crate) live: bool,
     /// Format of standard output; json: one event per line, the last is the verdict
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
     pub(crate) format: OutputFormat,
+    /// List the scenarios with tags, limits and windows instead of playing them
+    #[arg(long, conflicts_with = "watch")]
+    pub(crate) list: bool,
+    #[command(flatten)]
+    pub(crate) tags: TagFilter,
     #[command(flatten)]
     pub(crate) outputs: Outputs,
 }
@@ -112,6 +122,7 @@ impl RunArgs {
             seed: self.seed,
             model: self.model.clone(),
             require_all: self.require_all,
+            fail_fast: self.fail_fast,
         }
     }
 }

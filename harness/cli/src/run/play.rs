@@ -8,9 +8,9 @@ use crate::outputs::{self, ScenarioLocations};
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::{live, stdio};
-use platebench_record::{RunFolder, RunRecord};
+use platebench_record::{RunFolder, RunRecord, Verdict};
 use platebench_report::events::EventWriter;
-use platebench_report::{Progress, ProgressKind, junit, page, traceability};
+use platebench_report::{Detail, Progress, ProgressKind, junit, page, traceability};
 use platebench_runner::{Clock, RunError, RunPlan, rejudge};
 use platebench_scenario::Scenario;
 use std::path::Path;
@@ -25,6 +25,7 @@ pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Exit> {
 }
 
 pub(super) fn prepare_scenarios(mut scenarios: Vec<Scenario>, arguments: &RunArgs) -> Vec<Scenario> {
+    arguments.tags.retain(&mut scenarios);
     let overrides = arguments.overrides();
     for scenario in &mut scenarios {
         rejudge::apply_overrides(&overrides, scenario);
@@ -56,7 +57,7 @@ pub(super) fn play(
     arguments: &RunArgs,
     clock: Clock,
     scenarios: Vec<Scenario>,
-    quiet: bool,
+    detail: Detail,
     events: &mut Option<EventWriter>,
 ) -> Result<(Exit, RunRecord), Exit> {
     check_line_speed(&arguments.rig, clock, &scenarios).map_err(|fault| stdio::reject(&fault))?;
@@ -97,18 +98,23 @@ pub(super) fn play(
     }
     let operator = TerminalOperator::at_plate(is_real && !arguments.yes);
     let progress = match ProgressKind::detect() {
-        _ if quiet || view.is_some() => ProgressKind::Quiet,
-        // Prompts and bars would overwrite each other.
-        ProgressKind::Bars if is_real => ProgressKind::Lines,
+        _ if detail == Detail::Failures || view.is_some() => ProgressKind::Quiet,
+        // Prompts and a bar would overwrite each other.
+        _ if is_real => ProgressKind::Lines,
+        ProgressKind::Lines => ProgressKind::Quiet,
         kind => kind,
     };
-    let sinks = EventSinks { progress: Progress::new(progress), view: view.as_ref(), events: events.as_mut() };
+    let planned_trials = plan.scenarios.iter().map(|scenario| u64::from(scenario.trials.count)).sum();
+    let progress = Progress::new(progress).with_planned_trials(planned_trials);
+    let sinks = EventSinks { progress, view: view.as_ref(), events: events.as_mut() };
     let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, arguments.reply_timeout);
     drop(view);
     match played {
         Ok(record) => {
-            note_not_applicable(&record);
-            Ok((write_reports(&record, &folder, arguments, &locations), record))
+            if arguments.format == OutputFormat::Json {
+                note_not_applicable(&record);
+            }
+            Ok((write_reports(&record, &folder, arguments, &locations, detail), record))
         }
         Err((error, signal)) => {
             report_run_error(&error, &folder);
@@ -117,7 +123,13 @@ pub(super) fn play(
     }
 }
 
-fn write_reports(record: &RunRecord, folder: &RunFolder, arguments: &RunArgs, locations: &ScenarioLocations) -> Exit {
+fn write_reports(
+    record: &RunRecord,
+    folder: &RunFolder,
+    arguments: &RunArgs,
+    locations: &ScenarioLocations,
+    detail: Detail,
+) -> Exit {
     let page = folder.path().join(page::FILE);
     let written = junit::write(record, &folder.path().join(junit::FILE))
         .and_then(|()| {
@@ -129,10 +141,12 @@ fn write_reports(record: &RunRecord, folder: &RunFolder, arguments: &RunArgs, lo
         .and_then(|()| traceability::write(record, folder.path()))
         .and_then(|()| arguments.outputs.write(record, locations));
     if arguments.format == OutputFormat::Human {
-        stdio::record(record, arguments.format);
+        stdio::record(record, arguments.format, detail);
     }
-    stdio::note(&format!("run folder: {}", folder.path().display()));
-    stdio::note(&format!("report: {}", page.display()));
+    if detail != Detail::Failures || record.verdict != Verdict::Pass {
+        stdio::note(&format!("run folder: {}", folder.path().display()));
+        stdio::note(&format!("report: {}", page.display()));
+    }
     warn_if_not_safe(record);
     match written {
         Ok(()) => Exit::of_record(record),

@@ -6,6 +6,7 @@ use super::play;
 use crate::exit::Exit;
 use crate::shutdown;
 use crate::stdio;
+use platebench_report::Detail;
 use platebench_runner::Clock;
 use platebench_scenario::{Diagnostic, Scenario, find, input, list_files};
 use std::collections::BTreeMap;
@@ -26,11 +27,11 @@ type FileContent = (PathBuf, Vec<u8>);
 /// By the scenario's own file.
 type PlayedInputs = BTreeMap<PathBuf, Vec<FileContent>>;
 
-pub(super) fn watch(arguments: &RunArgs, clock: Clock, quiet: bool) -> Exit {
+pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> Exit {
     if arguments.out.is_some() {
         return stdio::reject(&"--watch makes many runs, expected --runs FOLDER instead of --out");
     }
-    match watch_loop(arguments, clock, quiet) {
+    match watch_loop(arguments, clock, detail) {
         Ok(exit) => exit,
         Err(error) => {
             stdio::error(&format!("signals are not available: {error}"));
@@ -39,7 +40,7 @@ pub(super) fn watch(arguments: &RunArgs, clock: Clock, quiet: bool) -> Exit {
     }
 }
 
-fn watch_loop(arguments: &RunArgs, clock: Clock, quiet: bool) -> io::Result<Exit> {
+fn watch_loop(arguments: &RunArgs, clock: Clock, detail: Detail) -> io::Result<Exit> {
     shutdown::listen()?;
     let mut played = PlayedInputs::new();
     let mut inputs = Vec::new();
@@ -63,7 +64,8 @@ fn watch_loop(arguments: &RunArgs, clock: Clock, quiet: bool) -> io::Result<Exit
                 inputs = scenarios.iter().flat_map(input_paths).collect();
                 let changed = changed_scenarios(scenarios, firmware.as_ref(), &mut played);
                 if !changed.is_empty() {
-                    let _ = play::with_events(arguments, |events| play::play(arguments, clock, changed, quiet, events));
+                    let _ =
+                        play::with_events(arguments, |events| play::play(arguments, clock, changed, detail, events));
                     let s = if played.len() == 1 { "" } else { "s" };
                     stdio::note(&format!("watching {} scenario{s}; Ctrl-C ends", played.len()));
                 }

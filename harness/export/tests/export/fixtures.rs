@@ -108,6 +108,7 @@ pub(crate) fn stored_run() -> StoredRun {
         clock: ClockKind::Lockstep,
         overrides: Overrides::default(),
         safe_confirmed: Some(true),
+        wall_ms: None,
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
         scenarios,
         not_applicable: Vec::new(),

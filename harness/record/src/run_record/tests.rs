@@ -29,6 +29,7 @@ fn record() -> RunRecord {
         value: Some(1.93),
         statistic: Statistic::Worst,
         limit: Limit::AtMost(2.0),
+        margin: Some(0.025),
         interval: Some([1.9, 1.96]),
         confidence: Some(0.95),
         cause: None,
@@ -58,6 +59,7 @@ fn record() -> RunRecord {
         cause: Some(Cause::Rig),
         reason: Some(Reason::Excluded { trial: 0, exclusion: Exclusion::NoAnswer { at_ms: 3.0 } }),
         limit: Limit::Within(1.0, 2.0),
+        margin: None,
         paper: None,
         requirement: None,
         definition: MetricDefinition::default(),
@@ -95,6 +97,7 @@ fn record() -> RunRecord {
         clock: ClockKind::Lockstep,
         overrides: Overrides { law: None, trials: Some(1), ..Overrides::default() },
         safe_confirmed: None,
+        wall_ms: Some(12.5),
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
         scenarios: vec![ScenarioRecord {
             file: "paper/fig13-closed-loop.toml".to_owned(),

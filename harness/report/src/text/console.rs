@@ -1,49 +1,52 @@
 //! Writes a run for a terminal. The text does not depend on the terminal's width.
 
+mod lines;
 mod progress;
+mod summary;
 
+pub use lines::Style;
 pub use progress::{Progress, ProgressKind};
 
 use super::escape::printable;
 use super::table::Table;
-use super::{cost, timing};
-use crate::{format, record_queries};
+use super::timing;
+use crate::format;
+use lines::write_wrapped;
 use platebench_record::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
-const WIDTH: usize = 100;
-
+/// How much of a run is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Style {
-    /// ANSI colours. Verdicts have a sign in any case.
-    pub colour: bool,
+pub enum Detail {
+    /// What did not pass; nothing if everything passed.
+    Failures,
+    #[default]
+    Summary,
+    /// A table for each scenario, and the summary.
+    Tables,
 }
 
-impl Style {
-    fn paint(self, code: &str, text: &str) -> String {
-        if self.colour { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
+pub fn run_text(record: &RunRecord, style: Style, detail: Detail) -> String {
+    let mut text = String::new();
+    match detail {
+        Detail::Failures if record.verdict == Verdict::Pass => {}
+        Detail::Failures => summary::write_not_passed(&mut text, record, style),
+        Detail::Summary => summary::write(&mut text, record, style, false),
+        Detail::Tables => {
+            for scenario in &record.scenarios {
+                write_heading(&mut text, scenario, style);
+                write_expectations(&mut text, scenario, style);
+                text.push('\n');
+            }
+            summary::write(&mut text, record, style, true);
+        }
     }
-
-    fn paint_verdict(self, verdict: Verdict, text: &str) -> String {
-        let code = match verdict {
-            Verdict::Pass => "32",
-            Verdict::Fail => "1;31",
-            Verdict::Inconclusive => "33",
-        };
-        self.paint(code, text)
-    }
+    text
 }
 
 pub fn run_table(record: &RunRecord, style: Style) -> String {
-    let mut text = String::new();
-    for scenario in &record.scenarios {
-        write_heading(&mut text, scenario, style);
-        write_expectations(&mut text, scenario, style);
-        text.push('\n');
-    }
-    write_summary(&mut text, record, style);
-    text
+    run_text(record, style, Detail::Tables)
 }
 
 /// A closed pipe is no error.
@@ -103,63 +106,5 @@ fn write_expectations(text: &mut String, scenario: &ScenarioRecord, style: Style
         if let Some(reason) = &expectation.reason {
             write_wrapped(text, "  ↳ ", "    ", &format!("{}: {reason}", expectation.name));
         }
-    }
-}
-
-fn write_summary(text: &mut String, record: &RunRecord, style: Style) {
-    for scenario in &record.not_applicable {
-        write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
-    }
-    for (name, counts) in [
-        ("scenario", format::VerdictCounts::of_scenarios(record)),
-        ("expectation", format::VerdictCounts::of_expectations(record)),
-    ] {
-        let _ = writeln!(text, "{}: {counts}", format::count(counts.total(), name));
-    }
-    for trend in &record.cost {
-        let _ = writeln!(text, "instructions per step: {}", cost::format_worst(trend));
-        if let Some(change) = cost::describe_change(trend) {
-            write_wrapped(text, "  ↳ ", "    ", &change);
-        }
-    }
-    if let Some(overrides) = format::overrides(record) {
-        write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
-    }
-    if !record.complete {
-        text.push_str("the run was not finished\n");
-    }
-    let verdict = format!("{} {}", format::sign(record.verdict), record.verdict);
-    let _ = writeln!(text, "verdict: {}", style.paint_verdict(record.verdict, &verdict));
-    let not_passed = record_queries::expectations_not_passed(record);
-    if !not_passed.is_empty() {
-        text.push_str("\nnot passed:\n");
-    }
-    for (scenario, index) in not_passed {
-        let Some(expectation) = scenario.expectations.get(index) else { continue };
-        let sign = style.paint_verdict(expectation.verdict, format::sign(expectation.verdict));
-        let trace = record_queries::trial_to_inspect(scenario, index).map_or("no trace", |trial| trial.trace.as_str());
-        let (file, name) = (printable(&scenario.file), printable(&expectation.name));
-        let _ = writeln!(text, "  {sign} {file}: {name}  {}", printable(trace));
-    }
-}
-
-/// Lines of at most [`WIDTH`] columns, longer only for a longer word.
-fn write_wrapped(text: &mut String, first: &str, further: &str, sentence: &str) {
-    let mut line = first.to_owned();
-    let mut empty = true;
-    for word in printable(sentence).split_whitespace() {
-        if !empty && line.chars().count() + 1 + word.chars().count() > WIDTH {
-            let _ = writeln!(text, "{line}");
-            further.clone_into(&mut line);
-            empty = true;
-        }
-        if !empty {
-            line.push(' ');
-        }
-        line.push_str(word);
-        empty = false;
-    }
-    if !empty {
-        let _ = writeln!(text, "{line}");
     }
 }

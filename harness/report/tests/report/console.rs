@@ -2,14 +2,84 @@
 
 use crate::fixtures;
 use crate::hostile_text::written;
-use platebench_record::Overrides;
-use platebench_report::{Progress, Style, console};
+use platebench_record::{NotApplicable, Overrides, RunRecord};
+use platebench_report::{Detail, Progress, Style, console};
+use rstest::rstest;
+use serde_json::json;
 
 #[test]
 fn shows_every_outcome() {
     let text = console::run_table(&fixtures::mixed_run(), Style::default());
     insta::assert_snapshot!(text);
     assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+}
+
+#[test]
+fn a_summary_lists_what_did_not_pass() {
+    let text = console::run_text(&fixtures::mixed_run(), Style::default(), Detail::Summary);
+    insta::assert_snapshot!(text);
+    assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+}
+
+fn passed_run(scenarios: u32) -> RunRecord {
+    let scenario = |index: u32| {
+        let file = format!("paper/{index}.toml");
+        let limits = [("at_most", json!(2.0)), ("at_most", json!(1.9)), ("within", json!([1.8, 1.8]))];
+        let expectations = limits.map(|limit| fixtures::passed_expectation("settling_time_ms", limit, 1.8));
+        let mut scenario = fixtures::scenario(&file, "A step", "dq-pi", expectations.to_vec());
+        scenario.trials = vec![fixtures::trial(&file, 0, &[])];
+        scenario.trials[0].wall_ms = Some(1_000.0 + f64::from(index));
+        scenario
+    };
+    let mut record = fixtures::run((0..scenarios).map(scenario).collect());
+    let not_applicable = |index| NotApplicable {
+        file: format!("faults/{index}.toml"),
+        title: String::new(),
+        reason: "the controller does not announce ticks".to_owned(),
+    };
+    record.not_applicable = (0..20).map(not_applicable).collect();
+    record.cost = fixtures::cost_trends();
+    record
+}
+
+#[test]
+fn a_passed_run_is_summarised_in_few_lines() {
+    let text = console::run_text(&passed_run(100), Style::default(), Detail::Summary);
+    insta::assert_snapshot!(text);
+    // Paths of the run folder and of the report, and the number of skipped scenarios, follow.
+    assert!(text.lines().count() <= 15, "{text}");
+}
+
+#[test]
+fn without_failures_there_is_no_list_of_failures() {
+    assert_eq!(console::run_text(&passed_run(2), Style::default(), Detail::Failures), "");
+    let failures = console::run_text(&fixtures::mixed_run(), Style::default(), Detail::Failures);
+    let summary = console::run_text(&fixtures::mixed_run(), Style::default(), Detail::Summary);
+    assert!(failures.starts_with("verdict: ✗ fail") && summary.ends_with(&failures), "{failures}");
+}
+
+#[rstest]
+#[case::limit_zero(("at_most", json!(0.0)), false)]
+#[case::one_value(("within", json!([5.0, 5.0])), false)]
+#[case::limit(("at_most", json!(10.0)), true)]
+#[case::range(("within", json!([5.0, 6.0])), true)]
+fn limits_without_room_have_no_smallest_margin(#[case] limit: (&str, serde_json::Value), #[case] shown: bool) {
+    let expectation = fixtures::passed_expectation("missed_replies", limit, 5.0);
+    let record = fixtures::run(vec![fixtures::scenario("a.toml", "A", "dq-pi", vec![expectation])]);
+    let text = console::run_text(&record, Style::default(), Detail::Summary);
+    assert_eq!(text.contains("smallest margin"), shown, "{text}");
+}
+
+#[test]
+fn unplayed_scenarios_are_counted_instead_of_listed() {
+    let mut record = fixtures::mixed_run();
+    for scenario in &mut record.scenarios {
+        scenario.trials.clear();
+    }
+    record.overrides.fail_fast = true;
+    let text = console::run_text(&record, Style::default(), Detail::Summary);
+    let count = record.scenarios.len();
+    assert!(text.ends_with(&format!("not played after the first failure: {count} scenarios\n")), "{text}");
 }
 
 #[test]
@@ -34,7 +104,7 @@ fn an_empty_run_does_not_pass() {
     assert_eq!(
         text,
         "0 scenarios: 0 passed, 0 failed, 0 inconclusive\n0 expectations: 0 passed, 0 failed, 0 inconclusive\n\
-         overridden: seed = 7\nthe run was not finished\nverdict: ? inconclusive\n"
+         duration: 2.5 s\noverridden: seed = 7\nthe run was not finished\nverdict: ? inconclusive\n"
     );
 }
 
@@ -57,7 +127,7 @@ fn shows_the_cost_of_a_step_and_its_change() {
     let mut record = fixtures::run(Vec::new());
     record.cost = fixtures::cost_trends();
     let text = console::run_table(&record, Style::default());
-    let lines: Vec<&str> = text.lines().skip(2).take_while(|line| !line.starts_with("verdict")).collect();
+    let lines: Vec<&str> = text.lines().skip(3).take_while(|line| !line.starts_with("verdict")).collect();
     assert_eq!(
         lines,
         [
@@ -78,7 +148,7 @@ fn progress_has_a_line_at_start_and_end() {
     let text = written(|out| {
         let mut progress = Progress::to_writer(out);
         progress.scenario_started("paper/fig13-open-loop.toml", 3);
-        progress.trial_finished("paper/fig13-open-loop.toml", 0);
+        progress.trial_finished();
         progress.scenario_finished(&record.scenarios[1]);
         progress.finish();
     });

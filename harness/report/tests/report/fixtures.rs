@@ -31,6 +31,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
         clock: ClockKind::Lockstep,
         overrides: Overrides { seed: Some(7), ..Overrides::default() },
         safe_confirmed: Some(true),
+        wall_ms: Some(2_500.0),
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
         scenarios,
         not_applicable: Vec::new(),
@@ -69,6 +70,7 @@ fn with_default_names(mut expectations: Vec<ExpectationRecord>) -> Vec<Expectati
 
 #[allow(clippy::needless_pass_by_value, reason = "short calls")]
 pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64) -> ExpectationRecord {
+    let limit: Limit = serde_json::from_value(json!({ limit.0: limit.1 })).unwrap();
     ExpectationRecord {
         name: String::new(),
         windows_ms: vec![[0.0, 60.0]],
@@ -76,7 +78,8 @@ pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64)
         verdict: Verdict::Pass,
         value: Some(value),
         statistic: Statistic::Worst,
-        limit: serde_json::from_value(json!({ limit.0: limit.1 })).unwrap(),
+        limit,
+        margin: Some(limit.margin(value, 10.0)),
         interval: Some([value * 0.98, value]),
         confidence: None,
         cause: None,

@@ -49,6 +49,7 @@ fn record(build: &str, second: u32, scenarios: Vec<ScenarioRecord>) -> RunRecord
         clock: ClockKind::Lockstep,
         overrides: Overrides::default(),
         safe_confirmed: None,
+        wall_ms: None,
         host: Host { os: String::new(), arch: String::new() },
         scenarios,
         not_applicable: Vec::new(),

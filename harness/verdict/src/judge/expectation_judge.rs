@@ -44,14 +44,16 @@ impl ExpectationJudge<'_> {
             outcome.evidence.look = Some([self.look.number, self.look.planned_looks]);
         }
         let windows = self.expectation.windows.iter();
+        let value = outcome.value.filter(|value| value.is_finite());
         ExpectationRecord {
             name: self.expectation.name.clone(),
             windows_ms: windows.map(|window| [window.from.ms(), window.to.ms()]).collect(),
             metric: self.expectation.metric,
             verdict: outcome.verdict,
-            value: outcome.value.filter(|value| value.is_finite()),
+            value,
             statistic: outcome.statistic,
             limit: self.expectation.limit,
+            margin: value.and_then(|value| self.expectation.margin(value)).filter(|margin| margin.is_finite()),
             interval: outcome.interval.filter(|ends| ends.iter().all(|end| end.is_finite())),
             confidence: outcome.confidence,
             cause: outcome.cause,
@@ -100,7 +102,7 @@ impl ExpectationJudge<'_> {
     /// A trial that is missing or does not count turns a pass into inconclusive.
     fn check_excluded_trials(&self, outcome: Outcome) -> Outcome {
         let (played, planned) = (self.trials.len(), self.look.trials as usize);
-        let outcome = if outcome.verdict == Verdict::Pass && played < planned {
+        let outcome = if played < planned && (outcome.verdict == Verdict::Pass || played == 0) {
             outcome.inconclusive(Cause::Evidence, Reason::NotPlayed { played, planned })
         } else {
             outcome

@@ -2,22 +2,23 @@
 
 use crate::format;
 use crate::text::escape::printable;
-use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use platebench_record::ScenarioRecord;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use platebench_record::{ScenarioRecord, Verdict};
 use std::io::{self, IsTerminal as _, Write};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProgressKind {
-    Bars,
+    /// One line that is drawn again.
+    Bar,
     /// A line at the start and one at the end of a scenario.
     Lines,
     Quiet,
 }
 
 impl ProgressKind {
-    /// Bars if stderr is a terminal, otherwise lines.
+    /// A bar if stderr is a terminal, otherwise lines.
     pub fn detect() -> Self {
-        if io::stderr().is_terminal() { Self::Bars } else { Self::Lines }
+        if io::stderr().is_terminal() { Self::Bar } else { Self::Lines }
     }
 }
 
@@ -27,7 +28,7 @@ pub struct Progress {
 }
 
 enum Sink {
-    Bars { all: MultiProgress, under_way: Vec<(String, ProgressBar)> },
+    Bar { bar: ProgressBar, under_way: Vec<String>, not_passed: usize },
     Lines(Box<dyn Write + Send>),
     Quiet,
 }
@@ -35,8 +36,10 @@ enum Sink {
 impl Progress {
     pub fn new(kind: ProgressKind) -> Self {
         let sink = match kind {
-            ProgressKind::Bars => {
-                Sink::Bars { all: MultiProgress::with_draw_target(ProgressDrawTarget::stderr()), under_way: Vec::new() }
+            ProgressKind::Bar => {
+                let target = ProgressDrawTarget::stderr();
+                let bar = ProgressBar::with_draw_target(Some(0), target).with_style(bar_style());
+                Sink::Bar { bar, under_way: Vec::new(), not_passed: 0 }
             }
             ProgressKind::Lines => Sink::Lines(Box::new(io::stderr())),
             ProgressKind::Quiet => Sink::Quiet,
@@ -48,13 +51,21 @@ impl Progress {
         Self { sink: Sink::Lines(Box::new(out)) }
     }
 
+    /// Otherwise the bar shows the trials of the scenarios that started.
+    #[must_use]
+    pub fn with_planned_trials(self, trials: u64) -> Self {
+        if let Sink::Bar { bar, .. } = &self.sink {
+            bar.set_length(trials);
+        }
+        self
+    }
+
     pub fn scenario_started(&mut self, name: &str, trials: u32) {
         match &mut self.sink {
-            Sink::Bars { all, under_way } => {
-                let bar = all.add(ProgressBar::new(u64::from(trials)).with_style(bar_style()));
-                bar.set_message(printable(name).into_owned());
-                bar.tick();
-                under_way.push((name.to_owned(), bar));
+            Sink::Bar { bar, under_way, not_passed } => {
+                bar.set_length(bar.length().unwrap_or(0).max(bar.position() + u64::from(trials)));
+                under_way.push(name.to_owned());
+                bar.set_message(message(under_way, *not_passed));
             }
             Sink::Lines(out) => {
                 let trials = format::count(usize::try_from(trials).unwrap_or(usize::MAX), "trial");
@@ -64,44 +75,33 @@ impl Progress {
         }
     }
 
-    pub fn trial_finished(&mut self, name: &str, index: u32) {
-        let Sink::Bars { under_way, .. } = &mut self.sink else { return };
-        if let Some((_, bar)) = under_way.iter().find(|(scenario, _)| scenario == name) {
+    pub fn trial_finished(&mut self) {
+        if let Sink::Bar { bar, .. } = &self.sink {
             // A scenario may play more trials than planned until its verdicts are conclusive.
-            let length = bar.length().unwrap_or(0).max(u64::from(index) + 1);
-            bar.set_length(length);
+            bar.set_length(bar.length().unwrap_or(0).max(bar.position() + 1));
             bar.inc(1);
         }
     }
 
     pub fn scenario_finished(&mut self, scenario: &ScenarioRecord) {
-        let verdict = scenario.verdict;
-        let trials = format::count(scenario.trials.len(), "trial");
-        let text = format!("{} {}: {verdict}, {trials}", format::sign(verdict), printable(&scenario.file));
         match &mut self.sink {
-            Sink::Bars { all, under_way } => {
-                under_way.retain(|(name, bar)| {
-                    let goes_on = *name != scenario.file;
-                    if !goes_on {
-                        bar.finish_and_clear();
-                    }
-                    goes_on
-                });
-                let _ = all.println(text);
+            Sink::Bar { bar, under_way, not_passed } => {
+                under_way.retain(|name| *name != scenario.file);
+                *not_passed += usize::from(scenario.verdict != Verdict::Pass);
+                bar.set_message(message(under_way, *not_passed));
             }
-            Sink::Lines(out) => write_line(out.as_mut(), &text),
+            Sink::Lines(out) => {
+                let (sign, verdict) = (format::sign(scenario.verdict), scenario.verdict);
+                let trials = format::count(scenario.trials.len(), "trial");
+                write_line(out.as_mut(), &format!("{sign} {}: {verdict}, {trials}", printable(&scenario.file)));
+            }
             Sink::Quiet => {}
         }
     }
 
     pub fn finish(&mut self) {
         match &mut self.sink {
-            Sink::Bars { all, under_way } => {
-                for (_, bar) in under_way.drain(..) {
-                    bar.finish_and_clear();
-                }
-                let _ = all.clear();
-            }
+            Sink::Bar { bar, .. } => bar.finish_and_clear(),
             Sink::Lines(out) => {
                 let _ = out.flush();
             }
@@ -110,12 +110,18 @@ impl Progress {
     }
 }
 
+fn message(under_way: &[String], not_passed: usize) -> String {
+    let count = if not_passed == 0 { String::new() } else { format!("{not_passed} not passed  ") };
+    format!("{count}{}", printable(under_way.last().map_or("", String::as_str)))
+}
+
 fn write_line(out: &mut dyn Write, text: &str) {
     let _ = writeln!(out, "{text}");
 }
 
 fn bar_style() -> ProgressStyle {
-    let template = "  {bar:24} {pos:>3}/{len} {msg} {elapsed}";
+    // The message is cut at the width of the terminal.
+    let template = "  {bar:24} {pos}/{len} trials  {elapsed}  {wide_msg}";
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("━╸ ")
 }
 
@@ -139,7 +145,7 @@ mod tests {
     fn a_closed_pipe_is_nobodys_problem() {
         let mut progress = Progress::to_writer(Closed);
         progress.scenario_started("a.toml", 3);
-        progress.trial_finished("a.toml", 0);
+        progress.trial_finished();
         progress.finish();
         super::super::print("text", &mut Closed).unwrap();
     }

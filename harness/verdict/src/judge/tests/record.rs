@@ -72,3 +72,26 @@ fn records_the_options_of_a_metric(#[case] expect: &str, #[case] expected: (Opti
     let found = judge_single_expectation(&scenario, &trials_with_values(&[1.0])).definition;
     assert_eq!((found.from_ms, found.band_percent, found.signal.as_deref()), expected);
 }
+
+#[rstest]
+#[case::worst("metric = \"settling_time_ms\", at_most = 2.0", &[1.0, 1.5], Some(0.25))]
+#[case::mean("metric = \"static_error_percent\", at_most = 2.0", &[0.5, -1.5], Some(0.5))]
+#[case::failed("metric = \"settling_time_ms\", at_most = 2.0", &[3.0, 1.0], Some(-0.5))]
+#[case::no_tolerance("metric = \"repeatability_percent\", about = 1.3", &[1.0, 2.0], None)]
+fn records_the_margin_of_the_deciding_value(
+    #[case] expect: &str,
+    #[case] values: &[f64],
+    #[case] expected: Option<f64>,
+) {
+    let record = judge_single_expectation(&varied_scenario(expect, 2), &trials_with_values(values));
+    assert_eq!(record.margin, expected, "{record:?}");
+}
+
+#[rstest]
+#[case::each("metric = \"settling_time_ms\", at_most = 2.0")]
+#[case::mean("metric = \"static_error_percent\", at_most = 2.0")]
+fn a_scenario_without_trials_was_not_played(#[case] expect: &str) {
+    let record = judge_single_expectation(&varied_scenario(expect, 3), &[]);
+    assert_eq!((record.verdict, record.cause), inconclusive(Cause::Evidence));
+    assert_eq!(record.reason.unwrap().to_string(), "0 of 3 trials were played");
+}

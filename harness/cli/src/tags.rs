@@ -1,0 +1,48 @@
+//! Selects scenarios by their tags.
+
+use crate::stdio;
+use clap::Args;
+use platebench_scenario::{Scenario, suggestion};
+use std::collections::BTreeSet;
+
+/// Tags of scenarios.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct TagFilter {
+    /// Only scenarios with this tag; given again: with any of them
+    #[arg(long = "tag", value_name = "TAG")]
+    tags: Vec<String>,
+    /// No scenarios with this tag, also if --tag selects them; may be given again
+    #[arg(long = "not-tag", value_name = "TAG")]
+    excluded: Vec<String>,
+}
+
+impl TagFilter {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.tags.is_empty() && self.excluded.is_empty()
+    }
+
+    pub(crate) fn selects(&self, scenario: &Scenario) -> bool {
+        let has_any = |tags: &[String]| tags.iter().any(|tag| scenario.tags.contains(tag));
+        (self.tags.is_empty() || has_any(&self.tags)) && !has_any(&self.excluded)
+    }
+
+    /// Drops the other scenarios and reports tags that no scenario has.
+    pub(crate) fn retain(&self, scenarios: &mut Vec<Scenario>) {
+        if self.is_empty() {
+            return;
+        }
+        self.report_unknown_tags(scenarios);
+        scenarios.retain(|scenario| self.selects(scenario));
+    }
+
+    fn report_unknown_tags(&self, scenarios: &[Scenario]) {
+        let known: BTreeSet<&str> = scenarios.iter().flat_map(|scenario| &scenario.tags).map(String::as_str).collect();
+        for tag in self.tags.iter().chain(&self.excluded).filter(|tag| !known.contains(&***tag)) {
+            let mut hint = suggestion(tag, known.iter().copied());
+            if hint.is_empty() && !known.is_empty() {
+                hint = format!("; known tags: {}", known.iter().copied().collect::<Vec<_>>().join(", "));
+            }
+            stdio::note(&format!("no scenario has the tag `{tag}`{hint}"));
+        }
+    }
+}

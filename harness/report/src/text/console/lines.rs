@@ -1,0 +1,49 @@
+//! Writes coloured and wrapped lines.
+
+use crate::text::escape::printable;
+use platebench_record::Verdict;
+use std::fmt::Write as _;
+
+const WIDTH: usize = 100;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Style {
+    /// ANSI colours. Verdicts have a sign in any case.
+    pub colour: bool,
+}
+
+impl Style {
+    pub(super) fn paint(self, code: &str, text: &str) -> String {
+        if self.colour { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
+    }
+
+    pub(super) fn paint_verdict(self, verdict: Verdict, text: &str) -> String {
+        let code = match verdict {
+            Verdict::Pass => "32",
+            Verdict::Fail => "1;31",
+            Verdict::Inconclusive => "33",
+        };
+        self.paint(code, text)
+    }
+}
+
+/// Lines of at most [`WIDTH`] columns, longer only for a longer word.
+pub(super) fn write_wrapped(text: &mut String, first: &str, further: &str, sentence: &str) {
+    let mut line = first.to_owned();
+    let mut empty = true;
+    for word in printable(sentence).split_whitespace() {
+        if !empty && line.chars().count() + 1 + word.chars().count() > WIDTH {
+            let _ = writeln!(text, "{line}");
+            further.clone_into(&mut line);
+            empty = true;
+        }
+        if !empty {
+            line.push(' ');
+        }
+        line.push_str(word);
+        empty = false;
+    }
+    if !empty {
+        let _ = writeln!(text, "{line}");
+    }
+}

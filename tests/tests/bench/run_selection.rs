@@ -1,0 +1,146 @@
+//! Tests which scenarios are listed, selected and left out.
+
+use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, step_text};
+use platebench_record::{Cause, RunRecord, ScenarioRecord, Verdict};
+use rstest::rstest;
+use serde_json::{Value, json};
+
+fn tagged(tags: &str, expect: &str) -> String {
+    format!("tags = [{tags}]\n{}", step_text(expect))
+}
+
+fn tagged_folder() -> TestFolder {
+    let folder = TestFolder::new();
+    folder.write_scenario("a.toml", &tagged("\"paper\", \"acceptance\"", SETTLING));
+    folder.write_scenario("b.toml", &tagged("\"paper\"", FAILED_SETTLING));
+    folder.write_scenario("c.toml", &tagged("\"laws\"", SETTLING));
+    folder.write_scenario("d.toml", &step_text(SETTLING));
+    folder
+}
+
+fn listed_files(folder: &TestFolder, arguments: &[&str]) -> Vec<String> {
+    let list = folder.bench(["run", "--list", "--format", "json"].iter().chain(arguments)).assert_exit(0).json();
+    let files = list["scenarios"].as_array().unwrap().iter().map(|scenario| scenario["file"].as_str().unwrap());
+    files.map(str::to_owned).collect()
+}
+
+#[rstest]
+#[case::all(&[], &["a.toml", "b.toml", "c.toml", "d.toml"])]
+#[case::one(&["--tag", "acceptance"], &["a.toml"])]
+#[case::any(&["--tag", "acceptance", "--tag", "laws"], &["a.toml", "c.toml"])]
+#[case::without(&["--not-tag", "paper"], &["c.toml", "d.toml"])]
+#[case::without_wins(&["--tag", "paper", "--not-tag", "acceptance"], &["b.toml"])]
+#[case::shard_of_selected(&["--tag", "paper", "--shard", "2/2"], &["b.toml"])]
+fn tags_select_scenarios(#[case] arguments: &[&str], #[case] expected: &[&str]) {
+    assert_eq!(listed_files(&tagged_folder(), arguments), expected);
+}
+
+#[test]
+fn only_selected_scenarios_are_played() {
+    let folder = tagged_folder();
+    folder.bench(["run", "--rig", "hosted", "--out", "run", "--not-tag", "paper"]).assert_exit(0);
+    let files: Vec<_> = folder.record("run").scenarios.into_iter().map(|scenario| scenario.file).collect();
+    assert_eq!(files, ["c.toml", "d.toml"]);
+}
+
+#[rstest]
+#[case::run(&["run", "--rig", "hosted", "--out", "run"])]
+#[case::list(&["run", "--list"])]
+#[case::check(&["check"])]
+#[case::trust(&["trust"])]
+fn nothing_selected_is_nothing_to_run(#[case] command: &[&str]) {
+    let folder = tagged_folder();
+    folder.bench(command.iter().chain(&["--tag", "papers"])).assert_exit(4).assert_stderr(&["there is nothing to"]);
+    assert!(!folder.exists("run"));
+}
+
+#[test]
+fn an_unknown_tag_is_reported() {
+    let folder = tagged_folder();
+    let near = "no scenario has the tag `papers`; did you mean `paper`?";
+    folder.bench(["run", "--list", "--tag", "papers", "--tag", "laws"]).assert_exit(0).assert_stderr(&[near]);
+    let far = "no scenario has the tag `x`; known tags: acceptance, laws, paper";
+    folder.bench(["run", "--list", "--not-tag", "x"]).assert_exit(0).assert_stderr(&[far]);
+}
+
+#[test]
+fn check_reads_selected_scenarios_only() {
+    let folder = tagged_folder();
+    let output = folder.bench(["check", "--tag", "paper"]).assert_exit(0);
+    assert_eq!(output.stdout, "no faults in 2 scenarios\n");
+    folder.write_scenario("e.toml", "title = 3");
+    folder.bench(["check", "--tag", "paper"]).assert_exit(2).assert_stderr(&["e.toml"]);
+}
+
+#[test]
+fn a_list_shows_limits_and_windows_without_playing() {
+    let folder = TestFolder::new();
+    let about = "metric = \"final_amplitude_um\"\nabout = 2.0\nfrom_ms = 30.0\nrequirement = \"ACC-1\"";
+    folder.write_scenario("a.toml", &tagged("\"paper\"", &format!("{SETTLING}\n[[expect]]\n{about}")));
+    let list = || folder.bench(["run", "--list", "--rig", "exec:false {port}"]).assert_exit(0).stdout;
+    assert_eq!(
+        list(),
+        "a.toml  (law dq-pi, 1 trial)  [paper]\n  step\n\n  \
+         metric              limit      unit  window\n  \
+         settling_time_ms    ≤ 2        ms    0 … 60 ms\n  \
+         final_amplitude_um  ≈ 2 ± 5 %  µm    30 … 60 ms\n\n1 scenario, 2 expectations\n"
+    );
+    let json = folder.bench(["run", "--list", "--trials", "3", "--format", "json"]).assert_exit(0).json();
+    let scenario = &json["scenarios"][0];
+    assert_eq!((&scenario["trials"], &scenario["tags"]), (&Value::from(3), &json!(["paper"])));
+    assert_eq!(
+        scenario["expectations"][1],
+        json!({
+            "name": "final_amplitude_um", "metric": "final_amplitude_um", "limit": { "about": 2.0 },
+            "tolerance_percent": 5.0, "windows_ms": [[30.0, 60.0]], "requirement": "ACC-1",
+        })
+    );
+    assert!(!folder.exists("runs"));
+}
+
+fn verdicts(record: &RunRecord) -> Vec<(Verdict, usize)> {
+    record.scenarios.iter().map(|scenario| (scenario.verdict, scenario.trials.len())).collect()
+}
+
+#[test]
+fn fail_fast_plays_nothing_after_a_failure() {
+    let folder = TestFolder::new();
+    folder.write_scenario("a.toml", &step_text(SETTLING));
+    folder.write_scenario("b.toml", &step_text(FAILED_SETTLING));
+    folder.write_scenario("c.toml", &step_text(SETTLING));
+    let run = |out: &str, more: &[&str]| {
+        folder.bench(["run", "--rig", "hosted", "--jobs", "1", "--out", out].iter().chain(more)).assert_exit(1);
+        folder.record(out)
+    };
+    use Verdict::{Fail, Inconclusive, Pass};
+    assert_eq!(verdicts(&run("all", &[])), [(Pass, 1), (Fail, 1), (Pass, 1)]);
+    let record = run("run", &["--fail-fast"]);
+    assert_eq!(verdicts(&record), [(Pass, 1), (Fail, 1), (Inconclusive, 0)]);
+    assert!(record.complete && record.verdict == Fail);
+    assert!(!folder.join("run/traces/c/000.csv").exists());
+    let expectation = &record.scenarios[2].expectations[0];
+    assert_eq!(expectation.cause, Some(Cause::Evidence));
+    assert_eq!(expectation.reason.as_ref().unwrap().to_string(), "0 of 1 trials were played");
+    assert_judged_again(&folder, &record.scenarios);
+}
+
+#[test]
+fn fail_fast_keeps_the_trials_of_an_undecided_scenario() {
+    let folder = TestFolder::new();
+    let repeatability = step_text("metric = \"repeatability_percent\"\nat_most = 1.5").replace("60.0", "80.0");
+    let spread = "[trials]\ncount = 3\nmax_count = 40\n[trials.spread]\nsensor_gain_percent = 1.0\n";
+    folder.write_scenario("undecided.toml", &format!("{repeatability}{spread}"));
+    folder.write_scenario("fails.toml", &step_text(FAILED_SETTLING));
+    folder.bench(["run", "--rig", "hosted", "--jobs", "1", "--out", "run", "--fail-fast"]).assert_exit(1);
+    let record = folder.record("run");
+    assert_eq!(verdicts(&record), [(Verdict::Fail, 1), (Verdict::Inconclusive, 3)]);
+    assert_judged_again(&folder, &record.scenarios);
+}
+
+#[track_caller]
+fn assert_judged_again(folder: &TestFolder, expected: &[ScenarioRecord]) {
+    let judged = folder.bench(["judge", "run", "--format", "json"]).assert_exit(1).json();
+    for (scenario, expected) in judged["scenarios"].as_array().unwrap().iter().zip(expected) {
+        assert_eq!(scenario["expectations"], serde_json::to_value(&expected.expectations).unwrap());
+    }
+}
