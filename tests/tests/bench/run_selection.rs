@@ -1,6 +1,7 @@
 //! Tests which scenarios are listed, selected and left out.
 
 use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, step_text};
+use Verdict::{Fail, Inconclusive, Pass};
 use platebench_record::{Cause, RunRecord, ScenarioRecord, Verdict};
 use rstest::rstest;
 use serde_json::{Value, json};
@@ -112,7 +113,6 @@ fn fail_fast_plays_nothing_after_a_failure() {
         folder.bench(["run", "--rig", "hosted", "--jobs", "1", "--out", out].iter().chain(more)).assert_exit(1);
         folder.record(out)
     };
-    use Verdict::{Fail, Inconclusive, Pass};
     assert_eq!(verdicts(&run("all", &[])), [(Pass, 1), (Fail, 1), (Pass, 1)]);
     let record = run("run", &["--fail-fast"]);
     assert_eq!(verdicts(&record), [(Pass, 1), (Fail, 1), (Inconclusive, 0)]);
