@@ -3,52 +3,12 @@
 //! Every number is an offset from a usual value; 0 is the simplest one.
 
 use crate::envelope::Envelope;
+use crate::event_kind::EventKind;
 use crate::stratum::Stratum;
 use proptest::collection::vec;
 use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
 use proptest::{bool as flags, prop_oneof};
 use std::ops::RangeInclusive;
-
-/// The kind of an event.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum EventKind {
-    /// The setpoint steps.
-    Step,
-    /// The setpoint goes in several steps.
-    Staircase,
-    /// The setpoint is 0 for some time.
-    Rest,
-    /// The force steps.
-    Touch,
-    /// The force ramps.
-    Press,
-    /// The temperature steps.
-    Shock,
-    /// The temperature ramps.
-    Heat,
-    /// Force and temperature ramp together.
-    Both,
-}
-
-impl EventKind {
-    /// Every kind.
-    pub const ALL: [Self; 8] =
-        [Self::Step, Self::Staircase, Self::Rest, Self::Touch, Self::Press, Self::Shock, Self::Heat, Self::Both];
-
-    /// Its name in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Step => "step",
-            Self::Staircase => "staircase",
-            Self::Rest => "rest",
-            Self::Touch => "touch",
-            Self::Press => "press",
-            Self::Shock => "temperature step",
-            Self::Heat => "temperature ramp",
-            Self::Both => "force and temperature",
-        }
-    }
-}
 
 /// A value relative to those before it.
 #[derive(Debug, Clone, Copy, PartialEq)]

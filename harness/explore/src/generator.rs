@@ -2,11 +2,12 @@
 
 use crate::course::CourseBuilder;
 use crate::draw::{
-    self, ConfigurationDraw, DETUNING_STEP_HZ, DEVIATION_STEP_PERCENT, EventDraw, EventKind, FORCE_STEP_N, Gap,
-    LEVEL_STEP_UM, LIMIT_STEP_VPP, NOISE_STEP_UM, PERIOD_STEP_MS, SceneDraw, TEMPERATURE_STEP_K, Target, TrialDraw,
-    USUAL_LEVEL_UM, USUAL_PERIOD_MS,
+    self, ConfigurationDraw, DETUNING_STEP_HZ, DEVIATION_STEP_PERCENT, EventDraw, FORCE_STEP_N, Gap, LEVEL_STEP_UM,
+    LIMIT_STEP_VPP, NOISE_STEP_UM, PERIOD_STEP_MS, SceneDraw, TEMPERATURE_STEP_K, Target, TrialDraw, USUAL_LEVEL_UM,
+    USUAL_PERIOD_MS,
 };
 use crate::envelope::Envelope;
+use crate::event_kind::EventKind;
 use crate::law_properties::LawProperties;
 use crate::scene::{Course, PlateChoice, Scene, SceneTrial};
 use crate::stratum::{SineOf, Stratum};

@@ -1,7 +1,7 @@
 //! Explores an operating envelope: generates scenes, plays them, checks properties, shrinks what fails.
 //!
 //! * [`mod@envelope`]: the ranges from which scenes are drawn.
-//! * `draw`, `stratum`, `course`: numbers of a scene. [`generator`]: scene i from envelope, seed and i.
+//! * `draw`, `event_kind`, `stratum`, `course`: numbers of a scene. [`generator`]: scene i from envelope, seed and i.
 //! * [`scene`]: a scene. [`scenario_file`]: the same as scenario file.
 //! * `windows`, `limits`, [`law_properties`], [`properties`]: what every scene must meet.
 //! * [`player`]: plays and judges a scene. [`mod@explore`]: plays many on several workers.
@@ -15,6 +15,7 @@ pub mod coverage;
 mod draw;
 pub mod envelope;
 pub mod error;
+mod event_kind;
 pub mod explore;
 pub mod generator;
 pub mod law_properties;
@@ -32,7 +33,6 @@ mod stratum;
 pub mod text;
 mod windows;
 
-pub use draw::EventKind;
 pub use envelope::{Envelope, RawEnvelope};
 pub use error::ExploreError;
 pub use explore::{Budget, Exploration, ExploreConfig, explore};

@@ -221,6 +221,15 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
     }
     let ms = trial.duration_us / 1_000;
     trials.push(SceneTrial { duration_us: (ms * 1_000).max(trial.period_us), ..trial.clone() });
+    for index in 0..trial.setpoint.len().saturating_sub(1) {
+        let mut setpoint = trial.setpoint.clone();
+        let (at, _) = setpoint.remove(index);
+        // The next level comes in the place of the removed one.
+        if let Some(next) = setpoint.get_mut(index) {
+            next.0 = at;
+        }
+        trials.push(SceneTrial { setpoint, ..trial.clone() });
+    }
     for index in 1..trial.setpoint.len() {
         let mut setpoint = trial.setpoint.clone();
         setpoint.remove(index);

@@ -1,6 +1,6 @@
 //! Assigns each scene number to a stratum, so that few scenes cover kinds, periods, limits and histories.
 
-use crate::draw::EventKind;
+use crate::event_kind::EventKind;
 
 /// What the number of a scene fixes. Everything else is drawn.
 #[derive(Debug, Clone, PartialEq)]
