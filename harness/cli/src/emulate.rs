@@ -222,14 +222,7 @@ impl PlateServer {
                 continue;
             };
             print_on_stderr(&format!("controller: {}", session.firmware_name()));
-            let spec = TrialSpec {
-                scenario: &self.scenario,
-                law: self.law,
-                index: 0,
-                wire_time: false,
-                continues: false,
-                own_clock: true,
-            };
+            let spec = TrialSpec { own_clock: true, ..TrialSpec::new(&self.scenario, self.law, 0) };
             loop {
                 let mut tap = self.live_tap.acquire(0, 0);
                 let consume = if self.view_sender.is_some() { discard_rows } else { print_status };

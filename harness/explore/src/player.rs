@@ -126,7 +126,7 @@ impl<'a> Player<'a> {
             Some(open) => open,
             None => self.session.insert(Session::open(FaultInjector::new((self.connect)()?))?),
         };
-        let spec = TrialSpec { scenario, law, index, wire_time: false, continues: true, own_clock: self.own_clock };
+        let spec = TrialSpec { own_clock: self.own_clock, continues: true, ..TrialSpec::new(scenario, law, index) };
         let Some(played) = trial::play(session, &spec, self.cancel, None) else { return Ok(None) };
         match played.link_error {
             Some(rejected @ RigError::ConfigurationRejected(_)) => Err(rejected.into()),
@@ -153,11 +153,11 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
             Limit::AtMost(limit) | Limit::Within(_, limit) | Limit::AtLeast(limit) | Limit::About(limit) => limit,
         };
         let has_own_failure = record.verdict == Verdict::Fail && !is_violation(record);
-        let margin = match (record.verdict, record.value) {
-            (Verdict::Inconclusive, _) | (Verdict::Pass, None) => None,
-            (_, Some(value)) if limit > 0.0 => Some((limit - value.abs()) / limit),
-            (_, Some(value)) => Some(if value.abs() > limit { -1.0 } else { 1.0 }),
-            (Verdict::Fail, None) => Some(f64::NEG_INFINITY),
+        let margin = match record.verdict {
+            Verdict::Inconclusive => None,
+            Verdict::Pass => record.margin,
+            // A failure without a value is the worst one.
+            Verdict::Fail => record.margin.or(Some(f64::NEG_INFINITY)),
         };
         result.windows.push(WindowResult { property, margin });
         if has_own_failure {

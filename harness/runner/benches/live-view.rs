@@ -25,14 +25,7 @@ const VARIANTS: [&str; 4] =
 fn main() -> Result<(), Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(SCENARIO);
     let scenario = load(&path, SCENARIO).map_err(|fault| fault.to_string())?;
-    let spec = TrialSpec {
-        scenario: &scenario,
-        law: LawId::DqPi,
-        index: 0,
-        wire_time: false,
-        continues: false,
-        own_clock: false,
-    };
+    let spec = TrialSpec::new(&scenario, LawId::DqPi, 0);
     let mut session = Session::open(FaultInjector::new(HostedLink::new()))?;
     let (active, reader) = LiveTap::new();
     let (stalled, idle_reader) = LiveTap::new();

@@ -78,14 +78,7 @@ fn controller_command(option: &str) -> Result<String, Box<dyn Error>> {
 
 fn play_at(period_us: u32) -> Result<TimingRecord, Box<dyn Error>> {
     let scenario = scenario(period_us)?;
-    let spec = TrialSpec {
-        scenario: &scenario,
-        law: LawId::DqPi,
-        index: 0,
-        wire_time: false,
-        continues: false,
-        own_clock: true,
-    };
+    let spec = TrialSpec { own_clock: true, ..TrialSpec::new(&scenario, LawId::DqPi, 0) };
     let link: BoxedLink = Box::new(ExecLink::start(&controller_command("")?)?);
     let mut session = Session::open(FaultInjector::new(link))?;
     let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };

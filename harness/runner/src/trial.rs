@@ -37,6 +37,13 @@ pub struct TrialSpec<'a> {
     pub continues: bool,
 }
 
+impl<'a> TrialSpec<'a> {
+    /// In lockstep with a transparent line, after a restart of the target.
+    pub const fn new(scenario: &'a Scenario, law: LawId, index: u32) -> Self {
+        Self { scenario, law, index, wire_time: false, own_clock: false, continues: false }
+    }
+}
+
 #[derive(Debug)]
 pub struct TrialResult {
     pub trace_rows: Vec<Row>,
@@ -65,7 +72,7 @@ pub fn play<L: Link>(
 /// Fails if the firmware does not answer before the trial.
 pub fn play_hosted(scenario: &Scenario, law: LawId, index: u32) -> Result<TrialResult, RigError> {
     let mut session = Session::open(FaultInjector::new(HostedLink::new()))?;
-    let spec = TrialSpec { scenario, law, index, wire_time: false, continues: false, own_clock: false };
+    let spec = TrialSpec::new(scenario, law, index);
     let mut trial = Trial::start(&mut session, &spec, None);
     while !trial.step() {}
     Ok(trial.finish())

@@ -143,7 +143,7 @@ impl WorkQueue<'_> {
 
     fn spec<'a>(&self, scenario: &'a Scenario, law: LawId, index: u32) -> TrialSpec<'a> {
         let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
-        TrialSpec { scenario, law, index, wire_time, continues: false, own_clock: self.run.plan.own_clock }
+        TrialSpec { wire_time, own_clock: self.run.plan.own_clock, ..TrialSpec::new(scenario, law, index) }
     }
 
     fn play_on_clock(

@@ -64,8 +64,7 @@ pub fn play_as(
             SequentialDecision::Continue { trials } => trials,
         };
         for index in trials.len() as u32..goal {
-            let spec =
-                TrialSpec { scenario: variant, law, index, wire_time: false, continues: false, own_clock: false };
+            let spec = TrialSpec::new(variant, law, index);
             let Some(result) = trial::play(&mut session, &spec, &CancelToken::never(), None) else {
                 return Err(TrustError::Internal);
             };

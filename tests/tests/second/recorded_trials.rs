@@ -80,7 +80,7 @@ pub(crate) fn record_paper_scenarios(law: LawId) -> Vec<RecordedTrial> {
     for scenario in &scenarios {
         // Time stamps of every fourth trial start at 0, like the clock of the hosted device.
         for index in (0..TRIALS_PER_SCENARIO).map(|number| 4 * number) {
-            let spec = TrialSpec { scenario, law, index, wire_time: false, continues: false, own_clock: false };
+            let spec = TrialSpec::new(scenario, law, index);
             let cancel = CancelToken::default();
             limit.lock().unwrap().clone_from(&cancel);
             let result = play(&mut session, &spec, &cancel, None);

@@ -13,7 +13,7 @@ use std::path::Path;
 
 fn divergence_time(scenario: &Scenario, law: LawId) -> Option<f64> {
     let mut session = Session::open(FaultInjector::new(HostedLink::new())).unwrap();
-    let spec = TrialSpec { scenario, law, index: 0, wire_time: false, continues: false, own_clock: false };
+    let spec = TrialSpec::new(scenario, law, 0);
     let result = trial::play(&mut session, &spec, &CancelToken::never(), None).unwrap();
     divergence_time_s(scenario, &result.trace_rows)
 }

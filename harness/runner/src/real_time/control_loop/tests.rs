@@ -46,7 +46,7 @@ fn count_allocations<L: Link>(
     let (watch, mut viewer) = LiveTap::new();
     let mut lent = watch.acquire(0, 0);
     let law = crate::configure::law(scenario).unwrap();
-    let order = TrialSpec { scenario, law, index: 0, wire_time: false, continues: false, own_clock: true };
+    let order = TrialSpec { own_clock: true, ..TrialSpec::new(scenario, law, 0) };
     let pace = TimeBase { time_scale: 1.0, pacing };
     let (queue, consumer) = RowQueue::new();
     let collector = thread::spawn(|| collect_rows(consumer, 0));
@@ -155,14 +155,7 @@ fn a_last_sample_without_an_answer_is_a_missing_answer() {
     let scenario = scenario("paper/fig13-closed-loop.toml");
     let link = SilentAtLastSample { inner: HostedLink::new(), last_us: 59_000 };
     let mut session = Session::open(FaultInjector::new(WallClockLink::new(link))).unwrap();
-    let order = TrialSpec {
-        scenario: &scenario,
-        law: LawId::DqPi,
-        index: 0,
-        wire_time: false,
-        continues: false,
-        own_clock: true,
-    };
+    let order = TrialSpec { own_clock: true, ..TrialSpec::new(&scenario, LawId::DqPi, 0) };
     let pace = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
     let played = crate::real_time::play(&mut session, &order, pace, &CancelToken::never(), None).unwrap();
     let last = played.trace_rows.last().unwrap();
