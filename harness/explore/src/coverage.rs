@@ -38,7 +38,6 @@ impl ChangeKind {
     pub const ALL: [Self; 9] =
         [Self::Up, Self::Down, Self::Rest, Self::Start, Self::Press, Self::Lift, Self::Heat, Self::Cool, Self::Several];
 
-    /// Its name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Up => "up",

@@ -35,15 +35,11 @@ pub enum Budget {
 /// Settings of an exploration.
 #[derive(Debug, Clone)]
 pub struct ExploreConfig {
-    /// The envelope.
     pub envelope: Envelope,
-    /// The seed.
     pub seed: u64,
-    /// The law under test.
     pub law: LawId,
     /// Laws that earlier trials may use.
     pub laws: Vec<LawId>,
-    /// When it ends.
     pub budget: Budget,
     /// Number of workers, each with its own controller.
     pub jobs: usize,
@@ -54,7 +50,6 @@ pub struct ExploreConfig {
 }
 
 impl ExploreConfig {
-    /// The generator of the scenes.
     pub fn generator(&self) -> Generator<'_> {
         Generator { envelope: &self.envelope, seed: self.seed, law: self.law, laws: &self.laws }
     }
@@ -63,9 +58,7 @@ impl ExploreConfig {
 /// A scene with a violated property.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FailedScene {
-    /// Its number.
     pub index: u64,
-    /// What it violates.
     pub failures: Vec<Failure>,
     /// Scenes that the same controller played before, oldest first.
     pub history: Vec<u64>,
@@ -74,16 +67,13 @@ pub struct FailedScene {
 /// A regression scenario that fails.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FailedRegression {
-    /// Its file.
     pub file: String,
-    /// What it violates.
     pub failures: Vec<Failure>,
 }
 
 /// Counts of one property.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PropertyTally {
-    /// Judged windows.
     pub windows: u64,
     /// Windows that violate it.
     pub violations: u64,
@@ -102,11 +92,9 @@ impl Default for PropertyTally {
 /// The result of an exploration before shrinking.
 #[derive(Debug, Clone, Default)]
 pub struct Exploration {
-    /// Played scenes.
     pub scenes: u64,
     /// Scenes that the rig did not decide.
     pub undecided: u64,
-    /// By property.
     pub properties: BTreeMap<Property, PropertyTally>,
     /// Failed scenes by number.
     pub failed: Vec<FailedScene>,
@@ -116,7 +104,6 @@ pub struct Exploration {
     pub failed_regressions: Vec<FailedRegression>,
     /// What the scenes cover.
     pub coverage: Coverage,
-    /// Duration.
     pub elapsed: Duration,
 }
 
@@ -152,9 +139,7 @@ pub fn scene_text(envelope: &Envelope, scene: &Scene, title: &str) -> ScenarioTe
 }
 
 /// Plays regressions and scenes. `on_scene` receives the number of scenes and failed scenes so far.
-///
-/// # Errors
-/// [`ExploreError`]. A violated property is no error.
+/// A violated property is no error.
 pub fn explore(
     config: &ExploreConfig,
     connect: &Connect<'_>,

@@ -30,9 +30,7 @@ const SINE_STEP_TENTHS: u32 = 20;
 /// The generator of one exploration.
 #[derive(Debug, Clone)]
 pub struct Generator<'a> {
-    /// The envelope.
     pub envelope: &'a Envelope,
-    /// The seed.
     pub seed: u64,
     /// Law of the judged trials.
     pub law: LawId,
@@ -48,7 +46,6 @@ pub struct SceneTree<'a> {
 }
 
 impl SceneTree<'_> {
-    /// The scene.
     pub fn current(&self) -> Scene {
         self.generator.build(&self.stratum, &self.tree.current())
     }
@@ -66,9 +63,7 @@ impl SceneTree<'_> {
 
 impl<'a> Generator<'a> {
     /// Scene `index`.
-    ///
-    /// # Errors
-    /// The reason of the strategy library; the strategies here reject nothing.
+    /// The strategies here reject nothing.
     pub fn tree(&self, index: u64) -> Result<SceneTree<'a>, String> {
         let mut hash = Sha256::new_with_prefix(self.envelope.digest);
         hash.update(self.seed.to_le_bytes());

@@ -128,8 +128,8 @@ impl<'a> Limits<'a> {
         band * (to / (from - to).abs()).min(1.0)
     }
 
-    /// Time in which plate and integral of the drive decay to less than a thousandth at setpoint 0. The integral follows
-    /// the plate of the design, which may be the untouched one.
+    /// Time in which plate and integral of the drive decay to less than a thousandth at
+    /// setpoint 0. The integral follows the plate of the design, which may be the untouched one.
     pub(crate) fn decay_at_rest(&self, time_us: u32) -> f64 {
         let open = 8.0 / self.base.sigma0 + 2.0 * self.period_s + self.delay_s;
         // Fixed gains under a finger: the drive comes back, and the loop decays with its slow mode.

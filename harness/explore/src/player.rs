@@ -15,7 +15,6 @@ pub type Connect<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync
 /// A violated property of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Failure {
-    /// The property.
     pub property: Property,
     /// Name of the expectation; the violation's text for [`Property::Protocol`].
     pub name: String,
@@ -28,7 +27,6 @@ pub struct Failure {
 /// A judged window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindowResult {
-    /// The property.
     pub property: Property,
     /// Distance of the value from the limit, relative to the limit; `None` if it was not decided.
     pub margin: Option<f64>,
@@ -88,9 +86,7 @@ impl<'a> Player<'a> {
     }
 
     /// Plays and judges a scenario. `None` if it was cancelled.
-    ///
-    /// # Errors
-    /// [`ExploreError`] if the controller cannot be reached or rejects a configuration.
+    /// Fails if the controller cannot be reached or rejects a configuration.
     pub fn play(&mut self, scenario: &Scenario) -> Result<Option<SceneResult>, ExploreError> {
         if self.scenes >= SCENES_PER_CONTROLLER {
             self.renew();

@@ -38,7 +38,6 @@ pub enum Property {
 }
 
 impl Property {
-    /// Every property.
     pub const ALL: [Self; 11] = [
         Self::Settling,
         Self::Overshoot,
@@ -101,7 +100,6 @@ impl fmt::Display for Property {
 /// An upper limit of a property in a window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Demand {
-    /// The property.
     pub property: Property,
     /// Start of the window, µs.
     pub from_us: u32,

@@ -9,9 +9,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Writes `minimal` below `folder` and returns its path. `rig` is the rig as named on the command line.
-///
-/// # Errors
-/// [`ExploreError::Io`].
 pub fn write(
     folder: &Path,
     config: &ExploreConfig,

@@ -27,11 +27,8 @@ pub struct ExploreReport {
     pub rig: String,
     /// The firmware's name.
     pub firmware: String,
-    /// The law.
     pub law: &'static str,
-    /// The seed.
     pub seed: u64,
-    /// Played scenes.
     pub scenes: u64,
     /// Scenes with a violated property.
     pub failed: u64,
@@ -41,7 +38,6 @@ pub struct ExploreReport {
     pub elapsed_s: f64,
     /// Bounds of the share of failing scenes under the generator's distribution, each one-sided at 95 %.
     pub failing_share: Option<[f64; 2]>,
-    /// By property.
     pub properties: Vec<PropertyReport>,
     /// Regression scenarios that were played first.
     pub regressions: usize,
@@ -56,9 +52,7 @@ pub struct ExploreReport {
 /// Counts of a property.
 #[derive(Debug, Clone, Serialize)]
 pub struct PropertyReport {
-    /// The property.
     pub property: Property,
-    /// Judged windows.
     pub windows: u64,
     /// Windows that violate it.
     pub violations: u64,
@@ -71,16 +65,13 @@ pub struct PropertyReport {
 /// A regression scenario that fails.
 #[derive(Debug, Clone, Serialize)]
 pub struct RegressionReport {
-    /// Its file.
     pub file: String,
-    /// What it violates.
     pub properties: Vec<Property>,
 }
 
 /// A violated property with its scenes.
 #[derive(Debug, Clone, Serialize)]
 pub struct ViolationReport {
-    /// The property.
     pub property: Property,
     /// Number of the scene.
     pub scene: u64,

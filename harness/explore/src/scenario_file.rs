@@ -19,7 +19,6 @@ pub(crate) const SAME_RESPONSE_UM: f64 = 1e-5;
 /// The text of a scenario and of its plate files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScenarioText {
-    /// The scenario.
     pub scenario: String,
     /// Plate files by name, relative to the scenario.
     pub plates: BTreeMap<String, String>,
@@ -27,9 +26,6 @@ pub struct ScenarioText {
 
 impl ScenarioText {
     /// Writes the files; the scenario is `folder/name.toml`.
-    ///
-    /// # Errors
-    /// The operating system's.
     pub fn write(&self, folder: &Path, name: &str) -> io::Result<()> {
         for (file, text) in &self.plates {
             let path = folder.join(file);

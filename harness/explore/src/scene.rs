@@ -1,4 +1,4 @@
-//! Defines a scene: trials on one controller, of which the last one is judged.
+//! Defines a scene: trials on one controller; the last one is judged.
 //!
 //! Times are whole microseconds and values whole multiples of a small unit, so that scenario files contain short
 //! numbers.

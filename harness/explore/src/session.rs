@@ -27,15 +27,10 @@ const MAX_MINIMAL: usize = 3;
 /// An exploration as the user asks for it.
 #[derive(Debug, Clone)]
 pub struct ExploreSession {
-    /// The envelope.
     pub envelope: Envelope,
-    /// The rig.
     pub rig: RigSpec,
-    /// The law under test.
     pub law: LawId,
-    /// The seed.
     pub seed: u64,
-    /// When it ends.
     pub budget: Budget,
     /// Number of workers.
     pub jobs: usize,
@@ -50,7 +45,6 @@ pub struct ExploreSession {
 pub struct ProgressEvent {
     /// Since its start.
     pub elapsed: Duration,
-    /// Played scenes.
     pub scenes: u64,
     /// Failed scenes.
     pub failed: u64,
@@ -65,9 +59,7 @@ impl fmt::Display for ProgressEvent {
 
 impl ExploreSession {
     /// Explores, shrinks and writes `explore.json` to `folder`.
-    ///
-    /// # Errors
-    /// [`ExploreError`]. A violated property is no error.
+    /// A violated property is no error.
     pub fn run(
         self,
         cancel: &CancelToken,

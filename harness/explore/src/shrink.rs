@@ -16,7 +16,6 @@ const MAX_EARLIER: usize = 16;
 /// A minimal failing scene.
 #[derive(Debug, Clone)]
 pub struct MinimalScene {
-    /// The scene.
     pub scene: Scene,
     /// The violated demands; none for a property without expectation.
     pub demands: Vec<Demand>,
@@ -42,17 +41,12 @@ pub struct Shrinker<'a, 'p> {
 
 impl<'a, 'p> Shrinker<'a, 'p> {
     /// A shrinker with `time` from now on.
-    ///
-    /// # Errors
-    /// [`ExploreError::Io`] without a temporary folder.
+    /// Fails without a temporary folder.
     pub fn new(config: &'a ExploreConfig, player: &'a mut Player<'p>, time: Duration) -> Result<Self, ExploreError> {
         Ok(Self { config, player, deadline: Instant::now() + time, staging: Staging::new()?, replays: 0 })
     }
 
     /// The smallest scene that violates the property as `failed` does.
-    ///
-    /// # Errors
-    /// [`ExploreError`] if the rig does not work, or the exploration was cancelled.
     pub fn shrink(&mut self, failed: &FailedScene, property: Property) -> Result<MinimalScene, ExploreError> {
         self.replays = 0;
         let generator = self.config.generator();

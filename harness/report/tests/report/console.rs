@@ -63,11 +63,11 @@ fn without_failures_there_is_no_list_of_failures() {
 #[case::one_value(("within", json!([5.0, 5.0])), false)]
 #[case::limit(("at_most", json!(10.0)), true)]
 #[case::range(("within", json!([5.0, 6.0])), true)]
-fn limits_without_room_have_no_smallest_margin(#[case] limit: (&str, serde_json::Value), #[case] shown: bool) {
+fn limits_without_room_have_no_smallest_margin(#[case] limit: (&str, serde_json::Value), #[case] is_listed: bool) {
     let expectation = fixtures::passed_expectation("missed_replies", limit, 5.0);
     let record = fixtures::run(vec![fixtures::scenario("a.toml", "A", "dq-pi", vec![expectation])]);
     let text = console::run_text(&record, Style::default(), Detail::Summary);
-    assert_eq!(text.contains("smallest margin"), shown, "{text}");
+    assert_eq!(text.contains("smallest margin"), is_listed, "{text}");
 }
 
 #[test]
