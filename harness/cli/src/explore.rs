@@ -53,6 +53,9 @@ pub(crate) struct ExploreArgs {
     /// Scenes that are played at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
+    /// Compares every command with this project's implementation of the law on the PC
+    #[arg(long, value_name = "RIG", value_parser = ["hosted"])]
+    reference: Option<String>,
     /// The run folder; default: a new folder below runs/
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
@@ -133,6 +136,7 @@ fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Exit> {
         seed: arguments.seed,
         budget,
         jobs,
+        compares_reference: arguments.reference.is_some(),
         regressions,
         regression_folder: arguments.regressions.clone(),
     })

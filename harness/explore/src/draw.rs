@@ -4,7 +4,9 @@
 
 use crate::envelope::Envelope;
 use crate::event_kind::EventKind;
+use crate::line_fault::LineFaultDraw;
 use crate::stratum::Stratum;
+use crate::tuning::Tuning;
 use proptest::collection::vec;
 use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
 use proptest::{bool as flags, prop_oneof};
@@ -61,8 +63,11 @@ pub(crate) struct ConfigurationDraw {
     /// Below the largest limit, in grid steps.
     pub(crate) limit: u32,
     pub(crate) noise: u32,
+    pub(crate) nominal_gain: i32,
+    pub(crate) nominal_time_constant: i32,
     pub(crate) gain: i32,
     pub(crate) time_constant: i32,
+    pub(crate) tuning: Tuning,
 }
 
 #[derive(Debug, Clone)]
@@ -83,6 +88,7 @@ pub(crate) struct SceneDraw {
     pub(crate) earlier: Vec<(Option<ConfigurationDraw>, TrialDraw)>,
     pub(crate) configuration: ConfigurationDraw,
     pub(crate) judged: TrialDraw,
+    pub(crate) fault: Option<LineFaultDraw>,
 }
 
 /// Step widths of the grids.
@@ -197,18 +203,28 @@ fn configuration(envelope: &Envelope, stratum: &Stratum, has_law: bool) -> Boxed
         prop_oneof![6 => Just(delay_low), 4 => delay_low..=delay_high],
         limit,
         if stratum.has_noise { (0..=noise_high).boxed() } else { Just(0).boxed() },
+        deviation(range.plate_gain_percent),
+        deviation(range.plate_time_constant_percent),
         deviation(range.gain_deviation_percent),
         deviation(range.time_constant_deviation_percent),
+        Tuning::strategy(range, stratum.is_tuned),
     );
     fields
-        .prop_map(|(law, period, delay, limit, noise, gain, time_constant)| ConfigurationDraw {
-            law,
-            period,
-            delay,
-            limit,
-            noise,
-            gain,
-            time_constant,
+        .prop_map(|fields| {
+            let (law, period, delay, limit, noise, nominal_gain, nominal_time_constant, gain, time_constant, tuning) =
+                fields;
+            ConfigurationDraw {
+                law,
+                period,
+                delay,
+                limit,
+                noise,
+                nominal_gain,
+                nominal_time_constant,
+                gain,
+                time_constant,
+                tuning,
+            }
         })
         .boxed()
 }
@@ -250,7 +266,8 @@ pub(crate) fn scene(envelope: &Envelope, stratum: &Stratum) -> BoxedStrategy<Sce
         Just(Vec::new()).boxed()
     };
     let judged = trial(envelope, &stratum.kinds, envelope.count.events, stratum.is_long);
-    (earlier, configuration(envelope, stratum, false), judged)
-        .prop_map(|(earlier, configuration, judged)| SceneDraw { earlier, configuration, judged })
+    let fault = if stratum.has_fault { LineFaultDraw::strategy().prop_map(Some).boxed() } else { Just(None).boxed() };
+    (earlier, configuration(envelope, stratum, false), judged, fault)
+        .prop_map(|(earlier, configuration, judged, fault)| SceneDraw { earlier, configuration, judged, fault })
         .boxed()
 }

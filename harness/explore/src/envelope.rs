@@ -46,10 +46,22 @@ pub struct Ranges {
     pub loop_delay_periods: [f64; 2],
     /// Sensor noise of each component, µm.
     pub noise_um_rms: [f64; 2],
+    /// Gain of the plate relative to the plate file, percent; configured as well.
+    pub plate_gain_percent: [f64; 2],
+    /// Time constant of the plate relative to the plate file, percent; configured as well.
+    pub plate_time_constant_percent: [f64; 2],
     /// Gain of the played plate relative to the configured one, percent.
     pub gain_deviation_percent: [f64; 2],
     /// Time constant of the played plate relative to the configured one, percent.
     pub time_constant_deviation_percent: [f64; 2],
+    /// Configured response time, ms.
+    pub response_time_ms: [f64; 2],
+    /// Configured gains relative to the law's own design, percent.
+    pub configured_gains_percent: [f64; 2],
+    /// Largest deviation of the excitation from its start, Hz.
+    pub frequency_range_hz: [f64; 2],
+    /// Largest change of the excitation per period, Hz.
+    pub frequency_slew_hz: [f64; 2],
     /// Time between changes, ms.
     pub quiet_ms: [f64; 2],
     /// Time of a long hold or rest, ms.
@@ -91,7 +103,7 @@ const MAX_EARLIER_TRIALS: u32 = 4;
 
 impl Ranges {
     /// Every range with the bounds that its ends must keep.
-    fn with_bounds(&self) -> [(&'static str, [f64; 2], Bounds); 14] {
+    fn with_bounds(&self) -> [(&'static str, [f64; 2], Bounds); 20] {
         [
             ("setpoint_um", self.setpoint_um, (0.01, 100.0, "µm")),
             ("finger_force_n", self.finger_force_n, (0.0, 20.0, "N")),
@@ -103,8 +115,14 @@ impl Ranges {
             ("period_ms", self.period_ms, (0.1, 20.0, "ms")),
             ("loop_delay_periods", self.loop_delay_periods, (0.0, 1.0, "periods")),
             ("noise_um_rms", self.noise_um_rms, (0.0, 1.0, "µm")),
+            ("plate_gain_percent", self.plate_gain_percent, (-90.0, 900.0, "%")),
+            ("plate_time_constant_percent", self.plate_time_constant_percent, (-90.0, 900.0, "%")),
             ("gain_deviation_percent", self.gain_deviation_percent, (-50.0, 50.0, "%")),
             ("time_constant_deviation_percent", self.time_constant_deviation_percent, (-50.0, 50.0, "%")),
+            ("response_time_ms", self.response_time_ms, (0.1, 100.0, "ms")),
+            ("configured_gains_percent", self.configured_gains_percent, (1.0, 1000.0, "%")),
+            ("frequency_range_hz", self.frequency_range_hz, (1.0, 1e4, "Hz")),
+            ("frequency_slew_hz", self.frequency_slew_hz, (1.0, 1e4, "Hz")),
             ("quiet_ms", self.quiet_ms, (1.0, 1e4, "ms")),
             ("long_quiet_ms", self.long_quiet_ms, (1.0, 1e5, "ms")),
         ]

@@ -5,7 +5,7 @@ use crate::envelope::Envelope;
 use crate::error::ExploreError;
 use crate::generator::Generator;
 use crate::player::{Connect, Failure, Player, SceneResult};
-use crate::properties::{Property, demands};
+use crate::properties::{Demand, Property, demands, reference_demand};
 use crate::scenario_file::{ScenarioText, ScenarioWriter};
 use crate::scene::Scene;
 use crate::staging::Staging;
@@ -19,7 +19,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// After so many failing scenes more of them show nothing new.
-const ENOUGH_FAILURES: u64 = 25;
+const ENOUGH_FAILURES: u64 = 10;
 /// Earlier scenes of a controller that may explain a failure.
 const MAX_HISTORY: usize = 8;
 
@@ -45,6 +45,8 @@ pub struct ExploreConfig {
     pub jobs: usize,
     /// True if the controller's clock runs while the plate waits.
     pub own_clock: bool,
+    /// True if every command is compared with the hosted reference.
+    pub compares_reference: bool,
     /// Scenarios that earlier explorations wrote; played first.
     pub regressions: Vec<Scenario>,
 }
@@ -52,6 +54,20 @@ pub struct ExploreConfig {
 impl ExploreConfig {
     pub fn generator(&self) -> Generator<'_> {
         Generator { envelope: &self.envelope, seed: self.seed, law: self.law, laws: &self.laws }
+    }
+
+    /// Every demand on the judged trial of `scene`.
+    pub fn demands(&self, scene: &Scene) -> Vec<Demand> {
+        let of_plate = demands(scene, &self.envelope.plate);
+        of_plate.into_iter().chain(self.compares_reference.then(|| reference_demand(scene))).collect()
+    }
+
+    /// The text of `scene` as a scenario with every demand.
+    pub fn scene_text(&self, scene: &Scene, title: &str) -> ScenarioText {
+        let Envelope { title: envelope, plate, .. } = &self.envelope;
+        let source = format!("platebench explore {envelope}");
+        let writer = ScenarioWriter { base: plate, title, source: &source, comment: &[], plate_prefix: "" };
+        writer.text(scene, &self.demands(scene))
     }
 }
 
@@ -129,13 +145,6 @@ impl Exploration {
             (tally.smallest_margin, tally.tightest_scene) = (-1.0, index);
         }
     }
-}
-
-/// The text of scene `index` as a scenario with every demand.
-pub fn scene_text(envelope: &Envelope, scene: &Scene, title: &str) -> ScenarioText {
-    let source = format!("platebench explore {}", envelope.title);
-    let writer = ScenarioWriter { base: &envelope.plate, title, source: &source, comment: &[], plate_prefix: "" };
-    writer.text(scene, &demands(scene, &envelope.plate))
 }
 
 /// Plays regressions and scenes. `on_scene` receives the number of scenes and failed scenes so far.
@@ -249,7 +258,7 @@ impl Shared<'_> {
             }
             let scene = generator.tree(index).map_err(ExploreError::Strategy)?.current();
             let title = format!("Scene {index} of seed {}", self.config.seed);
-            let scenario = staging.load(&scene_text(&self.config.envelope, &scene, &title))?;
+            let scenario = staging.load(&self.config.scene_text(&scene, &title))?;
             let Some(result) = player.play(&scenario)? else { return Ok(()) };
             if player.is_young() {
                 history.clear();

@@ -11,6 +11,7 @@ use crate::event_kind::EventKind;
 use crate::law_properties::LawProperties;
 use crate::scene::{Course, PlateChoice, Scene, SceneTrial};
 use crate::stratum::{SineOf, Stratum};
+use crate::tuning::Tuning;
 use platebench_wire::LawId;
 use proptest::strategy::{BoxedStrategy, Strategy, ValueTree};
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
@@ -78,7 +79,8 @@ impl<'a> Generator<'a> {
 
     fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
         let judged_configuration = self.configuration(&draw.configuration, self.law);
-        let judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum.sine) };
+        let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum.sine) };
+        judged.fault = draw.fault.and_then(|fault| fault.place(judged.duration_us, judged.period_us));
         let law = |draw: &ConfigurationDraw| self.laws.get(draw.law % self.laws.len().max(1)).copied();
         let earlier: Vec<_> = draw
             .earlier
@@ -111,14 +113,17 @@ impl<'a> Generator<'a> {
             plate: PlateChoice {
                 limit_vpp: range.drive_limit_vpp[1] as u32 - draw.limit * LIMIT_STEP_VPP as u32,
                 noise_pm: draw.noise * (NOISE_STEP_UM * 1e6).round() as u32,
+                nominal_gain_permille: draw.nominal_gain * permille,
+                nominal_time_constant_permille: draw.nominal_time_constant * permille,
                 gain_permille: draw.gain * permille,
                 time_constant_permille: draw.time_constant * permille,
             },
+            tuning: draw.tuning,
         }
     }
 
     fn trial(&self, configuration: Configuration, draw: &TrialDraw, sine: Option<SineOf>) -> SceneTrial {
-        let Configuration { period_us, delay_us, plate } = configuration;
+        let Configuration { period_us, delay_us, plate, tuning } = configuration;
         let mut timeline = Timeline::new(self, configuration, draw);
         for event in &draw.events {
             timeline.add(event);
@@ -135,6 +140,8 @@ impl<'a> Generator<'a> {
             setpoint: Vec::new(),
             force: force.finish(),
             temperature: temperature.finish(),
+            tuning,
+            fault: None,
         };
         self.add_sine(&mut trial, draw, sine);
         let highest = trial.largest_setpoint_nm(&self.envelope.plate, MAX_STEADY_DRIVE);
@@ -172,6 +179,7 @@ struct Configuration {
     period_us: u32,
     delay_us: u32,
     plate: PlateChoice,
+    tuning: Tuning,
 }
 
 /// A trial while its events are added.

@@ -9,6 +9,9 @@ pub struct LawProperties {
     pub adapts_to_damping: bool,
     /// It compensates a configured loop delay; otherwise it is explored without a loop delay.
     pub compensates_delay: bool,
+    /// It computes the drives after a step: from rest with the configured plate, and if they miss, it searches for a
+    /// loop delay.
+    pub steers: bool,
     /// Time constant with which it tracks a small change of the damping, control periods.
     pub tracking_periods: f64,
     /// The loops are a matched design that reaches every setpoint without static error and finds the resonance.
@@ -17,15 +20,24 @@ pub struct LawProperties {
 }
 
 impl LawProperties {
-    const FIXED: Self =
-        Self { adapts_to_damping: false, compensates_delay: false, tracking_periods: 0.0, is_explored: true };
+    const FIXED: Self = Self {
+        adapts_to_damping: false,
+        compensates_delay: false,
+        steers: false,
+        tracking_periods: 0.0,
+        is_explored: true,
+    };
 
     /// The properties of `law`.
     pub const fn of(law: LawId) -> Self {
         match law {
-            LawId::DqPi | LawId::Deadbeat => {
-                Self { adapts_to_damping: true, compensates_delay: true, tracking_periods: 8.0, is_explored: true }
-            }
+            LawId::DqPi | LawId::Deadbeat => Self {
+                adapts_to_damping: true,
+                compensates_delay: true,
+                steers: matches!(law, LawId::Deadbeat),
+                tracking_periods: 8.0,
+                is_explored: true,
+            },
             LawId::DqPiFixed => Self::FIXED,
             LawId::OpenLoop
             | LawId::DqPiEuler

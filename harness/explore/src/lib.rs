@@ -2,6 +2,7 @@
 //!
 //! * [`mod@envelope`]: the ranges from which scenes are drawn.
 //! * `draw`, `event_kind`, `stratum`, `course`: numbers of a scene. [`generator`]: scene i from envelope, seed and i.
+//! * [`mod@tuning`], [`line_fault`]: settings of the law and faults of the line in a scene.
 //! * [`scene`]: a scene. [`scenario_file`]: the same as scenario file.
 //! * `windows`, `limits`, [`law_properties`], [`properties`]: what every scene must meet.
 //! * [`player`]: plays and judges a scene. [`mod@explore`]: plays many on several workers.
@@ -20,6 +21,7 @@ pub mod explore;
 pub mod generator;
 pub mod law_properties;
 mod limits;
+pub mod line_fault;
 pub mod player;
 pub mod properties;
 pub mod regression;
@@ -31,6 +33,7 @@ pub mod shrink;
 mod staging;
 mod stratum;
 pub mod text;
+pub mod tuning;
 mod windows;
 
 pub use envelope::{Envelope, RawEnvelope};

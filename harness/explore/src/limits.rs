@@ -7,6 +7,7 @@ use crate::law_properties::LawProperties;
 use crate::scene::SceneTrial;
 use num_complex::Complex64;
 use platebench_plate::{Mode, Plate};
+use std::f64::consts::TAU;
 
 /// Half width of the settled band, relative to the setpoint.
 pub(crate) const BAND: f64 = 0.05;
@@ -23,8 +24,9 @@ const MAX_MISMATCH: f64 = 0.3;
 /// Limits of one trial.
 pub(crate) struct Limits<'a> {
     pub(crate) trial: &'a SceneTrial,
-    /// The configured plate, without deviations.
-    pub(crate) base: &'a Plate,
+    base: &'a Plate,
+    /// The configured plate.
+    design: Plate,
     pub(crate) properties: LawProperties,
     pub(crate) period_s: f64,
     pub(crate) delay_s: f64,
@@ -44,6 +46,7 @@ impl<'a> Limits<'a> {
         Self {
             trial,
             base,
+            design: trial.plate.design().apply(base),
             properties: LawProperties::of(trial.law),
             period_s: f64::from(trial.period_us) * 1e-6,
             delay_s: f64::from(trial.delay_us) * 1e-6,
@@ -76,11 +79,11 @@ impl<'a> Limits<'a> {
             return designed;
         }
         // Matched to the untouched plate: (z − 1)(z − a) + g (z − a0) = 0.
-        let (nominal, actual) = (self.base.sigma0, mode.sigma);
+        let (nominal, actual) = (self.design.sigma0, mode.sigma);
         let [a0, a] = [nominal, actual].map(|sigma| (-sigma * self.period_s).exp());
         let gain = mode.envelope_constant / actual;
         let fast = (-3.0 * self.period_s / REQUIRED_S).exp();
-        let g = (1.0 - fast) * gain * (1.0 - a) / (self.base.gain * (1.0 - a0));
+        let g = (1.0 - fast) * gain * (1.0 - a) / (self.design.gain * (1.0 - a0));
         let half = (1.0 + a - g) / 2.0;
         let root = Complex64::new(half * half - (a - g * a0), 0.0).sqrt();
         (half + root).norm().max((half - root).norm()).clamp(designed, 0.999)
@@ -131,7 +134,7 @@ impl<'a> Limits<'a> {
     /// Time in which plate and integral of the drive decay to less than a thousandth at
     /// setpoint 0. The integral follows the plate of the design, which may be the untouched one.
     pub(crate) fn decay_at_rest(&self, time_us: u32) -> f64 {
-        let open = 8.0 / self.base.sigma0 + 2.0 * self.period_s + self.delay_s;
+        let open = 8.0 / self.design.sigma0 + 2.0 * self.period_s + self.delay_s;
         // Fixed gains under a finger: the drive comes back, and the loop decays with its slow mode.
         let closed = if self.properties.adapts_to_damping { 0.0 } else { self.decay(&self.mode(time_us), 1e-3) };
         open + closed
@@ -139,16 +142,16 @@ impl<'a> Limits<'a> {
 
     /// Largest proportional gain of an amplitude loop, Vpp per µm.
     pub(crate) fn strongest_gain(&self) -> f64 {
-        let heaviest = self.base.damping_ratio_at(self.trial.force.range()[1]);
-        let kept = (-self.base.sigma0 * heaviest * self.period_s).exp();
-        heaviest / (self.base.gain * (1.0 - kept))
+        let heaviest = self.design.damping_ratio_at(self.trial.force.range()[1]);
+        let kept = (-self.design.sigma0 * heaviest * self.period_s).exp();
+        heaviest / (self.design.gain * (1.0 - kept))
     }
 
     /// Relative error of the damping that the law starts with.
     pub(crate) fn initial_mismatch(&self) -> f64 {
         let plate = self.trial.plate;
         let deviation = f64::from(plate.gain_permille.abs() + plate.time_constant_permille.abs()) * 1e-3;
-        self.bounded_mismatch(deviation + (self.mode(0).sigma / self.base.sigma0 - 1.0).abs())
+        self.bounded_mismatch(deviation + (self.mode(0).sigma / self.design.sigma0 - 1.0).abs())
     }
 
     /// What a change of the force adds to it.
@@ -164,6 +167,16 @@ impl<'a> Limits<'a> {
     pub(crate) fn change_of_damping(&self, from_us: u32, to_us: u32) -> f64 {
         let [before, after] = [from_us.saturating_sub(1), to_us].map(|at| self.mode(at).sigma);
         self.bounded_mismatch((after / before - 1.0).abs())
+    }
+
+    /// The law starts with the start frequency as resonance.
+    pub(crate) fn initial_detuning_hz(&self) -> f64 {
+        (self.mode(0).omega0 / TAU - f64::from(self.trial.start_frequency_tenths) / 10.0).abs()
+    }
+
+    pub(crate) fn change_of_resonance_hz(&self, from_us: u32, to_us: u32) -> f64 {
+        let [before, after] = [from_us.saturating_sub(1), to_us].map(|at| self.mode(at).omega0);
+        (after - before).abs() / TAU
     }
 
     fn bounded_mismatch(&self, mismatch: f64) -> f64 {

@@ -50,8 +50,8 @@ impl SceneResult {
     }
 }
 
-/// Trials after which a program on a line is started again, so that many scenes meet a young controller.
-const SCENES_PER_CONTROLLER: u32 = 40;
+/// Scenes of a controller before the next one starts, in turn: many scenes meet a young controller, and some an old one.
+const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
 
 const MAX_LOSSES: u32 = 5;
 
@@ -61,7 +61,9 @@ pub struct Player<'a> {
     own_clock: bool,
     cancel: &'a CancelToken,
     session: Option<Session<FaultInjector<BoxedLink>>>,
+    /// Of this controller.
     scenes: u32,
+    controllers: usize,
     /// Trials in a row in which the controller was lost.
     losses: u32,
 }
@@ -69,7 +71,7 @@ pub struct Player<'a> {
 impl<'a> Player<'a> {
     /// A player that connects when it first plays.
     pub fn new(connect: &'a Connect<'a>, own_clock: bool, cancel: &'a CancelToken) -> Self {
-        Self { connect, own_clock, cancel, session: None, scenes: 0, losses: 0 }
+        Self { connect, own_clock, cancel, session: None, scenes: 0, controllers: 0, losses: 0 }
     }
 
     /// Closes the controller; the next scene meets a new one.
@@ -88,8 +90,9 @@ impl<'a> Player<'a> {
     /// Plays and judges a scenario. `None` if it was cancelled.
     /// Fails if the controller cannot be reached or rejects a configuration.
     pub fn play(&mut self, scenario: &Scenario) -> Result<Option<SceneResult>, ExploreError> {
-        if self.scenes >= SCENES_PER_CONTROLLER {
+        if self.scenes >= SCENES_PER_CONTROLLER[self.controllers % 2] {
             self.renew();
+            self.controllers += 1;
         }
         self.scenes += 1;
         let mut trials = Vec::with_capacity(scenario.trials.count as usize);

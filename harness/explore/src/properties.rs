@@ -2,11 +2,11 @@
 
 use crate::limits::{BAND, Knowledge, Limits};
 use crate::scene::{Course, Scene, SceneTrial};
-use crate::windows::{Window, windows};
+use crate::tuning::Tuning;
+use crate::windows::{Change, Window, windows};
 use platebench_plate::Plate;
 use platebench_scenario::Metric;
 use serde::Serialize;
-use std::f64::consts::TAU;
 use std::fmt;
 
 /// A property of a scene.
@@ -80,7 +80,8 @@ impl Property {
             Self::RestDrive => Metric::RestDrive,
             Self::Deviation => Metric::PeakDeviation,
             Self::Recovery => Metric::RecoveryTime,
-            Self::SameResponse | Self::Protocol | Self::Reference => return None,
+            Self::Reference => Metric::ReferenceDifference,
+            Self::SameResponse | Self::Protocol => return None,
         })
     }
 
@@ -117,7 +118,7 @@ const REST_DRIVE_VPP: f64 = 0.5;
 const NOISE_SIGMAS: f64 = 6.0;
 /// Shortest steady window, control periods.
 const STEADY_PERIODS: u32 = 4;
-const STATIC_ERROR_PERCENT: f64 = 0.05;
+const STATIC_ERROR_PERCENT: f64 = 0.1;
 const RIPPLE_PERCENT: f64 = 0.15;
 /// Shares of a wrong damping in static error and ripple while the law tracks it.
 const STATIC_OF_MISMATCH: f64 = 0.5;
@@ -131,17 +132,38 @@ const UNKNOWN_OVERSHOOT_PERCENT: f64 = 30.0;
 const OVERSHOOT_OF_SETPOINT_PERCENT: f64 = 1.0;
 /// Factor on the effect of a disturbance within one period and the delay.
 const DEVIATION_FACTOR: f64 = 2.0;
+/// A law that steers takes a change of the damping so soon after a step for a late drive, control periods.
+const STEERING_PERIODS: u32 = 6;
 /// Time constant of the slowest holding loop, µs.
 const CLOSED_LOOP_US: u32 = 1_000;
 /// Share of a change of the damping in |W| when the law adopts it.
 const DEVIATION_OF_MISMATCH: f64 = 0.15;
-const DEVIATION_PERCENT: f64 = 0.5;
+const DEVIATION_PERCENT: f64 = 1.0;
 
-/// The demands on the judged trial of `scene`.
+/// Drive in percent of its limit, or frequency in percent of its range: f32 and f64 agree to a
+/// hundredth of it.
+const REFERENCE_DIFFERENCE_PERCENT: f64 = 0.1;
+
+/// The demand that the commands of the judged trial of `scene` are those of the reference.
+pub fn reference_demand(scene: &Scene) -> Demand {
+    Demand {
+        property: Property::Reference,
+        from_us: 0,
+        until_us: scene.judged.duration_us,
+        at_most: REFERENCE_DIFFERENCE_PERCENT,
+        band_percent: None,
+    }
+}
+
+/// The demands on the judged trial of `scene` that follow from the plate.
 pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let trial = &scene.judged;
     let limits = Limits::new(trial, base);
     if !limits.properties.is_explored {
+        return Vec::new();
+    }
+    // The limits are those of the law's own design.
+    if trial.tuning != Tuning::default() {
         return Vec::new();
     }
     let has_sine = [&trial.force, &trial.temperature].iter().any(|course| matches!(course, Course::Sine { .. }));
@@ -153,22 +175,30 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let mut is_known = false;
     let mut was_steady = false;
     let mut mismatch = limits.initial_mismatch();
+    let mut moved_hz = limits.initial_detuning_hz();
     for window in windows(trial) {
-        mismatch += limits.mismatch_of(window.change.from_us, window.change.to_us);
-        let judge = WindowJudge { limits: &limits, trial, window, is_known, was_steady, mismatch };
-        judge.add_demands(&mut demands);
         let change = window.change;
+        mismatch += limits.mismatch_of(change.from_us, change.to_us);
+        moved_hz += limits.change_of_resonance_hz(change.from_us, change.to_us);
+        if limits.properties.steers && resembles_late_drive(trial, change) {
+            break;
+        }
+        let judge = WindowJudge { limits: &limits, trial, window, is_known, was_steady, mismatch, moved_hz };
+        judge.add_demands(&mut demands);
         if change.force || change.temperature {
             is_known = false;
         }
         let is_driven = trial.setpoint_at(change.to_us) > 0.0;
         if is_driven {
             mismatch *= limits.tracked(window.quiet_us());
+            moved_hz *= limits.tracked(window.quiet_us());
         }
         was_steady = window.quiet_us() >= judge.steady_us();
         // At rest nothing is learned.
         is_known |= was_steady && is_driven;
     }
+    let recovered_us = trial.fault.map_or(0, |fault| fault.recovered_us(trial.period_us));
+    demands.retain(|demand| demand.from_us >= recovered_us);
     demands
 }
 
@@ -181,6 +211,15 @@ struct WindowJudge<'a> {
     was_steady: bool,
     /// Relative error of the damping in the law at the end of the change.
     mismatch: f64,
+    /// Changes of the resonance that the law has not tracked yet.
+    moved_hz: f64,
+}
+
+/// True if the damping changes just after a step of the setpoint.
+fn resembles_late_drive(trial: &SceneTrial, change: Change) -> bool {
+    let steps = trial.setpoint.iter().map(|(at, _)| *at).filter(|at| *at <= change.to_us);
+    let steered_us = STEERING_PERIODS * trial.period_us;
+    change.force && steps.last().is_some_and(|step| change.from_us <= step + steered_us)
 }
 
 impl WindowJudge<'_> {
@@ -241,7 +280,8 @@ impl WindowJudge<'_> {
         if !(is_first || self.was_steady) || change.from_us != change.to_us {
             return;
         }
-        let knowledge = if self.is_known { Knowledge::Settled } else { Knowledge::Unknown };
+        let is_forgotten = before == 0.0 && self.limits.properties.steers;
+        let knowledge = if self.is_known && !is_forgotten { Knowledge::Settled } else { Knowledge::Unknown };
         let allowed = self.limits.settling(change.to_us, before, after, knowledge);
         if self.window.quiet_us() > to_us(allowed) + self.trial.period_us {
             demands.push(self.demand(Property::Settling, change.to_us, until_us, allowed * 1e3));
@@ -250,7 +290,8 @@ impl WindowJudge<'_> {
             // At rest a sample tells nothing about the plate.
             let is_known = self.is_known && before > 0.0;
             let of_step = if is_known { OVERSHOOT_PERCENT } else { UNKNOWN_OVERSHOOT_PERCENT };
-            let of_setpoint = OVERSHOOT_OF_SETPOINT_PERCENT + self.noise_percent(after.max(before));
+            let of_mismatch = STATIC_OF_MISMATCH * self.mismatch * 100.0;
+            let of_setpoint = OVERSHOOT_OF_SETPOINT_PERCENT + of_mismatch + self.noise_percent(after.max(before));
             let at_most = of_step + of_setpoint * after.max(before) / (after - before).abs();
             demands.push(self.demand(Property::Overshoot, change.to_us, until_us, at_most));
         }
@@ -283,8 +324,7 @@ impl WindowJudge<'_> {
         }
         let noise = self.noise_percent(level);
         let mismatch = self.mismatch * self.limits.tracked(from_us - change.to_us) * 100.0;
-        let [before, after] = [change.from_us.saturating_sub(1), change.to_us].map(|at| self.limits.mode(at).omega0);
-        let moved_hz = (after - before).abs() / TAU * self.limits.tracked(until_us - change.to_us);
+        let moved_hz = self.moved_hz * self.limits.tracked(until_us - change.to_us);
         let pairs = [
             (Property::StaticError, STATIC_ERROR_PERCENT + STATIC_OF_MISMATCH * mismatch + noise),
             (Property::Ripple, RIPPLE_PERCENT + RIPPLE_OF_MISMATCH * mismatch + 2.0 * noise),

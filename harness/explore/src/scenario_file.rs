@@ -95,6 +95,9 @@ impl ScenarioWriter<'_> {
                 writeln!(text, "{table} = {{ {} }}", keys.join(", "))?;
             }
         }
+        if let Some(fault) = &trial.fault {
+            fault.write(text)?;
+        }
         let mut counts: BTreeMap<Property, u32> = BTreeMap::new();
         for demand in demands {
             let count = counts.entry(demand.property).or_default();
@@ -108,7 +111,8 @@ impl ScenarioWriter<'_> {
         } else if demands.is_empty() {
             // Every scenario expects something; the rules of the protocol come with every trial.
             writeln!(text, "\n[[expect]]\nname = {:?}", Property::Protocol.name())?;
-            writeln!(text, "metric = \"missed_replies\"\nwithin = [0.0, 0.0]")?;
+            let planned = trial.fault.map_or(0, |fault| fault.longest_silence(trial.period_us));
+            writeln!(text, "metric = \"missed_replies\"\nwithin = [0.0, {:?}]", f64::from(planned))?;
         }
         Ok(())
     }
@@ -126,15 +130,21 @@ impl ScenarioWriter<'_> {
         if trial.plate != trial.plate.design() {
             keys.push(("design_plate", format!("{:?}", self.plate_file(trial.plate.design(), plates))));
         }
+        let design = trial.plate.design().apply(self.base);
+        keys.extend(trial.tuning.keys(trial.law, &design, trial.period_us));
         keys
     }
 
     fn plate_file(&self, choice: PlateChoice, plates: &mut BTreeMap<String, String>) -> String {
-        let PlateChoice { limit_vpp, noise_pm, gain_permille, time_constant_permille } = choice;
+        let PlateChoice { limit_vpp, noise_pm, gain_permille, time_constant_permille, .. } = choice;
         let mut name = format!("plates/{}{limit_vpp}vpp", self.plate_prefix);
-        for (value, unit) in
-            [(i64::from(noise_pm), "pm"), (gain_permille.into(), "gain"), (time_constant_permille.into(), "tau")]
-        {
+        for (value, unit) in [
+            (i64::from(choice.nominal_gain_permille), "k1"),
+            (choice.nominal_time_constant_permille.into(), "tau1"),
+            (noise_pm.into(), "pm"),
+            (gain_permille.into(), "gain"),
+            (time_constant_permille.into(), "tau"),
+        ] {
             if value != 0 {
                 let _ = write!(name, "-{value}{unit}");
             }
@@ -218,7 +228,9 @@ fn profile(trial: &SceneTrial) -> Vec<(&'static str, String)> {
 fn write_demand(text: &mut String, demand: &Demand, number: u32) -> std::fmt::Result {
     let Some(metric) = demand.property.metric() else { return Ok(()) };
     writeln!(text, "\n[[expect]]\nname = \"{} {number}\"\nmetric = \"{metric}\"", demand.property)?;
-    writeln!(text, "from_ms = {:?}\nuntil_ms = {:?}", ms(demand.from_us), ms(demand.until_us))?;
+    if metric.has_from_ms() {
+        writeln!(text, "from_ms = {:?}\nuntil_ms = {:?}", ms(demand.from_us), ms(demand.until_us))?;
+    }
     if let Some(band) = demand.band_percent
         && band != 5.0
     {

@@ -3,6 +3,8 @@
 //! Times are whole microseconds and values whole multiples of a small unit, so that scenario files contain short
 //! numbers.
 
+use crate::line_fault::LineFault;
+use crate::tuning::Tuning;
 use platebench_plate::{Mode, Plate};
 use platebench_wire::LawId;
 use std::f64::consts::TAU;
@@ -39,6 +41,9 @@ pub struct SceneTrial {
     pub force: Course,
     /// Temperature offset, 0.01 K.
     pub temperature: Course,
+    pub tuning: Tuning,
+    /// Of the judged trial only.
+    pub fault: Option<LineFault>,
 }
 
 /// The plate of a trial.
@@ -48,6 +53,10 @@ pub struct PlateChoice {
     pub limit_vpp: u32,
     /// Sensor noise, pm.
     pub noise_pm: u32,
+    /// Gain relative to the envelope's plate, configured as well, 0.1 %.
+    pub nominal_gain_permille: i32,
+    /// Time constant relative to the envelope's plate, configured as well, 0.1 %.
+    pub nominal_time_constant_permille: i32,
     /// Gain relative to the configured one, 0.1 %.
     pub gain_permille: i32,
     /// Time constant relative to the configured one, 0.1 %.
@@ -63,9 +72,10 @@ impl PlateChoice {
 
     /// `base` with these differences.
     pub fn apply(self, base: &Plate) -> Plate {
+        let factor = |permille: i32| 1.0 + f64::from(permille) * 1e-3;
         Plate {
-            gain: base.gain * (1.0 + f64::from(self.gain_permille) * 1e-3),
-            sigma0: base.sigma0 / (1.0 + f64::from(self.time_constant_permille) * 1e-3),
+            gain: base.gain * factor(self.nominal_gain_permille) * factor(self.gain_permille),
+            sigma0: base.sigma0 / (factor(self.nominal_time_constant_permille) * factor(self.time_constant_permille)),
             drive_limit_vpp: self.limit_vpp.into(),
             noise_um_rms: f64::from(self.noise_pm) * 1e-6,
             ..base.clone()

@@ -2,7 +2,7 @@
 
 use crate::envelope::Envelope;
 use crate::error::ExploreError;
-use crate::explore::{Budget, ExploreConfig, FailedScene, explore, scene_text};
+use crate::explore::{Budget, ExploreConfig, FailedScene, explore};
 use crate::law_properties::LawProperties;
 use crate::player::Player;
 use crate::properties::Property;
@@ -34,6 +34,8 @@ pub struct ExploreSession {
     pub budget: Budget,
     /// Number of workers.
     pub jobs: usize,
+    /// True if every command is compared with the hosted reference.
+    pub compares_reference: bool,
     /// Scenarios to play first.
     pub regressions: Vec<Scenario>,
     /// Folder of minimal scenes.
@@ -110,6 +112,7 @@ impl ExploreSession {
             budget: self.budget,
             jobs: self.jobs,
             own_clock: self.rig.has_own_clock(),
+            compares_reference: self.compares_reference,
             regressions: self.regressions.iter().filter(|scenario| announced(scenario)).cloned().collect(),
         })
     }
@@ -140,7 +143,7 @@ impl ExploreSession {
             scene: failed.index,
             value: original.and_then(|failure| failure.value),
             limit: original.and_then(|failure| failure.limit),
-            original: scene_text(&config.envelope, &tree.current(), &title).scenario,
+            original: config.scene_text(&tree.current(), &title).scenario,
             minimal: fs::read_to_string(&path).map_err(ExploreError::io(&path))?,
             minimal_value: minimal.failure.value,
             minimal_limit: minimal.failure.limit,

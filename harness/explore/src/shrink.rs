@@ -3,10 +3,10 @@
 use crate::error::ExploreError;
 use crate::explore::{ExploreConfig, FailedScene};
 use crate::player::{Failure, Player};
-use crate::properties::{Demand, Property, demands};
-use crate::scenario_file::ScenarioWriter;
+use crate::properties::{Demand, Property};
 use crate::scene::{Course, Scene, SceneTrial};
 use crate::staging::Staging;
+use crate::tuning::Tuning;
 use std::time::{Duration, Instant};
 
 const MAX_REPLAYS: u32 = 2_000;
@@ -55,7 +55,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         let Some((earlier, mut best)) = self.reproduce(&original, failed, property)? else {
             let failure = failed.failures.iter().find(|failure| failure.property == property).cloned();
             let failure = failure.unwrap_or(Failure { property, name: String::new(), value: None, limit: None });
-            let demands = demands(&original, &self.config.envelope.plate);
+            let demands = self.config.demands(&original);
             return Ok(MinimalScene { scene: original, demands, failure, is_reproduced: false, replays: self.replays });
         };
         let with_history = |scene: Scene| match &earlier {
@@ -79,7 +79,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         }
         self.simplify_directly(&mut best, property)?;
         let (scene, failure) = best;
-        let demands = demands(&scene, &self.config.envelope.plate);
+        let demands = self.config.demands(&scene);
         let of_property: Vec<_> = demands.into_iter().filter(|demand| demand.property == property).collect();
         let number = failure.name.rsplit(' ').next().and_then(|number| number.parse::<usize>().ok());
         let only = number.and_then(|number| of_property.get(number - 1)).copied();
@@ -159,7 +159,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
 
     /// End of the failing window, µs.
     fn end_of(&self, best: &(Scene, Failure), property: Property) -> Option<u32> {
-        let demands = demands(&best.0, &self.config.envelope.plate);
+        let demands = self.config.demands(&best.0);
         demands.iter().filter(|demand| demand.property == property).map(|demand| demand.until_us).min()
     }
 
@@ -170,9 +170,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
     /// Plays `scene` with a new controller; its failure of `property`.
     fn replay(&mut self, scene: &Scene, property: Property) -> Result<Option<Failure>, ExploreError> {
         self.replays += 1;
-        let plate = &self.config.envelope.plate;
-        let writer = ScenarioWriter { base: plate, title: "Replay", source: "", comment: &[], plate_prefix: "" };
-        let scenario = self.staging.load(&writer.text(scene, &demands(scene, plate)))?;
+        let scenario = self.staging.load(&self.config.scene_text(scene, "Replay"))?;
         self.player.renew();
         let result = self.player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
         Ok(result.failure_of(property).cloned())
@@ -229,6 +227,12 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
         setpoint.remove(index);
         trials.push(SceneTrial { setpoint, ..trial.clone() });
     }
+    if trial.fault.is_some() {
+        trials.push(SceneTrial { fault: None, ..trial.clone() });
+    }
+    if trial.tuning != Tuning::default() {
+        trials.push(SceneTrial { tuning: Tuning::default(), ..trial.clone() });
+    }
     let constant = Course::Hold(vec![(0, 0)]);
     if trial.force != constant {
         trials.push(SceneTrial { force: constant.clone(), ..trial.clone() });
@@ -255,6 +259,7 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
 /// The trial up to `end_us`.
 fn cut(trial: &SceneTrial, end_us: u32) -> SceneTrial {
     let mut cut = SceneTrial { duration_us: end_us, ..trial.clone() };
+    cut.fault = cut.fault.filter(|fault| fault.until_us < end_us);
     cut.setpoint.retain(|(at, _)| *at < end_us);
     for course in [&mut cut.force, &mut cut.temperature] {
         match course {

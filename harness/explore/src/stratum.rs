@@ -14,6 +14,9 @@ pub(crate) struct Stratum {
     pub(crate) kinds: Vec<EventKind>,
     pub(crate) has_history: bool,
     pub(crate) has_noise: bool,
+    /// The configuration has its own response time, gains, frequency range or slew limit.
+    pub(crate) is_tuned: bool,
+    pub(crate) has_fault: bool,
     pub(crate) is_long: bool,
     /// Force or temperature follows a sine.
     pub(crate) sine: Option<SineOf>,
@@ -47,6 +50,8 @@ impl Stratum {
             kinds: [kind(pair / kinds), kind(pair % kinds)].into_iter().flatten().collect(),
             has_history: index % 3 == 1,
             has_noise: index % 7 == 5,
+            is_tuned: index % 5 == 3,
+            has_fault: index % 9 == 7,
             is_long: index % LONG_EVERY == 11,
             sine: match index % (2 * SINE_EVERY) {
                 4 => Some(SineOf::Force),
@@ -59,6 +64,6 @@ impl Stratum {
 
     /// Configurations of earlier trials.
     pub(crate) fn any_configuration(&self) -> Self {
-        Self { period: u64::MAX, limit: u64::MAX, ..self.clone() }
+        Self { period: u64::MAX, limit: u64::MAX, is_tuned: true, ..self.clone() }
     }
 }

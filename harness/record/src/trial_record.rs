@@ -42,6 +42,9 @@ pub struct Telemetry {
     pub rig_delay_us: Option<f64>,
     pub instructions_mean: Option<f64>,
     pub instructions_worst: Option<f64>,
+    /// Largest difference of a command from the reference; `None` without a comparison.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference_difference_percent: Option<f64>,
     /// How the controller was lost, in the rig's words.
     #[serde(default)]
     pub ended: Option<String>,

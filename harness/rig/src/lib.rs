@@ -8,6 +8,7 @@ compile_error!("the bench needs Linux: pseudo-terminals, signals and real-time s
 pub mod baud;
 pub mod cancel;
 mod command_audit;
+mod compared_link;
 pub mod connect;
 mod connect_options;
 pub mod crash_report;

@@ -136,6 +136,7 @@ impl<'a> ControllerLog<'a> {
             stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
             faults: session.link().fault_counts().map(|(kind, count)| (kind.to_owned(), count)).collect(),
             violations: self.checks.violations(),
+            reference_difference_percent: session.link().reference_difference_percent(),
             ..Telemetry::default()
         }
     }

@@ -8,7 +8,7 @@ use crate::plant_simulation::{PlantSimulation, expected_rows};
 use platebench_plate::Time;
 use platebench_record::Telemetry;
 use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, LinkError, Reply, RigError, Session};
-use platebench_scenario::Scenario;
+use platebench_scenario::{Metric, Scenario};
 use platebench_trace::{Flags, Row};
 use platebench_wire::{Command, Configure, ControllerState as Mode, LawId, StateCause};
 use std::collections::VecDeque;
@@ -143,6 +143,8 @@ struct Trial<'a, L: Link> {
 impl<'a, L: Link> Trial<'a, L> {
     fn start(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, tap: Option<&'a mut TapWriter>) -> Self {
         session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
+        let is_compared = spec.scenario.expects(Metric::ReferenceDifference);
+        session.link_mut().compare_with_reference(is_compared);
         let mut trial = Self::new(session, spec, tap);
         let configure = trial.configuration();
         match trial.session.begin_trial(&configure, spec.continues) {

@@ -49,10 +49,13 @@ pub enum Metric {
     RestDrive,
     /// Largest difference of the signal from the first trial at the same control instant.
     TrialDifference,
+    /// Largest difference of a command from that of the reference for the same samples: drive over
+    /// its limit or frequency over its range.
+    ReferenceDifference,
 }
 
 impl Metric {
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 21] = [
         Self::SettlingTime,
         Self::StaticError,
         Self::Repeatability,
@@ -73,6 +76,7 @@ impl Metric {
         Self::Ripple,
         Self::RestDrive,
         Self::TrialDifference,
+        Self::ReferenceDifference,
     ];
 
     pub const fn name(self) -> &'static str {
@@ -97,6 +101,7 @@ impl Metric {
             Self::Ripple => "ripple_um",
             Self::RestDrive => "rest_drive_vpp",
             Self::TrialDifference => "trial_difference_um",
+            Self::ReferenceDifference => "reference_difference_percent",
         }
     }
 
@@ -122,7 +127,7 @@ impl Metric {
 
     /// True if `from_ms` and `until_ms` apply; the other metrics cover the whole trial.
     pub const fn has_from_ms(self) -> bool {
-        !matches!(self, Self::LoopDelay | Self::InstructionsPerStep)
+        !matches!(self, Self::LoopDelay | Self::InstructionsPerStep | Self::ReferenceDifference)
     }
 
     pub const fn is_step_response(self) -> bool {
@@ -138,6 +143,7 @@ impl Metric {
         match self {
             Self::LoopDelay
             | Self::InstructionsPerStep
+            | Self::ReferenceDifference
             | Self::ShutdownTime
             | Self::Repeatability
             | Self::RestDrive
@@ -156,7 +162,12 @@ impl Metric {
     pub const fn is_of_the_plate(self) -> bool {
         !matches!(
             self,
-            Self::LoopDelay | Self::InstructionsPerStep | Self::Overruns | Self::ShutdownTime | Self::MissedReplies
+            Self::LoopDelay
+                | Self::InstructionsPerStep
+                | Self::ReferenceDifference
+                | Self::Overruns
+                | Self::ShutdownTime
+                | Self::MissedReplies
         )
     }
 

@@ -114,8 +114,11 @@ impl Scenario {
 
     /// True if the history of the controller is part of the experiment: one controller plays all trials in order.
     pub fn keeps_controller(&self) -> bool {
-        let mut metrics = self.expectations.iter().map(|expectation| expectation.metric);
-        !self.between.is_empty() || metrics.any(|metric| metric == Metric::TrialDifference)
+        !self.between.is_empty() || self.expects(Metric::TrialDifference)
+    }
+
+    pub fn expects(&self, metric: Metric) -> bool {
+        self.expectations.iter().any(|expectation| expectation.metric == metric)
     }
 
     /// The plate that the controller is configured for.

@@ -108,6 +108,9 @@ fn measure_window(
         Metric::InstructionsPerStep => {
             value_or_undefined(telemetry.instructions_worst.ok_or(UndefinedValue::NotReported))
         }
+        Metric::ReferenceDifference => {
+            value_or_undefined(telemetry.reference_difference_percent.ok_or(UndefinedValue::NotReported))
+        }
         Metric::Overruns => count_flagged(inside, Flags::OVERRUN),
         Metric::ShutdownTime => shutdown::shutdown_time(window, rows),
         Metric::MissedReplies => count_flagged(inside, Flags::CONTROL | Flags::LINK_LOST),
@@ -131,7 +134,9 @@ const fn unknown_on_a_real_plate(metric: Metric) -> Option<UndefinedValue> {
     match metric {
         Metric::FrequencyError => Some(UndefinedValue::UnknownResonance),
         Metric::RecoveryTime => Some(UndefinedValue::UnknownDisturbance),
-        Metric::Overruns | Metric::MissedReplies | Metric::LoopDelay => Some(UndefinedValue::NotInLoop),
+        Metric::Overruns | Metric::MissedReplies | Metric::LoopDelay | Metric::ReferenceDifference => {
+            Some(UndefinedValue::NotInLoop)
+        }
         Metric::InstructionsPerStep => Some(UndefinedValue::UncountedInstructions),
         Metric::SettlingTime
         | Metric::StaticError

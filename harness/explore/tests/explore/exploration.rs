@@ -3,10 +3,10 @@
 use crate::fixtures::configuration;
 use platebench_explore::report::violated_properties;
 use platebench_explore::shrink::Shrinker;
-use platebench_explore::{Player, Property, explore};
+use platebench_explore::{ExploreConfig, Player, Property, explore};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink};
 use platebench_trust::{Mutant, MutantController};
-use platebench_wire::{LawId, Sample};
+use platebench_wire::{Command, LawId, Sample};
 use rstest::rstest;
 use std::time::Duration;
 
@@ -31,18 +31,51 @@ fn mutant() -> Result<BoxedLink, ConnectError> {
     Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(WrongTableEntry))))
 }
 
+/// The loops correct a drive that is 1 % too low, so every limit holds.
+struct LowDrive;
+
+impl Mutant for LowDrive {
+    fn on_command(&mut self, command: &mut Command) {
+        command.drive_vpp *= 0.99;
+    }
+}
+
+#[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
+fn low_drive() -> Result<BoxedLink, ConnectError> {
+    Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(LowDrive))))
+}
+
 #[rstest]
 #[case(LawId::DqPi)]
 #[case(LawId::DqPiFixed)]
 #[case(LawId::Deadbeat)]
 fn correct_laws_violate_nothing(#[case] law: LawId) {
-    let result = explore(&configuration(law, 120), &firmware, &CancelToken::never(), &mut |_, _| {}).unwrap();
-    assert_eq!((result.scenes, result.undecided), (120, 0));
+    let config = ExploreConfig { compares_reference: true, ..configuration(law, 240) };
+    let result = explore(&config, &firmware, &CancelToken::never(), &mut |_, _| {}).unwrap();
+    assert_eq!((result.scenes, result.undecided), (240, 0));
     assert!(result.failed.is_empty(), "{:?}", result.failed);
     let judged = |property| result.properties.get(&property).map_or(0, |tally| tally.windows);
-    let judged: Vec<_> =
-        Property::ALL.into_iter().filter(|property| *property != Property::Reference).map(judged).collect();
+    let judged: Vec<_> = Property::ALL.into_iter().map(judged).collect();
     assert!(judged.iter().all(|windows| *windows > 20), "{judged:?}");
+}
+
+#[rstest]
+#[case::without_reference(false, 0)]
+#[case::with_reference(true, 1)]
+fn the_reference_finds_what_the_limits_allow(#[case] compares_reference: bool, #[case] violated: usize) {
+    let config = ExploreConfig { compares_reference, jobs: 1, ..configuration(LawId::DqPi, 5) };
+    let cancel = CancelToken::never();
+    let result = explore(&config, &low_drive, &cancel, &mut |_, _| {}).unwrap();
+    let found = violated_properties(&result);
+    assert_eq!(found.len(), violated, "{found:?}");
+    for (property, failed) in found {
+        assert_eq!(property, Property::Reference);
+        let mut player = Player::new(&low_drive, false, &cancel);
+        let mut shrinker = Shrinker::new(&config, &mut player, Duration::from_mins(1)).unwrap();
+        let minimal = shrinker.shrink(failed, property).unwrap();
+        assert_eq!((minimal.is_reproduced, minimal.demands.len()), (true, 1));
+        assert!(minimal.failure.value > Some(0.1), "{:?}", minimal.failure);
+    }
 }
 
 #[test]

@@ -17,6 +17,7 @@ pub(crate) fn configuration(law: LawId, scenes: u64) -> ExploreConfig {
         budget: Budget::Scenes(scenes),
         jobs: 2,
         own_clock: false,
+        compares_reference: false,
         regressions: Vec::new(),
     }
 }

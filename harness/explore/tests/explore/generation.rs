@@ -2,7 +2,6 @@
 
 use crate::fixtures::configuration;
 use platebench_explore::coverage::{ChangeKind, Coverage};
-use platebench_explore::explore::scene_text;
 use platebench_scenario::load;
 use platebench_wire::LawId;
 use rstest::rstest;
@@ -29,7 +28,7 @@ fn every_scene_loads(#[case] law: LawId) {
     let folder = tempfile::tempdir().unwrap();
     for index in 0..200 {
         let scene = config.generator().tree(index).unwrap().current();
-        let text = scene_text(&config.envelope, &scene, "Scene");
+        let text = config.scene_text(&scene, "Scene");
         text.write(folder.path(), "scene").unwrap();
         let scenario = load(&folder.path().join("scene.toml"), "scene.toml");
         let scenario = scenario.unwrap_or_else(|fault| panic!("scene {index}: {fault}\n{}", text.scenario));

@@ -4,6 +4,7 @@ use super::inject::ActiveFaults;
 use super::packet::{FrameSplitter, QueuedPacket, decode_first_packet, is_sample};
 use super::trial_clock::TrialClock;
 use super::wire_fault::{Direction, WireFault};
+use crate::compared_link::ComparedLink;
 use crate::link::{Link, LinkError, RealTimeLine};
 use platebench_wire::{ControllerState, Message, Packet};
 use std::collections::VecDeque;
@@ -17,7 +18,7 @@ pub(super) const DELIMITER: u8 = 0;
 
 #[derive(Debug)]
 pub struct FaultInjector<L> {
-    pub(super) inner: L,
+    pub(super) inner: ComparedLink<L>,
     pub(super) active_faults: ActiveFaults,
     pub(super) to_controller: VecDeque<QueuedPacket>,
     pub(super) from_controller: VecDeque<QueuedPacket>,
@@ -32,7 +33,7 @@ pub struct FaultInjector<L> {
 impl<L: Link> FaultInjector<L> {
     pub fn new(inner: L) -> Self {
         Self {
-            inner,
+            inner: ComparedLink::new(inner),
             active_faults: ActiveFaults::default(),
             to_controller: VecDeque::with_capacity(MAX_QUEUED),
             from_controller: VecDeque::with_capacity(MAX_QUEUED),
@@ -51,6 +52,19 @@ impl<L: Link> FaultInjector<L> {
         self.delivered_sample = [0.0; 2];
         self.clock = None;
         self.clear();
+    }
+
+    /// Compares the next trial's commands with those of the hosted reference; only in lockstep.
+    /// Call it before the trial's configuration.
+    pub fn compare_with_reference(&mut self, is_compared: bool) {
+        self.inner.compare_with_reference(is_compared);
+    }
+
+    /// Largest difference of a running command from that of the hosted reference for the same
+    /// bytes: drive in percent of its limit, frequency in percent of its range. `None` without a
+    /// comparison or a command.
+    pub fn reference_difference_percent(&self) -> Option<f64> {
+        self.inner.reference_difference_percent()
     }
 
     pub fn next_due(&self) -> Option<Duration> {

@@ -16,6 +16,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     rig_delay_us: None,
     instructions_mean: None,
     instructions_worst: None,
+    reference_difference_percent: None,
     ended: None,
     stopped: None,
     faults: BTreeMap::new(),

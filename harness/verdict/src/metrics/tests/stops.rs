@@ -127,6 +127,7 @@ fn unknown_quantities_of_a_real_plate_are_undefined() {
                 | Metric::MissedReplies
                 | Metric::LoopDelay
                 | Metric::InstructionsPerStep
+                | Metric::ReferenceDifference
                 // These rows have no Wd.
                 | Metric::QuadratureRatio
         );

@@ -105,7 +105,9 @@ fn saturation_is_time_weighted() {
     );
     let costly = Telemetry { instructions_mean: Some(900.0), instructions_worst: Some(950.0), ..EMPTY_TELEMETRY };
     assert_eq!(measure(&expectation_for(Metric::InstructionsPerStep), &trace, &costly), Measure::Value(950.0));
-    for unreported in [Metric::LoopDelay, Metric::InstructionsPerStep] {
+    let differing = Telemetry { reference_difference_percent: Some(0.25), ..EMPTY_TELEMETRY };
+    assert_eq!(measure(&expectation_for(Metric::ReferenceDifference), &trace, &differing), Measure::Value(0.25));
+    for unreported in [Metric::LoopDelay, Metric::InstructionsPerStep, Metric::ReferenceDifference] {
         assert!(matches!(measure(&expectation_for(unreported), &trace, &EMPTY_TELEMETRY), Measure::Undefined(_)));
     }
 }

@@ -1,0 +1,94 @@
+//! A planned fault of the line in the judged trial.
+
+use platebench_plate::Time;
+use platebench_scenario::{Direction, FaultKind};
+use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
+use proptest::prop_oneof;
+use std::fmt::Write as _;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LineFault {
+    pub kind: FaultKind,
+    pub direction: Direction,
+    /// Start of the window, µs; a control instant.
+    pub from_us: u32,
+    pub until_us: u32,
+}
+
+/// Before the trial is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct LineFaultDraw {
+    kind: FaultKind,
+    /// Of a delay, in percent of a period.
+    delay: u32,
+    to_controller: bool,
+    /// Share of the trial before the fault, percent.
+    at: u32,
+    /// Control periods.
+    length: u32,
+}
+
+/// A controller that stopped is configured again and runs at the end of the trial.
+const MIN_PERIODS_AFTER: u32 = 8;
+/// Periods after a fault until limits apply again: the law learns damping and resonance anew.
+const RECOVERY_PERIODS: u32 = 60;
+
+impl LineFaultDraw {
+    pub(crate) fn strategy() -> BoxedStrategy<Self> {
+        let kind = prop_oneof![
+            // One more would trigger the watchdog.
+            6 => (Just(FaultKind::Drop), 1..=3_u32),
+            4 => (Just(FaultKind::Duplicate), 1..=8_u32),
+            2 => (Just(FaultKind::Flip), 1..=2_u32),
+            1 => (Just(FaultKind::Truncate), Just(1)),
+            2 => (Just(FaultKind::Delay(Time::ZERO)), 1..=4_u32),
+            // Stops the controller by noise or by its watchdog.
+            2 => (Just(FaultKind::Babble), 3..=4_u32),
+            2 => (Just(FaultKind::Disconnect), 6..=9_u32),
+        ];
+        (kind, 20..=150_u32, any::<bool>(), 0..=90_u32)
+            .prop_map(|((kind, length), delay, to_controller, at)| Self { kind, delay, to_controller, at, length })
+            .boxed()
+    }
+
+    pub(crate) fn place(self, duration_us: u32, period_us: u32) -> Option<LineFault> {
+        let from_us = (duration_us / 100 * self.at).div_ceil(period_us) * period_us;
+        let until_us = from_us + self.length * period_us;
+        let kind = match self.kind {
+            FaultKind::Delay(_) => FaultKind::Delay(Time::from_nanos(u64::from(period_us * self.delay) * 10)),
+            kind => kind,
+        };
+        let direction = if self.to_controller { Direction::ToController } else { Direction::FromController };
+        (until_us + MIN_PERIODS_AFTER * period_us <= duration_us).then_some(LineFault {
+            kind,
+            direction,
+            from_us,
+            until_us,
+        })
+    }
+}
+
+impl LineFault {
+    /// From when on the limits of quiet windows apply again, µs.
+    pub(crate) const fn recovered_us(&self, period_us: u32) -> u32 {
+        self.until_us + RECOVERY_PERIODS * period_us
+    }
+
+    /// Control periods without an answer: those of the fault and those until a repeated configuration.
+    pub(crate) const fn longest_silence(&self, period_us: u32) -> u32 {
+        (self.until_us - self.from_us) / period_us + 3
+    }
+
+    /// `[[fault]]`
+    pub(crate) fn write(&self, text: &mut String) -> std::fmt::Result {
+        let [from_ms, until_ms] = [self.from_us, self.until_us].map(|us| f64::from(us) / 1e3);
+        writeln!(text, "\n[[fault]]\nkind = {:?}\nfrom_ms = {from_ms:?}\nuntil_ms = {until_ms:?}", self.kind.name())?;
+        writeln!(text, "direction = {:?}", self.direction.name())?;
+        match self.kind {
+            FaultKind::Delay(delay) => writeln!(text, "delay_ms = {:?}", delay.seconds() * 1e3),
+            FaultKind::Flip => writeln!(text, "seed = 1"),
+            FaultKind::Babble | FaultKind::Disconnect => writeln!(text, "reconfigure = true"),
+            _ => Ok(()),
+        }
+    }
+}

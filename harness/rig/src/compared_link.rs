@@ -1,0 +1,233 @@
+//! Compares the commands of a target with those of the hosted reference for the same bytes.
+//!
+//! The reference receives what the target receives, so both laws act on the same samples: their
+//! difference does not grow through the plate.
+
+use crate::hosted::HostedLink;
+use crate::link::{Link, LinkError, RealTimeLine};
+use platebench_wire::{Command, Configure, ControllerState, Message, Packet, PacketReader};
+use std::time::Duration;
+
+#[derive(Debug)]
+pub(crate) struct ComparedLink<L> {
+    inner: L,
+    comparison: Option<Box<Comparison>>,
+}
+
+impl<L: Link> ComparedLink<L> {
+    pub(crate) fn new(inner: L) -> Self {
+        Self { inner, comparison: None }
+    }
+
+    /// Starts a new comparison, or ends it. Call it before the trial's configuration.
+    pub(crate) fn compare_with_reference(&mut self, is_compared: bool) {
+        self.comparison = is_compared.then(Box::default);
+    }
+
+    /// See [`crate::FaultInjector::reference_difference_percent`].
+    pub(crate) fn reference_difference_percent(&self) -> Option<f64> {
+        self.comparison.as_ref()?.largest_percent
+    }
+}
+
+impl<L: Link> Link for ComparedLink<L> {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let start = answer.len();
+        let delay = self.inner.exchange(now, bytes, answer)?;
+        if let Some(comparison) = &mut self.comparison {
+            comparison.send_to_reference(now, bytes)?;
+            comparison.compare(answer.get(start..).unwrap_or_default());
+        }
+        Ok(delay)
+    }
+
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        let start = received.len();
+        self.inner.advance_to(now, received)?;
+        if let Some(comparison) = &mut self.comparison {
+            comparison.reference.advance_to(now, &mut Vec::new())?;
+            comparison.compare(received.get(start..).unwrap_or_default());
+        }
+        Ok(())
+    }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        self.inner.restart()
+    }
+
+    fn continue_trial(&mut self) {
+        self.inner.continue_trial();
+    }
+
+    fn instruction_count(&self) -> Option<u64> {
+        self.inner.instruction_count()
+    }
+
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+        self.inner.real_time_line()
+    }
+}
+
+#[derive(Debug)]
+struct Comparison {
+    reference: HostedLink,
+    to_target: PacketReader,
+    from_target: PacketReader,
+    configuration: Option<Configure>,
+    /// Commands of the reference by sequence number.
+    expected: [Option<Command>; 256],
+    largest_percent: Option<f64>,
+}
+
+impl Default for Comparison {
+    fn default() -> Self {
+        Self {
+            reference: HostedLink::new(),
+            to_target: PacketReader::new(),
+            from_target: PacketReader::new(),
+            configuration: None,
+            expected: [None; 256],
+            largest_percent: None,
+        }
+    }
+}
+
+impl Comparison {
+    fn send_to_reference(&mut self, now: Duration, bytes: &[u8]) -> Result<(), LinkError> {
+        for packet in self.to_target.packets(bytes).flatten() {
+            if let Message::Configure(configure) = packet.message {
+                self.configuration = Some(configure);
+                self.expected = [None; 256];
+            }
+        }
+        let mut answer = Vec::new();
+        self.reference.exchange(now, bytes, &mut answer)?;
+        for Packet { sequence, message } in PacketReader::new().packets(&answer).flatten() {
+            if let (Message::Command(command), Some(expected)) = (message, self.expected.get_mut(usize::from(sequence)))
+            {
+                *expected = Some(command);
+            }
+        }
+        Ok(())
+    }
+
+    /// Other states than `Running` have rules of their own.
+    fn compare(&mut self, answer: &[u8]) {
+        let is_running = |command: &Command| command.state == ControllerState::Running;
+        let Some(configuration) = self.configuration else { return };
+        for Packet { sequence, message } in self.from_target.packets(answer).flatten() {
+            let expected = self.expected.get(usize::from(sequence)).copied().flatten();
+            let (Message::Command(command), Some(expected)) = (message, expected) else { continue };
+            if is_running(&command) && is_running(&expected) {
+                let percent = difference_percent(&command, &expected, &configuration);
+                self.largest_percent = Some(self.largest_percent.map_or(percent, |largest| largest.max(percent)));
+            }
+        }
+    }
+}
+
+/// A drive that is not finite is a fault of its own and gives no difference.
+fn difference_percent(command: &Command, expected: &Command, configuration: &Configure) -> f64 {
+    let drive = (f64::from(command.drive_vpp) - f64::from(expected.drive_vpp)).abs();
+    let frequency_hz = f64::from(command.frequency_mhz.abs_diff(expected.frequency_mhz)) * 1e-3;
+    let of_limit = drive / f64::from(configuration.drive_limit_vpp);
+    let of_range = frequency_hz / f64::from(configuration.frequency_range_hz);
+    let largest = if of_limit.is_finite() { of_limit.max(of_range) } else { of_range };
+    largest * 100.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fault_injector::{Direction, FaultInjector, WireFault, WireFaultKind};
+    use crate::session::Session;
+    use platebench_test_kit::CONFIGURE;
+    use platebench_wire::Sample;
+    use rstest::rstest;
+
+    /// Adds to the commands of the reference from a sample on.
+    struct ChangedController {
+        device: HostedLink,
+        first_changed: u8,
+        drive_vpp: f32,
+        frequency_mhz: u32,
+    }
+
+    impl Link for ChangedController {
+        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            let mut own = Vec::new();
+            self.device.exchange(now, bytes, &mut own)?;
+            for mut packet in PacketReader::new().packets(&own).flatten() {
+                if let Message::Command(command) = &mut packet.message
+                    && packet.sequence >= self.first_changed
+                {
+                    command.drive_vpp += self.drive_vpp;
+                    command.frequency_mhz += self.frequency_mhz;
+                }
+                answer.extend_from_slice(packet.encode().as_bytes());
+            }
+            Ok(Duration::ZERO)
+        }
+
+        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+            self.device.advance_to(now, received)
+        }
+    }
+
+    fn difference(controller: ChangedController, faults: &[WireFault]) -> Option<f64> {
+        let mut session = Session::open(FaultInjector::new(controller)).unwrap();
+        for _ in 0..2 {
+            session.link_mut().set_faults(faults);
+            session.link_mut().compare_with_reference(true);
+            session.begin_trial(&CONFIGURE, true).unwrap();
+            for step in 0..20_u16 {
+                let sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: f32::from(step) * 0.1, wq_um: 0.01 };
+                let _ = session.send_sample(Duration::from_millis(step.into()), &sample);
+            }
+        }
+        session.link().reference_difference_percent()
+    }
+
+    const REFERENCE: fn() -> ChangedController =
+        || ChangedController { device: HostedLink::new(), first_changed: 0, drive_vpp: 0.0, frequency_mhz: 0 };
+
+    #[rstest]
+    #[case(0.0, 0, 0.0)]
+    #[case(-1.8, 0, 0.2)]
+    #[case(0.0, 1_000, 0.5)]
+    #[case(0.9, 1_000, 0.5)]
+    #[case(f32::NAN, 0, 0.0)]
+    fn is_the_larger_of_drive_and_frequency(#[case] drive_vpp: f32, #[case] frequency_mhz: u32, #[case] percent: f64) {
+        assert_eq!((CONFIGURE.drive_limit_vpp, CONFIGURE.frequency_range_hz), (900.0, 200.0));
+        let found = difference(ChangedController { drive_vpp, frequency_mhz, ..REFERENCE() }, &[]).unwrap();
+        assert!((found - percent).abs() < 1e-5, "{found}");
+    }
+
+    #[test]
+    fn one_changed_command_is_enough() {
+        let last = difference(ChangedController { first_changed: 43, drive_vpp: 9.0, ..REFERENCE() }, &[]).unwrap();
+        assert!((last - 1.0).abs() < 1e-5, "{last}");
+        let none = difference(ChangedController { first_changed: 44, drive_vpp: 9.0, ..REFERENCE() }, &[]);
+        assert_eq!(none, Some(0.0));
+    }
+
+    #[rstest]
+    fn the_reference_gets_what_the_fault_leaves(
+        #[values(WireFaultKind::Drop, WireFaultKind::Duplicate, WireFaultKind::Flip)] kind: WireFaultKind,
+        #[values(Direction::ToController, Direction::FromController)] direction: Direction,
+    ) {
+        let fault = WireFault { kind, from: Duration::ZERO, until: None, direction, every: 3, seed: 1 };
+        assert_eq!(difference(REFERENCE(), &[fault]), Some(0.0));
+    }
+
+    #[test]
+    fn is_unknown_without_a_comparison_or_command() {
+        let mut session = Session::open(FaultInjector::new(HostedLink::new())).unwrap();
+        session.start_trial(&CONFIGURE).unwrap();
+        session.send_sample(Duration::ZERO, &Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 }).unwrap();
+        assert_eq!(session.link().reference_difference_percent(), None);
+        session.link_mut().compare_with_reference(true);
+        session.start_trial(&CONFIGURE).unwrap();
+        assert_eq!(session.link().reference_difference_percent(), None);
+    }
+}
