@@ -9,7 +9,7 @@ use crate::stdio;
 use budget::parse_duration;
 use clap::Args;
 use platebench_explore::session::{ExploreSession, ProgressEvent};
-use platebench_explore::{Envelope, ExploreError, report, text};
+use platebench_explore::{Envelope, ExploreError, page, report, text};
 use platebench_record::RunFolder;
 use platebench_rig::{CancelToken, RigSpec};
 use platebench_scenario::find;
@@ -112,6 +112,7 @@ pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> Exit {
         OutputFormat::Json => stdio::show_json(&report),
     }
     stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
+    stdio::note(&format!("report: {}", folder.path().join(page::FILE).display()));
     Exit::of_verdict(report.verdict)
 }
 
@@ -147,9 +148,10 @@ fn exit_of_error(error: &ExploreError) -> Exit {
         ExploreError::Connect(error) if error.is_invalid_input() => Exit::Invalid,
         ExploreError::Rig(platebench_rig::RigError::ConfigurationRejected(_)) => Exit::Invalid,
         ExploreError::Connect(_) | ExploreError::Rig(_) | ExploreError::Lost(_) => Exit::Unreachable,
-        ExploreError::LawNotAnnounced(_) | ExploreError::LawWithoutProperties(_) | ExploreError::Io { .. } => {
-            Exit::Invalid
-        }
+        ExploreError::LawNotAnnounced(_)
+        | ExploreError::LawWithoutProperties(_)
+        | ExploreError::Io { .. }
+        | ExploreError::Report(_) => Exit::Invalid,
         ExploreError::Generated(_) | ExploreError::Strategy(_) | ExploreError::Cancelled | ExploreError::Internal => {
             Exit::Inconclusive
         }

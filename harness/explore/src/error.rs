@@ -8,6 +8,8 @@ use std::path::PathBuf;
 /// Why there is no result.
 #[derive(Debug, thiserror::Error)]
 pub enum ExploreError {
+    #[error(transparent)]
+    Report(#[from] platebench_report::ReportError),
     /// The rig could not be opened.
     #[error(transparent)]
     Connect(#[from] ConnectError),

@@ -79,7 +79,8 @@ impl<'a> Generator<'a> {
 
     fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
         let judged_configuration = self.configuration(&draw.configuration, self.law);
-        let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum.sine) };
+        let mut judged =
+            SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum.sine, 10) };
         judged.fault = draw.fault.and_then(|fault| fault.place(judged.duration_us, judged.period_us));
         let law = |draw: &ConfigurationDraw| self.laws.get(draw.law % self.laws.len().max(1)).copied();
         let earlier: Vec<_> = draw
@@ -88,7 +89,7 @@ impl<'a> Generator<'a> {
             .map(|(own, trial)| {
                 let law = own.as_ref().and_then(law).unwrap_or(self.law);
                 let configuration = own.as_ref().map_or(judged_configuration, |own| self.configuration(own, law));
-                SceneTrial { law, ..self.trial(configuration, trial, None) }
+                SceneTrial { law, ..self.trial(configuration, trial, None, 1) }
             })
             .collect();
         let shifts_time = stratum.shifts_time && !stratum.is_long && judged.plate.noise_pm == 0;
@@ -105,7 +106,7 @@ impl<'a> Generator<'a> {
         let usual_us = (USUAL_PERIOD_MS.clamp(range.period_ms[0], range.period_ms[1]) * 1e3).round();
         let period_us = usual_us as u32;
         let period_us = period_us.saturating_add_signed(draw.period * (PERIOD_STEP_MS * 1e3) as i32);
-        let has_delay = LawProperties::of(law).compensates_delay;
+        let has_delay = LawProperties::of(law).is_some_and(|properties| properties.compensates_delay);
         let permille = (DEVIATION_STEP_PERCENT * 10.0) as i32;
         Configuration {
             period_us,
@@ -122,13 +123,21 @@ impl<'a> Generator<'a> {
         }
     }
 
-    fn trial(&self, configuration: Configuration, draw: &TrialDraw, sine: Option<SineOf>) -> SceneTrial {
+    /// `least_tail`: control periods after the last event; a trial that is not judged may end while the response rises.
+    fn trial(
+        &self,
+        configuration: Configuration,
+        draw: &TrialDraw,
+        sine: Option<SineOf>,
+        least_tail: u32,
+    ) -> SceneTrial {
         let Configuration { period_us, delay_us, plate, tuning } = configuration;
         let mut timeline = Timeline::new(self, configuration, draw);
         for event in &draw.events {
             timeline.add(event);
         }
-        let duration_us = timeline.now_us.max(1) + timeline.gap_us(draw.tail).max(10 * period_us);
+        let tail_us = timeline.gap_us(draw.tail).max(least_tail * period_us);
+        let duration_us = timeline.now_us.max(1) + tail_us;
         let Timeline { setpoint, force, temperature, .. } = timeline;
         let mut trial = SceneTrial {
             law: self.law,
@@ -200,7 +209,8 @@ struct Timeline<'a> {
 impl<'a> Timeline<'a> {
     fn new(generator: &Generator<'a>, configuration: Configuration, draw: &TrialDraw) -> Self {
         let period_ms = f64::from(configuration.period_us) / 1e3;
-        let slow = if LawProperties::of(generator.law).adapts_to_damping { 1.0 } else { 2.0 };
+        let adapts = LawProperties::of(generator.law).is_some_and(|properties| properties.adapts_to_damping);
+        let slow = if adapts { 1.0 } else { 2.0 };
         let mut timeline = Self {
             envelope: generator.envelope,
             period_us: configuration.period_us,

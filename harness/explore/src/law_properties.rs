@@ -14,37 +14,24 @@ pub struct LawProperties {
     pub steers: bool,
     /// Time constant with which it tracks a small change of the damping, control periods.
     pub tracking_periods: f64,
-    /// The loops are a matched design that reaches every setpoint without static error and finds the resonance.
-    /// Other laws are not explored.
-    pub is_explored: bool,
 }
 
 impl LawProperties {
-    const FIXED: Self = Self {
-        adapts_to_damping: false,
-        compensates_delay: false,
-        steers: false,
-        tracking_periods: 0.0,
-        is_explored: true,
-    };
-
-    /// The properties of `law`.
-    pub const fn of(law: LawId) -> Self {
+    /// `None` if the law is not explored: it has a static error by design, or settles only near the resonance.
+    pub const fn of(law: LawId) -> Option<Self> {
+        let adapting = Self { adapts_to_damping: true, compensates_delay: true, steers: false, tracking_periods: 8.0 };
         match law {
-            LawId::DqPi | LawId::Deadbeat => Self {
-                adapts_to_damping: true,
-                compensates_delay: true,
-                steers: matches!(law, LawId::Deadbeat),
-                tracking_periods: 8.0,
-                is_explored: true,
-            },
-            LawId::DqPiFixed => Self::FIXED,
+            LawId::DqPi => Some(adapting),
+            LawId::Deadbeat => Some(Self { steers: true, ..adapting }),
+            LawId::DqPiFixed => {
+                Some(Self { adapts_to_damping: false, compensates_delay: false, steers: false, tracking_periods: 0.0 })
+            }
             LawId::OpenLoop
             | LawId::DqPiEuler
             | LawId::VoltageOnly
             | LawId::FrequencyOnly
             | LawId::BangBang
-            | LawId::Pll => Self { is_explored: false, ..Self::FIXED },
+            | LawId::Pll => None,
         }
     }
 }

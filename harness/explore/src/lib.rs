@@ -7,7 +7,7 @@
 //! * `windows`, `limits`, [`law_properties`], [`properties`]: what every scene must meet.
 //! * [`player`]: plays and judges a scene. [`mod@explore`]: plays many on several workers.
 //! * [`mod@shrink`]: makes a failing scene minimal. [`regression`]: writes it as a scenario.
-//! * [`mod@session`]: all of this. [`coverage`], [`report`], [`text`]: the result.
+//! * [`mod@session`]: all of this. [`coverage`], [`report`], [`text`], [`mod@page`]: the result.
 //!
 //! `docs/exploration.md` derives the limits.
 
@@ -22,6 +22,7 @@ pub mod generator;
 pub mod law_properties;
 mod limits;
 pub mod line_fault;
+pub mod page;
 pub mod player;
 pub mod properties;
 pub mod regression;

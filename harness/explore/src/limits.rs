@@ -42,12 +42,12 @@ pub(crate) enum Knowledge {
 }
 
 impl<'a> Limits<'a> {
-    pub(crate) fn new(trial: &'a SceneTrial, base: &'a Plate) -> Self {
+    pub(crate) fn new(trial: &'a SceneTrial, base: &'a Plate, properties: LawProperties) -> Self {
         Self {
             trial,
             base,
             design: trial.plate.design().apply(base),
-            properties: LawProperties::of(trial.law),
+            properties,
             period_s: f64::from(trial.period_us) * 1e-6,
             delay_s: f64::from(trial.delay_us) * 1e-6,
         }

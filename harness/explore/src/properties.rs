@@ -1,5 +1,6 @@
 //! Turns the windows of a trial into expectations: the properties that every scene must have.
 
+use crate::law_properties::LawProperties;
 use crate::limits::{BAND, Knowledge, Limits};
 use crate::scene::{Course, Scene, SceneTrial};
 use crate::tuning::Tuning;
@@ -158,10 +159,8 @@ pub fn reference_demand(scene: &Scene) -> Demand {
 /// The demands on the judged trial of `scene` that follow from the plate.
 pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let trial = &scene.judged;
-    let limits = Limits::new(trial, base);
-    if !limits.properties.is_explored {
-        return Vec::new();
-    }
+    let Some(properties) = LawProperties::of(trial.law) else { return Vec::new() };
+    let limits = Limits::new(trial, base, properties);
     // The limits are those of the law's own design.
     if trial.tuning != Tuning::default() {
         return Vec::new();
@@ -217,9 +216,9 @@ struct WindowJudge<'a> {
 
 /// True if the damping changes just after a step of the setpoint.
 fn resembles_late_drive(trial: &SceneTrial, change: Change) -> bool {
-    let steps = trial.setpoint.iter().map(|(at, _)| *at).filter(|at| *at <= change.to_us);
+    let mut steps = trial.setpoint.iter().map(|(at, _)| *at).filter(|at| *at <= change.to_us);
     let steered_us = STEERING_PERIODS * trial.period_us;
-    change.force && steps.last().is_some_and(|step| change.from_us <= step + steered_us)
+    change.force && steps.next_back().is_some_and(|step| change.from_us <= step + steered_us)
 }
 
 impl WindowJudge<'_> {

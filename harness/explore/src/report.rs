@@ -175,6 +175,19 @@ impl ExploreReport {
     }
 }
 
+impl ExploreReport {
+    /// One sentence.
+    pub fn conclusion(&self) -> String {
+        let Self { failed, scenes, .. } = self;
+        match (failed, self.failing_share) {
+            (0, Some([_, most])) => {
+                format!("No property violated: fewer than {:.3} % of all scenes fail, at 95 %.", most * 100.0)
+            }
+            _ => format!("{failed} of {scenes} scenes violate a property."),
+        }
+    }
+}
+
 fn properties(failures: &[Failure]) -> Vec<Property> {
     let mut properties: Vec<_> = failures.iter().map(|failure| failure.property).collect();
     properties.sort_unstable();

@@ -4,6 +4,7 @@ use crate::envelope::Envelope;
 use crate::error::ExploreError;
 use crate::explore::{Budget, ExploreConfig, FailedScene, explore};
 use crate::law_properties::LawProperties;
+use crate::page::{self, page};
 use crate::player::Player;
 use crate::properties::Property;
 use crate::regression;
@@ -60,7 +61,7 @@ impl fmt::Display for ProgressEvent {
 }
 
 impl ExploreSession {
-    /// Explores, shrinks and writes `explore.json` to `folder`.
+    /// Explores, shrinks and writes `explore.json` and `report.html` to `folder`.
     /// A violated property is no error.
     pub fn run(
         self,
@@ -88,17 +89,18 @@ impl ExploreSession {
         let text = serde_json::to_string_pretty(&report).unwrap_or_default();
         let path = folder.join(report::FILE);
         write_atomically(&path, text.as_bytes()).map_err(ExploreError::io(path))?;
+        page(&report).write(&folder.join(page::FILE))?;
         Ok(report)
     }
 
     fn config(&self, identity: &Identity) -> Result<ExploreConfig, ExploreError> {
-        if !LawProperties::of(self.law).is_explored {
+        if LawProperties::of(self.law).is_none() {
             return Err(ExploreError::LawWithoutProperties(self.law.name()));
         }
         if !identity.has_law(self.law) {
             return Err(ExploreError::LawNotAnnounced(self.law.name()));
         }
-        let laws = LawId::ALL.into_iter().filter(|law| LawProperties::of(*law).is_explored && identity.has_law(*law));
+        let laws = LawId::ALL.into_iter().filter(|law| LawProperties::of(*law).is_some() && identity.has_law(*law));
         let knows_delay = identity.has_capability(capabilities::LOOP_DELAY);
         let announced = |scenario: &Scenario| {
             LawId::from_name(&scenario.controller.law).is_some_and(|law| identity.has_law(law))

@@ -1,5 +1,6 @@
 //! Renders the result as text.
 
+use crate::page::properties;
 use crate::report::ExploreReport;
 use std::fmt::Write as _;
 
@@ -11,16 +12,9 @@ pub fn summary(report: &ExploreReport) -> String {
 }
 
 fn write_summary(text: &mut String, report: &ExploreReport) -> std::fmt::Result {
-    let ExploreReport { scenes, failed, law, seed, .. } = report;
+    let ExploreReport { scenes, law, seed, .. } = report;
     writeln!(text, "{scenes} scenes of {} for {law}, seed {seed}, {:.1} s", report.envelope, report.elapsed_s)?;
-    writeln!(text, "\n{:<16}{:>10}{:>12}{:>18}", "property", "windows", "violations", "smallest margin")?;
-    for property in &report.properties {
-        let margin =
-            property.smallest_margin.map_or_else(|| "-".to_owned(), |margin| format!("{:.1} %", margin * 100.0));
-        let name = property.property.name();
-        writeln!(text, "{name:<16}{:>10}{:>12}{margin:>18}", property.windows, property.violations)?;
-    }
-    writeln!(text)?;
+    writeln!(text, "\n{}\n", properties(report).lines().join("\n"))?;
     if report.undecided > 0 {
         writeln!(text, "{} scenes undecided because of the rig", report.undecided)?;
     }
@@ -36,10 +30,5 @@ fn write_summary(text: &mut String, report: &ExploreReport) -> std::fmt::Result 
             writeln!(text, "  it did not fail again with a new controller")?;
         }
     }
-    match (failed, report.failing_share) {
-        (0, Some([_, most])) => {
-            writeln!(text, "no property violated: fewer than {:.3} % of all scenes fail, at 95 %", most * 100.0)
-        }
-        _ => writeln!(text, "{failed} of {scenes} scenes violate a property"),
-    }
+    writeln!(text, "{}", report.conclusion())
 }
