@@ -5,6 +5,8 @@ use crate::time::Time;
 
 /// Spacing of the search: about 15 points per period of the fast pole.
 const SCAN_STEP_NS: u64 = 1_000;
+/// More than the rounding of a state.
+const ROUNDING_UM: f64 = 1e-9;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum BandSignal {
@@ -52,21 +54,33 @@ pub struct Crossing {
     pub before: State,
 }
 
-/// Appends to `found`. The state is `from` at `start` and `after(t)` t seconds later.
+/// Appends to `found`. The state is `from` at `start` and `after(t)` t seconds later. W changes by
+/// less than d µm in the `seconds_within(t, d)` seconds after t: the search skips them.
 pub(crate) fn find_crossings(
     monitor: &BandMonitor,
     after: &impl Fn(f64) -> State,
+    seconds_within: &impl Fn(f64, f64) -> f64,
     from: &State,
     start: Time,
     end: Time,
     found: &mut Vec<Crossing>,
 ) {
-    let state_at = |nanos: u64| after(Time::from_nanos(nanos).since(start).seconds());
+    let seconds_at = |nanos: u64| Time::from_nanos(nanos).since(start).seconds();
+    let state_at = |nanos: u64| after(seconds_at(nanos));
+    let end = end.as_nanos();
     let mut low = start.as_nanos();
+    let mut state = *from;
     let mut inside = monitor.contains(from);
-    while low < end.as_nanos() {
-        let high = (low + SCAN_STEP_NS).min(end.as_nanos());
-        if monitor.contains(&state_at(high)) != inside {
+    loop {
+        let seconds = seconds_within(seconds_at(low), monitor.distance(&state) - ROUNDING_UM);
+        // Whole steps, so that the points of the search do not depend on the bound.
+        low = low.saturating_add((seconds * 1e9) as u64 / SCAN_STEP_NS * SCAN_STEP_NS);
+        if low >= end {
+            return;
+        }
+        let high = (low + SCAN_STEP_NS).min(end);
+        state = state_at(high);
+        if monitor.contains(&state) != inside {
             let (mut before, mut behind) = (low, high);
             while behind - before > 1 {
                 let middle = u64::midpoint(before, behind);
@@ -81,5 +95,52 @@ pub(crate) fn find_crossings(
             inside = !inside;
         }
         low = high;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flow::Flow;
+    use crate::mode::{Drive, Mode};
+    use crate::tier::Tier;
+    use num_complex::Complex64;
+    use proptest::prelude::*;
+
+    const OMEGA0: f64 = 202_995.0;
+
+    proptest! {
+        #[test]
+        fn skips_no_crossing(
+            tier in prop::sample::select(&Tier::ALL),
+            sigma in 300.0..2_000.0,
+            vpp in 0.0..800.0,
+            detuning in -3_000.0..3_000.0,
+            w in prop::array::uniform2(-2.5..2.5),
+            fast in 0.0..1.2,
+            signal in prop::sample::select(&[BandSignal::Amplitude, BandSignal::InPhase, BandSignal::Quadrature]),
+            low in -1.5..2.0,
+            width in 0.001..1.0,
+        ) {
+            let mode = Mode { sigma, omega0: OMEGA0, force_constant: 1.5e6, envelope_constant: 3.71 };
+            let drive = Drive { vpp, omega: OMEGA0 + detuning };
+            let w = Complex64::new(w[0], w[1]);
+            let state = match tier {
+                Tier::Linear => State { w: w.re * Complex64::new(1.0, 0.4), u: 0.4.into() },
+                Tier::Envelope => State { w, u: Complex64::ZERO },
+                // Both poles.
+                Tier::Modal | Tier::Carrier => State { w, u: Complex64::I * drive.omega * fast * w },
+            };
+            let monitor = BandMonitor { signal, low, high: low + width };
+            let flow = Flow::new(tier, &mode, &drive, &state);
+            let bound = flow.excursion_bound();
+            let (start, end) = (Time::from_nanos(5_000_123), Time::from_nanos(6_000_400));
+            let search = |seconds_within: &dyn Fn(f64, f64) -> f64| {
+                let mut found = Vec::new();
+                find_crossings(&monitor, &|t| flow.after(t), &seconds_within, &state, start, end, &mut found);
+                found
+            };
+            prop_assert_eq!(search(&|_, distance| bound.seconds_within(distance)), search(&|_, _| 0.0));
+        }
     }
 }

@@ -51,6 +51,21 @@ impl State {
     }
 }
 
+/// In t seconds W changes by at most `speed · t + min(ripple, ripple_speed · t)`, µm.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ExcursionBound {
+    speed: f64,
+    ripple: f64,
+    ripple_speed: f64,
+}
+
+impl ExcursionBound {
+    /// Seconds in which W changes by less than `distance`, µm; may be negative, infinite or NaN.
+    pub(crate) fn seconds_within(&self, distance: f64) -> f64 {
+        ((distance - self.ripple) / self.speed).max(distance / (self.speed + self.ripple_speed))
+    }
+}
+
 /// Motion of the plate after an instant, while mode and drive are constant.
 #[derive(Debug, Clone, Copy)]
 pub struct Flow {
@@ -154,17 +169,21 @@ impl Flow {
         state.flush_negligible()
     }
 
-    /// Upper bound on the change of W within `seconds`, µm.
-    pub fn max_excursion(&self, seconds: f64) -> f64 {
-        let slow = self.slow_pole.amplitude.norm() * (self.slow_pole.pole.norm() * seconds).min(2.0);
+    /// Holds from any instant of the flow on.
+    pub(crate) fn excursion_bound(&self) -> ExcursionBound {
+        let speed = |term: &ExponentialTerm| term.amplitude.norm() * term.pole.norm();
+        let slow = speed(&self.slow_pole);
         match &self.second_term {
-            SecondTerm::None => slow,
-            SecondTerm::FastPole(term, _) => slow + 2.0 * term.amplitude.norm(),
-            // Δ(r Wd) = r ΔWd + (Wd + ΔWd) Δr, with the present r and Wd.
+            SecondTerm::None => ExcursionBound { speed: slow, ripple: 0.0, ripple_speed: 0.0 },
+            SecondTerm::FastPole(term, _) => {
+                ExcursionBound { speed: slow, ripple: 2.0 * term.amplitude.norm(), ripple_speed: speed(term) }
+            }
+            // Δ(r Wd) = r ΔWd + Wd Δr, with the largest |r| and |Wd|.
             SecondTerm::Ratio { rest, amplitude } => {
-                let in_phase = (self.steady_state.re + self.slow_pole.amplitude.re).abs();
-                let turned = amplitude.abs() * (self.slow_pole.pole.norm() * seconds).min(1.0);
-                slow * (1.0 + (rest + amplitude).abs()) + (in_phase + slow) * turned
+                let in_phase = self.steady_state.re.abs() + self.slow_pole.amplitude.re.abs();
+                let turned = amplitude.abs() * self.slow_pole.pole.norm();
+                let speed = slow * (1.0 + rest.abs() + amplitude.abs()) + in_phase * turned;
+                ExcursionBound { speed, ripple: 0.0, ripple_speed: 0.0 }
             }
         }
     }

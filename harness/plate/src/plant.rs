@@ -235,8 +235,11 @@ impl Plant {
     fn advance_frozen(&mut self, mode: &Mode, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         let seconds = (end - self.time).seconds();
         let flow = Flow::new(self.tier, mode, &self.drive, &self.state);
-        let reach = if monitors.is_empty() { 0.0 } else { flow.max_excursion(seconds) };
-        self.find_crossings(end, reach, |seconds| flow.after(seconds), monitors, crossings);
+        if !monitors.is_empty() {
+            let bound = flow.excursion_bound();
+            let seconds_within = |_, distance| bound.seconds_within(distance);
+            self.find_crossings(end, |seconds| flow.after(seconds), seconds_within, monitors, crossings);
+        }
         if let Some(demodulator) = &mut self.demodulator {
             demodulator.advance(&flow, self.time, end, self.phase, self.drive.omega);
         }
@@ -251,8 +254,12 @@ impl Plant {
         let [middle, last] = [start.midpoint(last), last].map(|time| ((time - start).seconds(), self.mode_at(time)));
         let varying = VaryingFlow::new(self.tier, &self.mode_at(start), middle, last, &self.drive, &self.state);
         let seconds = (end - start).seconds();
-        let reach = if monitors.is_empty() { 0.0 } else { varying.max_excursion(seconds) };
-        self.find_crossings(end, reach, |seconds| varying.after(seconds), monitors, crossings);
+        if !monitors.is_empty() {
+            // This bound holds from the start on only.
+            let reach = varying.max_excursion(seconds);
+            let seconds_within = |from, distance| if from == 0.0 && reach < distance { seconds } else { 0.0 };
+            self.find_crossings(end, |seconds| varying.after(seconds), seconds_within, monitors, crossings);
+        }
         if let Some(mut demodulator) = self.demodulator.take() {
             // The demodulator advances by exponentials. Each piece starts at the plate's exact
             // state, so errors do not accumulate.
@@ -269,20 +276,17 @@ impl Plant {
         self.finish_step(end, varying.after(seconds));
     }
 
-    /// W changes by at most `reach` µm.
     fn find_crossings(
         &self,
         end: Time,
-        reach: f64,
         after: impl Fn(f64) -> State,
+        seconds_within: impl Fn(f64, f64) -> f64,
         monitors: &[BandMonitor],
         crossings: &mut Vec<Crossing>,
     ) {
         let known = crossings.len();
         for monitor in monitors {
-            if monitor.distance(&self.state) <= reach {
-                find_crossings(monitor, &after, &self.state, self.time, end, crossings);
-            }
+            find_crossings(monitor, &after, &seconds_within, &self.state, self.time, end, crossings);
         }
         if monitors.len() > 1
             && let Some(new) = crossings.get_mut(known..)
