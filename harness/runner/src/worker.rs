@@ -9,7 +9,7 @@ use crate::plan::{Clock, LinkFactory, RunError, RunPlan};
 use crate::trial::{self, TrialResult, TrialSpec};
 use crate::{real_plate, real_time};
 use platebench_plate::Time;
-use platebench_record::{RunFolder, TrialRecord, Violation, sha256_of_file, to_hex, trace_path};
+use platebench_record::{RunFolder, TrialRecord, Violation, to_hex, trace_path};
 use platebench_rig::{BoxedLink, CancelToken, FaultInjector, RigError};
 use platebench_scenario::Scenario;
 use platebench_trace::{Row, TraceError, TraceWriter};
@@ -230,12 +230,12 @@ impl WorkQueue<'_> {
         }
         let trace = trace_path(scenario.name(), index);
         let path = self.run.folder.path().join(&trace);
-        write_trace(&path, &played.trace_rows)?;
+        let hash = write_trace(&path, &played.trace_rows)?;
         let measures = measure_trial(scenario, law, index, &played.trace_rows, &played.telemetry);
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
         debug!(rows = played.trace_rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
         let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));
-        record.sha256 = Some(sha256_of_file(&path).map_err(|source| TraceError::Io { path, source })?);
+        record.sha256 = Some(to_hex(&hash));
         if let Some(lost) = played.link_error {
             error!(error = %lost, "controller lost");
             close_session(session, self.run.safe_unconfirmed);
@@ -244,7 +244,8 @@ impl WorkQueue<'_> {
     }
 }
 
-fn write_trace(path: &Path, rows: &[Row]) -> Result<(), TraceError> {
+/// Returns the hash of the file.
+fn write_trace(path: &Path, rows: &[Row]) -> Result<[u8; 32], TraceError> {
     let mut writer = TraceWriter::create(path)?;
     rows.iter().try_for_each(|row| writer.write(row))?;
     writer.finish()

@@ -1,7 +1,5 @@
 //! Defines a row of a trace and its columns.
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
 bitflags::bitflags! {
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
     pub struct Flags: u8 {
@@ -30,30 +28,21 @@ const NAMES: [(Flags, &str); 6] = [
     (Flags::SENSED, "sensed"),
 ];
 
-impl Serialize for Flags {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let names: Vec<_> = NAMES.iter().filter(|(flag, _)| self.contains(*flag)).map(|(_, name)| *name).collect();
-        serializer.serialize_str(&names.join("|"))
+impl Flags {
+    pub(crate) fn names(self) -> impl Iterator<Item = &'static str> {
+        NAMES.iter().filter(move |(flag, _)| self.contains(*flag)).map(|(_, name)| *name)
     }
-}
 
-impl<'de> Deserialize<'de> for Flags {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = String::deserialize(deserializer)?;
+    /// Errors: the unknown name.
+    pub(crate) fn parse(text: &str) -> Result<Self, &str> {
         text.split('|').filter(|name| !name.is_empty()).try_fold(Self::empty(), |flags, name| {
-            let known = NAMES.iter().find(|(_, known)| *known == name);
-            known.map(|(flag, _)| flags | *flag).ok_or_else(|| {
-                serde::de::Error::custom(format!(
-                    "unknown flag `{name}`, expected a |-separated set of control, saturated, overrun, link-lost, safe, \
-                     sensed"
-                ))
-            })
+            NAMES.iter().find(|(_, known)| *known == name).map(|(flag, _)| flags | *flag).ok_or(name)
         })
     }
 }
 
 /// The state of a trial at an instant. Amplitudes and voltages are peak to peak.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Row {
     /// Since the start of the trial.
     pub t_s: f64,
@@ -67,13 +56,10 @@ pub struct Row {
     pub drive_vpp: f64,
     pub frequency_hz: f64,
     /// The plate's true resonance ω0/2π; NaN, and empty in the file, if unknown.
-    #[serde(with = "optional_number")]
     pub resonance_hz: f64,
     /// Kelvin above the plate's reference temperature; NaN, and empty in the file, if not measured.
-    #[serde(with = "optional_number")]
     pub temperature_offset_k: f64,
     /// Normal force of the finger, N; NaN, and empty in the file, if not measured.
-    #[serde(with = "optional_number")]
     pub finger_force_n: f64,
     /// In-phase component that the controller received last.
     pub sensed_wd_um: f64,
@@ -83,17 +69,60 @@ pub struct Row {
     pub flags: Flags,
 }
 
-/// NaN in memory, an empty field in the file.
-mod optional_number {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+/// Numbers of a row, in the order of [`COLUMNS`] without `flags`.
+pub(crate) const NUMBERS: usize = COLUMNS.len() - 1;
 
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
-    pub(super) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
-        Some(*value).filter(|value| !value.is_nan()).serialize(serializer)
+impl Row {
+    pub(crate) const fn numbers(&self) -> [f64; NUMBERS] {
+        [
+            self.t_s,
+            self.setpoint_um,
+            self.wd_um,
+            self.wq_um,
+            self.amplitude_um,
+            self.drive_vpp,
+            self.frequency_hz,
+            self.resonance_hz,
+            self.temperature_offset_k,
+            self.finger_force_n,
+            self.sensed_wd_um,
+            self.sensed_wq_um,
+            self.lateness_us,
+        ]
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-        Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
+    pub(crate) const fn from_numbers(numbers: [f64; NUMBERS], flags: Flags) -> Self {
+        let [
+            t_s,
+            setpoint_um,
+            wd_um,
+            wq_um,
+            amplitude_um,
+            drive_vpp,
+            frequency_hz,
+            resonance_hz,
+            temperature_offset_k,
+            finger_force_n,
+            sensed_wd_um,
+            sensed_wq_um,
+            lateness_us,
+        ] = numbers;
+        Self {
+            t_s,
+            setpoint_um,
+            wd_um,
+            wq_um,
+            amplitude_um,
+            drive_vpp,
+            frequency_hz,
+            resonance_hz,
+            temperature_offset_k,
+            finger_force_n,
+            sensed_wd_um,
+            sensed_wq_um,
+            lateness_us,
+            flags,
+        }
     }
 }
 

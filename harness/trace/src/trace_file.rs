@@ -2,13 +2,17 @@
 
 use crate::atomic_file::AtomicFile;
 use crate::regular_file::open_regular_file;
-use crate::row::{COLUMNS, Flags, OPTIONAL_COLUMNS, Row};
+use crate::row::{COLUMNS, Flags, NUMBERS, OPTIONAL_COLUMNS, Row};
+use sha2::{Digest, Sha256};
 use std::fs::File;
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 /// 4 GiB, some 10⁷ rows.
 const MAX_BYTES: u64 = 4 << 30;
+const BUFFER_BYTES: usize = 64 << 10;
+/// 13 numbers of at most 24 characters, every flag, separators.
+const MAX_ROW_BYTES: usize = 400;
 
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
@@ -30,32 +34,81 @@ pub enum TraceError {
 /// The file gets its name in [`TraceWriter::finish`], so a file of that name is complete.
 #[derive(Debug)]
 pub struct TraceWriter {
-    rows: csv::Writer<AtomicFile>,
+    file: AtomicFile,
+    hash: Sha256,
+    /// Not yet in the file.
+    buffer: Vec<u8>,
+    /// Of the last row: most numbers repeat.
+    cells: [Cell; NUMBERS],
     path: PathBuf,
+}
+
+#[derive(Debug)]
+struct Cell {
+    value: f64,
+    text: String,
+}
+
+impl Cell {
+    /// NaN is an empty field.
+    fn new() -> Self {
+        Self { value: f64::NAN, text: String::new() }
+    }
+
+    fn update(&mut self, value: f64) {
+        if self.value.to_bits() == value.to_bits() {
+            return;
+        }
+        self.value = value;
+        self.text.clear();
+        let mut digits = zmij::Buffer::new();
+        match value.abs() {
+            ..1e16 => self.text.push_str(digits.format_finite(value)),
+            // The file has no plus sign in an exponent.
+            1e16.. => self.text.extend(digits.format(value).split('+')),
+            _ => {}
+        }
+    }
 }
 
 impl TraceWriter {
     /// Starts the trace at `path`. Its folder must exist.
     pub fn create(path: &Path) -> Result<Self, TraceError> {
         let file = AtomicFile::create(path).map_err(|source| TraceError::Io { path: path.to_owned(), source })?;
-        Ok(Self { rows: csv::Writer::from_writer(file), path: path.to_owned() })
+        let mut buffer = Vec::with_capacity(BUFFER_BYTES + MAX_ROW_BYTES);
+        buffer.extend_from_slice(COLUMNS.join(",").as_bytes());
+        buffer.push(b'\n');
+        let cells = std::array::from_fn(|_| Cell::new());
+        Ok(Self { file, hash: Sha256::new(), buffer, cells, path: path.to_owned() })
     }
 
     pub fn write(&mut self, row: &Row) -> Result<(), TraceError> {
-        self.rows.serialize(row).map_err(|error| self.io_error(error.into()))
+        for (cell, value) in self.cells.iter_mut().zip(row.numbers()) {
+            cell.update(value);
+            self.buffer.extend_from_slice(cell.text.as_bytes());
+            self.buffer.push(b',');
+        }
+        for (place, name) in row.flags.names().enumerate() {
+            self.buffer.extend_from_slice(if place > 0 { b"|" } else { b"" });
+            self.buffer.extend_from_slice(name.as_bytes());
+        }
+        self.buffer.push(b'\n');
+        if self.buffer.len() < BUFFER_BYTES { Ok(()) } else { self.flush() }
     }
 
-    /// Gives the trace its final name.
-    pub fn finish(self) -> Result<(), TraceError> {
-        let path = self.path;
+    fn flush(&mut self) -> Result<(), TraceError> {
+        self.hash.update(&self.buffer);
+        self.file.write_all(&self.buffer).map_err(|source| TraceError::Io { path: self.path.clone(), source })?;
+        self.buffer.clear();
+        Ok(())
+    }
+
+    /// Gives the trace its final name and returns its SHA-256.
+    pub fn finish(mut self) -> Result<[u8; 32], TraceError> {
+        self.flush()?;
         // The record holds the hash of every trace, so a power cut does not go unnoticed.
-        let written =
-            self.rows.into_inner().map_err(csv::IntoInnerError::into_error).and_then(AtomicFile::commit_without_sync);
-        written.map_err(|source| TraceError::Io { path, source })
-    }
-
-    fn io_error(&self, source: io::Error) -> TraceError {
-        TraceError::Io { path: self.path.clone(), source }
+        self.file.commit_without_sync().map_err(|source| TraceError::Io { path: self.path, source })?;
+        Ok(self.hash.finalize().into())
     }
 }
 
@@ -113,17 +166,30 @@ impl TraceReader {
             };
         }
         let line = self.record.position().map_or(0, csv::Position::line);
-        let row: Row = self.record.deserialize(None).map_err(|error| self.content_error(line, error.to_string()))?;
-        let numbers = self.record.iter().zip(COLUMNS).take(COLUMNS.len() - 1);
-        for (text, column) in numbers {
-            let may_be_empty = row.flags.contains(Flags::SENSED) && OPTIONAL_COLUMNS.contains(&column);
+        let text = self.record.get(NUMBERS).unwrap_or_default();
+        let flags = Flags::parse(text).map_err(|name| {
+            self.content_error(
+                line,
+                format!(
+                    "unknown flag `{name}`, expected a |-separated set of control, saturated, overrun, link-lost, \
+                         safe, sensed"
+                ),
+            )
+        })?;
+        let mut numbers = [f64::NAN; NUMBERS];
+        for ((text, column), number) in self.record.iter().zip(COLUMNS).zip(&mut numbers) {
+            let may_be_empty = flags.contains(Flags::SENSED) && OPTIONAL_COLUMNS.contains(&column);
             if text.is_empty() && may_be_empty {
                 continue;
             }
-            if !text.parse::<f64>().is_ok_and(f64::is_finite) {
-                return Err(self.content_error(line, format!("`{column}` is {text}, expected a finite number")));
+            match text.parse() {
+                Ok(value) if f64::is_finite(value) => *number = value,
+                _ => {
+                    return Err(self.content_error(line, format!("`{column}` is {text}, expected a finite number")));
+                }
             }
         }
+        let row = Row::from_numbers(numbers, flags);
         if self.previous_t_s.is_some_and(|before| before > row.t_s) {
             let message = format!("`t_s` is {}, expected a time that is not before the previous row", row.t_s);
             return Err(self.content_error(line, message));
@@ -245,7 +311,38 @@ mod tests {
         assert!(read_error(&format!("{header}\n0,0,0,0,0,0,0,NaN,0,0,0,0,0,sensed\n")).contains("is NaN, expected"));
     }
 
+    /// Stored traces have this text.
+    fn csv_line(numbers: [f64; NUMBERS]) -> String {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        writer.serialize(numbers).unwrap();
+        String::from_utf8(writer.into_inner().unwrap()).unwrap()
+    }
+
+    #[test]
+    fn returns_the_hash_of_the_whole_file() {
+        let path = temp_path();
+        let mut writer = TraceWriter::create(&path).unwrap();
+        let rows = (0..3_000).map(|n| Row { t_s: f64::from(n) / 3.0, ..Row::default() });
+        rows.for_each(|row| writer.write(&row).unwrap());
+        let hash = writer.finish().unwrap();
+        let bytes = fs::read(&path).unwrap();
+        fs::remove_file(&path).unwrap();
+        assert!(bytes.len() > BUFFER_BYTES);
+        assert_eq!(hash, <[u8; 32]>::from(Sha256::digest(&bytes)));
+    }
+
     proptest! {
+        #[test]
+        fn a_number_has_the_shortest_text(values in proptest::array::uniform13(prop_oneof![
+            any::<f64>().prop_filter("not NaN", |value| !value.is_nan()),
+            (-1_000_000_i32..1_000_000, -14_i32..18).prop_map(|(digits, power)| f64::from(digits) * 10_f64.powi(power)),
+            any::<f32>().prop_filter("not NaN", |value| !value.is_nan()).prop_map(f64::from),
+        ])) {
+            let mut cell = Cell::new();
+            let texts = values.map(|value| { cell.update(value); cell.text.clone() });
+            prop_assert_eq!(texts.join(",") + "\n", csv_line(values));
+        }
+
         #[test]
         fn every_double_round_trips(bits in proptest::collection::vec(any::<f64>().prop_filter("finite", |x| x.is_finite()), 12), flags in 0_u8..64) {
             let row = Row {
