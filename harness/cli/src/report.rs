@@ -63,8 +63,8 @@ fn read_record(folder: &Path) -> Result<RunRecord, RejudgeError> {
         return Ok(record);
     }
     match rejudge(folder, None) {
-        Err(changed @ RejudgeError::Modified { .. }) => {
-            stdio::note(&format!("{changed}; the report shows what was judged before the interruption"));
+        Err(error @ (RejudgeError::Modified { .. } | RejudgeError::NotKept(_))) => {
+            stdio::note(&format!("{error}; the report shows what was judged before the interruption"));
             Ok(record)
         }
         judged => judged,

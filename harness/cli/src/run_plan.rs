@@ -5,6 +5,7 @@ use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use platebench_live::{LiveView, ViewEvent};
 use platebench_record::{RunFolder, RunRecord};
 use platebench_report::events::EventWriter;
+use platebench_report::page::{KeptRows, MAX_TRIALS};
 use platebench_report::{Progress, ProgressKind};
 use platebench_rig::{ConnectOptions, RigSpec};
 use platebench_runner::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
@@ -14,14 +15,20 @@ pub(crate) struct EventSinks<'a> {
     pub(crate) progress: Progress,
     pub(crate) view: Option<&'a LiveView>,
     pub(crate) events: Option<&'a mut EventWriter>,
+    /// For the report.
+    pub(crate) rows: Option<&'a mut KeptRows>,
 }
 
 impl EventSinks<'_> {
     pub(crate) fn none() -> Self {
-        Self { progress: Progress::new(ProgressKind::Quiet), view: None, events: None }
+        Self { progress: Progress::new(ProgressKind::Quiet), view: None, events: None, rows: None }
     }
 
-    fn send(&mut self, event: &Event) {
+    fn send(&mut self, mut event: Event) {
+        if let (Some(kept), Event::TrialFinished { trial, rows, .. }) = (&mut self.rows, &mut event) {
+            kept.add(&trial.trace, std::mem::take(rows));
+        }
+        let event = &event;
         show_progress(&mut self.progress, event);
         if let (Some(view), Some(event)) = (self.view, ViewEvent::of(event)) {
             view.send(event);
@@ -29,7 +36,7 @@ impl EventSinks<'_> {
         if let Some(events) = &mut self.events {
             match event {
                 Event::ScenarioStarted { file, trials } => events.scenario_started(file, *trials),
-                Event::TrialFinished { file, trial } => events.trial_finished(file, trial),
+                Event::TrialFinished { file, trial, .. } => events.trial_finished(file, trial),
                 Event::ScenarioFinished(record) => events.scenario_finished(record),
             }
         }
@@ -47,6 +54,7 @@ pub(crate) fn run_plan(
     reply_timeout: Duration,
 ) -> Result<RunRecord, (RunError, Option<u8>)> {
     let cancel = CancelToken::default();
+    let trials_with_rows = if sinks.rows.is_some() { MAX_TRIALS } else { 0 };
     let (folder, run_cancel) = (folder.clone(), cancel.clone());
     let connect_options = ConnectOptions { reply_timeout, cancel: cancel.clone() };
     let run = move |events: &mut EventSender<_, Event>| {
@@ -55,10 +63,11 @@ pub(crate) fn run_plan(
             operator: &operator,
             live_tap,
             on_event: Box::new(|event| events.send(event)),
+            trials_with_rows,
         };
         platebench_runner::run(&plan, &folder, &|| plan.clock.connect(&rig, &connect_options), hooks)
     };
-    let result = run_until_signal(&cancel, None, run, |event| sinks.send(&event));
+    let result = run_until_signal(&cancel, None, run, |event| sinks.send(event));
     sinks.progress.finish();
     match result {
         Ok(WorkResult::Finished(result, signal)) => result.map_err(|error| (error, signal)),

@@ -2,6 +2,7 @@
 
 use crate::run_record::ScenarioRecord;
 use crate::trial_record::TrialRecord;
+use platebench_trace::Row;
 
 #[derive(Debug, Clone)]
 pub enum Event {
@@ -14,6 +15,8 @@ pub enum Event {
         file: String,
         /// Its trace is complete.
         trial: Box<TrialRecord>,
+        /// Of the first trials of each scenario, if they are wanted.
+        rows: Vec<Row>,
     },
     /// All trials of a scenario ended and are judged.
     ScenarioFinished(Box<ScenarioRecord>),

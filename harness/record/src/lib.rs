@@ -29,10 +29,10 @@ pub use real_plate::{OperatorRequest, RealPlateRecord};
 pub use reason::{DivergedTrials, Divergence, Reason, TrialFinding, TrialReason, WideBoundsCause, percent};
 pub use run_folder::{FolderError, RunFolder, sha256, sha256_of_file, to_hex, trace_path};
 pub use run_record::{
-    ClockKind, FORMAT, Firmware, Host, InputRecord, NotApplicable, Overrides, RigRecord, RunRecord, ScenarioRecord,
-    Tool,
+    ClockKind, FORMAT, Firmware, Host, InputRecord, KeepTraces, NotApplicable, Overrides, RigRecord, RunRecord,
+    ScenarioRecord, Tool,
 };
-pub use store::{RECORD_FILE, RecordError};
+pub use store::{RECORD_FILE, RecordError, RunSummary, ScenarioSummary};
 pub use timing::{Quantiles, TimingRecord};
 pub use trial_record::{NonFiniteDrive, Telemetry, TrialRecord};
 pub use verdict::{Cause, Verdict};

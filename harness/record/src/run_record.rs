@@ -123,6 +123,25 @@ pub struct Overrides {
     /// `--fail-fast`: no trial starts after a scenario failed.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub fail_fast: bool,
+    #[serde(default, skip_serializing_if = "KeepTraces::keeps_all")]
+    pub keep_traces: KeepTraces,
+}
+
+/// `--keep-traces`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum KeepTraces {
+    #[default]
+    All,
+    /// Trials are judged in memory.
+    None,
+}
+
+impl KeepTraces {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
+    fn keeps_all(&self) -> bool {
+        *self == Self::All
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

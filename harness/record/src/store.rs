@@ -1,11 +1,13 @@
 //! Reads and writes `run.json`, and finds earlier runs in neighbouring folders.
 
-use crate::run_record::{FORMAT, RunRecord};
-use platebench_trace::{AtomicFile, read_text_file};
-use serde::Deserialize;
-use serde::de::DeserializeOwned;
+use crate::expectation_record::ExpectationRecord;
+use crate::run_record::{FORMAT, RigRecord, RunRecord};
+use platebench_trace::{AtomicFile, open_regular_file, read_text_file};
+use serde::de::{DeserializeOwned, Error, IgnoredAny, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+use std::fmt;
 use std::fs;
-use std::io::{self, Write};
+use std::io::{self, BufReader, Write};
 use std::path::{Component, Path, PathBuf};
 
 pub const RECORD_FILE: &str = "run.json";
@@ -77,18 +79,18 @@ impl RunRecord {
 
     /// Runs in neighbouring folders that started no later, newest first, at most 20, with folder.
     /// Unreadable records are passed to `skipped`.
-    pub fn earlier_runs(&self, folder: &Path, skipped: impl Fn(&Path, &RecordError)) -> Vec<(String, Self)> {
-        #[derive(Deserialize)]
-        struct Started {
-            started: String,
-        }
+    pub fn earlier_runs<T: DeserializeOwned>(
+        &self,
+        folder: &Path,
+        skipped: impl Fn(&Path, &RecordError),
+    ) -> Vec<(String, T)> {
         let Ok(own) = fs::canonicalize(folder) else { return Vec::new() };
         let Some(entries) = own.parent().and_then(|parent| fs::read_dir(parent).ok()) else { return Vec::new() };
         let mut earlier: Vec<(String, PathBuf)> = entries
             .filter_map(|entry| entry.ok().map(|entry| entry.path()))
             .filter(|path| *path != own && path.join(RECORD_FILE).exists())
             .filter_map(|path| {
-                let Started { started } = read(&path).inspect_err(|error| skipped(&path, error)).ok()?;
+                let started = read_started(&path).inspect_err(|error| skipped(&path, error)).ok()?;
                 // RFC 3339 in UTC sorts as text. Short runs follow each other within a second.
                 (started <= self.started).then_some((started, path))
             })
@@ -96,25 +98,82 @@ impl RunRecord {
         earlier.sort_by(|a, b| b.cmp(a));
         earlier.truncate(MAX_EARLIER_RUNS);
         let read_named = |(_, path): (String, PathBuf)| {
-            let record = Self::read(&path).inspect_err(|error| skipped(&path, error)).ok()?;
+            let record = read(&path).inspect_err(|error| skipped(&path, error)).ok()?;
             Some((path.file_name()?.to_string_lossy().into_owned(), record))
         };
         earlier.into_iter().filter_map(read_named).collect()
     }
 }
 
-fn read<T: DeserializeOwned>(folder: &Path) -> Result<T, RecordError> {
-    #[derive(Deserialize)]
-    struct Head {
-        format: u32,
+/// A run without its trials.
+#[derive(Debug, Clone, Deserialize)]
+pub struct RunSummary {
+    pub started: String,
+    pub rig: RigRecord,
+    pub scenarios: Vec<ScenarioSummary>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+pub struct ScenarioSummary {
+    pub file: String,
+    pub law: String,
+    pub expectations: Vec<ExpectationRecord>,
+}
+
+/// The keys that decide whether a record is read. They are at its start, where reading ends.
+#[derive(Default)]
+struct Head {
+    format: Option<u32>,
+    started: Option<String>,
+}
+
+impl<'de> Visitor<'de> for &mut Head {
+    type Value = ();
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("the record of a run")
     }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        while self.format.is_none() || self.started.is_none() {
+            match map.next_key::<String>()?.as_deref() {
+                Some("format") => self.format = Some(map.next_value()?),
+                Some("started") => self.started = Some(map.next_value()?),
+                Some(_) => _ = map.next_value::<IgnoredAny>()?,
+                None => break,
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Head {
+    fn read<'de>(path: &Path, source: impl Deserializer<'de, Error = serde_json::Error>) -> Result<Self, RecordError> {
+        let mut head = Self::default();
+        let result = source.deserialize_map(&mut head);
+        match head.format {
+            Some(FORMAT) => Ok(head),
+            Some(found) => Err(RecordError::Format { path: path.to_owned(), found }),
+            None => {
+                let source = result.err().unwrap_or_else(|| serde_json::Error::missing_field("format"));
+                Err(RecordError::Content { path: path.to_owned(), source })
+            }
+        }
+    }
+}
+
+fn read_started(folder: &Path) -> Result<String, RecordError> {
+    let path = folder.join(RECORD_FILE);
+    let file =
+        open_regular_file(&path, MAX_RECORD_BYTES).map_err(|source| RecordError::Io { path: path.clone(), source })?;
+    let head = Head::read(&path, &mut serde_json::Deserializer::from_reader(BufReader::new(file)))?;
+    head.started.ok_or_else(|| RecordError::Content { path, source: serde_json::Error::missing_field("started") })
+}
+
+fn read<T: DeserializeOwned>(folder: &Path) -> Result<T, RecordError> {
     let path = folder.join(RECORD_FILE);
     let text =
         read_text_file(&path, MAX_RECORD_BYTES).map_err(|source| RecordError::Io { path: path.clone(), source })?;
-    let content = |source| RecordError::Content { path: path.clone(), source };
-    let head: Head = serde_json::from_str(&text).map_err(content)?;
-    if head.format != FORMAT {
-        return Err(RecordError::Format { path, found: head.format });
-    }
-    serde_json::from_str(&text).map_err(content)
+    Head::read(&path, &mut serde_json::Deserializer::from_str(&text))?;
+    serde_json::from_str(&text).map_err(|source| RecordError::Content { path, source })
 }

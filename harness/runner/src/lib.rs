@@ -17,6 +17,7 @@ pub mod plan;
 mod plant_simulation;
 pub mod real_plate;
 pub mod real_time;
+mod record_file;
 pub mod rejudge;
 mod row_queue;
 pub mod run;

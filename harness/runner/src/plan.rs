@@ -88,6 +88,8 @@ pub struct RunHooks<'a> {
     /// Receives the rows of one trial at a time.
     pub live_tap: LiveTap,
     pub on_event: Box<dyn FnMut(Event) + 'a>,
+    /// First trials of each scenario whose events contain the rows.
+    pub trials_with_rows: usize,
 }
 
 impl Default for RunHooks<'_> {
@@ -97,6 +99,7 @@ impl Default for RunHooks<'_> {
             operator: &NoOperator,
             live_tap: LiveTap::default(),
             on_event: Box::new(|_| {}),
+            trials_with_rows: 0,
         }
     }
 }

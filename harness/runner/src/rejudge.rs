@@ -7,7 +7,7 @@ use crate::worker::CompletedTrial;
 use platebench_plate::Tier;
 use platebench_record::{Exclusion, Overrides, RecordError};
 use platebench_record::{FolderError, sha256, sha256_of_file, trace_path};
-use platebench_record::{RunRecord, ScenarioRecord, Telemetry, TrialRecord};
+use platebench_record::{KeepTraces, RunRecord, ScenarioRecord, Telemetry, TrialRecord};
 use platebench_scenario::{Diagnostic, Expectation, Scenario, Variation, load, load_copies};
 use platebench_trace::{Row, TraceError, read_trace};
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
@@ -58,6 +58,8 @@ pub enum RejudgeError {
         first: u32,
         second: u32,
     },
+    #[error("{}: the run kept no traces (--keep-traces none), expected a run with traces", .0.display())]
+    NotKept(PathBuf),
     #[error("{}: none of the run's scenarios has this name ({known})", path.display())]
     NoSuchScenario {
         path: PathBuf,
@@ -76,6 +78,9 @@ impl From<Diagnostic> for RejudgeError {
 /// was interrupted and makes its scenario inconclusive.
 pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
+    if record.overrides.keep_traces == KeepTraces::None {
+        return Err(RejudgeError::NotKept(folder.to_owned()));
+    }
     let replaced =
         replacement.map(|path| Ok::<_, RejudgeError>((path, matching_scenario(&record, path)?))).transpose()?;
     let mut scenarios = Vec::with_capacity(record.scenarios.len());
@@ -299,7 +304,7 @@ fn rejudge_trial(
         record.sha256.clone_from(&then.sha256);
         record.wall_ms = then.wall_ms;
     }
-    Ok(Some(CompletedTrial { measures, record }))
+    Ok(Some(CompletedTrial { measures, record, rows }))
 }
 
 fn incomplete_trial(scenario: &Scenario, index: u32) -> TrialMeasures {

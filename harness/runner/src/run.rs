@@ -3,11 +3,12 @@
 use crate::configure;
 use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
 use crate::real_time::{Pacing, TimeBase};
+use crate::record_file::RecordFile;
 use crate::trend;
 use crate::worker::{
-    Progress, RigSession, RunContext, TrialTask, WorkQueue, close_session, result_channel, trial_tasks,
+    CompletedTrial, Progress, RigSession, RunContext, TrialTask, WorkQueue, close_session, result_channel, trial_tasks,
 };
-use platebench_record::{Event, Firmware, FolderError, Host, InputRecord, RigRecord, RunFolder, RunRecord};
+use platebench_record::{Event, Firmware, Host, InputRecord, KeepTraces, RigRecord, RunFolder, RunRecord};
 use platebench_record::{NotApplicable, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex};
 use platebench_rig::FaultInjector;
 use platebench_scenario::Scenario;
@@ -16,6 +17,7 @@ use platebench_wire::{Identity, LawId, capabilities};
 use std::cmp::Reverse;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::RecvTimeoutError;
 use std::thread;
 use std::time::Instant;
 use tracing::info;
@@ -37,13 +39,14 @@ pub fn run(
     let (plan, laws, not_applicable) = select_applicable(plan, laws, first.identity());
     let plan = &plan;
     let inputs = folder.store_inputs(&plan.scenarios)?;
-    for scenario in &plan.scenarios {
-        folder.create_trace_folder(scenario)?;
+    if plan.overrides.keep_traces == KeepTraces::All {
+        plan.scenarios.iter().try_for_each(|scenario| folder.create_trace_folder(scenario))?;
     }
     let mut record = initial_record(plan, folder, &first, &inputs);
     record.not_applicable = not_applicable;
     let identity = *first.identity();
-    write_record(&record, folder)?;
+    let mut file = RecordFile::new(folder);
+    file.write(&record)?;
     let mut sessions: Vec<Option<RigSession>> = (0..plan.jobs.max(1)).map(|_| None).collect();
     if let Some(session) = sessions.first_mut() {
         *session = Some(first);
@@ -60,10 +63,11 @@ pub fn run(
         cancel: &hooks.cancel,
         operator: hooks.operator,
         live_tap: &hooks.live_tap,
+        trials_with_rows: hooks.trials_with_rows,
         safe_unconfirmed: &unconfirmed,
         stop: &stop,
     };
-    let played = play_scenarios(context, &mut sessions, &mut record, &mut hooks.on_event);
+    let played = play_scenarios(context, &mut sessions, &mut record, &mut file, &mut hooks.on_event);
     // The record states whether 0 V was confirmed, however the run ended.
     for session in &mut sessions {
         close_session(session, &unconfirmed);
@@ -75,7 +79,7 @@ pub fn run(
         record.cost = trend::cost_trends(&record, folder.path());
     }
     record.wall_ms = Some(started.elapsed().as_secs_f64() * 1e3);
-    let written = write_record(&record, folder);
+    let written = file.write(&record);
     played?;
     written?;
     Ok(record)
@@ -130,10 +134,6 @@ fn select_applicable(
     (selected, selected_laws, not_applicable)
 }
 
-fn write_record(record: &RunRecord, folder: &RunFolder) -> Result<(), FolderError> {
-    record.write(folder.path()).map_err(|source| FolderError::Io { path: folder.path().to_owned(), source })
-}
-
 /// In order of completion; the next look needs `goal` trials.
 struct ScenarioProgress {
     measures: Vec<TrialMeasures>,
@@ -155,9 +155,10 @@ fn play_scenarios(
     run: RunContext<'_>,
     sessions: &mut [Option<RigSession>],
     record: &mut RunRecord,
+    file: &mut RecordFile<'_>,
     on_event: &mut dyn FnMut(Event),
 ) -> Result<(), RunError> {
-    let RunContext { plan, cancel, folder, .. } = run;
+    let RunContext { plan, cancel, .. } = run;
     let mut progress: Vec<_> = plan.scenarios.iter().map(ScenarioProgress::new).collect();
     let tasks_of = |number: usize, trials| {
         let keeps_controller = plan.scenarios.get(number).is_some_and(Scenario::keeps_controller);
@@ -178,7 +179,15 @@ fn play_scenarios(
                 scope.spawn(move || work.run_worker(session, &sender));
             }
             drop(sender);
-            for result in results {
+            loop {
+                let result = match results.recv_timeout(file.time_left()) {
+                    Ok(result) => result,
+                    Err(RecvTimeoutError::Timeout) => {
+                        file.write(record)?;
+                        continue;
+                    }
+                    Err(RecvTimeoutError::Disconnected) => break,
+                };
                 let (number, trial) = match result.inspect_err(|_| cancel.cancel())? {
                     Progress::Ready => continue,
                     Progress::Started(number) => {
@@ -195,9 +204,10 @@ fn play_scenarios(
                 else {
                     continue;
                 };
-                on_event(Event::TrialFinished { file: scenario.file.clone(), trial: Box::new(trial.record.clone()) });
-                progress.measures.push(trial.measures);
-                progress.records.push(trial.record);
+                let CompletedTrial { measures, record: trial, rows } = *trial;
+                progress.measures.push(measures);
+                progress.records.push(trial.clone());
+                on_event(Event::TrialFinished { file: scenario.file.clone(), trial: Box::new(trial), rows });
                 if progress.records.len() < progress.goal as usize {
                     continue;
                 }
@@ -215,7 +225,7 @@ fn play_scenarios(
                             run.stop.store(true, Ordering::Relaxed);
                         }
                         let finished = Box::new(scenario_record.clone());
-                        write_record(record, folder)?;
+                        file.mark_changed();
                         on_event(Event::ScenarioFinished(finished));
                     }
                 }

@@ -50,7 +50,7 @@ pub(crate) fn cost_trends(record: &RunRecord, folder: &Path) -> Vec<CostTrend> {
     let log_unreadable =
         |path: &Path, error: &RecordError| info!(run = %path.display(), %error, "earlier run ignored by the trend");
     let mut earlier = record.earlier_runs(folder, log_unreadable);
-    earlier.retain(|(_, earlier)| is_comparable(&record.rig, &earlier.rig));
+    earlier.retain(|(_, earlier): &(String, RunRecord)| is_comparable(&record.rig, &earlier.rig));
     compare_costs(record, &here, earlier.into_iter().map(earlier_run).collect(), load_reference())
 }
 

@@ -220,7 +220,9 @@ impl<'a, L: Link> Trial<'a, L> {
         let sample = self.plant.sense();
         let max_stall = Duration::from_millis(u64::from(self.watchdog_timeout_ms) / 2);
         let host_stalled = self.own_clock && self.last_sample_sent.elapsed() >= max_stall;
-        self.last_sample_sent = Instant::now();
+        if self.own_clock {
+            self.last_sample_sent = Instant::now();
+        }
         self.controller.record_sample();
         let reply = self.session.send_sample(to_duration(now), &sample);
         self.record_delivered_sample();

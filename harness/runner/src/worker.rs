@@ -9,7 +9,7 @@ use crate::plan::{Clock, LinkFactory, RunError, RunPlan};
 use crate::trial::{self, TrialResult, TrialSpec};
 use crate::{real_plate, real_time};
 use platebench_plate::Time;
-use platebench_record::{RunFolder, TrialRecord, Violation, to_hex, trace_path};
+use platebench_record::{KeepTraces, RunFolder, TrialRecord, Violation, to_hex, trace_path};
 use platebench_rig::{BoxedLink, CancelToken, FaultInjector, RigError};
 use platebench_scenario::Scenario;
 use platebench_trace::{Row, TraceError, TraceWriter};
@@ -41,6 +41,7 @@ pub(crate) struct RunContext<'a> {
     pub(crate) cancel: &'a CancelToken,
     pub(crate) operator: &'a dyn Operator,
     pub(crate) live_tap: &'a LiveTap,
+    pub(crate) trials_with_rows: usize,
     /// Set if a controller did not confirm 0 V.
     pub(crate) safe_unconfirmed: &'a AtomicBool,
     /// Set once no further trial may start; trials under way end normally.
@@ -72,6 +73,8 @@ pub(crate) fn trial_tasks(scenario: usize, keeps_controller: bool, trials: Range
 pub(crate) struct CompletedTrial {
     pub(crate) measures: TrialMeasures,
     pub(crate) record: TrialRecord,
+    /// Empty unless the report draws the trial.
+    pub(crate) rows: Vec<Row>,
 }
 
 pub(crate) enum Progress {
@@ -230,17 +233,22 @@ impl WorkQueue<'_> {
         }
         let trace = trace_path(scenario.name(), index);
         let path = self.run.folder.path().join(&trace);
-        let hash = write_trace(&path, &played.trace_rows)?;
+        let hash = match self.run.plan.overrides.keep_traces {
+            KeepTraces::All => Some(write_trace(&path, &played.trace_rows)?),
+            KeepTraces::None => None,
+        };
         let measures = measure_trial(scenario, law, index, &played.trace_rows, &played.telemetry);
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
         debug!(rows = played.trace_rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
         let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));
-        record.sha256 = Some(to_hex(&hash));
+        record.sha256 = hash.as_ref().map(|hash| to_hex(hash));
         if let Some(lost) = played.link_error {
             error!(error = %lost, "controller lost");
             close_session(session, self.run.safe_unconfirmed);
         }
-        Ok(Some(CompletedTrial { measures, record }))
+        let is_drawn = (index as usize) < self.run.trials_with_rows;
+        let rows = if is_drawn { played.trace_rows } else { Vec::new() };
+        Ok(Some(CompletedTrial { measures, record, rows }))
     }
 }
 

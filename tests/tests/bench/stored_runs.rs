@@ -232,3 +232,28 @@ fn a_scenario_behind_a_symlink_can_be_judged() {
     folder.bench(["run", "scenarios/linked/s.toml", "--rig", "hosted", "--out", "run"]).assert_exit(0);
     folder.bench(["judge", "run"]).assert_exit(0);
 }
+
+#[test]
+fn without_kept_traces_the_verdicts_are_the_same() {
+    let folder = TestFolder::new();
+    folder.write_scenario("a.toml", &step_text(SETTLING));
+    folder.write_scenario("b.toml", &step_text(FAILED_SETTLING));
+    let run = |out: &str, more: &[&str]| {
+        folder.bench(["run", "--rig", "hosted", "--out", out].iter().chain(more)).assert_exit(1);
+        let record = folder.record(out);
+        record.scenarios.into_iter().map(|scenario| scenario.expectations).collect::<Vec<_>>()
+    };
+    assert_eq!(run("none", &["--keep-traces", "none"]), run("all", &[]));
+    assert!(!folder.join("none/traces").exists());
+    // The report draws the rows in memory.
+    let curves = |out: &str| {
+        let page = fs::read_to_string(folder.join(out).join("report.html")).unwrap();
+        page.split("<script class=\"curves\"")
+            .skip(1)
+            .map(|part| part.split_once("</script>").unwrap().0.to_owned())
+            .collect()
+    };
+    let [none, all]: [Vec<String>; 2] = ["none", "all"].map(curves);
+    assert_eq!((none.len(), &none), (2, &all));
+    folder.bench(["judge", "none"]).assert_exit(2).assert_stderr(&["none: the run kept no traces"]);
+}

@@ -1,13 +1,15 @@
 //! Defines the arguments of `platebench run`.
 
 use crate::clock::ClockRequest;
-use crate::options::{ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_time_scale};
+use crate::options::{
+    ClockArg, KeepTracesArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_time_scale,
+};
 use crate::outputs::Outputs;
 use crate::tags::TagFilter;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use platebench_plate::Tier;
-use platebench_record::Overrides;
+use platebench_record::{KeepTraces, Overrides};
 use platebench_rig::RigSpec;
 use platebench_scenario::AUTO_MODEL;
 use std::path::PathBuf;
@@ -88,6 +90,9 @@ pub(crate) struct RunArgs {
     /// Start no further trial once a scenario failed; scenarios without all trials are inconclusive
     #[arg(long)]
     pub(crate) fail_fast: bool,
+    /// Which traces to store; `none` judges in memory, and `judge` cannot repeat it
+    #[arg(long, value_enum, default_value_t = KeepTracesArg::All)]
+    pub(crate) keep_traces: KeepTracesArg,
     /// Live view in the terminal; ignored without a terminal
     #[arg(long)]
     pub(crate) live: bool,
@@ -123,6 +128,10 @@ impl RunArgs {
             model: self.model.clone(),
             require_all: self.require_all,
             fail_fast: self.fail_fast,
+            keep_traces: match self.keep_traces {
+                KeepTracesArg::All => KeepTraces::All,
+                KeepTracesArg::None => KeepTraces::None,
+            },
         }
     }
 }

@@ -10,6 +10,7 @@ use crate::run_plan::{EventSinks, run_plan};
 use crate::{live, stdio};
 use platebench_record::{RunFolder, RunRecord, Verdict};
 use platebench_report::events::EventWriter;
+use platebench_report::page::KeptRows;
 use platebench_report::{Detail, Progress, ProgressKind, junit, page, traceability};
 use platebench_runner::{Clock, RunError, RunPlan, rejudge};
 use platebench_scenario::Scenario;
@@ -106,7 +107,8 @@ pub(super) fn play(
     };
     let planned_trials = plan.scenarios.iter().map(|scenario| u64::from(scenario.trials.count)).sum();
     let progress = Progress::new(progress).with_planned_trials(planned_trials);
-    let sinks = EventSinks { progress, view: view.as_ref(), events: events.as_mut() };
+    let mut rows = KeptRows::default();
+    let sinks = EventSinks { progress, view: view.as_ref(), events: events.as_mut(), rows: Some(&mut rows) };
     let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, arguments.reply_timeout);
     drop(view);
     match played {
@@ -114,7 +116,7 @@ pub(super) fn play(
             if arguments.format == OutputFormat::Json {
                 note_not_applicable(&record);
             }
-            Ok((write_reports(&record, &folder, arguments, &locations, detail), record))
+            Ok((write_reports(&record, rows, &folder, arguments, &locations, detail), record))
         }
         Err((error, signal)) => {
             report_run_error(&error, &folder);
@@ -125,6 +127,7 @@ pub(super) fn play(
 
 fn write_reports(
     record: &RunRecord,
+    rows: KeptRows,
     folder: &RunFolder,
     arguments: &RunArgs,
     locations: &ScenarioLocations,
@@ -136,6 +139,7 @@ fn write_reports(
             page::ReportPage::new(record, folder.path())
                 .with_baselines(Path::new(BASELINES))
                 .with_earlier_runs()
+                .with_rows(rows)
                 .write(&page)
         })
         .and_then(|()| traceability::write(record, folder.path()))

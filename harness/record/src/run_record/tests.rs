@@ -1,7 +1,7 @@
 use super::*;
 use crate::expectation_record::{Evidence, EvidenceMethod, MetricDefinition, Statistic};
 use crate::reason::TrialReason;
-use crate::store::{RECORD_FILE, RecordError};
+use crate::store::{RECORD_FILE, RecordError, RunSummary};
 use crate::trial_record::Telemetry;
 use platebench_scenario::{Limit, Metric};
 use rstest::rstest;
@@ -155,9 +155,15 @@ fn finds_earlier_runs_in_neighbouring_folders() {
     fs::create_dir(runs.path().join("damaged")).unwrap();
     fs::write(runs.path().join("damaged").join(RECORD_FILE), "{}").unwrap();
     let skipped = std::cell::RefCell::new(Vec::new());
-    let earlier = record.earlier_runs(&own, |path, _| skipped.borrow_mut().push(path.file_name().unwrap().to_owned()));
+    // Only the start of a record decides whether it is read, so this one is read and refused.
+    let cut = RunRecord { started: "2026-01-01T00:00:05Z".to_owned(), ..record.clone() };
+    fs::create_dir(runs.path().join("cut")).unwrap();
+    let text = serde_json::to_string_pretty(&cut).unwrap();
+    fs::write(runs.path().join("cut").join(RECORD_FILE), &text[..text.len() / 2]).unwrap();
+    let skip = |path: &Path, _: &_| skipped.borrow_mut().push(path.file_name().unwrap().to_owned());
+    let earlier: Vec<(String, RunSummary)> = record.earlier_runs(&own, skip);
     assert_eq!(earlier.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["at-once", "before"]);
-    assert_eq!(skipped.into_inner(), ["damaged"]);
+    assert_eq!(skipped.into_inner(), ["damaged", "cut"]);
 }
 
 #[test]

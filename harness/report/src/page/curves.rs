@@ -63,13 +63,15 @@ pub(crate) fn points_between(
 ) -> impl Iterator<Item = CurvePoint> {
     let start = rows.partition_point(|row| row_ms(row) <= from_ms);
     let end = rows.partition_point(|row| row_ms(row) <= to_ms);
-    let between = rows.get(start..end).unwrap_or_default();
-    between.iter().map(move |row| (row_ms(row), signal.value_in(row)))
+    points(rows.get(start..end).unwrap_or_default(), signal)
 }
 
-/// `None` outside the trace.
-pub(crate) fn value_at(rows: &[Row], signal: PlotSignal, at_ms: f64) -> Option<f64> {
-    let next = rows.partition_point(|row| row_ms(row) <= at_ms);
+pub(crate) fn points(rows: &[Row], signal: PlotSignal) -> impl Iterator<Item = CurvePoint> {
+    rows.iter().map(move |row| (row_ms(row), signal.value_in(row)))
+}
+
+/// `next` rows are not after `at_ms`. `None` outside the trace.
+pub(crate) fn value_at(rows: &[Row], next: usize, signal: PlotSignal, at_ms: f64) -> Option<f64> {
     let before = rows.get(next.checked_sub(1)?)?;
     let Some(after) = rows.get(next) else { return (row_ms(before) == at_ms).then(|| signal.value_in(before)) };
     if signal.is_zero_order_hold() {
@@ -77,6 +79,17 @@ pub(crate) fn value_at(rows: &[Row], signal: PlotSignal, at_ms: f64) -> Option<f
     }
     let share = (at_ms - row_ms(before)) / (row_ms(after) - row_ms(before));
     Some(signal.value_in(before) + (signal.value_in(after) - signal.value_in(before)) * share)
+}
+
+/// How many rows are not after each instant, for ascending instants.
+pub(crate) fn rows_until(rows: &[Row], t_ms: &[f64]) -> Vec<usize> {
+    let mut count = 0;
+    let until = |t_ms: &f64| {
+        let after = rows.get(count..).unwrap_or_default();
+        count += after.iter().take_while(|row| row_ms(row) <= *t_ms).count();
+        count
+    };
+    t_ms.iter().map(until).collect()
 }
 
 /// `None` outside the line.
@@ -141,9 +154,11 @@ mod tests {
     #[test]
     fn interpolates_the_plate_and_holds_the_drive() {
         let rows = rows(&[(0.0, 0.0), (2.0, 4.0), (4.0, 4.0)]);
-        assert_eq!(value_at(&rows, PlotSignal::Amplitude, 1.0), Some(2.0));
-        assert_eq!(value_at(&rows, PlotSignal::Drive, 1.0), Some(0.0));
-        assert_eq!(value_at(&rows, PlotSignal::Drive, 4.5), None);
+        let at = |signal, at_ms| value_at(&rows, rows_until(&rows, &[0.5, at_ms])[1], signal, at_ms);
+        assert_eq!(at(PlotSignal::Amplitude, 1.0), Some(2.0));
+        assert_eq!(at(PlotSignal::Drive, 1.0), Some(0.0));
+        assert_eq!(at(PlotSignal::Amplitude, 4.0), Some(4.0));
+        assert_eq!(at(PlotSignal::Drive, 4.5), None);
     }
 
     #[test]

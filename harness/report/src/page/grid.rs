@@ -36,39 +36,47 @@ impl TimeGrid {
         Self { t_ms }
     }
 
-    pub(crate) fn sample(&self, rows: &[Row], signal: PlotSignal) -> Vec<Option<f64>> {
-        self.t_ms.iter().map(|t_ms| curves::value_at(rows, signal, *t_ms)).collect()
+    pub(crate) fn align<'a>(&'a self, rows: &'a [Row]) -> AlignedRows<'a> {
+        AlignedRows { t_ms: &self.t_ms, rows, rows_until: curves::rows_until(rows, &self.t_ms) }
+    }
+}
+
+/// The rows of a trial and the instants of a grid; the search for each instant serves all signals.
+pub(crate) struct AlignedRows<'a> {
+    t_ms: &'a [f64],
+    rows: &'a [Row],
+    rows_until: Vec<usize>,
+}
+
+impl AlignedRows<'_> {
+    pub(crate) fn sample(&self, signal: PlotSignal) -> Vec<Option<f64>> {
+        let instants = self.t_ms.iter().zip(&self.rows_until);
+        instants.map(|(t_ms, next)| curves::value_at(self.rows, *next, signal, *t_ms)).collect()
     }
 
     /// Keeps every peak: if the signal leaves the range of three neighbouring instants, the
     /// first two hold its lowest and its highest value there, in order of time.
-    pub(crate) fn sample_peaks(&self, rows: &[Row], signal: PlotSignal) -> Vec<Option<f64>> {
-        let mut line = Vec::with_capacity(self.t_ms.len());
-        let mut start = 0;
-        while let Some(&from_ms) = self.t_ms.get(start) {
-            let Some(&middle_ms) = self.t_ms.get(start + 1) else {
-                line.push(curves::value_at(rows, signal, from_ms));
-                break;
-            };
-            let to_ms = self.t_ms.get(start + 2).copied().unwrap_or(middle_ms);
-            let known = [from_ms, middle_ms].map(|t_ms| Some((t_ms, curves::value_at(rows, signal, t_ms)?)));
-            let hidden = || {
-                let between = curves::points_between(rows, signal, from_ms, to_ms);
-                between.filter(move |(t_ms, _)| ![from_ms, middle_ms, to_ms].contains(t_ms))
-            };
-            let edges = known.iter().flatten().map(|(_, value)| *value).chain(curves::value_at(rows, signal, to_ms));
-            let (low, high) =
-                edges.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+    pub(crate) fn sample_peaks(&self, signal: PlotSignal) -> Vec<Option<f64>> {
+        let mut line = self.sample(signal);
+        for start in (0..line.len()).step_by(2) {
+            let end = (start + 2).min(line.len() - 1);
+            let (Some(instants), Some(values)) = (self.t_ms.get(start..=end), line.get(start..=end)) else { continue };
+            let until = |index: usize| self.rows_until.get(index).copied().unwrap_or_default();
+            let between = self.rows.get(until(start)..until(end)).unwrap_or_default();
+            let hidden = || curves::points(between, signal).filter(|(t_ms, _)| !instants.contains(t_ms));
+            let range = |(low, high): (f64, f64), value: &f64| (low.min(*value), high.max(*value));
+            let (low, high) = values.iter().flatten().fold((f64::INFINITY, f64::NEG_INFINITY), range);
             if hidden().all(|(_, value)| (low..=high).contains(&value)) {
-                line.extend(known.map(|point| point.map(|(_, value)| value)));
-            } else {
-                let all: Vec<CurvePoint> = known.into_iter().flatten().chain(hidden()).collect();
-                let by_value = |a: &&CurvePoint, b: &&CurvePoint| a.1.total_cmp(&b.1);
-                let mut ends = [all.iter().min_by(by_value).copied(), all.iter().max_by(by_value).copied()];
-                ends.sort_by(|a, b| a.map_or(0.0, |a| a.0).total_cmp(&b.map_or(0.0, |b| b.0)));
-                line.extend(ends.map(|point| point.map(|(_, value)| value)));
+                continue;
             }
-            start += 2;
+            let known = instants.iter().zip(values).take(2).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
+            let all: Vec<CurvePoint> = known.chain(hidden()).collect();
+            let by_value = |a: &&CurvePoint, b: &&CurvePoint| a.1.total_cmp(&b.1);
+            let mut ends = [all.iter().min_by(by_value).copied(), all.iter().max_by(by_value).copied()];
+            ends.sort_by(|a, b| a.map_or(0.0, |a| a.0).total_cmp(&b.map_or(0.0, |b| b.0)));
+            for (value, end) in line.iter_mut().skip(start).zip(ends) {
+                *value = end.map(|(_, value)| value);
+            }
         }
         line
     }
@@ -124,7 +132,7 @@ mod tests {
         let grid = TimeGrid::new(&rows, window, None, 11);
         assert_eq!(grid.t_ms.len(), 11);
         let values: Vec<f64> =
-            grid.sample_peaks(&rows, PlotSignal::Amplitude).into_iter().map(Option::unwrap).collect();
+            grid.align(&rows).sample_peaks(PlotSignal::Amplitude).into_iter().map(Option::unwrap).collect();
         assert_eq!(values, (0..=10).map(f64::from).collect::<Vec<_>>());
         assert_eq!(TimeGrid::new(&rows, window, None, 10).t_ms.len(), 10);
     }
@@ -133,11 +141,11 @@ mod tests {
     fn keeps_a_single_peak() {
         let rows = rows(1_000, |n| if n == 617 { 9.0 } else { 1.0 });
         let grid = TimeGrid::new(&rows, WHOLE, None, 50);
-        let line = grid.sample_peaks(&rows, PlotSignal::Amplitude);
+        let line = grid.align(&rows).sample_peaks(PlotSignal::Amplitude);
         assert_eq!(line.len(), grid.t_ms.len());
         assert_eq!(line.iter().flatten().filter(|value| **value == 9.0).count(), 1);
         assert!(
-            grid.sample(&rows, PlotSignal::Amplitude).iter().flatten().all(|value| *value < 9.0),
+            grid.align(&rows).sample(PlotSignal::Amplitude).iter().flatten().all(|value| *value < 9.0),
             "not at an instant"
         );
     }
@@ -157,8 +165,8 @@ mod tests {
     fn a_short_trial_leaves_a_gap() {
         let (long, short) = (rows(1_000, f64::from), rows(500, f64::from));
         let grid = TimeGrid::new(&long, WHOLE, None, 21);
-        assert!(grid.sample_peaks(&long, PlotSignal::Amplitude).iter().all(Option::is_some));
-        let line = grid.sample_peaks(&short, PlotSignal::Amplitude);
+        assert!(grid.align(&long).sample_peaks(PlotSignal::Amplitude).iter().all(Option::is_some));
+        let line = grid.align(&short).sample_peaks(PlotSignal::Amplitude);
         assert!(line[8].is_some() && line[12].is_none() && line[20].is_none(), "{line:?}");
     }
 

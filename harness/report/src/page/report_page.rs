@@ -3,6 +3,7 @@
 use super::elements::sorted_by_verdict;
 use super::frame::report_page_frame;
 use super::golden::GoldenCurves;
+use super::kept_rows::KeptRows;
 use super::resolution::PlotResolution;
 use super::run_comparison::{self, OtherRun};
 use super::scenario::{ScenarioParts, scenario_article};
@@ -13,7 +14,7 @@ use crate::error::{ReportError, write_file};
 use crate::record_queries;
 use crate::text::history::RunHistory;
 use maud::{Markup, html};
-use platebench_record::{RunRecord, ScenarioRecord, TrialRecord};
+use platebench_record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -33,6 +34,7 @@ pub struct ReportPage<'a> {
     other: Option<(&'a RunRecord, &'a Path)>,
     history: RunHistory,
     is_trace_changed: Option<IsTraceChanged>,
+    rows: KeptRows,
 }
 
 /// Compares the trace of a trial in a run folder with its record.
@@ -40,7 +42,9 @@ pub type IsTraceChanged = fn(&Path, &TrialRecord) -> bool;
 
 impl<'a> ReportPage<'a> {
     pub fn new(record: &'a RunRecord, folder: &'a Path) -> Self {
-        Self { record, folder, baselines: None, other: None, history: RunHistory::default(), is_trace_changed: None }
+        let (baselines, other, is_trace_changed) = (None, None, None);
+        let (history, rows) = (RunHistory::default(), KeptRows::default());
+        Self { record, folder, baselines, other, history, is_trace_changed, rows }
     }
 
     #[must_use]
@@ -51,7 +55,17 @@ impl<'a> ReportPage<'a> {
     /// Adds since when an expectation does not pass, from the runs in neighbouring folders.
     #[must_use]
     pub fn with_earlier_runs(self) -> Self {
+        let expectations = self.record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
+        if expectations.clone().all(|expectation| expectation.verdict == Verdict::Pass) {
+            return self;
+        }
         Self { history: RunHistory { runs: Some(self.record.earlier_runs(self.folder, |_, _| ())) }, ..self }
+    }
+
+    /// Draws these rows of the run instead of reading them.
+    #[must_use]
+    pub fn with_rows(self, rows: KeptRows) -> Self {
+        Self { rows, ..self }
     }
 
     /// Lists traces that were changed after the run instead of drawing them.
@@ -108,7 +122,7 @@ impl<'a> ReportPage<'a> {
         let record = self.record;
         let trials = record.scenarios.iter().map(|scenario| scenario.trials.len()).max().unwrap_or(0).min(MAX_TRIALS);
         let resolution = PlotResolution::of(record.scenarios.len(), trials);
-        let read = |scenario| TraceData::read(scenario, self.folder, resolution, changed);
+        let read = |scenario| TraceData::read(scenario, self.folder, &self.rows, resolution, changed);
         let all: Vec<TraceData> = record.scenarios.iter().map(read).collect();
         let mut articles = Vec::new();
         for (place, (index, scenario)) in sorted_by_verdict(record).into_iter().enumerate() {
@@ -153,7 +167,8 @@ impl<'a> ReportPage<'a> {
         let trial = same.or_else(|| theirs.trials.first())?;
         let only = ScenarioRecord { trials: vec![trial.clone()], ..theirs.clone() };
         let changed = self.changed_traces(folder, std::slice::from_ref(&only));
-        let sampled = TraceData::read(&only, folder, resolution, &changed).first_trial_on(&data.grid)?;
+        let rows = KeptRows::default();
+        let sampled = TraceData::read(&only, folder, &rows, resolution, &changed).first_trial_on(&data.grid)?;
         Some((format!("trial {} of {}", trial.index, other.name), sampled))
     }
 }

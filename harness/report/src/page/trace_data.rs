@@ -2,17 +2,19 @@
 
 use super::curves::{self, PlotSignal};
 use super::grid::TimeGrid;
+use super::kept_rows::KeptRows;
 use super::markers::{self, Settling, TimeMarker};
 use super::resolution::PlotResolution;
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use crate::record_queries;
 use platebench_record::{Metric, ScenarioRecord, TrialRecord, Verdict};
 use platebench_trace::{Flags, Row, TraceError};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Plus the one that decided a verdict.
-pub(crate) const MAX_TRIALS: usize = 30;
+pub const MAX_TRIALS: usize = 30;
 pub(crate) const TRACE_CHANGED: &str = "changed after the run";
 /// If no expectation has a band, percent of the setpoint.
 const DEFAULT_BAND_PERCENT: f64 = 5.0;
@@ -74,6 +76,7 @@ impl TraceData {
     pub(crate) fn read(
         scenario: &ScenarioRecord,
         folder: &Path,
+        rows: &KeptRows,
         resolution: PlotResolution,
         changed: &BTreeSet<String>,
     ) -> Self {
@@ -88,7 +91,8 @@ impl TraceData {
                 data.unreadable.push(format!("{}: {TRACE_CHANGED}", trial.trace));
                 continue;
             }
-            match platebench_trace::read_trace(&folder.join(&trial.trace)) {
+            let read = |()| platebench_trace::read_trace(&folder.join(&trial.trace)).map(Cow::Owned);
+            match rows.get(&trial.trace).map(Cow::Borrowed).ok_or(()).or_else(read) {
                 Ok(rows) => data.add_trial(scenario, trial, &rows, resolution),
                 Err(error) => data.unreadable.push(format!("{}: {}", trial.trace, trace_error_reason(&error))),
             }
@@ -120,14 +124,12 @@ impl TraceData {
         }
         let room = MAX_OVERRUN_MARKS.saturating_sub(self.overruns.len());
         self.overruns.extend(curves::overrun_instants(rows).take(room));
-        let grid = &self.grid;
-        let sampled = |sample: fn(&TimeGrid, &[Row], PlotSignal) -> Vec<Option<f64>>| {
-            PlotSignal::ALL.into_iter().map(|signal| (signal, sample(grid, rows, signal))).collect()
-        };
+        let rows = self.grid.align(rows);
+        let signals = PlotSignal::ALL.into_iter();
         self.sampled_trials.push(SampledTrial {
             index: trial.index,
-            peak_lines: sampled(TimeGrid::sample_peaks),
-            values: sampled(TimeGrid::sample),
+            peak_lines: signals.clone().map(|signal| (signal, rows.sample_peaks(signal))).collect(),
+            values: signals.map(|signal| (signal, rows.sample(signal))).collect(),
         });
         self.trial_count += 1;
     }

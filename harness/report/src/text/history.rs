@@ -3,18 +3,20 @@
 use super::cost::short_build_id;
 use crate::format;
 use maud::{Markup, html};
-use platebench_record::{ExpectationRecord, MetricDefinition, RunRecord, ScenarioRecord, Verdict};
+use platebench_record::{
+    ExpectationRecord, MetricDefinition, RigRecord, RunRecord, RunSummary, ScenarioRecord, ScenarioSummary, Verdict,
+};
 
 /// The newest first, with the names of their folders.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RunHistory {
     /// `None` without a search.
-    pub(crate) runs: Option<Vec<(String, RunRecord)>>,
+    pub(crate) runs: Option<Vec<(String, RunSummary)>>,
 }
 
 struct EarlierExpectation<'a> {
     run: &'a str,
-    record: &'a RunRecord,
+    record: &'a RunSummary,
     expectation: &'a ExpectationRecord,
 }
 
@@ -45,11 +47,11 @@ impl RunHistory {
             (None, None) if elsewhere => html! { "First run of this scenario " (comparable) " in this folder." },
             (None, None) => html! { "First run of this scenario in this folder." },
             (None, Some(passed)) => {
-                html! { "New in this run. It last passed in " (passed.describe(now)) (describe_build_change(record, passed.record)) "." }
+                html! { "New in this run. It last passed in " (passed.describe(now)) (describe_build_change(&record.rig, &passed.record.rig)) "." }
             }
             (Some(first), Some(passed)) => html! {
                 "Since " (first.describe(now)) ", " (format::count(open, "run")) " ago. It last passed in "
-                (passed.describe(now)) (describe_build_change(first.record, passed.record)) "."
+                (passed.describe(now)) (describe_build_change(&first.record.rig, &passed.record.rig)) "."
             },
             (Some(first), None) => html! {
                 "Since " (first.describe(now)) " or before: no earlier run " (comparable) " in this folder passed it."
@@ -70,7 +72,7 @@ impl EarlierExpectation<'_> {
 fn matching_expectation<'a>(
     scenario: &ScenarioRecord,
     index: usize,
-    played: &'a ScenarioRecord,
+    played: &'a ScenarioSummary,
 ) -> Option<&'a ExpectationRecord> {
     let now = scenario.expectations.get(index)?;
     let namesake = played.expectations.iter().find(|then| then.name == now.name);
@@ -107,8 +109,8 @@ fn differences(now: &ExpectationRecord, then: &ExpectationRecord) -> Vec<String>
     texts
 }
 
-fn describe_build_change(now: &RunRecord, then: &RunRecord) -> String {
-    let build = |record: &RunRecord| record.rig.firmware.as_ref().map(|firmware| firmware.build.clone());
+fn describe_build_change(now: &RigRecord, then: &RigRecord) -> String {
+    let build = |rig: &RigRecord| rig.firmware.as_ref().map(|firmware| firmware.build.clone());
     match (build(now), build(then)) {
         (Some(now), Some(then)) if now == then => ", with the same build of the firmware".to_owned(),
         (Some(_), Some(then)) => format!(", with build {}", short_build_id(&then)),

@@ -184,6 +184,25 @@ fn marks_overruns_and_lost_links() {
 }
 
 #[test]
+fn rows_in_memory_give_the_same_page_as_their_traces() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut closed = closed_loop();
+    fixtures::write_trials(&mut closed, folder.path(), 2, Response::default(), 0.01);
+    let record = fixtures::run(vec![closed]);
+    let from_files = write_page(&record, folder.path());
+    let mut rows = page::KeptRows::default();
+    for trial in &record.scenarios[0].trials {
+        let path = folder.path().join(&trial.trace);
+        rows.add(&trial.trace, platebench_trace::read_trace(&path).unwrap());
+        fs::remove_file(&path).unwrap();
+    }
+    let path = folder.path().join(page::FILE);
+    ReportPage::new(&record, folder.path()).with_rows(rows).write(&path).unwrap();
+    assert!(fs::read_to_string(&path).unwrap() == from_files);
+    assert!(write_page(&record, folder.path()) != from_files, "without rows and traces");
+}
+
+#[test]
 fn shows_golden_traces_and_their_tubes() {
     let (folder, baselines) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let mut closed = closed_loop();

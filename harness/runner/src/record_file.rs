@@ -1,0 +1,60 @@
+//! Writes the record of a run under way, so that a killed run keeps what was judged.
+//!
+//! A write takes as long as the record, so the time between two grows with it: all writes together
+//! take at most a twentieth of the run.
+
+use platebench_record::{FolderError, RunFolder, RunRecord};
+use std::time::{Duration, Instant};
+
+const MIN_INTERVAL: Duration = Duration::from_millis(100);
+const INTERVAL_PER_WRITE: u32 = 20;
+/// A limit of the wait, not of the run.
+const NO_CHANGE: Duration = Duration::from_hours(1);
+
+#[derive(Debug)]
+pub(crate) struct RecordFile<'a> {
+    folder: &'a RunFolder,
+    next: Instant,
+    has_changed: bool,
+}
+
+impl<'a> RecordFile<'a> {
+    pub(crate) fn new(folder: &'a RunFolder) -> Self {
+        Self { folder, next: Instant::now(), has_changed: false }
+    }
+
+    pub(crate) fn write(&mut self, record: &RunRecord) -> Result<(), FolderError> {
+        let started = Instant::now();
+        let path = self.folder.path();
+        record.write(path).map_err(|source| FolderError::Io { path: path.to_owned(), source })?;
+        self.next = Instant::now() + MIN_INTERVAL.max(INTERVAL_PER_WRITE * started.elapsed());
+        self.has_changed = false;
+        Ok(())
+    }
+
+    pub(crate) fn mark_changed(&mut self) {
+        self.has_changed = true;
+    }
+
+    /// Until the next write.
+    pub(crate) fn time_left(&self) -> Duration {
+        if self.has_changed { self.next.saturating_duration_since(Instant::now()) } else { NO_CHANGE }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_change_makes_a_write_due() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
+        let mut file = RecordFile::new(&folder);
+        assert_eq!(file.time_left(), NO_CHANGE);
+        file.mark_changed();
+        assert_eq!(file.time_left(), Duration::ZERO, "never written before");
+        file.next = Instant::now() + NO_CHANGE / 2;
+        assert!(file.time_left() > Duration::ZERO && file.time_left() < NO_CHANGE);
+    }
+}
