@@ -6,7 +6,11 @@ use crate::run::report_if_empty;
 use crate::stdio;
 use crate::tags::TagFilter;
 use clap::Args;
-use platebench_scenario::find;
+use platebench_explore::Envelope;
+use platebench_explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
+use platebench_record::Verdict;
+use platebench_rig::CancelToken;
+use platebench_scenario::{Diagnostic, find};
 use platebench_trace::write_atomically;
 use platebench_trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
 use std::fs;
@@ -19,8 +23,10 @@ Examples:
   platebench trust                          every scenario below scenarios/ except known limits
   platebench trust --clean 30000 --seed 7 --out /tmp/trust
   platebench trust scenarios/faults --clean 0
+  platebench trust --scenes 2000            the kill rate of platebench explore as well
 
-Exit codes: 0 every mutant was killed for the right reason and no false alarm, 1 otherwise")]
+Exit codes: 0 the scenarios killed every mutant for the right reason without a false alarm, and no generated
+scene blamed a correct controller; 1 otherwise")]
 pub(crate) struct TrustArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
@@ -33,13 +39,19 @@ pub(crate) struct TrustArgs {
     /// Seed of the first clean run
     #[arg(long, value_name = "S", default_value_t = 31_415)]
     seed: u64,
+    /// Also explore every mutant with this number of generated scenes, and every correct controller
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    scenes: Option<u64>,
+    /// The operating envelope of the generated scenes
+    #[arg(long, value_name = "FILE", default_value = "scenarios/envelope.toml")]
+    envelope: PathBuf,
     /// Scenarios that run at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// Format of standard output
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
     format: OutputFormat,
-    /// Write trust.json and matrix.md to this folder
+    /// Write trust.json, matrix.md and exploration.json to this folder
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
 }
@@ -61,24 +73,53 @@ pub(crate) fn trust(arguments: &TrustArgs) -> Exit {
         seed: arguments.seed,
         jobs: job_count(arguments.jobs),
     };
+    let exploration = match arguments.scenes.map(|scenes| exploration_config(arguments, scenes)).transpose() {
+        Ok(exploration) => exploration,
+        Err(faults) => return stdio::reject_files(&faults),
+    };
     let report = match measure(&config) {
         Ok(report) => report,
         Err(error) => return stdio::reject(&error),
     };
+    let exploration = match exploration.map(|config| kill_rate(&config, &CancelToken::never())).transpose() {
+        Ok(exploration) => exploration,
+        Err(error) => return stdio::reject(&error),
+    };
     if let Some(folder) = &arguments.out
-        && let Err(error) = write_report(&report, folder)
+        && let Err(error) = write_report(&report, exploration.as_ref(), folder)
     {
         return stdio::reject(&format!("{}: {error}", folder.display()));
     }
     match arguments.format {
-        OutputFormat::Human => stdio::show(&format::summary(&report)),
+        OutputFormat::Human => {
+            stdio::show(&format::summary(&report));
+            if let Some(exploration) = &exploration {
+                stdio::show(&exploration.summary(&report));
+            }
+        }
         OutputFormat::Json => stdio::show_json(&report),
     }
-    Exit::of_verdict(report.verdict)
+    let blames = exploration.is_some_and(|exploration| !exploration.alarms.is_empty());
+    Exit::of_verdict(if blames { Verdict::Fail } else { report.verdict })
 }
 
-fn write_report(report: &TrustReport, folder: &Path) -> io::Result<()> {
+fn exploration_config(arguments: &TrustArgs, scenes: u64) -> Result<KillRateConfig, Vec<Diagnostic>> {
+    Ok(KillRateConfig {
+        envelope: Envelope::load(&arguments.envelope)?,
+        mutants: catalogue(),
+        variants: clean_variants(),
+        scenes,
+        seed: arguments.seed,
+        jobs: job_count(arguments.jobs),
+    })
+}
+
+fn write_report(report: &TrustReport, exploration: Option<&KillRateReport>, folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
+    if let Some(exploration) = exploration {
+        let text = serde_json::to_string_pretty(exploration)?;
+        write_atomically(&folder.join("exploration.json"), text.as_bytes())?;
+    }
     write_atomically(&folder.join("trust.json"), serde_json::to_string_pretty(report)?.as_bytes())?;
     write_atomically(&folder.join("matrix.md"), format::matrix(report).as_bytes())
 }

@@ -160,7 +160,7 @@ fn event(envelope: &Envelope, kind: BoxedStrategy<EventKind>, is_long: bool) -> 
         target(grid(range.finger_force_n, 0.0, FORCE_STEP_N)),
         target(grid(range.temperature_offset_k, 0.0, TEMPERATURE_STEP_K)),
         0..=100_u32,
-        2..=8_u32,
+        prop_oneof![7 => 2..=8_u32, 1 => 20..=40_u32],
     );
     fields
         .prop_map(|(kind, gap, is_aligned, level, force, temperature, slowness, steps)| EventDraw {

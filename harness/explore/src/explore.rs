@@ -18,8 +18,6 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// After so many failing scenes more of them show nothing new.
-const ENOUGH_FAILURES: u64 = 10;
 /// Earlier scenes of a controller that may explain a failure.
 const MAX_HISTORY: usize = 8;
 
@@ -41,6 +39,8 @@ pub struct ExploreConfig {
     /// Laws that earlier trials may use.
     pub laws: Vec<LawId>,
     pub budget: Budget,
+    /// Ends after so many failing scenes.
+    pub max_failed: u64,
     /// Number of workers, each with its own controller.
     pub jobs: usize,
     /// True if the controller's clock runs while the plate waits.
@@ -236,7 +236,7 @@ impl Shared<'_> {
             Budget::Time(time) => self.started.elapsed() >= time,
             Budget::Scenes(count) => index >= count,
         };
-        used || self.cancel.is_cancelled() || self.failed.load(Ordering::Relaxed) >= ENOUGH_FAILURES
+        used || self.cancel.is_cancelled() || self.failed.load(Ordering::Relaxed) >= self.config.max_failed
     }
 
     fn run_worker(&self, results: &mpsc::Sender<Result<Played, ExploreError>>) {

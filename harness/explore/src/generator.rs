@@ -19,7 +19,9 @@ use sha2::{Digest, Sha256};
 use std::f64::consts::TAU;
 
 /// Largest share of the drive limit that a setpoint needs in steady state; more is not feasible with a control reserve.
-const MAX_STEADY_DRIVE: f64 = 0.8;
+pub(crate) const MAX_STEADY_DRIVE: f64 = 0.8;
+/// The same for a trial that may stay at the limit.
+const MAX_OVERLOAD: f64 = 2.0;
 /// Small steps of a setpoint (nm), a force (0.01 N) and a temperature (0.01 K).
 const NEAR_STEPS: [i32; 3] = [5, 2, 10];
 /// Counters of time that programs may have, µs.
@@ -79,9 +81,9 @@ impl<'a> Generator<'a> {
 
     fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
         let judged_configuration = self.configuration(&draw.configuration, self.law);
-        let mut judged =
-            SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum.sine, 10) };
+        let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum, 10) };
         judged.fault = draw.fault.and_then(|fault| fault.place(judged.duration_us, judged.period_us));
+        let earlier_stratum = Stratum { sine: None, is_overloaded: stratum.is_overloaded_before, ..stratum.clone() };
         let law = |draw: &ConfigurationDraw| self.laws.get(draw.law % self.laws.len().max(1)).copied();
         let earlier: Vec<_> = draw
             .earlier
@@ -89,7 +91,7 @@ impl<'a> Generator<'a> {
             .map(|(own, trial)| {
                 let law = own.as_ref().and_then(law).unwrap_or(self.law);
                 let configuration = own.as_ref().map_or(judged_configuration, |own| self.configuration(own, law));
-                SceneTrial { law, ..self.trial(configuration, trial, None, 1) }
+                SceneTrial { law, ..self.trial(configuration, trial, &earlier_stratum, 1) }
             })
             .collect();
         let shifts_time = stratum.shifts_time && !stratum.is_long && judged.plate.noise_pm == 0;
@@ -124,13 +126,7 @@ impl<'a> Generator<'a> {
     }
 
     /// `least_tail`: control periods after the last event; a trial that is not judged may end while the response rises.
-    fn trial(
-        &self,
-        configuration: Configuration,
-        draw: &TrialDraw,
-        sine: Option<SineOf>,
-        least_tail: u32,
-    ) -> SceneTrial {
+    fn trial(&self, configuration: Configuration, draw: &TrialDraw, stratum: &Stratum, least_tail: u32) -> SceneTrial {
         let Configuration { period_us, delay_us, plate, tuning } = configuration;
         let mut timeline = Timeline::new(self, configuration, draw);
         for event in &draw.events {
@@ -152,8 +148,9 @@ impl<'a> Generator<'a> {
             tuning,
             fault: None,
         };
-        self.add_sine(&mut trial, draw, sine);
-        let highest = trial.largest_setpoint_nm(&self.envelope.plate, MAX_STEADY_DRIVE);
+        self.add_sine(&mut trial, draw, stratum.sine);
+        let share = if stratum.is_overloaded { MAX_OVERLOAD } else { MAX_STEADY_DRIVE };
+        let highest = trial.largest_setpoint_nm(&self.envelope.plate, share);
         let mut points: Vec<(u32, u32)> =
             setpoint.into_iter().map(|(at, level)| (at, (level as u32).min(highest))).collect();
         points.dedup_by(|next, last| next.1 == last.1);

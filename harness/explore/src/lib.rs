@@ -9,6 +9,8 @@
 //! * [`mod@shrink`]: makes a failing scene minimal. [`regression`]: writes it as a scenario.
 //! * [`mod@session`]: all of this. [`coverage`], [`report`], [`text`], [`mod@page`]: the result.
 //!
+//! [`mod@kill_rate`] measures the exploration with mutants and correct variants.
+//!
 //! `docs/exploration.md` derives the limits.
 
 mod course;
@@ -19,6 +21,7 @@ pub mod error;
 mod event_kind;
 pub mod explore;
 pub mod generator;
+pub mod kill_rate;
 pub mod law_properties;
 mod limits;
 pub mod line_fault;

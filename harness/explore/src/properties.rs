@@ -1,5 +1,6 @@
 //! Turns the windows of a trial into expectations: the properties that every scene must have.
 
+use crate::generator::MAX_STEADY_DRIVE;
 use crate::law_properties::LawProperties;
 use crate::limits::{BAND, Knowledge, Limits};
 use crate::scene::{Course, Scene, SceneTrial};
@@ -119,8 +120,8 @@ const REST_DRIVE_VPP: f64 = 0.5;
 const NOISE_SIGMAS: f64 = 6.0;
 /// Shortest steady window, control periods.
 const STEADY_PERIODS: u32 = 4;
-const STATIC_ERROR_PERCENT: f64 = 0.1;
-const RIPPLE_PERCENT: f64 = 0.15;
+const STATIC_ERROR_PERCENT: f64 = 0.2;
+const RIPPLE_PERCENT: f64 = 0.2;
 /// Shares of a wrong damping in static error and ripple while the law tracks it.
 const STATIC_OF_MISMATCH: f64 = 0.5;
 const RIPPLE_OF_MISMATCH: f64 = 1.0;
@@ -167,6 +168,10 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     }
     let has_sine = [&trial.force, &trial.temperature].iter().any(|course| matches!(course, Course::Sine { .. }));
     if has_sine {
+        return Vec::new();
+    }
+    let highest = trial.largest_setpoint_nm(base, MAX_STEADY_DRIVE);
+    if trial.setpoint.iter().any(|(_, level)| *level > highest) {
         return Vec::new();
     }
     let mut demands = Vec::new();

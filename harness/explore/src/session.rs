@@ -22,6 +22,8 @@ use std::time::{Duration, Instant};
 
 /// Time for all minimal scenes together.
 const SHRINK_TIME: Duration = Duration::from_mins(1);
+/// More failing scenes show nothing new.
+const ENOUGH_FAILURES: u64 = 10;
 /// Properties for which a minimal scene is written.
 const MAX_MINIMAL: usize = 3;
 
@@ -112,6 +114,7 @@ impl ExploreSession {
             law: self.law,
             laws: laws.collect(),
             budget: self.budget,
+            max_failed: ENOUGH_FAILURES,
             jobs: self.jobs,
             own_clock: self.rig.has_own_clock(),
             compares_reference: self.compares_reference,

@@ -17,6 +17,10 @@ pub(crate) struct Stratum {
     /// The configuration has its own response time, gains, frequency range or slew limit.
     pub(crate) is_tuned: bool,
     pub(crate) has_fault: bool,
+    /// The drive limit does not suffice for every setpoint.
+    pub(crate) is_overloaded: bool,
+    /// The same for the trials before.
+    pub(crate) is_overloaded_before: bool,
     pub(crate) is_long: bool,
     /// Force or temperature follows a sine.
     pub(crate) sine: Option<SineOf>,
@@ -52,6 +56,8 @@ impl Stratum {
             has_noise: index % 7 == 5,
             is_tuned: index % 5 == 3,
             has_fault: index % 9 == 7,
+            is_overloaded: index % 13 == 6,
+            is_overloaded_before: index % 5 == 2,
             is_long: index % LONG_EVERY == 11,
             sine: match index % (2 * SINE_EVERY) {
                 4 => Some(SineOf::Force),

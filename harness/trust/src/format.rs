@@ -50,7 +50,7 @@ fn write_summary(text: &mut String, report: &TrustReport) -> fmt::Result {
 }
 
 /// `33 of 33, 100 % (each bound at 95 %: at least 91.32 %, at most 100 %)`
-fn format_rate(rate: Rate) -> String {
+pub fn format_rate(rate: Rate) -> String {
     let Rate { seen, count, bounds } = rate;
     match bounds {
         Some([low, high]) => format!(

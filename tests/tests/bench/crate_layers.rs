@@ -24,7 +24,7 @@ const LEVELS: [(&str, u8); 20] = [
     ("harness/report", 4),
     ("harness/export", 4),
     ("harness/study", 5),
-    ("harness/explore", 5),
+    ("harness/explore", 6),
     ("harness/trust", 5),
     ("harness/live", 5),
     ("harness/native-tests", 5),

@@ -1,6 +1,6 @@
 //! Tests `platebench explore`.
 
-use crate::test_folder::{bench_command, run_bench, workspace_root};
+use crate::test_folder::{bench_command, run_bench, start_bench, wait_until, workspace_root};
 use platebench_test_kit::python_with_pyserial;
 use serde_json::Value;
 use std::fs;
@@ -48,6 +48,48 @@ fn the_minimal_scene_of_a_mutant_fails_under_run() {
     assert!(text.starts_with("# Written by platebench explore"), "{text}");
     run_bench(folder.path(), ["run", file, "--rig", &rig, "--out", "again"]).assert_exit(1);
     run_bench(folder.path(), ["run", file, "--rig", "hosted", "--out", "clean"]).assert_exit(0);
+}
+
+#[test]
+fn a_controller_that_dies_once_leaves_its_scene_undecided() {
+    let Some(python) = python_with_pyserial() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let example = fs::read_to_string(workspace_root().join("docs/examples/controller.py")).unwrap();
+    let call = "self.law.step(setpoint, wd, wq)";
+    let dying = example.replace(call, "self.law.step(setpoint, wd, wq if os.path.exists('died') else die())");
+    let die = "import os\n\ndef die():\n    open('died', 'w').close()\n    os._exit(0)\n\n";
+    let (head, body) = dying.split_once("import ").unwrap();
+    fs::write(folder.path().join("dying.py"), format!("{head}{die}import {body}")).unwrap();
+    let rig = format!("exec:{python} dying.py {{port}}");
+    let arguments = ["explore", &envelope(), "--rig", &rig, "--scenes", "4", "--jobs", "1", "--out", "out"];
+    run_bench(folder.path(), arguments).assert_exit(3);
+    let report = report(folder.path());
+    assert_eq!((&report["verdict"], &report["undecided"]), (&"inconclusive".into(), &1.into()));
+}
+
+#[test]
+fn a_controller_that_does_not_start_ends_with_5() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["explore", &envelope(), "--rig", "exec:false {port}", "--scenes", "4", "--out", "out"];
+    run_bench(folder.path(), arguments).assert_exit(5);
+    assert!(!folder.path().join("out").exists());
+}
+
+#[test]
+fn an_interrupt_ends_an_exploration() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["explore", &envelope(), "--rig", "hosted", "--for", "10m", "--out", "out"];
+    let bench = start_bench(folder.path(), arguments);
+    let status = format!("/proc/{}/status", bench.0.id());
+    let catches_interrupts = || {
+        let text = fs::read_to_string(&status).unwrap();
+        let mask = text.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap().trim();
+        u64::from_str_radix(mask, 16).unwrap() & 1 << 1 != 0
+    };
+    wait_until("no handler of signals", catches_interrupts);
+    bench.signal("INT");
+    bench.finish().assert_exit(130);
+    assert!(!folder.path().join("out").exists());
 }
 
 #[test]

@@ -1,11 +1,12 @@
 //! Correct laws pass, a mutant is found, and its scene shrinks to few inputs.
 
 use crate::fixtures::configuration;
+use platebench_explore::kill_rate::{KillRateConfig, kill_rate};
 use platebench_explore::report::violated_properties;
 use platebench_explore::shrink::Shrinker;
 use platebench_explore::{ExploreConfig, Player, Property, explore};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink};
-use platebench_trust::{Mutant, MutantController};
+use platebench_trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_wire::{Command, LawId, Sample};
 use rstest::rstest;
 use std::time::Duration;
@@ -94,4 +95,24 @@ fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
     assert_eq!(minimal.demands.len(), 1);
     let value = minimal.failure.value.unwrap();
     assert!((value - 2.0).abs() < 0.1, "{value}");
+}
+
+#[test]
+fn the_kill_rate_names_a_survivor_and_a_found_mutant() {
+    let gain = platebench_trust::catalogue().into_iter().find(|mutant| mutant.name == "drive-gain-doubled").unwrap();
+    let config = KillRateConfig {
+        envelope: configuration(LawId::DqPi, 1).envelope,
+        mutants: vec![gain, MutantSpec::unmutated()],
+        variants: clean_variants(),
+        scenes: 12,
+        seed: 1,
+        jobs: 1,
+    };
+    let report = kill_rate(&config, &CancelToken::never()).unwrap();
+    let found: Vec<_> = report.mutants.iter().map(|mutant| (mutant.name, mutant.found.is_some())).collect();
+    assert_eq!(found, [("drive-gain-doubled", true), ("unmutated", false)]);
+    // The firmware with three laws, and every variant with one.
+    let clean = 12 * (3 + config.variants.len() as u32);
+    assert_eq!((report.false_alarm_rate.seen, report.false_alarm_rate.count), (0, clean), "{:?}", report.alarms);
+    assert_eq!((report.kill_rate.seen, report.kill_rate.count), (1, 2));
 }

@@ -15,6 +15,7 @@ pub(crate) fn configuration(law: LawId, scenes: u64) -> ExploreConfig {
         law,
         laws: vec![LawId::DqPi, LawId::Deadbeat, LawId::DqPiFixed],
         budget: Budget::Scenes(scenes),
+        max_failed: 10,
         jobs: 2,
         own_clock: false,
         compares_reference: false,

@@ -1,0 +1,165 @@
+//! Measures the exploration itself: which mutants it finds, and how often it blames a correct controller.
+
+use crate::envelope::Envelope;
+use crate::error::ExploreError;
+use crate::explore::{Budget, Exploration, ExploreConfig, explore};
+use crate::law_properties::LawProperties;
+use crate::properties::Property;
+use platebench_rig::{BoxedLink, CancelToken, HostedLink};
+use platebench_trust::format::format_rate;
+use platebench_trust::report::{MutantOutcome, Rate, TrustReport};
+use platebench_trust::{CleanVariant, MutantSpec};
+use platebench_wire::LawId;
+use serde::Serialize;
+
+/// Each mutant gets scenes until one fails, and each correct controller gets all of them.
+#[derive(Debug, Clone)]
+pub struct KillRateConfig {
+    pub envelope: Envelope,
+    pub mutants: Vec<MutantSpec>,
+    pub variants: Vec<CleanVariant>,
+    pub scenes: u64,
+    pub seed: u64,
+    pub jobs: usize,
+}
+
+/// `exploration.json`
+#[derive(Debug, Clone, Serialize)]
+pub struct KillRateReport {
+    pub format: u32,
+    pub scenes: u64,
+    pub seed: u64,
+    pub kill_rate: Rate,
+    pub mutants: Vec<MutantSearch>,
+    /// Failed scenes of the correct controllers.
+    pub false_alarm_rate: Rate,
+    pub alarms: Vec<SceneAlarm>,
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct MutantSearch {
+    pub name: &'static str,
+    /// The first scene that fails; `None` if the mutant survived.
+    pub found: Option<FoundScene>,
+}
+
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct FoundScene {
+    pub scene: u64,
+    pub property: Property,
+}
+
+/// A property that a correct controller violates.
+#[derive(Debug, Clone, Serialize)]
+pub struct SceneAlarm {
+    /// `reference` or a clean variant.
+    pub controller: &'static str,
+    pub law: &'static str,
+    pub scene: u64,
+    pub property: Property,
+    pub value: Option<f64>,
+    pub limit: Option<f64>,
+}
+
+/// Explores every mutant and every correct controller; the firmware itself with every explored law.
+pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRateReport, ExploreError> {
+    let mut mutants = Vec::with_capacity(config.mutants.len());
+    for mutant in &config.mutants {
+        let result = config.explore(LawId::DqPi, 1, &|| mutant.link(), cancel)?;
+        mutants.push(MutantSearch { name: mutant.name, found: first_failure(&result) });
+    }
+    let (mut scenes, mut failed, mut alarms) = (0, 0, Vec::new());
+    for law in explored_laws() {
+        let firmware = (!config.variants.is_empty()).then_some(("reference", None));
+        let variants = config.variants.iter().map(|variant| (variant.name, Some(variant)));
+        // The variants change dq-pi.
+        let variants = variants.filter(|_| law == LawId::DqPi);
+        for (controller, variant) in firmware.into_iter().chain(variants) {
+            let link = || variant.map_or_else(|| -> BoxedLink { Box::new(HostedLink::new()) }, CleanVariant::link);
+            let result = config.explore(law, u64::MAX, &link, cancel)?;
+            scenes += result.scenes as usize;
+            failed += result.failed.len();
+            alarms.extend(result.failed.iter().flat_map(|scene| {
+                scene.failures.iter().map(move |failure| SceneAlarm {
+                    controller,
+                    law: law.name(),
+                    scene: scene.index,
+                    property: failure.property,
+                    value: failure.value,
+                    limit: failure.limit,
+                })
+            }));
+        }
+    }
+    let found = mutants.iter().filter(|mutant| mutant.found.is_some()).count();
+    Ok(KillRateReport {
+        format: 1,
+        scenes: config.scenes,
+        seed: config.seed,
+        kill_rate: Rate::new(found, mutants.len()),
+        mutants,
+        false_alarm_rate: Rate::new(failed, scenes),
+        alarms,
+    })
+}
+
+fn explored_laws() -> impl Iterator<Item = LawId> {
+    LawId::ALL.into_iter().filter(|law| LawProperties::of(*law).is_some())
+}
+
+fn first_failure(result: &Exploration) -> Option<FoundScene> {
+    let failed = result.failed.first()?;
+    Some(FoundScene { scene: failed.index, property: failed.failures.first()?.property })
+}
+
+impl KillRateReport {
+    /// As text; `suite` is the result of the scenarios alone.
+    pub fn summary(&self, suite: &TrustReport) -> String {
+        let caught =
+            |name: &str| suite.faults.iter().any(|fault| fault.name == name && fault.outcome == MutantOutcome::Caught);
+        let both = self.mutants.iter().filter(|mutant| mutant.found.is_some() || caught(mutant.name)).count();
+        let survivors: Vec<_> =
+            self.mutants.iter().filter(|mutant| mutant.found.is_none()).map(|mutant| mutant.name).collect();
+        let mut lines = vec![
+            format!("exploration, {} scenes each: {}", self.scenes, format_rate(self.kill_rate)),
+            format!("scenarios or exploration: {}", format_rate(Rate::new(both, self.mutants.len()))),
+            format!("false alarms of exploration, scenes: {}", format_rate(self.false_alarm_rate)),
+        ];
+        if !survivors.is_empty() {
+            lines.insert(1, format!("survived exploration: {}", survivors.join(", ")));
+        }
+        lines.extend(self.alarms.iter().map(|alarm| {
+            let SceneAlarm { controller, law, scene, property, value, limit } = alarm;
+            let number =
+                |value: Option<f64>| value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.4}"));
+            let (value, limit) = (number(*value), number(*limit));
+            format!("false alarm: {controller}, {law}, scene {scene}: {property} {value}, limit {limit}")
+        }));
+        lines.join("\n") + "\n"
+    }
+}
+
+impl KillRateConfig {
+    fn explore(
+        &self,
+        law: LawId,
+        max_failed: u64,
+        link: &(dyn Fn() -> BoxedLink + Send + Sync),
+        cancel: &CancelToken,
+    ) -> Result<Exploration, ExploreError> {
+        let config = ExploreConfig {
+            envelope: self.envelope.clone(),
+            seed: self.seed,
+            law,
+            laws: explored_laws().collect(),
+            budget: Budget::Scenes(self.scenes),
+            max_failed,
+            jobs: self.jobs,
+            own_clock: false,
+            // A correct law with other gains differs from the reference.
+            compares_reference: false,
+            regressions: Vec::new(),
+        };
+        explore(&config, &|| Ok(link()), cancel, &mut |_, _| {})
+    }
+}
