@@ -4,7 +4,8 @@ use crate::exit::Exit;
 use clap::{Args, ValueEnum};
 use platebench_record::{RunRecord, ScenarioRecord};
 use platebench_report::annotations::{self, SourceLocation};
-use platebench_report::{ReportError, markdown, tap};
+use platebench_report::tap::{self, TapVersion};
+use platebench_report::{ReportError, markdown};
 use platebench_scenario::{Diagnostic, Scenario};
 use std::env;
 use std::fs;
@@ -17,12 +18,26 @@ pub(crate) struct Outputs {
     /// Write a summary in Markdown to FILE
     #[arg(long, value_name = "FILE")]
     summary: Option<PathBuf>,
-    /// Write the result as TAP 14 to FILE
+    /// Write the result as TAP to FILE
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
+    /// Version of TAP
+    #[arg(long, value_enum, default_value_t, value_name = "VERSION")]
+    tap_version: TapOption,
     /// Annotations on GitHub Actions and its step summary; auto: if `GITHUB_ACTIONS` is true
     #[arg(long, value_enum, default_value_t, value_name = "WHEN")]
     github: GithubMode,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+enum TapOption {
+    /// `prove` of Debian 12 reads it
+    #[default]
+    #[value(name = "13")]
+    V13,
+    /// With subtests
+    #[value(name = "14")]
+    V14,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
@@ -57,7 +72,11 @@ impl Outputs {
             markdown::write(record, file)?;
         }
         if let Some(file) = &self.tap {
-            tap::write(record, file)?;
+            let version = match self.tap_version {
+                TapOption::V13 => TapVersion::V13,
+                TapOption::V14 => TapVersion::V14,
+            };
+            tap::write(record, version, file)?;
         }
         let github = match self.github {
             GithubMode::Auto => env::var("GITHUB_ACTIONS").is_ok_and(|value| value == "true"),

@@ -35,7 +35,9 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
         let channel_id = writer.add_channel(schema, &topic, "json", &about).map_err(&format_error)?;
         for (sequence, row) in (0_u32..).zip(trial.rows()?) {
             let row = row?;
-            let numbers = NUMBER_COLUMNS.iter().map(|number| (number.name.to_owned(), json!(number.known_value(&row))));
+            let numbers = NUMBER_COLUMNS
+                .iter()
+                .filter_map(|number| Some((number.name.to_owned(), json!(number.known_value(&row)?))));
             let flags =
                 FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), Value::from(row.flags.contains(flag.flag))));
             let message: Map<String, Value> = numbers.chain(flags).collect();
@@ -54,12 +56,13 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
 fn schema() -> Value {
     let numbers = NUMBER_COLUMNS.iter().map(|number| {
         let description = format!("{}, {}", number.meaning, number.unit);
-        let kind = if number.can_be_unknown { json!(["number", "null"]) } else { json!("number") };
-        (number.name.to_owned(), json!({"type": kind, "description": description, "unit": number.unit}))
+        (number.name.to_owned(), json!({"type": "number", "description": description, "unit": number.unit}))
     });
     let flags =
         FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), json!({"type": "boolean", "description": flag.meaning})));
     let properties: Map<String, Value> = numbers.chain(flags).collect();
-    let required: Vec<&String> = properties.keys().collect();
+    // Viewers reject a list of types; an unknown number is missing instead.
+    let optional = |name: &str| NUMBER_COLUMNS.iter().any(|number| number.name == name && number.can_be_unknown);
+    let required: Vec<&String> = properties.keys().filter(|name| !optional(name)).collect();
     json!({"title": "platebench.Row", "type": "object", "required": required, "properties": properties})
 }

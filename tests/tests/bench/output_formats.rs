@@ -127,7 +127,10 @@ fn summary_and_tap_are_files() {
     let summary = folder.read("summary.md");
     assert!(summary.starts_with("## ✗ platebench: fail\n") && summary.contains("ACC-1"), "{summary}");
     let tap = folder.read("run.tap");
-    assert!(tap.starts_with("TAP version 14\n1..1\n") && tap.ends_with("\nnot ok 1 - s.toml\n"), "{tap}");
+    assert!(tap.starts_with("TAP version 13\n1..1\n") && tap.ends_with("\nnot ok 1 - s.toml\n"), "{tap}");
+    let newer = ["run", "--rig", "hosted", "--out", "newer", "--tap", "newer.tap", "--tap-version", "14"];
+    folder.bench(newer).assert_exit(1);
+    assert_eq!(folder.read("newer.tap"), tap.replacen("13", "14", 1));
     folder.bench(["run", "--rig", "hosted", "--out", "again", "--tap", "no/such/folder"]).assert_exit(2);
 }
 

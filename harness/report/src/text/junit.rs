@@ -9,7 +9,7 @@
 use super::escape::printable;
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
-use platebench_record::{NotApplicable, RunRecord, ScenarioRecord, Verdict};
+use platebench_record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict};
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 use std::path::Path;
 use std::time::Duration;
@@ -99,6 +99,8 @@ fn test_case(scenario: &ScenarioRecord, index: usize) -> Option<TestCase> {
         if let Some(reason) = &expectation.reason {
             status.set_message(printable(&reason.to_string()).as_ref());
         }
+        // GitLab shows the body.
+        status.set_description(failure_text(expectation));
         status
     });
     let mut case = TestCase::new(printable(&expectation.name).as_ref(), status);
@@ -118,6 +120,19 @@ fn test_case(scenario: &ScenarioRecord, index: usize) -> Option<TestCase> {
         ("trace", trial.map(|trial| trial.trace.clone())),
     ];
     let lines = properties.into_iter().filter_map(|(name, value)| Some(format!("{name}: {}\n", printable(&value?))));
-    case.set_system_out(lines.collect::<String>());
+    // Jenkins shows the file beside the case.
+    let attachment = trial.map(|trial| format!("[[ATTACHMENT|{}]]\n", printable(&trial.trace)));
+    case.set_system_out(lines.chain(attachment).collect::<String>());
     Some(case)
+}
+
+fn failure_text(expectation: &ExpectationRecord) -> String {
+    let value = format::value(expectation).unwrap_or_else(|| "no value".to_owned());
+    let facts = [
+        Some(format!("{}: {value}, limit {}", expectation.name, format::limit(expectation))),
+        format::windows(expectation).map(|windows| format!("window: {windows}")),
+        expectation.reason.as_ref().map(ToString::to_string),
+    ];
+    let lines: Vec<_> = facts.into_iter().flatten().map(|fact| printable(&fact).into_owned()).collect();
+    lines.join("\n")
 }

@@ -1,5 +1,5 @@
-//! Writes TAP 14: a subtest per scenario, a test point per expectation. Inconclusive is `not ok`,
-//! because readers count `SKIP` and `TODO` as passed. `SKIP` marks what is not applicable.
+//! Writes TAP: a subtest per scenario, a test point per expectation. A reader of version 13 ignores
+//! the subtests. Inconclusive is `not ok`, because readers count `SKIP` and `TODO` as passed. `SKIP` marks what is not applicable.
 
 use super::escape::tap_description;
 use crate::error::{ReportError, write_file};
@@ -9,14 +9,24 @@ use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::path::Path;
 
-pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
-    write_file(path, &text(record))
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TapVersion {
+    V13,
+    V14,
 }
 
-pub fn text(record: &RunRecord) -> String {
+pub fn write(record: &RunRecord, version: TapVersion, path: &Path) -> Result<(), ReportError> {
+    write_file(path, &text(record, version))
+}
+
+pub fn text(record: &RunRecord, version: TapVersion) -> String {
+    let version = match version {
+        TapVersion::V13 => 13,
+        TapVersion::V14 => 14,
+    };
     let reason = record_queries::run_inconclusive_reason(record);
     let listed = record.scenarios.len() + record.not_applicable.len();
-    let mut text = format!("TAP version 14\n1..{}\n", listed + usize::from(reason.is_some()));
+    let mut text = format!("TAP version {version}\n1..{}\n", listed + usize::from(reason.is_some()));
     for (number, scenario) in (1..).zip(&record.scenarios) {
         write_subtest(&mut text, scenario);
         write_test_point(&mut text, "", scenario.verdict, number, &scenario.file);

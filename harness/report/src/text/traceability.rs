@@ -8,7 +8,7 @@ use std::path::Path;
 
 pub const FILE: &str = "traceability.csv";
 
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct RequirementLink {
     pub(crate) requirement: String,
     pub(crate) expectation: String,
@@ -16,7 +16,11 @@ pub(crate) struct RequirementLink {
     pub(crate) scenario: String,
     pub(crate) scenario_index: usize,
     pub(crate) verdict: Verdict,
+    /// Rounded, with its unit.
     pub(crate) value: String,
+    pub(crate) exact: Option<f64>,
+    pub(crate) unit: &'static str,
+    pub(crate) interval: Option<[f64; 2]>,
     /// Of the trial that decided, or the first.
     pub(crate) trace: String,
 }
@@ -36,6 +40,9 @@ pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink> {
                 scenario_index,
                 verdict: expectation.verdict,
                 value: format::value(expectation).unwrap_or_default(),
+                exact: expectation.value,
+                unit: format::unit(expectation.metric),
+                interval: expectation.interval,
                 trace: trial.map(|trial| trial.trace.clone()).unwrap_or_default(),
             });
         }
@@ -49,10 +56,24 @@ pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
 }
 
 pub fn text(record: &RunRecord) -> String {
-    let mut table = Table::new(["requirement", "expectation", "limit", "scenario", "verdict", "value", "trace"]);
+    let mut table = Table::new([
+        "requirement",
+        "expectation",
+        "limit",
+        "scenario",
+        "verdict",
+        "value",
+        "unit",
+        "interval_low",
+        "interval_high",
+        "trace",
+    ]);
     table.rows.extend(requirement_links(record).into_iter().map(|link| {
         let verdict = link.verdict.to_string();
-        vec![link.requirement, link.expectation, link.limit, link.scenario, verdict, link.value, link.trace]
+        let numbers = [link.exact, link.interval.map(|[low, _]| low), link.interval.map(|[_, high]| high)];
+        let [value, low, high] = numbers.map(|number| number.map(|number| number.to_string()).unwrap_or_default());
+        let unit = link.unit.to_owned();
+        vec![link.requirement, link.expectation, link.limit, link.scenario, verdict, value, unit, low, high, link.trace]
     }));
     table.csv()
 }

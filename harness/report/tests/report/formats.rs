@@ -4,7 +4,8 @@ use crate::fixtures;
 use platebench_record::{MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict};
 use platebench_report::annotations::{self, SourceLocation};
 use platebench_report::events::EventWriter;
-use platebench_report::{markdown, tap};
+use platebench_report::markdown;
+use platebench_report::tap::{self, TapVersion};
 use serde_json::Value;
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
@@ -21,14 +22,14 @@ fn cancelled_run() -> RunRecord {
 
 #[test]
 fn writes_tap() {
-    insta::assert_snapshot!("tap", tap::text(&fixtures::mixed_run()));
-    insta::assert_snapshot!("tap-cut-short", tap::text(&cancelled_run()));
+    insta::assert_snapshot!("tap", tap::text(&fixtures::mixed_run(), TapVersion::V14));
+    insta::assert_snapshot!("tap-cut-short", tap::text(&cancelled_run(), TapVersion::V13));
 }
 
 #[test]
 fn every_tap_plan_has_its_number_of_points() {
     for record in [fixtures::mixed_run(), cancelled_run(), fixtures::run(Vec::new())] {
-        let text = tap::text(&record);
+        let text = tap::text(&record, TapVersion::V13);
         let mut plans = 0;
         for indent in ["", "    "] {
             let mut expected = 0;
@@ -51,7 +52,7 @@ fn every_tap_plan_has_its_number_of_points() {
         let passed = passed.filter(|expectation| expectation.verdict == Verdict::Pass).count();
         assert_eq!(text.lines().filter(|line| line.starts_with("    ok ")).count(), passed);
     }
-    assert!(tap::text(&cancelled_run()).ends_with("Bail out! the run was not finished\n"));
+    assert!(tap::text(&cancelled_run(), TapVersion::V13).ends_with("Bail out! the run was not finished\n"));
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use crate::fixtures;
 use platebench_record::{MissingValue, Reason, RunRecord, TrialFinding};
 use platebench_report::events::EventWriter;
+use platebench_report::tap::TapVersion;
 use platebench_report::{Progress, Style, annotations, console, junit, markdown, page, tap, traceability};
 use rstest::rstest;
 use std::fs;
@@ -60,7 +61,7 @@ fn file(write: impl FnOnce(&std::path::Path)) -> String {
 
 #[rstest]
 #[case::console(|record: &RunRecord| console::run_table(record, Style::default()))]
-#[case::tap(|record: &RunRecord| tap::text(record))]
+#[case::tap(|record: &RunRecord| tap::text(record, TapVersion::V13))]
 #[case::markdown(|record: &RunRecord| markdown::render_page(record))]
 #[case::annotations(|record: &RunRecord| annotations::workflow_commands(record, &|_, _| None))]
 #[case::traceability(|record: &RunRecord| traceability::text(record))]

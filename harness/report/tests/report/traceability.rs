@@ -24,6 +24,9 @@ fn without_requirements_there_is_only_a_header() {
     for expectation in record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.expectations) {
         expectation.requirement = None;
     }
-    assert_eq!(traceability::text(&record), "requirement,expectation,limit,scenario,verdict,value,trace\n");
+    assert_eq!(
+        traceability::text(&record),
+        "requirement,expectation,limit,scenario,verdict,value,unit,interval_low,interval_high,trace\n"
+    );
     assert!(!write_page(&record, folder.path()).contains("id=\"requirements\""));
 }
