@@ -157,9 +157,14 @@ impl<L: Link> Session<L> {
         }
     }
 
+    /// Messages sent after the one that the last command answered.
+    pub fn newer_messages(&self) -> u8 {
+        self.sequence.wrapping_sub(self.last_command_sequence)
+    }
+
     /// True if the answer came in time or late.
     pub fn last_sample_answered(&self) -> bool {
-        self.last_command_sequence == self.sequence
+        self.newer_messages() == 0
     }
 
     /// Advances without a sample. Returns the last command since the previous call: a late answer,

@@ -38,9 +38,11 @@ impl<'a> ControllerLog<'a> {
         self.samples += 1;
     }
 
-    pub(crate) fn record_command(&mut self, command: &Command, now: Time) {
+    /// `newer_samples` were sent after the answered one; the next command may answer all of them.
+    pub(crate) fn record_command(&mut self, command: &Command, newer_samples: u8, now: Time) {
         self.missed_replies = 0;
-        self.checks.check_command(command, std::mem::take(&mut self.samples), now);
+        let samples = std::mem::replace(&mut self.samples, newer_samples.into());
+        self.checks.check_command(command, samples, now);
         if command.state == ControllerState::Running {
             self.stopped_at = None;
         } else {

@@ -270,7 +270,7 @@ impl<'a, L: Link> Trial<'a, L> {
     }
 
     fn schedule_command(&mut self, now: Time, at: Time, command: Command) {
-        self.controller.record_command(&command, now);
+        self.controller.record_command(&command, self.session.newer_messages(), now);
         // A command never overtakes an earlier one.
         let at = self.pending.back().map_or(at, |last| last.at.max(at));
         self.pending.push_back(PendingActuation { at, command });

@@ -47,6 +47,20 @@ fn the_fault_suite_passes_with_any_number_of_jobs() {
     }
 }
 
+#[test]
+fn a_slew_over_late_replies_is_no_violation() {
+    // Two replies arrive as one command: deadbeat moves to a distant resonance in two steps of at most the slew.
+    let heat = "temperature_offset_k = { hold = [[0.0, 0.0], [24.8, 5.0]] }";
+    let text = step_scenario("aluminium-198x138", "law = \"deadbeat\"", heat, MISSED);
+    let fault = "[[fault]]\nkind = \"delay\"\ndelay_ms = 1.01\ndirection = \"from-controller\"\n\
+                 from_ms = 25.0\nuntil_ms = 27.0\n";
+    let (record, rows) = TestFolder::new().run_scenario(&(text + fault));
+    let frequencies: Vec<f64> = rows.iter().map(|row| row.frequency_hz).collect();
+    let largest = frequencies.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+    assert!(largest > 100.0, "one actuation contains two steps: {largest} Hz");
+    assert_eq!(telemetry(&record).violations, []);
+}
+
 #[rstest]
 #[case::hosted("hosted")]
 #[case::emulated("emulated")]

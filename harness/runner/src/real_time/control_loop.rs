@@ -273,7 +273,8 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             let bench = self.wall_instant(sampled).saturating_duration_since(self.start);
             self.timing.drift.record(bench, command.target_time_us);
         }
-        self.controller.record_command(&command, instant);
+        let newer_samples = self.last_sent.map_or(0, |last| last.wrapping_sub(received.sequence));
+        self.controller.record_command(&command, newer_samples, instant);
         self.plant.actuate(&command);
         if !self.plant.is_finished() {
             self.plant.push_row(0.0, Flags::empty());
