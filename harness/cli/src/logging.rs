@@ -4,10 +4,12 @@ use crate::color::{self, ColorArg};
 use crate::stdio::NonBlockingStderr;
 use clap::{Args, ValueEnum};
 use platebench_report::Detail;
+use std::env::VarError;
 use std::io::stderr;
 use tracing_subscriber::EnvFilter;
 
 const VARIABLE: &str = "PLATEBENCH_LOG";
+const EXPECTED: &str = "expected a filter such as `debug` or `platebench_rig=trace,warn`";
 
 /// Options of the log.
 #[derive(Debug, Args)]
@@ -45,7 +47,7 @@ pub(crate) enum LogFormat {
 }
 
 /// The filter is `PLATEBENCH_LOG`, or else the level of -v and -q.
-pub(crate) fn start(arguments: &LoggingArgs) {
+pub(crate) fn start(arguments: &LoggingArgs) -> Result<(), String> {
     let level = match (arguments.quiet, arguments.verbose) {
         (true, _) => "error",
         (false, 0) => "warn",
@@ -53,8 +55,11 @@ pub(crate) fn start(arguments: &LoggingArgs) {
         (false, 2) => "debug",
         (false, _) => "trace",
     };
-    let filter = std::env::var(VARIABLE).ok().and_then(|text| EnvFilter::try_new(text).ok());
-    let filter = filter.unwrap_or_else(|| EnvFilter::new(level));
+    let filter = match std::env::var(VARIABLE) {
+        Ok(text) => EnvFilter::try_new(&text).map_err(|error| format!("{VARIABLE}: {text:?}: {error}, {EXPECTED}"))?,
+        Err(VarError::NotPresent) => EnvFilter::new(level),
+        Err(VarError::NotUnicode(_)) => return Err(format!("{VARIABLE}: not UTF-8, {EXPECTED}")),
+    };
     // The thread that talks to the controller logs too: a slow reader must not delay it.
     // The subscriber's complaint about a closed terminal would panic, so it is off.
     let builder =
@@ -64,4 +69,5 @@ pub(crate) fn start(arguments: &LoggingArgs) {
         LogFormat::Human => builder.with_ansi(color::applies_to(&stderr())).try_init(),
         LogFormat::Json => builder.json().try_init(),
     };
+    Ok(())
 }

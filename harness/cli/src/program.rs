@@ -24,7 +24,10 @@ pub fn main() -> ExitCode {
             return Exit::Invalid.into();
         }
     };
-    logging::start(&arguments.logging);
+    if let Err(fault) = logging::start(&arguments.logging) {
+        stdio::error(&fault);
+        return Exit::Invalid.into();
+    }
     if let Some(path) = &config.path {
         tracing::info!(path = %path.display(), "settings");
     }

@@ -164,6 +164,16 @@ fn a_closed_output_pipe_is_not_an_error() {
     child.finish().assert_exit(0);
 }
 
+#[rstest]
+#[case::level("platebench_rig=loud")]
+#[case::target("=debug,[")]
+fn an_invalid_log_filter_is_refused(#[case] filter: &str) {
+    let folder = TestFolder::new();
+    let output: ProgramOutput =
+        bench_command(folder.path()).args(["check", "."]).env("PLATEBENCH_LOG", filter).output().unwrap().into();
+    output.assert_exit(2).assert_stderr(&["PLATEBENCH_LOG", "expected a filter such as `debug`"]);
+}
+
 #[test]
 fn the_log_follows_its_switches() {
     const LINE: &str = "scenario judged";
