@@ -4,8 +4,8 @@ use crate::color;
 use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
-    accept, baseline, chart, check, compare, completions, emulate, explore, export, identify, judge, man, new, report,
-    run, schema, stability, trust, tune,
+    accept, baseline, campaign, chart, check, compare, completions, emulate, explore, export, identify, judge, man,
+    new, report, run, schema, stability, trust, tune,
 };
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -58,6 +58,8 @@ pub(crate) enum Command {
     Trust(trust::TrustArgs),
     /// Generate scenes from an operating envelope, check properties and reduce what fails to a minimal scenario
     Explore(explore::ExploreArgs),
+    /// Play a scenario with many values: sweeps and Monte Carlo, on one machine or many
+    Campaign(campaign::CampaignArgs),
     /// Show where methods and loops become unstable: predicted and measured limits, margins, maps
     Stability(stability::StabilityArgs),
     /// Identify plate parameters from recorded steps
@@ -74,7 +76,7 @@ pub(crate) enum Command {
     New(new::NewArgs),
     /// Check scenarios, plates, plans and settings without playing them
     Check(check::CheckArgs),
-    /// Print the JSON Schema of scenario, plate, plan and settings files, for editors
+    /// Print the JSON Schema of scenario, plate, plan, campaign and settings files, for editors
     Schema(schema::SchemaArgs),
     /// Print shell completions
     Completions(completions::CompletionsArgs),

@@ -7,6 +7,7 @@ use crate::stdio;
 use crate::tags::TagFilter;
 use clap::{Args, Command};
 use platebench_acceptance::Plan;
+use platebench_campaign::Campaign;
 use platebench_explore::Envelope;
 use platebench_runner::law;
 use platebench_scenario::{Diagnostic, FileKind, list_files, load, load_with_all_errors, unjudged_changes};
@@ -39,6 +40,7 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
         FileKind::Plate => load::load_plate(path).err().unwrap_or_default(),
         FileKind::Plan => Plan::load(path).err().unwrap_or_default(),
         FileKind::Envelope => Envelope::load(path).err().unwrap_or_default(),
+        FileKind::Campaign => Campaign::load(path).err().unwrap_or_default(),
         FileKind::Config => Config::read(path, definition).err().unwrap_or_default(),
     }
 }

@@ -4,6 +4,7 @@
 mod accept;
 mod args;
 mod baseline;
+mod campaign;
 mod chart;
 mod chart_page;
 mod check;

@@ -4,8 +4,8 @@ use crate::args::{Arguments, Command};
 use crate::config::{self, Config};
 use crate::exit::Exit;
 use crate::{
-    accept, args, baseline, chart, check, compare, completions, emulate, explore, export, identify, judge, logging,
-    man, new, report, run, schema, stability, stdio, trust, tune,
+    accept, args, baseline, campaign, chart, check, compare, completions, emulate, explore, export, identify, judge,
+    logging, man, new, report, run, schema, stability, stdio, trust, tune,
 };
 use clap::CommandFactory;
 use std::process::ExitCode;
@@ -52,6 +52,7 @@ fn dispatch(arguments: &Arguments) -> Exit {
         Command::Baseline(arguments) => baseline::baseline(arguments),
         Command::Trust(arguments) => trust::trust(arguments),
         Command::Explore(arguments) => explore::explore(arguments, quiet),
+        Command::Campaign(arguments) => campaign::campaign(arguments, quiet),
         Command::Stability(arguments) => stability::stability(arguments),
         Command::Identify(arguments) => identify::identify(arguments),
         Command::Chart(arguments) => chart::chart(arguments),

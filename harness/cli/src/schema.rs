@@ -5,6 +5,7 @@ use crate::exit::Exit;
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_acceptance::plan::plan_schema;
+use platebench_campaign::RawCampaign;
 use platebench_explore::RawEnvelope;
 use platebench_scenario::schema;
 use platebench_trace::write_atomically;
@@ -17,7 +18,7 @@ use std::path::PathBuf;
 Examples:
   platebench schema > scenario.json        `#:schema scenario.json` as the first line of a scenario enables completion
   platebench schema config > config.json
-  platebench schema --out scenarios/schema all five files
+  platebench schema --out scenarios/schema all six files
 
 Exit codes: 0 written, 2 a file cannot be written")]
 pub(crate) struct SchemaArgs {
@@ -39,6 +40,8 @@ enum SchemaKind {
     Plan,
     /// Operating envelopes
     Envelope,
+    /// Campaigns
+    Campaign,
     /// platebench.toml
     Config,
 }
@@ -50,6 +53,7 @@ impl SchemaKind {
             Self::Plate => "plate.json",
             Self::Plan => "plan.json",
             Self::Envelope => "envelope.json",
+            Self::Campaign => "campaign.json",
             Self::Config => "config.json",
         }
     }
@@ -67,6 +71,7 @@ impl SchemaKind {
             Self::Plate => schema::plate_schema(),
             Self::Plan => plan_schema(),
             Self::Envelope => schema::schema_of::<RawEnvelope>("Operating envelope"),
+            Self::Campaign => schema::schema_of::<RawCampaign>("Campaign"),
             Self::Config => schema::schema_of::<RawConfig>("platebench.toml"),
         }
     }

@@ -3,6 +3,7 @@
 pub(crate) mod colours;
 mod exceedance;
 mod fit;
+mod heat;
 mod loglog;
 mod map;
 mod scatter;
@@ -12,6 +13,7 @@ pub(crate) mod time_chart;
 
 pub use exceedance::draw_exceedance;
 pub use fit::FitChart;
+pub use heat::{HeatAxis, HeatFigure, HeatPanel};
 pub use loglog::{LogLogChart, LogLogSeries};
 pub use map::{MapFigure, MapPanel, RigDelay};
 pub use scatter::{ScatterChart, ScatterPanel, ScatterPoint};

@@ -12,6 +12,7 @@ pub enum FileKind {
     Plate,
     Plan,
     Envelope,
+    Campaign,
     Config,
 }
 
@@ -28,6 +29,8 @@ impl FileKind {
             Self::Scenario
         } else if has(&["requirement", "ask", "bench"]) {
             Self::Plan
+        } else if has(&["vary"]) {
+            Self::Campaign
         } else if has(&["range"]) {
             Self::Envelope
         } else if has(&["mode", "drive", "sensor"]) {
@@ -43,6 +46,7 @@ impl FileKind {
             Self::Plate => "plate",
             Self::Plan => "plan",
             Self::Envelope => "envelope",
+            Self::Campaign => "campaign",
             Self::Config => "settings file",
         }
     }

@@ -9,9 +9,11 @@ mod plate;
 mod profile;
 mod scenario;
 mod scene;
+mod template;
 mod text;
 
 pub use plate::load_plate;
+pub use template::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate};
 
 use crate::diagnostic::Diagnostic;
 use crate::parse::{parse, with_truncation_note};
@@ -32,6 +34,15 @@ pub fn load_with_all_errors(path: &Path, file: &str) -> Result<Scenario, Vec<Dia
     load_from(path, file, &[])
 }
 
+/// Like [`load_with_all_errors`], for changed values; `edit` changes the scenario's own table first.
+pub fn load_template(
+    path: &Path,
+    file: &str,
+    edit: impl FnOnce(&mut toml::Table),
+) -> Result<ScenarioTemplate, Vec<Diagnostic>> {
+    ScenarioTemplate::new(path, load_with_all_errors(path, file)?, edit)
+}
+
 /// Loads a scenario from copies of its inputs, in the order of [`Scenario::inputs`].
 pub fn load_copies(copies: &[PathBuf], file: &str) -> Result<Scenario, Diagnostic> {
     let [path, named @ ..] = copies else { return Err(Diagnostic::for_file(Path::new(file), "has no copy")) };
@@ -50,7 +61,8 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
         *named = std::path::absolute(copy).unwrap_or_else(|_| copy.clone());
     }
     let mut faults = Diagnostics::default();
-    match (Checker { path, text: &text, prefix: String::new() }.scenario(raw, file, &mut faults), faults.0) {
+    match (Checker { path, text: &text, prefix: String::new(), plates: &[] }.scenario(raw, file, &mut faults), faults.0)
+    {
         (Some(scenario), faults) if faults.is_empty() => Ok(scenario),
         (_, faults) => Err(with_truncation_note(path, faults)),
     }

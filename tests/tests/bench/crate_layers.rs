@@ -9,7 +9,7 @@ use std::fs;
 use toml::Table;
 
 /// A crate imports only crates of lower levels.
-const LEVELS: [(&str, u8); 20] = [
+const LEVELS: [(&str, u8); 21] = [
     ("firmware-under-test/wire", 0),
     ("firmware-under-test/controller", 0),
     ("firmware-under-test/host", 0),
@@ -25,6 +25,7 @@ const LEVELS: [(&str, u8); 20] = [
     ("harness/export", 4),
     ("harness/study", 5),
     ("harness/explore", 6),
+    ("harness/campaign", 5),
     ("harness/trust", 5),
     ("harness/live", 5),
     ("harness/native-tests", 5),

@@ -9,6 +9,7 @@
 
 mod accept;
 mod authoring;
+mod campaign;
 mod closed_loop;
 mod crate_layers;
 mod determinism;

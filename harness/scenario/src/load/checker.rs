@@ -4,14 +4,24 @@ use crate::diagnostic::{Diagnostic, suggestion};
 use crate::fault::Fault;
 use crate::parse::MAX_DIAGNOSTICS;
 use crate::window::ProfileChanges;
-use platebench_plate::{Profile, Time};
-use std::path::Path;
+use platebench_plate::{Plate, Profile, Time};
+use std::path::{Path, PathBuf};
+
+/// A checked plate that is not read from its file again.
+#[derive(Debug, Clone)]
+pub(super) struct KnownPlate {
+    pub(super) path: PathBuf,
+    pub(super) plate: Plate,
+    /// Empty if no file has it.
+    pub(super) text: String,
+}
 
 pub(super) struct Checker<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
     /// Table of the checked keys, with a dot at its end: `between.0.`; empty for the whole file.
     pub(super) prefix: String,
+    pub(super) plates: &'a [KnownPlate],
 }
 
 pub(super) struct TrialContext<'a> {

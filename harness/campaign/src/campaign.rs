@@ -1,0 +1,321 @@
+//! Reads and checks campaign files.
+
+use crate::distribution::{Choice, Distribution, RawDistribution};
+use platebench_scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
+use platebench_scenario::{Diagnostic, Metric, Scenario, input, parse};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use toml::de::{DeTable, DeValue};
+use toml::{Spanned, Table, Value};
+
+const MAX_TRIALS: u64 = 10_000_000_000;
+const MAX_CELLS: u64 = 1_000_000;
+const DEFAULT_CONFIDENCE: f64 = 0.95;
+/// Of a long list, so many values are checked before the campaign starts.
+const MAX_CHECKED_VALUES: usize = 100;
+/// Parts of a scenario that do not change a trial.
+const FIXED_KEYS: [&str; 7] = ["title", "source", "tags", "trials", "between", "expected_exit", "plate"];
+
+/// A campaign file.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawCampaign {
+    /// Title, one line.
+    #[schemars(length(min = 1))]
+    title: String,
+    /// Scenario file, relative to this file.
+    scenario: PathBuf,
+    /// Varied values by their path in the scenario, or `plate.` and their path in its plate file; the first one varies
+    /// slowest.
+    vary: BTreeMap<String, RawDistribution>,
+    /// Number and choice of the trials.
+    plan: RawPlan,
+    /// Demand on the share of failing trials.
+    #[serde(default)]
+    judge: RawJudge,
+}
+
+/// `[plan]`
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawPlan {
+    /// How the values of a trial are chosen.
+    method: Method,
+    /// Number of trials, per cell of a grid.
+    #[schemars(range(min = 1))]
+    trials: i64,
+    /// Seed; trial i has this seed + i.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0))]
+    seed: i64,
+}
+
+const fn one() -> i64 {
+    1
+}
+
+/// `[judge]`
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RawJudge {
+    /// Largest share of failing trials; without it one failing trial fails.
+    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1))]
+    at_most: Option<f64>,
+    /// Confidence of each end of an interval.
+    #[schemars(range(min = 0.5), extend("exclusiveMaximum" = 1))]
+    confidence: Option<f64>,
+}
+
+/// How the values of a trial are chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// Every combination of listed values; the others are drawn at random.
+    Grid,
+    /// All values are drawn at random.
+    Random,
+    /// All values follow a scrambled Sobol sequence.
+    Sobol,
+    /// Search for the worst case; not built yet.
+    Search,
+    /// Probability of rare failures; not built yet.
+    Rare,
+}
+
+/// A varied value.
+#[derive(Debug, Clone)]
+pub struct Variable {
+    pub key: String,
+    pub distribution: Distribution,
+}
+
+impl Variable {
+    /// True if its values are numbers.
+    pub fn is_number(&self) -> bool {
+        self.distribution.choices().is_none_or(|list| list.iter().all(Choice::is_number))
+    }
+}
+
+/// A checked campaign.
+#[derive(Debug)]
+pub struct Campaign {
+    pub path: PathBuf,
+    pub text: String,
+    pub title: String,
+    /// In the order of the file.
+    pub variables: Vec<Variable>,
+    pub method: Method,
+    /// In all.
+    pub trials: u64,
+    pub trials_per_cell: u64,
+    /// Number of combinations of listed values; 0 without listed values.
+    pub cells: u64,
+    pub seed: u64,
+    /// Largest share of failing trials.
+    pub at_most: Option<f64>,
+    pub confidence: f64,
+    pub template: ScenarioTemplate,
+}
+
+struct Checker<'a> {
+    path: &'a Path,
+    text: &'a str,
+}
+
+impl Campaign {
+    /// # Errors
+    /// Every wrong key, else every wrong value.
+    pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
+        let unreadable = |error| vec![Diagnostic::for_file(path, format!("cannot be read: {error}"))];
+        let text = String::from_utf8(input::read(path).map_err(unreadable)?)
+            .map_err(|_| vec![Diagnostic::for_file(path, "not UTF-8, expected a text file in UTF-8")])?;
+        let raw: RawCampaign = parse(path, &text)?;
+        let checker = Checker { path, text: &text };
+        let mut faults = checker.plain_faults(&raw);
+        let scenario_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.scenario);
+        let name = scenario_path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let template = load_template(&scenario_path, &name, prepare).map_err(|found| faults.extend(found)).ok();
+        let variables = checker.variables(raw.vary, &mut faults);
+        if let Some(template) = &template {
+            faults.extend(checker.scenario_fault(&template.scenario));
+            for variable in &variables {
+                faults.extend(checker.value_fault(template, variable));
+            }
+        }
+        let counts = checker.counts(&raw.plan, &variables).map_err(|fault| faults.push(fault));
+        let (Some(template), Ok([trials, cells]), true) = (template, counts, faults.is_empty()) else {
+            return Err(faults);
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            title: raw.title,
+            variables,
+            method: raw.plan.method,
+            trials,
+            trials_per_cell: raw.plan.trials.unsigned_abs(),
+            cells,
+            seed: raw.plan.seed.unsigned_abs(),
+            at_most: raw.judge.at_most,
+            confidence: raw.judge.confidence.unwrap_or(DEFAULT_CONFIDENCE),
+            template,
+            text,
+        })
+    }
+
+    /// The tables of a trial with these values.
+    pub fn tables(&self, seed: u64, values: &[f64]) -> Result<ScenarioTables, String> {
+        let changes = self
+            .variables
+            .iter()
+            .zip(values)
+            .map(|(variable, value)| (&*variable.key, variable.distribution.value(*value)));
+        let seed = ("trials.seed", Value::Integer(i64::try_from(seed).unwrap_or(i64::MAX)));
+        self.template.tables(changes.chain([seed]))
+    }
+
+    pub fn expectation_names(&self) -> Vec<String> {
+        self.template.scenario.expectations.iter().map(|expectation| expectation.name.clone()).collect()
+    }
+}
+
+/// A campaign plays single trials and judges each one alone.
+fn prepare(scenario: &mut Table) {
+    scenario.remove("trials");
+    scenario.remove("expected_exit");
+    for expectation in scenario.get_mut("expect").and_then(Value::as_array_mut).into_iter().flatten() {
+        let metric = expectation.get("metric").and_then(Value::as_str).and_then(Metric::from_name);
+        if let (Some(metric), Value::Table(expectation)) = (metric, expectation)
+            && metric.has_over()
+        {
+            expectation.remove("quantile");
+            expectation.insert("over".to_owned(), Value::String("each".to_owned()));
+        }
+    }
+}
+
+impl Checker<'_> {
+    fn fault(&self, key: &str, message: impl Into<String>) -> Diagnostic {
+        Diagnostic::at_key(self.path, self.text, key, message)
+    }
+
+    fn vary_fault(&self, key: &str, message: impl Into<String>) -> Diagnostic {
+        Diagnostic::at_span(self.path, self.text, self.span_of_variable(key), format!("`{key}`: {}", message.into()))
+    }
+
+    /// A varied key contains dots.
+    fn span_of_variable(&self, key: &str) -> Range<usize> {
+        let document = DeTable::parse(self.text).ok();
+        let vary = document.as_ref().and_then(|document| document.get_ref().get("vary"));
+        let Some(DeValue::Table(vary)) = vary.map(Spanned::get_ref) else { return 0..0 };
+        vary.iter().find(|(name, _)| name.get_ref() == key).map_or(0..0, |(name, _)| name.span())
+    }
+
+    fn plain_faults(&self, raw: &RawCampaign) -> Vec<Diagnostic> {
+        let mut faults = Vec::new();
+        if raw.title.trim().is_empty() || raw.title.contains(char::is_control) {
+            faults.push(self.fault("title", format!("{:?}, expected one line of text", raw.title)));
+        }
+        if let Method::Search | Method::Rare = raw.plan.method {
+            let message = "this method is not built yet, expected `grid`, `random` or `sobol`";
+            faults.push(self.fault("plan.method", message));
+        }
+        if let Some(share) = raw.judge.at_most.filter(|share| !(*share > 0.0 && *share < 1.0)) {
+            faults.push(self.fault("judge.at_most", format!("{share}, expected a share above 0 and below 1")));
+        }
+        if let Some(confidence) = raw.judge.confidence.filter(|confidence| !(0.5..1.0).contains(confidence)) {
+            faults.push(self.fault("judge.confidence", format!("{confidence}, expected 0.5 or more and below 1")));
+        }
+        faults
+    }
+
+    /// In the order of the file.
+    fn variables(&self, raw: BTreeMap<String, RawDistribution>, faults: &mut Vec<Diagnostic>) -> Vec<Variable> {
+        if raw.is_empty() {
+            faults.push(self.fault("vary", "no varied value, expected at least one"));
+        }
+        let mut raw: Vec<_> = raw.into_iter().collect();
+        raw.sort_by_key(|(key, _)| self.span_of_variable(key).start);
+        let mut variables = Vec::new();
+        for (key, distribution) in raw {
+            let first = key.split('.').next().unwrap_or_default();
+            if FIXED_KEYS.contains(&first) && !key.starts_with(PLATE_PREFIX) {
+                let message = "cannot be varied; expected a key of the scenario's scene, controller or limits, or a key \
+                               of the plate file after `plate.`";
+                faults.push(self.vary_fault(&key, message));
+                continue;
+            }
+            match distribution.check() {
+                Ok(distribution) => variables.push(Variable { key, distribution }),
+                Err(message) => faults.push(self.vary_fault(&key, message)),
+            }
+        }
+        variables
+    }
+
+    fn scenario_fault(&self, scenario: &Scenario) -> Option<Diagnostic> {
+        let over_trials = scenario.expects(Metric::Repeatability) || scenario.keeps_controller();
+        over_trials.then(|| {
+            let message = "the scenario has [[between]] or a metric that compares trials; a campaign judges each trial \
+                           alone, expected another scenario";
+            self.fault("scenario", message)
+        })
+    }
+
+    /// The first value that the scenario refuses.
+    fn value_fault(&self, template: &ScenarioTemplate, variable: &Variable) -> Option<Diagnostic> {
+        let values = variable.distribution.required_values();
+        let step = values.len().div_ceil(MAX_CHECKED_VALUES).max(1);
+        let checked = values.iter().step_by(step).chain(values.last());
+        let names = |scenario: &Scenario| -> Vec<String> {
+            scenario.expectations.iter().map(|expectation| expectation.name.clone()).collect()
+        };
+        for value in checked {
+            let with_value = |message: &str| Some(self.vary_fault(&variable.key, format!("{value}: {message}")));
+            let tables = match template.tables([(&*variable.key, value.clone())]) {
+                Ok(tables) => tables,
+                Err(message) => return Some(self.vary_fault(&variable.key, message)),
+            };
+            let scenario = match template.check(&tables) {
+                Ok(scenario) => scenario,
+                Err(faults) => return with_value(faults.first().map_or("refused", |fault| &*fault.message)),
+            };
+            if let Err(fault) = platebench_runner::law(&scenario) {
+                return with_value(&fault.message);
+            }
+            let is_pinned = |path: &Path| template.inputs().iter().any(|input| input.path == path);
+            if names(&scenario) != names(&template.scenario)
+                || !scenario.inputs.iter().all(|input| is_pinned(&input.path))
+            {
+                return with_value("changes a file or the name of an expectation, expected a number or a choice");
+            }
+        }
+        None
+    }
+
+    /// Trials in all, and cells.
+    fn counts(&self, plan: &RawPlan, variables: &[Variable]) -> Result<[u64; 2], Diagnostic> {
+        let lists = variables.iter().filter_map(|variable| variable.distribution.choices());
+        let cells = lists.clone().try_fold(1_u64, |cells, list| cells.checked_mul(list.len() as u64));
+        let cells = cells.filter(|cells| *cells <= MAX_CELLS).ok_or_else(|| {
+            self.fault("vary", format!("more than {MAX_CELLS} combinations of listed values, expected fewer"))
+        })?;
+        let has_lists = lists.count() > 0;
+        if plan.method == Method::Grid && !has_lists {
+            let message = "a grid without `steps` or `each`, expected at least one of them, or method `random`";
+            return Err(self.fault("plan.method", message));
+        }
+        let cells = if has_lists { cells } else { 0 };
+        let planned = u64::try_from(plan.trials).ok().filter(|trials| *trials > 0);
+        let trials = planned.and_then(|trials| trials.checked_mul(if plan.method == Method::Grid { cells } else { 1 }));
+        let trials = trials.filter(|trials| *trials <= MAX_TRIALS).ok_or_else(|| {
+            self.fault("plan.trials", format!("{}, expected 1 to {MAX_TRIALS} trials in all", plan.trials))
+        })?;
+        if plan.seed < 0 || plan.seed > i64::MAX - MAX_TRIALS.cast_signed() {
+            return Err(self.fault("plan.seed", format!("{}, expected 0 to {}", plan.seed, i64::MAX / 2)));
+        }
+        Ok([trials, cells])
+    }
+}

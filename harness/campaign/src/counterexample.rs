@@ -1,0 +1,97 @@
+//! Writes failing trials as scenarios that `platebench run` plays.
+
+use crate::campaign::Campaign;
+use crate::error::CampaignError;
+use crate::row::Row;
+use platebench_trace::write_atomically;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+const FOLDER: &str = "counterexamples";
+const PLATES: &str = "plates";
+const PROFILES: &str = "profiles";
+
+/// Replaces the folder's scenarios by those of `rows`.
+pub(crate) fn write(folder: &Path, campaign: &Campaign, rows: &[Row]) -> Result<(), CampaignError> {
+    let folder = folder.join(FOLDER);
+    if folder.exists() {
+        fs::remove_dir_all(&folder).map_err(CampaignError::io(&folder))?;
+    }
+    if rows.is_empty() {
+        return Ok(());
+    }
+    for name in [PLATES, PROFILES] {
+        let path = folder.join(name);
+        fs::create_dir_all(&path).map_err(CampaignError::io(path))?;
+    }
+    let mut copies = Copies { folder: &folder, source: source_folder(campaign), names: BTreeMap::new() };
+    rows.iter().try_for_each(|row| write_trial(&folder, campaign, row, &mut copies))?;
+    let profiles = folder.join(PROFILES);
+    // Fails if a profile has been copied.
+    let _ = fs::remove_dir(profiles);
+    Ok(())
+}
+
+fn source_folder(campaign: &Campaign) -> PathBuf {
+    let scenario = campaign.template.inputs().first().map(|input| input.path.clone()).unwrap_or_default();
+    scenario.parent().map(Path::to_owned).unwrap_or_default()
+}
+
+fn write_trial(folder: &Path, campaign: &Campaign, row: &Row, copies: &mut Copies<'_>) -> Result<(), CampaignError> {
+    let trial = campaign.trial(row.trial)?;
+    let mut scenario = trial.tables.scenario;
+    if let Some(controller) = scenario.get_mut("controller").and_then(Value::as_table_mut) {
+        copies.copy(controller, "design_plate", PLATES)?;
+    }
+    if let Some(plate) = &trial.tables.plate {
+        let name = format!("{PLATES}/trial-{}.toml", row.trial);
+        write_toml(&folder.join(&name), plate, "")?;
+        scenario.insert("plate".to_owned(), Value::String(name));
+    } else {
+        copies.copy(&mut scenario, "plate", PLATES)?;
+    }
+    for profile in scenario.get_mut("profile").and_then(Value::as_table_mut).into_iter().flat_map(|all| all.iter_mut())
+    {
+        if let (_, Value::Table(shape)) = profile {
+            copies.copy(shape, "csv", PROFILES)?;
+        }
+    }
+    let comment = format!("# Written by platebench campaign: trial {} of {:?}.\n", row.trial, campaign.title);
+    write_toml(&folder.join(format!("{}.toml", row.trial)), &scenario, &comment)
+}
+
+fn write_toml(path: &Path, table: &Table, comment: &str) -> Result<(), CampaignError> {
+    let text = toml::to_string(table).map_err(|error| CampaignError::io(path)(std::io::Error::other(error)))?;
+    write_atomically(path, format!("{comment}{text}").as_bytes()).map_err(CampaignError::io(path))
+}
+
+/// Copies of the named files next to the counterexamples.
+struct Copies<'a> {
+    folder: &'a Path,
+    source: PathBuf,
+    /// By the name in the scenario.
+    names: BTreeMap<String, String>,
+}
+
+impl Copies<'_> {
+    /// Copies the file that `key` names, once, and renames it in the table.
+    fn copy(&mut self, table: &mut Table, key: &str, below: &str) -> Result<(), CampaignError> {
+        let Some(Value::String(named)) = table.get_mut(key) else { return Ok(()) };
+        if !self.names.contains_key(named) {
+            let source = self.source.join(&*named);
+            let file = source.file_name().unwrap_or_default().to_string_lossy();
+            // Two folders may have files of one name.
+            let copy = format!("{below}/{}-{file}", self.names.len());
+            let content = fs::read(&source).map_err(CampaignError::io(&source))?;
+            let path = self.folder.join(&copy);
+            write_atomically(&path, &content).map_err(CampaignError::io(&path))?;
+            self.names.insert(named.clone(), copy);
+        }
+        if let Some(copy) = self.names.get(named) {
+            named.clone_from(copy);
+        }
+        Ok(())
+    }
+}

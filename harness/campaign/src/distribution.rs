@@ -1,0 +1,276 @@
+//! Defines the distributions of varied values.
+
+use schemars::JsonSchema;
+use serde::Deserialize;
+use statrs::function::erf::{erfc, erfc_inv};
+use std::f64::consts::SQRT_2;
+use std::fmt;
+use toml::Value;
+
+const MAX_STEPS: u32 = 1_000_000;
+
+/// A listed value.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "expected a number, a text, true or false")]
+pub enum Choice {
+    Integer(i64),
+    Number(f64),
+    Bool(bool),
+    Text(String),
+}
+
+impl Choice {
+    pub fn is_number(&self) -> bool {
+        matches!(self, Self::Integer(_) | Self::Number(_))
+    }
+
+    pub fn number(&self) -> Option<f64> {
+        match self {
+            Self::Integer(value) => Some(*value as f64),
+            Self::Number(value) => Some(*value),
+            Self::Bool(_) | Self::Text(_) => None,
+        }
+    }
+}
+
+impl From<&Choice> for Value {
+    fn from(choice: &Choice) -> Self {
+        match choice {
+            Choice::Integer(value) => Self::Integer(*value),
+            Choice::Number(value) => Self::Float(*value),
+            Choice::Bool(value) => Self::Boolean(*value),
+            Choice::Text(value) => Self::String(value.clone()),
+        }
+    }
+}
+
+impl fmt::Display for Choice {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Integer(value) => value.fmt(formatter),
+            Self::Number(value) => value.fmt(formatter),
+            Self::Bool(value) => value.fmt(formatter),
+            Self::Text(value) => value.fmt(formatter),
+        }
+    }
+}
+
+/// Distribution of a value, unchecked.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub enum RawDistribution {
+    /// Listed values.
+    Each(#[schemars(length(min = 1))] Vec<Choice>),
+    /// First value, last value, number of values.
+    Steps(f64, f64, u32),
+    /// Smallest and largest value.
+    Uniform([f64; 2]),
+    /// A normal distribution.
+    Normal(RawNormal),
+}
+
+/// `normal`
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawNormal {
+    /// Mean.
+    mean: f64,
+    /// Standard deviation; this or `sd_percent`.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    sd: Option<f64>,
+    /// Standard deviation, percent of the mean.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    sd_percent: Option<f64>,
+    /// Smallest and largest value of a truncated distribution.
+    truncate: Option<[f64; 2]>,
+}
+
+/// A checked distribution.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Distribution {
+    /// At least one value.
+    Choices(Vec<Choice>),
+    Uniform([f64; 2]),
+    Normal {
+        mean: f64,
+        sd: f64,
+        truncate: Option<[f64; 2]>,
+    },
+}
+
+impl RawDistribution {
+    /// The error says what was expected.
+    pub fn check(self) -> Result<Distribution, String> {
+        match self {
+            Self::Each(values) if values.is_empty() => Err("each = [], expected at least one value".to_owned()),
+            Self::Each(values) => {
+                let is_uniform = values.iter().all(Choice::is_number) || !values.iter().any(Choice::is_number);
+                if !is_uniform {
+                    return Err("each mixes numbers and others, expected values of one type".to_owned());
+                }
+                if values.iter().any(|value| value.number().is_some_and(|number| !number.is_finite())) {
+                    return Err("each has a value that is not finite".to_owned());
+                }
+                Ok(Distribution::Choices(values))
+            }
+            Self::Steps(from, to, count) => {
+                let is_single = count == 1 && from == to;
+                if !(from.is_finite() && to.is_finite() && (is_single || (2..=MAX_STEPS).contains(&count))) {
+                    return Err(format!(
+                        "steps = [{from}, {to}, {count}], expected [from, to, how many] with 2 to {MAX_STEPS} values"
+                    ));
+                }
+                // Both ends are exact.
+                let value = |index: u32| match index {
+                    0 => from,
+                    _ if index + 1 == count => to,
+                    _ => from + (to - from) * f64::from(index) / f64::from(count - 1),
+                };
+                Ok(Distribution::Choices((0..count).map(|index| Choice::Number(value(index))).collect()))
+            }
+            Self::Uniform([low, high]) => {
+                let holds = low.is_finite() && high.is_finite() && low < high;
+                let error = || format!("uniform = [{low}, {high}], expected [low, high] with low below high");
+                if holds { Ok(Distribution::Uniform([low, high])) } else { Err(error()) }
+            }
+            Self::Normal(raw) => raw.check(),
+        }
+    }
+}
+
+impl RawNormal {
+    fn check(&self) -> Result<Distribution, String> {
+        let sd = match (self.sd, self.sd_percent) {
+            (Some(sd), None) => sd,
+            (None, Some(percent)) => self.mean.abs() * percent / 100.0,
+            _ => return Err("normal, expected exactly one of sd and sd_percent".to_owned()),
+        };
+        if !(self.mean.is_finite() && sd.is_finite() && sd > 0.0) {
+            return Err(format!("normal with mean {} and sd {sd}, expected finite numbers and sd above 0", self.mean));
+        }
+        if let Some([low, high]) = self.truncate {
+            let share = below((high - self.mean) / sd) - below((low - self.mean) / sd);
+            if !(low < high && share > 1e-6) {
+                return Err(format!("truncate = [{low}, {high}], expected a range that contains values of the normal"));
+            }
+        }
+        Ok(Distribution::Normal { mean: self.mean, sd, truncate: self.truncate })
+    }
+}
+
+/// Φ(z)
+fn below(z: f64) -> f64 {
+    0.5 * erfc(-z / SQRT_2)
+}
+
+/// Φ⁻¹(p)
+fn quantile(p: f64) -> f64 {
+    -SQRT_2 * erfc_inv(2.0 * p)
+}
+
+impl Distribution {
+    /// The value at `u` in (0, 1); the number of the choice for [`Self::Choices`].
+    pub fn at(&self, u: f64) -> f64 {
+        match self {
+            Self::Choices(values) => (u * values.len() as f64).floor().min(values.len() as f64 - 1.0),
+            Self::Uniform([low, high]) => low + (high - low) * u,
+            Self::Normal { mean, sd, truncate: None } => mean + sd * quantile(u),
+            Self::Normal { mean, sd, truncate: Some([low, high]) } => {
+                let (from, to) = (below((low - mean) / sd), below((high - mean) / sd));
+                (mean + sd * quantile(from + (to - from) * u)).clamp(*low, *high)
+            }
+        }
+    }
+
+    /// As a value of a scenario.
+    pub fn value(&self, drawn: f64) -> Value {
+        match self {
+            Self::Choices(values) => values.get(drawn as usize).map_or(Value::Float(f64::NAN), Value::from),
+            Self::Uniform(_) | Self::Normal { .. } => Value::Float(drawn),
+        }
+    }
+
+    /// As a number of a result; `None` for a text.
+    pub fn number(&self, drawn: f64) -> Option<f64> {
+        match self {
+            Self::Choices(values) => values.get(drawn as usize)?.number(),
+            Self::Uniform(_) | Self::Normal { .. } => Some(drawn),
+        }
+    }
+
+    pub fn text(&self, drawn: f64) -> String {
+        match self {
+            Self::Choices(values) => values.get(drawn as usize).map(ToString::to_string).unwrap_or_default(),
+            Self::Uniform(_) | Self::Normal { .. } => drawn.to_string(),
+        }
+    }
+
+    pub fn choices(&self) -> Option<&[Choice]> {
+        if let Self::Choices(values) = self { Some(values) } else { None }
+    }
+
+    /// Values that must be valid for the quantity; others may be drawn again.
+    pub fn required_values(&self) -> Vec<Value> {
+        match self {
+            Self::Choices(values) => values.iter().map(Value::from).collect(),
+            Self::Uniform(ends) => ends.iter().copied().map(Value::Float).collect(),
+            Self::Normal { mean, .. } => vec![Value::Float(*mean)],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Distribution, String> {
+        let raw: RawDistribution = toml::from_str::<toml::Table>(&format!("x = {text}")).unwrap()["x"]
+            .clone()
+            .try_into()
+            .map_err(|error: toml::de::Error| error.message().to_owned())?;
+        raw.check()
+    }
+
+    #[test]
+    fn steps_include_both_ends_exactly() {
+        let Distribution::Choices(values) = parse("{ steps = [0.1, 0.7, 4] }").unwrap() else { panic!() };
+        let numbers: Vec<_> = values.iter().filter_map(Choice::number).collect();
+        assert_eq!((numbers[0], numbers[3], numbers.len()), (0.1, 0.7, 4));
+        assert!((numbers[1] - 0.3).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_normal_has_its_quantiles() {
+        let normal = parse("{ normal = { mean = 10.0, sd_percent = 20.0 } }").unwrap();
+        assert!((normal.at(0.5) - 10.0).abs() < 1e-9 && (normal.at(0.975) - 13.919_928).abs() < 1e-5);
+        let truncated = parse("{ normal = { mean = 10.0, sd = 2.0, truncate = [9.0, 10.0] } }").unwrap();
+        assert!((truncated.at(1e-9) - 9.0).abs() < 1e-6 && (truncated.at(1.0 - 1e-9) - 10.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn every_choice_has_the_same_share() {
+        let each = parse("{ each = [\"a\", \"b\", \"c\"] }").unwrap();
+        let drawn: Vec<_> = [0.01, 0.34, 0.67, 0.999_999].map(|u| each.text(each.at(u))).to_vec();
+        assert_eq!(drawn, ["a", "b", "c", "c"]);
+    }
+
+    #[test]
+    fn rejects_wrong_distributions() {
+        for text in [
+            "{ each = [] }",
+            "{ each = [1.0, \"a\"] }",
+            "{ steps = [0.0, 1.0, 1] }",
+            "{ steps = [0.0, 1.0] }",
+            "{ uniform = [1.0, 1.0] }",
+            "{ uniform = [2.0, 1.0] }",
+            "{ normal = { mean = 1.0 } }",
+            "{ normal = { mean = 1.0, sd = 1.0, sd_percent = 1.0 } }",
+            "{ normal = { mean = 0.0, sd_percent = 1.0 } }",
+            "{ normal = { mean = 0.0, sd = 1.0, truncate = [1.0, 0.0] } }",
+            "{ normal = { mean = 0.0, sd = 1.0, truncate = [90.0, 91.0] } }",
+            "{ lognormal = { mean = 1.0 } }",
+        ] {
+            assert!(parse(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Draws the values of a trial. They depend on the campaign and the number of the trial alone.
+
+use crate::campaign::{Campaign, Method};
+use crate::error::CampaignError;
+use platebench_scenario::load::ScenarioTables;
+use platebench_scenario::{Diagnostic, Scenario};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution as _, Open01};
+
+use crate::distribution::Distribution;
+
+/// Attempts to draw values that the scenario accepts.
+const MAX_ATTEMPTS: u32 = 100;
+/// The crate has points for 16 bits; each further block of a sequence is scrambled anew.
+const SOBOL_BLOCK: u64 = 1 << 16;
+
+/// A trial with its values.
+#[derive(Debug)]
+pub struct Trial {
+    pub number: u64,
+    pub seed: u64,
+    /// In the order of the variables; the number of the choice for listed values.
+    pub values: Vec<f64>,
+    /// Draws that the scenario refused.
+    pub redraws: u32,
+    pub tables: ScenarioTables,
+    pub scenario: Scenario,
+}
+
+impl Campaign {
+    pub fn seed_of(&self, trial: u64) -> u64 {
+        self.seed + trial
+    }
+
+    /// A normal draw outside the domain of its quantity is drawn again.
+    pub fn trial(&self, number: u64) -> Result<Trial, CampaignError> {
+        let seed = self.seed_of(number);
+        let is_redrawn =
+            self.variables.iter().any(|variable| matches!(variable.distribution, Distribution::Normal { .. }));
+        let attempts = if is_redrawn { MAX_ATTEMPTS } else { 1 };
+        let mut random = ChaCha8Rng::seed_from_u64(self.seed);
+        // Streams 0 and 1 of a seed belong to noise and spread.
+        random.set_stream(u64::MAX - number);
+        let mut fault = None;
+        let mut values = Vec::new();
+        for redraws in 0..attempts {
+            values = self.draw(number, redraws, &values, &mut random);
+            let tables = self.tables(seed, &values);
+            let tables = tables.map_err(|message| Diagnostic::for_file(&self.path, message));
+            let checked = tables.and_then(|tables| {
+                let refused = |faults: Vec<Diagnostic>| faults.into_iter().next();
+                match self.template.check(&tables) {
+                    Ok(scenario) => Ok((tables, scenario)),
+                    Err(faults) => Err(refused(faults).unwrap_or_else(|| Diagnostic::for_file(&self.path, "refused"))),
+                }
+            });
+            match checked {
+                Ok((tables, scenario)) => return Ok(Trial { number, seed, values, redraws, tables, scenario }),
+                Err(refused) => fault = Some(refused),
+            }
+        }
+        let fault = fault.unwrap_or_else(|| Diagnostic::for_file(&self.path, "refused"));
+        let values = self.variables.iter().zip(&values);
+        let values =
+            values.map(|(variable, value)| format!("{} = {}", variable.key, variable.distribution.text(*value)));
+        let values = values.collect::<Vec<_>>().join(", ");
+        Err(CampaignError::Trial { trial: number, values, fault: Box::new(fault) })
+    }
+
+    /// A further attempt draws the normal values alone.
+    fn draw(&self, trial: u64, attempt: u32, before: &[f64], random: &mut ChaCha8Rng) -> Vec<f64> {
+        let mut place = self.cell_of(trial);
+        let mut choices = vec![0; self.variables.len()];
+        for (choice, variable) in choices.iter_mut().zip(&self.variables).rev() {
+            if let Some(list) = variable.distribution.choices() {
+                (*choice, place) = (place % list.len() as u64, place / list.len() as u64);
+            }
+        }
+        let draw = |(index, variable): (usize, &crate::campaign::Variable)| {
+            let distribution = &variable.distribution;
+            let random: f64 = Open01.sample(random);
+            match (self.method, distribution) {
+                (Method::Grid, Distribution::Choices(_)) => choices.get(index).map_or(0.0, |choice| *choice as f64),
+                (_, Distribution::Choices(_) | Distribution::Uniform(_)) if attempt > 0 => {
+                    before.get(index).copied().unwrap_or_default()
+                }
+                (Method::Sobol, _) if attempt == 0 => distribution.at(self.sobol(trial, index)),
+                _ => distribution.at(random),
+            }
+        };
+        self.variables.iter().enumerate().map(draw).collect()
+    }
+
+    /// The number of the cell in a grid.
+    fn cell_of(&self, trial: u64) -> u64 {
+        if self.method == Method::Grid { trial / self.trials_per_cell } else { 0 }
+    }
+
+    /// The cell of drawn values: the combination of listed values, the first key slowest.
+    pub fn cell(&self, values: &[f64]) -> usize {
+        self.variables.iter().zip(values).fold(0, |cell, (variable, value)| match variable.distribution.choices() {
+            Some(list) => cell * list.len() + *value as usize,
+            None => cell,
+        })
+    }
+
+    fn sobol(&self, trial: u64, dimension: usize) -> f64 {
+        let block = (trial / SOBOL_BLOCK) as u32;
+        let seed = (self.seed as u32) ^ ((self.seed >> 32) as u32) ^ block.wrapping_mul(0x9E37_79B9);
+        let point = sobol_burley::sample((trial % SOBOL_BLOCK) as u32, dimension as u32, seed);
+        // The centre of an interval of 2⁻²⁴: never 0.
+        f64::from(point) + 0.5 / f64::from(1 << 24)
+    }
+}

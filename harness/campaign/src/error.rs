@@ -1,0 +1,59 @@
+//! Defines the errors of campaigns.
+
+use parquet::errors::ParquetError;
+use platebench_report::ReportError;
+use platebench_rig::{ConnectError, RigError};
+use platebench_scenario::Diagnostic;
+use std::io;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, thiserror::Error)]
+pub enum CampaignError {
+    /// The campaign file or its scenario is wrong.
+    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    Files(Vec<Diagnostic>),
+    #[error("{}: {source}", path.display())]
+    Io { path: PathBuf, source: io::Error },
+    #[error("{}: {source}", path.display())]
+    Write { path: PathBuf, source: ParquetError },
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    #[error("{}: no plan.json, expected a folder of `platebench campaign plan`", .0.display())]
+    NoPlan(PathBuf),
+    #[error("{}: damaged or edited, {why}", path.display())]
+    Damaged { path: PathBuf, why: &'static str },
+    #[error("{}: belongs to another plan or shard", .0.display())]
+    Foreign(PathBuf),
+    #[error("{}: another campaign is planned here; use another folder", .0.display())]
+    OtherPlan(PathBuf),
+    #[error("{}: changed since the campaign was planned; restore it, or plan again in another folder", .0.display())]
+    ChangedInput(PathBuf),
+    #[error("this bench is not the one that planned the campaign; its SHA-256 is {found}, plan.json has {planned}")]
+    OtherBench { found: String, planned: String },
+    #[error("{rig}: the firmware is not the one of the plan; its SHA-256 is {found}, plan.json has {planned}")]
+    OtherFirmware { rig: String, found: String, planned: String },
+    #[error("shard {shard}, expected 1 to {shards}")]
+    NoShard { shard: u32, shards: u32 },
+    #[error("trial {trial} cannot be played with the values {values}: {fault}")]
+    Trial { trial: u64, values: String, fault: Box<Diagnostic> },
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    #[error("the controller was lost in {0} trials in a row")]
+    Lost(u32),
+    #[error("cancelled")]
+    Cancelled,
+}
+
+impl CampaignError {
+    pub(crate) fn io(path: impl AsRef<Path>) -> impl FnOnce(io::Error) -> Self {
+        let path = path.as_ref().to_owned();
+        |source| Self::Io { path, source }
+    }
+
+    pub(crate) fn write(path: &Path) -> impl Fn(ParquetError) -> Self + use<> {
+        let path = path.to_owned();
+        move |source| Self::Write { path: path.clone(), source }
+    }
+}

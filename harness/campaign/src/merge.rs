@@ -1,0 +1,62 @@
+//! Joins the parts of a campaign to its results.
+
+use crate::campaign::Campaign;
+use crate::counterexample;
+use crate::error::CampaignError;
+use crate::part::PartReader;
+use crate::plan::Plan;
+use crate::report;
+use crate::results::ResultsWriter;
+use crate::summary::{SUMMARY_FILE, Summary};
+use platebench_trace::write_atomically;
+use std::path::Path;
+
+/// Writes results, summary, report and counterexamples. A damaged part leaves earlier results as they are.
+pub fn merge<'a>(folder: &Path, plan: &Plan, campaign: &'a Campaign) -> Result<Summary<'a>, CampaignError> {
+    let mut summary = Summary::new(campaign);
+    let mut results = ResultsWriter::new(folder, campaign)?;
+    for shard in 1..=plan.shards {
+        if !plan.part_path(folder, shard).exists() {
+            summary.missing.push(shard);
+            continue;
+        }
+        PartReader::open(folder, plan, campaign, shard)?.rows(&mut |row| {
+            summary.add(&row);
+            results.push(row)
+        })?;
+    }
+    results.commit()?;
+    let path = folder.join(SUMMARY_FILE);
+    let text = serde_json::to_string_pretty(&summary.json()).unwrap_or_default();
+    write_atomically(&path, format!("{text}\n").as_bytes()).map_err(CampaignError::io(&path))?;
+    counterexample::write(folder, campaign, &summary.failing)?;
+    report::write(folder, &summary)?;
+    Ok(summary)
+}
+
+/// State of the parts.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Status {
+    pub whole: Vec<u32>,
+    pub missing: Vec<u32>,
+    /// Damaged or of another plan, with the reason.
+    pub unusable: Vec<(u32, String)>,
+}
+
+pub fn status(folder: &Path, plan: &Plan, campaign: &Campaign) -> Result<Status, CampaignError> {
+    let mut status = Status::default();
+    for shard in 1..=plan.shards {
+        if !plan.part_path(folder, shard).exists() {
+            status.missing.push(shard);
+            continue;
+        }
+        match PartReader::open(folder, plan, campaign, shard) {
+            Ok(_) => status.whole.push(shard),
+            Err(error @ (CampaignError::Damaged { .. } | CampaignError::Foreign(_))) => {
+                status.unusable.push((shard, error.to_string()));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(status)
+}

@@ -1,0 +1,198 @@
+//! Writes and reads the results of a shard.
+//!
+//! A part is a Parquet file of numbers, one row group per [`GROUP_ROWS`] trials. Its metadata name the plan and the
+//! shard, and contain the SHA-256 of the file itself with zeros in place of the digest.
+
+use crate::campaign::Campaign;
+use crate::error::CampaignError;
+use crate::plan::Plan;
+use crate::row::Row;
+use parquet::basic::{Compression, Repetition, Type as Physical};
+use parquet::column::reader::get_typed_column_reader;
+use parquet::data_type::DoubleType;
+use parquet::errors::ParquetError;
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::WriterProperties;
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::types::Type;
+use platebench_record::sha256;
+use platebench_trace::{AtomicFile, read_regular_file, write_atomically};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Trials in memory per row group.
+const GROUP_ROWS: usize = 4096;
+const DIGEST_KEY: &str = "file_sha256";
+const NO_DIGEST: [u8; 64] = [b'0'; 64];
+const MAX_PART_BYTES: u64 = 8 << 30;
+
+/// Collects the rows of a shard in a file that gets its name when it is complete.
+pub(crate) struct PartWriter {
+    path: PathBuf,
+    columns: usize,
+    rows: Vec<Row>,
+    writer: SerializedFileWriter<Vec<u8>>,
+}
+
+impl PartWriter {
+    pub(crate) fn new(path: PathBuf, plan: &Plan, campaign: &Campaign, shard: u32) -> Result<Self, CampaignError> {
+        let columns = column_count(campaign);
+        let metadata = [
+            ("plan", plan.sha256.clone()),
+            ("shard", shard.to_string()),
+            (DIGEST_KEY, String::from_utf8_lossy(&NO_DIGEST).into_owned()),
+        ];
+        let metadata = metadata.map(|(key, value)| KeyValue::new(key.to_owned(), value)).to_vec();
+        let properties =
+            WriterProperties::builder().set_compression(Compression::SNAPPY).set_key_value_metadata(Some(metadata));
+        let writer = schema(columns)
+            .and_then(|schema| SerializedFileWriter::new(Vec::new(), Arc::new(schema), Arc::new(properties.build())))
+            .map_err(CampaignError::write(&path))?;
+        Ok(Self { path, columns, rows: Vec::with_capacity(GROUP_ROWS), writer })
+    }
+
+    /// Rows come in the order of their trials.
+    pub(crate) fn push(&mut self, row: Row) -> Result<(), CampaignError> {
+        self.rows.push(row);
+        if self.rows.len() == GROUP_ROWS { self.write_group() } else { Ok(()) }
+    }
+
+    fn write_group(&mut self) -> Result<(), CampaignError> {
+        let mut columns = vec![Vec::with_capacity(self.rows.len()); self.columns];
+        for row in self.rows.drain(..) {
+            columns.iter_mut().zip(row.encode()).for_each(|(column, value)| column.push(value));
+        }
+        let mut write = || {
+            let mut group = self.writer.next_row_group()?;
+            for values in &columns {
+                let Some(mut column) = group.next_column()? else { break };
+                column.typed::<DoubleType>().write_batch(values, None, None)?;
+                column.close()?;
+            }
+            group.close().map(drop)
+        };
+        write().map_err(CampaignError::write(&self.path))
+    }
+
+    pub(crate) fn commit(mut self) -> Result<(), CampaignError> {
+        if !self.rows.is_empty() {
+            self.write_group()?;
+        }
+        let mut bytes = self.writer.into_inner().map_err(CampaignError::write(&self.path))?;
+        let digest = sha256(&bytes);
+        if let Some(place) = digest_place(&bytes)
+            && let Some(place) = bytes.get_mut(place..place + NO_DIGEST.len())
+        {
+            place.copy_from_slice(digest.as_bytes());
+        }
+        write_atomically(&self.path, &bytes).map_err(CampaignError::io(&self.path))
+    }
+}
+
+fn column_count(campaign: &Campaign) -> usize {
+    Row::column_count(campaign.variables.len(), campaign.template.scenario.expectations.len())
+}
+
+fn schema(columns: usize) -> Result<Type, ParquetError> {
+    let column = |index: usize| {
+        let name = format!("c{index}");
+        let column = Type::primitive_type_builder(&name, Physical::DOUBLE);
+        column.with_repetition(Repetition::REQUIRED).build().map(Arc::new)
+    };
+    let fields = (0..columns).map(column).collect::<Result<_, _>>()?;
+    Type::group_type_builder("part").with_fields(fields).build()
+}
+
+/// The value follows its key and a length of one byte (Thrift's compact protocol) or two.
+fn digest_place(bytes: &[u8]) -> Option<usize> {
+    let key = DIGEST_KEY.as_bytes();
+    let key_at = bytes.windows(key.len()).rposition(|window| window == key)?;
+    let after = bytes.get(key_at + key.len()..)?;
+    let is_hex = |window: &[u8]| window.iter().all(u8::is_ascii_hexdigit);
+    let skipped = after.windows(NO_DIGEST.len()).take(8).position(is_hex)?;
+    Some(key_at + key.len() + skipped)
+}
+
+/// The rows of a part, without those in memory of other groups.
+pub(crate) struct PartReader {
+    path: PathBuf,
+    reader: SerializedFileReader<std::fs::File>,
+    columns: usize,
+    variables: usize,
+    first: u64,
+}
+
+impl PartReader {
+    /// Fails with [`CampaignError::Damaged`] or [`CampaignError::Foreign`].
+    pub(crate) fn open(folder: &Path, plan: &Plan, campaign: &Campaign, shard: u32) -> Result<Self, CampaignError> {
+        let path = plan.part_path(folder, shard);
+        let damaged = |why| CampaignError::Damaged { path: path.clone(), why };
+        let mut bytes = read_regular_file(&path, MAX_PART_BYTES).map_err(CampaignError::io(&path))?;
+        let place = digest_place(&bytes).ok_or_else(|| damaged("it has no checksum"))?;
+        let digest = bytes.get_mut(place..place + NO_DIGEST.len()).ok_or_else(|| damaged("it has no checksum"))?;
+        let stored = String::from_utf8_lossy(digest).into_owned();
+        digest.copy_from_slice(&NO_DIGEST);
+        if sha256(&bytes) != stored {
+            return Err(damaged("its checksum does not hold"));
+        }
+        drop(bytes);
+        let file = std::fs::File::open(&path).map_err(CampaignError::io(&path))?;
+        let reader = SerializedFileReader::new(file).map_err(|_| damaged("not a Parquet file"))?;
+        let metadata = reader.metadata().file_metadata();
+        let value = |key: &str| {
+            let pairs = metadata.key_value_metadata()?;
+            pairs.iter().find(|pair| pair.key == key)?.value.clone()
+        };
+        let trials = plan.trials_of(shard);
+        let rows = u64::try_from(metadata.num_rows()).unwrap_or_default();
+        let is_own = value("plan").as_deref() == Some(&*plan.sha256) && value("shard") == Some(shard.to_string());
+        let columns = column_count(campaign);
+        let is_complete = rows == trials.end - trials.start && metadata.schema_descr().num_columns() == columns;
+        if !is_own {
+            return Err(CampaignError::Foreign(path));
+        }
+        if !is_complete {
+            return Err(damaged("it does not have the rows of its shard"));
+        }
+        Ok(Self { reader, columns, variables: campaign.variables.len(), first: trials.start, path })
+    }
+
+    /// Calls `each` for every row in the order of the trials.
+    pub(crate) fn rows(&self, each: &mut dyn FnMut(Row) -> Result<(), CampaignError>) -> Result<(), CampaignError> {
+        let mut trial = self.first;
+        let unreadable = || CampaignError::Damaged { path: self.path.clone(), why: "its rows cannot be read" };
+        for group in 0..self.reader.num_row_groups() {
+            let columns = self.group(group).map_err(CampaignError::write(&self.path))?;
+            for row in 0..columns.first().map_or(0, Vec::len) {
+                let numbers: Option<Vec<f64>> = columns.iter().map(|column| column.get(row).copied()).collect();
+                let row = numbers.and_then(|numbers| Row::decode(trial, &numbers, self.variables));
+                each(row.ok_or_else(unreadable)?)?;
+                trial += 1;
+            }
+        }
+        Ok(())
+    }
+
+    fn group(&self, group: usize) -> Result<Vec<Vec<f64>>, ParquetError> {
+        let group = self.reader.get_row_group(group)?;
+        let rows = usize::try_from(group.metadata().num_rows()).unwrap_or_default();
+        let column = |index: usize| {
+            let mut values = Vec::with_capacity(rows);
+            let mut reader = get_typed_column_reader::<DoubleType>(group.get_column_reader(index)?);
+            reader.read_records(rows, None, None, &mut values)?;
+            Ok(values)
+        };
+        (0..self.columns).map(column).collect()
+    }
+}
+
+/// Writes a file in pieces and gives it its name at the end.
+pub(crate) fn create(path: &Path) -> Result<AtomicFile, CampaignError> {
+    AtomicFile::create(path).map_err(CampaignError::io(path))
+}
+
+pub(crate) fn finish(mut file: AtomicFile, path: &Path) -> Result<(), CampaignError> {
+    file.flush().and_then(|()| file.commit()).map_err(CampaignError::io(path))
+}

@@ -1,0 +1,98 @@
+//! Defines the result of a trial.
+
+use crate::draw::Trial;
+use platebench_record::{Cause, Verdict};
+use platebench_verdict::{Judgement, TrialMeasures, judge};
+
+const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
+const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
+/// Verdict, cause, redraws.
+const FIXED_COLUMNS: usize = 3;
+
+/// The result of a trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Row {
+    pub trial: u64,
+    /// Varied values; the number of the choice for listed values.
+    pub draws: Vec<f64>,
+    /// By expectation; NaN without a value.
+    pub values: Vec<f64>,
+    /// By expectation; negative infinity without a value.
+    pub margins: Vec<f64>,
+    pub verdict: Verdict,
+    pub cause: Option<Cause>,
+    pub redraws: u32,
+}
+
+impl Row {
+    pub(crate) fn new(trial: &Trial, measures: TrialMeasures) -> Self {
+        let Judgement { verdict, expectations } = judge(&trial.scenario, &[measures]);
+        let undecided = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Inconclusive);
+        Self {
+            trial: trial.number,
+            draws: trial.values.clone(),
+            values: expectations.iter().map(|expectation| expectation.value.unwrap_or(f64::NAN)).collect(),
+            margins: expectations.iter().map(|expectation| expectation.margin.unwrap_or(f64::NEG_INFINITY)).collect(),
+            verdict,
+            cause: undecided.filter(|_| verdict == Verdict::Inconclusive).find_map(|expectation| expectation.cause),
+            redraws: trial.redraws,
+        }
+    }
+
+    /// Smallest margin of all expectations.
+    pub fn margin(&self) -> f64 {
+        self.margins.iter().copied().fold(f64::INFINITY, f64::min)
+    }
+
+    pub(crate) const fn column_count(variables: usize, expectations: usize) -> usize {
+        variables + 2 * expectations + FIXED_COLUMNS
+    }
+
+    /// One number per column of a part.
+    pub(crate) fn encode(&self) -> impl Iterator<Item = f64> {
+        let verdict = VERDICTS.iter().position(|verdict| *verdict == self.verdict).unwrap_or_default();
+        let cause = CAUSES.iter().position(|cause| Some(*cause) == self.cause).map_or(0, |position| position + 1);
+        let fixed = [verdict as f64, cause as f64, f64::from(self.redraws)];
+        self.draws.iter().chain(&self.values).chain(&self.margins).copied().chain(fixed)
+    }
+
+    /// `None` if the numbers are not those of a row.
+    pub(crate) fn decode(trial: u64, columns: &[f64], variables: usize) -> Option<Self> {
+        let expectations = columns.len().checked_sub(variables + FIXED_COLUMNS)? / 2;
+        let (draws, rest) = columns.split_at_checked(variables)?;
+        let (values, rest) = rest.split_at_checked(expectations)?;
+        let (margins, rest) = rest.split_at_checked(expectations)?;
+        let [verdict, cause, redraws] = *rest else { return None };
+        Some(Self {
+            trial,
+            draws: draws.to_vec(),
+            values: values.to_vec(),
+            margins: margins.to_vec(),
+            verdict: *VERDICTS.get(verdict as usize)?,
+            cause: (cause as usize).checked_sub(1).and_then(|position| CAUSES.get(position)).copied(),
+            redraws: redraws as u32,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_survives_its_part() {
+        let row = Row {
+            trial: 7,
+            draws: vec![1.0, 0.25],
+            values: vec![1.5],
+            margins: vec![f64::NEG_INFINITY],
+            verdict: Verdict::Inconclusive,
+            cause: Some(Cause::Infeasible),
+            redraws: 2,
+        };
+        let columns: Vec<f64> = row.encode().collect();
+        assert_eq!(columns.len(), Row::column_count(2, 1));
+        assert_eq!(Row::decode(7, &columns, 2), Some(row));
+        assert_eq!(Row::decode(7, &columns[..5], 2), None);
+    }
+}

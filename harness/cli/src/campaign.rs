@@ -1,0 +1,298 @@
+//! `platebench campaign`: sweeps and Monte Carlo in shards, on one machine or many.
+
+use crate::exit::Exit;
+use crate::options::{OutputFormat, job_count};
+use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::stdio;
+use clap::{Args, Subcommand};
+use platebench_campaign::{Campaign, CampaignError, Plan, PlayConfig, Summary, TrialEvent, merge, play_shard, status};
+use platebench_rig::{CancelToken, RigError, RigSpec};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// `run` plans shards of about so many trials; a restart repeats at most one shard.
+const TRIALS_PER_SHARD: u64 = 2_000;
+const MAX_RUN_SHARDS: u64 = 1_000;
+/// Between two lines of progress.
+const PROGRESS_INTERVAL: Duration = Duration::from_secs(10);
+
+/// `platebench campaign`
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench campaign run scenarios/campaigns/laws.toml --out C
+  platebench campaign plan my.toml --out C --shards 64
+  platebench campaign play C --shard 7             on any machine that sees C
+  platebench campaign status C
+  platebench campaign merge C
+
+Exit codes: 0 passed (play: the shard is complete), 1 failed, 2 invalid input, or a damaged or foreign part or plan,
+3 inconclusive, or a shard is missing, 5 the rig could not be reached or was lost")]
+pub(crate) struct CampaignArgs {
+    #[command(subcommand)]
+    command: CampaignCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum CampaignCommand {
+    /// Plan, play and merge on this machine; the same command resumes
+    Run(RunArgs),
+    /// Write plan.json for a number of shards
+    Plan(PlanArgs),
+    /// Play one shard; a complete one is not played again
+    Play(PlayArgs),
+    /// Join the parts: results, summary, report, counterexamples
+    Merge(MergeArgs),
+    /// Show which shards are complete
+    Status(FolderArgs),
+}
+
+#[derive(Debug, Args)]
+struct RunArgs {
+    /// The campaign file
+    file: PathBuf,
+    /// The campaign folder
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Trials that are played at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP
+    #[arg(long, default_value = "hosted")]
+    rig: RigSpec,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+#[derive(Debug, Args)]
+struct PlanArgs {
+    /// The campaign file
+    file: PathBuf,
+    /// The campaign folder
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Number of shards
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    shards: u32,
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP
+    #[arg(long, default_value = "hosted")]
+    rig: RigSpec,
+}
+
+#[derive(Debug, Args)]
+struct PlayArgs {
+    /// The campaign folder
+    folder: PathBuf,
+    /// Number of the shard, from 1
+    #[arg(long, value_name = "K")]
+    shard: u32,
+    /// Trials that are played at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Rig with the planned firmware; default: the rig of the plan
+    #[arg(long)]
+    rig: Option<RigSpec>,
+}
+
+#[derive(Debug, Args)]
+struct MergeArgs {
+    /// The campaign folder
+    folder: PathBuf,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+#[derive(Debug, Args)]
+struct FolderArgs {
+    /// The campaign folder
+    folder: PathBuf,
+}
+
+/// Runs the command.
+pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> Exit {
+    let result = match &arguments.command {
+        CampaignCommand::Run(arguments) => run(arguments, quiet),
+        CampaignCommand::Plan(arguments) => plan(&arguments.file, &arguments.out, &arguments.rig, arguments.shards)
+            .map(|plan| {
+                stdio::note(&format!("{} trials in {} shards: {}", plan.trials, plan.shards, arguments.out.display()));
+                Exit::Passed
+            }),
+        CampaignCommand::Play(arguments) => play_one(arguments, quiet),
+        CampaignCommand::Merge(arguments) => Plan::open(&arguments.folder).and_then(|(plan, campaign)| {
+            let summary = merge(&arguments.folder, &plan, &campaign)?;
+            Ok(show(&summary, &arguments.folder, arguments.format))
+        }),
+        CampaignCommand::Status(arguments) => show_status(&arguments.folder),
+    };
+    result.unwrap_or_else(|error| reject(&error))
+}
+
+fn plan(file: &Path, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Plan, CampaignError> {
+    rig.check()?;
+    let campaign = Campaign::load(file).map_err(CampaignError::Files)?;
+    let plan = Plan::new(&campaign, rig, shards)?;
+    plan.write(folder)?;
+    Ok(plan)
+}
+
+fn run(arguments: &RunArgs, quiet: bool) -> Result<Exit, CampaignError> {
+    let shards = if Plan::exists(&arguments.out) {
+        Plan::read(&arguments.out)?.shards
+    } else {
+        let campaign = Campaign::load(&arguments.file).map_err(CampaignError::Files)?;
+        u32::try_from(campaign.trials.div_ceil(TRIALS_PER_SHARD).min(MAX_RUN_SHARDS)).unwrap_or(1)
+    };
+    plan(&arguments.file, &arguments.out, &arguments.rig, shards)?;
+    let (plan, campaign) = Plan::open(&arguments.out)?;
+    let shards = (1..=plan.shards).collect();
+    if let Some(exit) = play(&arguments.out, shards, &arguments.rig, arguments.jobs, quiet)? {
+        return Ok(exit);
+    }
+    let summary = merge(&arguments.out, &plan, &campaign)?;
+    Ok(show(&summary, &arguments.out, arguments.format))
+}
+
+fn play_one(arguments: &PlayArgs, quiet: bool) -> Result<Exit, CampaignError> {
+    let plan = Plan::read(&arguments.folder)?;
+    let planned = || plan.rig.parse().map_err(|_| CampaignError::NoPlan(arguments.folder.clone()));
+    let rig = arguments.rig.clone().map_or_else(planned, Ok)?;
+    let played = play(&arguments.folder, vec![arguments.shard], &rig, arguments.jobs, quiet)?;
+    Ok(played.unwrap_or(Exit::Passed))
+}
+
+/// Progress of the shards.
+#[derive(Debug, Clone, Copy)]
+enum PlayEvent {
+    Trial(TrialEvent),
+    /// The shard was complete before.
+    Skipped(u64),
+}
+
+/// `Some` if a signal ended it.
+fn play(
+    folder: &Path,
+    shards: Vec<u32>,
+    rig: &RigSpec,
+    jobs: Option<u16>,
+    quiet: bool,
+) -> Result<Option<Exit>, CampaignError> {
+    let (plan, campaign) = Plan::open(folder)?;
+    plan.check_bench(rig)?;
+    let total: u64 = shards.iter().map(|shard| plan.trials_of(*shard)).map(|trials| trials.end - trials.start).sum();
+    let cancel = CancelToken::default();
+    let jobs = if rig.allows_parallel_links() { job_count(jobs) } else { 1 };
+    let config = PlayConfig { rig: rig.clone(), jobs, cancel: cancel.clone() };
+    let folder = folder.to_owned();
+    let work = move |events: &mut EventSender<_, PlayEvent>| {
+        shards.into_iter().try_for_each(|shard| {
+            let trials = plan.trials_of(shard);
+            let count = trials.end.saturating_sub(trials.start);
+            let mut on_trial = |event| events.send(PlayEvent::Trial(event));
+            if !play_shard(&folder, &plan, &campaign, shard, &config, &mut on_trial)? {
+                events.send(PlayEvent::Skipped(count));
+            }
+            Ok(())
+        })
+    };
+    let mut progress = Progress::new(total, quiet);
+    match run_until_signal(&cancel, None, work, |event| progress.add(event)) {
+        Ok(WorkResult::Finished(Ok(()), None)) => Ok(None),
+        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => {
+            stdio::note("stopped; complete shards are kept, the same command continues");
+            Ok(Some(Exit::Signal(signal)))
+        }
+        Ok(WorkResult::Finished(Err(error), None)) => Err(error),
+        Err(error) => {
+            stdio::error(&error.to_string());
+            Ok(Some(Exit::Inconclusive))
+        }
+    }
+}
+
+/// Prints a line every [`PROGRESS_INTERVAL`].
+struct Progress {
+    started: Instant,
+    last: Instant,
+    quiet: bool,
+    total: u64,
+    played: u64,
+    skipped: u64,
+    failures: u64,
+}
+
+impl Progress {
+    fn new(total: u64, quiet: bool) -> Self {
+        let now = Instant::now();
+        Self { started: now, last: now, quiet, total, played: 0, skipped: 0, failures: 0 }
+    }
+
+    fn add(&mut self, event: PlayEvent) {
+        match event {
+            PlayEvent::Skipped(trials) => self.skipped += trials,
+            PlayEvent::Trial(TrialEvent { is_failure }) => {
+                self.played += 1;
+                self.failures += u64::from(is_failure);
+            }
+        }
+        if !self.quiet && self.last.elapsed() >= PROGRESS_INTERVAL {
+            self.last = Instant::now();
+            let rate = self.played as f64 / self.started.elapsed().as_secs_f64();
+            let left = self.total.saturating_sub(self.played + self.skipped) as f64 / rate.max(1e-9);
+            stdio::note(&format!(
+                "{} of {} trials, {} failed, {rate:.0} trials/s, {left:.0} s left",
+                self.played + self.skipped,
+                self.total,
+                self.failures
+            ));
+        }
+    }
+}
+
+fn show(summary: &Summary<'_>, folder: &Path, format: OutputFormat) -> Exit {
+    match format {
+        OutputFormat::Human => stdio::show(&summary.text()),
+        OutputFormat::Json => stdio::show_json(&summary.json()),
+    }
+    stdio::note(&format!("report: {}", folder.join(platebench_campaign::report::REPORT_FILE).display()));
+    Exit::of_verdict(summary.verdict())
+}
+
+fn show_status(folder: &Path) -> Result<Exit, CampaignError> {
+    let (plan, campaign) = Plan::open(folder)?;
+    let status = status(folder, &plan, &campaign)?;
+    let (whole, missing) = (status.whole.len(), status.missing.len());
+    stdio::show(&format!(
+        "{}: {whole} of {} shards complete, {missing} missing, {} unusable\n",
+        plan.title,
+        plan.shards,
+        status.unusable.len()
+    ));
+    for (_, message) in &status.unusable {
+        stdio::error(message);
+    }
+    if !status.unusable.is_empty() {
+        return Ok(Exit::Invalid);
+    }
+    if missing == 0 {
+        return Ok(Exit::Passed);
+    }
+    let shards: Vec<_> = status.missing.iter().map(ToString::to_string).collect();
+    stdio::show(&format!("missing: {}\n", shards.join(" ")));
+    Ok(Exit::Inconclusive)
+}
+
+fn reject(error: &CampaignError) -> Exit {
+    if let CampaignError::Files(faults) = error {
+        return stdio::reject_files(faults);
+    }
+    stdio::error(&error.to_string());
+    match error {
+        CampaignError::Connect(error) if error.is_invalid_input() => Exit::Invalid,
+        CampaignError::Rig(RigError::ConfigurationRejected(_)) => Exit::Invalid,
+        CampaignError::Connect(_) | CampaignError::Rig(_) | CampaignError::Lost(_) => Exit::Unreachable,
+        CampaignError::Cancelled => Exit::Inconclusive,
+        _ => Exit::Invalid,
+    }
+}

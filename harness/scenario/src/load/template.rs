@@ -1,0 +1,144 @@
+//! Loads a scenario with changed values, without files for each change.
+
+use super::checker::{Checker, Diagnostics, KnownPlate};
+use super::plate::{check_plate, load_plate};
+use super::text::read_text;
+use crate::diagnostic::Diagnostic;
+use crate::raw::RawScenario;
+use crate::scenario::{InputFile, Scenario};
+use platebench_plate::RawPlate;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// Keys that start with it lead into the plate file.
+pub const PLATE_PREFIX: &str = "plate.";
+/// Name of a changed plate, next to the scenario; no file has it.
+const CHANGED_PLATE: &str = "changed-plate.toml";
+
+/// A scenario as tables, whose values can be replaced.
+#[derive(Debug, Clone)]
+pub struct ScenarioTemplate {
+    path: PathBuf,
+    text: String,
+    file: String,
+    table: Table,
+    /// As the scenario file names it.
+    plate_name: String,
+    plate: KnownPlate,
+    plate_table: Table,
+    /// The scenario as the file has it.
+    pub scenario: Scenario,
+}
+
+/// The tables of a changed scenario.
+#[derive(Debug, Clone)]
+pub struct ScenarioTables {
+    pub scenario: Table,
+    /// `None` if the plate file applies as it is.
+    pub plate: Option<Table>,
+}
+
+impl ScenarioTemplate {
+    /// `scenario` was loaded from `path`; `edit` changes its table first.
+    pub(super) fn new(path: &Path, scenario: Scenario, edit: impl FnOnce(&mut Table)) -> Result<Self, Vec<Diagnostic>> {
+        let read = |path: &Path| read_text(path).map_err(|fault| vec![fault]);
+        let parse = |path: &Path, text: &str| {
+            text.parse::<Table>().map_err(|error| vec![Diagnostic::from_toml(path, text, &error)])
+        };
+        let text = read(path)?;
+        let mut table = parse(path, &text)?;
+        edit(&mut table);
+        let plate_name = table.get("plate").and_then(Value::as_str).unwrap_or_default().to_owned();
+        let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&plate_name);
+        let plate_text = read(&plate_path)?;
+        let plate_table = parse(&plate_path, &plate_text)?;
+        let plate = load_plate(&plate_path)?;
+        let plate = KnownPlate { path: plate_path, plate, text: plate_text };
+        let (path, file) = (path.to_owned(), scenario.file.clone());
+        Ok(Self { path, text, file, table, plate_name, plate, plate_table, scenario })
+    }
+
+    /// Replaces values by their keys. Fails if a key leads through a number, a text or a missing element of a list.
+    pub fn tables<'a>(&self, changes: impl IntoIterator<Item = (&'a str, Value)>) -> Result<ScenarioTables, String> {
+        let mut tables = ScenarioTables { scenario: self.table.clone(), plate: None };
+        for (key, value) in changes {
+            match key.strip_prefix(PLATE_PREFIX) {
+                Some(key) => set(tables.plate.get_or_insert_with(|| self.plate_table.clone()), key, value)?,
+                None => set(&mut tables.scenario, key, value)?,
+            }
+        }
+        if tables.plate.is_some() {
+            // The controller does not learn of the change.
+            let controller = tables.scenario.entry("controller").or_insert_with(|| Value::Table(Table::new()));
+            if let Value::Table(controller) = controller {
+                controller.entry("design_plate").or_insert_with(|| Value::String(self.plate_name.clone()));
+            }
+            tables.scenario.insert("plate".to_owned(), Value::String(CHANGED_PLATE.to_owned()));
+        }
+        Ok(tables)
+    }
+
+    /// Checks the tables as [`super::load`] checks a file. Diagnostics point into the unchanged files.
+    pub fn check(&self, tables: &ScenarioTables) -> Result<Scenario, Vec<Diagnostic>> {
+        let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+        let mut known = vec![self.plate.clone()];
+        if let Some(table) = &tables.plate {
+            known.push(KnownPlate { path: folder.join(CHANGED_PLATE), ..self.changed_plate(table)? });
+        }
+        let raw = RawScenario::deserialize(tables.scenario.clone())
+            .map_err(|error| vec![Diagnostic::from_toml(&self.path, &self.text, &error)])?;
+        let mut faults = Diagnostics::default();
+        let checker = Checker { path: &self.path, text: &self.text, prefix: String::new(), plates: &known };
+        match (checker.scenario(raw, &self.file, &mut faults), faults.0) {
+            (Some(scenario), faults) if faults.is_empty() => Ok(scenario),
+            (_, faults) => Err(faults),
+        }
+    }
+
+    fn changed_plate(&self, table: &Table) -> Result<KnownPlate, Vec<Diagnostic>> {
+        let KnownPlate { path, text, .. } = &self.plate;
+        let raw =
+            RawPlate::deserialize(table.clone()).map_err(|error| vec![Diagnostic::from_toml(path, text, &error)])?;
+        let plate = check_plate(path, text, raw)?;
+        Ok(KnownPlate { path: path.clone(), plate, text: String::new() })
+    }
+
+    /// The files of the unchanged scenario: scenario, plate, then others.
+    pub fn inputs(&self) -> &[InputFile] {
+        &self.scenario.inputs
+    }
+}
+
+/// Replaces the value at a dotted key, whose numbers are elements of lists. Missing tables are created.
+fn set(table: &mut Table, key: &str, value: Value) -> Result<(), String> {
+    let (name, rest) = key.split_once('.').map_or((key, None), |(name, rest)| (name, Some(rest)));
+    let Some(rest) = rest else {
+        table.insert(name.to_owned(), value);
+        return Ok(());
+    };
+    let next = table.entry(name).or_insert_with(|| Value::Table(Table::new()));
+    set_below(next, name, rest, value)
+}
+
+fn set_below(parent: &mut Value, name: &str, key: &str, value: Value) -> Result<(), String> {
+    match parent {
+        Value::Table(table) => set(table, key, value),
+        Value::Array(elements) => {
+            let (index, rest) = key.split_once('.').map_or((key, None), |(index, rest)| (index, Some(rest)));
+            let count = elements.len();
+            let element = index.parse().ok().and_then(|index: usize| elements.get_mut(index));
+            let missing = || format!("`{name}` has no element {index}, expected 0 to {}", count.saturating_sub(1));
+            let element = element.ok_or_else(missing)?;
+            if let Some(rest) = rest {
+                return set_below(element, index, rest, value);
+            }
+            *element = value;
+            Ok(())
+        }
+        other => Err(format!("`{name}` is a {} and has no key `{key}`", other.type_str())),
+    }
+}
+
+#[cfg(test)]
+mod tests;

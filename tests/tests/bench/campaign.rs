@@ -1,0 +1,263 @@
+//! Tests `platebench campaign`.
+
+use crate::test_folder::{bench_command, run_bench, start_bench, workspace_root};
+use rstest::rstest;
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+const SCENARIO: &str = "title = \"Step\"\nplate = \"plates/plate.toml\"\nduration_ms = 20.0\n\
+    [profile]\nsetpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n\
+    [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n\
+    [[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\n";
+
+const VARY: &str = "title = \"Tolerance\"\nscenario = \"step.toml\"\n[vary]\n\
+    \"controller.law\" = { each = [\"dq-pi\", \"deadbeat\"] }\n\
+    \"profile.finger_force_n\" = { steps = [0.0, 1.0, 3] }\n\
+    \"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 2.0 } }\n\
+    \"controller.loop_delay_ms\" = { uniform = [0.0, 0.1] }\n";
+
+/// A folder with `step.toml` and `campaign.toml`.
+fn folder(plan: &str) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    fs::create_dir(folder.path().join("plates")).unwrap();
+    let plate = fs::read_to_string(workspace_root().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
+    write("plates/plate.toml", &plate.replace("noise_um_rms = 0.0", "noise_um_rms = 0.001"));
+    write("step.toml", SCENARIO);
+    write("campaign.toml", &format!("{VARY}{plan}"));
+    folder
+}
+
+const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 22\nseed = 5\n";
+
+fn plan(folder: &Path, out: &str, shards: u32) {
+    let shards = shards.to_string();
+    run_bench(folder, ["campaign", "plan", "campaign.toml", "--out", out, "--shards", &shards]).assert_exit(0);
+}
+
+fn play(folder: &Path, out: &str, shard: u32, jobs: u32) {
+    let (shard, jobs) = (shard.to_string(), jobs.to_string());
+    run_bench(folder, ["campaign", "play", out, "--shard", &shard, "--jobs", &jobs]).assert_exit(0);
+}
+
+fn results(folder: &Path, out: &str) -> Vec<Vec<u8>> {
+    let names = ["results.csv", "results.parquet", "summary.json", "report.html"];
+    names.map(|name| fs::read(folder.join(out).join(name)).unwrap()).to_vec()
+}
+
+fn summary(folder: &Path, out: &str) -> Value {
+    serde_json::from_slice(&fs::read(folder.join(out).join("summary.json")).unwrap()).unwrap()
+}
+
+#[rstest]
+#[case::grid(GRID)]
+#[case::random("[plan]\nmethod = \"random\"\ntrials = 70\n[judge]\nat_most = 0.9\n")]
+#[case::sobol("[plan]\nmethod = \"sobol\"\ntrials = 70\n[judge]\nat_most = 0.9\n")]
+fn results_do_not_depend_on_shards_and_jobs(#[case] plan_text: &str) {
+    let folder = folder(plan_text);
+    let folder = folder.path();
+    let mut merged = Vec::new();
+    let mut exits = Vec::new();
+    for (out, shards, jobs) in [("a", 1, 1), ("b", 7, 2), ("c", 64, 1)] {
+        plan(folder, out, shards);
+        // From the last shard to the first.
+        (1..=shards).rev().for_each(|shard| play(folder, out, shard, jobs));
+        exits.push(run_bench(folder, ["campaign", "merge", out]).exit);
+        merged.push(results(folder, out));
+    }
+    exits.push(run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "d", "--jobs", "2"]).exit);
+    merged.push(results(folder, "d"));
+    assert!(merged.windows(2).all(|pair| pair[0] == pair[1]), "results depend on shards or jobs");
+    assert!(exits.windows(2).all(|pair| pair[0] == pair[1]), "{exits:?}");
+    let header = String::from_utf8_lossy(&merged[0][0]).lines().next().unwrap().to_owned();
+    assert_eq!(
+        header,
+        "trial,seed,controller.law,profile.finger_force_n,plate.mode.gain_um_per_vpp,controller.loop_delay_ms,\
+         settling_time_ms,settling_time_ms_margin,static_error_percent,static_error_percent_margin,verdict,cause"
+    );
+}
+
+#[test]
+fn the_cells_of_a_grid_are_in_the_order_of_its_keys() {
+    let folder = folder(GRID);
+    run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
+    let summary = summary(folder.path(), "c");
+    let cells = summary["cells"].as_array().unwrap();
+    assert_eq!((cells.len(), &summary["overall"]["trials"]), (6, &132.into()));
+    let values = |cell: usize| (cells[cell]["values"].clone(), cells[cell]["trials"].clone());
+    let expected = |law: &str, force: f64| {
+        (serde_json::json!({ "controller.law": law, "profile.finger_force_n": force }), Value::from(22))
+    };
+    assert_eq!(values(1), expected("dq-pi", 0.5));
+    assert_eq!(values(5), expected("deadbeat", 1.0));
+    let csv = fs::read_to_string(folder.path().join("c/results.csv")).unwrap();
+    assert!(csv.lines().nth(23).unwrap().starts_with("22,27,dq-pi,0.5,"), "{csv}");
+    let total: u64 = cells.iter().map(|cell| cell["failures"].as_u64().unwrap()).sum();
+    assert_eq!(summary["overall"]["failures"], total);
+}
+
+#[test]
+fn a_damaged_part_is_refused_and_played_anew() {
+    let folder = folder(GRID);
+    let folder = folder.path();
+    plan(folder, "c", 3);
+    (1..=3).for_each(|shard| play(folder, "c", shard, 2));
+    let exit = run_bench(folder, ["campaign", "merge", "c"]).exit;
+    let before = results(folder, "c");
+    let part = folder.join("c/parts/2.parquet");
+    let whole = fs::read(&part).unwrap();
+    let flip = |at: usize| {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1;
+        bytes
+    };
+    let other = fs::read(folder.join("c/parts/3.parquet")).unwrap();
+    let damaged =
+        [flip(4), flip(whole.len() / 2), flip(whole.len() - 1), whole[..whole.len() - 9].to_vec(), Vec::new()];
+    for bytes in damaged {
+        fs::write(&part, &bytes).unwrap();
+        run_bench(folder, ["campaign", "merge", "c"]).assert_exit(2).assert_stderr(&["2.parquet", "damaged"]);
+        assert!(results(folder, "c") == before, "earlier results were lost");
+        play(folder, "c", 2, 1);
+        assert!(fs::read(&part).unwrap() == whole);
+    }
+    fs::write(&part, other).unwrap();
+    run_bench(folder, ["campaign", "merge", "c"]).assert_exit(2).assert_stderr(&["2.parquet", "another plan or shard"]);
+    let again = run_bench(folder, ["campaign", "play", "c", "--shard", "2"]);
+    again.assert_exit(2).assert_stderr(&["2.parquet", "another plan or shard"]);
+    fs::remove_file(&part).unwrap();
+    run_bench(folder, ["campaign", "status", "c"])
+        .assert_exit(3)
+        .assert_stdout(&["2 of 3 shards complete", "missing: 2"]);
+    run_bench(folder, ["campaign", "merge", "c"])
+        .assert_exit(3)
+        .assert_stdout(&["inconclusive (evidence)", "missing shards: 2"]);
+    play(folder, "c", 2, 1);
+    assert_eq!(run_bench(folder, ["campaign", "merge", "c"]).exit, exit);
+    assert!(results(folder, "c") == before);
+}
+
+#[test]
+fn a_changed_plan_input_or_firmware_is_refused_by_name() {
+    let folder = folder(GRID);
+    let folder = folder.path();
+    plan(folder, "c", 2);
+    let refused = |file: &str, from: &str, to: &str, messages: &[&str]| {
+        let path = folder.join(file);
+        let text = fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{text}");
+        fs::write(&path, text.replace(from, to)).unwrap();
+        let play = run_bench(folder, ["campaign", "play", "c", "--shard", "1"]);
+        play.assert_exit(2).assert_stderr(messages);
+        fs::write(&path, text).unwrap();
+    };
+    refused("c/plan.json", "\"shards\": 2", "\"shards\": 3", &["plan.json", "checksum"]);
+    refused("c/plan.json", "}", "", &["plan.json"]);
+    refused("step.toml", "20.0", "21.0", &["step.toml", "changed since"]);
+    refused("plates/plate.toml", "1.88", "1.89", &["plate.toml", "changed since"]);
+    refused("campaign.toml", "trials = 22", "trials = 23", &["campaign.toml", "changed since"]);
+    let emulated = run_bench(folder, ["campaign", "play", "c", "--shard", "1", "--rig", "emulated"]);
+    emulated.assert_exit(2).assert_stderr(&["firmware is not the one of the plan"]);
+    fs::write(folder.join("campaign.toml"), format!("{VARY}{}", GRID.replace("22", "3"))).unwrap();
+    let run = run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]);
+    run.assert_exit(2).assert_stderr(&["another campaign is planned here"]);
+    run_bench(folder, ["campaign", "play", "nowhere", "--shard", "1"]).assert_exit(2).assert_stderr(&["no plan.json"]);
+}
+
+#[test]
+fn a_killed_run_resumes_to_the_same_bytes() {
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 9000\n");
+    let folder = folder.path();
+    let run = ["campaign", "run", "campaign.toml", "--jobs", "2", "--out"];
+    let complete = run_bench(folder, run.into_iter().chain(["a"])).exit;
+    let mut killed = start_bench(folder, run.into_iter().chain(["b"]));
+    let deadline = Instant::now() + Duration::from_mins(1);
+    while !folder.join("b/parts/1.parquet").exists() && Instant::now() < deadline {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    killed.0.kill().unwrap();
+    killed.0.wait().unwrap();
+    assert!(!folder.join("b/results.csv").exists(), "the run ended before it was killed");
+    let part = folder.join("b/parts/1.parquet");
+    let written = fs::metadata(&part).unwrap().modified().unwrap();
+    assert_eq!(run_bench(folder, run.into_iter().chain(["b"])).exit, complete);
+    assert_eq!(fs::metadata(&part).unwrap().modified().unwrap(), written, "a complete shard was played again");
+    assert!(results(folder, "a") == results(folder, "b"));
+}
+
+#[test]
+fn a_counterexample_fails_under_run_with_the_same_values() {
+    let folder = folder(GRID);
+    let folder = folder.path();
+    run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(1);
+    let mut reader = Vec::new();
+    for line in fs::read_to_string(folder.join("c/results.csv")).unwrap().lines() {
+        reader.push(line.split(',').map(str::to_owned).collect::<Vec<_>>());
+    }
+    let entries = fs::read_dir(folder.join("c/counterexamples")).unwrap().map(|entry| entry.unwrap().path());
+    let files: Vec<_> = entries.filter(|path| path.is_file()).collect();
+    assert!(!files.is_empty() && files.len() <= 20, "{files:?}");
+    for file in files.iter().take(5) {
+        let trial = file.file_stem().unwrap().to_str().unwrap();
+        let out = format!("again-{trial}");
+        let arguments = ["run", file.to_str().unwrap(), "--rig", "hosted", "--out", &out];
+        run_bench(folder, arguments).assert_exit(1);
+        let record: Value = serde_json::from_slice(&fs::read(folder.join(&out).join("run.json")).unwrap()).unwrap();
+        let row = reader.iter().find(|row| row[0] == trial).unwrap();
+        assert_eq!(row[10], "fail");
+        let expectations = record["scenarios"][0]["expectations"].as_array().unwrap();
+        for (expectation, value) in expectations.iter().zip([&row[6], &row[8]]) {
+            assert_eq!(expectation["value"].as_f64(), value.parse().ok(), "{trial}: {expectation}");
+        }
+    }
+}
+
+#[rstest]
+#[case::method("[plan]\nmethod = \"search\"\ntrials = 5\n", "", &["campaign.toml:9", "not built yet"])]
+#[case::rare("[plan]\nmethod = \"rare\"\ntrials = 5\n", "", &["campaign.toml:9", "not built yet"])]
+#[case::unit(GRID, "\"profile.finger_force_mn\" = { uniform = [0.0, 1.0] }\n", &["campaign.toml:8", "finger_force_n`, in N"])]
+#[case::plate_key(GRID, "\"plate.mode.gain\" = { uniform = [0.0, 1.0] }\n", &["campaign.toml:8", "unknown key `gain`"])]
+#[case::domain(GRID, "\"controller.period_ms\" = { uniform = [-1.0, 1.0] }\n", &["campaign.toml:8", "-1"])]
+#[case::law(GRID, "\"controller.design_plate\" = { each = [\"x\"] }\n", &["campaign.toml:8"])]
+#[case::trials(GRID, "\"trials.count\" = { each = [1, 2] }\n", &["campaign.toml:8", "cannot be varied"])]
+#[case::type_of_value(GRID, "\"duration_ms\" = { each = [\"long\"] }\n", &["campaign.toml:8", "duration_ms"])]
+#[case::unknown_distribution(GRID, "\"duration_ms\" = { poisson = 3.0 }\n", &["campaign.toml:8", "poisson"])]
+#[case::unknown_key("[plan]\nmethod = \"grid\"\ntrials = 5\nshards = 3\n", "", &["campaign.toml:11", "unknown key `shards`"])]
+#[case::share("[plan]\nmethod = \"grid\"\ntrials = 5\n[judge]\nat_most = 1.5\n", "", &["campaign.toml:12", "1.5"])]
+fn a_wrong_campaign_is_refused_with_its_line(#[case] plan: &str, #[case] vary: &str, #[case] messages: &[&str]) {
+    let folder = folder("");
+    fs::write(folder.path().join("campaign.toml"), format!("{VARY}{vary}{plan}")).unwrap();
+    let refused = run_bench(folder.path(), ["campaign", "plan", "campaign.toml", "--out", "c"]);
+    refused.assert_exit(2).assert_stderr(messages);
+    assert!(!folder.path().join("c").exists());
+}
+
+#[test]
+fn a_grid_needs_listed_values() {
+    let folder = folder("");
+    let campaign = "title = \"x\"\nscenario = \"step.toml\"\n[vary]\nduration_ms = { uniform = [15.0, 20.0] }\n";
+    fs::write(folder.path().join("campaign.toml"), format!("{campaign}{GRID}")).unwrap();
+    let refused = run_bench(folder.path(), ["campaign", "plan", "campaign.toml", "--out", "c"]);
+    refused.assert_exit(2).assert_stderr(&["campaign.toml:6", "a grid without `steps` or `each`"]);
+}
+
+#[test]
+fn ctrl_c_keeps_complete_shards() {
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 200000\n");
+    let folder = folder.path();
+    let mut command = bench_command(folder);
+    let child = command.args(["campaign", "run", "campaign.toml", "--out", "c"]).spawn().unwrap();
+    let deadline = Instant::now() + Duration::from_mins(1);
+    while !folder.join("c/parts/1.parquet").exists() && Instant::now() < deadline {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let pid = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
+    let output: crate::test_folder::ProgramOutput = child.wait_with_output().unwrap().into();
+    output.assert_exit(130);
+    let status = run_bench(folder, ["campaign", "status", "c"]);
+    status.assert_exit(3).assert_stdout(&["of 100 shards complete", "0 unusable"]);
+}
