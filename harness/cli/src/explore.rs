@@ -146,12 +146,12 @@ fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Exit> {
 fn exit_of_error(error: &ExploreError) -> Exit {
     match error {
         ExploreError::Connect(error) if error.is_invalid_input() => Exit::Invalid,
-        ExploreError::Rig(platebench_rig::RigError::ConfigurationRejected(_)) => Exit::Invalid,
-        ExploreError::Connect(_) | ExploreError::Rig(_) | ExploreError::Lost(_) => Exit::Unreachable,
-        ExploreError::LawNotAnnounced(_)
+        ExploreError::Rig(platebench_rig::RigError::ConfigurationRejected(_))
+        | ExploreError::LawNotAnnounced(_)
         | ExploreError::LawWithoutProperties(_)
         | ExploreError::Io { .. }
         | ExploreError::Report(_) => Exit::Invalid,
+        ExploreError::Connect(_) | ExploreError::Rig(_) | ExploreError::Lost(_) => Exit::Unreachable,
         ExploreError::Generated(_) | ExploreError::Strategy(_) | ExploreError::Cancelled | ExploreError::Internal => {
             Exit::Inconclusive
         }
