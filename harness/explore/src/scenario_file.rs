@@ -3,6 +3,7 @@
 use crate::properties::{Demand, Property};
 use crate::scene::{Course, PlateChoice, Scene, SceneTrial};
 use platebench_plate::Plate;
+use platebench_scenario::FaultKind;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -181,7 +182,9 @@ impl ScenarioWriter<'_> {
 impl Scene {
     /// True if the scenario compares its trials with each other.
     pub fn compares_trials(&self) -> bool {
-        self.count > 1 && self.judged.plate.noise_pm == 0
+        // A watchdog acts at a phase of the controller's own clock.
+        let has_timeout = self.judged.fault.is_some_and(|fault| fault.kind == FaultKind::Disconnect);
+        self.count > 1 && self.judged.plate.noise_pm == 0 && !has_timeout
     }
 }
 
