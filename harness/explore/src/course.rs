@@ -17,7 +17,6 @@ impl CourseBuilder {
         Self { start: 0, moves: Vec::new() }
     }
 
-    /// The value at the end.
     pub(crate) fn last(&self) -> i32 {
         self.moves.last().map_or(self.start, |(_, _, value)| *value)
     }

@@ -10,31 +10,22 @@ use std::f64::consts::TAU;
 /// Intervals of a range.
 const BINS: usize = 10;
 
-/// A kind of change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ChangeKind {
-    /// The setpoint rises.
     Up,
-    /// The setpoint falls.
     Down,
     /// The setpoint falls to 0.
     Rest,
     /// The setpoint rises from 0.
     Start,
-    /// The force rises.
     Press,
-    /// The force falls.
     Lift,
-    /// The temperature rises.
     Heat,
-    /// The temperature falls.
     Cool,
-    /// Several quantities change.
     Several,
 }
 
 impl ChangeKind {
-    /// Every kind.
     pub const ALL: [Self; 9] =
         [Self::Up, Self::Down, Self::Rest, Self::Start, Self::Press, Self::Lift, Self::Heat, Self::Cool, Self::Several];
 
@@ -77,15 +68,11 @@ impl ChangeKind {
 /// How often the values of a quantity were in each tenth of its range.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RangeCoverage {
-    /// The quantity, with its unit.
     pub quantity: &'static str,
-    /// Its range.
     pub range: [f64; 2],
-    /// Values in each tenth.
     pub counts: [u64; BINS],
 }
 
-/// What was covered.
 #[derive(Debug, Clone, Default)]
 pub struct Coverage {
     ranges: BTreeMap<&'static str, RangeCoverage>,
@@ -95,7 +82,6 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// The value ranges.
     pub fn ranges(&self) -> impl Iterator<Item = &RangeCoverage> {
         self.ranges.values()
     }
@@ -116,7 +102,6 @@ impl Coverage {
         }
     }
 
-    /// Counts a scene.
     pub fn add(&mut self, scene: &Scene, envelope: &Envelope) {
         let (trial, range) = (&scene.judged, &envelope.range);
         *self.histories.entry(scene.earlier.len()).or_default() += 1;

@@ -21,13 +21,10 @@ pub(crate) enum Target {
     Near(i32),
     /// The value before so many others.
     Back(usize),
-    /// The smallest value.
     Least,
-    /// The largest value.
     Most,
 }
 
-/// The time before an event.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Gap {
     /// Above the smallest quiet time, in tenths of a ms.
@@ -255,7 +252,6 @@ fn trial(envelope: &Envelope, kinds: &[EventKind], events: [u32; 2], is_long: bo
         .boxed()
 }
 
-/// The strategy for the scenes of a stratum.
 pub(crate) fn scene(envelope: &Envelope, stratum: &Stratum) -> BoxedStrategy<SceneDraw> {
     let earlier = if stratum.has_history {
         let own = (configuration(envelope, &Stratum::any_configuration(stratum), true), flags::ANY);

@@ -5,7 +5,6 @@ use platebench_scenario::Diagnostic;
 use std::io;
 use std::path::PathBuf;
 
-/// Why there is no result.
 #[derive(Debug, thiserror::Error)]
 pub enum ExploreError {
     #[error(transparent)]
@@ -16,10 +15,8 @@ pub enum ExploreError {
     /// The controller does not answer, or rejects a configuration of the envelope.
     #[error(transparent)]
     Rig(#[from] RigError),
-    /// The controller does not announce the law.
     #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
     LawNotAnnounced(&'static str),
-    /// No property is declared for the law.
     #[error("{0} has no declared properties, expected dq-pi, dq-pi-fixed or deadbeat")]
     LawWithoutProperties(&'static str),
     /// A generated scenario is not valid.
@@ -28,14 +25,8 @@ pub enum ExploreError {
     /// The strategy library rejected a scene.
     #[error("the bench generated no scene, please report it: {0}")]
     Strategy(String),
-    /// A file cannot be written.
     #[error("{}: {source}", path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// The operating system's error.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     /// The controller was lost in several scenes in a row.
     #[error("the controller was lost in {0} scenes in a row")]
     Lost(u32),

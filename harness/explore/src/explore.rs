@@ -21,16 +21,12 @@ use std::time::{Duration, Instant};
 /// Earlier scenes of a controller that may explain a failure.
 const MAX_HISTORY: usize = 8;
 
-/// When an exploration ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Budget {
-    /// After this time.
     Time(Duration),
-    /// After this number of scenes.
     Scenes(u64),
 }
 
-/// Settings of an exploration.
 #[derive(Debug, Clone)]
 pub struct ExploreConfig {
     pub envelope: Envelope,
@@ -56,13 +52,11 @@ impl ExploreConfig {
         Generator { envelope: &self.envelope, seed: self.seed, law: self.law, laws: &self.laws }
     }
 
-    /// Every demand on the judged trial of `scene`.
     pub fn demands(&self, scene: &Scene) -> Vec<Demand> {
         let of_plate = demands(scene, &self.envelope.plate);
         of_plate.into_iter().chain(self.compares_reference.then(|| reference_demand(scene))).collect()
     }
 
-    /// The text of `scene` as a scenario with every demand.
     pub fn scene_text(&self, scene: &Scene, title: &str) -> ScenarioText {
         let Envelope { title: envelope, plate, .. } = &self.envelope;
         let source = format!("platebench explore {envelope}");
@@ -71,7 +65,6 @@ impl ExploreConfig {
     }
 }
 
-/// A scene with a violated property.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FailedScene {
     pub index: u64,
@@ -80,22 +73,18 @@ pub struct FailedScene {
     pub history: Vec<u64>,
 }
 
-/// A regression scenario that fails.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FailedRegression {
     pub file: String,
     pub failures: Vec<Failure>,
 }
 
-/// Counts of one property.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PropertyTally {
     pub windows: u64,
-    /// Windows that violate it.
     pub violations: u64,
     /// Smallest distance from the limit, relative to the limit.
     pub smallest_margin: f64,
-    /// The scene with it.
     pub tightest_scene: u64,
 }
 
@@ -109,16 +98,13 @@ impl Default for PropertyTally {
 #[derive(Debug, Clone, Default)]
 pub struct Exploration {
     pub scenes: u64,
-    /// Scenes that the rig did not decide.
     pub undecided: u64,
     pub properties: BTreeMap<Property, PropertyTally>,
     /// Failed scenes by number.
     pub failed: Vec<FailedScene>,
     /// Regression scenarios that were played.
     pub regressions: usize,
-    /// Those that fail.
     pub failed_regressions: Vec<FailedRegression>,
-    /// What the scenes cover.
     pub coverage: Coverage,
     pub elapsed: Duration,
 }
@@ -212,7 +198,6 @@ fn play_regressions(
     Ok(())
 }
 
-/// A scene that was played.
 struct Played {
     index: u64,
     scene: Scene,
@@ -220,7 +205,6 @@ struct Played {
     history: Vec<u64>,
 }
 
-/// What the workers share.
 struct Shared<'a> {
     config: &'a ExploreConfig,
     connect: &'a Connect<'a>,

@@ -30,7 +30,6 @@ const COUNTERS_US: [u32; 2] = [100_000, 1_000_000];
 const STAIR_TENTHS: u32 = 7;
 const SINE_STEP_TENTHS: u32 = 20;
 
-/// The generator of one exploration.
 #[derive(Debug, Clone)]
 pub struct Generator<'a> {
     pub envelope: &'a Envelope,
@@ -65,8 +64,6 @@ impl SceneTree<'_> {
 }
 
 impl<'a> Generator<'a> {
-    /// Scene `index`.
-    /// The strategies here reject nothing.
     pub fn tree(&self, index: u64) -> Result<SceneTree<'a>, String> {
         let mut hash = Sha256::new_with_prefix(self.envelope.digest);
         hash.update(self.seed.to_le_bytes());
@@ -188,7 +185,6 @@ struct Configuration {
     tuning: Tuning,
 }
 
-/// A trial while its events are added.
 struct Timeline<'a> {
     envelope: &'a Envelope,
     period_us: u32,

@@ -31,7 +31,6 @@ pub struct KillRateReport {
     pub seed: u64,
     pub kill_rate: Rate,
     pub mutants: Vec<MutantSearch>,
-    /// Failed scenes of the correct controllers.
     pub false_alarm_rate: Rate,
     pub alarms: Vec<SceneAlarm>,
 }
@@ -49,7 +48,6 @@ pub struct FoundScene {
     pub property: Property,
 }
 
-/// A property that a correct controller violates.
 #[derive(Debug, Clone, Serialize)]
 pub struct SceneAlarm {
     /// `reference` or a clean variant.

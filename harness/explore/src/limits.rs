@@ -21,11 +21,9 @@ const HOLD_TIME_CONSTANT_S: f64 = 1e-3;
 /// A larger relative change of the damping is adopted at once, after two periods.
 const MAX_MISMATCH: f64 = 0.3;
 
-/// Limits of one trial.
 pub(crate) struct Limits<'a> {
     pub(crate) trial: &'a SceneTrial,
     base: &'a Plate,
-    /// The configured plate.
     design: Plate,
     pub(crate) properties: LawProperties,
     pub(crate) period_s: f64,

@@ -9,10 +9,8 @@ use platebench_runner::trial::{self, TrialResult, TrialSpec};
 use platebench_scenario::{Limit, Scenario};
 use platebench_verdict::{TrialMeasures, judge, measure};
 
-/// Connects to a new controller.
 pub type Connect<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync + 'a;
 
-/// A violated property of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Failure {
     pub property: Property,
@@ -24,7 +22,6 @@ pub struct Failure {
     pub limit: Option<f64>,
 }
 
-/// A judged window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindowResult {
     pub property: Property,
@@ -32,19 +29,15 @@ pub struct WindowResult {
     pub margin: Option<f64>,
 }
 
-/// The result of a scene.
 #[derive(Debug, Clone, Default)]
 pub struct SceneResult {
     /// Violated properties, most severe first.
     pub failures: Vec<Failure>,
-    /// Every judged window.
     pub windows: Vec<WindowResult>,
-    /// Why the rig did not decide the scene.
     pub undecided: Option<Cause>,
 }
 
 impl SceneResult {
-    /// The failure of `property`.
     pub fn failure_of(&self, property: Property) -> Option<&Failure> {
         self.failures.iter().find(|failure| failure.property == property)
     }
@@ -55,7 +48,6 @@ const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
 
 const MAX_LOSSES: u32 = 5;
 
-/// A controller with its session.
 pub struct Player<'a> {
     connect: &'a Connect<'a>,
     own_clock: bool,
@@ -69,7 +61,6 @@ pub struct Player<'a> {
 }
 
 impl<'a> Player<'a> {
-    /// A player that connects when it first plays.
     pub fn new(connect: &'a Connect<'a>, own_clock: bool, cancel: &'a CancelToken) -> Self {
         Self { connect, own_clock, cancel, session: None, scenes: 0, controllers: 0, losses: 0 }
     }

@@ -11,7 +11,6 @@ use platebench_scenario::Metric;
 use serde::Serialize;
 use std::fmt;
 
-/// A property of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Property {
@@ -71,7 +70,6 @@ impl Property {
         }
     }
 
-    /// The metric that measures it.
     pub(crate) const fn metric(self) -> Option<Metric> {
         Some(match self {
             Self::Settling => Metric::SettlingTime,
@@ -104,9 +102,7 @@ impl fmt::Display for Property {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Demand {
     pub property: Property,
-    /// Start of the window, µs.
     pub from_us: u32,
-    /// End of the window, µs.
     pub until_us: u32,
     /// Largest value, in the unit of the metric.
     pub at_most: f64,

@@ -11,28 +11,21 @@ use std::collections::BTreeMap;
 
 /// Confidence of the bound on the share of failing scenes.
 const CONFIDENCE: f64 = 0.95;
-/// Name of the file in the run folder.
 pub const FILE: &str = "explore.json";
 
-/// The result of an exploration.
 #[derive(Debug, Clone, Serialize)]
 pub struct ExploreReport {
-    /// Version of this format.
     pub format: u32,
     /// `fail` if a property was violated, otherwise `inconclusive` if the rig left a scene undecided.
     pub verdict: Verdict,
-    /// The envelope file.
     pub envelope: String,
     /// The rig as named on the command line.
     pub rig: String,
-    /// The firmware's name.
     pub firmware: String,
     pub law: &'static str,
     pub seed: u64,
     pub scenes: u64,
-    /// Scenes with a violated property.
     pub failed: u64,
-    /// Scenes that the rig did not decide.
     pub undecided: u64,
     /// Duration of the exploration without shrinking, s.
     pub elapsed_s: f64,
@@ -41,64 +34,48 @@ pub struct ExploreReport {
     pub properties: Vec<PropertyReport>,
     /// Regression scenarios that were played first.
     pub regressions: usize,
-    /// Those that fail.
     pub failed_regressions: Vec<RegressionReport>,
     /// One per violated property, at most three.
     pub violations: Vec<ViolationReport>,
-    /// What the scenes cover.
     pub coverage: CoverageReport,
 }
 
-/// Counts of a property.
 #[derive(Debug, Clone, Serialize)]
 pub struct PropertyReport {
     pub property: Property,
     pub windows: u64,
-    /// Windows that violate it.
     pub violations: u64,
     /// Smallest distance from the limit, relative to the limit; `null` if a value is missing.
     pub smallest_margin: Option<f64>,
-    /// The scene with it.
     pub tightest_scene: u64,
 }
 
-/// A regression scenario that fails.
 #[derive(Debug, Clone, Serialize)]
 pub struct RegressionReport {
     pub file: String,
     pub properties: Vec<Property>,
 }
 
-/// A violated property with its scenes.
 #[derive(Debug, Clone, Serialize)]
 pub struct ViolationReport {
     pub property: Property,
-    /// Number of the scene.
     pub scene: u64,
-    /// The measured value in the original scene.
     pub value: Option<f64>,
-    /// The limit there.
     pub limit: Option<f64>,
     /// The original scene as a scenario file.
     pub original: String,
     /// The minimal scene as a scenario file.
     pub minimal: String,
-    /// The measured value in the minimal scene.
     pub minimal_value: Option<f64>,
-    /// The limit there.
     pub minimal_limit: Option<f64>,
-    /// Path of the minimal scene.
     pub file: String,
     /// True if the minimal scene fails with a new controller, played from its file.
     pub is_reproduced: bool,
-    /// Replays for it.
     pub replays: u32,
 }
 
-/// What the scenes cover.
 #[derive(Debug, Clone, Serialize)]
 pub struct CoverageReport {
-    /// Value ranges.
     pub ranges: Vec<RangeCoverage>,
     /// How often the second change followed the first.
     pub pairs: Vec<PairCoverage>,
@@ -106,14 +83,10 @@ pub struct CoverageReport {
     pub histories: BTreeMap<usize, u64>,
 }
 
-/// A pair of changes.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct PairCoverage {
-    /// The first.
     pub first: &'static str,
-    /// The second.
     pub second: &'static str,
-    /// How often.
     pub count: u64,
 }
 

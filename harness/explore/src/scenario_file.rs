@@ -11,13 +11,11 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-/// Spacing of rows, ms.
 const TRACE_STEP_MS: f64 = 0.1;
 /// Largest difference of two trials that differ in history or time stamps only, µm: some tens of the resolution of
 /// the wire at the largest setpoints.
 pub(crate) const SAME_RESPONSE_UM: f64 = 1e-5;
 
-/// The text of a scenario and of its plate files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScenarioText {
     pub scenario: String,
@@ -39,15 +37,10 @@ impl ScenarioText {
     }
 }
 
-/// Writes scenes for one envelope.
 pub struct ScenarioWriter<'a> {
-    /// The configured plate.
     pub base: &'a Plate,
-    /// Title of the scenario.
     pub title: &'a str,
-    /// Its source.
     pub source: &'a str,
-    /// Comment lines at the beginning.
     pub comment: &'a [String],
     /// Beginning of the names of plate files.
     pub plate_prefix: &'a str,

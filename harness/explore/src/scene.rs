@@ -9,21 +9,17 @@ use platebench_plate::{Mode, Plate};
 use platebench_wire::LawId;
 use std::f64::consts::TAU;
 
-/// A scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Trials between two trials of [`Self::judged`]; not judged.
     pub earlier: Vec<SceneTrial>,
-    /// The judged trial.
     pub judged: SceneTrial,
     /// How often the judged trial is played; each further time starts at another time stamp.
     pub count: u32,
 }
 
-/// One trial of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneTrial {
-    /// The configured law.
     pub law: LawId,
     /// Differences of the plate from the envelope's.
     pub plate: PlateChoice,
@@ -46,7 +42,6 @@ pub struct SceneTrial {
     pub fault: Option<LineFault>,
 }
 
-/// The plate of a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PlateChoice {
     /// Limit of the drive, Vpp.
@@ -91,14 +86,7 @@ pub enum Course {
     /// Instants, µs, and values, linear in between. The first instant is 0.
     Linear(Vec<(u32, i32)>),
     /// `mean + amplitude · sin(2π f t)` with f in 0.1 Hz.
-    Sine {
-        /// Mean.
-        mean: i32,
-        /// Amplitude.
-        amplitude: i32,
-        /// Frequency, 0.1 Hz.
-        frequency_tenths: u32,
-    },
+    Sine { mean: i32, amplitude: i32, frequency_tenths: u32 },
 }
 
 impl Course {
@@ -127,7 +115,6 @@ impl Course {
         }
     }
 
-    /// Smallest and largest value.
     pub fn range(&self) -> [f64; 2] {
         match self {
             Self::Hold(points) | Self::Linear(points) => {

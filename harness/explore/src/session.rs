@@ -35,23 +35,19 @@ pub struct ExploreSession {
     pub law: LawId,
     pub seed: u64,
     pub budget: Budget,
-    /// Number of workers.
     pub jobs: usize,
     /// True if every command is compared with the hosted reference.
     pub compares_reference: bool,
-    /// Scenarios to play first.
     pub regressions: Vec<Scenario>,
     /// Folder of minimal scenes.
     pub regression_folder: PathBuf,
 }
 
-/// Progress of an exploration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ProgressEvent {
     /// Since its start.
     pub elapsed: Duration,
     pub scenes: u64,
-    /// Failed scenes.
     pub failed: u64,
 }
 

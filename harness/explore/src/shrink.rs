@@ -13,27 +13,21 @@ const MAX_REPLAYS: u32 = 2_000;
 /// Largest number of trials between two judged trials.
 const MAX_EARLIER: usize = 16;
 
-/// A minimal failing scene.
 #[derive(Debug, Clone)]
 pub struct MinimalScene {
     pub scene: Scene,
     /// The violated demands; none for a property without expectation.
     pub demands: Vec<Demand>,
-    /// The violation.
     pub failure: Failure,
     /// False if the scene did not fail again with a new controller; it is then not minimal.
     pub is_reproduced: bool,
-    /// Number of replays.
     pub replays: u32,
 }
 
 /// Replays candidates with new controllers until the time is used.
 pub struct Shrinker<'a, 'p> {
-    /// Settings of the exploration.
     pub config: &'a ExploreConfig,
-    /// Plays the candidates.
     pub player: &'a mut Player<'p>,
-    /// End of the time.
     pub deadline: Instant,
     staging: Staging,
     replays: u32,
