@@ -6,7 +6,12 @@ use super::*;
 fn a_stopped_controller_has_no_values() {
     let mut trace = trace_at(grid(0.05, 60.0), |_| 2.0, |_| 2.0);
     trace[3].flags = Flags::SAFE;
-    let reported = Telemetry { loop_delay_us: Some(0.0), instructions_worst: Some(900.0), ..EMPTY_TELEMETRY };
+    let reported = Telemetry {
+        loop_delay_us: Some(0.0),
+        instructions_worst: Some(900.0),
+        reference_difference_percent: Some(0.0),
+        ..EMPTY_TELEMETRY
+    };
     let of_the_line = [Metric::ShutdownTime, Metric::MissedReplies];
     let others = || Metric::ALL.into_iter().filter(|metric| !of_the_line.contains(metric));
     for metric in others().filter(|metric| *metric != Metric::QuadratureRatio) {
