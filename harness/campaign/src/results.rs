@@ -5,12 +5,13 @@ use crate::error::CampaignError;
 use crate::part::{create, finish};
 use crate::row::Row;
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
-use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
+use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::Type;
+use platebench_export::parquet_column::{write_column, write_optional_column};
 use platebench_report::format;
 use platebench_trace::AtomicFile;
 use std::fs::File;
@@ -161,49 +162,30 @@ type Group<'a> = SerializedRowGroupWriter<'a, File>;
 
 fn write_columns(group: &mut Group<'_>, campaign: &Campaign, rows: &[Row]) -> Result<(), ParquetError> {
     let whole = |of: &dyn Fn(&Row) -> u64| -> Vec<i64> { rows.iter().map(|row| of(row).cast_signed()).collect() };
-    write_column::<Int64Type>(group, &whole(&|row| row.trial), None)?;
-    write_column::<Int64Type>(group, &whole(&|row| campaign.seed_of(row.trial)), None)?;
+    write_column::<Int64Type>(group, &whole(&|row| row.trial))?;
+    write_column::<Int64Type>(group, &whole(&|row| campaign.seed_of(row.trial)))?;
     for (index, variable) in campaign.variables.iter().enumerate() {
         let draws = rows.iter().map(|row| row.draws.get(index).copied().unwrap_or(f64::NAN));
         if variable.is_number() {
             let numbers: Vec<_> = draws.map(|draw| variable.distribution.number(draw).unwrap_or(f64::NAN)).collect();
-            write_column::<DoubleType>(group, &numbers, None)?;
+            write_column::<DoubleType>(group, &numbers)?;
         } else {
             let texts: Vec<_> = draws.map(|draw| ByteArray::from(&*variable.distribution.text(draw))).collect();
-            write_column::<ByteArrayType>(group, &texts, None)?;
+            write_column::<ByteArrayType>(group, &texts)?;
         }
     }
     for index in 0..campaign.template.scenario.expectations.len() {
         let values = rows.iter().map(|row| row.values.get(index).copied().filter(|value| !value.is_nan()));
-        write_optional::<DoubleType>(group, values)?;
+        write_optional_column::<DoubleType>(group, values)?;
         let margins: Vec<_> = rows.iter().map(|row| row.margins.get(index).copied().unwrap_or(f64::NAN)).collect();
-        write_column::<DoubleType>(group, &margins, None)?;
+        write_column::<DoubleType>(group, &margins)?;
     }
     let verdicts: Vec<_> = rows.iter().map(|row| ByteArray::from(row.verdict.name())).collect();
-    write_column::<ByteArrayType>(group, &verdicts, None)?;
-    write_optional::<ByteArrayType>(group, rows.iter().map(|row| Some(ByteArray::from(&*row.cause?.to_string()))))
-}
-
-fn write_optional<T: DataType>(
-    group: &mut Group<'_>,
-    values: impl Iterator<Item = Option<T::T>>,
-) -> Result<(), ParquetError> {
-    let values: Vec<_> = values.collect();
-    let levels: Vec<_> = values.iter().map(|value| i16::from(value.is_some())).collect();
-    write_column::<T>(group, &values.into_iter().flatten().collect::<Vec<_>>(), Some(&levels))
-}
-
-/// Writes the next column. `levels` are 1 for rows with a value, else 0; `None` if every row has one.
-fn write_column<T: DataType>(
-    group: &mut Group<'_>,
-    values: &[T::T],
-    levels: Option<&[i16]>,
-) -> Result<(), ParquetError> {
-    let Some(mut column) = group.next_column()? else {
-        return Err(ParquetError::General("more columns than the schema has".to_owned()));
-    };
-    column.typed::<T>().write_batch(values, levels, None)?;
-    column.close()
+    write_column::<ByteArrayType>(group, &verdicts)?;
+    write_optional_column::<ByteArrayType>(
+        group,
+        rows.iter().map(|row| Some(ByteArray::from(&*row.cause?.to_string()))),
+    )
 }
 
 #[cfg(test)]

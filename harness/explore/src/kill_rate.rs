@@ -67,7 +67,7 @@ pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRa
         mutants.push(MutantSearch { name: mutant.name, found: first_failure(&result) });
     }
     let (mut scenes, mut failed, mut alarms) = (0, 0, Vec::new());
-    for law in explored_laws() {
+    for law in LawProperties::explored_laws() {
         let firmware = (!config.variants.is_empty()).then_some(("reference", None));
         let variants = config.variants.iter().map(|variant| (variant.name, Some(variant)));
         // The variants change dq-pi.
@@ -99,10 +99,6 @@ pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRa
         false_alarm_rate: Rate::new(failed, scenes),
         alarms,
     })
-}
-
-fn explored_laws() -> impl Iterator<Item = LawId> {
-    LawId::ALL.into_iter().filter(|law| LawProperties::of(*law).is_some())
 }
 
 fn first_failure(result: &Exploration) -> Option<FoundScene> {
@@ -149,7 +145,7 @@ impl KillRateConfig {
             envelope: self.envelope.clone(),
             seed: self.seed,
             law,
-            laws: explored_laws().collect(),
+            laws: LawProperties::explored_laws().collect(),
             budget: Budget::Scenes(self.scenes),
             max_failed,
             jobs: self.jobs,

@@ -17,6 +17,10 @@ pub struct LawProperties {
 }
 
 impl LawProperties {
+    pub fn explored_laws() -> impl Iterator<Item = LawId> {
+        LawId::ALL.into_iter().filter(|law| Self::of(*law).is_some())
+    }
+
     /// `None` if the law is not explored: it has a static error by design, or settles only near the resonance.
     pub const fn of(law: LawId) -> Option<Self> {
         let adapting = Self { adapts_to_damping: true, compensates_delay: true, steers: false, tracking_periods: 8.0 };

@@ -1,6 +1,7 @@
 //! A planned fault of the line in the judged trial.
 
 use platebench_plate::Time;
+use platebench_runner::wire_fault_kind;
 use platebench_scenario::{Direction, FaultKind};
 use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
 use proptest::prop_oneof;
@@ -82,7 +83,8 @@ impl LineFault {
     /// `[[fault]]`
     pub(crate) fn write(&self, text: &mut String) -> std::fmt::Result {
         let [from_ms, until_ms] = [self.from_us, self.until_us].map(|us| f64::from(us) / 1e3);
-        writeln!(text, "\n[[fault]]\nkind = {:?}\nfrom_ms = {from_ms:?}\nuntil_ms = {until_ms:?}", self.kind.name())?;
+        let kind = wire_fault_kind(self.kind).name();
+        writeln!(text, "\n[[fault]]\nkind = {kind:?}\nfrom_ms = {from_ms:?}\nuntil_ms = {until_ms:?}")?;
         writeln!(text, "direction = {:?}", self.direction.name())?;
         match self.kind {
             FaultKind::Delay(delay) => writeln!(text, "delay_ms = {:?}", delay.seconds() * 1e3),

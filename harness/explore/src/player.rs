@@ -43,7 +43,7 @@ impl SceneResult {
     }
 }
 
-/// Scenes of a controller before the next one starts, in turn: many scenes meet a young controller, and some an old one.
+/// Scenes of a controller before the next one starts, in turn: many meet a young controller, some an old one.
 const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
 
 const MAX_LOSSES: u32 = 5;

@@ -98,7 +98,7 @@ impl ExploreSession {
         if !identity.has_law(self.law) {
             return Err(ExploreError::LawNotAnnounced(self.law.name()));
         }
-        let laws = LawId::ALL.into_iter().filter(|law| LawProperties::of(*law).is_some() && identity.has_law(*law));
+        let laws = LawProperties::explored_laws().filter(|law| identity.has_law(*law));
         let knows_delay = identity.has_capability(capabilities::LOOP_DELAY);
         let announced = |scenario: &Scenario| {
             LawId::from_name(&scenario.controller.law).is_some_and(|law| identity.has_law(law))

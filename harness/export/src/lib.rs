@@ -10,6 +10,7 @@ mod export;
 mod mcap;
 mod mf4;
 mod parquet;
+pub mod parquet_column;
 mod source;
 mod table;
 

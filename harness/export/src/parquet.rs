@@ -5,13 +5,14 @@
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
+use crate::parquet_column::{write_column, write_optional_column};
 use crate::source::ExportScenario;
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
 use parquet::data_type::{BoolType, ByteArray, ByteArrayType, DoubleType, Int32Type, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
-use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
+use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::{Type, TypePtr};
 use platebench_trace::Row;
 use std::fs::File;
@@ -93,22 +94,20 @@ impl RowGroup {
     fn write(&mut self, scenario: &str, writer: &mut SerializedFileWriter<&File>) -> Result<(), ParquetError> {
         let mut group = writer.next_row_group()?;
         let names = vec![ByteArray::from(scenario); self.rows.len()];
-        write_column::<ByteArrayType>(&mut group, &names, None)?;
-        write_column::<Int32Type>(&mut group, &self.trials, None)?;
-        write_column::<Int64Type>(&mut group, &self.seeds, None)?;
+        write_column::<ByteArrayType>(&mut group, &names)?;
+        write_column::<Int32Type>(&mut group, &self.trials)?;
+        write_column::<Int64Type>(&mut group, &self.seeds)?;
         for number in NUMBER_COLUMNS {
             if number.can_be_unknown {
-                let values: Vec<_> = self.rows.iter().map(|row| number.known_value(row)).collect();
-                let levels: Vec<_> = values.iter().map(|value| i16::from(value.is_some())).collect();
-                let known: Vec<_> = values.into_iter().flatten().collect();
-                write_column::<DoubleType>(&mut group, &known, Some(&levels))?;
+                let values = self.rows.iter().map(|row| number.known_value(row));
+                write_optional_column::<DoubleType>(&mut group, values)?;
             } else {
-                write_column::<DoubleType>(&mut group, &self.rows.iter().map(number.of).collect::<Vec<_>>(), None)?;
+                write_column::<DoubleType>(&mut group, &self.rows.iter().map(number.of).collect::<Vec<_>>())?;
             }
         }
         for flag in FLAG_COLUMNS {
             let set: Vec<bool> = self.rows.iter().map(|row| row.flags.contains(flag.flag)).collect();
-            write_column::<BoolType>(&mut group, &set, None)?;
+            write_column::<BoolType>(&mut group, &set)?;
         }
         group.close()?;
         self.trials.clear();
@@ -116,18 +115,4 @@ impl RowGroup {
         self.rows.clear();
         Ok(())
     }
-}
-
-/// Writes the next column of a row group. `levels` are 1 for rows with a value, else 0; `None` if
-/// every row has one.
-fn write_column<T: parquet::data_type::DataType>(
-    group: &mut SerializedRowGroupWriter<'_, &File>,
-    values: &[T::T],
-    levels: Option<&[i16]>,
-) -> Result<(), ParquetError> {
-    let Some(mut column) = group.next_column()? else {
-        return Err(ParquetError::General("more columns than the schema has".to_owned()));
-    };
-    column.typed::<T>().write_batch(values, levels, None)?;
-    column.close()
 }

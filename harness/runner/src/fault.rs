@@ -10,20 +10,27 @@ pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
     scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
 }
 
+pub fn wire_fault_kind(kind: FaultKind) -> WireFaultKind {
+    match kind {
+        FaultKind::Drop => WireFaultKind::Drop,
+        FaultKind::Flip => WireFaultKind::Flip,
+        FaultKind::Duplicate => WireFaultKind::Duplicate,
+        FaultKind::Delay(delay) => WireFaultKind::Delay(span(delay)),
+        FaultKind::Truncate => WireFaultKind::Truncate,
+        FaultKind::Babble => WireFaultKind::Babble,
+        FaultKind::Disconnect => WireFaultKind::Disconnect,
+        FaultKind::Freeze => WireFaultKind::Freeze,
+        FaultKind::Scale(factor) => WireFaultKind::Scale(factor as f32),
+    }
+}
+
+fn span(time: Time) -> Duration {
+    Duration::from_nanos(time.as_nanos())
+}
+
 fn wire_fault(fault: &Fault, seed: u64) -> WireFault {
-    let span = |time: Time| Duration::from_nanos(time.as_nanos());
     WireFault {
-        kind: match fault.kind {
-            FaultKind::Drop => WireFaultKind::Drop,
-            FaultKind::Flip => WireFaultKind::Flip,
-            FaultKind::Duplicate => WireFaultKind::Duplicate,
-            FaultKind::Delay(delay) => WireFaultKind::Delay(span(delay)),
-            FaultKind::Truncate => WireFaultKind::Truncate,
-            FaultKind::Babble => WireFaultKind::Babble,
-            FaultKind::Disconnect => WireFaultKind::Disconnect,
-            FaultKind::Freeze => WireFaultKind::Freeze,
-            FaultKind::Scale(factor) => WireFaultKind::Scale(factor as f32),
-        },
+        kind: wire_fault_kind(fault.kind),
         from: span(fault.from),
         until: fault.until.map(span),
         direction: match fault.direction {

@@ -29,6 +29,7 @@ pub mod trial;
 mod worker;
 
 pub use configure::{configure, law};
+pub use fault::wire_fault_kind;
 pub use live_tap::{LiveTap, TapReader};
 pub use operator::{Answer, NoOperator, Operator, Question, QuestionKind};
 pub use plan::{Clock, RunError, RunHooks, RunPlan};

@@ -22,20 +22,6 @@ impl FaultKind {
     pub const NAMES: [&'static str; 9] =
         ["drop", "flip", "duplicate", "delay", "truncate", "babble", "disconnect", "freeze", "scale"];
 
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Drop => "drop",
-            Self::Flip => "flip",
-            Self::Duplicate => "duplicate",
-            Self::Delay(_) => "delay",
-            Self::Truncate => "truncate",
-            Self::Babble => "babble",
-            Self::Disconnect => "disconnect",
-            Self::Freeze => "freeze",
-            Self::Scale(_) => "scale",
-        }
-    }
-
     pub const fn affects_sensor(self) -> bool {
         matches!(self, Self::Freeze | Self::Scale(_))
     }

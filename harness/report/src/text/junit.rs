@@ -120,7 +120,7 @@ fn test_case(scenario: &ScenarioRecord, index: usize) -> Option<TestCase> {
         ("trace", trial.map(|trial| trial.trace.clone())),
     ];
     let lines = properties.into_iter().filter_map(|(name, value)| Some(format!("{name}: {}\n", printable(&value?))));
-    // Jenkins shows the file beside the case.
+    // Jenkins links the file to the case.
     let attachment = trial.map(|trial| format!("[[ATTACHMENT|{}]]\n", printable(&trial.trace)));
     case.set_system_out(lines.chain(attachment).collect::<String>());
     Some(case)
