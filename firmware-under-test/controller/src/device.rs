@@ -24,9 +24,8 @@ impl Device {
     }
 
     /// `now_us` is on the target's clock. Calls `send` once for each frame of the answer.
-    pub fn receive(&mut self, bytes: &[u8], now_us: u32, mut send: impl FnMut(&[u8])) {
-        for &byte in bytes {
-            let Some(frame) = self.reader.push(byte) else { continue };
+    pub fn receive(&mut self, mut bytes: &[u8], now_us: u32, mut send: impl FnMut(&[u8])) {
+        while let Some(frame) = self.reader.read(&mut bytes) {
             let packet = frame.ok().and_then(|body| Packet::decode(body).ok());
             let answer = match packet {
                 Some(packet) => self.answer(&packet, now_us),

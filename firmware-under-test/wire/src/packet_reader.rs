@@ -20,15 +20,20 @@ impl PacketReader {
         Self::default()
     }
 
-    /// Takes the next byte of the stream. If it ends a frame, returns the frame's packet or error.
-    pub fn push(&mut self, byte: u8) -> Option<Result<Packet, PacketError>> {
-        let body = self.0.push(byte)?.map_err(PacketError::Frame);
+    /// Takes `bytes` up to the end of a frame. Returns its packet or error, `None` if no frame ends.
+    pub fn read(&mut self, bytes: &mut &[u8]) -> Option<Result<Packet, PacketError>> {
+        let body = self.0.read(bytes)?.map_err(PacketError::Frame);
         Some(body.and_then(|body| Packet::decode(body).map_err(PacketError::Message)))
     }
 
+    /// As [`PacketReader::read`], for one byte.
+    pub fn push(&mut self, byte: u8) -> Option<Result<Packet, PacketError>> {
+        self.read(&mut [byte].as_slice())
+    }
+
     /// Takes `bytes`. Yields the packet or the error of each frame that ends within them.
-    pub fn packets<'a>(&'a mut self, bytes: &'a [u8]) -> impl Iterator<Item = Result<Packet, PacketError>> + 'a {
-        bytes.iter().filter_map(|&byte| self.push(byte))
+    pub fn packets<'a>(&'a mut self, mut bytes: &'a [u8]) -> impl Iterator<Item = Result<Packet, PacketError>> + 'a {
+        core::iter::from_fn(move || self.read(&mut bytes))
     }
 }
 

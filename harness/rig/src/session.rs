@@ -309,9 +309,10 @@ impl<L: Link> Session<L> {
     }
 
     fn next_packet(&mut self) -> Result<Option<Packet>, RigError> {
-        while let Some(&byte) = self.bytes.get(self.consumed) {
-            self.consumed += 1;
-            match self.reader.push(byte) {
+        while let Some(mut rest) = self.bytes.get(self.consumed..).filter(|rest| !rest.is_empty()) {
+            let packet = self.reader.read(&mut rest);
+            self.consumed = self.bytes.len() - rest.len();
+            match packet {
                 None => {}
                 Some(Err(_)) => self.rejected_frames += 1,
                 Some(Ok(Packet { message: Message::Fault(report), .. })) => return Err(RigError::Trapped(report)),
