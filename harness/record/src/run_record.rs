@@ -156,6 +156,8 @@ pub struct ScenarioRecord {
     pub file: String,
     pub title: String,
     pub source: Option<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tags: Vec<String>,
     pub verdict: Verdict,
     pub law: String,
     pub model: String,

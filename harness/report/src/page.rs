@@ -12,7 +12,9 @@ mod frame;
 mod golden;
 mod grid;
 mod kept_rows;
+mod limit_marks;
 mod markers;
+mod navigation;
 mod report_page;
 mod resolution;
 mod run_comparison;
@@ -21,6 +23,7 @@ mod scenario_figures;
 mod script;
 mod summary;
 mod trace_data;
+mod trend;
 
 pub use block_page::{BlockPage, PageBlock};
 pub use elements::verdict_badge;

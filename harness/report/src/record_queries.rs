@@ -15,7 +15,13 @@ pub(crate) fn metric_key(scenario: &ScenarioRecord, index: usize) -> String {
 
 /// The trial that decided, or else the first; `None` if the expectation passed.
 pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
-    let expectation = scenario.expectations.get(index).filter(|found| found.verdict != Verdict::Pass)?;
+    scenario.expectations.get(index).filter(|found| found.verdict != Verdict::Pass)?;
+    deciding_trial(scenario, index)
+}
+
+/// The trial that decided, or else the first.
+pub(crate) fn deciding_trial(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
+    let expectation = scenario.expectations.get(index)?;
     let key = metric_key(scenario, index);
     let number = |trial: &TrialRecord| trial.metrics.get(&key).and_then(Value::as_f64);
     let decided = match (expectation.cause, expectation.value) {
@@ -47,10 +53,25 @@ pub(crate) fn expectations_not_passed(record: &RunRecord) -> Vec<(&ScenarioRecor
 
 /// The passed expectation with the smallest margin, if its limit leaves one.
 pub(crate) fn smallest_margin(record: &RunRecord) -> Option<(&ScenarioRecord, &ExpectationRecord, f64)> {
-    let all = record.scenarios.iter().flat_map(|scenario| scenario.expectations.iter().map(move |of| (scenario, of)));
-    let passed = all.filter(|(_, expectation)| expectation.verdict == Verdict::Pass && allows_margin(expectation));
-    let rated = passed.filter_map(|(scenario, expectation)| Some((scenario, expectation, expectation.margin?)));
-    rated.min_by(|a, b| a.2.total_cmp(&b.2))
+    smallest_margins(record).first().map(|(_, scenario, expectation, margin)| (*scenario, *expectation, *margin))
+}
+
+/// Passed expectations whose limits leave a margin, the smallest first, with the scenario's index.
+pub(crate) fn smallest_margins(record: &RunRecord) -> Vec<(usize, &ScenarioRecord, &ExpectationRecord, f64)> {
+    let scenarios = record.scenarios.iter().enumerate();
+    let all = scenarios.flat_map(|(index, scenario)| scenario.expectations.iter().map(move |of| (index, scenario, of)));
+    let passed = all.filter(|(_, _, found)| found.verdict == Verdict::Pass && allows_margin(found));
+    let rated = passed.filter_map(|(index, scenario, found)| Some((index, scenario, found, found.margin?)));
+    let mut rated: Vec<_> = rated.collect();
+    rated.sort_by(|a, b| a.3.total_cmp(&b.3));
+    rated
+}
+
+/// Of a scenario: the expectation with the smallest margin, if its limit leaves one.
+pub(crate) fn closest_expectation(scenario: &ScenarioRecord) -> Option<usize> {
+    let rated = scenario.expectations.iter().enumerate().filter(|(_, found)| allows_margin(found));
+    let rated = rated.filter_map(|(index, found)| Some((index, found.margin?)));
+    rated.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(index, _)| index)
 }
 
 /// False for `overruns ≤ 0` or `missed_replies 5 … 5`: a single value meets the limit.
@@ -152,6 +173,7 @@ mod tests {
             file: "a.toml".to_owned(),
             title: String::new(),
             source: None,
+            tags: Vec::new(),
             verdict: Verdict::Fail,
             law: String::new(),
             model: String::new(),

@@ -273,6 +273,7 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
         file: scenario.file.clone(),
         title: scenario.title.clone(),
         source: scenario.source.clone(),
+        tags: scenario.tags.clone(),
         verdict: Verdict::Inconclusive,
         law: scenario.controller.law.clone(),
         model: scenario.tier.name().to_owned(),

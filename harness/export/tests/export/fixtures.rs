@@ -74,6 +74,7 @@ fn scenario_record(name: &str, title: &str, trials: Vec<TrialRecord>) -> Scenari
         file: format!("{name}.toml"),
         title: title.to_owned(),
         source: None,
+        tags: Vec::new(),
         verdict: Verdict::Pass,
         law: "dq-pi".to_owned(),
         model: "modal".to_owned(),

@@ -103,6 +103,7 @@ fn record() -> RunRecord {
             file: "paper/fig13-closed-loop.toml".to_owned(),
             title: "At resonance".to_owned(),
             source: Some("Fig. 13".to_owned()),
+            tags: Vec::new(),
             verdict: Verdict::Inconclusive,
             law: "dq-pi".to_owned(),
             model: "modal".to_owned(),

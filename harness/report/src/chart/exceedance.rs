@@ -39,6 +39,7 @@ pub fn draw_exceedance(tube: &Tube, rows: &[Row], trial: u32, worst: &Exceedance
             at_ms: worst.t_ms,
             text: Some(format!("{} at {} ms", tube.signal, format::number(worst.t_ms))),
         }],
+        points: Vec::new(),
     };
     chart.document(&format::exceedance(trial, worst))
 }

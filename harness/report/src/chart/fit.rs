@@ -29,6 +29,7 @@ impl FitChart {
             spans: Vec::new(),
             areas: Vec::new(),
             lines: vec![(Role::Other, measured.clone()), (Role::First, fitted.clone())],
+            points: Vec::new(),
             marks: Vec::new(),
         };
         chart.document(&self.title)

@@ -45,6 +45,10 @@ pub(crate) enum Role {
     Boundary,
     Delay,
     Measured,
+    Limit,
+    JudgedWindow,
+    Worst,
+    OpenLoop,
     Series(usize),
     Radius(usize),
 }
@@ -52,7 +56,7 @@ pub(crate) enum Role {
 /// A higher number begins again with the first colour.
 const COLOURS: usize = 10;
 
-const NAMED: [(Role, &str); 27] = [
+const NAMED: [(Role, &str); 31] = [
     (Role::Text, "text"),
     (Role::Title, "title"),
     (Role::Grid, "grid"),
@@ -80,6 +84,10 @@ const NAMED: [(Role, &str); 27] = [
     (Role::Boundary, "boundary"),
     (Role::Delay, "delay"),
     (Role::Measured, "measured"),
+    (Role::Limit, "limit"),
+    (Role::JudgedWindow, "window"),
+    (Role::Worst, "worst"),
+    (Role::OpenLoop, "open-loop"),
 ];
 
 impl Role {

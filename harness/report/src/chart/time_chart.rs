@@ -25,6 +25,11 @@ impl TimeWindow {
         self.to_ms - self.from_ms
     }
 
+    /// True for at least 80 % of `whole`.
+    pub(crate) fn covers_most_of(self, whole: Option<Self>) -> bool {
+        whole.is_some_and(|whole| self.span_ms() >= 0.8 * whole.span_ms())
+    }
+
     pub(crate) fn contains(self, t_ms: f64) -> bool {
         (self.from_ms..=self.to_ms).contains(&t_ms)
     }
@@ -48,6 +53,8 @@ pub(crate) struct TimeChart {
     pub(crate) areas: Vec<(Role, [Vec<CurvePoint>; 2])>,
     pub(crate) lines: Vec<(Role, Vec<CurvePoint>)>,
     pub(crate) marks: Vec<Mark>,
+    /// With their texts.
+    pub(crate) points: Vec<(Role, CurvePoint, String)>,
 }
 
 impl TimeChart {
@@ -103,6 +110,13 @@ impl TimeChart {
             share += TEXT_HEIGHT;
             chart.draw_series([Text::new(text.clone(), place, text_style(mark.role, side))])?;
         }
+        for (role, point, text) in &self.points {
+            chart.draw_series([Circle::new(*point, length(4.0), role.colour().filled())])?;
+            let is_left = point.0 - self.window.from_ms < 0.55 * self.window.span_ms();
+            let (side, shift) = if is_left { (HPos::Left, 1.0) } else { (HPos::Right, -1.0) };
+            let place = (point.0 + shift * 0.015 * self.window.span_ms(), point.1);
+            chart.draw_series([Text::new(text.clone(), place, text_style(*role, side))])?;
+        }
         drop(chart);
         let canvas = Canvas(root);
         canvas.text(Role::Text, HPos::Right, (58, 14), self.unit)?;
@@ -152,6 +166,7 @@ mod tests {
             areas: vec![(Role::Band, [vec![(0.0, 1.0), (1.0, 1.0)], vec![(0.0, 0.5), (1.0, 0.5)]])],
             lines: vec![(Role::First, vec![(0.0, 0.0), (10.0, 1.0)])],
             marks: vec![Mark { role: Role::Settling, at_ms: 9.0, text: Some("settled".to_owned()) }],
+            points: vec![(Role::Worst, (3.0, 0.4), "0.4 µm at 3 ms".to_owned())],
         };
         insta::assert_snapshot!(chart.elements("test").unwrap().replace("><", ">\n<"));
     }

@@ -30,7 +30,7 @@ impl PlotSignal {
         Self::Temperature,
     ];
 
-    fn value_in(self, row: &Row) -> f64 {
+    pub(crate) fn value_in(self, row: &Row) -> f64 {
         match self {
             Self::Amplitude => row.amplitude_um,
             Self::InPhase => row.wd_um,
@@ -41,6 +41,16 @@ impl PlotSignal {
             Self::Resonance => row.resonance_hz,
             Self::Force => row.finger_force_n,
             Self::Temperature => row.temperature_offset_k,
+        }
+    }
+
+    pub(crate) const fn unit(self) -> &'static str {
+        match self {
+            Self::Amplitude | Self::InPhase | Self::Quadrature | Self::Setpoint => "µm",
+            Self::Drive => "Vpp",
+            Self::Frequency | Self::Resonance => "Hz",
+            Self::Force => "N",
+            Self::Temperature => "K",
         }
     }
 

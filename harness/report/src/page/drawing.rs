@@ -1,38 +1,27 @@
 //! Writes figures as SVG drawings with their legends, for readers without scripts and for paper.
 
-use super::figure::{Figure, Layer};
+use super::figure::{Content, Figure, Layer};
+use super::trace_data::View;
 use crate::chart::svg::view_box;
 use crate::chart::time_chart::{SIZE, TimeWindow};
 use crate::error::ReportError;
 use crate::format;
 use maud::{Markup, PreEscaped, html};
 
-/// `views` are the response and the whole trial, or the whole trial alone.
-/// The response, and everything if not `all`, has the first two figures only.
-pub(super) fn drawings(
-    t_ms: &[f64],
-    views: &[TimeWindow],
-    figures: &[Figure],
-    limit: usize,
-    all: bool,
-) -> Result<Markup, ReportError> {
-    let headings =
-        ["Response to the setpoint step", "Whole trial"].into_iter().skip(2_usize.saturating_sub(views.len()));
+/// The first two figures of the first view, and all figures of the whole trial, the last view.
+pub(super) fn drawings(t_ms: &[f64], views: &[View], figures: &[Figure], limit: usize) -> Result<Markup, ReportError> {
+    let [rest @ .., whole] = views else { return Ok(Markup::default()) };
+    let shown = rest.first().map(|view| (view, 2)).into_iter().chain([(whole, figures.len())]);
     let mut groups = Vec::new();
-    for (number, (heading, window)) in headings.zip(views).enumerate().take(if all { 2 } else { 1 }) {
-        let is_whole = number + 1 == views.len();
-        let count = if is_whole && all { figures.len() } else { 2 };
-        let drawn = figures.iter().take(count).map(|figure| drawing(figure, t_ms, *window, limit));
-        groups.push((heading, drawn.collect::<Result<Vec<_>, _>>()?));
+    for (view, count) in shown {
+        let drawn = figures.iter().take(count).map(|figure| drawing(figure, t_ms, view.window, limit));
+        groups.push((&view.name, drawn.collect::<Result<Vec<_>, _>>()?));
     }
     Ok(html! {
         div.drawings {
             @for (heading, drawn) in &groups {
                 h3 { (heading) }
                 div.figures { @for figure in drawn { (figure) } }
-            }
-            @if !all && !groups.is_empty() {
-                p.facts { "The other signals are in the interactive plots, which need scripts, and in the traces." }
             }
         }
     })
@@ -58,6 +47,7 @@ fn legend_swatch(layer: &Layer) -> Markup {
     html! {
         svg.swatch viewBox="0 0 24 10" aria-hidden="true" {
             @if layer.is_area() { rect width="24" height="10" rx="2" class={ "f-" (layer.role.name()) } {} }
+            @else if matches!(layer.content, Content::Points(_)) { circle cx="12" cy="5" r="4" class={ "f-" (layer.role.name()) } {} }
             @else { path d="M0 5H24" class={ "s-" (layer.role.name()) } {} }
         }
     }

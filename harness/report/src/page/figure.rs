@@ -12,6 +12,8 @@ pub(crate) struct Figure {
     pub(crate) unit: &'static str,
     pub(crate) from_zero: bool,
     pub(crate) min_span: f64,
+    /// A stimulus shares the time axis of the figure above it.
+    pub(crate) is_stimulus: bool,
     /// From the back to the front.
     pub(crate) layers: Vec<Layer>,
 }
@@ -24,13 +26,15 @@ pub(crate) struct Layer {
     pub(crate) content: Content,
 }
 
-/// Stepped for a signal that holds its value; marks are instants in ms with an optional text.
+/// Stepped for a signal that holds its value; marks are instants in ms with an optional text, points
+/// have a value too.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Content {
     Lines { is_stepped: bool, lines: Vec<SampledLine> },
     Area { is_stepped: bool, upper: SampledLine, lower: SampledLine },
     Spans(Vec<TimeWindow>),
     Marks(Vec<(f64, Option<String>)>),
+    Points(Vec<(f64, f64, String)>),
 }
 
 impl Layer {
@@ -46,7 +50,7 @@ impl Layer {
 
 impl Figure {
     pub(crate) fn new(title: &'static str, unit: &'static str, from_zero: bool, min_span: f64) -> Self {
-        Self { title, unit, from_zero, min_span, layers: Vec::new() }
+        Self { title, unit, from_zero, min_span, is_stimulus: false, layers: Vec::new() }
     }
 
     /// Adds the content unless it is empty.
@@ -57,6 +61,7 @@ impl Figure {
             Content::Area { upper, .. } => !has_values(upper),
             Content::Spans(spans) => spans.is_empty(),
             Content::Marks(marks) => marks.is_empty(),
+            Content::Points(points) => points.is_empty(),
         };
         if !is_empty {
             self.layers.push(Layer { role, text: text.into(), content });
@@ -74,6 +79,7 @@ impl Figure {
             areas: Vec::new(),
             lines: Vec::new(),
             marks: Vec::new(),
+            points: Vec::new(),
         };
         for layer in self.layers.iter().filter(|layer| layer.is_drawn()) {
             match &layer.content {
@@ -90,6 +96,10 @@ impl Figure {
                 Content::Marks(marks) => {
                     let inside = marks.iter().filter(|(at_ms, _)| window.contains(*at_ms));
                     chart.marks.extend(inside.cloned().map(|(at_ms, text)| Mark { role: layer.role, at_ms, text }));
+                }
+                Content::Points(points) => {
+                    let inside = points.iter().filter(|(at_ms, ..)| window.contains(*at_ms)).cloned();
+                    chart.points.extend(inside.map(|(at_ms, value, text)| (layer.role, (at_ms, value), text)));
                 }
             }
         }

@@ -1,14 +1,15 @@
-// The plots of the report: uPlot draws, this unpacks the data, keeps the panels of a scenario together and lets people move in them.
-// What a panel holds and what it is called comes with the data; nothing here knows a signal. Where anything goes wrong the drawings stay.
+// Plots of the report: uPlot draws; this unpacks the data and keeps the panels of a scenario together.
+// Content and names of a panel come with the data; nothing here knows a signal. If the script fails, the drawings are shown.
 "use strict";
 (() => {
   const DIGITS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
   const WORTH = new Map([...DIGITS].map((digit, worth) => [digit, worth]));
-  const HEIGHT = 250, HEIGHT_UNDER = 130;
+  const HEIGHT = 250, HEIGHT_STIMULUS = 84, HEIGHT_AXIS = 44, WIDTH_AXIS = 72;
   // Colour (a variable of the style sheet), width of a line or of an area's edges, dashes, opacity.
   const PENS = {
     first: ["--first", 1.75], second: ["--second", 1.75], exhibit: ["--exhibit", 1.75], other: ["--other", 1.5, [6, 4]],
-    resonance: ["--other", 1.5, [6, 4]], setpoint: ["--ink", 1.25, [2, 3]], golden: ["--golden", 1.5, [9, 3]], trial: ["--first", 0.75, [], 0.4],
+    resonance: ["--second", 1.5, [4, 3]], "open-loop": ["--other", 1.5, [10, 3, 2, 3]],
+    limit: ["--exhibit", 1.75], window: ["--exhibit", 0, [], 0.07], worst: ["--exhibit", 2], setpoint: ["--ink", 1.25, [2, 3]], golden: ["--golden", 1.5, [9, 3]], trial: ["--first", 0.75, [], 0.4],
     median: ["--first", 1, [1, 3]], settling: ["--settling", 1.5, [5, 3]], deadline: ["--fail", 1.5, [2, 2]], overrun: ["--fail", 1.5], band: ["--settling", 1, [], "--band"],
     tube: ["--golden", 0, [], 0.16], spread: ["--first", 0, [], 0.22], "second-spread": ["--second", 0, [], 0.22],
     saturated: ["--amber", 0, [], 0.28], lost: ["--fail", 0, [], 0.16],
@@ -53,6 +54,16 @@
     return value.toFixed(decimals).replace("-", "−");
   }
 
+  function line_swatch(ink, width, dash) {
+    const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    const stroke = `stroke="currentColor" stroke-width="${Math.max(1.5, width)}" stroke-dasharray="${(dash ?? []).join(" ")}"`;
+    svg.setAttribute("class", "mark");
+    svg.setAttribute("viewBox", "0 0 28 10");
+    svg.setAttribute("aria-hidden", "true");
+    svg.innerHTML = ink === "worst" ? '<circle cx="14" cy="5" r="4" fill="currentColor"/>' : `<path d="M0 5H28" fill="none" ${stroke}/>`;
+    return svg;
+  }
+
   // The panels of one scenario: they share their time.
   class Scenario {
     constructor(section, data, key) {
@@ -64,7 +75,7 @@
       [, this.from, this.to] = data.views[0];
       this.bar = this.toolbar();
       this.hosts = data.panels.map((panel, index) => this.host(panel, index));
-      this.root = made("div", { class: "plots" }, this.bar, ...this.hosts.map((host) => host.figure));
+      this.root = made("div", { class: "plots" }, made("h3", {}, "Plots"), this.bar, ...this.hosts.map((host) => host.figure));
       this.say();
     }
 
@@ -84,24 +95,27 @@
     host(panel, index) {
       const label = `${panel.title} in ${panel.unit} against time. Arrow keys move, + and − zoom, 0 shows the whole trial.`;
       const canvas = made("div", { class: "canvas", role: "img", tabindex: "0", "aria-label": label });
-      const under = index >= 4;
-      canvas.style.minHeight = (under ? HEIGHT_UNDER : HEIGHT) + "px";
+      // A stimulus lies directly below the figure above it, whose time axis it carries.
+      const carries = !this.data.panels[index + 1]?.stimulus;
+      const height = (panel.stimulus ? HEIGHT_STIMULUS : HEIGHT) + (carries ? HEIGHT_AXIS : 0);
+      canvas.style.minHeight = height + "px";
       const entries = panel.groups.map((group, number) => this.entry(panel, group, number, index));
       const caption = made("figcaption", {}, `${panel.title}, ${panel.unit}`);
       canvas.addEventListener("keydown", (event) => this.key_down(event));
-      const figure = made("figure", { class: "plot" }, caption, canvas, made("div", { class: "keys" }, ...entries.map((entry) => entry.button)));
-      return { figure, canvas, entries, on: panel.groups.map(() => true), height: under ? HEIGHT_UNDER : HEIGHT };
+      const keys = made("div", { class: "keys" }, ...entries.map((entry) => entry.button));
+      const figure = made("figure", { class: panel.stimulus ? "plot stimulus" : "plot" }, caption, keys, canvas);
+      return { figure, canvas, entries, on: panel.groups.map(() => true), height, carries };
     }
 
     entry(panel, group, number, index) {
-      const swatch = made("span", { class: "mark " + (group.area ? "area" : "line"), "aria-hidden": "true" });
+      const [name, width, dash, opacity] = PENS[group.ink];
+      const swatch = group.area ? made("span", { class: "mark area", "aria-hidden": "true" }) : line_swatch(group.ink, width, dash);
       const value = made("span", { class: "value" });
       const button = made("button", { type: "button", "aria-pressed": "true" }, swatch, made("span", {}, group.text), value);
       button.addEventListener("click", () => this.toggle(index, number));
       const paint = () => {
-        const [name, width, dash, opacity] = PENS[group.ink];
-        swatch.style.background = group.area ? colour(this.section, name, opacity) : "none";
-        swatch.style.borderTop = group.area ? "0" : `${Math.max(1.5, width)}px ${dash && dash.length ? "dashed" : "solid"} ${colour(this.section, name, opacity)}`;
+        if (group.area) swatch.style.background = colour(this.section, name, opacity);
+        else swatch.style.color = colour(this.section, name, opacity);
       };
       return { button, value, paint };
     }
@@ -186,12 +200,12 @@
         ticks: { stroke: () => colour(this.section, "--hair"), width: 1 }, font: "12px system-ui, sans-serif", ...extra,
       });
       const numbers = (plot, splits) => splits.map((value) => value == null ? "" : String(+value.toPrecision(9)).replace("-", "−"));
-      const times = (plot, splits) => numbers(plot, splits).map((text, place) => place === splits.length - 1 ? text + " ms" : text);
-      const wide = (plot, texts) => 18 + 7.5 * Math.max(8, ...(texts ?? []).map((text) => text.length));
+      const times = host.carries ? { values: numbers, size: 28, label: "time, ms", labelSize: 16, labelGap: 1, labelFont: "12px system-ui, sans-serif" }
+        : { values: (plot, splits) => splits.map(() => ""), size: 6 };
       const options = {
         ...this.size(host), legend: { show: false }, padding: [8, 24, 0, 0],
         scales: { x: { time: false, range: () => [this.from, this.to] }, y: { range: (plot, low, high) => this.range(panel, low, high) } },
-        axes: [axis({ values: times, size: 28 }), axis({ values: numbers, size: wide })],
+        axes: [axis(times), axis({ values: numbers, size: WIDTH_AXIS, space: panel.stimulus ? 22 : 30 })],
         series: [{}, ...series],
         bands: panel.bands.map(([upper, lower, group]) => ({ series: [upper + 1, lower + 1], fill: paint(group) })),
         cursor: {
@@ -251,6 +265,27 @@
         plot.ctx.stroke();
         plot.ctx.restore();
       }
+      for (const [group, at, value, text] of panel.points) {
+        if (!host.on[group] || at < this.from || at > this.to) continue;
+        const { left, width } = plot.bbox, ratio = devicePixelRatio;
+        const x = plot.valToPos(at, "x", true), y = plot.valToPos(value, "y", true);
+        const right = x - left < 0.6 * width;
+        plot.ctx.save();
+        plot.ctx.fillStyle = colour(this.section, PENS[panel.groups[group].ink][0]);
+        plot.ctx.beginPath();
+        plot.ctx.arc(x, y, 4.5 * ratio, 0, 2 * Math.PI);
+        plot.ctx.fill();
+        plot.ctx.font = `600 ${12 * ratio}px system-ui, sans-serif`;
+        plot.ctx.textAlign = right ? "left" : "right";
+        plot.ctx.textBaseline = "middle";
+        const place = [x + (right ? 9 : -9) * ratio, Math.max(top + 8 * ratio, Math.min(top + height - 8 * ratio, y))];
+        plot.ctx.lineWidth = 4 * ratio;
+        plot.ctx.lineJoin = "round";
+        plot.ctx.strokeStyle = colour(this.section, "--card", 0.85);
+        plot.ctx.strokeText(text, ...place);
+        plot.ctx.fillText(text, ...place);
+        plot.ctx.restore();
+      }
     }
 
     values(plot, panel, host, lines, x) {
@@ -294,29 +329,26 @@
     }
   }
 
+  // A scenario is unpacked and drawn when it becomes visible.
   const scenarios = [];
-  const near = new IntersectionObserver((entries) => {
+  const visible = new IntersectionObserver((entries) => {
     for (const { isIntersecting, target } of entries) {
       if (!isIntersecting) continue;
-      near.unobserve(target);
-      const scenario = scenarios.find((scenario) => scenario.root === target);
+      visible.unobserve(target);
+      const script = target.querySelector("script.curves");
+      let scenario;
       try {
+        scenario = new Scenario(target, JSON.parse(script.textContent), target.id);
+        script.before(scenario.root);
         scenario.build();
+        scenarios.push(scenario);
       } catch (fault) {
-        target.remove();
-        scenario.section.classList.remove("moving");
+        scenario?.root.remove();
+        target.classList.add("undrawn");
         console.error(fault);
       }
     }
-  }, { rootMargin: "800px" });
-
-  document.querySelectorAll("script.curves").forEach((script, number) => {
-    const section = script.closest(".scenario");
-    const scenario = new Scenario(section, JSON.parse(script.textContent), "scenario-" + number);
-    script.before(scenario.root);
-    section.classList.add("moving");
-    scenarios.push(scenario);
-    near.observe(scenario.root);
-  });
+  }, { rootMargin: "400px" });
+  document.querySelectorAll("script.curves").forEach((script) => visible.observe(script.closest(".scenario")));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => scenarios.forEach((scenario) => scenario.paint()));
 })();

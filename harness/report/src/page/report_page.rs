@@ -9,12 +9,13 @@ use super::run_comparison::{self, OtherRun};
 use super::scenario::{ScenarioParts, scenario_article};
 use super::scenario_figures::{ReferenceCurves, scenario_figures};
 use super::trace_data::{MAX_TRIALS, SampledTrial, TraceData};
-use super::{cost, environment, script, summary};
+use super::{cost, environment, navigation, script, summary};
+use crate::chart::svg::Role;
 use crate::error::{ReportError, write_file};
 use crate::record_queries;
-use crate::text::history::RunHistory;
+use crate::text::history::{RunHistory, TrendPoint};
 use maud::{Markup, html};
-use platebench_record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_record::{RunRecord, ScenarioRecord, TrialRecord};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -52,13 +53,9 @@ impl<'a> ReportPage<'a> {
         Self { baselines: Some(folder), ..self }
     }
 
-    /// Adds since when an expectation does not pass, from the runs in neighbouring folders.
+    /// Adds trends and since when an expectation does not pass, from the runs in neighbouring folders.
     #[must_use]
     pub fn with_earlier_runs(self) -> Self {
-        let expectations = self.record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
-        if expectations.clone().all(|expectation| expectation.verdict == Verdict::Pass) {
-            return self;
-        }
         Self { history: RunHistory { runs: Some(self.record.earlier_runs(self.folder, |_, _| ())) }, ..self }
     }
 
@@ -87,23 +84,38 @@ impl<'a> ReportPage<'a> {
     fn html(&self) -> Result<String, ReportError> {
         let record = self.record;
         let changed = self.changed_traces(self.folder, &record.scenarios);
-        let articles = self.scenario_articles(&changed)?;
+        let resolution = self.resolution();
+        let read = |scenario| TraceData::read(scenario, self.folder, &self.rows, resolution, &changed);
+        let data: Vec<TraceData> = record.scenarios.iter().map(read).collect();
+        let articles = self.scenario_articles(&data, resolution)?;
         let title = format!("{} · {} {}", record.verdict, record.tool.name, record.started);
         let body = html! {
-            header { (summary::head(record)) }
-            main {
-                (summary::not_passed_section(record, &self.history, &changed))
-                @if let Some(other) = self.other_run() { (run_comparison::section(record, other)) }
-                (summary::scenarios(record))
-                (summary::requirements(record))
-                @for article in &articles { (article) }
-                (cost::section(record))
-                (environment::section(record))
+            @if record.scenarios.len() > 1 { (navigation::list(record, &data)) }
+            div.content {
+                div.overview id="overview" {
+                    header { (summary::head(record)) }
+                    (summary::not_passed_section(record, &data, &self.history, &changed))
+                    @if let Some(other) = self.other_run() { (run_comparison::section(record, other)) }
+                    (summary::closest(record))
+                    (summary::not_applicable(record))
+                }
+                main { @for article in &articles { (article) } }
+                div.overview {
+                    (summary::requirements(record))
+                    (cost::section(record))
+                    (environment::section(record))
+                }
+                footer { p { (record.tool.name) " " (record.tool.version) ". Plots: uPlot." } }
             }
-            footer { p { (record.tool.name) " " (record.tool.version) ". Plots: uPlot." } }
             (script::end())
         };
         Ok(report_page_frame(&title, &script::head(), &body))
+    }
+
+    fn resolution(&self) -> PlotResolution {
+        let scenarios = &self.record.scenarios;
+        let trials = scenarios.iter().map(|scenario| scenario.trials.len()).max().unwrap_or(0).min(MAX_TRIALS);
+        PlotResolution::of(scenarios.len(), trials)
     }
 
     fn other_run(&self) -> Option<OtherRun<'a>> {
@@ -118,19 +130,15 @@ impl<'a> ReportPage<'a> {
         trials.filter(|trial| is_changed(folder, trial)).map(|trial| trial.trace.clone()).collect()
     }
 
-    fn scenario_articles(&self, changed: &BTreeSet<String>) -> Result<Vec<Markup>, ReportError> {
+    fn scenario_articles(&self, all: &[TraceData], resolution: PlotResolution) -> Result<Vec<Markup>, ReportError> {
         let record = self.record;
-        let trials = record.scenarios.iter().map(|scenario| scenario.trials.len()).max().unwrap_or(0).min(MAX_TRIALS);
-        let resolution = PlotResolution::of(record.scenarios.len(), trials);
-        let read = |scenario| TraceData::read(scenario, self.folder, &self.rows, resolution, changed);
-        let all: Vec<TraceData> = record.scenarios.iter().map(read).collect();
         let mut articles = Vec::new();
         for (place, (index, scenario)) in sorted_by_verdict(record).into_iter().enumerate() {
             let Some(data) = all.get(index) else { continue };
             let open_loop = || {
                 let other = record_queries::open_loop_counterpart(record, scenario)?;
                 let text = format!("open loop ({})", record.scenarios.get(other)?.file);
-                Some((text, all.get(other)?.first_trial_on(&data.grid)?))
+                Some((text, Role::OpenLoop, all.get(other)?.first_trial_on(&data.grid)?))
             };
             let other = self.other_run_trial(scenario, data, resolution).or_else(open_loop);
             let golden = self.baselines.map(|folder| GoldenCurves::read(folder, &scenario.file, &data.grid));
@@ -140,18 +148,24 @@ impl<'a> ReportPage<'a> {
             };
             let references = ReferenceCurves {
                 golden: golden.as_ref(),
-                other: other.as_ref().map(|(text, sampled)| (text.clone(), sampled)),
+                other: other.as_ref().map(|(text, role, sampled)| (text.clone(), *role, sampled)),
             };
             let parts = ScenarioParts {
                 data,
                 figures: scenario_figures(data, &references, resolution.overlaid_trials),
                 baseline_error,
                 line_points: resolution.line_points,
-                has_all_figures: place < resolution.full_scenarios,
+                has_drawings: place < resolution.drawn_scenarios,
+                trends: self.trends(scenario),
             };
             articles.push(scenario_article(index, scenario, &parts)?);
         }
         Ok(articles)
+    }
+
+    fn trends(&self, scenario: &ScenarioRecord) -> Vec<Vec<TrendPoint>> {
+        let indices = 0..scenario.expectations.len();
+        indices.map(|index| self.history.trend(self.record, scenario, index)).collect()
     }
 
     /// The trial that is drawn as a line here, or else the first.
@@ -160,7 +174,7 @@ impl<'a> ReportPage<'a> {
         scenario: &ScenarioRecord,
         data: &TraceData,
         resolution: PlotResolution,
-    ) -> Option<(String, SampledTrial)> {
+    ) -> Option<(String, Role, SampledTrial)> {
         let (other, (_, folder)) = (self.other_run()?, self.other?);
         let theirs = other.scenario(&scenario.file)?;
         let same = theirs.trials.iter().find(|trial| trial.index == data.first_trial);
@@ -169,6 +183,6 @@ impl<'a> ReportPage<'a> {
         let changed = self.changed_traces(folder, std::slice::from_ref(&only));
         let rows = KeptRows::default();
         let sampled = TraceData::read(&only, folder, &rows, resolution, &changed).first_trial_on(&data.grid)?;
-        Some((format!("trial {} of {}", trial.index, other.name), sampled))
+        Some((format!("trial {} of {}", trial.index, other.name), Role::Other, sampled))
     }
 }

@@ -3,7 +3,7 @@
 const MAX_CURVE_CHARS: usize = 2_000_000;
 const MAX_DRAWN_POINTS: usize = 100_000;
 /// The page begins with scenarios that did not pass.
-const MAX_FULL_SCENARIOS: usize = 30;
+const MAX_DRAWN_SCENARIOS: usize = 30;
 /// First trial, percentiles, tubes, profiles.
 const OTHER_LINES: usize = 34;
 const CHARS_PER_POINT: usize = 2;
@@ -13,8 +13,8 @@ pub(crate) struct PlotResolution {
     pub(crate) instants: usize,
     /// Trials with a line of their own.
     pub(crate) overlaid_trials: usize,
-    /// The others show |W| and drive only.
-    pub(crate) full_scenarios: usize,
+    /// The others have no drawing for readers without scripts.
+    pub(crate) drawn_scenarios: usize,
     pub(crate) line_points: usize,
 }
 
@@ -28,8 +28,8 @@ impl PlotResolution {
         Self {
             instants: (curves / (OTHER_LINES + 2 * overlaid)).clamp(60, 1_200),
             overlaid_trials: overlaid,
-            full_scenarios: MAX_FULL_SCENARIOS,
-            line_points: (MAX_DRAWN_POINTS / scenarios / 8).clamp(100, 400),
+            drawn_scenarios: if scenarios > 100 { MAX_DRAWN_SCENARIOS / 3 } else { MAX_DRAWN_SCENARIOS },
+            line_points: (MAX_DRAWN_POINTS / scenarios.min(MAX_DRAWN_SCENARIOS) / 8).clamp(100, 400),
         }
     }
 }
@@ -41,7 +41,7 @@ mod tests {
     #[test]
     fn fewer_scenarios_have_finer_figures() {
         let one = PlotResolution::of(1, 30);
-        assert_eq!(one, PlotResolution { instants: 1_200, overlaid_trials: 30, full_scenarios: 30, line_points: 400 });
+        assert_eq!(one, PlotResolution { instants: 1_200, overlaid_trials: 30, drawn_scenarios: 30, line_points: 400 });
         let forty = PlotResolution::of(40, 30);
         assert!(forty.instants >= 180 && forty.overlaid_trials == 30, "{forty:?}");
         let hundred = PlotResolution::of(100, 30);

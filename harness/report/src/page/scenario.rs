@@ -3,21 +3,31 @@
 use super::drawing::drawings;
 use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, verdict_badge, with_unit};
 use super::figure::Figure;
+use super::navigation::margin_text;
 use super::script;
 use super::trace_data::TraceData;
+use super::trend::trend;
 use crate::error::ReportError;
+use crate::text::history::TrendPoint;
 use crate::text::timing;
 use crate::{format, record_queries};
 use maud::{Markup, html};
-use platebench_record::{ExpectationRecord, ScenarioRecord, Statistic};
+use platebench_record::{ExpectationRecord, Metric, ScenarioRecord, Statistic, Verdict};
 use serde_json::Value;
+
+/// A longer table would slow the page down.
+const MAX_LISTED_TRIALS: usize = 200;
+
+const REMARKABLE_OVERSHOOT_PERCENT: f64 = 20.0;
 
 pub(super) struct ScenarioParts<'a> {
     pub(super) data: &'a TraceData,
     pub(super) figures: Vec<Figure>,
     pub(super) baseline_error: Option<String>,
     pub(super) line_points: usize,
-    pub(super) has_all_figures: bool,
+    pub(super) has_drawings: bool,
+    /// Of each expectation.
+    pub(super) trends: Vec<Vec<TrendPoint>>,
 }
 
 pub(super) fn scenario_article(
@@ -27,7 +37,11 @@ pub(super) fn scenario_article(
 ) -> Result<Markup, ReportError> {
     let id = scenario_anchor(index);
     let (t_ms, views) = (&parts.data.grid.t_ms, &parts.data.views);
-    let drawings = drawings(t_ms, views, &parts.figures, parts.line_points, parts.has_all_figures)?;
+    let drawings = if parts.has_drawings {
+        drawings(t_ms, views, &parts.figures, parts.line_points)?
+    } else {
+        html! { p.facts.drawings { "The page has no drawing of this scenario; its plots need scripts." } }
+    };
     Ok(html! {
         section class={ "scenario " (scenario.verdict) } id=(id) aria-labelledby={ (id) "-title" } {
             p.eyebrow { (scenario.file) }
@@ -36,10 +50,14 @@ pub(super) fn scenario_article(
                 @if let Some(source) = &scenario.source { span { "Source: " (source) } }
                 span { "Law: " (scenario.law) }
                 span { "Plate model: " (scenario.model) }
-                span { (format::count(scenario.trials.len(), "trial")) }
+                span {
+                    (format::count(scenario.trials.len(), "trial"))
+                    @if let [only] = scenario.trials.as_slice() { ": " (file_link(&only.trace)) }
+                }
             }
             @if let Some(sentence) = timing::summary(scenario) { p { (sentence) } }
-            (expectations_table(scenario))
+            (expectations_table(scenario, &parts.trends))
+            (overshoot_remark(scenario, parts.data))
             (unreadable_traces(parts.data))
             @if let Some(reason) = &parts.baseline_error { p.notice { "The baseline cannot be shown: " (reason) } }
             (drawings)
@@ -64,8 +82,9 @@ fn interval(expectation: &ExpectationRecord) -> Option<String> {
     format::interval(expectation).filter(|_| !is_one)
 }
 
-fn expectations_table(scenario: &ScenarioRecord) -> Markup {
+fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> Markup {
     let (has_paper, has_interval) = (has_paper(scenario), has_interval(scenario));
+    let has_trend = trends.iter().any(|points| points.len() > 1);
     let columns = [
         Some("Metric"),
         Some("Verdict"),
@@ -74,9 +93,10 @@ fn expectations_table(scenario: &ScenarioRecord) -> Markup {
         Some("#Expected"),
         has_interval.then_some("#Interval"),
         Some("#Window"),
+        has_trend.then_some("Trend"),
     ];
     let columns: Vec<&str> = columns.into_iter().flatten().collect();
-    let row = |expectation: &ExpectationRecord| {
+    let row = |index: usize, expectation: &ExpectationRecord| {
         let unit = format::unit(expectation.metric);
         let unit_of_value = if expectation.value.is_some() { unit } else { "" };
         html! {
@@ -93,11 +113,19 @@ fn expectations_table(scenario: &ScenarioRecord) -> Markup {
                 @if has_paper {
                     td.number data-label="Paper" { (with_unit(expectation.paper.map(format::number), unit)) }
                 }
-                td.number data-label="Expected" { (with_unit(Some(format::limit(expectation)), unit)) }
+                td.number data-label="Expected" {
+                    span {
+                        (with_unit(Some(format::limit(expectation)), unit))
+                        @if let Some(margin) = expectation.margin.filter(|_| expectation.verdict == Verdict::Pass) { span.statistic { "margin " (margin_text(margin)) } }
+                    }
+                }
                 @if has_interval {
                     td.number data-label="Interval" { (with_unit(interval(expectation), "")) }
                 }
                 td.number data-label="Window" { (with_unit(format::windows(expectation), "")) }
+                @if has_trend {
+                    td data-label="Trend" { @if let Some(points) = trends.get(index) { (trend(expectation, points)) } }
+                }
             }
             @if let Some(reason) = format::remaining_reason(expectation) {
                 tr.reason { td colspan=(columns.len()) { span { (reason) } } }
@@ -108,12 +136,29 @@ fn expectations_table(scenario: &ScenarioRecord) -> Markup {
         }
     };
     let rows = html! {
-        @for expectation in &scenario.expectations { (row(expectation)) }
+        @for (index, expectation) in scenario.expectations.iter().enumerate() { (row(index, expectation)) }
     };
     html! {
         h3 { "Expectations" }
         @if scenario.expectations.is_empty() { p.notice { "No expectation was judged." } }
         @else { (scroll_table("Expectations", "expectations stacked", &columns, &rows)) }
+    }
+}
+
+/// A fast response that overshoots may meet a settling time.
+fn overshoot_remark(scenario: &ScenarioRecord, data: &TraceData) -> Markup {
+    let has_settled = scenario
+        .expectations
+        .iter()
+        .any(|found| found.metric == Metric::SettlingTime && found.verdict == Verdict::Pass);
+    let overshoot = data.overshoot_percent.filter(|percent| has_settled && *percent > REMARKABLE_OVERSHOOT_PERCENT);
+    html! {
+        @if let Some(percent) = overshoot {
+            p.notice {
+                "The settling time passes, but the first step of trial " (data.first_trial) " overshoots by "
+                (format::percent(percent)) " %."
+            }
+        }
     }
 }
 
@@ -141,8 +186,9 @@ fn trials_table(scenario: &ScenarioRecord) -> Markup {
     let columns = ["#Trial", "#Seed"].into_iter().chain(metric_columns.iter().map(String::as_str));
     let columns: Vec<&str> = columns.chain(["Trace", "Remark"]).collect();
     let number = |value: Option<&Value>| value.and_then(Value::as_f64).map(format::number);
+    let (count, shown) = (scenario.trials.len(), scenario.trials.len().min(MAX_LISTED_TRIALS));
     let rows = html! {
-        @for trial in &scenario.trials {
+        @for trial in scenario.trials.iter().take(shown) {
             tr {
                 th.number scope="row" { (trial.index) }
                 td.number { (trial.seed) }
@@ -156,9 +202,11 @@ fn trials_table(scenario: &ScenarioRecord) -> Markup {
         }
     };
     html! {
-        @if !scenario.trials.is_empty() {
+        // The numbers of a single trial are in the table of expectations.
+        @if count > 1 || scenario.trials.iter().any(|trial| trial.reason.is_some()) {
             details {
-                summary { (format::count(scenario.trials.len(), "trial")) " in numbers" }
+                summary { (format::count(count, "trial")) " in numbers" }
+                @if shown < count { p { "The first " (shown) " trials; " code { "run.json" } " has all." } }
                 (scroll_table("Trials", "trials", &columns, &rows))
             }
         }

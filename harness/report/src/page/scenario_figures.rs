@@ -14,8 +14,8 @@ const MIN_PERCENTILE_TRIALS: usize = 20;
 #[derive(Debug, Default)]
 pub(crate) struct ReferenceCurves<'a> {
     pub(crate) golden: Option<&'a GoldenCurves>,
-    /// Name and first trial of another scenario or run.
-    pub(crate) other: Option<(String, &'a SampledTrial)>,
+    /// Name, line style and first trial of another scenario or run.
+    pub(crate) other: Option<(String, Role, &'a SampledTrial)>,
 }
 
 /// The figures in their order on the page; empty without a readable trace.
@@ -24,9 +24,10 @@ pub(crate) fn scenario_figures(data: &TraceData, references: &ReferenceCurves<'_
         return Vec::new();
     }
     let builder = FigureBuilder { data, references, overlaid };
-    let mut figures = vec![builder.amplitude(), builder.drive(), builder.frequency(), builder.components()];
-    figures.extend(builder.profile(PlotSignal::Force, "Finger force", "N"));
-    figures.extend(builder.profile(PlotSignal::Temperature, "Temperature above the reference", "K"));
+    let mut figures = vec![builder.amplitude()];
+    figures.extend(builder.stimulus(PlotSignal::Force, "Finger force"));
+    figures.extend(builder.stimulus(PlotSignal::Temperature, "Temperature above the reference"));
+    figures.extend([builder.drive(), builder.frequency(), builder.components()]);
     figures
 }
 
@@ -55,8 +56,9 @@ impl FigureBuilder<'_> {
 
     fn add_setpoint(&self, figure: &mut Figure, with_band: bool) {
         let setpoint = self.first_trial_line(PlotSignal::Setpoint);
-        let band = self.data.band;
-        if with_band && setpoint.iter().flatten().any(|value| *value != 0.0) {
+        if let Some(band) = self.data.band.filter(|_| with_band)
+            && setpoint.iter().flatten().any(|value| *value != 0.0)
+        {
             let edge = |side: f64| setpoint.iter().map(|value| value.map(|value| band.edge(value, side))).collect();
             let text = format!("{} % band", format::number(band.percent));
             figure.add(Role::Band, text, Content::Area { is_stepped: true, upper: edge(1.0), lower: edge(-1.0) });
@@ -73,8 +75,8 @@ impl FigureBuilder<'_> {
             figure.add(Role::Tube, format!("tolerance tube of the {}", golden.text), area);
             figure.add(Role::Golden, &golden.text, one_line(signal, tube.line.clone()));
         }
-        if let Some((text, other)) = &self.references.other {
-            figure.add(Role::Other, text, one_line(signal, trial_line(other, signal)));
+        if let Some((text, role, other)) = &self.references.other {
+            figure.add(*role, text, one_line(signal, trial_line(other, signal)));
         }
     }
 
@@ -110,9 +112,8 @@ impl FigureBuilder<'_> {
             figure.add(Role::Trial, text, Content::Lines { is_stepped: signal.is_zero_order_hold(), lines });
         }
         figure.add(Role::First, self.first_trial_name(), one_line(signal, first.clone()));
-        if let Some((index, metric)) = &self.data.deciding_trial
-            && let Some(trial) = trials.iter().find(|trial| trial.index == *index)
-        {
+        for (index, metric) in &self.data.deciding_trials {
+            let Some(trial) = trials.iter().find(|trial| trial.index == *index) else { continue };
             let line = trial_line(trial, signal);
             if line != first {
                 figure.add(Role::Exhibit, format!("trial {index}, decided {metric}"), one_line(signal, line));
@@ -133,12 +134,41 @@ impl FigureBuilder<'_> {
         }
     }
 
+    fn add_limits(&self, figure: &mut Figure, signal: PlotSignal) {
+        let t_ms = &self.data.grid.t_ms;
+        for limit in self.data.limits.iter().filter(|limit| limit.signal == signal) {
+            let window = limit.window;
+            let text = format!(
+                "{}, window {} … {} ms",
+                limit.text,
+                format::number(window.from_ms),
+                format::number(window.to_ms)
+            );
+            // Shading everything would show nothing.
+            if limit.is_missed && !limit.window.covers_most_of(self.data.views.last().map(|view| view.window)) {
+                figure.add(Role::JudgedWindow, format!("window of {}", limit.name), Content::Spans(vec![window]));
+            }
+            let lines = limit.levels.iter().map(|level| {
+                let base = level.base.and_then(|base| self.data.sampled_trials.first()?.values.get(&base));
+                let value = |(index, t_ms): (usize, &f64)| {
+                    let base = base.map_or(Some(0.0), |base| base.get(index).copied().flatten())?;
+                    window.contains(*t_ms).then_some(level.share * base + level.offset)
+                };
+                t_ms.iter().enumerate().map(value).collect()
+            });
+            figure.add(Role::Limit, text, Content::Lines { is_stepped: true, lines: lines.collect() });
+            let worst = limit.worst.iter().map(|worst| (worst.t_ms, worst.value, worst.text.clone()));
+            figure.add(Role::Worst, format!("{}: {}", limit.name, limit.kind), Content::Points(worst.collect()));
+        }
+    }
+
     fn amplitude(&self) -> Figure {
         let mut figure = Figure::new("Amplitude |W|", "µm", true, 0.1);
-        self.add_setpoint(&mut figure, !self.data.band.is_for_components);
+        self.add_setpoint(&mut figure, self.data.band.is_none_or(|band| !band.is_for_components));
         self.add_references(&mut figure, PlotSignal::Amplitude);
         self.add_trials(&mut figure, PlotSignal::Amplitude, true);
         self.add_markers(&mut figure, false);
+        self.add_limits(&mut figure, PlotSignal::Amplitude);
         figure.add(Role::Lost, "link lost", Content::Spans(self.data.link_lost.clone()));
         figure
     }
@@ -151,6 +181,7 @@ impl FigureBuilder<'_> {
         figure.add(Role::Saturated, text, Content::Spans(self.data.saturated.clone()));
         figure.add(Role::Lost, "link lost", Content::Spans(self.data.link_lost.clone()));
         self.add_markers(&mut figure, true);
+        self.add_limits(&mut figure, PlotSignal::Drive);
         let overruns = &self.data.overruns;
         let text = format!("overrun of the bench ({})", overruns.len());
         figure.add(Role::Overrun, text, Content::Marks(overruns.iter().map(|at_ms| (*at_ms, None)).collect()));
@@ -170,12 +201,13 @@ impl FigureBuilder<'_> {
         }
         let resonance = self.first_trial_line(PlotSignal::Resonance);
         figure.add(Role::Resonance, "resonance", one_line(PlotSignal::Resonance, resonance));
+        self.add_limits(&mut figure, PlotSignal::Frequency);
         figure
     }
 
     fn components(&self) -> Figure {
         let mut figure = Figure::new("Components Wd and Wq", "µm", false, 0.1);
-        self.add_setpoint(&mut figure, self.data.band.is_for_components);
+        self.add_setpoint(&mut figure, self.data.band.is_some_and(|band| band.is_for_components));
         for (signal, role, spread, name) in [
             (PlotSignal::InPhase, Role::First, Role::Spread, "Wd"),
             (PlotSignal::Quadrature, Role::Second, Role::SecondSpread, "Wq"),
@@ -183,15 +215,16 @@ impl FigureBuilder<'_> {
             self.add_spread(&mut figure, signal, spread, &format!("{name}: "));
             let text = format!("{name}, {}", self.first_trial_name());
             figure.add(role, text, one_line(signal, self.first_trial_line(signal)));
+            self.add_limits(&mut figure, signal);
         }
         figure
     }
 
     /// A profile of the scenario; `None` if it is zero throughout.
-    fn profile(&self, signal: PlotSignal, title: &'static str, unit: &'static str) -> Option<Figure> {
+    fn stimulus(&self, signal: PlotSignal, title: &'static str) -> Option<Figure> {
         let mut values = self.data.sampled_trials.iter().filter_map(|trial| trial.peak_lines.get(&signal)).flatten();
         values.any(|value| value.is_some_and(|value| value != 0.0)).then(|| {
-            let mut figure = Figure::new(title, unit, true, 0.1);
+            let mut figure = Figure { is_stimulus: true, ..Figure::new(title, signal.unit(), true, 0.1) };
             self.add_trials(&mut figure, signal, false);
             figure
         })

@@ -2,7 +2,7 @@
 
 use super::encode::{embed_json, encode_values};
 use super::figure::{Content, Figure};
-use crate::chart::time_chart::TimeWindow;
+use super::trace_data::View;
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
@@ -11,6 +11,7 @@ const LIBRARY: &str = include_str!("../../vendor/uPlot.iife.min.js");
 const LIBRARY_STYLE: &str = include_str!("../../vendor/uPlot.min.css");
 const LICENCE: &str = include_str!("../../vendor/uPlot-LICENSE");
 const PLOTS: &str = include_str!("plots.js");
+const NAVIGATION: &str = include_str!("navigation.js");
 const STYLE: &str = include_str!("plots.css");
 
 /// The page loads nothing, whatever its texts contain.
@@ -24,10 +25,9 @@ pub(super) fn head() -> Markup {
     }
 }
 
-/// `views` are the response and the whole trial, or the whole trial alone.
-pub(super) fn figure_data(title: &str, t_ms: &[f64], views: &[TimeWindow], figures: &[Figure]) -> Markup {
-    let names = ["Response", "Whole trial"].into_iter().skip(2_usize.saturating_sub(views.len()));
-    let views: Vec<Value> = names.zip(views).map(|(name, view)| json!([name, view.from_ms, view.to_ms])).collect();
+pub(super) fn figure_data(title: &str, t_ms: &[f64], views: &[View], figures: &[Figure]) -> Markup {
+    let views = views.iter().map(|View { name, window }| json!([name, window.from_ms, window.to_ms]));
+    let views: Vec<Value> = views.collect();
     let data = json!({
         "title": title,
         "t": encode_values(t_ms.iter().copied().map(Some)),
@@ -39,16 +39,19 @@ pub(super) fn figure_data(title: &str, t_ms: &[f64], views: &[TimeWindow], figur
 
 /// For `plots.js`: layers are groups; series, bands, spans and marks have their group's number.
 fn panel(figure: &Figure) -> Value {
-    let (mut series, mut bands, mut spans, mut marks) = (vec![], vec![], vec![], vec![]);
+    let (mut series, mut bands, mut spans, mut marks, mut points) = (vec![], vec![], vec![], vec![], vec![]);
     for (group, layer) in figure.layers.iter().enumerate() {
         let mut add_series = |line: &[Option<f64>], is_stepped: bool, role: &str| {
             let y = encode_values(line.iter().copied());
-            series.push(json!({ "g": group, "step": is_stepped, "role": role, "y": y }));
+            let mut fields = serde_json::Map::from_iter([("g".to_owned(), json!(group)), ("y".to_owned(), y)]);
+            fields.extend(is_stepped.then(|| ("step".to_owned(), json!(true))));
+            fields.extend((!role.is_empty()).then(|| ("role".to_owned(), json!(role))));
+            series.push(Value::Object(fields));
             series.len() - 1
         };
         match &layer.content {
             Content::Lines { is_stepped, lines } => {
-                let role = if layer.is_drawn() { "line" } else { "trial" };
+                let role = if layer.is_drawn() { "" } else { "trial" };
                 for line in lines {
                     add_series(line, *is_stepped, role);
                 }
@@ -61,21 +64,28 @@ fn panel(figure: &Figure) -> Value {
                 spans.extend(windows.iter().map(|window| json!([group, window.from_ms, window.to_ms])));
             }
             Content::Marks(instants) => marks.extend(instants.iter().map(|(at_ms, _)| json!([group, at_ms]))),
+            Content::Points(all) => {
+                points.extend(all.iter().map(|(at_ms, value, text)| json!([group, at_ms, value, text])));
+            }
         }
     }
-    let groups = figure
-        .layers
-        .iter()
-        .map(|layer| json!({ "ink": layer.role.name(), "area": layer.is_area(), "text": layer.text }));
+    let groups = figure.layers.iter().map(|layer| {
+        let mut fields = json!({ "ink": layer.role.name(), "text": layer.text });
+        if layer.is_area() {
+            fields["area"] = json!(true);
+        }
+        fields
+    });
     json!({
         "title": figure.title, "unit": figure.unit, "zero": figure.from_zero, "least": figure.min_span,
         "groups": groups.collect::<Vec<_>>(), "series": series, "bands": bands, "spans": spans, "marks": marks,
+        "points": points, "stimulus": figure.is_stimulus,
     })
 }
 
 pub(super) fn end() -> Markup {
     html! {
         script { (PreEscaped("/* uPlot\n")) (PreEscaped(LICENCE)) (PreEscaped("*/\n")) (PreEscaped(LIBRARY)) }
-        script { (PreEscaped(PLOTS)) }
+        script { (PreEscaped(PLOTS)) (PreEscaped(NAVIGATION)) }
     }
 }

@@ -1,13 +1,18 @@
-//! Writes the beginning of the page: result, what did not pass and why, all scenarios, requirements.
+//! Writes the overview: result, what did not pass and why, smallest margins, requirements.
 
-use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, verdict_badge};
-use super::trace_data::TRACE_CHANGED;
+use super::elements::{
+    MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, verdict_badge, with_unit,
+};
+use super::navigation::margin_text;
+use super::trace_data::{TRACE_CHANGED, TraceData};
 use crate::text::history::RunHistory;
-use crate::text::traceability;
+use crate::text::traceability::{self, RequirementLink};
 use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_record::{RunRecord, ScenarioRecord, Statistic, Verdict};
 use std::collections::BTreeSet;
+
+const MAX_CLOSEST: usize = 5;
 
 pub(super) fn head(record: &RunRecord) -> Markup {
     let scenarios = format::VerdictCounts::of_scenarios(record);
@@ -39,15 +44,23 @@ pub(super) fn head(record: &RunRecord) -> Markup {
     }
 }
 
-pub(super) fn not_passed_section(record: &RunRecord, history: &RunHistory, changed: &BTreeSet<String>) -> Markup {
-    let open = record_queries::expectations_not_passed(record);
+pub(super) fn not_passed_section(
+    record: &RunRecord,
+    data: &[TraceData],
+    history: &RunHistory,
+    changed: &BTreeSet<String>,
+) -> Markup {
+    let open: Vec<_> = sorted_by_verdict(record)
+        .into_iter()
+        .filter(|(_, scenario)| scenario.expectations.iter().any(|found| found.verdict != Verdict::Pass))
+        .collect();
     html! {
         @if !open.is_empty() || !changed.is_empty() {
             section aria-labelledby="open" {
                 h2 id="open" { @if open.is_empty() { "Changed traces" } @else { "What did not pass" } }
                 ol.open {
                     @for (index, scenario) in record.scenarios.iter().enumerate() { (changed_traces(index, scenario, changed)) }
-                    @for (scenario, index) in open { (not_passed_item(record, scenario, index, history, changed)) }
+                    @for (index, _) in open { (not_passed_card(record, index, data.get(index), history, changed)) }
                 }
             }
         }
@@ -74,27 +87,53 @@ fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<St
     }
 }
 
+/// A scenario with everything in it that did not pass.
+fn not_passed_card(
+    record: &RunRecord,
+    place: usize,
+    data: Option<&TraceData>,
+    history: &RunHistory,
+    changed: &BTreeSet<String>,
+) -> Markup {
+    let Some(scenario) = record.scenarios.get(place) else { return Markup::default() };
+    let of = |verdict: Verdict| {
+        let all = scenario.expectations.iter().enumerate();
+        all.filter(move |(_, found)| found.verdict == verdict).map(|(index, _)| index)
+    };
+    html! {
+        li class=(scenario.verdict) {
+            p.what {
+                (verdict_badge(scenario.verdict, scenario.verdict.name()))
+                " " a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
+                " " span.file { (scenario.file) }
+            }
+            @for index in of(Verdict::Fail).chain(of(Verdict::Inconclusive)) {
+                (not_passed_item(record, scenario, index, data, history, changed))
+            }
+        }
+    }
+}
+
 fn not_passed_item(
     record: &RunRecord,
     scenario: &ScenarioRecord,
     index: usize,
+    data: Option<&TraceData>,
     history: &RunHistory,
     changed: &BTreeSet<String>,
 ) -> Markup {
-    let place = record.scenarios.iter().position(|other| std::ptr::eq(other, scenario)).unwrap_or(0);
     let Some(expectation) = scenario.expectations.get(index) else { return Markup::default() };
     let unit = format::unit(expectation.metric);
     let trial = record_queries::trial_to_inspect(scenario, index);
     // A statistic over trials is no value of a single trial.
     let decided = trial.filter(|_| expectation.statistic == Statistic::Worst && scenario.trials.len() > 1);
     let decided = decided.map(|trial| trial.index);
+    let limit = data.and_then(|data| data.limits.iter().find(|limit| limit.name == expectation.name));
+    let worst = limit.and_then(|limit| Some((limit.kind, limit.worst.first()?)));
     html! {
-        li class=(expectation.verdict) {
-            p.what {
-                (verdict_badge(expectation.verdict, &format::verdict(expectation)))
-                " " a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
-            }
+        div.missed {
             p.why {
+                (verdict_badge(expectation.verdict, &format::verdict(expectation))) " "
                 code { (expectation.name) } " "
                 @match (format::value(expectation), format::value_or_not_reached(expectation)) {
                     (Some(value), _) => { strong { (value) @if !unit.is_empty() { " " (unit) } } @if let Some(index) = decided { " in trial " (index) } ", expected " },
@@ -102,15 +141,15 @@ fn not_passed_item(
                     (None, None) => "expected ",
                 }
                 span.number { (format::limit(expectation)) @if !unit.is_empty() { " " (unit) } }
+                @if let Some(windows) = format::windows(expectation) { ", window " (windows) }
+                @if let Some((kind, worst)) = worst { "; " (kind) ": " strong { (worst.text) } }
+                @if let Some(requirement) = &expectation.requirement { " · " (requirement) }
                 @if let Some(reason) = format::remaining_reason(expectation) { span.reason { (reason) } }
             }
-            @if let Some(since) = history.not_passed_since(record, scenario, index) {
-                p.since { (since) }
-            }
             p.where {
-                (scenario.file)
+                @if let Some(since) = history.not_passed_since(record, scenario, index) { span.since { (since) } " " }
                 @if let Some(trial) = trial {
-                    " · " (file_link(&trial.trace))
+                    (file_link(&trial.trace))
                     @if changed.contains(&trial.trace) { ", " (TRACE_CHANGED) }
                 }
             }
@@ -118,74 +157,85 @@ fn not_passed_item(
     }
 }
 
-pub(super) fn scenarios(record: &RunRecord) -> Markup {
-    let row = |index: usize, scenario: &ScenarioRecord| {
-        let expectations = &scenario.expectations;
-        let met = expectations.iter().filter(|found| found.verdict == Verdict::Pass).count();
-        html! {
+/// The passed expectations with the smallest margins.
+pub(super) fn closest(record: &RunRecord) -> Markup {
+    let found = record_queries::smallest_margins(record);
+    let rows = html! {
+        @for (index, scenario, expectation, margin) in found.iter().take(MAX_CLOSEST) {
             tr {
-                th scope="row" {
-                    a href={ "#" (scenario_anchor(index)) } { (scenario.title) }
-                    span.file { (scenario.file) }
-                }
-                td data-label="Verdict" { (verdict_badge(scenario.verdict, scenario.verdict.name())) }
-                td data-label="Law" { (scenario.law) }
-                td.number data-label="Trials" { (scenario.trials.len()) }
-                td.number data-label="Expectations met" { (met) " of " (expectations.len()) }
+                th scope="row" { a href={ "#" (scenario_anchor(*index)) } { (scenario.title) } span.file { (scenario.file) } }
+                td data-label="Expectation" { code { (expectation.name) } }
+                td.number data-label="Measured" { (with_unit(format::value(expectation), format::unit(expectation.metric))) }
+                td.number data-label="Limit" { (with_unit(Some(format::limit(expectation)), format::unit(expectation.metric))) }
+                td.number data-label="Margin" { (margin_text(*margin)) }
             }
         }
     };
-    let rows = html! { @for (index, scenario) in sorted_by_verdict(record) { (row(index, scenario)) } };
-    let columns = ["Scenario", "Verdict", "Law", "#Trials", "#Expectations met"];
     html! {
-        section aria-labelledby="scenarios" {
-            h2 id="scenarios" { "Scenarios" }
-            @if record.scenarios.is_empty() { p.notice { "The run has no scenarios." } }
-            @else { (scroll_table("Scenarios", "contents stacked", &columns, &rows)) }
-            @if !record.not_applicable.is_empty() { (not_applicable(record)) }
+        @if !found.is_empty() && record.scenarios.len() > 1 {
+            section aria-labelledby="closest" {
+                h2 id="closest" { "Passed with the smallest margin" }
+                (scroll_table("Smallest margins", "contents stacked", &["Scenario", "Expectation", "#Measured", "#Limit", "#Margin"], &rows))
+            }
         }
     }
 }
 
 /// They change no verdict.
-fn not_applicable(record: &RunRecord) -> Markup {
+pub(super) fn not_applicable(record: &RunRecord) -> Markup {
     html! {
-        div.notice {
+        @if record.scenarios.is_empty() { p.notice { "The run has no scenarios." } }
+        @if !record.not_applicable.is_empty() { div.notice {
             p { (format::count(record.not_applicable.len(), "scenario")) " not applicable to this controller:" }
             ul {
                 @for scenario in &record.not_applicable {
                     li { (scenario.title) " (" (scenario.file) "): " (scenario.reason) }
                 }
             }
-        }
+        } }
     }
 }
 
+/// A row per requirement; `traceability.csv` lists every expectation.
 pub(super) fn requirements(record: &RunRecord) -> Markup {
     let links = traceability::requirement_links(record);
     let all: usize = record.scenarios.iter().map(|scenario| scenario.expectations.len()).sum();
     let rows = html! {
-        @for link in &links {
-            tr {
-                th scope="row" { (link.requirement) }
-                td data-label="Expectation" { span { code { (link.expectation) } " " (link.limit) } }
-                td data-label="Scenario" { a href={ "#" (scenario_anchor(link.scenario_index)) } { (link.scenario) } }
-                td data-label="Verdict" { (verdict_badge(link.verdict, link.verdict.name())) }
-                td.file data-label="Trace" { (file_link(&link.trace)) }
-            }
-        }
+        @for links in links.chunk_by(|a, b| a.requirement == b.requirement) { (requirement_row(links)) }
     };
-    let columns = ["Requirement", "Expectation", "Scenario", "Verdict", "Trace"];
+    let columns = ["Requirement", "Verdict", "#Expectations passed", "Not passed, or else the first"];
     html! {
         @if !links.is_empty() {
             section aria-labelledby="requirements" {
                 h2 id="requirements" { "Requirements" }
                 p {
-                    (links.len()) " of " (format::count(all, "expectation")) " belong to a requirement; see also "
-                    code { (traceability::FILE) } "."
+                    (links.len()) " of " (format::count(all, "expectation")) " belong to a requirement; "
+                    code { (traceability::FILE) } " lists them with their traces."
                 }
                 (scroll_table("Requirements", "contents stacked", &columns, &rows))
             }
+        }
+    }
+}
+
+fn requirement_row(links: &[RequirementLink]) -> Markup {
+    let verdict = Verdict::combine(links.iter().map(|link| link.verdict));
+    let open: Vec<&RequirementLink> = links.iter().filter(|link| link.verdict != Verdict::Pass).collect();
+    let named: Vec<&RequirementLink> = if open.is_empty() { links.iter().take(1).collect() } else { open.clone() };
+    html! {
+        tr {
+            th scope="row" { (links.first().map_or("", |link| link.requirement.as_str())) }
+            td data-label="Verdict" { (verdict_badge(verdict, verdict.name())) }
+            td.number data-label="Expectations passed" { (links.len() - open.len()) " of " (links.len()) }
+            td data-label="Expectations" { div {
+                @for link in named.iter().take(MAX_NAMED) {
+                    div {
+                        a href={ "#" (scenario_anchor(link.scenario_index)) } { (link.scenario) } ": "
+                        code { (link.expectation) } " " (link.limit)
+                    }
+                }
+                @if named.len() > MAX_NAMED { "and " (named.len() - MAX_NAMED) " more" }
+            } }
         }
     }
 }

@@ -3,12 +3,14 @@
 use super::curves::{self, PlotSignal};
 use super::grid::TimeGrid;
 use super::kept_rows::KeptRows;
+use super::limit_marks::LimitMark;
 use super::markers::{self, Settling, TimeMarker};
 use super::resolution::PlotResolution;
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use crate::record_queries;
 use platebench_record::{Metric, ScenarioRecord, TrialRecord, Verdict};
 use platebench_trace::{Flags, Row, TraceError};
+use platebench_verdict::golden::ResponseFeatures;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -16,30 +18,41 @@ use std::path::Path;
 /// Plus the one that decided a verdict.
 pub const MAX_TRIALS: usize = 30;
 pub(crate) const TRACE_CHANGED: &str = "changed after the run";
-/// If no expectation has a band, percent of the setpoint.
-const DEFAULT_BAND_PERCENT: f64 = 5.0;
+/// Further missed expectations are in the table only.
+const MAX_LIMITS: usize = 6;
 const MAX_OVERRUN_MARKS: usize = 200;
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TraceData {
-    /// The response, if the trial is much longer, and the whole trial; empty without a trace.
-    pub(crate) views: Vec<TimeWindow>,
+    /// Missed limits, the response if the trial is much longer, the whole trial; empty without a trace.
+    pub(crate) views: Vec<View>,
+    /// Of the expectations that did not pass, or else of the one with the smallest margin.
+    pub(crate) limits: Vec<LimitMark>,
     /// Drawn as a line.
     pub(crate) first_trial: u32,
-    /// Trial and metric that decided a missed expectation, unless it is the first trial.
-    pub(crate) deciding_trial: Option<(u32, String)>,
+    /// Trials that decided missed expectations, with these, without the first trial.
+    pub(crate) deciding_trials: Vec<(u32, String)>,
     pub(crate) trial_count: usize,
     /// Of the first trial.
     pub(crate) markers: Vec<TimeMarker>,
     /// With the reason.
     pub(crate) unreadable: Vec<String>,
-    pub(crate) band: Band,
+    pub(crate) band: Option<Band>,
+    /// Of the first trial at its first setpoint step.
+    pub(crate) overshoot_percent: Option<f64>,
     pub(crate) grid: TimeGrid,
     pub(crate) sampled_trials: Vec<SampledTrial>,
     pub(crate) saturated: Vec<TimeWindow>,
     pub(crate) link_lost: Vec<TimeWindow>,
     /// Of all trials, ms.
     pub(crate) overruns: Vec<f64>,
+}
+
+/// A part of the trial that the page can show.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct View {
+    pub(crate) name: String,
+    pub(crate) window: TimeWindow,
 }
 
 #[derive(Debug, Clone)]
@@ -59,12 +72,6 @@ pub(crate) struct Band {
     pub(crate) is_for_components: bool,
 }
 
-impl Default for Band {
-    fn default() -> Self {
-        Self { percent: DEFAULT_BAND_PERCENT, is_for_components: false }
-    }
-}
-
 impl Band {
     /// `side` is 1 above and -1 below the setpoint.
     pub(crate) fn edge(self, setpoint: f64, side: f64) -> f64 {
@@ -81,23 +88,39 @@ impl TraceData {
         changed: &BTreeSet<String>,
     ) -> Self {
         let mut data = Self::default();
-        let deciding = find_deciding_trial(scenario);
+        let read = |trial: &TrialRecord| {
+            let read = |()| platebench_trace::read_trace(&folder.join(&trial.trace)).map(Cow::Owned);
+            rows.get(&trial.trace).map(Cow::Borrowed).ok_or(()).or_else(read)
+        };
+        let shown = marked_expectations(scenario);
+        for (index, trial) in &shown {
+            let Some(expectation) = scenario.expectations.get(*index) else { continue };
+            if !changed.contains(&trial.trace)
+                && let Ok(rows) = read(trial)
+            {
+                let is_missed = expectation.verdict != Verdict::Pass;
+                // Band and deadline of a time that passed are drawn anyway.
+                if is_missed || !matches!(expectation.metric, Metric::SettlingTime | Metric::RecoveryTime) {
+                    data.limits.extend(LimitMark::find(expectation, is_missed, &rows));
+                }
+            }
+        }
+        let deciding = deciding_trials(scenario, &shown);
         for (position, trial) in scenario.trials.iter().enumerate() {
-            let is_deciding = deciding.as_ref().is_some_and(|(index, _)| *index == trial.index);
-            if position >= MAX_TRIALS && !is_deciding {
+            if position >= MAX_TRIALS && !deciding.iter().any(|(index, _)| *index == trial.index) {
                 continue;
             }
             if changed.contains(&trial.trace) {
                 data.unreadable.push(format!("{}: {TRACE_CHANGED}", trial.trace));
                 continue;
             }
-            let read = |()| platebench_trace::read_trace(&folder.join(&trial.trace)).map(Cow::Owned);
-            match rows.get(&trial.trace).map(Cow::Borrowed).ok_or(()).or_else(read) {
+            match read(trial) {
                 Ok(rows) => data.add_trial(scenario, trial, &rows, resolution),
                 Err(error) => data.unreadable.push(format!("{}: {}", trial.trace, trace_error_reason(&error))),
             }
         }
-        data.deciding_trial = deciding.filter(|(index, _)| {
+        data.deciding_trials = deciding;
+        data.deciding_trials.retain(|(index, _)| {
             *index != data.first_trial && data.sampled_trials.iter().any(|trial| trial.index == *index)
         });
         data
@@ -142,28 +165,56 @@ impl TraceData {
         resolution: PlotResolution,
     ) {
         self.first_trial = trial.index;
+        self.overshoot_percent = ResponseFeatures::of(rows).overshoot_percent;
         let steps = curves::setpoint_steps_ms(rows);
         let expected = markers::settling_expectation(scenario);
-        if let Some(definition) = expected.and_then(|index| Some(&scenario.expectations.get(index)?.definition)) {
-            self.band = Band {
-                percent: definition.band_percent.unwrap_or(DEFAULT_BAND_PERCENT),
-                is_for_components: definition.signal.as_ref().is_some_and(|signal| signal != "amplitude_um"),
-            };
-        }
+        let definition = expected.and_then(|index| Some(&scenario.expectations.get(index)?.definition));
+        self.band = definition.and_then(|definition| {
+            let is_for_components = definition.signal.as_ref().is_some_and(|signal| signal != "amplitude_um");
+            Some(Band { percent: definition.band_percent?, is_for_components })
+        });
         let settling = expected.map_or(Settling::Unknown, |index| markers::settling(scenario, trial, index, &steps));
         self.markers = markers::time_markers(scenario, trial, settling, expected, &steps);
         let whole = whole_window(rows);
         let response = response_window(scenario, settling, whole);
-        self.grid = TimeGrid::new(rows, whole, response, resolution.instants);
-        self.views = response.into_iter().chain([whole]).collect();
+        let view = |name: &str, window: TimeWindow| View { name: name.to_owned(), window };
+        let missed = self.limits.iter().filter(|limit| limit.is_missed);
+        let missed = missed.filter_map(|limit| Some(view(&limit.name, limit.view(whole)?)));
+        self.views = missed.chain(response.map(|window| view("Response", window))).collect();
+        let fine = self.views.first().map(|first| first.window);
+        self.views.push(view("Whole trial", whole));
+        self.grid = TimeGrid::new(rows, whole, fine, resolution.instants);
     }
 }
 
-/// Of the first failed expectation, or else the first inconclusive one.
-fn find_deciding_trial(scenario: &ScenarioRecord) -> Option<(u32, String)> {
-    let first = |verdict| scenario.expectations.iter().position(|expectation| expectation.verdict == verdict);
-    let index = first(Verdict::Fail).or_else(|| first(Verdict::Inconclusive))?;
-    Some((record_queries::trial_to_inspect(scenario, index)?.index, record_queries::metric_key(scenario, index)))
+/// Expectations whose limits are drawn, with the trial that decided.
+fn marked_expectations(scenario: &ScenarioRecord) -> Vec<(usize, &TrialRecord)> {
+    let of = |verdict: Verdict| {
+        let all = scenario.expectations.iter().enumerate();
+        all.filter(move |(_, found)| found.verdict == verdict).map(|(index, _)| index)
+    };
+    let mut shown: Vec<usize> = of(Verdict::Fail).chain(of(Verdict::Inconclusive)).take(MAX_LIMITS).collect();
+    if shown.is_empty() {
+        shown.extend(record_queries::closest_expectation(scenario));
+    }
+    let decided = |index| Some((index, record_queries::deciding_trial(scenario, index)?));
+    shown.into_iter().filter_map(decided).collect()
+}
+
+/// Each once, with its missed metrics.
+fn deciding_trials(scenario: &ScenarioRecord, shown: &[(usize, &TrialRecord)]) -> Vec<(u32, String)> {
+    let mut found: Vec<(u32, String)> = Vec::new();
+    for (index, trial) in shown {
+        if scenario.expectations.get(*index).is_none_or(|expectation| expectation.verdict == Verdict::Pass) {
+            continue;
+        }
+        let key = record_queries::metric_key(scenario, *index);
+        match found.iter_mut().find(|(number, _)| *number == trial.index) {
+            Some((_, keys)) => *keys = format!("{keys}, {key}"),
+            None => found.push((trial.index, key)),
+        }
+    }
+    found
 }
 
 fn whole_window(rows: &[Row]) -> TimeWindow {

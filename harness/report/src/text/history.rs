@@ -14,6 +14,15 @@ pub(crate) struct RunHistory {
     pub(crate) runs: Option<Vec<(String, RunSummary)>>,
 }
 
+/// An expectation in one run.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct TrendPoint {
+    pub(crate) run: String,
+    pub(crate) value: Option<f64>,
+    pub(crate) margin: Option<f64>,
+    pub(crate) verdict: Verdict,
+}
+
 struct EarlierExpectation<'a> {
     run: &'a str,
     record: &'a RunSummary,
@@ -21,16 +30,15 @@ struct EarlierExpectation<'a> {
 }
 
 impl RunHistory {
-    /// A sentence; `None` without a search.
-    pub(crate) fn not_passed_since(
+    /// The newest first, and whether others played it on another rig or with another law.
+    fn comparable(
         &self,
         record: &RunRecord,
         scenario: &ScenarioRecord,
         index: usize,
-    ) -> Option<Markup> {
-        let now = scenario.expectations.get(index)?;
+    ) -> Option<(Vec<EarlierExpectation<'_>>, bool)> {
         let mut elsewhere = false;
-        let mut known: Vec<EarlierExpectation<'_>> = Vec::new();
+        let mut known = Vec::new();
         for (run, earlier) in self.runs.as_ref()? {
             let Some(played) = earlier.scenarios.iter().find(|played| played.file == scenario.file) else { continue };
             let Some(expectation) = matching_expectation(scenario, index, played) else { continue };
@@ -40,6 +48,38 @@ impl RunHistory {
                 elsewhere = true;
             }
         }
+        Some((known, elsewhere))
+    }
+
+    /// Earlier values of the same expectation and this one, oldest first.
+    pub(crate) fn trend(&self, record: &RunRecord, scenario: &ScenarioRecord, index: usize) -> Vec<TrendPoint> {
+        let point = |run: &str, expectation: &ExpectationRecord| TrendPoint {
+            run: run.to_owned(),
+            value: expectation.value,
+            margin: expectation.margin,
+            verdict: expectation.verdict,
+        };
+        let (Some(now), Some((known, _))) =
+            (scenario.expectations.get(index), self.comparable(record, scenario, index))
+        else {
+            return Vec::new();
+        };
+        let same = known.iter().filter(|then| differences(now, then.expectation).is_empty());
+        let mut points: Vec<TrendPoint> = same.map(|then| point(then.run, then.expectation)).collect();
+        points.reverse();
+        points.push(point("this run", now));
+        points
+    }
+
+    /// A sentence; `None` without a search.
+    pub(crate) fn not_passed_since(
+        &self,
+        record: &RunRecord,
+        scenario: &ScenarioRecord,
+        index: usize,
+    ) -> Option<Markup> {
+        let now = scenario.expectations.get(index)?;
+        let (known, elsewhere) = self.comparable(record, scenario, index)?;
         let open = known.iter().take_while(|then| then.expectation.verdict != Verdict::Pass).count();
         let (oldest_open, last_pass) = (open.checked_sub(1).and_then(|index| known.get(index)), known.get(open));
         let comparable = html! { "on " code { (record.rig.kind()) } " with " code { (scenario.law) } };

@@ -13,7 +13,9 @@ use tempfile::TempDir;
 const DESKTOP: BrowserOptions = BrowserOptions { width: 1280, height: 900, dark: false, scripts: true };
 const PHONE: BrowserOptions = BrowserOptions { width: 390, height: 844, ..DESKTOP };
 const TITLE: &str = "</script><b>\"A\" & 'B'</b>";
-const READY: &str = "document.querySelector('.plots').dataset.ready === 'true'";
+const READY: &str = "document.querySelector('.scenario:target .plots')?.dataset.ready === 'true'";
+const SELECT_FIRST: &str = "location.hash = document.querySelector('.list ol a').hash";
+const FRAME: &str = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))";
 const KEY: &str = "[...document.querySelectorAll('.keys button')].find((key) => key.textContent.startsWith('trial 0'))";
 /// Start and end of the plots of the first scenario, ms.
 const RANGE: &str = "(({from, to}) => [+from, +to])(document.querySelector('.tools').dataset)";
@@ -63,10 +65,10 @@ fn element_rect(browser: &Browser, selector: &str) -> [f64; 4] {
 #[test]
 fn plots_zoom_move_and_switch() {
     let Some((browser, _folder)) = open_page(DESKTOP) else { return };
-    let first = browser.evaluate("document.querySelector('.scenario').className");
-    assert_eq!(first, "scenario fail moving", "failed scenarios are first");
-    element_rect(&browser, ".plots");
+    browser.evaluate(SELECT_FIRST);
     browser.wait_for(READY);
+    let first = browser.evaluate("document.querySelector('.scenario:target').className");
+    assert_eq!(first, "scenario fail", "failed scenarios are first");
     assert_eq!(browser.evaluate("getComputedStyle(document.querySelector('.drawings')).display"), "none");
     let titles =
         browser.evaluate("[...document.querySelectorAll('.scenario h2')].map((title) => title.textContent).join()");
@@ -75,12 +77,11 @@ fn plots_zoom_move_and_switch() {
 
     let start = plot_range(&browser);
     let pixels = "document.querySelector('.canvas canvas').toDataURL()";
-    let frame = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))";
-    browser.evaluate(frame);
+    browser.evaluate(FRAME);
     let far = browser.evaluate(pixels);
     browser.evaluate("document.querySelector('[aria-label=\"Zoom in\"]').click()");
     let closer = plot_range(&browser);
-    browser.evaluate(frame);
+    browser.evaluate(FRAME);
     assert_ne!(browser.evaluate(pixels), far, "the plot changes");
     assert!((closer[1] - closer[0] - (start[1] - start[0]) / 2.0).abs() < 1e-9, "{start:?} {closer:?}");
     browser.evaluate(
@@ -120,15 +121,15 @@ fn plots_zoom_move_and_switch() {
     assert!((amplitude - 2.0).abs() < 0.06, "{amplitude}");
 
     browser.move_pointer((1.0, 1.0));
-    browser.evaluate(frame);
+    browser.evaluate(FRAME);
     let on = browser.evaluate(pixels);
     browser.evaluate(&format!("{KEY}.click()"));
-    browser.evaluate(frame);
+    browser.evaluate(FRAME);
     let off = browser.evaluate(pixels);
     assert_eq!(browser.evaluate(&format!("{KEY}.getAttribute('aria-pressed')")), "false");
     assert_ne!(on, off);
     browser.evaluate(&format!("{KEY}.click()"));
-    browser.evaluate(frame);
+    browser.evaluate(FRAME);
     assert_eq!(browser.evaluate(pixels), on);
 
     browser.devtools_command("Emulation.setEmulatedMedia", &json!({ "media": "print" }));
@@ -142,7 +143,7 @@ fn plots_zoom_move_and_switch() {
 #[test]
 fn shows_drawings_without_scripts() {
     let Some((browser, _folder)) = open_page(BrowserOptions { scripts: false, ..DESKTOP }) else { return };
-    assert_eq!(browser.evaluate("document.querySelectorAll('.plots, .moving').length"), 0, "no script ran");
+    assert_eq!(browser.evaluate("document.querySelectorAll('.plots').length"), 0, "no script ran");
     let sizes =
         "[...document.querySelectorAll('.drawings figure > svg')].map((svg) => svg.getBoundingClientRect().width)";
     let sizes: Vec<f64> = serde_json::from_value(browser.evaluate(sizes)).unwrap();
@@ -160,35 +161,75 @@ fn shows_drawings_without_scripts() {
 fn fits_every_screen_and_is_accessible(#[case] options: BrowserOptions, #[case] name: &str) {
     let Some((browser, _folder)) = open_page(options) else { return };
     browser.save_screenshot(&format!("{name}-top"));
+    assert_eq!(browser.evaluate("document.querySelectorAll('.stacked').length"), 6);
+    assert_fits(&browser);
     for number in 0..3 {
-        let plots = format!("document.querySelectorAll('.plots')[{number}]");
-        browser.evaluate(&format!("{plots}.scrollIntoView({{ block: 'start', behavior: 'instant' }})"));
-        browser.wait_for(&format!("{plots}.dataset.ready === 'true'"));
-        browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))");
+        browser.evaluate(&format!("location.hash = document.querySelectorAll('.list ol a')[{number}].hash"));
+        browser.wait_for(READY);
+        browser.evaluate(FRAME);
         browser.save_screenshot(&format!("{name}-{number}"));
+        assert_fits(&browser);
+        assert_accessible(&browser);
     }
-    assert_eq!(browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), true, "no horizontal scroll");
-    // Only the comparison of runs may be wider than the window, except on a phone.
-    let cut = "[...document.querySelectorAll('main .stacked')].map((table) => table.parentElement).filter((part) => \
-               part.scrollWidth > part.clientWidth \
-               && (innerWidth < 640 || part.getAttribute('aria-label') !== 'Comparison of both runs')).length";
-    assert_eq!(
-        browser.evaluate("document.querySelectorAll('main .stacked').length"),
-        6,
-        "scenarios, requirements, both runs, expectations"
-    );
-    assert_eq!(browser.evaluate(cut), 0, "no table needs a horizontal scroll");
     let band = "getComputedStyle([...document.querySelectorAll('.keys button')].find((key) => \
                 key.textContent.startsWith('5 % band')).querySelector('.mark')).backgroundColor";
     let (band, opacity) = (browser.evaluate(band), if options.dark { "0.3" } else { "0.2" });
     assert!(band.as_str().unwrap().contains(&format!(", {opacity}")), "{band}");
-    browser.evaluate(&format!("{};true", axe_source()));
+    browser.evaluate("location.hash = '#overview'");
+    assert_accessible(&browser);
+    assert_no_console_messages(&browser);
+}
+
+/// Only the comparison of runs may be wider than the window, except on a phone.
+fn assert_fits(browser: &Browser) {
+    assert_eq!(browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), true, "no horizontal scroll");
+    let cut = "[...document.querySelectorAll('.stacked')].map((table) => table.parentElement).filter((part) => \
+               part.scrollWidth > part.clientWidth \
+               && (innerWidth < 640 || part.getAttribute('aria-label') !== 'Comparison of both runs')).length";
+    assert_eq!(browser.evaluate(cut), 0, "no table needs a horizontal scroll");
+}
+
+fn assert_accessible(browser: &Browser) {
+    browser.evaluate(&format!("window.axe ?? eval({}); true", json!(axe_source())));
     let found = browser.evaluate(
         "axe.run().then(({ violations }) => violations.map(({ id, help, nodes }) => \
          `${id}: ${help}: ` + nodes.slice(0, 3).map(({ html, failureSummary }) => \
          html.slice(0, 200) + failureSummary).join(' | ')))",
     );
     assert_eq!(found, json!([]), "{found:#}");
+}
+
+#[test]
+fn keys_filters_and_the_back_button_select_scenarios() {
+    let Some((browser, _folder)) = open_page(DESKTOP) else { return };
+    let press = |key: &str| {
+        browser.evaluate(&format!(
+            "document.body.dispatchEvent(new KeyboardEvent('keydown', {{ key: '{key}', bubbles: true }}))"
+        ))
+    };
+    let shown =
+        "[...document.querySelectorAll('.scenario')].filter((part) => part.checkVisibility()).map(({ id }) => id)";
+    let listed = "[...document.querySelectorAll('.list ol a')].map((link) => link.hash.slice(1))";
+    let order: Vec<String> = serde_json::from_value(browser.evaluate(listed)).unwrap();
+    assert_eq!(browser.evaluate(shown), json!([]), "the overview");
+    press("j");
+    browser.wait_for("document.querySelector('.list [aria-current]') !== null");
+    assert_eq!(browser.evaluate(shown), json!([order[0]]));
+    press("j");
+    assert_eq!(browser.evaluate(shown), json!([order[1]]));
+    press("k");
+    assert_eq!(browser.evaluate(shown), json!([order[0]]));
+    browser.evaluate("history.back()");
+    browser.wait_for(&format!("location.hash === '#{}'", order[1]));
+    assert_eq!(browser.evaluate(shown), json!([order[1]]));
+    assert_eq!(browser.evaluate("document.querySelector('.overview').checkVisibility()"), false);
+    press("/");
+    assert_eq!(browser.evaluate("document.activeElement.type"), "search");
+    browser.evaluate(
+        "(() => { const search = document.activeElement; search.value = 'no such scenario'; \
+         search.dispatchEvent(new Event('input', { bubbles: true })); })()",
+    );
+    assert_eq!(browser.evaluate(listed), json!([]));
     assert_no_console_messages(&browser);
 }
 
@@ -200,8 +241,8 @@ fn shows_drawings_if_the_library_fails() {
     let text = std::fs::read_to_string(&path).unwrap();
     std::fs::write(&path, text.replace("new uPlot(options", "new Missing(options")).unwrap();
     browser.open(&path);
-    element_rect(&browser, ".plots");
-    browser.wait_for("!document.querySelector('.scenario').classList.contains('moving')");
+    browser.evaluate(SELECT_FIRST);
+    browser.wait_for("document.querySelector('.scenario:target')?.classList.contains('undrawn')");
     assert_eq!(browser.evaluate("getComputedStyle(document.querySelector('.drawings')).display"), "block");
     assert!(!browser.console_messages().is_empty(), "the console has the reason");
 }
@@ -211,12 +252,12 @@ fn shows_drawings_if_the_library_fails() {
 #[ignore = "makes a picture of REPORT_PAGE for the documentation"]
 fn picture() {
     let page = PathBuf::from(std::env::var_os("REPORT_PAGE").expect("REPORT_PAGE names a report"));
-    let options = BrowserOptions { width: 1100, height: 1900, ..DESKTOP };
+    let options = BrowserOptions { width: 1280, height: 1500, ..DESKTOP };
     let browser = Browser::start_if_installed(options).unwrap();
     browser.open(&page.canonicalize().unwrap());
-    browser.evaluate("document.querySelector('.scenario').scrollIntoView({ block: 'start', behavior: 'instant' })");
+    browser.evaluate(SELECT_FIRST);
     browser.wait_for(READY);
-    browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))");
+    browser.evaluate(FRAME);
     browser.save_screenshot("report");
 }
 

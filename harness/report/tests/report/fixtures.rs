@@ -45,6 +45,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
         file: file.to_owned(),
         title: title.to_owned(),
         source: Some("Fig. 13".to_owned()),
+        tags: Vec::new(),
         verdict: Verdict::combine(expectations.iter().map(|expectation| expectation.verdict)),
         law: law.to_owned(),
         model: "modal".to_owned(),

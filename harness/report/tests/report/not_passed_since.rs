@@ -35,7 +35,7 @@ fn not_passed_since((record, folder): &(RunRecord, PathBuf)) -> String {
     let path = folder.join(page::FILE);
     page::ReportPage::new(record, folder).with_earlier_runs().write(&path).unwrap();
     let text = fs::read_to_string(&path).unwrap();
-    text.split_once("<p class=\"since\">").unwrap().1.split_once("</p>").unwrap().0.to_owned()
+    text.split_once("<span class=\"since\">").unwrap().1.split_once("</span>").unwrap().0.to_owned()
 }
 
 #[test]

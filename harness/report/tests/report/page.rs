@@ -105,7 +105,7 @@ fn the_open_loop_is_behind_its_closed_loop_only() {
     fixtures::write_trials(&mut open, folder.path(), 2, slow, 0.01);
     fixtures::write_trials(&mut other, folder.path(), 1, Response::default(), 0.0);
     let page = write_page(&fixtures::run(vec![closed, open, other]), folder.path());
-    let lines = |index| scenario_section(&page, index).matches("class=\"s-other\" d=").count();
+    let lines = |index| scenario_section(&page, index).matches("class=\"s-open-loop\" d=").count();
     // Line and swatch each: |W| and drive twice, frequency once.
     assert_eq!([lines(0), lines(1), lines(2)], [5, 0, 0]);
     assert_eq!(scenario_section(&page, 0).matches("</svg>open loop (paper/fig13-open-loop.toml)").count(), 5);
@@ -121,9 +121,9 @@ fn reads_the_trial_that_decided_beyond_the_limit() {
     let page = write_page(&fixtures::run(vec![open]), folder.path());
     let open = scenario_section(&page, 0);
     assert!(open.contains("5 % to 95 % of 31 trials"));
-    // In |W| and in the drive; its frequency equals that of the first trial.
-    assert_eq!(open.matches("</svg>trial 35, decided settling_time_ms").count(), 2);
-    assert_eq!(open.matches("class=\"s-exhibit\" d=").count(), 2);
+    // In |W| and in the drive of both views; its frequency equals that of the first trial.
+    assert_eq!(open.matches("</svg>trial 35, decided settling_time_ms").count(), 4);
+    assert_eq!(open.matches("class=\"s-exhibit\" d=").count(), 4);
 }
 
 #[rstest]
@@ -275,7 +275,7 @@ fn links_of_traces_stay_in_the_run_folder(#[case] name: &str, #[case] url: &str)
     let mut record = fixtures::mixed_run();
     name.clone_into(&mut record.scenarios[1].trials[1].trace);
     let page = write_page(&record, folder.path());
-    assert_eq!(page.matches(&format!("href=\"{url}\"")).count(), 3);
+    assert_eq!(page.matches(&format!("href=\"{url}\"")).count(), 2);
     assert_balanced(&page);
 }
 
@@ -354,4 +354,52 @@ fn lists_failed_scenarios_first() {
     let place = |index: usize| page.find(&format!("id=\"scenario-{index}\"")).unwrap();
     assert!(place(1) < place(2) && place(2) < place(0), "failed, inconclusive, passed");
     assert_eq!(fixtures::mixed_run().scenarios[1].verdict, Verdict::Fail);
+}
+
+#[rstest]
+#[case::small(1.1, false)]
+#[case::large(1.3, true)]
+fn remarks_on_a_settling_time_that_passes_with_a_large_overshoot(#[case] peak: f64, #[case] expected: bool) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut closed = closed_loop();
+    fixtures::write_trials(&mut closed, folder.path(), 1, Response::default(), 0.0);
+    let path = folder.path().join(&closed.trials[0].trace);
+    let mut rows = platebench_trace::read_trace(&path).unwrap();
+    rows[40].amplitude_um = 2.0 * peak;
+    let mut writer = TraceWriter::create(&path).unwrap();
+    for row in &rows {
+        writer.write(row).unwrap();
+    }
+    writer.finish().unwrap();
+    let page = write_page(&fixtures::run(vec![closed]), folder.path());
+    assert_eq!(page.contains("The settling time passes, but"), expected);
+}
+
+#[test]
+fn marks_limit_window_and_worst_instant_of_a_missed_expectation() {
+    let folder = tempfile::tempdir().unwrap();
+    let missed = fixtures::failed_expectation(
+        fixtures::passed_expectation("peak_deviation_percent", ("at_most", json!(1.0)), 3.0),
+        fixtures::outside(0, 3.0, 1.0),
+    );
+    let missed = ExpectationRecord { windows_ms: vec![[15.0, 25.0], [35.0, 45.0]], ..missed };
+    let mut tap = fixtures::scenario("tap.toml", "A tap", "dq-pi", vec![missed]);
+    fixtures::write_trials(&mut tap, folder.path(), 1, Response { force_n: 2.0, ..Response::default() }, 0.0);
+    let page = write_page(&fixtures::run(vec![tap]), folder.path());
+    let curves = &plot_data(&page)[0];
+    assert_eq!(curves["views"][0], json!(["peak_deviation_percent", 33.0, 47.0]), "opens at the window that decided");
+    assert_eq!(curves["panels"][1]["title"], "Finger force", "directly below the amplitude");
+    let amplitude = &curves["panels"][0];
+    // The deviation of 6 % is largest at the end of the ramp.
+    let [group, at_ms, value, text] = [0, 1, 2, 3].map(|field| amplitude["points"][0][field].clone());
+    assert_eq!((at_ms.as_f64().unwrap().round(), text), (40.0, json!("1.88 µm at 40 ms")));
+    assert!((value.as_f64().unwrap() - 1.88).abs() < 1e-9, "{value}");
+    let keys = legend_texts(curves, 0);
+    assert_eq!(keys[group.as_u64().unwrap() as usize], "peak_deviation_percent: worst");
+    assert!(keys.contains(&"peak_deviation_percent ≤ 1 %, window 35 … 45 ms".to_owned()), "{keys:?}");
+    assert_eq!(
+        amplitude["spans"],
+        json!([[keys.iter().position(|key| key == "window of peak_deviation_percent"), 35.0, 45.0]])
+    );
+    assert!(page.contains("; worst: <strong>1.88 µm at 40 ms</strong>"));
 }

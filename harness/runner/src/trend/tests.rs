@@ -26,6 +26,7 @@ fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
         file: "s.toml".to_owned(),
         title: "s".to_owned(),
         source: None,
+        tags: Vec::new(),
         verdict: Verdict::Pass,
         law: law.to_owned(),
         model: "modal".to_owned(),

@@ -1,0 +1,236 @@
+//! Finds the limit, the judged window and the worst instant of an expectation in the rows of a trial.
+
+use super::curves::PlotSignal;
+use crate::chart::time_chart::TimeWindow;
+use crate::format;
+use platebench_record::{ExpectationRecord, Limit, Metric};
+use platebench_trace::Row;
+
+/// Of the window that decided.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct LimitMark {
+    /// `peak_deviation_percent ≤ 12 %`
+    pub(crate) text: String,
+    pub(crate) name: String,
+    pub(crate) is_missed: bool,
+    /// The figure that shows it.
+    pub(crate) signal: PlotSignal,
+    pub(crate) window: TimeWindow,
+    pub(crate) levels: Vec<Level>,
+    /// What `worst` is: `last outside the band`, `mean`.
+    pub(crate) kind: &'static str,
+    pub(crate) worst: Vec<WorstPoint>,
+}
+
+/// `share · base + offset`; without a base only the offset.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Level {
+    pub(crate) base: Option<PlotSignal>,
+    pub(crate) share: f64,
+    pub(crate) offset: f64,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct WorstPoint {
+    pub(crate) t_ms: f64,
+    pub(crate) value: f64,
+    /// `1.107 µm at 302.5 ms`
+    pub(crate) text: String,
+}
+
+impl LimitMark {
+    /// `None` if the metric has no place in a figure, or no window has one.
+    pub(crate) fn find(expectation: &ExpectationRecord, is_missed: bool, rows: &[Row]) -> Option<Self> {
+        let signal = shown_signal(expectation)?;
+        let in_window = |window: TimeWindow| {
+            let start = rows.partition_point(|row| row.t_s * 1e3 < window.from_ms);
+            // The row at the end belongs to the next window, except at the end of the trace.
+            let is_last = rows.last().is_none_or(|row| row.t_s * 1e3 <= window.to_ms);
+            let end = if is_last { rows.len() } else { rows.partition_point(|row| row.t_s * 1e3 < window.to_ms) };
+            let inside = rows.get(start..end).filter(|inside| !inside.is_empty())?;
+            let before = start.checked_sub(1).and_then(|index| rows.get(index));
+            WindowResult::of(expectation, signal, before, inside).map(|result| (window, result))
+        };
+        let windows =
+            expectation.windows_ms.iter().map(|[from_ms, to_ms]| TimeWindow { from_ms: *from_ms, to_ms: *to_ms });
+        let margin = |result: &WindowResult| expectation.limit.margin(result.value, 0.0);
+        let (window, worst) = windows.filter_map(in_window).min_by(|a, b| margin(&a.1).total_cmp(&margin(&b.1)))?;
+        let point = |(t_ms, value): (f64, f64)| {
+            let text = format!("{} {} at {} ms", format::number(value), signal.unit(), format::number(t_ms));
+            WorstPoint { t_ms, value, text }
+        };
+        let unit = format::unit(expectation.metric);
+        Some(Self {
+            text: format!("{} {} {unit}", expectation.name, format::limit(expectation)).trim_end().to_owned(),
+            name: if expectation.name.is_empty() { expectation.metric.to_string() } else { expectation.name.clone() },
+            is_missed,
+            signal,
+            window,
+            levels: worst.levels,
+            kind: match expectation.metric {
+                Metric::SettlingTime | Metric::RecoveryTime => "last outside the band",
+                Metric::StaticError => "mean",
+                Metric::Ripple | Metric::RipplePercent => "extremes",
+                Metric::FinalAmplitude | Metric::FrequencyError | Metric::QuadratureRatio => "end",
+                _ => "worst",
+            },
+            worst: worst.points.into_iter().map(point).collect(),
+        })
+    }
+
+    /// The window if it is short, or else the surroundings of the worst instant.
+    pub(crate) fn view(&self, whole: TimeWindow) -> Option<TimeWindow> {
+        let around = |from_ms: f64, to_ms: f64| TimeWindow {
+            from_ms: from_ms.max(whole.from_ms),
+            to_ms: to_ms.min(whole.to_ms),
+        };
+        let view = match self.worst.first() {
+            _ if self.window.span_ms() <= 0.3 * whole.span_ms() => {
+                let air = 0.2 * self.window.span_ms();
+                around(self.window.from_ms - air, self.window.to_ms + air)
+            }
+            Some(worst) => {
+                let half = (0.05 * whole.span_ms()).max(5.0);
+                around(worst.t_ms - half, worst.t_ms + half)
+            }
+            None => return None,
+        };
+        (view.span_ms() > 0.0 && view.span_ms() < 0.8 * whole.span_ms()).then_some(view)
+    }
+}
+
+struct WindowResult {
+    value: f64,
+    levels: Vec<Level>,
+    /// ms and the signal's unit.
+    points: Vec<(f64, f64)>,
+}
+
+fn shown_signal(expectation: &ExpectationRecord) -> Option<PlotSignal> {
+    match expectation.metric {
+        Metric::FrequencyError => Some(PlotSignal::Frequency),
+        Metric::QuadratureRatio => Some(PlotSignal::Quadrature),
+        Metric::DrivePeak | Metric::RestDrive => Some(PlotSignal::Drive),
+        Metric::FinalAmplitude => Some(PlotSignal::Amplitude),
+        Metric::SettlingTime
+        | Metric::RecoveryTime
+        | Metric::Overshoot
+        | Metric::PeakDeviation
+        | Metric::StaticError
+        | Metric::Ripple
+        | Metric::RipplePercent => match expectation.definition.signal.as_deref() {
+            None | Some("amplitude_um") => Some(PlotSignal::Amplitude),
+            Some("wd_um") => Some(PlotSignal::InPhase),
+            Some("wq_um") => Some(PlotSignal::Quadrature),
+            Some(_) => None,
+        },
+        Metric::Repeatability
+        | Metric::Saturated
+        | Metric::LoopDelay
+        | Metric::InstructionsPerStep
+        | Metric::Overruns
+        | Metric::ShutdownTime
+        | Metric::MissedReplies
+        | Metric::TrialDifference
+        | Metric::ReferenceDifference => None,
+    }
+}
+
+fn limit_ends(limit: Limit) -> Vec<f64> {
+    match limit {
+        Limit::AtMost(end) | Limit::AtLeast(end) | Limit::About(end) => vec![end],
+        Limit::Within(low, high) => vec![low, high],
+    }
+}
+
+impl WindowResult {
+    /// `rows` are those of the window, `before` the last one before it.
+    fn of(expectation: &ExpectationRecord, signal: PlotSignal, before: Option<&Row>, rows: &[Row]) -> Option<Self> {
+        let (first, last) = (rows.first()?, rows.last()?);
+        let point = |row: &Row| (row.t_s * 1e3, signal.value_in(row));
+        let ends = limit_ends(expectation.limit);
+        let constant = |end: &f64| Level { base: None, share: 0.0, offset: *end };
+        let around_setpoint = |percent: f64| {
+            [1.0, -1.0].map(|side| Level {
+                base: Some(PlotSignal::Setpoint),
+                share: 1.0 + side * percent / 100.0,
+                offset: 0.0,
+            })
+        };
+        let largest = |value: &dyn Fn(&Row) -> f64| rows.iter().max_by(|a, b| value(a).total_cmp(&value(b)));
+        let deviation = |row: &Row| (signal.value_in(row) - row.setpoint_um).abs() / row.setpoint_um * 100.0;
+        match expectation.metric {
+            Metric::SettlingTime | Metric::RecoveryTime => {
+                let percent = expectation.definition.band_percent?;
+                let outside = rows.iter().rfind(|row| deviation(row) > percent)?;
+                let (value, points) = ((outside.t_s - first.t_s) * 1e3, vec![point(outside)]);
+                Some(Self { value, levels: around_setpoint(percent).to_vec(), points })
+            }
+            Metric::PeakDeviation => {
+                let of = |row: &Row| if row.setpoint_um > 0.0 { deviation(row) } else { 0.0 };
+                let worst = largest(&of)?;
+                let levels = ends.iter().flat_map(|percent| around_setpoint(*percent)).collect();
+                Some(Self { value: of(worst), levels, points: vec![point(worst)] })
+            }
+            Metric::StaticError => {
+                let mean = time_weighted_mean(signal, rows)?;
+                let mut levels: Vec<Level> = ends.iter().flat_map(|percent| around_setpoint(*percent)).collect();
+                levels.push(constant(&mean));
+                let value = (mean - last.setpoint_um).abs() / last.setpoint_um * 100.0;
+                Some(Self { value, levels, points: vec![(last.t_s * 1e3, mean)] })
+            }
+            Metric::Overshoot => {
+                let step = last.setpoint_um - before.map_or(0.0, |row| row.setpoint_um);
+                let beyond = |row: &Row| (signal.value_in(row) - last.setpoint_um) / step * 100.0;
+                let worst = largest(&beyond).filter(|_| step != 0.0)?;
+                let level = |percent: &f64| constant(&(last.setpoint_um + percent / 100.0 * step));
+                let levels = ends.iter().map(level).collect();
+                Some(Self { value: beyond(worst), levels, points: vec![point(worst)] })
+            }
+            Metric::Ripple | Metric::RipplePercent => {
+                let (high, low) = (largest(&|row| signal.value_in(row))?, largest(&|row| -signal.value_in(row))?);
+                let value = signal.value_in(high) - signal.value_in(low);
+                Some(Self { value, levels: Vec::new(), points: vec![point(high), point(low)] })
+            }
+            Metric::DrivePeak => {
+                let worst = largest(&|row| row.drive_vpp)?;
+                Some(Self {
+                    value: worst.drive_vpp,
+                    levels: ends.iter().map(constant).collect(),
+                    points: vec![point(worst)],
+                })
+            }
+            Metric::RestDrive => {
+                let of = |row: &Row| if row.setpoint_um == 0.0 { row.drive_vpp } else { 0.0 };
+                let worst = largest(&of)?;
+                Some(Self { value: of(worst), levels: ends.iter().map(constant).collect(), points: vec![point(worst)] })
+            }
+            Metric::FinalAmplitude => {
+                let value = signal.value_in(last);
+                Some(Self { value, levels: ends.iter().map(constant).collect(), points: vec![point(last)] })
+            }
+            Metric::FrequencyError => {
+                let level = |offset: f64| Level { base: Some(PlotSignal::Resonance), share: 1.0, offset };
+                let levels = ends.iter().flat_map(|end| [level(*end), level(-end)]).collect();
+                let value = (last.frequency_hz - last.resonance_hz).abs();
+                Some(Self { value, levels, points: vec![point(last)] })
+            }
+            Metric::QuadratureRatio => {
+                let level = |share: f64| Level { base: Some(PlotSignal::InPhase), share, offset: 0.0 };
+                let levels = ends.iter().flat_map(|end| [level(*end), level(-end)]).collect();
+                Some(Self { value: (last.wq_um / last.wd_um).abs(), levels, points: vec![point(last)] })
+            }
+            _ => None,
+        }
+    }
+}
+
+fn time_weighted_mean(signal: PlotSignal, rows: &[Row]) -> Option<f64> {
+    let (mut area, mut length) = (0.0, 0.0);
+    for pair in rows.windows(2) {
+        let [left, right] = pair else { continue };
+        area += (right.t_s - left.t_s) * f64::midpoint(signal.value_in(left), signal.value_in(right));
+        length += right.t_s - left.t_s;
+    }
+    (length > 0.0).then(|| area / length)
+}
