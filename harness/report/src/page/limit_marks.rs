@@ -6,6 +6,8 @@ use crate::format;
 use platebench_record::{ExpectationRecord, Limit, Metric};
 use platebench_trace::Row;
 
+const LAST_OUTSIDE: &str = "last outside the band";
+
 /// Of the window that decided.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LimitMark {
@@ -68,7 +70,7 @@ impl LimitMark {
             window,
             levels: worst.levels,
             kind: match expectation.metric {
-                Metric::SettlingTime | Metric::RecoveryTime => "last outside the band",
+                Metric::SettlingTime | Metric::RecoveryTime => LAST_OUTSIDE,
                 Metric::StaticError => "mean",
                 Metric::Ripple | Metric::RipplePercent => "extremes",
                 Metric::FinalAmplitude | Metric::FrequencyError | Metric::QuadratureRatio => "end",
@@ -84,16 +86,16 @@ impl LimitMark {
             from_ms: from_ms.max(whole.from_ms),
             to_ms: to_ms.min(whole.to_ms),
         };
-        let view = match self.worst.first() {
-            _ if self.window.span_ms() <= 0.3 * whole.span_ms() => {
-                let air = 0.2 * self.window.span_ms();
-                around(self.window.from_ms - air, self.window.to_ms + air)
-            }
-            Some(worst) => {
-                let half = (0.05 * whole.span_ms()).max(5.0);
-                around(worst.t_ms - half, worst.t_ms + half)
-            }
-            None => return None,
+        let worst = self.worst.first()?;
+        // A settling or recovery time is the time up to its worst instant.
+        let to_ms = if self.kind == LAST_OUTSIDE { worst.t_ms } else { self.window.to_ms };
+        let span_ms = to_ms - self.window.from_ms;
+        let view = if span_ms <= 0.3 * whole.span_ms() {
+            let air = (0.2 * span_ms).max(1.0);
+            around(self.window.from_ms - air, to_ms + air)
+        } else {
+            let half = (0.05 * whole.span_ms()).max(5.0);
+            around(worst.t_ms - half, worst.t_ms + half)
         };
         (view.span_ms() > 0.0 && view.span_ms() < 0.8 * whole.span_ms()).then_some(view)
     }
