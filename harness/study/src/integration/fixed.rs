@@ -13,18 +13,60 @@ pub enum FixedStepMethod {
     /// The implicit midpoint rule, order 2; solves its linear system once per interval, or per step
     /// if the matrix varies.
     Midpoint,
+    /// Gauss-Legendre collocation with two stages, order 4: the step matrix is a Padé approximant of
+    /// the exponential (Hairer, Wanner: Solving ODEs II, IV.3), computed once per interval.
+    Gauss4,
+    /// As above with three stages, order 6.
+    Gauss6,
+    /// The matrix exponential by scaling and squaring, once per interval; exact up to rounding.
+    Exponential,
     /// Störmer's and Verlet's leapfrog, order 2; only for problems of second order.
     Verlet,
 }
 
 impl FixedStepMethod {
-    pub const ALL: [Self; 4] = [Self::Euler, Self::RungeKutta4, Self::Midpoint, Self::Verlet];
+    pub const ALL: [Self; 7] =
+        [Self::Euler, Self::RungeKutta4, Self::Midpoint, Self::Gauss4, Self::Gauss6, Self::Exponential, Self::Verlet];
 
-    pub const fn order(self) -> u32 {
+    /// `None` if the step does not limit the accuracy. With a matrix that varies, the methods with a
+    /// step matrix have order 2: they freeze it in the middle of a step.
+    pub const fn order(self) -> Option<u32> {
         match self {
-            Self::Euler => 1,
-            Self::RungeKutta4 => 4,
-            Self::Midpoint | Self::Verlet => 2,
+            Self::Euler => Some(1),
+            Self::Midpoint | Self::Verlet => Some(2),
+            Self::RungeKutta4 | Self::Gauss4 => Some(4),
+            Self::Gauss6 => Some(6),
+            Self::Exponential => None,
+        }
+    }
+
+    /// M of `x(h) = x + h M(hA) (Ax + b)`; `None` if the method has no such matrix, or if it is
+    /// singular.
+    fn increment<const N: usize>(self, matrix: &[[f64; N]; N], step: f64) -> Option<[[f64; N]; N]> {
+        let z = scaled(matrix, step);
+        match self {
+            Self::Euler | Self::RungeKutta4 | Self::Verlet => None,
+            Self::Midpoint => inverse(&polynomial(&z, [1.0, -0.5, 0.0, 0.0])),
+            Self::Gauss4 => inverse(&polynomial(&z, [1.0, -1.0 / 2.0, 1.0 / 12.0, 0.0])),
+            Self::Gauss6 => {
+                let denominator = inverse(&polynomial(&z, [1.0, -1.0 / 2.0, 1.0 / 10.0, -1.0 / 120.0]))?;
+                Some(product(&denominator, &polynomial(&z, [1.0, 0.0, 1.0 / 60.0, 0.0])))
+            }
+            Self::Exponential => {
+                // Below this norm the approximant of order 6 is exact to rounding.
+                let largest = z.iter().map(|row| row.iter().map(|value| value.abs()).sum()).fold(0.0, f64::max);
+                let doublings = (largest / 0.02_f64).log2().ceil().max(0.0) as u32;
+                let share = 0.5_f64.powi(doublings as i32);
+                let mut phi = Self::Gauss6.increment(matrix, step * share)?;
+                let mut y = scaled(&z, share);
+                for _ in 0..doublings {
+                    // φ(2y) = φ(y) (1 + e^y)/2, e^y = 1 + yφ(y)
+                    let half = scaled(&product(&y, &phi), 0.5);
+                    phi = product(&phi, &polynomial(&half, [1.0, 1.0, 0.0, 0.0]));
+                    y = scaled(&y, 2.0);
+                }
+                Some(phi)
+            }
         }
     }
 
@@ -39,9 +81,9 @@ impl FixedStepMethod {
         match self {
             Self::Euler => (0..steps).for_each(|_| x = add_scaled(&x, step, &problem.rate(&x))),
             Self::RungeKutta4 => (0..steps).for_each(|_| x = runge_kutta_4(problem, &x, step)),
-            Self::Midpoint => {
+            Self::Midpoint | Self::Gauss4 | Self::Gauss6 | Self::Exponential => {
                 let mut known = problem.matrix(&x);
-                let mut inverse = resolvent(&known, 0.5 * step).ok_or(MethodFailure::Singular)?;
+                let mut increment = self.increment(&known, step).ok_or(MethodFailure::Singular)?;
                 for _ in 0..steps {
                     let mut middle = x;
                     if let Some(clock) = P::CLOCK.and_then(|clock| middle.get_mut(clock)) {
@@ -49,10 +91,10 @@ impl FixedStepMethod {
                         let matrix = problem.matrix(&middle);
                         if matrix != known {
                             known = matrix;
-                            inverse = resolvent(&known, 0.5 * step).ok_or(MethodFailure::Singular)?;
+                            increment = self.increment(&known, step).ok_or(MethodFailure::Singular)?;
                         }
                     }
-                    x = add_scaled(&x, step, &multiply(&inverse, &problem.rate(&middle)));
+                    x = add_scaled(&x, step, &multiply(&increment, &problem.rate(&middle)));
                 }
             }
             Self::Verlet => {
@@ -84,11 +126,27 @@ fn multiply<const N: usize>(matrix: &[[f64; N]; N], x: &[f64; N]) -> [f64; N] {
     from_fn(|row| (0..N).map(|column| matrix[row][column] * x[column]).sum())
 }
 
-/// `(I − half·A)⁻¹` by Gauss and Jordan with partial pivoting; `None` if singular.
-fn resolvent<const N: usize>(matrix: &[[f64; N]; N], half: f64) -> Option<[[f64; N]; N]> {
+fn scaled<const N: usize>(matrix: &[[f64; N]; N], by: f64) -> [[f64; N]; N] {
+    matrix.map(|row| row.map(|value| value * by))
+}
+
+fn product<const N: usize>(left: &[[f64; N]; N], right: &[[f64; N]; N]) -> [[f64; N]; N] {
+    from_fn(|row| from_fn(|column| (0..N).map(|inner| left[row][inner] * right[inner][column]).sum()))
+}
+
+/// `c0 + c1 z + c2 z² + c3 z³`.
+fn polynomial<const N: usize>(z: &[[f64; N]; N], coefficients: [f64; 4]) -> [[f64; N]; N] {
     let unit = |row: usize, column: usize| if row == column { 1.0 } else { 0.0 };
-    let mut left: [[f64; N]; N] = from_fn(|row| from_fn(|column| unit(row, column) - half * matrix[row][column]));
-    let mut right: [[f64; N]; N] = from_fn(|row| from_fn(|column| unit(row, column)));
+    coefficients.iter().rev().fold([[0.0; N]; N], |sum, coefficient| {
+        let higher = product(&sum, z);
+        from_fn(|row| from_fn(|column| higher[row][column] + coefficient * unit(row, column)))
+    })
+}
+
+/// By Gauss and Jordan with partial pivoting; `None` if singular.
+fn inverse<const N: usize>(matrix: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
+    let mut left = *matrix;
+    let mut right = polynomial(&left, [1.0, 0.0, 0.0, 0.0]);
     for pivot in 0..N {
         let largest = (pivot..N).max_by(|a, b| left[*a][pivot].abs().total_cmp(&left[*b][pivot].abs()))?;
         left.swap(pivot, largest);

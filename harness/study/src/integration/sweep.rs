@@ -248,11 +248,27 @@ fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
     let decades = |from: i32, to: i32| (from..=to).map(|decade| 10.0_f64.powi(-decade)).collect();
     match (method, frame) {
         (IntegrationMethod::Fixed(FixedStepMethod::Verlet), EquationForm::Envelope | EquationForm::Modal) => Vec::new(),
+        // Their step matrix needs equations without the carrier's time.
+        (
+            IntegrationMethod::Fixed(FixedStepMethod::Gauss4 | FixedStepMethod::Gauss6 | FixedStepMethod::Exponential),
+            EquationForm::Carrier,
+        ) => Vec::new(),
+        (IntegrationMethod::Fixed(FixedStepMethod::Exponential), EquationForm::Envelope | EquationForm::Modal) => {
+            halved(&[0])
+        }
         (IntegrationMethod::Fixed(_), EquationForm::Envelope) => halved(&[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12]),
         // Stable from 155 000 steps per ms; 39 000 on the carrier.
         (IntegrationMethod::Fixed(FixedStepMethod::Euler), EquationForm::Modal) => halved(&[8, 12, 16, 17, 18, 19]),
         (IntegrationMethod::Fixed(FixedStepMethod::Euler), EquationForm::Carrier) => halved(&[8, 12, 15, 16, 17, 18]),
-        (IntegrationMethod::Fixed(FixedStepMethod::RungeKutta4 | FixedStepMethod::Midpoint), EquationForm::Modal)
+        (
+            IntegrationMethod::Fixed(
+                FixedStepMethod::RungeKutta4
+                | FixedStepMethod::Midpoint
+                | FixedStepMethod::Gauss4
+                | FixedStepMethod::Gauss6,
+            ),
+            EquationForm::Modal,
+        )
         | (
             IntegrationMethod::Fixed(
                 FixedStepMethod::RungeKutta4 | FixedStepMethod::Midpoint | FixedStepMethod::Verlet,
@@ -270,9 +286,23 @@ fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
     }
 }
 
+/// Of all methods but the closed form.
+pub fn cheapest_method<'a>(measured: &'a [SweepResult], problem: &str, error: f64) -> Option<&'a SweepResult> {
+    cheapest(measured, problem, error, |solver| matches!(solver, Solver::General(..)))
+}
+
 pub fn cheapest_from_a_crate<'a>(measured: &'a [SweepResult], problem: &str, error: f64) -> Option<&'a SweepResult> {
+    cheapest(measured, problem, error, Solver::is_from_a_crate)
+}
+
+fn cheapest<'a>(
+    measured: &'a [SweepResult],
+    problem: &str,
+    error: f64,
+    is_peer: impl Fn(&Solver) -> bool,
+) -> Option<&'a SweepResult> {
     let fits = |candidate: &&SweepResult| {
-        candidate.solver.is_from_a_crate()
+        is_peer(&candidate.solver)
             && candidate.solver.problem() == problem
             && candidate.status == SolverStatus::Ok
             && candidate.numerical_error <= error
