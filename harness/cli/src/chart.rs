@@ -6,8 +6,9 @@ use crate::stdio;
 use clap::Args;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
+use platebench_rig::RigSpec;
 use platebench_scenario::{Diagnostic, Scenario, find};
-use platebench_study::charts::{ChartError, laws, load_law_scenarios, precision, scenes};
+use platebench_study::charts::{ChartError, ladder, laws, load_law_scenarios, precision, scenes};
 use std::path::{Path, PathBuf};
 
 /// The cost is their median.
@@ -23,7 +24,7 @@ const DEFAULT_SCENARIOS: [&str; 4] = [
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench chart                                        all three charts
+  platebench chart                                        all charts
   platebench chart scenarios/paper/setpoint-steps.toml --out /tmp/charts
   platebench chart --only laws                            control laws, and their table as laws.md
 
@@ -42,6 +43,9 @@ pub(crate) struct ChartArgs {
     /// Only this chart; may be repeated
     #[arg(long, value_name = "CHART", value_enum)]
     pub(crate) only: Vec<ChartKind>,
+    /// Further rung of the ladder, in lockstep and in real time; may be repeated
+    #[arg(long = "rig", value_name = "RIG")]
+    pub(crate) rigs: Vec<RigSpec>,
     /// Folder of the default scenarios, with paper/ and laws/
     #[arg(long, value_name = "FOLDER", default_value = "scenarios")]
     pub(crate) scenes: PathBuf,
@@ -55,6 +59,8 @@ pub(crate) enum ChartKind {
     Scenes,
     /// Control laws: response time against static error and repeatability
     Laws,
+    /// Rungs from the linear plate to the emulated firmware: cost of a run against its difference
+    Ladder,
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -112,17 +118,24 @@ fn write_charts(arguments: &ChartArgs) -> Result<(String, PathBuf), ChartsError>
     let scenes = is_selected(ChartKind::Scenes)
         .then(|| find_scenarios(arguments, std::slice::from_ref(&arguments.scenes)))
         .transpose()?;
+    let rungs = is_selected(ChartKind::Ladder)
+        .then(|| find_scenarios(arguments, std::slice::from_ref(&arguments.scenes)))
+        .transpose()?;
     let laws =
         is_selected(ChartKind::Laws).then(|| load_law_scenarios(&arguments.scenes, arguments.quick)).transpose()?;
     let now = || Timestamp::now().to_zoned(TimeZone::UTC).strftime("%Y%m%dT%H%M%SZ").to_string();
     let folder = arguments.out.clone().unwrap_or_else(|| Path::new("charts").join(now()));
     create_folder(&folder)?;
+    let rounds = if arguments.quick { 1 } else { COST_ROUNDS };
     let mut sections = Vec::new();
     if let Some(scenarios) = methods {
         sections.push(precision::build_chart(&scenarios, arguments.quick)?);
     }
     if let Some(scenarios) = scenes {
-        sections.push(scenes::build_chart(&scenarios, if arguments.quick { 1 } else { COST_ROUNDS })?);
+        sections.push(scenes::build_chart(&scenarios, rounds)?);
+    }
+    if let Some(scenarios) = rungs {
+        sections.push(ladder::build_chart(&scenarios, rounds, &arguments.rigs)?);
     }
     if let Some(scenarios) = laws {
         sections.push(laws::build_chart(&scenarios)?);

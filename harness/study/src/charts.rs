@@ -1,8 +1,10 @@
 //! Measures and draws speed against accuracy, and where loops become unstable. Each chart returns
 //! blocks of a page and files as text.
 
+pub mod ladder;
 mod law_results;
 pub mod laws;
+mod measured_run;
 pub mod precision;
 pub mod scenes;
 mod section;

@@ -1,5 +1,6 @@
 //! Measures processor time.
 
+use rustix::param::clock_ticks_per_second;
 use rustix::time::{ClockId, clock_gettime};
 use std::time::Duration;
 
@@ -7,8 +8,17 @@ pub(crate) fn thread_cpu_time() -> Duration {
     cpu_time(ClockId::ThreadCPUTime)
 }
 
+/// With the children that ended; those in steps of a clock tick.
 pub(crate) fn process_cpu_time() -> Duration {
-    cpu_time(ClockId::ProcessCPUTime)
+    cpu_time(ClockId::ProcessCPUTime) + children_cpu_time().unwrap_or_default()
+}
+
+/// `cutime` and `cstime` of proc(5): fields 16 and 17, after the name in parentheses.
+fn children_cpu_time() -> Option<Duration> {
+    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+    let (_, fields) = stat.rsplit_once(')')?;
+    let ticks: u64 = fields.split_whitespace().skip(13).take(2).map_while(|field| field.parse::<u64>().ok()).sum();
+    Some(Duration::from_secs_f64(ticks as f64 / clock_ticks_per_second() as f64))
 }
 
 fn cpu_time(clock: ClockId) -> Duration {

@@ -14,6 +14,7 @@ fn arguments(only: ChartKind, named: &[PathBuf], out: &Path) -> ChartArgs {
         out: Some(out.to_owned()),
         quick: true,
         only: vec![only],
+        rigs: Vec::new(),
         scenes: scenario(""),
     }
 }
@@ -176,6 +177,26 @@ fn scenes_show_a_verdict_that_a_wrong_model_changes() {
     assert_eq!((row[column("verdict")].as_str(), row[column("reference_verdict")].as_str()), ("fail", "pass"));
     let page = fs::read_to_string(folder.path().join("new/charts.html")).unwrap();
     assert!(page.contains("fail instead of pass"), "{page}");
+}
+
+#[test]
+fn the_ladder_compares_models_with_the_emulated_firmware() {
+    let named = ["paper/fig13-closed-loop.toml", "paper/fig14-closed-loop.toml"].map(scenario);
+    let (folder, rows) = run_chart(ChartKind::Ladder, &named, "ladder.csv");
+    let names: Vec<&str> = rows.iter().map(|row| row[0].as_str()).collect();
+    assert_eq!(
+        names,
+        ["rung", "hosted, linear plate", "hosted, envelope plate", "hosted, modal plate", "emulated, lockstep"]
+    );
+    let differences = |row: &[String]| -> Vec<f64> { row[3..6].iter().map(|field| parse_number(field)).collect() };
+    // Both rungs run the same law on the same plate.
+    assert_eq!(differences(&rows[3]), [0.0; 3]);
+    assert_eq!(differences(&rows[4]), [0.0; 3]);
+    let (linear, envelope) = (differences(&rows[1])[0], differences(&rows[2])[0]);
+    assert!(linear > envelope && envelope > 0.0, "settling time: {linear} ms, {envelope} ms");
+    assert!(rows[1..].iter().all(|row| row[1] == "2" && parse_number(&row[2]) > 0.0), "{rows:?}");
+    let svg = fs::read_to_string(folder.path().join("new/ladder-settling-time.svg")).unwrap();
+    assert!(svg.contains("emulated, lockstep"), "{}", svg.len());
 }
 
 /// docs/laws.md contains the same table.

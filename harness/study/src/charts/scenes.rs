@@ -1,14 +1,14 @@
 //! Plays scenarios on every model of the plate and lists what a simpler model changes.
 
+use crate::charts::measured_run::{LOCKSTEP, MeasuredRun};
 use crate::charts::section::{ChartError, ChartSection};
-use crate::cost::{median, process_cpu_time};
+use crate::cost::median;
 use platebench_plate::Tier;
-use platebench_record::{ExpectationRecord, Overrides, RunFolder, RunRecord, Verdict};
+use platebench_record::{ExpectationRecord, RunRecord, Verdict};
 use platebench_report::chart::{StripChart, StripRow};
 use platebench_report::page::PageBlock;
 use platebench_report::text::Table;
 use platebench_rig::RigSpec;
-use platebench_runner::{Clock, RunHooks, RunPlan, run};
 use platebench_scenario::{Expectation, Scenario};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -55,7 +55,7 @@ struct ModelCost {
 }
 
 /// The carrier only if the plate has a converter, or if the scenario names it.
-fn models(scenario: &Scenario) -> Vec<Tier> {
+pub(crate) fn models(scenario: &Scenario) -> Vec<Tier> {
     let has_carrier = [scenario.tier, Tier::exact_for(&scenario.plate)].contains(&Tier::Carrier);
     Tier::ALL.into_iter().filter(|tier| *tier != Tier::Carrier || has_carrier).collect()
 }
@@ -72,7 +72,7 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
             if own.is_empty() {
                 continue;
             }
-            let (record, period_us) = play(own)?;
+            let MeasuredRun { record, period_us } = MeasuredRun::play(own, &RigSpec::Hosted, LOCKSTEP)?;
             costs.entry(tier.name()).or_default().push(period_us);
             records.insert(tier.name(), record);
         }
@@ -84,28 +84,6 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
     let costs: Vec<ModelCost> = Tier::ALL.into_iter().filter_map(cost).collect();
     let results: Vec<_> = scenarios.iter().filter_map(|scenario| SceneResult::new(scenario, &records)).collect();
     section(&results, &costs)
-}
-
-/// Returns the record and the processor time of the whole run per control period, µs: plate,
-/// controller, trace and judgement.
-fn play(scenarios: Vec<Scenario>) -> Result<(RunRecord, f64), ChartError> {
-    let temporary = tempfile::tempdir()?;
-    let folder = RunFolder::create(Some(&temporary.path().join("run")))?;
-    let plan = RunPlan {
-        scenarios,
-        jobs: 1,
-        clock: Clock::Lockstep { wire_time: false },
-        own_clock: false,
-        rig: RigSpec::Hosted.to_string(),
-        overrides: Overrides::default(),
-    };
-    let started = process_cpu_time();
-    let record = run(&plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default())?;
-    let elapsed_us = process_cpu_time().saturating_sub(started).as_secs_f64() * 1e6;
-    let periods = |scenario: &Scenario| scenario.duration.seconds() / scenario.controller.period.seconds();
-    let played = plan.scenarios.iter().zip(&record.scenarios);
-    let count: f64 = played.map(|(scenario, record)| periods(scenario) * record.trials.len() as f64).sum();
-    Ok((record, elapsed_us / count))
 }
 
 impl<'a> SceneResult<'a> {

@@ -1,0 +1,42 @@
+//! Plays scenarios in one run and measures its processor time.
+
+use crate::charts::section::ChartError;
+use crate::cost::process_cpu_time;
+use platebench_record::{Overrides, RunFolder, RunRecord};
+use platebench_rig::{ConnectOptions, RigSpec};
+use platebench_runner::{Clock, RunHooks, RunPlan, run};
+use platebench_scenario::Scenario;
+
+pub(crate) const LOCKSTEP: Clock = Clock::Lockstep { wire_time: false };
+
+pub(crate) struct MeasuredRun {
+    pub(crate) record: RunRecord,
+    /// Processor time of the whole run per control period: plate, controller, trace and judgement;
+    /// with the processes that the run started.
+    pub(crate) period_us: f64,
+}
+
+impl MeasuredRun {
+    pub(crate) fn play(scenarios: Vec<Scenario>, rig: &RigSpec, clock: Clock) -> Result<Self, ChartError> {
+        let temporary = tempfile::tempdir()?;
+        let folder = RunFolder::create(Some(&temporary.path().join("run")))?;
+        let plan = RunPlan {
+            scenarios,
+            jobs: 1,
+            clock,
+            own_clock: rig.has_own_clock(),
+            rig: rig.to_string(),
+            overrides: Overrides::default(),
+        };
+        let connect = || clock.connect(rig, &ConnectOptions::default());
+        let started = process_cpu_time();
+        let record = run(&plan, &folder, &connect, RunHooks::default())?;
+        let elapsed_us = process_cpu_time().saturating_sub(started).as_secs_f64() * 1e6;
+        let periods = |scenario: &Scenario| scenario.duration.seconds() / scenario.controller.period.seconds();
+        let trials = |scenario: &Scenario| {
+            record.scenarios.iter().find(|played| played.file == scenario.file).map_or(0, |played| played.trials.len())
+        };
+        let count: f64 = plan.scenarios.iter().map(|scenario| periods(scenario) * trials(scenario) as f64).sum();
+        Ok(Self { record, period_us: elapsed_us / count })
+    }
+}
