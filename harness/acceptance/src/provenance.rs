@@ -67,11 +67,7 @@ fn bench_record() -> Result<BenchRecord, AcceptError> {
     // The running program, even if its file was replaced.
     let running = fs::read("/proc/self/exe").or_else(|_| std::env::current_exe().and_then(fs::read));
     let program = running.map_err(unknown)?;
-    Ok(BenchRecord {
-        tool: Tool { name: "platebench".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
-        sha256: sha256(&program),
-        host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
-    })
+    Ok(BenchRecord { tool: Tool::running(), sha256: sha256(&program), host: Host::current() })
 }
 
 /// SHA-256 of the image that the bench loads; `None` if the rig has its own.
@@ -81,7 +77,9 @@ pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError>
         RigSpec::Emulated(Some(elf)) | RigSpec::Probe { elf: Some(elf), .. } => {
             fs::read(elf).map(|bytes| Some(sha256(&bytes))).map_err(AcceptError::io(elf))
         }
-        RigSpec::Hosted | RigSpec::Exec(_) | RigSpec::Serial { .. } => Ok(None),
+        RigSpec::Hosted | RigSpec::Exec(_) | RigSpec::Serial { .. } | RigSpec::Tcp(_) | RigSpec::Rfc2217 { .. } => {
+            Ok(None)
+        }
     }
 }
 

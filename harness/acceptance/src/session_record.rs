@@ -246,6 +246,10 @@ pub(crate) fn utc_timestamp() -> String {
 pub(crate) const fn may_have_board(rig: &RigSpec) -> bool {
     match rig {
         RigSpec::Hosted | RigSpec::Emulated(_) => false,
-        RigSpec::Exec(_) | RigSpec::Serial { .. } | RigSpec::Probe { .. } => true,
+        RigSpec::Exec(_)
+        | RigSpec::Serial { .. }
+        | RigSpec::Tcp(_)
+        | RigSpec::Rfc2217 { .. }
+        | RigSpec::Probe { .. } => true,
     }
 }

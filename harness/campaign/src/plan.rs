@@ -161,7 +161,11 @@ fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
     let content = match rig {
         RigSpec::Emulated(None) => EmulatedLink::built_in_image().to_vec(),
         RigSpec::Emulated(Some(path)) => read(path)?,
-        RigSpec::Hosted | RigSpec::Serial { .. } | RigSpec::Probe { .. } => identity(rig)?.into_bytes(),
+        RigSpec::Hosted
+        | RigSpec::Serial { .. }
+        | RigSpec::Tcp(_)
+        | RigSpec::Rfc2217 { .. }
+        | RigSpec::Probe { .. } => identity(rig)?.into_bytes(),
         RigSpec::Exec(command) => {
             let mut content = identity(rig)?.into_bytes();
             for word in shlex::split(command).unwrap_or_default() {

@@ -1,11 +1,12 @@
 //! Defines the command line and parses it.
 
+use crate::build_info;
 use crate::color;
 use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
-    accept, baseline, campaign, chart, check, compare, completions, emulate, explore, export, identify, judge, man,
-    new, report, run, schema, stability, trust, tune,
+    accept, baseline, campaign, chart, check, compare, completions, emulate, explore, export, export_fmu, identify,
+    judge, man, new, report, run, schema, stability, trust, tune,
 };
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -72,11 +73,13 @@ pub(crate) enum Command {
     Tune(tune::TuneArgs),
     /// Export the traces of a stored run as Parquet, MDF4, MCAP or CSV
     Export(export::ExportArgs),
+    /// Export a plate as an FMU (FMI 3.0), for Simulink, OpenModelica and others
+    ExportFmu(export_fmu::ExportFmuArgs),
     /// Write a commented scenario as a starting point
     New(new::NewArgs),
     /// Check scenarios, plates, plans and settings without playing them
     Check(check::CheckArgs),
-    /// Print the JSON Schema of scenario, plate, plan, campaign and settings files, for editors
+    /// Print JSON Schemas: of input files for editors, of results for programs
     Schema(schema::SchemaArgs),
     /// Print shell completions
     Completions(completions::CompletionsArgs),
@@ -87,7 +90,7 @@ pub(crate) enum Command {
 /// Ends the process on wrong usage and after help. Errors: the faults of `platebench.toml`.
 pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     let words = std::env::args_os().map(|word| word.to_string_lossy().into_owned());
-    let definition = Arguments::command().color(color::requested(words).for_clap());
+    let definition = Arguments::command().version(build_info::version()).color(color::requested(words).for_clap());
     let found = match std::env::current_dir() {
         Ok(folder) => Config::find_above(&folder, &definition),
         Err(_) => Ok(Config::default()),

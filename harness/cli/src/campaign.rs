@@ -57,7 +57,8 @@ struct RunArgs {
     /// Trials that are played at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
+    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP
     #[arg(long, default_value = "hosted")]
     rig: RigSpec,
     /// Format of standard output
@@ -75,7 +76,8 @@ struct PlanArgs {
     /// Number of shards
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     shards: u32,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | probe:CHIP
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
+    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP
     #[arg(long, default_value = "hosted")]
     rig: RigSpec,
 }

@@ -2,7 +2,7 @@
 
 use crate::config::Config;
 use crate::exit::Exit;
-use crate::options::SCENARIOS;
+use crate::options::{OutputFormat, SCENARIOS};
 use crate::stdio;
 use crate::tags::TagFilter;
 use clap::{Args, Command};
@@ -11,6 +11,7 @@ use platebench_campaign::Campaign;
 use platebench_explore::Envelope;
 use platebench_runner::law;
 use platebench_scenario::{Diagnostic, FileKind, list_files, load, load_with_all_errors, unjudged_changes};
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -21,14 +22,41 @@ Examples:
   platebench check scenarios/paper my.toml
   platebench check platebench.toml
   platebench check --tag paper              scenarios with this tag only
+  platebench check --format json            faults and warnings for programs
 
 Exit codes: 0 no fault, 2 at least one fault, 4 there was nothing to check")]
 pub(crate) struct CheckArgs {
     /// Scenario, plate, plan and settings files, or folders with everything below them
     #[arg(value_name = "FILE|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
+    /// Format of standard output; json: every fault and warning, with file, line and column
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
     #[command(flatten)]
     tags: TagFilter,
+}
+
+#[derive(Serialize)]
+struct CheckResult<'a> {
+    files: usize,
+    faults: Vec<FaultLocation<'a>>,
+    warnings: Vec<FaultLocation<'a>>,
+}
+
+/// `line` and `column` count from 1; absent if the file was not read.
+#[derive(Serialize)]
+struct FaultLocation<'a> {
+    file: &'a Path,
+    line: Option<usize>,
+    column: Option<usize>,
+    message: &'a str,
+}
+
+impl<'a> From<&'a Diagnostic> for FaultLocation<'a> {
+    fn from(fault: &'a Diagnostic) -> Self {
+        let (line, column) = fault.location().unzip();
+        Self { file: &fault.path, line, column, message: &fault.message }
+    }
 }
 
 fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) -> Vec<Diagnostic> {
@@ -73,6 +101,17 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
             faults.push(Diagnostic::for_file(path, message));
         }
     }
+    let mut warnings = Vec::new();
+    if faults.is_empty() {
+        for ((path, name), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Scenario) {
+            warnings.extend(load(path, name).map(|scenario| unjudged_changes(&scenario)).unwrap_or_default());
+        }
+    }
+    if arguments.format == OutputFormat::Json {
+        let faults = faults.iter().map(FaultLocation::from).collect();
+        let warnings = warnings.iter().map(FaultLocation::from).collect();
+        stdio::show_json(&CheckResult { files: files.len(), faults, warnings });
+    }
     faults.iter().for_each(stdio::diagnostic);
     if !faults.is_empty() {
         stdio::note(&format!("{} in {}", count(faults.len(), "fault"), count(files.len(), "file")));
@@ -82,18 +121,17 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
         stdio::error("there is nothing to check");
         return Exit::NothingToRun;
     }
-    for ((path, name), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Scenario) {
-        let warnings = load(path, name).map(|scenario| unjudged_changes(&scenario)).unwrap_or_default();
-        for warning in &warnings {
-            stdio::note(&format!("warning: {warning}"));
-        }
+    for warning in &warnings {
+        stdio::note(&format!("warning: {warning}"));
     }
     let mut counts = BTreeMap::new();
     for kind in kinds {
         *counts.entry(kind).or_insert(0) += 1;
     }
     let counts: Vec<_> = counts.into_iter().map(|(kind, files)| count(files, kind.name())).collect();
-    stdio::show(&format!("no faults in {}\n", counts.join(", ")));
+    if arguments.format == OutputFormat::Human {
+        stdio::show(&format!("no faults in {}\n", counts.join(", ")));
+    }
     Exit::Passed
 }
 

@@ -7,12 +7,7 @@ use platebench_scenario::Scenario;
 use std::time::Duration;
 
 pub(crate) fn default_clock(rig: &RigSpec) -> ClockArg {
-    match rig {
-        RigSpec::Serial { .. } | RigSpec::Probe { port: Some(_), .. } => ClockArg::RealTime,
-        RigSpec::Hosted | RigSpec::Emulated(_) | RigSpec::Exec(_) | RigSpec::Probe { port: None, .. } => {
-            ClockArg::Lockstep
-        }
-    }
+    if rig.is_line() { ClockArg::RealTime } else { ClockArg::Lockstep }
 }
 
 pub(crate) struct ClockRequest<'a> {
@@ -56,11 +51,11 @@ impl ClockRequest<'_> {
 
     /// A real plate has one clock, the controller's.
     fn resolve_real_plate(&self) -> Result<Clock, &'static str> {
-        if !matches!(self.rig, RigSpec::Serial { .. } | RigSpec::Exec(_)) {
-            return Err(
-                "--plate-mode real is for a controller that drives its own plate: --rig serial:PORT[@BAUD] or \
-                        exec:COMMAND",
-            );
+        let drives_plate =
+            matches!(self.rig, RigSpec::Serial { .. } | RigSpec::Tcp(_) | RigSpec::Rfc2217 { .. } | RigSpec::Exec(_));
+        if !drives_plate {
+            return Err("--plate-mode real is for a controller that drives its own plate: --rig serial:PORT[@BAUD], \
+                 tcp:HOST:PORT, rfc2217:HOST:PORT[@BAUD] or exec:COMMAND");
         }
         let names_clock = self.clock == Some(ClockArg::Lockstep) || self.time_scale != 1.0 || self.wire_time;
         if names_clock || self.pacing == PacingArg::Target {

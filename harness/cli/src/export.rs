@@ -34,11 +34,11 @@ pub(crate) struct ExportArgs {
 enum ExportFormatArg {
     /// Apache Parquet, one file per scenario
     Parquet,
-    /// ASAM MDF 4.10, one file per scenario
+    /// ASAM MDF 4.10, one file per trial
     Mf4,
     /// One table of the run and a description of its columns
     Csv,
-    /// MCAP with messages in JSON, one file per scenario
+    /// MCAP with messages in JSON, compressed, one file per scenario
     Mcap,
 }
 

@@ -4,6 +4,7 @@
 mod accept;
 mod args;
 mod baseline;
+mod build_info;
 mod campaign;
 mod chart;
 mod chart_page;
@@ -17,6 +18,7 @@ mod emulate;
 mod exit;
 mod explore;
 mod export;
+mod export_fmu;
 mod identify;
 mod judge;
 mod live;

@@ -2,6 +2,7 @@
 
 use crate::exit::Exit;
 use crate::options::law_names;
+use crate::schema::SchemaKind;
 use crate::stdio;
 use clap::Args;
 use platebench_trace::write_new;
@@ -13,6 +14,8 @@ use std::path::{Path, PathBuf};
 /// For folders without a plate.
 const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const PLATE_FILE: &str = "plates/aluminium-198x138.toml";
+const SCHEMA_FILE: &str = "schema/scenario.json";
+const PLATE_SCHEMA_FILE: &str = "schema/plate.json";
 const SCENARIOS: &str = "scenarios";
 const TEMPLATE: &str = include_str!("new/scenario.toml");
 /// The plate is searched this many folders upwards.
@@ -42,6 +45,8 @@ enum NewError {
     Name(String),
     #[error("{} exists already, expected another name", .0.display())]
     Taken(PathBuf),
+    #[error("the schema cannot be written as JSON: {0}")]
+    Schema(serde_json::Error),
     #[error("{}: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
 }
@@ -71,8 +76,7 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, New
     let ups = (0..MAX_FOLDERS_UP).map(|count| "../".repeat(count));
     let up = ups.clone().find(|up| home.join(up).join(PLATE_FILE).is_file());
     let root = up.clone().unwrap_or_default();
-    let schema = format!("{root}schema/scenario.json");
-    let first = if home.join(&schema).is_file() { format!("#:schema {schema}\n") } else { String::new() };
+    let schema = format!("{root}{SCHEMA_FILE}");
     let text = TEMPLATE
         .replace("{plate}", &format!("{root}{PLATE_FILE}"))
         .replace("{law}", law)
@@ -80,11 +84,19 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, New
         .replace("{expect}", expectations_of_law(law))
         // Last: the title may contain a placeholder.
         .replace("{title}", &toml::Value::from(title).to_string());
-    let mut files = vec![write_new_file(path, &format!("{first}{text}"))?];
+    let mut files = vec![write_new_file(path, &format!("#:schema {schema}\n{text}"))?];
     if up.is_none() {
-        // The folder of the schema does not exist there.
-        let plate = PLATE.strip_prefix("#:schema ../schema/plate.json\n").unwrap_or(PLATE);
-        files.push(write_new_file(home.join(PLATE_FILE), plate)?);
+        files.push(write_new_file(home.join(PLATE_FILE), PLATE)?);
+    }
+    let mut schemas = vec![(schema, SchemaKind::Scenario)];
+    if up.is_none() {
+        schemas.push((PLATE_SCHEMA_FILE.to_owned(), SchemaKind::Plate));
+    }
+    for (file, kind) in schemas {
+        // Editors read it; one of another version stays.
+        if !home.join(&file).exists() {
+            files.push(write_new_file(home.join(&file), &kind.to_text().map_err(NewError::Schema)?)?);
+        }
     }
     Ok(files)
 }

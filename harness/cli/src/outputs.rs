@@ -1,7 +1,10 @@
 //! Writes the result of a run for other programs: Markdown summary, TAP, annotations on GitHub.
 
 use crate::exit::Exit;
+use crate::options::OutputFormat;
+use crate::stdio;
 use clap::{Args, ValueEnum};
+use platebench_plate::input::STANDARD_STREAM;
 use platebench_record::{RunRecord, ScenarioRecord};
 use platebench_report::annotations::{self, SourceLocation};
 use platebench_report::tap::{self, TapVersion};
@@ -15,10 +18,10 @@ use std::path::{Path, PathBuf};
 /// Files and annotations.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Outputs {
-    /// Write a summary in Markdown to FILE
+    /// Write a summary in Markdown to FILE; `-` is standard output
     #[arg(long, value_name = "FILE")]
     summary: Option<PathBuf>,
-    /// Write the result as TAP to FILE
+    /// Write the result as TAP to FILE; `-` is standard output, and the table goes to standard error
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
     /// Version of TAP
@@ -51,9 +54,17 @@ enum GithubMode {
     Off,
 }
 
+fn is_stdout(file: &Path) -> bool {
+    file == Path::new(STANDARD_STREAM)
+}
+
 impl Outputs {
     /// Before the run.
-    pub(crate) fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self, format: OutputFormat) -> Result<(), String> {
+        let to_stdout = [&self.summary, &self.tap].into_iter().flatten().filter(|file| is_stdout(file)).count();
+        if to_stdout + usize::from(format == OutputFormat::Json) > 1 {
+            return Err("only one of --summary -, --tap - and --format json can use standard output".to_owned());
+        }
         for (option, file) in [("--summary", &self.summary), ("--tap", &self.tap)] {
             let Some(file) = file else { continue };
             let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
@@ -67,16 +78,27 @@ impl Outputs {
         Ok(())
     }
 
+    /// People then read standard error.
+    pub(crate) fn use_stdout(&self) -> bool {
+        [&self.summary, &self.tap].into_iter().flatten().any(|file| is_stdout(file))
+    }
+
     pub(crate) fn write(&self, record: &RunRecord, locations: &ScenarioLocations) -> Result<(), ReportError> {
-        if let Some(file) = &self.summary {
-            markdown::write(record, file)?;
+        match &self.summary {
+            Some(file) if is_stdout(file) => stdio::show(&markdown::render_page(record)),
+            Some(file) => markdown::write(record, file)?,
+            None => {}
         }
         if let Some(file) = &self.tap {
             let version = match self.tap_version {
                 TapOption::V13 => TapVersion::V13,
                 TapOption::V14 => TapVersion::V14,
             };
-            tap::write(record, version, file)?;
+            if is_stdout(file) {
+                stdio::show(&tap::text(record, version));
+            } else {
+                tap::write(record, version, file)?;
+            }
         }
         let github = match self.github {
             GithubMode::Auto => env::var("GITHUB_ACTIONS").is_ok_and(|value| value == "true"),

@@ -7,12 +7,19 @@ use std::io;
 use std::path::Path;
 
 pub(crate) fn read(path: &Path) -> Result<Plate, Diagnostic> {
+    read_with_text(path).map(|(plate, _)| plate)
+}
+
+pub(crate) fn read_with_text(path: &Path) -> Result<(Plate, String), Diagnostic> {
     let refused = |error: io::Error| Diagnostic::for_file(path, format!("cannot be read: {error}"));
     let text = String::from_utf8(input::read(path).map_err(refused)?)
         .map_err(|_| Diagnostic::for_file(path, "not UTF-8, expected a text file in UTF-8"))?;
     let raw: RawPlate = toml::from_str(&text)
         .map_err(|error| Diagnostic::at_span(path, &text, error.span().unwrap_or_default(), error.message()))?;
-    raw.check().map_err(|error| Diagnostic::at_key(path, &text, error.key, error.to_string()))
+    match raw.check() {
+        Ok(plate) => Ok((plate, text)),
+        Err(error) => Err(Diagnostic::at_key(path, &text, error.key, error.to_string())),
+    }
 }
 
 pub(crate) fn diagnostic_at(path: &Path, key: &str, message: String) -> Diagnostic {

@@ -1,11 +1,12 @@
 //! Runs the program: parses arguments, dispatches the command, returns its exit code.
 
 use crate::args::{Arguments, Command};
+use crate::build_info;
 use crate::config::{self, Config};
 use crate::exit::Exit;
 use crate::{
-    accept, args, baseline, campaign, chart, check, compare, completions, emulate, explore, export, identify, judge,
-    logging, man, new, report, run, schema, stability, stdio, trust, tune,
+    accept, args, baseline, campaign, chart, check, compare, completions, emulate, explore, export, export_fmu,
+    identify, judge, logging, man, new, report, run, schema, stability, stdio, trust, tune,
 };
 use clap::CommandFactory;
 use std::process::ExitCode;
@@ -17,6 +18,7 @@ pub fn command() -> clap::Command {
 
 pub fn main() -> ExitCode {
     std::panic::set_hook(Box::new(|panic| tracing::error!("{panic}")));
+    build_info::tool().set_running();
     let (arguments, config) = match args::parse() {
         Ok(parsed) => parsed,
         Err(faults) => {
@@ -59,6 +61,7 @@ fn dispatch(arguments: &Arguments) -> Exit {
         Command::Accept(arguments) => accept::accept(arguments, quiet),
         Command::Tune(arguments) => tune::tune(arguments),
         Command::Export(arguments) => export::export(arguments),
+        Command::ExportFmu(arguments) => export_fmu::export_fmu(arguments),
         Command::New(arguments) => new::new(arguments),
         Command::Check(arguments) => check::check(arguments, &command()),
         Command::Schema(arguments) => schema::schema(arguments),

@@ -1,4 +1,4 @@
-//! `platebench schema`: prints or writes the JSON Schema of input files, for editors.
+//! `platebench schema`: prints or writes JSON Schemas: of input files for editors, of results for programs.
 
 use crate::config::RawConfig;
 use crate::exit::Exit;
@@ -7,6 +7,8 @@ use clap::{Args, ValueEnum};
 use platebench_acceptance::plan::plan_schema;
 use platebench_campaign::RawCampaign;
 use platebench_explore::RawEnvelope;
+use platebench_record::RunRecord;
+use platebench_report::events::EventLine;
 use platebench_scenario::schema;
 use platebench_trace::write_atomically;
 use platebench_wire::LawId;
@@ -18,7 +20,8 @@ use std::path::PathBuf;
 Examples:
   platebench schema > scenario.json        `#:schema scenario.json` as the first line of a scenario enables completion
   platebench schema config > config.json
-  platebench schema --out scenarios/schema all six files
+  platebench schema run > run.json         the record of a run, run.json
+  platebench schema --out scenarios/schema all files
 
 Exit codes: 0 written, 2 a file cannot be written")]
 pub(crate) struct SchemaArgs {
@@ -31,7 +34,7 @@ pub(crate) struct SchemaArgs {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum SchemaKind {
+pub(crate) enum SchemaKind {
     /// Scenario files
     Scenario,
     /// Plate files
@@ -44,6 +47,10 @@ enum SchemaKind {
     Campaign,
     /// platebench.toml
     Config,
+    /// run.json of a run folder
+    Run,
+    /// Lines of run --format json
+    Events,
 }
 
 impl SchemaKind {
@@ -55,10 +62,26 @@ impl SchemaKind {
             Self::Envelope => "envelope.json",
             Self::Campaign => "campaign.json",
             Self::Config => "config.json",
+            Self::Run => "run.json",
+            Self::Events => "events.json",
         }
     }
 
+    /// With an identifier, by which validators and other schemas refer to it.
     fn schema(self) -> schemars::Schema {
+        let mut named = serde_json::Map::new();
+        let schema = self.content().to_value();
+        named.insert("$schema".to_owned(), schema["$schema"].clone());
+        named.insert("$id".to_owned(), format!("urn:platebench:schema:{}", self.name()).into());
+        named.extend(schema.as_object().cloned().unwrap_or_default());
+        named.into()
+    }
+
+    fn name(self) -> &'static str {
+        self.file_name().trim_end_matches(".json")
+    }
+
+    fn content(self) -> schemars::Schema {
         match self {
             Self::Scenario => {
                 let mut schema = schema::scenario_schema();
@@ -73,10 +96,12 @@ impl SchemaKind {
             Self::Envelope => schema::schema_of::<RawEnvelope>("Operating envelope"),
             Self::Campaign => schema::schema_of::<RawCampaign>("Campaign"),
             Self::Config => schema::schema_of::<RawConfig>("platebench.toml"),
+            Self::Run => schema::schema_of_json::<RunRecord>("Record of a run: run.json"),
+            Self::Events => schema::schema_of_json::<EventLine<'_>>("Event of a run: a line of run --format json"),
         }
     }
 
-    fn to_text(self) -> serde_json::Result<String> {
+    pub(crate) fn to_text(self) -> serde_json::Result<String> {
         serde_json::to_string_pretty(&self.schema()).map(|text| format!("{text}\n"))
     }
 }

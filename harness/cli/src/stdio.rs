@@ -129,6 +129,11 @@ pub(crate) fn record(record: &RunRecord, format: OutputFormat, detail: Detail) {
     }
 }
 
+pub(crate) fn record_to_stderr(record: &RunRecord, detail: Detail) {
+    let style = Style { colour: color::applies_to(&stderr()) };
+    let _ = stderr().lock().write_all(console::run_text(record, style, detail).as_bytes());
+}
+
 pub(crate) fn is_read() -> bool {
     is_writable(stdout().as_fd(), NO_WAIT) && is_writable(stderr().as_fd(), NO_WAIT)
 }

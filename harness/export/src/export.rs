@@ -12,23 +12,12 @@ use std::path::{Path, PathBuf};
 pub enum ExportFormat {
     /// Apache Parquet: a file per scenario.
     Parquet,
-    /// ASAM MDF 4.10: a file per scenario, a data group per trial.
+    /// ASAM MDF 4.10: a file per trial.
     Mf4,
     /// CSV: one tidy table of the whole run, and a description of its columns.
     Csv,
     /// MCAP with JSON messages: a file per scenario, a topic per trial.
     Mcap,
-}
-
-impl ExportFormat {
-    pub const fn extension(self) -> &'static str {
-        match self {
-            Self::Parquet => "parquet",
-            Self::Mf4 => "mf4",
-            Self::Csv => "csv",
-            Self::Mcap => "mcap",
-        }
-    }
 }
 
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -73,14 +62,23 @@ pub fn export(
             tasks.push((path.clone(), Box::new(|file, path| table::write(&sources, file, path))));
             tasks.push((table::description_path(&path), Box::new(table::write_description)));
         }
-        ExportFormat::Parquet | ExportFormat::Mf4 | ExportFormat::Mcap => {
-            let write = match format {
-                ExportFormat::Mf4 => mf4::write,
-                ExportFormat::Mcap => mcap::write,
-                _ => parquet::write,
-            };
+        ExportFormat::Mf4 => {
             for source in &sources {
-                let path = out.join(format!("{}.{}", source.name, format.extension()));
+                for trial in &source.trials {
+                    // The only trial of a scenario has the scenario's name.
+                    let name = match source.scenario.trials.len() {
+                        1 => format!("{}.mf4", source.name),
+                        _ => format!("{}/{:03}.mf4", source.name, trial.index),
+                    };
+                    tasks.push((out.join(name), Box::new(move |file, path| mf4::write(source, trial, file, path))));
+                }
+            }
+        }
+        ExportFormat::Parquet | ExportFormat::Mcap => {
+            let (write, extension): (WriteScenario, _) =
+                if format == ExportFormat::Mcap { (mcap::write, "mcap") } else { (parquet::write, "parquet") };
+            for source in &sources {
+                let path = out.join(format!("{}.{extension}", source.name));
                 tasks.push((path, Box::new(move |file, path| write(source, file, path))));
             }
         }
@@ -95,6 +93,8 @@ pub fn export(
     }
     Ok(ExportResult { files, incomplete_trials: cut_off })
 }
+
+type WriteScenario = fn(&ExportScenario<'_>, &File, &Path) -> Result<(), ExportError>;
 
 /// The path is for messages.
 type WriteFile<'a> = dyn Fn(&File, &Path) -> Result<(), ExportError> + 'a;

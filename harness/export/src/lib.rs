@@ -4,6 +4,7 @@
 //! Every format has the same [`columns`]. A trace is copied row by row: memory does not grow with
 //! its length. No existing file is overwritten.
 
+mod arrow_schema;
 pub mod columns;
 mod error;
 mod export;

@@ -7,7 +7,7 @@ use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
 use crate::source::ExportScenario;
 use mcap::records::{MessageHeader, Metadata};
-use mcap::{McapError, WriteOptions};
+use mcap::{Compression, McapError, WriteOptions};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -20,7 +20,8 @@ const CHUNK_BYTES: u64 = 1 << 20;
 pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
     let format_error = ExportError::format::<McapError>(path);
     let library = format!("{} {}", source.run.tool.name, source.run.tool.version);
-    let options = WriteOptions::new().compression(None).chunk_size(Some(CHUNK_BYTES)).library(library);
+    let options =
+        WriteOptions::new().compression(Some(Compression::Zstd)).chunk_size(Some(CHUNK_BYTES)).library(library);
     let mut writer = options.create(BufWriter::new(file)).map_err(&format_error)?;
     let facts = source.metadata().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
     writer.write_metadata(&Metadata { name: "platebench".to_owned(), metadata: facts }).map_err(&format_error)?;

@@ -1,6 +1,6 @@
-//! Writes ASAM MDF 4.10: a file per scenario, a data group per trial.
+//! Writes ASAM MDF 4.10: a file per trial, so that a channel name is unique in its file.
 //!
-//! A data group has one channel group, its channels and one data block; flags are bits of one byte.
+//! The data group has one channel group, its channels and one data block; flags are bits of one byte.
 //! The library mdf4-rs 0.6 needs a newer compiler and writes neither start time nor history.
 
 mod blocks;
@@ -17,16 +17,19 @@ use std::path::Path;
 /// The numbers, and one byte for the flags.
 const RECORD_BYTES: usize = NUMBER_COLUMNS.len() * 8 + 1;
 
-pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
+pub(crate) fn write(
+    source: &ExportScenario<'_>,
+    trial: &ExportTrial,
+    file: &File,
+    path: &Path,
+) -> Result<(), ExportError> {
     let mut blocks = BlockWriter::start(file).map_err(ExportError::io(path))?;
     let signals = write_header(source, &mut blocks).map_err(ExportError::io(path))?;
-    for trial in &source.trials {
-        write_group(trial, &signals, &mut blocks, path)?;
-    }
+    write_group(trial, &signals, &mut blocks, path)?;
     blocks.finish().map_err(ExportError::io(path))
 }
 
-/// Positions of the texts of a channel, shared by all groups.
+/// Positions of the texts of a channel.
 struct ChannelTemplate {
     name: u64,
     unit: u64,

@@ -1,8 +1,9 @@
 //! Writes Parquet: a table per scenario with all trials.
 //!
-//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, and the
-//! scenario. One row group of at most [`ROW_GROUP_ROWS`] rows is in memory.
+//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, the
+//! scenario, and the Arrow schema, whose columns contain `unit` and `meaning`. One row group of at most [`ROW_GROUP_ROWS`] rows is in memory.
 
+use crate::arrow_schema;
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
 use crate::parquet_column::{write_column, write_optional_column};
@@ -29,7 +30,9 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
     let meanings = NUMBER_COLUMNS.iter().map(|number| (number.name, number.meaning));
     let meanings = meanings.chain(FLAG_COLUMNS.iter().map(|flag| (flag.name, flag.meaning)));
     let meanings = meanings.map(|(name, meaning)| (format!("meaning.{name}"), meaning.to_owned()));
-    let metadata = facts.chain(units).chain(meanings).map(|(key, value)| KeyValue::new(key, value)).collect();
+    let schema_text = (arrow_schema::KEY.to_owned(), arrow_schema::encode());
+    let metadata =
+        facts.chain(units).chain(meanings).chain([schema_text]).map(|(key, value)| KeyValue::new(key, value)).collect();
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .set_created_by(format!("{} {}", source.run.tool.name, source.run.tool.version))

@@ -44,13 +44,10 @@ impl From<FolderError> for TestFailure {
 impl TestContext {
     /// Uses real time on a serial line of a board and lockstep otherwise, like `platebench run`.
     pub(crate) fn new(rig: RigSpec, out: PathBuf) -> Self {
-        let clock = match rig {
-            RigSpec::Serial { .. } | RigSpec::Probe { port: Some(_), .. } => {
-                Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench })
-            }
-            RigSpec::Hosted | RigSpec::Emulated(_) | RigSpec::Exec(_) | RigSpec::Probe { port: None, .. } => {
-                Clock::Lockstep { wire_time: false }
-            }
+        let clock = if rig.is_line() {
+            Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench })
+        } else {
+            Clock::Lockstep { wire_time: false }
         };
         Self { rig, clock, out }
     }

@@ -1,21 +1,36 @@
-//! Reads input files of limited size; refuses pipes and devices, which may never end.
+//! Reads input files of limited size; refuses pipes and devices, which may never end. `-` is standard input.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
+use std::sync::OnceLock;
 
 /// A profile of 10⁶ points needs less.
 const MAX_BYTES: u64 = 64 << 20;
+/// The path of standard input and output; `./-` is a file of this name.
+pub const STANDARD_STREAM: &str = "-";
+/// Name of standard input in records and as a copy.
+pub const STANDARD_INPUT_NAME: &str = "stdin.toml";
+/// A file is read more than once, standard input can only be read once.
+static STDIN: OnceLock<Result<Vec<u8>, ErrorKind>> = OnceLock::new();
 
 /// Fails with `InvalidInput` for a pipe, a device or a socket, which is not opened, and with
 /// `FileTooLarge` above 64 MiB.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
+    if path == Path::new(STANDARD_STREAM) {
+        let content = STDIN.get_or_init(|| read_limited(io::stdin().lock()).map_err(|error| error.kind()));
+        return content.clone().map_err(io::Error::from);
+    }
     let kind = fs::metadata(path)?.file_type();
     if !kind.is_file() && !kind.is_dir() {
         return Err(io::Error::new(ErrorKind::InvalidInput, "it is a pipe or a device, expected a file"));
     }
+    read_limited(File::open(path)?)
+}
+
+fn read_limited(source: impl Read) -> io::Result<Vec<u8>> {
     let mut content = Vec::new();
-    File::open(path)?.take(MAX_BYTES + 1).read_to_end(&mut content)?;
+    source.take(MAX_BYTES + 1).read_to_end(&mut content)?;
     if content.len() as u64 > MAX_BYTES {
         let message = format!("it is larger than the limit of {} MiB for input files", MAX_BYTES >> 20);
         return Err(io::Error::new(ErrorKind::FileTooLarge, message));

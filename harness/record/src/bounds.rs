@@ -1,10 +1,11 @@
 //! Stores an interval that may be open on either side.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// An interval; an end is `None` if it is infinite, because JSON has no infinity.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Bounds {
     pub low: Option<f64>,
     pub high: Option<f64>,

@@ -1,19 +1,20 @@
 //! Compares instructions per control step with earlier runs.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Changes up to this size are not reported, percent.
 const MIN_CHANGE_PERCENT: f64 = 1.0;
 
 /// Instructions per control step over some trials.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StepCost {
     /// Mean over the trials of each trial's mean.
     pub mean: f64,
     pub worst: f64,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CostTrend {
     pub law: String,
     /// Build identity of the firmware, hexadecimal.
@@ -24,7 +25,7 @@ pub struct CostTrend {
 }
 
 /// Cost in an earlier run. Only equal trials are compared: same law, inputs and seed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EarlierCost {
     /// The run folder's name; `null` for the reference that came with the bench.
     pub run: Option<String>,

@@ -1,11 +1,12 @@
 //! Names why a trial does not count.
 
 use crate::verdict::Cause;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Why a trial does not count. Instants are ms after the start of the trial.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Exclusion {
     #[error("no answer at {at_ms} ms")]

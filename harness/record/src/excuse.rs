@@ -3,12 +3,13 @@
 use crate::missing_value::MissingValue;
 use crate::verdict::Cause;
 use platebench_scenario::Metric;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use thiserror::Error;
 
 /// Why a missed expectation is not the controller's failure.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Excuse {
     #[error(
@@ -65,7 +66,7 @@ fn value(value: Option<f64>) -> String {
 }
 
 /// What the best possible controller reaches.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BestResponse {
     Value(Metric, f64),

@@ -4,9 +4,10 @@ use crate::reason::{self, Reason};
 use crate::verdict::{Cause, Verdict};
 use platebench_plate::Time;
 use platebench_scenario::{Expectation, Limit, Metric};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ExpectationRecord {
     /// Unique in the scenario; it does not depend on the limit.
     pub name: String,
@@ -25,6 +26,7 @@ pub struct ExpectationRecord {
     pub confidence: Option<f64>,
     pub cause: Option<Cause>,
     #[serde(flatten, with = "reason::file_keys")]
+    #[schemars(with = "reason::file_keys::Keys<Reason>")]
     pub reason: Option<Reason>,
     pub paper: Option<f64>,
     pub requirement: Option<String>,
@@ -37,7 +39,7 @@ pub struct ExpectationRecord {
     pub evidence: Evidence,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Statistic {
     Worst,
@@ -48,7 +50,7 @@ pub enum Statistic {
 }
 
 /// Options of a scenario that define a metric.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct MetricDefinition {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -71,7 +73,7 @@ impl MetricDefinition {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum EvidenceMethod {
     /// Student's t, for the mean of normal data.
@@ -87,7 +89,7 @@ pub enum EvidenceMethod {
     ClopperPearson,
 }
 
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct Evidence {
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -7,6 +7,7 @@ mod exclusion;
 mod excuse;
 mod expectation_record;
 mod missing_value;
+mod provenance;
 mod real_plate;
 mod reason;
 mod run_folder;
@@ -25,12 +26,13 @@ pub use excuse::{BestResponse, Excuse};
 pub use expectation_record::{Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Statistic};
 pub use missing_value::{MissingValue, UndefinedValue};
 pub use platebench_scenario::{Limit, Metric};
+pub use provenance::{Host, Tool};
 pub use real_plate::{OperatorRequest, RealPlateRecord};
 pub use reason::{DivergedTrials, Divergence, Reason, TrialFinding, TrialReason, WideBoundsCause, percent};
 pub use run_folder::{FolderError, RunFolder, sha256, sha256_of_file, to_hex, trace_path};
 pub use run_record::{
-    ClockKind, FORMAT, Firmware, Host, InputRecord, KeepTraces, NotApplicable, Overrides, RigRecord, RunRecord,
-    ScenarioRecord, Tool,
+    ClockKind, FORMAT, Firmware, InputRecord, KeepTraces, NotApplicable, Overrides, RigRecord, RunRecord,
+    ScenarioRecord,
 };
 pub use store::{RECORD_FILE, RecordError, RunSummary, ScenarioSummary};
 pub use timing::{Quantiles, TimingRecord};

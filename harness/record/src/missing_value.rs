@@ -1,10 +1,11 @@
 //! Names why a trial has no value of a metric.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Why a trial has no value of a metric, if that is the controller's failure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum MissingValue {
     #[error("never stays inside the band")]
@@ -37,7 +38,7 @@ impl MissingValue {
 }
 
 /// Why a metric does not apply to a trial.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum UndefinedValue {
     #[error("the trace is empty")]

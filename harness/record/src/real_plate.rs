@@ -1,10 +1,11 @@
 //! Records a trial on a real plate.
 
 use crate::timing::Quantiles;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Messages of a controller that drives its own plate, and actions of the operator.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct RealPlateRecord {
     /// Control periods that the controller reported.
     pub periods: u64,
@@ -28,7 +29,7 @@ pub struct RealPlateRecord {
     pub undone: Option<String>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct OperatorRequest {
     pub what: String,
     pub done: bool,

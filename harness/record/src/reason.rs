@@ -6,12 +6,13 @@ use crate::excuse::Excuse;
 use crate::missing_value::{MissingValue, UndefinedValue};
 use crate::violation::Violation;
 use platebench_scenario::Limit;
+use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use thiserror::Error;
 
 /// When and how a trial diverged.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Divergence {
     pub at_s: f64,
     /// True if a NaN or infinite drive command began it.
@@ -26,7 +27,7 @@ impl fmt::Display for Divergence {
 }
 
 /// Why a trial does not count or did not end well.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum TrialReason {
     #[error(transparent)]
@@ -41,7 +42,7 @@ pub enum TrialReason {
 }
 
 /// What a single trial shows.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum TrialFinding {
     /// No value, which is the controller's failure.
@@ -75,7 +76,7 @@ pub enum TrialFinding {
     },
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DivergedTrials {
     pub first: u32,
     pub divergence: Divergence,
@@ -92,7 +93,7 @@ impl fmt::Display for DivergedTrials {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum WideBoundsCause {
     #[error("a bound of the {} quantile needs {needed} trials, {trials} were run", percent(*share))]
@@ -108,7 +109,7 @@ pub enum WideBoundsCause {
 }
 
 /// Why an expectation did not pass.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
     /// One trial decided.
@@ -226,7 +227,7 @@ pub fn percent(share: f64) -> String {
 
 /// Writes a reason twice: `reason` is a sentence for people, `reason_code` is what readers parse.
 pub(crate) mod file_keys {
-    use super::{Deserialize, Deserializer, Serialize, Serializer, fmt};
+    use super::{Deserialize, Deserializer, JsonSchema, Serialize, Serializer, fmt};
 
     #[derive(Serialize)]
     struct Written<'a, R> {
@@ -237,6 +238,17 @@ pub(crate) mod file_keys {
 
     #[derive(Deserialize)]
     struct Read<R> {
+        reason_code: Option<R>,
+    }
+
+    /// The schema of both keys.
+    #[derive(JsonSchema)]
+    #[allow(dead_code, reason = "only its schema is used")]
+    pub(crate) struct Keys<R> {
+        /// A sentence for people.
+        reason: Option<String>,
+        /// For programs.
+        #[schemars(skip_serializing_if = "Option::is_none")]
         reason_code: Option<R>,
     }
 

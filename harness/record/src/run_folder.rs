@@ -3,6 +3,7 @@
 use crate::run_record::InputRecord;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
+use platebench_plate::input::{STANDARD_INPUT_NAME, STANDARD_STREAM};
 use platebench_scenario::{InputFile, Scenario};
 use platebench_trace::open_regular_file;
 use sha2::{Digest, Sha256};
@@ -86,7 +87,13 @@ impl RunFolder {
 
     /// Copies every input of every scenario, with their relative paths; returns them by scenario.
     pub fn store_inputs(&self, scenarios: &[Scenario]) -> Result<Vec<Vec<InputRecord>>, FolderError> {
-        let place = |input: &InputFile| fs::canonicalize(&input.path).map_err(io_error(&input.path));
+        // Paths in a scenario from standard input are relative to the current folder.
+        let place = |input: &InputFile| match input.path.to_str() {
+            Some(STANDARD_STREAM) => {
+                fs::canonicalize(".").map(|folder| folder.join(STANDARD_INPUT_NAME)).map_err(io_error(&input.path))
+            }
+            _ => fs::canonicalize(&input.path).map_err(io_error(&input.path)),
+        };
         let all =
             scenarios.iter().flat_map(|scenario| &scenario.inputs).map(place).collect::<Result<BTreeSet<_>, _>>()?;
         let root = common_folder(&all);

@@ -3,9 +3,11 @@
 use crate::cost::CostTrend;
 use crate::exclusion::Exclusion;
 use crate::expectation_record::ExpectationRecord;
+use crate::provenance::{Host, Tool};
 use crate::reason::Reason;
 use crate::trial_record::TrialRecord;
 use crate::verdict::{Cause, Verdict};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::Path;
@@ -14,7 +16,7 @@ use std::path::Path;
 pub const FORMAT: u32 = 1;
 
 /// The content of `run.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunRecord {
     pub format: u32,
     pub verdict: Verdict,
@@ -42,7 +44,7 @@ pub struct RunRecord {
     pub cost: Vec<CostTrend>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ClockKind {
     /// The plate waited for the controller.
@@ -69,7 +71,7 @@ impl fmt::Display for ClockKind {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct NotApplicable {
     pub file: String,
     pub title: String,
@@ -77,13 +79,7 @@ pub struct NotApplicable {
     pub reason: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Tool {
-    pub name: String,
-    pub version: String,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RigRecord {
     /// As named on the command line.
     pub name: String,
@@ -99,7 +95,7 @@ impl RigRecord {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Firmware {
     pub name: String,
     pub version: String,
@@ -109,7 +105,7 @@ pub struct Firmware {
     pub chip: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Overrides {
     pub law: Option<String>,
     pub trials: Option<u32>,
@@ -128,7 +124,7 @@ pub struct Overrides {
 }
 
 /// `--keep-traces`
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum KeepTraces {
     #[default]
@@ -144,13 +140,7 @@ impl KeepTraces {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Host {
-    pub os: String,
-    pub arch: String,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScenarioRecord {
     /// Its file below the scenario folder.
     pub file: String,
@@ -167,7 +157,7 @@ pub struct ScenarioRecord {
     pub trials: Vec<TrialRecord>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct InputRecord {
     /// Its copy, relative to the run folder.
     pub file: String,

@@ -1,9 +1,10 @@
 //! Records lateness and loop delay of a real-time trial.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// In wall-clock time unless stated otherwise.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct TimingRecord {
     /// Which timer makes the control instants: `bench` or `target`.
     pub pacing: String,
@@ -36,7 +37,7 @@ pub struct TimingRecord {
     pub safe_confirmed: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Quantiles {
     pub p50: f64,
     pub p99: f64,

@@ -5,11 +5,12 @@ use crate::reason::{self, TrialReason};
 use crate::timing::TimingRecord;
 use crate::verdict::Cause;
 use crate::violation::Violation;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TrialRecord {
     /// Counted from 0.
     pub index: u32,
@@ -26,6 +27,7 @@ pub struct TrialRecord {
     /// What made the trial not count.
     pub cause: Option<Cause>,
     #[serde(flatten, with = "reason::file_keys")]
+    #[schemars(with = "reason::file_keys::Keys<TrialReason>")]
     pub reason: Option<TrialReason>,
     /// When the loop diverged, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -34,7 +36,7 @@ pub struct TrialRecord {
     pub wall_ms: Option<f64>,
 }
 
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Telemetry {
     /// Longest time from sampling to actuation as it acted on the plate, µs.
     pub loop_delay_us: Option<f64>,
@@ -68,7 +70,7 @@ pub struct Telemetry {
 }
 
 /// Commands that were NaN or infinite; the bench applied 0 V, so the trace does not contain them.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NonFiniteDrive {
     pub at_s: f64,
     pub count: u64,

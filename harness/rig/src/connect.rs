@@ -5,6 +5,7 @@ use crate::emulated::{EmulatedError, EmulatedLink};
 use crate::exec::{CommandLine, ExecError, ExecLink};
 use crate::hosted::HostedLink;
 use crate::link::BoxedLink;
+use crate::network::{NetworkError, Rfc2217Link, TcpLink};
 #[cfg(feature = "probe")]
 use crate::probe::{Lister, ProbeError, ProbeSetup, Timeouts};
 use crate::serial::{DEFAULT_BAUD, SerialError, SerialLink};
@@ -33,6 +34,8 @@ pub enum ConnectError {
     Exec(#[from] ExecError),
     #[error(transparent)]
     Serial(#[from] SerialError),
+    #[error(transparent)]
+    Network(#[from] NetworkError),
 }
 
 #[cfg(feature = "probe")]
@@ -67,6 +70,7 @@ impl ConnectError {
                 | ExecError::Link(_) => false,
             },
             Self::Emulated(EmulatedError::Target(_))
+            | Self::Network(_)
             | Self::Serial(SerialError::Open { .. } | SerialError::InUse { .. }) => false,
         }
     }
@@ -76,7 +80,7 @@ impl RigSpec {
     /// Checks what can be checked without starting a program or opening a device.
     pub fn check(&self) -> Result<(), ConnectError> {
         match self {
-            Self::Hosted | Self::Emulated(_) | Self::Serial { .. } => Ok(()),
+            Self::Hosted | Self::Emulated(_) | Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } => Ok(()),
             Self::Exec(command) => Ok(CommandLine::parse(command).map(drop)?),
             #[cfg(feature = "probe")]
             Self::Probe { .. } => Ok(ProbeSetup::from_spec(self).map(drop)?),
@@ -85,11 +89,13 @@ impl RigSpec {
         }
     }
 
-    /// `None` for a link whose rate does not matter, such as a pseudo-terminal.
+    /// `None` for a link whose rate does not matter, such as a pseudo-terminal, or is not known.
     pub fn baud(&self) -> Option<u32> {
         match self {
-            Self::Serial { baud, .. } | Self::Probe { port: Some(_), baud, .. } => Some(baud.unwrap_or(DEFAULT_BAUD)),
-            Self::Hosted | Self::Emulated(_) | Self::Exec(_) | Self::Probe { port: None, .. } => None,
+            Self::Serial { baud, .. } | Self::Rfc2217 { baud, .. } | Self::Probe { port: Some(_), baud, .. } => {
+                Some(baud.unwrap_or(DEFAULT_BAUD))
+            }
+            Self::Hosted | Self::Emulated(_) | Self::Exec(_) | Self::Tcp(_) | Self::Probe { port: None, .. } => None,
         }
     }
 
@@ -97,14 +103,14 @@ impl RigSpec {
     pub fn image(&self) -> Option<&Path> {
         match self {
             Self::Emulated(elf) | Self::Probe { elf, .. } => elf.as_deref(),
-            Self::Hosted | Self::Exec(_) | Self::Serial { .. } => None,
+            Self::Hosted | Self::Exec(_) | Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } => None,
         }
     }
 
     pub fn allows_parallel_links(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) | Self::Exec(_) => true,
-            Self::Serial { .. } | Self::Probe { .. } => false,
+            Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } | Self::Probe { .. } => false,
         }
     }
 
@@ -113,8 +119,13 @@ impl RigSpec {
     pub fn has_own_clock(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) => false,
-            Self::Exec(_) | Self::Serial { .. } | Self::Probe { .. } => true,
+            Self::Exec(_) | Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } | Self::Probe { .. } => true,
         }
+    }
+
+    /// True for a controller on a line whose time runs on.
+    pub fn is_line(&self) -> bool {
+        matches!(self, Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } | Self::Probe { port: Some(_), .. })
     }
 
     /// RTT is polled through a probe and takes some milliseconds per message.
@@ -139,6 +150,11 @@ impl RigSpec {
                 let link = SerialLink::open(Path::new(port), baud.unwrap_or(DEFAULT_BAUD))?;
                 Box::new(link.with_reply_timeout(options.reply_timeout))
             }
+            Self::Tcp(address) => Box::new(TcpLink::open(address)?.with_reply_timeout(options.reply_timeout)),
+            Self::Rfc2217 { address, baud } => {
+                let link = Rfc2217Link::open(address, baud.unwrap_or(DEFAULT_BAUD))?;
+                Box::new(link.with_reply_timeout(options.reply_timeout))
+            }
             #[cfg(feature = "probe")]
             Self::Probe { .. } => ProbeSetup::from_spec(self)?.connect(Lister::new, Timeouts::default())?,
             #[cfg(not(feature = "probe"))]
@@ -151,7 +167,9 @@ impl RigSpec {
             Self::Hosted => Ok(Box::new(WallClockLink::new(HostedLink::new()))),
             Self::Emulated(_) => Ok(Box::new(WallClockLink::new(self.open_emulated()?))),
             Self::Probe { port: None, .. } => Err(ConnectError::NoRealTime(self.clone())),
-            Self::Exec(_) | Self::Serial { .. } | Self::Probe { .. } => self.connect_with(options),
+            Self::Exec(_) | Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } | Self::Probe { .. } => {
+                self.connect_with(options)
+            }
         }
     }
 

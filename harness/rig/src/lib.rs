@@ -17,6 +17,7 @@ pub mod exec;
 pub mod fault_injector;
 pub mod hosted;
 pub mod link;
+mod network;
 mod pending_requests;
 mod port_lock;
 #[cfg(feature = "probe")]
@@ -42,6 +43,7 @@ pub use exec::{ExecError, ExecLink};
 pub use fault_injector::{Direction, FaultInjector, WireFault, WireFaultKind};
 pub use hosted::HostedLink;
 pub use link::{BoxedLink, Link, LinkError, RealTimeLine};
+pub use network::NetworkError;
 pub use port_lock::LockHolder;
 pub use pty::PtyLink;
 pub use rig_error::RigError;

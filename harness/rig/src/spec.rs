@@ -15,6 +15,14 @@ pub enum RigSpec {
         port: String,
         baud: Option<u32>,
     },
+    /// `HOST:PORT` of a server that transports bytes as they are.
+    Tcp(String),
+    /// A server that also sets its serial port, over Telnet.
+    Rfc2217 {
+        /// `HOST:PORT`
+        address: String,
+        baud: Option<u32>,
+    },
     Probe {
         /// `CHIP[@VID:PID[:SERIAL]]`, see `probe::ProbeSpec`.
         board: String,
@@ -28,8 +36,8 @@ pub enum RigSpec {
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{text}`: {problem}, expected hosted, emulated[:ELF], exec:COMMAND, serial:PORT[@BAUD] or \
-     probe:CHIP[@VID:PID[:SERIAL]][,elf=ELF][,port=PORT[@BAUD]]"
+    "`{text}`: {problem}, expected hosted, emulated[:ELF], exec:COMMAND, serial:PORT[@BAUD], tcp:HOST:PORT, \
+     rfc2217:HOST:PORT[@BAUD] or probe:CHIP[@VID:PID[:SERIAL]][,elf=ELF][,port=PORT[@BAUD]]"
 )]
 pub struct SpecError {
     text: String,
@@ -54,7 +62,14 @@ impl FromStr for RigSpec {
                 let (port, baud) = parse_port(rest).map_err(error)?;
                 Ok(Self::Serial { port, baud })
             }
-            ("exec" | "serial" | "probe", None) => refuse("the colon and what follows it are missing"),
+            ("tcp", Some(rest)) => parse_address(rest).map(Self::Tcp).map_err(error),
+            ("rfc2217", Some(rest)) => {
+                let (address, baud) = parse_port(rest).map_err(error)?;
+                Ok(Self::Rfc2217 { address: parse_address(&address).map_err(error)?, baud })
+            }
+            ("exec" | "serial" | "probe" | "tcp" | "rfc2217", None) => {
+                refuse("the colon and what follows it are missing")
+            }
             ("hosted", Some(_)) => refuse("the hosted rig has no argument"),
             _ => refuse("unknown kind of rig"),
         }
@@ -68,6 +83,16 @@ fn parse_port(text: &str) -> Result<(String, Option<u32>), &'static str> {
         Ok(baud) if !port.is_empty() => Ok((port.to_owned(), baud)),
         _ => Err("the port or the baud rate is missing"),
     }
+}
+
+/// An IPv6 address is in brackets.
+fn parse_address(text: &str) -> Result<String, &'static str> {
+    let wrong = "expected HOST:PORT with a port from 1 to 65535";
+    let (host, port) = text.rsplit_once(':').ok_or(wrong)?;
+    let is_bracketed = host.starts_with('[') && host.ends_with(']');
+    let is_host = !host.is_empty() && (is_bracketed || !host.contains(':')) && !host.contains(char::is_whitespace);
+    let is_port = port.bytes().all(|byte| byte.is_ascii_digit()) && port.parse::<u16>().is_ok_and(|port| port > 0);
+    if is_host && is_port { Ok(text.to_owned()) } else { Err(wrong) }
 }
 
 /// A path cannot contain a comma.
@@ -98,6 +123,9 @@ impl fmt::Display for RigSpec {
             Self::Exec(command) => write!(formatter, "exec:{command}"),
             Self::Serial { port, baud: None } => write!(formatter, "serial:{port}"),
             Self::Serial { port, baud: Some(baud) } => write!(formatter, "serial:{port}@{baud}"),
+            Self::Tcp(address) => write!(formatter, "tcp:{address}"),
+            Self::Rfc2217 { address, baud: None } => write!(formatter, "rfc2217:{address}"),
+            Self::Rfc2217 { address, baud: Some(baud) } => write!(formatter, "rfc2217:{address}@{baud}"),
             Self::Probe { board, elf, port, baud } => {
                 write!(formatter, "probe:{board}")?;
                 elf.as_ref().map_or(Ok(()), |elf| write!(formatter, ",elf={}", elf.display()))?;
@@ -121,6 +149,10 @@ mod tests {
             "exec:python3 c.py {port}",
             "serial:/dev/ttyACM0",
             "serial:COM3@921600",
+            "tcp:lab-3:4001",
+            "tcp:[::1]:4001",
+            "rfc2217:lab-3:4001",
+            "rfc2217:192.0.2.7:4001@921600",
             "probe:STM32F407VG",
             "probe:STM32F407VG@0483:374b:066DFF",
             "probe:STM32F407VG,port=/dev/ttyACM0",
@@ -141,6 +173,15 @@ mod tests {
             "serial:@9600",
             "serial:p@",
             "serial:p@0",
+            "tcp:lab-3",
+            "tcp:lab-3:",
+            "tcp::4001",
+            "tcp:lab-3:0",
+            "tcp:lab-3:+1",
+            "tcp:lab-3:65536",
+            "tcp:::1:4001",
+            "tcp:lab-3:4001@9600",
+            "rfc2217:lab-3:4001@0",
             "probe",
             "probe:,port=p",
             "probe:STM32F407VG,",

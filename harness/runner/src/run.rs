@@ -291,7 +291,7 @@ fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inpu
         format: platebench_record::FORMAT,
         verdict: Verdict::Inconclusive,
         complete: false,
-        tool: Tool { name: "platebench".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
+        tool: Tool::running(),
         started: folder.started(),
         rig: RigRecord {
             name: plan.rig.clone(),
@@ -306,7 +306,7 @@ fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inpu
         overrides: plan.overrides.clone(),
         safe_confirmed: None,
         wall_ms: None,
-        host: Host { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() },
+        host: Host::current(),
         scenarios: scenarios.collect(),
         not_applicable: Vec::new(),
         cost: Vec::new(),

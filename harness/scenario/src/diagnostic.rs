@@ -62,6 +62,11 @@ impl Diagnostic {
         (before.matches('\n').count() + 1, column)
     }
 
+    /// [`Self::position`], if the file was read.
+    pub fn location(&self) -> Option<(usize, usize)> {
+        (!self.source.is_empty()).then(|| self.position())
+    }
+
     pub fn render(&self, colour: bool) -> String {
         let path = self.path.display().to_string();
         if self.source.is_empty() {

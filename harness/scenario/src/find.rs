@@ -57,7 +57,7 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
         }
         for path in below {
             let own = path == *argument || path.parent() == Some(argument.as_path());
-            let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
+            let canonical = canonical(&path);
             let name = record_name(&canonical, argument);
             let entry = files.entry(canonical).or_insert((path, name, own));
             entry.2 |= own;
@@ -94,7 +94,7 @@ pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnos
     for argument in arguments {
         search.visited.clear();
         for path in search.files_below(argument) {
-            let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
+            let canonical = canonical(&path);
             let name = record_name(&canonical, argument);
             files.entry(canonical).or_insert((path, name));
         }
@@ -102,9 +102,14 @@ pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnos
     (files.into_values().collect(), search.faults)
 }
 
+fn canonical(path: &Path) -> PathBuf {
+    let is_file = path != Path::new(input::STANDARD_STREAM);
+    is_file.then(|| fs::canonicalize(path).ok()).flatten().unwrap_or_else(|| path.to_owned())
+}
+
 impl Search<'_> {
     fn files_below(&mut self, argument: &Path) -> Vec<PathBuf> {
-        if !argument.is_dir() {
+        if argument == Path::new(input::STANDARD_STREAM) || !argument.is_dir() {
             return vec![argument.to_owned()];
         }
         if fs::canonicalize(argument).is_ok_and(|folder| !self.visited.insert(folder)) {
@@ -149,6 +154,9 @@ fn is_run_folder(folder: &Path) -> bool {
 
 /// Path below the nearest folder `scenarios`, else below the named folder, else the file name.
 fn record_name(path: &Path, argument: &Path) -> String {
+    if argument == Path::new(input::STANDARD_STREAM) {
+        return input::STANDARD_INPUT_NAME.to_owned();
+    }
     let components: Vec<_> = path.components().map(|component| component.as_os_str().to_string_lossy()).collect();
     let folders = components.len().saturating_sub(1);
     if let Some(root) = components.iter().take(folders).rposition(|component| component == SCENARIOS_FOLDER) {

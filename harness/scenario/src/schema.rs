@@ -23,6 +23,21 @@ pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
     schema
 }
 
+/// The schema of a JSON document that serde writes from `T`. Readers must accept further keys.
+pub fn schema_of_json<T: JsonSchema>(title: &str) -> Schema {
+    let settings = schemars::generate::SchemaSettings::draft2020_12().for_serialize();
+    let mut schema = settings.into_generator().into_root_schema_for::<T>();
+    schema.insert("title".to_owned(), title.into());
+    remove_formats(&mut schema);
+    schema
+}
+
+/// Formats describe the size of a number in memory; validators in strict mode refuse them.
+fn remove_formats(schema: &mut Schema) {
+    schema.remove("format");
+    transform_subschemas(&mut remove_formats, schema);
+}
+
 /// The schema of scenario files.
 pub fn scenario_schema() -> Schema {
     let mut schema = schema_of::<RawScenario>("platebench scenario");
@@ -118,13 +133,18 @@ fn only_for_rule<'a>(key: &str, names: impl Iterator<Item = &'a str>, rejected: 
 fn required_for_rule(key: &str, name: &str, needed: &str) -> Schema {
     json_schema!({
         "if": { "required": [key], "properties": { (key): { "const": name } } },
-        "then": { "required": [needed] },
+        "then": { "required": [needed], "properties": { (needed): true } },
     })
+}
+
+/// Validators in strict mode refuse a required key that is not among the properties.
+fn required(key: &str) -> Schema {
+    json_schema!({ "required": [key], "properties": { (key): true } })
 }
 
 /// Metrics without a default window.
 fn required_one_for_rule(metric: Metric) -> Schema {
-    let keys = ["from_ms", "until_ms", "after"].map(|key| json_schema!({ "required": [key] }));
+    let keys = ["from_ms", "until_ms", "after"].map(required);
     json_schema!({
         "if": { "required": ["metric"], "properties": { "metric": { "const": metric.name() } } },
         "then": { "anyOf": keys },
@@ -147,10 +167,10 @@ pub(crate) fn expectations(schema: &mut Schema) {
             only_for_rule("metric", named(Metric::has_band), &["band_percent"]),
             only_for_rule("metric", named(Metric::has_from_ms), &["from_ms", "until_ms"]),
             only_for_rule("metric", named(has_any_after), &["after"]),
-            json_schema!({ "if": { "required": ["after"] }, "then": {
+            json_schema!({ "if": required("after"), "then": {
                 "properties": { "from_ms": false, "until_ms": false, "window_ms": false },
             } }),
-            json_schema!({ "if": { "required": ["window_ms"] }, "then": {
+            json_schema!({ "if": required("window_ms"), "then": {
                 "properties": { "from_ms": false, "until_ms": false },
             } }),
             required_one_for_rule(Metric::PeakDeviation),
@@ -162,10 +182,10 @@ pub(crate) fn expectations(schema: &mut Schema) {
             only_for_rule("over", std::iter::once("quantile"), &["quantile"]),
             json_schema!({ "dependentRequired": { "tolerance_percent": ["about"], "quantile": ["over"] } }),
             json_schema!({ "oneOf": [
-                { "required": ["at_most"] },
-                { "required": ["at_least"] },
-                { "required": ["within"] },
-                { "required": ["about"] },
+                required("at_most"),
+                required("at_least"),
+                required("within"),
+                required("about"),
             ] }),
         ],
     );
@@ -183,7 +203,7 @@ pub(crate) fn faults(schema: &mut Schema) {
         required_for_rule("kind", "scale", "factor"),
         json_schema!({
             "if": { "required": ["reconfigure"], "properties": { "reconfigure": { "const": true } } },
-            "then": { "required": ["until_ms"] },
+            "then": required("until_ms"),
         }),
     ];
     all.extend(but(&["disconnect"]).map(|kind| required_for_rule("kind", kind, "until_ms")));

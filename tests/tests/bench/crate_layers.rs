@@ -9,7 +9,7 @@ use std::fs;
 use toml::Table;
 
 /// A crate imports only crates of lower levels.
-const LEVELS: [(&str, u8); 21] = [
+const LEVELS: [(&str, u8); 22] = [
     ("firmware-under-test/wire", 0),
     ("firmware-under-test/controller", 0),
     ("firmware-under-test/host", 0),
@@ -18,6 +18,7 @@ const LEVELS: [(&str, u8); 21] = [
     ("harness/rig", 1),
     ("harness/scenario", 1),
     ("harness/record", 2),
+    ("harness/fmi", 1),
     ("harness/identify", 2),
     ("harness/verdict", 3),
     ("harness/runner", 4),

@@ -4,6 +4,8 @@ use crate::test_folder::{ProgramOutput, SETTLING, TestFolder, bench_command, ste
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
+use std::io::Write;
+use std::process::Stdio;
 
 const BAD: &str = "metric = \"settling_time_ms\"\nat_most = 0.5\nrequirement = \"ACC-1\"";
 const TRACE: &str = "run/traces/s/000.csv";
@@ -197,4 +199,28 @@ fn complete_trials_of_a_killed_run_are_exported() {
     assert!(table.lines().skip(1).all(|line| line.starts_with("s,0,")));
     fs::remove_file(folder.join(TRACE)).unwrap();
     folder.bench(["export", "run", "--format", "csv", "--out", "other"]).assert_exit(4);
+}
+
+#[test]
+fn a_dash_is_standard_input_and_output() {
+    let folder = TestFolder::with_step(SETTLING);
+    let text = folder.read("scenarios/s.toml");
+    let call = |arguments: &[&str]| -> ProgramOutput {
+        let mut bench = bench_command(&folder.join("scenarios"));
+        bench.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = bench.spawn().unwrap();
+        // A command that refuses its arguments does not read.
+        let _ = child.stdin.take().unwrap().write_all(text.as_bytes());
+        child.wait_with_output().unwrap().into()
+    };
+    call(&["check", "-"]).assert_exit(0).assert_stdout(&["1 scenario"]);
+    let run = ["run", "-", "--rig", "hosted", "--out", "../run"];
+    let output = call(&[&run[..], &["--tap", "-"]].concat()).assert_exit(0);
+    assert!(output.stdout.starts_with("TAP version 13\n1..1\nok 1"), "{}", output.stdout);
+    assert!(output.stderr.contains("settling_time_ms"), "{}", output.stderr);
+    assert_eq!(stored_record(&folder)["scenarios"][0]["file"], "stdin.toml");
+    for second in [["--summary", "-"], ["--format", "json"]] {
+        let arguments = [&run[..], &["--tap", "-"], &second].concat();
+        call(&arguments).assert_exit(2).assert_stderr(&["standard output"]);
+    }
 }

@@ -16,4 +16,5 @@ mod links;
 mod page;
 mod reference;
 mod source;
+mod templates;
 mod tutorial;

@@ -1,4 +1,4 @@
-use super::{NewError, PLATE, PLATE_FILE, write_files};
+use super::{NewError, PLATE, PLATE_FILE, PLATE_SCHEMA_FILE, SCHEMA_FILE, write_files};
 use platebench_scenario::load_with_all_errors;
 use platebench_wire::LawId;
 use rstest::rstest;
@@ -10,7 +10,8 @@ fn what_is_written_can_be_read_for_every_law() {
     for law in LawId::ALL.map(LawId::name) {
         let folder = tempdir().unwrap();
         let files = write_files(folder.path(), "mine", law).unwrap();
-        assert_eq!(files, [folder.path().join("mine.toml"), folder.path().join(PLATE_FILE)]);
+        let written = ["mine.toml", PLATE_FILE, SCHEMA_FILE, PLATE_SCHEMA_FILE].map(|file| folder.path().join(file));
+        assert_eq!(files, written);
         let scenario =
             load_with_all_errors(&files[0], "mine.toml").unwrap_or_else(|faults| panic!("{law}: {faults:?}"));
         assert_eq!((scenario.controller.law.as_str(), scenario.title.as_str()), (law, "mine"));
@@ -44,7 +45,7 @@ fn nothing_is_ever_overwritten() {
         Err(NewError::Taken(path)) if path.ends_with("taken.toml")
     ));
     assert_eq!(fs::read_to_string(folder.path().join("taken.toml")).unwrap(), "mine, too");
-    assert_eq!(write_files(folder.path(), "free", "dq-pi").unwrap(), [folder.path().join("free.toml")]);
+    assert_eq!(write_files(folder.path(), "free", "dq-pi").unwrap()[0], folder.path().join("free.toml"));
     assert_eq!(fs::read_to_string(folder.path().join(PLATE_FILE)).unwrap(), "mine");
 }
 
@@ -55,7 +56,7 @@ fn nothing_is_ever_overwritten() {
 #[case("scenarios/deep/er/est/one/a", "scenarios/deep/er/est/one/a.toml", "plates/")]
 fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] file: &str, #[case] plate: &str) {
     let folder = tempdir().unwrap();
-    for (path, text) in [(PLATE_FILE, PLATE), ("schema/scenario.json", "{}")] {
+    for (path, text) in [(PLATE_FILE, PLATE), (SCHEMA_FILE, "{}")] {
         let path = folder.path().join("scenarios").join(path);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, text).unwrap();
@@ -64,10 +65,9 @@ fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] fi
     assert_eq!(files[0], folder.path().join(file));
     let text = fs::read_to_string(&files[0]).unwrap();
     assert!(text.contains(&format!("plate = \"{plate}aluminium")), "{text}");
-    assert_eq!(
-        text.starts_with(&format!("#:schema {}schema/scenario.json\n", plate.trim_end_matches("plates/"))),
-        files.len() == 1
-    );
+    let schema = format!("{}{SCHEMA_FILE}", plate.trim_end_matches("plates/"));
+    assert!(text.starts_with(&format!("#:schema {schema}\n")), "{text}");
+    assert!(files[0].parent().unwrap().join(schema).is_file());
     assert!(load_with_all_errors(&files[0], "a.toml").is_ok());
 }
 

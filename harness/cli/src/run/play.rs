@@ -21,7 +21,7 @@ use tracing::info;
 pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Exit> {
     let clock = arguments.clock().resolve().map_err(|fault| stdio::reject(&fault))?;
     arguments.rig.check().map_err(|fault| stdio::reject(&fault))?;
-    arguments.outputs.check().map_err(|fault| stdio::reject(&fault))?;
+    arguments.outputs.check(arguments.format).map_err(|fault| stdio::reject(&fault))?;
     Ok(clock)
 }
 
@@ -145,7 +145,11 @@ fn write_reports(
         .and_then(|()| traceability::write(record, folder.path()))
         .and_then(|()| arguments.outputs.write(record, locations));
     if arguments.format == OutputFormat::Human {
-        stdio::record(record, arguments.format, detail);
+        if arguments.outputs.use_stdout() {
+            stdio::record_to_stderr(record, detail);
+        } else {
+            stdio::record(record, arguments.format, detail);
+        }
     }
     if detail != Detail::Failures || record.verdict != Verdict::Pass {
         stdio::note(&format!("run folder: {}", folder.path().display()));

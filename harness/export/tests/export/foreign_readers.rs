@@ -23,6 +23,9 @@ fn has_readers() -> bool {
     exists
 }
 
+const NODE_MODULES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/test-node");
+const NODE_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/export/read_mcap.mjs");
+
 fn read_with_python(format: &str, path: &Path) -> Value {
     let output = Command::new(PYTHON).arg(SCRIPT).arg(format).arg(path).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -85,6 +88,12 @@ fn duckdb_reads_the_same_bits_from_parquet() {
         assert_eq!(metadata[format!("unit.{}", number.name)], number.unit);
         assert_eq!(metadata[format!("meaning.{}", number.name)], number.meaning);
     }
+    for number in NUMBER_COLUMNS {
+        assert_eq!(found["fields"][number.name], json!({"unit": number.unit, "meaning": number.meaning}));
+    }
+    for flag in FLAG_COLUMNS {
+        assert_eq!(found["fields"][flag.name], json!({"meaning": flag.meaning}));
+    }
     assert_eq!(metadata["title"], "33 °C, <2 N> & \"5 %\"");
     assert_eq!(metadata["firmware"], "dq-pi 0.1.0");
     assert_eq!(metadata["inputs"], format!("inputs/paper/step.toml sha256:{}", "a".repeat(64)));
@@ -96,16 +105,17 @@ fn asammdf_reads_the_same_bits_from_mdf4() {
         return;
     }
     let run = fixtures::stored_run();
-    let found = read_with_python("mf4", &export_run(&run, ExportFormat::Mf4).join("paper/step.mf4"));
-    assert_eq!(found["version"], "4.10");
-    assert_eq!(found["start"], 1_772_443_800.0, "2026-03-02T09:30:00Z");
-    let comment = found["comment"].as_str().unwrap();
-    assert!(comment.contains("33 °C, <2 N> & \"5 %\"") || comment.contains("33 °C, &lt;2 N&gt; &amp;"), "{comment}");
-    assert!(comment.contains("dq-pi 0.1.0"), "{comment}");
-    assert!(found["history"].to_string().contains("platebench"), "{found}");
-    let groups = found["groups"].as_array().unwrap();
-    assert_eq!(groups.len(), 2);
-    for (index, (group, rows)) in groups.iter().zip([fixtures::rows(7, 0), fixtures::rows(9, 3)]).enumerate() {
+    let out = export_run(&run, ExportFormat::Mf4);
+    for (index, rows) in [fixtures::rows(7, 0), fixtures::rows(9, 3)].iter().enumerate() {
+        let found = read_with_python("mf4", &out.join(format!("paper/step/{index:03}.mf4")));
+        assert_eq!(found["version"], "4.10");
+        assert_eq!(found["start"], 1_772_443_800.0, "2026-03-02T09:30:00Z");
+        let comment = found["comment"].as_str().unwrap();
+        let has_title = comment.contains("33 °C, <2 N> & \"5 %\"") || comment.contains("33 °C, &lt;2 N&gt; &amp;");
+        assert!(has_title, "{comment}");
+        assert!(comment.contains("dq-pi 0.1.0"), "{comment}");
+        assert!(found["history"].to_string().contains("platebench"), "{found}");
+        let group = &found["group"];
         assert_eq!(group["name"], format!("trial {index:03}"));
         assert_eq!(group["comment"], format!("seed {}", u64::MAX - index as u64));
         let channels = group["channels"].as_object().unwrap();
@@ -113,7 +123,7 @@ fn asammdf_reads_the_same_bits_from_mdf4() {
         for name in column_names() {
             let channel = &channels[name];
             // MDF4 stores a missing number as NaN.
-            let mut values = column_bits(&rows, name);
+            let mut values = column_bits(rows, name);
             values
                 .as_array_mut()
                 .unwrap()
@@ -121,7 +131,7 @@ fn asammdf_reads_the_same_bits_from_mdf4() {
                 .filter(|value| value.is_null())
                 .for_each(|value| *value = bits_of(f64::NAN));
             assert_eq!(channel["values"], values, "{name}");
-            assert_eq!(channel["times"], column_bits(&rows, "t_s"), "{name}");
+            assert_eq!(channel["times"], column_bits(rows, "t_s"), "{name}");
             assert_eq!(channel["master"], name == "t_s", "{name}");
         }
         for number in NUMBER_COLUMNS {
@@ -164,6 +174,31 @@ fn the_mcap_library_reads_the_same_bits() {
     }
 }
 
+/// Foxglove and Lichtblick read MCAP with this library; they refuse a list of types in a schema.
+#[test]
+fn the_mcap_library_of_viewers_reads_the_same_numbers() {
+    if !Path::new(NODE_MODULES).join("node_modules/@mcap/core").exists() {
+        return platebench_test_kit::skip_without("@mcap/core in target/test-node");
+    }
+    let run = fixtures::stored_run();
+    let path = export_run(&run, ExportFormat::Mcap).join("paper/step.mcap");
+    let output = Command::new("node").args([NODE_SCRIPT, NODE_MODULES]).arg(path).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(found["compressions"], json!(["zstd"]));
+    let properties = found["schemas"][0]["properties"].as_object().unwrap();
+    assert!(properties.values().all(|property| property["type"].is_string()), "{properties:?}");
+    for (index, rows) in [fixtures::rows(7, 0), fixtures::rows(9, 3)].iter().enumerate() {
+        let messages = found["topics"][format!("/trial/{index:03}")].as_array().unwrap();
+        assert_eq!(messages.len(), rows.len());
+        for number in NUMBER_COLUMNS {
+            let values: Vec<_> = messages.iter().map(|message| message["row"][number.name].as_f64()).collect();
+            let expected: Vec<_> = rows.iter().map(|row| number.known_value(row)).collect();
+            assert_eq!(values, expected, "{}", number.name);
+        }
+    }
+}
+
 #[test]
 fn duckdb_reads_the_same_bits_from_csv() {
     if !has_readers() {
@@ -181,7 +216,7 @@ fn duckdb_reads_the_same_bits_from_csv() {
     assert_eq!(kinds.keys().collect::<Vec<_>>(), described_names);
     for number in NUMBER_COLUMNS {
         let column = described.iter().find(|column| column["name"] == number.name).unwrap();
-        assert_eq!((&column["unit"], &kinds[number.name]), (&json!(number.unit), &json!("DOUBLE")));
+        assert_eq!((&column["schema:unitText"], &kinds[number.name]), (&json!(number.unit), &json!("DOUBLE")));
     }
     let rows = [fixtures::rows(7, 0), fixtures::rows(9, 3), fixtures::rows(1, 5)].concat();
     let lines = found["rows"].as_array().unwrap();

@@ -14,7 +14,10 @@ def bits(values):
 
 def parquet(path):
     import duckdb
+    import pyarrow.parquet
 
+    text = lambda pairs: {key.decode(): value.decode() for key, value in (pairs or {}).items()}
+    fields = {field.name: text(field.metadata) for field in pyarrow.parquet.read_table(path).schema}
     db = duckdb.connect()
     table = db.execute("select * from read_parquet(?)", [path])
     columns = {name: (str(kind), []) for name, kind, *_ in table.description}
@@ -27,34 +30,33 @@ def parquet(path):
     }
     pairs = db.execute("select decode(key), decode(value) from parquet_kv_metadata(?)", [path]).fetchall()
     groups = db.execute("select distinct row_group_id from parquet_metadata(?)", [path]).fetchall()
-    return {"columns": shown, "metadata": dict(pairs), "row_groups": len(groups)}
+    return {"columns": shown, "metadata": dict(pairs), "row_groups": len(groups), "fields": fields}
 
 
 def mf4(path):
     from asammdf import MDF
 
-    groups = []
     with MDF(path) as mdf:
-        for number, group in enumerate(mdf.groups):
-            channels = {}
-            for index, channel in enumerate(group.channels):
-                signal = mdf.get(group=number, index=index, raw=True)
-                real = signal.samples.dtype.kind == "f"
-                channels[channel.name] = {
-                    "unit": signal.unit,
-                    "comment": signal.comment,
-                    "master": channel.channel_type == 2 and channel.sync_type == 1,
-                    "times": bits(signal.timestamps),
-                    "values": bits(signal.samples) if real else [bool(value) for value in signal.samples],
-                }
-            name = group.channel_group.acq_name
-            groups.append({"name": name, "comment": group.channel_group.comment, "channels": channels})
+        (group,) = mdf.groups
+        channels = {}
+        for channel in group.channels:
+            # By name alone, as people do.
+            signal = mdf.get(channel.name, raw=True)
+            real = signal.samples.dtype.kind == "f"
+            channels[channel.name] = {
+                "unit": signal.unit,
+                "comment": signal.comment,
+                "master": channel.channel_type == 2 and channel.sync_type == 1,
+                "times": bits(signal.timestamps),
+                "values": bits(signal.samples) if real else [bool(value) for value in signal.samples],
+            }
+        name = group.channel_group.acq_name
         return {
             "version": mdf.version,
             "start": mdf.header.start_time.timestamp(),
             "comment": mdf.header.comment,
             "history": [history.comment for history in mdf.file_history],
-            "groups": groups,
+            "group": {"name": name, "comment": group.channel_group.comment, "channels": channels},
         }
 
 

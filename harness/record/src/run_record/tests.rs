@@ -83,7 +83,7 @@ fn record() -> RunRecord {
         format: FORMAT,
         verdict: Verdict::Inconclusive,
         complete: true,
-        tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned() },
+        tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned(), ..Tool::default() },
         started: "2025-01-02T03:04:05Z".to_owned(),
         rig: RigRecord {
             name: "hosted".to_owned(),
@@ -98,7 +98,7 @@ fn record() -> RunRecord {
         overrides: Overrides { law: None, trials: Some(1), ..Overrides::default() },
         safe_confirmed: None,
         wall_ms: Some(12.5),
-        host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
+        host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned(), ..Host::default() },
         scenarios: vec![ScenarioRecord {
             file: "paper/fig13-closed-loop.toml".to_owned(),
             title: "At resonance".to_owned(),

@@ -2,12 +2,79 @@
 
 use super::escape::json_line;
 use crate::format::VerdictCounts;
-use platebench_record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
-use serde_json::{Value, json};
+use platebench_record::{ExpectationRecord, RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use schemars::JsonSchema;
+use serde::Serialize;
 use std::io::Write;
 
 /// Readers refuse other versions.
 pub const FORMAT: u32 = 1;
+
+/// A line of the events of a run.
+#[derive(Debug, Serialize, JsonSchema)]
+#[serde(tag = "event", rename_all = "kebab-case")]
+pub enum EventLine<'a> {
+    /// The first line of a run that starts.
+    RunStarted {
+        /// Version of the format.
+        format: u32,
+        /// The run folder.
+        folder: &'a str,
+        /// As named on the command line.
+        rig: &'a str,
+        clock: &'a str,
+        scenarios: Vec<PlannedScenario<'a>>,
+    },
+    ScenarioStarted {
+        /// Its file below the scenario folder.
+        scenario: &'a str,
+        /// The initial number; `max_count` may add more.
+        trials: u32,
+    },
+    TrialFinished {
+        scenario: &'a str,
+        trial: &'a TrialRecord,
+    },
+    ScenarioFinished {
+        scenario: &'a str,
+        title: &'a str,
+        law: &'a str,
+        verdict: Verdict,
+        trials: usize,
+        expectations: &'a [ExpectationRecord],
+    },
+    /// The last line.
+    RunFinished {
+        verdict: Verdict,
+        /// False if the run was cut short.
+        complete: bool,
+        exit_code: u8,
+        /// Why there is no verdict.
+        error: Option<&'a str>,
+        scenarios: Counts,
+        expectations: Counts,
+    },
+}
+
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct PlannedScenario<'a> {
+    scenario: &'a str,
+    trials: u32,
+}
+
+/// Numbers of verdicts.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct Counts {
+    passed: usize,
+    failed: usize,
+    inconclusive: usize,
+}
+
+impl From<VerdictCounts> for Counts {
+    fn from(counts: VerdictCounts) -> Self {
+        Self { passed: counts.passed, failed: counts.failed, inconclusive: counts.inconclusive }
+    }
+}
 
 /// A closed pipe is no error.
 pub struct EventWriter {
@@ -20,43 +87,44 @@ impl EventWriter {
     }
 
     pub fn run_started(&mut self, folder: &str, rig: &str, clock: &str, scenarios: &[(String, u32)]) {
-        let scenarios: Vec<_> =
-            scenarios.iter().map(|(file, trials)| json!({"scenario": file, "trials": trials})).collect();
-        self.write(&json!({
-            "event": "run-started", "format": FORMAT, "folder": folder, "rig": rig, "clock": clock, "scenarios": scenarios,
-        }));
+        let scenarios = scenarios.iter().map(|(file, trials)| PlannedScenario { scenario: file, trials: *trials });
+        self.write(&EventLine::RunStarted { format: FORMAT, folder, rig, clock, scenarios: scenarios.collect() });
     }
 
     pub fn scenario_started(&mut self, file: &str, trials: u32) {
-        self.write(&json!({"event": "scenario-started", "scenario": file, "trials": trials}));
+        self.write(&EventLine::ScenarioStarted { scenario: file, trials });
     }
 
     pub fn trial_finished(&mut self, file: &str, trial: &TrialRecord) {
-        self.write(&json!({"event": "trial-finished", "scenario": file, "trial": trial}));
+        self.write(&EventLine::TrialFinished { scenario: file, trial });
     }
 
     pub fn scenario_finished(&mut self, scenario: &ScenarioRecord) {
-        self.write(&json!({
-            "event": "scenario-finished", "scenario": scenario.file, "title": scenario.title, "law": scenario.law,
-            "verdict": scenario.verdict, "trials": scenario.trials.len(), "expectations": scenario.expectations,
-        }));
+        self.write(&EventLine::ScenarioFinished {
+            scenario: &scenario.file,
+            title: &scenario.title,
+            law: &scenario.law,
+            verdict: scenario.verdict,
+            trials: scenario.trials.len(),
+            expectations: &scenario.expectations,
+        });
     }
 
     /// Without a record there is no verdict, and `error` is the reason.
     pub fn run_finished(&mut self, record: Option<&RunRecord>, error: Option<&str>, exit_code: u8) {
-        let count = |counts: VerdictCounts| json!({"passed": counts.passed, "failed": counts.failed, "inconclusive": counts.inconclusive});
-        self.write(&json!({
-            "event": "run-finished",
-            "verdict": record.map_or(Verdict::Inconclusive, |record| record.verdict),
-            "complete": record.is_some_and(|record| record.complete),
-            "exit_code": exit_code,
-            "error": error,
-            "scenarios": count(record.map(VerdictCounts::of_scenarios).unwrap_or_default()),
-            "expectations": count(record.map(VerdictCounts::of_expectations).unwrap_or_default()),
-        }));
+        self.write(&EventLine::RunFinished {
+            verdict: record.map_or(Verdict::Inconclusive, |record| record.verdict),
+            complete: record.is_some_and(|record| record.complete),
+            exit_code,
+            error,
+            scenarios: record.map(VerdictCounts::of_scenarios).unwrap_or_default().into(),
+            expectations: record.map(VerdictCounts::of_expectations).unwrap_or_default().into(),
+        });
     }
 
-    fn write(&mut self, line: &Value) {
-        let _ = writeln!(self.out, "{}", json_line(line)).and_then(|()| self.out.flush());
+    fn write(&mut self, line: &EventLine<'_>) {
+        if let Ok(value) = serde_json::to_value(line) {
+            let _ = writeln!(self.out, "{}", json_line(&value)).and_then(|()| self.out.flush());
+        }
     }
 }

@@ -25,8 +25,10 @@ pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
 
 fn junit_report(record: &RunRecord) -> Report {
     let mut report = Report::new(record.tool.name.as_str());
-    report.add_test_suites(record.scenarios.iter().map(test_suite));
-    report.add_test_suites(record.not_applicable.iter().map(not_applicable_suite));
+    let started = record.started.as_str();
+    report.add_test_suites(record.scenarios.iter().map(|scenario| test_suite(scenario, started)));
+    let skipped = record.not_applicable.iter().map(|scenario| not_applicable_suite(scenario, started));
+    report.add_test_suites(skipped);
     let Some(reason) = record_queries::run_inconclusive_reason(record) else { return report };
     let mut suite = TestSuite::new("run");
     suite.add_test_case(inconclusive_case("the whole run", "run", reason));
@@ -34,8 +36,16 @@ fn junit_report(record: &RunRecord) -> Report {
     report
 }
 
-fn test_suite(scenario: &ScenarioRecord) -> TestSuite {
-    let mut suite = TestSuite::new(printable(&scenario.file).as_ref());
+/// `file` and `timestamp` are attributes of a suite only, by Jenkins' schema.
+fn suite_of_file(file: &str, started: &str) -> TestSuite {
+    let mut suite = TestSuite::new(printable(file).as_ref());
+    suite.extra.insert("file".into(), printable(file).as_ref().into());
+    suite.extra.insert("timestamp".into(), printable(started).as_ref().into());
+    suite
+}
+
+fn test_suite(scenario: &ScenarioRecord, started: &str) -> TestSuite {
+    let mut suite = suite_of_file(&scenario.file, started);
     suite.add_properties([
         ("title", printable(&scenario.title).as_ref()),
         ("law", printable(&scenario.law).as_ref()),
@@ -52,22 +62,26 @@ fn test_suite(scenario: &ScenarioRecord) -> TestSuite {
         }
     }
     let wall: Option<f64> = scenario.trials.iter().map(|trial| trial.wall_ms).sum();
-    if let Some(time) = wall.and_then(|ms| Duration::try_from_secs_f64(ms / 1e3).ok()) {
+    let time = wall.and_then(|ms| Duration::try_from_secs_f64(ms / 1e3).ok());
+    if let Some(time) = time {
         suite.set_time(time);
     }
-    suite.add_test_cases((0..scenario.expectations.len()).filter_map(|index| test_case(scenario, index)));
+    let count = scenario.expectations.len();
+    // Every expectation judges the same trials: equal shares add up to the scenario's time.
+    let share = time.zip(u32::try_from(count).ok()).and_then(|(time, count)| time.checked_div(count));
+    suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, index, share)));
     if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
         suite.add_test_case(inconclusive_case("the whole scenario", &class_name(&scenario.file), reason));
     }
     suite
 }
 
-fn not_applicable_suite(scenario: &NotApplicable) -> TestSuite {
+fn not_applicable_suite(scenario: &NotApplicable, started: &str) -> TestSuite {
     let mut status = TestCaseStatus::skipped();
     status.set_message(printable(&scenario.reason).as_ref());
     let mut case = TestCase::new("not applicable", status);
     case.set_classname(class_name(&scenario.file));
-    let mut suite = TestSuite::new(printable(&scenario.file).as_ref());
+    let mut suite = suite_of_file(&scenario.file, started);
     suite.add_property(("title", printable(&scenario.title).as_ref()));
     suite.add_test_case(case);
     suite
@@ -86,7 +100,7 @@ fn inconclusive_case(name: &str, class: &str, reason: &str) -> TestCase {
     case
 }
 
-fn test_case(scenario: &ScenarioRecord, index: usize) -> Option<TestCase> {
+fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>) -> Option<TestCase> {
     let expectation = scenario.expectations.get(index)?;
     let kind = match expectation.verdict {
         Verdict::Pass => None,
@@ -105,6 +119,9 @@ fn test_case(scenario: &ScenarioRecord, index: usize) -> Option<TestCase> {
     });
     let mut case = TestCase::new(printable(&expectation.name).as_ref(), status);
     case.set_classname(class_name(&scenario.file));
+    if let Some(time) = time {
+        case.set_time(time);
+    }
     let trial = record_queries::trial_to_inspect(scenario, index).or_else(|| scenario.trials.first());
     let properties = [
         ("requirement", expectation.requirement.clone()),

@@ -17,7 +17,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
         format: FORMAT,
         verdict: Verdict::combine(scenarios.iter().map(|scenario| scenario.verdict)),
         complete: true,
-        tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned() },
+        tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned(), ..Tool::default() },
         started: "2026-03-02T09:30:00Z".to_owned(),
         rig: RigRecord {
             name: "hosted".to_owned(),
@@ -32,7 +32,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
         overrides: Overrides { seed: Some(7), ..Overrides::default() },
         safe_confirmed: Some(true),
         wall_ms: Some(2_500.0),
-        host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned() },
+        host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned(), ..Host::default() },
         scenarios,
         not_applicable: Vec::new(),
         cost: Vec::new(),

@@ -59,8 +59,8 @@ fn a_changed_limit_changes_no_name() {
         expectation.limit = Limit::AtMost(77.0);
     }
     assert_eq!(names(&record), before);
-    let first = r#"<testcase name="settling_time_ms" classname="paper/fig13-closed-loop">"#;
-    assert_eq!(before[0].trim(), first);
+    let first = r#"<testcase name="settling_time_ms" classname="paper/fig13-closed-loop""#;
+    assert!(before[0].trim().starts_with(first), "{}", before[0]);
 }
 
 #[rstest]

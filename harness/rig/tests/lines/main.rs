@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 mod exec;
+mod network;
 mod python_controller;
 mod serial;
 

@@ -1,0 +1,36 @@
+//! Passes commit, profile and features of the build to the program.
+
+use std::env;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn git(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;
+    let text = String::from_utf8(output.stdout).ok()?.trim().to_owned();
+    (!text.is_empty()).then_some(text)
+}
+
+/// `OUT_DIR` is `<target>/<profile>/build/<package>/out`; `PROFILE` is `release` for every profile derived from it.
+fn profile() -> Option<String> {
+    let out = PathBuf::from(env::var_os("OUT_DIR")?);
+    Some(out.ancestors().nth(3)?.file_name()?.to_string_lossy().into_owned())
+}
+
+fn main() {
+    println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rerun-if-env-changed=PLATEBENCH_COMMIT");
+    // A package of the sources has no repository: its builder sets the variable.
+    let commit = env::var("PLATEBENCH_COMMIT").ok().or_else(|| git(&["rev-parse", "HEAD"]));
+    for file in ["HEAD", "logs/HEAD"] {
+        if let Some(path) = git(&["rev-parse", "--git-path", file]).filter(|path| Path::new(path).exists()) {
+            println!("cargo::rerun-if-changed={path}");
+        }
+    }
+    let features: Vec<_> = ["probe"]
+        .into_iter()
+        .filter(|name| env::var_os(format!("CARGO_FEATURE_{}", name.to_uppercase())).is_some())
+        .collect();
+    println!("cargo::rustc-env=PLATEBENCH_BUILD_COMMIT={}", commit.unwrap_or_default());
+    println!("cargo::rustc-env=PLATEBENCH_BUILD_PROFILE={}", profile().unwrap_or_default());
+    println!("cargo::rustc-env=PLATEBENCH_BUILD_FEATURES={}", features.join(" "));
+}

@@ -1,0 +1,166 @@
+//! Simulates a plate between communication points. Inputs are constant during a step, so the closed form is exact
+//! for every step size.
+
+use crate::variables::{INPUTS, OUTPUTS, TIME_REFERENCE};
+use platebench_plate::{ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, RawPlate, Tier, Time};
+use std::f64::consts::TAU;
+use std::fs;
+use std::path::Path;
+
+/// The plate file in the folder `resources` of the FMU.
+pub(crate) const PLATE_FILE: &str = "plate.toml";
+
+#[derive(Debug, thiserror::Error)]
+pub enum InstanceError {
+    #[error("{PLATE_FILE} of the FMU cannot be read: {0}")]
+    Read(#[from] std::io::Error),
+    #[error("{PLATE_FILE} of the FMU: {0}")]
+    Parse(#[from] toml::de::Error),
+    #[error("{PLATE_FILE} of the FMU: {0}")]
+    Plate(#[from] platebench_plate::PlateError),
+    #[error("value reference {0} is none of this FMU's variables that this function serves")]
+    NoVariable(u32),
+    #[error("{name} is {value}, expected {expected}")]
+    Input { name: &'static str, value: f64, expected: &'static str },
+    #[error("a step from {from} s by {step} s, expected to begin at {at} s and not to go back")]
+    Step { from: f64, step: f64, at: f64 },
+}
+
+/// A plate with its inputs; starts at rest.
+#[derive(Debug, Clone)]
+pub struct Instance {
+    plate: Plate,
+    plant: Plant,
+    inputs: [f64; INPUTS.len()],
+    start_s: f64,
+}
+
+fn plant_at_rest(plate: &Plate) -> Plant {
+    let scene =
+        ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) };
+    Plant::new(plate.clone(), scene, Tier::Modal)
+}
+
+impl Instance {
+    pub fn new(plate: Plate) -> Self {
+        let inputs = [0.0, plate.omega0 / TAU, 0.0, 0.0];
+        Self { plant: plant_at_rest(&plate), plate, inputs, start_s: 0.0 }
+    }
+
+    pub fn from_resources(folder: &Path) -> Result<Self, InstanceError> {
+        let text = fs::read_to_string(folder.join(PLATE_FILE))?;
+        Ok(Self::new(toml::from_str::<RawPlate>(&text)?.check()?))
+    }
+
+    pub(crate) fn reset(&mut self) {
+        *self = Self::new(self.plate.clone());
+    }
+
+    pub(crate) fn start(&mut self, start_s: f64) {
+        self.start_s = start_s;
+        self.plant = plant_at_rest(&self.plate);
+    }
+
+    fn time_s(&self) -> f64 {
+        self.start_s + self.plant.time().seconds()
+    }
+
+    pub(crate) fn value(&self, reference: u32) -> Result<f64, InstanceError> {
+        if reference == TIME_REFERENCE {
+            return Ok(self.time_s());
+        }
+        let index = reference as usize - 1;
+        let state = self.plant.state();
+        let outputs: [f64; OUTPUTS.len()] = [state.w.re, state.w.im, state.u.re, state.u.im, state.amplitude()];
+        let value = self.inputs.iter().chain(&outputs).nth(index);
+        value.copied().ok_or(InstanceError::NoVariable(reference))
+    }
+
+    pub(crate) fn set_input(&mut self, reference: u32, value: f64) -> Result<(), InstanceError> {
+        let index = (reference as usize).wrapping_sub(1);
+        let Some((input, variable)) = self.inputs.get_mut(index).zip(INPUTS.get(index)) else {
+            return Err(InstanceError::NoVariable(reference));
+        };
+        let expected = match variable.name {
+            "temperature" => "a finite number",
+            "frequency" => "a finite number above 0",
+            _ => "a finite number that is not negative",
+        };
+        let is_valid = match variable.name {
+            "temperature" => true,
+            "frequency" => value > 0.0,
+            _ => value >= 0.0,
+        };
+        if !value.is_finite() || !is_valid {
+            return Err(InstanceError::Input { name: variable.name, value, expected });
+        }
+        *input = value;
+        Ok(())
+    }
+
+    /// Communication points are rounded to whole nanoseconds.
+    pub(crate) fn step(&mut self, from_s: f64, step_s: f64) -> Result<(), InstanceError> {
+        let invalid = || InstanceError::Step { from: from_s, step: step_s, at: self.time_s() };
+        let from = Time::from_seconds(from_s - self.start_s).ok_or_else(invalid)?;
+        let end = Time::from_seconds(from_s - self.start_s + step_s).ok_or_else(invalid)?;
+        if from != self.plant.time() || end < from {
+            return Err(invalid());
+        }
+        let [vpp, frequency_hz, finger_force_n, temperature_offset_k] = self.inputs;
+        let conditions = Conditions { temperature_offset_k, finger_force_n };
+        if self.plant.conditions_at(from) != conditions {
+            self.plant.hold_conditions(conditions);
+        }
+        self.plant.set_drive(Drive { vpp, omega: TAU * frequency_hz });
+        self.plant.advance(end, &[], &mut Vec::new());
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::variables::{input_reference, output_reference};
+
+    const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
+
+    fn instance() -> Instance {
+        let plate = PLATE.split_once('\n').unwrap().1;
+        Instance::new(toml::from_str::<RawPlate>(plate).unwrap().check().unwrap())
+    }
+
+    fn amplitude_after(steps: u32, step_s: f64) -> f64 {
+        let mut instance = instance();
+        instance.set_input(input_reference(0) as u32, 286.5).unwrap();
+        for step in 0..steps {
+            instance.step(f64::from(step) * step_s, step_s).unwrap();
+        }
+        instance.value(output_reference(4) as u32).unwrap()
+    }
+
+    #[test]
+    fn the_step_size_does_not_change_the_result() {
+        let coarse = amplitude_after(1, 60e-3);
+        assert!((coarse - 2.0).abs() < 1e-3, "{coarse}");
+        for (steps, step_s) in [(60, 1e-3), (600, 1e-4), (24, 2.5e-3)] {
+            let difference = amplitude_after(steps, step_s) - coarse;
+            assert!(difference.abs() < 1e-12, "{step_s}: {difference}");
+        }
+    }
+
+    #[test]
+    fn rejects_wrong_inputs_and_steps() {
+        let mut instance = instance();
+        assert!(matches!(instance.set_input(1, -1.0), Err(InstanceError::Input { name: "drive", .. })));
+        assert!(matches!(instance.set_input(2, 0.0), Err(InstanceError::Input { name: "frequency", .. })));
+        assert!(matches!(instance.set_input(4, f64::NAN), Err(InstanceError::Input { name: "temperature", .. })));
+        assert!(matches!(instance.set_input(5, 0.0), Err(InstanceError::NoVariable(5))));
+        assert!(matches!(instance.value(10), Err(InstanceError::NoVariable(10))));
+        assert!(matches!(instance.step(1e-3, 1e-3), Err(InstanceError::Step { .. })));
+        assert!(matches!(instance.step(0.0, -1e-3), Err(InstanceError::Step { .. })));
+        instance.step(0.0, 1e-3).unwrap();
+        assert_eq!(instance.value(0).unwrap(), 1e-3);
+        instance.reset();
+        instance.step(0.0, 1e-3).unwrap();
+    }
+}

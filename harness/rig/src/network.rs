@@ -1,0 +1,104 @@
+//! Connects to a serial port behind a network: a terminal server, ser2net or a labgrid exporter.
+//!
+//! `tcp:` transports bytes as they are; the server sets the port. `rfc2217:` is Telnet with the option to set it.
+
+mod error;
+mod rfc2217;
+
+pub use error::NetworkError;
+
+use crate::link::{Link, LinkError, RealTimeLine};
+use crate::tty::{Port, Tty};
+use error::CONNECT_TIMEOUT;
+use rfc2217::Rfc2217;
+use rustix::fd::OwnedFd;
+use std::io;
+use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
+use std::sync::mpsc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// A line over TCP.
+#[derive(Debug)]
+pub(crate) struct NetworkLink<T> {
+    port: Port<T>,
+}
+
+pub(crate) type TcpLink = NetworkLink<OwnedFd>;
+pub(crate) type Rfc2217Link = NetworkLink<Rfc2217>;
+
+impl TcpLink {
+    /// `address` is `HOST:PORT`.
+    pub(crate) fn open(address: &str) -> Result<Self, NetworkError> {
+        let file = connect(address, Instant::now() + CONNECT_TIMEOUT)?;
+        Ok(Self { port: Port::new(file) })
+    }
+}
+
+impl Rfc2217Link {
+    /// Sets 8N1 without flow control at `baud`.
+    pub(crate) fn open(address: &str, baud: u32) -> Result<Self, NetworkError> {
+        let deadline = Instant::now() + CONNECT_TIMEOUT;
+        let line = Rfc2217::start(connect(address, deadline)?, address, baud, deadline)?;
+        Ok(Self { port: Port::new(line) })
+    }
+}
+
+impl<T: Tty> NetworkLink<T> {
+    #[must_use]
+    pub(crate) fn with_reply_timeout(mut self, timeout: Duration) -> Self {
+        self.port.set_reply_timeout(timeout);
+        self
+    }
+}
+
+/// Non-blocking, without delay of small packets.
+fn connect(address: &str, deadline: Instant) -> Result<OwnedFd, NetworkError> {
+    let timed_out = || NetworkError::TimedOut { address: address.to_owned() };
+    let failed = |error| NetworkError::Connect { address: address.to_owned(), error };
+    let mut last = None;
+    for socket in resolve(address, deadline)? {
+        let left = deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(timed_out());
+        }
+        match TcpStream::connect_timeout(&socket, left) {
+            Ok(stream) => {
+                stream.set_nodelay(true).and_then(|()| stream.set_nonblocking(true)).map_err(failed)?;
+                return Ok(stream.into());
+            }
+            Err(error) => last = Some(error),
+        }
+    }
+    Err(match last {
+        Some(error) if error.kind() != io::ErrorKind::TimedOut => failed(error),
+        _ => timed_out(),
+    })
+}
+
+/// On another thread, because the resolver of the C library has no time-out of its own.
+fn resolve(address: &str, deadline: Instant) -> Result<Vec<SocketAddr>, NetworkError> {
+    let (sender, receiver) = mpsc::channel();
+    let name = address.to_owned();
+    thread::spawn(move || {
+        let _ = sender.send(name.to_socket_addrs().map(Iterator::collect));
+    });
+    match receiver.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+        Ok(found) => found.map_err(|error| NetworkError::Resolve { address: address.to_owned(), error }),
+        Err(_) => Err(NetworkError::TimedOut { address: address.to_owned() }),
+    }
+}
+
+impl<T: Tty> Link for NetworkLink<T> {
+    fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        self.port.exchange(bytes, answer)
+    }
+
+    fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.port.read_available(received)
+    }
+
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+        Some(&mut self.port)
+    }
+}

@@ -1,0 +1,214 @@
+//! Sets a remote serial port over Telnet (RFC 854, RFC 2217) and escapes the byte 255.
+
+use crate::link::LinkError;
+use crate::network::error::NetworkError;
+use crate::tty::Tty;
+use rustix::fd::OwnedFd;
+use std::collections::VecDeque;
+use std::time::Instant;
+
+const IAC: u8 = 255;
+const DONT: u8 = 254;
+const DO: u8 = 253;
+const WONT: u8 = 252;
+const WILL: u8 = 251;
+const SUBNEGOTIATION: u8 = 250;
+const END: u8 = 240;
+
+const BINARY: u8 = 0;
+const SUPPRESS_GO_AHEAD: u8 = 3;
+const COM_PORT: u8 = 44;
+
+const SET_BAUDRATE: u8 = 1;
+const SET_DATASIZE: u8 = 2;
+const SET_PARITY: u8 = 3;
+const SET_STOPSIZE: u8 = 4;
+const SET_CONTROL: u8 = 5;
+const PURGE_DATA: u8 = 12;
+/// A server answers a command with its number plus this.
+const ANSWER: u8 = 100;
+
+/// A longer subnegotiation is cut off.
+const MAX_SUBNEGOTIATION: usize = 64;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum State {
+    Data,
+    /// After 255.
+    Command,
+    /// After WILL, WONT, DO or DONT.
+    Option(u8),
+    Subnegotiation,
+    /// After 255 in a subnegotiation.
+    SubnegotiationCommand,
+}
+
+/// A Telnet connection to a serial port.
+#[derive(Debug)]
+pub(crate) struct Rfc2217 {
+    line: OwnedFd,
+    state: State,
+    subnegotiation: Vec<u8>,
+    /// Bytes for the server that the line has not taken yet.
+    unsent: VecDeque<u8>,
+    baud: Option<u32>,
+    is_refused: bool,
+}
+
+impl Rfc2217 {
+    pub(super) fn start(line: OwnedFd, address: &str, baud: u32, deadline: Instant) -> Result<Self, NetworkError> {
+        let settings = |source| NetworkError::Settings { address: address.to_owned(), source };
+        let mut port = Self {
+            line,
+            state: State::Data,
+            subnegotiation: Vec::with_capacity(MAX_SUBNEGOTIATION),
+            unsent: VecDeque::new(),
+            baud: None,
+            is_refused: false,
+        };
+        for (command, option) in
+            [(WILL, COM_PORT), (WILL, BINARY), (DO, BINARY), (WILL, SUPPRESS_GO_AHEAD), (DO, SUPPRESS_GO_AHEAD)]
+        {
+            port.unsent.extend([IAC, command, option]);
+        }
+        for (command, value) in [(SET_DATASIZE, 8), (SET_PARITY, 1), (SET_STOPSIZE, 1), (SET_CONTROL, 1)] {
+            port.queue_setting(command, &[value]);
+        }
+        port.queue_setting(PURGE_DATA, &[3]);
+        port.queue_setting(SET_BAUDRATE, &baud.to_be_bytes());
+        let mut discarded = [0; 256];
+        loop {
+            port.flush(deadline).map_err(settings)?;
+            match port.baud {
+                Some(found) if found == baud => return Ok(port),
+                Some(found) => {
+                    return Err(NetworkError::Baud { address: address.to_owned(), expected: baud, found });
+                }
+                None if port.is_refused => return Err(NetworkError::NoPortOption { address: address.to_owned() }),
+                None => {}
+            }
+            let received = port.read(&mut discarded, deadline).map_err(settings)?;
+            if received.is_none() && Instant::now() >= deadline {
+                // A server without Telnet answers nothing.
+                return Err(NetworkError::NoPortOption { address: address.to_owned() });
+            }
+        }
+    }
+
+    fn queue_setting(&mut self, command: u8, value: &[u8]) {
+        self.unsent.extend([IAC, SUBNEGOTIATION, COM_PORT, command]);
+        value.iter().for_each(|&byte| self.queue_data(byte));
+        self.unsent.extend([IAC, END]);
+    }
+
+    fn queue_data(&mut self, byte: u8) {
+        self.unsent.push_back(byte);
+        if byte == IAC {
+            self.unsent.push_back(IAC);
+        }
+    }
+
+    /// True if everything is sent.
+    fn flush(&mut self, until: Instant) -> Result<bool, LinkError> {
+        while !self.unsent.is_empty() {
+            let (first, _) = self.unsent.as_slices();
+            match Tty::write(&mut self.line, first, until)? {
+                Some(count) => drop(self.unsent.drain(..count)),
+                None => return Ok(false),
+            }
+        }
+        Ok(true)
+    }
+
+    /// `Some` for a byte of the serial port.
+    fn decode(&mut self, byte: u8) -> Option<u8> {
+        match (self.state, byte) {
+            (State::Data, IAC) => self.state = State::Command,
+            (State::Data, _) => return Some(byte),
+            (State::Command, IAC) => {
+                self.state = State::Data;
+                return Some(IAC);
+            }
+            (State::Command, WILL | WONT | DO | DONT) => self.state = State::Option(byte),
+            (State::Command, SUBNEGOTIATION) => {
+                self.subnegotiation.clear();
+                self.state = State::Subnegotiation;
+            }
+            (State::Command, _) => self.state = State::Data,
+            (State::Option(command), option) => {
+                self.state = State::Data;
+                self.answer(command, option);
+            }
+            (State::Subnegotiation, IAC) => self.state = State::SubnegotiationCommand,
+            (State::SubnegotiationCommand, END) => {
+                self.state = State::Data;
+                self.finish_subnegotiation();
+            }
+            (State::Subnegotiation | State::SubnegotiationCommand, _) => {
+                self.state = State::Subnegotiation;
+                if self.subnegotiation.len() < MAX_SUBNEGOTIATION {
+                    self.subnegotiation.push(byte);
+                }
+            }
+        }
+        None
+    }
+
+    /// The options of [`Self::start`] were requested before; any other one is refused.
+    fn answer(&mut self, command: u8, option: u8) {
+        let is_requested = matches!(option, BINARY | SUPPRESS_GO_AHEAD | COM_PORT);
+        self.is_refused |= option == COM_PORT && matches!(command, DONT);
+        match command {
+            WILL if !is_requested => self.unsent.extend([IAC, DONT, option]),
+            DO if !is_requested => self.unsent.extend([IAC, WONT, option]),
+            _ => {}
+        }
+    }
+
+    fn finish_subnegotiation(&mut self) {
+        const BAUD_IS_SET: u8 = SET_BAUDRATE + ANSWER;
+        if let [COM_PORT, BAUD_IS_SET, a, b, c, d] = self.subnegotiation[..] {
+            self.baud = Some(u32::from_be_bytes([a, b, c, d]));
+        }
+    }
+}
+
+impl Tty for Rfc2217 {
+    fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        loop {
+            let Some(count) = Tty::read(&mut self.line, buffer, until)? else { return Ok(None) };
+            let mut decoded = 0;
+            for index in 0..count {
+                let data = buffer.get(index).and_then(|&byte| self.decode(byte));
+                // Never behind the byte that was read.
+                if let (Some(data), Some(place)) = (data, buffer.get_mut(decoded)) {
+                    *place = data;
+                    decoded += 1;
+                }
+            }
+            if !self.unsent.is_empty() {
+                self.flush(Instant::now())?;
+            }
+            if decoded > 0 {
+                return Ok(Some(decoded));
+            }
+            // During the settings the caller looks at each answer.
+            if self.baud.is_none() || Instant::now() >= until {
+                return Ok(None);
+            }
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        // A message that the line did not take completely comes first: half a message would be garbage.
+        if !self.flush(until)? {
+            return Ok(None);
+        }
+        bytes.iter().for_each(|&byte| self.queue_data(byte));
+        self.flush(until)?;
+        Ok(Some(bytes.len()))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,109 @@
+//! Tests lines behind a network: a bridge in this process, and ser2net.
+
+use super::{CONFIGURE, RECEIVE_TIMEOUT, sample};
+use platebench_controller::Device;
+use platebench_rig::{BoxedLink, ConnectError, NetworkError, RigSpec, Session};
+use platebench_test_kit::{ChildGuard, IDENTITY, open_terminal, skip_without};
+use platebench_wire::Message;
+use rstest::rstest;
+use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpListener;
+use std::process::{Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+fn board(mut reader: impl Read + Send + 'static, mut writer: impl Write + Send + 'static) {
+    let mut device = Device::new(IDENTITY);
+    thread::spawn(move || {
+        let start = Instant::now();
+        let mut bytes = [0; 256];
+        while let Ok(count @ 1..) = reader.read(&mut bytes) {
+            let mut answer = Vec::new();
+            device.receive(&bytes[..count], start.elapsed().as_micros() as u32, |frame| answer.extend(frame));
+            if writer.write_all(&answer).is_err() {
+                break;
+            }
+        }
+    });
+}
+
+fn connect(spec: &str) -> Result<BoxedLink, ConnectError> {
+    spec.parse::<RigSpec>().unwrap().connect()
+}
+
+fn control(link: BoxedLink) {
+    let mut session = Session::open(link).unwrap();
+    assert_eq!(session.identity(), &IDENTITY);
+    session.start_trial(&CONFIGURE).unwrap();
+    for step in 0..50 {
+        let number = session.send(Message::Sample(sample(step))).unwrap();
+        let received = session.receive(Instant::now() + RECEIVE_TIMEOUT).unwrap().unwrap();
+        assert_eq!(received.sequence, number);
+    }
+    assert!(session.request_safe_state());
+    assert_eq!(session.rejected_frames(), 0);
+}
+
+#[test]
+fn controls_over_tcp() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    thread::spawn(move || {
+        let (stream, _) = listener.accept().unwrap();
+        stream.set_nodelay(true).unwrap();
+        board(stream.try_clone().unwrap(), stream);
+    });
+    control(connect(&format!("tcp:{address}")).unwrap());
+}
+
+#[test]
+fn names_the_address_that_cannot_be_reached() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    drop(listener);
+    for kind in ["tcp", "rfc2217"] {
+        let refused = connect(&format!("{kind}:{address}")).err().unwrap();
+        assert!(matches!(&refused, ConnectError::Network(NetworkError::Connect { .. })), "{refused}");
+        assert!(!refused.is_invalid_input() && refused.to_string().starts_with(&address.to_string()), "{refused}");
+    }
+}
+
+/// Starts ser2net in front of a simulated board; `accepter` speaks its protocol.
+fn ser2net(accepter: &str) -> Option<(ChildGuard, String, (tempfile::TempDir, fs::File))> {
+    if Command::new("ser2net").arg("-v").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err() {
+        skip_without("ser2net");
+        return None;
+    }
+    let (master, path) = open_terminal();
+    board(master.try_clone().unwrap(), master);
+    // The terminal would hang up when ser2net closes it.
+    let slave = fs::File::options().read(true).write(true).open(&path).unwrap();
+    // A port that was free a moment ago.
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("ser2net.yaml");
+    let (host, port) = (address.ip(), address.port());
+    let text = format!(
+        "connection: &board\n  accepter: {accepter}tcp,{host},{port}\n  connector: serialdev,{path},115200n81,local\n"
+    );
+    fs::write(&file, text).unwrap();
+    let child = Command::new("ser2net").args(["-n", "-d", "-c"]).arg(&file).stderr(Stdio::null()).spawn().unwrap();
+    Some((ChildGuard(child), address.to_string(), (folder, slave)))
+}
+
+#[rstest]
+#[case::raw("tcp", "")]
+#[case::with_settings("rfc2217", "telnet(rfc2217),")]
+fn controls_through_ser2net(#[case] kind: &str, #[case] accepter: &str) {
+    let Some((_server, address, _files)) = ser2net(accepter) else { return };
+    let began = Instant::now();
+    let link = loop {
+        match connect(&format!("{kind}:{address}")) {
+            Ok(link) => break link,
+            Err(error) => assert!(began.elapsed() < RECEIVE_TIMEOUT, "{error}"),
+        }
+        thread::sleep(Duration::from_millis(50));
+    };
+    control(link);
+}

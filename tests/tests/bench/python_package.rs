@@ -1,0 +1,97 @@
+//! Tests the Python package: maturin builds its wheel, a fresh environment installs it, scripts and pytest use it.
+
+use crate::test_folder::{TestFolder, step_text, workspace_root};
+use platebench_test_kit::skip_without;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_platebench-under-test");
+const READERS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/test-readers");
+const FILES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/bench/python");
+
+#[track_caller]
+fn call(command: &mut Command) -> String {
+    let (status, text) = output(command.output().unwrap());
+    assert_eq!(status, 0, "{command:?}: {text}");
+    text
+}
+
+fn output(output: Output) -> (i32, String) {
+    let text = [output.stdout, output.stderr].concat();
+    (output.status.code().unwrap_or(-1), String::from_utf8_lossy(&text).into_owned())
+}
+
+/// The wheel contains the program that the tests built: `python/cargo` takes the place of cargo.
+fn build_wheel(folder: &Path) -> PathBuf {
+    let root = workspace_root();
+    let manifest = root.join("harness/cli/Cargo.toml");
+    let bin = folder.join("bin");
+    fs::create_dir_all(&bin).unwrap();
+    fs::copy(Path::new(FILES).join("cargo"), bin.join("cargo")).unwrap();
+    let program = folder.join("platebench");
+    fs::copy(PROGRAM, &program).unwrap();
+    let path = std::env::var("PATH").unwrap();
+    call(
+        Command::new(format!("{READERS}/bin/maturin"))
+            .args(["build", "--offline", "--out"])
+            .arg(folder.join("dist"))
+            .current_dir(root.join("ci/python"))
+            .env("PATH", format!("{}:{path}", bin.display()))
+            .env("REAL_CARGO", env!("CARGO"))
+            .env("PACKAGE_ID", format!("path+file://{}#platebench-cli@0.1.0", manifest.parent().unwrap().display()))
+            .env("SOURCE", root.join("harness/cli/src/main.rs"))
+            .env("MANIFEST", &manifest)
+            .env("PROGRAM", &program),
+    );
+    let wheels: Vec<_> = fs::read_dir(folder.join("dist")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let [wheel] = &wheels[..] else { panic!("{wheels:?}") };
+    wheel.clone()
+}
+
+/// A fresh environment with the wheel; pandas, polars and pytest come from the readers.
+fn environment(folder: &Path) -> PathBuf {
+    let venv = folder.join("venv");
+    call(Command::new(format!("{READERS}/bin/python")).args(["-m", "venv", "--without-pip"]).arg(&venv));
+    let python = venv.join("bin/python");
+    let print = |python: &Path| {
+        let code = "import sysconfig; print(sysconfig.get_path('purelib'))";
+        call(Command::new(python).args(["-c", code])).trim().to_owned()
+    };
+    let readers = print(Path::new(&format!("{READERS}/bin/python")));
+    fs::write(Path::new(&print(&python)).join("readers.pth"), readers).unwrap();
+    let wheel = build_wheel(folder);
+    call(
+        Command::new(format!("{READERS}/bin/pip"))
+            .arg("--python")
+            .arg(&python)
+            .args(["install", "--no-deps", "--no-index", "--disable-pip-version-check"])
+            .arg(wheel),
+    );
+    python
+}
+
+#[test]
+fn the_wheel_plays_scenarios_and_pytest_collects_them() {
+    if !Path::new(READERS).join("bin/maturin").exists() {
+        return skip_without(&format!("maturin in {READERS}"));
+    }
+    let folder = TestFolder::new();
+    let limit = |value: f64| step_text(&format!("metric = \"settling_time_ms\"\nat_most = {value}"));
+    folder.write_scenario("good.toml", &limit(2.0));
+    folder.write_scenario("bad.toml", &limit(0.5));
+    folder.write_scenario("limit.toml", &limit(0.5).replacen("title", "expected_exit = 1\ntitle", 1));
+    let python = environment(&folder.join(""));
+
+    let script = Path::new(FILES).join("use_package.py");
+    let text = call(Command::new(&python).arg(script).current_dir(folder.join("")));
+    assert!(text.ends_with("pandas and polars agree\n"), "{text}");
+
+    let options = ["-m", "pytest", "-n", "2", "-rs", "scenarios", "--platebench-rig", "hosted", "--durations", "1"];
+    let (status, text) = output(Command::new(&python).args(options).current_dir(folder.join("")).output().unwrap());
+    assert_eq!(status, 1, "{text}");
+    for part in ["scenarios/bad.toml", "settling_time_ms: fail", "report.html", "1 failed", "2 passed", "slowest"] {
+        assert!(text.contains(part), "{part} is not in {text}");
+    }
+    assert!(!text.contains("Traceback"), "{text}");
+}

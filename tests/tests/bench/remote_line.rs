@@ -1,0 +1,60 @@
+//! Tests whole runs over TCP.
+
+use crate::test_folder::{SETTLING, TestFolder};
+use platebench_controller::Device;
+use platebench_record::{ClockKind, RunRecord, Verdict};
+use platebench_test_kit::IDENTITY;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener};
+use std::thread;
+use std::time::Instant;
+
+/// A board behind a server that takes one connection after the other.
+fn serve_board() -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            let mut stream = stream.unwrap();
+            stream.set_nodelay(true).unwrap();
+            let (mut device, start) = (Device::new(IDENTITY), Instant::now());
+            let mut bytes = [0; 256];
+            while let Ok(count @ 1..) = stream.read(&mut bytes) {
+                let mut answer = Vec::new();
+                device.receive(&bytes[..count], start.elapsed().as_micros() as u32, |frame| answer.extend(frame));
+                if stream.write_all(&answer).is_err() {
+                    break;
+                }
+            }
+        }
+    });
+    address
+}
+
+#[test]
+fn a_run_over_tcp_is_in_real_time_and_measures_the_delay() {
+    let folder = TestFolder::with_step(SETTLING);
+    let rig = format!("tcp:{}", serve_board());
+    let output = folder.bench(["run", "--rig", &rig, "--time-scale", "0.1", "--out", "run"]);
+    let record = RunRecord::read(&folder.join("run")).unwrap();
+    // A late bench or a slow line makes the verdict inconclusive.
+    assert_ne!(record.verdict, Verdict::Fail, "{}", output.text());
+    output.assert_exit(if record.verdict == Verdict::Pass { 0 } else { 3 });
+    assert_eq!((record.clock, record.safe_confirmed), (ClockKind::RealTime, Some(true)));
+    assert_eq!(record.rig.name, rig);
+    let timing = record.scenarios[0].trials[0].telemetry.timing.as_ref().unwrap();
+    assert!(timing.loop_delay_us.is_some_and(|delay| delay.max > 0.0), "{timing:?}");
+}
+
+#[test]
+fn an_address_without_a_server_cannot_be_reached() {
+    let folder = TestFolder::with_step(SETTLING);
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    drop(listener);
+    for kind in ["tcp", "rfc2217"] {
+        let rig = format!("{kind}:{address}");
+        folder.bench(["run", "--rig", &rig, "--out", kind]).assert_exit(5).assert_stderr(&[&address]);
+        folder.bench(["run", "--rig", &format!("{kind}:lab")]).assert_exit(2).assert_stderr(&["HOST:PORT"]);
+    }
+}
