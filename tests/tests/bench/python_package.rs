@@ -22,29 +22,11 @@ fn output(output: Output) -> (i32, String) {
     (output.status.code().unwrap_or(-1), String::from_utf8_lossy(&text).into_owned())
 }
 
-/// The wheel contains the program that the tests built: `python/cargo` takes the place of cargo.
+/// Without a second build of the program.
 fn build_wheel(folder: &Path) -> PathBuf {
-    let root = workspace_root();
-    let manifest = root.join("harness/cli/Cargo.toml");
-    let bin = folder.join("bin");
-    fs::create_dir_all(&bin).unwrap();
-    fs::copy(Path::new(FILES).join("cargo"), bin.join("cargo")).unwrap();
-    let program = folder.join("platebench");
-    fs::copy(PROGRAM, &program).unwrap();
-    let path = std::env::var("PATH").unwrap();
-    call(
-        Command::new(format!("{READERS}/bin/maturin"))
-            .args(["build", "--offline", "--out"])
-            .arg(folder.join("dist"))
-            .current_dir(root.join("ci/python"))
-            .env("PATH", format!("{}:{path}", bin.display()))
-            .env("REAL_CARGO", env!("CARGO"))
-            .env("PACKAGE_ID", format!("path+file://{}#platebench-cli@0.1.0", manifest.parent().unwrap().display()))
-            .env("SOURCE", root.join("harness/cli/src/main.rs"))
-            .env("MANIFEST", &manifest)
-            .env("PROGRAM", &program),
-    );
-    let wheels: Vec<_> = fs::read_dir(folder.join("dist")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let dist = folder.join("dist");
+    call(Command::new(workspace_root().join("ci/wheel")).arg(PROGRAM).arg(&dist));
+    let wheels: Vec<_> = fs::read_dir(dist).unwrap().map(|entry| entry.unwrap().path()).collect();
     let [wheel] = &wheels[..] else { panic!("{wheels:?}") };
     wheel.clone()
 }
