@@ -53,6 +53,8 @@ pub(crate) struct Rfc2217 {
     unsent: VecDeque<u8>,
     baud: Option<u32>,
     is_refused: bool,
+    /// False until the server has set the rate: then a read also ends after an answer without data.
+    is_set: bool,
 }
 
 impl Rfc2217 {
@@ -65,6 +67,7 @@ impl Rfc2217 {
             unsent: VecDeque::new(),
             baud: None,
             is_refused: false,
+            is_set: false,
         };
         for (command, option) in
             [(WILL, COM_PORT), (WILL, BINARY), (DO, BINARY), (WILL, SUPPRESS_GO_AHEAD), (DO, SUPPRESS_GO_AHEAD)]
@@ -80,7 +83,10 @@ impl Rfc2217 {
         loop {
             port.flush(deadline).map_err(settings)?;
             match port.baud {
-                Some(found) if found == baud => return Ok(port),
+                Some(found) if found == baud => {
+                    port.is_set = true;
+                    return Ok(port);
+                }
                 Some(found) => {
                     return Err(NetworkError::Baud { address: address.to_owned(), expected: baud, found });
                 }
@@ -192,8 +198,7 @@ impl Tty for Rfc2217 {
             if decoded > 0 {
                 return Ok(Some(decoded));
             }
-            // During the settings the caller looks at each answer.
-            if self.baud.is_none() || Instant::now() >= until {
+            if !self.is_set || Instant::now() >= until {
                 return Ok(None);
             }
         }

@@ -20,7 +20,7 @@ fn start(answer: &'static [u8]) -> (Result<Rfc2217, NetworkError>, UnixStream, J
 }
 
 const ACCEPTED: &[u8] =
-    &[IAC, DO, COM_PORT, b'x', IAC, SUBNEGOTIATION, COM_PORT, 101, 0, 14, 16, 0, IAC, END, b'y', IAC, WILL, 1];
+    &[IAC, DO, COM_PORT, b'x', IAC, SUBNEGOTIATION, COM_PORT, 101, 0, 14, 16, 0, IAC, END, IAC, WILL, 1];
 
 #[test]
 fn sets_the_port_and_escapes_data() {
