@@ -72,7 +72,15 @@ fn the_wheel_plays_scenarios_and_pytest_collects_them() {
     let options = ["-m", "pytest", "-n", "2", "-rs", "scenarios", "--platebench-rig", "hosted", "--durations", "1"];
     let (status, text) = output(Command::new(&python).args(options).current_dir(folder.join("")).output().unwrap());
     assert_eq!(status, 1, "{text}");
-    for part in ["bad.toml: step", "settling_time_ms: fail", "report.html", "1 failed", "2 passed", "s call ", ".toml::scenario"] {
+    for part in [
+        "bad.toml: step",
+        "settling_time_ms: fail",
+        "report.html",
+        "1 failed",
+        "2 passed",
+        "s call ",
+        ".toml::scenario",
+    ] {
         assert!(text.contains(part), "{part} is not in {text}");
     }
     assert!(!text.contains("Traceback"), "{text}");
