@@ -18,6 +18,7 @@ pub(crate) fn ask_operator(
     let kind = match ask.answer {
         AnswerKind::Confirm => QuestionKind::Confirm,
         AnswerKind::Text => QuestionKind::Text,
+        AnswerKind::Number => QuestionKind::Number,
     };
     let answer = operator.ask(Question { text: &ask.question, kind }, cancel);
     if cancel.is_cancelled() {

@@ -93,6 +93,8 @@ pub enum AnswerKind {
     Confirm,
     /// A line of text, which is only recorded.
     Text,
+    /// A number, which is only recorded; another answer is asked again.
+    Number,
 }
 
 /// Time of a question.

@@ -1,11 +1,11 @@
-//! `platebench baseline`: accepts, lists and compares golden traces.
+//! `platebench baseline`: accepts, reviews, lists and compares golden traces.
 
 use crate::exit::Exit;
 use crate::options::BASELINES;
-use crate::stdio;
+use crate::{prompt, stdio};
 use clap::{Args, Subcommand};
 use platebench_record::{RunRecord, ScenarioRecord, Verdict};
-use platebench_report::comparison;
+use platebench_report::{comparison, tube_plot};
 use platebench_runner::baseline::{BaselineAcceptError, build_baseline, check_acceptable};
 use platebench_runner::comparison::compare_with_tubes;
 use platebench_runner::stored_trials::{CompareError, ScenarioTrials, read_scenario_trials};
@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 Examples:
   platebench baseline diff runs/tonight
+  platebench baseline review runs/tonight
   platebench baseline accept runs/tonight
   platebench baseline list")]
 pub(crate) struct BaselineArgs {
@@ -45,6 +46,17 @@ enum BaselineAction {
         #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
         baselines: PathBuf,
     },
+    /// Show each difference with a drawing, and ask: accept, reject or skip
+    Review {
+        /// The run folder
+        run: PathBuf,
+        /// Folder of the baselines
+        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+        baselines: PathBuf,
+        /// As for accept
+        #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
+        false_alarm_rate: f64,
+    },
     /// List what accepting a run would change
     Diff {
         /// The run folder
@@ -70,16 +82,25 @@ pub(crate) fn baseline(arguments: &BaselineArgs) -> Exit {
         BaselineAction::List { run, baselines } => list_baselines(run.as_deref(), baselines),
         BaselineAction::Diff { run, baselines, false_alarm_rate } => RunRecord::read(run)
             .map_err(CompareError::from)
-            .map(|record| review(run, &record, baselines, *false_alarm_rate, false)),
+            .map(|record| review(run, &record, baselines, *false_alarm_rate, Action::Show)),
         BaselineAction::Accept { run, baselines, false_alarm_rate } => RunRecord::read(run)
             .map_err(CompareError::from)
-            .map(|record| review(run, &record, baselines, *false_alarm_rate, true)),
+            .map(|record| review(run, &record, baselines, *false_alarm_rate, Action::Accept)),
+        BaselineAction::Review { run, baselines, false_alarm_rate } => RunRecord::read(run)
+            .map_err(CompareError::from)
+            .map(|record| review(run, &record, baselines, *false_alarm_rate, Action::Ask)),
     };
     done.unwrap_or_else(|error| stdio::reject(&error))
 }
 
-/// With `write`, accepts the run.
-fn review(run: &Path, record: &RunRecord, baselines: &Path, rate: f64, write: bool) -> Exit {
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Action {
+    Show,
+    Accept,
+    Ask,
+}
+
+fn review(run: &Path, record: &RunRecord, baselines: &Path, rate: f64, action: Action) -> Exit {
     if record.scenarios.is_empty() {
         stdio::error("the run has no scenario");
         return Exit::NothingToRun;
@@ -89,10 +110,22 @@ fn review(run: &Path, record: &RunRecord, baselines: &Path, rate: f64, write: bo
         let trials = read_scenario_trials(run, scenario);
         let old = Baseline::read(baselines, &scenario.file).map_err(CompareError::from);
         let reviewed = old.map_err(BaselineAcceptError::from).and_then(|old| {
-            if write {
-                accept_scenario(record, scenario, &trials, old.as_ref(), baselines, rate)
-            } else {
-                Ok(print_difference(record, scenario, &trials, old.as_ref(), rate)?)
+            let show = || print_difference(record, scenario, &trials, old.as_ref(), rate);
+            let accept = || accept_scenario(record, scenario, &trials, old.as_ref(), baselines, rate);
+            match action {
+                Action::Show => Ok(show()?),
+                Action::Accept => accept(),
+                Action::Ask => match show()? {
+                    Verdict::Pass => Ok(Verdict::Pass),
+                    found => {
+                        print_drawings(&trials, old.as_ref())?;
+                        match prompt::ask_choice(&["accept", "reject", "skip"]) {
+                            Some("accept") => accept(),
+                            Some("reject") => Ok(Verdict::Fail),
+                            _ => Ok(Verdict::combine([found, Verdict::Inconclusive])),
+                        }
+                    }
+                },
             }
         });
         match reviewed {
@@ -125,6 +158,25 @@ fn print_difference(
     }
     stdio::show(&(lines.join("\n") + "\n"));
     Ok(compared.verdict)
+}
+
+/// Of every signal that leaves its tube, in the first trial that does.
+fn print_drawings(trials: &ScenarioTrials, old: Option<&Baseline>) -> Result<(), CompareError> {
+    let Some(old) = old else { return Ok(()) };
+    for trial in &trials.trials {
+        let rows = trial.rows()?;
+        let outside = old.golden.exceedances(&rows);
+        for worst in &outside {
+            let Some(tube) = old.golden.tubes.iter().find(|tube| tube.signal == worst.signal) else { continue };
+            let place = format!("  {}", platebench_report::format::exceedance(trial.index, worst));
+            let lines = tube_plot::lines(tube, &rows, worst);
+            stdio::show(&format!("{place}\n{}\n", lines.join("\n")));
+        }
+        if !outside.is_empty() {
+            break;
+        }
+    }
+    Ok(())
 }
 
 fn accept_scenario(

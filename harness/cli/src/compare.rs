@@ -53,9 +53,30 @@ struct ComparisonOutput {
 
 pub(crate) fn compare(arguments: &CompareArgs) -> Exit {
     match compare_all(arguments) {
-        Ok(comparisons) => print_comparisons(&comparisons, arguments.format),
+        Ok(comparisons) => {
+            let exit = print_comparisons(&comparisons, arguments.format);
+            if exit == Exit::Inconclusive && has_no_baseline(arguments) {
+                stdio::note(&first_run_note(arguments));
+                return Exit::Passed;
+            }
+            exit
+        }
         Err(error) => stdio::reject(&error),
     }
+}
+
+/// True before the first baseline was accepted: nothing could differ.
+fn has_no_baseline(arguments: &CompareArgs) -> bool {
+    let is_empty = fs::read_dir(&arguments.baselines).map_or(true, |mut entries| entries.next().is_none());
+    arguments.against == BASELINE_KEYWORD && is_empty
+}
+
+fn first_run_note(arguments: &CompareArgs) -> String {
+    let (run, baselines) = (arguments.subject.display(), arguments.baselines.display());
+    format!(
+        "there is no golden trace in {baselines} yet, so nothing was compared. To create them: play the scenarios, \
+         `platebench baseline review {run}`, and commit {baselines}"
+    )
 }
 
 fn print_comparisons(comparisons: &[ComparisonOutput], format: OutputFormat) -> Exit {

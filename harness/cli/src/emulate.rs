@@ -59,7 +59,7 @@ const STATUS_INTERVALS: [Duration; 2] = [Duration::from_millis(200), Duration::f
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// 100 days: the operator ends the emulation, not the scenario.
 const UNLIMITED_DURATION: Time = Time::from_nanos(100 * 24 * 3_600_000_000_000);
-const LIVE_KEYS: &str = "f/F finger  t/T plate  s/S setpoint  r release, cool down  q quit, plate at 0 V";
+const LIVE_KEYS: &str = "f/F finger -/+, t/T plate -/+, s/S setpoint -/+, r release and cool, q quit";
 const KEYS: &str =
     "keys: f/F finger -/+ 0.25 N, t/T plate -/+ 1 K, s/S setpoint -/+ 0.1 µm, r release and cool down, q quit";
 

@@ -112,13 +112,17 @@ impl Operator for TerminalOperator {
                 write_prompt(&format!("{text} "));
                 None
             }
+            QuestionKind::Number => {
+                write_prompt(&format!("{text} [number] "));
+                None
+            }
         };
         let lines = state.lines.get_or_insert_with(read_stdin_lines);
         while let Some(line) = read_line(lines, cancel, timeout) {
             if let Some(answer) = parse_answer(kind, &line) {
                 return Answer::Terminal(answer);
             }
-            write_prompt("yes or no? ");
+            write_prompt(if kind == QuestionKind::Number { "a number, such as 23.5? " } else { "yes or no? " });
         }
         Answer::Absent
     }
@@ -151,10 +155,28 @@ impl Operator for TerminalOperator {
     }
 }
 
-/// `None` if a confirmation is neither yes nor no.
+/// Reads a line until it is one of `choices` or its first letter; `None` at the end of the input.
+pub(crate) fn ask_choice(choices: &[&'static str]) -> Option<&'static str> {
+    let mut lines = stdin().lock().lines().map_while(Result::ok);
+    loop {
+        write_prompt(&format!("{}? ", choices.join(", ")));
+        let line = lines.next()?.trim().to_lowercase();
+        let is_meant = |choice: &&&str| **choice == line || choice.get(..1) == Some(line.as_str());
+        if let Some(choice) = choices.iter().find(is_meant) {
+            return Some(choice);
+        }
+    }
+}
+
+/// `None` if a confirmation is neither yes nor no, or a number is none.
 fn parse_answer(kind: QuestionKind, line: &str) -> Option<String> {
     let answer = match (kind, line.to_lowercase().as_str()) {
         (QuestionKind::Text, _) => line,
+        (QuestionKind::Number, _) => {
+            // A decimal comma is common in Europe.
+            let number = line.replace(',', ".").parse::<f64>().ok().filter(|number| number.is_finite())?;
+            return Some(number.to_string());
+        }
         (QuestionKind::Action, "" | "y" | "yes") | (QuestionKind::Confirm, "y" | "yes") => "yes",
         (QuestionKind::Action, _) | (QuestionKind::Confirm, "n" | "no") => "no",
         (QuestionKind::Confirm, _) => return None,
@@ -192,7 +214,7 @@ mod tests {
 
     #[test]
     fn parses_answers_by_kind_of_question() {
-        use QuestionKind::{Action, Confirm, Text};
+        use QuestionKind::{Action, Confirm, Number, Text};
         for (kind, line, expected) in [
             (Action, "", Some("yes")),
             (Action, "Y", Some("yes")),
@@ -203,6 +225,11 @@ mod tests {
             (Confirm, "n", Some("no")),
             (Confirm, "", None),
             (Text, "Lab 2", Some("Lab 2")),
+            (Number, "23,5", Some("23.5")),
+            (Number, "-4", Some("-4")),
+            (Number, "warm", None),
+            (Number, "inf", None),
+            (Number, "", None),
         ] {
             assert_eq!(parse_answer(kind, line).as_deref(), expected, "{kind:?} {line}");
         }

@@ -69,7 +69,8 @@ fn format_scatter(values: &[f64]) -> String {
 
 /// Tables without a row are omitted.
 pub fn tables(found: &Identification) -> Vec<IdentificationTable> {
-    let all = [voltage_table(found), frequency_table(found), plate_table(found), residuals_table(found)];
+    // The result is first.
+    let all = [plate_table(found), voltage_table(found), frequency_table(found), residuals_table(found)];
     all.into_iter().filter(|table| !table.rows.is_empty()).collect()
 }
 

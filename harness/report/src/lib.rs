@@ -9,4 +9,6 @@ pub mod text;
 
 pub use error::ReportError;
 pub use text::console::{Detail, Progress, ProgressKind, Style};
-pub use text::{annotations, comparison, console, events, junit, markdown, scenario_list, tap, traceability};
+pub use text::{
+    annotations, comparison, console, events, junit, markdown, scenario_list, tap, traceability, tube_plot,
+};

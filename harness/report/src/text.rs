@@ -14,6 +14,7 @@ mod table;
 pub mod tap;
 pub(crate) mod timing;
 pub mod traceability;
+pub mod tube_plot;
 
 pub use escape::{printable, printable_lines};
 pub use table::Table;

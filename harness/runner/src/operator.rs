@@ -15,6 +15,8 @@ pub enum QuestionKind {
     Action,
     Confirm,
     Text,
+    /// A finite number.
+    Number,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]

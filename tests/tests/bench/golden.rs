@@ -1,14 +1,17 @@
 //! Tests baselines: review, acceptance, comparison.
 
 use crate::test_folder::{
-    FAILED_SETTLING, ProgramOutput, SETTLING, TestFolder, run_bench, step_scenario, step_text, workspace_root,
+    FAILED_SETTLING, ProgramOutput, SETTLING, TestFolder, bench_command, run_bench, step_scenario, step_text,
+    workspace_root,
 };
 use platebench_record::RunRecord;
 use platebench_verdict::golden::ResponseFeatures;
 use rstest::rstest;
-use std::fmt::Write;
+use std::fmt::Write as _;
 use std::fs;
+use std::io::Write as _;
 use std::path::Path;
+use std::process::Stdio;
 
 const HEAD: &str = "scenarios/baselines/s.toml";
 const TABLE: &str = "scenarios/baselines/s.csv";
@@ -75,7 +78,9 @@ fn run_folder(text: &str) -> TestFolder {
 #[test]
 fn an_accepted_baseline_is_listed_and_compared() {
     let folder = run_folder(&step_text(SETTLING));
-    compare(&folder, "run", "baseline").assert_exit(3);
+    compare(&folder, "run", "baseline")
+        .assert_exit(0)
+        .assert_output(&["no golden trace", "platebench baseline review run"]);
     let review = folder.bench(["baseline", "diff", "run"]).assert_exit(3);
     assert_eq!(review.text(), "? new  s.toml\n");
     assert!(!folder.exists(HEAD), "a review writes nothing");
@@ -116,6 +121,36 @@ fn a_change_is_shown_before_it_is_accepted() {
     compare(&folder, "other", "baseline").assert_exit(0);
     compare(&folder, "run", "baseline").assert_exit(1);
     compare(&folder, "run", "other").assert_exit(1);
+}
+
+#[test]
+fn a_review_draws_each_difference_and_asks() {
+    let folder = run_folder(&step_text(SETTLING));
+    folder.bench(["baseline", "accept", "run"]);
+    let before = folder.read(TABLE);
+    folder.write_scenario("s.toml", &step_scenario("aluminium-198x138", "response_time_ms = 1.8", "", SETTLING));
+    folder.run_hosted("other");
+    let review = |answers: &str| {
+        let mut command = bench_command(folder.path());
+        command.args(["baseline", "review", "other"]).stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
+        child.stdin.take().unwrap().write_all(answers.as_bytes()).unwrap();
+        let output = child.wait_with_output().unwrap();
+        let [shown, asked] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+        (output.status.code(), shown, asked.matches("accept, reject, skip? ").count())
+    };
+    let (code, shown, asked) = review("what\nr\n");
+    assert_eq!((code, asked), (Some(1), 2), "{shown}");
+    assert!(shown.contains("settling_time_ms: 1.96 → 1.") && shown.contains("# this run   - golden"), "{shown}");
+    for signal in ["amplitude_um, µm", "drive_vpp, Vpp"] {
+        assert!(shown.contains(&format!("  {signal}   #")), "every signal that differs has a drawing: {shown}");
+    }
+    assert_eq!(review("").0, Some(1), "no answer accepts nothing");
+    assert_eq!(folder.read(TABLE), before);
+    assert_eq!(review("a\n").0, Some(0));
+    assert_ne!(folder.read(TABLE), before);
+    let (code, shown, asked) = review("");
+    assert_eq!((code, asked), (Some(0), 0), "no difference is left: {shown}");
 }
 
 #[test]

@@ -29,8 +29,12 @@ impl SessionProgress {
 
 impl SessionObserver for SessionProgress {
     fn step_started(&mut self, step: &StepRecord) {
+        // The prompt shows the question; a bar would overwrite it.
+        if step.kind == StepKind::Ask {
+            return;
+        }
         self.print(&format!("{}  {}", step.id, step.title));
-        self.progress = Some(Progress::new(self.kind));
+        self.progress = Some(Progress::new(self.kind).with_elapsed_time(&step.title));
         self.is_self_test = step.kind == StepKind::SelfTest;
     }
 

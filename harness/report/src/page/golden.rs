@@ -2,7 +2,9 @@
 
 use super::curves::PlotSignal;
 use super::grid::TimeGrid;
-use platebench_verdict::golden::{Baseline, BaselineError};
+use platebench_trace::Row;
+use platebench_verdict::golden::{Baseline, BaselineError, ResponseFeatures};
+use platebench_verdict::tube::Exceedance;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -19,6 +21,41 @@ pub(crate) struct SampledTube {
     pub(crate) edges: [Vec<Option<f64>>; 2],
 }
 
+/// Empty without a baseline, or inside its tubes.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct GoldenDifference {
+    /// The worst of each signal that leaves its tube.
+    pub(crate) exceedances: Vec<Exceedance>,
+    /// Feature, golden value, value of this run; only those that differ.
+    pub(crate) features: Vec<(&'static str, Option<f64>, Option<f64>)>,
+}
+
+impl GoldenDifference {
+    pub(crate) fn find(baseline: &Baseline, rows: &[Row]) -> Self {
+        let exceedances = baseline.golden.exceedances(rows);
+        if exceedances.is_empty() {
+            return Self::default();
+        }
+        let now = ResponseFeatures::of(rows).by_name();
+        let pairs = baseline.features.by_name().into_iter().zip(now);
+        let features = pairs.map(|((name, before), (_, after))| (name, before, after));
+        Self { exceedances, features: features.filter(|(_, before, after)| before != after).collect() }
+    }
+}
+
+/// The signals that a figure shows, by their columns.
+const SIGNALS: [(&str, PlotSignal); 5] = [
+    ("amplitude_um", PlotSignal::Amplitude),
+    ("wd_um", PlotSignal::InPhase),
+    ("wq_um", PlotSignal::Quadrature),
+    ("drive_vpp", PlotSignal::Drive),
+    ("frequency_hz", PlotSignal::Frequency),
+];
+
+pub(crate) fn plot_signal(column: &str) -> Option<PlotSignal> {
+    SIGNALS.iter().find(|(name, _)| *name == column).map(|(_, signal)| *signal)
+}
+
 impl GoldenCurves {
     /// `None` if no baseline was accepted.
     pub(crate) fn read(folder: &Path, file: &str, grid: &TimeGrid) -> Result<Option<Self>, BaselineError> {
@@ -26,19 +63,14 @@ impl GoldenCurves {
     }
 
     fn from_baseline(accepted: &Baseline, grid: &TimeGrid) -> Self {
-        let signals = [
-            ("amplitude_um", PlotSignal::Amplitude),
-            ("drive_vpp", PlotSignal::Drive),
-            ("frequency_hz", PlotSignal::Frequency),
-        ];
         let tubes = accepted.golden.tubes.iter().filter_map(|tube| {
-            let (_, signal) = signals.iter().find(|(name, _)| *name == tube.signal)?;
+            let signal = plot_signal(&tube.signal)?;
             let (from_ms, to_ms) = tube.span_ms();
             let inside = |t_ms: &f64| (from_ms..=to_ms).contains(t_ms).then_some(*t_ms);
             let sampled = |value: &dyn Fn(f64) -> f64| grid.t_ms.iter().map(|t_ms| inside(t_ms).map(value)).collect();
             let [lower, upper]: [fn([f64; 2]) -> f64; 2] = [|[low, _]| low, |[_, high]| high];
             let edges = [sampled(&|t_ms| lower(tube.edges(t_ms))), sampled(&|t_ms| upper(tube.edges(t_ms)))];
-            Some((*signal, SampledTube { line: sampled(&|t_ms| tube.point_at(t_ms).value), edges }))
+            Some((signal, SampledTube { line: sampled(&|t_ms| tube.point_at(t_ms).value), edges }))
         });
         Self { text: format!("golden trace ({})", accepted.law), tubes: tubes.collect() }
     }

@@ -265,6 +265,7 @@
         plot.ctx.stroke();
         plot.ctx.restore();
       }
+      const labels = [];
       for (const [group, at, value, text] of panel.points) {
         if (!host.on[group] || at < this.from || at > this.to) continue;
         const { left, width } = plot.bbox, ratio = devicePixelRatio;
@@ -279,6 +280,9 @@
         plot.ctx.textAlign = right ? "left" : "right";
         plot.ctx.textBaseline = "middle";
         const place = [x + (right ? 9 : -9) * ratio, Math.max(top + 8 * ratio, Math.min(top + height - 8 * ratio, y))];
+        // A label below another one that is near.
+        while (labels.some(([left, above]) => Math.abs(left - place[0]) < 220 * ratio && Math.abs(above - place[1]) < 15 * ratio)) place[1] += 15 * ratio;
+        labels.push([...place]);
         plot.ctx.lineWidth = 4 * ratio;
         plot.ctx.lineJoin = "round";
         plot.ctx.strokeStyle = colour(this.section, "--card", 0.85);

@@ -16,6 +16,7 @@ use crate::record_queries;
 use crate::text::history::{RunHistory, TrendPoint};
 use maud::{Markup, html};
 use platebench_record::{RunRecord, ScenarioRecord, TrialRecord};
+use platebench_verdict::golden::Baseline;
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -85,7 +86,11 @@ impl<'a> ReportPage<'a> {
         let record = self.record;
         let changed = self.changed_traces(self.folder, &record.scenarios);
         let resolution = self.resolution();
-        let read = |scenario| TraceData::read(scenario, self.folder, &self.rows, resolution, &changed);
+        let read = |scenario: &ScenarioRecord| {
+            // An unreadable baseline is reported with the scenario.
+            let golden = self.baselines.and_then(|folder| Baseline::read(folder, &scenario.file).ok().flatten());
+            TraceData::read(scenario, self.folder, &self.rows, resolution, &changed, golden.as_ref())
+        };
         let data: Vec<TraceData> = record.scenarios.iter().map(read).collect();
         let articles = self.scenario_articles(&data, resolution)?;
         let title = format!("{} · {} {}", record.verdict, record.tool.name, record.started);
@@ -182,7 +187,7 @@ impl<'a> ReportPage<'a> {
         let only = ScenarioRecord { trials: vec![trial.clone()], ..theirs.clone() };
         let changed = self.changed_traces(folder, std::slice::from_ref(&only));
         let rows = KeptRows::default();
-        let sampled = TraceData::read(&only, folder, &rows, resolution, &changed).first_trial_on(&data.grid)?;
+        let sampled = TraceData::read(&only, folder, &rows, resolution, &changed, None).first_trial_on(&data.grid)?;
         Some((format!("trial {} of {}", trial.index, other.name), Role::Other, sampled))
     }
 }

@@ -58,6 +58,7 @@ pub(super) fn scenario_article(
             @if let Some(sentence) = timing::summary(scenario) { p { (sentence) } }
             (expectations_table(scenario, &parts.trends))
             (overshoot_remark(scenario, parts.data))
+            (golden_difference(parts.data))
             (unreadable_traces(parts.data))
             @if let Some(reason) = &parts.baseline_error { p.notice { "The baseline cannot be shown: " (reason) } }
             (drawings)
@@ -157,6 +158,21 @@ fn overshoot_remark(scenario: &ScenarioRecord, data: &TraceData) -> Markup {
             p.notice {
                 "The settling time passes, but the first step of trial " (data.first_trial) " overshoots by "
                 (format::percent(percent)) " %."
+            }
+        }
+    }
+}
+
+fn golden_difference(data: &TraceData) -> Markup {
+    let number = |value: &Option<f64>| value.map_or_else(|| "none".to_owned(), |value| value.to_string());
+    html! {
+        @if !data.golden.exceedances.is_empty() {
+            div.notice {
+                p { "This run differs from the golden trace:" }
+                ul {
+                    @for worst in &data.golden.exceedances { li { (format::exceedance(data.first_trial, worst)) } }
+                    @for (name, before, after) in &data.golden.features { li { (name) ": " (number(before)) " → " (number(after)) } }
+                }
             }
         }
     }

@@ -2,11 +2,12 @@
 
 use super::curves::PlotSignal;
 use super::figure::{Content, Figure, SampledLine};
-use super::golden::GoldenCurves;
+use super::golden::{GoldenCurves, plot_signal};
 use super::grid::percentiles;
 use super::trace_data::{SampledTrial, TraceData};
 use crate::chart::svg::Role;
 use crate::format;
+use platebench_verdict::tube::Exceedance;
 
 /// Fewer trials show their range: they have no outer percentiles.
 const MIN_PERCENTILE_TRIALS: usize = 20;
@@ -74,6 +75,13 @@ impl FigureBuilder<'_> {
             let area = Content::Area { is_stepped: signal.is_zero_order_hold(), upper, lower };
             figure.add(Role::Tube, format!("tolerance tube of the {}", golden.text), area);
             figure.add(Role::Golden, &golden.text, one_line(signal, tube.line.clone()));
+            let outside =
+                self.data.golden.exceedances.iter().filter(|worst| plot_signal(&worst.signal) == Some(signal));
+            let point = |worst: &Exceedance| {
+                let (distance, unit) = (format::number(worst.distance), signal.unit());
+                (worst.t_ms, worst.value, format!("{distance} {unit} outside the tube"))
+            };
+            figure.add(Role::Worst, "outside the tube", Content::Points(outside.map(point).collect()));
         }
         if let Some((text, role, other)) = &self.references.other {
             figure.add(*role, text, one_line(signal, trial_line(other, signal)));
@@ -215,6 +223,9 @@ impl FigureBuilder<'_> {
             self.add_spread(&mut figure, signal, spread, &format!("{name}: "));
             let text = format!("{name}, {}", self.first_trial_name());
             figure.add(role, text, one_line(signal, self.first_trial_line(signal)));
+            if self.data.golden.exceedances.iter().any(|worst| plot_signal(&worst.signal) == Some(signal)) {
+                self.add_references(&mut figure, signal);
+            }
             self.add_limits(&mut figure, signal);
         }
         figure

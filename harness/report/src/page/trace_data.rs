@@ -1,6 +1,7 @@
 //! Reads each trace of a scenario once and samples it. An unreadable trace is listed, no error.
 
 use super::curves::{self, PlotSignal};
+use super::golden::GoldenDifference;
 use super::grid::TimeGrid;
 use super::kept_rows::KeptRows;
 use super::limit_marks::LimitMark;
@@ -10,7 +11,7 @@ use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use crate::record_queries;
 use platebench_record::{Metric, ScenarioRecord, TrialRecord, Verdict};
 use platebench_trace::{Flags, Row, TraceError};
-use platebench_verdict::golden::ResponseFeatures;
+use platebench_verdict::golden::{Baseline, ResponseFeatures};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -30,6 +31,8 @@ pub(crate) struct TraceData {
     pub(crate) limits: Vec<LimitMark>,
     /// Drawn as a line.
     pub(crate) first_trial: u32,
+    /// Between the baseline and the first trial.
+    pub(crate) golden: GoldenDifference,
     /// Trials that decided missed expectations, with these, without the first trial.
     pub(crate) deciding_trials: Vec<(u32, String)>,
     pub(crate) trial_count: usize,
@@ -86,6 +89,7 @@ impl TraceData {
         rows: &KeptRows,
         resolution: PlotResolution,
         changed: &BTreeSet<String>,
+        golden: Option<&Baseline>,
     ) -> Self {
         let mut data = Self::default();
         let read = |trial: &TrialRecord| {
@@ -115,7 +119,12 @@ impl TraceData {
                 continue;
             }
             match read(trial) {
-                Ok(rows) => data.add_trial(scenario, trial, &rows, resolution),
+                Ok(rows) => {
+                    if let Some(golden) = golden.filter(|_| data.views.is_empty()) {
+                        data.golden = GoldenDifference::find(golden, &rows);
+                    }
+                    data.add_trial(scenario, trial, &rows, resolution);
+                }
                 Err(error) => data.unreadable.push(format!("{}: {}", trial.trace, trace_error_reason(&error))),
             }
         }
@@ -180,7 +189,12 @@ impl TraceData {
         let view = |name: &str, window: TimeWindow| View { name: name.to_owned(), window };
         let missed = self.limits.iter().filter(|limit| limit.is_missed);
         let missed = missed.filter_map(|limit| Some(view(&limit.name, limit.view(whole)?)));
-        self.views = missed.chain(response.map(|window| view("Response", window))).collect();
+        let different = self.golden.exceedances.iter().map(|worst| {
+            let half_ms = (0.05 * whole.span_ms()).max(5.0);
+            let (from_ms, to_ms) = ((worst.t_ms - half_ms).max(whole.from_ms), (worst.t_ms + half_ms).min(whole.to_ms));
+            view(&format!("golden {}", worst.signal), TimeWindow { from_ms, to_ms })
+        });
+        self.views = missed.chain(different).chain(response.map(|window| view("Response", window))).collect();
         let fine = self.views.first().map(|first| first.window);
         self.views.push(view("Whole trial", whole));
         self.grid = TimeGrid::new(rows, whole, fine, resolution.instants);

@@ -62,11 +62,17 @@ impl GoldenTubes {
         })
     }
 
-    pub fn match_trial(&self, rows: &[Row]) -> TubeMatch {
-        let exceedances = self.tubes.iter().filter_map(|tube| {
+    /// The worst of each signal that leaves its tube.
+    pub fn exceedances(&self, rows: &[Row]) -> Vec<Exceedance> {
+        let worst = |tube: &Tube| {
             let signal = TubeSignal::from_name(&tube.signal)?;
             tube.worst_exceedance(&signal_response(signal, rows), self.step_ms)
-        });
+        };
+        self.tubes.iter().filter_map(worst).collect()
+    }
+
+    pub fn match_trial(&self, rows: &[Row]) -> TubeMatch {
+        let exceedances = self.exceedances(rows).into_iter();
         if let Some(worst) =
             exceedances.reduce(|worst, other| if other.ratio() > worst.ratio() { other } else { worst })
         {

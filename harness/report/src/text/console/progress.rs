@@ -5,6 +5,9 @@ use crate::text::escape::printable;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use platebench_record::{ScenarioRecord, Verdict};
 use std::io::{self, IsTerminal as _, Write};
+use std::time::Duration;
+
+const TICK: Duration = Duration::from_millis(500);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProgressKind {
@@ -56,6 +59,16 @@ impl Progress {
     pub fn with_planned_trials(self, trials: u64) -> Self {
         if let Sink::Bar { bar, .. } = &self.sink {
             bar.set_length(trials);
+        }
+        self
+    }
+
+    /// The bar shows the elapsed time during a step without trials, such as the kill rate.
+    #[must_use]
+    pub fn with_elapsed_time(self, title: &str) -> Self {
+        if let Sink::Bar { bar, .. } = &self.sink {
+            bar.set_message(printable(title).into_owned());
+            bar.enable_steady_tick(TICK);
         }
         self
     }
