@@ -69,7 +69,7 @@ fn four_levels_are_four_rows_and_linear() {
     }
     assert!(found.gain_change_percent.unwrap().contains(0.0));
     assert_eq!(fits[0].curve.len(), 160);
-    let text = tables(&found)[0].markdown();
+    let text: String = tables(&found).iter().map(|table| table.markdown() + "\n").collect();
     for printed in ["7108", "6547", "6620", "7103", "6980", "6844.5"] {
         assert!(text.contains(printed), "{printed}: {text}");
     }
