@@ -1,5 +1,6 @@
 //! Reads and checks campaign files.
 
+use crate::correlation::{Correlation, RawCorrelation};
 use crate::distribution::{Choice, Distribution, RawDistribution};
 use platebench_scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
 use platebench_scenario::{Diagnostic, Metric, Scenario, input, parse};
@@ -31,6 +32,9 @@ pub struct RawCampaign {
     /// Varied values by their path in the scenario, or `plate.` and their path in its plate file; the first one varies
     /// slowest.
     vary: BTreeMap<String, RawDistribution>,
+    /// Correlated normal values.
+    #[serde(default)]
+    correlate: Vec<RawCorrelation>,
     /// Number and choice of the trials.
     plan: RawPlan,
     /// Demand on the share of failing trials.
@@ -79,10 +83,25 @@ pub enum Method {
     Random,
     /// All values follow a scrambled Sobol sequence.
     Sobol,
-    /// Search for the worst case; not built yet.
+    /// Search for the worst case over the whole range of every value.
     Search,
-    /// Probability of rare failures; not built yet.
+    /// Probability of rare failures.
     Rare,
+}
+
+/// Several searches find more than one long search.
+const SEARCH_CHAIN_TRIALS: u64 = 256;
+const RARE_CHAIN_TRIALS: u64 = 2_048;
+
+impl Method {
+    /// Trials of a chain; 1 if trials are independent.
+    pub const fn chain_trials(self) -> u64 {
+        match self {
+            Self::Grid | Self::Random | Self::Sobol => 1,
+            Self::Search => SEARCH_CHAIN_TRIALS,
+            Self::Rare => RARE_CHAIN_TRIALS,
+        }
+    }
 }
 
 /// A varied value.
@@ -117,6 +136,7 @@ pub struct Campaign {
     /// Largest share of failing trials.
     pub at_most: Option<f64>,
     pub confidence: f64,
+    pub(crate) correlation: Option<Correlation>,
     pub template: ScenarioTemplate,
 }
 
@@ -145,8 +165,17 @@ impl Campaign {
                 faults.extend(checker.value_fault(template, variable));
             }
         }
+        if raw.plan.method == Method::Rare {
+            faults.extend(checker.rare_fault(&variables));
+        }
+        let keys: Vec<_> =
+            variables.iter().map(|variable| (&*variable.key, variable.distribution.is_normal())).collect();
+        let correlation =
+            Correlation::new(&raw.correlate, &keys).map_err(|message| faults.push(checker.fault("correlate", message)));
         let counts = checker.counts(&raw.plan, &variables).map_err(|fault| faults.push(fault));
-        let (Some(template), Ok([trials, cells]), true) = (template, counts, faults.is_empty()) else {
+        let (Some(template), Ok([trials, cells]), Ok(correlation), true) =
+            (template, counts, correlation, faults.is_empty())
+        else {
             return Err(faults);
         };
         Ok(Self {
@@ -160,6 +189,7 @@ impl Campaign {
             seed: raw.plan.seed.unsigned_abs(),
             at_most: raw.judge.at_most,
             confidence: raw.judge.confidence.unwrap_or(DEFAULT_CONFIDENCE),
+            correlation,
             template,
             text,
         })
@@ -174,6 +204,11 @@ impl Campaign {
             .map(|(variable, value)| (&*variable.key, variable.distribution.value(*value)));
         let seed = ("trials.seed", Value::Integer(i64::try_from(seed).unwrap_or(i64::MAX)));
         self.template.tables(changes.chain([seed]))
+    }
+
+    /// Trials that depend on each other.
+    pub const fn chain_trials(&self) -> u64 {
+        self.method.chain_trials()
     }
 
     pub fn expectation_names(&self) -> Vec<String> {
@@ -218,10 +253,6 @@ impl Checker<'_> {
         if raw.title.trim().is_empty() || raw.title.contains(char::is_control) {
             faults.push(self.fault("title", format!("{:?}, expected one line of text", raw.title)));
         }
-        if let Method::Search | Method::Rare = raw.plan.method {
-            let message = "this method is not built yet, expected `grid`, `random` or `sobol`";
-            faults.push(self.fault("plan.method", message));
-        }
         if let Some(share) = raw.judge.at_most.filter(|share| !(*share > 0.0 && *share < 1.0)) {
             faults.push(self.fault("judge.at_most", format!("{share}, expected a share above 0 and below 1")));
         }
@@ -253,6 +284,17 @@ impl Checker<'_> {
             }
         }
         variables
+    }
+
+    /// A rare failure needs a density.
+    fn rare_fault(&self, variables: &[Variable]) -> Option<Diagnostic> {
+        let listed = variables.iter().find(|variable| variable.distribution.choices().is_some())?;
+        Some(
+            self.vary_fault(
+                &listed.key,
+                "listed values, expected `normal`, `lognormal` or `uniform` for method `rare`",
+            ),
+        )
     }
 
     fn scenario_fault(&self, scenario: &Scenario) -> Option<Diagnostic> {
@@ -307,7 +349,8 @@ impl Checker<'_> {
             let message = "a grid without `steps` or `each`, expected at least one of them, or method `random`";
             return Err(self.fault("plan.method", message));
         }
-        let cells = if has_lists { cells } else { 0 };
+        // Trials of a search are no sample of a cell.
+        let cells = if has_lists && plan.method != Method::Search { cells } else { 0 };
         let planned = u64::try_from(plan.trials).ok().filter(|trials| *trials > 0);
         let trials = planned.and_then(|trials| trials.checked_mul(if plan.method == Method::Grid { cells } else { 1 }));
         let trials = trials.filter(|trials| *trials <= MAX_TRIALS).ok_or_else(|| {

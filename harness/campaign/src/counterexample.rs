@@ -40,7 +40,7 @@ fn source_folder(campaign: &Campaign) -> PathBuf {
 }
 
 fn write_trial(folder: &Path, campaign: &Campaign, row: &Row, copies: &mut Copies<'_>) -> Result<(), CampaignError> {
-    let trial = campaign.trial(row.trial)?;
+    let trial = campaign.trial_with(row.trial, row.draws.clone(), row.redraws)?;
     let mut scenario = trial.tables.scenario;
     if let Some(controller) = scenario.get_mut("controller").and_then(Value::as_table_mut) {
         copies.copy(controller, "design_plate", PLATES)?;

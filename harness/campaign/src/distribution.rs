@@ -67,9 +67,11 @@ pub enum RawDistribution {
     Uniform([f64; 2]),
     /// A normal distribution.
     Normal(RawNormal),
+    /// A distribution whose logarithm is normal; mean and standard deviation are those of the value.
+    Lognormal(RawNormal),
 }
 
-/// `normal`
+/// `normal` and `lognormal`
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawNormal {
@@ -92,6 +94,12 @@ pub enum Distribution {
     Choices(Vec<Choice>),
     Uniform([f64; 2]),
     Normal {
+        mean: f64,
+        sd: f64,
+        truncate: Option<[f64; 2]>,
+    },
+    /// Mean, standard deviation and range of the logarithm.
+    Lognormal {
         mean: f64,
         sd: f64,
         truncate: Option<[f64; 2]>,
@@ -134,6 +142,7 @@ impl RawDistribution {
                 if holds { Ok(Distribution::Uniform([low, high])) } else { Err(error()) }
             }
             Self::Normal(raw) => raw.check(),
+            Self::Lognormal(raw) => raw.check_lognormal(),
         }
     }
 }
@@ -158,13 +167,39 @@ impl RawNormal {
     }
 }
 
+impl RawNormal {
+    /// `σ² = ln(1 + (sd/mean)²)`, `µ = ln mean − σ²/2`
+    fn check_lognormal(&self) -> Result<Distribution, String> {
+        let Distribution::Normal { mean, sd, .. } = (Self { truncate: None, ..self.clone() }).check()? else {
+            return Err("lognormal, expected a mean and sd or sd_percent".to_owned());
+        };
+        if mean <= 0.0 || self.truncate.is_some_and(|[low, _]| low <= 0.0) {
+            return Err(format!("lognormal with mean {mean}, expected a mean and a range above 0"));
+        }
+        let variance = (sd / mean).powi(2).ln_1p();
+        let logarithm = Self {
+            mean: mean.ln() - variance / 2.0,
+            sd: Some(variance.sqrt()),
+            sd_percent: None,
+            truncate: self.truncate.map(|ends| ends.map(f64::ln)),
+        };
+        match logarithm.check()? {
+            Distribution::Normal { mean, sd, truncate } => Ok(Distribution::Lognormal { mean, sd, truncate }),
+            other => Ok(other),
+        }
+    }
+}
+
+/// Half the range that a search covers, in standard deviations.
+const SEARCH_DEVIATIONS: f64 = 4.0;
+
 /// Φ(z)
-fn below(z: f64) -> f64 {
+pub(crate) fn below(z: f64) -> f64 {
     0.5 * erfc(-z / SQRT_2)
 }
 
 /// Φ⁻¹(p)
-fn quantile(p: f64) -> f64 {
+pub(crate) fn quantile(p: f64) -> f64 {
     -SQRT_2 * erfc_inv(2.0 * p)
 }
 
@@ -172,6 +207,9 @@ impl Distribution {
     /// The value at `u` in (0, 1); the number of the choice for [`Self::Choices`].
     pub fn at(&self, u: f64) -> f64 {
         match self {
+            Self::Lognormal { mean, sd, truncate } => {
+                Self::Normal { mean: *mean, sd: *sd, truncate: *truncate }.at(u).exp()
+            }
             Self::Choices(values) => (u * values.len() as f64).floor().min(values.len() as f64 - 1.0),
             Self::Uniform([low, high]) => low + (high - low) * u,
             Self::Normal { mean, sd, truncate: None } => mean + sd * quantile(u),
@@ -182,11 +220,55 @@ impl Distribution {
         }
     }
 
+    /// The value at the standard normal score `z`.
+    pub fn at_score(&self, z: f64) -> f64 {
+        match self {
+            Self::Normal { mean, sd, truncate: None } => mean + sd * z,
+            Self::Lognormal { mean, sd, truncate: None } => (mean + sd * z).exp(),
+            _ => self.at(below(z)),
+        }
+    }
+
+    /// The standard normal score of a normal value; 0 for others.
+    pub(crate) fn score(&self, value: f64) -> f64 {
+        match self {
+            Self::Choices(_) | Self::Uniform(_) => 0.0,
+            Self::Normal { mean, sd, truncate: None } => (value - mean) / sd,
+            Self::Normal { mean, sd, truncate: Some([low, high]) } => {
+                let (from, to) = (below((low - mean) / sd), below((high - mean) / sd));
+                quantile(((below((value - mean) / sd) - from) / (to - from)).clamp(f64::EPSILON, 1.0 - f64::EPSILON))
+            }
+            Self::Lognormal { mean, sd, truncate } => {
+                Self::Normal { mean: *mean, sd: *sd, truncate: *truncate }.score(value.ln())
+            }
+        }
+    }
+
+    /// The value at `share` of the range that a search covers.
+    pub fn at_share_of_range(&self, share: f64) -> f64 {
+        match self {
+            Self::Choices(_) => self.at(share),
+            Self::Uniform([low, high]) => (low + (high - low) * share).clamp(*low, *high),
+            Self::Normal { mean, sd, truncate } => {
+                let value = mean + sd * SEARCH_DEVIATIONS * (2.0 * share - 1.0);
+                truncate.map_or(value, |[low, high]| value.clamp(low, high))
+            }
+            Self::Lognormal { mean, sd, truncate } => {
+                Self::Normal { mean: *mean, sd: *sd, truncate: *truncate }.at_share_of_range(share).exp()
+            }
+        }
+    }
+
+    /// True if a value that the scenario refuses is drawn again.
+    pub const fn is_normal(&self) -> bool {
+        matches!(self, Self::Normal { .. } | Self::Lognormal { .. })
+    }
+
     /// As a value of a scenario.
     pub fn value(&self, drawn: f64) -> Value {
         match self {
             Self::Choices(values) => values.get(drawn as usize).map_or(Value::Float(f64::NAN), Value::from),
-            Self::Uniform(_) | Self::Normal { .. } => Value::Float(drawn),
+            Self::Uniform(_) | Self::Normal { .. } | Self::Lognormal { .. } => Value::Float(drawn),
         }
     }
 
@@ -194,14 +276,14 @@ impl Distribution {
     pub fn number(&self, drawn: f64) -> Option<f64> {
         match self {
             Self::Choices(values) => values.get(drawn as usize)?.number(),
-            Self::Uniform(_) | Self::Normal { .. } => Some(drawn),
+            Self::Uniform(_) | Self::Normal { .. } | Self::Lognormal { .. } => Some(drawn),
         }
     }
 
     pub fn text(&self, drawn: f64) -> String {
         match self {
             Self::Choices(values) => values.get(drawn as usize).map(ToString::to_string).unwrap_or_default(),
-            Self::Uniform(_) | Self::Normal { .. } => drawn.to_string(),
+            Self::Uniform(_) | Self::Normal { .. } | Self::Lognormal { .. } => drawn.to_string(),
         }
     }
 
@@ -215,6 +297,7 @@ impl Distribution {
             Self::Choices(values) => values.iter().map(Value::from).collect(),
             Self::Uniform(ends) => ends.iter().copied().map(Value::Float).collect(),
             Self::Normal { mean, .. } => vec![Value::Float(*mean)],
+            Self::Lognormal { mean, .. } => vec![Value::Float(mean.exp())],
         }
     }
 }
@@ -248,6 +331,29 @@ mod tests {
     }
 
     #[test]
+    fn a_lognormal_has_the_mean_and_deviation_of_its_value() {
+        let lognormal = parse("{ lognormal = { mean = 10.0, sd = 5.0 } }").unwrap();
+        let count = 100_000;
+        let values: Vec<f64> =
+            (0..count).map(|number| lognormal.at((f64::from(number) + 0.5) / f64::from(count))).collect();
+        let mean = values.iter().sum::<f64>() / f64::from(count);
+        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / f64::from(count);
+        assert!((mean - 10.0).abs() < 0.01 && (variance.sqrt() - 5.0).abs() < 0.05, "{mean} {}", variance.sqrt());
+        assert!((lognormal.at_score(1.0) - lognormal.at(0.841_344_746)).abs() < 1e-6);
+        let truncated = parse("{ lognormal = { mean = 10.0, sd = 5.0, truncate = [8.0, 9.0] } }").unwrap();
+        assert!(truncated.at(1e-9) >= 8.0 && truncated.at(1.0 - 1e-9) <= 9.0);
+    }
+
+    #[test]
+    fn a_search_covers_four_standard_deviations() {
+        let ends = |text: &str| [0.0, 1.0].map(|share| parse(text).unwrap().at_share_of_range(share));
+        assert_eq!(ends("{ normal = { mean = 10.0, sd = 1.0 } }"), [6.0, 14.0]);
+        assert_eq!(ends("{ normal = { mean = 10.0, sd = 1.0, truncate = [9.0, 20.0] } }"), [9.0, 14.0]);
+        assert_eq!(ends("{ uniform = [0.1, 0.7] }"), [0.1, 0.7]);
+        assert_eq!(ends("{ steps = [0.0, 3.0, 4] }"), [0.0, 3.0]);
+    }
+
+    #[test]
     fn every_choice_has_the_same_share() {
         let each = parse("{ each = [\"a\", \"b\", \"c\"] }").unwrap();
         let drawn: Vec<_> = [0.01, 0.34, 0.67, 0.999_999].map(|u| each.text(each.at(u))).to_vec();
@@ -269,6 +375,8 @@ mod tests {
             "{ normal = { mean = 0.0, sd = 1.0, truncate = [1.0, 0.0] } }",
             "{ normal = { mean = 0.0, sd = 1.0, truncate = [90.0, 91.0] } }",
             "{ lognormal = { mean = 1.0 } }",
+            "{ lognormal = { mean = -1.0, sd = 1.0 } }",
+            "{ lognormal = { mean = 1.0, sd = 1.0, truncate = [0.0, 1.0] } }",
         ] {
             assert!(parse(text).is_err(), "{text}");
         }

@@ -1,6 +1,7 @@
 //! Draws the values of a trial. They depend on the campaign and the number of the trial alone.
 
-use crate::campaign::{Campaign, Method};
+use crate::campaign::{Campaign, Method, Variable};
+use crate::correlation::Correlation;
 use crate::error::CampaignError;
 use platebench_scenario::load::ScenarioTables;
 use platebench_scenario::{Diagnostic, Scenario};
@@ -35,32 +36,36 @@ impl Campaign {
 
     /// A normal draw outside the domain of its quantity is drawn again.
     pub fn trial(&self, number: u64) -> Result<Trial, CampaignError> {
-        let seed = self.seed_of(number);
-        let is_redrawn =
-            self.variables.iter().any(|variable| matches!(variable.distribution, Distribution::Normal { .. }));
+        let is_redrawn = self.variables.iter().any(|variable| variable.distribution.is_normal());
         let attempts = if is_redrawn { MAX_ATTEMPTS } else { 1 };
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
         // Streams 0 and 1 of a seed belong to noise and spread.
         random.set_stream(u64::MAX - number);
-        let mut fault = None;
         let mut values = Vec::new();
+        let mut refused = CampaignError::Cancelled;
         for redraws in 0..attempts {
             values = self.draw(number, redraws, &values, &mut random);
-            let tables = self.tables(seed, &values);
-            let tables = tables.map_err(|message| Diagnostic::for_file(&self.path, message));
-            let checked = tables.and_then(|tables| {
-                let refused = |faults: Vec<Diagnostic>| faults.into_iter().next();
-                match self.template.check(&tables) {
-                    Ok(scenario) => Ok((tables, scenario)),
-                    Err(faults) => Err(refused(faults).unwrap_or_else(|| Diagnostic::for_file(&self.path, "refused"))),
-                }
-            });
-            match checked {
-                Ok((tables, scenario)) => return Ok(Trial { number, seed, values, redraws, tables, scenario }),
-                Err(refused) => fault = Some(refused),
+            match self.trial_with(number, values.clone(), redraws) {
+                Err(error @ CampaignError::Trial { .. }) => refused = error,
+                result => return result,
             }
         }
-        let fault = fault.unwrap_or_else(|| Diagnostic::for_file(&self.path, "refused"));
+        Err(refused)
+    }
+
+    /// The trial with these values. Fails if the scenario refuses them.
+    pub(crate) fn trial_with(&self, number: u64, values: Vec<f64>, redraws: u32) -> Result<Trial, CampaignError> {
+        let seed = self.seed_of(number);
+        let refuse = |message: &str| Diagnostic::for_file(&self.path, message);
+        let checked = self.tables(seed, &values).map_err(|message| refuse(&message)).and_then(|tables| {
+            let scenario = self.template.check(&tables);
+            let first = |faults: Vec<Diagnostic>| faults.into_iter().next().unwrap_or_else(|| refuse("refused"));
+            scenario.map(|scenario| (tables, scenario)).map_err(first)
+        });
+        let fault = match checked {
+            Ok((tables, scenario)) => return Ok(Trial { number, seed, values, redraws, tables, scenario }),
+            Err(fault) => fault,
+        };
         let values = self.variables.iter().zip(&values);
         let values =
             values.map(|(variable, value)| format!("{} = {}", variable.key, variable.distribution.text(*value)));
@@ -77,7 +82,7 @@ impl Campaign {
                 (*choice, place) = (place % list.len() as u64, place / list.len() as u64);
             }
         }
-        let draw = |(index, variable): (usize, &crate::campaign::Variable)| {
+        let draw = |(index, variable): (usize, &Variable)| {
             let distribution = &variable.distribution;
             let random: f64 = Open01.sample(random);
             match (self.method, distribution) {
@@ -89,7 +94,19 @@ impl Campaign {
                 _ => distribution.at(random),
             }
         };
-        self.variables.iter().enumerate().map(draw).collect()
+        let values: Vec<f64> = self.variables.iter().enumerate().map(draw).collect();
+        self.correlation.as_ref().map_or_else(|| values.clone(), |correlation| self.correlate(correlation, &values))
+    }
+
+    /// Values that are not normal stay exactly as they are.
+    fn correlate(&self, correlation: &Correlation, values: &[f64]) -> Vec<f64> {
+        let variables = || self.variables.iter().zip(values);
+        let scores: Vec<f64> = variables().map(|(variable, value)| variable.distribution.score(*value)).collect();
+        let correlated = correlation.apply(&scores);
+        let value = |((variable, value), score): ((&Variable, &f64), f64)| {
+            if variable.distribution.is_normal() { variable.distribution.at_score(score) } else { *value }
+        };
+        variables().zip(correlated).map(value).collect()
     }
 
     /// The number of the cell in a grid.

@@ -7,14 +7,27 @@ use platebench_rig::{EmulatedLink, FaultInjector, RigSpec, Session, printable_na
 use platebench_trace::{read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::fs;
+use std::io;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 pub const PLAN_FILE: &str = "plan.json";
 const PARTS: &str = "parts";
 const FORMAT: u32 = 1;
 const MAX_PLAN_BYTES: u64 = 1 << 20;
 pub const MAX_SHARDS: u32 = 1_000_000;
+/// A restart repeats at most one shard per machine.
+const TRIALS_PER_SHARD: u64 = 2_000;
+/// Several cores play chains of one shard.
+const CHAINS_PER_SHARD: u64 = 8;
+const MAX_RUN_SHARDS: u64 = 1_000;
+
+/// Number of shards for one machine.
+pub fn shards_of_run(campaign: &Campaign) -> u32 {
+    let chain = campaign.chain_trials();
+    let size = if chain == 1 { TRIALS_PER_SHARD } else { CHAINS_PER_SHARD * chain };
+    u32::try_from(campaign.trials.div_ceil(size).min(MAX_RUN_SHARDS)).unwrap_or(1)
+}
 
 /// `plan.json`
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,7 +35,8 @@ pub const MAX_SHARDS: u32 = 1_000_000;
 pub struct Plan {
     format: u32,
     pub title: String,
-    pub campaign: PathBuf,
+    /// Paths are relative to the campaign folder.
+    campaign: PathBuf,
     pub method: Method,
     /// In all.
     pub trials: u64,
@@ -45,12 +59,14 @@ struct PinnedInput {
 }
 
 impl Plan {
-    pub fn new(campaign: &Campaign, rig: &RigSpec, shards: u32) -> Result<Self, CampaignError> {
-        let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-        let own = PinnedInput { path: absolute(&campaign.path), sha256: sha256(campaign.text.as_bytes()) };
+    /// `folder` is where the plan will be.
+    pub fn new(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Self, CampaignError> {
+        let relative = |path: &Path| relative_path(path, folder).map_err(CampaignError::io(path));
+        let own = PinnedInput { path: relative(&campaign.path)?, sha256: sha256(campaign.text.as_bytes()) };
         let of_scenario = campaign.template.inputs().iter();
-        let of_scenario =
-            of_scenario.map(|input| PinnedInput { path: absolute(&input.path), sha256: sha256(&input.bytes) });
+        let of_scenario = of_scenario
+            .map(|input| Ok(PinnedInput { path: relative(&input.path)?, sha256: sha256(&input.bytes) }))
+            .collect::<Result<Vec<_>, CampaignError>>()?;
         let mut plan = Self {
             format: FORMAT,
             title: campaign.title.clone(),
@@ -114,12 +130,13 @@ impl Plan {
     pub fn open(folder: &Path) -> Result<(Self, Campaign), CampaignError> {
         let plan = Self::read(folder)?;
         for input in &plan.inputs {
-            let digest = sha256_of_file(&input.path).map_err(CampaignError::io(&input.path))?;
+            let path = folder.join(&input.path);
+            let digest = sha256_of_file(&path).map_err(CampaignError::io(&path))?;
             if digest != input.sha256 {
-                return Err(CampaignError::ChangedInput(input.path.clone()));
+                return Err(CampaignError::ChangedInput(path));
             }
         }
-        let campaign = Campaign::load(&plan.campaign).map_err(CampaignError::Files)?;
+        let campaign = Campaign::load(&folder.join(&plan.campaign)).map_err(CampaignError::Files)?;
         Ok((plan, campaign))
     }
 
@@ -137,11 +154,13 @@ impl Plan {
         Ok(())
     }
 
-    /// Trials of a shard, which is counted from 1.
+    /// Trials of a shard, which is counted from 1: whole chains.
     pub fn trials_of(&self, shard: u32) -> Range<u64> {
+        let chain = self.method.chain_trials();
+        let chains = self.trials.div_ceil(chain);
         let start = |shard: u32| {
-            let trials = u128::from(self.trials) * u128::from(shard) / u128::from(self.shards);
-            u64::try_from(trials).unwrap_or(self.trials)
+            let before = u128::from(chains) * u128::from(shard) / u128::from(self.shards);
+            u64::try_from(before).unwrap_or(chains).saturating_mul(chain).min(self.trials)
         };
         start(shard.saturating_sub(1))..start(shard)
     }
@@ -149,6 +168,18 @@ impl Plan {
     pub fn part_path(&self, folder: &Path, shard: u32) -> PathBuf {
         folder.join(PARTS).join(format!("{shard}.parquet"))
     }
+}
+
+/// The folder may not exist yet. Links are resolved, because `..` behind a link leads elsewhere.
+fn relative_path(path: &Path, folder: &Path) -> io::Result<PathBuf> {
+    let path = path.canonicalize()?;
+    let existing = std::path::absolute(folder)?;
+    let existing = existing.ancestors().find(|above| above.exists()).unwrap_or(Path::new("/"));
+    let rest = std::path::absolute(folder)?.strip_prefix(existing).map(Path::to_owned).unwrap_or_default();
+    let folder = existing.canonicalize()?.join(rest);
+    let shared = path.components().zip(folder.components()).take_while(|(one, other)| one == other).count();
+    let up = folder.components().skip(shared).map(|_| Component::ParentDir);
+    Ok(up.chain(path.components().skip(shared)).collect())
 }
 
 fn bench_digest() -> Result<String, CampaignError> {
@@ -192,12 +223,12 @@ fn identity(rig: &RigSpec) -> Result<String, CampaignError> {
 mod tests {
     use super::*;
 
-    fn plan(trials: u64, shards: u32) -> Plan {
+    fn plan(method: Method, trials: u64, shards: u32) -> Plan {
         Plan {
             format: FORMAT,
             title: String::new(),
             campaign: PathBuf::new(),
-            method: Method::Random,
+            method,
             trials,
             shards,
             rig: "hosted".to_owned(),
@@ -209,12 +240,27 @@ mod tests {
     }
 
     #[test]
+    fn paths_are_relative_to_the_campaign_folder() {
+        let root = tempfile::tempdir().unwrap();
+        let file = root.path().join("a/file.toml");
+        fs::create_dir(root.path().join("a")).unwrap();
+        fs::write(&file, "").unwrap();
+        let relative = |folder: &str| relative_path(&file, &root.path().join(folder)).unwrap();
+        assert_eq!(relative("a"), Path::new("file.toml"));
+        assert_eq!(relative("a/new"), Path::new("../file.toml"));
+        assert_eq!(relative("b/c"), Path::new("../../a/file.toml"));
+    }
+
+    #[test]
     fn shards_contain_every_trial_once() {
-        for (trials, shards) in [(10, 1), (10, 7), (3, 64), (1_000_003, 64), (10_000_000_000, 1_000)] {
-            let plan = plan(trials, shards);
+        let counts = [(10, 1), (10, 7), (3, 64), (1_000_003, 64), (10_000_000_000, 1_000)];
+        let methods = [Method::Random, Method::Search, Method::Rare];
+        for ((trials, shards), method) in counts.into_iter().flat_map(|counts| methods.map(|method| (counts, method))) {
+            let plan = plan(method, trials, shards);
             let ends = (1..=shards).fold(0, |before, shard| {
                 let range = plan.trials_of(shard);
                 assert_eq!(range.start, before);
+                assert!(range.end == trials || range.end % method.chain_trials() == 0, "a shard has whole chains");
                 range.end
             });
             assert_eq!(ends, trials);

@@ -1,6 +1,7 @@
 //! Plays the trials of a shard on several workers, in memory.
 
 use crate::campaign::Campaign;
+use crate::draw::Trial;
 use crate::error::CampaignError;
 use crate::part::{PartReader, PartWriter};
 use crate::plan::Plan;
@@ -9,6 +10,7 @@ use platebench_record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, FaultInjector, RigError, RigSpec, Session};
 use platebench_runner::law;
 use platebench_runner::trial::{self, TrialSpec};
+use platebench_trace::Row as TraceRow;
 use platebench_verdict::measure;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -83,9 +85,12 @@ fn play(
     let (sender, results) = mpsc::sync_channel(RESULT_QUEUE);
     let outcome = thread::scope(|scope| {
         for _ in 0..config.jobs.max(1) {
-            let worker = Worker { campaign, config, connect, next: &next, end: trials.end };
+            let worker = Worker { campaign, config, connect, next: &next, end: trials.end, session: None, losses: 0 };
             let sender = sender.clone();
-            scope.spawn(move || worker.run(&sender));
+            scope.spawn(move || {
+                let mut worker = worker;
+                worker.run(&sender);
+            });
         }
         drop(sender);
         let outcome = collect(trials.start, &results, on_row);
@@ -124,60 +129,86 @@ struct Worker<'a> {
     connect: &'a Connect<'a>,
     next: &'a AtomicU64,
     end: u64,
+    session: Option<Session<FaultInjector<BoxedLink>>>,
+    losses: u32,
 }
 
 impl Worker<'_> {
-    fn run(&self, results: &SyncSender<Result<Row, CampaignError>>) {
-        let mut session = None;
-        let mut losses = 0;
+    fn run(&mut self, results: &SyncSender<Result<Row, CampaignError>>) {
+        let count = self.campaign.chain_trials();
         loop {
-            let number = self.next.fetch_add(1, Ordering::Relaxed);
-            if number >= self.end || self.config.cancel.is_cancelled() {
+            let first = self.next.fetch_add(count, Ordering::Relaxed);
+            if first >= self.end || self.config.cancel.is_cancelled() {
                 break;
             }
-            let result = match self.play(&mut session, number, &mut losses) {
-                Ok(Some(row)) => Ok(row),
-                Ok(None) => break,
-                Err(error) => Err(error),
-            };
-            let is_over = result.is_err();
-            if results.send(result).is_err() || is_over {
+            let trials = first..first.saturating_add(count).min(self.end);
+            let is_complete =
+                if count == 1 { self.play_one(first, results) } else { self.play_chain(&trials, results) };
+            if !is_complete {
                 break;
             }
         }
-        if let Some(session) = session {
+        if let Some(session) = self.session.take() {
             session.close();
         }
     }
 
+    /// False if it was cancelled, or an error was sent.
+    fn play_one(&mut self, number: u64, results: &SyncSender<Result<Row, CampaignError>>) -> bool {
+        let row = self.campaign.trial(number).and_then(|trial| self.play(&trial));
+        let Some(row) = row.transpose() else { return false };
+        let is_row = row.is_ok();
+        results.send(row).is_ok() && is_row
+    }
+
+    /// False if it was cancelled, or an error was sent.
+    fn play_chain(&mut self, trials: &Range<u64>, results: &SyncSender<Result<Row, CampaignError>>) -> bool {
+        let campaign = self.campaign;
+        let mut number = trials.start;
+        campaign.run_chain(trials, &mut |point| {
+            if number == trials.end {
+                return None;
+            }
+            let row = campaign.chain_trial(number, point).and_then(|trial| self.play(&trial)).transpose()?;
+            let score = row.as_ref().ok().map(|row| row.score);
+            results.send(row).ok()?;
+            number += 1;
+            score
+        });
+        number == trials.end
+    }
+
     /// `None` if it was cancelled.
-    fn play(
-        &self,
-        session: &mut Option<Session<FaultInjector<BoxedLink>>>,
-        number: u64,
-        losses: &mut u32,
-    ) -> Result<Option<Row>, CampaignError> {
-        let trial = self.campaign.trial(number)?;
+    fn play(&mut self, trial: &Trial) -> Result<Option<Row>, CampaignError> {
         let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
-        let open = match session {
+        let open = match &mut self.session {
             Some(open) => open,
-            None => session.insert(Session::open(FaultInjector::new((self.connect)()?))?),
+            None => self.session.insert(Session::open(FaultInjector::new((self.connect)()?))?),
         };
         let spec = TrialSpec { own_clock: self.config.rig.has_own_clock(), ..TrialSpec::new(&trial.scenario, law, 0) };
         let Some(played) = trial::play(open, &spec, &self.config.cancel, None) else { return Ok(None) };
         match played.link_error {
             Some(rejected @ RigError::ConfigurationRejected(_)) => return Err(rejected.into()),
             Some(_) => {
-                if let Some(lost) = session.take() {
+                if let Some(lost) = self.session.take() {
                     lost.close();
                 }
-                *losses += 1;
-                if *losses >= MAX_LOSSES {
-                    return Err(CampaignError::Lost(*losses));
+                self.losses += 1;
+                if self.losses >= MAX_LOSSES {
+                    return Err(CampaignError::Lost(self.losses));
                 }
             }
-            None => *losses = 0,
+            None => self.losses = 0,
         }
-        Ok(Some(Row::new(&trial, measure(&trial.scenario, 0, &played.trace_rows, &played.telemetry))))
+        let measures = measure(&trial.scenario, 0, &played.trace_rows, &played.telemetry);
+        Ok(Some(Row::new(trial, measures, final_distance(&played.trace_rows))))
     }
+}
+
+/// Mean distance from the setpoint in the last third, relative to the setpoint.
+fn final_distance(rows: &[TraceRow]) -> f64 {
+    let last = rows.get(rows.len() * 2 / 3..).unwrap_or_default();
+    let sum = |of: fn(&TraceRow) -> f64| last.iter().map(of).sum::<f64>();
+    let setpoint = sum(|row| row.setpoint_um.abs());
+    sum(|row| (row.amplitude_um - row.setpoint_um).abs()) / if setpoint > 0.0 { setpoint } else { last.len() as f64 }
 }

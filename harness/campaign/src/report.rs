@@ -4,6 +4,7 @@ use crate::campaign::Variable;
 use crate::error::CampaignError;
 use crate::results::{CSV_FILE, PARQUET_FILE, unit_of_key};
 use crate::row::Row;
+use crate::sample::Quantile;
 use crate::summary::{SUMMARY_FILE, Summary, Tally};
 use platebench_record::Verdict;
 use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel};
@@ -21,6 +22,11 @@ const MAX_VALUE_MAPS: usize = 6;
 pub(crate) fn write(folder: &Path, summary: &Summary<'_>) -> Result<(), CampaignError> {
     let mut blocks = vec![PageBlock::Preformatted(summary.text())];
     blocks.extend(maps(summary)?);
+    let quantiles = quantiles(summary);
+    if !quantiles.rows.is_empty() {
+        blocks.push(PageBlock::Heading("Quantiles".to_owned()));
+        blocks.push(PageBlock::Table(quantiles));
+    }
     blocks.push(PageBlock::Heading("Trials with the smallest margins".to_owned()));
     blocks.push(PageBlock::Table(worst_trials(summary)));
     if !summary.failing.is_empty() {
@@ -126,6 +132,18 @@ fn axis_label(variable: &Variable) -> String {
         "" => variable.key.clone(),
         unit => format!("{}, {unit}", variable.key),
     }
+}
+
+fn quantiles(summary: &Summary<'_>) -> Table {
+    let mut table = Table::new(["expectation", "share of trials below", "value", "from", "to"]);
+    let number = |value: f64| if value.is_finite() { format!("{value:.4}") } else { "–".to_owned() };
+    let quantiles = summary.sample.quantiles(summary.campaign).into_iter();
+    let row = |quantile: Quantile| {
+        let [low, high] = quantile.interval.map(number);
+        vec![quantile.expectation, format!("{} %", quantile.share * 100.0), number(quantile.value), low, high]
+    };
+    table.rows = quantiles.map(row).collect();
+    table
 }
 
 fn worst_trials(summary: &Summary<'_>) -> Table {

@@ -6,8 +6,12 @@ use platebench_verdict::{Judgement, TrialMeasures, judge};
 
 const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
 const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
-/// Verdict, cause, redraws.
-const FIXED_COLUMNS: usize = 3;
+/// Verdict, cause, redraws, score.
+const FIXED_COLUMNS: usize = 4;
+/// Score of a trial without a value, less the distance from its setpoint. Only the order of scores matters.
+const NO_VALUE_SCORE: f64 = -1e3;
+const MAX_DISTANCE: f64 = 1e3;
+const SMALLEST_SCORE: f64 = 1e-12;
 
 /// The result of a trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,12 +26,22 @@ pub struct Row {
     pub verdict: Verdict,
     pub cause: Option<Cause>,
     pub redraws: u32,
+    /// The smallest margin, finite; not above 0 exactly if the trial fails.
+    pub score: f64,
 }
 
 impl Row {
-    pub(crate) fn new(trial: &Trial, measures: TrialMeasures) -> Self {
+    /// `distance`: from the setpoint at the end, relative to it.
+    pub(crate) fn new(trial: &Trial, measures: TrialMeasures, distance: f64) -> Self {
         let Judgement { verdict, expectations } = judge(&trial.scenario, &[measures]);
         let undecided = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Inconclusive);
+        let margins = expectations.iter().map(|expectation| expectation.margin);
+        let score = margins.map(|margin| {
+            let distance = if distance.is_finite() { distance.min(MAX_DISTANCE) } else { MAX_DISTANCE };
+            margin.filter(|margin| margin.is_finite()).unwrap_or(NO_VALUE_SCORE - distance)
+        });
+        let score = score.fold(MAX_DISTANCE, f64::min);
+        let is_failure = verdict == Verdict::Fail;
         Self {
             trial: trial.number,
             draws: trial.values.clone(),
@@ -36,6 +50,7 @@ impl Row {
             verdict,
             cause: undecided.filter(|_| verdict == Verdict::Inconclusive).find_map(|expectation| expectation.cause),
             redraws: trial.redraws,
+            score: if is_failure { score.min(-SMALLEST_SCORE) } else { score.max(SMALLEST_SCORE) },
         }
     }
 
@@ -52,7 +67,7 @@ impl Row {
     pub(crate) fn encode(&self) -> impl Iterator<Item = f64> {
         let verdict = VERDICTS.iter().position(|verdict| *verdict == self.verdict).unwrap_or_default();
         let cause = CAUSES.iter().position(|cause| Some(*cause) == self.cause).map_or(0, |position| position + 1);
-        let fixed = [verdict as f64, cause as f64, f64::from(self.redraws)];
+        let fixed = [verdict as f64, cause as f64, f64::from(self.redraws), self.score];
         self.draws.iter().chain(&self.values).chain(&self.margins).copied().chain(fixed)
     }
 
@@ -62,7 +77,7 @@ impl Row {
         let (draws, rest) = columns.split_at_checked(variables)?;
         let (values, rest) = rest.split_at_checked(expectations)?;
         let (margins, rest) = rest.split_at_checked(expectations)?;
-        let [verdict, cause, redraws] = *rest else { return None };
+        let [verdict, cause, redraws, score] = *rest else { return None };
         Some(Self {
             trial,
             draws: draws.to_vec(),
@@ -71,6 +86,7 @@ impl Row {
             verdict: *VERDICTS.get(verdict as usize)?,
             cause: (cause as usize).checked_sub(1).and_then(|position| CAUSES.get(position)).copied(),
             redraws: redraws as u32,
+            score,
         })
     }
 }
@@ -89,6 +105,7 @@ mod tests {
             verdict: Verdict::Inconclusive,
             cause: Some(Cause::Infeasible),
             redraws: 2,
+            score: -1_000.5,
         };
         let columns: Vec<f64> = row.encode().collect();
         assert_eq!(columns.len(), Row::column_count(2, 1));

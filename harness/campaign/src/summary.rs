@@ -1,7 +1,10 @@
 //! Counts the trials of a campaign and judges the share that fails.
 
 use crate::campaign::{Campaign, Method, Variable};
+use crate::outcome::ChainOutcome;
 use crate::row::Row;
+use crate::sample::Sample;
+use crate::sequential::SequentialDecision;
 use platebench_record::{Cause, Verdict};
 use platebench_verdict::statistics::proportion::clopper_pearson;
 use serde::Serialize;
@@ -85,6 +88,11 @@ pub struct Summary<'a> {
     /// Failing trials, smallest margin first.
     pub failing: Vec<Row>,
     causes: [u64; 4],
+    /// Of `search` and `rare`.
+    pub chains: ChainOutcome,
+    /// Of the other methods.
+    pub sample: Sample,
+    pub sequential: SequentialDecision,
 }
 
 const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
@@ -102,11 +110,23 @@ impl<'a> Summary<'a> {
             worst: Vec::new(),
             failing: Vec::new(),
             causes: [0; 4],
+            chains: ChainOutcome::default(),
+            sample: Sample::default(),
+            sequential: SequentialDecision::new(campaign.trials, campaign.at_most, campaign.confidence),
         }
     }
 
     pub(crate) fn add(&mut self, row: &Row) {
         self.overall.add(row);
+        if self.campaign.chain_trials() > 1 {
+            self.chains.add(self.campaign, row);
+        } else {
+            self.sample.add(self.campaign, row);
+        }
+        // Trials of a grid are no sample in the order of their numbers.
+        if self.campaign.method == Method::Random {
+            self.sequential.add(row);
+        }
         if let Some(cell) = self.cells.get_mut(self.campaign.cell(&row.draws)) {
             cell.add(row);
         }
@@ -123,7 +143,32 @@ impl<'a> Summary<'a> {
     }
 
     pub fn verdict(&self) -> Verdict {
-        if self.missing.is_empty() { self.verdict_of(&self.overall) } else { Verdict::Inconclusive }
+        if !self.missing.is_empty() {
+            return Verdict::Inconclusive;
+        }
+        let Campaign { method, at_most, confidence, .. } = *self.campaign;
+        let is_decided = self.overall.inconclusive == 0;
+        match method {
+            // A search proves failures; without any it proves no share.
+            Method::Search if self.overall.failures > 0 => Verdict::Fail,
+            Method::Search if at_most.is_some() || !is_decided => Verdict::Inconclusive,
+            Method::Search => Verdict::Pass,
+            Method::Rare => match self.chains.rare_verdict(at_most, confidence) {
+                Verdict::Pass if !is_decided => Verdict::Inconclusive,
+                verdict => verdict,
+            },
+            Method::Grid | Method::Random | Method::Sobol => self.verdict_of(&self.overall),
+        }
+    }
+
+    /// Of the share of failing trials. `None` for a search, whose trials are no sample.
+    fn interval(&self) -> Option<[f64; 2]> {
+        let confidence = self.campaign.confidence;
+        match self.campaign.method {
+            Method::Search => None,
+            Method::Rare => self.chains.combined().map(|combined| combined.interval(confidence)),
+            Method::Grid | Method::Random | Method::Sobol => self.overall.interval(confidence),
+        }
     }
 
     pub fn verdict_of(&self, tally: &Tally) -> Verdict {
@@ -165,6 +210,7 @@ impl<'a> Summary<'a> {
         let cells: Vec<_> = cells.collect();
         let mut overall = tally(&self.overall);
         overall["verdict"] = json!(self.verdict());
+        overall["interval"] = json!(self.interval());
         let head = Head { format: 1, title: &campaign.title, method: campaign.method, verdict: self.verdict() };
         let mut summary = serde_json::to_value(head).unwrap_or_default();
         summary["cause"] = json!(self.cause());
@@ -175,6 +221,16 @@ impl<'a> Summary<'a> {
         summary["redrawn"] = json!(self.redraws);
         summary["overall"] = overall;
         summary["cells"] = json!(cells);
+        match campaign.method {
+            Method::Search => summary["search"] = self.chains.search_json(self.failing.first()),
+            Method::Rare => summary["rare"] = self.chains.rare_json(campaign.confidence),
+            Method::Grid | Method::Random | Method::Sobol => {
+                summary["sample"] = self.sample.json(campaign);
+                let decision = self.sequential.decision();
+                summary["sequential"] =
+                    json!(decision.map(|(trials, verdict)| json!({ "trials": trials, "verdict": verdict })));
+            }
+        }
         summary
     }
 
@@ -209,7 +265,8 @@ impl<'a> Summary<'a> {
         }
         let _ =
             write!(text, "\n{trials} of {} trials: {failures} fail, {inconclusive} inconclusive", self.campaign.trials);
-        if let Some([low, high]) = self.overall.interval(self.campaign.confidence) {
+        let is_sample = self.campaign.chain_trials() == 1;
+        if let Some([low, high]) = self.interval().filter(|_| is_sample) {
             let [low, high] = [low, high].map(|share| share * 100.0);
             let confidence = self.campaign.confidence * 100.0;
             let _ = write!(text, "; {low:.4} % to {high:.4} % of all fail, each end at {confidence} %");
@@ -218,6 +275,16 @@ impl<'a> Summary<'a> {
             let _ = write!(text, ", at most {} % demanded", demanded * 100.0);
         }
         text += "\n";
+        match self.campaign.method {
+            Method::Search => text += &self.chains.search_text(self.failing.first()),
+            Method::Rare => text += &self.chains.rare_text(self.campaign.confidence),
+            Method::Grid | Method::Random | Method::Sobol => {
+                text += &self.sample.text(self.campaign);
+                if let Some((trials, verdict)) = self.sequential.decision() {
+                    let _ = writeln!(text, "the first {trials} trials alone decide: {verdict}");
+                }
+            }
+        }
         if self.redraws > 0 {
             let _ = writeln!(text, "{} draws outside the domain of their quantity were drawn again", self.redraws);
         }
@@ -295,6 +362,7 @@ mod tests {
             verdict: Verdict::Fail,
             cause: None,
             redraws: 0,
+            score: margin,
         };
         let mut worst = Vec::new();
         for trial in 0..100 {

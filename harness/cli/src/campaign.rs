@@ -4,15 +4,17 @@ use crate::exit::Exit;
 use crate::options::{OutputFormat, job_count};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
-use clap::{Args, Subcommand};
-use platebench_campaign::{Campaign, CampaignError, Plan, PlayConfig, Summary, TrialEvent, merge, play_shard, status};
+use clap::{Args, Subcommand, ValueEnum};
+use platebench_campaign::submit::{Engine, command_line, submission};
+use platebench_campaign::{
+    Campaign, CampaignError, Plan, PlayConfig, Summary, TrialEvent, merge, play_shard, shards_of_run, status,
+};
 use platebench_rig::{CancelToken, RigError, RigSpec};
 use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// `run` plans shards of about so many trials; a restart repeats at most one shard.
-const TRIALS_PER_SHARD: u64 = 2_000;
-const MAX_RUN_SHARDS: u64 = 1_000;
 /// Between two lines of progress.
 const PROGRESS_INTERVAL: Duration = Duration::from_secs(10);
 
@@ -23,6 +25,7 @@ Examples:
   platebench campaign run scenarios/campaigns/laws.toml --out C
   platebench campaign plan my.toml --out C --shards 64
   platebench campaign play C --shard 7             on any machine that sees C
+  platebench campaign submit C --on slurm          prints the commands of an array
   platebench campaign status C
   platebench campaign merge C
 
@@ -43,6 +46,8 @@ enum CampaignCommand {
     Play(PlayArgs),
     /// Join the parts: results, summary, report, counterexamples
     Merge(MergeArgs),
+    /// Print the commands that play all shards with Slurm or HyperQueue, or run them
+    Submit(SubmitArgs),
     /// Show which shards are complete
     Status(FolderArgs),
 }
@@ -107,6 +112,24 @@ struct MergeArgs {
 }
 
 #[derive(Debug, Args)]
+struct SubmitArgs {
+    /// The campaign folder
+    folder: PathBuf,
+    /// Engine that starts the shards
+    #[arg(long, value_enum)]
+    on: EngineName,
+    /// Run the commands
+    #[arg(long)]
+    run: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum EngineName {
+    Slurm,
+    Hyperqueue,
+}
+
+#[derive(Debug, Args)]
 struct FolderArgs {
     /// The campaign folder
     folder: PathBuf,
@@ -116,40 +139,39 @@ struct FolderArgs {
 pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> Exit {
     let result = match &arguments.command {
         CampaignCommand::Run(arguments) => run(arguments, quiet),
-        CampaignCommand::Plan(arguments) => plan(&arguments.file, &arguments.out, &arguments.rig, arguments.shards)
+        CampaignCommand::Plan(arguments) => load(&arguments.file)
+            .and_then(|campaign| plan(&campaign, &arguments.out, &arguments.rig, arguments.shards))
             .map(|plan| {
                 stdio::note(&format!("{} trials in {} shards: {}", plan.trials, plan.shards, arguments.out.display()));
                 Exit::Passed
             }),
         CampaignCommand::Play(arguments) => play_one(arguments, quiet),
-        CampaignCommand::Merge(arguments) => Plan::open(&arguments.folder).and_then(|(plan, campaign)| {
-            let summary = merge(&arguments.folder, &plan, &campaign)?;
-            Ok(show(&summary, &arguments.folder, arguments.format))
-        }),
+        CampaignCommand::Merge(arguments) => merge_folder(&arguments.folder, arguments.format),
+        CampaignCommand::Submit(arguments) => submit(arguments),
         CampaignCommand::Status(arguments) => show_status(&arguments.folder),
     };
     result.unwrap_or_else(|error| reject(&error))
 }
 
-fn plan(file: &Path, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Plan, CampaignError> {
+fn load(file: &Path) -> Result<Campaign, CampaignError> {
+    Campaign::load(file).map_err(CampaignError::Files)
+}
+
+fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Plan, CampaignError> {
     rig.check()?;
-    let campaign = Campaign::load(file).map_err(CampaignError::Files)?;
-    let plan = Plan::new(&campaign, rig, shards)?;
+    let plan = Plan::new(campaign, folder, rig, shards)?;
     plan.write(folder)?;
     Ok(plan)
 }
 
 fn run(arguments: &RunArgs, quiet: bool) -> Result<Exit, CampaignError> {
-    let shards = if Plan::exists(&arguments.out) {
-        Plan::read(&arguments.out)?.shards
-    } else {
-        let campaign = Campaign::load(&arguments.file).map_err(CampaignError::Files)?;
-        u32::try_from(campaign.trials.div_ceil(TRIALS_PER_SHARD).min(MAX_RUN_SHARDS)).unwrap_or(1)
-    };
-    plan(&arguments.file, &arguments.out, &arguments.rig, shards)?;
-    let (plan, campaign) = Plan::open(&arguments.out)?;
+    let campaign = Arc::new(load(&arguments.file)?);
+    let planned = Plan::exists(&arguments.out).then(|| Plan::read(&arguments.out)).transpose()?;
+    let shards = planned.map_or_else(|| shards_of_run(&campaign), |plan| plan.shards);
+    let plan = plan(&campaign, &arguments.out, &arguments.rig, shards)?;
     let shards = (1..=plan.shards).collect();
-    if let Some(exit) = play(&arguments.out, shards, &arguments.rig, arguments.jobs, quiet)? {
+    let context = (plan.clone(), Arc::clone(&campaign));
+    if let Some(exit) = play(&arguments.out, context, shards, &arguments.rig, arguments.jobs, quiet)? {
         return Ok(exit);
     }
     let summary = merge(&arguments.out, &plan, &campaign)?;
@@ -157,11 +179,46 @@ fn run(arguments: &RunArgs, quiet: bool) -> Result<Exit, CampaignError> {
 }
 
 fn play_one(arguments: &PlayArgs, quiet: bool) -> Result<Exit, CampaignError> {
-    let plan = Plan::read(&arguments.folder)?;
+    let (plan, campaign) = Plan::open(&arguments.folder)?;
     let planned = || plan.rig.parse().map_err(|_| CampaignError::NoPlan(arguments.folder.clone()));
     let rig = arguments.rig.clone().map_or_else(planned, Ok)?;
-    let played = play(&arguments.folder, vec![arguments.shard], &rig, arguments.jobs, quiet)?;
+    plan.check_bench(&rig)?;
+    let context = (plan, Arc::new(campaign));
+    let played = play(&arguments.folder, context, vec![arguments.shard], &rig, arguments.jobs, quiet)?;
     Ok(played.unwrap_or(Exit::Passed))
+}
+
+fn submit(arguments: &SubmitArgs) -> Result<Exit, CampaignError> {
+    let plan = Plan::read(&arguments.folder)?;
+    let engine = match arguments.on {
+        EngineName::Slurm => Engine::Slurm,
+        EngineName::Hyperqueue => Engine::HyperQueue,
+    };
+    let commands = submission(engine, &plan, &arguments.folder)?;
+    let lines = commands.each_ref().map(|words| command_line(words));
+    if !arguments.run {
+        stdio::show(&format!("{}\n", lines.join("\n")));
+        return Ok(Exit::Passed);
+    }
+    let [array, _] = &commands;
+    let [program, words @ ..] = &**array else { return Ok(Exit::Invalid) };
+    match Command::new(program).args(words).status() {
+        Ok(status) if status.success() => merge_folder(&arguments.folder, OutputFormat::Human),
+        Ok(status) => {
+            stdio::error(&format!("{program} ended with {status}; `campaign status` lists the missing shards"));
+            Ok(Exit::Unreachable)
+        }
+        Err(error) => {
+            stdio::error(&format!("{program}: {error}; expected the program of the engine"));
+            Ok(Exit::Unreachable)
+        }
+    }
+}
+
+fn merge_folder(folder: &Path, format: OutputFormat) -> Result<Exit, CampaignError> {
+    let (plan, campaign) = Plan::open(folder)?;
+    let summary = merge(folder, &plan, &campaign)?;
+    Ok(show(&summary, folder, format))
 }
 
 /// Progress of the shards.
@@ -175,13 +232,12 @@ enum PlayEvent {
 /// `Some` if a signal ended it.
 fn play(
     folder: &Path,
+    (plan, campaign): (Plan, Arc<Campaign>),
     shards: Vec<u32>,
     rig: &RigSpec,
     jobs: Option<u16>,
     quiet: bool,
 ) -> Result<Option<Exit>, CampaignError> {
-    let (plan, campaign) = Plan::open(folder)?;
-    plan.check_bench(rig)?;
     let total: u64 = shards.iter().map(|shard| plan.trials_of(*shard)).map(|trials| trials.end - trials.start).sum();
     let cancel = CancelToken::default();
     let jobs = if rig.allows_parallel_links() { job_count(jobs) } else { 1 };

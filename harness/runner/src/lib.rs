@@ -12,6 +12,7 @@ mod delay_attribution;
 pub mod delay_boundary;
 mod fault;
 pub mod live_tap;
+mod loop_delay;
 pub mod operator;
 pub mod plan;
 mod plant_simulation;

@@ -4,6 +4,7 @@
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES};
 use crate::fault::wire_faults;
 use crate::live_tap::TapWriter;
+use crate::loop_delay::LoopDelay;
 use crate::plant_simulation::{PlantSimulation, expected_rows};
 use platebench_plate::Time;
 use platebench_record::Telemetry;
@@ -128,6 +129,7 @@ struct Trial<'a, L: Link> {
     own_clock: bool,
     controller: ControllerLog<'a>,
     replies: ReplyStats,
+    loop_delay: LoopDelay,
     plant: PlantSimulation<'a, Vec<Row>>,
     next_control: Time,
     pending: VecDeque<PendingActuation>,
@@ -169,6 +171,7 @@ impl<'a, L: Link> Trial<'a, L> {
             own_clock: spec.own_clock,
             controller: ControllerLog::new(scenario, law),
             replies: ReplyStats::default(),
+            loop_delay: LoopDelay::new(scenario, index),
             plant: PlantSimulation::new(scenario, index, Vec::with_capacity(expected_rows(scenario)), tap),
             next_control: Time::ZERO,
             pending: VecDeque::new(),
@@ -235,7 +238,7 @@ impl<'a, L: Link> Trial<'a, L> {
                 flags.set(Flags::OVERRUN, host_stalled && reply.command.cause == StateCause::SampleTimeout);
                 let rig_delay = Time::from_nanos(reply.delay.as_nanos() as u64);
                 let acting = if self.wire_time { rig_delay } else { Time::ZERO };
-                let delay = self.scenario.controller.loop_delay + acting;
+                let delay = self.loop_delay.draw() + acting;
                 self.replies.record(&reply, delay);
                 self.schedule_command(now, now + delay, reply.command);
             }
@@ -258,7 +261,7 @@ impl<'a, L: Link> Trial<'a, L> {
         self.record_delivered_sample();
         match received {
             Ok(Some(command)) => {
-                let loop_delay = self.scenario.controller.loop_delay;
+                let loop_delay = self.loop_delay.draw();
                 if let Some((sampled, _)) = self.unanswered.take_if(|_| self.session.last_sample_answered()) {
                     self.replies.record_late(now - sampled + loop_delay);
                 }

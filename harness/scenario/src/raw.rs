@@ -109,6 +109,9 @@ pub struct RawController {
     /// Sampling to actuation, ms.
     #[schemars(range(min = 0.0))]
     pub loop_delay_ms: f64,
+    /// Largest additional loop delay, ms; drawn uniformly from 0 to this for each period, from the trial's seed.
+    #[schemars(range(min = 0.0))]
+    pub loop_delay_jitter_ms: f64,
     /// Loop delay that the law is designed for, ms.
     #[schemars(range(min = 0.0))]
     pub design_delay_ms: f64,

@@ -52,6 +52,8 @@ pub struct Controller {
     pub period: Time,
     pub start_frequency_hz: f64,
     pub loop_delay: Time,
+    /// Largest additional delay of a period.
+    pub loop_delay_jitter: Time,
     /// Delay that the law is designed for, whole microseconds, at most one period.
     pub design_delay: Time,
     /// For 5 %; `None` for the law's own.

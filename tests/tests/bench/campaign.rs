@@ -55,6 +55,7 @@ fn summary(folder: &Path, out: &str) -> Value {
 #[rstest]
 #[case::grid(GRID)]
 #[case::random("[plan]\nmethod = \"random\"\ntrials = 70\n[judge]\nat_most = 0.9\n")]
+#[case::search("[plan]\nmethod = \"search\"\ntrials = 600\n")]
 #[case::sobol("[plan]\nmethod = \"sobol\"\ntrials = 70\n[judge]\nat_most = 0.9\n")]
 fn results_do_not_depend_on_shards_and_jobs(#[case] plan_text: &str) {
     let folder = folder(plan_text);
@@ -216,8 +217,9 @@ fn a_counterexample_fails_under_run_with_the_same_values() {
 }
 
 #[rstest]
-#[case::method("[plan]\nmethod = \"search\"\ntrials = 5\n", "", &["campaign.toml:9", "not built yet"])]
-#[case::rare("[plan]\nmethod = \"rare\"\ntrials = 5\n", "", &["campaign.toml:9", "not built yet"])]
+#[case::method("[plan]\nmethod = \"guess\"\ntrials = 5\n", "", &["campaign.toml:9", "guess"])]
+#[case::rare("[plan]\nmethod = \"rare\"\ntrials = 5\n", "", &["campaign.toml:4", "listed values"])]
+#[case::correlation(GRID, "[[correlate]]\nkeys = [\"plate.mode.gain_um_per_vpp\", \"controller.law\"]\ncoefficient = 0.5\n", &["controller.law", "expected a key of [vary]"])]
 #[case::unit(GRID, "\"profile.finger_force_mn\" = { uniform = [0.0, 1.0] }\n", &["campaign.toml:8", "finger_force_n`, in N"])]
 #[case::plate_key(GRID, "\"plate.mode.gain\" = { uniform = [0.0, 1.0] }\n", &["campaign.toml:8", "unknown key `gain`"])]
 #[case::domain(GRID, "\"controller.period_ms\" = { uniform = [-1.0, 1.0] }\n", &["campaign.toml:8", "-1"])]
@@ -260,4 +262,145 @@ fn ctrl_c_keeps_complete_shards() {
     output.assert_exit(130);
     let status = run_bench(folder, ["campaign", "status", "c"]);
     status.assert_exit(3).assert_stdout(&["of 100 shards complete", "0 unusable"]);
+}
+
+/// A campaign of two plate values and a law, in a folder with `step.toml`.
+fn folder_with(vary: &str, plan: &str) -> TempDir {
+    let folder = folder("");
+    let text = format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{vary}{plan}");
+    fs::write(folder.path().join("campaign.toml"), text).unwrap();
+    folder
+}
+
+const SEARCH: &str = "[plan]\nmethod = \"search\"\ntrials = 200\n";
+
+#[test]
+fn a_search_writes_a_counterexample_that_fails() {
+    let vary = "\"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 3.0 } }\n\
+                \"plate.mode.time_constant_ms\" = { uniform = [1.5, 2.3] }\n";
+    let folder = folder_with(vary, SEARCH);
+    let folder = folder.path();
+    run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(1).assert_stdout(&["worst case"]);
+    let summary = summary(folder, "c");
+    let search = &summary["search"];
+    let smallest = fs::read_to_string(folder.join("c/results.csv")).unwrap();
+    let smallest = smallest.lines().skip(1).map(|line| {
+        let fields: Vec<_> = line.split(',').collect();
+        fields[5].parse::<f64>().unwrap().min(fields[7].parse().unwrap())
+    });
+    let smallest = smallest.fold(f64::INFINITY, f64::min);
+    assert_eq!(search["margin"].as_f64().unwrap_or(f64::NEG_INFINITY), smallest);
+    let trials = search["trials"].as_u64().unwrap();
+    assert!((1..=200).contains(&trials), "{search}");
+    let file = format!("c/{}", search["counterexample"].as_str().unwrap());
+    run_bench(folder, ["run", &file, "--rig", "hosted", "--out", "again"]).assert_exit(1);
+}
+
+#[rstest]
+#[case::with_demand("[judge]\nat_most = 0.01\n", 3)]
+#[case::without_demand("", 0)]
+fn a_search_without_a_failure_proves_no_share(#[case] judge: &str, #[case] exit: i32) {
+    let vary = "\"plate.mode.gain_um_per_vpp\" = { uniform = [0.00697, 0.00699] }\n";
+    let folder = folder_with(vary, &format!("{SEARCH}{judge}"));
+    let run = run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
+    run.assert_exit(exit).assert_stdout(&["no failing trial found"]);
+    assert!(summary(folder.path(), "c")["search"]["counterexample"].is_null());
+}
+
+const RARE_VARY: &str = "\"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 1.0 } }\n\
+    \"plate.mode.time_constant_ms\" = { lognormal = { mean = 1.88, sd_percent = 1.0 } }\n";
+
+#[test]
+fn rare_and_random_trials_agree() {
+    let correlation = "[[correlate]]\nkeys = [\"plate.mode.gain_um_per_vpp\", \"plate.mode.time_constant_ms\"]\n\
+                       coefficient = 0.5\n";
+    let judge = "[judge]\nat_most = 0.5\n";
+    let rare = format!("[plan]\nmethod = \"rare\"\ntrials = 3000\n{judge}{correlation}");
+    let folder = folder_with(RARE_VARY, &rare);
+    let folder = folder.path();
+    let mut merged = Vec::new();
+    for (out, shards) in [("a", 1), ("b", 3)] {
+        plan(folder, out, shards);
+        (1..=shards).rev().for_each(|shard| play(folder, out, shard, 2));
+        run_bench(folder, ["campaign", "merge", out]);
+        merged.push(results(folder, out));
+    }
+    assert!(merged[0] == merged[1], "results depend on shards");
+    let rare = summary(folder, "a")["rare"].clone();
+    assert_eq!(rare["trials"], 3_000);
+    assert!(!rare["methods"].as_array().unwrap().is_empty() && rare["coefficient_of_variation"].is_f64(), "{rare}");
+    let random = format!("[plan]\nmethod = \"random\"\ntrials = 20000\n{judge}{correlation}");
+    let vary = format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{RARE_VARY}");
+    fs::write(folder.join("campaign.toml"), format!("{vary}{random}")).unwrap();
+    run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]);
+    let random = summary(folder, "c")["overall"].clone();
+    let end = |interval: &Value, end: usize| interval[end].as_f64().unwrap();
+    let (rare, random) = (&rare["interval"], &random["interval"]);
+    assert!(end(rare, 0) <= end(random, 1) && end(random, 0) <= end(rare, 1), "{rare} {random}");
+}
+
+#[rstest]
+#[case::slurm("slurm", "sbatch", "SLURM_ARRAY_TASK_ID")]
+#[case::hyperqueue("hyperqueue", "hq", "HQ_TASK_ID")]
+fn submitted_commands_play_every_shard(#[case] on: &str, #[case] program: &str, #[case] task: &str) {
+    let folder = folder(GRID);
+    let folder = folder.path();
+    plan(folder, "a folder", 3);
+    let printed = run_bench(folder, ["campaign", "submit", "a folder", "--on", on]);
+    printed.assert_exit(0).assert_stdout(&[program, "--array=1-3", task, "campaign merge"]);
+    // The engine is replaced by a program that starts the last word for each task.
+    let tools = folder.join("tools");
+    fs::create_dir(&tools).unwrap();
+    let engine = format!(
+        "#!/bin/sh\nfor word; do last=$word; done\nfor {task} in 1 2 3; do export {task}; sh -c \"$last\"; done\n"
+    );
+    fs::write(tools.join(program), engine).unwrap();
+    let executable = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+    fs::set_permissions(tools.join(program), executable).unwrap();
+    let path = format!("{}:{}", tools.display(), std::env::var("PATH").unwrap());
+    let mut command = bench_command(folder);
+    command.args(["campaign", "submit", "a folder", "--on", on, "--run"]).env("PATH", path);
+    let output: crate::test_folder::ProgramOutput = command.output().unwrap().into();
+    let run = run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "b"]);
+    assert_eq!(output.exit, run.exit);
+    assert!(results(folder, "a folder") == results(folder, "b"));
+}
+
+#[test]
+fn a_campaign_moves_with_its_folder() {
+    let folder = folder(GRID);
+    let root = tempfile::tempdir().unwrap();
+    plan(folder.path(), "c", 2);
+    play(folder.path(), "c", 1, 1);
+    let moved = root.path().join("moved");
+    fs::rename(folder.path(), &moved).unwrap();
+    play(&moved, "c", 2, 1);
+    run_bench(&moved, ["campaign", "merge", "c"]).assert_exit(1);
+    fs::create_dir(folder.path()).unwrap();
+}
+
+#[test]
+fn jitter_follows_the_seed_of_the_trial() {
+    let folder = folder("");
+    let folder = folder.path();
+    let delays = |jitter: &str, seed: &str| {
+        let scenario =
+            SCENARIO.replace("[profile]", &format!("[controller]\nloop_delay_jitter_ms = {jitter}\n[profile]"));
+        fs::write(folder.join("jitter.toml"), scenario).unwrap();
+        run_bench(folder, ["run", "jitter.toml", "--rig", "hosted", "--seed", seed, "--out", "run"]);
+        let trace = fs::read_to_string(folder.join("run/traces/jitter/000.csv")).unwrap();
+        fs::remove_dir_all(folder.join("run")).unwrap();
+        let rows = trace.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()).collect::<Vec<_>>();
+        let changes = rows.windows(2).filter(|pair| pair[0][5] != pair[1][5]);
+        // Nanoseconds since the control instant.
+        let delay = |pair: &[Vec<&str>]| (pair[1][0].parse::<f64>().unwrap() * 1e9).round() as i64 % 1_000_000;
+        changes.map(delay).collect::<Vec<_>>()
+    };
+    let prompt = delays("0.0", "1");
+    assert!(prompt.len() >= 5 && prompt.iter().all(|delay| *delay == 0), "{prompt:?}");
+    let jittered = delays("0.3", "1");
+    assert!(jittered.len() >= 5 && jittered.iter().all(|delay| *delay <= 300_000), "{jittered:?}");
+    assert!(jittered.iter().any(|delay| *delay != jittered[0]), "{jittered:?}");
+    assert_eq!(jittered, delays("0.3", "1"));
+    assert_ne!(jittered, delays("0.3", "2"));
 }

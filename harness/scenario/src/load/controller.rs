@@ -53,12 +53,13 @@ impl Checker<'_> {
         let checked = |value| self.f32_range(key, self.positive(key, value)?);
         let response_time_ms = faults.record_error(raw.response_time_ms.map(checked).transpose());
         let gains = faults.record_error(raw.gains.map(|gains| self.gains(gains)).transpose());
-        let (loop_delay, design_delay) = delays?;
+        let ([loop_delay, loop_delay_jitter], design_delay) = delays?;
         Some(Controller {
             law,
             period: period?,
             start_frequency_hz: start_frequency_hz?,
             loop_delay,
+            loop_delay_jitter,
             design_delay,
             response_time_ms: response_time_ms?,
             frequency_range_hz: range?.unwrap_or(DEFAULT_FREQUENCY_RANGE_HZ),
@@ -81,13 +82,20 @@ impl Checker<'_> {
         Ok(period)
     }
 
-    fn loop_delay(&self, raw: &RawController, period: Time) -> Result<Time, Diagnostic> {
+    /// Smallest delay and its jitter.
+    fn loop_delay(&self, raw: &RawController, period: Time) -> Result<[Time; 2], Diagnostic> {
         let key = "controller.loop_delay_ms";
         let loop_delay = self.time_from_ms(key, raw.loop_delay_ms)?;
         self.require(loop_delay <= period.times(MAX_DELAY_PERIODS), key, || {
             format!("{} ms, expected at most {MAX_DELAY_PERIODS} control periods", raw.loop_delay_ms)
         })?;
-        Ok(loop_delay)
+        let key = "controller.loop_delay_jitter_ms";
+        let jitter = self.time_from_ms(key, raw.loop_delay_jitter_ms)?;
+        self.require(loop_delay + jitter <= period.times(MAX_DELAY_PERIODS), key, || {
+            let jitter = raw.loop_delay_jitter_ms;
+            format!("{jitter} ms, expected at most {MAX_DELAY_PERIODS} control periods together with loop_delay_ms")
+        })?;
+        Ok([loop_delay, jitter])
     }
 
     fn design_delay(&self, raw: &RawController, period: Time) -> Result<Time, Diagnostic> {

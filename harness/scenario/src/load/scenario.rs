@@ -55,7 +55,7 @@ impl Checker<'_> {
         let line_faults = faults.record_errors(&mut line_faults);
         let changes =
             ProfileChanges::new(&setpoint, &conditions.finger_force_n, &conditions.temperature_offset_k, duration);
-        let response_delay = controller.period + controller.loop_delay;
+        let response_delay = controller.period + controller.loop_delay + controller.loop_delay_jitter;
         let trial = TrialContext { duration, response_delay, setpoint: &setpoint, changes, faults: &line_faults };
         let names = expectation_names(&raw.expect);
         let mut expected = (0..)

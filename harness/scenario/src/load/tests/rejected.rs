@@ -75,6 +75,8 @@ fn message_table(cases: &[(&str, &str)]) -> String {
     ("period_ms = 1.0", "period_ms = 1000.001"),
     ("period_ms = 1.0", "period_us = 1000.0"),
     ("loop_delay_ms = 0.0", "loop_delay_ms = -0.1"),
+    ("loop_delay_ms = 0.0", "loop_delay_jitter_ms = -0.1"),
+    ("loop_delay_ms = 0.0", "loop_delay_ms = 50.0\nloop_delay_jitter_ms = 50.1"),
     ("loop_delay_ms = 0.0", "loop_delay_ms = 100.000001"),
     ("loop_delay_ms = 0.0", "loop_delay_ms = 60.0"),
     ("design_delay_ms = 0.0", "design_delay_ms = -0.001"),

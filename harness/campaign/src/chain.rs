@@ -1,0 +1,60 @@
+//! Chains of trials: each point depends on the scores of earlier ones.
+//!
+//! A chain depends on the campaign and its number alone. Its scores determine its points, so that a merge repeats the
+//! decisions of a chain from the scores in its part.
+
+use crate::campaign::{Campaign, Method};
+use crate::draw::Trial;
+use crate::error::CampaignError;
+use crate::rare::{self, ChainEstimate};
+use crate::search::search;
+use std::ops::Range;
+
+/// Steps towards the middle of the range until the scenario accepts a point.
+const MAX_STEPS: u32 = 12;
+
+impl Campaign {
+    /// Calls `score` for each point of a chain, until it returns `None`.
+    pub(crate) fn run_chain(
+        &self,
+        trials: &Range<u64>,
+        score: &mut dyn FnMut(&[f64]) -> Option<f64>,
+    ) -> Option<ChainEstimate> {
+        let chain = trials.start / self.chain_trials();
+        let seed = self.seed.wrapping_add((chain + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        let dimensions = self.variables.len();
+        match self.method {
+            Method::Rare => rare::estimate(dimensions, seed, trials.end - trials.start, score),
+            _ => {
+                search(dimensions, seed, score);
+                None
+            }
+        }
+    }
+
+    /// A point is a share of the range in a search, and a standard normal score otherwise.
+    pub(crate) fn chain_trial(&self, number: u64, point: &[f64]) -> Result<Trial, CampaignError> {
+        if self.method == Method::Rare {
+            let scores = self.correlation.as_ref().map(|correlation| correlation.apply(point));
+            let scores = scores.as_deref().unwrap_or(point);
+            let values = self.variables.iter().zip(scores);
+            let values = values.map(|(variable, score)| variable.distribution.at_score(*score)).collect();
+            return self.trial_with(number, values, 0);
+        }
+        let mut point = point.to_vec();
+        for step in 0.. {
+            let values = self.variables.iter().zip(&point);
+            let values = values.map(|(variable, share)| variable.distribution.at_share_of_range(*share)).collect();
+            match self.trial_with(number, values, step) {
+                Err(CampaignError::Trial { .. }) if step < MAX_STEPS => {}
+                result => return result,
+            }
+            for (share, variable) in point.iter_mut().zip(&self.variables) {
+                if variable.distribution.is_normal() {
+                    *share = 0.5 + (*share - 0.5) * 0.7;
+                }
+            }
+        }
+        Err(CampaignError::Cancelled)
+    }
+}

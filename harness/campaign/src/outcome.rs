@@ -1,0 +1,138 @@
+//! Collects what the chains of a campaign found.
+
+use crate::campaign::{Campaign, Method};
+use crate::rare::{ChainEstimate, Combined, RareMethod};
+use crate::row::Row;
+use platebench_record::Verdict;
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+
+/// Chains of `search` and `rare`; rows come in the order of their trials.
+#[derive(Debug, Default)]
+pub struct ChainOutcome {
+    /// Scores of the current chain.
+    scores: Vec<f64>,
+    pub estimates: Vec<ChainEstimate>,
+    /// Chains with too few trials for an estimate.
+    pub without_estimate: u64,
+    /// Trials of a search up to the first failing one.
+    first_failure: Option<u64>,
+    trials: u64,
+}
+
+impl ChainOutcome {
+    pub(crate) fn add(&mut self, campaign: &Campaign, row: &Row) {
+        self.trials += 1;
+        match campaign.method {
+            Method::Search if self.first_failure.is_none() && row.verdict == Verdict::Fail => {
+                self.first_failure = Some(self.trials);
+            }
+            Method::Rare => {
+                self.scores.push(row.score);
+                let chain = campaign.chain_trials();
+                if (row.trial + 1).is_multiple_of(chain) || row.trial + 1 == campaign.trials {
+                    self.end_chain(campaign, row.trial / chain * chain..row.trial + 1);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The scores determine the decisions of the chain.
+    fn end_chain(&mut self, campaign: &Campaign, trials: std::ops::Range<u64>) {
+        let mut scores = std::mem::take(&mut self.scores).into_iter();
+        match campaign.run_chain(&trials, &mut |_| scores.next()) {
+            Some(estimate) => self.estimates.push(estimate),
+            None => self.without_estimate += 1,
+        }
+    }
+
+    /// `None` without estimates.
+    pub fn combined(&self) -> Option<Combined> {
+        (!self.estimates.is_empty()).then(|| Combined::new(&self.estimates))
+    }
+
+    /// Pass and fail as for any share; a chain without an estimate excludes a pass.
+    pub(crate) fn rare_verdict(&self, at_most: Option<f64>, confidence: f64) -> Verdict {
+        let Some(combined) = self.combined() else { return Verdict::Inconclusive };
+        let [low, high] = combined.interval(confidence);
+        match at_most {
+            Some(share) if low > share => Verdict::Fail,
+            Some(share) if high <= share && self.without_estimate == 0 => Verdict::Pass,
+            None if combined.probability > 0.0 => Verdict::Fail,
+            _ => Verdict::Inconclusive,
+        }
+    }
+
+    /// Counts of the methods, with the first reason for each.
+    fn methods(&self) -> Vec<(RareMethod, u64, &str)> {
+        let mut methods: Vec<(RareMethod, u64, &str)> = Vec::new();
+        for estimate in &self.estimates {
+            match methods.iter_mut().find(|(method, ..)| *method == estimate.method) {
+                Some((_, count, _)) => *count += 1,
+                None => methods.push((estimate.method, 1, &estimate.reason)),
+            }
+        }
+        methods
+    }
+
+    pub(crate) fn search_json(&self, worst: Option<&Row>) -> Value {
+        json!({
+            "counterexample": worst.map(|row| format!("counterexamples/{}.toml", row.trial)),
+            "margin": worst.map(Row::margin).filter(|margin| margin.is_finite()),
+            // Up to the first failing trial, or all.
+            "trials": self.first_failure.unwrap_or(self.trials),
+        })
+    }
+
+    pub(crate) fn rare_json(&self, confidence: f64) -> Value {
+        let combined = self.combined();
+        let methods = self.methods().into_iter();
+        let methods =
+            methods.map(|(method, chains, reason)| json!({ "method": method, "chains": chains, "reason": reason }));
+        let index = self.estimates.first().and_then(|estimate| estimate.reliability_index);
+        json!({
+            "probability": combined.map(|combined| combined.probability),
+            "interval": combined.map(|combined| combined.interval(confidence)),
+            "coefficient_of_variation":
+                combined.map(|combined| combined.coefficient_of_variation).filter(|value| value.is_finite()),
+            "trials": self.trials,
+            "reliability_index": index,
+            "methods": methods.collect::<Vec<_>>(),
+            "chains_without_estimate": self.without_estimate,
+        })
+    }
+
+    pub(crate) fn search_text(&self, worst: Option<&Row>) -> String {
+        match worst {
+            Some(row) => format!(
+                "worst case: trial {}, margin {:.4}; the first failing trial was number {} of the search\n",
+                row.trial,
+                row.margin(),
+                self.first_failure.unwrap_or_default(),
+            ),
+            None => format!("no failing trial found in {} trials\n", self.trials),
+        }
+    }
+
+    pub(crate) fn rare_text(&self, confidence: f64) -> String {
+        let Some(combined) = self.combined() else {
+            return "no estimate: the trials of a chain are too few\n".to_owned();
+        };
+        let [low, high] = combined.interval(confidence);
+        let mut text = format!(
+            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} %; coefficient of variation {:.3}\n",
+            combined.probability,
+            confidence * 100.0,
+            combined.coefficient_of_variation
+        );
+        for (method, chains, reason) in self.methods() {
+            let method = match method {
+                RareMethod::ImportanceSampling => "importance sampling around the design point",
+                RareMethod::SubsetSimulation => "subset simulation",
+            };
+            let _ = writeln!(text, "{method} in {chains} of {} chains: {reason}", self.estimates.len());
+        }
+        text
+    }
+}

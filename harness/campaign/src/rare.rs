@@ -1,0 +1,79 @@
+//! Estimates the probability of rare failures from a chain of trials, in standard normal space.
+//!
+//! A trial with score g(u) fails if g ≤ 0. FORM searches the design point, the failing point with the smallest norm β.
+//! Importance sampling around it is used if it is the only one; otherwise subset simulation.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+pub(crate) mod design_point;
+mod estimates;
+pub(crate) mod importance;
+pub(crate) mod subset;
+
+pub use estimates::{ChainEstimate, Combined, RareMethod};
+
+/// Source of trials. `None` if the trials are used up, or the campaign was cancelled.
+pub(crate) type Score<'a> = dyn FnMut(&[f64]) -> Option<f64> + 'a;
+
+/// Uses `trials` scores. `None` if they are too few for an estimate.
+pub(crate) fn estimate(dimensions: usize, seed: u64, trials: u64, score: &mut Score<'_>) -> Option<ChainEstimate> {
+    let mut used = 0;
+    let mut counted = |point: &[f64]| {
+        if used == trials {
+            return None;
+        }
+        used += 1;
+        score(point)
+    };
+    let estimate = estimate_from(dimensions, seed, trials, &mut counted);
+    // Trials that no method wants.
+    while counted(&vec![0.0; dimensions]).is_some() {}
+    estimate
+}
+
+fn estimate_from(dimensions: usize, seed: u64, trials: u64, score: &mut Score<'_>) -> Option<ChainEstimate> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut used = 0;
+    let mut counted = |point: &[f64]| {
+        used += 1;
+        score(point)
+    };
+    let found = design_point::find(dimensions, &mut counted)?;
+    let mut index = None;
+    let reason = match found {
+        Ok(point) => {
+            index = Some(point.reliability_index);
+            match importance::estimate(&point.point, &mut random, &mut counted)? {
+                Ok((probability, coefficient_of_variation)) => {
+                    return Some(ChainEstimate {
+                        probability,
+                        coefficient_of_variation,
+                        ceiling: probability,
+                        method: RareMethod::ImportanceSampling,
+                        reason: format!("one design point at β = {:.3}", point.reliability_index),
+                        reliability_index: index,
+                        trials,
+                    });
+                }
+                Err(reason) => reason,
+            }
+        }
+        Err(reason) => reason,
+    };
+    let levels = index.map(|index| -design_point::below(-index).log10());
+    let plan = subset::SubsetPlan { dimensions, trials: trials.saturating_sub(used), levels };
+    let found = subset::estimate(&plan, &mut random, score)?;
+    Some(ChainEstimate {
+        probability: found.probability,
+        coefficient_of_variation: found.coefficient_of_variation,
+        ceiling: found.ceiling,
+        method: RareMethod::SubsetSimulation,
+        reason: reason.to_owned(),
+        reliability_index: index,
+        trials,
+    })
+}
+
+#[cfg(test)]
+mod tests;

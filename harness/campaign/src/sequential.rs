@@ -1,0 +1,125 @@
+//! Decides on the prefix of trial numbers, before all trials are played.
+//!
+//! Trials that end first are a biased sample: a trial that settles late may take longer. So a decision counts trials
+//! 0 to n − 1 for planned n, whatever the order in which they ended. Each look spends a share of the error.
+
+use crate::row::Row;
+use platebench_record::Verdict;
+use platebench_verdict::statistics::alpha_spending::{Look, plan_looks};
+use platebench_verdict::statistics::proportion::clopper_pearson;
+
+const FIRST_LOOK: u32 = 32;
+
+/// Looks at the first 32, 64, 128 … trials.
+#[derive(Debug)]
+pub struct SequentialDecision {
+    at_most: Option<f64>,
+    confidence: f64,
+    looks: std::vec::IntoIter<Look>,
+    next: Option<Look>,
+    trials: u32,
+    failures: u32,
+    inconclusive: u32,
+    decision: Option<(u32, Verdict)>,
+}
+
+impl SequentialDecision {
+    pub(crate) fn new(trials: u64, at_most: Option<f64>, confidence: f64) -> Self {
+        let trials = u32::try_from(trials).unwrap_or(u32::MAX);
+        let mut looks = plan_looks(FIRST_LOOK.min(trials), trials).into_iter();
+        let next = looks.next();
+        Self { at_most, confidence, looks, next, trials: 0, failures: 0, inconclusive: 0, decision: None }
+    }
+
+    /// Ignores a trial behind a missing one.
+    pub(crate) fn add(&mut self, row: &Row) {
+        let (Some(share), Some(look)) = (self.at_most, self.next) else { return };
+        if row.trial != u64::from(self.trials) || self.decision.is_some() {
+            return;
+        }
+        self.trials += 1;
+        self.failures += u32::from(row.verdict == Verdict::Fail);
+        self.inconclusive += u32::from(row.verdict == Verdict::Inconclusive);
+        if self.trials == look.trials {
+            let confidence = look.confidence(self.confidence);
+            let low = clopper_pearson(self.failures, self.trials, confidence).map(|[low, _]| low);
+            let worst = self.failures + self.inconclusive;
+            let high = clopper_pearson(worst, self.trials, confidence).map(|[_, high]| high);
+            if low.is_some_and(|low| low > share) {
+                self.decision = Some((self.trials, Verdict::Fail));
+            } else if self.inconclusive == 0 && high.is_some_and(|high| high <= share) {
+                self.decision = Some((self.trials, Verdict::Pass));
+            }
+            self.next = self.looks.next();
+        }
+    }
+
+    /// Number of trials and verdict.
+    pub const fn decision(&self) -> Option<(u32, Verdict)> {
+        self.decision
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(trial: u64, verdict: Verdict) -> Row {
+        Row {
+            trial,
+            draws: Vec::new(),
+            values: Vec::new(),
+            margins: Vec::new(),
+            verdict,
+            cause: None,
+            redraws: 0,
+            score: 1.0,
+        }
+    }
+
+    fn decide(rows: impl IntoIterator<Item = Row>) -> Option<(u32, Verdict)> {
+        let mut decision = SequentialDecision::new(1_000, Some(0.1), 0.95);
+        rows.into_iter().for_each(|row| decision.add(&row));
+        decision.decision()
+    }
+
+    #[test]
+    fn decides_at_a_planned_number_of_trials() {
+        assert_eq!(decide((0..1_000).map(|trial| row(trial, Verdict::Fail))), Some((32, Verdict::Fail)));
+        // 0.1 of the error at 64 trials: 0.9⁶⁴ = 0.0012.
+        assert_eq!(decide((0..1_000).map(|trial| row(trial, Verdict::Pass))), Some((64, Verdict::Pass)));
+        assert_eq!(decide((0..40).map(|trial| row(trial, Verdict::Pass))), None);
+    }
+
+    // Every fifth trial fails and takes longest. The passing ones that ended first would pass.
+    #[test]
+    fn trials_that_ended_first_decide_nothing() {
+        let fails = |trial: u64| trial.is_multiple_of(5);
+        let ended: Vec<u64> = (0..1_000).filter(|trial| !fails(*trial)).collect();
+        let passing = |(number, _): (u64, &u64)| row(number, Verdict::Pass);
+        assert_eq!(decide((0..).zip(&ended).map(passing)), Some((64, Verdict::Pass)), "the biased decision");
+        assert_eq!(decide(ended.iter().map(|trial| row(*trial, Verdict::Pass))), None);
+        let verdict = |trial| if fails(trial) { Verdict::Fail } else { Verdict::Pass };
+        assert_eq!(
+            decide((0..1_000).map(|trial| row(trial, verdict(trial)))).map(|found| found.1),
+            Some(Verdict::Fail)
+        );
+    }
+
+    #[test]
+    fn decides_wrongly_no_more_often_than_stated() {
+        use rand_chacha::ChaCha8Rng;
+        use rand_chacha::rand_core::{Rng, SeedableRng};
+        // The true share is the demanded one: each decision for `pass` is wrong.
+        let wrong = (0..400).filter(|seed| {
+            let mut random = ChaCha8Rng::seed_from_u64(*seed);
+            let mut draw = |trial| {
+                let fails = f64::from(random.next_u32()) < 0.1 * f64::from(u32::MAX);
+                row(trial, if fails { Verdict::Fail } else { Verdict::Pass })
+            };
+            decide((0..1_000).map(&mut draw)).is_some_and(|(_, verdict)| verdict == Verdict::Pass)
+        });
+        let wrong = wrong.count();
+        assert!(wrong <= 30, "{wrong} of 400, expected 20 or fewer, with a standard deviation of 4.4");
+    }
+}

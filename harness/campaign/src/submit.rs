@@ -1,0 +1,34 @@
+//! Writes the commands that play all shards of a campaign on an engine for many machines.
+
+use crate::error::CampaignError;
+use crate::plan::Plan;
+use std::path::Path;
+
+/// Starts and restarts shards.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Engine {
+    Slurm,
+    HyperQueue,
+}
+
+/// The command of the engine, then the merge. Words of each command are separate.
+pub fn submission(engine: Engine, plan: &Plan, folder: &Path) -> Result<[Vec<String>; 2], CampaignError> {
+    let program = std::env::current_exe().map_err(CampaignError::io("the bench's own program"))?;
+    let folder = std::path::absolute(folder).map_err(CampaignError::io(folder))?;
+    let [program, folder] = [&program, &folder].map(|path| path.to_string_lossy().into_owned());
+    let quoted = |word: &str| shlex::try_quote(word).map_or_else(|_| word.to_owned(), |word| word.into_owned());
+    let play =
+        |task: &str| format!("{} campaign play {} --shard \"${task}\" --jobs 1", quoted(&program), quoted(&folder));
+    let shards = format!("--array=1-{}", plan.shards);
+    let words = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+    let array = match engine {
+        Engine::Slurm => words(&["sbatch", "--wait", &shards, "--wrap", &play("SLURM_ARRAY_TASK_ID")]),
+        Engine::HyperQueue => words(&["hq", "submit", "--wait", &shards, "--", "bash", "-c", &play("HQ_TASK_ID")]),
+    };
+    Ok([array, words(&[&program, "campaign", "merge", &folder])])
+}
+
+/// As a line of a shell.
+pub fn command_line(words: &[String]) -> String {
+    shlex::try_join(words.iter().map(|word| &**word)).unwrap_or_else(|_| words.join(" "))
+}
