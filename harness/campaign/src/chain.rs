@@ -23,13 +23,11 @@ impl Campaign {
         let chain = trials.start / self.chain_trials();
         let seed = self.seed.wrapping_add((chain + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let dimensions = self.variables.len();
-        match self.method {
-            Method::Rare => rare::estimate(dimensions, seed, trials.end - trials.start, score),
-            _ => {
-                search(dimensions, seed, score);
-                None
-            }
+        if self.method == Method::Rare {
+            return rare::estimate(dimensions, seed, trials.end - trials.start, score);
         }
+        search(dimensions, seed, score);
+        None
     }
 
     /// A point is a share of the range in a search, and a standard normal score otherwise.

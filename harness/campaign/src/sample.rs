@@ -117,7 +117,7 @@ fn ranks(values: &[f64]) -> Vec<f64> {
     let mut ranks = vec![0.0; values.len()];
     let mut first = 0;
     for group in order.chunk_by(|one, other| value(one) == value(other)) {
-        let rank = first as f64 + (group.len() as f64 + 1.0) / 2.0;
+        let rank = first as f64 + f64::midpoint(group.len() as f64, 1.0);
         for index in group {
             if let Some(place) = ranks.get_mut(*index) {
                 *place = rank;
@@ -130,7 +130,7 @@ fn ranks(values: &[f64]) -> Vec<f64> {
 
 /// `None` without variation.
 fn correlation(one: &[f64], other: &[f64]) -> Option<f64> {
-    let mean = (one.len() as f64 + 1.0) / 2.0;
+    let mean = f64::midpoint(one.len() as f64, 1.0);
     let sum = |one: &[f64], other: &[f64]| -> f64 {
         one.iter().zip(other).map(|(one, other)| (one - mean) * (other - mean)).sum()
     };

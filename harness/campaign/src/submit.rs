@@ -16,7 +16,7 @@ pub fn submission(engine: Engine, plan: &Plan, folder: &Path) -> Result<[Vec<Str
     let program = std::env::current_exe().map_err(CampaignError::io("the bench's own program"))?;
     let folder = std::path::absolute(folder).map_err(CampaignError::io(folder))?;
     let [program, folder] = [&program, &folder].map(|path| path.to_string_lossy().into_owned());
-    let quoted = |word: &str| shlex::try_quote(word).map_or_else(|_| word.to_owned(), |word| word.into_owned());
+    let quoted = |word: &str| shlex::try_quote(word).map_or_else(|_| word.to_owned(), std::borrow::Cow::into_owned);
     let play =
         |task: &str| format!("{} campaign play {} --shard \"${task}\" --jobs 1", quoted(&program), quoted(&folder));
     let shards = format!("--array=1-{}", plan.shards);

@@ -46,7 +46,7 @@ enum CampaignCommand {
     Play(PlayArgs),
     /// Join the parts: results, summary, report, counterexamples
     Merge(MergeArgs),
-    /// Print the commands that play all shards with Slurm or HyperQueue, or run them
+    /// Print the commands that play all shards on many machines, or run them
     Submit(SubmitArgs),
     /// Show which shards are complete
     Status(FolderArgs),
