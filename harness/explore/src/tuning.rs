@@ -14,9 +14,10 @@ pub struct Tuning {
     pub response_tenths: Option<u32>,
     /// Gains of the amplitude loop and the frequency loop relative to the law's own design, percent.
     pub gains_percent: Option<[u32; 2]>,
-    pub range_hz: Option<u32>,
-    /// Per period.
-    pub slew_hz: Option<u32>,
+    /// 0.1 Hz.
+    pub range_tenths: Option<u32>,
+    /// Per period, 0.1 Hz.
+    pub slew_tenths: Option<u32>,
 }
 
 /// Share of scenes of the stratum that have one of the settings.
@@ -32,15 +33,15 @@ impl Tuning {
         let fields = (
             option::weighted(SHARE, whole(ranges.response_time_ms, 10.0)),
             option::weighted(SHARE, (percent(), percent())),
-            option::weighted(SHARE, whole(ranges.frequency_range_hz, 1.0)),
-            option::weighted(SHARE, whole(ranges.frequency_slew_hz, 1.0)),
+            option::weighted(SHARE, whole(ranges.frequency_range_hz, 10.0)),
+            option::weighted(SHARE, whole(ranges.frequency_slew_hz, 10.0)),
         );
         fields
-            .prop_map(|(response_tenths, gains, range_hz, slew_hz)| Self {
+            .prop_map(|(response_tenths, gains, range_tenths, slew_tenths)| Self {
                 response_tenths,
                 gains_percent: gains.map(|(amplitude, frequency)| [amplitude, frequency]),
-                range_hz,
-                slew_hz,
+                range_tenths,
+                slew_tenths,
             })
             .boxed()
     }
@@ -48,10 +49,10 @@ impl Tuning {
     /// Keys and values of `[controller]`. `design` is the configured plate.
     pub(crate) fn keys(&self, law: LawId, design: &Plate, period_us: u32) -> Vec<(&'static str, String)> {
         let mut keys = Vec::new();
-        let hz = [("frequency_range_hz", self.range_hz), ("frequency_slew_hz", self.slew_hz)];
+        let hz = [("frequency_range_hz", self.range_tenths), ("frequency_slew_hz", self.slew_tenths)];
         let response_ms = self.response_tenths.map(|tenths| f64::from(tenths) / 10.0);
         keys.extend(response_ms.map(|ms| ("response_time_ms", format!("{ms:?}"))));
-        keys.extend(hz.into_iter().filter_map(|(key, value)| Some((key, format!("{:?}", f64::from(value?))))));
+        keys.extend(hz.into_iter().filter_map(|(key, value)| Some((key, format!("{:?}", f64::from(value?) / 10.0)))));
         if let Some([amplitude, frequency]) = self.gains_percent {
             let period = f64::from(period_us) * 1e-6;
             let (tau, response) = (1.0 / design.sigma0, default_response_time_s(law));

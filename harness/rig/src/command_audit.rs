@@ -6,7 +6,7 @@ use platebench_wire::{Command, ControllerState};
 pub(crate) struct CommandAudit {
     /// By sequence number: drive (as bits, because NaN differs from itself) and frequency.
     replies: [Option<(u32, u32)>; 256],
-    /// True from the confirmation of 0 V to the next message.
+    /// True from the confirmation of 0 V to the next configuration.
     is_safe: bool,
     pub(crate) contradictions: u64,
     pub(crate) second_replies: u64,
@@ -40,9 +40,12 @@ impl CommandAudit {
         self.is_safe
     }
 
+    pub(crate) fn record_configuration(&mut self) {
+        self.is_safe = false;
+    }
+
     /// Forgets the reply to the earlier message with the number of the message that is sent now.
     pub(crate) fn record_sent(&mut self, sequence: u8) {
-        self.is_safe = false;
         if let Some(reply) = self.replies.get_mut(usize::from(sequence)) {
             *reply = None;
         }

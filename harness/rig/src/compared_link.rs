@@ -5,7 +5,7 @@
 
 use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError, RealTimeLine};
-use platebench_wire::{Command, Configure, ControllerState, Message, Packet, PacketReader};
+use platebench_wire::{Command, Configure, ControllerState, Message, Packet, PacketReader, StateCause};
 use std::time::Duration;
 
 #[derive(Debug)]
@@ -76,6 +76,7 @@ struct Comparison {
     configuration: Option<Configure>,
     /// Commands of the reference by sequence number.
     expected: [Option<Command>; 256],
+    last_request: u8,
     largest_percent: Option<f64>,
 }
 
@@ -87,6 +88,7 @@ impl Default for Comparison {
             from_target: PacketReader::new(),
             configuration: None,
             expected: [None; 256],
+            last_request: 0,
             largest_percent: None,
         }
     }
@@ -95,6 +97,7 @@ impl Default for Comparison {
 impl Comparison {
     fn send_to_reference(&mut self, now: Duration, bytes: &[u8]) -> Result<(), LinkError> {
         for packet in self.to_target.packets(bytes).flatten() {
+            self.last_request = packet.sequence;
             if let Message::Configure(configure) = packet.message {
                 self.configuration = Some(configure);
                 self.expected = [None; 256];
@@ -111,15 +114,23 @@ impl Comparison {
         Ok(())
     }
 
-    /// Other states than `Running` have rules of their own.
+    /// A command of one that runs while the other has stopped is a difference of 100 %, unless the
+    /// watchdog stopped it: its clock is the target's own.
     fn compare(&mut self, answer: &[u8]) {
         let is_running = |command: &Command| command.state == ControllerState::Running;
+        let is_watchdog = |command: &Command| command.cause == StateCause::SampleTimeout;
         let Some(configuration) = self.configuration else { return };
         for Packet { sequence, message } in self.from_target.packets(answer).flatten() {
             let expected = self.expected.get(usize::from(sequence)).copied().flatten();
             let (Message::Command(command), Some(expected)) = (message, expected) else { continue };
-            if is_running(&command) && is_running(&expected) {
-                let percent = difference_percent(&command, &expected, &configuration);
+            let percent = match (is_running(&command), is_running(&expected)) {
+                (true, true) => Some(difference_percent(&command, &expected, &configuration)),
+                (false, false) => None,
+                // A late command has the number of an earlier sample.
+                _ if sequence != self.last_request => None,
+                _ => (!is_watchdog(&command) && !is_watchdog(&expected)).then_some(100.0),
+            };
+            if let Some(percent) = percent {
                 self.largest_percent = Some(self.largest_percent.map_or(percent, |largest| largest.max(percent)));
             }
         }
@@ -140,6 +151,7 @@ fn difference_percent(command: &Command, expected: &Command, configuration: &Con
 mod tests {
     use super::*;
     use crate::fault_injector::{Direction, FaultInjector, WireFault, WireFaultKind};
+    use crate::link::BoxedLink;
     use crate::session::Session;
     use platebench_test_kit::CONFIGURE;
     use platebench_wire::Sample;
@@ -218,6 +230,42 @@ mod tests {
     ) {
         let fault = WireFault { kind, from: Duration::ZERO, until: None, direction, every: 3, seed: 1 };
         assert_eq!(difference(REFERENCE(), &[fault]), Some(0.0));
+    }
+
+    /// Takes a value that is not finite for 0.
+    struct IgnoresNan(HostedLink);
+
+    impl Link for IgnoresNan {
+        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            for mut packet in PacketReader::new().packets(bytes).flatten() {
+                if let Message::Sample(sample) = &mut packet.message {
+                    sample.wd_um = if sample.wd_um.is_finite() { sample.wd_um } else { 0.0 };
+                }
+                self.0.exchange(now, packet.encode().as_bytes(), answer)?;
+            }
+            Ok(Duration::ZERO)
+        }
+
+        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+            self.0.advance_to(now, received)
+        }
+    }
+
+    #[test]
+    fn a_missing_stop_is_a_difference_of_100_percent() {
+        let difference = |link: BoxedLink, wd_um: f32| {
+            let mut session = Session::open(FaultInjector::new(link)).unwrap();
+            session.link_mut().compare_with_reference(true);
+            session.start_trial(&CONFIGURE).unwrap();
+            for (step, wd_um) in [0.0, wd_um, 0.0].into_iter().enumerate() {
+                let sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um, wq_um: 0.0 };
+                session.send_sample(Duration::from_millis(step as u64), &sample).unwrap();
+            }
+            session.link().reference_difference_percent()
+        };
+        assert_eq!(difference(Box::new(IgnoresNan(HostedLink::new())), f32::NAN), Some(100.0));
+        assert_eq!(difference(Box::new(IgnoresNan(HostedLink::new())), 0.1), Some(0.0));
+        assert_eq!(difference(Box::new(HostedLink::new()), f32::NAN), Some(0.0));
     }
 
     #[test]

@@ -135,6 +135,7 @@ impl<L: Link> Session<L> {
     /// Goes to 0 V; the new design acts from the next sample on. A stopped controller runs again.
     pub fn reconfigure(&mut self, now: Duration, configure: &Configure) -> Result<Gains, RigError> {
         self.now = now;
+        self.audit.record_configuration();
         self.pending_command = None;
         match self.request(Message::Configure(*configure))? {
             Some((Message::Configured(Configured { outcome }), _)) => {

@@ -7,7 +7,7 @@ use platebench_plate::Time;
 use platebench_record::{Telemetry, ViolationKind};
 use platebench_rig::{FaultInjector, Link, RigError, Session};
 use platebench_scenario::{FaultKind, Scenario};
-use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, StateCause};
+use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -15,6 +15,8 @@ use std::time::{Duration, Instant};
 pub(crate) const MAX_MISSED_REPLIES: u32 = 20;
 /// The bench watches the controller after it confirmed 0 V.
 const WATCHED_PERIODS: u64 = 10;
+/// Every law drives the plate from rest to a setpoint of this size.
+const SETPOINT_AFTER_SAFE_UM: f64 = 1.0;
 
 #[derive(Debug)]
 pub(crate) struct ControllerLog<'a> {
@@ -100,7 +102,8 @@ impl<'a> ControllerLog<'a> {
         self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
     }
 
-    /// A controller with its own clock is watched in wall time.
+    /// Sends one more sample, which must not end the state. A controller with its own clock is watched
+    /// in wall time.
     pub(crate) fn watch_after_safe<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -109,6 +112,11 @@ impl<'a> ControllerLog<'a> {
     ) {
         let period = self.scenario.controller.period;
         let mut time = now;
+        let setpoint_um = self.scenario.setpoint.range().1.max(SETPOINT_AFTER_SAFE_UM) as f32;
+        let sample = Sample { time_us: 0, setpoint_um, wd_um: 0.0, wq_um: 0.0 };
+        if session.send_sample(Duration::from_nanos(now.as_nanos()), &sample).is_err() {
+            return;
+        }
         for _ in 0..WATCHED_PERIODS {
             if own_clock {
                 thread::sleep(Duration::from_nanos(period.as_nanos()));
@@ -119,8 +127,12 @@ impl<'a> ControllerLog<'a> {
             }
         }
         self.checks.set_count(ViolationKind::DriveAfterSafe, session.drives_after_safe(), now);
+        if session.drives_after_safe() > 0 {
+            session.request_safe_state();
+        }
     }
 
+    /// Sends no sample, because the amplifier of a board may be on.
     pub(crate) fn watch_after_safe_in_real_time<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,

@@ -60,9 +60,9 @@ impl<L: Link> FaultInjector<L> {
         self.inner.compare_with_reference(is_compared);
     }
 
-    /// Largest difference of a running command from that of the hosted reference for the same
-    /// bytes: drive in percent of its limit, frequency in percent of its range. `None` without a
-    /// comparison or a command.
+    /// Largest difference of a command from that of the hosted reference for the same bytes: drive in
+    /// percent of its limit, frequency in percent of its range, 100 if only one of them stopped.
+    /// `None` without a comparison or a command.
     pub fn reference_difference_percent(&self) -> Option<f64> {
         self.inner.reference_difference_percent()
     }

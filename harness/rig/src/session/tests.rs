@@ -2,8 +2,7 @@
 
 use super::*;
 use crate::hosted::HostedLink;
-use crate::link::LinkError;
-use crate::link::RealTimeLine;
+use crate::link::{BoxedLink, LinkError, RealTimeLine};
 use platebench_test_kit::CONFIGURE;
 use platebench_wire::{LawId, Rejection};
 use std::sync::{Arc, Mutex};
@@ -348,4 +347,38 @@ fn counts_drives_after_0_v_was_confirmed() {
     assert!(session.request_safe_state());
     session.advance_to(Duration::from_millis(5)).unwrap();
     assert_eq!(session.drives_after_safe(), 1);
+}
+
+/// Forgets the state *safe*: configures itself again and passes the sample on.
+struct RestartsAfterSafe(HostedLink);
+
+impl Link for RestartsAfterSafe {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let packet = PacketReader::new().packets(bytes).flatten().next();
+        if matches!(packet, Some(Packet { message: Message::Sample(_), .. })) {
+            let configure = Packet { sequence: 0, message: Message::Configure(CONFIGURE) };
+            self.0.exchange(now, configure.encode().as_bytes(), &mut Vec::new())?;
+        }
+        self.0.exchange(now, bytes, answer)
+    }
+
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.0.advance_to(now, received)
+    }
+}
+
+#[test]
+fn counts_a_drive_that_a_sample_causes_after_0_v() {
+    let sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
+    let drives = |mut session: Session<BoxedLink>| {
+        assert!(session.request_safe_state());
+        session.send_sample(Duration::ZERO, &sample).unwrap();
+        let drives = session.drives_after_safe();
+        session.start_trial(&CONFIGURE).unwrap();
+        session.send_sample(Duration::ZERO, &sample).unwrap();
+        (drives, session.drives_after_safe())
+    };
+    let open = |link: BoxedLink| Session::open(link).unwrap();
+    assert_eq!(drives(open(Box::new(RestartsAfterSafe(HostedLink::new())))), (1, 0));
+    assert_eq!(drives(open(Box::new(HostedLink::new()))), (0, 0));
 }
