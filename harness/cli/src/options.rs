@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use clap::builder::PossibleValuesParser;
+use platebench_record::KeepTraces;
 use platebench_wire::LawId;
 use std::num::NonZero;
 
@@ -14,12 +15,6 @@ pub(crate) enum OutputFormat {
     Human,
     /// JSON for programs
     Json,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum KeepTracesArg {
-    All,
-    None,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -49,6 +44,16 @@ pub(crate) enum PacingArg {
 
 pub(crate) fn law_names() -> PossibleValuesParser {
     PossibleValuesParser::new(LawId::ALL.map(LawId::name))
+}
+
+pub(crate) fn parse_keep_traces(text: &str) -> Result<KeepTraces, String> {
+    let worst = || text.strip_prefix("worst:")?.parse().ok().filter(|&count| count > 0).map(KeepTraces::Worst);
+    match text {
+        "all" => Ok(KeepTraces::All),
+        "failing" => Ok(KeepTraces::Failing),
+        "none" => Ok(KeepTraces::None),
+        _ => worst().ok_or_else(|| "expected all, failing, none or worst:N with N of at least 1".to_owned()),
+    }
 }
 
 pub(crate) fn parse_time_scale(text: &str) -> Result<f64, String> {

@@ -131,6 +131,10 @@ pub enum KeepTraces {
     All,
     /// Trials are judged in memory.
     None,
+    /// Trials that miss a limit, break a rule or do not count.
+    Failing,
+    /// This many trials of each scenario, those with the smallest margins.
+    Worst(u32),
 }
 
 impl KeepTraces {

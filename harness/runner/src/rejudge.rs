@@ -58,7 +58,7 @@ pub enum RejudgeError {
         first: u32,
         second: u32,
     },
-    #[error("{}: the run kept no traces (--keep-traces none), expected a run with traces", .0.display())]
+    #[error("{}: the run did not keep all traces (--keep-traces), expected a run with all of them", .0.display())]
     NotKept(PathBuf),
     #[error("{}: none of the run's scenarios has this name ({known})", path.display())]
     NoSuchScenario {
@@ -78,7 +78,7 @@ impl From<Diagnostic> for RejudgeError {
 /// was interrupted and makes its scenario inconclusive.
 pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
-    if record.overrides.keep_traces == KeepTraces::None {
+    if record.overrides.keep_traces != KeepTraces::All {
         return Err(RejudgeError::NotKept(folder.to_owned()));
     }
     let replaced =

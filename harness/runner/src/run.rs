@@ -8,13 +8,15 @@ use crate::trend;
 use crate::worker::{
     CompletedTrial, Progress, RigSession, RunContext, TrialTask, WorkQueue, close_session, result_channel, trial_tasks,
 };
-use platebench_record::{Event, Firmware, Host, InputRecord, KeepTraces, RigRecord, RunFolder, RunRecord};
+use platebench_record::{Event, Firmware, FolderError, Host, InputRecord, KeepTraces, RigRecord, RunFolder, RunRecord};
 use platebench_record::{NotApplicable, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex};
 use platebench_rig::FaultInjector;
 use platebench_scenario::Scenario;
 use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge, judge_sequentially};
 use platebench_wire::{Identity, LawId, capabilities};
 use std::cmp::Reverse;
+use std::collections::BTreeSet;
+use std::fs;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
@@ -39,7 +41,7 @@ pub fn run(
     let (plan, laws, not_applicable) = select_applicable(plan, laws, first.identity());
     let plan = &plan;
     let inputs = folder.store_inputs(&plan.scenarios)?;
-    if plan.overrides.keep_traces == KeepTraces::All {
+    if plan.overrides.keep_traces != KeepTraces::None {
         plan.scenarios.iter().try_for_each(|scenario| folder.create_trace_folder(scenario))?;
     }
     let mut record = initial_record(plan, folder, &first, &inputs);
@@ -218,8 +220,11 @@ fn play_scenarios(
                         progress.goal = trials;
                     }
                     SequentialDecision::Stop(judgement) => {
-                        progress.measures = Vec::new();
+                        let measures = std::mem::take(&mut progress.measures);
                         complete_record(scenario_record, judgement, std::mem::take(&mut progress.records));
+                        if let KeepTraces::Worst(count) = plan.overrides.keep_traces {
+                            keep_worst(run.folder, scenario, &measures, count, &mut scenario_record.trials)?;
+                        }
                         info!(scenario = %scenario.file, verdict = %scenario_record.verdict, "scenario judged");
                         if plan.overrides.fail_fast && scenario_record.verdict == Verdict::Fail {
                             run.stop.store(true, Ordering::Relaxed);
@@ -266,6 +271,26 @@ pub(crate) fn complete_record(record: &mut ScenarioRecord, judgement: Judgement,
     record.verdict = judgement.verdict;
     record.expectations = judgement.expectations;
     record.trials = trials;
+}
+
+/// Removes the traces of all trials except the `count` with the smallest margins; of equal margins
+/// the earlier trial stays.
+fn keep_worst(
+    folder: &RunFolder,
+    scenario: &Scenario,
+    measures: &[TrialMeasures],
+    count: u32,
+    trials: &mut [TrialRecord],
+) -> Result<(), RunError> {
+    let mut order: Vec<_> = measures.iter().map(|trial| (trial.margin(&scenario.expectations), trial.index)).collect();
+    order.sort_by(|(margin, index), (other, later)| margin.total_cmp(other).then(index.cmp(later)));
+    let removed: BTreeSet<u32> = order.iter().skip(count as usize).map(|(_, index)| *index).collect();
+    for trial in trials.iter_mut().filter(|trial| removed.contains(&trial.index)) {
+        let path = folder.path().join(&trial.trace);
+        fs::remove_file(&path).map_err(|source| FolderError::Io { path, source })?;
+        trial.sha256 = None;
+    }
+    Ok(())
 }
 
 pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> ScenarioRecord {

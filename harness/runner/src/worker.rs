@@ -233,11 +233,13 @@ impl WorkQueue<'_> {
         }
         let trace = trace_path(scenario.name(), index);
         let path = self.run.folder.path().join(&trace);
-        let hash = match self.run.plan.overrides.keep_traces {
-            KeepTraces::All => Some(write_trace(&path, &played.trace_rows)?),
-            KeepTraces::None => None,
-        };
         let measures = measure_trial(scenario, law, index, &played.trace_rows, &played.telemetry);
+        let is_stored = match self.run.plan.overrides.keep_traces {
+            KeepTraces::All | KeepTraces::Worst(_) => true,
+            KeepTraces::Failing => measures.margin(&scenario.expectations) < 0.0,
+            KeepTraces::None => false,
+        };
+        let hash = is_stored.then(|| write_trace(&path, &played.trace_rows)).transpose()?;
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
         debug!(rows = played.trace_rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
         let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));

@@ -6,7 +6,7 @@ use crate::feasibility::infeasibility_excuse;
 use crate::metrics::{self, Measure};
 use crate::real_plate;
 use platebench_record::{Divergence, Exclusion, Excuse, Telemetry, TrialReason, TrialRecord};
-use platebench_scenario::{Metric, Scenario, Variation};
+use platebench_scenario::{Expectation, Metric, Scenario, Variation};
 use platebench_trace::{Flags, Row};
 use serde_json::{Map, json};
 use std::collections::BTreeMap;
@@ -53,6 +53,27 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
             find_exclusion(scenario, rows, telemetry)
         },
         is_real_plate,
+    }
+}
+
+impl TrialMeasures {
+    /// Smallest margin of all expectations that one trial can meet; negative if the trial misses a
+    /// limit, minus infinity if it has no value, broke a rule, diverged or does not count.
+    pub fn margin(&self, expectations: &[Expectation]) -> f64 {
+        let is_broken = self.exclusion.is_some()
+            || self.divergence.is_some()
+            || self.telemetry.ended.is_some()
+            || !self.telemetry.violations.is_empty();
+        if is_broken {
+            return f64::NEG_INFINITY;
+        }
+        let of_trial = expectations.iter().zip(&self.measures).filter(|(expectation, _)| expectation.metric.has_over());
+        let margins = of_trial.filter_map(|(expectation, measure)| match measure.value() {
+            Some(value) if expectation.metric == Metric::StaticError => expectation.margin(value.abs()),
+            Some(value) => expectation.margin(value),
+            None => Some(f64::NEG_INFINITY),
+        });
+        margins.fold(f64::INFINITY, f64::min)
     }
 }
 

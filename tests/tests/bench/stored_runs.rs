@@ -255,5 +255,31 @@ fn without_kept_traces_the_verdicts_are_the_same() {
     };
     let [none, all]: [Vec<String>; 2] = ["none", "all"].map(curves);
     assert_eq!((none.len(), &none), (2, &all));
-    folder.bench(["judge", "none"]).assert_exit(2).assert_stderr(&["none: the run kept no traces"]);
+    folder.bench(["judge", "none"]).assert_exit(2).assert_stderr(&["none: the run did not keep all traces"]);
+}
+
+#[test]
+fn keeps_the_traces_of_failing_or_worst_trials() {
+    let folder = TestFolder::new();
+    folder.write_scenario("a.toml", &step_text(SETTLING));
+    folder.write_scenario("b.toml", &step_text(FAILED_SETTLING));
+    let stored = |which: &str, out: &str| {
+        let arguments = ["run", "--rig", "hosted", "--trials", "3", "--keep-traces", which, "--out", out];
+        folder.bench(arguments).assert_exit(1);
+        let scenarios = folder.record(out).scenarios;
+        let counts = scenarios.iter().map(|scenario| {
+            let files = scenario.trials.iter().filter(|trial| folder.join(out).join(&trial.trace).is_file()).count();
+            let hashes = scenario.trials.iter().filter(|trial| trial.sha256.is_some()).count();
+            assert_eq!(files, hashes, "{out}: {}", scenario.file);
+            files
+        });
+        counts.collect::<Vec<_>>()
+    };
+    assert_eq!(stored("failing", "failing"), [0, 3]);
+    assert_eq!(stored("worst:2", "worst"), [2, 2]);
+    folder.bench(["judge", "worst"]).assert_exit(2).assert_stderr(&["worst: the run did not keep all traces"]);
+    for wrong in ["worst", "worst:0", "worst:-1", "best"] {
+        let expected = "expected all, failing, none or worst:N";
+        folder.bench(["run", "--keep-traces", wrong]).assert_exit(2).assert_stderr(&[expected]);
+    }
 }

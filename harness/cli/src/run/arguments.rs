@@ -2,7 +2,7 @@
 
 use crate::clock::ClockRequest;
 use crate::options::{
-    ClockArg, KeepTracesArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_time_scale,
+    ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_keep_traces, parse_time_scale,
 };
 use crate::outputs::Outputs;
 use crate::tags::TagFilter;
@@ -90,9 +90,9 @@ pub(crate) struct RunArgs {
     /// Start no further trial once a scenario failed; scenarios without all trials are inconclusive
     #[arg(long)]
     pub(crate) fail_fast: bool,
-    /// Which traces to store; `none` judges in memory, and `judge` cannot repeat it
-    #[arg(long, value_enum, default_value_t = KeepTracesArg::All)]
-    pub(crate) keep_traces: KeepTracesArg,
+    /// Which traces to store: all, failing, none or worst:N of each scenario; `judge` needs all
+    #[arg(long, value_name = "WHICH", value_parser = parse_keep_traces, default_value = "all")]
+    pub(crate) keep_traces: KeepTraces,
     /// Live view in the terminal; ignored without a terminal
     #[arg(long)]
     pub(crate) live: bool,
@@ -128,10 +128,7 @@ impl RunArgs {
             model: self.model.clone(),
             require_all: self.require_all,
             fail_fast: self.fail_fast,
-            keep_traces: match self.keep_traces {
-                KeepTracesArg::All => KeepTraces::All,
-                KeepTracesArg::None => KeepTraces::None,
-            },
+            keep_traces: self.keep_traces,
         }
     }
 }
