@@ -260,7 +260,10 @@ mod tests {
             let ends = (1..=shards).fold(0, |before, shard| {
                 let range = plan.trials_of(shard);
                 assert_eq!(range.start, before);
-                assert!(range.end == trials || range.end % method.chain_trials() == 0, "a shard has whole chains");
+                assert!(
+                    range.end == trials || range.end.is_multiple_of(method.chain_trials()),
+                    "a shard has whole chains"
+                );
                 range.end
             });
             assert_eq!(ends, trials);

@@ -129,22 +129,22 @@ mod tests {
         Instance::new(toml::from_str::<RawPlate>(plate).unwrap().check().unwrap())
     }
 
-    fn amplitude_after(steps: u32, step_s: f64) -> f64 {
+    fn amplitude_after(steps: u32, length_s: f64) -> f64 {
         let mut instance = instance();
-        instance.set_input(input_reference(0) as u32, 286.5).unwrap();
+        instance.set_input(u32::try_from(input_reference(0)).unwrap(), 286.5).unwrap();
         for step in 0..steps {
-            instance.step(f64::from(step) * step_s, step_s).unwrap();
+            instance.step(f64::from(step) * length_s, length_s).unwrap();
         }
-        instance.value(output_reference(4) as u32).unwrap()
+        instance.value(u32::try_from(output_reference(4)).unwrap()).unwrap()
     }
 
     #[test]
     fn the_step_size_does_not_change_the_result() {
         let coarse = amplitude_after(1, 60e-3);
         assert!((coarse - 2.0).abs() < 1e-3, "{coarse}");
-        for (steps, step_s) in [(60, 1e-3), (600, 1e-4), (24, 2.5e-3)] {
-            let difference = amplitude_after(steps, step_s) - coarse;
-            assert!(difference.abs() < 1e-12, "{step_s}: {difference}");
+        for (steps, length_s) in [(60, 1e-3), (600, 1e-4), (24, 2.5e-3)] {
+            let difference = amplitude_after(steps, length_s) - coarse;
+            assert!(difference.abs() < 1e-12, "{length_s}: {difference}");
         }
     }
 

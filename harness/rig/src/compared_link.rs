@@ -265,7 +265,7 @@ mod tests {
         };
         assert_eq!(difference(Box::new(IgnoresNan(HostedLink::new())), f32::NAN), Some(100.0));
         assert_eq!(difference(Box::new(IgnoresNan(HostedLink::new())), 0.1), Some(0.0));
-        assert_eq!(difference(Box::new(HostedLink::new()), f32::NAN), Some(0.0));
+        assert_eq!(difference(Box::<HostedLink>::default(), f32::NAN), Some(0.0));
     }
 
     #[test]

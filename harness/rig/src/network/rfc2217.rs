@@ -103,7 +103,9 @@ impl Rfc2217 {
 
     fn queue_setting(&mut self, command: u8, value: &[u8]) {
         self.unsent.extend([IAC, SUBNEGOTIATION, COM_PORT, command]);
-        value.iter().for_each(|&byte| self.queue_data(byte));
+        for &byte in value {
+            self.queue_data(byte);
+        }
         self.unsent.extend([IAC, END]);
     }
 
@@ -209,7 +211,9 @@ impl Tty for Rfc2217 {
         if !self.flush(until)? {
             return Ok(None);
         }
-        bytes.iter().for_each(|&byte| self.queue_data(byte));
+        for &byte in bytes {
+            self.queue_data(byte);
+        }
         self.flush(until)?;
         Ok(Some(bytes.len()))
     }

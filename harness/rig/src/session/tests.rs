@@ -380,5 +380,5 @@ fn counts_a_drive_that_a_sample_causes_after_0_v() {
     };
     let open = |link: BoxedLink| Session::open(link).unwrap();
     assert_eq!(drives(open(Box::new(RestartsAfterSafe(HostedLink::new())))), (1, 0));
-    assert_eq!(drives(open(Box::new(HostedLink::new()))), (0, 0));
+    assert_eq!(drives(open(Box::<HostedLink>::default())), (0, 0));
 }

@@ -55,8 +55,8 @@ impl FixedStepMethod {
             Self::Exponential => {
                 // Below this norm the approximant of order 6 is exact to rounding.
                 let largest = z.iter().map(|row| row.iter().map(|value| value.abs()).sum()).fold(0.0, f64::max);
-                let doublings = (largest / 0.02_f64).log2().ceil().max(0.0) as u32;
-                let share = 0.5_f64.powi(doublings as i32);
+                let doublings = (largest / 0.02_f64).log2().ceil().max(0.0) as i32;
+                let share = 0.5_f64.powi(doublings);
                 let mut phi = Self::Gauss6.increment(matrix, step * share)?;
                 let mut y = scaled(&z, share);
                 for _ in 0..doublings {

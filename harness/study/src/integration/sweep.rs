@@ -247,9 +247,9 @@ fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
     let halved = |powers: &[i32]| powers.iter().map(|power| 1e-3 * 0.5_f64.powi(*power)).collect();
     let decades = |from: i32, to: i32| (from..=to).map(|decade| 10.0_f64.powi(-decade)).collect();
     match (method, frame) {
-        (IntegrationMethod::Fixed(FixedStepMethod::Verlet), EquationForm::Envelope | EquationForm::Modal) => Vec::new(),
-        // Their step matrix needs equations without the carrier's time.
-        (
+        // The step matrix needs equations without the carrier's time.
+        (IntegrationMethod::Fixed(FixedStepMethod::Verlet), EquationForm::Envelope | EquationForm::Modal)
+        | (
             IntegrationMethod::Fixed(FixedStepMethod::Gauss4 | FixedStepMethod::Gauss6 | FixedStepMethod::Exponential),
             EquationForm::Carrier,
         ) => Vec::new(),
