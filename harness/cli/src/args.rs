@@ -5,8 +5,8 @@ use crate::color;
 use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
-    accept, baseline, campaign, chart, check, compare, completions, emulate, explore, export, export_fmu, identify,
-    judge, man, new, report, run, schema, stability, trust, tune,
+    accept, baseline, campaign, chart, check, compare, completions, coverage, emulate, explore, export, export_fmu,
+    identify, judge, man, mutate, new, report, run, schema, stability, trust, tune,
 };
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -59,6 +59,10 @@ pub(crate) enum Command {
     Trust(trust::TrustArgs),
     /// Generate scenes from an operating envelope, check properties and reduce what fails to a minimal scenario
     Explore(explore::ExploreArgs),
+    /// Show which lines of the firmware the scenarios execute (emulated rig)
+    Coverage(coverage::CoverageArgs),
+    /// Change the firmware's machine code and check whether the scenarios notice (emulated rig)
+    Mutate(mutate::MutateArgs),
     /// Play a scenario with many values: sweeps and Monte Carlo, on one machine or many
     Campaign(campaign::CampaignArgs),
     /// Show where methods and loops become unstable: predicted and measured limits, margins, maps

@@ -61,6 +61,11 @@ pub(crate) fn parse_time_scale(text: &str) -> Result<f64, String> {
     scale.ok_or_else(|| "expected a number from 0.001 to 10".to_owned())
 }
 
+pub(crate) fn parse_percent(text: &str) -> Result<f64, String> {
+    let percent = text.parse().ok().filter(|percent| (0.0..=100.0).contains(percent));
+    percent.ok_or_else(|| "expected a number from 0 to 100".to_owned())
+}
+
 pub(crate) fn job_count(jobs: Option<u16>) -> usize {
     jobs.map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from)
 }

@@ -5,8 +5,8 @@ use crate::build_info;
 use crate::config::{self, Config};
 use crate::exit::Exit;
 use crate::{
-    accept, args, baseline, campaign, chart, check, compare, completions, emulate, explore, export, export_fmu,
-    identify, judge, logging, man, new, report, run, schema, stability, stdio, trust, tune,
+    accept, args, baseline, campaign, chart, check, compare, completions, coverage, emulate, explore, export,
+    export_fmu, identify, judge, logging, man, mutate, new, report, run, schema, stability, stdio, trust, tune,
 };
 use clap::CommandFactory;
 use std::process::ExitCode;
@@ -54,6 +54,8 @@ fn dispatch(arguments: &Arguments) -> Exit {
         Command::Baseline(arguments) => baseline::baseline(arguments),
         Command::Trust(arguments) => trust::trust(arguments),
         Command::Explore(arguments) => explore::explore(arguments, quiet),
+        Command::Coverage(arguments) => coverage::coverage(arguments),
+        Command::Mutate(arguments) => mutate::mutate(arguments, quiet),
         Command::Campaign(arguments) => campaign::campaign(arguments, quiet),
         Command::Stability(arguments) => stability::stability(arguments),
         Command::Identify(arguments) => identify::identify(arguments),

@@ -19,6 +19,10 @@ impl<L: Link> ComparedLink<L> {
         Self { inner, comparison: None }
     }
 
+    pub(crate) fn inner_mut(&mut self) -> &mut L {
+        &mut self.inner
+    }
+
     /// Starts a new comparison, or ends it. Call it before the trial's configuration.
     pub(crate) fn compare_with_reference(&mut self, is_compared: bool) {
         self.comparison = is_compared.then(Box::default);

@@ -16,6 +16,7 @@
 
 mod board;
 mod bus;
+mod execution_recorder;
 mod image;
 mod machine;
 mod memory;
@@ -31,6 +32,7 @@ use image::Image;
 use machine::{Machine, MachineConfig};
 use platebench_wire::{MAX_ENCODED, Message, Packet};
 use std::any::Any;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::panic::{self, AssertUnwindSafe};
@@ -143,9 +145,25 @@ impl EmulatedLink {
         self.target.stack_used()
     }
 
+    /// Starts a new recording of the instructions at `addresses`, in flash.
+    pub fn record_execution(&mut self, addresses: &BTreeSet<u32>) {
+        self.target.watch(addresses);
+    }
+
+    /// Recorded instructions that ran; true if the firmware answered a sample then.
+    pub fn executed(&self) -> &BTreeMap<u32, bool> {
+        self.target.executed()
+    }
+
+    /// Changes the firmware in flash until it is changed again. False without memory at `address`.
+    pub fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {
+        self.target.patch(address, bytes)
+    }
+
     /// Powers on and shakes hands. Time zero is a whole millisecond soon after.
     fn start(&mut self) -> Result<(), TargetError> {
         self.target_error = None;
+        self.target.set_control_step(false);
         self.instructions = None;
         self.byte_ns = 0;
         self.target.power_on()?;
@@ -243,7 +261,9 @@ impl EmulatedLink {
     fn send_and_wait(&mut self, now: Duration, bytes: &[u8]) -> Result<Duration, TargetError> {
         self.catch_up(now)?;
         let (start_ns, instructions) = (self.target.now_ns(), self.target.instructions());
-        let asks = self.pending_requests.send(bytes) != Request::None;
+        let request = self.pending_requests.send(bytes);
+        let asks = request != Request::None;
+        self.target.set_control_step(request == Request::Sample);
         self.target.send(bytes);
         let arrived_ns = start_ns + bytes.len() as u64 * self.byte_ns;
         let timeout_ns = if asks { ANSWER_TIMEOUT_NS } else { OPTIONAL_ANSWER_TIMEOUT_NS };

@@ -6,7 +6,7 @@ use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
 use std::fmt;
 use std::sync::Arc;
 
-pub(crate) type DebugSlice = EndianArcSlice<RunTimeEndian>;
+type DebugSlice = EndianArcSlice<RunTimeEndian>;
 
 /// Compilers merge identical functions, which then have several names.
 const MAX_ALIASES: usize = 8;
@@ -32,13 +32,27 @@ impl fmt::Display for CodeLocation {
     }
 }
 
-struct Function {
-    address: u64,
-    end: u64,
-    name: String,
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Function {
+    pub address: u64,
+    pub end: u64,
+    pub name: String,
 }
 
-pub(crate) struct Symbols {
+/// A function that an instruction belongs to, and the line there.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SourceFrame {
+    pub function: String,
+    pub line: Option<SourceLine>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct SourceLine {
+    pub file: String,
+    pub line: u32,
+}
+
+pub struct Symbols {
     functions: Vec<Function>,
     all: Vec<(String, u64)>,
     lines: Option<Context<DebugSlice>>,
@@ -46,7 +60,7 @@ pub(crate) struct Symbols {
 
 impl Symbols {
     /// Without symbols, places are addresses only.
-    pub(crate) fn read(elf: &[u8]) -> Self {
+    pub fn read(elf: &[u8]) -> Self {
         let file = object::File::parse(elf).ok();
         let file = file.as_ref();
         let named: Vec<_> = match file {
@@ -80,6 +94,28 @@ impl Symbols {
         let until = self.functions.partition_point(|function| function.address <= address);
         let before = self.functions.get(..until)?.iter().rev();
         before.take(MAX_ALIASES).find(|function| address < function.end)
+    }
+
+    /// Sorted by address.
+    pub fn functions(&self) -> &[Function] {
+        &self.functions
+    }
+
+    /// The functions that were inlined at `address`, innermost first, then the function itself. Empty without debug
+    /// information.
+    pub fn frames(&self, address: u32) -> Vec<SourceFrame> {
+        let Some(lines) = &self.lines else { return Vec::new() };
+        let Ok(mut frames) = lines.find_frames(u64::from(address)).skip_all_loads() else { return Vec::new() };
+        let mut found = Vec::new();
+        while let Ok(Some(frame)) = frames.next() {
+            let name = frame.function.as_ref().and_then(|function| function.demangle().ok());
+            let line = frame.location.and_then(|location| Some((location.file?, location.line?)));
+            found.push(SourceFrame {
+                function: name.map_or_else(|| "?".to_owned(), |name| strip_hash(&name)),
+                line: line.map(|(file, line)| SourceLine { file: file.to_owned(), line }),
+            });
+        }
+        found
     }
 
     /// Names the innermost inlined function, too.

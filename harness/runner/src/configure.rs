@@ -41,7 +41,7 @@ pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
 }
 
 /// `None` if the controller can play the scenario.
-pub(crate) fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {
+pub fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {
     if !identity.has_law(law) {
         return Some(format!("the controller does not announce the law {}", law.name()));
     }

@@ -29,7 +29,7 @@ mod trend;
 pub mod trial;
 mod worker;
 
-pub use configure::{configure, law};
+pub use configure::{configure, law, missing_capability};
 pub use fault::wire_fault_kind;
 pub use live_tap::{LiveTap, TapReader};
 pub use operator::{Answer, NoOperator, Operator, Question, QuestionKind};

@@ -28,6 +28,7 @@ const LEVELS: [(&str, u8); 22] = [
     ("harness/explore", 6),
     ("harness/campaign", 5),
     ("harness/trust", 5),
+    ("harness/firmware-analysis", 5),
     ("harness/live", 5),
     ("harness/native-tests", 5),
     ("harness/acceptance", 6),

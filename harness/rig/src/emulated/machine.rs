@@ -2,6 +2,7 @@
 
 use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND};
 use super::bus::{BusGuard, SystemBus};
+use super::execution_recorder::ExecutionRecorder;
 use super::image::Image;
 use super::memory::{self, Memory, POWER_ON_FILL};
 use super::post_mortem::{self, FaultHandlers};
@@ -13,6 +14,7 @@ use rigless::machine::Board as _;
 use rigless::mcu::Operate as _;
 use rigless::session::Session;
 use rigless::time::{NO_DEADLINE, VirtualNanos};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 /// Rounds of the run loop at one instant before it counts as hung; some hundred are normal.
@@ -36,6 +38,7 @@ pub(super) struct Machine {
     image: Image,
     config: MachineConfig,
     handlers: FaultHandlers,
+    recorder: ExecutionRecorder,
     /// State right after power-on. Loading it keeps the translated code, unlike a reset.
     power_on_state: Vec<u8>,
     reported_resets: usize,
@@ -80,7 +83,9 @@ impl Machine {
         bus.notify_core(&mut *core);
         core.boot(boot, &|address, width| bus.memory.value(address, width));
         let power_on_state = core.save();
-        let mut machine = Self { core, bus, session, image, config, handlers, power_on_state, reported_resets: 0 };
+        let recorder = ExecutionRecorder::default();
+        let mut machine =
+            Self { core, bus, session, image, config, handlers, recorder, power_on_state, reported_resets: 0 };
         machine.power_on()?;
         Ok(machine)
     }
@@ -138,6 +143,7 @@ impl Machine {
         match exit {
             Exit::Breakpoint => {
                 let pc = self.core.pc();
+                self.recorder.record(pc, &mut *self.core);
                 let crash = self.handlers.read_crash(&mut *self.core, &self.bus, &mut self.session, &self.image);
                 if let Some(crash) = crash {
                     return Err(TargetError::Trap(Box::new(crash)));
@@ -247,6 +253,24 @@ impl Target for Machine {
         if let Some(wire) = self.session.board_mut().wire() {
             into.append(&mut wire.received);
         }
+    }
+
+    fn watch(&mut self, addresses: &BTreeSet<u32>) {
+        self.recorder.watch(addresses, &mut *self.core);
+    }
+
+    fn set_control_step(&mut self, in_control_step: bool) {
+        self.recorder.set_control_step(in_control_step, &mut *self.core);
+    }
+
+    fn executed(&self) -> &BTreeMap<u32, bool> {
+        self.recorder.executed()
+    }
+
+    fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {
+        let stored = self.bus.memory.store(u64::from(address), bytes);
+        self.bus.notify_core(&mut *self.core);
+        stored
     }
 
     fn status(&self) -> TargetStatus {

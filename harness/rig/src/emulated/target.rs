@@ -2,6 +2,7 @@
 
 use crate::symbols::CodeLocation;
 use crate::target_error::TargetError;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 /// `end_ns`: end of the stop bit since power-on.
@@ -30,6 +31,17 @@ pub(super) trait Target: Send + fmt::Debug {
     fn run(&mut self, until_ns: u64) -> Result<bool, TargetError>;
 
     fn take_received(&mut self, into: &mut Vec<ReceivedByte>);
+
+    /// Starts a new recording of the instructions at `addresses`.
+    fn watch(&mut self, addresses: &BTreeSet<u32>);
+
+    fn set_control_step(&mut self, in_control_step: bool);
+
+    /// Watched instructions that ran; true if within a control step.
+    fn executed(&self) -> &BTreeMap<u32, bool>;
+
+    /// Changes memory, also flash. False without memory there.
+    fn patch(&mut self, address: u32, bytes: &[u8]) -> bool;
 
     fn status(&self) -> TargetStatus;
 

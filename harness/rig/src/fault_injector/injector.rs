@@ -45,6 +45,11 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
+    /// The link to the controller, without faults.
+    pub fn inner_mut(&mut self) -> &mut L {
+        self.inner.inner_mut()
+    }
+
     /// Applies to the next trial and clears the counts. Call it before the trial's configuration.
     pub fn set_faults(&mut self, faults: &[WireFault]) {
         self.active_faults = ActiveFaults::new(faults);

@@ -1,0 +1,117 @@
+//! `platebench coverage`: shows which lines of the firmware the scenarios execute.
+
+use crate::exit::Exit;
+use crate::options::{SCENARIOS, job_count, parse_percent};
+use crate::run::report_if_empty;
+use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::stdio;
+use crate::tags::TagFilter;
+use clap::Args;
+use platebench_firmware_analysis::{
+    AnalysisError, Coverage, CoverageConfig, Suite, coverage_text, lcov, measure_coverage,
+};
+use platebench_rig::{CancelToken, RigSpec};
+use platebench_scenario::find;
+use platebench_trace::write_atomically;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench coverage                                          every scenario below scenarios/
+  platebench coverage scenarios/paper --lcov coverage.info
+  platebench coverage --rig emulated:firmware.elf --only src/control --at-least 90
+
+Exit codes: 0 measured, 1 fewer lines than --at-least were executed, 2 invalid input or a scenario fails")]
+pub(crate) struct CoverageArgs {
+    /// Scenario files, or folders with everything below them
+    #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
+    scenarios: Vec<PathBuf>,
+    #[command(flatten)]
+    tags: TagFilter,
+    /// Firmware image on the emulator: emulated | emulated:ELF
+    #[arg(long, default_value = "emulated")]
+    rig: RigSpec,
+    /// Only source files whose path contains this text; may be given again
+    #[arg(long, value_name = "PATH")]
+    only: Vec<String>,
+    /// Write the coverage as LCOV tracefile, for genhtml
+    #[arg(long, value_name = "FILE")]
+    lcov: Option<PathBuf>,
+    /// Fail if fewer lines were executed, %
+    #[arg(long, value_name = "PERCENT", value_parser = parse_percent)]
+    at_least: Option<f64>,
+    /// Scenarios that run at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Write coverage.txt and lcov.info to this folder
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+pub(crate) fn coverage(arguments: &CoverageArgs) -> Exit {
+    let mut found = match find(&arguments.scenarios) {
+        Ok(found) => found,
+        Err(faults) => return stdio::reject_files(&faults),
+    };
+    arguments.tags.retain(&mut found.scenarios);
+    if report_if_empty(&found) {
+        return Exit::NothingToRun;
+    }
+    let cancel = CancelToken::default();
+    let (rig, only, jobs) = (arguments.rig.clone(), arguments.only.clone(), job_count(arguments.jobs));
+    let work_cancel = cancel.clone();
+    let work = move |_: &mut EventSender<_, ()>| {
+        let suite = Suite::new(&rig, found.scenarios)?;
+        let config = CoverageConfig { suite, jobs, only, cancel: work_cancel };
+        measure_coverage(&config).map(|coverage| (coverage, config.suite.not_applicable))
+    };
+    let (coverage, not_applicable) = match analysis_result(run_until_signal(&cancel, None, work, |()| {})) {
+        Ok(result) => result,
+        Err(exit) => return exit,
+    };
+    for reason in &not_applicable {
+        stdio::note(&format!("not applicable: {reason}"));
+    }
+    let text = coverage_text::summary(&coverage);
+    if let Err((path, error)) = write_files(arguments, &coverage, &text) {
+        return stdio::reject(&format!("{}: {error}", path.display()));
+    }
+    stdio::show(&text);
+    let is_met = arguments.at_least.is_none_or(|limit| coverage.line_ratio().percent() >= limit);
+    if is_met { Exit::Passed } else { Exit::Failed }
+}
+
+fn write_files(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> Result<(), (PathBuf, io::Error)> {
+    let tracefile = lcov::tracefile(coverage);
+    let write =
+        |path: &Path, text: &str| write_atomically(path, text.as_bytes()).map_err(|error| (path.to_owned(), error));
+    if let Some(path) = &arguments.lcov {
+        write(path, &tracefile)?;
+    }
+    if let Some(folder) = &arguments.out {
+        fs::create_dir_all(folder).map_err(|error| (folder.clone(), error))?;
+        write(&folder.join("lcov.info"), &tracefile)?;
+        write(&folder.join("coverage.txt"), text)?;
+    }
+    Ok(())
+}
+
+/// The result of an analysis that a signal may end.
+pub(crate) fn analysis_result<T>(result: io::Result<WorkResult<Result<T, AnalysisError>>>) -> Result<T, Exit> {
+    match result {
+        Ok(WorkResult::Finished(Ok(result), None)) => Ok(result),
+        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => Err(Exit::Signal(signal)),
+        Ok(WorkResult::Finished(Err(error), None)) if error.is_invalid_input() => Err(stdio::reject(&error)),
+        Ok(WorkResult::Finished(Err(error), None)) => {
+            stdio::error(&error.to_string());
+            Err(Exit::Inconclusive)
+        }
+        Err(error) => {
+            stdio::error(&error.to_string());
+            Err(Exit::Inconclusive)
+        }
+    }
+}

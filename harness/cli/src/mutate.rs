@@ -1,0 +1,119 @@
+//! `platebench mutate`: changes the firmware's machine code and checks whether the scenarios notice.
+
+use crate::coverage::analysis_result;
+use crate::exit::Exit;
+use crate::options::{SCENARIOS, job_count, law_names, parse_percent};
+use crate::run::report_if_empty;
+use crate::shutdown::{EventSender, run_until_signal};
+use crate::stdio;
+use crate::tags::TagFilter;
+use clap::Args;
+use platebench_firmware_analysis::mutation::{MutantFilter, mutation_json, summary};
+use platebench_firmware_analysis::{MutationConfig, MutationReport, Suite, measure_mutation};
+use platebench_rig::{CancelToken, RigSpec};
+use platebench_scenario::find;
+use platebench_trace::write_atomically;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// A line every so many mutants tells a log that the work goes on.
+const PROGRESS_INTERVAL: usize = 50;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench mutate --sample 200 --out runs/mutants
+  platebench mutate --law dq-pi --until-width 5
+  platebench mutate scenarios/paper --rig emulated:firmware.elf --function control_step --at-least 90
+
+Exit codes: 0 measured, 1 the mutation score is below --at-least, 2 invalid input or a scenario fails without a mutant")]
+pub(crate) struct MutateArgs {
+    /// Scenario files, or folders with everything below them
+    #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
+    scenarios: Vec<PathBuf>,
+    #[command(flatten)]
+    tags: TagFilter,
+    /// Only scenarios with this control law
+    #[arg(long, value_name = "NAME", value_parser = law_names())]
+    law: Option<String>,
+    /// Firmware image on the emulator: emulated | emulated:ELF
+    #[arg(long, default_value = "emulated")]
+    rig: RigSpec,
+    /// Functions whose name contains this text, also inlined ones; default: those that the control step executes
+    #[arg(long, value_name = "NAME")]
+    function: Vec<String>,
+    /// Code of source files whose path contains this text
+    #[arg(long, value_name = "PATH")]
+    file: Vec<String>,
+    /// Number of mutants, drawn at random; default: all
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    sample: Option<u32>,
+    /// Stop once the 95 % interval of the score is so narrow, percentage points
+    #[arg(long, value_name = "WIDTH", value_parser = parse_percent)]
+    until_width: Option<f64>,
+    /// Seed of the random order
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Fail if the mutation score is lower, %
+    #[arg(long, value_name = "PERCENT", value_parser = parse_percent)]
+    at_least: Option<f64>,
+    /// Mutants that are tested at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Write mutation.json and mutation.txt to this folder
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+pub(crate) fn mutate(arguments: &MutateArgs, quiet: bool) -> Exit {
+    let mut found = match find(&arguments.scenarios) {
+        Ok(found) => found,
+        Err(faults) => return stdio::reject_files(&faults),
+    };
+    arguments.tags.retain(&mut found.scenarios);
+    if let Some(law) = &arguments.law {
+        found.scenarios.retain(|scenario| scenario.controller.law == *law);
+    }
+    if report_if_empty(&found) {
+        return Exit::NothingToRun;
+    }
+    let cancel = CancelToken::default();
+    let rig = arguments.rig.clone();
+    let filter = MutantFilter { functions: arguments.function.clone(), files: arguments.file.clone() };
+    let (sample, until_width, seed) =
+        (arguments.sample.map(|count| count as usize), arguments.until_width, arguments.seed);
+    let (jobs, work_cancel) = (job_count(arguments.jobs), cancel.clone());
+    let work = move |events: &mut EventSender<_, ()>| {
+        let suite = Suite::new(&rig, found.scenarios)?;
+        let config = MutationConfig { suite, filter, sample, until_width, seed, jobs, cancel: work_cancel };
+        measure_mutation(&config, &mut |_| events.send(()))
+    };
+    let mut tested = 0;
+    let result = run_until_signal(&cancel, None, work, |()| {
+        tested += 1;
+        if !quiet && tested % PROGRESS_INTERVAL == 0 {
+            stdio::note(&format!("{tested} mutants"));
+        }
+    });
+    let report = match analysis_result(result) {
+        Ok(report) => report,
+        Err(exit) => return exit,
+    };
+    let text = summary(&report);
+    if let Some(folder) = &arguments.out
+        && let Err(error) = write_report(&report, &text, folder)
+    {
+        return stdio::reject(&format!("{}: {error}", folder.display()));
+    }
+    stdio::show(&text);
+    let is_met = arguments.at_least.is_none_or(|limit| report.score().percent() >= limit);
+    if is_met { Exit::Passed } else { Exit::Failed }
+}
+
+fn write_report(report: &MutationReport, text: &str, folder: &Path) -> io::Result<()> {
+    fs::create_dir_all(folder)?;
+    let json = serde_json::to_string_pretty(&mutation_json(report))?;
+    write_atomically(&folder.join("mutation.json"), json.as_bytes())?;
+    write_atomically(&folder.join("mutation.txt"), text.as_bytes())
+}

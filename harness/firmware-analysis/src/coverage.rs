@@ -1,0 +1,190 @@
+//! Maps executed instructions to source lines and functions.
+
+use crate::code_map::CodeMap;
+use crate::error::AnalysisError;
+use crate::source_map::SourceMap;
+use crate::suite::{BoardSession, Outcome, Suite, in_parallel, play};
+use platebench_record::Verdict;
+use platebench_rig::{CancelToken, Symbols};
+use platebench_scenario::Scenario;
+use platebench_wire::LawId;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+#[derive(Debug)]
+pub struct CoverageConfig {
+    pub suite: Suite,
+    pub jobs: usize,
+    /// Only source files whose path contains one of these; all of the firmware's own files if it is empty.
+    pub only: Vec<String>,
+    pub cancel: CancelToken,
+}
+
+/// By path as in the debug information.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Coverage {
+    pub files: BTreeMap<String, FileCoverage>,
+    /// Of all functions in flash, also without debug information.
+    pub instructions: Ratio,
+}
+
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct FileCoverage {
+    pub lines: BTreeMap<u32, LineCoverage>,
+    pub functions: BTreeMap<String, FunctionCoverage>,
+}
+
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub struct LineCoverage {
+    pub executed: bool,
+    /// A function of the control step contains it.
+    pub on_control_path: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FunctionCoverage {
+    /// First line with code.
+    pub line: u32,
+    pub executed: bool,
+    /// An instruction of it ran while the firmware answered a sample.
+    pub in_control_step: bool,
+}
+
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub struct Ratio {
+    pub executed: usize,
+    pub total: usize,
+}
+
+impl Ratio {
+    /// 100 if there is nothing to execute.
+    pub fn percent(self) -> f64 {
+        if self.total == 0 { 100.0 } else { self.executed as f64 / self.total as f64 * 100.0 }
+    }
+}
+
+impl FromIterator<bool> for Ratio {
+    fn from_iter<I: IntoIterator<Item = bool>>(executed: I) -> Self {
+        executed.into_iter().fold(Self::default(), |ratio, executed| Self {
+            executed: ratio.executed + usize::from(executed),
+            total: ratio.total + 1,
+        })
+    }
+}
+
+impl FileCoverage {
+    pub fn line_ratio(&self) -> Ratio {
+        self.lines.values().map(|line| line.executed).collect()
+    }
+
+    pub fn function_ratio(&self) -> Ratio {
+        self.functions.values().map(|function| function.executed).collect()
+    }
+}
+
+impl Coverage {
+    pub fn line_ratio(&self) -> Ratio {
+        self.files.values().flat_map(|file| file.lines.values()).map(|line| line.executed).collect()
+    }
+
+    /// `executed` maps the first instruction of each basic block that ran to whether it ran in a control step.
+    fn new(map: &CodeMap, symbols: &Symbols, executed: &BTreeMap<u32, bool>, only: &[String]) -> Self {
+        let mut coverage = Self::default();
+        let mut places = Vec::new();
+        let sources = SourceMap::new(symbols);
+        for &address in map.instructions.keys() {
+            let state = executed.get(&map.leader_of(address)).copied();
+            coverage.instructions.total += 1;
+            coverage.instructions.executed += usize::from(state.is_some());
+            for frame in sources.frames(address) {
+                let Some(line) = frame.line else { continue };
+                let file = coverage.files.entry(line.file.clone()).or_default();
+                let function = file.functions.entry(frame.function.clone()).or_insert(FunctionCoverage {
+                    line: line.line,
+                    executed: false,
+                    in_control_step: false,
+                });
+                function.line = function.line.min(line.line);
+                function.executed |= state.is_some();
+                function.in_control_step |= state == Some(true);
+                places.push((line, frame.function, state.is_some()));
+            }
+        }
+        for (place, function, executed) in places {
+            let Some(file) = coverage.files.get_mut(&place.file) else { continue };
+            let in_step = file.functions.get(&function).is_some_and(|function| function.in_control_step);
+            let line = file.lines.entry(place.line).or_default();
+            line.executed |= executed;
+            line.on_control_path |= in_step;
+        }
+        coverage.select(only);
+        coverage
+    }
+
+    fn select(&mut self, only: &[String]) {
+        if !only.is_empty() {
+            return self.files.retain(|file, _| only.iter().any(|part| file.contains(part)));
+        }
+        self.files.retain(|file, _| !is_standard_library(file));
+        // Dependencies have no sources here, and genhtml stops at a missing source.
+        if self.files.keys().any(|file| Path::new(file).is_file()) {
+            self.files.retain(|file, _| Path::new(file).is_file());
+        }
+    }
+}
+
+pub(crate) fn is_standard_library(file: &str) -> bool {
+    ["/rustc/", "library/core/", "library/alloc/", "library/compiler-builtins/"].iter().any(|part| file.contains(part))
+}
+
+/// Plays the suite and records what it executes.
+pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisError> {
+    let suite = &config.suite;
+    let elf = suite.elf()?;
+    let symbols = Symbols::read(&elf);
+    let map = CodeMap::read(&elf, &symbols);
+    if map.functions.is_empty() {
+        return Err(AnalysisError::NoFunctions);
+    }
+    // The longest come first: no worker ends long after the others.
+    let mut order: Vec<&(Scenario, LawId)> = suite.scenarios.iter().collect();
+    order.sort_by_key(|(scenario, _)| {
+        std::cmp::Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count))
+    });
+    let mut executed = BTreeMap::new();
+    let work = |session: &mut Option<BoardSession>, index: usize| {
+        let Some((scenario, law)) = order.get(index) else { return Err(AnalysisError::Internal) };
+        let session = match session {
+            Some(session) => session,
+            None => {
+                let session = session.insert(suite.connect()?);
+                session.link_mut().inner_mut().record_execution(&map.leaders);
+                session
+            }
+        };
+        let outcome = play(session, scenario, *law, &config.cancel).ok_or(AnalysisError::Cancelled)??;
+        check_baseline(scenario, &outcome)?;
+        Ok(session.link_mut().inner_mut().executed().clone())
+    };
+    in_parallel(config.jobs, order.len(), work, |ran| {
+        for (address, in_step) in ran {
+            *executed.entry(address).or_default() |= in_step;
+        }
+        true
+    })?;
+    let coverage = Coverage::new(&map, &symbols, &executed, &config.only);
+    match config.only.iter().find(|_| coverage.files.is_empty()) {
+        Some(only) => Err(AnalysisError::NoMatch(only.clone())),
+        None => Ok(coverage),
+    }
+}
+
+/// Fails if the scenario fails and should not.
+pub(crate) fn check_baseline(scenario: &Scenario, outcome: &Outcome) -> Result<(), AnalysisError> {
+    match &outcome.detection {
+        Some(detection) if outcome.verdict == Verdict::Fail && scenario.expected_exit.is_none_or(|exit| exit == 0) => {
+            Err(AnalysisError::FailingScenario { file: scenario.file.clone(), reason: detection.reason.clone() })
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,39 @@
+//! Defines what ends an analysis.
+
+use platebench_rig::{EmulatedError, RigError};
+use platebench_scenario::Diagnostic;
+
+#[derive(Debug, thiserror::Error)]
+pub enum AnalysisError {
+    #[error("the rig `{0}` does not run the firmware on the emulator, expected --rig emulated or --rig emulated:ELF")]
+    NotEmulated(String),
+    #[error("{0}")]
+    Scenario(Box<Diagnostic>),
+    #[error(transparent)]
+    Emulated(#[from] EmulatedError),
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    #[error("{file}: fails with the unchanged firmware ({reason}); expected a suite that passes")]
+    FailingScenario { file: String, reason: String },
+    #[error("the firmware plays none of the scenarios")]
+    NothingApplicable,
+    #[error("the ELF has no function symbols in flash, expected an image that is not stripped")]
+    NoFunctions,
+    #[error("no function or file matches `{0}`")]
+    NoMatch(String),
+    #[error("{path}: {source}")]
+    Write { path: String, source: std::io::Error },
+    #[error("the disassembler failed: {0}")]
+    Disassembler(String),
+    #[error("cancelled")]
+    Cancelled,
+    #[error("internal error: a worker thread ended early; please report it")]
+    Internal,
+}
+
+impl AnalysisError {
+    /// False if the run was cancelled or the bench has a defect.
+    pub fn is_invalid_input(&self) -> bool {
+        !matches!(self, Self::Cancelled | Self::Internal | Self::Disassembler(_))
+    }
+}

@@ -1,0 +1,208 @@
+//! Plays the scenarios that execute a mutant until one of them fails.
+
+use super::candidates::{MutantFilter, all_mutants};
+use super::disassembler::Disassembler;
+use super::mutant::Mutant;
+use super::result::{MutantResult, MutationReport, Score, Status};
+use crate::code_map::CodeMap;
+use crate::coverage::check_baseline;
+use crate::error::AnalysisError;
+use crate::suite::{BoardSession, Margin, Outcome, Suite, in_parallel, play};
+use platebench_rig::{CancelToken, Symbols};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::collections::BTreeMap;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// A mutant may take so many times as long as the unchanged firmware.
+const TIMEOUT_FACTOR: u32 = 10;
+const MIN_TIMEOUT: Duration = Duration::from_secs(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+#[derive(Debug)]
+pub struct MutationConfig {
+    pub suite: Suite,
+    pub filter: MutantFilter,
+    /// Mutants to draw at random; `None`: all.
+    pub sample: Option<usize>,
+    /// Ends once the 95 % interval of the score is at most this wide, percentage points.
+    pub until_width: Option<f64>,
+    pub seed: u64,
+    pub jobs: usize,
+    pub cancel: CancelToken,
+}
+
+/// A scenario with the unchanged firmware.
+struct Baseline {
+    executed: BTreeMap<u32, bool>,
+    duration: Duration,
+    /// Fails without a mutant, as it should: it detects nothing.
+    fails: bool,
+}
+
+pub fn measure_mutation(
+    config: &MutationConfig,
+    on_result: &mut dyn FnMut(&MutantResult),
+) -> Result<MutationReport, AnalysisError> {
+    let suite = &config.suite;
+    let elf = suite.elf()?;
+    let symbols = Symbols::read(&elf);
+    let map = CodeMap::read(&elf, &symbols);
+    if map.functions.is_empty() {
+        return Err(AnalysisError::NoFunctions);
+    }
+    let baselines = baselines(config, &map)?;
+    let mut executed = BTreeMap::new();
+    for (&address, &in_step) in baselines.iter().flat_map(|baseline| &baseline.executed) {
+        *executed.entry(address).or_default() |= in_step;
+    }
+    let mut mutants = all_mutants(&map, &symbols, &Disassembler::new()?, &config.filter, &executed);
+    if mutants.is_empty() {
+        let wanted = config.filter.functions.iter().chain(&config.filter.files).next();
+        return Err(AnalysisError::NoMatch(wanted.cloned().unwrap_or_default()));
+    }
+    let population = mutants.len();
+    if config.sample.is_some() || config.until_width.is_some() {
+        shuffle(&mut mutants, config.seed);
+        mutants.truncate(config.sample.unwrap_or(population));
+    }
+    let mut order: Vec<usize> = (0..baselines.len()).collect();
+    order.sort_by_key(|&index| baselines.get(index).map(|baseline| baseline.duration));
+    let runner = MutantRunner { config, map: &map, baselines: &baselines, order: &order };
+    let mut results: Vec<MutantResult> = Vec::new();
+    let work = |session: &mut Option<BoardSession>, index: usize| match mutants.get(index) {
+        Some(mutant) => runner.run(session, mutant),
+        None => Err(AnalysisError::Internal),
+    };
+    in_parallel(config.jobs, mutants.len(), work, |result| {
+        on_result(&result);
+        results.push(result);
+        let score = Score::of(results.iter().map(|result| &result.status));
+        !config.until_width.is_some_and(|width| score.is_narrower_than(width))
+    })?;
+    let scenarios = suite.scenarios.iter().map(|(scenario, _)| scenario.file.clone()).collect();
+    Ok(MutationReport { results, population, scenarios })
+}
+
+fn baselines(config: &MutationConfig, map: &CodeMap) -> Result<Vec<Baseline>, AnalysisError> {
+    let scenarios = &config.suite.scenarios;
+    let mut baselines = Vec::new();
+    let work = |session: &mut Option<BoardSession>, index: usize| {
+        let Some((scenario, law)) = scenarios.get(index) else { return Err(AnalysisError::Internal) };
+        let session = match session {
+            Some(session) => session,
+            None => session.insert(config.suite.connect()?),
+        };
+        session.link_mut().inner_mut().record_execution(&map.leaders);
+        let start = Instant::now();
+        let outcome = play(session, scenario, *law, &config.cancel).ok_or(AnalysisError::Cancelled)??;
+        check_baseline(scenario, &outcome)?;
+        let executed = session.link_mut().inner_mut().executed().clone();
+        Ok(Baseline { executed, duration: start.elapsed(), fails: outcome.detection.is_some() })
+    };
+    in_parallel(config.jobs, scenarios.len(), work, |baseline| {
+        baselines.push(baseline);
+        true
+    })?;
+    Ok(baselines)
+}
+
+/// Fisher and Yates.
+fn shuffle(mutants: &mut [Mutant], seed: u64) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    for last in (1..mutants.len()).rev() {
+        mutants.swap(last, (random.next_u64() % (last as u64 + 1)) as usize);
+    }
+}
+
+struct MutantRunner<'a> {
+    config: &'a MutationConfig,
+    map: &'a CodeMap,
+    baselines: &'a [Baseline],
+    /// Indices of the scenarios, fastest first.
+    order: &'a [usize],
+}
+
+impl MutantRunner<'_> {
+    fn run(&self, session: &mut Option<BoardSession>, mutant: &Mutant) -> Result<MutantResult, AnalysisError> {
+        let start = Instant::now();
+        let leader = self.map.leader_of(mutant.instruction);
+        let covers = |baseline: &&Baseline| !baseline.fails && baseline.executed.contains_key(&leader);
+        let covering: Vec<usize> =
+            self.order.iter().copied().filter(|&index| self.baselines.get(index).filter(covers).is_some()).collect();
+        let status = if covering.is_empty() { Status::NoCoverage } else { self.play(session, mutant, &covering)? };
+        let file = |&index: &usize| Some(self.config.suite.scenarios.get(index)?.0.file.clone());
+        let covered_by = covering.iter().filter_map(file).collect();
+        Ok(MutantResult { mutant: mutant.clone(), status, covered_by, duration: start.elapsed() })
+    }
+
+    fn play(
+        &self,
+        session: &mut Option<BoardSession>,
+        mutant: &Mutant,
+        covering: &[usize],
+    ) -> Result<Status, AnalysisError> {
+        let open = match session {
+            Some(open) => open,
+            None => session.insert(self.config.suite.connect()?),
+        };
+        open.link_mut().inner_mut().patch(mutant.address, &mutant.bytes);
+        let status = self.play_until_detected(open, covering)?;
+        open.link_mut().inner_mut().patch(mutant.address, &mutant.original);
+        if matches!(status, Status::RuntimeError { .. }) {
+            *session = None;
+        }
+        Ok(status)
+    }
+
+    fn play_until_detected(&self, session: &mut BoardSession, covering: &[usize]) -> Result<Status, AnalysisError> {
+        let mut closest: Option<Margin> = None;
+        for &index in covering {
+            let (Some((scenario, law)), Some(baseline)) =
+                (self.config.suite.scenarios.get(index), self.baselines.get(index))
+            else {
+                continue;
+            };
+            let limit = (baseline.duration * TIMEOUT_FACTOR).max(MIN_TIMEOUT);
+            let played = with_deadline(limit, &self.config.cancel, |cancel| play(session, scenario, *law, cancel));
+            if self.config.cancel.is_cancelled() {
+                return Err(AnalysisError::Cancelled);
+            }
+            let by = scenario.file.clone();
+            let Some(outcome) = played.transpose()? else { return Ok(Status::Timeout { by }) };
+            let Outcome { detection, closest_margin, .. } = outcome;
+            match detection {
+                Some(detection) if detection.emulator_failed => {
+                    return Ok(Status::RuntimeError { by, reason: detection.reason });
+                }
+                Some(detection) => return Ok(Status::Killed { by, reason: detection.reason }),
+                None => {}
+            }
+            closest =
+                closest.into_iter().chain(closest_margin).min_by(|one, other| one.margin.total_cmp(&other.margin));
+        }
+        Ok(Status::Survived { closest })
+    }
+}
+
+/// Cancels `work` after `limit`, or if `cancel` is cancelled.
+fn with_deadline<R>(limit: Duration, cancel: &CancelToken, work: impl FnOnce(&CancelToken) -> R) -> R {
+    let token = CancelToken::default();
+    let (done, ended) = mpsc::channel::<()>();
+    thread::scope(|scope| {
+        let watched = token.clone();
+        scope.spawn(move || {
+            let start = Instant::now();
+            while ended.recv_timeout(POLL_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                if start.elapsed() > limit || cancel.is_cancelled() {
+                    watched.cancel();
+                }
+            }
+        });
+        let result = work(&token);
+        drop(done);
+        result
+    })
+}

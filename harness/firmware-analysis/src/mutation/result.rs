@@ -1,0 +1,110 @@
+//! Holds the results of mutation testing and their score.
+
+use super::mutant::Mutant;
+use crate::suite::Margin;
+use platebench_verdict::statistics::proportion::clopper_pearson;
+use std::time::Duration;
+
+/// Each end of the interval of the score has half of the error.
+const ONE_SIDED_CONFIDENCE: f64 = 0.975;
+
+#[derive(Debug, Clone, PartialEq)]
+pub enum Status {
+    Killed {
+        by: String,
+        reason: String,
+    },
+    Survived {
+        closest: Option<Margin>,
+    },
+    NoCoverage,
+    /// A scenario took much longer than with the unchanged firmware.
+    Timeout {
+        by: String,
+    },
+    /// The emulator failed.
+    RuntimeError {
+        by: String,
+        reason: String,
+    },
+}
+
+impl Status {
+    /// As in the schema of mutation reports.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Killed { .. } => "Killed",
+            Self::Survived { .. } => "Survived",
+            Self::NoCoverage => "NoCoverage",
+            Self::Timeout { .. } => "Timeout",
+            Self::RuntimeError { .. } => "RuntimeError",
+        }
+    }
+
+    pub const fn is_detected(&self) -> bool {
+        matches!(self, Self::Killed { .. } | Self::Timeout { .. })
+    }
+
+    const fn is_valid(&self) -> bool {
+        !matches!(self, Self::RuntimeError { .. })
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct MutantResult {
+    pub mutant: Mutant,
+    pub status: Status,
+    /// Scenarios that execute the instruction, fastest first.
+    pub covered_by: Vec<String>,
+    pub duration: Duration,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct MutationReport {
+    pub results: Vec<MutantResult>,
+    /// Mutants of the scope, also those that were not drawn.
+    pub population: usize,
+    pub scenarios: Vec<String>,
+}
+
+/// Detected mutants over valid ones; a mutant that the emulator cannot run is not valid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Score {
+    pub detected: u32,
+    pub valid: u32,
+}
+
+impl Score {
+    pub fn of<'a>(statuses: impl Iterator<Item = &'a Status>) -> Self {
+        statuses.filter(|status| status.is_valid()).fold(Self { detected: 0, valid: 0 }, |score, status| Self {
+            detected: score.detected + u32::from(status.is_detected()),
+            valid: score.valid + 1,
+        })
+    }
+
+    /// 100 without mutants.
+    pub fn percent(self) -> f64 {
+        if self.valid == 0 { 100.0 } else { f64::from(self.detected) / f64::from(self.valid) * 100.0 }
+    }
+
+    /// 95 %, in percent.
+    pub fn interval(self) -> Option<[f64; 2]> {
+        let bounds = clopper_pearson(self.detected, self.valid, ONE_SIDED_CONFIDENCE)?;
+        Some(bounds.map(|bound| bound * 100.0))
+    }
+
+    pub fn is_narrower_than(self, width: f64) -> bool {
+        self.interval().is_some_and(|[low, high]| high - low <= width)
+    }
+}
+
+impl MutationReport {
+    pub fn score(&self) -> Score {
+        Score::of(self.results.iter().map(|result| &result.status))
+    }
+
+    /// Without mutants that no scenario executes.
+    pub fn score_of_executed(&self) -> Score {
+        Score::of(self.results.iter().map(|result| &result.status).filter(|status| **status != Status::NoCoverage))
+    }
+}

@@ -1,0 +1,202 @@
+//! Plays scenarios in memory on the emulated rig, with one emulated board per worker.
+
+use crate::error::AnalysisError;
+use platebench_record::Verdict;
+use platebench_rig::{
+    CancelToken, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError, RigSpec, Session, TargetError,
+};
+use platebench_runner::trial::{self, TrialSpec};
+use platebench_runner::{law, missing_capability};
+use platebench_scenario::Scenario;
+use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
+use platebench_wire::LawId;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc;
+use std::thread;
+use tracing::subscriber::{NoSubscriber, with_default};
+
+pub(crate) type BoardSession = Session<FaultInjector<EmulatedLink>>;
+
+/// Scenarios that the firmware can play, with their laws.
+#[derive(Debug)]
+pub struct Suite {
+    elf: Option<PathBuf>,
+    pub scenarios: Vec<(Scenario, LawId)>,
+    pub not_applicable: Vec<String>,
+}
+
+/// The verdict of a scenario, and how the suite would notice.
+#[derive(Debug, Clone)]
+pub(crate) struct Outcome {
+    pub(crate) verdict: Verdict,
+    pub(crate) detection: Option<Detection>,
+    pub(crate) closest_margin: Option<Margin>,
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct Detection {
+    pub(crate) reason: String,
+    /// The emulator is in an unknown state.
+    pub(crate) emulator_failed: bool,
+}
+
+/// Distance of a value to its limit over the limit's scale.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Margin {
+    pub scenario: String,
+    pub expectation: String,
+    pub margin: f64,
+}
+
+impl Suite {
+    /// Asks the firmware which scenarios it can play.
+    pub fn new(rig: &RigSpec, scenarios: Vec<Scenario>) -> Result<Self, AnalysisError> {
+        let RigSpec::Emulated(elf) = rig else { return Err(AnalysisError::NotEmulated(rig.to_string())) };
+        let mut suite = Self { elf: elf.clone(), scenarios: Vec::new(), not_applicable: Vec::new() };
+        let session = suite.connect()?;
+        for scenario in scenarios {
+            let law = law(&scenario).map_err(|fault| AnalysisError::Scenario(Box::new(fault)))?;
+            match missing_capability(&scenario, law, session.identity()) {
+                None => suite.scenarios.push((scenario, law)),
+                Some(reason) => suite.not_applicable.push(format!("{}: {reason}", scenario.file)),
+            }
+        }
+        session.close();
+        if suite.scenarios.is_empty() { Err(AnalysisError::NothingApplicable) } else { Ok(suite) }
+    }
+
+    pub(crate) fn elf(&self) -> Result<Vec<u8>, AnalysisError> {
+        let Some(path) = &self.elf else { return Ok(EmulatedLink::built_in_image().to_vec()) };
+        fs::read(path).map_err(|error| EmulatedError::Read { path: path.clone(), error }.into())
+    }
+
+    pub(crate) fn connect(&self) -> Result<BoardSession, AnalysisError> {
+        let link = self.elf.as_deref().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?;
+        Ok(Session::open(FaultInjector::new(link))?)
+    }
+}
+
+/// Plays trials until the verdict is decided or the controller is lost. `None` if it was cancelled.
+pub(crate) fn play(
+    session: &mut BoardSession,
+    scenario: &Scenario,
+    law: LawId,
+    cancel: &CancelToken,
+) -> Option<Result<Outcome, AnalysisError>> {
+    let mut trials = Vec::new();
+    loop {
+        let goal = match judge_sequentially(scenario, &trials) {
+            SequentialDecision::Stop(judgement) => return Some(Ok(outcome(scenario, &judgement))),
+            SequentialDecision::Continue { trials } => trials,
+        };
+        for index in trials.len() as u32..goal {
+            for scene in scenario.between.iter().filter(|_| index > 0) {
+                let law = match self::law(scene) {
+                    Ok(law) => law,
+                    Err(fault) => return Some(Err(AnalysisError::Scenario(Box::new(fault)))),
+                };
+                let spec = TrialSpec { continues: true, ..TrialSpec::new(scene, law, index) };
+                if let Some(detection) = detection(&trial::play(session, &spec, cancel, None)?) {
+                    return Some(Ok(detection.into()));
+                }
+            }
+            let continues = index > 0 && scenario.keeps_controller();
+            let spec = TrialSpec { continues, ..TrialSpec::new(scenario, law, index) };
+            let result = trial::play(session, &spec, cancel, None)?;
+            if let Some(detection) = detection(&result) {
+                return Some(Ok(detection.into()));
+            }
+            trials.push(measure(scenario, index, &result.trace_rows, &result.telemetry));
+        }
+    }
+}
+
+impl From<Detection> for Outcome {
+    fn from(detection: Detection) -> Self {
+        Self { verdict: Verdict::Fail, detection: Some(detection), closest_margin: None }
+    }
+}
+
+/// A trial that fails, or ends the run, whatever its metrics are.
+fn detection(result: &trial::TrialResult) -> Option<Detection> {
+    if let Some(error) = &result.link_error {
+        let emulator_failed = matches!(
+            error,
+            RigError::Link(LinkError::Target(target)) if matches!(**target, TargetError::Emulator(_))
+        );
+        return Some(Detection { reason: error.to_string(), emulator_failed });
+    }
+    let violation = result.telemetry.violations.first()?;
+    Some(Detection { reason: violation.to_string(), emulator_failed: false })
+}
+
+fn outcome(scenario: &Scenario, judgement: &Judgement) -> Outcome {
+    let failed = judgement.expectations.iter().find(|record| record.verdict == Verdict::Fail);
+    let reason = failed.map_or_else(
+        || "a trial failed".to_owned(),
+        |record| {
+            let value = record.value.map_or_else(|| "no value".to_owned(), |value| value.to_string());
+            format!("{}: {value}", record.name)
+        },
+    );
+    let margins = judgement.expectations.iter().filter_map(|record| Some((record.name.clone(), record.margin?)));
+    let closest = margins.min_by(|(_, one), (_, other)| one.total_cmp(other));
+    Outcome {
+        verdict: judgement.verdict,
+        detection: (judgement.verdict == Verdict::Fail).then_some(Detection { reason, emulator_failed: false }),
+        closest_margin: closest.map(|(expectation, margin)| Margin {
+            scenario: scenario.file.clone(),
+            expectation,
+            margin,
+        }),
+    }
+}
+
+/// Calls `work` for each index on `jobs` threads, each with its own state, and passes the results in order of
+/// their index to `receive` until that returns false.
+pub(crate) fn in_parallel<S, R: Send>(
+    jobs: usize,
+    count: usize,
+    work: impl Fn(&mut Option<S>, usize) -> Result<R, AnalysisError> + Sync,
+    mut receive: impl FnMut(R) -> bool,
+) -> Result<(), AnalysisError> {
+    let next = AtomicUsize::new(0);
+    let (sender, results) = mpsc::channel();
+    thread::scope(|scope| {
+        for _ in 0..jobs.clamp(1, count.max(1)) {
+            let (sender, next, work) = (sender.clone(), &next, &work);
+            scope.spawn(move || {
+                let mut state = None;
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    if index >= count {
+                        break;
+                    }
+                    // Lost controllers and damaged frames are part of the experiment: suppress their warnings.
+                    let result = with_default(NoSubscriber::default(), || work(&mut state, index));
+                    if sender.send(result.map(|result| (index, result))).is_err() {
+                        break;
+                    }
+                }
+            });
+        }
+        drop(sender);
+        let (mut waiting, mut expected) = (BTreeMap::new(), 0);
+        for result in results {
+            let (index, result) = result.inspect_err(|_| next.store(count, Ordering::Relaxed))?;
+            waiting.insert(index, result);
+            while let Some(result) = waiting.remove(&expected) {
+                expected += 1;
+                if !receive(result) {
+                    next.store(count, Ordering::Relaxed);
+                    return Ok(());
+                }
+            }
+        }
+        if expected == count { Ok(()) } else { Err(AnalysisError::Internal) }
+    })
+}

@@ -1,0 +1,29 @@
+//! Tests coverage and mutation on the shipped image.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::missing_panics_doc)]
+
+mod coverage;
+mod encodings;
+mod mutation;
+
+use platebench_firmware_analysis::{CodeMap, Suite};
+use platebench_rig::{EmulatedLink, RigSpec, Symbols};
+use platebench_scenario::load;
+use std::path::{Path, PathBuf};
+
+fn workspace_root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+}
+
+fn suite(scenarios: &[&str]) -> Suite {
+    // Relative paths of the debug information start here.
+    std::env::set_current_dir(workspace_root()).unwrap();
+    let scenarios = scenarios.iter().map(|name| load(&workspace_root().join("scenarios").join(name), name).unwrap());
+    Suite::new(&RigSpec::Emulated(None), scenarios.collect()).unwrap()
+}
+
+fn shipped_code() -> (CodeMap, Symbols) {
+    let elf = EmulatedLink::built_in_image();
+    let symbols = Symbols::read(elf);
+    (CodeMap::read(elf, &symbols), symbols)
+}
