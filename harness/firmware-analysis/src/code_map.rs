@@ -29,12 +29,18 @@ impl CodeMap {
     /// Empty without symbols.
     pub fn read(elf: &[u8], symbols: &Symbols) -> Self {
         let file = object::File::parse(elf).ok();
-        let sections = file.iter().flat_map(|file| file.sections()).filter_map(|section| {
-            let is_code = matches!(section.kind(), SectionKind::Text | SectionKind::ReadOnlyData);
-            let in_flash = FLASH.contains(&section.address());
-            (is_code && in_flash).then(|| Some((section.address() as u32, section.data().ok()?.to_vec()))).flatten()
-        });
-        let sections: Vec<(u32, Vec<u8>)> = sections.collect();
+        let mut sections = Vec::new();
+        if let Some(file) = &file {
+            for section in file.sections() {
+                let is_code = matches!(section.kind(), SectionKind::Text | SectionKind::ReadOnlyData);
+                if let Ok(data) = section.data()
+                    && is_code
+                    && FLASH.contains(&section.address())
+                {
+                    sections.push((section.address() as u32, data.to_vec()));
+                }
+            }
+        }
         let mapping = file.as_ref().map(mapping_symbols).unwrap_or_default();
         let mut map =
             Self { functions: functions(symbols), instructions: BTreeMap::new(), leaders: BTreeSet::new(), sections };

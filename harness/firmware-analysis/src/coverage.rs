@@ -154,13 +154,12 @@ pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisErr
     let mut executed = BTreeMap::new();
     let work = |session: &mut Option<BoardSession>, index: usize| {
         let Some((scenario, law)) = order.get(index) else { return Err(AnalysisError::Internal) };
-        let session = match session {
-            Some(session) => session,
-            None => {
-                let session = session.insert(suite.connect()?);
-                session.link_mut().inner_mut().record_execution(&map.leaders);
-                session
-            }
+        let session = if let Some(session) = session {
+            session
+        } else {
+            let session = session.insert(suite.connect()?);
+            session.link_mut().inner_mut().record_execution(&map.leaders);
+            session
         };
         let outcome = play(session, scenario, *law, &config.cancel).ok_or(AnalysisError::Cancelled)??;
         check_baseline(scenario, &outcome)?;

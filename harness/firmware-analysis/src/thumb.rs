@@ -56,7 +56,7 @@ impl Instruction {
 
     fn target(&self, offset: u32, bits: u32) -> u32 {
         let shift = 32 - bits;
-        self.pc().wrapping_add(((offset << shift) as i32 >> shift) as u32)
+        self.pc().wrapping_add(((offset << shift).cast_signed() >> shift).cast_unsigned())
     }
 
     fn narrow_flow(&self) -> Flow {

@@ -19,7 +19,7 @@ type Code = (u16, Option<u16>);
 /// The condition decides something else: `EQ` and `NE`.
 pub(super) fn negated(instruction: &Instruction) -> Option<Code> {
     match (condition(instruction), instruction.second) {
-        (Some(condition), _) => with_condition(instruction, condition ^ 1),
+        (Some(condition), _) => Some(with_condition(instruction, condition ^ 1)),
         (None, None) if instruction.first & 0xF500 == 0xB100 => Some((instruction.first ^ 0x0800, None)),
         _ => None,
     }
@@ -40,7 +40,7 @@ pub(super) fn shifted(instruction: &Instruction, compares_floats: bool) -> Optio
         PL if compares_floats => HI,
         _ => return None,
     };
-    with_condition(instruction, shifted)
+    Some(with_condition(instruction, shifted))
 }
 
 fn condition(instruction: &Instruction) -> Option<u16> {
@@ -54,14 +54,14 @@ fn condition(instruction: &Instruction) -> Option<u16> {
     (condition < ALWAYS).then_some(condition)
 }
 
-fn with_condition(instruction: &Instruction, condition: u16) -> Option<Code> {
+fn with_condition(instruction: &Instruction, condition: u16) -> Code {
     let first = instruction.first;
     if let Some(second) = instruction.second {
-        return Some((first & !0x03C0 | condition << 6, Some(second)));
+        return (first & !0x03C0 | condition << 6, Some(second));
     }
-    let Some((old, mask)) = it_condition(instruction) else { return Some((first & !0x0F00 | condition << 8, None)) };
+    let Some((old, mask)) = it_condition(instruction) else { return (first & !0x0F00 | condition << 8, None) };
     // The mask holds bit 0 of each further condition: the pattern of then and else stays.
     let last = mask & mask.wrapping_neg();
     let mask = if (old ^ condition) & 1 == 1 { !mask & 0xF & !(last | (last - 1)) | last } else { mask };
-    Some((first & 0xFF00 | condition << 4 | mask, None))
+    (first & 0xFF00 | condition << 4 | mask, None)
 }

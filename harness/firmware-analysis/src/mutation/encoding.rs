@@ -90,15 +90,13 @@ fn arithmetic(instruction: &Instruction) -> Option<Code> {
 
 fn vfp_arithmetic(first: u16, second: u16) -> Option<(u16, u16)> {
     match (first & 0xFFB0, second & 0x40 != 0) {
-        // VADD and VSUB; VMLA and VMLS; VNMLS and VNMLA; VFNMS and VFNMA; VFMA and VFMS.
-        (0xEE30 | 0xEE00 | 0xEE10 | 0xEE90 | 0xEEA0, _) => Some((first, second ^ 0x40)),
+        // VADD and VSUB; VMLA and VMLS; VNMLS and VNMLA; VFNMS and VFNMA; VFMA and VFMS; VNMUL becomes VMUL.
+        (0xEE30 | 0xEE00 | 0xEE10 | 0xEE90 | 0xEEA0, _) | (0xEE20, true) => Some((first, second ^ 0x40)),
         // VMUL and VDIV.
         (0xEE20 | 0xEE80, false) => Some((first ^ 0xA0, second)),
-        // VNMUL becomes VMUL.
-        (0xEE20, true) => Some((first, second ^ 0x40)),
         // VNEG and VABS become VMOV.
-        (0xEEB0, true) if first & 0xF == 1 && second & 0x80 == 0 => Some((first ^ 1, second)),
-        (0xEEB0, true) if first & 0xF == 0 && second & 0x80 != 0 => Some((first, second ^ 0x80)),
+        (0xEEB0, true) if first & 0xFFBF == 0xEEB1 && second & 0x80 == 0 => Some((first ^ 1, second)),
+        (0xEEB0, true) if first & 0xFFBF == 0xEEB0 && second & 0x80 != 0 => Some((first, second ^ 0x80)),
         _ => None,
     }
 }
@@ -122,7 +120,7 @@ fn vmov_immediate(first: u16, second: u16) -> bool {
 fn saturation(instruction: &Instruction) -> Option<Code> {
     let (first, second) = (instruction.first, instruction.second?);
     let is_unshifted = second & 0xF0C0 == 0 && first & 0x0020 == 0;
-    (matches!(first & 0xFFF0, 0xF300 | 0xF380) && is_unshifted).then(|| (0xEA4F, Some(second & 0x0F00 | first & 0xF)))
+    (matches!(first & 0xFFF0, 0xF300 | 0xF380) && is_unshifted).then_some((0xEA4F, Some(second & 0x0F00 | first & 0xF)))
 }
 
 /// Without pushes and without forms that also change the base register.

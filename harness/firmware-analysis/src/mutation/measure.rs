@@ -129,9 +129,9 @@ impl MutantRunner<'_> {
     fn run(&self, session: &mut Option<BoardSession>, mutant: &Mutant) -> Result<MutantResult, AnalysisError> {
         let start = Instant::now();
         let leader = self.map.leader_of(mutant.instruction);
-        let covers = |baseline: &&Baseline| !baseline.fails && baseline.executed.contains_key(&leader);
+        let covers = |baseline: &Baseline| !baseline.fails && baseline.executed.contains_key(&leader);
         let covering: Vec<usize> =
-            self.order.iter().copied().filter(|&index| self.baselines.get(index).filter(covers).is_some()).collect();
+            self.order.iter().copied().filter(|&index| self.baselines.get(index).is_some_and(covers)).collect();
         let status = if covering.is_empty() { Status::NoCoverage } else { self.play(session, mutant, &covering)? };
         let file = |&index: &usize| Some(self.config.suite.scenarios.get(index)?.0.file.clone());
         let covered_by = covering.iter().filter_map(file).collect();
