@@ -77,7 +77,7 @@ pub(crate) enum Command {
     Tune(tune::TuneArgs),
     /// Export the traces of a stored run as Parquet, MDF4, MCAP or CSV
     Export(export::ExportArgs),
-    /// Export a plate as an FMU (FMI 3.0), for Simulink, OpenModelica and others
+    /// Export a plate as an FMU (FMI 3.0) for other simulators
     ExportFmu(export_fmu::ExportFmuArgs),
     /// Write a commented scenario as a starting point
     New(new::NewArgs),
