@@ -1,7 +1,7 @@
 //! Plays a scenario with many values: sweeps and Monte Carlo, in shards that any engine may start.
 //!
 //! * [`campaign`]: the campaign file. [`distribution`]: distributions of its values. [`draw`]: trial i.
-//! * [`chain`]: trials that depend on the ones before: `search` and [`rare`]. `correlation`: correlated normals.
+//! * `chain`: trials that depend on the ones before: `search` and `rare`. `correlation`: correlated normals.
 //! * [`outcome`]: what chains found.
 //! * [`sample`]: quantiles and sensitivities. [`sequential`]: decisions before the last trial.
 //! * [`submit`]: commands of engines for many machines.

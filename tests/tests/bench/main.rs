@@ -10,6 +10,7 @@
 mod accept;
 mod authoring;
 mod campaign;
+mod campaign_chains;
 mod closed_loop;
 mod crate_layers;
 mod determinism;

@@ -10,6 +10,7 @@ mod junit;
 mod marks;
 mod not_passed_since;
 mod page;
+mod page_size;
 mod page_text;
 mod response;
 mod timing;
