@@ -37,11 +37,12 @@ impl EncodedFrame {
     pub fn new(body: &[u8]) -> Option<Self> {
         let mut bytes = [0; MAX_ENCODED];
         let end = 1 + body.len();
-        bytes.get_mut(1..end)?.copy_from_slice(body);
         let last = end + CRC_BYTES;
-        bytes.get_mut(end..last)?.copy_from_slice(&CHECKSUM.checksum(body).to_le_bytes());
-        stuff(bytes.get_mut(..last)?);
-        // The array was zeroed, so the delimiter already follows the stuffed bytes.
+        // The last byte is the delimiter, already zero.
+        let frame = bytes.get_mut(..MAX_ENCODED - 1)?.get_mut(..last)?;
+        frame.get_mut(1..end)?.copy_from_slice(body);
+        frame.get_mut(end..)?.copy_from_slice(&CHECKSUM.checksum(body).to_le_bytes());
+        stuff(frame);
         Some(Self { bytes, length: last + 1 })
     }
 

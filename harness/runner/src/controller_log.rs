@@ -102,18 +102,19 @@ impl<'a> ControllerLog<'a> {
         self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
     }
 
-    /// Sends one more sample, which must not end the state. A controller with its own clock is watched
-    /// in wall time.
+    /// Sends one more sample at rest, at the time of `last`; it must not end the state. A controller
+    /// with its own clock is watched in wall time.
     pub(crate) fn watch_after_safe<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
         own_clock: bool,
         now: Time,
+        last: Sample,
     ) {
         let period = self.scenario.controller.period;
         let mut time = now;
         let setpoint_um = self.scenario.setpoint.range().1.max(SETPOINT_AFTER_SAFE_UM) as f32;
-        let sample = Sample { time_us: 0, setpoint_um, wd_um: 0.0, wq_um: 0.0 };
+        let sample = Sample { setpoint_um, wd_um: 0.0, wq_um: 0.0, ..last };
         if session.send_sample(Duration::from_nanos(now.as_nanos()), &sample).is_err() {
             return;
         }

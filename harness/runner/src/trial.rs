@@ -348,7 +348,8 @@ impl<'a, L: Link> Trial<'a, L> {
         let now = self.plant.time();
         self.controller.record_session(self.session, now);
         if self.link_error.is_none() && self.session.request_safe_state() {
-            self.controller.watch_after_safe(self.session, self.own_clock, now);
+            let sample = self.plant.sense();
+            self.controller.watch_after_safe(self.session, self.own_clock, now, sample);
         }
         self.controller.record_safe_request(self.session, now);
         let telemetry = Telemetry {

@@ -18,7 +18,7 @@ fn a_longer_control_step_is_reported() {
     let folder = TestFolder::with_step(SETTLING);
     let run = |out: &str| folder.bench(["run", "--rig", "emulated", "--out", out]).assert_exit(0);
     let first = run("runs/first").stdout;
-    assert!(first.contains("instructions per step: 4 ") && !first.contains('↳'), "{first}");
+    assert!(first.contains("instructions per step: 3 ") && !first.contains('↳'), "{first}");
     let mut faster = folder.record("runs/first");
     faster.rig.firmware.as_mut().unwrap().build = "1a2b3c4d5e6f7081".to_owned();
     let telemetry = &mut faster.scenarios[0].trials[0].telemetry;

@@ -11,6 +11,7 @@ const ALLOWED_PROGRAMS: [&str; 16] = [
     "cyclictest",
     "echo",
     "export",
+    "genhtml",
     "git",
     "just",
     "ls",
