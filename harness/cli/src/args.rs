@@ -6,7 +6,7 @@ use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
     accept, baseline, campaign, chart, check, compare, completions, coverage, emulate, explore, export, export_fmu,
-    identify, judge, man, mutate, new, report, run, schema, stability, trust, tune,
+    identify, judge, man, mutate, new, replay, report, run, schema, stability, trust, tune,
 };
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -53,6 +53,8 @@ pub(crate) enum Command {
     Report(report::ReportArgs),
     /// Compare responses with other responses or with baselines, within a tolerance tube
     Compare(compare::CompareArgs),
+    /// Send recorded samples to another firmware and compare its commands with the recorded ones (open loop)
+    Replay(replay::ReplayArgs),
     /// Golden traces: accept, list, diff
     Baseline(baseline::BaselineArgs),
     /// Measure how well the scenarios catch faulty controllers: kill rate, false-alarm rate

@@ -32,6 +32,7 @@ mod outputs;
 mod plate_file;
 mod program;
 mod prompt;
+mod replay;
 mod report;
 mod run;
 mod run_plan;

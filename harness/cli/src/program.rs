@@ -6,7 +6,7 @@ use crate::config::{self, Config};
 use crate::exit::Exit;
 use crate::{
     accept, args, baseline, campaign, chart, check, compare, completions, coverage, emulate, explore, export,
-    export_fmu, identify, judge, logging, man, mutate, new, report, run, schema, stability, stdio, trust, tune,
+    export_fmu, identify, judge, logging, man, mutate, new, replay, report, run, schema, stability, stdio, trust, tune,
 };
 use clap::CommandFactory;
 use std::process::ExitCode;
@@ -50,6 +50,7 @@ fn dispatch(arguments: &Arguments) -> Exit {
         Command::Emulate(arguments) => emulate::emulate(arguments),
         Command::Judge(arguments) => judge::judge(arguments, detail),
         Command::Report(arguments) => report::report(arguments),
+        Command::Replay(arguments) => replay::replay(arguments),
         Command::Compare(arguments) => compare::compare(arguments),
         Command::Baseline(arguments) => baseline::baseline(arguments),
         Command::Trust(arguments) => trust::trust(arguments),

@@ -15,12 +15,13 @@ enum ColumnRole {
     Wq,
     Temperature,
     Force,
+    Setpoint,
 }
 
 /// Units with their factors to s, Vpp, rad/s, µm, K and N; the first is the default.
 type Units = &'static [(&'static str, f64)];
 /// Name, role, units, required.
-const ROLES: [(&str, ColumnRole, Units, bool); 7] = [
+const ROLES: [(&str, ColumnRole, Units, bool); 8] = [
     ("time", ColumnRole::Time, &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)], true),
     ("drive", ColumnRole::Drive, &[("Vpp", 1.0), ("V", 2.0)], true),
     ("frequency", ColumnRole::Frequency, &[("Hz", TAU), ("kHz", TAU * 1e3), ("rad/s", 1.0)], true),
@@ -28,13 +29,14 @@ const ROLES: [(&str, ColumnRole, Units, bool); 7] = [
     ("wq", ColumnRole::Wq, &[("um", 1.0), ("nm", 1e-3), ("m", 1e6)], true),
     ("temperature", ColumnRole::Temperature, &[("K", 1.0)], false),
     ("force", ColumnRole::Force, &[("N", 1.0)], false),
+    ("setpoint", ColumnRole::Setpoint, &[("um", 1.0), ("nm", 1e-3), ("m", 1e6)], false),
 ];
 
-/// `time=NAME[:UNIT],drive=…,frequency=…,wd=…,wq=…[,temperature=…][,force=…]`
+/// `time=NAME[:UNIT],drive=…,frequency=…,wd=…,wq=…[,temperature=…][,force=…][,setpoint=…]`
 ///
 /// Units: time s, ms, us · drive Vpp, V (amplitude: half of it) · frequency Hz, kHz, rad/s · wd and
-/// wq um, nm, m, peak to peak · temperature K above the reference · force N. The first is the
-/// default. Drive and frequency of a row act from its time on; Wd and Wq are sampled at it.
+/// wq um, nm, m, peak to peak · temperature K above the reference · force N · setpoint as wd.
+/// The first is the default. Drive and frequency of a row act from its time on; Wd and Wq are sampled at it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping(Vec<(ColumnRole, String, f64)>);
 
@@ -80,7 +82,31 @@ pub enum ExternalCsvError {
     Unusable(String, RecordingError),
 }
 
+/// One row of a table, in the units of the bench.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TelemetryRow {
+    /// Seconds.
+    pub t: f64,
+    pub vpp: f64,
+    /// rad/s.
+    pub omega: f64,
+    /// Wd and Wq, µm.
+    pub w: Complex64,
+    pub conditions: Conditions,
+    /// `None` without such a column.
+    pub setpoint_um: Option<f64>,
+}
+
 pub fn read(name: &str, table: impl Read, columns: &ColumnMapping) -> Result<Recording, ExternalCsvError> {
+    let rows = read_rows(name, table, columns)?;
+    let input =
+        |row: &TelemetryRow| RecordedInput { t: row.t, vpp: row.vpp, omega: row.omega, conditions: row.conditions };
+    let inputs = rows.iter().map(input).collect();
+    let outputs = rows.iter().map(|row| RecordedSample { t: row.t, w: row.w }).collect();
+    Recording::new(name.to_owned(), inputs, outputs).map_err(|error| ExternalCsvError::Unusable(name.to_owned(), error))
+}
+
+pub fn read_rows(name: &str, table: impl Read, columns: &ColumnMapping) -> Result<Vec<TelemetryRow>, ExternalCsvError> {
     let error_at = |line: u64, message: String| ExternalCsvError::Content { name: name.to_owned(), line, message };
     let csv_error = |error: csv::Error| error_at(error.position().map_or(1, csv::Position::line), error.to_string());
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(table);
@@ -95,7 +121,8 @@ pub fn read(name: &str, table: impl Read, columns: &ColumnMapping) -> Result<Rec
             *factor,
         ));
     }
-    let (mut inputs, mut outputs): (Vec<RecordedInput>, Vec<RecordedSample>) = (Vec::new(), Vec::new());
+    let has_setpoint = columns.0.iter().any(|column| column.0 == ColumnRole::Setpoint);
+    let mut rows: Vec<TelemetryRow> = Vec::new();
     let mut record = csv::StringRecord::new();
     while reader.read_record(&mut record).map_err(csv_error)? {
         let line = record.position().map_or(0, csv::Position::line);
@@ -109,7 +136,7 @@ pub fn read(name: &str, table: impl Read, columns: &ColumnMapping) -> Result<Rec
             };
             let value = value.ok_or_else(|| found("a finite number"))? * factor;
             match role {
-                ColumnRole::Time if outputs.last().is_some_and(|last| last.t >= value) => {
+                ColumnRole::Time if rows.last().is_some_and(|last| last.t >= value) => {
                     return Err(found("a time after that of the row above"));
                 }
                 ColumnRole::Drive if value < 0.0 => return Err(found("0 or more")),
@@ -117,9 +144,15 @@ pub fn read(name: &str, table: impl Read, columns: &ColumnMapping) -> Result<Rec
                 _ => values[*role as usize] = value,
             }
         }
-        let [t, vpp, omega, wd, wq, temperature_offset_k, finger_force_n] = values;
-        inputs.push(RecordedInput { t, vpp, omega, conditions: Conditions { temperature_offset_k, finger_force_n } });
-        outputs.push(RecordedSample { t, w: Complex64::new(wd, wq) });
+        let [t, vpp, omega, wd, wq, temperature_offset_k, finger_force_n, setpoint_um] = values;
+        rows.push(TelemetryRow {
+            t,
+            vpp,
+            omega,
+            w: Complex64::new(wd, wq),
+            conditions: Conditions { temperature_offset_k, finger_force_n },
+            setpoint_um: has_setpoint.then_some(setpoint_um),
+        });
     }
-    Recording::new(name.to_owned(), inputs, outputs).map_err(|error| ExternalCsvError::Unusable(name.to_owned(), error))
+    Ok(rows)
 }

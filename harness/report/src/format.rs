@@ -222,9 +222,13 @@ pub(crate) fn evidence(expectation: &ExpectationRecord) -> Option<String> {
 }
 
 pub fn exceedance(trial: u32, worst: &Exceedance) -> String {
+    format!("trial {trial}: {}", outside_tube(worst))
+}
+
+pub(crate) fn outside_tube(worst: &Exceedance) -> String {
     let unit = TubeSignal::from_name(&worst.signal).map_or("", |signal| signal.unit);
     format!(
-        "trial {trial}: {} is {} {unit} at {} ms, {} {unit} outside ± {} {unit} around {} {unit}",
+        "{} is {} {unit} at {} ms, {} {unit} outside ± {} {unit} around {} {unit}",
         worst.signal,
         number(worst.value),
         number(worst.t_ms),

@@ -9,6 +9,7 @@ pub mod events;
 pub(crate) mod history;
 pub mod junit;
 pub mod markdown;
+pub mod replay;
 pub mod scenario_list;
 mod table;
 pub mod tap;

@@ -20,6 +20,7 @@ pub mod real_plate;
 pub mod real_time;
 mod record_file;
 pub mod rejudge;
+pub mod replay;
 mod row_queue;
 pub mod run;
 mod scheduling;

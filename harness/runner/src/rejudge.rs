@@ -163,7 +163,7 @@ fn replacement_expectations(
     }
 }
 
-fn load_stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, RejudgeError> {
+pub(crate) fn load_stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, RejudgeError> {
     if stored.inputs.is_empty() {
         let message = format!("the record of {} names no inputs", stored.file);
         return Err(Diagnostic::for_file(&folder.join(platebench_record::RECORD_FILE), message).into());

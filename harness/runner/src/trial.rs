@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 
 /// A controller with its own clock gets samples at the bench's pace: its watchdog outlasts a stall
 /// of the host.
-const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
+pub(crate) const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
 /// Applies to a trial with a planned silence that should trigger the watchdog.
 const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
 /// The bench waits so much longer than the watchdog's time-out.

@@ -11,6 +11,7 @@ pub mod golden;
 mod judge;
 pub mod metrics;
 pub mod real_plate;
+pub mod replay;
 pub mod statistics;
 mod trial;
 pub mod tube;

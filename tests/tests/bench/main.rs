@@ -27,6 +27,7 @@ mod python_package;
 mod real_plate;
 mod real_time;
 mod remote_line;
+mod replay;
 mod rigs;
 mod run_selection;
 mod safe_exit;

@@ -1,0 +1,107 @@
+//! `platebench replay`: sends recorded samples to another firmware and compares its commands.
+
+use crate::exit::Exit;
+use crate::options::{OutputFormat, law_names};
+use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::stdio;
+use clap::Args;
+use platebench_identify::ColumnMapping;
+use platebench_record::Verdict;
+use platebench_report::text::replay::text;
+use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
+use platebench_runner::RunError;
+use platebench_runner::replay::{ReplayError, ReplayInput, read_recorded_trace, read_telemetry_table, replay as play};
+use platebench_verdict::replay::ReplayResult;
+use std::path::PathBuf;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench replay runs/tonight/traces/paper/fig13-closed-loop/000.csv --rig emulated
+  platebench replay runs/tonight/traces/paper/fig13-closed-loop/000.csv --rig serial:/dev/ttyUSB0@921600
+  platebench replay telemetry.csv --columns time=t:ms,drive=V,frequency=f,wd=Wd,wq=Wq,setpoint=W \\
+      --scenario scenarios/paper/fig13-closed-loop.toml --rig hosted
+
+Columns as for identify, with setpoint (um, nm, m) besides; without that column the scenario's profile counts from the
+first row.
+
+Exit codes: 0 all commands inside the tube, 1 a command outside or a rule violated, 2 invalid input, 3 not everything
+could be compared, 4 the controller does not announce the law, 5 the rig could not be reached or was lost")]
+pub(crate) struct ReplayArgs {
+    /// A trace of a run folder, or a table of telemetry
+    #[arg(value_name = "RECORDING")]
+    recording: PathBuf,
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
+    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
+    #[arg(long, default_value = "hosted")]
+    rig: RigSpec,
+    /// Control law; default: the recorded one, or the scenario's
+    #[arg(long, value_name = "NAME", value_parser = law_names())]
+    law: Option<String>,
+    /// Configures the controller as this scenario says; default: the scenario of the run folder
+    #[arg(long, value_name = "FILE")]
+    scenario: Option<PathBuf>,
+    /// Read the recording as a foreign table with these columns; needs --scenario
+    #[arg(long, value_name = "COLUMNS", requires = "scenario")]
+    columns: Option<ColumnMapping>,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+pub(crate) fn replay(arguments: &ReplayArgs) -> Exit {
+    if let Err(error) = arguments.rig.check() {
+        return stdio::reject(&error);
+    }
+    let input = match read_input(arguments) {
+        Ok(input) => input.with_law(arguments.law.as_deref()),
+        Err(error) => return report_error(&error),
+    };
+    let cancel = CancelToken::default();
+    let (rig, work_cancel) = (arguments.rig.clone(), cancel.clone());
+    let work = move |_: &mut EventSender<_, ()>| {
+        let options = ConnectOptions { cancel: work_cancel.clone(), ..ConnectOptions::default() };
+        play(&input, &rig.to_string(), rig.has_own_clock(), &|| rig.connect_with(&options), &work_cancel)
+    };
+    match run_until_signal(&cancel, None, work, |()| {}) {
+        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => Exit::Signal(signal),
+        Ok(WorkResult::Finished(Ok(result), None)) => {
+            match arguments.format {
+                OutputFormat::Human => stdio::show(&text(&result)),
+                OutputFormat::Json => stdio::show_json(&result),
+            }
+            exit_of(&result)
+        }
+        Ok(WorkResult::Finished(Err(error), None)) => report_error(&error),
+        Err(error) => {
+            stdio::error(&error.to_string());
+            Exit::Inconclusive
+        }
+    }
+}
+
+fn read_input(arguments: &ReplayArgs) -> Result<ReplayInput, ReplayError> {
+    match (&arguments.columns, &arguments.scenario) {
+        (Some(columns), Some(scenario)) => read_telemetry_table(&arguments.recording, columns, scenario),
+        (_, scenario) => read_recorded_trace(&arguments.recording, scenario.as_deref()),
+    }
+}
+
+fn exit_of(result: &ReplayResult) -> Exit {
+    let is_unsafe = result.verdict == Verdict::Inconclusive && !result.safe_confirmed;
+    if result.rig_lost || is_unsafe { Exit::Unreachable } else { Exit::of_verdict(result.verdict) }
+}
+
+fn report_error(error: &ReplayError) -> Exit {
+    match error {
+        ReplayError::Scenario(diagnostic) => return stdio::reject_file(diagnostic),
+        ReplayError::Stored(error) => return stdio::reject_stored_run(error),
+        ReplayError::Run(RunError::Scenario(diagnostic)) => return stdio::reject_file(diagnostic),
+        error => stdio::error(&error.to_string()),
+    }
+    match error {
+        ReplayError::Run(error) => Exit::of_error(error),
+        ReplayError::NotApplicable(_) => Exit::NothingToRun,
+        _ => Exit::Invalid,
+    }
+}

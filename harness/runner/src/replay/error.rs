@@ -1,0 +1,52 @@
+//! Defines why a recording cannot be replayed.
+
+use crate::plan::RunError;
+use crate::rejudge::RejudgeError;
+use platebench_identify::ExternalCsvError;
+use platebench_record::RecordError;
+use platebench_scenario::Diagnostic;
+use platebench_trace::TraceError;
+use std::io;
+use std::path::PathBuf;
+
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    #[error("{0}")]
+    Scenario(Box<Diagnostic>),
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    #[error(transparent)]
+    Stored(#[from] RejudgeError),
+    #[error(transparent)]
+    Trace(#[from] TraceError),
+    #[error(transparent)]
+    Telemetry(#[from] ExternalCsvError),
+    #[error("{}: {source}", path.display())]
+    Io { path: PathBuf, source: io::Error },
+    #[error("{}: expected a trace, such as RUN/traces/SCENARIO/000.csv; this is a folder", .0.display())]
+    Folder(PathBuf),
+    #[error(
+        "{}: no run folder around this trace names it, expected --scenario FILE with law and configuration",
+        .0.display()
+    )]
+    NoRun(PathBuf),
+    #[error("{}: the recording contains no sample that can be replayed", .0.display())]
+    NoSample(PathBuf),
+    #[error(
+        "{}: the first samples are {found_ms:.3} ms apart, expected the period of the controller, {expected_ms:.3} ms",
+        path.display()
+    )]
+    OtherPeriod { path: PathBuf, found_ms: f64, expected_ms: f64 },
+    #[error("{}: column setpoint is missing and the scenario's profile ends at {duration_s} s, before {at_s} s", path.display())]
+    NoSetpoint { path: PathBuf, duration_s: f64, at_s: f64 },
+    #[error("not applicable: {0}")]
+    NotApplicable(String),
+    #[error(transparent)]
+    Run(#[from] RunError),
+}
+
+impl From<Diagnostic> for ReplayError {
+    fn from(diagnostic: Diagnostic) -> Self {
+        Self::Scenario(Box::new(diagnostic))
+    }
+}

@@ -1,0 +1,22 @@
+//! Defines what is replayed.
+
+use platebench_scenario::Scenario;
+use platebench_verdict::replay::Recording;
+
+/// A recording, and the scenario that configures the controller for it.
+#[derive(Debug)]
+pub struct ReplayInput {
+    pub recording: Recording,
+    pub scenario: Scenario,
+}
+
+impl ReplayInput {
+    /// Replaces the recorded law.
+    #[must_use]
+    pub fn with_law(mut self, law: Option<&str>) -> Self {
+        if let Some(name) = law {
+            name.clone_into(&mut self.scenario.controller.law);
+        }
+        self
+    }
+}
