@@ -35,6 +35,7 @@ mod scenarios;
 mod schemas;
 mod serial_line;
 mod signals;
+mod starter_c;
 mod stored_runs;
 mod test_folder;
 mod trend;

@@ -15,6 +15,7 @@ const ALLOWED_PROGRAMS: [&str; 17] = [
     "git",
     "just",
     "ls",
+    "make",
     "mkdir",
     "openssl",
     "pip",
