@@ -25,12 +25,8 @@ fn has_cross_compiler() -> bool {
 }
 
 fn build_starter(folder: &Path) -> PathBuf {
-    let output = Command::new("make")
-        .arg("-C")
-        .arg(starter())
-        .arg(format!("BUILD={}", folder.display()))
-        .output()
-        .unwrap();
+    let output =
+        Command::new("make").arg("-C").arg(starter()).arg(format!("BUILD={}", folder.display())).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     folder.join("starter.elf")
 }
@@ -47,8 +43,12 @@ fn the_c_starter_passes_the_default_suite() {
     run_bench(&workspace_root(), arguments).assert_exit(0);
     let record = RunRecord::read(&out).unwrap();
     assert_eq!(record.verdict, Verdict::Pass);
-    let played = |name: &str| record.scenarios.iter().any(|scenario| scenario.name == name);
-    assert!(played("paper/fig13-closed-loop.toml") && played("faults/five-periods-of-silence.toml"), "{:?}", record.verdict);
+    let played = |name: &str| record.scenarios.iter().any(|scenario| scenario.file == name);
+    assert!(
+        played("paper/fig13-closed-loop.toml") && played("faults/five-periods-of-silence.toml"),
+        "{:?}",
+        record.verdict
+    );
 }
 
 /// Runs `tests/wire.c` with the streams as input. Returns its lines: vectors, then one per stream.
@@ -94,8 +94,8 @@ fn documented_vectors() -> Vec<(String, Vec<u8>)> {
 /// As `tests/wire.c` prints it, from the bench's own decoder.
 fn expected_line(stream: &[u8]) -> String {
     let (mut reader, mut line) = (FrameReader::new(), String::new());
-    let mut rest = stream;
-    while let Some(frame) = reader.read(&mut rest) {
+    for &byte in stream {
+        let Some(frame) = reader.push(byte) else { continue };
         match frame.ok().and_then(|body| Some((body[0] & 0x0f, Packet::decode(body).ok()?))) {
             Some((kind, packet)) => write!(line, " [{kind} {}{}]", packet.sequence, values(&packet.message)).unwrap(),
             None => line.push_str(" rejected"),
@@ -116,13 +116,10 @@ fn values(message: &Message) -> String {
 }
 
 fn configure_words(configure: &Configure) -> Vec<u32> {
-    let gains = configure.gains.unwrap_or(Gains::NONE);
-    let bits = [
-        configure.gains.is_some(),
-        configure.paced_by_target,
-        configure.loop_delay_us > 0,
-        configure.drives_own_plate,
-    ];
+    let none = Gains { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
+    let gains = configure.gains.unwrap_or(none);
+    let bits =
+        [configure.gains.is_some(), configure.paced_by_target, configure.loop_delay_us > 0, configure.drives_own_plate];
     let bits = bits.iter().enumerate().map(|(bit, &is_set)| u32::from(is_set) << bit).sum();
     let floats = [
         configure.gain_um_per_vpp,

@@ -4,7 +4,7 @@ use crate::page::workspace_root;
 use std::fs;
 use std::path::Path;
 
-const ALLOWED_PROGRAMS: [&str; 17] = [
+const ALLOWED_PROGRAMS: [&str; 18] = [
     "cd",
     "chmod",
     "cp",
