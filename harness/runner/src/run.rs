@@ -11,7 +11,7 @@ use crate::worker::{
 use platebench_record::{Event, Firmware, FolderError, Host, InputRecord, KeepTraces, RigRecord, RunFolder, RunRecord};
 use platebench_record::{NotApplicable, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex};
 use platebench_rig::FaultInjector;
-use platebench_scenario::Scenario;
+use platebench_scenario::{Metric, Scenario};
 use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge, judge_sequentially};
 use platebench_wire::{Identity, LawId, capabilities};
 use std::cmp::Reverse;
@@ -110,7 +110,7 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
     Ok(())
 }
 
-/// Splits off the scenarios that need what `identity` does not announce.
+/// Splits off the scenarios that need what the clock does not allow or `identity` does not announce.
 fn select_applicable(
     plan: &RunPlan,
     laws: Vec<LawId>,
@@ -120,7 +120,9 @@ fn select_applicable(
     let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
     for (scenario, law) in plan.scenarios.iter().zip(laws) {
         let mut between = scenario.between.iter().filter_map(|scene| Some((scene, configure::law(scene).ok()?)));
-        let missing = configure::missing_capability(scenario, law, identity)
+        let missing = (scenario.expects(Metric::ReferenceDifference) && !matches!(plan.clock, Clock::Lockstep { .. }))
+            .then(|| "the comparison with the reference needs the clock lockstep".to_owned())
+            .or_else(|| configure::missing_capability(scenario, law, identity))
             .or_else(|| between.find_map(|(scene, law)| configure::missing_capability(scene, law, identity)));
         match missing {
             None => {

@@ -16,6 +16,7 @@ pub fn catalogue() -> Vec<MutantSpec> {
         interface::blind_spot_mutants(),
         interface::counter_mutants(),
         interface::violating_mutants(),
+        interface::configuration_mutants(),
     ]
     .concat()
 }

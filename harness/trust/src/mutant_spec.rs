@@ -32,7 +32,8 @@ impl ReferenceController {
 pub struct MutantSpec {
     pub name: &'static str,
     pub description: &'static str,
-    /// Metrics that should detect it; a failure of another metric is the wrong reason.
+    /// Metrics that should detect it, besides the difference from the reference; a failure of
+    /// another metric is the wrong reason.
     pub detecting_metrics: &'static [Metric],
     pub detecting_violations: &'static [ViolationKind],
     /// Detects it by one of these metrics or violations.
@@ -66,6 +67,7 @@ pub(crate) const DYNAMICS: &[Metric] =
     &[Metric::SettlingTime, Metric::Overshoot, Metric::RecoveryTime, Metric::PeakDeviation, Metric::DrivePeak];
 pub(crate) const DISTURBANCE: &[Metric] = &[Metric::PeakDeviation, Metric::RecoveryTime];
 pub(crate) const RESONANCE: &[Metric] = &[Metric::FrequencyError, Metric::QuadratureRatio];
+pub(crate) const REFERENCE: &[Metric] = &[Metric::ReferenceDifference];
 pub(crate) const SHUTDOWN: &[Metric] = &[Metric::ShutdownTime];
 pub(crate) const RESPONSE: &[Metric] =
     &[Metric::Overshoot, Metric::SettlingTime, Metric::StaticError, Metric::MissedReplies];

@@ -126,6 +126,16 @@ fn a_law_that_the_controller_lacks_is_not_applicable(#[case] options: &[&str], #
     folder.bench(["run", "--out", "run", "--rig", &rig].iter().chain(options)).assert_exit(expected);
 }
 
+const REFERENCE: &str = "metric = \"reference_difference_percent\"\nat_most = 1.0\n";
+
+#[rstest]
+#[case("lockstep", 0)]
+#[case("real-time", 4)]
+fn comparison_with_the_reference_needs_lockstep(#[case] clock: &str, #[case] expected: i32) {
+    let folder = TestFolder::with_step(REFERENCE);
+    folder.bench(["run", "--out", "run", "--rig", "hosted", "--clock", clock]).assert_exit(expected);
+}
+
 #[test]
 fn a_run_folder_is_not_overwritten() {
     let folder = TestFolder::with_step(SETTLING);

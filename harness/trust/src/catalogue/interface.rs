@@ -1,7 +1,8 @@
 //! Mutants of protocol and limits, and mutants that show only in special scenarios.
 
 use crate::mutant_spec::{
-    AMPLITUDE, DYNAMICS, FIG13, MutantSpec, NOISE_STORM, RESPONSE, ReferenceController, SHUTDOWN, SILENCE, mutant,
+    AMPLITUDE, DYNAMICS, FIG13, MutantSpec, NOISE_STORM, REFERENCE, RESPONSE, ReferenceController, SHUTDOWN, SILENCE,
+    mutant,
 };
 use crate::mutants::line::{NoBadFrameCount, NoChecksumCheck, NoSequenceCheck, RestartAfterStop};
 use crate::mutants::plate_changes::{AlternatingDrive, PressLatch, RisingDampingOnly};
@@ -185,5 +186,46 @@ pub(super) fn violating_mutants() -> Vec<MutantSpec> {
         mutant("gains-not-finite", "reports gains that are NaN", &[ViolationKind::WrongConfiguration], FIG13, || {
             Box::new(OnConfigured(|gains| gains.amplitude_ki = f32::NAN))
         }),
+    ]
+}
+
+pub(super) fn configuration_mutants() -> Vec<MutantSpec> {
+    vec![
+        mutant(
+            "response-time-ignored",
+            "configured response time ignored",
+            REFERENCE,
+            "reference/response-8ms.toml",
+            || Box::new(OnConfigure(|configure| configure.response_time_s = 0.0)),
+        ),
+        mutant("start-in-whole-hz", "start frequency in whole Hz", REFERENCE, "reference/limits.toml", || {
+            Box::new(OnConfigure(|configure| configure.start_frequency_mhz -= configure.start_frequency_mhz % 1_000))
+        }),
+        mutant("range-in-whole-hz", "frequency range and slew in whole Hz", REFERENCE, "reference/limits.toml", || {
+            Box::new(OnConfigure(|configure| {
+                configure.frequency_range_hz = configure.frequency_range_hz.trunc();
+                configure.frequency_slew_hz = configure.frequency_slew_hz.trunc();
+            }))
+        }),
+        mutant(
+            "limit-of-1000-vpp",
+            "drive limits above 1000 Vpp taken as 1000 Vpp",
+            REFERENCE,
+            "reference/high-limit.toml",
+            || Box::new(OnConfigure(|configure| configure.drive_limit_vpp = configure.drive_limit_vpp.min(1e3))),
+        ),
+        mutant(
+            "infinite-sample-ignored",
+            "sample that is not finite taken as 0",
+            REFERENCE,
+            "reference/stops.toml",
+            || {
+                Box::new(SampleMutation(|sample| {
+                    if !sample.wd_um.is_finite() {
+                        sample.wd_um = 0.0;
+                    }
+                }))
+            },
+        ),
     ]
 }
