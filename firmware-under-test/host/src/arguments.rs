@@ -1,6 +1,6 @@
 //! Parses the command line.
 
-pub(crate) const USAGE: &str = "usage: platebench-host-controller PORT [--baud N] [--log FILE]";
+pub(crate) const USAGE: &str = "usage: platebench-host-controller PORT [--baud N] [--log FILE] [--unique HEX]";
 
 const DEFAULT_BAUD: u32 = 1_000_000;
 
@@ -9,6 +9,8 @@ pub(crate) struct Arguments {
     pub(crate) port: String,
     pub(crate) baud: u32,
     pub(crate) log: Option<String>,
+    /// Number that a chip would report.
+    pub(crate) unique: [u8; 12],
 }
 
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
@@ -21,13 +23,15 @@ pub(crate) enum UsageError {
     Unknown(String),
     #[error("`{0}` needs a value")]
     NoValue(String),
+    #[error("invalid number `{0}`, expected 24 hexadecimal digits")]
+    Unique(String),
     #[error("invalid baud rate `{0}`, expected a positive integer")]
     Baud(String),
 }
 
 impl Arguments {
     pub(crate) fn parse(mut words: impl Iterator<Item = String>) -> Result<Option<Self>, UsageError> {
-        let (mut port, mut baud, mut log) = (None, DEFAULT_BAUD, None);
+        let (mut port, mut baud, mut log, mut unique) = (None, DEFAULT_BAUD, None, [0; 12]);
         while let Some(word) = words.next() {
             let mut value = || words.next().ok_or_else(|| UsageError::NoValue(word.clone()));
             match word.as_str() {
@@ -38,13 +42,28 @@ impl Arguments {
                     baud = number.ok_or(UsageError::Baud(text))?;
                 }
                 "--log" => log = Some(value()?),
+                "--unique" => {
+                    let text = value()?;
+                    unique = parse_unique(&text).ok_or(UsageError::Unique(text))?;
+                }
                 option if option.starts_with('-') => return Err(UsageError::Unknown(word)),
                 _ if port.is_some() => return Err(UsageError::SecondPort(word)),
                 _ => port = Some(word),
             }
         }
-        Ok(Some(Self { port: port.ok_or(UsageError::NoPort)?, baud, log }))
+        Ok(Some(Self { port: port.ok_or(UsageError::NoPort)?, baud, log, unique }))
     }
+}
+
+fn parse_unique(text: &str) -> Option<[u8; 12]> {
+    let mut unique = [0; 12];
+    if text.len() != 2 * unique.len() {
+        return None;
+    }
+    for (index, byte) in unique.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(text.get(2 * index..2 * index + 2)?, 16).ok()?;
+    }
+    Some(unique)
 }
 
 #[cfg(test)]
@@ -57,10 +76,11 @@ mod tests {
 
     #[test]
     fn port_and_options_may_have_any_order() {
-        let plain = Arguments { port: "/dev/pts/3".to_owned(), baud: 1_000_000, log: None };
+        let plain = Arguments { port: "/dev/pts/3".to_owned(), baud: 1_000_000, log: None, unique: [0; 12] };
         assert_eq!(parse(&["/dev/pts/3"]), Ok(Some(plain)));
-        let whole = Arguments { port: "p".to_owned(), baud: 9_600, log: Some("l".to_owned()) };
-        assert_eq!(parse(&["--log", "l", "p", "--baud", "9600"]), Ok(Some(whole)));
+        let whole = Arguments { port: "p".to_owned(), baud: 9_600, log: Some("l".to_owned()), unique: [0xab; 12] };
+        let unique = "ab".repeat(12);
+        assert_eq!(parse(&["--log", "l", "p", "--baud", "9600", "--unique", &unique]), Ok(Some(whole)));
         assert_eq!(parse(&["p", "--help"]), Ok(None));
     }
 
@@ -70,6 +90,7 @@ mod tests {
         assert_eq!(parse(&["a", "b"]), Err(UsageError::SecondPort("b".to_owned())));
         assert_eq!(parse(&["a", "-x"]), Err(UsageError::Unknown("-x".to_owned())));
         assert_eq!(parse(&["a", "--log"]), Err(UsageError::NoValue("--log".to_owned())));
+        assert_eq!(parse(&["a", "--unique", "ab"]), Err(UsageError::Unique("ab".to_owned())));
         for baud in ["0", "-1", "fast"] {
             assert_eq!(parse(&["a", "--baud", baud]), Err(UsageError::Baud(baud.to_owned())));
         }

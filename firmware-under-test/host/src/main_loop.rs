@@ -13,7 +13,7 @@ const SOURCE_HASH: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/source_
 const IDLE_WAIT: Duration = Duration::from_millis(50);
 const MIN_WAIT: Duration = Duration::from_micros(20);
 
-fn identity() -> Identity {
+fn identity(unique: [u8; 12]) -> Identity {
     let number = |text: &str| text.parse().unwrap_or_default();
     let mut build = [0; 8];
     build.copy_from_slice(SOURCE_HASH.first_chunk::<8>().unwrap_or(&[0; 8]));
@@ -27,7 +27,7 @@ fn identity() -> Identity {
         laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
         build,
         chip: 0,
-        unique: [0; 12],
+        unique,
         name: *b"platebench-host\0",
     }
 }
@@ -44,7 +44,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), HostError> {
     let port = Port::open(arguments)?;
     let mut log = StateLog::open(arguments.log.as_deref())?;
     let clock = ControllerClock(Instant::now());
-    let mut device = Device::new(identity());
+    let mut device = Device::new(identity(arguments.unique));
     let mut buffer = [0; 1024];
     let mut hung_up = false;
     log.write_change(clock.now_us(), device.output())?;

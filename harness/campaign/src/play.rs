@@ -15,7 +15,8 @@ use platebench_verdict::measure;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::thread;
 
@@ -30,6 +31,8 @@ pub struct PlayConfig {
     /// Number of workers, each with its own controller.
     pub jobs: usize,
     pub cancel: CancelToken,
+    /// Set if a controller did not confirm 0 V.
+    pub unconfirmed: Arc<AtomicBool>,
 }
 
 /// A trial was played.
@@ -148,9 +151,7 @@ impl Worker<'_> {
                 break;
             }
         }
-        if let Some(session) = self.session.take() {
-            session.close();
-        }
+        self.close_session();
     }
 
     /// False if it was cancelled, or an error was sent.
@@ -178,6 +179,11 @@ impl Worker<'_> {
         number == trials.end
     }
 
+    fn close_session(&mut self) {
+        let Some(session) = self.session.take() else { return };
+        self.config.unconfirmed.fetch_or(!session.close(), Ordering::Relaxed);
+    }
+
     /// `None` if it was cancelled.
     fn play(&mut self, trial: &Trial) -> Result<Option<Row>, CampaignError> {
         let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
@@ -190,9 +196,7 @@ impl Worker<'_> {
         match played.link_error {
             Some(rejected @ RigError::ConfigurationRejected(_)) => return Err(rejected.into()),
             Some(_) => {
-                if let Some(lost) = self.session.take() {
-                    lost.close();
-                }
+                self.close_session();
                 self.losses += 1;
                 if self.losses >= MAX_LOSSES {
                     return Err(CampaignError::Lost(self.losses));

@@ -2,6 +2,7 @@
 
 mod progress;
 
+use crate::board_args::{BoardArgs, release};
 use crate::clock::{ClockRequest, check_line_speed};
 use crate::exit::Exit;
 use crate::live::SessionView;
@@ -14,6 +15,7 @@ use platebench_acceptance::{
     AcceptError, Plan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionRecord, Signer,
     conduct, page, verify,
 };
+use platebench_boards::RunEnd;
 use platebench_report::ProgressKind;
 use platebench_rig::RigSpec;
 use platebench_runner::{CancelToken, RunError};
@@ -59,8 +61,10 @@ enum AcceptAction {
 #[derive(Debug, Args)]
 struct SessionArgs {
     /// Rig of the controller, as for `platebench run`
-    #[arg(long, required = true)]
+    #[arg(long, conflicts_with = "board")]
     rig: Option<RigSpec>,
+    #[command(flatten)]
+    board: BoardArgs,
     /// Plan with requirements, scenarios and questions
     #[arg(long, value_name = "FILE", default_value = "scenarios/plans/acceptance.toml")]
     plan: PathBuf,
@@ -111,6 +115,11 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> Exit {
         Ok(config) => config,
         Err(exit) => return exit,
     };
+    let reservation = match arguments.board.reserve("accept") {
+        Ok(reservation) => reservation,
+        Err(exit) => return exit,
+    };
+    let started = reservation.as_ref().map(|board| board.started().to_owned()).unwrap_or_default();
     let folder = config.out.clone();
     let cancel = CancelToken::default();
     let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };
@@ -129,6 +138,15 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> Exit {
         Ok(WorkResult::Abandoned(signal)) => (Err(AcceptError::Cancelled), Some(signal)),
         Err(error) => (Err(AcceptError::Run(RunError::Internal(error.to_string()))), None),
     };
+    let mut end = RunEnd::of_runs_below(&folder, &started);
+    if let Err(AcceptError::Run(RunError::DifferentController { .. })) = &result {
+        end.quarantine = result.as_ref().err().map(ToString::to_string);
+    }
+    let exit = report_end(result, signal, &folder);
+    release(reservation, end, exit)
+}
+
+fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, folder: &Path) -> Exit {
     match result {
         Ok(record) => {
             print_session(&record);
@@ -159,7 +177,9 @@ fn is_resumable(error: &AcceptError) -> bool {
 
 /// Returns exit code 2 and reports the fault.
 fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Exit> {
-    let Some(rig) = arguments.rig.clone() else { return Err(stdio::reject(&"--rig is missing")) };
+    let Some(rig) = arguments.board.find_rig()?.or_else(|| arguments.rig.clone()) else {
+        return Err(stdio::reject(&"--rig is missing, expected --rig RIG or --board NAME"));
+    };
     rig.check().map_err(|error| stdio::reject(&error))?;
     let request = ClockRequest {
         rig: &rig,

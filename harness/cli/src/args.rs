@@ -5,8 +5,8 @@ use crate::color;
 use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
-    accept, baseline, campaign, chart, check, compare, completions, coverage, emulate, explore, export, export_fmu,
-    identify, judge, man, mutate, new, replay, report, run, schema, stability, trust, tune,
+    accept, baseline, boards, campaign, chart, check, compare, completions, coverage, emulate, explore, export,
+    export_fmu, identify, judge, man, merge, mutate, new, replay, report, run, schema, stability, trust, tune,
 };
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -61,10 +61,14 @@ pub(crate) enum Command {
     Trust(trust::TrustArgs),
     /// Generate scenes from an operating envelope, check properties and reduce what fails to a minimal scenario
     Explore(explore::ExploreArgs),
+    /// Join the runs of shards and boards into one run folder
+    Merge(merge::MergeArgs),
     /// Show which lines of the firmware the scenarios execute (emulated rig)
     Coverage(coverage::CoverageArgs),
     /// Change the firmware's machine code and check whether the scenarios notice (emulated rig)
     Mutate(mutate::MutateArgs),
+    /// List the boards of a lab, or end the quarantine of one
+    Boards(boards::BoardsArgs),
     /// Play a scenario with many values: sweeps and Monte Carlo, on one machine or many
     Campaign(campaign::CampaignArgs),
     /// Show where methods and loops become unstable: predicted and measured limits, margins, maps

@@ -1,10 +1,12 @@
 //! `platebench campaign`: sweeps and Monte Carlo in shards, on one machine or many.
 
+use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
 use crate::options::{OutputFormat, job_count};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
 use clap::{Args, Subcommand, ValueEnum};
+use platebench_boards::RunEnd;
 use platebench_campaign::submit::{Engine, command_line, submission};
 use platebench_campaign::{
     Campaign, CampaignError, Plan, PlayConfig, Summary, TrialEvent, merge, play_shard, shards_of_run, status,
@@ -13,6 +15,7 @@ use platebench_rig::{CancelToken, RigError, RigSpec};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Between two lines of progress.
@@ -64,8 +67,10 @@ struct RunArgs {
     jobs: Option<u16>,
     /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
     /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP
-    #[arg(long, default_value = "hosted")]
+    #[arg(long, default_value = "hosted", conflicts_with = "board")]
     rig: RigSpec,
+    #[command(flatten)]
+    board: BoardArgs,
     /// Format of standard output
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
     format: OutputFormat,
@@ -98,8 +103,10 @@ struct PlayArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// Rig with the planned firmware; default: the rig of the plan
-    #[arg(long)]
+    #[arg(long, conflicts_with = "board")]
     rig: Option<RigSpec>,
+    #[command(flatten)]
+    board: BoardArgs,
 }
 
 #[derive(Debug, Args)]
@@ -166,12 +173,16 @@ fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Resul
 
 fn run(arguments: &RunArgs, quiet: bool) -> Result<Exit, CampaignError> {
     let campaign = Arc::new(load(&arguments.file)?);
+    let rig = match arguments.board.find_rig() {
+        Ok(rig) => rig.unwrap_or_else(|| arguments.rig.clone()),
+        Err(exit) => return Ok(exit),
+    };
     let planned = Plan::exists(&arguments.out).then(|| Plan::read(&arguments.out)).transpose()?;
     let shards = planned.map_or_else(|| shards_of_run(&campaign), |plan| plan.shards);
-    let plan = plan(&campaign, &arguments.out, &arguments.rig, shards)?;
+    let plan = plan(&campaign, &arguments.out, &rig, shards)?;
     let shards = (1..=plan.shards).collect();
     let context = (plan.clone(), Arc::clone(&campaign));
-    if let Some(exit) = play(&arguments.out, context, shards, &arguments.rig, arguments.jobs, quiet)? {
+    if let Some(exit) = play_on_board(&arguments.board, &arguments.out, context, shards, &rig, arguments.jobs, quiet)? {
         return Ok(exit);
     }
     let summary = merge(&arguments.out, &plan, &campaign)?;
@@ -181,10 +192,21 @@ fn run(arguments: &RunArgs, quiet: bool) -> Result<Exit, CampaignError> {
 fn play_one(arguments: &PlayArgs, quiet: bool) -> Result<Exit, CampaignError> {
     let (plan, campaign) = Plan::open(&arguments.folder)?;
     let planned = || plan.rig.parse().map_err(|_| CampaignError::NoPlan(arguments.folder.clone()));
-    let rig = arguments.rig.clone().map_or_else(planned, Ok)?;
+    let rig = match arguments.board.find_rig() {
+        Ok(rig) => rig.or_else(|| arguments.rig.clone()).map_or_else(planned, Ok)?,
+        Err(exit) => return Ok(exit),
+    };
     plan.check_bench(&rig)?;
     let context = (plan, Arc::new(campaign));
-    let played = play(&arguments.folder, context, vec![arguments.shard], &rig, arguments.jobs, quiet)?;
+    let played = play_on_board(
+        &arguments.board,
+        &arguments.folder,
+        context,
+        vec![arguments.shard],
+        &rig,
+        arguments.jobs,
+        quiet,
+    )?;
     Ok(played.unwrap_or(Exit::Passed))
 }
 
@@ -229,6 +251,31 @@ enum PlayEvent {
     Skipped(u64),
 }
 
+/// As [`play`], with the board reserved.
+fn play_on_board(
+    board: &BoardArgs,
+    folder: &Path,
+    context: (Plan, Arc<Campaign>),
+    shards: Vec<u32>,
+    rig: &RigSpec,
+    jobs: Option<u16>,
+    quiet: bool,
+) -> Result<Option<Exit>, CampaignError> {
+    let reservation = match board.reserve("campaign") {
+        Ok(reservation) => reservation,
+        Err(exit) => return Ok(Some(exit)),
+    };
+    let unconfirmed = Arc::new(AtomicBool::new(false));
+    let played = play(folder, context, shards, rig, jobs, quiet, &unconfirmed);
+    let end = if unconfirmed.load(Ordering::Relaxed) || matches!(played, Err(CampaignError::Lost(_))) {
+        RunEnd::unconfirmed()
+    } else {
+        RunEnd::untouched()
+    };
+    let released = release(reservation, end, Exit::Passed);
+    if released == Exit::Passed { played } else { Ok(Some(released)) }
+}
+
 /// `Some` if a signal ended it.
 fn play(
     folder: &Path,
@@ -237,11 +284,12 @@ fn play(
     rig: &RigSpec,
     jobs: Option<u16>,
     quiet: bool,
+    unconfirmed: &Arc<AtomicBool>,
 ) -> Result<Option<Exit>, CampaignError> {
     let total: u64 = shards.iter().map(|shard| plan.trials_of(*shard)).map(|trials| trials.end - trials.start).sum();
     let cancel = CancelToken::default();
     let jobs = if rig.allows_parallel_links() { job_count(jobs) } else { 1 };
-    let config = PlayConfig { rig: rig.clone(), jobs, cancel: cancel.clone() };
+    let config = PlayConfig { rig: rig.clone(), jobs, cancel: cancel.clone(), unconfirmed: Arc::clone(unconfirmed) };
     let folder = folder.to_owned();
     let work = move |events: &mut EventSender<_, PlayEvent>| {
         shards.into_iter().try_for_each(|shard| {

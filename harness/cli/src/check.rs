@@ -7,6 +7,7 @@ use crate::stdio;
 use crate::tags::TagFilter;
 use clap::{Args, Command};
 use platebench_acceptance::Plan;
+use platebench_boards::Inventory;
 use platebench_campaign::Campaign;
 use platebench_explore::Envelope;
 use platebench_runner::law;
@@ -69,6 +70,7 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
         FileKind::Plan => Plan::load(path).err().unwrap_or_default(),
         FileKind::Envelope => Envelope::load(path).err().unwrap_or_default(),
         FileKind::Campaign => Campaign::load(path).err().unwrap_or_default(),
+        FileKind::Boards => Inventory::read(path).err().unwrap_or_default(),
         FileKind::Config => Config::read(path, definition).err().unwrap_or_default(),
     }
 }

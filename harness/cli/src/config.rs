@@ -4,7 +4,7 @@
 //! the `env` of its option, its value in the file the default.
 
 use clap::Command;
-use platebench_scenario::{Diagnostic, input, parse};
+use platebench_scenario::{Diagnostic, find_file_above, input, parse};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -124,12 +124,7 @@ pub(crate) struct Config {
 impl Config {
     /// Searches from `folder`, the working directory, upwards.
     pub(crate) fn find_above(folder: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
-        match folder.ancestors().map(|ancestor| ancestor.join(FILE)).find(|path| path.symlink_metadata().is_ok()) {
-            // Paths in a file of the working directory stay relative.
-            Some(path) if path.parent() == Some(folder) => Self::read(Path::new(FILE), definition),
-            Some(path) => Self::read(&path, definition),
-            None => Ok(Self::default()),
-        }
+        find_file_above(folder, FILE).map_or_else(|| Ok(Self::default()), |path| Self::read(&path, definition))
     }
 
     /// `definition` checks the values. Errors: every fault of the file.

@@ -1,11 +1,13 @@
 //! `platebench emulate`: emulates the plate alone, in real time, for another controller.
 
+use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
 use crate::options::{PacingArg, law_names};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::{live, stdio};
 use clap::Args;
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
+use platebench_boards::RunEnd;
 use platebench_live::{INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys};
 use platebench_plate::Time;
 use platebench_rig::{BoxedLink, FaultInjector, PtyLink, RigSpec, Session};
@@ -18,6 +20,7 @@ use platebench_wire::LawId;
 use std::io::{IsTerminal, stdin, stdout};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -28,8 +31,10 @@ Examples:
   platebench emulate --port /dev/ttyUSB0@921600 --scenario scenarios/paper/force-ramp.toml")]
 pub(crate) struct EmulateArgs {
     /// Port of the controller: PORT[@BAUD], or pty for a new pseudo-terminal
-    #[arg(long, value_name = "PORT")]
-    port: String,
+    #[arg(long, value_name = "PORT", required_unless_present = "board", conflicts_with = "board")]
+    port: Option<String>,
+    #[command(flatten)]
+    board: BoardArgs,
     /// Plate, controller and profile; the last values hold after its end
     #[arg(long, value_name = "FILE", default_value = "scenarios/paper/fig13-closed-loop.toml")]
     scenario: PathBuf,
@@ -72,7 +77,13 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
     let Some(law) = LawId::from_name(name) else {
         return stdio::reject(&format!("unknown law `{name}`"));
     };
-    let port = match ControllerPort::parse(&arguments.port) {
+    let named = match arguments.board.find_rig() {
+        Ok(Some(rig @ RigSpec::Serial { .. })) => rig.to_string(),
+        Ok(Some(rig)) => return stdio::reject(&format!("the board has the rig {rig}, expected serial:PORT[@BAUD]")),
+        Ok(None) => arguments.port.clone().unwrap_or_default(),
+        Err(exit) => return exit,
+    };
+    let port = match ControllerPort::parse(&named) {
         Ok(port) => port,
         Err(error) => return stdio::reject(&error),
     };
@@ -91,7 +102,7 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
     }
     let description = RunDescription {
         command: "emulate",
-        rig: arguments.port.clone(),
+        rig: named,
         lockstep: false,
         jobs: 1,
         key_help: LIVE_KEYS,
@@ -99,7 +110,19 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
     };
     let (view, live_tap) = if arguments.live { live::open_view(description) } else { Default::default() };
     let view_sender = view.as_ref().map(LiveView::sender);
-    let plate = PlateServer { scenario: without_end(scenario), law, time_base, view_sender, live_tap };
+    let reservation = match arguments.board.reserve("emulate") {
+        Ok(reservation) => reservation,
+        Err(exit) => return exit,
+    };
+    let unconfirmed = Arc::new(AtomicBool::new(false));
+    let plate = PlateServer {
+        scenario: without_end(scenario),
+        law,
+        time_base,
+        view_sender,
+        live_tap,
+        unconfirmed: Arc::clone(&unconfirmed),
+    };
     let cancel = CancelToken::default();
     let end = arguments.seconds.map(Duration::from_secs_f64);
     let work = {
@@ -113,14 +136,17 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
     let raw = view.is_none().then(RawTerminalMode::enter);
     let ended = run_until_signal(&cancel, end, work, |()| {});
     drop((view, raw));
-    match ended {
+    let is_abandoned = !matches!(ended, Ok(WorkResult::Finished(..)));
+    let is_unconfirmed = is_abandoned || unconfirmed.load(Ordering::Relaxed);
+    let exit = match ended {
         Ok(WorkResult::Finished(exit, None)) => exit,
         Ok(WorkResult::Finished(_, Some(number)) | WorkResult::Abandoned(number)) => Exit::Signal(number),
         Err(error) => {
             stdio::error(&error.to_string());
             Exit::Inconclusive
         }
-    }
+    };
+    release(reservation, if is_unconfirmed { RunEnd::unconfirmed() } else { RunEnd::untouched() }, exit)
 }
 
 struct RawTerminalMode;
@@ -154,7 +180,8 @@ impl ControllerPort {
         if port == "pty" {
             return Ok(Self::PseudoTerminal);
         }
-        format!("serial:{port}").parse().map(Self::Serial).map_err(|error: platebench_rig::SpecError| error.to_string())
+        let rig = if port.starts_with("serial:") { port.to_owned() } else { format!("serial:{port}") };
+        rig.parse().map(Self::Serial).map_err(|error: platebench_rig::SpecError| error.to_string())
     }
 
     fn baud(&self) -> Option<u32> {
@@ -192,6 +219,8 @@ struct PlateServer {
     time_base: TimeBase,
     view_sender: Option<ViewSender>,
     live_tap: LiveTap,
+    /// The last controller did not confirm 0 V.
+    unconfirmed: Arc<AtomicBool>,
 }
 
 impl PlateServer {
@@ -239,6 +268,7 @@ impl PlateServer {
                     EmulationEnd::Cancelled => break,
                 }
             }
+            self.unconfirmed.store(!session.close(), Ordering::Relaxed);
         }
         Exit::Passed
     }

@@ -1,9 +1,11 @@
 //! `platebench identify`: identifies plate parameters from recorded steps.
 
+use crate::board_args::BoardSelection;
 use crate::exit::Exit;
 use crate::options::OutputFormat;
 use crate::stdio;
 use clap::{Args, ValueEnum};
+use platebench_boards::Board;
 use platebench_identify::{
     ColumnMapping, DirectFit, ExternalCsvError, Identification, PlateFileDetails, Recording, RecordingError,
     external_csv, plate_file, tables,
@@ -52,6 +54,8 @@ pub(crate) struct IdentifyArgs {
     /// Name of the plate in its file
     #[arg(long, default_value = "identified plate")]
     name: String,
+    #[command(flatten)]
+    board: BoardSelection,
     /// Reference temperature of the offsets
     #[arg(long, value_name = "C", default_value_t = 24.0, allow_negative_numbers = true,
         value_parser = parse_temperature)]
@@ -116,6 +120,10 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> Exit {
 }
 
 fn identify_plate(arguments: &IdentifyArgs) -> Result<Exit, IdentifyError> {
+    let board = match arguments.board.find() {
+        Ok(board) => board,
+        Err(exit) => return Ok(exit),
+    };
     let mut files = Vec::new();
     for path in &arguments.recordings {
         collect_tables(path, &mut files)?;
@@ -151,7 +159,7 @@ fn identify_plate(arguments: &IdentifyArgs) -> Result<Exit, IdentifyError> {
     }
     let details = PlateFileDetails {
         name: arguments.name.clone(),
-        source: describe_source(arguments, &recordings),
+        source: describe_source(arguments, &recordings, board.as_ref()),
         reference_temperature_c: arguments.reference_temperature_c,
         limit_vpp: arguments.drive_limit_vpp,
         slope_hz_per_k: arguments.slope_hz_per_k,
@@ -173,10 +181,11 @@ fn identify_plate(arguments: &IdentifyArgs) -> Result<Exit, IdentifyError> {
     Ok(Exit::Inconclusive)
 }
 
-fn describe_source(arguments: &IdentifyArgs, recordings: &[Recording]) -> String {
+fn describe_source(arguments: &IdentifyArgs, recordings: &[Recording], board: Option<&Board>) -> String {
     let count = recordings.len();
     let names: Vec<String> = arguments.recordings.iter().map(|path| path.display().to_string()).collect();
-    format!("platebench identify, {count} recording{}: {}", if count == 1 { "" } else { "s" }, names.join(", "))
+    let board = board.map_or_else(String::new, |board| format!("; {}", board.describe_instruments()));
+    format!("platebench identify, {count} recording{}: {}{board}", if count == 1 { "" } else { "s" }, names.join(", "))
 }
 
 fn write_file(path: &Path, text: &str) -> Result<(), IdentifyError> {

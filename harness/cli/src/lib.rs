@@ -4,6 +4,8 @@
 mod accept;
 mod args;
 mod baseline;
+mod board_args;
+mod boards;
 mod build_info;
 mod campaign;
 mod chart;
@@ -25,6 +27,7 @@ mod judge;
 mod live;
 mod logging;
 mod man;
+mod merge;
 mod mutate;
 mod new;
 mod options;

@@ -5,8 +5,9 @@ use crate::build_info;
 use crate::config::{self, Config};
 use crate::exit::Exit;
 use crate::{
-    accept, args, baseline, campaign, chart, check, compare, completions, coverage, emulate, explore, export,
-    export_fmu, identify, judge, logging, man, mutate, new, replay, report, run, schema, stability, stdio, trust, tune,
+    accept, args, baseline, boards, campaign, chart, check, compare, completions, coverage, emulate, explore, export,
+    export_fmu, identify, judge, logging, man, merge, mutate, new, replay, report, run, schema, stability, stdio,
+    trust, tune,
 };
 use clap::CommandFactory;
 use std::process::ExitCode;
@@ -56,7 +57,9 @@ fn dispatch(arguments: &Arguments) -> Exit {
         Command::Trust(arguments) => trust::trust(arguments),
         Command::Explore(arguments) => explore::explore(arguments, quiet),
         Command::Coverage(arguments) => coverage::coverage(arguments),
+        Command::Merge(arguments) => merge::merge(arguments, detail),
         Command::Mutate(arguments) => mutate::mutate(arguments, quiet),
+        Command::Boards(arguments) => boards::boards(arguments),
         Command::Campaign(arguments) => campaign::campaign(arguments, quiet),
         Command::Stability(arguments) => stability::stability(arguments),
         Command::Identify(arguments) => identify::identify(arguments),

@@ -17,6 +17,13 @@ pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> Exit {
     if arguments.list {
         return list(arguments, detail);
     }
+    let mut arguments = arguments.clone();
+    match arguments.board.find_rig() {
+        Ok(Some(rig)) => arguments.rig = rig,
+        Ok(None) => {}
+        Err(exit) => return exit,
+    }
+    let arguments = &arguments;
     let clock = play::check_options(arguments);
     if let (true, Ok(clock)) = (arguments.watch, clock) {
         return watch::watch(arguments, clock, detail);

@@ -5,6 +5,7 @@ use crate::exit::Exit;
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_acceptance::plan::plan_schema;
+use platebench_boards::RawInventory;
 use platebench_campaign::RawCampaign;
 use platebench_explore::RawEnvelope;
 use platebench_record::RunRecord;
@@ -45,6 +46,8 @@ pub(crate) enum SchemaKind {
     Envelope,
     /// Campaigns
     Campaign,
+    /// boards.toml
+    Boards,
     /// platebench.toml
     Config,
     /// run.json of a run folder
@@ -61,6 +64,7 @@ impl SchemaKind {
             Self::Plan => "plan.json",
             Self::Envelope => "envelope.json",
             Self::Campaign => "campaign.json",
+            Self::Boards => "boards.json",
             Self::Config => "config.json",
             Self::Run => "run.json",
             Self::Events => "events.json",
@@ -95,6 +99,7 @@ impl SchemaKind {
             Self::Plan => plan_schema(),
             Self::Envelope => schema::schema_of::<RawEnvelope>("Operating envelope"),
             Self::Campaign => schema::schema_of::<RawCampaign>("Campaign"),
+            Self::Boards => schema::schema_of::<RawInventory>("boards.toml"),
             Self::Config => schema::schema_of::<RawConfig>("platebench.toml"),
             Self::Run => schema::schema_of_json::<RunRecord>("Record of a run: run.json"),
             Self::Events => schema::schema_of_json::<EventLine<'_>>("Event of a run: a line of run --format json"),

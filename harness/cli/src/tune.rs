@@ -22,7 +22,16 @@ use verify::{RigVerification, VerificationConfig, verify_on_rig};
 use write::write_gains;
 
 pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
-    let plate = match plate_file::read(&arguments.plate) {
+    let board = match arguments.board.selection.find() {
+        Ok(board) => board,
+        Err(exit) => return exit,
+    };
+    let named = arguments.plate.as_ref().or_else(|| board.as_ref()?.plate.as_ref());
+    let Some(path) = named else {
+        return stdio::reject(&"the board has no plate, expected --plate FILE, or plate in boards.toml");
+    };
+    let send = arguments.send.as_ref().or_else(|| board.as_ref().map(|board| &board.rig));
+    let plate = match plate_file::read(path) {
         Ok(plate) => plate,
         Err(fault) => return stdio::reject_file(&fault),
     };
@@ -30,10 +39,10 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
         Ok(target) => target,
         Err(message) => return stdio::reject(&message),
     };
-    if let Some(Err(error)) = arguments.send.as_ref().map(RigSpec::check) {
+    if let Some(Err(error)) = send.map(RigSpec::check) {
         return stdio::reject(&error);
     }
-    let spread = match arguments.spread(&plate) {
+    let spread = match arguments.spread(path, &plate) {
         Ok(spread) => spread,
         Err(fault) => return stdio::reject_file(&fault),
     };
@@ -53,9 +62,10 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
                 Err(fault) => exit = stdio::reject_file(&fault),
             }
         }
-        if let (Some(rig), Exit::Passed) = (&arguments.send, exit) {
+        if let (Some(rig), Exit::Passed) = (send, exit) {
             let config = VerificationConfig {
-                plate: &arguments.plate,
+                board: &arguments.board,
+                plate: path,
                 step: VerificationStep { target: &target, law: arguments.law(), gains, real_time: false },
                 out: arguments.out.as_deref(),
             };
@@ -64,7 +74,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
                 Err(exit) => (exit, None),
             };
         }
-    } else if arguments.write.is_some() || arguments.send.is_some() {
+    } else if arguments.write.is_some() || send.is_some() {
         stdio::note("the target is not met: nothing was written or sent");
     }
     match arguments.format {

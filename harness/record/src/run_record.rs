@@ -3,6 +3,7 @@
 use crate::cost::CostTrend;
 use crate::exclusion::Exclusion;
 use crate::expectation_record::ExpectationRecord;
+use crate::merge_record::MergeRecord;
 use crate::provenance::{Host, Tool};
 use crate::reason::Reason;
 use crate::trial_record::TrialRecord;
@@ -42,6 +43,9 @@ pub struct RunRecord {
     /// Instructions per control step by law, if the rig counts them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cost: Vec<CostTrend>,
+    /// The runs that were joined, of `platebench merge`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub merge: Option<MergeRecord>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -121,6 +125,12 @@ pub struct Overrides {
     pub fail_fast: bool,
     #[serde(default, skip_serializing_if = "KeepTraces::keeps_all")]
     pub keep_traces: KeepTraces,
+    /// `--board`: its name in boards.toml.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board: Option<String>,
+    /// `--shard`: number from 1, and how many.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shard: Option<[usize; 2]>,
 }
 
 /// `--keep-traces`
@@ -172,7 +182,8 @@ impl RunRecord {
     /// Combines all scenarios. A pass needs a complete run and confirmed 0 V.
     pub fn update_verdict(&mut self) {
         let combined = Verdict::combine(self.scenarios.iter().map(|scenario| scenario.verdict));
-        let is_doubtful = !self.complete || self.safe_confirmed == Some(false);
+        let misses_shards = self.merge.as_ref().is_some_and(|merge| !merge.missing_shards.is_empty());
+        let is_doubtful = !self.complete || misses_shards || self.safe_confirmed == Some(false);
         self.verdict = if self.overrides.require_all && !self.not_applicable.is_empty() {
             Verdict::Fail
         } else if combined == Verdict::Pass && is_doubtful {

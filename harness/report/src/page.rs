@@ -1,6 +1,7 @@
 //! Writes pages: HTML in one file that loads nothing.
 
 mod block_page;
+mod boards;
 mod cost;
 mod curves;
 mod drawing;

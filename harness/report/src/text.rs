@@ -1,6 +1,7 @@
 //! Writes a run as text, for people and for machines.
 
 pub mod annotations;
+pub mod board_matrix;
 pub mod comparison;
 pub mod console;
 pub(crate) mod cost;

@@ -19,7 +19,7 @@ pub mod hosted;
 pub mod link;
 mod network;
 mod pending_requests;
-mod port_lock;
+pub mod port_lock;
 #[cfg(feature = "probe")]
 pub mod probe;
 mod program;

@@ -1,4 +1,4 @@
-//! Locks a port with `flock`: the kernel releases it when the process ends, also after a crash.
+//! Locks a port or a board with `flock`: the kernel releases it when the process ends, also after a crash.
 //! `/proc/locks` names the holder.
 
 use rustix::fd::AsFd;
@@ -24,7 +24,8 @@ impl fmt::Display for LockHolder {
     }
 }
 
-pub(crate) fn lock(file: impl AsFd) -> rustix::io::Result<Option<LockHolder>> {
+/// Returns the holder if another process has the lock. Closing the file releases it.
+pub fn lock(file: impl AsFd) -> rustix::io::Result<Option<LockHolder>> {
     match flock(&file, FlockOperation::NonBlockingLockExclusive) {
         Ok(()) => Ok(None),
         Err(Errno::WOULDBLOCK) => Ok(Some(LockHolder::from_status(&fstat(&file)?))),

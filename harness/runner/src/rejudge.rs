@@ -85,13 +85,16 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
         replacement.map(|path| Ok::<_, RejudgeError>((path, matching_scenario(&record, path)?))).transpose()?;
     let mut scenarios = Vec::with_capacity(record.scenarios.len());
     for (number, stored) in record.scenarios.iter().enumerate() {
+        // Joined runs may have different ones.
+        let own = record.merge.as_ref().and_then(|merge| merge.overrides_of(&stored.file));
+        let overrides = own.unwrap_or(&record.overrides);
         let mut scenario = load_stored_scenario(folder, stored)?;
         // Uses the run's model, because today another one might be chosen.
         let tier = Tier::from_name(&stored.model).unwrap_or(scenario.tier);
         if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
-            scenario.expectations = replacement_expectations(path, &scenario, tier, &record.overrides)?;
+            scenario.expectations = replacement_expectations(path, &scenario, tier, overrides)?;
         }
-        apply_overrides(&record.overrides, &mut scenario);
+        apply_overrides(overrides, &mut scenario);
         scenario.tier = tier;
         scenarios.push(rejudge_scenario(folder, &scenario, stored, record.complete)?);
     }

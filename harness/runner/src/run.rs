@@ -337,5 +337,6 @@ fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inpu
         scenarios: scenarios.collect(),
         not_applicable: Vec::new(),
         cost: Vec::new(),
+        merge: None,
     }
 }

@@ -14,6 +14,7 @@ pub enum FileKind {
     Envelope,
     Campaign,
     Config,
+    Boards,
 }
 
 impl FileKind {
@@ -29,6 +30,8 @@ impl FileKind {
             Self::Scenario
         } else if has(&["requirement", "ask", "bench"]) {
             Self::Plan
+        } else if has(&["board"]) {
+            Self::Boards
         } else if has(&["vary"]) {
             Self::Campaign
         } else if has(&["range"]) {
@@ -48,6 +51,7 @@ impl FileKind {
             Self::Envelope => "envelope",
             Self::Campaign => "campaign",
             Self::Config => "settings file",
+            Self::Boards => "board inventory",
         }
     }
 }

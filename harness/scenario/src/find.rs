@@ -28,6 +28,14 @@ pub struct FoundScenarios {
     pub copies: Vec<PathBuf>,
 }
 
+/// The nearest file with this name, from `folder` upwards. A file in `folder`, the working
+/// directory, stays relative.
+pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
+    let mut candidates = folder.ancestors().map(|ancestor| ancestor.join(name));
+    let path = candidates.find(|path| path.symlink_metadata().is_ok())?;
+    Some(if path.parent() == Some(folder) { PathBuf::from(name) } else { path })
+}
+
 struct Search<'a> {
     excluded: &'a [&'a str],
     /// Canonical; a link may lead back to a folder.

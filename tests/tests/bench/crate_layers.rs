@@ -9,7 +9,7 @@ use std::fs;
 use toml::Table;
 
 /// A crate imports only crates of lower levels.
-const LEVELS: [(&str, u8); 23] = [
+const LEVELS: [(&str, u8); 24] = [
     ("firmware-under-test/wire", 0),
     ("firmware-under-test/controller", 0),
     ("firmware-under-test/host", 0),
@@ -27,6 +27,7 @@ const LEVELS: [(&str, u8); 23] = [
     ("harness/study", 5),
     ("harness/explore", 6),
     ("harness/campaign", 5),
+    ("harness/boards", 5),
     ("harness/trust", 5),
     ("harness/firmware-analysis", 5),
     ("harness/live", 5),

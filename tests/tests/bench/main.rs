@@ -9,6 +9,7 @@
 
 mod accept;
 mod authoring;
+mod boards;
 mod campaign;
 mod campaign_chains;
 mod closed_loop;

@@ -1,5 +1,6 @@
 //! Defines the arguments of `platebench run`.
 
+use crate::board_args::BoardArgs;
 use crate::clock::ClockRequest;
 use crate::options::{
     ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_keep_traces, parse_time_scale,
@@ -16,7 +17,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 #[command(after_help = "\
 Examples:
   platebench run                                        every scenario below scenarios/ except known limits
@@ -32,8 +33,10 @@ pub(crate) struct RunArgs {
     pub(crate) scenarios: Vec<PathBuf>,
     /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
     /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
-    #[arg(long, default_value = "emulated")]
+    #[arg(long, default_value = "emulated", conflicts_with = "board")]
     pub(crate) rig: RigSpec,
+    #[command(flatten)]
+    pub(crate) board: BoardArgs,
     /// Control law of the firmware under test
     #[arg(long, value_name = "NAME", value_parser = law_names())]
     pub(crate) law: Option<String>,
@@ -129,6 +132,8 @@ impl RunArgs {
             require_all: self.require_all,
             fail_fast: self.fail_fast,
             keep_traces: self.keep_traces,
+            board: self.board.selection.board.clone(),
+            shard: self.shard.map(|shard| [shard.number, shard.count]),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Plays scenarios into a new run folder and writes the reports.
 
 use super::arguments::RunArgs;
+use crate::board_args::release;
 use crate::clock::check_line_speed;
 use crate::exit::Exit;
 use crate::options::{BASELINES, OutputFormat, job_count};
@@ -8,6 +9,7 @@ use crate::outputs::{self, ScenarioLocations};
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::{live, stdio};
+use platebench_boards::RunEnd;
 use platebench_record::{RunFolder, RunRecord, Verdict};
 use platebench_report::events::EventWriter;
 use platebench_report::page::KeptRows;
@@ -67,6 +69,9 @@ pub(super) fn play(
         None => RunFolder::create_below(&arguments.runs),
     };
     let folder = folder.map_err(|fault| stdio::reject(&fault))?;
+    let reservation = arguments.board.reserve("run").inspect_err(|_| {
+        folder.remove_if_empty();
+    })?;
     let is_real = clock == Clock::RealPlate;
     // A serial line carries one trial. In real time only --jobs lets work compete with the loop.
     let jobs = match arguments.jobs {
@@ -111,7 +116,10 @@ pub(super) fn play(
     let sinks = EventSinks { progress, view: view.as_ref(), events: events.as_mut(), rows: Some(&mut rows) };
     let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, arguments.reply_timeout);
     drop(view);
+    let end = RunEnd::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
+    let released = release(reservation, end, Exit::Passed);
     match played {
+        Ok(_) if released != Exit::Passed => Err(released),
         Ok(record) => {
             if arguments.format == OutputFormat::Json {
                 note_not_applicable(&record);

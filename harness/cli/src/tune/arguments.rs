@@ -1,9 +1,10 @@
 //! Defines the arguments of `platebench tune` and the design target that they state.
 
+use crate::board_args::BoardArgs;
 use crate::options::OutputFormat;
 use crate::plate_file;
-use clap::Args;
 use clap::builder::PossibleValuesParser;
+use clap::{ArgGroup, Args};
 use platebench_plate::{Plate, Uncertainty};
 use platebench_rig::RigSpec;
 use platebench_scenario::Diagnostic;
@@ -11,7 +12,7 @@ use platebench_study::loops::Discretisation;
 use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::spread::PlateSpread;
 use platebench_wire::LawId;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Laws with the gains of equation 24.
 pub(super) const LAWS: [LawId; 3] = [LawId::DqPi, LawId::DqPiFixed, LawId::DqPiEuler];
@@ -27,7 +28,7 @@ const MAX_SPREAD_PERCENT: f64 = 50.0;
 const PAPER_SPREAD: Uncertainty = Uncertainty { gain_percent: Some(5.0), time_constant_percent: Some(6.0) };
 
 #[derive(Debug, Args)]
-#[command(after_help = "\
+#[command(group = ArgGroup::new("target_rig").args(["send", "board"]), after_help = "\
 Examples:
   platebench tune --plate scenarios/plates/aluminium-198x138.toml     the paper's plate and response time
   platebench tune --plate plate.toml --response-ms 4 --delay-ms 0.52  over a serial line
@@ -37,9 +38,9 @@ Examples:
 Exit codes: 0 the target is met, 1 it cannot be met or the rig does not meet it, 2 wrong usage or invalid input,
 3 the rig's step is inconclusive, 5 the rig could not be reached")]
 pub(crate) struct TuneArgs {
-    /// The plate file
-    #[arg(long, value_name = "FILE")]
-    pub(super) plate: PathBuf,
+    /// The plate file; default: the plate of the board
+    #[arg(long, value_name = "FILE", required_unless_present = "board")]
+    pub(super) plate: Option<PathBuf>,
     /// Law of the gains: dq-pi-euler uses equation 24 as printed, the others match the zero-order hold
     #[arg(long, value_name = "NAME", default_value = "dq-pi",
         value_parser = PossibleValuesParser::new(LAWS.map(LawId::name)))]
@@ -80,8 +81,10 @@ pub(crate) struct TuneArgs {
     /// Configure this rig with the gains, if the target is met, and play one step: predicted and measured response
     #[arg(long, value_name = "RIG")]
     pub(super) send: Option<RigSpec>,
+    #[command(flatten)]
+    pub(super) board: BoardArgs,
     /// The run folder of that step; default: a new folder below runs/
-    #[arg(long, value_name = "FOLDER", requires = "send")]
+    #[arg(long, value_name = "FOLDER", requires = "target_rig")]
     pub(super) out: Option<PathBuf>,
     /// Format of standard output
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
@@ -162,10 +165,10 @@ impl TuneArgs {
     }
 
     /// From the command line, else from the plate file, else from the paper.
-    pub(super) fn spread(&self, plate: &Plate) -> Result<PlateSpread, Diagnostic> {
+    pub(super) fn spread(&self, path: &Path, plate: &Plate) -> Result<PlateSpread, Diagnostic> {
         let choose = |given: Option<f64>, key: &str, of: fn(&Uncertainty) -> Option<f64>| match of(&plate.uncertainty) {
             Some(known) if given.is_none() && known > MAX_SPREAD_PERCENT => Err(plate_file::diagnostic_at(
-                &self.plate,
+                path,
                 &format!("uncertainty.{key}"),
                 format!(
                     "`uncertainty.{key}` is {known}, expected at most {MAX_SPREAD_PERCENT}: \

@@ -1,11 +1,13 @@
 //! Verifies gains on a rig: configures it, reads the gains back and plays one step.
 
+use crate::board_args::{BoardArgs, release};
 use crate::clock::default_clock;
 use crate::exit::Exit;
 use crate::options::ClockArg;
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::stdio;
+use platebench_boards::RunEnd;
 use platebench_record::{Overrides, RunFolder, TrialRecord};
 use platebench_rig::{ConnectOptions, DEFAULT_REPLY_TIMEOUT, RigSpec, Session, check_baud};
 use platebench_runner::{Clock, LiveTap, Pacing, RunError, RunPlan, TimeBase, configure};
@@ -17,6 +19,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub(super) struct VerificationConfig<'a> {
+    pub(super) board: &'a BoardArgs,
     pub(super) plate: &'a Path,
     pub(super) step: VerificationStep<'a>,
     pub(super) out: Option<&'a Path>,
@@ -35,6 +38,17 @@ pub(super) struct RigVerification {
 
 /// Reports an error and returns the exit code.
 pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> Result<RigVerification, Exit> {
+    let reservation = config.board.reserve("tune")?;
+    let mut end = RunEnd::untouched();
+    let verified = play_step(rig, config, &mut end);
+    match release(reservation, end, Exit::Passed) {
+        Exit::Passed => verified,
+        exit => Err(exit),
+    }
+}
+
+/// `end` becomes the state of the board.
+fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -> Result<RigVerification, Exit> {
     let invalid = |error: &dyn Display| stdio::reject(error);
     let run_error = |error: RunError| {
         stdio::error(&error.to_string());
@@ -52,7 +66,7 @@ pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> R
     }
     let inputs = tempfile::tempdir().map_err(|error| invalid(&error))?;
     let scenario = step_scenario(inputs.path(), config.plate, &step).map_err(|error| invalid(&error))?;
-    let (firmware, accepted) = configure_rig(rig, step.law, &scenario, clock).map_err(run_error)?;
+    let (firmware, accepted) = configure_rig(rig, step.law, &scenario, clock, end).map_err(run_error)?;
     if !gains_match(accepted, step.gains) {
         return Err(invalid(&format!("{firmware} reports other gains than those sent: {accepted:?}")));
     }
@@ -63,9 +77,9 @@ pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> R
         clock,
         own_clock: rig.has_own_clock(),
         rig: rig.to_string(),
-        overrides: Overrides::default(),
+        overrides: Overrides { board: config.board.selection.board.clone(), ..Overrides::default() },
     };
-    let record = run_plan(
+    let played = run_plan(
         plan,
         &folder,
         rig.clone(),
@@ -73,8 +87,10 @@ pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> R
         LiveTap::default(),
         EventSinks::none(),
         DEFAULT_REPLY_TIMEOUT,
-    )
-    .map_err(|(error, signal)| signal.map_or_else(|| run_error(error), Exit::Signal))?;
+    );
+    let of_run = RunEnd::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
+    *end = RunEnd { quarantine: end.quarantine.take().or(of_run.quarantine), ..of_run };
+    let record = played.map_err(|(error, signal)| signal.map_or_else(|| run_error(error), Exit::Signal))?;
     let trial: Option<&TrialRecord> = record.scenarios.first().and_then(|scenario| scenario.trials.first());
     let metric = |name: &str| trial.and_then(|trial| trial.metrics.get(name)?.as_f64());
     Ok(RigVerification {
@@ -89,13 +105,20 @@ pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> R
 }
 
 /// Returns the firmware's name and the gains that it reports. Leaves the rig at 0 V.
-fn configure_rig(rig: &RigSpec, law: LawId, scenario: &Scenario, clock: Clock) -> Result<(String, Gains), RunError> {
+fn configure_rig(
+    rig: &RigSpec,
+    law: LawId,
+    scenario: &Scenario,
+    clock: Clock,
+    end: &mut RunEnd,
+) -> Result<(String, Gains), RunError> {
     let mut session = Session::open(clock.connect(rig, &ConnectOptions::default())?)?;
-    let accepted = session.start_trial(&configure(scenario, law))?;
+    let accepted = session.start_trial(&configure(scenario, law));
     let [major, minor, patch] = session.identity().version;
     let firmware = format!("{} {major}.{minor}.{patch}", session.firmware_name());
     if !session.close() {
+        *end = RunEnd::unconfirmed();
         stdio::note("the controller did not confirm 0 V after it was configured");
     }
-    Ok((firmware, accepted))
+    Ok((firmware, accepted?))
 }

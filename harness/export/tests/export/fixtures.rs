@@ -114,6 +114,7 @@ pub(crate) fn stored_run() -> StoredRun {
         scenarios,
         not_applicable: Vec::new(),
         cost: Vec::new(),
+        merge: None,
     };
     StoredRun { folder, record }
 }

@@ -114,6 +114,7 @@ fn record() -> RunRecord {
         }],
         not_applicable: Vec::new(),
         cost: Vec::new(),
+        merge: None,
     }
 }
 

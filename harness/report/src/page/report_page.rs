@@ -9,7 +9,7 @@ use super::run_comparison::{self, OtherRun};
 use super::scenario::{ScenarioParts, scenario_article};
 use super::scenario_figures::{ReferenceCurves, scenario_figures};
 use super::trace_data::{MAX_TRIALS, SampledTrial, TraceData};
-use super::{cost, environment, navigation, script, summary};
+use super::{boards, cost, environment, navigation, script, summary};
 use crate::chart::svg::Role;
 use crate::error::{ReportError, write_file};
 use crate::record_queries;
@@ -101,6 +101,7 @@ impl<'a> ReportPage<'a> {
                     header { (summary::head(record)) }
                     (summary::not_passed_section(record, &data, &self.history, &changed))
                     @if let Some(other) = self.other_run() { (run_comparison::section(record, other)) }
+                    (boards::section(record))
                     (summary::closest(record))
                     (summary::not_applicable(record))
                 }

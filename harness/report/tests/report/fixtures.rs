@@ -36,6 +36,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
         scenarios,
         not_applicable: Vec::new(),
         cost: Vec::new(),
+        merge: None,
     }
 }
 

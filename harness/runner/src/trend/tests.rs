@@ -55,6 +55,7 @@ fn record(build: &str, second: u32, scenarios: Vec<ScenarioRecord>) -> RunRecord
         scenarios,
         not_applicable: Vec::new(),
         cost: Vec::new(),
+        merge: None,
     }
 }
 

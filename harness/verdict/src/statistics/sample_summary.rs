@@ -31,6 +31,25 @@ impl SampleSummary {
         Some([self.mean - half, self.mean + half])
     }
 
+    /// One-sided, of `self.mean − other.mean`, by Welch's t with the Welch-Satterthwaite degrees of
+    /// freedom (normal data). `None` if one of the two has below two values.
+    pub fn difference_bounds(&self, other: &Self, confidence: f64) -> Option<[f64; 2]> {
+        let difference = self.mean - other.mean;
+        let share = |summary: &Self| {
+            let freedom = summary.degrees_of_freedom()?;
+            let variance = summary.deviation.powi(2) / summary.count as f64;
+            Some((variance, variance.powi(2) / freedom))
+        };
+        let ((own, own_part), (theirs, their_part)) = (share(self)?, share(other)?);
+        let variance = own + theirs;
+        if variance == 0.0 {
+            return Some([difference, difference]);
+        }
+        let freedom = variance.powi(2) / (own_part + their_part);
+        let half = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(confidence) * variance.sqrt();
+        Some([difference - half, difference + half])
+    }
+
     /// One-sided, by chi-square: `s √(f/χ²)` (normal data). `None` below two values.
     pub fn deviation_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
         let freedom = self.degrees_of_freedom()?;
@@ -55,6 +74,18 @@ mod tests {
         assert!((summary.deviation - (5.0_f64 / 3.0).sqrt()).abs() < 1e-15);
         assert_eq!(SampleSummary::of(&[]), None);
         assert_eq!(SampleSummary::of(&[7.0]).unwrap().mean_bounds(0.95), None);
+    }
+
+    #[test]
+    fn equal_samples_have_the_textbook_interval_of_their_difference() {
+        let [first, second] =
+            [1.0, 3.0].map(|from| SampleSummary::of(&[from, from + 1.0, from + 2.0, from + 3.0]).unwrap());
+        // t(0.975, 6) = 2.44691, standard error √(2 · 5/12).
+        let half = 2.446_911_851 * (5.0_f64 / 6.0).sqrt();
+        let bounds = second.difference_bounds(&first, 0.975).unwrap();
+        assert!((bounds[0] - (2.0 - half)).abs() < 1e-8 && (bounds[1] - (2.0 + half)).abs() < 1e-8, "{bounds:?}");
+        let one = SampleSummary::of(&[1.0]).unwrap();
+        assert_eq!(one.difference_bounds(&first, 0.975), None);
     }
 
     #[test]

@@ -1,0 +1,56 @@
+//! Locks the files of a board.
+
+use crate::error::BoardError;
+use crate::inventory::{Board, Inventory};
+use platebench_rig::{LockHolder, port_lock};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+/// Paths of a board below the state folder.
+#[derive(Debug, Clone)]
+pub(crate) struct BoardFiles {
+    pub(crate) state: PathBuf,
+    /// Of the board, and of its probe.
+    locks: Vec<PathBuf>,
+}
+
+impl BoardFiles {
+    /// Creates the folder.
+    pub(crate) fn new(inventory: &Inventory, board: &Board) -> Result<Self, BoardError> {
+        let folder = inventory.state_folder();
+        fs::create_dir_all(&folder).map_err(BoardError::io(&folder))?;
+        let probe = board.probe_serial.as_ref().map(|serial| {
+            let is_plain = |letter: char| letter.is_ascii_alphanumeric();
+            let name: String = serial.chars().map(|letter| if is_plain(letter) { letter } else { '_' }).collect();
+            folder.join(format!("{name}.probe.lock"))
+        });
+        let lock = folder.join(format!("{}.lock", board.name));
+        Ok(Self {
+            state: folder.join(format!("{}.json", board.name)),
+            locks: std::iter::once(lock).chain(probe).collect(),
+        })
+    }
+
+    /// Returns the holder if a lock is taken.
+    pub(crate) fn lock(&self) -> Result<Result<BoardLock, LockHolder>, BoardError> {
+        let mut files = Vec::new();
+        for path in &self.locks {
+            let file = open(path)?;
+            match port_lock::lock(&file).map_err(|error| BoardError::io(path)(error.into()))? {
+                None => files.push(file),
+                Some(holder) => return Ok(Err(holder)),
+            }
+        }
+        Ok(Ok(BoardLock { _files: files }))
+    }
+}
+
+/// Released by the kernel when the process ends.
+#[derive(Debug)]
+pub(crate) struct BoardLock {
+    _files: Vec<File>,
+}
+
+fn open(path: &Path) -> Result<File, BoardError> {
+    File::options().create(true).append(true).open(path).map_err(BoardError::io(path))
+}

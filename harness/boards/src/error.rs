@@ -1,0 +1,83 @@
+//! Defines the errors of the inventory and of a reservation.
+
+use platebench_rig::{ConnectError, LockHolder, RigError};
+use platebench_scenario::Diagnostic;
+use std::io;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, thiserror::Error)]
+pub enum BoardError {
+    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    Inventory(Vec<Diagnostic>),
+    #[error("no boards.toml in this folder or above it, expected one, or --boards FILE")]
+    NoInventory,
+    #[error("{}: no board `{name}`, expected one of {known}", path.display())]
+    Unknown {
+        path: PathBuf,
+        name: String,
+        /// Names of the inventory.
+        known: String,
+    },
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// File or folder of the state.
+        path: PathBuf,
+        source: io::Error,
+    },
+    #[error("{}: {source}; expected the state that platebench wrote", path.display())]
+    State {
+        path: PathBuf,
+        /// The parser's error.
+        source: serde_json::Error,
+    },
+    #[error("board {name} is held by {holder}{since}; --wait SECONDS waits for it")]
+    Held {
+        name: String,
+        holder: LockHolder,
+        /// With a leading space, or empty.
+        since: String,
+    },
+    #[error(
+        "board {name} is in quarantine since {since}: {reason}; check it, then: platebench boards clear {name} \
+         --reason TEXT"
+    )]
+    Quarantined { name: String, since: String, reason: String },
+    #[error("board {name} is not in quarantine")]
+    NotQuarantined { name: String },
+    #[error("the reason is empty, expected what was checked")]
+    NoReason,
+    #[error("board {name}: the chip has the number {found}, boards.toml has {expected}; nothing was configured")]
+    WrongChip { name: String, found: String, expected: String },
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    #[error("cancelled while waiting for board {0}")]
+    Cancelled(String),
+}
+
+impl BoardError {
+    pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + use<> {
+        let path = path.to_owned();
+        |source| Self::Io { path, source }
+    }
+
+    /// True if the input is wrong, false if the board cannot be used now.
+    pub fn is_invalid_input(&self) -> bool {
+        match self {
+            Self::Inventory(_)
+            | Self::NoInventory
+            | Self::Unknown { .. }
+            | Self::Io { .. }
+            | Self::State { .. }
+            | Self::NotQuarantined { .. }
+            | Self::NoReason => true,
+            Self::Connect(error) => error.is_invalid_input(),
+            Self::Held { .. }
+            | Self::Quarantined { .. }
+            | Self::WrongChip { .. }
+            | Self::Rig(_)
+            | Self::Cancelled(_) => false,
+        }
+    }
+}

@@ -1,0 +1,233 @@
+//! Joins the runs of shards and boards into one run folder.
+
+use crate::board_differences::differences;
+use crate::state::now;
+use platebench_record::{
+    FORMAT, FolderError, Host, KeepTraces, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable,
+    Overrides, RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, Verdict,
+};
+use platebench_runner::rejudge::check_trace;
+use platebench_runner::{RejudgeError, rejudge};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, thiserror::Error)]
+pub enum MergeError {
+    #[error(transparent)]
+    Stored(#[from] RejudgeError),
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    #[error("{}: is a joined run, expected the runs that it was made of", .0.display())]
+    AlreadyMerged(PathBuf),
+    #[error("{}: {what} is {found}, {expected} in {}, expected equal ones", run.display(), first.display())]
+    Different { run: PathBuf, first: PathBuf, what: &'static str, found: String, expected: String },
+    #[error(
+        "{}: trial {trial} of {scenario} on {board} (seed {seed}) is also in {}, expected each trial once",
+        run.display(), first.display()
+    )]
+    SameTrial { run: PathBuf, first: PathBuf, scenario: String, board: String, trial: u32, seed: u64 },
+}
+
+struct StoredRun {
+    folder: PathBuf,
+    record: RunRecord,
+    /// Board, or kind of the rig.
+    board: String,
+    /// Folder of its scenarios; a board with two runs of a scenario has two.
+    place: String,
+}
+
+/// Writes the joined record, its inputs and traces into `out`.
+pub fn merge_runs(folders: &[PathBuf], out: &RunFolder) -> Result<RunRecord, MergeError> {
+    let runs = read_runs(folders)?;
+    check_trials(&runs)?;
+    let places: BTreeSet<_> = runs.iter().map(|run| run.place.as_str()).collect();
+    let mut record = joined_head(&runs, out);
+    let mut merge = MergeRecord { missing_shards: missing_shards(&runs), ..MergeRecord::default() };
+    for (number, run) in runs.iter().enumerate() {
+        let prefix = if places.len() > 1 { format!("{}/", run.place) } else { String::new() };
+        let mut files = Vec::new();
+        for scenario in &run.record.scenarios {
+            let joined = copy_scenario(run, scenario, &prefix, number, out.path())?;
+            files.push(MergedScenario { file: joined.file.clone(), original: scenario.file.clone() });
+            record.scenarios.push(joined);
+        }
+        let skipped = run.record.not_applicable.iter().cloned();
+        let named = skipped.map(|skipped| NotApplicable { file: format!("{prefix}{}", skipped.file), ..skipped });
+        record.not_applicable.extend(named);
+        let RunRecord { started, verdict, complete, rig, overrides, tool, host, .. } = run.record.clone();
+        let (board, folder) = (run.board.clone(), run.folder.display().to_string());
+        merge.runs.push(MergedRun {
+            board,
+            folder,
+            started,
+            verdict,
+            complete,
+            rig,
+            overrides,
+            tool,
+            host,
+            scenarios: files,
+        });
+    }
+    merge.differences = differences(&merge, &record.scenarios);
+    record.merge = Some(merge);
+    record.update_verdict();
+    let path = out.path();
+    record.write(path).map_err(|source| FolderError::Io { path: path.to_owned(), source })?;
+    Ok(record)
+}
+
+fn read_runs(folders: &[PathBuf]) -> Result<Vec<StoredRun>, MergeError> {
+    let mut runs: Vec<StoredRun> = Vec::new();
+    let mut kinds: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for folder in folders {
+        let mut record = RunRecord::read(folder).map_err(RejudgeError::from)?;
+        if record.merge.is_some() {
+            return Err(MergeError::AlreadyMerged(folder.clone()));
+        }
+        if !record.complete && record.overrides.keep_traces == KeepTraces::All {
+            record = rejudge(folder, None)?;
+        }
+        let rig = record.rig.name.clone();
+        let board = record.overrides.board.clone().unwrap_or_else(|| {
+            let names = kinds.entry(record.rig.kind().to_owned()).or_default();
+            let known = names.iter().position(|name| *name == rig);
+            let number = known.unwrap_or_else(|| {
+                names.push(rig.clone());
+                names.len() - 1
+            });
+            if number == 0 { record.rig.kind().to_owned() } else { format!("{}-{}", record.rig.kind(), number + 1) }
+        });
+        let place = free_place(&runs, &board, &record);
+        if let Some(first) = runs.first().filter(|first| first.record.clock != record.clock) {
+            return Err(MergeError::Different {
+                run: folder.clone(),
+                first: first.folder.clone(),
+                what: "the clock",
+                found: record.clock.to_string(),
+                expected: first.record.clock.to_string(),
+            });
+        }
+        runs.push(StoredRun { folder: folder.clone(), record, board, place });
+    }
+    Ok(runs)
+}
+
+/// The name of the board, with a number if an earlier run has one of the scenarios there.
+fn free_place(runs: &[StoredRun], board: &str, record: &RunRecord) -> String {
+    let is_used = |place: &str| {
+        let there = runs.iter().filter(|run| run.place == place).flat_map(|run| &run.record.scenarios);
+        there.into_iter().any(|used| record.scenarios.iter().any(|scenario| scenario.file == used.file))
+    };
+    let names = (2..).map(|number| format!("{board}-{number}"));
+    std::iter::once(board.to_owned()).chain(names).find(|place| !is_used(place)).unwrap_or_else(|| board.to_owned())
+}
+
+fn check_trials(runs: &[StoredRun]) -> Result<(), MergeError> {
+    let mut known = BTreeMap::new();
+    for run in runs {
+        for scenario in &run.record.scenarios {
+            let content: Vec<_> = scenario.inputs.iter().map(|input| input.sha256.as_str()).collect();
+            for trial in &scenario.trials {
+                let key = (&run.board, &scenario.file, &scenario.law, content.clone(), trial.seed);
+                if let Some(first) = known.insert(key, &run.folder) {
+                    return Err(MergeError::SameTrial {
+                        run: run.folder.clone(),
+                        first: first.clone(),
+                        scenario: scenario.file.clone(),
+                        board: run.board.clone(),
+                        trial: trial.index,
+                        seed: trial.seed,
+                    });
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn missing_shards(runs: &[StoredRun]) -> Vec<MissingShard> {
+    let mut present: BTreeMap<(&str, usize), BTreeSet<usize>> = BTreeMap::new();
+    for run in runs {
+        if let Some([shard, shards]) = run.record.overrides.shard {
+            present.entry((&run.board, shards)).or_default().insert(shard);
+        }
+    }
+    let missing = present.into_iter().flat_map(|((board, shards), present)| {
+        let absent = (1..=shards).filter(move |shard| !present.contains(shard));
+        absent.map(move |shard| MissingShard { board: board.to_owned(), shard, shards })
+    });
+    missing.collect()
+}
+
+fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
+    let all = || runs.iter().map(|run| &run.record);
+    let common = |run: &RunRecord| Overrides { board: None, shard: None, ..run.overrides.clone() };
+    let first = all().next();
+    let is_common = first.is_some_and(|first| all().all(|run| common(run) == common(first)));
+    let keep_traces = all().map(|run| run.overrides.keep_traces).find(|keep| *keep != KeepTraces::All);
+    let require_all = all().any(|run| run.overrides.require_all);
+    let different = Overrides { keep_traces: keep_traces.unwrap_or_default(), require_all, ..Overrides::default() };
+    let boards: BTreeSet<_> = runs.iter().map(|run| run.board.as_str()).collect();
+    let one_rig = first.filter(|first| all().all(|run| run.rig == first.rig)).map(|first| first.rig.clone());
+    let names = boards.into_iter().collect::<Vec<_>>().join(", ");
+    let confirmed = all().map(|run| run.safe_confirmed);
+    RunRecord {
+        format: FORMAT,
+        verdict: Verdict::Inconclusive,
+        complete: all().all(|run| run.complete),
+        tool: Tool::running(),
+        started: if runs.is_empty() { now() } else { out.started() },
+        rig: one_rig.unwrap_or(RigRecord { name: names, firmware: None }),
+        clock: first.map_or(platebench_record::ClockKind::Lockstep, |first| first.clock),
+        overrides: if is_common { first.map(common).unwrap_or_default() } else { different },
+        host: Host::current(),
+        safe_confirmed: confirmed.reduce(|all, one| Some(all? && one?)).flatten(),
+        wall_ms: all().map(|run| run.wall_ms).sum(),
+        scenarios: Vec::new(),
+        not_applicable: Vec::new(),
+        cost: Vec::new(),
+        merge: None,
+    }
+}
+
+/// Copies inputs and traces, whose hashes must be those of the record.
+fn copy_scenario(
+    run: &StoredRun,
+    scenario: &ScenarioRecord,
+    prefix: &str,
+    number: usize,
+    out: &Path,
+) -> Result<ScenarioRecord, MergeError> {
+    let mut joined = ScenarioRecord { file: format!("{prefix}{}", scenario.file), ..scenario.clone() };
+    for input in &mut joined.inputs {
+        let below = input.file.strip_prefix("inputs/").unwrap_or(&input.file);
+        let target = format!("inputs/run-{}/{below}", number + 1);
+        copy(&run.folder.join(&input.file), &out.join(&target))?;
+        input.file = target;
+    }
+    for trial in &mut joined.trials {
+        let below = trial.trace.strip_prefix("traces/").unwrap_or(&trial.trace);
+        let target = format!("traces/{prefix}{below}");
+        let source = run.folder.join(&trial.trace);
+        if trial.sha256.is_some() || source.is_file() {
+            check_trace(&run.folder, trial)?;
+            copy(&source, &out.join(&target))?;
+        }
+        trial.trace = target;
+    }
+    Ok(joined)
+}
+
+fn copy(from: &Path, to: &Path) -> Result<(), FolderError> {
+    let error = |path: &Path| {
+        let path = path.to_owned();
+        |source| FolderError::Io { path, source }
+    };
+    if let Some(folder) = to.parent() {
+        fs::create_dir_all(folder).map_err(error(folder))?;
+    }
+    fs::copy(from, to).map(|_| ()).map_err(error(from))
+}

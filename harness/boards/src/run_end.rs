@@ -1,0 +1,88 @@
+//! Decides whether a board needs a person after a run.
+
+use crate::state::LastRun;
+use platebench_record::{RECORD_FILE, RunRecord};
+use platebench_runner::RunError;
+use std::fs;
+use std::path::Path;
+
+const NOT_CONFIRMED: &str = "the controller did not confirm 0 V";
+/// Depth of the runs of an acceptance session below its folder.
+const MAX_DEPTH: usize = 4;
+
+/// How a command left the board.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RunEnd {
+    /// Why no further run may start.
+    pub quarantine: Option<String>,
+    pub last_run: Option<LastRun>,
+}
+
+impl RunEnd {
+    /// No voltage was applied.
+    pub fn untouched() -> Self {
+        Self::default()
+    }
+
+    pub fn unconfirmed() -> Self {
+        Self { quarantine: Some(NOT_CONFIRMED.to_owned()), last_run: None }
+    }
+
+    /// A fault of the bench with confirmed 0 V leaves the board usable.
+    pub fn of_run(result: Result<&RunRecord, &RunError>, folder: &Path) -> Self {
+        match result {
+            Ok(record) => Self::of_record(record, folder),
+            Err(error) => Self::of_error(error, folder),
+        }
+    }
+
+    fn of_record(record: &RunRecord, folder: &Path) -> Self {
+        let quarantine = if record.safe_confirmed != Some(true) {
+            Some(NOT_CONFIRMED.to_owned())
+        } else if record.has_lost_controller() {
+            Some("the controller was lost during a trial".to_owned())
+        } else {
+            None
+        };
+        let folder = fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+        let verdict = record.complete.then_some(record.verdict);
+        Self { quarantine, last_run: Some(LastRun { started: record.started.clone(), folder, verdict }) }
+    }
+
+    /// A run without a record ended before it configured a controller.
+    fn of_error(error: &RunError, folder: &Path) -> Self {
+        let mut end = match RunRecord::read(folder) {
+            Ok(record) => Self::of_record(&record, folder),
+            Err(_) if folder.join(RECORD_FILE).exists() => Self::unconfirmed(),
+            Err(_) => Self::untouched(),
+        };
+        if let RunError::DifferentController { .. } = error {
+            end.quarantine = Some(error.to_string());
+        }
+        end
+    }
+
+    /// Of all runs in and below `folder` that started at `since` or later.
+    pub fn of_runs_below(folder: &Path, since: &str) -> Self {
+        let mut end = Self::untouched();
+        end.add_runs_below(folder, since, MAX_DEPTH);
+        end
+    }
+
+    fn add_runs_below(&mut self, folder: &Path, since: &str, depth: usize) {
+        if folder.join(RECORD_FILE).exists() {
+            let run = match RunRecord::read(folder) {
+                Ok(record) if record.started.as_str() < since => return,
+                Ok(record) => Self::of_record(&record, folder),
+                Err(_) => Self::unconfirmed(),
+            };
+            self.quarantine = self.quarantine.take().or(run.quarantine);
+            self.last_run = run.last_run.or(self.last_run.take());
+            return;
+        }
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+        for below in entries.filter(|path| depth > 0 && path.is_dir()) {
+            self.add_runs_below(&below, since, depth - 1);
+        }
+    }
+}

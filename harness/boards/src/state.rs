@@ -1,0 +1,111 @@
+//! Stores the state of a board so that it survives a power cut.
+
+use crate::error::BoardError;
+use jiff::Timestamp;
+use platebench_record::Verdict;
+use platebench_trace::{read_text_file, write_atomically};
+use serde::{Deserialize, Serialize};
+use std::io;
+use std::path::{Path, PathBuf};
+
+const FORMAT: u32 = 1;
+const MAX_STATE_BYTES: u64 = 1 << 20;
+
+/// The content of a state file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredState {
+    format: u32,
+    /// Present from before the first voltage until 0 V was confirmed.
+    pub(crate) in_use: Option<InUse>,
+    pub(crate) quarantine: Option<Quarantine>,
+    pub(crate) last_run: Option<LastRun>,
+    pub(crate) cleared: Option<Clearance>,
+}
+
+/// A mark of a process.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct InUse {
+    pub(crate) since: String,
+    pub(crate) process: u32,
+    pub(crate) user: Option<String>,
+    /// Subcommand of platebench.
+    pub(crate) command: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Quarantine {
+    pub since: String,
+    pub reason: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LastRun {
+    pub started: String,
+    pub folder: PathBuf,
+    pub verdict: Option<Verdict>,
+}
+
+/// By a person.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Clearance {
+    at: String,
+    user: Option<String>,
+    reason: String,
+    /// The quarantine that ended.
+    quarantine: Quarantine,
+}
+
+impl Default for StoredState {
+    fn default() -> Self {
+        Self { format: FORMAT, in_use: None, quarantine: None, last_run: None, cleared: None }
+    }
+}
+
+impl StoredState {
+    /// A board without a file was never in use.
+    pub(crate) fn read(path: &Path) -> Result<Self, BoardError> {
+        match read_text_file(path, MAX_STATE_BYTES) {
+            Ok(text) => {
+                serde_json::from_str(&text).map_err(|source| BoardError::State { path: path.to_owned(), source })
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Self::default()),
+            Err(error) => Err(BoardError::io(path)(error)),
+        }
+    }
+
+    pub(crate) fn write(&self, path: &Path) -> Result<(), BoardError> {
+        let text =
+            serde_json::to_string_pretty(self).map_err(|source| BoardError::State { path: path.to_owned(), source })?;
+        write_atomically(path, format!("{text}\n").as_bytes()).map_err(BoardError::io(path))
+    }
+
+    /// `in_use` counts as a quarantine: its process is gone and did not confirm 0 V.
+    pub(crate) fn quarantine_without_holder(&self) -> Option<Quarantine> {
+        let lost = |mark: &InUse| Quarantine {
+            since: mark.since.clone(),
+            reason: format!("process {} (`platebench {}`) ended without confirmed 0 V", mark.process, mark.command),
+        };
+        self.quarantine.clone().or_else(|| self.in_use.as_ref().map(lost))
+    }
+
+    pub(crate) fn mark_in_use(&mut self, command: &str) {
+        let (process, user) = (std::process::id(), current_user());
+        self.in_use = Some(InUse { since: now(), process, user, command: command.to_owned() });
+    }
+
+    pub(crate) fn clear(&mut self, reason: &str) -> bool {
+        let Some(quarantine) = self.quarantine_without_holder() else { return false };
+        self.cleared = Some(Clearance { at: now(), user: current_user(), reason: reason.to_owned(), quarantine });
+        (self.in_use, self.quarantine) = (None, None);
+        true
+    }
+}
+
+fn current_user() -> Option<String> {
+    std::env::var("USER").ok().filter(|user| !user.is_empty())
+}
+
+/// UTC, RFC 3339 to the second.
+pub(crate) fn now() -> String {
+    Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
+}

@@ -1,0 +1,104 @@
+//! Lists boards with their state, and ends a quarantine.
+
+use crate::board_lock::BoardFiles;
+use crate::error::BoardError;
+use crate::inventory::{Board, BoardSensor, Inventory};
+use crate::state::{LastRun, Quarantine, StoredState};
+use platebench_report::text::Table;
+use serde::Serialize;
+use std::path::PathBuf;
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[serde(tag = "state", rename_all = "lowercase")]
+pub enum BoardState {
+    Free,
+    Held {
+        holder: String,
+        user: Option<String>,
+        /// Absent until the board is marked.
+        since: Option<String>,
+    },
+    Quarantined(Quarantine),
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BoardStatus {
+    pub name: String,
+    #[serde(flatten)]
+    pub state: BoardState,
+    pub rig: String,
+    pub host: Option<String>,
+    pub chip_id: Option<String>,
+    pub probe_serial: Option<String>,
+    pub amplifier: Option<String>,
+    pub plate: Option<PathBuf>,
+    pub sensor: Option<BoardSensor>,
+    pub last_run: Option<LastRun>,
+}
+
+pub fn list(inventory: &Inventory) -> Result<Vec<BoardStatus>, BoardError> {
+    inventory.boards.iter().map(|board| status(inventory, board)).collect()
+}
+
+fn status(inventory: &Inventory, board: &Board) -> Result<BoardStatus, BoardError> {
+    let files = BoardFiles::new(inventory, board)?;
+    let lock = files.lock()?;
+    // After the attempt: the mark cannot be of a process that has ended since.
+    let stored = StoredState::read(&files.state)?;
+    let state = match (&lock, stored.quarantine_without_holder()) {
+        (Err(holder), _) => BoardState::Held {
+            holder: holder.to_string(),
+            user: stored.in_use.as_ref().and_then(|mark| mark.user.clone()),
+            since: stored.in_use.as_ref().map(|mark| mark.since.clone()),
+        },
+        (Ok(_), Some(quarantine)) => BoardState::Quarantined(quarantine),
+        (Ok(_), None) => BoardState::Free,
+    };
+    drop(lock);
+    let Board { name, rig, host, chip_id, probe_serial, amplifier, plate, sensor } = board.clone();
+    let (rig, last_run) = (rig.to_string(), stored.last_run);
+    Ok(BoardStatus { name, state, rig, host, chip_id, probe_serial, amplifier, plate, sensor, last_run })
+}
+
+pub fn status_table(boards: &[BoardStatus]) -> Table {
+    let mut table = Table::new(["board", "state", "since", "by, or why", "last run", "verdict"]);
+    for board in boards {
+        let (state, since, why) = match &board.state {
+            BoardState::Free => ("free", None, String::new()),
+            BoardState::Held { holder, user, since } => {
+                let user = user.as_ref().map_or_else(String::new, |user| format!(" of {user}"));
+                ("held", since.clone(), format!("{holder}{user}"))
+            }
+            BoardState::Quarantined(quarantine) => {
+                ("quarantined", Some(quarantine.since.clone()), quarantine.reason.clone())
+            }
+        };
+        let run = board.last_run.as_ref();
+        let verdict = run.map(|run| run.verdict.map_or_else(|| "incomplete".to_owned(), |verdict| verdict.to_string()));
+        table.rows.push(vec![
+            board.name.clone(),
+            state.to_owned(),
+            since.unwrap_or_default(),
+            why,
+            run.map_or_else(String::new, |run| format!("{} {}", run.started, run.folder.display())),
+            verdict.unwrap_or_default(),
+        ]);
+    }
+    table
+}
+
+/// Ends the quarantine of a board that nothing holds.
+pub fn clear(inventory: &Inventory, name: &str, reason: &str) -> Result<(), BoardError> {
+    if reason.trim().is_empty() {
+        return Err(BoardError::NoReason);
+    }
+    let board = inventory.board(name)?;
+    let files = BoardFiles::new(inventory, board)?;
+    let name = board.name.clone();
+    let _lock = files.lock()?.map_err(|holder| BoardError::Held { name, holder, since: String::new() })?;
+    let mut state = StoredState::read(&files.state)?;
+    if !state.clear(reason) {
+        return Err(BoardError::NotQuarantined { name: board.name.clone() });
+    }
+    state.write(&files.state)
+}

@@ -1,0 +1,67 @@
+//! `platebench boards`: lists the boards of the inventory, or ends a quarantine.
+
+use crate::board_args::reject;
+use crate::exit::Exit;
+use crate::options::OutputFormat;
+use crate::stdio;
+use clap::{Args, Subcommand};
+use platebench_boards::{Inventory, clear, list, status_table};
+use std::path::PathBuf;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench boards                         free, held by whom, in quarantine and why, last run
+  platebench boards --format json
+  platebench boards clear left --reason 'amplifier checked, 0 V measured'
+
+Exit codes: 0 listed or cleared, 2 invalid inventory, unknown board, or not in quarantine, 5 the board is held")]
+pub(crate) struct BoardsArgs {
+    #[command(subcommand)]
+    action: Option<BoardsAction>,
+    /// Board inventory; default: the nearest boards.toml, from the working directory upwards
+    #[arg(long, value_name = "FILE", global = true)]
+    boards: Option<PathBuf>,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+#[derive(Debug, Subcommand)]
+enum BoardsAction {
+    /// End the quarantine of a board that a person has checked
+    #[command(after_help = "Exit codes: 0 cleared, 2 unknown board or not in quarantine, 5 the board is held")]
+    Clear {
+        /// Name of the board
+        name: String,
+        /// What was checked; stored with the time and the user
+        #[arg(long, value_name = "TEXT")]
+        reason: String,
+    },
+}
+
+pub(crate) fn boards(arguments: &BoardsArgs) -> Exit {
+    let inventory = match Inventory::open(arguments.boards.as_deref()) {
+        Ok(inventory) => inventory,
+        Err(error) => return reject(&error),
+    };
+    if let Some(BoardsAction::Clear { name, reason }) = &arguments.action {
+        return match clear(&inventory, name, reason) {
+            Ok(()) => {
+                stdio::note(&format!("board {name} is free"));
+                Exit::Passed
+            }
+            Err(error) => reject(&error),
+        };
+    }
+    match list(&inventory) {
+        Ok(boards) => {
+            match arguments.format {
+                OutputFormat::Human => stdio::show(&(status_table(&boards).lines().join("\n") + "\n")),
+                OutputFormat::Json => stdio::show_json(&boards),
+            }
+            Exit::Passed
+        }
+        Err(error) => reject(&error),
+    }
+}

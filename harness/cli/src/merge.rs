@@ -1,0 +1,71 @@
+//! `platebench merge`: joins the runs of shards and boards into one run folder.
+
+use crate::exit::Exit;
+use crate::options::{BASELINES, OutputFormat};
+use crate::stdio;
+use clap::Args;
+use platebench_boards::{MergeError, merge_runs};
+use platebench_record::{RunFolder, RunRecord};
+use platebench_report::page::{self, ReportPage};
+use platebench_report::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
+use platebench_report::{Detail, junit, traceability};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench merge runs/left runs/right --out runs/both      boards against scenarios, differences between boards
+  platebench merge runs/shard-1 runs/shard-2 --out runs/all  shards of one board
+
+Exit codes: as for run; 2 the same trial is in two runs, or a file was changed, 3 a shard is missing")]
+pub(crate) struct MergeArgs {
+    /// The run folders
+    #[arg(value_name = "RUN", required = true)]
+    runs: Vec<PathBuf>,
+    /// New run folder
+    #[arg(long, value_name = "RUN")]
+    out: PathBuf,
+    /// Format of standard output; json: the record
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+pub(crate) fn merge(arguments: &MergeArgs, detail: Detail) -> Exit {
+    let folder = match RunFolder::create(Some(&arguments.out)) {
+        Ok(folder) => folder,
+        Err(error) => return stdio::reject(&error),
+    };
+    let record = match merge_runs(&arguments.runs, &folder) {
+        Ok(record) => record,
+        Err(error) => {
+            folder.remove_if_empty();
+            return match &error {
+                MergeError::Stored(error) => stdio::reject_stored_run(error),
+                error => stdio::reject(error),
+            };
+        }
+    };
+    match arguments.format {
+        OutputFormat::Human => {
+            stdio::record(&record, arguments.format, detail);
+            show_boards(&record);
+        }
+        OutputFormat::Json => stdio::show_json(&record),
+    }
+    let page = folder.path().join(page::FILE);
+    let written = junit::write(&record, &folder.path().join(junit::FILE))
+        .and_then(|()| ReportPage::new(&record, folder.path()).with_baselines(Path::new(BASELINES)).write(&page))
+        .and_then(|()| traceability::write(&record, folder.path()));
+    stdio::note(&format!("report: {}", page.display()));
+    match written {
+        Ok(()) => Exit::of_record(&record),
+        Err(error) => stdio::reject(&error),
+    }
+}
+
+fn show_boards(record: &RunRecord) {
+    let Some(merge) = &record.merge else { return };
+    let tables = verdict_matrix(record).into_iter().chain(difference_table(merge));
+    tables.for_each(|table| stdio::show(&format!("\n{}\n", table.lines().join("\n"))));
+    missing_shards(merge).iter().for_each(|line| stdio::note(line));
+}

@@ -1,0 +1,70 @@
+//! Records which runs were joined, and how their boards differ.
+
+use crate::provenance::{Host, Tool};
+use crate::run_record::{Overrides, RigRecord};
+use crate::verdict::Verdict;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+pub struct MergeRecord {
+    pub runs: Vec<MergedRun>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing_shards: Vec<MissingShard>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub differences: Vec<BoardDifference>,
+}
+
+/// A run before it was joined.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MergedRun {
+    /// Name of the board, or kind of the rig.
+    pub board: String,
+    /// Run folder.
+    pub folder: String,
+    pub started: String,
+    pub verdict: Verdict,
+    pub complete: bool,
+    pub rig: RigRecord,
+    pub overrides: Overrides,
+    pub tool: Tool,
+    pub host: Host,
+    pub scenarios: Vec<MergedScenario>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct MergedScenario {
+    /// As in `scenarios` of the joined run.
+    pub file: String,
+    /// As in the run before.
+    pub original: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct MissingShard {
+    pub board: String,
+    /// From 1.
+    pub shard: usize,
+    pub shards: usize,
+}
+
+/// Mean over the trials of a board minus the mean of the reference board.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct BoardDifference {
+    pub scenario: String,
+    pub metric: String,
+    pub board: String,
+    pub reference: String,
+    pub difference: f64,
+    /// Two-sided; absent with one trial on one of the boards.
+    pub interval: Option<[f64; 2]>,
+    pub confidence: f64,
+}
+
+impl MergeRecord {
+    /// Of the run that played the scenario `file`.
+    pub fn overrides_of(&self, file: &str) -> Option<&Overrides> {
+        let run = self.runs.iter().find(|run| run.scenarios.iter().any(|scenario| scenario.file == file))?;
+        Some(&run.overrides)
+    }
+}

@@ -1,0 +1,159 @@
+//! Tests locks, quarantine and identity of boards through the program.
+
+use crate::test_folder::{ChildGuard, SETTLING, TestFolder, controller_rig, start_bench, wait_until};
+use std::fs;
+
+const CHIP: &str = "0102030405060708090a0b0c";
+
+fn inventory(boards: &[(&str, String)]) -> String {
+    boards.iter().map(|(name, keys)| format!("[[board]]\nname = \"{name}\"\n{keys}\n")).collect()
+}
+
+fn rig(rig: &str) -> String {
+    format!("rig = \"{rig}\"")
+}
+
+/// A board `left` and a scenario that settles.
+fn lab(keys: &str) -> TestFolder {
+    let folder = TestFolder::with_step(SETTLING);
+    folder.write("boards.toml", &inventory(&[("left", keys.to_owned())]));
+    let minute = TestFolder::with_minute();
+    folder.write("minute.toml", &minute.read("scenarios/s.toml").replace("\"plates/", "\"scenarios/plates/"));
+    folder
+}
+
+fn start_minute(folder: &TestFolder) -> ChildGuard {
+    let words = ["run", "minute.toml", "--clock", "real-time", "--board", "left", "--out", "minute"];
+    let bench = start_bench(folder.path(), words);
+    wait_until("the run never began", || folder.exists("minute/run.json"));
+    bench
+}
+
+fn state(folder: &TestFolder, board: usize) -> serde_json::Value {
+    folder.bench(["boards", "--format", "json"]).assert_exit(0).json()[board].clone()
+}
+
+#[test]
+fn a_killed_run_leaves_the_board_in_quarantine() {
+    let folder = lab(&rig("hosted"));
+    let mut first = start_minute(&folder);
+    let process = first.0.id();
+    folder.bench(["run", "--board", "left", "--out", "second"]).assert_exit(5).assert_stderr(&[
+        "board left is held by",
+        &format!("process {process} "),
+        "since 20",
+    ]);
+    assert!(!folder.exists("second"));
+    assert_eq!(state(&folder, 0)["state"], "held");
+    folder.bench(["boards", "clear", "left", "--reason", "x"]).assert_exit(5);
+    first.kill();
+    let quarantined = state(&folder, 0);
+    assert_eq!(quarantined["state"], "quarantined");
+    assert!(quarantined["reason"].as_str().unwrap().contains("without confirmed 0 V"), "{quarantined}");
+    folder.bench(["run", "--board", "left", "--wait", "1"]).assert_exit(5).assert_stderr(&["quarantine", "clear left"]);
+    folder.bench(["boards", "clear", "left", "--reason", " "]).assert_exit(2);
+    folder.bench(["boards", "clear", "left", "--reason", "0 V measured"]).assert_exit(0);
+    folder.bench(["run", "--board", "left", "--out", "third"]).assert_exit(0);
+    let free = state(&folder, 0);
+    assert_eq!((&free["state"], &free["last_run"]["verdict"]), (&"free".into(), &"pass".into()));
+    assert!(free["last_run"]["folder"].as_str().unwrap().ends_with("third"));
+    folder.bench(["boards", "clear", "left", "--reason", "x"]).assert_exit(2).assert_stderr(&["not in quarantine"]);
+    assert!(folder.read("boards.state/left.json").contains("0 V measured"));
+}
+
+#[test]
+fn a_cancelled_or_failed_run_leaves_the_board_free() {
+    let folder = lab(&rig("hosted"));
+    let first = start_minute(&folder);
+    first.signal("INT");
+    first.finish().assert_exit(130);
+    assert_eq!(state(&folder, 0)["state"], "free");
+    folder.bench(["run", "--board", "left", "--out", "minute"]).assert_exit(2).assert_stderr(&["already contains"]);
+    folder.replace("scenarios/s.toml", "at_most = 2.0", "at_most = 1.9");
+    folder.bench(["run", "--board", "left", "--out", "failed"]).assert_exit(1);
+    let free = state(&folder, 0);
+    assert_eq!((&free["state"], &free["last_run"]["verdict"]), (&"free".into(), &"fail".into()));
+}
+
+#[test]
+fn a_run_that_waits_starts_when_the_board_is_free() {
+    let folder = lab(&rig("hosted"));
+    let first = start_minute(&folder);
+    let mut second = start_bench(folder.path(), ["run", "--board", "left", "--wait", "60", "--out", "second"]);
+    let stderr = second.0.stderr.take().unwrap();
+    let mut lines = std::io::BufRead::lines(std::io::BufReader::new(stderr));
+    let waiting = lines.next().unwrap().unwrap();
+    assert!(waiting.contains("waiting: board left is held by process"), "{waiting}");
+    first.signal("TERM");
+    first.finish().assert_exit(143);
+    let rest: Vec<_> = lines.map_while(Result::ok).collect();
+    assert_eq!(second.0.wait().unwrap().code(), Some(0), "{rest:?}");
+}
+
+#[test]
+fn a_board_with_another_chip_is_not_configured() {
+    let folder = lab("");
+    let log = folder.join("controller.log");
+    let rig = controller_rig(Some(&log)).replace("{port}", "{port} --unique ffffffffffffffffffffffff");
+    let keys = format!("rig = \"{rig}\"\nchip_id = \"{CHIP}\"");
+    folder.write("boards.toml", &inventory(&[("left", keys.clone())]));
+    folder
+        .bench(["run", "--board", "left", "--out", "run"])
+        .assert_exit(5)
+        .assert_stderr(&["has the number ffffffffffffffffffffffff, boards.toml has 0102030405060708090a0b0c"]);
+    let states = fs::read_to_string(&log).unwrap();
+    assert!(states.contains("idle") && !states.contains("running"), "{states}");
+    assert!(!folder.exists("run"));
+    assert_eq!(state(&folder, 0)["state"], "quarantined");
+    folder.write("boards.toml", &inventory(&[("left", keys.replace(CHIP, &"F".repeat(24)))]));
+    folder.bench(["boards", "clear", "left", "--reason", "inventory corrected"]).assert_exit(0);
+    folder.bench(["run", "--board", "left", "--out", "run"]).assert_exit(0);
+    assert_eq!(folder.record("run").overrides.board.as_deref(), Some("left"));
+}
+
+#[test]
+fn a_dead_board_stops_no_other_board() {
+    let folder = lab("");
+    let dead = rig("exec:false {port}");
+    let probe = |rig: &str| format!("rig = \"{rig}\"\nprobe_serial = \"066DFF\"");
+    folder.write("boards.toml", &inventory(&[("dead", dead), ("left", probe("hosted")), ("right", probe("hosted"))]));
+    folder.bench(["run", "--board", "dead", "--out", "a"]).assert_exit(5);
+    assert_eq!(state(&folder, 0)["state"], "free", "no voltage was applied");
+    let first = start_minute(&folder);
+    folder.bench(["run", "--board", "right", "--out", "b"]).assert_exit(5).assert_stderr(&["right is held"]);
+    first.signal("TERM");
+    first.finish().assert_exit(143);
+    folder.bench(["run", "--board", "right", "--out", "b"]).assert_exit(0);
+}
+
+#[test]
+fn boards_are_found_and_checked_strictly() {
+    let folder = lab(&rig("hosted"));
+    folder.bench(["run", "--board", "up"]).assert_exit(2).assert_stderr(&["no board `up`, expected one of left"]);
+    folder.bench(["run", "--board", "left", "--rig", "hosted"]).assert_exit(2).assert_stderr(&["--board"]);
+    folder.bench(["check", "boards.toml"]).assert_exit(0).assert_stdout(&["1 board inventory"]);
+    folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"can:0\"\nchip = 1\n");
+    folder.bench(["boards"]).assert_exit(2).assert_stderr(&["boards.toml:4:1", "unknown key `chip`"]);
+    folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"can:0\"\n");
+    folder.bench(["check", "boards.toml"]).assert_exit(2).assert_stderr(&["boards.toml:3:7", "unknown kind of rig"]);
+    fs::rename(folder.join("boards.toml"), folder.join("lab.toml")).unwrap();
+    folder.bench(["boards"]).assert_exit(2).assert_stderr(&["no boards.toml"]);
+    folder.replace("lab.toml", "can:0", "hosted");
+    folder.bench(["boards", "--boards", "lab.toml"]).assert_exit(0).assert_stdout(&["left", "free"]);
+}
+
+#[test]
+fn other_commands_take_their_rig_from_the_board() {
+    let folder = lab("rig = \"hosted\"\nplate = \"scenarios/plates/aluminium-198x138.toml\"");
+    folder.bench(["tune", "--board", "left", "--out", "step"]).assert_exit(0).assert_stdout(&["accepted the gains"]);
+    assert_eq!(folder.record("step").overrides.board.as_deref(), Some("left"));
+    assert!(state(&folder, 0)["last_run"]["folder"].as_str().unwrap().ends_with("step"));
+    folder.bench(["emulate", "--board", "left"]).assert_exit(2).assert_stderr(&["expected serial:"]);
+    folder.write(
+        "c.toml",
+        "title = \"c\"\nscenario = \"scenarios/s.toml\"\n[vary]\n\"controller.loop_delay_ms\" = { uniform = [0.0, 0.1] }\n\
+         [plan]\nmethod = \"random\"\ntrials = 3\n",
+    );
+    folder.bench(["campaign", "run", "c.toml", "--board", "left", "--out", "c"]).assert_exit_in(&[0, 1]);
+    assert_eq!(state(&folder, 0)["state"], "free");
+}
