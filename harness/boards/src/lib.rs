@@ -10,6 +10,8 @@ mod inventory;
 mod merge;
 mod reservation;
 mod run_end;
+mod soak;
+mod soak_record;
 mod state;
 mod status;
 
@@ -18,5 +20,7 @@ pub use inventory::{Board, BoardSensor, INVENTORY_FILE, Inventory, RawInventory}
 pub use merge::{MergeError, merge_runs};
 pub use reservation::Reservation;
 pub use run_end::RunEnd;
+pub use soak::{SoakConfig, SoakResult, soak};
+pub use soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
 pub use state::{LastRun, Quarantine};
 pub use status::{BoardState, BoardStatus, clear, list, status_table};

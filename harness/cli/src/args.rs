@@ -6,7 +6,7 @@ use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
     accept, baseline, boards, campaign, chart, check, compare, completions, coverage, emulate, explore, export,
-    export_fmu, identify, judge, man, merge, mutate, new, replay, report, run, schema, stability, trust, tune,
+    export_fmu, identify, judge, man, merge, mutate, new, replay, report, run, schema, soak, stability, trust, tune,
 };
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -63,6 +63,8 @@ pub(crate) enum Command {
     Explore(explore::ExploreArgs),
     /// Join the runs of shards and boards into one run folder
     Merge(merge::MergeArgs),
+    /// Play scenarios in rotation on a board for hours
+    Soak(soak::SoakArgs),
     /// Show which lines of the firmware the scenarios execute (emulated rig)
     Coverage(coverage::CoverageArgs),
     /// Change the firmware's machine code and check whether the scenarios notice (emulated rig)

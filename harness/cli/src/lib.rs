@@ -41,6 +41,7 @@ mod run;
 mod run_plan;
 mod schema;
 mod shutdown;
+mod soak;
 mod stability;
 mod stdio;
 mod tags;

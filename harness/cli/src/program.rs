@@ -6,7 +6,7 @@ use crate::config::{self, Config};
 use crate::exit::Exit;
 use crate::{
     accept, args, baseline, boards, campaign, chart, check, compare, completions, coverage, emulate, explore, export,
-    export_fmu, identify, judge, logging, man, merge, mutate, new, replay, report, run, schema, stability, stdio,
+    export_fmu, identify, judge, logging, man, merge, mutate, new, replay, report, run, schema, soak, stability, stdio,
     trust, tune,
 };
 use clap::CommandFactory;
@@ -58,6 +58,7 @@ fn dispatch(arguments: &Arguments) -> Exit {
         Command::Explore(arguments) => explore::explore(arguments, quiet),
         Command::Coverage(arguments) => coverage::coverage(arguments),
         Command::Merge(arguments) => merge::merge(arguments, detail),
+        Command::Soak(arguments) => soak::soak(arguments),
         Command::Mutate(arguments) => mutate::mutate(arguments, quiet),
         Command::Boards(arguments) => boards::boards(arguments),
         Command::Campaign(arguments) => campaign::campaign(arguments, quiet),

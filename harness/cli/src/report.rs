@@ -2,8 +2,9 @@
 
 use crate::exit::Exit;
 use crate::options::BASELINES;
-use crate::stdio;
+use crate::{soak, stdio};
 use clap::Args;
+use platebench_boards::{SOAK_FILE, SoakRecord};
 use platebench_record::RunRecord;
 use platebench_report::page::{self, ReportPage};
 use platebench_report::traceability;
@@ -28,6 +29,12 @@ pub(crate) struct ReportArgs {
 }
 
 pub(crate) fn report(arguments: &ReportArgs) -> Exit {
+    if arguments.against.is_none() && arguments.run.join(SOAK_FILE).exists() {
+        return match SoakRecord::read(&arguments.run) {
+            Ok(record) => soak::write_page(&record, &arguments.run),
+            Err(error) => stdio::reject(&format!("{}: {error}", arguments.run.join(SOAK_FILE).display())),
+        };
+    }
     let both = || {
         let record = read_record(&arguments.run)?;
         let other = arguments.against.as_deref().map(|folder| read_record(folder).map(|other| (folder, other)));

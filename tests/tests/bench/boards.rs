@@ -102,7 +102,7 @@ fn a_board_with_another_chip_is_not_configured() {
         .assert_exit(5)
         .assert_stderr(&["has the number ffffffffffffffffffffffff, boards.toml has 0102030405060708090a0b0c"]);
     let states = fs::read_to_string(&log).unwrap();
-    assert!(states.contains("idle") && !states.contains("running"), "{states}");
+    assert!(states.contains("\"start\"") && !states.contains("running"), "{states}");
     assert!(!folder.exists("run"));
     assert_eq!(state(&folder, 0)["state"], "quarantined");
     folder.write("boards.toml", &inventory(&[("left", keys.replace(CHIP, &"F".repeat(24)))]));
@@ -156,4 +156,38 @@ fn other_commands_take_their_rig_from_the_board() {
     );
     folder.bench(["campaign", "run", "c.toml", "--board", "left", "--out", "c"]).assert_exit_in(&[0, 1]);
     assert_eq!(state(&folder, 0)["state"], "free");
+}
+
+#[test]
+fn a_soak_advances_its_seeds_and_ends_at_0_volt() {
+    let folder = lab(&rig("hosted"));
+    let soak = start_bench(folder.path(), ["soak", "--board", "left", "--hours", "1", "--out", "soak"]);
+    wait_until("too few runs", || {
+        let text = fs::read_to_string(folder.join("soak/soak.json")).unwrap_or_default();
+        serde_json::from_str::<serde_json::Value>(&text).is_ok_and(|soak| soak["runs"].as_u64() >= Some(4))
+    });
+    folder.bench(["report", "soak"]).assert_exit(0);
+    assert!(folder.read("soak/report.html").contains("not ended"));
+    soak.signal("INT");
+    soak.finish().assert_exit(130);
+    let record: serde_json::Value = serde_json::from_str(&folder.read("soak/soak.json")).unwrap();
+    let runs = record["runs"].as_u64().unwrap();
+    assert_eq!((&record["end"], &record["safe_confirmed"]), (&"cancelled".into(), &true.into()));
+    assert_eq!(record["scenarios"]["s.toml"]["metrics"]["settling_time_ms"]["count"], runs);
+    assert_eq!(state(&folder, 0)["state"], "free");
+    let newest = folder.record(&format!("soak/{}", record["newest"].as_str().unwrap()));
+    assert_eq!(newest.scenarios[0].trials[0].seed, runs, "the first seed is 1");
+    assert!(fs::read_dir(folder.join("soak/runs")).unwrap().count() <= 2);
+    folder.bench(["soak", "--board", "left", "--hours", "1", "--out", "soak"]).assert_exit(2);
+}
+
+#[test]
+fn a_soak_ends_after_its_time_or_at_the_first_failure() {
+    let folder = lab(&rig("hosted"));
+    folder.bench(["soak", "--board", "left", "--hours", "0.0001", "--out", "soak"]).assert_exit(0);
+    folder.replace("scenarios/s.toml", "at_most = 2.0", "at_most = 1.9");
+    folder.bench(["soak", "--board", "left", "--hours", "1", "--fail-fast", "--out", "failed"]).assert_exit(1);
+    let record: serde_json::Value = serde_json::from_str(&folder.read("failed/soak.json")).unwrap();
+    assert_eq!((&record["end"], &record["runs"]), (&"failed".into(), &1.into()));
+    folder.bench(["judge", &format!("failed/{}", record["kept"][0].as_str().unwrap())]).assert_exit(1);
 }

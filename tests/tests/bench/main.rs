@@ -23,6 +23,7 @@ mod golden;
 mod identify;
 mod line_faults;
 mod live;
+mod merge;
 mod output_formats;
 mod python_package;
 mod real_plate;

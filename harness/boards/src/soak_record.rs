@@ -1,0 +1,162 @@
+//! Records a soak: counts and running statistics, whose size does not grow with its runs.
+
+use crate::state::now;
+use platebench_record::{RunRecord, Verdict};
+use platebench_report::text::Table;
+use platebench_trace::{read_text_file, write_atomically};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+
+pub const SOAK_FILE: &str = "soak.json";
+const FORMAT: u32 = 1;
+const MAX_BYTES: u64 = 1 << 26;
+
+/// The content of `soak.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SoakRecord {
+    format: u32,
+    pub board: String,
+    pub rig: String,
+    pub started: String,
+    pub updated: String,
+    /// Of all runs.
+    pub verdict: Verdict,
+    /// Absent while it runs, and if it was killed.
+    pub end: Option<SoakEnd>,
+    pub runs: u64,
+    /// Of each run, the controller confirmed 0 V.
+    pub safe_confirmed: bool,
+    pub scenarios: BTreeMap<String, SoakScenario>,
+    /// Folder of the newest run.
+    pub newest: Option<String>,
+    /// Folders of the first runs that did not pass.
+    pub kept: Vec<String>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SoakEnd {
+    Time,
+    Cancelled,
+    Failed,
+    Lost,
+}
+
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct SoakScenario {
+    pub runs: u64,
+    pub trials: u64,
+    pub failed: u64,
+    pub inconclusive: u64,
+    pub metrics: BTreeMap<String, RunningStatistics>,
+}
+
+/// Welford's sums (*Technometrics* 4, 1962, pp. 419-420).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RunningStatistics {
+    pub count: u64,
+    pub mean: f64,
+    /// Sum of the squared distances from the mean.
+    pub squares: f64,
+    pub minimum: f64,
+    pub maximum: f64,
+}
+
+impl RunningStatistics {
+    fn of(value: f64) -> Self {
+        Self { count: 1, mean: value, squares: 0.0, minimum: value, maximum: value }
+    }
+
+    fn add(&mut self, value: f64) {
+        self.count += 1;
+        let before = value - self.mean;
+        self.mean += before / self.count as f64;
+        self.squares += before * (value - self.mean);
+        (self.minimum, self.maximum) = (self.minimum.min(value), self.maximum.max(value));
+    }
+
+    /// With n − 1 in the denominator; zero for one value.
+    fn deviation(&self) -> f64 {
+        if self.count > 1 { (self.squares / (self.count - 1) as f64).sqrt() } else { 0.0 }
+    }
+}
+
+impl SoakRecord {
+    pub(crate) fn new(board: &str, rig: &str) -> Self {
+        Self {
+            format: FORMAT,
+            board: board.to_owned(),
+            rig: rig.to_owned(),
+            started: now(),
+            updated: now(),
+            verdict: Verdict::Inconclusive,
+            end: None,
+            runs: 0,
+            safe_confirmed: true,
+            scenarios: BTreeMap::new(),
+            newest: None,
+            kept: Vec::new(),
+        }
+    }
+
+    pub fn read(folder: &Path) -> io::Result<Self> {
+        Ok(serde_json::from_str(&read_text_file(&folder.join(SOAK_FILE), MAX_BYTES)?)?)
+    }
+
+    pub(crate) fn write(&self, folder: &Path) -> io::Result<()> {
+        write_atomically(&folder.join(SOAK_FILE), format!("{}\n", serde_json::to_string_pretty(self)?).as_bytes())
+    }
+
+    pub(crate) fn add(&mut self, run: &RunRecord, folder: &str) {
+        let before = (self.runs > 0).then_some(self.verdict);
+        self.verdict = Verdict::combine(before.into_iter().chain([run.verdict]));
+        self.runs += 1;
+        self.updated = now();
+        self.safe_confirmed &= run.safe_confirmed == Some(true);
+        self.newest = Some(folder.to_owned());
+        for played in &run.scenarios {
+            let scenario = self.scenarios.entry(played.file.clone()).or_default();
+            scenario.runs += 1;
+            scenario.trials += played.trials.len() as u64;
+            scenario.failed += u64::from(played.verdict == Verdict::Fail);
+            scenario.inconclusive += u64::from(played.verdict == Verdict::Inconclusive);
+            let counted = played.trials.iter().filter(|trial| trial.cause.is_none());
+            for (metric, value) in counted.flat_map(|trial| &trial.metrics) {
+                let Some(value) = value.as_f64() else { continue };
+                let known = scenario.metrics.entry(metric.clone());
+                known.and_modify(|known| known.add(value)).or_insert_with(|| RunningStatistics::of(value));
+            }
+        }
+    }
+
+    pub fn table(&self) -> Table {
+        let header = ["scenario", "runs", "trials", "failed", "inconclusive", "metric", "mean", "sd", "min", "max"];
+        let mut table = Table::new(header);
+        for (file, scenario) in &self.scenarios {
+            let counts = [scenario.runs, scenario.trials, scenario.failed, scenario.inconclusive];
+            let counts: Vec<_> = counts.iter().map(ToString::to_string).collect();
+            for (metric, known) in &scenario.metrics {
+                let numbers = [known.mean, known.deviation(), known.minimum, known.maximum];
+                let numbers = numbers.map(|number| format!("{number:.4}"));
+                let start = std::iter::once(file.clone()).chain(counts.clone());
+                table.rows.push(start.chain(std::iter::once(metric.clone())).chain(numbers).collect());
+            }
+        }
+        table
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn running_statistics_are_those_of_all_values() {
+        let mut known = RunningStatistics::of(1.0);
+        [2.0, 3.0, 4.0].into_iter().for_each(|value| known.add(value));
+        assert_eq!((known.count, known.mean, known.minimum, known.maximum), (4, 2.5, 1.0, 4.0));
+        assert!((known.deviation() - (5.0_f64 / 3.0).sqrt()).abs() < 1e-15);
+    }
+}
