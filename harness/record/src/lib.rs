@@ -8,9 +8,11 @@ mod excuse;
 mod expectation_record;
 mod merge_record;
 mod missing_value;
+mod overrides;
 mod provenance;
 mod real_plate;
 mod reason;
+mod rig_record;
 mod run_folder;
 mod run_record;
 mod store;
@@ -27,15 +29,14 @@ pub use excuse::{BestResponse, Excuse};
 pub use expectation_record::{Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Statistic};
 pub use merge_record::{BoardDifference, MergeRecord, MergedRun, MergedScenario, MissingShard};
 pub use missing_value::{MissingValue, UndefinedValue};
+pub use overrides::{KeepTraces, Overrides};
 pub use platebench_scenario::{Limit, Metric};
 pub use provenance::{Host, Tool};
 pub use real_plate::{OperatorRequest, RealPlateRecord};
 pub use reason::{DivergedTrials, Divergence, Reason, TrialFinding, TrialReason, WideBoundsCause, percent};
+pub use rig_record::{Firmware, RigRecord};
 pub use run_folder::{FolderError, RunFolder, sha256, sha256_of_file, to_hex, trace_path};
-pub use run_record::{
-    ClockKind, FORMAT, Firmware, InputRecord, KeepTraces, NotApplicable, Overrides, RigRecord, RunRecord,
-    ScenarioRecord,
-};
+pub use run_record::{ClockKind, FORMAT, InputRecord, NotApplicable, RunRecord, ScenarioRecord};
 pub use store::{RECORD_FILE, RecordError, RunSummary, ScenarioSummary};
 pub use timing::{Quantiles, TimingRecord};
 pub use trial_record::{NonFiniteDrive, Telemetry, TrialRecord};

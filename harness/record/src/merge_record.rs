@@ -1,7 +1,8 @@
 //! Records which runs were joined, and how their boards differ.
 
+use crate::overrides::Overrides;
 use crate::provenance::{Host, Tool};
-use crate::run_record::{Overrides, RigRecord};
+use crate::rig_record::RigRecord;
 use crate::verdict::Verdict;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

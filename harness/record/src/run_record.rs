@@ -4,8 +4,10 @@ use crate::cost::CostTrend;
 use crate::exclusion::Exclusion;
 use crate::expectation_record::ExpectationRecord;
 use crate::merge_record::MergeRecord;
+use crate::overrides::Overrides;
 use crate::provenance::{Host, Tool};
 use crate::reason::Reason;
+use crate::rig_record::RigRecord;
 use crate::trial_record::TrialRecord;
 use crate::verdict::{Cause, Verdict};
 use schemars::JsonSchema;
@@ -81,77 +83,6 @@ pub struct NotApplicable {
     pub title: String,
     /// What the controller does not announce.
     pub reason: String,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct RigRecord {
-    /// As named on the command line.
-    pub name: String,
-    /// The firmware's own identification; `None` if it never answered.
-    #[serde(default)]
-    pub firmware: Option<Firmware>,
-}
-
-impl RigRecord {
-    /// The kind of rig, without port or file.
-    pub fn kind(&self) -> &str {
-        self.name.split(':').next().unwrap_or_default()
-    }
-}
-
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct Firmware {
-    pub name: String,
-    pub version: String,
-    /// Build identity, hexadecimal.
-    pub build: String,
-    /// Chip identity code, hexadecimal; zero for a program on a computer.
-    pub chip: String,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-pub struct Overrides {
-    pub law: Option<String>,
-    pub trials: Option<u32>,
-    pub seed: Option<u64>,
-    /// `--model`: the name of a tier or `auto`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub model: Option<String>,
-    /// `--require-all`: a scenario that is not applicable fails the run.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub require_all: bool,
-    /// `--fail-fast`: no trial starts after a scenario failed.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub fail_fast: bool,
-    #[serde(default, skip_serializing_if = "KeepTraces::keeps_all")]
-    pub keep_traces: KeepTraces,
-    /// `--board`: its name in boards.toml.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub board: Option<String>,
-    /// `--shard`: number from 1, and how many.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub shard: Option<[usize; 2]>,
-}
-
-/// `--keep-traces`
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum KeepTraces {
-    #[default]
-    All,
-    /// Trials are judged in memory.
-    None,
-    /// Trials that miss a limit, break a rule or do not count.
-    Failing,
-    /// This many trials of each scenario, those with the smallest margins.
-    Worst(u32),
-}
-
-impl KeepTraces {
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
-    fn keeps_all(&self) -> bool {
-        *self == Self::All
-    }
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -1,7 +1,8 @@
 //! Reads and writes `run.json`, and finds earlier runs in neighbouring folders.
 
 use crate::expectation_record::ExpectationRecord;
-use crate::run_record::{FORMAT, RigRecord, RunRecord};
+use crate::rig_record::RigRecord;
+use crate::run_record::{FORMAT, RunRecord};
 use platebench_trace::{AtomicFile, open_regular_file, read_text_file};
 use serde::de::{DeserializeOwned, Error, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};

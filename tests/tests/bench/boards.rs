@@ -148,7 +148,10 @@ fn other_commands_take_their_rig_from_the_board() {
     folder.bench(["tune", "--board", "left", "--out", "step"]).assert_exit(0).assert_stdout(&["accepted the gains"]);
     assert_eq!(folder.record("step").overrides.board.as_deref(), Some("left"));
     assert!(state(&folder, 0)["last_run"]["folder"].as_str().unwrap().ends_with("step"));
-    folder.bench(["emulate", "--board", "left"]).assert_exit(2).assert_stderr(&["expected serial:"]);
+    folder
+        .bench(["emulate", "--board", "left", "--scenario", "scenarios/s.toml"])
+        .assert_exit(2)
+        .assert_stderr(&["expected serial:"]);
     folder.write(
         "c.toml",
         "title = \"c\"\nscenario = \"scenarios/s.toml\"\n[vary]\n\"controller.loop_delay_ms\" = { uniform = [0.0, 0.1] }\n\

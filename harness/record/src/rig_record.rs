@@ -1,0 +1,30 @@
+//! Records the rig and its firmware.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RigRecord {
+    /// As named on the command line.
+    pub name: String,
+    /// The firmware's own identification; `None` if it never answered.
+    #[serde(default)]
+    pub firmware: Option<Firmware>,
+}
+
+impl RigRecord {
+    /// The kind of rig, without port or file.
+    pub fn kind(&self) -> &str {
+        self.name.split(':').next().unwrap_or_default()
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Firmware {
+    pub name: String,
+    pub version: String,
+    /// Build identity, hexadecimal.
+    pub build: String,
+    /// Chip identity code, hexadecimal; zero for a program on a computer.
+    pub chip: String,
+}
