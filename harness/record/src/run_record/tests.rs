@@ -1,6 +1,7 @@
 use super::*;
 use crate::expectation_record::{Evidence, EvidenceMethod, MetricDefinition, Statistic};
 use crate::reason::TrialReason;
+use crate::rig_record::Firmware;
 use crate::store::{RECORD_FILE, RecordError, RunSummary};
 use crate::trial_record::Telemetry;
 use platebench_scenario::{Limit, Metric};
