@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 const CONFIDENCE: f64 = 0.95;
 /// Each end of the interval is a one-sided bound.
-const ONE_SIDED: f64 = (1.0 + CONFIDENCE) / 2.0;
+const ONE_SIDED: f64 = f64::midpoint(1.0, CONFIDENCE);
 
 /// Each board against the first one that played the scenario.
 pub(crate) fn differences(merge: &MergeRecord, scenarios: &[ScenarioRecord]) -> Vec<BoardDifference> {

@@ -132,7 +132,7 @@ impl Inventory {
         }
         for (index, board) in raw.board.into_iter().enumerate() {
             let mut refuse = |key: &str, why: String| {
-                faults.push(Diagnostic::at_key(path, &text, &format!("board.{index}.{key}"), why))
+                faults.push(Diagnostic::at_key(path, &text, &format!("board.{index}.{key}"), why));
             };
             if !names.insert(board.name.clone()) {
                 refuse("name", format!("`{}` is the name of an earlier board, expected another one", board.name));

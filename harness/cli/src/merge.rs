@@ -67,5 +67,7 @@ fn show_boards(record: &RunRecord) {
     let Some(merge) = &record.merge else { return };
     let tables = verdict_matrix(record).into_iter().chain(difference_table(merge));
     tables.for_each(|table| stdio::show(&format!("\n{}\n", table.lines().join("\n"))));
-    missing_shards(merge).iter().for_each(|line| stdio::note(line));
+    for line in missing_shards(merge) {
+        stdio::note(&line);
+    }
 }

@@ -78,7 +78,9 @@ fn play_on_board(arguments: &SoakArgs) -> Result<Exit, Exit> {
     let mut scenarios = found.scenarios;
     let (law, name) = (arguments.law.clone(), Some(board.name.clone()));
     let overrides = Overrides { law, board: name, ..Overrides::default() };
-    scenarios.iter_mut().for_each(|scenario| rejudge::apply_overrides(&overrides, scenario));
+    for scenario in &mut scenarios {
+        rejudge::apply_overrides(&overrides, scenario);
+    }
     check_line_speed(&board.rig, clock, &scenarios).map_err(|fault| stdio::reject(&fault))?;
     let is_serial = !board.rig.allows_parallel_links() || !matches!(clock, Clock::Lockstep { .. });
     let plan = RunPlan {
