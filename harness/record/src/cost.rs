@@ -6,6 +6,24 @@ use serde::{Deserialize, Serialize};
 /// Changes up to this size are not reported, percent.
 const MIN_CHANGE_PERCENT: f64 = 1.0;
 
+/// Of the emulated board: one per cycle of 168 MHz.
+const INSTRUCTIONS_PER_MS: f64 = 168_000.0;
+
+/// The control step that needs the largest share of its period.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct TightestStep {
+    pub instructions: f64,
+    /// Control period of its scenario.
+    pub period_ms: f64,
+}
+
+impl TightestStep {
+    /// Of the instructions that fit into the period at 168 MHz and one per cycle.
+    pub fn share(&self) -> f64 {
+        self.instructions / (INSTRUCTIONS_PER_MS * self.period_ms)
+    }
+}
+
 /// Instructions per control step over some trials.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StepCost {
@@ -20,6 +38,9 @@ pub struct CostTrend {
     /// Build identity of the firmware, hexadecimal.
     pub build: String,
     pub cost: StepCost,
+    /// `null` in records of earlier versions.
+    #[serde(default)]
+    pub tightest: Option<TightestStep>,
     /// Runs of the same trials on the same kind of rig and firmware: newest first, reference last.
     pub earlier: Vec<EarlierCost>,
 }
@@ -91,7 +112,7 @@ mod tests {
 
     fn trend(earlier: Vec<EarlierCost>) -> CostTrend {
         let cost = StepCost { mean: 2_000.0, worst: 2_600.0 };
-        CostTrend { law: "dq-pi".to_owned(), build: "new".to_owned(), cost, earlier }
+        CostTrend { law: "dq-pi".to_owned(), build: "new".to_owned(), cost, tightest: None, earlier }
     }
 
     #[rstest]

@@ -22,7 +22,7 @@ mod verdict;
 mod violation;
 
 pub use bounds::Bounds;
-pub use cost::{CostChange, CostTrend, EarlierCost, StepCost};
+pub use cost::{CostChange, CostTrend, EarlierCost, StepCost, TightestStep};
 pub use event::Event;
 pub use exclusion::Exclusion;
 pub use excuse::{BestResponse, Excuse};

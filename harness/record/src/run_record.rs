@@ -96,6 +96,9 @@ pub struct ScenarioRecord {
     pub verdict: Verdict,
     pub law: String,
     pub model: String,
+    /// Control period; `null` in records of earlier versions.
+    #[serde(default)]
+    pub period_ms: Option<f64>,
     /// Every input file; the first is the scenario.
     pub inputs: Vec<InputRecord>,
     pub expectations: Vec<ExpectationRecord>,

@@ -177,7 +177,7 @@ mod tests {
             verdict: Verdict::Fail,
             law: String::new(),
             model: String::new(),
-
+            period_ms: None,
             inputs: Vec::new(),
             expectations: vec![expectation],
             trials: vec![trial_of(0, 1.0), trial_of(1, 3.0), trial_of(2, 3.0), trial_of(3, 2.0)],

@@ -304,6 +304,7 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
         verdict: Verdict::Inconclusive,
         law: scenario.controller.law.clone(),
         model: scenario.tier.name().to_owned(),
+        period_ms: Some(scenario.controller.period.seconds() * 1e3),
         inputs,
         expectations: Vec::new(),
         trials: Vec::new(),

@@ -5,7 +5,7 @@
 
 use platebench_record::sha256;
 use platebench_record::{CostTrend, EarlierCost, RecordError, RigRecord, StepCost};
-use platebench_record::{RunRecord, ScenarioRecord};
+use platebench_record::{RunRecord, ScenarioRecord, TightestStep};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -95,7 +95,18 @@ fn law_trend(law: &str, record: &RunRecord, here: &Costs, earlier: &[(EarlierRun
             now: average_cost(both.iter().map(|&(_, now)| now))?,
         })
     });
-    Some(CostTrend { law: law.to_owned(), build: firmware_build(&record.rig), cost, earlier: earlier.collect() })
+    let (law, build) = (law.to_owned(), firmware_build(&record.rig));
+    Some(CostTrend { tightest: tightest_step(&law, record), law, build, cost, earlier: earlier.collect() })
+}
+
+/// The periods of scenarios differ, so this is not always the step with the most instructions.
+fn tightest_step(law: &str, record: &RunRecord) -> Option<TightestStep> {
+    let of_law = record.scenarios.iter().filter(|scenario| scenario.law == law);
+    let steps = of_law.flat_map(|scenario| {
+        let counts = scenario.trials.iter().filter_map(|trial| trial.telemetry.instructions_worst);
+        counts.filter_map(|instructions| Some(TightestStep { instructions, period_ms: scenario.period_ms? }))
+    });
+    steps.max_by(|a, b| a.share().total_cmp(&b.share()))
 }
 
 /// Average of the means, maximum of the worst.

@@ -62,6 +62,24 @@ fn instruction_limits_need_a_counting_rig() {
     assert_eq!(hosted.scenarios[0].expectations[0].cause, Some(Cause::Evidence));
 }
 
+#[test]
+fn the_share_of_a_step_belongs_to_its_control_period() {
+    let folder = TestFolder::new();
+    let laws = [("slow", "law = \"dq-pi\""), ("fast", "law = \"dq-pi\"\nperiod_ms = 0.25")];
+    for (name, controller) in laws {
+        folder.write_scenario(
+            &format!("{name}.toml"),
+            &step_scenario("aluminium-198x138", controller, "", "metric = \"drive_peak_vpp\"\nat_most = 2000.0"),
+        );
+    }
+    let record = run_and_read(&folder, &["--rig", "emulated"], 0);
+    let tightest = record.cost[0].tightest.unwrap();
+    let fast = record.scenarios.iter().find(|scenario| scenario.file == "fast.toml").unwrap();
+    assert_eq!(tightest.period_ms, 0.25);
+    assert_eq!(Some(tightest.instructions), fast.trials[0].telemetry.instructions_worst);
+    assert!((tightest.share() - tightest.instructions / 42_000.0).abs() < 1e-12, "{}", tightest.share());
+}
+
 /// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`.
 #[rstest]
 #[case::unaligned_access(1, "planted_faults::unaligned_access")]

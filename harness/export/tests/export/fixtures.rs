@@ -78,7 +78,7 @@ fn scenario_record(name: &str, title: &str, trials: Vec<TrialRecord>) -> Scenari
         verdict: Verdict::Pass,
         law: "dq-pi".to_owned(),
         model: "modal".to_owned(),
-
+        period_ms: Some(1.0),
         inputs: vec![InputRecord { file: format!("inputs/{name}.toml"), sha256: "a".repeat(64) }],
         expectations: Vec::new(),
         trials,

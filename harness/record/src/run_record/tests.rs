@@ -108,7 +108,7 @@ fn record() -> RunRecord {
             verdict: Verdict::Inconclusive,
             law: "dq-pi".to_owned(),
             model: "modal".to_owned(),
-
+            period_ms: Some(1.0),
             inputs: vec![InputRecord { file: "inputs/0.toml".to_owned(), sha256: "00ff".to_owned() }],
             expectations: vec![passed, lost],
             trials: vec![trial],

@@ -131,12 +131,12 @@ fn shows_the_cost_of_a_step_and_its_change() {
     assert_eq!(
         lines,
         [
-            "instructions per step: 3 332 worst (dq-pi), 2.0 % of 1 ms at 168 MHz",
+            "instructions per step: 3 332 worst (dq-pi), 2.0 % of a period of 1 ms at 168 MHz",
             "  ↳ 30 % more than 2 563 of build 1a2b3c4d (run 20260301T093000Z-abcdef)",
-            "instructions per step: 2 640 worst (dq-pi-euler), 1.6 % of 1 ms at 168 MHz",
+            "instructions per step: 2 640 worst (dq-pi-euler), 1.6 % of a period of 1 ms at 168 MHz",
             "  ↳ mean 2 410 over the 42 trials of both runs: 3.6 % less than 2 500 of build 00112233 (the image",
             "    that comes with the bench)",
-            "instructions per step: 2 494 worst (open-loop), 1.5 % of 1 ms at 168 MHz",
+            "instructions per step: 2 494 worst (open-loop); 2 400 are 5.7 % of a period of 0.25 ms at 168 MHz",
             "overridden: seed = 7",
         ]
     );

@@ -3,8 +3,8 @@
 use platebench_record::{
     BestResponse, Cause, ClockKind, CostTrend, EarlierCost, Evidence, Exclusion, Excuse, ExpectationRecord, FORMAT,
     Firmware, Host, InputRecord, Limit, Metric, MetricDefinition, MissingValue, NotApplicable, Overrides, Reason,
-    RigRecord, RunRecord, ScenarioRecord, Statistic, StepCost, Telemetry, Tool, TrialFinding, TrialReason, TrialRecord,
-    Verdict,
+    RigRecord, RunRecord, ScenarioRecord, Statistic, StepCost, Telemetry, TightestStep, Tool, TrialFinding,
+    TrialReason, TrialRecord, Verdict,
 };
 use platebench_verdict::golden::{Baseline, BaselineBuild, GoldenTubes, ResponseFeatures};
 use serde_json::{Value, json};
@@ -50,7 +50,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
         verdict: Verdict::combine(expectations.iter().map(|expectation| expectation.verdict)),
         law: law.to_owned(),
         model: "modal".to_owned(),
-
+        period_ms: Some(1.0),
         inputs: vec![
             input(format!("inputs/{file}"), "3"),
             input("inputs/plates/aluminium-198x138.toml".to_owned(), "a"),
@@ -270,13 +270,16 @@ pub(crate) fn cost_trends() -> Vec<CostTrend> {
         then,
         now,
     };
-    let trend = |law: &str, cost, earlier| CostTrend {
+    let trend = |law: &str, cost: StepCost, earlier| CostTrend {
         law: law.to_owned(),
         build: "5f3a9c01aabbccdd".to_owned(),
         cost,
+        tightest: Some(TightestStep { instructions: cost.worst, period_ms: 1.0 }),
         earlier,
     };
     let slower = cost(3_280.5, 3_332.0);
+    // At a quarter of the period.
+    let quarter = TightestStep { instructions: 2_400.0, period_ms: 0.25 };
     vec![
         trend(
             "dq-pi",
@@ -291,7 +294,7 @@ pub(crate) fn cost_trends() -> Vec<CostTrend> {
             cost(2_400.0, 2_640.0),
             vec![earlier(None, "00112233", cost(2_500.0, 2_610.0), cost(2_410.0, 2_610.0))],
         ),
-        trend("open-loop", cost(2_417.0, 2_494.0), Vec::new()),
+        CostTrend { tightest: Some(quarter), ..trend("open-loop", cost(2_417.0, 2_494.0), Vec::new()) },
     ]
 }
 

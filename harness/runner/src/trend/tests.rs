@@ -30,7 +30,7 @@ fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
         verdict: Verdict::Pass,
         law: law.to_owned(),
         model: "modal".to_owned(),
-
+        period_ms: Some(1.0),
         inputs: vec![InputRecord { file: "inputs/s.toml".to_owned(), sha256: input.to_owned() }],
         expectations: Vec::new(),
         trials: worst.iter().enumerate().map(trial).collect(),
