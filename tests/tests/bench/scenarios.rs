@@ -55,7 +55,7 @@ fn the_table_of_the_default_run() {
     let folder = tempfile::tempdir().unwrap();
     let output = run_all(folder.path(), &["-v"]).assert_exit(0);
     // Rounding errors and column widths depend on the mathematics library, the cost on the image.
-    let cost = (r"step: [\d ]+ worst (.*), [\d.]+ %", "step: # worst $1, # %");
+    let cost = (r"step: [\d ]+ worst (\(.*?\))[,;](?: [\d ]+ are)? [\d.]+ %", "step: # worst $1, # %");
     let duration = (r"duration: .*", "duration: #");
     let slowest = (r"slowest scenario: .*\n", "");
     insta::with_settings!({
