@@ -130,16 +130,29 @@ impl Alarm {
     }
 }
 
-/// Starts the independent watchdog: LSI / 64, 256 counts, 0.5 s (0.35 to 0.96 s over the
-/// oscillator's tolerance). It cannot be stopped; a debugger that halts the core pauses it.
+/// Starts the independent watchdog: LSI / 4, 32 counts, 4 ms (2.7 to 7.5 ms over the oscillator's
+/// tolerance): a stopped main loop holds the drive no longer than five periods of 1 ms. It cannot be
+/// stopped; a debugger that halts the core pauses it.
 pub(crate) fn start_watchdog(p: &pac::Peripherals) {
-    // SAFETY: the key sequence of RM0090, 21.3.
+    // SAFETY: RM0090, 21.3 and 32.16.4.
     unsafe {
         p.DBGMCU.apb1_fz().modify(|r, w| w.bits(r.bits() | 1 << 12)); // DBG_IWDG_STOP
         p.IWDG.kr().write(|w| w.bits(0xCCCC));
+    }
+    set_watchdog(p, 0, 32);
+}
+
+/// LSI / 64, 256 counts, 0.5 s (0.35 to 0.96 s): after a trap, at 0 V, a debugger has time to read.
+pub(crate) fn lengthen_watchdog(p: &pac::Peripherals) {
+    set_watchdog(p, 4, 256);
+}
+
+fn set_watchdog(p: &pac::Peripherals, prescaler: u16, reload: u16) {
+    // SAFETY: the key sequence of RM0090, 21.3.
+    unsafe {
         p.IWDG.kr().write(|w| w.bits(0x5555));
-        p.IWDG.pr().write(|w| w.bits(4));
-        p.IWDG.rlr().write(|w| w.bits(256));
+        p.IWDG.pr().write(|w| w.bits(prescaler));
+        p.IWDG.rlr().write(|w| w.bits(reload));
     }
     wait_until(|| p.IWDG.sr().read().bits() == 0);
     feed_watchdog(p);

@@ -19,6 +19,7 @@ mod output;
 mod planted_faults;
 mod trap;
 
+use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m_rt::{entry, exception};
 use line::Inbox;
@@ -31,6 +32,9 @@ static TICK: AtomicBool = AtomicBool::new(false);
 
 #[entry]
 fn main() -> ! {
+    // All state of the control law; a debugger and `bit-flip` find it by this name.
+    static mut CONTROLLER: MaybeUninit<Device> = MaybeUninit::uninit();
+
     // SAFETY: called once, at the start; only this function owns them.
     let (p, mut core) = unsafe { (pac::Peripherals::steal(), cortex_m::Peripherals::steal()) };
 
@@ -47,7 +51,7 @@ fn main() -> ! {
     }
     clock::start_tick(&mut core.SYST, clocks.core_hz);
 
-    let mut device = Device::new(identity::identity(&p));
+    let device = CONTROLLER.write(Device::new(identity::identity(&p)));
     #[cfg(feature = "plant-faults")]
     let mut planted = planted_faults::SampleWatcher::new();
     loop {

@@ -121,6 +121,9 @@ fn report(report: FaultReport) -> ! {
     unsafe {
         SAVED.0.get().cast::<[u32; 5]>().write_volatile([MARK, report.pc, report.lr, report.cfsr, report.address]);
     }
+    // SAFETY: all other code has stopped.
+    let p = unsafe { pac::Peripherals::steal() };
+    clock::lengthen_watchdog(&p);
     line::send_by_polling(Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes());
     loop {
         core::hint::spin_loop();

@@ -3,6 +3,7 @@
 //! The reference receives what the target receives, so both laws act on the same samples: their
 //! difference does not grow through the plate.
 
+use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError, RealTimeLine};
 use platebench_wire::{Command, Configure, ControllerState, Message, Packet, PacketReader, StateCause};
@@ -65,6 +66,14 @@ impl<L: Link> Link for ComparedLink<L> {
 
     fn instruction_count(&self) -> Option<u64> {
         self.inner.instruction_count()
+    }
+
+    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
+        self.inner.set_chip_faults(plan)
+    }
+
+    fn amplifier_enabled(&mut self) -> Option<bool> {
+        self.inner.amplifier_enabled()
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -16,18 +16,23 @@
 
 mod board;
 mod bus;
+mod chip_faults;
 mod execution_recorder;
 mod image;
 mod machine;
 mod memory;
+mod options;
 mod post_mortem;
 mod target;
 
 pub use image::ImageError;
+pub use options::{EmulatedError, EmulatedOptions};
 
+use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::link::{Link, LinkError};
 use crate::pending_requests::{PendingRequests, Request};
 use crate::target_error::TargetError;
+use chip_faults::ChipFaults;
 use image::Image;
 use machine::{Machine, MachineConfig};
 use platebench_wire::{MAX_ENCODED, Message, Packet};
@@ -36,7 +41,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::panic::{self, AssertUnwindSafe};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use target::{ReceivedByte, Target};
@@ -61,36 +66,6 @@ const START_DELAY_NS: u64 = NS_PER_MS;
 /// From 5 % for both ends together, a UART misreads the tenth bit.
 const BAUD_TOLERANCE_PERCENT: u64 = 2;
 
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct EmulatedOptions {
-    /// Crystal on PH0 and PH1; 0: no crystal.
-    pub crystal_hz: u64,
-    /// `None`: any rate.
-    pub baud: Option<u32>,
-    /// False: the firmware handles traps, panics and resets, as on a board.
-    pub stop_at_traps: bool,
-}
-
-impl Default for EmulatedOptions {
-    fn default() -> Self {
-        Self { crystal_hz: 8_000_000, baud: None, stop_at_traps: true }
-    }
-}
-
-#[derive(Debug, thiserror::Error)]
-pub enum EmulatedError {
-    #[error("{}: {error}", path.display())]
-    Read {
-        /// Path of the ELF.
-        path: PathBuf,
-        error: std::io::Error,
-    },
-    #[error("not a firmware for the emulated board: {0}")]
-    Image(#[from] ImageError),
-    #[error(transparent)]
-    Target(#[from] TargetError),
-}
-
 #[derive(Debug)]
 pub struct EmulatedLink {
     target: Box<dyn Target>,
@@ -102,6 +77,9 @@ pub struct EmulatedLink {
     pending_requests: PendingRequests,
     instructions: Option<u64>,
     target_error: Option<TargetError>,
+    chip_faults: ChipFaults,
+    /// The handshake is over: faults of the chip may act.
+    has_started: bool,
 }
 
 impl EmulatedLink {
@@ -131,6 +109,8 @@ impl EmulatedLink {
             pending_requests: PendingRequests::default(),
             instructions: None,
             target_error: None,
+            chip_faults: ChipFaults::default(),
+            has_started: false,
         };
         catch_emulator_panic(|| emulated.start())?;
         Ok(emulated)
@@ -164,6 +144,7 @@ impl EmulatedLink {
     fn start(&mut self) -> Result<(), TargetError> {
         self.target_error = None;
         self.target.set_control_step(false);
+        self.has_started = false;
         self.instructions = None;
         self.byte_ns = 0;
         self.target.power_on()?;
@@ -194,6 +175,8 @@ impl EmulatedLink {
         self.received.clear();
         self.target.mark_booted();
         self.trial_start_ns = (self.target.now_ns() + START_DELAY_NS).next_multiple_of(NS_PER_MS);
+        self.chip_faults.start_trial();
+        self.has_started = true;
         Ok(())
     }
 
@@ -209,9 +192,26 @@ impl EmulatedLink {
         Ok(())
     }
 
+    /// Like [`Target::run`]; faults of the chip act at their instants.
+    fn run_target(&mut self, until_ns: u64) -> Result<bool, TargetError> {
+        while self.has_started
+            && let Some(at) = self.chip_faults.next()
+        {
+            let at_ns = self.virtual_ns(at);
+            if at_ns > until_ns {
+                break;
+            }
+            if self.target.now_ns() < at_ns && self.target.run(at_ns)? {
+                return Ok(true);
+            }
+            self.chip_faults.apply_next(&mut *self.target)?;
+        }
+        self.target.run(until_ns)
+    }
+
     fn run_to(&mut self, until_ns: u64) -> Result<(), TargetError> {
         while self.target.now_ns() < until_ns {
-            self.target.run(until_ns)?;
+            self.run_target(until_ns)?;
         }
         self.target.take_received(&mut self.received);
         Ok(())
@@ -223,7 +223,7 @@ impl EmulatedLink {
         let mut read = self.received.len();
         let mut extended = false;
         loop {
-            let frame_ended = self.target.run(until_ns)?;
+            let frame_ended = self.run_target(until_ns)?;
             self.target.take_received(&mut self.received);
             let mut within_frame = false;
             while let Some(&ReceivedByte { byte, at_ns }) = self.received.get(read) {
@@ -246,7 +246,8 @@ impl EmulatedLink {
     }
 
     fn virtual_ns(&self, now: Duration) -> u64 {
-        self.trial_start_ns.saturating_add(u64::try_from(now.as_nanos()).unwrap_or(u64::MAX))
+        self.trial_start_ns
+            .saturating_add(u64::try_from(self.chip_faults.chip_time(now).as_nanos()).unwrap_or(u64::MAX))
     }
 
     /// Runs to the trial's instant `now`. If the last answer took longer than a period, moves the
@@ -267,11 +268,16 @@ impl EmulatedLink {
         self.target.send(bytes);
         let arrived_ns = start_ns + bytes.len() as u64 * self.byte_ns;
         let timeout_ns = if asks { ANSWER_TIMEOUT_NS } else { OPTIONAL_ANSWER_TIMEOUT_NS };
-        let answered = self.run_until_answer(arrived_ns + timeout_ns)?;
+        let until_ns = if self.chip_faults.is_active() {
+            start_ns + self.chip_faults.plan.answer_timeout.as_nanos() as u64
+        } else {
+            arrived_ns + timeout_ns
+        };
+        let answered = self.run_until_answer(until_ns)?;
         self.instructions = answered.map(|_| self.target.instructions() - instructions);
         match answered {
             Some(at_ns) => Ok(Duration::from_nanos(at_ns - start_ns)),
-            None if !asks => Ok(Duration::ZERO),
+            None if !asks || self.chip_faults.is_active() => Ok(Duration::ZERO),
             None => {
                 let waited_us = (self.target.now_ns() - arrived_ns) / 1_000;
                 Err(TargetError::Silent { waited_us, place: self.target.status().place })
@@ -332,6 +338,18 @@ impl Link for EmulatedLink {
 
     fn instruction_count(&self) -> Option<u64> {
         self.instructions
+    }
+
+    fn amplifier_enabled(&mut self) -> Option<bool> {
+        let enabled = self.target.amplifier_enabled();
+        self.chip_faults.uses_amplifier |= enabled;
+        self.chip_faults.uses_amplifier.then_some(enabled)
+    }
+
+    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
+        plan.faults.iter().try_for_each(|fault| self.target.check_fault(&fault.kind))?;
+        self.chip_faults.plan = plan.clone();
+        Ok(())
     }
 }
 

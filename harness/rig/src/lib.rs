@@ -7,6 +7,7 @@ compile_error!("the bench needs Linux: pseudo-terminals, signals and real-time s
 
 pub mod baud;
 pub mod cancel;
+pub mod chip_fault;
 mod command_audit;
 mod compared_link;
 pub mod connect;
@@ -35,6 +36,7 @@ pub mod wall_clock;
 
 pub use baud::{BaudTooLow, check_baud, minimum_baud};
 pub use cancel::CancelToken;
+pub use chip_fault::{ChipFault, ChipFaultError, ChipFaultKind, ChipFaultPlan};
 pub use connect::ConnectError;
 pub use connect_options::ConnectOptions;
 pub use crash_report::CrashReport;

@@ -1,5 +1,6 @@
 //! Defines the interface of every rig: bytes to a target and back.
 
+use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::target_error::TargetError;
 use std::time::{Duration, Instant};
 
@@ -46,6 +47,16 @@ pub trait Link: Send {
         None
     }
 
+    /// Applies to the next trial, from its restart on. Call it before the trial's configuration.
+    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
+        if plan.faults.is_empty() { Ok(()) } else { Err(ChipFaultError::Unsupported) }
+    }
+
+    /// Level of the amplifier enable (PB0). `None` if the rig does not see it, or the firmware never set it.
+    fn amplifier_enabled(&mut self) -> Option<bool> {
+        None
+    }
+
     /// Samples of a trial go either over this or over [`Link::exchange`]; handshake, configuration
     /// and `Safe` may always use the latter.
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
@@ -74,6 +85,14 @@ macro_rules! forward_link {
 
             fn instruction_count(&self) -> Option<u64> {
                 (**self).instruction_count()
+            }
+
+            fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
+                (**self).set_chip_faults(plan)
+            }
+
+            fn amplifier_enabled(&mut self) -> Option<bool> {
+                (**self).amplifier_enabled()
             }
 
             fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -79,6 +79,20 @@ impl Symbols {
         self.all.iter().find(|(other, _)| other == name).map(|&(_, address)| address)
     }
 
+    /// Address and size in bytes of the variable `name`: mangled, demangled, or its last part.
+    pub(crate) fn variable(elf: &[u8], name: &str) -> Option<(u32, u32)> {
+        let file = object::File::parse(elf).ok()?;
+        let named = |symbol: &object::Symbol<'_, '_>| {
+            symbol.name().is_ok_and(|own| {
+                let demangled = format!("{:#}", rustc_demangle::demangle(own));
+                own == name || demangled == name || demangled.rsplit("::").next() == Some(name)
+            })
+        };
+        let symbol =
+            file.symbols().find(|symbol| symbol.kind() == SymbolKind::Data && symbol.size() > 0 && named(symbol));
+        symbol.map(|symbol| (symbol.address() as u32, symbol.size() as u32))
+    }
+
     pub(crate) fn panic_handler(&self) -> Option<u64> {
         self.functions
             .iter()

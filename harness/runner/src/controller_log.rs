@@ -5,7 +5,7 @@ use crate::configure::configure;
 use crate::fault::needs_reconfiguration;
 use platebench_plate::Time;
 use platebench_record::{Telemetry, ViolationKind};
-use platebench_rig::{FaultInjector, Link, RigError, Session};
+use platebench_rig::{FaultInjector, Link, LinkError, RigError, Session};
 use platebench_scenario::{FaultKind, Scenario};
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use std::thread;
@@ -154,6 +154,18 @@ impl<'a> ControllerLog<'a> {
             reference_difference_percent: session.link().reference_difference_percent(),
             ..Telemetry::default()
         }
+    }
+}
+
+/// A failed controller fails a trial. A dead line only leaves it undecided.
+pub(crate) fn is_controller_failure(error: &RigError) -> bool {
+    match error {
+        RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_)) => true,
+        RigError::Link(LinkError::Disconnected(_))
+        | RigError::NoAnswer { .. }
+        | RigError::ConfigurationRejected(_)
+        | RigError::Restarted
+        | RigError::NoRealTime => false,
     }
 }
 

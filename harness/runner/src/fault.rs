@@ -1,13 +1,69 @@
 //! Translates a scenario's faults into the rig's.
 
 use platebench_plate::Time;
+use platebench_rig::chip_fault::{ChipFault as RigChipFault, ChipFaultKind as RigChipFaultKind, ChipFaultPlan};
 use platebench_rig::{Direction as Way, WireFault, WireFaultKind};
-use platebench_scenario::{Direction, Fault, FaultKind, Scenario, Variation};
+use platebench_scenario::{BitFlipTarget, ChipFault, ChipFaultKind, Direction, Fault, FaultKind, Scenario, Variation};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
 
 pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
     let seed = Variation::of_trial(scenario, index).seed;
     scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
+}
+
+/// Periods without a sample until the controller stops, and without a command until the plate is at 0 V.
+pub(crate) const WATCHDOG_PERIODS: u64 = 5;
+/// Streams below belong to sensor noise, plate spread and faults of the line.
+const FIRST_CHIP_STREAM: u64 = 1 << 32;
+/// Sample and command take 0.5 ms at 1 Mbaud.
+const MIN_CHIP_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
+
+/// Instants and bits that the scenario leaves open come from the trial's seed.
+pub(crate) fn chip_fault_plan(scenario: &Scenario, index: u32) -> ChipFaultPlan {
+    let seed = Variation::of_trial(scenario, index).seed;
+    let planned = (FIRST_CHIP_STREAM..).zip(&scenario.chip_faults);
+    let mut faults: Vec<_> =
+        planned.map(|(stream, fault)| chip_fault(fault, seed, stream, scenario.duration)).collect();
+    faults.sort_by_key(|fault| fault.at);
+    ChipFaultPlan { faults, answer_timeout: span(scenario.controller.period).max(MIN_CHIP_ANSWER_TIMEOUT) }
+}
+
+fn chip_fault(fault: &ChipFault, seed: u64, stream: u64, duration: Time) -> RigChipFault {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(stream);
+    let (instant, draw) = (random.next_u64(), random.next_u64());
+    let at = fault.at.map_or_else(|| Duration::from_nanos(instant % duration.as_nanos().max(1)), span);
+    let kind = match &fault.kind {
+        ChipFaultKind::BitFlip { target, bit } => {
+            let draw = bit.map_or(draw, u64::from);
+            match target {
+                BitFlipTarget::Ram { start, length } => {
+                    RigChipFaultKind::FlipRam { start: *start, length: *length, draw }
+                }
+                BitFlipTarget::Variable(name) => RigChipFaultKind::FlipVariable { name: name.clone(), draw },
+                BitFlipTarget::Register(number) => RigChipFaultKind::FlipRegister { number: *number, draw },
+            }
+        }
+        ChipFaultKind::Reset => RigChipFaultKind::Reset,
+        ChipFaultKind::PowerCut => RigChipFaultKind::PowerCut,
+        ChipFaultKind::ClockDrift(ppm) => RigChipFaultKind::ClockDrift { ppm: *ppm },
+        ChipFaultKind::Hang => RigChipFaultKind::Hang,
+        ChipFaultKind::Stuck { address, value } => RigChipFaultKind::Stuck { address: *address, value: *value },
+    };
+    RigChipFault { at, kind }
+}
+
+/// Instants at which a planned silence triggers the watchdog, last one first.
+pub(crate) fn planned_stops(scenario: &Scenario) -> Vec<Time> {
+    let period = scenario.controller.period;
+    let watchdog = period.times(WATCHDOG_PERIODS);
+    let silences = scenario.faults.iter().filter(|fault| fault.exceeds_watchdog(watchdog, period));
+    // The last sample before the fault arrives up to one period earlier.
+    let mut stops: Vec<Time> = silences.map(|fault| fault.from + period.times(WATCHDOG_PERIODS - 1)).collect();
+    stops.sort_by(|one, other| other.cmp(one));
+    stops
 }
 
 pub fn wire_fault_kind(kind: FaultKind) -> WireFaultKind {

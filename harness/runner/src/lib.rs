@@ -21,6 +21,7 @@ pub mod real_time;
 mod record_file;
 pub mod rejudge;
 pub mod replay;
+mod reply_stats;
 mod row_queue;
 pub mod run;
 mod scheduling;

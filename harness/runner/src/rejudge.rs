@@ -157,7 +157,7 @@ fn replacement_expectations(
         (other.controller == played.controller, "[controller]"),
         (other.setpoint == played.setpoint && other.conditions == played.conditions, "[profile]"),
         (other.trials == played.trials, "[trials]"),
-        (other.faults == played.faults, "[[fault]]"),
+        (other.faults == played.faults && other.chip_faults == played.chip_faults, "[[fault]]"),
         (other.between.iter().map(scene).eq(played.between.iter().map(scene)), "[[between]]"),
     ];
     match alike.iter().find(|(holds, _)| !holds) {

@@ -11,9 +11,9 @@ pub use recorded_trace::read_recorded_trace;
 pub use telemetry_table::read_telemetry_table;
 
 use crate::configure::{configure, law, missing_capability};
-use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES};
+use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
 use crate::plan::{LinkFactory, RunError};
-use crate::trial::{OWN_CLOCK_WATCHDOG_TIMEOUT_MS, is_controller_failure};
+use crate::trial::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
 use crate::worker::RigSession;
 use platebench_plate::Time;
 use platebench_rig::{CancelToken, FaultInjector, RigError};

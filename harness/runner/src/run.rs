@@ -1,6 +1,7 @@
 //! Plays all trials of all scenarios on several workers. No result depends on their order.
 
 use crate::configure;
+use crate::fault::chip_fault_plan;
 use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
 use crate::real_time::{Pacing, TimeBase};
 use crate::record_file::RecordFile;
@@ -10,10 +11,10 @@ use crate::worker::{
 };
 use platebench_record::{Event, Firmware, FolderError, Host, InputRecord, KeepTraces, RigRecord, RunFolder, RunRecord};
 use platebench_record::{NotApplicable, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex};
-use platebench_rig::FaultInjector;
+use platebench_rig::{ChipFaultError, FaultInjector, Link};
 use platebench_scenario::{Metric, Scenario};
 use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge, judge_sequentially};
-use platebench_wire::{Identity, LawId, capabilities};
+use platebench_wire::{LawId, capabilities};
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::fs;
@@ -36,9 +37,9 @@ pub fn run(
     let law = |scenario| configure::law(scenario).map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)));
     let laws = plan.scenarios.iter().map(law).collect::<Result<Vec<_>, _>>()?;
     plan.scenarios.iter().flat_map(|scenario| &scenario.between).try_for_each(|scene| law(scene).map(|_| ()))?;
-    let first = RigSession::open(FaultInjector::new(connect()?))?;
+    let mut first = RigSession::open(FaultInjector::new(connect()?))?;
     check_controller(plan, &first)?;
-    let (plan, laws, not_applicable) = select_applicable(plan, laws, first.identity());
+    let (plan, laws, not_applicable) = select_applicable(plan, laws, &mut first)?;
     let plan = &plan;
     let inputs = folder.store_inputs(&plan.scenarios)?;
     if plan.overrides.keep_traces != KeepTraces::None {
@@ -110,18 +111,41 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
     Ok(())
 }
 
+/// Returns why the rig cannot apply the faults of the chip. Fails if the firmware lacks their target.
+fn missing_chip_faults(
+    plan: &RunPlan,
+    scenario: &Scenario,
+    session: &mut RigSession,
+) -> Result<Option<String>, RunError> {
+    let faults = chip_fault_plan(scenario, 0);
+    if faults.faults.is_empty() {
+        return Ok(None);
+    }
+    let checked = match plan.clock {
+        Clock::Lockstep { .. } => session.link_mut().set_chip_faults(&faults),
+        Clock::RealTime(_) | Clock::RealPlate => Err(ChipFaultError::Unsupported),
+    };
+    match checked {
+        Ok(()) => Ok(None),
+        Err(error @ ChipFaultError::Unsupported) => Ok(Some(error.to_string())),
+        Err(error) => Err(RunError::Scenario(Box::new(scenario.diagnostic("fault", error.to_string())))),
+    }
+}
+
 /// Splits off the scenarios that need what the clock does not allow or `identity` does not announce.
 fn select_applicable(
     plan: &RunPlan,
     laws: Vec<LawId>,
-    identity: &Identity,
-) -> (RunPlan, Vec<LawId>, Vec<NotApplicable>) {
+    session: &mut RigSession,
+) -> Result<(RunPlan, Vec<LawId>, Vec<NotApplicable>), RunError> {
+    let identity = &session.identity().to_owned();
     let mut selected = RunPlan { scenarios: Vec::new(), ..plan.clone() };
     let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
     for (scenario, law) in plan.scenarios.iter().zip(laws) {
         let mut between = scenario.between.iter().filter_map(|scene| Some((scene, configure::law(scene).ok()?)));
         let missing = (scenario.expects(Metric::ReferenceDifference) && !matches!(plan.clock, Clock::Lockstep { .. }))
             .then(|| "the comparison with the reference needs the clock lockstep".to_owned())
+            .or(missing_chip_faults(plan, scenario, session)?)
             .or_else(|| configure::missing_capability(scenario, law, identity))
             .or_else(|| between.find_map(|(scene, law)| configure::missing_capability(scene, law, identity)));
         match missing {
@@ -135,7 +159,7 @@ fn select_applicable(
             }
         }
     }
-    (selected, selected_laws, not_applicable)
+    Ok((selected, selected_laws, not_applicable))
 }
 
 /// In order of completion; the next look needs `goal` trials.

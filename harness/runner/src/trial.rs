@@ -1,14 +1,16 @@
 //! Plays one trial in lockstep: the plate waits while a sample travels, the controller computes and
 //! the command returns. Order at one instant: control instant, actuation, row.
 
-use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES};
-use crate::fault::wire_faults;
+use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
+use crate::fault::{WATCHDOG_PERIODS, chip_fault_plan, planned_stops, wire_faults};
 use crate::live_tap::TapWriter;
 use crate::loop_delay::LoopDelay;
 use crate::plant_simulation::{PlantSimulation, expected_rows};
+use crate::reply_stats::ReplyStats;
 use platebench_plate::Time;
 use platebench_record::Telemetry;
-use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, LinkError, Reply, RigError, Session};
+use platebench_rig::target_error::TargetError;
+use platebench_rig::{CancelToken, ChipFaultPlan, FaultInjector, HostedLink, Link, LinkError, RigError, Session};
 use platebench_scenario::{Metric, Scenario};
 use platebench_trace::{Flags, Row};
 use platebench_wire::{Command, Configure, ControllerState as Mode, LawId, StateCause};
@@ -23,7 +25,6 @@ pub(crate) const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
 const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
 /// The bench waits so much longer than the watchdog's time-out.
 const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
-const WATCHDOG_PERIODS: u64 = 5;
 
 #[derive(Debug, Clone, Copy)]
 pub struct TrialSpec<'a> {
@@ -84,47 +85,10 @@ struct PendingActuation {
     command: Command,
 }
 
-#[derive(Default)]
-struct ReplyStats {
-    replies: u64,
-    late_replies: u64,
-    longest_delay: Time,
-    longest_rig_delay: Duration,
-    /// Sum and maximum per control step.
-    instructions: Option<(u64, u64)>,
-}
-
-impl ReplyStats {
-    fn record(&mut self, reply: &Reply, delay: Time) {
-        self.replies += 1;
-        self.longest_delay = self.longest_delay.max(delay);
-        self.longest_rig_delay = self.longest_rig_delay.max(reply.delay);
-        if let Some(count) = reply.instructions {
-            let (sum, worst) = self.instructions.unwrap_or_default();
-            self.instructions = Some((sum + count, worst.max(count)));
-        }
-    }
-
-    fn record_late(&mut self, delay: Time) {
-        self.late_replies += 1;
-        self.longest_delay = self.longest_delay.max(delay);
-    }
-
-    fn add_to(&self, telemetry: Telemetry) -> Telemetry {
-        let has_replies = self.replies > 0;
-        Telemetry {
-            loop_delay_us: (self.replies + self.late_replies > 0).then(|| self.longest_delay.seconds() * 1e6),
-            rig_delay_us: has_replies.then_some(self.longest_rig_delay.as_secs_f64() * 1e6),
-            instructions_mean: self.instructions.map(|(sum, _)| sum as f64 / self.replies as f64),
-            instructions_worst: self.instructions.map(|(_, worst)| worst as f64),
-            ..telemetry
-        }
-    }
-}
-
 struct Trial<'a, L: Link> {
     session: &'a mut Session<FaultInjector<L>>,
     scenario: &'a Scenario,
+    chip_faults: ChipFaultPlan,
     wire_time: bool,
     own_clock: bool,
     controller: ControllerLog<'a>,
@@ -140,14 +104,23 @@ struct Trial<'a, L: Link> {
     /// Instants at which a planned silence triggers the watchdog, last one first.
     planned_stops: Vec<Time>,
     link_error: Option<RigError>,
+    /// How a planned fault of the chip stopped the controller; the rest of the trial has 0 V.
+    chip_stop: Option<RigError>,
 }
 
 impl<'a, L: Link> Trial<'a, L> {
     fn start(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, tap: Option<&'a mut TapWriter>) -> Self {
         session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
+        let chip_faults = chip_fault_plan(spec.scenario, spec.index);
+        let planned = session.link_mut().set_chip_faults(&chip_faults);
         let is_compared = spec.scenario.expects(Metric::ReferenceDifference);
         session.link_mut().compare_with_reference(is_compared);
-        let mut trial = Self::new(session, spec, tap);
+        let mut trial = Self { chip_faults, ..Self::new(session, spec, tap) };
+        if let Err(error) = planned {
+            let error = TargetError::Emulator(error.to_string());
+            trial.end_on_link_error(RigError::Link(LinkError::Target(Box::new(error))));
+            return trial;
+        }
         let configure = trial.configuration();
         match trial.session.begin_trial(&configure, spec.continues) {
             Ok(gains) => trial.controller.record_configuration(&configure, Some(&gains), Time::ZERO),
@@ -167,6 +140,7 @@ impl<'a, L: Link> Trial<'a, L> {
         Self {
             session,
             scenario,
+            chip_faults: ChipFaultPlan::default(),
             wire_time: spec.wire_time,
             own_clock: spec.own_clock,
             controller: ControllerLog::new(scenario, law),
@@ -180,6 +154,7 @@ impl<'a, L: Link> Trial<'a, L> {
             watchdog_timeout_ms,
             planned_stops,
             link_error: None,
+            chip_stop: None,
         }
     }
 
@@ -187,7 +162,7 @@ impl<'a, L: Link> Trial<'a, L> {
     fn step(&mut self) -> bool {
         let now = self.plant.time();
         let mut flags = Flags::empty();
-        if self.link_error.is_none() && (self.unanswered.is_some() || self.controller.missed_replies() > 0) {
+        if !self.has_ended() && (self.unanswered.is_some() || self.controller.missed_replies() > 0) {
             self.receive_late_commands(now);
         }
         if now == self.next_control || self.plant.is_finished() {
@@ -195,13 +170,14 @@ impl<'a, L: Link> Trial<'a, L> {
         }
         if now == self.next_control && !self.plant.is_finished() {
             self.next_control = now + self.scenario.controller.period;
-            if self.link_error.is_none() {
+            if !self.has_ended() {
                 self.wait_for_planned_stop(now);
                 self.reconfigure(now);
             }
-            if self.link_error.is_none() {
+            if !self.has_ended() {
                 flags |= self.exchange_sample(now);
             }
+            self.apply_amplifier_enable(now);
         }
         while self.pending.front().is_some_and(|pending| pending.at <= now) {
             if let Some(PendingActuation { command, .. }) = self.pending.pop_front() {
@@ -246,7 +222,7 @@ impl<'a, L: Link> Trial<'a, L> {
                 // A reply may still arrive before the next control instant.
                 self.unanswered = Some((now, self.plant.row_count()));
                 self.receive_late_commands(now);
-                if self.session.wrong_sequences() > 0 && self.link_error.is_none() {
+                if self.session.wrong_sequences() > 0 && !self.has_ended() {
                     self.end_on_link_error(RigError::WrongSequence);
                 }
             }
@@ -281,14 +257,23 @@ impl<'a, L: Link> Trial<'a, L> {
 
     fn count_missed_reply(&mut self) {
         let Some((sampled, row)) = self.unanswered.take() else { return };
-        self.plant.add_flags(row, Flags::LINK_LOST);
         self.plant.report_counts(1, self.session.rejected_frames());
+        if self.follows_chip_fault(sampled + self.scenario.controller.period) {
+            self.controller.record_missed_reply();
+            let is_silent = u64::from(self.controller.missed_replies()) >= WATCHDOG_PERIODS;
+            // Without the firmware's amplifier enable the amplifier of the bench decides.
+            if is_silent && !self.has_ended() && self.session.link_mut().amplifier_enabled().is_none() {
+                self.end_on_link_error(RigError::NoAnswer { expected: "command" });
+            }
+            return;
+        }
+        self.plant.add_flags(row, Flags::LINK_LOST);
         // The bench waits for a planned silence to end.
         if self.scenario.explains_silence(sampled) {
             return;
         }
         self.controller.record_missed_reply();
-        if self.controller.missed_replies() >= MAX_MISSED_REPLIES && self.link_error.is_none() {
+        if self.controller.missed_replies() >= MAX_MISSED_REPLIES && !self.has_ended() {
             self.end_on_link_error(RigError::NoAnswer { expected: "command" });
         }
     }
@@ -321,18 +306,49 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Plays the rest at 0 V.
+    /// Plays the rest at 0 V. A planned fault of the chip may stop the controller.
     fn end_on_link_error(&mut self, error: RigError) {
         self.pending.clear();
         self.plant.stop_drive();
-        self.link_error = Some(error);
+        let is_emulator = matches!(&error, RigError::Link(LinkError::Target(target))
+            if matches!(**target, TargetError::Emulator(_)));
+        if self.follows_chip_fault(self.plant.time() + self.scenario.controller.period) && !is_emulator {
+            self.chip_stop = Some(error);
+        } else {
+            self.link_error = Some(error);
+        }
+    }
+
+    /// The amplifier gives 0 V while the firmware holds PB0 low.
+    fn apply_amplifier_enable(&mut self, now: Time) {
+        if self.follows_chip_fault(now) && self.session.link_mut().amplifier_enabled() == Some(false) {
+            self.pending.clear();
+            self.plant.stop_drive();
+        }
+    }
+
+    fn follows_chip_fault(&self, time: Time) -> bool {
+        self.chip_faults.faults.first().is_some_and(|fault| fault.at <= to_duration(time))
+    }
+
+    fn has_ended(&self) -> bool {
+        self.link_error.is_some() || self.chip_stop.is_some()
+    }
+
+    /// The emulated board answers again after a power-on: the next trial and the request for 0 V need it.
+    fn restart_after_chip_faults(&mut self) -> Result<(), RigError> {
+        let link = self.session.link_mut();
+        if !self.chip_faults.faults.is_empty() && link.set_chip_faults(&ChipFaultPlan::default()).is_ok() {
+            link.restart()?;
+        }
+        Ok(())
     }
 
     fn next_event(&self, now: Time) -> Time {
         let actuation = self.pending.front().map(|pending| pending.at);
         let control = Some(self.next_control).filter(|control| *control > now);
         let due = self.session.link().next_due().map(|due| Time::from_nanos(due.as_nanos() as u64));
-        let delivery = due.filter(|due| *due > now && self.link_error.is_none());
+        let delivery = due.filter(|due| *due > now && !self.has_ended());
         actuation.into_iter().chain(control).chain(delivery).fold(self.plant.next_scheduled_row(), Time::min)
     }
 
@@ -347,44 +363,31 @@ impl<'a, L: Link> Trial<'a, L> {
     fn finish(mut self) -> TrialResult {
         let now = self.plant.time();
         self.controller.record_session(self.session, now);
+        if let Err(error) = self.restart_after_chip_faults() {
+            self.link_error.get_or_insert(error);
+        }
         if self.link_error.is_none() && self.session.request_safe_state() {
             let sample = self.plant.sense();
             self.controller.watch_after_safe(self.session, self.own_clock, now, sample);
         }
         self.controller.record_safe_request(self.session, now);
-        let telemetry = Telemetry {
+        let mut telemetry = Telemetry {
             not_finite: self.plant.not_finite(),
             watchdog_timeout_ms: self.own_clock.then_some(self.watchdog_timeout_ms),
             ..self.controller.telemetry(self.session, self.link_error.as_ref())
         };
+        if let Some(error) = &self.chip_stop {
+            telemetry.stopped.get_or_insert(error.to_string());
+        }
+        for fault in &self.chip_faults.faults {
+            *telemetry.faults.entry(fault.kind.name().to_owned()).or_default() += 1;
+        }
         TrialResult {
             telemetry: self.replies.add_to(telemetry),
             trace_rows: self.plant.into_rows(),
             link_error: self.link_error,
         }
     }
-}
-
-/// A failed controller fails a trial. A dead line only leaves it undecided.
-pub(crate) fn is_controller_failure(error: &RigError) -> bool {
-    match error {
-        RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_)) => true,
-        RigError::Link(LinkError::Disconnected(_))
-        | RigError::NoAnswer { .. }
-        | RigError::ConfigurationRejected(_)
-        | RigError::Restarted
-        | RigError::NoRealTime => false,
-    }
-}
-
-fn planned_stops(scenario: &Scenario) -> Vec<Time> {
-    let period = scenario.controller.period;
-    let watchdog = period.times(WATCHDOG_PERIODS);
-    let silences = scenario.faults.iter().filter(|fault| fault.exceeds_watchdog(watchdog, period));
-    // The last sample before the fault arrives up to one period earlier.
-    let mut stops: Vec<Time> = silences.map(|fault| fault.from + period.times(WATCHDOG_PERIODS - 1)).collect();
-    stops.sort_by(|one, other| other.cmp(one));
-    stops
 }
 
 fn to_duration(time: Time) -> Duration {

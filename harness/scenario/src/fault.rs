@@ -1,5 +1,6 @@
 //! Defines planned faults of line and sensor (`docs/scenarios.md`); `platebench-rig` applies them.
 
+use crate::chip_fault::ChipFaultKind;
 use platebench_plate::Time;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,6 +22,11 @@ pub enum FaultKind {
 impl FaultKind {
     pub const NAMES: [&'static str; 9] =
         ["drop", "flip", "duplicate", "delay", "truncate", "babble", "disconnect", "freeze", "scale"];
+
+    /// With the faults of the chip.
+    pub fn all_names() -> Vec<&'static str> {
+        Self::NAMES.into_iter().chain(ChipFaultKind::NAMES).collect()
+    }
 
     pub const fn affects_sensor(self) -> bool {
         matches!(self, Self::Freeze | Self::Scale(_))

@@ -1,6 +1,7 @@
 //! Reads and checks scenario files.
 
 mod bounds;
+pub mod chip_fault;
 pub mod diagnostic;
 pub mod expect;
 pub mod fault;
@@ -15,6 +16,7 @@ mod unjudged;
 pub mod variation;
 mod window;
 
+pub use chip_fault::{BitFlipTarget, ChipFault, ChipFaultKind};
 pub use diagnostic::{Diagnostic, suggestion};
 pub use expect::{Aggregation, Expectation, Limit, Metric};
 pub use fault::{Direction, Fault, FaultKind};

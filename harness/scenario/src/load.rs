@@ -1,6 +1,7 @@
 //! Checks scenario files: raw to [`Scenario`], with a pointer to every wrong value.
 
 mod checker;
+mod chip_fault;
 mod controller;
 mod expectation;
 mod expectation_window;

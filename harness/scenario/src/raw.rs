@@ -181,7 +181,7 @@ pub struct RawFault {
     pub kind: String,
     /// Start of the window, ms.
     #[schemars(range(min = 0.0))]
-    pub from_ms: f64,
+    pub from_ms: Option<f64>,
     /// End of the window, exclusive, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
@@ -203,6 +203,22 @@ pub struct RawFault {
     /// Configure a controller that stopped because of it again after the window.
     #[serde(default)]
     pub reconfigure: bool,
+    /// Instant of a fault of the chip, ms.
+    #[schemars(range(min = 0.0))]
+    pub at_ms: Option<f64>,
+    /// Draws the instant of a fault of the chip from the trial's seed.
+    #[serde(default)]
+    pub random: bool,
+    /// Place of a fault of the chip: `ram:START+LENGTH`, `variable:NAME`, `register:NAME` or `peripheral:ADDRESS`.
+    pub target: Option<String>,
+    /// The flipped bit, from the start of the target; default: drawn from the trial's seed.
+    #[schemars(range(min = 0))]
+    pub bit: Option<i64>,
+    /// What every read of a stuck register returns.
+    #[schemars(range(min = 0, max = u32::MAX))]
+    pub value: Option<i64>,
+    /// How much faster the chip's clocks are, parts per million.
+    pub ppm: Option<f64>,
 }
 
 /// `[[expect]]`

@@ -1,6 +1,7 @@
 //! Defines a checked scenario.
 
 use crate::bounds::MAX_SPREAD_PERCENT;
+use crate::chip_fault::ChipFault;
 use crate::diagnostic::Diagnostic;
 use crate::expect::{Expectation, Metric};
 use crate::fault::Fault;
@@ -39,6 +40,7 @@ pub struct Scenario {
     pub conditions: ConditionProfiles,
     pub trials: Trials,
     pub faults: Vec<Fault>,
+    pub chip_faults: Vec<ChipFault>,
     /// Scenes, without expectations, that the same controller plays before every trial but the first.
     pub between: Vec<Self>,
     /// At least one.
@@ -135,7 +137,9 @@ impl Scenario {
     }
 
     pub fn is_deterministic(&self) -> bool {
-        self.trials.spread == Spread::default() && self.plate.noise_um_rms == 0.0
+        self.trials.spread == Spread::default()
+            && self.plate.noise_um_rms == 0.0
+            && !self.chip_faults.iter().any(ChipFault::is_random)
     }
 
     /// True if a planned fault that ends explains a missing answer at `time`.

@@ -4,6 +4,7 @@
 //! bounds, and options that do not apply to a metric or a fault. Only [`crate::load()`] checks what
 //! depends on other values, such as a window that ends after the trial.
 
+use crate::chip_fault::ChipFaultKind;
 use crate::expect::{Aggregation, Metric, SIGNALS};
 use crate::fault::{Direction, FaultKind};
 use crate::raw::RawScenario;
@@ -96,7 +97,7 @@ pub(crate) fn models(_: &mut SchemaGenerator) -> Schema {
 }
 
 pub(crate) fn kinds(_: &mut SchemaGenerator) -> Schema {
-    name_schema(FaultKind::NAMES)
+    json_schema!({ "type": "string", "enum": FaultKind::all_names() })
 }
 
 pub(crate) fn directions(_: &mut SchemaGenerator) -> Schema {
@@ -207,6 +208,20 @@ pub(crate) fn faults(schema: &mut Schema) {
         }),
     ];
     all.extend(but(&["disconnect"]).map(|kind| required_for_rule("kind", kind, "until_ms")));
+    all.extend(but(&[]).map(|kind| required_for_rule("kind", kind, "from_ms")));
+    let chip = || ChipFaultKind::NAMES.into_iter();
+    all.extend([
+        only_for_rule("kind", but(&[]), &["from_ms", "until_ms", "reconfigure"]),
+        only_for_rule("kind", chip(), &["at_ms", "random"]),
+        only_for_rule("kind", ["bit-flip", "stuck"].into_iter(), &["target"]),
+        only_for_rule("kind", ["bit-flip"].into_iter(), &["bit"]),
+        only_for_rule("kind", ["stuck"].into_iter(), &["value"]),
+        only_for_rule("kind", ["clock-drift"].into_iter(), &["ppm"]),
+        required_for_rule("kind", "bit-flip", "target"),
+        required_for_rule("kind", "stuck", "target"),
+        required_for_rule("kind", "stuck", "value"),
+        required_for_rule("kind", "clock-drift", "ppm"),
+    ]);
     add_rules(schema, all);
 }
 

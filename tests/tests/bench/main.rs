@@ -12,6 +12,7 @@ mod authoring;
 mod boards;
 mod campaign;
 mod campaign_chains;
+mod chip_faults;
 mod closed_loop;
 mod crate_layers;
 mod determinism;

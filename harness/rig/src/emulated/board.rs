@@ -7,6 +7,7 @@ use rigless::machine::{Board, Crystal, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::Store;
 use rigless::soc::stm32f427::Stm32f427;
+use rigless::soc::stm32f427::generated::gpiob::Register as Gpiob;
 use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
 use std::collections::VecDeque;
@@ -136,6 +137,12 @@ impl EmulatedBoard {
         let clocks = mcu.bus().slot("RCC")?;
         let used = vec![false; mcu.bus().slots().len()].into_boxed_slice();
         Ok(Self { part: Microcontroller { mcu, usart2, clocks, used, booted: false, has_pending_bytes: false } })
+    }
+
+    /// True if PB0 is an output and high. A pull-down holds a pin that is no output low.
+    pub(super) fn amplifier_enabled(&self) -> bool {
+        let registers = self.part.bus().registers("GPIOB");
+        registers.is_some_and(|gpio| gpio.get(Gpiob::Moder) & 0b11 == 0b01 && gpio.get(Gpiob::Odr) & 1 != 0)
     }
 
     /// Always `Some`, because `new` attaches it.

@@ -21,6 +21,8 @@ pub(super) struct SystemBus {
     pub(super) slept_ns: u64,
     pub(super) deadline: VirtualNanos,
     pub(super) reset_requested: bool,
+    /// Address and value of registers whose reads always return the same.
+    pub(super) stuck: Vec<(u32, u32)>,
 }
 
 /// A fraction in lowest terms: years fit 64 bits, and the conversion is cheap.
@@ -54,7 +56,7 @@ impl InstructionRate {
 impl SystemBus {
     pub(super) fn new(memory: Memory, instructions_per_second: NonZeroU64) -> Self {
         let (rate, deadline) = (InstructionRate::new(instructions_per_second), NO_DEADLINE);
-        Self { memory, queued: Vec::new(), rate, slept_ns: 0, deadline, reset_requested: false }
+        Self { memory, queued: Vec::new(), rate, slept_ns: 0, deadline, reset_requested: false, stuck: Vec::new() }
     }
 
     pub(super) fn reset(&mut self) {
@@ -63,6 +65,7 @@ impl SystemBus {
         self.slept_ns = 0;
         self.deadline = NO_DEADLINE;
         self.reset_requested = false;
+        self.stuck.clear();
     }
 
     pub(super) fn time_at(&self, instructions: u64) -> VirtualNanos {
@@ -135,6 +138,11 @@ impl CoreBus for BusGuard<'_> {
         let answers = self.session.board_mut().part.mark_used(access.address);
         if !answers && writable.is_none() {
             return None;
+        }
+        let stuck = self.bus.stuck.iter().find(|(address, _)| u64::from(*address) == access.address & !3);
+        if let Some(&(_, value)) = stuck {
+            let byte = access.address & 3;
+            return Some(if access.kind == AccessKind::Read { u64::from(value) >> (8 * byte) } else { access.value });
         }
         let (value, next) = self.session.access(access, self.bus);
         self.bus.deadline = next;

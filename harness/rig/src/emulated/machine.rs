@@ -7,6 +7,7 @@ use super::image::Image;
 use super::memory::{self, Memory, POWER_ON_FILL};
 use super::post_mortem::{self, FaultHandlers};
 use super::target::{ReceivedByte, Target, TargetStatus};
+use crate::chip_fault::{ChipFaultError, ChipFaultKind};
 use crate::symbols::{CodeLocation, Symbols};
 use crate::target_error::TargetError;
 use rigless::emulator::{Exit, Processor, Stop, StopReason};
@@ -23,6 +24,11 @@ const MAX_ROUNDS_WITHOUT_PROGRESS: u32 = 100_000;
 /// Device signature in the system memory. RM0090, chapter 39.
 const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
 const FLASH_KIB: (u64, [u8; 2]) = (0x1FFF_7A22, 2048_u16.to_le_bytes());
+
+/// Address and code of `cpsid i; b .`, in the last bytes of flash, which a firmware hardly uses.
+const HANG: (u64, [u8; 4]) = (0x081F_FFFC, [0x72, 0xB6, 0xFE, 0xE7]);
+/// Register number of the debugger's protocol.
+const PC: usize = 15;
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MachineConfig {
@@ -42,6 +48,8 @@ pub(super) struct Machine {
     /// State right after power-on. Loading it keeps the translated code, unlike a reset.
     power_on_state: Vec<u8>,
     reported_resets: usize,
+    /// A planned fault of the chip acted: traps and resets are the firmware's to handle.
+    is_faulted: bool,
 }
 
 impl fmt::Debug for Machine {
@@ -84,8 +92,18 @@ impl Machine {
         core.boot(boot, &|address, width| bus.memory.value(address, width));
         let power_on_state = core.save();
         let recorder = ExecutionRecorder::default();
-        let mut machine =
-            Self { core, bus, session, image, config, handlers, recorder, power_on_state, reported_resets: 0 };
+        let mut machine = Self {
+            core,
+            bus,
+            session,
+            image,
+            config,
+            handlers,
+            recorder,
+            power_on_state,
+            reported_resets: 0,
+            is_faulted: false,
+        };
         machine.power_on()?;
         Ok(machine)
     }
@@ -101,6 +119,21 @@ impl Machine {
         let Self { core, bus, .. } = self;
         core.reset();
         core.boot(super::image::FLASH_START, &|address, width| bus.memory.value(address, width));
+    }
+
+    /// Start and length; `None` for a fault elsewhere.
+    fn flipped_memory(&self, fault: &ChipFaultKind) -> Result<Option<(u32, u32)>, ChipFaultError> {
+        let (start, length) = match fault {
+            ChipFaultKind::FlipRam { start, length, .. } => (*start, *length),
+            ChipFaultKind::FlipVariable { name, .. } => {
+                Symbols::variable(&self.image.elf, name).ok_or_else(|| ChipFaultError::NoVariable(name.clone()))?
+            }
+            _ => return Ok(None),
+        };
+        let at = u64::from(start);
+        let is_ram =
+            self.bus.memory.is_writable(at) == Some(true) && self.bus.memory.slice(at, length as usize).is_some();
+        if is_ram { Ok(Some((start, length))) } else { Err(ChipFaultError::NoRam { start, length }) }
     }
 
     fn symbols(&self) -> Symbols {
@@ -120,14 +153,15 @@ impl Machine {
         if let Some(error) = self.session.take_error() {
             return Err(emulator_error(&error));
         }
-        if let Some(access) = post_mortem::first_unsupported_access(&self.session, &self.image) {
+        let access = post_mortem::first_unsupported_access(&self.session, &self.image);
+        if let Some(access) = access.filter(|_| !self.is_faulted) {
             return Err(TargetError::Unsupported(access));
         }
         let resets = self.session.resets();
         if let Some(reset) = resets.get(self.reported_resets) {
             let (cause, at_us) = (post_mortem::reset_cause(reset.cause), reset.at.0 / 1_000);
             self.reported_resets = resets.len();
-            if self.config.stop_at_traps {
+            if self.config.stop_at_traps && !self.is_faulted {
                 return Err(TargetError::Reset { cause, at_us, place: self.code_location() });
             }
         }
@@ -145,24 +179,33 @@ impl Machine {
                 let pc = self.core.pc();
                 self.recorder.record(pc, &mut *self.core);
                 let crash = self.handlers.read_crash(&mut *self.core, &self.bus, &mut self.session, &self.image);
-                if let Some(crash) = crash {
+                if let Some(crash) = crash.filter(|_| !self.is_faulted) {
                     return Err(TargetError::Trap(Box::new(crash)));
                 }
                 self.core.pass_breakpoint(pc);
             }
             // Semihosting without a debugger has no effect.
             Exit::HostCall => self.core.answer_host_call(None),
+            // Peripherals run on: the watchdog may reset the processor.
+            Exit::Lockup if self.is_faulted => {
+                let now = self.bus.time_at(self.core.retired());
+                self.sleep_until_event(now);
+            }
             Exit::Lockup => return Err(TargetError::Lockup(self.code_location())),
             _ => {}
         }
         if ran == 0 && self.core.waiting() {
             let now = self.bus.time_at(self.core.retired());
-            let target = self.bus.next_event(self.core.next_event());
-            if target > now && target != NO_DEADLINE {
-                self.bus.slept_ns += target.0 - now.0;
-            }
+            self.sleep_until_event(now);
         }
         Ok(())
+    }
+
+    fn sleep_until_event(&mut self, now: VirtualNanos) {
+        let target = self.bus.next_event(self.core.next_event());
+        if target > now && target != NO_DEADLINE {
+            self.bus.slept_ns += target.0 - now.0;
+        }
     }
 }
 
@@ -182,6 +225,7 @@ impl Target for Machine {
         self.bus.notify_core(&mut *self.core);
         self.bus.deadline = self.session.next_deadline();
         self.reported_resets = 0;
+        self.is_faulted = false;
         Ok(())
     }
 
@@ -225,8 +269,9 @@ impl Target for Machine {
                 )));
             }
             if std::mem::take(&mut self.bus.reset_requested) {
-                self.reset_core();
+                // First, because the report names the code that ran.
                 self.check_for_errors()?;
+                self.reset_core();
             } else if self.core.take_reset_request() {
                 self.stop(StopReason::Reset);
                 self.reset_core();
@@ -247,6 +292,53 @@ impl Target for Machine {
                 self.step()?;
             }
         }
+    }
+
+    fn check_fault(&self, fault: &ChipFaultKind) -> Result<(), ChipFaultError> {
+        self.flipped_memory(fault).map(drop)
+    }
+
+    fn inject(&mut self, fault: &ChipFaultKind) -> Result<(), TargetError> {
+        self.is_faulted = true;
+        let now = VirtualNanos(self.now_ns());
+        match *fault {
+            ChipFaultKind::FlipRam { draw, .. } | ChipFaultKind::FlipVariable { draw, .. } => {
+                let memory = self.flipped_memory(fault).map_err(|error| emulator_error(&error))?;
+                if let Some((start, length)) = memory {
+                    let bit = draw % (u64::from(length) * 8);
+                    let address = u64::from(start) + bit / 8;
+                    let byte = self.bus.memory.slice(address, 1).and_then(<[u8]>::first).copied().unwrap_or_default();
+                    self.bus.memory.store(address, &[byte ^ 1 << (bit % 8)]);
+                }
+            }
+            ChipFaultKind::FlipRegister { number, draw } => {
+                let mut bytes = self.core.gdb_register(number).unwrap_or_default();
+                let bit = draw as usize % (8 * bytes.len().max(1));
+                if let Some(byte) = bytes.get_mut(bit / 8) {
+                    *byte ^= 1 << (bit % 8);
+                }
+                self.core.set_gdb_register(number, &bytes);
+            }
+            ChipFaultKind::Reset | ChipFaultKind::PowerCut => {
+                if *fault == ChipFaultKind::PowerCut {
+                    self.bus.memory.power_off();
+                }
+                let instructions = self.core.retired();
+                self.session.reset_by_pin(now, instructions, &mut self.bus);
+            }
+            ChipFaultKind::Hang => {
+                self.bus.memory.store(HANG.0, &HANG.1);
+                self.core.set_gdb_register(PC, &(HANG.0 as u32).to_le_bytes());
+            }
+            ChipFaultKind::Stuck { address, value } => self.bus.stuck.push((address, value)),
+            ChipFaultKind::ClockDrift { .. } => {}
+        }
+        self.bus.notify_core(&mut *self.core);
+        Ok(())
+    }
+
+    fn amplifier_enabled(&self) -> bool {
+        self.session.board().amplifier_enabled()
     }
 
     fn take_received(&mut self, into: &mut Vec<ReceivedByte>) {

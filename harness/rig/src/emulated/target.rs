@@ -1,5 +1,6 @@
 //! Defines what the link needs of an emulated board; hides the emulator.
 
+use crate::chip_fault::{ChipFaultError, ChipFaultKind};
 use crate::symbols::CodeLocation;
 use crate::target_error::TargetError;
 use std::collections::{BTreeMap, BTreeSet};
@@ -42,6 +43,14 @@ pub(super) trait Target: Send + fmt::Debug {
 
     /// Changes memory, also flash. False without memory there.
     fn patch(&mut self, address: u32, bytes: &[u8]) -> bool;
+
+    /// Fails if the image or the board lacks what the fault needs.
+    fn check_fault(&self, fault: &ChipFaultKind) -> Result<(), ChipFaultError>;
+
+    /// Applies the fault now. From here on the firmware handles traps and resets itself, until power-on.
+    fn inject(&mut self, fault: &ChipFaultKind) -> Result<(), TargetError>;
+
+    fn amplifier_enabled(&self) -> bool;
 
     fn status(&self) -> TargetStatus;
 

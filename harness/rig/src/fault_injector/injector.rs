@@ -4,6 +4,7 @@ use super::inject::ActiveFaults;
 use super::packet::{FrameSplitter, QueuedPacket, decode_first_packet, is_sample};
 use super::trial_clock::TrialClock;
 use super::wire_fault::{Direction, WireFault};
+use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::compared_link::ComparedLink;
 use crate::link::{Link, LinkError, RealTimeLine};
 use platebench_wire::{ControllerState, Message, Packet};
@@ -176,6 +177,14 @@ impl<L: Link> Link for FaultInjector<L> {
 
     fn instruction_count(&self) -> Option<u64> {
         self.inner.instruction_count()
+    }
+
+    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
+        self.inner.set_chip_faults(plan)
+    }
+
+    fn amplifier_enabled(&mut self) -> Option<bool> {
+        self.inner.amplifier_enabled()
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -27,7 +27,7 @@ fn planted_fault(number: u8) -> platebench_wire::Sample {
 #[case::unaligned_access(1, &["HardFault, unaligned access, at 0x08", "planted_faults::unaligned_access", SOURCE])]
 #[case::division_by_zero(2, &["HardFault, division by zero, at 0x08", "planted_faults::division_by_zero", SOURCE])]
 #[case::endless_loop(3, &[
-    "no answer", "µs after the message arrived", "planted_faults::endless_loop", "planted_faults.rs:",
+    "the target reset itself (independent watchdog)", "planted_faults::endless_loop", "planted_faults.rs:",
 ])]
 #[case::stack_overflow(4, &[
     "the stack overflowed", "planted_faults::stack_overflow", "bus error while stacking", "address 0x1fff",
@@ -52,7 +52,9 @@ fn planted_fault(number: u8) -> platebench_wire::Sample {
     "data bus error", "planted_faults::hole_between_peripherals", "address 0x40002400 (nothing answers there)",
 ])]
 #[case::reset(11, &["the target reset itself (request of the firmware)"])]
-#[case::sleep_without_end(12, &["no answer", "planted_faults::sleep_without_end"])]
+#[case::sleep_without_end(12, &[
+    "the target reset itself (independent watchdog)", "planted_faults::sleep_without_end",
+])]
 fn reports_a_planted_fault(#[case] number: u8, #[case] expected: &[&str]) {
     let mut session = session(EmulatedOptions::default());
     let start = Instant::now();
@@ -64,8 +66,7 @@ fn reports_a_planted_fault(#[case] number: u8, #[case] expected: &[&str]) {
         assert!(message.contains(part), "`{part}` is missing in: {message}");
     }
     assert_eq!(matches!(*error, TargetError::Unsupported(_)), number == 9);
-    assert_eq!(matches!(*error, TargetError::Reset { .. }), number == 11);
-    assert_eq!(matches!(*error, TargetError::Silent { .. }), [3, 12].contains(&number));
+    assert_eq!(matches!(*error, TargetError::Reset { .. }), [3, 11, 12].contains(&number));
     // The error persists until the next trial.
     let again = session.send_sample(2 * PERIOD, &sample(2.0, 0.0));
     let Err(RigError::Link(LinkError::Target(again))) = again else { panic!("{again:?}") };

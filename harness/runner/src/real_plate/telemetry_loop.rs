@@ -6,11 +6,12 @@
 use super::telemetry_rows::{TelemetryRows, TelemetryUpdate};
 use crate::abort::TrialAbort;
 use crate::configure::configure;
+use crate::controller_log::is_controller_failure;
 use crate::controller_log::stop_reason;
 use crate::plant_simulation::RowSink as _;
 use crate::row_queue::RowQueue;
 use crate::timing_stats::{ClockDrift, DurationHistogram};
-use crate::trial::{TrialSpec, is_controller_failure};
+use crate::trial::TrialSpec;
 use platebench_plate::Time;
 use platebench_record::RealPlateRecord;
 use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};

@@ -31,9 +31,23 @@ impl Checker<'_> {
                 format!("`{name}` does not apply to a fault of kind `{}`{why}", raw.kind)
             })?;
         }
-        let from = self.time_from_ms(&key("from_ms"), raw.from_ms)?;
+        for (name, given) in [
+            ("at_ms", raw.at_ms.is_some()),
+            ("random", raw.random),
+            ("target", raw.target.is_some()),
+            ("bit", raw.bit.is_some()),
+            ("value", raw.value.is_some()),
+            ("ppm", raw.ppm.is_some()),
+        ] {
+            self.require(!given, &key(name), || format!("`{name}` does not apply to a fault of kind `{}`", raw.kind))?;
+        }
+        let Some(from_ms) = raw.from_ms else {
+            return self
+                .error(&key("kind"), format!("`{}` without `from_ms`, expected the start of its window", raw.kind));
+        };
+        let from = self.time_from_ms(&key("from_ms"), from_ms)?;
         self.require(from < duration, &key("from_ms"), || {
-            format!("{} ms, expected before the scenario's end at {duration}", raw.from_ms)
+            format!("{from_ms} ms, expected before the scenario's end at {duration}")
         })?;
         let until = raw.until_ms.map(|ms| self.time_from_ms(&key("until_ms"), ms)).transpose()?;
         self.require(until.is_some() || kind == FaultKind::Disconnect, &key("until_ms"), || {
@@ -88,7 +102,7 @@ impl Checker<'_> {
                 FaultKind::Scale(factor)
             }
             name => {
-                return self.unknown_name(&key("kind"), "unknown fault ", name, &FaultKind::NAMES);
+                return self.unknown_name(&key("kind"), "unknown fault ", name, &FaultKind::all_names());
             }
         })
     }

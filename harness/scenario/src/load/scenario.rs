@@ -4,9 +4,10 @@ use super::checker::{Checker, Diagnostics, TrialContext};
 use super::expectation::expectation_names;
 use super::scene::{Scene, SceneSource};
 use crate::bounds::{MAX_SPREAD_PERCENT, MAX_TRIALS};
+use crate::chip_fault::ChipFaultKind;
 use crate::diagnostic::Diagnostic;
 use crate::expect::Metric;
-use crate::raw::{RawScenario, RawTrials};
+use crate::raw::{RawFault, RawScenario, RawTrials};
 use crate::scenario::{AUTO_MODEL, InputFile, Scenario, Spread, Trials};
 use crate::window::ProfileChanges;
 use platebench_plate::{Plate, Tier, Time};
@@ -50,9 +51,14 @@ impl Checker<'_> {
             return None;
         };
         let count = faults.0.len();
+        let (of_chip, of_line): (Vec<_>, Vec<_>) = (0..)
+            .zip(&raw.fault)
+            .partition(|(_, fault): &(usize, &RawFault)| ChipFaultKind::NAMES.contains(&fault.kind.as_str()));
         let mut line_faults =
-            (0..).zip(&raw.fault).map(|(index, fault)| self.fault(index, fault, duration, controller.period));
+            of_line.into_iter().map(|(index, fault)| self.fault(index, fault, duration, controller.period));
         let line_faults = faults.record_errors(&mut line_faults);
+        let mut chip_faults = of_chip.into_iter().map(|(index, fault)| self.chip_fault(index, fault, duration));
+        let chip_faults = faults.record_errors(&mut chip_faults);
         let changes =
             ProfileChanges::new(&setpoint, &conditions.finger_force_n, &conditions.temperature_offset_k, duration);
         let response_delay = controller.period + controller.loop_delay + controller.loop_delay_jitter;
@@ -75,6 +81,7 @@ impl Checker<'_> {
             expected_exit: expected_exit?,
             expectations: expected,
             faults: line_faults,
+            chip_faults,
             between: Vec::new(),
             conditions,
             inputs: Vec::new(),

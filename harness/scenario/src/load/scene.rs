@@ -98,6 +98,7 @@ impl Checker<'_> {
                 plate,
                 expectations: Vec::new(),
                 faults: Vec::new(),
+                chip_faults: Vec::new(),
                 ..scenario.clone()
             })
         };

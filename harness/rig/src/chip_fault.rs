@@ -1,0 +1,71 @@
+//! Describes a planned fault of the chip, which only the emulated board can apply.
+
+use std::time::Duration;
+
+#[derive(Debug, Clone, PartialEq)]
+pub enum ChipFaultKind {
+    /// `draw` selects the bit, modulo the number of bits.
+    FlipRam {
+        start: u32,
+        length: u32,
+        draw: u64,
+    },
+    FlipVariable {
+        name: String,
+        draw: u64,
+    },
+    /// Numbered as by a debugger: r0 to r12, sp, lr, pc.
+    FlipRegister {
+        number: usize,
+        draw: u64,
+    },
+    Reset,
+    PowerCut,
+    ClockDrift {
+        ppm: f64,
+    },
+    Hang,
+    Stuck {
+        address: u32,
+        value: u32,
+    },
+}
+
+impl ChipFaultKind {
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::FlipRam { .. } | Self::FlipVariable { .. } | Self::FlipRegister { .. } => "bit-flip",
+            Self::Reset => "reset",
+            Self::PowerCut => "power-cut",
+            Self::ClockDrift { .. } => "clock-drift",
+            Self::Hang => "hang",
+            Self::Stuck { .. } => "stuck",
+        }
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChipFault {
+    /// Counts from the start of the trial.
+    pub at: Duration,
+    pub kind: ChipFaultKind,
+}
+
+/// Faults of one trial.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ChipFaultPlan {
+    /// In order of time.
+    pub faults: Vec<ChipFault>,
+    /// The plate does not wait longer for an answer.
+    pub answer_timeout: Duration,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ChipFaultError {
+    #[error("only the emulated rig in lockstep can apply faults of the chip")]
+    Unsupported,
+    #[error("the firmware image has no variable `{0}` with a size; list them with `nm --size-sort --demangle`")]
+    NoVariable(String),
+    #[error("{length} bytes at {start:#010x} are not RAM of the emulated STM32F427")]
+    NoRam { start: u32, length: u32 },
+}

@@ -1,0 +1,44 @@
+//! Sums up delays and instructions of a trial's replies.
+
+use platebench_plate::Time;
+use platebench_record::Telemetry;
+use platebench_rig::Reply;
+use std::time::Duration;
+
+#[derive(Default)]
+pub(crate) struct ReplyStats {
+    replies: u64,
+    late_replies: u64,
+    longest_delay: Time,
+    longest_rig_delay: Duration,
+    /// Sum and maximum per control step.
+    instructions: Option<(u64, u64)>,
+}
+
+impl ReplyStats {
+    pub(crate) fn record(&mut self, reply: &Reply, delay: Time) {
+        self.replies += 1;
+        self.longest_delay = self.longest_delay.max(delay);
+        self.longest_rig_delay = self.longest_rig_delay.max(reply.delay);
+        if let Some(count) = reply.instructions {
+            let (sum, worst) = self.instructions.unwrap_or_default();
+            self.instructions = Some((sum + count, worst.max(count)));
+        }
+    }
+
+    pub(crate) fn record_late(&mut self, delay: Time) {
+        self.late_replies += 1;
+        self.longest_delay = self.longest_delay.max(delay);
+    }
+
+    pub(crate) fn add_to(&self, telemetry: Telemetry) -> Telemetry {
+        let has_replies = self.replies > 0;
+        Telemetry {
+            loop_delay_us: (self.replies + self.late_replies > 0).then(|| self.longest_delay.seconds() * 1e6),
+            rig_delay_us: has_replies.then_some(self.longest_rig_delay.as_secs_f64() * 1e6),
+            instructions_mean: self.instructions.map(|(sum, _)| sum as f64 / self.replies as f64),
+            instructions_worst: self.instructions.map(|(_, worst)| worst as f64),
+            ..telemetry
+        }
+    }
+}
