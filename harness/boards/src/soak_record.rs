@@ -155,7 +155,9 @@ mod tests {
     #[test]
     fn running_statistics_are_those_of_all_values() {
         let mut known = RunningStatistics::of(1.0);
-        [2.0, 3.0, 4.0].into_iter().for_each(|value| known.add(value));
+        for value in [2.0, 3.0, 4.0] {
+            known.add(value);
+        }
         assert_eq!((known.count, known.mean, known.minimum, known.maximum), (4, 2.5, 1.0, 4.0));
         assert!((known.deviation() - (5.0_f64 / 3.0).sqrt()).abs() < 1e-15);
     }

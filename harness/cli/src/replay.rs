@@ -94,9 +94,10 @@ fn exit_of(result: &ReplayResult) -> Exit {
 
 fn report_error(error: &ReplayError) -> Exit {
     match error {
-        ReplayError::Scenario(diagnostic) => return stdio::reject_file(diagnostic),
+        ReplayError::Scenario(diagnostic) | ReplayError::Run(RunError::Scenario(diagnostic)) => {
+            return stdio::reject_file(diagnostic);
+        }
         ReplayError::Stored(error) => return stdio::reject_stored_run(error),
-        ReplayError::Run(RunError::Scenario(diagnostic)) => return stdio::reject_file(diagnostic),
         error => stdio::error(&error.to_string()),
     }
     match error {

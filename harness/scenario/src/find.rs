@@ -77,7 +77,7 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     for (path, name, own) in files.into_values() {
         match load_with_all_errors(&path, &name) {
             Ok(scenario) if (scenario.expected_exit.is_some() || !scenario.chip_faults.is_empty()) && !own => {
-                found.skipped.push(name)
+                found.skipped.push(name);
             }
             Ok(scenario) => found.scenarios.push(scenario),
             Err(found) => faults.extend(found),

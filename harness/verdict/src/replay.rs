@@ -148,7 +148,8 @@ impl ReplayResult {
 
 /// Each pair: time in s, recorded and replayed command.
 fn compare_commands(pairs: &[(f64, ReplayCommand, ReplayCommand)]) -> Vec<CommandDifference> {
-    let values: [(&str, fn(&ReplayCommand) -> f64); 2] =
+    type Value = fn(&ReplayCommand) -> f64;
+    let values: [(&str, Value); 2] =
         [("drive_vpp", |command| command.drive_vpp), ("frequency_hz", |command| command.frequency_hz)];
     let compared = values.into_iter().filter_map(|(name, value)| {
         let signal = TUBE_SIGNALS.iter().find(|signal| signal.name == name)?;

@@ -6,7 +6,8 @@ use std::fs;
 const CHIP: &str = "0102030405060708090a0b0c";
 
 fn inventory(boards: &[(&str, String)]) -> String {
-    boards.iter().map(|(name, keys)| format!("[[board]]\nname = \"{name}\"\n{keys}\n")).collect()
+    let board = |(name, keys): &(&str, String)| format!("[[board]]\nname = \"{name}\"\n{keys}\n");
+    boards.iter().map(board).collect::<Vec<_>>().concat()
 }
 
 fn rig(rig: &str) -> String {

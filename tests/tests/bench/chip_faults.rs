@@ -26,7 +26,7 @@ fn drive_at_ms(rows: &[Row], t_ms: f64) -> f64 {
 fn each_scenario_passes_on_the_emulated_rig_only(#[files("../scenarios/chip/*.toml")] path: PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = path.to_str().unwrap();
-    let expected = if path.ends_with("random-flip.toml") { 1 } else { 0 };
+    let expected = i32::from(path.ends_with("random-flip.toml"));
     run_bench(folder.path(), ["run", path, "--rig", "emulated", "--out", "emulated"]).assert_exit(expected);
     run_bench(folder.path(), ["run", path, "--rig", "hosted", "--out", "hosted"]).assert_exit(4);
     let hosted = RunRecord::read(&folder.path().join("hosted")).unwrap();

@@ -112,7 +112,7 @@ fn values(message: &Message) -> String {
         Message::Configure(configure) => configure_words(configure),
         _ => Vec::new(),
     };
-    words.iter().map(|word| format!(" {word:x}")).collect()
+    words.iter().map(|word| format!(" {word:x}")).collect::<Vec<_>>().concat()
 }
 
 fn configure_words(configure: &Configure) -> Vec<u32> {

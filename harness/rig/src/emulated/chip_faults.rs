@@ -33,7 +33,7 @@ impl ChipFaults {
     pub(super) fn chip_time(&self, now: Duration) -> Duration {
         match self.drift {
             Some((from, ppm)) if now > from => {
-                let shift_ns = (now - from).as_nanos() as f64 * ppm * PPM;
+                let shift_ns = now.saturating_sub(from).as_nanos() as f64 * ppm * PPM;
                 let shift = Duration::from_nanos(shift_ns.abs() as u64);
                 if shift_ns < 0.0 { now.saturating_sub(shift) } else { now + shift }
             }

@@ -33,13 +33,12 @@ pub fn read_recorded_trace(trace: &Path, scenario: Option<&Path>) -> Result<Repl
     };
     let StoredTrace { folder, run, scenario, trial } = stored;
     let rows = read_trial_rows(&folder, &trial)?;
-    let scenario = match configuration {
-        Some(scenario) => scenario,
-        None => {
-            let mut played = load_stored_scenario(&folder, &scenario)?;
-            apply_overrides(&run.overrides, &mut played);
-            played
-        }
+    let scenario = if let Some(scenario) = configuration {
+        scenario
+    } else {
+        let mut played = load_stored_scenario(&folder, &scenario)?;
+        apply_overrides(&run.overrides, &mut played);
+        played
     };
     from_rows(trace, &rows, scenario, run.clock)
 }

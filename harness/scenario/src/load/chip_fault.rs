@@ -81,7 +81,7 @@ impl Checker<'_> {
                     BitFlipTarget::Register(_) => 32,
                     BitFlipTarget::Variable(_) => u64::from(u32::MAX),
                 };
-                let fits = raw.bit.is_none_or(|bit| (0..bits as i64).contains(&bit));
+                let fits = raw.bit.is_none_or(|bit| u64::try_from(bit).is_ok_and(|bit| bit < bits));
                 self.require(fits, &key("bit"), || format!("expected 0 to {}", bits - 1))?;
                 ChipFaultKind::BitFlip { target, bit: raw.bit.map(|bit| bit as u32) }
             }
