@@ -19,6 +19,8 @@ pub struct SessionConfig {
     pub resume: bool,
     pub details: SessionDetails,
     pub signing_key: Option<SecretKey>,
+    /// Instruments whose invalid calibration does not stop the session.
+    pub waived_calibrations: Vec<String>,
 }
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

@@ -46,6 +46,18 @@ pub enum AcceptError {
         path: PathBuf,
         message: String,
     },
+    #[error(
+        "{instrument}: its calibration of {calibrated} was valid until {due}; expected a valid calibration, or \
+         --waive-calibration NAME, which the record states"
+    )]
+    InvalidCalibration {
+        /// Name and serial number.
+        instrument: String,
+        calibrated: String,
+        due: String,
+    },
+    #[error("--waive-calibration {0}: the budget has no instrument with this name")]
+    UnknownInstrument(String),
     #[error(transparent)]
     Run(#[from] RunError),
     #[error(transparent)]

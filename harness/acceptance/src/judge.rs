@@ -1,5 +1,6 @@
 //! Derives a verdict for each requirement and one for the session from stored runs.
 
+use crate::decision::PlanDecision;
 use crate::plan::Requirement;
 use crate::session_record::{EvidenceRecord, RequirementRecord, StepRecord};
 use platebench_record::{ExpectationRecord, RunRecord, Verdict};
@@ -10,9 +11,10 @@ pub(crate) fn judge_requirements(
     requirements: &[Requirement],
     steps: &[StepRecord],
     runs: &[(String, RunRecord)],
+    decision: Option<&PlanDecision>,
 ) -> (Vec<RequirementRecord>, Verdict) {
     let decided: Vec<RequirementRecord> =
-        requirements.iter().map(|requirement| requirement_record(requirement, runs)).collect();
+        requirements.iter().map(|requirement| requirement_record(requirement, runs, decision)).collect();
     let over_requirements = decided.iter().map(|requirement| requirement.verdict);
     // Expectations without a requirement count too.
     let over_runs = runs.iter().map(|(_, run)| run.verdict);
@@ -21,13 +23,23 @@ pub(crate) fn judge_requirements(
     (decided, verdict)
 }
 
-fn requirement_record(requirement: &Requirement, runs: &[(String, RunRecord)]) -> RequirementRecord {
+fn requirement_record(
+    requirement: &Requirement,
+    runs: &[(String, RunRecord)],
+    decision: Option<&PlanDecision>,
+) -> RequirementRecord {
     let mut evidence = Vec::new();
     for (step, run) in runs {
         for scenario in &run.scenarios {
-            let own = scenario.expectations.iter();
-            let own = own.filter(|expectation| expectation.requirement.as_deref() == Some(&requirement.id));
-            evidence.extend(own.map(|expectation| evidence_record(step, &scenario.file, expectation)));
+            let own = scenario.expectations.iter().enumerate();
+            let own = own.filter(|(_, expectation)| expectation.requirement.as_deref() == Some(&requirement.id));
+            evidence.extend(own.map(|(number, expectation)| {
+                let mut record = evidence_record(step, &scenario.file, expectation);
+                if let Some(decision) = decision {
+                    decision.apply(scenario, number, &mut record);
+                }
+                record
+            }));
         }
     }
     RequirementRecord {
@@ -54,6 +66,7 @@ fn evidence_record(step: &str, scenario: &str, expectation: &ExpectationRecord) 
         found: format::value(expectation).map(with_unit),
         verdict: expectation.verdict,
         reason,
+        uncertainty: None,
     }
 }
 

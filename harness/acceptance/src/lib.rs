@@ -5,6 +5,7 @@
 
 mod ask;
 pub mod config;
+mod decision;
 mod error;
 mod judge;
 pub mod manifest;
@@ -20,6 +21,7 @@ mod steps;
 pub mod verify;
 
 pub use config::{SessionConfig, SessionDetails, SessionHooks, SessionObserver};
+pub use decision::PlanDecision;
 pub use error::AcceptError;
 pub use plan::Plan;
 pub use session_record::SessionRecord;

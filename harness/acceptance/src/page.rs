@@ -1,6 +1,6 @@
 //! Renders `record.html`: a session on one page to read, print and sign.
 
-use crate::session_record::{RequirementRecord, STEPS, SessionRecord, StepRecord};
+use crate::session_record::{EvidenceRecord, RequirementRecord, STEPS, SessionRecord, StepRecord};
 use maud::{Markup, html};
 use platebench_record::Verdict;
 use platebench_report::page::{page_frame, verdict_badge};
@@ -22,6 +22,7 @@ pub fn render(session: &SessionRecord) -> String {
         (requirements(session))
         (steps(session))
         (evidence(session))
+        (decision_section(session))
         (environment(session))
         (signatures(session))
         footer {
@@ -166,10 +167,51 @@ fn evidence(session: &SessionRecord) -> Markup {
                         td { a href={ (STEPS) "/" (evidence.step) "/report.html" } { (evidence.scenario) } }
                         td { code { (evidence.metric) } @if let Some(reason) = &evidence.reason { span.file { (reason) } } }
                         td.number { (evidence.demanded) }
-                        td.number { (evidence.found.as_deref().unwrap_or("–")) }
+                        td.number {
+                            (evidence.found.as_deref().unwrap_or("–"))
+                            @if let Some(line) = uncertainty_line(evidence) { span.file { (line) } }
+                        }
                         td { (badge(evidence.verdict)) }
                     }
                 } } }
+            }
+        }
+    }
+}
+
+/// Expanded uncertainty, factor and degrees of freedom.
+fn uncertainty_line(evidence: &EvidenceRecord) -> Option<String> {
+    let combined = &evidence.uncertainty.as_ref()?.combined;
+    let freedom = combined.degrees_of_freedom.map_or_else(|| "∞".to_owned(), |freedom| format!("{freedom:.1}"));
+    Some(format!("± {:.3e} (k = {:.2}, ν = {freedom})", combined.expanded, combined.coverage_factor))
+}
+
+fn decision_section(session: &SessionRecord) -> Markup {
+    html! {
+        @if let Some(decision) = &session.decision {
+            section {
+                h2 { "Decision rule and instruments" }
+                p {
+                    "Rule: " (decision.rule) ". Budget: " (decision.title) ". Expanded uncertainties cover "
+                    (format!("{:.1}", decision.coverage * 100.0)) " %."
+                }
+                table {
+                    thead { tr {
+                        th { "Instrument" } th { "Serial number" } th { "Certificate" } th { "Calibrated" } th { "Valid until" }
+                    } }
+                    tbody { @for instrument in &decision.instruments {
+                        tr {
+                            th scope="row" { (instrument.name) }
+                            td { (instrument.serial) }
+                            td { (instrument.certificate.as_deref().unwrap_or("–")) }
+                            td { (instrument.calibrated) }
+                            td {
+                                (instrument.due)
+                                @if instrument.waived { strong { " not valid; waived by the operator" } }
+                            }
+                        }
+                    } }
+                }
             }
         }
     }

@@ -2,7 +2,9 @@
 //!
 //! A plan has the text of each requirement; expectations of scenarios refer to its identifier.
 
-use platebench_scenario::{Diagnostic, Scenario, find, input, schema};
+use crate::decision::PlanDecision;
+use platebench_scenario::{Diagnostic, Limit, Scenario, find, input, schema};
+use platebench_uncertainty::{Budget, DecisionRule, known_quantities};
 use schemars::{JsonSchema, Schema};
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -38,6 +40,21 @@ struct RawPlan {
     /// Demands on the bench.
     #[serde(default)]
     bench: BenchDemands,
+    /// Decision rule; without it the uncertainty of measurement is not considered.
+    decision: Option<RawDecision>,
+}
+
+/// Decision rule and uncertainty budget.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct RawDecision {
+    /// Decision rule.
+    rule: DecisionRule,
+    /// Budget file, relative to the plan.
+    budget: PathBuf,
+    /// Largest expanded uncertainty, percent of the tolerance; for shared-risk only.
+    #[schemars(range(min = 0.1, max = 100.0))]
+    largest_uncertainty_percent: Option<f64>,
 }
 
 const fn thirty() -> u32 {
@@ -144,6 +161,7 @@ pub struct Plan {
     pub scenarios: Vec<PlannedScenario>,
     pub asks: Vec<Ask>,
     pub bench: BenchDemands,
+    pub decision: Option<PlanDecision>,
 }
 
 impl Plan {
@@ -175,16 +193,74 @@ impl Plan {
                 Err(found) => faults.extend(found),
             }
         }
+        let budget = raw.decision.as_ref().map(|raw| Budget::load(&folder.join(&raw.budget), &known_quantities()));
+        let budget = budget.transpose().unwrap_or_else(|found| {
+            faults.extend(found);
+            None
+        });
+        let decision = raw.decision.as_ref().zip(budget).map(|(raw, budget)| raw.with_budget(budget));
+        if let Some(decision) = &decision {
+            faults.extend(decision_diagnostics(path, &text, decision, &scenarios));
+        }
         if !faults.is_empty() {
             return Err(faults);
         }
         let RawPlan { title, requirement, ask, bench, .. } = raw;
-        Ok(Self { bytes, title, requirements: requirement, scenarios, asks: ask, bench })
+        Ok(Self { bytes, title, requirements: requirement, scenarios, asks: ask, bench, decision })
     }
 }
 
-pub(crate) fn read_requirements(path: &Path, bytes: &[u8]) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
-    parse(path, bytes).map(|(_, raw)| raw.requirement)
+impl RawDecision {
+    fn with_budget(&self, budget: Budget) -> PlanDecision {
+        PlanDecision { rule: self.rule, largest_percent: self.largest_uncertainty_percent.unwrap_or(100.0), budget }
+    }
+}
+
+/// Requirements and decision of a recorded plan, with the budget at `budget`.
+pub(crate) fn read_recorded_plan(
+    path: &Path,
+    bytes: &[u8],
+    budget: &Path,
+) -> Result<(Vec<Requirement>, Option<PlanDecision>), Vec<Diagnostic>> {
+    let (_, raw) = parse(path, bytes)?;
+    let decision = match raw.decision {
+        Some(raw) => Some(raw.with_budget(Budget::load(budget, &known_quantities())?)),
+        None => None,
+    };
+    Ok((raw.requirement, decision))
+}
+
+/// A rule that needs the uncertainty needs a budget for each expectation of a requirement.
+fn decision_diagnostics(
+    path: &Path,
+    text: &str,
+    decision: &PlanDecision,
+    scenarios: &[PlannedScenario],
+) -> Vec<Diagnostic> {
+    let mut faults: Vec<Diagnostic> = Vec::new();
+    if decision.rule == DecisionRule::Simple {
+        return faults;
+    }
+    for PlannedScenario { scenario, .. } in scenarios {
+        for (number, expectation) in scenario.expectations.iter().enumerate() {
+            if expectation.requirement.is_none() {
+                continue;
+            }
+            if matches!(expectation.limit, Limit::About(_)) {
+                let message = format!("the rule {} needs a limit, expected `within` instead of `about`", decision.rule);
+                faults.push(scenario.diagnostic(&format!("expect.{number}.about"), message));
+            }
+            let metric = expectation.metric;
+            if decision.budget.quantity(metric.name()).is_none() {
+                let message = format!(
+                    "the rule {} needs a [[budget]] for {metric}, which {} demands",
+                    decision.rule, scenario.file
+                );
+                faults.push(Diagnostic::at_key(path, text, "decision.budget", message));
+            }
+        }
+    }
+    faults
 }
 
 fn parse(path: &Path, bytes: &[u8]) -> Result<(String, RawPlan), Vec<Diagnostic>> {
@@ -237,6 +313,21 @@ fn plan_diagnostics(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
         if !is_valid_name(&ask.id) || !known.insert(&ask.id) {
             let message = format!("`{}`, expected letters, digits and -, each name once", ask.id);
             report(&format!("ask.{number}.id"), message);
+        }
+    }
+    if let Some(decision) = &raw.decision {
+        let key = "decision.largest_uncertainty_percent";
+        match (decision.rule, decision.largest_uncertainty_percent) {
+            (DecisionRule::SharedRisk, None) => {
+                report("decision.rule", "shared-risk needs `largest_uncertainty_percent`".to_owned());
+            }
+            (DecisionRule::SharedRisk, Some(percent)) if !(0.1..=100.0).contains(&percent) => {
+                report(key, format!("{percent}, expected 0.1 to 100"));
+            }
+            (DecisionRule::Simple | DecisionRule::Guarded, Some(_)) => {
+                report(key, format!("only for shared-risk, the rule is {}", decision.rule));
+            }
+            _ => {}
         }
     }
     if !(1..=1_000).contains(&raw.bench.timing_trials) {

@@ -2,6 +2,7 @@
 //! stay the same.
 
 use crate::config::SessionConfig;
+use crate::decision::today;
 use crate::error::AcceptError;
 use crate::session_record::{
     BenchRecord, ClockRecord, FORMAT, FirmwareRecord, PLAN, STEPS, SessionRecord, utc_timestamp,
@@ -55,6 +56,11 @@ pub(crate) fn new_session_record(config: &SessionConfig) -> Result<SessionRecord
         clock,
         firmware: None,
         plan: InputRecord { file: PLAN.to_owned(), sha256: sha256(&plan.bytes) },
+        decision: plan
+            .decision
+            .as_ref()
+            .map(|decision| decision.record(today(), &config.waived_calibrations))
+            .transpose()?,
         inputs: inputs.collect(),
         steps: step_records(plan),
         requirements: Vec::new(),
@@ -115,9 +121,18 @@ pub(crate) fn check_unchanged(then: &SessionRecord, now: &SessionRecord) -> Resu
         let ClockRecord { name, time_scale, pacing } = &record.clock;
         format!("{name}, time scale {time_scale}, paced by {pacing}")
     };
+    let budget = |record: &SessionRecord| {
+        record.decision.as_ref().map_or_else(|| "none".to_owned(), |decision| decision.budget.sha256.clone())
+    };
+    let waived = |record: &SessionRecord| {
+        let instruments = record.decision.iter().flat_map(|decision| &decision.instruments);
+        instruments.filter(|each| each.waived).map(|each| each.name.clone()).collect::<Vec<_>>().join(", ")
+    };
     let pairs = [
         ("the bench", bench(then), bench(now)),
         ("the plan", then.plan.sha256.clone(), now.plan.sha256.clone()),
+        ("the uncertainty budget", budget(then), budget(now)),
+        ("the list of waived calibrations", waived(then), waived(now)),
         ("the rig", then.rig.clone(), now.rig.clone()),
         ("the clock", clock(then), clock(now)),
     ];

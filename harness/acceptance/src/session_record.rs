@@ -6,12 +6,14 @@ use platebench_record::Verdict;
 use platebench_record::{Firmware, Host, InputRecord, Quantiles, Tool};
 use platebench_rig::RigSpec;
 use platebench_trace::write_atomically;
+use platebench_uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;
 
 pub const FILE: &str = "session.json";
 pub(crate) const PLAN: &str = "plan.toml";
+pub(crate) const BUDGET: &str = "budget.toml";
 pub(crate) const STEPS: &str = "steps";
 /// Readers reject others.
 pub const FORMAT: u32 = 1;
@@ -40,6 +42,9 @@ pub struct SessionRecord {
     /// `null` until the controller was identified.
     pub firmware: Option<FirmwareRecord>,
     pub plan: InputRecord,
+    /// `None` if the plan has no decision rule: the uncertainty of measurement is not considered.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub decision: Option<DecisionRecord>,
     /// Scenarios with their plates and profiles, in order.
     pub inputs: Vec<InputRecord>,
     pub steps: Vec<StepRecord>,
@@ -148,7 +153,41 @@ pub struct TrustRecord {
     pub false_alarms: u32,
 }
 
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DecisionRecord {
+    pub rule: DecisionRule,
+    /// Title of the budget.
+    pub title: String,
+    /// Share of values within the expanded uncertainty.
+    pub coverage: f64,
+    pub instruments: Vec<InstrumentRecord>,
+    pub budget: InputRecord,
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct InstrumentRecord {
+    pub name: String,
+    pub serial: String,
+    pub certificate: Option<String>,
+    pub calibrated: String,
+    /// Last day on which the calibration is valid.
+    pub due: String,
+    /// The calibration was not valid at the start; the operator waived it by name.
+    pub waived: bool,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EvidenceUncertainty {
+    pub value: f64,
+    /// Value ± expanded uncertainty.
+    pub interval: [f64; 2],
+    /// Probability that the true value does not conform, from the uncertainty alone.
+    pub outside_probability: f64,
+    pub conformity: Conformity,
+    pub combined: CombinedUncertainty,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RequirementRecord {
     pub id: String,
     pub text: String,
@@ -157,7 +196,7 @@ pub struct RequirementRecord {
     pub evidence: Vec<EvidenceRecord>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EvidenceRecord {
     pub step: String,
     pub scenario: String,
@@ -167,6 +206,8 @@ pub struct EvidenceRecord {
     pub found: Option<String>,
     pub verdict: Verdict,
     pub reason: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<EvidenceUncertainty>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

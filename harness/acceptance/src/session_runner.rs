@@ -18,8 +18,8 @@ use crate::provenance::{
 };
 use crate::scenario_run::ScenarioRun;
 use crate::session_record::{
-    Attempt, FILE, FirmwareRecord, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind, StepRecord, may_have_board,
-    utc_timestamp,
+    Attempt, BUDGET, FILE, FirmwareRecord, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind, StepRecord,
+    may_have_board, utc_timestamp,
 };
 use crate::steps::{StepAction, step_actions};
 use crate::{manifest, page, self_test, signature};
@@ -70,6 +70,7 @@ impl<'a> SessionRunner<'a> {
         if config.resume && !exists {
             return Err(AcceptError::NoSession(folder.clone()));
         }
+        let new = new_session_record(config)?;
         fs::create_dir_all(folder).map_err(AcceptError::io(folder))?;
         let lock = File::open(folder).map_err(AcceptError::io(folder))?;
         match lock.try_lock() {
@@ -78,7 +79,6 @@ impl<'a> SessionRunner<'a> {
             Err(TryLockError::Error(source)) => return Err(AcceptError::io(folder)(source)),
         }
         remove_temporary_files(folder).map_err(|(path, error)| AcceptError::io(&path)(error))?;
-        let new = new_session_record(config)?;
         let record = if folder.join(FILE).exists() {
             resume(config, &new)?
         } else {
@@ -90,6 +90,10 @@ impl<'a> SessionRunner<'a> {
         record.write(folder)?;
         let path = folder.join(PLAN);
         write_atomically(&path, &config.plan.bytes).map_err(AcceptError::io(&path))?;
+        if let Some(decision) = &config.plan.decision {
+            let path = folder.join(BUDGET);
+            write_atomically(&path, &decision.budget.bytes).map_err(AcceptError::io(&path))?;
+        }
         Ok(Self { config, record, _lock: lock })
     }
 
@@ -224,7 +228,9 @@ impl<'a> SessionRunner<'a> {
             }
         }
         let runs = read_runs(folder, &self.record.steps)?;
-        let (requirements, verdict) = judge_requirements(&self.config.plan.requirements, &self.record.steps, &runs);
+        let plan = &self.config.plan;
+        let (requirements, verdict) =
+            judge_requirements(&plan.requirements, &self.record.steps, &runs, plan.decision.as_ref());
         self.record.requirements = requirements;
         self.record.verdict = verdict;
         self.record.complete = true;

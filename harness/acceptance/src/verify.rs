@@ -8,7 +8,7 @@ use crate::error::AcceptError;
 use crate::judge::judge_requirements;
 use crate::manifest::{self, Difference};
 use crate::plan;
-use crate::session_record::{FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind};
+use crate::session_record::{BUDGET, FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind};
 use crate::signature::{self, PublicKey};
 use platebench_record::sha256;
 use platebench_record::{self as record, RunRecord};
@@ -166,11 +166,19 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
     }
     let path = folder.join(PLAN);
     let plan = fs::read(&path).ok().filter(|bytes| sha256(bytes) == session.plan.sha256);
-    let Some(requirements) = plan.and_then(|bytes| plan::read_requirements(&path, &bytes).ok()) else {
+    let read = |bytes: Vec<u8>| plan::read_recorded_plan(&path, &bytes, &folder.join(BUDGET)).ok();
+    let Some((requirements, decision)) = plan.and_then(read) else {
         findings.push(contradiction(PLAN, "not the plan of the session".to_owned()));
         return findings;
     };
-    let (decided, verdict) = judge_requirements(&requirements, &session.steps, &runs);
+    let [used, stated] = [
+        decision.as_ref().map(|decision| (decision.rule, sha256(&decision.budget.bytes))),
+        session.decision.as_ref().map(|decision| (decision.rule, decision.budget.sha256.clone())),
+    ];
+    if used != stated {
+        findings.push(contradiction(FILE, "decision rule or budget differ from plan and budget.toml".to_owned()));
+    }
+    let (decided, verdict) = judge_requirements(&requirements, &session.steps, &runs, decision.as_ref());
     for again in &decided {
         match session.requirements.iter().find(|stored| stored.id == again.id) {
             Some(stored) if stored == again => {}

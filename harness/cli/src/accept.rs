@@ -83,6 +83,9 @@ struct SessionArgs {
     /// Timer of the control instants in real time
     #[arg(long, value_enum, default_value_t = PacingArg::Bench)]
     pacing: PacingArg,
+    /// Start although the calibration of this instrument is not valid; the record states it. May be given again
+    #[arg(long, value_name = "INSTRUMENT")]
+    waive_calibration: Vec<String>,
     /// Name of the operator
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
@@ -216,6 +219,7 @@ fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Exit> {
             notes: arguments.notes.clone(),
         },
         signing_key: key,
+        waived_calibrations: arguments.waive_calibration.clone(),
     })
 }
 

@@ -7,14 +7,17 @@ use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_boards::Board;
 use platebench_identify::{
-    ColumnMapping, DirectFit, ExternalCsvError, Identification, PlateFileDetails, Recording, RecordingError,
-    external_csv, plate_file, tables,
+    ColumnMapping, DirectFit, ExternalCsvError, Identification, ParameterUncertainty, PlateFileDetails, Recording,
+    RecordingError, external_csv, parameter_uncertainties, plate_file, tables, uncertainty_table,
 };
 use platebench_report::ReportError;
 use platebench_report::chart::FitChart;
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_report::text::Table;
+use platebench_scenario::Diagnostic;
 use platebench_trace::{TraceError, write_atomically, write_new};
+use platebench_uncertainty::{Budget, EvaluationError, known_quantities};
+use serde::Serialize;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -66,6 +69,9 @@ pub(crate) struct IdentifyArgs {
     /// Slope of the resonance, if no recording contains a temperature step
     #[arg(long, value_name = "HZ", allow_negative_numbers = true, value_parser = parse_finite)]
     slope_hz_per_k: Option<f64>,
+    /// Uncertainty budget: adds combined and expanded uncertainties of the parameters that it covers
+    #[arg(long, value_name = "FILE")]
+    budget: Option<PathBuf>,
     /// Format of standard output
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
     format: OutputFormat,
@@ -110,11 +116,24 @@ enum IdentifyError {
     Taken(PathBuf),
     #[error(transparent)]
     Report(#[from] ReportError),
+    #[error("the budget is not valid")]
+    Budget(Vec<Diagnostic>),
+    #[error("{0}")]
+    Evaluation(EvaluationError),
+}
+
+#[derive(Serialize)]
+struct IdentifyOutput<'a> {
+    #[serde(flatten)]
+    found: &'a Identification,
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    uncertainties: &'a [ParameterUncertainty],
 }
 
 pub(crate) fn identify(arguments: &IdentifyArgs) -> Exit {
     match identify_plate(arguments) {
         Ok(exit) => exit,
+        Err(IdentifyError::Budget(faults)) => stdio::reject_files(&faults),
         Err(error) => stdio::reject(&error),
     }
 }
@@ -138,12 +157,19 @@ fn identify_plate(arguments: &IdentifyArgs) -> Result<Exit, IdentifyError> {
     let recordings = files.iter().map(|file| read_recording(file, arguments)).collect::<Result<Vec<_>, _>>()?;
     let (found, fits) =
         platebench_identify::identify(&recordings, arguments.slope_hz_per_k).map_err(IdentifyError::Together)?;
-    let tables = tables(&found);
+    let mut tables = tables(&found);
+    let budget = arguments.budget.as_deref().map(|path| Budget::load(path, &known_quantities()));
+    let budget = budget.transpose().map_err(IdentifyError::Budget)?;
+    let uncertainties = budget.map(|budget| parameter_uncertainties(&found, &budget)).transpose();
+    let uncertainties = uncertainties.map_err(IdentifyError::Evaluation)?.unwrap_or_default();
+    if !uncertainties.is_empty() {
+        tables.push(uncertainty_table(&uncertainties));
+    }
     match arguments.format {
         OutputFormat::Human => {
             stdio::show(&tables.iter().map(|table| table.markdown() + "\n").collect::<Vec<_>>().concat());
         }
-        OutputFormat::Json => stdio::show_json(&found),
+        OutputFormat::Json => stdio::show_json(&IdentifyOutput { found: &found, uncertainties: &uncertainties }),
     }
     if let Some(path) = &arguments.page {
         write_file(path, &write_page(path, arguments, &tables, &recordings, &found, &fits)?)?;

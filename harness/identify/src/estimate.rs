@@ -15,26 +15,29 @@ pub struct Estimate {
     pub error: f64,
     pub low: f64,
     pub high: f64,
+    /// Of the error.
+    #[serde(skip)]
+    pub freedom: f64,
 }
 
 impl Estimate {
     /// `freedom`: degrees of freedom of the error.
     pub fn new(value: f64, error: f64, freedom: f64) -> Self {
         let reach = quantile(freedom) * error;
-        Self { value, error, low: value - reach, high: value + reach }
+        Self { value, error, low: value - reach, high: value + reach, freedom }
     }
 
     /// A positive value whose logarithm has a normal error.
     pub fn from_logarithm(logarithm: f64, error: f64, freedom: f64) -> Self {
         let reach = quantile(freedom) * error;
         let value = logarithm.exp();
-        Self { value, error: value * error, low: (logarithm - reach).exp(), high: (logarithm + reach).exp() }
+        Self { value, error: value * error, low: (logarithm - reach).exp(), high: (logarithm + reach).exp(), freedom }
     }
 
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         let (a, b) = (self.low * factor, self.high * factor);
-        Self { value: self.value * factor, error: (self.error * factor).abs(), low: a.min(b), high: a.max(b) }
+        Self { value: self.value * factor, error: (self.error * factor).abs(), low: a.min(b), high: a.max(b), ..self }
     }
 
     pub fn contains(&self, truth: f64) -> bool {

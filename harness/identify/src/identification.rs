@@ -82,8 +82,8 @@ pub fn identify(
             (Some(_), _) => Some(at_reference),
             (None, slope) if warmer == 0.0 || slope.is_some() => {
                 let shift = slope.unwrap_or(0.0) * warmer;
-                let Estimate { value, error, low, high } = at_reference;
-                Some(Estimate { value: value - shift, error, low: low - shift, high: high - shift })
+                let Estimate { value, low, high, .. } = at_reference;
+                Some(Estimate { value: value - shift, low: low - shift, high: high - shift, ..at_reference })
             }
             _ => None,
         }
@@ -138,7 +138,7 @@ pub fn identify(
 fn summarise_fit(recording: &Recording, fit: &DirectFit) -> Option<RecordingFit> {
     let resonance_hz = fit.resonances.first()?.1.scaled(1.0 / TAU);
     let excitation_hz = recording.inputs.first()?.omega / TAU;
-    let Estimate { value, error, low, high } = resonance_hz;
+    let Estimate { value, low, high, .. } = resonance_hz;
     Some(RecordingFit {
         recording: recording.name.clone(),
         samples: recording.outputs.len(),
@@ -147,9 +147,9 @@ fn summarise_fit(recording: &Recording, fit: &DirectFit) -> Option<RecordingFit>
         resonance_hz,
         detuning_hz: Estimate {
             value: excitation_hz - value,
-            error,
             low: excitation_hz - high,
             high: excitation_hz - low,
+            ..resonance_hz
         },
         noise_um: fit.noise_um,
         whiteness: fit.whiteness,

@@ -1,5 +1,6 @@
 //! Tests acceptance sessions: seal, interruption, resuming, verification.
 
+mod decision;
 mod operator;
 mod tampering;
 

@@ -1,0 +1,138 @@
+//! Applies the plan's decision rule to evidence, and checks calibrations before a session.
+
+use crate::error::AcceptError;
+use crate::session_record::{BUDGET, DecisionRecord, EvidenceRecord, EvidenceUncertainty, InstrumentRecord};
+use jiff::Timestamp;
+use jiff::civil::Date;
+use jiff::tz::TimeZone;
+use platebench_record::{InputRecord, ScenarioRecord, Statistic, Verdict, sha256};
+use platebench_scenario::Limit;
+use platebench_uncertainty::{Budget, CombinedUncertainty, Conformity, DecisionRule, Instrument, TypeA, decide};
+
+/// `[decision]` of a plan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanDecision {
+    pub rule: DecisionRule,
+    /// Largest expanded uncertainty, percent of the tolerance; only for [`DecisionRule::SharedRisk`].
+    pub largest_percent: f64,
+    pub budget: Budget,
+}
+
+pub(crate) fn today() -> Date {
+    Timestamp::now().to_zoned(TimeZone::UTC).date()
+}
+
+impl PlanDecision {
+    /// Fails for an invalid calibration without a waiver, and for a waiver without an instrument.
+    pub(crate) fn record(&self, today: Date, waived: &[String]) -> Result<DecisionRecord, AcceptError> {
+        let budget = &self.budget;
+        let unknown = waived.iter().find(|name| budget.instruments.iter().all(|known| known.name != **name));
+        if let Some(name) = unknown {
+            return Err(AcceptError::UnknownInstrument(name.clone()));
+        }
+        let is_waived = |instrument: &Instrument| waived.contains(&instrument.name);
+        if let Some(expired) = budget.expired_on(today).find(|instrument| !is_waived(instrument)) {
+            return Err(AcceptError::InvalidCalibration {
+                instrument: format!("{} ({})", expired.name, expired.serial),
+                calibrated: expired.calibrated.to_string(),
+                due: expired.due.to_string(),
+            });
+        }
+        let instruments = budget.instruments.iter().map(|instrument| InstrumentRecord {
+            name: instrument.name.clone(),
+            serial: instrument.serial.clone(),
+            certificate: instrument.certificate.clone(),
+            calibrated: instrument.calibrated.to_string(),
+            due: instrument.due.to_string(),
+            waived: !instrument.is_valid_on(today),
+        });
+        Ok(DecisionRecord {
+            rule: self.rule,
+            title: budget.title.clone(),
+            coverage: budget.coverage,
+            instruments: instruments.collect(),
+            budget: InputRecord { file: BUDGET.to_owned(), sha256: sha256(&budget.bytes) },
+        })
+    }
+
+    /// Adds the uncertainty of expectation `number`; a pass that the rule does not allow becomes
+    /// inconclusive.
+    pub(crate) fn apply(&self, scenario: &ScenarioRecord, number: usize, evidence: &mut EvidenceRecord) {
+        let Some((expectation, value)) = scenario.expectations.get(number).and_then(|each| Some((each, each.value?)))
+        else {
+            return;
+        };
+        let Some(budget) = self.budget.quantity(expectation.metric.name()) else { return };
+        let combined = match budget.combine(value, observed_scatter(scenario, number, value), self.budget.coverage) {
+            Ok(combined) => combined,
+            Err(error) => {
+                restrict(evidence, error.to_string());
+                return;
+            }
+        };
+        // A plan with a rule that needs it has no `about`.
+        let (range, tolerance) = (expectation.limit.range(0.0), tolerance_of(expectation.limit));
+        let conformity = decide(self.rule, value, &combined, range, tolerance, self.largest_percent);
+        match conformity {
+            Conformity::Accepted => {}
+            Conformity::WithinGuardBand { guard_band } => {
+                restrict(evidence, format!("the value is within the guard band of {guard_band:.4} at the limit"));
+            }
+            Conformity::TooUncertain { share_percent, largest_percent } => {
+                let message = format!(
+                    "the expanded uncertainty is {share_percent:.3} % of the tolerance, more than {largest_percent} %"
+                );
+                restrict(evidence, message);
+            }
+        }
+        evidence.uncertainty = Some(EvidenceUncertainty {
+            value,
+            interval: [value - combined.expanded, value + combined.expanded],
+            outside_probability: outside_probability(&combined, value, range),
+            conformity,
+            combined,
+        });
+    }
+}
+
+fn restrict(evidence: &mut EvidenceRecord, reason: String) {
+    if evidence.verdict == Verdict::Pass {
+        evidence.verdict = Verdict::Inconclusive;
+        evidence.reason = Some(reason);
+    }
+}
+
+/// Of the true value, if only the measurement is known.
+fn outside_probability(combined: &CombinedUncertainty, value: f64, (low, high): (f64, f64)) -> f64 {
+    let above = if high.is_finite() { combined.probability_above(value, high) } else { 0.0 };
+    let below = if low.is_finite() { 1.0 - combined.probability_above(value, low) } else { 0.0 };
+    (above + below).min(1.0)
+}
+
+/// The scale of [`Limit::margin`].
+fn tolerance_of(limit: Limit) -> f64 {
+    let scale = match limit {
+        Limit::AtMost(limit) | Limit::AtLeast(limit) | Limit::About(limit) => limit.abs(),
+        Limit::Within(low, high) => (high - low) / 2.0,
+    };
+    if scale == 0.0 { 1.0 } else { scale }
+}
+
+/// Repeatability of the value of expectation `number`, from the trials that count.
+fn observed_scatter(scenario: &ScenarioRecord, number: usize, value: f64) -> Option<TypeA> {
+    let expectation = scenario.expectations.get(number)?;
+    let counted = || scenario.trials.iter().filter(|trial| trial.cause.is_none());
+    if expectation.statistic == Statistic::Deviation {
+        return TypeA::of_stated_deviation(value, counted().count());
+    }
+    // The record of a trial numbers further expectations of a metric.
+    let metric = expectation.metric;
+    let earlier = scenario.expectations.iter().take(number).filter(|other| other.metric == metric).count();
+    let name = if earlier == 0 { metric.to_string() } else { format!("{metric}[{}]", earlier + 1) };
+    let values: Vec<f64> =
+        counted().filter_map(|trial| trial.metrics.get(&name).and_then(serde_json::Value::as_f64)).collect();
+    match expectation.statistic {
+        Statistic::Mean => TypeA::of_mean(&values),
+        Statistic::Worst | Statistic::Quantile | Statistic::Deviation => TypeA::of_single(&values),
+    }
+}

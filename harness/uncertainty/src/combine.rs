@@ -1,0 +1,168 @@
+//! Combines the components of a quantity: `u² = Σ uᵢ²`, effective degrees of freedom
+//! `ν = u⁴ / Σ uᵢ⁴/νᵢ` (Welch and Satterthwaite; JCGM 100:2008, G.4), expanded uncertainty
+//! `U = t_ν((1 + p)/2) u`. Sensitivities are part of uᵢ; components are independent.
+
+use crate::budget::{ComponentKind, Distribution, QuantityBudget};
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
+use std::fmt;
+
+/// Above this Student's t equals the normal distribution to 1e-8.
+const MAX_FREEDOM: f64 = 1e7;
+
+/// Evaluated from observations (JCGM 100:2008, 4.2).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TypeA {
+    pub standard: f64,
+    pub degrees_of_freedom: f64,
+}
+
+impl TypeA {
+    /// Of the mean of `values`; `None` below two.
+    pub fn of_mean(values: &[f64]) -> Option<Self> {
+        let single = Self::of_single(values)?;
+        Some(Self { standard: single.standard / (values.len() as f64).sqrt(), ..single })
+    }
+
+    /// Of one value, by the scatter of all; `None` below two.
+    pub fn of_single(values: &[f64]) -> Option<Self> {
+        let count = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / count;
+        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        let degrees_of_freedom = count - 1.0;
+        (values.len() > 1).then(|| Self { standard: (squares / degrees_of_freedom).sqrt(), degrees_of_freedom })
+    }
+
+    /// Of a standard deviation over `count` values, for normal data: `s/√(2(n − 1))`; `None` below two.
+    pub fn of_stated_deviation(deviation: f64, count: usize) -> Option<Self> {
+        let degrees_of_freedom = count.checked_sub(1).filter(|freedom| *freedom > 0)? as f64;
+        Some(Self { standard: deviation / (2.0 * degrees_of_freedom).sqrt(), degrees_of_freedom })
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Contribution {
+    pub kind: ComponentKind,
+    pub distribution: Distribution,
+    /// In the quantity's unit.
+    pub standard: f64,
+    /// `null` if unlimited.
+    pub degrees_of_freedom: Option<f64>,
+    pub source: String,
+    pub date: String,
+    pub instrument: Option<String>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CombinedUncertainty {
+    pub standard: f64,
+    /// Effective; `null` if unlimited.
+    pub degrees_of_freedom: Option<f64>,
+    /// Share of values within the expanded uncertainty.
+    pub coverage: f64,
+    pub coverage_factor: f64,
+    pub expanded: f64,
+    pub contributions: Vec<Contribution>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EvaluationError {
+    /// The budget takes the repeatability from observations, and there are fewer than two.
+    NoRepeatability,
+    /// The value is not finite.
+    NoValue,
+}
+
+impl fmt::Display for EvaluationError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::NoRepeatability => "the budget takes the repeatability from trials, expected two or more",
+            Self::NoValue => "there is no value for the budget",
+        })
+    }
+}
+
+impl QuantityBudget {
+    /// `observed`: repeatability of `value`, used if the budget does not state it.
+    pub fn combine(
+        &self,
+        value: f64,
+        observed: Option<TypeA>,
+        coverage: f64,
+    ) -> Result<CombinedUncertainty, EvaluationError> {
+        if !value.is_finite() {
+            return Err(EvaluationError::NoValue);
+        }
+        let mut contributions = Vec::with_capacity(self.components.len());
+        for component in &self.components {
+            let (standard, freedom) = match (component.standard, observed) {
+                (Some(standard), _) if component.is_percent_of_value => {
+                    (standard / 100.0 * value.abs(), component.degrees_of_freedom)
+                }
+                (Some(standard), _) => (standard, component.degrees_of_freedom),
+                (None, Some(observed)) => (observed.standard, observed.degrees_of_freedom),
+                (None, None) => return Err(EvaluationError::NoRepeatability),
+            };
+            contributions.push(Contribution {
+                kind: component.kind,
+                distribution: component.distribution,
+                standard,
+                degrees_of_freedom: freedom.is_finite().then_some(freedom),
+                source: component.source.clone(),
+                date: component.date.to_string(),
+                instrument: component.instrument.clone(),
+            });
+        }
+        Ok(CombinedUncertainty::of(contributions, coverage))
+    }
+}
+
+impl CombinedUncertainty {
+    pub fn of(contributions: Vec<Contribution>, coverage: f64) -> Self {
+        let squares: f64 = contributions.iter().map(|part| part.standard.powi(2)).sum();
+        let limited = contributions.iter().filter_map(|part| Some(part.standard.powi(4) / part.degrees_of_freedom?));
+        let freedom = squares.powi(2) / limited.sum::<f64>();
+        let degrees_of_freedom = (squares > 0.0 && freedom.is_finite()).then_some(freedom);
+        let standard = squares.sqrt();
+        let coverage_factor = quantile(degrees_of_freedom, f64::midpoint(1.0, coverage));
+        Self {
+            standard,
+            degrees_of_freedom,
+            coverage,
+            coverage_factor,
+            expanded: coverage_factor * standard,
+            contributions,
+        }
+    }
+
+    /// Distance that an error exceeds on one side with this probability.
+    pub fn one_sided_reach(&self, probability: f64) -> f64 {
+        quantile(self.degrees_of_freedom, 1.0 - probability) * self.standard
+    }
+
+    /// Probability that the true value is above `limit`, if `value` was measured.
+    pub fn probability_above(&self, value: f64, limit: f64) -> f64 {
+        let distance = limit - value;
+        if self.standard <= 0.0 {
+            return if distance < 0.0 { 1.0 } else { 0.0 };
+        }
+        survival(self.degrees_of_freedom, distance / self.standard)
+    }
+}
+
+fn student(degrees_of_freedom: Option<f64>) -> Option<StudentsT> {
+    let freedom = degrees_of_freedom.filter(|freedom| *freedom < MAX_FREEDOM)?;
+    StudentsT::new(0.0, 1.0, freedom).ok()
+}
+
+fn quantile(degrees_of_freedom: Option<f64>, probability: f64) -> f64 {
+    student(degrees_of_freedom)
+        .map_or_else(|| Normal::standard().inverse_cdf(probability), |t| t.inverse_cdf(probability))
+}
+
+fn survival(degrees_of_freedom: Option<f64>, place: f64) -> f64 {
+    student(degrees_of_freedom).map_or_else(|| Normal::standard().sf(place), |t| t.sf(place))
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,0 +1,126 @@
+use super::*;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{ChiSquared, Distribution as _, StandardNormal, Uniform};
+
+fn part(kind: ComponentKind, distribution: Distribution, standard: f64, freedom: Option<f64>) -> Contribution {
+    Contribution {
+        kind,
+        distribution,
+        standard,
+        degrees_of_freedom: freedom,
+        source: "test".to_owned(),
+        date: "2026-03-01".to_owned(),
+        instrument: None,
+    }
+}
+
+/// An error with this distribution and this standard deviation.
+fn draw(random: &mut ChaCha8Rng, distribution: Distribution, standard: f64) -> f64 {
+    let uniform = |random: &mut ChaCha8Rng| Uniform::new(-1.0_f64, 1.0).unwrap().sample(random);
+    let unit = match distribution {
+        Distribution::Normal => StandardNormal.sample(random),
+        Distribution::Rectangular => uniform(random) * 3.0_f64.sqrt(),
+        Distribution::Triangular => f64::midpoint(uniform(random), uniform(random)) * 6.0_f64.sqrt(),
+        Distribution::UShaped => (std::f64::consts::PI * uniform(random)).sin() * 2.0_f64.sqrt(),
+    };
+    unit * standard
+}
+
+/// JCGM 100:2008, H.1: end gauge, nm. The example rounds u to 32 nm and ν to 16.
+#[test]
+fn the_end_gauge_of_the_guide() {
+    let normal = |standard, freedom| part(ComponentKind::Bench, Distribution::Normal, standard, Some(freedom));
+    let parts = vec![normal(25.0, 18.0), normal(9.7, 25.6), normal(2.9, 50.0), normal(16.6, 2.0)];
+    let whole = CombinedUncertainty::of(parts, 0.99);
+    assert!((whole.standard - 31.71).abs() < 0.1, "{whole:?}");
+    assert!((whole.degrees_of_freedom.unwrap() - 16.7).abs() < 0.5, "{whole:?}");
+    assert!((whole.expanded - 92.0).abs() < 1.0, "{whole:?}");
+}
+
+#[test]
+fn unlimited_freedom_gives_the_normal_factor() {
+    let whole = CombinedUncertainty::of(vec![part(ComponentKind::Bench, Distribution::Normal, 2.0, None)], 0.954_5);
+    assert_eq!(whole.degrees_of_freedom, None);
+    assert!((whole.coverage_factor - 2.0).abs() < 1e-4 && (whole.expanded - 4.0).abs() < 1e-3);
+    assert!((whole.probability_above(0.0, 4.0) - 0.022_75).abs() < 1e-5);
+    let none = CombinedUncertainty::of(Vec::new(), 0.95);
+    assert_eq!((none.standard, none.expanded, none.probability_above(1.0, 0.9)), (0.0, 0.0, 1.0));
+}
+
+/// The eight kinds of a laboratory, in units of the quantity.
+const LABORATORY: [(ComponentKind, Distribution, f64, f64); 7] = [
+    (ComponentKind::SensorGain, Distribution::Normal, 0.50, 30.0),
+    (ComponentKind::SensorOffset, Distribution::Rectangular, 0.30, f64::INFINITY),
+    (ComponentKind::Converter, Distribution::Rectangular, 0.20, f64::INFINITY),
+    (ComponentKind::Demodulator, Distribution::UShaped, 0.20, f64::INFINITY),
+    (ComponentKind::Temperature, Distribution::Triangular, 0.30, f64::INFINITY),
+    (ComponentKind::Timing, Distribution::Rectangular, 0.10, f64::INFINITY),
+    (ComponentKind::Bench, Distribution::Normal, 0.05, f64::INFINITY),
+];
+const TRIALS: usize = 10;
+const SCATTER: f64 = 1.0;
+
+/// Measures a true value of 0: the result, and what the laboratory states about it.
+pub(crate) fn measure_in_laboratory(random: &mut ChaCha8Rng, coverage: f64) -> (f64, CombinedUncertainty) {
+    let trials: Vec<f64> = (0..TRIALS).map(|_| draw(random, Distribution::Normal, SCATTER)).collect();
+    let mut value = trials.iter().sum::<f64>() / TRIALS as f64;
+    let observed = TypeA::of_mean(&trials).unwrap();
+    let freedom = Some(observed.degrees_of_freedom);
+    let mut parts = vec![part(ComponentKind::Repeatability, Distribution::Normal, observed.standard, freedom)];
+    for (kind, distribution, standard, freedom) in LABORATORY {
+        value += draw(random, distribution, standard);
+        // A calibration with few observations knows its own deviation by chi-square only.
+        let known = if freedom.is_finite() {
+            standard * (ChiSquared::new(freedom).unwrap().sample(random) / freedom).sqrt()
+        } else {
+            standard
+        };
+        parts.push(part(kind, distribution, known, freedom.is_finite().then_some(freedom)));
+    }
+    (value, CombinedUncertainty::of(parts, coverage))
+}
+
+/// One block of 1,000 laboratories scatters by ± 0.7 % (one standard deviation), so that its own
+/// share says less than that of all blocks.
+#[test]
+fn expanded_intervals_contain_the_true_value() {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let contains = |(value, stated): (f64, CombinedUncertainty)| value.abs() <= stated.expanded;
+    let blocks: Vec<f64> = (0..50)
+        .map(|_| (0..1_000).filter(|_| contains(measure_in_laboratory(&mut random, 0.95))).count() as f64 / 1_000.0)
+        .collect();
+    let share = blocks.iter().sum::<f64>() / 50.0;
+    assert!((0.94..=0.96).contains(&share), "{share}, {blocks:?}");
+    // Four standard deviations around 95 %.
+    assert!(blocks.iter().all(|block| (0.922..=0.978).contains(block)), "{share}, {blocks:?}");
+}
+
+/// JCGM 101:2008: the same distributions, propagated by random numbers.
+#[test]
+fn monte_carlo_gives_the_same_uncertainty() {
+    let budget = LABORATORY.map(|(kind, distribution, standard, _)| part(kind, distribution, standard, None));
+    let stated = CombinedUncertainty::of(budget.to_vec(), 0.95);
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let mut errors: Vec<f64> = (0..200_000)
+        .map(|_| {
+            LABORATORY.iter().map(|(_, shape, standard, _)| draw(&mut random, *shape, *standard)).sum::<f64>().abs()
+        })
+        .collect();
+    let standard = (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt();
+    assert!((standard / stated.standard - 1.0).abs() < 0.005, "{standard}, {stated:?}");
+    errors.sort_by(f64::total_cmp);
+    let expanded = errors[errors.len() * 95 / 100];
+    assert!((expanded / stated.expanded - 1.0).abs() < 0.02, "{expanded}, {stated:?}");
+}
+
+#[test]
+fn repeatability_comes_from_the_trials() {
+    let values = [1.0, 2.0, 3.0, 4.0];
+    let [mean, single] = [TypeA::of_mean(&values).unwrap(), TypeA::of_single(&values).unwrap()];
+    assert!((mean.standard - (5.0_f64 / 12.0).sqrt()).abs() < 1e-15 && mean.degrees_of_freedom == 3.0);
+    assert!((single.standard - 2.0 * mean.standard).abs() < 1e-15);
+    let deviation = TypeA::of_stated_deviation(6.0_f64.sqrt(), 4).unwrap();
+    assert!((deviation.standard - 1.0).abs() < 1e-15 && TypeA::of_stated_deviation(1.0, 1).is_none());
+    assert_eq!(TypeA::of_mean(&[1.0]), None);
+}

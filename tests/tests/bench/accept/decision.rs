@@ -1,0 +1,109 @@
+//! Tests decision rules, uncertainty budgets and calibration dates of a session.
+
+use super::{plan_text, read_session_record, run_session, session_folder, verify};
+use crate::test_folder::{TestFolder, run_bench, workspace_root};
+use platebench_acceptance::SessionRecord;
+use platebench_record::Verdict;
+use rstest::rstest;
+
+/// Settling takes 2 to 3 ms, its limit is 4 ms.
+fn budget_text(half_width: f64, due: &str) -> String {
+    format!(
+        "title = \"Lab\"\n[[instrument]]\nname = \"laser\"\nserial = \"L-1\"\ncalibrated = \"2020-01-01\"\n\
+         due = \"{due}\"\n[[budget]]\nquantity = \"settling_time_ms\"\n[[budget.component]]\nkind = \"timing\"\n\
+         distribution = \"rectangular\"\nhalf_width = {half_width:?}\ninstrument = \"laser\"\nsource = \"sheet\"\n\
+         date = \"2020-01-01\"\n[[budget.component]]\nkind = \"repeatability\"\ndistribution = \"normal\"\n\
+         source = \"trials\"\ndate = \"2020-01-01\"\n"
+    )
+}
+
+fn folder_with(decision: &str, half_width: f64, due: &str) -> TestFolder {
+    let folder = session_folder();
+    folder.write("plan.toml", &format!("{}[decision]\nbudget = \"lab.toml\"\n{decision}\n", plan_text(&["s.toml"], 3)));
+    folder.write("lab.toml", &budget_text(half_width, due));
+    folder
+}
+
+#[rstest]
+#[case::guarded("rule = \"guarded\"", 0.1, 0, "accepted")]
+#[case::guard_band("rule = \"guarded\"", 2.5, 3, "within the guard band")]
+#[case::simple("rule = \"simple\"", 2.5, 0, "accepted")]
+#[case::shared("rule = \"shared-risk\"\nlargest_uncertainty_percent = 20.0", 0.1, 0, "accepted")]
+#[case::shared_wide("rule = \"shared-risk\"\nlargest_uncertainty_percent = 20.0", 2.5, 3, "% of the tolerance")]
+fn a_rule_decides_with_the_uncertainty(
+    #[case] decision: &str,
+    #[case] half_width: f64,
+    #[case] exit: i32,
+    #[case] expected: &str,
+) {
+    let folder = folder_with(decision, half_width, "2999-12-31");
+    run_session(&folder, &["--yes"]).assert_exit(exit);
+    let record = read_session_record(&folder);
+    let evidence = &record.requirements[0].evidence[0];
+    let stated = evidence.uncertainty.as_ref().unwrap();
+    let timing = stated.combined.contributions[0].standard;
+    assert!((timing - half_width / 3.0_f64.sqrt()).abs() < 1e-12, "{stated:?}");
+    assert!(stated.combined.expanded > 1.9 * timing && stated.interval[0] < stated.value, "{stated:?}");
+    let text = format!("{} {}", evidence.reason.clone().unwrap_or_default(), serde_json::to_string(stated).unwrap());
+    assert!(text.contains(expected), "{text}");
+    let page = folder.read("record/record.html");
+    assert!(page.contains("Decision rule and instruments") && page.contains("L-1") && page.contains("2999-12-31"));
+    verify(&folder, "record", &[]).assert_exit(0);
+    // Another budget in the record contradicts it, even with a new manifest.
+    folder.write("record/budget.toml", &budget_text(half_width / 2.0, "2999-12-31"));
+    verify(&folder, "record", &[])
+        .assert_exit(1)
+        .assert_output(&["decision rule or budget differ from plan and budget.toml"]);
+}
+
+#[test]
+fn an_expired_calibration_stops_the_session_unless_waived_by_name() {
+    let folder = folder_with("rule = \"guarded\"", 0.1, "2021-01-01");
+    run_session(&folder, &["--yes"])
+        .assert_exit(2)
+        .assert_output(&["laser (L-1): its calibration of 2020-01-01 was valid until 2021-01-01"]);
+    assert!(!folder.exists("record"));
+    run_session(&folder, &["--yes", "--waive-calibration", "lamp"]).assert_exit(2).assert_output(&["no instrument"]);
+    run_session(&folder, &["--yes", "--waive-calibration", "laser"]).assert_exit(0);
+    let record: SessionRecord = read_session_record(&folder);
+    let decision = record.decision.unwrap();
+    assert!(decision.instruments[0].waived && record.verdict == Verdict::Pass, "{decision:?}");
+    assert!(folder.read("record/record.html").contains("not valid; waived by the operator"));
+}
+
+#[rstest]
+#[case::no_budget(
+    "rule = \"guarded\"",
+    "settling_time_ms",
+    "overshoot_percent",
+    "needs a [[budget]] for settling_time_ms"
+)]
+#[case::no_share("rule = \"shared-risk\"", "x", "x", "shared-risk needs `largest_uncertainty_percent`")]
+#[case::share("rule = \"guarded\"\nlargest_uncertainty_percent = 20.0", "x", "x", "only for shared-risk")]
+#[case::rule("rule = \"strict\"", "x", "x", "plan.toml:16:8")]
+#[case::budget("rule = \"simple\"", "rectangular", "round", "lab.toml:11:16")]
+fn an_invalid_decision_is_reported_with_its_line(
+    #[case] decision: &str,
+    #[case] good: &str,
+    #[case] bad: &str,
+    #[case] message: &str,
+) {
+    let folder = folder_with(decision, 0.1, "2999-12-31");
+    folder.write("lab.toml", &folder.read("lab.toml").replace(good, bad));
+    run_session(&folder, &["--yes"]).assert_exit(2).assert_output(&[message]);
+    assert!(!folder.exists("record"));
+}
+
+/// The worked example of docs/acceptance.md.
+#[test]
+fn the_example_of_the_documentation_passes() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = workspace_root().join("docs/examples/guarded-plan.toml");
+    let waived = ["--waive-calibration", "vibrometer", "--waive-calibration", "thermometer"];
+    let arguments = ["accept", "--plan", plan.to_str().unwrap(), "--rig", "hosted", "--yes", "--out", "record"];
+    run_bench(folder.path(), arguments.iter().chain(&waived)).assert_exit(0);
+    let record = SessionRecord::read(&folder.path().join("record")).unwrap();
+    let stated = record.requirements[0].evidence[0].uncertainty.clone().unwrap();
+    assert_eq!(stated.combined.contributions.len(), 4);
+    assert!((stated.combined.expanded - 0.017_3).abs() < 0.001, "{stated:?}");
+}
