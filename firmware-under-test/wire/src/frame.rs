@@ -80,7 +80,7 @@ impl FrameReader {
             let (frame, rest) = bytes.split_at(delimiter);
             *bytes = rest.get(1..).unwrap_or_default();
             self.append(frame);
-            if self.length > 0 {
+            if self.length > 0 || self.overlong {
                 return Some(self.end_frame());
             }
         }
@@ -148,6 +148,17 @@ mod tests {
     fn read_all(bytes: &[u8]) -> Vec<Result<Vec<u8>, FrameError>> {
         let mut reader = FrameReader::new();
         bytes.iter().filter_map(|&byte| reader.push(byte).map(|frame| frame.map(<[u8]>::to_vec))).collect()
+    }
+
+    #[test]
+    fn an_overlong_frame_in_one_slice_is_rejected_and_the_next_one_is_read() {
+        let mut bytes = std::vec![1; MAX_ENCODED + 1];
+        bytes.push(0);
+        let body = [7; 3];
+        bytes.extend_from_slice(EncodedFrame::new(&body).unwrap().as_bytes());
+        let (mut reader, mut rest) = (FrameReader::new(), bytes.as_slice());
+        assert_eq!(reader.read(&mut rest).map(|frame| frame.map(<[u8]>::to_vec)), Some(Err(FrameError::Overlong)));
+        assert_eq!(reader.read(&mut rest).map(|frame| frame.map(<[u8]>::to_vec)), Some(Ok(body.to_vec())));
     }
 
     #[test]

@@ -31,7 +31,7 @@ pub enum ComponentKind {
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
     Normal,
-    /// Uniform within ± half_width: u = a/√3.
+    /// Uniform within ± `half_width`: u = a/√3.
     Rectangular,
     /// u = a/√6.
     Triangular,
