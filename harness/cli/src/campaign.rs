@@ -1,5 +1,7 @@
 //! `platebench campaign`: sweeps and Monte Carlo in shards, on one machine or many.
 
+mod progress;
+
 use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
 use crate::options::{OutputFormat, job_count};
@@ -9,17 +11,14 @@ use clap::{Args, Subcommand, ValueEnum};
 use platebench_boards::RunEnd;
 use platebench_campaign::submit::{Engine, command_line, submission};
 use platebench_campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, Summary, TrialEvent, merge, play_shard, shards_of_run, status,
+    Campaign, CampaignError, Plan, PlayConfig, Summary, merge, play_shard, shards_of_run, status,
 };
 use platebench_rig::{CancelToken, RigError, RigSpec};
+use progress::{PlayEvent, Progress};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
-
-/// Between two lines of progress.
-const PROGRESS_INTERVAL: Duration = Duration::from_secs(10);
 
 /// `platebench campaign`
 #[derive(Debug, Args)]
@@ -243,14 +242,6 @@ fn merge_folder(folder: &Path, format: OutputFormat) -> Result<Exit, CampaignErr
     Ok(show(&summary, folder, format))
 }
 
-/// Progress of the shards.
-#[derive(Debug, Clone, Copy)]
-enum PlayEvent {
-    Trial(TrialEvent),
-    /// The shard was complete before.
-    Skipped(u64),
-}
-
 /// As [`play`], with the board reserved.
 fn play_on_board(
     board: &BoardArgs,
@@ -313,45 +304,6 @@ fn play(
         Err(error) => {
             stdio::error(&error.to_string());
             Ok(Some(Exit::Inconclusive))
-        }
-    }
-}
-
-/// Prints a line every [`PROGRESS_INTERVAL`].
-struct Progress {
-    started: Instant,
-    last: Instant,
-    quiet: bool,
-    total: u64,
-    played: u64,
-    skipped: u64,
-    failures: u64,
-}
-
-impl Progress {
-    fn new(total: u64, quiet: bool) -> Self {
-        let now = Instant::now();
-        Self { started: now, last: now, quiet, total, played: 0, skipped: 0, failures: 0 }
-    }
-
-    fn add(&mut self, event: PlayEvent) {
-        match event {
-            PlayEvent::Skipped(trials) => self.skipped += trials,
-            PlayEvent::Trial(TrialEvent { is_failure }) => {
-                self.played += 1;
-                self.failures += u64::from(is_failure);
-            }
-        }
-        if !self.quiet && self.last.elapsed() >= PROGRESS_INTERVAL {
-            self.last = Instant::now();
-            let rate = self.played as f64 / self.started.elapsed().as_secs_f64();
-            let left = self.total.saturating_sub(self.played + self.skipped) as f64 / rate.max(1e-9);
-            stdio::note(&format!(
-                "{} of {} trials, {} failed, {rate:.0} trials/s, {left:.0} s left",
-                self.played + self.skipped,
-                self.total,
-                self.failures
-            ));
         }
     }
 }

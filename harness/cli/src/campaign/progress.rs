@@ -1,0 +1,55 @@
+//! Prints the progress of a campaign.
+
+use crate::stdio;
+use platebench_campaign::TrialEvent;
+use std::time::{Duration, Instant};
+
+/// Between two lines of progress.
+const PROGRESS_INTERVAL: Duration = Duration::from_secs(10);
+
+/// Progress of the shards.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum PlayEvent {
+    Trial(TrialEvent),
+    /// The shard was complete before.
+    Skipped(u64),
+}
+
+/// Prints a line every [`PROGRESS_INTERVAL`].
+pub(super) struct Progress {
+    started: Instant,
+    last: Instant,
+    quiet: bool,
+    total: u64,
+    played: u64,
+    skipped: u64,
+    failures: u64,
+}
+
+impl Progress {
+    pub(super) fn new(total: u64, quiet: bool) -> Self {
+        let now = Instant::now();
+        Self { started: now, last: now, quiet, total, played: 0, skipped: 0, failures: 0 }
+    }
+
+    pub(super) fn add(&mut self, event: PlayEvent) {
+        match event {
+            PlayEvent::Skipped(trials) => self.skipped += trials,
+            PlayEvent::Trial(TrialEvent { is_failure }) => {
+                self.played += 1;
+                self.failures += u64::from(is_failure);
+            }
+        }
+        if !self.quiet && self.last.elapsed() >= PROGRESS_INTERVAL {
+            self.last = Instant::now();
+            let rate = self.played as f64 / self.started.elapsed().as_secs_f64();
+            let left = self.total.saturating_sub(self.played + self.skipped) as f64 / rate.max(1e-9);
+            stdio::note(&format!(
+                "{} of {} trials, {} failed, {rate:.0} trials/s, {left:.0} s left",
+                self.played + self.skipped,
+                self.total,
+                self.failures
+            ));
+        }
+    }
+}
