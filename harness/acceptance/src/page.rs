@@ -197,7 +197,8 @@ fn decision_section(session: &SessionRecord) -> Markup {
                 }
                 table {
                     thead { tr {
-                        th { "Instrument" } th { "Serial number" } th { "Certificate" } th { "Calibrated" } th { "Valid until" }
+                        th { "Instrument" } th { "Serial number" } th { "Certificate" }
+                        th { "Calibrated" } th { "Valid until" }
                     } }
                     tbody { @for instrument in &decision.instruments {
                         tr {

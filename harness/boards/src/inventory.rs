@@ -5,7 +5,7 @@ use jiff::civil::Date;
 use platebench_rig::RigSpec;
 use platebench_scenario::{Diagnostic, find_file_above, input, parse};
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -64,9 +64,10 @@ struct RawBoardSensor {
     uncertainty_percent: Option<f64>,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Board {
     pub name: String,
+    #[serde(serialize_with = "serialize_rig")]
     pub rig: RigSpec,
     pub host: Option<String>,
     /// Lower case.
@@ -75,6 +76,10 @@ pub struct Board {
     pub amplifier: Option<String>,
     pub plate: Option<PathBuf>,
     pub sensor: Option<BoardSensor>,
+}
+
+fn serialize_rig<S: Serializer>(rig: &RigSpec, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(rig)
 }
 
 impl Board {

@@ -2,11 +2,10 @@
 
 use crate::board_lock::BoardFiles;
 use crate::error::BoardError;
-use crate::inventory::{Board, BoardSensor, Inventory};
+use crate::inventory::{Board, Inventory};
 use crate::state::{LastRun, Quarantine, StoredState};
 use platebench_report::text::Table;
 use serde::Serialize;
-use std::path::PathBuf;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(tag = "state", rename_all = "lowercase")]
@@ -23,16 +22,10 @@ pub enum BoardState {
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BoardStatus {
-    pub name: String,
+    #[serde(flatten)]
+    pub board: Board,
     #[serde(flatten)]
     pub state: BoardState,
-    pub rig: String,
-    pub host: Option<String>,
-    pub chip_id: Option<String>,
-    pub probe_serial: Option<String>,
-    pub amplifier: Option<String>,
-    pub plate: Option<PathBuf>,
-    pub sensor: Option<BoardSensor>,
     pub last_run: Option<LastRun>,
 }
 
@@ -55,15 +48,13 @@ fn status(inventory: &Inventory, board: &Board) -> Result<BoardStatus, BoardErro
         (Ok(_), None) => BoardState::Free,
     };
     drop(lock);
-    let Board { name, rig, host, chip_id, probe_serial, amplifier, plate, sensor } = board.clone();
-    let (rig, last_run) = (rig.to_string(), stored.last_run);
-    Ok(BoardStatus { name, state, rig, host, chip_id, probe_serial, amplifier, plate, sensor, last_run })
+    Ok(BoardStatus { board: board.clone(), state, last_run: stored.last_run })
 }
 
 pub fn status_table(boards: &[BoardStatus]) -> Table {
     let mut table = Table::new(["board", "state", "since", "by, or why", "last run", "verdict"]);
-    for board in boards {
-        let (state, since, why) = match &board.state {
+    for status in boards {
+        let (state, since, why) = match &status.state {
             BoardState::Free => ("free", None, String::new()),
             BoardState::Held { holder, user, since } => {
                 let user = user.as_ref().map_or_else(String::new, |user| format!(" of {user}"));
@@ -73,10 +64,10 @@ pub fn status_table(boards: &[BoardStatus]) -> Table {
                 ("quarantined", Some(quarantine.since.clone()), quarantine.reason.clone())
             }
         };
-        let run = board.last_run.as_ref();
+        let run = status.last_run.as_ref();
         let verdict = run.map(|run| run.verdict.map_or_else(|| "incomplete".to_owned(), |verdict| verdict.to_string()));
         table.rows.push(vec![
-            board.name.clone(),
+            status.board.name.clone(),
             state.to_owned(),
             since.unwrap_or_default(),
             why,

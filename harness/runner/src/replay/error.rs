@@ -37,7 +37,10 @@ pub enum ReplayError {
         path.display()
     )]
     OtherPeriod { path: PathBuf, found_ms: f64, expected_ms: f64 },
-    #[error("{}: column setpoint is missing and the scenario's profile ends at {duration_s} s, before {at_s} s", path.display())]
+    #[error(
+        "{}: column setpoint is missing and the scenario's profile ends at {duration_s} s, before {at_s} s",
+        path.display()
+    )]
     NoSetpoint { path: PathBuf, duration_s: f64, at_s: f64 },
     #[error("not applicable: {0}")]
     NotApplicable(String),
