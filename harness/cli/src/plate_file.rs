@@ -2,12 +2,15 @@
 
 use platebench_plate::Plate;
 use platebench_plate::RawPlate;
+use platebench_scenario::load::require_no_effects;
 use platebench_scenario::{Diagnostic, input};
 use std::io;
 use std::path::Path;
 
-pub(crate) fn read(path: &Path) -> Result<Plate, Diagnostic> {
-    read_with_text(path).map(|(plate, _)| plate)
+/// For `user`, a command that calculates with one mode, an ideal amplifier and an ideal sensor.
+pub(crate) fn read_without_effects(path: &Path, user: &str) -> Result<Plate, Diagnostic> {
+    let (plate, _) = read_with_text(path)?;
+    require_no_effects(path, &plate, user).map(|()| plate)
 }
 
 pub(crate) fn read_with_text(path: &Path) -> Result<(Plate, String), Diagnostic> {

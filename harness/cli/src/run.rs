@@ -68,7 +68,7 @@ fn find_scenarios(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>, 
     if report_if_empty(&found) {
         return Err(Exit::NothingToRun);
     }
-    let scenarios = play::prepare_scenarios(found.scenarios, arguments);
+    let scenarios = play::prepare_scenarios(found.scenarios, arguments).map_err(|fault| stdio::reject_file(&fault))?;
     if scenarios.is_empty() {
         stdio::error("there is nothing to run");
         return Err(Exit::NothingToRun);

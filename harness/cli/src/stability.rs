@@ -76,7 +76,8 @@ pub(crate) fn stability(arguments: &StabilityArgs) -> Exit {
 }
 
 fn analyse(arguments: &StabilityArgs) -> Result<String, StabilityError> {
-    let plate = plate_file::read(&arguments.plate).map_err(|fault| StabilityError::Plate(Box::new(fault)))?;
+    let plate = plate_file::read_without_effects(&arguments.plate, "stability")
+        .map_err(|fault| StabilityError::Plate(Box::new(fault)))?;
     let rig = match (&arguments.run, arguments.measured_delay_us) {
         (Some(run), _) => Some(delay_of_run(run)?),
         (None, Some(delay)) => Some(RigDelay { typical_ms: delay * 1e-3, longest_ms: delay * 1e-3 }),

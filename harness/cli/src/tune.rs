@@ -31,7 +31,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
         return stdio::reject(&"the board has no plate, expected --plate FILE, or plate in boards.toml");
     };
     let send = arguments.send.as_ref().or_else(|| board.as_ref().map(|board| &board.rig));
-    let plate = match plate_file::read(path) {
+    let plate = match plate_file::read_without_effects(path, "tune") {
         Ok(plate) => plate,
         Err(fault) => return stdio::reject_file(&fault),
     };

@@ -143,6 +143,8 @@ impl Envelope {
         let mut faults = raw.faults(path, &text);
         let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.plate);
         let plate = load::load_plate(&plate_path).map_err(|found| faults.extend(found)).ok();
+        let effects = plate.as_ref().map(|plate| load::require_no_effects(&plate_path, plate, "explore"));
+        faults.extend(effects.and_then(Result::err));
         match plate {
             Some(plate) if faults.is_empty() => {
                 let mut digest = Sha256::new_with_prefix(&text);

@@ -10,7 +10,6 @@
 //! sample has a fractional weight. At most `πN/2L²` of |W| then remains of the product at twice the
 //! carrier; a window of whole samples would leave up to `1/2L`.
 
-use crate::flow::Flow;
 use crate::lockin::{Lockin, MAX_WINDOW_SAMPLES};
 use crate::phase::Phase;
 use crate::time::Time;
@@ -36,15 +35,17 @@ pub struct Demodulator {
     oldest: usize,
 }
 
-struct Wave {
+struct Wave<const N: usize> {
     rest: Complex64,
-    parts: [Complex64; 2],
+    parts: [Complex64; N],
     carrier: Complex64,
 }
 
-impl Wave {
-    fn at(flow: &Flow, phase: Phase, omega: f64, seconds: f64) -> Self {
-        let (rest, terms) = flow.terms();
+/// Amplitude in µm and pole in 1/s of a part of W.
+type Term = (Complex64, Complex64);
+
+impl<const N: usize> Wave<N> {
+    fn at(rest: Complex64, terms: [Term; N], phase: Phase, omega: f64, seconds: f64) -> Self {
         let parts = terms.map(|(amplitude, pole)| {
             let part = amplitude * (pole * seconds).exp();
             if part.norm() < NEGLIGIBLE { Complex64::ZERO } else { part }
@@ -53,7 +54,7 @@ impl Wave {
     }
 
     fn value(&self) -> f64 {
-        let w = self.rest + self.parts[0] + self.parts[1];
+        let w = self.parts.iter().fold(self.rest, |w, part| w + part);
         w.re * self.carrier.re - w.im * self.carrier.im
     }
 }
@@ -77,29 +78,38 @@ impl Demodulator {
         self.next
     }
 
-    /// Takes the samples up to and including `end`; `flow` starts at `start` with `phase`.
-    pub fn advance(&mut self, flow: &Flow, start: Time, end: Time, phase: Phase, omega: f64) {
+    /// Takes the samples up to and including `end`. W is `rest + Σ amplitude e^{pole t}` from
+    /// `start` on, where the phase is `phase`.
+    pub fn advance<const N: usize>(
+        &mut self,
+        rest: Complex64,
+        terms: [Term; N],
+        start: Time,
+        end: Time,
+        phase: Phase,
+        omega: f64,
+    ) {
         let period = self.period;
         let instant = |number: u64| u128::from(number) * period;
         let (first, last) = (u128::from(start.as_nanos()) << 64, u128::from(end.as_nanos()) << 64);
         if instant(self.next) > last {
             return;
         }
-        let (_, terms) = flow.terms();
         let turn = Complex64::cis(omega * self.spacing);
         let steps = terms.map(|(_, pole)| (pole * self.spacing).exp());
         let mut left = ((last - instant(self.next)) / self.period) as u64 + 1;
         while left > 0 {
             let since = instant(self.next).saturating_sub(first);
             let seconds = since as f64 / (1e9 * 2.0_f64.powi(64));
-            let mut wave = Wave::at(flow, phase, omega, seconds);
+            let mut wave = Wave::at(rest, terms, phase, omega, seconds);
             let count = left.min(u64::from(REFRESH_INTERVAL));
             for _ in 0..count {
                 let product = 2.0 * self.lockin.convert(wave.value()) * wave.carrier.conj();
                 self.push(product);
                 wave.carrier *= turn;
-                wave.parts[0] *= steps[0];
-                wave.parts[1] *= steps[1];
+                for (part, step) in wave.parts.iter_mut().zip(steps) {
+                    *part *= step;
+                }
             }
             self.next += count;
             left -= count;
@@ -136,7 +146,7 @@ impl Demodulator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow::State;
+    use crate::flow::{Flow, State};
     use crate::mode::{Drive, Mode};
     use crate::phase::PhaseRate;
     use crate::tier::Tier;
@@ -174,7 +184,8 @@ mod tests {
                 let state = flow.after(now.seconds());
                 let mode = Mode { sigma: 532.0, omega0: 202_995.0, force_constant: 1.5e6, envelope_constant: 3.71 };
                 let from_here = Flow::new(tier, &mode, &Drive { vpp: 300.0, omega: OMEGA }, &state);
-                demodulator.advance(&from_here, now, next, so_far, OMEGA);
+                let (rest, terms) = from_here.terms();
+                demodulator.advance(rest, terms, now, next, so_far, OMEGA);
                 (now, piece) = (next, piece * 3 % 2_345_678 + 1);
             }
             assert_eq!(demodulator.samples(), 25_001);

@@ -54,12 +54,21 @@ impl State {
 /// In t seconds W changes by at most `speed · t + min(ripple, ripple_speed · t)`, µm.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ExcursionBound {
-    speed: f64,
-    ripple: f64,
-    ripple_speed: f64,
+    pub(crate) speed: f64,
+    pub(crate) ripple: f64,
+    pub(crate) ripple_speed: f64,
 }
 
 impl ExcursionBound {
+    /// Of the sum of two motions.
+    pub(crate) fn plus(&self, other: &Self) -> Self {
+        Self {
+            speed: self.speed + other.speed,
+            ripple: self.ripple + other.ripple,
+            ripple_speed: self.ripple_speed + other.ripple_speed,
+        }
+    }
+
     /// Seconds in which W changes by less than `distance`, µm; may be negative, infinite or NaN.
     pub(crate) fn seconds_within(&self, distance: f64) -> f64 {
         ((distance - self.ripple) / self.speed).max(distance / (self.speed + self.ripple_speed))

@@ -5,6 +5,9 @@ use crate::raw_plate::RawSensor;
 
 /// At the plate's resonance.
 pub(crate) const MAX_WINDOW_SAMPLES: f64 = 1e6;
+/// 1.5 · 2⁵²: adding it drops the fraction; rounds to nearest, halves to even.
+const WHOLE: f64 = 6_755_399_441_055_744.0;
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConverterResolution {
     /// Sign included, 2 to 32.
@@ -14,6 +17,28 @@ pub struct ConverterResolution {
 }
 
 impl ConverterResolution {
+    pub(crate) fn check(raw: &RawSensor) -> Result<Option<Self>, PlateError> {
+        const BITS: &str = "sensor.converter_bits";
+        const RANGE: &str = "sensor.converter_range_um";
+        let missing = |key, expected| Err(PlateError { key, value: "missing".to_owned(), expected });
+        match (raw.converter_bits, raw.converter_range_um) {
+            (None, None) => Ok(None),
+            (Some(_), None) => missing(RANGE, "the full scale, since `converter_bits` is given"),
+            (None, Some(_)) => missing(BITS, "the resolution, since `converter_range_um` is given"),
+            (Some(bits), Some(range)) => {
+                check((2..=32).contains(&bits), BITS, &bits, "a whole number of bits from 2 to 32")?;
+                Ok(Some(Self { bits: bits as u32, range_um: positive(RANGE, range)? }))
+            }
+        }
+    }
+
+    /// Clips `y` and rounds it to the nearest step, µm.
+    pub(crate) fn convert(&self, y: f64) -> f64 {
+        let (step, codes) = (self.step_um(), f64::from(1_u32 << (self.bits - 1)));
+        let code = (y / step).clamp(-codes, codes - 1.0);
+        ((code + WHOLE) - WHOLE) * step
+    }
+
     /// µm: 2^bits codes over twice the range.
     pub fn step_um(&self) -> f64 {
         self.range_um / f64::from(1_u32 << (self.bits - 1))
@@ -33,24 +58,10 @@ impl Lockin {
     pub(crate) fn check(raw: &RawSensor, resonance_hz: f64) -> Result<Option<Self>, PlateError> {
         const PERIODS: &str = "sensor.demodulator_periods";
         const RATE: &str = "sensor.converter_hz";
-        const BITS: &str = "sensor.converter_bits";
-        const RANGE: &str = "sensor.converter_range_um";
         let missing = |key, expected| PlateError { key, value: "missing".to_owned(), expected };
         let Some(periods) = raw.demodulator_periods else {
-            check(
-                raw.converter_hz.is_none(),
-                RATE,
-                &raw.converter_hz.unwrap_or(0.0),
-                "the key `demodulator_periods` as well",
-            )?;
-            check(
-                raw.converter_bits.is_none(),
-                BITS,
-                &raw.converter_bits.unwrap_or(0),
-                "the key `demodulator_periods` as well",
-            )?;
-            let range = raw.converter_range_um;
-            check(range.is_none(), RANGE, &range.unwrap_or(0.0), "the key `demodulator_periods` as well")?;
+            let rate = raw.converter_hz;
+            check(rate.is_none(), RATE, &rate.unwrap_or(0.0), "the key `demodulator_periods` as well")?;
             return Ok(None);
         };
         check((1..=10_000).contains(&periods), PERIODS, &periods, "a whole number of carrier periods from 1 to 10000")?;
@@ -67,24 +78,11 @@ impl Lockin {
         check(converter_hz <= 1e9, RATE, &converter_hz, "at most 1e9, a sample per nanosecond")?;
         let window = periods as f64 * converter_hz / resonance_hz;
         check(window <= MAX_WINDOW_SAMPLES, PERIODS, &periods, "a window of at most 1e6 samples of the converter")?;
-        let resolution = match (raw.converter_bits, raw.converter_range_um) {
-            (None, None) => None,
-            (Some(_), None) => return Err(missing(RANGE, "the full scale, since `converter_bits` is given")),
-            (None, Some(_)) => return Err(missing(BITS, "the resolution, since `converter_range_um` is given")),
-            (Some(bits), Some(range)) => {
-                check((2..=32).contains(&bits), BITS, &bits, "a whole number of bits from 2 to 32")?;
-                Some(ConverterResolution { bits: bits as u32, range_um: positive(RANGE, range)? })
-            }
-        };
+        let resolution = ConverterResolution::check(raw)?;
         Ok(Some(Self { converter_hz, periods: periods as u32, resolution }))
     }
 
     pub(crate) fn convert(&self, y: f64) -> f64 {
-        // 1.5 · 2⁵²: adding it drops the fraction; rounds to nearest, halves to even.
-        const WHOLE: f64 = 6_755_399_441_055_744.0;
-        let Some(resolution) = &self.resolution else { return y };
-        let (step, codes) = (resolution.step_um(), f64::from(1_u32 << (resolution.bits - 1)));
-        let code = (y / step).clamp(-codes, codes - 1.0);
-        ((code + WHOLE) - WHOLE) * step
+        self.resolution.as_ref().map_or(y, |resolution| resolution.convert(y))
     }
 }

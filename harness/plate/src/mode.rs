@@ -42,6 +42,19 @@ impl Plate {
         }
     }
 
+    /// The second mode: damping and resonance change in the proportion of the first mode's.
+    pub fn second_mode(&self, conditions: &Conditions) -> Option<Mode> {
+        self.second_mode.map(|second| {
+            let first = self.mode(conditions);
+            Mode {
+                sigma: second.sigma0 * (first.sigma / self.sigma0),
+                omega0: second.omega0 * (first.omega0 / self.omega0),
+                force_constant: second.force_constant(),
+                envelope_constant: second.gain * second.sigma0,
+            }
+        })
+    }
+
     /// `low` and `high` in N.
     pub(crate) fn max_sigma(&self, (low, high): (f64, f64)) -> f64 {
         let bends = self.damping_ratio.iter().map(|point| point[0]).filter(|force| (low..=high).contains(force));

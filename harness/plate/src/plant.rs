@@ -4,6 +4,7 @@ use crate::crossing::{BandMonitor, Crossing};
 
 use crate::crossing::find_crossings;
 use crate::demodulator::Demodulator;
+use crate::effects::Effects;
 use crate::flow::{Flow, State};
 use crate::mode::{Conditions, Drive, Mode};
 use crate::phase::{Phase, PhaseRate};
@@ -20,7 +21,7 @@ use std::f64::consts::PI;
 /// Two terms of the Magnus series (`varying.rs`) leave the error `λ'² bV h⁵/240` for a pole λ with
 /// the rate λ'. It decays with σ, so the total is at most `λ'² h⁴/240 · bV/σ`. A mode that is
 /// frozen at the midpoint leaves the first commutator, `|λ'| h²/12 · bV/σ`.
-const VARYING_ERROR: f64 = 1e-7;
+pub(crate) const VARYING_ERROR: f64 = 1e-7;
 /// Shortest substep, s. A profile that needs shorter ones lasts only microseconds.
 const MIN_SUBSTEP: f64 = 1e-7;
 /// Largest rate of a pole for `varying.rs`, as a share of Ω³/ω0 (Ω: frequency of the free
@@ -49,17 +50,17 @@ impl ConditionProfiles {
         points.into_iter().flatten().min()
     }
 
-    fn angular_frequency(&self) -> f64 {
+    pub(crate) fn angular_frequency(&self) -> f64 {
         self.temperature_offset_k.angular_frequency().max(self.finger_force_n.angular_frequency())
     }
 }
 
 /// An interval in which neither a profile nor the damping curve under the force jumps or bends.
 #[derive(Debug, Clone, Copy)]
-struct SmoothInterval {
-    end: Time,
+pub(crate) struct SmoothInterval {
+    pub(crate) end: Time,
     /// Bound on |λ'|, rad/s².
-    rate: f64,
+    pub(crate) rate: f64,
     /// At the interval's start; constant if `rate` is 0.
     mode: Mode,
 }
@@ -67,18 +68,21 @@ struct SmoothInterval {
 /// A plate with its state, drive and profiles.
 #[derive(Debug, Clone)]
 pub struct Plant {
-    plate: Plate,
-    scene: ConditionProfiles,
+    pub(crate) plate: Plate,
+    pub(crate) scene: ConditionProfiles,
     tier: Tier,
-    time: Time,
-    state: State,
-    drive: Drive,
-    phase: Phase,
-    rate: PhaseRate,
-    demodulator: Option<Demodulator>,
+    pub(crate) time: Time,
+    pub(crate) state: State,
+    /// At the amplifier's input.
+    pub(crate) drive: Drive,
+    pub(crate) phase: Phase,
+    pub(crate) rate: PhaseRate,
+    pub(crate) demodulator: Option<Demodulator>,
     /// The largest |λ'| for [`VaryingFlow`], rad/s².
-    max_pole_rate: f64,
+    pub(crate) max_pole_rate: f64,
     interval: Option<SmoothInterval>,
+    /// `None` if the plate file has none, and in the tiers `linear` and `envelope`, which omit them.
+    effects: Option<Box<Effects>>,
 }
 
 impl Plant {
@@ -89,6 +93,7 @@ impl Plant {
             demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
             interval: None,
+            effects: Effects::new(&plate).filter(|_| tier.has_both_poles()),
             plate,
             scene,
             tier,
@@ -118,13 +123,21 @@ impl Plant {
         (self.state.w * self.phase.rotation()).re
     }
 
-    /// µm: W itself, or the demodulator's mean over the last carrier periods.
+    /// µm: W itself, or the demodulator's mean over the last carrier periods; with the sensor's
+    /// latency and drift.
     pub fn sensor_reading(&self) -> Complex64 {
-        self.demodulator.as_ref().map_or(self.state.w, |demodulator| demodulator.read(self.drive.omega))
+        let w = self.demodulator.as_ref().map_or(self.state.w, |demodulator| demodulator.read(self.drive.omega));
+        self.effects.as_ref().map_or(w, |effects| effects.sensed(w, self.time))
     }
 
+    /// Commanded last; the amplifier's output may differ.
     pub fn drive(&self) -> Drive {
-        self.drive
+        self.effects.as_ref().map_or(self.drive, |effects| effects.commanded)
+    }
+
+    /// Temperature above the profile's, by self-heating, K.
+    pub fn self_heating_k(&self) -> f64 {
+        self.effects.as_ref().map_or(0.0, |effects| effects.heat_k)
     }
 
     pub fn plate(&self) -> &Plate {
@@ -135,8 +148,13 @@ impl Plant {
         self.scene.at(time)
     }
 
+    /// The first mode, with the present self-heating.
     pub fn mode_at(&self, time: Time) -> Mode {
-        self.plate.mode(&self.scene.at(time))
+        let mut conditions = self.scene.at(time);
+        if let Some(effects) = &self.effects {
+            conditions.temperature_offset_k += effects.heat_k;
+        }
+        self.plate.mode(&conditions)
     }
 
     pub fn next_point_after(&self, time: Time) -> Option<Time> {
@@ -153,6 +171,16 @@ impl Plant {
 
     /// W, U and θ are continuous.
     pub fn set_drive(&mut self, drive: Drive) {
+        match self.effects.take() {
+            None => self.apply_drive(drive),
+            Some(mut effects) => {
+                self.command_drive(&mut effects, drive);
+                self.effects = Some(effects);
+            }
+        }
+    }
+
+    pub(crate) fn apply_drive(&mut self, drive: Drive) {
         self.rate = PhaseRate::from_omega(drive.omega);
         self.drive = drive;
     }
@@ -160,6 +188,11 @@ impl Plant {
     /// An earlier `end` changes nothing. Appends to `crossings` in order of time; an excursion
     /// shorter than 1 µs may be missed.
     pub fn advance(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
+        if let Some(mut effects) = self.effects.take() {
+            self.advance_effects(&mut effects, end, monitors, crossings);
+            self.effects = Some(effects);
+            return;
+        }
         while self.time < end {
             let interval = self.smooth_interval();
             let interval_end = interval.end.min(end);
@@ -174,7 +207,7 @@ impl Plant {
                 let rate = interval.rate * 1.0_f64.hypot(frequency / (2.0 * self.plate.sigma0));
                 max_frozen_substep(rate).min(0.75 * PI / self.plate.omega0)
             } else {
-                self.max_varying_substep(interval.rate, frequency)
+                self.max_varying_substep(interval.rate, frequency, self.pole_norm(frequency))
             };
             for end in split_interval(self.time, interval_end, longest) {
                 // A step of less than 3 ns does not contain three instants.
@@ -188,7 +221,7 @@ impl Plant {
         }
     }
 
-    fn smooth_interval(&mut self) -> SmoothInterval {
+    pub(crate) fn smooth_interval(&mut self) -> SmoothInterval {
         if let Some(interval) = self.interval.filter(|interval| self.time < interval.end) {
             return interval;
         }
@@ -201,14 +234,21 @@ impl Plant {
         interval
     }
 
-    /// Longest substep in s for a pole with the rate `rate`, rad/s², on a profile of frequency ν =
+    /// |λ|, 1/s; needed for profiles with a frequency only.
+    fn pole_norm(&self, frequency: f64) -> f64 {
+        if frequency == 0.0 {
+            return 0.0;
+        }
+        let mode = self.mode_at(self.time);
+        mode.sigma.hypot(mode.omega0 - self.drive.omega)
+    }
+
+    /// Longest substep in s for a pole λ of norm `pole` with the rate `rate`, rad/s², on a profile of frequency ν =
     /// `frequency`, rad/s. The error is of fourth order: `h⁴ |λ'| (|λ'|/240 + ν|λ|/720 + ν²/240 +
     /// ν³/2880σ) bV/σ`.
-    fn max_varying_substep(&self, rate: f64, frequency: f64) -> f64 {
+    pub(crate) fn max_varying_substep(&self, rate: f64, frequency: f64, pole: f64) -> f64 {
         let mut sum = rate;
         if frequency > 0.0 {
-            let mode = self.mode_at(self.time);
-            let pole = mode.sigma.hypot(mode.omega0 - self.drive.omega);
             sum += frequency * (pole / 3.0 + frequency * (1.0 + frequency / (12.0 * self.plate.sigma0)));
         }
         (240.0 * VARYING_ERROR / (rate * sum)).sqrt().sqrt()
@@ -241,7 +281,8 @@ impl Plant {
             self.find_crossings(end, |seconds| flow.after(seconds), seconds_within, monitors, crossings);
         }
         if let Some(demodulator) = &mut self.demodulator {
-            demodulator.advance(&flow, self.time, end, self.phase, self.drive.omega);
+            let (rest, terms) = flow.terms();
+            demodulator.advance(rest, terms, self.time, end, self.phase, self.drive.omega);
         }
         self.finish_step(end, flow.after(seconds));
     }
@@ -268,7 +309,8 @@ impl Plant {
                 let (mode, state) = (self.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
                 let flow = Flow::new(self.tier, &mode, &self.drive, &state);
                 let phase = self.phase.after(from - start, self.rate);
-                demodulator.advance(&flow, from, to, phase, self.drive.omega);
+                let (rest, terms) = flow.terms();
+                demodulator.advance(rest, terms, from, to, phase, self.drive.omega);
                 from = to;
             }
             self.demodulator = Some(demodulator);
@@ -276,7 +318,7 @@ impl Plant {
         self.finish_step(end, varying.after(seconds));
     }
 
-    fn find_crossings(
+    pub(crate) fn find_crossings(
         &self,
         end: Time,
         after: impl Fn(f64) -> State,
@@ -295,7 +337,7 @@ impl Plant {
         }
     }
 
-    fn finish_step(&mut self, end: Time, state: State) {
+    pub(crate) fn finish_step(&mut self, end: Time, state: State) {
         self.phase = self.phase.after(end - self.time, self.rate);
         self.state = state;
         self.time = end;
@@ -314,12 +356,12 @@ fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
 }
 
 /// Longest substep in s for a mode frozen at its midpoint while the pole changes at `rate` rad/s².
-fn max_frozen_substep(rate: f64) -> f64 {
+pub(crate) fn max_frozen_substep(rate: f64) -> f64 {
     (12.0 * VARYING_ERROR / rate).sqrt().max(MIN_SUBSTEP)
 }
 
 /// The ends of equal pieces of at most `longest` s, from `start` to `end`.
-fn split_interval(start: Time, end: Time, longest: f64) -> impl Iterator<Item = Time> {
+pub(crate) fn split_interval(start: Time, end: Time, longest: f64) -> impl Iterator<Item = Time> {
     let span = end - start;
     let pieces = ((span.seconds() / longest).ceil().max(1.0) as u64).min(span.as_nanos());
     (1..=pieces).map(move |piece| {

@@ -1,8 +1,12 @@
 //! Checks a plate file and holds its numbers in the units of the equations.
 
-use crate::lockin::Lockin;
+use crate::amplifier::{Amplifier, MAX_DELAY_US};
+use crate::heating::Heating;
+use crate::lockin::{ConverterResolution, Lockin};
 use crate::plate_error::{PlateError, check, finite, positive};
 use crate::raw_plate::{HIGHEST_RESONANCE_HZ, RawPlate, RawUncertainty};
+use crate::second_mode::SecondMode;
+use crate::time::Time;
 use std::f64::consts::TAU;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -27,6 +31,14 @@ pub struct Plate {
     pub noise_um_rms: f64,
     /// `None` if W is sensed without delay. Only for the carrier tier.
     pub lockin: Option<Lockin>,
+    /// Of each sensed component, for a sensor without lock-in.
+    pub resolution: Option<ConverterResolution>,
+    pub sensor_latency: Time,
+    /// Change of the sensor's gain, as a share per second.
+    pub sensor_gain_drift_per_s: f64,
+    pub second_mode: Option<SecondMode>,
+    pub amplifier: Amplifier,
+    pub heating: Option<Heating>,
     pub uncertainty: Uncertainty,
 }
 
@@ -49,6 +61,23 @@ fn uncertainty(raw: &RawUncertainty) -> Result<Uncertainty, PlateError> {
 }
 
 impl RawPlate {
+    /// A ramp is no exponential: the converter's samples and the warming have no closed form for it.
+    fn check_combinations(&self) -> Result<(), PlateError> {
+        const SLEW_RATE: &str = "drive.slew_rate_vpp_per_ms";
+        let slew_rate = self.drive.slew_rate_vpp_per_ms;
+        let value = slew_rate.unwrap_or_default();
+        let has_lockin = self.sensor.demodulator_periods.is_some();
+        check(slew_rate.is_none() || !has_lockin, SLEW_RATE, &value, "no `sensor.demodulator_periods` with it")?;
+        check(slew_rate.is_none() || self.heating.is_none(), SLEW_RATE, &value, "no `[heating]` with it")?;
+        let latency_us = self.sensor.latency_us;
+        check(
+            latency_us == 0.0 || !has_lockin,
+            "sensor.latency_us",
+            &latency_us,
+            "no `demodulator_periods` with it: the demodulator has its own latency",
+        )
+    }
+
     pub fn check(self) -> Result<Plate, PlateError> {
         let resonance_hz = positive("mode.resonance_hz", self.mode.resonance_hz)?;
         check(
@@ -69,6 +98,12 @@ impl RawPlate {
         check(reference > -273.15, "mode.reference_temperature_c", &reference, "a temperature above -273.15")?;
         let noise = finite("sensor.noise_um_rms", self.sensor.noise_um_rms)?;
         check(noise >= 0.0, "sensor.noise_um_rms", &noise, "0 or more")?;
+        let latency_us = finite("sensor.latency_us", self.sensor.latency_us)?;
+        check((0.0..=MAX_DELAY_US).contains(&latency_us), "sensor.latency_us", &latency_us, "0 to 1e5 µs")?;
+        let drift = finite("sensor.gain_drift_percent_per_s", self.sensor.gain_drift_percent_per_s)?;
+        self.check_combinations()?;
+        let lockin = Lockin::check(&self.sensor, resonance_hz)?;
+        let resolution = ConverterResolution::check(&self.sensor)?.filter(|_| lockin.is_none());
         Ok(Plate {
             name: self.name,
             source: self.source,
@@ -80,8 +115,14 @@ impl RawPlate {
             damping_ratio: damping_curve(self.finger.damping_ratio)?,
             omega0_per_n: finite("finger.resonance_shift_hz_per_n", self.finger.resonance_shift_hz_per_n)? * TAU,
             drive_limit_vpp: positive("drive.limit_vpp", self.drive.limit_vpp)?,
+            amplifier: Amplifier::check(&self.drive)?,
+            second_mode: self.second_mode.as_ref().map(SecondMode::check).transpose()?,
+            heating: self.heating.as_ref().map(Heating::check).transpose()?,
             noise_um_rms: noise,
-            lockin: Lockin::check(&self.sensor, resonance_hz)?,
+            lockin,
+            resolution,
+            sensor_latency: Time::from_ms(latency_us / 1e3).unwrap_or_default(),
+            sensor_gain_drift_per_s: drift / 100.0,
             uncertainty: uncertainty(&self.uncertainty)?,
         })
     }
@@ -103,6 +144,24 @@ impl Plate {
     /// N/m, µm/s² per Vpp: `K1 · 2σ0 · ω0` (equation 8); independent of finger and temperature.
     pub fn force_constant(&self) -> f64 {
         self.gain * 2.0 * self.sigma0 * self.omega0
+    }
+
+    /// The first key of the plate file that needs more than one mode with an ideal amplifier and sensor;
+    /// the models `linear` and `envelope` cannot simulate it.
+    pub fn first_effect(&self) -> Option<&'static str> {
+        let Amplifier { converter, dead_time, pole, slew_rate, offset_vpp } = self.amplifier;
+        let effects = [
+            ("second_mode", self.second_mode.is_some()),
+            ("heating", self.heating.is_some()),
+            ("drive.converter_bits", converter.is_some()),
+            ("drive.bandwidth_hz", pole.is_some()),
+            ("drive.slew_rate_vpp_per_ms", slew_rate.is_some()),
+            ("drive.dead_time_us", dead_time > Time::ZERO),
+            ("drive.offset_vpp", offset_vpp != 0.0),
+            ("sensor.latency_us", self.sensor_latency > Time::ZERO),
+            ("sensor.gain_drift_percent_per_s", self.sensor_gain_drift_per_s != 0.0),
+        ];
+        effects.into_iter().find(|(_, given)| *given).map(|(key, _)| key)
     }
 
     pub fn max_damping_slope(&self) -> f64 {
@@ -131,7 +190,7 @@ impl Plate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lockin::ConverterResolution;
+    use crate::amplifier::DriveConverter;
     use rstest::rstest;
 
     const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
@@ -172,6 +231,73 @@ mod tests {
         assert_eq!(read(&PAPER.replacen(good, bad, 1)).unwrap_err().key, key);
     }
 
+    #[rstest]
+    #[case("bandwidth_hz = 0.0", "drive.bandwidth_hz")]
+    #[case("bandwidth_hz = 2e9", "drive.bandwidth_hz")]
+    #[case("slew_rate_vpp_per_ms = -1.0", "drive.slew_rate_vpp_per_ms")]
+    #[case("dead_time_us = -1.0", "drive.dead_time_us")]
+    #[case("dead_time_us = 100001.0", "drive.dead_time_us")]
+    #[case("offset_vpp = 901.0", "drive.offset_vpp")]
+    #[case("offset_vpp = nan", "drive.offset_vpp")]
+    #[case("converter_bits = 10", "drive.converter_range_vpp")]
+    #[case("converter_range_vpp = 900.0", "drive.converter_bits")]
+    #[case("converter_bits = 1\nconverter_range_vpp = 900.0", "drive.converter_bits")]
+    #[case("converter_bits = 10\nconverter_range_vpp = 899.0", "drive.converter_range_vpp")]
+    #[case("[sensor]\nlatency_us = -1.0", "sensor.latency_us")]
+    #[case("[sensor]\nlatency_us = 100001.0", "sensor.latency_us")]
+    #[case("[sensor]\ngain_drift_percent_per_s = inf", "sensor.gain_drift_percent_per_s")]
+    #[case("[sensor]\nlatency_us = 10.0\ndemodulator_periods = 8\nconverter_hz = 1e6", "sensor.latency_us")]
+    #[case(
+        "slew_rate_vpp_per_ms = 1.0\n[sensor]\ndemodulator_periods = 8\nconverter_hz = 1e6",
+        "drive.slew_rate_vpp_per_ms"
+    )]
+    #[case(
+        "slew_rate_vpp_per_ms = 1.0\n[heating]\nrise_k_per_um2 = 0.1\ntime_constant_s = 1.0",
+        "drive.slew_rate_vpp_per_ms"
+    )]
+    #[case("[heating]\nrise_k_per_um2 = -0.1\ntime_constant_s = 1.0", "heating.rise_k_per_um2")]
+    #[case("[heating]\nrise_k_per_um2 = 0.1\ntime_constant_s = 0.009", "heating.time_constant_s")]
+    #[case(
+        "[second_mode]\nresonance_hz = 0.0\ntime_constant_ms = 1.0\ngain_um_per_vpp = 1.0",
+        "second_mode.resonance_hz"
+    )]
+    #[case(
+        "[second_mode]\nresonance_hz = 3e4\ntime_constant_ms = 1e-3\ngain_um_per_vpp = 1.0",
+        "second_mode.time_constant_ms"
+    )]
+    #[case(
+        "[second_mode]\nresonance_hz = 3e4\ntime_constant_ms = 1.0\ngain_um_per_vpp = 0.0",
+        "second_mode.gain_um_per_vpp"
+    )]
+    fn refuses_invalid_effects(#[case] keys: &str, #[case] key: &str) {
+        let text = PAPER.replacen("[sensor]\nnoise_um_rms = 0.0", "", 1);
+        let text = text.replacen("limit_vpp = 900.0", &format!("limit_vpp = 900.0\n{keys} #"), 1);
+        assert_eq!(read(&text).unwrap_err().key, key);
+    }
+
+    #[test]
+    fn reads_effects_in_the_units_of_the_equations() {
+        let keys = "converter_bits = 10\nconverter_range_vpp = 1023.0\nbandwidth_hz = 5000.0\nslew_rate_vpp_per_ms = 2.0\n\
+                    dead_time_us = 12.5\noffset_vpp = -1.5\n[second_mode]\nresonance_hz = 32607.6\ntime_constant_ms = 1.0\n\
+                    gain_um_per_vpp = -0.001";
+        let text = PAPER.replacen("limit_vpp = 900.0", &format!("limit_vpp = 900.0\n{keys} #"), 1);
+        let plate = read(&text).unwrap();
+        let converter = DriveConverter { bits: 10, range_vpp: 1023.0 };
+        assert_eq!(converter.step_vpp(), 1.0);
+        let expected = Amplifier {
+            converter: Some(converter),
+            dead_time: Time::from_nanos(12_500),
+            pole: Some(5000.0 * TAU),
+            slew_rate: Some(2000.0),
+            offset_vpp: -1.5,
+        };
+        assert_eq!(plate.amplifier, expected);
+        let second = SecondMode { omega0: 32607.6 * TAU, sigma0: 1000.0, gain: -0.001 };
+        assert_eq!(plate.second_mode, Some(second));
+        assert_eq!(plate.first_effect(), Some("second_mode"));
+        assert_eq!(read(PAPER).unwrap().first_effect(), None);
+    }
+
     const LOCKIN: &str = "demodulator_periods = 8\nconverter_hz = 1e6\nconverter_bits = 12\nconverter_range_um = 4.0\n";
 
     fn with_lockin(keys: &str) -> Result<Plate, PlateError> {
@@ -183,6 +309,8 @@ mod tests {
         assert_eq!(read(PAPER).unwrap().lockin, None);
         let resolution = Some(ConverterResolution { bits: 12, range_um: 4.0 });
         assert_eq!(with_lockin(LOCKIN).unwrap().lockin, Some(Lockin { converter_hz: 1e6, periods: 8, resolution }));
+        let components = with_lockin("converter_bits = 12\nconverter_range_um = 4.0").unwrap();
+        assert_eq!((components.lockin, components.resolution), (None, resolution));
         let bare = with_lockin("demodulator_periods = 1\nconverter_hz = 1e6").unwrap();
         assert_eq!(bare.lockin, Some(Lockin { converter_hz: 1e6, periods: 1, resolution: None }));
     }
@@ -194,8 +322,7 @@ mod tests {
     // 10 000 periods of 32.3076 kHz at 4 MHz are 1.24e6 samples.
     #[case("periods = 8\nconverter_hz = 1e6", "periods = 10000\nconverter_hz = 4e6", "sensor.demodulator_periods")]
     #[case("demodulator_periods = 8\n", "", "sensor.converter_hz")]
-    #[case("demodulator_periods = 8\nconverter_hz = 1e6\n", "", "sensor.converter_bits")]
-    #[case("demodulator_periods = 8\nconverter_hz = 1e6\nconverter_bits = 12\n", "", "sensor.converter_range_um")]
+    #[case("demodulator_periods = 8\nconverter_hz = 1e6\nconverter_bits = 12\n", "", "sensor.converter_bits")]
     #[case("converter_hz = 1e6\n", "", "sensor.converter_hz")]
     #[case("converter_hz = 1e6", "converter_hz = nan", "sensor.converter_hz")]
     #[case("converter_hz = 1e6", "converter_hz = inf", "sensor.converter_hz")]

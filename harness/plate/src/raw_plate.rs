@@ -17,6 +17,8 @@ pub struct RawPlate {
     pub source: String,
     /// The bending mode.
     pub mode: RawMode,
+    /// Another bending mode that the drive excites and the sensor measures; none by default.
+    pub second_mode: Option<RawSecondMode>,
     /// Effect of a finger; none by default.
     #[serde(default)]
     pub finger: RawFinger,
@@ -25,6 +27,8 @@ pub struct RawPlate {
     /// The sensor; without noise by default.
     #[serde(default)]
     pub sensor: RawSensor,
+    /// Warming by the plate's own vibration; none by default.
+    pub heating: Option<RawHeating>,
     /// Uncertainty of the numbers; unknown by default.
     #[serde(default)]
     pub uncertainty: RawUncertainty,
@@ -48,6 +52,35 @@ pub struct RawMode {
     /// K1 at resonance, untouched, µm/Vpp.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub gain_um_per_vpp: f64,
+}
+
+/// `[second_mode]`. A temperature offset and a finger force change its resonance and its damping in
+/// the same proportion as those of `[mode]`.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawSecondMode {
+    /// Resonance at the reference temperature, Hz.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = HIGHEST_RESONANCE_HZ))]
+    pub resonance_hz: f64,
+    /// τ = 1/σ untouched, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub time_constant_ms: f64,
+    /// Gain at its own resonance, untouched, µm/Vpp; not 0. Negative if the sensor measures this mode
+    /// with the opposite sign.
+    pub gain_um_per_vpp: f64,
+}
+
+/// `[heating]`: a thermal node of first order, `time_constant_s · T' = rise_k_per_um2 · |W|² − T`. T adds to
+/// the temperature offset.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawHeating {
+    /// Rise in the steady state per square of the amplitude, K/µm².
+    #[schemars(range(min = 0.0))]
+    pub rise_k_per_um2: f64,
+    /// Time constant of the node, s.
+    #[schemars(range(min = 0.01))]
+    pub time_constant_s: f64,
 }
 
 /// `[finger]`
@@ -74,12 +107,35 @@ fn undamped() -> Vec<[f64; 2]> {
 }
 
 /// `[drive]`
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(extend("dependentRequired" = {
+    "converter_bits": ["converter_range_vpp"],
+    "converter_range_vpp": ["converter_bits"],
+}))]
 pub struct RawDrive {
     /// Highest drive of the amplifier, Vpp.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_vpp: f64,
+    /// Bits of the converter that sets the amplitude; without it drives are not rounded.
+    #[schemars(range(min = 2, max = 32))]
+    pub converter_bits: Option<i64>,
+    /// Amplitude of the converter's highest code, at least `limit_vpp`, Vpp.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub converter_range_vpp: Option<f64>,
+    /// First-order bandwidth (−3 dB) of the drive's amplitude, Hz; unlimited by default.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e9))]
+    pub bandwidth_hz: Option<f64>,
+    /// Largest change of the drive's amplitude, Vpp/ms; unlimited by default.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub slew_rate_vpp_per_ms: Option<f64>,
+    /// Time until a command, amplitude and frequency, reaches the amplifier, µs.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 1e5))]
+    pub dead_time_us: f64,
+    /// Constant amplitude that the amplifier adds to every drive, also to 0 Vpp, Vpp.
+    #[serde(default)]
+    pub offset_vpp: f64,
 }
 
 /// `[sensor]`
@@ -88,27 +144,35 @@ pub struct RawDrive {
 #[schemars(extend("dependentRequired" = {
     "demodulator_periods": ["converter_hz"],
     "converter_hz": ["demodulator_periods"],
-    "converter_bits": ["demodulator_periods", "converter_range_um"],
-    "converter_range_um": ["demodulator_periods", "converter_bits"],
+    "converter_bits": ["converter_range_um"],
+    "converter_range_um": ["converter_bits"],
 }))]
 pub struct RawSensor {
     /// Standard deviation of white noise on each demodulated component, µm.
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub noise_um_rms: f64,
-    /// Carrier periods over which the lock-in demodulator averages; without it W is sensed without
-    /// delay. This and the next three keys require the model `carrier`.
+    /// Carrier periods over which the lock-in demodulator averages; without it W is sensed
+    /// directly. This and the next key require the model `carrier`.
     #[schemars(range(min = 1, max = 10_000))]
     pub demodulator_periods: Option<i64>,
     /// Samples per second of the converter.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e9))]
     pub converter_hz: Option<f64>,
-    /// Bits of the converter, sign included; without it samples are not rounded.
+    /// Bits of the converter, sign included; without it nothing is rounded. It converts the waveform if
+    /// `demodulator_periods` is given, otherwise each demodulated component.
     #[schemars(range(min = 2, max = 32))]
     pub converter_bits: Option<i64>,
     /// The largest amplitude that the converter does not clip, µm.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub converter_range_um: Option<f64>,
+    /// Age of the demodulated components when they reach the controller, µs.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 1e5))]
+    pub latency_us: f64,
+    /// Change of the sensor's gain since the start of the trial, percent per second.
+    #[serde(default)]
+    pub gain_drift_percent_per_s: f64,
 }
 
 /// `[uncertainty]`

@@ -1,5 +1,6 @@
-//! Measures W with a gain error and white noise on both components.
+//! Measures W with a gain error, white noise on both components, and a converter.
 
+use crate::lockin::ConverterResolution;
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -9,22 +10,38 @@ use rand_distr::{Distribution, StandardNormal};
 pub struct Sensor {
     gain: f64,
     noise_um_rms: f64,
+    /// `None` if the components are neither rounded nor clipped.
+    resolution: Option<ConverterResolution>,
     random: ChaCha8Rng,
 }
 
 impl Sensor {
     /// Returns `gain · W` plus noise of standard deviation `noise_um_rms` on each component.
     pub fn new(gain: f64, noise_um_rms: f64, seed: u64) -> Self {
-        Self { gain, noise_um_rms, random: ChaCha8Rng::seed_from_u64(seed) }
+        Self { gain, noise_um_rms, resolution: None, random: ChaCha8Rng::seed_from_u64(seed) }
+    }
+
+    /// Converts each component, noise included.
+    #[must_use]
+    pub fn with_resolution(self, resolution: Option<ConverterResolution>) -> Self {
+        Self { resolution, ..self }
     }
 
     pub fn measure(&mut self, w: Complex64) -> Complex64 {
+        let w = w * self.gain + self.noise();
+        match &self.resolution {
+            None => w,
+            Some(resolution) => Complex64::new(resolution.convert(w.re), resolution.convert(w.im)),
+        }
+    }
+
+    fn noise(&mut self) -> Complex64 {
         if self.noise_um_rms == 0.0 {
-            return w * self.gain;
+            // −0 keeps every bit of a sum.
+            return Complex64::new(-0.0, -0.0);
         }
         let mut noise = || -> f64 { StandardNormal.sample(&mut self.random) };
-        let noise = Complex64::new(noise(), noise()) * self.noise_um_rms;
-        w * self.gain + noise
+        Complex64::new(noise(), noise()) * self.noise_um_rms
     }
 }
 
@@ -36,6 +53,14 @@ mod tests {
     fn a_sensor_without_noise_only_applies_its_gain() {
         let mut sensor = Sensor::new(1.5, 0.0, 1);
         assert_eq!(sensor.measure(Complex64::new(2.0, -1.0)), Complex64::new(3.0, -1.5));
+    }
+
+    #[test]
+    fn a_converter_rounds_and_clips_each_component() {
+        let resolution = Some(ConverterResolution { bits: 4, range_um: 4.0 });
+        let mut sensor = Sensor::new(1.0, 0.0, 1).with_resolution(resolution);
+        assert_eq!(sensor.measure(Complex64::new(1.26, -0.74)), Complex64::new(1.5, -0.5));
+        assert_eq!(sensor.measure(Complex64::new(9.0, -9.0)), Complex64::new(3.5, -4.0));
     }
 
     #[test]

@@ -32,7 +32,7 @@ impl Tier {
         Self::ALL.into_iter().find(|tier| tier.name() == name)
     }
 
-    /// The exact tier for `plate`: carrier if it has a converter or demodulator, otherwise modal.
+    /// The exact tier for `plate`: carrier if it has a demodulator, otherwise modal.
     pub const fn exact_for(plate: &Plate) -> Self {
         if plate.lockin.is_some() { Self::Carrier } else { Self::Modal }
     }

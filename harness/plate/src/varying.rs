@@ -8,13 +8,15 @@
 //! `x(t) = E x + g ((E − 1)/λ + λ' G)`, `G = (λt/2 (E + 1) − (E − 1))/λ³ = t³/12 + …`.
 //!
 //! The free motion is exact to this order, the forced one up to `λ'² t⁵/240 · g`. A forcing `g +
-//! g's` about the middle of the step adds `−g'λ G`.
+//! g's` about the middle of the step adds `−g'λ G`. A forcing `g e^{−rt}` is the constant g for
+//! `x e^{rt}`, whose pole is `λ + r`.
 //!
 //! The transformation of Liouville and Green (Olver, "Asymptotics and Special Functions", chapter
 //! 6) decouples the poles of the second-order plate: with `Ω² = ω0² − σ² − σ' + ¾(ω0'/ω0)² −
 //! ω0''/2ω0` and `v = U + (σ + Ω'/2Ω)W`, each of the amplitudes `√Ω (W ∓ jv/Ω)/2` has one of the
 //! poles `−σ ± jΩ − jω`, and no step excites the fast one. `docs/mathematics.md` derives the error.
 
+use crate::amplifier::Forcing;
 use crate::flow::State;
 use crate::mode::{Drive, Mode};
 use crate::tier::Tier;
@@ -90,6 +92,20 @@ impl PoleStep {
         };
         Self { free, forced: rise / pole, commutator }
     }
+
+    /// Response to `e^{−rate t}`: that of the pole `λ + rate` to 1, times `e^{−rate t}`.
+    fn decaying(pole: Complex64, rate: f64, t: f64) -> Self {
+        let shifted = pole + rate;
+        let (free, decay) = ((pole * t).exp(), (-rate * t).exp());
+        let x = shifted * t;
+        let forced = if x.norm_sqr() < 1e-16 { decay * t * (1.0 + x / 2.0) } else { (free - decay) / shifted };
+        let commutator = if x.norm_sqr() < 0.1 {
+            decay * t.powi(3) * (((x / 2016.0 + 1.0 / 360.0) * x + 1.0 / 80.0) * x * x + x / 24.0 + 1.0 / 12.0)
+        } else {
+            (x / 2.0 * (free + decay) - (free - decay)) / (shifted * shifted * shifted)
+        };
+        Self { free, forced, commutator }
+    }
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -101,9 +117,26 @@ pub(crate) struct VaryingFlow {
     envelope_constant: f64,
     sigma: Parabola,
     omega0: Parabola,
+    /// `None` if the drive is constant.
+    forcing: Option<Forcing>,
 }
 
 impl VaryingFlow {
+    /// The modal plate under an amplifier's output.
+    pub(crate) fn forced(
+        first: &Mode,
+        middle: (f64, Mode),
+        last: (f64, Mode),
+        omega: f64,
+        forcing: Forcing,
+        state: &State,
+    ) -> Self {
+        let drive = Drive { vpp: forcing.constant, omega };
+        let constant = Self::new(Tier::Modal, first, middle, last, &drive, state);
+        let varies = forcing.slope != 0.0 || forcing.decaying != 0.0;
+        Self { forcing: varies.then_some(forcing), ..constant }
+    }
+
     /// The mode is `first` at 0 and `middle`, `last` at their times in s.
     pub(crate) fn new(
         tier: Tier,
@@ -123,6 +156,7 @@ impl VaryingFlow {
             envelope_constant: first.envelope_constant,
             sigma: through(|mode| mode.sigma),
             omega0: through(|mode| mode.omega0),
+            forcing: None,
         }
     }
 
@@ -196,8 +230,19 @@ impl VaryingFlow {
             let pole = Complex64::new(-damping, side * omega - self.drive.omega);
             let passage = PoleStep::new(pole, t);
             // The force is proportional to 1/√Ω.
-            let slope = Complex64::new(-damping_slope, side * slope) + pole * (slope / (2.0 * omega));
-            passage.free * amplitude + side * force * (passage.forced + slope * passage.commutator)
+            let pole_slope = Complex64::new(-damping_slope, side * slope);
+            let force_slope = slope / (2.0 * omega);
+            let total = pole_slope + pole * force_slope;
+            let constant = passage.free * amplitude + side * force * (passage.forced + total * passage.commutator);
+            let Some(forcing) = &self.forcing else { return constant };
+            let Forcing { slope: ramp, decaying, rate, .. } = *forcing;
+            let unit = side * self.force_constant / (2.0 * (omega * start.omega).sqrt());
+            // The ramp's mean, and its slope about the middle.
+            let mean = ramp * t / 2.0 * (passage.forced + total * passage.commutator);
+            let ramp = mean - ramp * pole * passage.commutator;
+            let decay = PoleStep::decaying(pole, rate, t);
+            let total = pole_slope + (pole + rate) * force_slope;
+            constant + unit * (ramp + decaying * (decay.forced + total * decay.commutator))
         };
         let (slow, fast) = self.pole_amplitudes(start);
         let (slow, fast) = (moved(slow, 1.0), moved(fast, -1.0));

@@ -123,6 +123,18 @@ pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     }
 }
 
+/// Fails if a model of the command line omits effects of a scenario's plate.
+pub fn check_overrides(overrides: &Overrides, scenarios: &[Scenario]) -> Result<(), Box<Diagnostic>> {
+    let Some(model) = &overrides.model else { return Ok(()) };
+    for scenario in scenarios {
+        let tier = Scenario::tier_for(model, &scenario.plate);
+        if let Some(message) = tier.and_then(|tier| Scenario::omitted_effect(tier, &scenario.plate)) {
+            return Err(Box::new(scenario.diagnostic("plate", message)));
+        }
+    }
+    Ok(())
+}
+
 /// Takes the only scenario, or the one with the same file name.
 fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeError> {
     let file_name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();

@@ -9,8 +9,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Searched only if named; `identify` has scenarios that record a plate.
-const NON_SCENARIO_FOLDERS: [&str; 4] = ["plates", "baselines", "plans", "identify"];
+/// Searched only if named; `identify` has scenarios that record a plate, `hardware` plates with assumed electronics.
+const NON_SCENARIO_FOLDERS: [&str; 5] = ["plates", "baselines", "plans", "identify", "hardware"];
 const GENERATED_FOLDERS: [&str; 1] = ["baselines"];
 /// A run folder has these entries; the scenarios in `inputs` are copies.
 const RUN_RECORD: &str = "run.json";

@@ -13,7 +13,7 @@ mod scene;
 mod template;
 mod text;
 
-pub use plate::load_plate;
+pub use plate::{load_plate, require_no_effects};
 pub use template::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate};
 
 use crate::diagnostic::Diagnostic;

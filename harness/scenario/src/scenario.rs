@@ -136,6 +136,16 @@ impl Scenario {
         if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
     }
 
+    /// Why `tier` cannot simulate `plate`.
+    pub fn omitted_effect(tier: Tier, plate: &Plate) -> Option<String> {
+        let effect = plate.first_effect().filter(|_| !tier.has_both_poles())?;
+        let [auto, modal, carrier] = [AUTO_MODEL, Tier::Modal.name(), Tier::Carrier.name()];
+        Some(format!(
+            "the model {} omits `{effect}` of the plate file, expected {auto}, {modal} or {carrier}",
+            tier.name()
+        ))
+    }
+
     pub fn is_deterministic(&self) -> bool {
         self.trials.spread == Spread::default()
             && self.plate.noise_um_rms == 0.0

@@ -56,7 +56,7 @@ impl Variation {
     }
 
     pub fn sensor(&self, scenario: &Scenario) -> Sensor {
-        Sensor::new(self.sensor_gain, scenario.plate.noise_um_rms, self.seed)
+        Sensor::new(self.sensor_gain, scenario.plate.noise_um_rms, self.seed).with_resolution(scenario.plate.resolution)
     }
 }
 

@@ -20,6 +20,11 @@ pub(crate) fn infeasibility_excuse(
     if !is_drive_limited(expectation.metric) || matches!(expectation.signal, "wq_um" | "sensed_wq_um") {
         return None;
     }
+    // The ideal response is that of one mode. Another mode or an offset may add to it; bandwidth,
+    // slew rate, dead time and latency only slow a loop down, so the ideal one stays a bound.
+    if scenario.plate.second_mode.is_some() || scenario.plate.amplifier.offset_vpp != 0.0 {
+        return None;
+    }
     let limit_vpp = scenario.plate.drive_limit_vpp;
     let ideal = IdealResponse::simulate(expectation, plant, rows, limit_vpp)?;
     if !ideal.falls_with_drive_off && !rows.iter().any(|row| row.flags.contains(Flags::SATURATED)) {

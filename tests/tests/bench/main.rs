@@ -26,6 +26,7 @@ mod line_faults;
 mod live;
 mod merge;
 mod output_formats;
+mod plate_effects;
 mod python_package;
 mod real_plate;
 mod real_time;

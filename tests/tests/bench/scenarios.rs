@@ -19,6 +19,7 @@ fn each_scenario_has_its_expected_exit_code(
     #[files("../scenarios/laws/*.toml")]
     #[files("../scenarios/guards/*.toml")]
     #[files("../scenarios/identify/*.toml")]
+    #[files("../scenarios/hardware/*.toml")]
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();

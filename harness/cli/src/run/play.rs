@@ -15,7 +15,7 @@ use platebench_report::events::EventWriter;
 use platebench_report::page::KeptRows;
 use platebench_report::{Detail, Progress, ProgressKind, junit, page, traceability};
 use platebench_runner::{Clock, RunError, RunPlan, rejudge};
-use platebench_scenario::Scenario;
+use platebench_scenario::{Diagnostic, Scenario};
 use std::path::Path;
 use tracing::info;
 
@@ -27,15 +27,19 @@ pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Exit> {
     Ok(clock)
 }
 
-pub(super) fn prepare_scenarios(mut scenarios: Vec<Scenario>, arguments: &RunArgs) -> Vec<Scenario> {
+pub(super) fn prepare_scenarios(
+    mut scenarios: Vec<Scenario>,
+    arguments: &RunArgs,
+) -> Result<Vec<Scenario>, Box<Diagnostic>> {
     arguments.tags.retain(&mut scenarios);
     let overrides = arguments.overrides();
+    rejudge::check_overrides(&overrides, &scenarios)?;
     for scenario in &mut scenarios {
         rejudge::apply_overrides(&overrides, scenario);
     }
     let mut index = 0..;
     scenarios.retain(|_| arguments.shard.zip(index.next()).is_none_or(|(shard, index)| shard.contains(index)));
-    scenarios
+    Ok(scenarios)
 }
 
 /// Writes the JSON event stream of `--format json`, and ends it.

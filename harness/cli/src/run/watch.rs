@@ -47,8 +47,10 @@ fn watch_loop(arguments: &RunArgs, clock: Clock, detail: Detail) -> io::Result<E
     let mut reported = Vec::new();
     loop {
         let before = file_stamps(arguments, &inputs);
-        let found = find(&arguments.scenarios)
-            .and_then(|found| Ok((found, read_firmware(arguments).map_err(|fault| vec![fault])?)));
+        let found = find(&arguments.scenarios).and_then(|found| {
+            let scenarios = play::prepare_scenarios(found.scenarios, arguments).map_err(|fault| vec![*fault])?;
+            Ok((scenarios, read_firmware(arguments).map_err(|fault| vec![fault])?))
+        });
         let retry = found.is_err();
         match found {
             Err(faults) => {
@@ -58,9 +60,8 @@ fn watch_loop(arguments: &RunArgs, clock: Clock, detail: Detail) -> io::Result<E
                 }
                 reported = faults;
             }
-            Ok((found, firmware)) => {
+            Ok((scenarios, firmware)) => {
                 reported = Vec::new();
-                let scenarios = play::prepare_scenarios(found.scenarios, arguments);
                 inputs = scenarios.iter().flat_map(input_paths).collect();
                 let changed = changed_scenarios(scenarios, firmware.as_ref(), &mut played);
                 if !changed.is_empty() {

@@ -5,6 +5,8 @@
 
 mod carrier;
 mod crossings;
+mod effects;
+mod effects_reference;
 mod intervals;
 mod limits;
 mod linear;

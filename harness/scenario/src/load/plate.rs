@@ -14,6 +14,15 @@ pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
     parse_plate(path, &read_text(path).map_err(|fault| vec![fault])?)
 }
 
+/// For calculations that assume one mode, an ideal amplifier and a sensor without delay.
+pub fn require_no_effects(path: &Path, plate: &Plate, user: &str) -> Result<(), Diagnostic> {
+    let Some(effect) = plate.first_effect() else { return Ok(()) };
+    let text = read_text(path)?;
+    let message =
+        format!("{user} assumes one mode with an ideal amplifier and sensor, expected a plate file without `{effect}`");
+    Err(Diagnostic::at_key(path, &text, effect, message))
+}
+
 impl Checker<'_> {
     /// Reads the plate file that `key` names.
     pub(super) fn plate(
@@ -49,10 +58,14 @@ fn parse_plate(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
 pub(super) fn check_plate(path: &Path, text: &str, raw: RawPlate) -> Result<Plate, Vec<Diagnostic>> {
     let error_at = |key: &str, message: String| vec![Diagnostic::at_key(path, text, key, message)];
     let plate = raw.check().map_err(|error| error_at(error.key, error.to_string()))?;
-    let quality = plate.omega0 / (2.0 * plate.sigma0);
-    if quality > MAX_QUALITY {
-        let message = format!("a quality factor of {quality:.3e}, expected at most {MAX_QUALITY:e}");
-        return Err(error_at("mode.time_constant_ms", message));
+    let second = plate.second_mode.map(|second| ("second_mode.time_constant_ms", second.omega0, second.sigma0));
+    let first = Some(("mode.time_constant_ms", plate.omega0, plate.sigma0));
+    for (key, omega0, sigma0) in [first, second].into_iter().flatten() {
+        let quality = omega0 / (2.0 * sigma0);
+        if quality > MAX_QUALITY {
+            let message = format!("a quality factor of {quality:.3e}, expected at most {MAX_QUALITY:e}");
+            return Err(error_at(key, message));
+        }
     }
     for (key, value) in [("mode.gain_um_per_vpp", plate.gain), ("drive.limit_vpp", plate.drive_limit_vpp)] {
         if !(value as f32).is_normal() {

@@ -116,7 +116,10 @@ impl Checker<'_> {
 
     fn tier(&self, model: &str, plate: &Plate) -> Result<Tier, Diagnostic> {
         if let Some(tier) = Scenario::tier_for(model, plate) {
-            return Ok(tier);
+            return match Scenario::omitted_effect(tier, plate) {
+                None => Ok(tier),
+                Some(message) => self.error("model", message),
+            };
         }
         let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
         self.unknown_name("model", "unknown model ", model, &[AUTO_MODEL, linear, envelope, modal, carrier])

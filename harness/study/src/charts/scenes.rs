@@ -54,10 +54,12 @@ struct ModelCost {
     period_us: f64,
 }
 
-/// The carrier only if the plate has a converter, or if the scenario names it.
+/// The carrier only if the plate has a converter, or if the scenario names it; no model that omits
+/// effects of the plate.
 pub(crate) fn models(scenario: &Scenario) -> Vec<Tier> {
     let has_carrier = [scenario.tier, Tier::exact_for(&scenario.plate)].contains(&Tier::Carrier);
-    Tier::ALL.into_iter().filter(|tier| *tier != Tier::Carrier || has_carrier).collect()
+    let is_complete = |tier: &Tier| Scenario::omitted_effect(*tier, &scenario.plate).is_none();
+    Tier::ALL.into_iter().filter(|tier| *tier != Tier::Carrier || has_carrier).filter(is_complete).collect()
 }
 
 /// The cost is the median over `rounds`.

@@ -115,3 +115,40 @@ fn auto_is_the_carrier_for_a_plate_with_a_demodulator(#[case] model: &str, #[cas
     let folder = create_folder(&[("model = \"modal\"", &model), ("[sensor]\n", &format!("[sensor]\n{sensor}"))]);
     assert_eq!(load(&folder.path().join("s.toml"), "s.toml").unwrap().tier, tier);
 }
+
+#[rstest]
+#[case("[drive]\n", "[drive]\nbandwidth_hz = 5e3\n", "envelope", "drive.bandwidth_hz")]
+#[case("[sensor]\n", "[sensor]\nlatency_us = 10.0\n", "linear", "sensor.latency_us")]
+#[case(
+    "[drive]\n",
+    "[second_mode]\nresonance_hz = 32607.6\ntime_constant_ms = 1.2\ngain_um_per_vpp = 0.001\n[drive]\n",
+    "envelope",
+    "second_mode"
+)]
+fn a_model_that_omits_an_effect_of_the_plate_is_refused(
+    #[case] good: &str,
+    #[case] keys: &str,
+    #[case] model: &str,
+    #[case] effect: &str,
+) {
+    let model_key = format!("model = \"{model}\"");
+    let fault = load_with_changes(&[(good, keys), ("model = \"modal\"", &model_key)]).unwrap_err();
+    let expected = format!("the model {model} omits `{effect}` of the plate file, expected auto, modal or carrier");
+    assert_eq!(fault.message, format!("`model`: {expected}"));
+    assert_eq!(fault.position(), (7, 1));
+    let scenario = load_with_changes(&[(good, keys), ("model = \"modal\"", "")]).unwrap();
+    assert_eq!((scenario.tier, scenario.plate.first_effect()), (Tier::Modal, Some(effect)));
+}
+
+#[test]
+fn calculations_with_one_mode_refuse_effects() {
+    let folder = create_folder(&[("[drive]\n", "[drive]\ndead_time_us = 20.0\n")]);
+    let path = folder.path().join("plates/plate.toml");
+    let plate = crate::load::load_plate(&path).unwrap();
+    let fault = crate::load::require_no_effects(&path, &plate, "tune").unwrap_err();
+    let expected = "tune assumes one mode with an ideal amplifier and sensor, expected a plate file without \
+                    `drive.dead_time_us`";
+    assert_eq!(fault.message, expected);
+    let line = std::fs::read_to_string(&path).unwrap().lines().position(|line| line.starts_with("dead_time_us"));
+    assert_eq!(Some(fault.position().0), line.map(|line| line + 1));
+}

@@ -1,0 +1,115 @@
+//! Adds up the modes of a plate over one step, and keeps the last steps for a sensor with latency.
+
+use crate::amplifier::Forcing;
+use crate::flow::{ExcursionBound, State};
+use crate::forced_flow::ForcedFlow;
+use crate::mode::Mode;
+use crate::time::Time;
+use crate::varying::VaryingFlow;
+use num_complex::Complex64;
+use std::collections::VecDeque;
+
+/// Rest, and slow pole, fast pole and amplifier of both modes.
+const TERMS: usize = 7;
+
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum ModeMotion {
+    Constant(ForcedFlow),
+    Varying(VaryingFlow),
+}
+
+impl ModeMotion {
+    fn after(&self, seconds: f64) -> State {
+        match self {
+            Self::Constant(flow) => flow.after(seconds),
+            Self::Varying(flow) => flow.after(seconds),
+        }
+    }
+}
+
+/// A value for each mode.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct PerMode<T> {
+    pub(crate) first: T,
+    pub(crate) second: Option<T>,
+}
+
+impl<T: Copy> PerMode<T> {
+    pub(crate) fn map<R>(self, of: impl Fn(T) -> R) -> PerMode<R> {
+        PerMode { first: of(self.first), second: self.second.map(of) }
+    }
+
+    /// Without a second mode if `other` has none.
+    pub(crate) fn zip<U: Copy>(self, other: PerMode<U>) -> PerMode<(T, U)> {
+        PerMode { first: (self.first, other.first), second: self.second.zip(other.second) }
+    }
+}
+
+impl PerMode<State> {
+    pub(crate) fn sum(&self) -> State {
+        let State { w, u } = self.second.unwrap_or_default();
+        State { w: self.first.w + w, u: self.first.u + u }
+    }
+}
+
+pub(crate) type Motion = PerMode<ModeMotion>;
+
+/// Both modes frozen.
+pub(crate) type FrozenMotion = PerMode<ForcedFlow>;
+
+impl Motion {
+    pub(crate) fn after(&self, seconds: f64) -> PerMode<State> {
+        self.map(|motion| motion.after(seconds))
+    }
+}
+
+impl FrozenMotion {
+    pub(crate) fn new(modes: PerMode<Mode>, omega: f64, forcing: &Forcing, states: PerMode<State>) -> Self {
+        modes.zip(states).map(|(mode, state)| ForcedFlow::new(&mode, omega, forcing, &state))
+    }
+
+    pub(crate) fn excursion_bound(&self) -> ExcursionBound {
+        let first = self.first.excursion_bound();
+        self.second.map_or(first, |second| first.plus(&second.excursion_bound()))
+    }
+
+    /// W as `Σ amplitude e^{pole t}`, µm and 1/s; the first pole is 0.
+    pub(crate) fn terms(&self) -> [(Complex64, Complex64); TERMS] {
+        let (rest, [slow, fast, amplifier]) = self.first.terms();
+        let (second_rest, second) = self.second.map_or_else(Default::default, |flow| flow.terms());
+        let [second_slow, second_fast, second_amplifier] = second;
+        let rest = (rest + second_rest, Complex64::ZERO);
+        [rest, slow, fast, amplifier, second_slow, second_fast, second_amplifier]
+    }
+}
+
+/// The motions of the last `latency`.
+#[derive(Debug, Clone)]
+pub(crate) struct MotionHistory {
+    latency: Time,
+    /// With the time at which each starts.
+    motions: VecDeque<(Time, Motion)>,
+}
+
+impl MotionHistory {
+    pub(crate) fn new(latency: Time) -> Self {
+        Self { latency, motions: VecDeque::with_capacity(1024) }
+    }
+
+    pub(crate) fn push(&mut self, start: Time, motion: Motion) {
+        while self.motions.get(1).is_some_and(|(next, _)| *next + self.latency <= start) {
+            self.motions.pop_front();
+        }
+        self.motions.push_back((start, motion));
+    }
+
+    /// W at `now` minus the latency; at rest before the start.
+    pub(crate) fn read(&self, now: Time) -> Complex64 {
+        if now < self.latency {
+            return Complex64::ZERO;
+        }
+        let then = now - self.latency;
+        let motion = self.motions.iter().rev().find(|(start, _)| *start <= then);
+        motion.map_or(Complex64::ZERO, |(start, motion)| motion.after((then - *start).seconds()).sum().w)
+    }
+}

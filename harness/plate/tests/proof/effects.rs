@@ -1,0 +1,219 @@
+//! Compares second mode, amplifier, self-heating and sensor latency with an independent reference.
+
+use crate::effects_reference::EffectsReference;
+use crate::reference::{
+    HOLDING_DRIVE_VPP, Random, SETPOINT, constant_conditions, distance, driven_plant, line, paper_plate, state_at,
+};
+use platebench_plate::{
+    Amplifier, BandMonitor, BandSignal, Complex64, ConditionProfiles, Drive, DriveConverter, Heating, Lockin, Plant,
+    Plate, SecondMode, Tier, Time,
+};
+use rstest::rstest;
+use std::f64::consts::TAU;
+
+const MAX_ERROR: f64 = 1e-7;
+
+/// 300 Hz above the first mode, with a third of its gain.
+fn second_mode() -> Option<SecondMode> {
+    let plate = paper_plate();
+    Some(SecondMode { omega0: plate.omega0 + TAU * 300.0, sigma0: 1e3 / 1.2, gain: -0.3 * plate.gain })
+}
+
+fn two_modes() -> Plate {
+    Plate { second_mode: second_mode(), ..paper_plate() }
+}
+
+fn amplified(bandwidth_hz: Option<f64>, slew_rate_vpp_per_ms: Option<f64>) -> Plate {
+    let amplifier = Amplifier {
+        pole: bandwidth_hz.map(|hz| TAU * hz),
+        slew_rate: slew_rate_vpp_per_ms.map(|rate| 1e3 * rate),
+        ..Amplifier::default()
+    };
+    Plate { amplifier, ..paper_plate() }
+}
+
+/// 5 µm warm the node by 20 K with 0.5 s: far more than a plate does.
+fn heated(plate: Plate) -> Plate {
+    Plate { heating: Some(Heating { rise_k_per_um2: 0.8, rate: 2.0 }), ..plate }
+}
+
+fn ramps() -> ConditionProfiles {
+    ConditionProfiles { temperature_offset_k: line(0.0, 0.0, 50.0, 3.0), finger_force_n: line(0.0, 0.2, 100.0, 1.2) }
+}
+
+/// Drives: 0 to 800 Vpp and ±600 rad/s at random, a new one each period of 1 ms.
+fn largest_error(plate: &Plate, scene: &ConditionProfiles, periods: u32) -> f64 {
+    let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
+    let mut reference = EffectsReference::at_rest(plate, scene);
+    let mut random = Random::new(31);
+    let (dead, period) = (plate.amplifier.dead_time, Time::from_nanos(1_000_000));
+    let mut acting = Drive::default();
+    let mut worst = 0.0_f64;
+    for number in 0..periods {
+        let drive = Drive { vpp: random.in_range(0.0, 800.0), omega: plate.omega0 + random.in_range(-600.0, 600.0) };
+        plant.set_drive(drive);
+        let start = period.times(number.into());
+        if acting == Drive::default() {
+            acting = drive;
+        }
+        for (end, next) in [(start + dead, drive), (start + period, drive)] {
+            if end > plant.time() {
+                reference.advance((end - plant.time()).seconds(), acting.vpp, acting.omega);
+                plant.advance(end, &[], &mut Vec::new());
+                worst = worst.max(distance(&plant.state(), &reference.state(), plate.omega0));
+                worst = worst.max((plant.waveform() - reference.waveform()).abs() / SETPOINT);
+            }
+            acting = next;
+        }
+    }
+    if plate.heating.is_some() {
+        println!("    self-heating {:.3} K, reference {:.3} K", plant.self_heating_k(), reference.heat_k());
+        assert!(plant.self_heating_k() > 0.1);
+    }
+    worst
+}
+
+#[rstest]
+#[case::two_modes(two_modes())]
+#[case::bandwidth_5_khz(amplified(Some(5e3), None))]
+#[case::bandwidth_1_mhz(amplified(Some(1e6), None))]
+#[case::bandwidth_of_the_plate(amplified(Some(1e3 / 1.88 / TAU), None))]
+#[case::slew_rate(amplified(None, Some(500.0)))]
+#[case::slew_rate_and_bandwidth(amplified(Some(2e3), Some(700.0)))]
+#[case::offset(Plate { amplifier: Amplifier { offset_vpp: 4.0, ..Amplifier::default() }, ..paper_plate() })]
+#[case::dead_time(Plate {
+    amplifier: Amplifier { dead_time: Time::from_nanos(137_000), pole: Some(3e4), ..Amplifier::default() },
+    ..two_modes()
+})]
+#[case::all_of_the_drive(Plate { second_mode: second_mode(), ..amplified(Some(5e3), Some(1500.0)) })]
+#[case::heating(heated(paper_plate()))]
+#[case::heating_with_two_modes_and_bandwidth(heated(Plate { second_mode: second_mode(), ..amplified(Some(5e3), None) }))]
+fn effects_equal_the_reference(#[case] plate: Plate, #[values(false, true)] changing: bool) {
+    let scene = if changing { ramps() } else { constant_conditions() };
+    let error = largest_error(&plate, &scene, 40);
+    println!("{:?}, changing conditions: {changing}: {error:.1e}", plate.first_effect().unwrap());
+    assert!(error <= MAX_ERROR, "{error:e}");
+}
+
+#[test]
+fn self_heating_detunes_a_held_drive_as_the_reference_does() {
+    let plate = Plate { heating: Some(Heating { rise_k_per_um2: 0.5, rate: 10.0 }), ..paper_plate() };
+    let scene = constant_conditions();
+    let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
+    let mut reference = EffectsReference::at_rest(&plate, &scene);
+    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
+    plant.set_drive(drive);
+    let mut worst = 0.0_f64;
+    for step in 1..=6 {
+        reference.advance(0.05, drive.vpp, drive.omega);
+        plant.advance(Time::from_nanos(50_000_000).times(step), &[], &mut Vec::new());
+        worst = worst.max(distance(&plant.state(), &reference.state(), plate.omega0));
+        // Relative to the error of W that it causes after one time constant.
+        let heat_error = (plant.self_heating_k() - reference.heat_k()).abs();
+        worst = worst.max(heat_error * plate.omega0_per_k.abs() / plate.sigma0);
+    }
+    let amplitude = plant.state().amplitude();
+    println!("self-heating, 0.3 s: {worst:.1e}; {amplitude:.3} µm, {:.3} K", plant.self_heating_k());
+    assert!(worst <= MAX_ERROR, "{worst:e}");
+    assert!(amplitude < 0.99 * SETPOINT);
+}
+
+#[test]
+fn a_sensor_with_latency_reads_the_earlier_state_with_its_drift() {
+    let latency = Time::from_nanos(1_234_567);
+    let plate = Plate { sensor_latency: latency, sensor_gain_drift_per_s: 0.2, ..two_modes() };
+    let mut now = Plant::new(plate.clone(), ramps(), Tier::Modal);
+    let mut earlier = Plant::new(two_modes(), ramps(), Tier::Modal);
+    let mut random = Random::new(5);
+    let mut changes = Vec::new();
+    let mut worst = 0.0_f64;
+    for number in 0..40_u64 {
+        let time = Time::from_nanos(777_777).times(number);
+        now.advance(time, &[], &mut Vec::new());
+        let expected = if time < latency {
+            Complex64::ZERO
+        } else {
+            let then = time - latency;
+            while let Some((at, drive)) = changes.first().copied().filter(|(at, _)| *at <= then) {
+                earlier.advance(at, &[], &mut Vec::new());
+                earlier.set_drive(drive);
+                changes.remove(0);
+            }
+            earlier.advance(then, &[], &mut Vec::new());
+            earlier.state().w * (1.0 + 0.2 * time.seconds())
+        };
+        worst = worst.max((now.sensor_reading() - expected).norm() / SETPOINT);
+        let drive = Drive { vpp: random.in_range(0.0, 800.0), omega: plate.omega0 + random.in_range(-600.0, 600.0) };
+        now.set_drive(drive);
+        changes.push((time, drive));
+    }
+    println!("sensor with a latency of {latency}: {worst:.1e}");
+    assert!(worst <= MAX_ERROR, "{worst:e}");
+    assert!(now.state().amplitude() > 0.5);
+}
+
+#[test]
+fn a_converter_gives_the_plate_its_nearest_step() {
+    let converter = Some(DriveConverter { bits: 10, range_vpp: 900.0 });
+    let plate = Plate { amplifier: Amplifier { converter, ..Amplifier::default() }, ..paper_plate() };
+    let step = 900.0 / 1023.0;
+    let run = |plate: &Plate, vpp| {
+        let mut plant = driven_plant(plate, &constant_conditions(), Tier::Modal, Drive { vpp, omega: plate.omega0 });
+        (state_at(&mut plant, 5.0).w, plant.drive().vpp)
+    };
+    for code in [0.0_f64, 1.0, 326.0, 1023.0] {
+        let commanded = (code * step + 0.4 * step).min(900.0);
+        let (w, vpp) = run(&plate, commanded);
+        let (expected, _) = run(&paper_plate(), code * step);
+        assert!((w - expected).norm() <= 1e-12, "code {code}: {w} instead of {expected}");
+        assert_eq!(vpp, commanded);
+    }
+}
+
+/// Converter and lock-in sample the sum of both modes.
+#[rstest]
+fn a_lock_in_reads_both_modes(#[values(false, true)] changing: bool) {
+    let lockin = Some(Lockin { converter_hz: 4e6, periods: 8, resolution: None });
+    let plate = Plate { lockin, second_mode: second_mode(), ..amplified(Some(5e3), None) };
+    let scene = if changing { ramps() } else { constant_conditions() };
+    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 100.0 };
+    let mut plant = driven_plant(&plate, &scene, Tier::Carrier, drive);
+    let mut whole = plant.clone();
+    let w = state_at(&mut plant, 40.0).w;
+    let error = (plant.sensor_reading() - w).norm() / SETPOINT;
+    // Half of 8 periods at the speed of W; 1.4e-4 is the ripple of a steady reading.
+    assert!(error < if changing { 2e-3 } else { 1e-4 }, "{error:e}");
+    for piece in 1..=400 {
+        state_at(&mut whole, f64::from(piece) / 10.0);
+    }
+    let apart = (plant.sensor_reading() - whole.sensor_reading()).norm() / SETPOINT;
+    assert!(apart < MAX_ERROR, "{apart:e}");
+}
+
+#[test]
+fn crossings_are_found_with_both_modes() {
+    let plate = Plate { second_mode: second_mode(), ..amplified(Some(5e3), None) };
+    let monitor = BandMonitor { signal: BandSignal::Amplitude, low: 1.2, high: 1.6 };
+    for scene in [constant_conditions(), ramps()] {
+        let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
+        let mut plant = driven_plant(&plate, &scene, Tier::Modal, drive);
+        let mut exact = plant.clone();
+        let mut crossings = Vec::new();
+        plant.advance(Time::from_nanos(20_000_000), &[monitor], &mut crossings);
+        assert!(!crossings.is_empty());
+        for crossing in crossings {
+            exact.advance(crossing.time, &[], &mut Vec::new());
+            assert!((exact.state().w - crossing.state.w).norm() < 1e-6);
+            let sides = [crossing.before, crossing.state].map(|state| (1.2..=1.6).contains(&state.amplitude()));
+            assert_ne!(sides[0], sides[1]);
+        }
+    }
+}
+
+#[rstest]
+fn simple_models_omit_the_effects(#[values(Tier::Linear, Tier::Envelope)] tier: Tier) {
+    let plate = Plate { second_mode: second_mode(), ..amplified(Some(5e3), None) };
+    let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
+    let run = |plate: &Plate| state_at(&mut driven_plant(plate, &constant_conditions(), tier, drive), 3.0);
+    assert_eq!(run(&plate), run(&paper_plate()));
+}
