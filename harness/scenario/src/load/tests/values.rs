@@ -134,8 +134,8 @@ fn a_model_that_omits_an_effect_of_the_plate_is_refused(
     let model_key = format!("model = \"{model}\"");
     let fault = load_with_changes(&[(good, keys), ("model = \"modal\"", &model_key)]).unwrap_err();
     let expected = format!("the model {model} omits `{effect}` of the plate file, expected auto, modal or carrier");
-    assert_eq!(fault.message, format!("`model`: {expected}"));
-    assert_eq!(fault.position(), (7, 1));
+    assert_eq!(fault.message, expected);
+    assert_eq!(fault.position(), (7, 9));
     let scenario = load_with_changes(&[(good, keys), ("model = \"modal\"", "")]).unwrap();
     assert_eq!((scenario.tier, scenario.plate.first_effect()), (Tier::Modal, Some(effect)));
 }
