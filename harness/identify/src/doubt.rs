@@ -112,7 +112,7 @@ pub(crate) fn doubtful_parameters(
     doubts
 }
 
-fn is_coloured(recording: &Recording, fit: &DirectFit) -> bool {
+pub(crate) fn is_coloured(recording: &Recording, fit: &DirectFit) -> bool {
     let largest = recording.outputs.iter().map(|output| output.w.norm()).fold(0.0, f64::max);
     fit.whiteness.is_some_and(|white| white.is_rejected()) && fit.noise_um > ROUNDING * largest
 }

@@ -12,6 +12,7 @@
 //! first sample.
 
 use crate::arx::{ArxMethod, arx};
+use crate::effect::EffectFit;
 use crate::estimate::{Estimate, WhitenessTest};
 use crate::recording::{Recording, RecordingError};
 use nalgebra::{DMatrix, DVector};
@@ -21,7 +22,7 @@ const MAX_ITERATIONS: usize = 80;
 const CONVERGENCE_TOLERANCE: f64 = 1e-10;
 const DIFFERENCE_STEP: f64 = 1e-6;
 /// Relative to the mean excitation frequency, rad/s.
-const OMEGA_UNIT: f64 = 500.0;
+pub(crate) const OMEGA_UNIT: f64 = 500.0;
 /// Of K1 or τ.
 const MAX_RELATIVE_ERROR: f64 = 0.5;
 /// Fits with instants of touch: each takes the weight of a period from the noise of the previous.
@@ -46,6 +47,8 @@ pub struct DirectFit {
     pub whiteness: Option<WhitenessTest>,
     /// W of the model at each sample.
     pub curve: Vec<Complex64>,
+    /// A second mode or self-heating, if the recording shows it.
+    pub effect: Option<EffectFit>,
 }
 
 impl DirectFit {
@@ -204,20 +207,17 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     let freedom = freedom.ok_or(RecordingError::Undetermined)? as f64;
     let best = start_points(recording)
         .into_iter()
-        .filter_map(|(tau, detuning)| minimise(&layout, layout.start_vector(tau, detuning)))
+        .filter_map(|(tau, detuning)| minimise(&|theta| layout.residuals(theta), layout.start_vector(tau, detuning)))
         .min_by(|a, b| a.1.total_cmp(&b.1));
     let (mut theta, mut squares) = best.ok_or(RecordingError::Undetermined)?;
     for _ in 0..if layout.touches > 0 { TOUCH_FITS } else { 0 } {
         layout.touch_weight = (squares / freedom).sqrt().max(SMALLEST_NOISE_UM);
         let start = theta.resize_vertically(count, 0.0);
-        (theta, squares) = minimise(&layout, start).ok_or(RecordingError::Undetermined)?;
+        (theta, squares) = minimise(&|theta| layout.residuals(theta), start).ok_or(RecordingError::Undetermined)?;
     }
-    let jacobian = jacobian(&layout, &theta, &layout.residuals(&theta));
     let power = squares / freedom;
-    let covariance = (jacobian.transpose() * &jacobian)
-        .cholesky()
-        .map(|factor| factor.inverse() * power)
-        .ok_or(RecordingError::Undetermined)?;
+    let covariance =
+        covariance_of(&|theta| layout.residuals(theta), &theta).ok_or(RecordingError::Undetermined)? * power;
     let error = |index: usize| covariance[(index, index)].max(0.0).sqrt();
     let positive = |index: usize| Estimate::from_logarithm(theta[index], error(index), freedom);
     if !(0..=layout.forces.len()).all(|index| error(index) < MAX_RELATIVE_ERROR) {
@@ -247,6 +247,7 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
         noise_um: power.sqrt(),
         whiteness: WhitenessTest::ljung_box(&[component(0), component(1)]),
         curve: layout.response(&theta),
+        effect: None,
     })
 }
 
@@ -259,21 +260,38 @@ fn start_points(recording: &Recording) -> Vec<(f64, f64)> {
     vec![(first.clamp(1e-4, 1e-1), 0.0), (1.9e-3, 600.0), (1.9e-3, -600.0)]
 }
 
-fn jacobian(layout: &ParameterLayout<'_>, theta: &DVector<f64>, residuals: &DVector<f64>) -> DMatrix<f64> {
+fn jacobian(
+    of: &impl Fn(&DVector<f64>) -> DVector<f64>,
+    theta: &DVector<f64>,
+    residuals: &DVector<f64>,
+) -> DMatrix<f64> {
     let column = |index: usize| {
         let mut moved = theta.clone();
         moved[index] += DIFFERENCE_STEP;
-        (layout.residuals(&moved) - residuals) / DIFFERENCE_STEP
+        (of(&moved) - residuals) / DIFFERENCE_STEP
     };
     DMatrix::from_columns(&(0..theta.len()).map(column).collect::<Vec<_>>())
 }
 
-fn minimise(layout: &ParameterLayout<'_>, mut theta: DVector<f64>) -> Option<(DVector<f64>, f64)> {
-    let mut residuals = layout.residuals(&theta);
+/// Of the parameters, for residuals with the variance 1. `None` if they are not determined.
+pub(crate) fn covariance_of(
+    residuals: &impl Fn(&DVector<f64>) -> DVector<f64>,
+    theta: &DVector<f64>,
+) -> Option<DMatrix<f64>> {
+    let jacobian = jacobian(residuals, theta, &residuals(theta));
+    (jacobian.transpose() * &jacobian).cholesky().map(|factor| factor.inverse())
+}
+
+/// The method of Levenberg and Marquardt. Returns the parameters and the sum of squares of the residuals `of` them.
+pub(crate) fn minimise(
+    of: &impl Fn(&DVector<f64>) -> DVector<f64>,
+    mut theta: DVector<f64>,
+) -> Option<(DVector<f64>, f64)> {
+    let mut residuals = of(&theta);
     let mut squares = residuals.norm_squared();
     let mut damping = 1e-3;
     for _ in 0..MAX_ITERATIONS {
-        let jacobian = jacobian(layout, &theta, &residuals);
+        let jacobian = jacobian(of, &theta, &residuals);
         let (normal, gradient) = (jacobian.transpose() * &jacobian, jacobian.transpose() * &residuals);
         let mut fall = 0.0;
         while damping < 1e9 {
@@ -283,7 +301,7 @@ fn minimise(layout: &ParameterLayout<'_>, mut theta: DVector<f64>) -> Option<(DV
             }
             let step = damped.cholesky()?.solve(&gradient);
             let moved = &theta - step;
-            let (sane, new) = (moved.iter().all(|value| value.abs() < 50.0), layout.residuals(&moved));
+            let (sane, new) = (moved.iter().all(|value| value.abs() < 50.0), of(&moved));
             let lower = new.norm_squared();
             if sane && lower <= squares {
                 fall = (squares - lower) / squares.max(f64::MIN_POSITIVE);

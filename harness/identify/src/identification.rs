@@ -1,6 +1,8 @@
 //! Identifies the plate from all recordings together.
 
-use crate::doubt::{Doubt, doubtful_parameters, doubtful_recordings};
+use crate::doubt::{Doubt, doubtful_parameters, doubtful_recordings, is_coloured, is_explained_by_chance};
+use crate::effect::{EffectFit, IdentifiedHeating, IdentifiedSecondMode, pool_heating, pool_second_modes};
+use crate::effect_fit::fit_effect;
 use crate::estimate::{Estimate, FREEDOM_OF_KNOWN_ERRORS, WhitenessTest};
 use crate::fit::{DirectFit, fit_direct};
 use crate::recording::{Recording, RecordingError};
@@ -50,6 +52,12 @@ pub struct Identification {
     pub shift_hz_per_n: Option<Estimate>,
     /// K1 from the lowest to the highest drive.
     pub gain_change_percent: Option<Estimate>,
+    /// If recordings show it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_mode: Option<IdentifiedSecondMode>,
+    /// If recordings show it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heating: Option<IdentifiedHeating>,
     /// Standard deviation of the residuals on each component.
     pub noise_um: f64,
     pub highest_vpp: f64,
@@ -71,6 +79,8 @@ pub fn identify(
     if fitted.is_empty() {
         return Err(RecordingError::Undetermined);
     }
+    let fitted = with_effects(fitted);
+    let effects: Vec<EffectFit> = fitted.iter().filter_map(|(_, fit)| fit.effect).collect();
     let pooled = |values: Vec<Estimate>| Estimate::pool(&values);
     let lines: Vec<_> = fitted.iter().map(|(_, fit)| temperature_line(fit)).collect();
     let slope = pooled(lines.iter().filter_map(|line| line.as_ref()?.1).collect());
@@ -117,6 +127,8 @@ pub fn identify(
         shift_hz_per_n: pooled(fitted.iter().filter_map(|(_, fit)| force_slope(fit)).collect())
             .map(|omega| omega.scaled(1.0 / TAU)),
         gain_change_percent: pooled(voltage.iter().filter_map(|steps| gain_change_percent(steps)).collect()),
+        second_mode: pool_second_modes(&effects),
+        heating: pool_heating(&effects),
         noise_um: (squares / fitted.len() as f64).sqrt(),
         highest_vpp: highest.fold(0.0, f64::max),
         voltage_steps: voltage.into_iter().flatten().collect(),
@@ -133,6 +145,22 @@ pub fn identify(
     ]
     .concat();
     Ok((identification, fitted.into_iter().map(|(_, fit)| fit).collect()))
+}
+
+/// If more recordings than chance explains have residuals that are not white, replaces their fits by those with a second
+/// mode or self-heating that make them white.
+fn with_effects(mut fitted: Vec<(&Recording, DirectFit)>) -> Vec<(&Recording, DirectFit)> {
+    let coloured = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).count();
+    let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
+    if coloured == 0 || is_explained_by_chance(coloured, tested) {
+        return fitted;
+    }
+    for (recording, fit) in fitted.iter_mut().filter(|(recording, fit)| is_coloured(recording, fit)) {
+        if let Some(better) = fit_effect(recording, fit, |other| !is_coloured(recording, other)) {
+            *fit = better;
+        }
+    }
+    fitted
 }
 
 fn summarise_fit(recording: &Recording, fit: &DirectFit) -> Option<RecordingFit> {

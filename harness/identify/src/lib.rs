@@ -2,6 +2,8 @@
 
 pub mod arx;
 mod doubt;
+pub mod effect;
+mod effect_fit;
 pub mod estimate;
 pub mod external_csv;
 pub mod fit;
@@ -13,6 +15,7 @@ pub mod table;
 
 pub use arx::{ArxMethod, ArxModel, arx};
 pub use doubt::Doubt;
+pub use effect::{EffectFit, IdentifiedHeating, IdentifiedSecondMode};
 pub use estimate::{Estimate, WhitenessTest};
 pub use external_csv::{ColumnMapping, ExternalCsvError};
 pub use fit::{DirectFit, fit_direct};

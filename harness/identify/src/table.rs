@@ -1,6 +1,7 @@
 //! Formats the identification as tables, compared with the paper, and as a plate file.
 
 use crate::doubt::is_explained_by_chance;
+use crate::effect::IdentifiedHeating;
 use crate::estimate::Estimate;
 use crate::identification::Identification;
 use crate::steps::{FrequencyStep, VoltageStep};
@@ -241,6 +242,15 @@ fn plate_table(found: &Identification) -> IdentificationTable {
         let paper = if *force == FINGER_DAMPING[0] { format!("{}", FINGER_DAMPING[1]) } else { String::new() };
         row(&format!("σ/σ0 at {force} N"), Some(*ratio), 1.0, 4, paper);
     }
+    if let Some(second) = found.second_mode {
+        row("second mode: resonance, Hz", Some(second.resonance_hz), 1.0, 2, String::new());
+        row("second mode: τ, ms", Some(second.time_constant_s), 1e3, 4, String::new());
+        row("second mode: gain, pm/V", Some(second.gain_um_per_vpp), 1e6, 1, String::new());
+    }
+    if let Some(heating) = found.heating {
+        row("self-heating: shift of the resonance, Hz/µm²", Some(heating.shift_hz_per_um2), 1.0, 4, String::new());
+        row("self-heating: time constant, s", Some(heating.time_constant_s), 1.0, 4, String::new());
+    }
     let excitation = |whole: &crate::RecordingFit| whole.resonance_hz.value + whole.detuning_hz.value;
     if let Some(first) = found.recordings.first() {
         row(&format!("detuning of {:.1} Hz, Hz", excitation(first)), Some(first.detuning_hz), 1.0, 2, String::new());
@@ -314,6 +324,15 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
     text += &slope;
     text += &line("time_constant_ms", found.time_constant_s?, 1e3, 5);
     text += &line("gain_um_per_vpp", found.gain_um_per_vpp?, 1.0, 8);
+    if let Some(second) = found.second_mode {
+        text += "\n[second_mode]\n";
+        text += &line("resonance_hz", second.resonance_hz, 1.0, 3);
+        text += &line("time_constant_ms", second.time_constant_s, 1e3, 5);
+        text += &line("gain_um_per_vpp", second.gain_um_per_vpp, 1.0, 8);
+    }
+    if let Some(heating) = found.heating {
+        text += &heating_lines(found, named, heating);
+    }
     if !found.damping_ratio.is_empty() {
         let points = found.damping_ratio.iter().map(|(force, ratio)| format!(", [{force:?}, {:.5}]", ratio.value));
         let points = points.collect::<Vec<_>>().concat();
@@ -341,6 +360,24 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
         uncertainty_percent(found, found.time_constant_s?)
     );
     Some(text)
+}
+
+/// The shift per µm² over the shift per kelvin is the rise; without a slope it is a comment.
+fn heating_lines(found: &Identification, named: &PlateFileDetails, heating: IdentifiedHeating) -> String {
+    let slope = found.slope_hz_per_k.map(|slope| slope.value).or(named.slope_hz_per_k).unwrap_or(0.0);
+    let (shift, seconds) = (heating.shift_hz_per_um2, heating.time_constant_s);
+    let rise = shift.value / slope;
+    if !(rise.is_finite() && rise >= 0.0) {
+        return format!(
+            "\n# Self-heating: {:.5} Hz/µm² with {:.4} s; [heating] needs the slope of the resonance, with the same sign\n",
+            shift.value, seconds.value
+        );
+    }
+    format!(
+        "\n[heating]\nrise_k_per_um2 = {rise:.6}    # {:.5} Hz/µm² over {slope:.4} Hz/K\ntime_constant_s = {:.5}    # 95 %: \
+         {:.5} to {:.5}\n",
+        shift.value, seconds.value, seconds.low, seconds.high
+    )
 }
 
 /// Percent, rounded up. A doubtful identification has at least [`DOUBTFUL_PERCENT`], because the
