@@ -96,11 +96,11 @@ impl MotionHistory {
         Self { latency, motions: VecDeque::with_capacity(1024) }
     }
 
-    pub(crate) fn push(&mut self, start: Time, motion: Motion) {
+    pub(crate) fn push(&mut self, start: Time, motion: &Motion) {
         while self.motions.get(1).is_some_and(|(next, _)| *next + self.latency <= start) {
             self.motions.pop_front();
         }
-        self.motions.push_back((start, motion));
+        self.motions.push_back((start, *motion));
     }
 
     /// W at `now` minus the latency; at rest before the start.

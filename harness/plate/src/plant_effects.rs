@@ -188,7 +188,7 @@ impl Plant {
             self.demodulator = Some(demodulator);
         }
         if let Some(history) = &mut effects.history {
-            history.push(start, *motion);
+            history.push(start, motion);
         }
         effects.states = motion.after(seconds);
         effects.output_vpp = forcing.at(seconds) - self.plate.amplifier.offset_vpp;

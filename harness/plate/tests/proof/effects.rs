@@ -14,13 +14,13 @@ use std::f64::consts::TAU;
 const MAX_ERROR: f64 = 1e-7;
 
 /// 300 Hz above the first mode, with a third of its gain.
-fn second_mode() -> Option<SecondMode> {
+fn second_mode() -> SecondMode {
     let plate = paper_plate();
-    Some(SecondMode { omega0: plate.omega0 + TAU * 300.0, sigma0: 1e3 / 1.2, gain: -0.3 * plate.gain })
+    SecondMode { omega0: plate.omega0 + TAU * 300.0, sigma0: 1e3 / 1.2, gain: -0.3 * plate.gain }
 }
 
 fn two_modes() -> Plate {
-    Plate { second_mode: second_mode(), ..paper_plate() }
+    Plate { second_mode: Some(second_mode()), ..paper_plate() }
 }
 
 fn amplified(bandwidth_hz: Option<f64>, slew_rate_vpp_per_ms: Option<f64>) -> Plate {
@@ -85,9 +85,9 @@ fn largest_error(plate: &Plate, scene: &ConditionProfiles, periods: u32) -> f64 
     amplifier: Amplifier { dead_time: Time::from_nanos(137_000), pole: Some(3e4), ..Amplifier::default() },
     ..two_modes()
 })]
-#[case::all_of_the_drive(Plate { second_mode: second_mode(), ..amplified(Some(5e3), Some(1500.0)) })]
+#[case::all_of_the_drive(Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), Some(1500.0)) })]
 #[case::heating(heated(paper_plate()))]
-#[case::heating_with_two_modes_and_bandwidth(heated(Plate { second_mode: second_mode(), ..amplified(Some(5e3), None) }))]
+#[case::heating_with_two_modes_and_bandwidth(heated(Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) }))]
 fn effects_equal_the_reference(#[case] plate: Plate, #[values(false, true)] changing: bool) {
     let scene = if changing { ramps() } else { constant_conditions() };
     let error = largest_error(&plate, &scene, 40);
@@ -174,7 +174,7 @@ fn a_converter_gives_the_plate_its_nearest_step() {
 #[rstest]
 fn a_lock_in_reads_both_modes(#[values(false, true)] changing: bool) {
     let lockin = Some(Lockin { converter_hz: 4e6, periods: 8, resolution: None });
-    let plate = Plate { lockin, second_mode: second_mode(), ..amplified(Some(5e3), None) };
+    let plate = Plate { lockin, second_mode: Some(second_mode()), ..amplified(Some(5e3), None) };
     let scene = if changing { ramps() } else { constant_conditions() };
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 100.0 };
     let mut plant = driven_plant(&plate, &scene, Tier::Carrier, drive);
@@ -192,7 +192,7 @@ fn a_lock_in_reads_both_modes(#[values(false, true)] changing: bool) {
 
 #[test]
 fn crossings_are_found_with_both_modes() {
-    let plate = Plate { second_mode: second_mode(), ..amplified(Some(5e3), None) };
+    let plate = Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) };
     let monitor = BandMonitor { signal: BandSignal::Amplitude, low: 1.2, high: 1.6 };
     for scene in [constant_conditions(), ramps()] {
         let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
@@ -212,7 +212,7 @@ fn crossings_are_found_with_both_modes() {
 
 #[rstest]
 fn simple_models_omit_the_effects(#[values(Tier::Linear, Tier::Envelope)] tier: Tier) {
-    let plate = Plate { second_mode: second_mode(), ..amplified(Some(5e3), None) };
+    let plate = Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) };
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
     let run = |plate: &Plate| state_at(&mut driven_plant(plate, &constant_conditions(), tier, drive), 3.0);
     assert_eq!(run(&plate), run(&paper_plate()));
