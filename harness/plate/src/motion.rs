@@ -15,14 +15,22 @@ const TERMS: usize = 7;
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum ModeMotion {
     Constant(ForcedFlow),
-    Varying(VaryingFlow),
+    /// Under the constant part of the drive, and the rest of the drive.
+    Varying(VaryingFlow, Forcing),
 }
 
 impl ModeMotion {
     fn after(&self, seconds: f64) -> State {
         match self {
             Self::Constant(flow) => flow.after(seconds),
-            Self::Varying(flow) => flow.after(seconds),
+            Self::Varying(flow, forcing) => {
+                let constant = flow.after(seconds);
+                if forcing.slope == 0.0 && forcing.decaying == 0.0 {
+                    return constant;
+                }
+                let State { w, u } = flow.response_to(forcing, seconds);
+                State { w: constant.w + w, u: constant.u + u }
+            }
         }
     }
 }

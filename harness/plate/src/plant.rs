@@ -171,15 +171,30 @@ impl Plant {
 
     /// W, U and θ are continuous.
     pub fn set_drive(&mut self, drive: Drive) {
-        match self.effects.take() {
-            None => self.apply_drive(drive),
-            Some(mut effects) => {
-                self.command_drive(&mut effects, drive);
-                self.effects = Some(effects);
-            }
+        if self.effects.is_some() {
+            self.set_drive_with_effects(drive);
+        } else {
+            self.apply_drive(drive);
         }
     }
 
+    #[cold]
+    fn set_drive_with_effects(&mut self, drive: Drive) {
+        if let Some(mut effects) = self.effects.take() {
+            self.command_drive(&mut effects, drive);
+            self.effects = Some(effects);
+        }
+    }
+
+    #[cold]
+    fn advance_with_effects(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
+        if let Some(mut effects) = self.effects.take() {
+            self.advance_effects(&mut effects, end, monitors, crossings);
+            self.effects = Some(effects);
+        }
+    }
+
+    #[inline]
     pub(crate) fn apply_drive(&mut self, drive: Drive) {
         self.rate = PhaseRate::from_omega(drive.omega);
         self.drive = drive;
@@ -188,10 +203,8 @@ impl Plant {
     /// An earlier `end` changes nothing. Appends to `crossings` in order of time; an excursion
     /// shorter than 1 µs may be missed.
     pub fn advance(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
-        if let Some(mut effects) = self.effects.take() {
-            self.advance_effects(&mut effects, end, monitors, crossings);
-            self.effects = Some(effects);
-            return;
+        if self.effects.is_some() {
+            return self.advance_with_effects(end, monitors, crossings);
         }
         while self.time < end {
             let interval = self.smooth_interval();
@@ -221,6 +234,8 @@ impl Plant {
         }
     }
 
+    #[expect(clippy::inline_always, reason = "ci/counts: 4 % of a step")]
+    #[inline(always)]
     pub(crate) fn smooth_interval(&mut self) -> SmoothInterval {
         if let Some(interval) = self.interval.filter(|interval| self.time < interval.end) {
             return interval;
@@ -318,6 +333,7 @@ impl Plant {
         self.finish_step(end, varying.after(seconds));
     }
 
+    #[inline]
     pub(crate) fn find_crossings(
         &self,
         end: Time,
@@ -337,6 +353,8 @@ impl Plant {
         }
     }
 
+    #[expect(clippy::inline_always, reason = "ci/counts: 4 % of a step")]
+    #[inline(always)]
     pub(crate) fn finish_step(&mut self, end: Time, state: State) {
         self.phase = self.phase.after(end - self.time, self.rate);
         self.state = state;
@@ -356,11 +374,13 @@ fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
 }
 
 /// Longest substep in s for a mode frozen at its midpoint while the pole changes at `rate` rad/s².
+#[inline]
 pub(crate) fn max_frozen_substep(rate: f64) -> f64 {
     (12.0 * VARYING_ERROR / rate).sqrt().max(MIN_SUBSTEP)
 }
 
 /// The ends of equal pieces of at most `longest` s, from `start` to `end`.
+#[inline]
 pub(crate) fn split_interval(start: Time, end: Time, longest: f64) -> impl Iterator<Item = Time> {
     let span = end - start;
     let pieces = ((span.seconds() / longest).ceil().max(1.0) as u64).min(span.as_nanos());

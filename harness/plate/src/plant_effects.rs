@@ -12,6 +12,7 @@ use crate::effects::Effects;
 use crate::mode::{Drive, Mode};
 use crate::motion::{FrozenMotion, ModeMotion, Motion, PerMode};
 use crate::plant::{Plant, VARYING_ERROR, max_frozen_substep, split_interval};
+use crate::tier::Tier;
 use crate::time::Time;
 use crate::varying::VaryingFlow;
 use num_complex::Complex64;
@@ -128,8 +129,9 @@ impl Plant {
             let [first, second, third] = instants.map(|(time, heat)| self.modes_at(time, heat));
             let [middle, last] = [middle, last].map(|time| (time - start).seconds());
             first.zip(second).zip(third).zip(effects.states).map(|(((first, second), third), state)| {
-                let flow = VaryingFlow::forced(&first, (middle, second), (last, third), omega, *forcing, &state);
-                ModeMotion::Varying(flow)
+                let drive = Drive { vpp: forcing.constant, omega };
+                let flow = VaryingFlow::new(Tier::Modal, &first, (middle, second), (last, third), &drive, &state);
+                ModeMotion::Varying(flow, *forcing)
             })
         };
         let mut motion = varying_with(heat_k);

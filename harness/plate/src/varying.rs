@@ -108,6 +108,19 @@ impl PoleStep {
     }
 }
 
+/// Response of a pole with the rate `pole_slope` to a ramp and to a decaying drive, per unit of force; the force
+/// changes by `−force_slope` per second.
+fn forced_part(forcing: &Forcing, pole: Complex64, pole_slope: Complex64, force_slope: f64, t: f64) -> Complex64 {
+    let Forcing { slope: ramp, decaying, rate, .. } = *forcing;
+    let passage = PoleStep::new(pole, t);
+    let total = pole_slope + pole * force_slope;
+    // The ramp's mean, and its slope about the middle.
+    let ramp = ramp * t / 2.0 * (passage.forced + total * passage.commutator) - ramp * pole * passage.commutator;
+    let decay = PoleStep::decaying(pole, rate, t);
+    let total = pole_slope + (pole + rate) * force_slope;
+    ramp + decaying * (decay.forced + total * decay.commutator)
+}
+
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VaryingFlow {
     tier: Tier,
@@ -117,26 +130,9 @@ pub(crate) struct VaryingFlow {
     envelope_constant: f64,
     sigma: Parabola,
     omega0: Parabola,
-    /// `None` if the drive is constant.
-    forcing: Option<Forcing>,
 }
 
 impl VaryingFlow {
-    /// The modal plate under an amplifier's output.
-    pub(crate) fn forced(
-        first: &Mode,
-        middle: (f64, Mode),
-        last: (f64, Mode),
-        omega: f64,
-        forcing: Forcing,
-        state: &State,
-    ) -> Self {
-        let drive = Drive { vpp: forcing.constant, omega };
-        let constant = Self::new(Tier::Modal, first, middle, last, &drive, state);
-        let varies = forcing.slope != 0.0 || forcing.decaying != 0.0;
-        Self { forcing: varies.then_some(forcing), ..constant }
-    }
-
     /// The mode is `first` at 0 and `middle`, `last` at their times in s.
     pub(crate) fn new(
         tier: Tier,
@@ -156,7 +152,6 @@ impl VaryingFlow {
             envelope_constant: first.envelope_constant,
             sigma: through(|mode| mode.sigma),
             omega0: through(|mode| mode.omega0),
-            forcing: None,
         }
     }
 
@@ -230,22 +225,29 @@ impl VaryingFlow {
             let pole = Complex64::new(-damping, side * omega - self.drive.omega);
             let passage = PoleStep::new(pole, t);
             // The force is proportional to 1/√Ω.
-            let pole_slope = Complex64::new(-damping_slope, side * slope);
-            let force_slope = slope / (2.0 * omega);
-            let total = pole_slope + pole * force_slope;
-            let constant = passage.free * amplitude + side * force * (passage.forced + total * passage.commutator);
-            let Some(forcing) = &self.forcing else { return constant };
-            let Forcing { slope: ramp, decaying, rate, .. } = *forcing;
-            let unit = side * self.force_constant / (2.0 * (omega * start.omega).sqrt());
-            // The ramp's mean, and its slope about the middle.
-            let mean = ramp * t / 2.0 * (passage.forced + total * passage.commutator);
-            let ramp = mean - ramp * pole * passage.commutator;
-            let decay = PoleStep::decaying(pole, rate, t);
-            let total = pole_slope + (pole + rate) * force_slope;
-            constant + unit * (ramp + decaying * (decay.forced + total * decay.commutator))
+            let slope = Complex64::new(-damping_slope, side * slope) + pole * (slope / (2.0 * omega));
+            passage.free * amplitude + side * force * (passage.forced + slope * passage.commutator)
         };
         let (slow, fast) = self.pole_amplitudes(start);
         let (slow, fast) = (moved(slow, 1.0), moved(fast, -1.0));
+        let scale = (start.omega / end.omega).sqrt();
+        let w = scale * (slow + fast);
+        State { w, u: J * (end.omega * scale) * (slow - fast) - end.shear * w }
+    }
+
+    /// Response of the modal plate at rest to a ramp and to a decaying drive; adds to [`Self::after`] of the constant
+    /// part.
+    pub(crate) fn response_to(&self, forcing: &Forcing, t: f64) -> State {
+        let (start, middle, end) = (self.oscillation(0.0), self.oscillation(t / 2.0), self.oscillation(t));
+        let omega = (start.omega + 4.0 * middle.omega + end.omega) / 6.0;
+        let (slope, damping) = (start.slope.midpoint(end.slope), self.sigma.mean(t));
+        let unit = self.force_constant / (2.0 * (omega * start.omega).sqrt());
+        let of_side = |side: f64| {
+            let pole = Complex64::new(-damping, side * omega - self.drive.omega);
+            let pole_slope = Complex64::new(-self.sigma.mean_slope(t), side * slope);
+            side * unit * forced_part(forcing, pole, pole_slope, slope / (2.0 * omega), t)
+        };
+        let (slow, fast) = (of_side(1.0), of_side(-1.0));
         let scale = (start.omega / end.omega).sqrt();
         let w = scale * (slow + fast);
         State { w, u: J * (end.omega * scale) * (slow - fast) - end.shear * w }
