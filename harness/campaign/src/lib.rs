@@ -17,6 +17,7 @@ mod counterexample;
 pub mod distribution;
 pub mod draw;
 pub mod error;
+mod first_order;
 pub mod merge;
 pub mod outcome;
 mod part;

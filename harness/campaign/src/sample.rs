@@ -1,6 +1,7 @@
-//! Computes quantiles of values and rank correlations with margins, over the first trials.
+//! Computes quantiles of values, and rank correlations and first-order indices of margins, over the first trials.
 
-use crate::campaign::Campaign;
+use crate::campaign::{Campaign, Method};
+use crate::first_order::first_order;
 use crate::row::Row;
 use platebench_verdict::statistics::quantile::quantile_bounds;
 use serde_json::{Value, json};
@@ -38,6 +39,8 @@ pub struct Sensitivity {
     pub key: String,
     pub correlation: f64,
     pub interval: [f64; 2],
+    /// First-order Sobol index of the margin's rank, and its interval. For `sobol` and `random`.
+    pub first_order: Option<(f64, [f64; 2])>,
 }
 
 impl Sample {
@@ -73,7 +76,10 @@ impl Sample {
             let is_number = draws.iter().all(|draw| draw.is_finite()) && draws.len() >= MIN_TRIALS;
             let correlation = correlation(&ranks(draws), &scores).filter(|_| is_number)?;
             let interval = bounds(correlation, draws.len(), campaign.confidence);
-            Some(Sensitivity { key: variable.key.clone(), correlation, interval })
+            let first_order = matches!(campaign.method, Method::Sobol | Method::Random)
+                .then(|| first_order(&ranks(draws), &scores, campaign.confidence, campaign.seed))
+                .flatten();
+            Some(Sensitivity { key: variable.key.clone(), correlation, interval, first_order })
         };
         let mut found: Vec<_> = campaign.variables.iter().zip(&self.draws).filter_map(sensitivity).collect();
         found.sort_by(|one, other| other.correlation.abs().total_cmp(&one.correlation.abs()));
@@ -89,7 +95,10 @@ impl Sample {
         });
         let sensitivities = self.sensitivities(campaign).into_iter().map(|sensitivity| {
             json!({ "key": sensitivity.key, "rank_correlation": sensitivity.correlation,
-                "interval": sensitivity.interval })
+                "interval": sensitivity.interval,
+                "first_order": sensitivity.first_order.map(|(index, interval)| {
+                    json!({ "index": index, "interval": interval })
+                }) })
         });
         json!({ "trials": self.scores.len(), "quantiles": quantiles.collect::<Vec<_>>(),
             "sensitivities": sensitivities.collect::<Vec<_>>() })
@@ -104,6 +113,9 @@ impl Sample {
                 "rank correlation of {} and the smallest margin: {:.3}, {low:.3} to {high:.3}",
                 sensitivity.key, sensitivity.correlation
             );
+            if let Some((index, [low, high])) = sensitivity.first_order {
+                let _ = writeln!(text, "  first-order index: {index:.3}, {low:.3} to {high:.3}");
+            }
         }
         text
     }
