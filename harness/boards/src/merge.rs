@@ -148,18 +148,30 @@ fn check_trials(runs: &[StoredRun]) -> Result<(), MergeError> {
     Ok(())
 }
 
+/// Boards that played different shards of the same N share one set of shards; otherwise each board has its own.
 fn missing_shards(runs: &[StoredRun]) -> Vec<MissingShard> {
-    let mut present: BTreeMap<(&str, usize), BTreeSet<usize>> = BTreeMap::new();
+    let mut present: BTreeMap<usize, BTreeMap<&str, BTreeSet<usize>>> = BTreeMap::new();
     for run in runs {
         if let Some([shard, shards]) = run.record.overrides.shard {
-            present.entry((&run.board, shards)).or_default().insert(shard);
+            present.entry(shards).or_default().entry(&run.board).or_default().insert(shard);
         }
     }
-    let missing = present.into_iter().flat_map(|((board, shards), present)| {
-        let absent = (1..=shards).filter(move |shard| !present.contains(shard));
-        absent.map(move |shard| MissingShard { board: board.to_owned(), shard, shards })
-    });
-    missing.collect()
+    let mut missing = Vec::new();
+    for (shards, boards) in present {
+        let all: BTreeSet<usize> = boards.values().flatten().copied().collect();
+        let is_shared = boards.values().map(BTreeSet::len).sum::<usize>() == all.len();
+        let names = boards.keys().copied().collect::<Vec<_>>().join(", ");
+        let sets = if is_shared {
+            vec![(names, all)]
+        } else {
+            boards.into_iter().map(|(board, present)| (board.to_owned(), present)).collect()
+        };
+        for (board, present) in sets {
+            let absent = (1..=shards).filter(|shard| !present.contains(shard));
+            missing.extend(absent.map(|shard| MissingShard { board: board.clone(), shard, shards }));
+        }
+    }
+    missing
 }
 
 fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {

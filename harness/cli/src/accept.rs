@@ -203,7 +203,8 @@ fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Exit> {
     let scenarios: Vec<_> = plan.scenarios.iter().map(|planned| planned.scenario.clone()).collect();
     check_line_speed(&rig, clock, &scenarios).map_err(|error| stdio::reject(&error))?;
     let key = arguments.sign.as_deref().map(SecretKey::read).transpose().map_err(|error| stdio::reject(&error))?;
-    let is_serial = matches!(clock, platebench_runner::Clock::RealTime(_)) || !rig.allows_parallel_links();
+    let is_serial =
+        matches!(clock, platebench_runner::Clock::RealTime(_)) || !arguments.board.allows_parallel_links(&rig);
     let jobs = if is_serial { 1 } else { job_count(None) };
     let out = arguments.resume.clone().or_else(|| arguments.out.clone());
     Ok(SessionConfig {

@@ -49,6 +49,11 @@ impl BoardArgs {
         self.selection.find().map(|board| board.map(|board| board.rig))
     }
 
+    /// A board carries one trial at a time, whatever starts its controller.
+    pub(crate) fn allows_parallel_links(&self, rig: &RigSpec) -> bool {
+        self.selection.board.is_none() && rig.allows_parallel_links()
+    }
+
     /// `None` without `--board`. Reports an error. From then on signals do not end the program.
     pub(crate) fn reserve(&self, command: &str) -> Result<Option<Reservation>, Exit> {
         let Some(name) = &self.selection.board else { return Ok(None) };

@@ -257,6 +257,7 @@ fn play_on_board(
         Err(exit) => return Ok(Some(exit)),
     };
     let unconfirmed = Arc::new(AtomicBool::new(false));
+    let jobs = if board.allows_parallel_links(rig) { jobs } else { Some(1) };
     let played = play(folder, context, shards, rig, jobs, quiet, &unconfirmed);
     let end = if unconfirmed.load(Ordering::Relaxed) || matches!(played, Err(CampaignError::Lost(_))) {
         RunEnd::unconfirmed()
@@ -279,8 +280,12 @@ fn play(
 ) -> Result<Option<Exit>, CampaignError> {
     let total: u64 = shards.iter().map(|shard| plan.trials_of(*shard)).map(|trials| trials.end - trials.start).sum();
     let cancel = CancelToken::default();
-    let jobs = if rig.allows_parallel_links() { job_count(jobs) } else { 1 };
-    let config = PlayConfig { rig: rig.clone(), jobs, cancel: cancel.clone(), unconfirmed: Arc::clone(unconfirmed) };
+    let config = PlayConfig {
+        rig: rig.clone(),
+        jobs: job_count(jobs),
+        cancel: cancel.clone(),
+        unconfirmed: Arc::clone(unconfirmed),
+    };
     let folder = folder.to_owned();
     let work = move |events: &mut EventSender<_, PlayEvent>| {
         shards.into_iter().try_for_each(|shard| {

@@ -3,7 +3,7 @@
 use crate::board_args::{BoardArgs, release};
 use crate::clock::{ClockRequest, check_line_speed};
 use crate::exit::Exit;
-use crate::options::{ClockArg, PacingArg, PlateModeArg, SCENARIOS, job_count, law_names};
+use crate::options::{ClockArg, PacingArg, PlateModeArg, SCENARIOS, law_names};
 use crate::run::report_if_empty;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
@@ -12,7 +12,7 @@ use platebench_boards::{RunEnd, SoakConfig, SoakEnd, SoakRecord, SoakResult, soa
 use platebench_record::Overrides;
 use platebench_report::page::{self, BlockPage, PageBlock};
 use platebench_rig::ConnectOptions;
-use platebench_runner::{CancelToken, Clock, RunError, RunPlan, rejudge};
+use platebench_runner::{CancelToken, RunError, RunPlan, rejudge};
 use platebench_scenario::find;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -82,10 +82,9 @@ fn play_on_board(arguments: &SoakArgs) -> Result<Exit, Exit> {
         rejudge::apply_overrides(&overrides, scenario);
     }
     check_line_speed(&board.rig, clock, &scenarios).map_err(|fault| stdio::reject(&fault))?;
-    let is_serial = !board.rig.allows_parallel_links() || !matches!(clock, Clock::Lockstep { .. });
     let plan = RunPlan {
         scenarios,
-        jobs: if is_serial { 1 } else { job_count(None) },
+        jobs: 1,
         clock,
         own_clock: board.rig.has_own_clock(),
         rig: board.rig.to_string(),

@@ -5,7 +5,7 @@ use std::fs;
 
 const CHIP: &str = "0102030405060708090a0b0c";
 
-fn inventory(boards: &[(&str, String)]) -> String {
+pub(crate) fn inventory(boards: &[(&str, String)]) -> String {
     let board = |(name, keys): &(&str, String)| format!("[[board]]\nname = \"{name}\"\n{keys}\n");
     boards.iter().map(board).collect::<Vec<_>>().concat()
 }
@@ -30,7 +30,7 @@ fn start_minute(folder: &TestFolder) -> ChildGuard {
     bench
 }
 
-fn state(folder: &TestFolder, board: usize) -> serde_json::Value {
+pub(crate) fn state_of(folder: &TestFolder, board: usize) -> serde_json::Value {
     folder.bench(["boards", "--format", "json"]).assert_exit(0).json()[board].clone()
 }
 
@@ -45,17 +45,17 @@ fn a_killed_run_leaves_the_board_in_quarantine() {
         "since 20",
     ]);
     assert!(!folder.exists("second"));
-    assert_eq!(state(&folder, 0)["state"], "held");
+    assert_eq!(state_of(&folder, 0)["state"], "held");
     folder.bench(["boards", "clear", "left", "--reason", "x"]).assert_exit(5);
     first.kill();
-    let quarantined = state(&folder, 0);
+    let quarantined = state_of(&folder, 0);
     assert_eq!(quarantined["state"], "quarantined");
     assert!(quarantined["reason"].as_str().unwrap().contains("without confirmed 0 V"), "{quarantined}");
     folder.bench(["run", "--board", "left", "--wait", "1"]).assert_exit(5).assert_stderr(&["quarantine", "clear left"]);
     folder.bench(["boards", "clear", "left", "--reason", " "]).assert_exit(2);
     folder.bench(["boards", "clear", "left", "--reason", "0 V measured"]).assert_exit(0);
     folder.bench(["run", "--board", "left", "--out", "third"]).assert_exit(0);
-    let free = state(&folder, 0);
+    let free = state_of(&folder, 0);
     assert_eq!((&free["state"], &free["last_run"]["verdict"]), (&"free".into(), &"pass".into()));
     assert!(free["last_run"]["folder"].as_str().unwrap().ends_with("third"));
     folder.bench(["boards", "clear", "left", "--reason", "x"]).assert_exit(2).assert_stderr(&["not in quarantine"]);
@@ -68,11 +68,11 @@ fn a_cancelled_or_failed_run_leaves_the_board_free() {
     let first = start_minute(&folder);
     first.signal("INT");
     first.finish().assert_exit(130);
-    assert_eq!(state(&folder, 0)["state"], "free");
+    assert_eq!(state_of(&folder, 0)["state"], "free");
     folder.bench(["run", "--board", "left", "--out", "minute"]).assert_exit(2).assert_stderr(&["already contains"]);
     folder.replace("scenarios/s.toml", "at_most = 2.0", "at_most = 1.9");
     folder.bench(["run", "--board", "left", "--out", "failed"]).assert_exit(1);
-    let free = state(&folder, 0);
+    let free = state_of(&folder, 0);
     assert_eq!((&free["state"], &free["last_run"]["verdict"]), (&"free".into(), &"fail".into()));
 }
 
@@ -105,7 +105,7 @@ fn a_board_with_another_chip_is_not_configured() {
     let states = fs::read_to_string(&log).unwrap();
     assert!(states.contains("\"start\"") && !states.contains("running"), "{states}");
     assert!(!folder.exists("run"));
-    assert_eq!(state(&folder, 0)["state"], "quarantined");
+    assert_eq!(state_of(&folder, 0)["state"], "quarantined");
     folder.write("boards.toml", &inventory(&[("left", keys.replace(CHIP, &"F".repeat(24)))]));
     folder.bench(["boards", "clear", "left", "--reason", "inventory corrected"]).assert_exit(0);
     folder.bench(["run", "--board", "left", "--out", "run"]).assert_exit(0);
@@ -119,7 +119,7 @@ fn a_dead_board_stops_no_other_board() {
     let probe = |rig: &str| format!("rig = \"{rig}\"\nprobe_serial = \"066DFF\"");
     folder.write("boards.toml", &inventory(&[("dead", dead), ("left", probe("hosted")), ("right", probe("hosted"))]));
     folder.bench(["run", "--board", "dead", "--out", "a"]).assert_exit(5);
-    assert_eq!(state(&folder, 0)["state"], "free", "no voltage was applied");
+    assert_eq!(state_of(&folder, 0)["state"], "free", "no voltage was applied");
     let first = start_minute(&folder);
     folder.bench(["run", "--board", "right", "--out", "b"]).assert_exit(5).assert_stderr(&["right is held"]);
     first.signal("TERM");
@@ -148,7 +148,7 @@ fn other_commands_take_their_rig_from_the_board() {
     let folder = lab("rig = \"hosted\"\nplate = \"scenarios/plates/aluminium-198x138.toml\"");
     folder.bench(["tune", "--board", "left", "--out", "step"]).assert_exit(0).assert_stdout(&["accepted the gains"]);
     assert_eq!(folder.record("step").overrides.board.as_deref(), Some("left"));
-    assert!(state(&folder, 0)["last_run"]["folder"].as_str().unwrap().ends_with("step"));
+    assert!(state_of(&folder, 0)["last_run"]["folder"].as_str().unwrap().ends_with("step"));
     folder
         .bench(["emulate", "--board", "left", "--scenario", "scenarios/s.toml"])
         .assert_exit(2)
@@ -159,7 +159,7 @@ fn other_commands_take_their_rig_from_the_board() {
          [plan]\nmethod = \"random\"\ntrials = 3\n",
     );
     folder.bench(["campaign", "run", "c.toml", "--board", "left", "--out", "c"]).assert_exit_in(&[0, 1]);
-    assert_eq!(state(&folder, 0)["state"], "free");
+    assert_eq!(state_of(&folder, 0)["state"], "free");
 }
 
 #[test]
@@ -178,7 +178,7 @@ fn a_soak_advances_its_seeds_and_ends_at_0_volt() {
     let runs = record["runs"].as_u64().unwrap();
     assert_eq!((&record["end"], &record["safe_confirmed"]), (&"cancelled".into(), &true.into()));
     assert_eq!(record["scenarios"]["s.toml"]["metrics"]["settling_time_ms"]["count"], runs);
-    assert_eq!(state(&folder, 0)["state"], "free");
+    assert_eq!(state_of(&folder, 0)["state"], "free");
     let newest = folder.record(&format!("soak/{}", record["newest"].as_str().unwrap()));
     assert_eq!(newest.scenarios[0].trials[0].seed, runs, "the first seed is 1");
     assert!(fs::read_dir(folder.join("soak/runs")).unwrap().count() <= 2);

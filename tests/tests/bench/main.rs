@@ -9,6 +9,8 @@
 
 mod accept;
 mod authoring;
+mod board_matrix;
+mod board_quarantine;
 mod boards;
 mod campaign;
 mod campaign_chains;

@@ -77,9 +77,9 @@ pub(super) fn play(
         folder.remove_if_empty();
     })?;
     let is_real = clock == Clock::RealPlate;
-    // A serial line carries one trial. In real time only --jobs lets work compete with the loop.
+    // A serial line and a board carry one trial. In real time only --jobs lets work compete with the loop.
     let jobs = match arguments.jobs {
-        _ if !arguments.rig.allows_parallel_links() || is_real => 1,
+        _ if !arguments.board.allows_parallel_links(&arguments.rig) || is_real => 1,
         None if !matches!(clock, Clock::Lockstep { .. }) => 1,
         jobs => job_count(jobs),
     };

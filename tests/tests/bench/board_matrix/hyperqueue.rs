@@ -1,0 +1,142 @@
+//! Tests the `hq submit` lines of the documentation and of `campaign submit` on HyperQueue.
+
+use super::{DEAD, HEALTHY, KILLED, WRONG_CHIP, boards, clear_killed, lab};
+use crate::boards::state_of;
+use crate::campaign::{self, results};
+use crate::test_folder::{ChildGuard, TestFolder, run_bench};
+use platebench_record::{RunRecord, Verdict};
+use platebench_test_kit::{skip_without, workspace_root};
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/test-readers/bin/python");
+const SUBMIT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/bench/board_matrix/hq_submit.py");
+const KILLS: usize = 3;
+
+fn has_hyperqueue() -> bool {
+    let import = Command::new(PYTHON).args(["-c", "import hyperqueue"]).stderr(Stdio::null()).status();
+    let exists = import.is_ok_and(|status| status.success());
+    if !exists {
+        skip_without(&format!("hyperqueue for {PYTHON}"));
+    }
+    exists
+}
+
+/// A shell reads `line` as it would at a prompt.
+fn start_submission(folder: &Path, names: &str, line: &str) -> ChildGuard {
+    let programs = folder.join("bin");
+    if !programs.exists() {
+        fs::create_dir(&programs).unwrap();
+        symlink(env!("CARGO_BIN_EXE_platebench-under-test"), programs.join("platebench")).unwrap();
+    }
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+    let mut shell = Command::new("sh");
+    shell.args(["-c", &format!("exec '{PYTHON}' '{SUBMIT}' {names} {line}")]).current_dir(folder).env("PATH", path);
+    ChildGuard(shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
+}
+
+fn failed_tasks(folder: &TestFolder) -> Vec<String> {
+    folder.read("failed.txt").split(',').filter(|task| !task.is_empty()).map(str::to_owned).collect()
+}
+
+fn errors(folder: &TestFolder, tasks: &[String]) -> String {
+    tasks.iter().map(|task| format!("{task}: {}", folder.read(&format!("hq-{task}.err")))).collect()
+}
+
+/// The first bench that uses the board for a run is killed by the board's own program.
+fn kill_first_bench(folder: &TestFolder) {
+    let script = format!(
+        "if grep -q '\"process\"' boards.state/{KILLED}.json && mkdir killed; then kill -KILL $PPID; fi 2>/dev/null\nexec \"$@\"\n"
+    );
+    folder.write("kill.sh", &script);
+    let controller = format!("flock --nonblock --no-fork '{}'", folder.join(&format!("{KILLED}.use")).display());
+    folder.replace("boards.toml", &controller, &format!("sh kill.sh {controller}"));
+}
+
+fn complete_runs(folder: &TestFolder) -> Vec<String> {
+    let is_complete = |run: &str| RunRecord::read(&folder.join(run)).is_ok_and(|record| record.complete);
+    let runs = fs::read_dir(folder.join("runs")).unwrap().map(|run| run.unwrap().file_name().into_string().unwrap());
+    let mut complete: Vec<_> = runs.map(|run| format!("runs/{run}")).filter(|run| is_complete(run)).collect();
+    complete.sort_unstable();
+    complete
+}
+
+#[test]
+fn the_recipe_of_the_page_plays_all_shards_on_hyperqueue() {
+    if !has_hyperqueue() {
+        return;
+    }
+    let page = fs::read_to_string(workspace_root().join("docs/several-boards.md")).unwrap();
+    let recipe = page.lines().find(|line| line.starts_with("hq submit")).unwrap();
+    let folder = lab(8);
+    folder.write("platebench.toml", "[run]\nclock = \"lockstep\"\n");
+    kill_first_bench(&folder);
+    let all: Vec<_> = boards().collect();
+    start_submission(folder.path(), &all.join(","), recipe).finish().assert_exit(1);
+    let failed = failed_tasks(&folder);
+    let first = complete_runs(&folder);
+    assert_eq!((first.len() + failed.len(), failed.is_empty()), (8, false), "{}", errors(&folder, &failed));
+    let part = folder.bench(["merge", "--out", "part"].into_iter().chain(first.iter().map(String::as_str)));
+    let missing: Vec<_> = failed.iter().map(|task| format!("shard {task}/8 of ")).collect();
+    part.assert_exit(3).assert_stderr(&missing.iter().map(String::as_str).collect::<Vec<_>>());
+    for (number, board) in all.iter().enumerate() {
+        let state = state_of(&folder, number)["state"].clone();
+        assert!(state == "free" || [KILLED, WRONG_CHIP].contains(board), "{board}: {state}");
+    }
+    assert_eq!(state_of(&folder, HEALTHY.len())["state"], "quarantined", "{DEAD}");
+    clear_killed(&folder);
+    let usable = all.iter().filter(|board| ![DEAD, WRONG_CHIP].contains(board)).copied().collect::<Vec<_>>();
+    let again = recipe.replace("--array 1-8", &format!("--array {}", failed.join(",")));
+    assert_ne!(again, recipe);
+    start_submission(folder.path(), &usable.join(","), &again).finish().assert_exit(0);
+    let runs = complete_runs(&folder);
+    let merged = folder.bench(["merge", "--out", "all"].into_iter().chain(runs.iter().map(String::as_str)));
+    merged.assert_exit(0);
+    let record = folder.record("all");
+    let mut files: Vec<_> =
+        record.scenarios.iter().filter_map(|scenario| scenario.file.rsplit('/').next()).map(str::to_owned).collect();
+    files.sort_unstable();
+    let expected: Vec<_> = (1..=8).map(|number| format!("s{number}.toml")).collect();
+    assert_eq!((files, record.verdict), (expected, Verdict::Pass));
+}
+
+/// Kills a process `campaign play`, if there is one.
+fn kill_a_shard(folder: &Path, random: usize) -> bool {
+    let is_shard = |process: &String| {
+        let words = fs::read_to_string(format!("/proc/{process}/cmdline")).unwrap_or_default();
+        words.contains("\0campaign\0play\0") && words.contains(&*folder.to_string_lossy())
+    };
+    let all = fs::read_dir("/proc").unwrap().flatten().filter_map(|entry| entry.file_name().into_string().ok());
+    let shards: Vec<_> = all.filter(|name| name.parse::<u32>().is_ok()).filter(is_shard).collect();
+    let Some(shard) = shards.get(random % shards.len().max(1)) else { return false };
+    Command::new("kill").args(["-KILL", shard]).stderr(Stdio::null()).status().unwrap().success()
+}
+
+#[test]
+fn shards_killed_on_hyperqueue_resume_to_the_same_bytes() {
+    if !has_hyperqueue() {
+        return;
+    }
+    let folder = campaign::folder("[plan]\nmethod = \"random\"\ntrials = 4000\n");
+    let folder = folder.path();
+    let alone = run_bench(folder, ["campaign", "run", "campaign.toml", "--jobs", "1", "--out", "alone"]).exit;
+    campaign::plan(folder, "c", 8);
+    let printed = run_bench(folder, ["campaign", "submit", "c", "--on", "hyperqueue"]).assert_exit(0).stdout;
+    let line = printed.lines().find(|line| line.starts_with("hq submit")).unwrap();
+    let mut submission = start_submission(folder, "x,y", line);
+    let mut kills = 0;
+    while !submission.has_ended() {
+        // Every number of kills selects another of the two running shards.
+        kills += usize::from(kills < KILLS && kill_a_shard(folder, kills));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert!(kills > 0, "no shard was killed");
+    submission.finish().assert_exit(1);
+    run_bench(folder, ["campaign", "merge", "c"]).assert_exit(3).assert_stdout(&["missing shards"]);
+    start_submission(folder, "x,y", line).finish().assert_exit(0);
+    assert_eq!(run_bench(folder, ["campaign", "merge", "c"]).exit, alone);
+    assert!(results(folder, "c") == results(folder, "alone"), "the results depend on killed shards");
+}

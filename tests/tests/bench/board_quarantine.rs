@@ -1,0 +1,65 @@
+//! Tests which ends of a run put a board into quarantine, and which do not.
+
+use crate::boards::{inventory, state_of};
+use crate::test_folder::{SETTLING, TestFolder, controller_rig, start_bench, wait_until};
+use rstest::rstest;
+use std::process::Command;
+
+const LEFT: usize = 0;
+const RIGHT: usize = 1;
+
+/// A board `left` with `rig`, a hosted board `right`, and a scenario that settles.
+fn lab(rig: &str) -> TestFolder {
+    let folder = TestFolder::with_step(SETTLING);
+    folder.write(
+        "boards.toml",
+        &inventory(&[("left", format!("rig = \"{rig}\"")), ("right", "rig = \"hosted\"".to_owned())]),
+    );
+    folder
+}
+
+#[track_caller]
+fn assert_only_left_is_quarantined(folder: &TestFolder, reason: &str) {
+    let left = state_of(folder, LEFT);
+    assert_eq!(left["state"], "quarantined", "{left}");
+    assert!(left["reason"].as_str().unwrap().contains(reason), "{left}");
+    folder.bench(["run", "--board", "left", "--out", "refused"]).assert_exit(5).assert_stderr(&["clear left"]);
+    assert!(!folder.exists("refused"));
+    folder.bench(["run", "--board", "right", "--out", "right"]).assert_exit(0);
+    folder.bench(["boards", "clear", "left", "--reason", "0 V measured"]).assert_exit(0);
+    assert_eq!(state_of(folder, LEFT)["state"], "free");
+}
+
+#[test]
+fn a_controller_that_ends_leaves_0_v_unconfirmed() {
+    let folder = lab(&controller_rig(None));
+    let minute = TestFolder::with_minute();
+    folder.write("minute.toml", &minute.read("scenarios/s.toml").replace("\"plates/", "\"scenarios/plates/"));
+    let bench = start_bench(folder.path(), ["run", "minute.toml", "--board", "left", "--out", "run"]);
+    wait_until("the run never began", || folder.exists("run/run.json"));
+    assert!(Command::new("kill").args(["-KILL", &bench.child_id()]).status().unwrap().success());
+    bench.finish().assert_exit(5);
+    assert_only_left_is_quarantined(&folder, "did not confirm 0 V");
+}
+
+#[test]
+fn a_board_lost_during_a_trial_is_quarantined_despite_0_v() {
+    let program = env!("CARGO_BIN_EXE_real-plate-under-test");
+    let folder = lab(&format!("exec:'{program}' {{port}} mute=20"));
+    folder.bench(["run", "--plate-mode", "real", "--board", "left", "--out", "run"]).assert_exit(5);
+    assert_eq!(folder.record("run").safe_confirmed, Some(true));
+    assert_only_left_is_quarantined(&folder, "lost during a trial");
+}
+
+#[rstest]
+#[case::invalid_scenario("scenarios/bad.toml", 2)]
+#[case::failed_scenario("scenarios/failed.toml", 1)]
+fn a_fault_of_the_bench_leaves_the_board_free(#[case] scenario: &str, #[case] exit: i32) {
+    let folder = lab(&controller_rig(None));
+    let text = folder.read("scenarios/s.toml");
+    folder.write_scenario("bad.toml", &text.replace("duration_ms = 60.0", "duration_ms = -1.0"));
+    folder.write_scenario("failed.toml", &text.replace("at_most = 2.0", "at_most = 1.9"));
+    folder.bench(["run", scenario, "--board", "left", "--clock", "lockstep", "--out", "run"]).assert_exit(exit);
+    assert_eq!(state_of(&folder, LEFT)["state"], "free");
+    assert_eq!(state_of(&folder, RIGHT)["state"], "free");
+}
