@@ -56,12 +56,14 @@ fn kill_first_bench(folder: &TestFolder) {
     folder.replace("boards.toml", &controller, &format!("sh kill.sh {controller}"));
 }
 
-fn complete_runs(folder: &TestFolder) -> Vec<String> {
-    let is_complete = |run: &str| RunRecord::read(&folder.join(run)).is_ok_and(|record| record.complete);
+fn passed_runs(folder: &TestFolder) -> Vec<String> {
+    let has_passed = |run: &str| {
+        RunRecord::read(&folder.join(run)).is_ok_and(|record| record.complete && record.verdict == Verdict::Pass)
+    };
     let runs = fs::read_dir(folder.join("runs")).unwrap().map(|run| run.unwrap().file_name().into_string().unwrap());
-    let mut complete: Vec<_> = runs.map(|run| format!("runs/{run}")).filter(|run| is_complete(run)).collect();
-    complete.sort_unstable();
-    complete
+    let mut passed: Vec<_> = runs.map(|run| format!("runs/{run}")).filter(|run| has_passed(run)).collect();
+    passed.sort_unstable();
+    passed
 }
 
 #[test]
@@ -77,7 +79,7 @@ fn the_recipe_of_the_page_plays_all_shards_on_hyperqueue() {
     let all: Vec<_> = boards().collect();
     start_submission(folder.path(), &all.join(","), recipe).finish().assert_exit(1);
     let failed = failed_tasks(&folder);
-    let first = complete_runs(&folder);
+    let first = passed_runs(&folder);
     assert_eq!((first.len() + failed.len(), failed.is_empty()), (8, false), "{}", errors(&folder, &failed));
     let part = folder.bench(["merge", "--out", "part"].into_iter().chain(first.iter().map(String::as_str)));
     let missing: Vec<_> = failed.iter().map(|task| format!("shard {task}/8 of ")).collect();
@@ -92,7 +94,7 @@ fn the_recipe_of_the_page_plays_all_shards_on_hyperqueue() {
     let again = recipe.replace("--array 1-8", &format!("--array {}", failed.join(",")));
     assert_ne!(again, recipe);
     start_submission(folder.path(), &usable.join(","), &again).finish().assert_exit(0);
-    let runs = complete_runs(&folder);
+    let runs = passed_runs(&folder);
     let merged = folder.bench(["merge", "--out", "all"].into_iter().chain(runs.iter().map(String::as_str)));
     merged.assert_exit(0);
     let record = folder.record("all");
