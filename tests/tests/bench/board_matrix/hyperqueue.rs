@@ -1,4 +1,4 @@
-//! Tests the `hq submit` lines of the documentation and of `campaign submit` on HyperQueue.
+//! Tests the `hq submit` lines of the documentation and of `campaign submit` on `HyperQueue`.
 
 use super::{DEAD, HEALTHY, KILLED, WRONG_CHIP, boards, clear_killed, lab};
 use crate::boards::state_of;
@@ -43,7 +43,8 @@ fn failed_tasks(folder: &TestFolder) -> Vec<String> {
 }
 
 fn errors(folder: &TestFolder, tasks: &[String]) -> String {
-    tasks.iter().map(|task| format!("{task}: {}", folder.read(&format!("hq-{task}.err")))).collect()
+    let errors: Vec<_> = tasks.iter().map(|task| folder.read(&format!("hq-{task}.err"))).collect();
+    errors.concat()
 }
 
 /// The first bench that uses the board for a run is killed by the board's own program.
