@@ -91,9 +91,9 @@ pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> Exit {
             stdio::note(&event.to_string());
         }
     });
-    let report = match result {
-        Ok(WorkResult::Finished(Ok(report), None)) => report,
-        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => {
+    let (report, signal) = match result {
+        Ok(WorkResult::Finished(Ok(report), signal)) => (report, signal),
+        Ok(WorkResult::Finished(Err(_), Some(signal)) | WorkResult::Abandoned(signal)) => {
             folder.remove_if_empty();
             return Exit::Signal(signal);
         }
@@ -113,7 +113,7 @@ pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> Exit {
     }
     stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
     stdio::note(&format!("report: {}", folder.path().join(page::FILE).display()));
-    Exit::of_verdict(report.verdict)
+    signal.map_or_else(|| Exit::of_verdict(report.verdict), Exit::Signal)
 }
 
 fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Exit> {

@@ -85,7 +85,7 @@ pub(crate) struct SceneDraw {
     pub(crate) earlier: Vec<(Option<ConfigurationDraw>, TrialDraw)>,
     pub(crate) configuration: ConfigurationDraw,
     pub(crate) judged: TrialDraw,
-    pub(crate) fault: Option<LineFaultDraw>,
+    pub(crate) faults: Vec<LineFaultDraw>,
 }
 
 /// Step widths of the grids.
@@ -262,8 +262,9 @@ pub(crate) fn scene(envelope: &Envelope, stratum: &Stratum) -> BoxedStrategy<Sce
         Just(Vec::new()).boxed()
     };
     let judged = trial(envelope, &stratum.kinds, envelope.count.events, stratum.is_long);
-    let fault = if stratum.has_fault { LineFaultDraw::strategy().prop_map(Some).boxed() } else { Just(None).boxed() };
-    (earlier, configuration(envelope, stratum, false), judged, fault)
-        .prop_map(|(earlier, configuration, judged, fault)| SceneDraw { earlier, configuration, judged, fault })
+    let faults =
+        if stratum.has_fault { vec(LineFaultDraw::strategy(), 1..=2).boxed() } else { Just(Vec::new()).boxed() };
+    (earlier, configuration(envelope, stratum, false), judged, faults)
+        .prop_map(|(earlier, configuration, judged, faults)| SceneDraw { earlier, configuration, judged, faults })
         .boxed()
 }

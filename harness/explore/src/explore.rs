@@ -12,6 +12,7 @@ use crate::staging::Staging;
 use platebench_rig::CancelToken;
 use platebench_scenario::Scenario;
 use platebench_wire::LawId;
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc;
@@ -20,6 +21,8 @@ use std::time::{Duration, Instant};
 
 /// Earlier scenes of a controller that may explain a failure.
 const MAX_HISTORY: usize = 8;
+/// Undecided scenes that the result names.
+const MAX_UNDECIDED: usize = 10;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Budget {
@@ -73,6 +76,13 @@ pub struct FailedScene {
     pub history: Vec<u64>,
 }
 
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct UndecidedScene {
+    pub scene: u64,
+    /// The cause (`rig`, `bench`) and its reason.
+    pub cause: String,
+}
+
 #[derive(Debug, Clone, PartialEq)]
 pub struct FailedRegression {
     pub file: String,
@@ -99,6 +109,8 @@ impl Default for PropertyTally {
 pub struct Exploration {
     pub scenes: u64,
     pub undecided: u64,
+    /// The first ones in the order of play.
+    pub undecided_scenes: Vec<UndecidedScene>,
     pub properties: BTreeMap<Property, PropertyTally>,
     /// Failed scenes by number.
     pub failed: Vec<FailedScene>,
@@ -107,12 +119,19 @@ pub struct Exploration {
     pub failed_regressions: Vec<FailedRegression>,
     pub coverage: Coverage,
     pub elapsed: Duration,
+    /// True if a signal ended it before its budget.
+    pub is_interrupted: bool,
 }
 
 impl Exploration {
     fn add(&mut self, scene: &Scene, index: u64, result: &SceneResult, envelope: &Envelope) {
         self.scenes += 1;
-        self.undecided += u64::from(result.undecided.is_some());
+        if let Some(cause) = result.undecided.clone() {
+            self.undecided += 1;
+            if self.undecided_scenes.len() < MAX_UNDECIDED {
+                self.undecided_scenes.push(UndecidedScene { scene: index, cause });
+            }
+        }
         self.coverage.add(scene, envelope);
         for window in &result.windows {
             let tally = self.properties.entry(window.property).or_default();
@@ -134,7 +153,7 @@ impl Exploration {
 }
 
 /// Plays regressions and scenes. `on_scene` receives the number of scenes and failed scenes so far.
-/// A violated property is no error.
+/// A violated property is no error, neither is a signal.
 pub fn explore(
     config: &ExploreConfig,
     connect: &Connect<'_>,
@@ -170,9 +189,7 @@ pub fn explore(
         }
         outcome
     })?;
-    if cancel.is_cancelled() {
-        return Err(ExploreError::Cancelled);
-    }
+    exploration.is_interrupted = cancel.is_cancelled();
     exploration.failed.sort_by_key(|scene| scene.index);
     exploration.elapsed = started.elapsed();
     Ok(exploration)
@@ -188,7 +205,7 @@ fn play_regressions(
     for scenario in &config.regressions {
         // As under `run`, the first trial meets a controller without a history.
         player.renew();
-        let Some(result) = player.play(scenario)? else { return Err(ExploreError::Cancelled) };
+        let Some(result) = player.play(scenario)? else { return Ok(()) };
         exploration.regressions += 1;
         if !result.failures.is_empty() {
             let (file, failures) = (scenario.file.clone(), result.failures);

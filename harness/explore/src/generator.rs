@@ -9,6 +9,7 @@ use crate::draw::{
 use crate::envelope::Envelope;
 use crate::event_kind::EventKind;
 use crate::law_properties::LawProperties;
+use crate::line_fault::LineFaultDraw;
 use crate::scene::{Course, PlateChoice, Scene, SceneTrial};
 use crate::stratum::{SineOf, Stratum};
 use crate::tuning::Tuning;
@@ -79,7 +80,8 @@ impl<'a> Generator<'a> {
     fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
         let judged_configuration = self.configuration(&draw.configuration, self.law);
         let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum, 10) };
-        judged.fault = draw.fault.and_then(|fault| fault.place(judged.duration_us, judged.period_us));
+        let place = |fault: &LineFaultDraw| fault.place(judged.duration_us, judged.period_us);
+        judged.faults = draw.faults.iter().filter_map(place).collect();
         let earlier_stratum = Stratum { sine: None, is_overloaded: stratum.is_overloaded_before, ..stratum.clone() };
         let law = |draw: &ConfigurationDraw| self.laws.get(draw.law % self.laws.len().max(1)).copied();
         let earlier: Vec<_> = draw
@@ -143,7 +145,7 @@ impl<'a> Generator<'a> {
             force: force.finish(),
             temperature: temperature.finish(),
             tuning,
-            fault: None,
+            faults: Vec::new(),
         };
         self.add_sine(&mut trial, draw, stratum.sine);
         let share = if stratum.is_overloaded { MAX_OVERLOAD } else { MAX_STEADY_DRIVE };

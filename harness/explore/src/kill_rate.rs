@@ -154,6 +154,7 @@ impl KillRateConfig {
             compares_reference: false,
             regressions: Vec::new(),
         };
-        explore(&config, &|| Ok(link()), cancel, &mut |_, _| {})
+        let exploration = explore(&config, &|| Ok(link()), cancel, &mut |_, _| {})?;
+        if exploration.is_interrupted { Err(ExploreError::Cancelled) } else { Ok(exploration) }
     }
 }

@@ -1,4 +1,4 @@
-//! A planned fault of the line in the judged trial.
+//! Planned faults of the line in the judged trial.
 
 use platebench_plate::Time;
 use platebench_runner::wire_fault_kind;
@@ -14,6 +14,8 @@ pub struct LineFault {
     /// Start of the window, µs; a control instant.
     pub from_us: u32,
     pub until_us: u32,
+    /// The n-th, 2n-th, … message of a direction in the window.
+    pub every: u32,
 }
 
 /// Before the trial is known.
@@ -25,9 +27,14 @@ pub(crate) struct LineFaultDraw {
     to_controller: bool,
     /// Share of the trial before the fault, percent.
     at: u32,
+    every: u32,
     /// Control periods.
     length: u32,
 }
+
+/// Rejected frames add two to the controller's counter, samples subtract one, and at ten it stops (docs/wire-protocol.md).
+/// A window of at least so many control periods can reach that if every second frame is damaged.
+const LONG_WINDOW: std::ops::RangeInclusive<u32> = 3..=24;
 
 /// A controller that stopped is configured again and runs at the end of the trial.
 const MIN_PERIODS_AFTER: u32 = 8;
@@ -38,17 +45,26 @@ impl LineFaultDraw {
     pub(crate) fn strategy() -> BoxedStrategy<Self> {
         let kind = prop_oneof![
             // One more would trigger the watchdog.
-            6 => (Just(FaultKind::Drop), 1..=3_u32),
-            4 => (Just(FaultKind::Duplicate), 1..=8_u32),
-            2 => (Just(FaultKind::Flip), 1..=2_u32),
-            1 => (Just(FaultKind::Truncate), Just(1)),
-            2 => (Just(FaultKind::Delay(Time::ZERO)), 1..=4_u32),
+            6 => (Just(FaultKind::Drop), Just(1), 1..=3_u32),
+            2 => (Just(FaultKind::Drop), 2..=3_u32, LONG_WINDOW),
+            4 => (Just(FaultKind::Duplicate), 1..=2_u32, 2..=8_u32),
+            2 => (Just(FaultKind::Flip), Just(1), 1..=2_u32),
+            1 => (Just(FaultKind::Truncate), Just(1), Just(1)),
+            3 => (prop_oneof![Just(FaultKind::Flip), Just(FaultKind::Truncate)], 1..=3_u32, LONG_WINDOW),
+            2 => (Just(FaultKind::Delay(Time::ZERO)), Just(1), 1..=4_u32),
             // Stops the controller by noise or by its watchdog.
-            2 => (Just(FaultKind::Babble), 3..=4_u32),
-            2 => (Just(FaultKind::Disconnect), 6..=9_u32),
+            2 => (Just(FaultKind::Babble), Just(1), 3..=4_u32),
+            2 => (Just(FaultKind::Disconnect), Just(1), 6..=9_u32),
         ];
         (kind, 20..=150_u32, any::<bool>(), 0..=90_u32)
-            .prop_map(|((kind, length), delay, to_controller, at)| Self { kind, delay, to_controller, at, length })
+            .prop_map(|((kind, every, length), delay, to_controller, at)| Self {
+                kind,
+                delay,
+                to_controller,
+                at,
+                every,
+                length,
+            })
             .boxed()
     }
 
@@ -65,6 +81,7 @@ impl LineFaultDraw {
             direction,
             from_us,
             until_us,
+            every: self.every,
         })
     }
 }
@@ -86,10 +103,13 @@ impl LineFault {
         let kind = wire_fault_kind(self.kind).name();
         writeln!(text, "\n[[fault]]\nkind = {kind:?}\nfrom_ms = {from_ms:?}\nuntil_ms = {until_ms:?}")?;
         writeln!(text, "direction = {:?}", self.direction.name())?;
+        if self.every > 1 {
+            writeln!(text, "every = {}", self.every)?;
+        }
         match self.kind {
             FaultKind::Delay(delay) => writeln!(text, "delay_ms = {:?}", delay.seconds() * 1e3),
-            FaultKind::Flip => writeln!(text, "seed = 1"),
-            FaultKind::Babble | FaultKind::Disconnect => writeln!(text, "reconfigure = true"),
+            FaultKind::Flip => writeln!(text, "seed = 1\nreconfigure = true"),
+            FaultKind::Truncate | FaultKind::Babble | FaultKind::Disconnect => writeln!(text, "reconfigure = true"),
             _ => Ok(()),
         }
     }

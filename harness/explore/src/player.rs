@@ -34,7 +34,8 @@ pub struct SceneResult {
     /// Violated properties, most severe first.
     pub failures: Vec<Failure>,
     pub windows: Vec<WindowResult>,
-    pub undecided: Option<Cause>,
+    /// Cause and reason why the rig or the bench left the scene undecided.
+    pub undecided: Option<String>,
 }
 
 impl SceneResult {
@@ -157,7 +158,8 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
         if record.verdict == Verdict::Inconclusive
             && let Some(cause @ (Cause::Rig | Cause::Bench)) = record.cause
         {
-            result.undecided = Some(cause);
+            let reason = record.reason.as_ref().map_or_else(String::new, |reason| format!(", {reason}"));
+            result.undecided = Some(format!("{cause}{reason}"));
         }
     }
     if !breaks_protocol {

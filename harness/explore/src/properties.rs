@@ -197,7 +197,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
         // At rest nothing is learned.
         is_known |= was_steady && is_driven;
     }
-    let recovered_us = trial.fault.map_or(0, |fault| fault.recovered_us(trial.period_us));
+    let recovered_us = trial.faults.iter().map(|fault| fault.recovered_us(trial.period_us)).max().unwrap_or(0);
     demands.retain(|demand| demand.from_us >= recovered_us);
     demands
 }

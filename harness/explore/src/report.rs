@@ -1,7 +1,7 @@
 //! Defines `explore.json`.
 
 use crate::coverage::{ChangeKind, RangeCoverage};
-use crate::explore::{Exploration, ExploreConfig, FailedScene};
+use crate::explore::{Exploration, ExploreConfig, FailedScene, UndecidedScene};
 use crate::player::Failure;
 use crate::properties::Property;
 use platebench_record::Verdict;
@@ -16,8 +16,11 @@ pub const FILE: &str = "explore.json";
 #[derive(Debug, Clone, Serialize)]
 pub struct ExploreReport {
     pub format: u32,
-    /// `fail` if a property was violated, otherwise `inconclusive` if the rig left a scene undecided.
+    /// `fail` if a property was violated, otherwise `inconclusive` if the rig left a scene undecided or a signal ended
+    /// the exploration.
     pub verdict: Verdict,
+    /// True if a signal ended the exploration. Failing scenes are then not made minimal.
+    pub is_interrupted: bool,
     pub envelope: String,
     /// The rig as named on the command line.
     pub rig: String,
@@ -27,6 +30,8 @@ pub struct ExploreReport {
     pub scenes: u64,
     pub failed: u64,
     pub undecided: u64,
+    /// At most ten.
+    pub undecided_scenes: Vec<UndecidedScene>,
     /// Duration of the exploration without shrinking, s.
     pub elapsed_s: f64,
     /// Bounds of the share of failing scenes under the generator's distribution, each one-sided at 95 %.
@@ -95,16 +100,17 @@ impl ExploreReport {
     pub fn new(config: &ExploreConfig, exploration: &Exploration, rig: &str, firmware: &str) -> Self {
         let failed = exploration.failed.len() as u64;
         let has_failed = failed > 0 || !exploration.failed_regressions.is_empty();
-        let verdict = match (has_failed, exploration.undecided) {
+        let verdict = match (has_failed, exploration.undecided > 0 || exploration.is_interrupted) {
             (true, _) => Verdict::Fail,
-            (false, 0) => Verdict::Pass,
-            (false, _) => Verdict::Inconclusive,
+            (false, false) => Verdict::Pass,
+            (false, true) => Verdict::Inconclusive,
         };
         let coverage = &exploration.coverage;
         let pairs = ChangeKind::ALL.iter().flat_map(|first| ChangeKind::ALL.iter().map(move |second| (first, second)));
         Self {
             format: 1,
             verdict,
+            is_interrupted: exploration.is_interrupted,
             envelope: config.envelope.path.display().to_string(),
             rig: rig.to_owned(),
             firmware: firmware.to_owned(),
@@ -113,6 +119,7 @@ impl ExploreReport {
             scenes: exploration.scenes,
             failed,
             undecided: exploration.undecided,
+            undecided_scenes: exploration.undecided_scenes.clone(),
             elapsed_s: exploration.elapsed.as_secs_f64(),
             failing_share: clopper_pearson(failed as u32, exploration.scenes as u32, CONFIDENCE),
             properties: exploration
@@ -149,14 +156,16 @@ impl ExploreReport {
 }
 
 impl ExploreReport {
-    /// One sentence.
+    /// One or two sentences.
     pub fn conclusion(&self) -> String {
         let Self { failed, scenes, .. } = self;
+        let interrupted = if self.is_interrupted { " A signal ended the exploration." } else { "" };
         match (failed, self.failing_share) {
             (0, Some([_, most])) => {
-                format!("No property violated: fewer than {:.3} % of all scenes fail, at 95 %.", most * 100.0)
+                let percent = most * 100.0;
+                format!("No property violated: fewer than {percent:.3} % of all scenes fail, at 95 %.{interrupted}")
             }
-            _ => format!("{failed} of {scenes} scenes violate a property."),
+            _ => format!("{failed} of {scenes} scenes violate a property.{interrupted}"),
         }
     }
 }

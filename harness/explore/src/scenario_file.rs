@@ -89,7 +89,7 @@ impl ScenarioWriter<'_> {
                 writeln!(text, "{table} = {{ {} }}", keys.join(", "))?;
             }
         }
-        if let Some(fault) = &trial.fault {
+        for fault in &trial.faults {
             fault.write(text)?;
         }
         let mut counts: BTreeMap<Property, u32> = BTreeMap::new();
@@ -105,7 +105,7 @@ impl ScenarioWriter<'_> {
         } else if demands.is_empty() {
             // Every scenario expects something; the rules of the protocol come with every trial.
             writeln!(text, "\n[[expect]]\nname = {:?}", Property::Protocol.name())?;
-            let planned = trial.fault.map_or(0, |fault| fault.longest_silence(trial.period_us));
+            let planned: u32 = trial.faults.iter().map(|fault| fault.longest_silence(trial.period_us)).sum();
             writeln!(text, "metric = \"missed_replies\"\nwithin = [0.0, {:?}]", f64::from(planned))?;
         }
         Ok(())
@@ -176,7 +176,7 @@ impl Scene {
     /// True if the scenario compares its trials with each other.
     pub fn compares_trials(&self) -> bool {
         // A watchdog acts at a phase of the controller's own clock.
-        let has_timeout = self.judged.fault.is_some_and(|fault| fault.kind == FaultKind::Disconnect);
+        let has_timeout = self.judged.faults.iter().any(|fault| fault.kind == FaultKind::Disconnect);
         self.count > 1 && self.judged.plate.noise_pm == 0 && !has_timeout
     }
 }

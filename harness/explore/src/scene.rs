@@ -39,7 +39,7 @@ pub struct SceneTrial {
     pub temperature: Course,
     pub tuning: Tuning,
     /// Of the judged trial only.
-    pub fault: Option<LineFault>,
+    pub faults: Vec<LineFault>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

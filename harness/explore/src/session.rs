@@ -77,12 +77,22 @@ impl ExploreSession {
         })?;
         let rig = self.rig.to_string();
         let mut report = ExploreReport::new(&config, &exploration, &rig, &platebench_rig::printable_name(&identity));
-        let violated = violated_properties(&exploration);
+        let mut violated = violated_properties(&exploration);
+        if exploration.is_interrupted {
+            violated.clear();
+        }
         let deadline = Instant::now() + SHRINK_TIME;
         for (position, (property, failed)) in violated.into_iter().take(MAX_MINIMAL).enumerate() {
             let rest = deadline.saturating_duration_since(Instant::now());
             let time = rest / (MAX_MINIMAL - position) as u32;
-            report.violations.push(self.minimise(&config, &connect, cancel, failed, property, time)?);
+            match self.minimise(&config, &connect, cancel, failed, property, time) {
+                Ok(violation) => report.violations.push(violation),
+                Err(ExploreError::Cancelled) => {
+                    report.is_interrupted = true;
+                    break;
+                }
+                Err(error) => return Err(error),
+            }
         }
         let text = serde_json::to_string_pretty(&report).unwrap_or_default();
         let path = folder.join(report::FILE);

@@ -221,8 +221,10 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
         setpoint.remove(index);
         trials.push(SceneTrial { setpoint, ..trial.clone() });
     }
-    if trial.fault.is_some() {
-        trials.push(SceneTrial { fault: None, ..trial.clone() });
+    for index in 0..trial.faults.len() {
+        let mut faults = trial.faults.clone();
+        faults.remove(index);
+        trials.push(SceneTrial { faults, ..trial.clone() });
     }
     if trial.tuning != Tuning::default() {
         trials.push(SceneTrial { tuning: Tuning::default(), ..trial.clone() });
@@ -253,7 +255,7 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
 /// The trial up to `end_us`.
 fn cut(trial: &SceneTrial, end_us: u32) -> SceneTrial {
     let mut cut = SceneTrial { duration_us: end_us, ..trial.clone() };
-    cut.fault = cut.fault.filter(|fault| fault.until_us < end_us);
+    cut.faults.retain(|fault| fault.until_us < end_us);
     cut.setpoint.retain(|(at, _)| *at < end_us);
     for course in [&mut cut.force, &mut cut.temperature] {
         match course {

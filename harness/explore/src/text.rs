@@ -1,5 +1,6 @@
 //! Renders the result as text.
 
+use crate::explore::UndecidedScene;
 use crate::page::properties;
 use crate::report::ExploreReport;
 use std::fmt::Write as _;
@@ -16,7 +17,10 @@ fn write_summary(text: &mut String, report: &ExploreReport) -> std::fmt::Result 
     writeln!(text, "{scenes} scenes of {} for {law}, seed {seed}, {:.1} s", report.envelope, report.elapsed_s)?;
     writeln!(text, "\n{}\n", properties(report).lines().join("\n"))?;
     if report.undecided > 0 {
-        writeln!(text, "{} scenes undecided because of the rig", report.undecided)?;
+        writeln!(text, "{} scenes undecided:", report.undecided)?;
+        for UndecidedScene { scene, cause } in &report.undecided_scenes {
+            writeln!(text, "  scene {scene}: {cause}")?;
+        }
     }
     for regression in &report.failed_regressions {
         let properties: Vec<_> = regression.properties.iter().map(|property| property.name()).collect();

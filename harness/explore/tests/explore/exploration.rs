@@ -3,12 +3,15 @@
 use crate::fixtures::configuration;
 use platebench_explore::kill_rate::{KillRateConfig, kill_rate};
 use platebench_explore::report::violated_properties;
+use platebench_explore::session::ExploreSession;
 use platebench_explore::shrink::Shrinker;
-use platebench_explore::{ExploreConfig, Player, Property, explore};
-use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink};
+use platebench_explore::{Budget, ExploreConfig, Player, Property, explore};
+use platebench_record::Verdict;
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
 use platebench_trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_wire::{Command, LawId, Sample};
 use rstest::rstest;
+use std::path::PathBuf;
 use std::time::Duration;
 
 #[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
@@ -95,6 +98,32 @@ fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
     assert_eq!(minimal.demands.len(), 1);
     let value = minimal.failure.value.unwrap();
     assert!((value - 2.0).abs() < 0.1, "{value}");
+}
+
+#[test]
+fn an_interrupted_exploration_writes_its_result() {
+    let ExploreConfig { envelope, law, seed, jobs, .. } = configuration(LawId::DqPi, 1);
+    let budget = Budget::Scenes(u64::MAX / 4);
+    let (regressions, regression_folder) = (Vec::new(), PathBuf::from("none"));
+    let rig = RigSpec::Hosted;
+    let session = ExploreSession {
+        envelope,
+        rig,
+        law,
+        seed,
+        budget,
+        jobs,
+        compares_reference: false,
+        regressions,
+        regression_folder,
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let cancel = CancelToken::default();
+    let report = session.run(&cancel, folder.path(), &mut |_| cancel.cancel()).unwrap();
+    assert!(report.scenes >= 1 && report.is_interrupted, "{report:?}");
+    assert_eq!(report.verdict, Verdict::Inconclusive);
+    assert!(report.conclusion().ends_with("A signal ended the exploration."), "{}", report.conclusion());
+    assert!(folder.path().join("explore.json").exists() && folder.path().join("report.html").exists());
 }
 
 #[test]
