@@ -9,7 +9,6 @@ use crate::draw::{
 use crate::envelope::Envelope;
 use crate::event_kind::EventKind;
 use crate::law_properties::LawProperties;
-use crate::line_fault::LineFaultDraw;
 use crate::scene::{Course, PlateChoice, Scene, SceneTrial};
 use crate::stratum::{SineOf, Stratum};
 use crate::tuning::Tuning;
@@ -80,8 +79,11 @@ impl<'a> Generator<'a> {
     fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
         let judged_configuration = self.configuration(&draw.configuration, self.law);
         let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum, 10) };
-        let place = |fault: &LineFaultDraw| fault.place(judged.duration_us, judged.period_us);
-        judged.faults = draw.faults.iter().filter_map(place).collect();
+        for fault in draw.faults.iter().filter_map(|fault| fault.place(judged.duration_us, judged.period_us)) {
+            if judged.faults.iter().all(|other| other.combines_with(&fault, judged.period_us)) {
+                judged.faults.push(fault);
+            }
+        }
         let earlier_stratum = Stratum { sine: None, is_overloaded: stratum.is_overloaded_before, ..stratum.clone() };
         let law = |draw: &ConfigurationDraw| self.laws.get(draw.law % self.laws.len().max(1)).copied();
         let earlier: Vec<_> = draw

@@ -32,10 +32,14 @@ pub(crate) struct LineFaultDraw {
     length: u32,
 }
 
-/// Rejected frames add two to the controller's counter, samples subtract one, and at ten it stops (docs/wire-protocol.md).
-/// A window of at least so many control periods can reach that if every second frame is damaged.
+/// Rejected frames add two to the controller's counter, samples subtract one, and at ten it stops
+/// (docs/wire-protocol.md): every second frame reaches that in the 18th control period, every third never.
+const UNTIL_STOP: std::ops::RangeInclusive<u32> = 14..=24;
 const LONG_WINDOW: std::ops::RangeInclusive<u32> = 3..=24;
-
+/// Consecutive messages whose flipped bits cannot stop the controller, even if each splits its frame in two.
+const FEW_FLIPS: u32 = 2;
+/// Control periods between two faults that lose messages: together they must not trigger the watchdog.
+const PERIODS_BETWEEN: u32 = 5;
 /// A controller that stopped is configured again and runs at the end of the trial.
 const MIN_PERIODS_AFTER: u32 = 8;
 /// Periods after a fault until limits apply again: the law learns damping and resonance anew.
@@ -48,9 +52,11 @@ impl LineFaultDraw {
             6 => (Just(FaultKind::Drop), Just(1), 1..=3_u32),
             2 => (Just(FaultKind::Drop), 2..=3_u32, LONG_WINDOW),
             4 => (Just(FaultKind::Duplicate), 1..=2_u32, 2..=8_u32),
-            2 => (Just(FaultKind::Flip), Just(1), 1..=2_u32),
+            2 => (Just(FaultKind::Flip), Just(1), 1..=FEW_FLIPS),
+            2 => (Just(FaultKind::Flip), Just(2), UNTIL_STOP),
+            1 => (Just(FaultKind::Flip), Just(3), LONG_WINDOW),
             1 => (Just(FaultKind::Truncate), Just(1), Just(1)),
-            3 => (prop_oneof![Just(FaultKind::Flip), Just(FaultKind::Truncate)], 1..=3_u32, LONG_WINDOW),
+            1 => (Just(FaultKind::Truncate), Just(3), LONG_WINDOW),
             2 => (Just(FaultKind::Delay(Time::ZERO)), Just(1), 1..=4_u32),
             // Stops the controller by noise or by its watchdog.
             2 => (Just(FaultKind::Babble), Just(1), 3..=4_u32),
@@ -90,6 +96,27 @@ impl LineFault {
     /// From when on the limits of quiet windows apply again, µs.
     pub(crate) const fn recovered_us(&self, period_us: u32) -> u32 {
         self.until_us + RECOVERY_PERIODS * period_us
+    }
+
+    /// True if the controller may stop and is then configured again.
+    pub(crate) const fn may_stop(&self) -> bool {
+        matches!(self.kind, FaultKind::Disconnect | FaultKind::Babble | FaultKind::Flip)
+    }
+
+    /// True if the instant of a stop depends on the controller's clock or on the content of messages.
+    pub(crate) fn may_stop_differently(&self, period_us: u32) -> bool {
+        match self.kind {
+            FaultKind::Disconnect => true,
+            FaultKind::Flip => self.until_us - self.from_us > FEW_FLIPS * period_us,
+            _ => false,
+        }
+    }
+
+    /// True if both faults can happen in one trial without a stop that neither causes alone.
+    pub(crate) fn combines_with(&self, other: &Self, period_us: u32) -> bool {
+        let gap_us = PERIODS_BETWEEN * period_us;
+        let are_apart = self.until_us + gap_us <= other.from_us || other.until_us + gap_us <= self.from_us;
+        are_apart || [self.kind, other.kind].contains(&FaultKind::Duplicate)
     }
 
     /// Control periods without an answer: those of the fault and those until a repeated configuration.

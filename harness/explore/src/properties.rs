@@ -135,7 +135,7 @@ const STEERING_PERIODS: u32 = 6;
 /// Time constant of the slowest holding loop, µs.
 const CLOSED_LOOP_US: u32 = 1_000;
 /// Share of a change of the damping in |W| when the law adopts it.
-const DEVIATION_OF_MISMATCH: f64 = 0.15;
+const DEVIATION_OF_MISMATCH: f64 = 0.2;
 const DEVIATION_PERCENT: f64 = 1.0;
 
 /// Drive in percent of its limit, or frequency in percent of its range: f32 and f64 agree to a
@@ -176,8 +176,17 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let mut was_steady = false;
     let mut mismatch = limits.initial_mismatch();
     let mut moved_hz = limits.initial_detuning_hz();
+    let mut last_from_us = 0;
     for window in windows(trial) {
         let change = window.change;
+        let since_last = last_from_us..=change.from_us;
+        if trial.faults.iter().any(|fault| fault.may_stop() && since_last.contains(&fault.until_us)) {
+            // A controller that was configured again knows nothing.
+            is_known = false;
+            mismatch = f64::max(mismatch, limits.initial_mismatch());
+            moved_hz = f64::max(moved_hz, limits.initial_detuning_hz());
+        }
+        last_from_us = change.from_us;
         mismatch += limits.mismatch_of(change.from_us, change.to_us);
         moved_hz += limits.change_of_resonance_hz(change.from_us, change.to_us);
         if limits.properties.steers && resembles_late_drive(trial, change) {

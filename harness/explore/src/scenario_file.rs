@@ -3,7 +3,6 @@
 use crate::properties::{Demand, Property};
 use crate::scene::{Course, PlateChoice, Scene, SceneTrial};
 use platebench_plate::Plate;
-use platebench_scenario::FaultKind;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -175,9 +174,9 @@ impl ScenarioWriter<'_> {
 impl Scene {
     /// True if the scenario compares its trials with each other.
     pub fn compares_trials(&self) -> bool {
-        // A watchdog acts at a phase of the controller's own clock.
-        let has_timeout = self.judged.faults.iter().any(|fault| fault.kind == FaultKind::Disconnect);
-        self.count > 1 && self.judged.plate.noise_pm == 0 && !has_timeout
+        let SceneTrial { faults, period_us, plate, .. } = &self.judged;
+        let stops_alike = !faults.iter().any(|fault| fault.may_stop_differently(*period_us));
+        self.count > 1 && plate.noise_pm == 0 && stops_alike
     }
 }
 

@@ -304,7 +304,7 @@ impl<L: Link> Session<L> {
             handle(&packet);
         }
         if self.rejected_frames > before {
-            warn!(frames = self.rejected_frames - before, "frames from the controller rejected");
+            debug!(frames = self.rejected_frames - before, "frames from the controller rejected");
         }
         Ok(())
     }

@@ -10,6 +10,7 @@ use platebench_scenario::{FaultKind, Scenario};
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use std::thread;
 use std::time::{Duration, Instant};
+use tracing::warn;
 
 /// Enough for the controller's watchdog, which takes five periods, and for several repetitions.
 pub(crate) const MAX_MISSED_REPLIES: u32 = 20;
@@ -96,6 +97,10 @@ impl<'a> ControllerLog<'a> {
         let is_planned = self.scenario.faults.iter().any(|fault| fault.kind == FaultKind::Duplicate);
         let repeated = if is_planned { 0 } else { session.second_replies() };
         self.checks.set_count(ViolationKind::SecondReply, session.contradictions() + repeated, now);
+        let rejected = session.rejected_frames();
+        if rejected > 0 && self.scenario.faults.is_empty() {
+            warn!(scenario = self.scenario.file, frames = rejected, "frames from the controller rejected");
+        }
     }
 
     pub(crate) fn record_safe_request<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
