@@ -47,6 +47,9 @@ pub struct Telemetry {
     /// Largest difference of a command from the reference; `None` without a comparison.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference_difference_percent: Option<f64>,
+    /// Scripts of messages with another answer than that of the reference; `None` if none was played.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub protocol_differences: Option<Vec<String>>,
     /// How the controller was lost, in the rig's words.
     #[serde(default)]
     pub ended: Option<String>,

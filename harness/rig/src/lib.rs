@@ -24,6 +24,7 @@ pub mod port_lock;
 #[cfg(feature = "probe")]
 pub mod probe;
 mod program;
+pub mod protocol_check;
 pub mod pty;
 pub mod rig_error;
 pub mod serial;
@@ -47,6 +48,7 @@ pub use hosted::HostedLink;
 pub use link::{BoxedLink, Link, LinkError, RealTimeLine};
 pub use network::NetworkError;
 pub use port_lock::LockHolder;
+pub use protocol_check::protocol_differences;
 pub use pty::PtyLink;
 pub use rig_error::RigError;
 pub use serial::{SerialError, SerialLink};

@@ -5,8 +5,8 @@ use crate::configure::configure;
 use crate::fault::needs_reconfiguration;
 use platebench_plate::Time;
 use platebench_record::{Telemetry, ViolationKind};
-use platebench_rig::{FaultInjector, Link, LinkError, RigError, Session};
-use platebench_scenario::{FaultKind, Scenario};
+use platebench_rig::{FaultInjector, Link, LinkError, RigError, Session, protocol_differences};
+use platebench_scenario::{FaultKind, Metric, Scenario};
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -29,12 +29,22 @@ pub(crate) struct ControllerLog<'a> {
     stop_cause: Option<StateCause>,
     samples: u32,
     checks: CommandChecks,
+    protocol_differences: Option<Vec<String>>,
 }
 
 impl<'a> ControllerLog<'a> {
     pub(crate) fn new(scenario: &'a Scenario, law: LawId) -> Self {
         let checks = CommandChecks::new(scenario);
-        Self { scenario, law, missed_replies: 0, stopped_at: None, stop_cause: None, samples: 0, checks }
+        Self {
+            scenario,
+            law,
+            missed_replies: 0,
+            stopped_at: None,
+            stop_cause: None,
+            samples: 0,
+            checks,
+            protocol_differences: None,
+        }
     }
 
     pub(crate) fn record_sample(&mut self) {
@@ -103,6 +113,26 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
+    /// Plays the scripts of the protocol if the scenario expects them. The configuration that follows ends what they leave
+    /// behind.
+    pub(crate) fn check_protocol<L: Link>(
+        &mut self,
+        session: &mut Session<FaultInjector<L>>,
+        base: &Configure,
+        own_clock: bool,
+    ) -> Result<(), RigError> {
+        if !self.scenario.expects(Metric::ProtocolDifferences) {
+            return Ok(());
+        }
+        let identity = *session.identity();
+        let differences = protocol_differences(session.link_mut().inner_mut(), &identity, base, own_clock)?;
+        for difference in &differences {
+            warn!(scenario = self.scenario.file, "protocol: {difference}");
+        }
+        self.protocol_differences = Some(differences);
+        Ok(())
+    }
+
     pub(crate) fn record_safe_request<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
         self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
     }
@@ -157,6 +187,7 @@ impl<'a> ControllerLog<'a> {
             faults: session.link().fault_counts().map(|(kind, count)| (kind.to_owned(), count)).collect(),
             violations: self.checks.violations(),
             reference_difference_percent: session.link().reference_difference_percent(),
+            protocol_differences: self.protocol_differences.clone(),
             ..Telemetry::default()
         }
     }

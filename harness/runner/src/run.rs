@@ -138,12 +138,14 @@ fn select_applicable(
     laws: Vec<LawId>,
     session: &mut RigSession,
 ) -> Result<(RunPlan, Vec<LawId>, Vec<NotApplicable>), RunError> {
-    let identity = &session.identity().to_owned();
+    let identity = &{ *session.identity() };
     let mut selected = RunPlan { scenarios: Vec::new(), ..plan.clone() };
     let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
     for (scenario, law) in plan.scenarios.iter().zip(laws) {
         let mut between = scenario.between.iter().filter_map(|scene| Some((scene, configure::law(scene).ok()?)));
-        let missing = (scenario.expects(Metric::ReferenceDifference) && !matches!(plan.clock, Clock::Lockstep { .. }))
+        let is_compared =
+            scenario.expects(Metric::ReferenceDifference) || scenario.expects(Metric::ProtocolDifferences);
+        let missing = (is_compared && !matches!(plan.clock, Clock::Lockstep { .. }))
             .then(|| "the comparison with the reference needs the clock lockstep".to_owned())
             .or(missing_chip_faults(plan, scenario, session)?)
             .or_else(|| configure::missing_capability(scenario, law, identity))

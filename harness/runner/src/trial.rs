@@ -122,6 +122,10 @@ impl<'a, L: Link> Trial<'a, L> {
             return trial;
         }
         let configure = trial.configuration();
+        if let Err(error) = trial.controller.check_protocol(trial.session, &configure, spec.own_clock) {
+            trial.end_on_link_error(error);
+            return trial;
+        }
         match trial.session.begin_trial(&configure, spec.continues) {
             Ok(gains) => trial.controller.record_configuration(&configure, Some(&gains), Time::ZERO),
             Err(error) => trial.end_on_link_error(error),

@@ -53,10 +53,12 @@ pub enum Metric {
     /// Largest difference of a command from that of the reference for the same samples: drive over
     /// its limit or frequency over its range.
     ReferenceDifference,
+    /// Scripts of messages, played before the trial, with another answer than that of the reference.
+    ProtocolDifferences,
 }
 
 impl Metric {
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 22] = [
         Self::SettlingTime,
         Self::StaticError,
         Self::Repeatability,
@@ -78,6 +80,7 @@ impl Metric {
         Self::RestDrive,
         Self::TrialDifference,
         Self::ReferenceDifference,
+        Self::ProtocolDifferences,
     ];
 
     pub const fn name(self) -> &'static str {
@@ -103,6 +106,7 @@ impl Metric {
             Self::RestDrive => "rest_drive_vpp",
             Self::TrialDifference => "trial_difference_um",
             Self::ReferenceDifference => "reference_difference_percent",
+            Self::ProtocolDifferences => "protocol_differences",
         }
     }
 
@@ -128,7 +132,10 @@ impl Metric {
 
     /// True if `from_ms` and `until_ms` apply; the other metrics cover the whole trial.
     pub const fn has_from_ms(self) -> bool {
-        !matches!(self, Self::LoopDelay | Self::InstructionsPerStep | Self::ReferenceDifference)
+        !matches!(
+            self,
+            Self::LoopDelay | Self::InstructionsPerStep | Self::ReferenceDifference | Self::ProtocolDifferences
+        )
     }
 
     pub const fn is_step_response(self) -> bool {
@@ -145,6 +152,7 @@ impl Metric {
             Self::LoopDelay
             | Self::InstructionsPerStep
             | Self::ReferenceDifference
+            | Self::ProtocolDifferences
             | Self::ShutdownTime
             | Self::Repeatability
             | Self::RestDrive
@@ -166,6 +174,7 @@ impl Metric {
             Self::LoopDelay
                 | Self::InstructionsPerStep
                 | Self::ReferenceDifference
+                | Self::ProtocolDifferences
                 | Self::Overruns
                 | Self::ShutdownTime
                 | Self::MissedReplies

@@ -104,7 +104,7 @@ fn mutant_result(
         let by_reference: Vec<_> = failures(scenario, without).map(|(_, cell)| cell).collect();
         for (reason, cell) in failures(scenario, judged).filter(|(_, cell)| !by_reference.contains(cell)) {
             let is_right = match reason {
-                Reason::Metric(Metric::ReferenceDifference) => true,
+                Reason::Metric(Metric::ReferenceDifference | Metric::ProtocolDifferences) => true,
                 Reason::Metric(metric) => entry.detecting_metrics.contains(&metric),
                 Reason::Violation(kind) => entry.detecting_violations.contains(&kind),
             };

@@ -67,7 +67,7 @@ pub(crate) const DYNAMICS: &[Metric] =
     &[Metric::SettlingTime, Metric::Overshoot, Metric::RecoveryTime, Metric::PeakDeviation, Metric::DrivePeak];
 pub(crate) const DISTURBANCE: &[Metric] = &[Metric::PeakDeviation, Metric::RecoveryTime];
 pub(crate) const RESONANCE: &[Metric] = &[Metric::FrequencyError, Metric::QuadratureRatio];
-pub(crate) const REFERENCE: &[Metric] = &[Metric::ReferenceDifference];
+pub(crate) const REFERENCE: &[Metric] = &[Metric::ReferenceDifference, Metric::ProtocolDifferences];
 pub(crate) const SHUTDOWN: &[Metric] = &[Metric::ShutdownTime];
 pub(crate) const RESPONSE: &[Metric] =
     &[Metric::Overshoot, Metric::SettlingTime, Metric::StaticError, Metric::MissedReplies];

@@ -111,6 +111,10 @@ fn measure_window(
         Metric::ReferenceDifference => {
             value_or_undefined(telemetry.reference_difference_percent.ok_or(UndefinedValue::NotReported))
         }
+        Metric::ProtocolDifferences => {
+            let differences = telemetry.protocol_differences.as_ref().ok_or(UndefinedValue::NotReported);
+            value_or_undefined(differences.map(|differences| differences.len() as f64))
+        }
         Metric::Overruns => count_flagged(inside, Flags::OVERRUN),
         Metric::ShutdownTime => shutdown::shutdown_time(window, rows),
         Metric::MissedReplies => count_flagged(inside, Flags::CONTROL | Flags::LINK_LOST),
@@ -134,9 +138,11 @@ const fn unknown_on_a_real_plate(metric: Metric) -> Option<UndefinedValue> {
     match metric {
         Metric::FrequencyError => Some(UndefinedValue::UnknownResonance),
         Metric::RecoveryTime => Some(UndefinedValue::UnknownDisturbance),
-        Metric::Overruns | Metric::MissedReplies | Metric::LoopDelay | Metric::ReferenceDifference => {
-            Some(UndefinedValue::NotInLoop)
-        }
+        Metric::Overruns
+        | Metric::MissedReplies
+        | Metric::LoopDelay
+        | Metric::ReferenceDifference
+        | Metric::ProtocolDifferences => Some(UndefinedValue::NotInLoop),
         Metric::InstructionsPerStep => Some(UndefinedValue::UncountedInstructions),
         Metric::SettlingTime
         | Metric::StaticError

@@ -134,7 +134,8 @@ fn shown_signal(expectation: &ExpectationRecord) -> Option<PlotSignal> {
         | Metric::ShutdownTime
         | Metric::MissedReplies
         | Metric::TrialDifference
-        | Metric::ReferenceDifference => None,
+        | Metric::ReferenceDifference
+        | Metric::ProtocolDifferences => None,
     }
 }
 

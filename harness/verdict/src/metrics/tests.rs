@@ -17,6 +17,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     instructions_mean: None,
     instructions_worst: None,
     reference_difference_percent: None,
+    protocol_differences: None,
     ended: None,
     stopped: None,
     faults: BTreeMap::new(),

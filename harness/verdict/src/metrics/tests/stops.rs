@@ -10,6 +10,7 @@ fn a_stopped_controller_has_no_values() {
         loop_delay_us: Some(0.0),
         instructions_worst: Some(900.0),
         reference_difference_percent: Some(0.0),
+        protocol_differences: Some(Vec::new()),
         ..EMPTY_TELEMETRY
     };
     let of_the_line = [Metric::ShutdownTime, Metric::MissedReplies];
@@ -133,6 +134,7 @@ fn unknown_quantities_of_a_real_plate_are_undefined() {
                 | Metric::LoopDelay
                 | Metric::InstructionsPerStep
                 | Metric::ReferenceDifference
+                | Metric::ProtocolDifferences
                 // These rows have no Wd.
                 | Metric::QuadratureRatio
         );

@@ -107,7 +107,11 @@ fn saturation_is_time_weighted() {
     assert_eq!(measure(&expectation_for(Metric::InstructionsPerStep), &trace, &costly), Measure::Value(950.0));
     let differing = Telemetry { reference_difference_percent: Some(0.25), ..EMPTY_TELEMETRY };
     assert_eq!(measure(&expectation_for(Metric::ReferenceDifference), &trace, &differing), Measure::Value(0.25));
-    for unreported in [Metric::LoopDelay, Metric::InstructionsPerStep, Metric::ReferenceDifference] {
+    let differing = Telemetry { protocol_differences: Some(vec!["one".to_owned()]), ..EMPTY_TELEMETRY };
+    assert_eq!(measure(&expectation_for(Metric::ProtocolDifferences), &trace, &differing), Measure::Value(1.0));
+    for unreported in
+        [Metric::LoopDelay, Metric::InstructionsPerStep, Metric::ReferenceDifference, Metric::ProtocolDifferences]
+    {
         assert!(matches!(measure(&expectation_for(unreported), &trace, &EMPTY_TELEMETRY), Measure::Undefined(_)));
     }
 }

@@ -1,0 +1,132 @@
+//! Builds the exchanges of a script: frames that need no answer, then one that does.
+
+use platebench_wire::{Configure, EncodedFrame, Message, Packet, Sample};
+use std::time::Duration;
+
+/// Exchanges on one line, in order, from a configuration on.
+#[derive(Debug, Clone)]
+pub(super) struct Script {
+    pub(super) name: &'static str,
+    /// Largest difference of a running command: drive relative to its limit, frequency relative to its range.
+    pub(super) tolerance: f64,
+    pub(super) exchanges: Vec<Exchange>,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Exchange {
+    /// Silence before it.
+    pub(super) wait: Duration,
+    pub(super) bytes: Vec<u8>,
+}
+
+#[derive(Debug)]
+pub(super) struct Builder {
+    script: Script,
+    /// On Wd and Wq.
+    factor: f32,
+    period_us: u32,
+    sequence: u8,
+    time_us: u32,
+    unanswered: Vec<u8>,
+    wait: Duration,
+    last_sample: Vec<u8>,
+}
+
+impl Builder {
+    pub(super) fn new(name: &'static str, tolerance: f64, factor: f32) -> Self {
+        let script = Script { name, tolerance, exchanges: Vec::new() };
+        let (unanswered, last_sample) = (Vec::new(), Vec::new());
+        // The first numbers pass the wrap.
+        let (period_us, time_us, wait) = (0, 0, Duration::ZERO);
+        Self { script, factor, period_us, sequence: 248, time_us, unanswered, wait, last_sample }
+    }
+
+    pub(super) fn finish(self) -> Script {
+        self.script
+    }
+
+    /// Silence before the next message.
+    pub(super) fn wait_ms(&mut self, ms: u64) {
+        self.wait = Duration::from_millis(ms);
+    }
+
+    /// Bytes before the next message.
+    pub(super) fn add(&mut self, bytes: &[u8]) {
+        self.unanswered.extend_from_slice(bytes);
+    }
+
+    /// A frame with a valid CRC before the next message.
+    pub(super) fn add_body(&mut self, body: &[u8]) {
+        if let Some(frame) = EncodedFrame::new(body) {
+            self.add(frame.as_bytes());
+        }
+    }
+
+    pub(super) fn add_message(&mut self, message: Message) {
+        let sequence = self.next_sequence();
+        self.add(Packet { sequence, message }.encode().as_bytes());
+    }
+
+    /// A sample that the receiver rejects: one bit of byte `position` is flipped. It has a number and values of its own.
+    pub(super) fn add_damaged(&mut self, position: usize) {
+        let sequence = self.next_sequence();
+        let sample = Sample { time_us: self.time_us, setpoint_um: 3.0, wd_um: 0.7, wq_um: -0.3 };
+        let mut frame = Packet { sequence, message: Message::Sample(sample) }.encode().as_bytes().to_vec();
+        let data = frame.len() - 1;
+        if let Some(byte) = frame.get_mut(position % data) {
+            // No byte becomes a delimiter.
+            *byte ^= if *byte == 1 { 2 } else { 1 };
+        }
+        self.add(&frame);
+    }
+
+    pub(super) fn ask(&mut self, message: Message) {
+        let sequence = self.next_sequence();
+        self.ask_with(sequence, message);
+    }
+
+    pub(super) fn configure(&mut self, configure: Configure) {
+        (self.period_us, self.time_us) = (configure.period_us, 0);
+        self.ask(Message::Configure(configure));
+    }
+
+    pub(super) fn sample(&mut self, setpoint_um: f32, wd_um: f32, wq_um: f32) {
+        let sequence = self.next_sequence();
+        self.sample_with(sequence, setpoint_um, wd_um, wq_um);
+    }
+
+    /// A sample with the number of the last message plus `ahead`.
+    pub(super) fn sample_after(&mut self, ahead: u8, setpoint_um: f32, wd_um: f32, wq_um: f32) {
+        self.sequence = self.sequence.wrapping_add(ahead);
+        self.sample_with(self.sequence, setpoint_um, wd_um, wq_um);
+    }
+
+    /// The last sample once more.
+    pub(super) fn repeat_sample(&mut self) {
+        let bytes = self.last_sample.clone();
+        self.close(&bytes);
+    }
+
+    fn sample_with(&mut self, sequence: u8, setpoint_um: f32, wd_um: f32, wq_um: f32) {
+        let [wd_um, wq_um] = [wd_um, wq_um].map(|value| value * self.factor);
+        let sample = Sample { time_us: self.time_us, setpoint_um, wd_um, wq_um };
+        self.time_us = self.time_us.wrapping_add(self.period_us);
+        self.last_sample = Packet { sequence, message: Message::Sample(sample) }.encode().as_bytes().to_vec();
+        self.repeat_sample();
+    }
+
+    fn ask_with(&mut self, sequence: u8, message: Message) {
+        self.close(Packet { sequence, message }.encode().as_bytes());
+    }
+
+    fn close(&mut self, request: &[u8]) {
+        let mut bytes = std::mem::take(&mut self.unanswered);
+        bytes.extend_from_slice(request);
+        self.script.exchanges.push(Exchange { wait: std::mem::take(&mut self.wait), bytes });
+    }
+
+    fn next_sequence(&mut self) -> u8 {
+        self.sequence = self.sequence.wrapping_add(1);
+        self.sequence
+    }
+}

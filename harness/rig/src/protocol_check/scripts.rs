@@ -1,0 +1,392 @@
+//! Scripts of messages that are legal and that no closed loop with a plate sends.
+
+use super::builder::{Builder, Script};
+use platebench_wire::{
+    Command, Configure, Configured, ControllerState, Gains, Identity, Message, Rejection, Setpoint, StateCause, Tick,
+    capabilities,
+};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+/// Gains that act 10 % off change a drive by about so much of its limit.
+const OWN_DESIGN_TOLERANCE: f64 = 0.15;
+/// Gains of the configuration leave no room but that of single precision.
+const CONFIGURED_TOLERANCE: f64 = 0.005;
+const RANDOM_SCRIPTS: u64 = 24;
+const RANDOM_SAMPLES: usize = 40;
+/// Bytes of a sample's frame.
+const SAMPLE_FRAME: usize = 24;
+
+/// `factor` multiplies Wd and Wq; scripts of two factors have equal lengths.
+pub(super) fn scripts(base: &Configure, identity: &Identity, factor: f32) -> Vec<Script> {
+    let gains = Gains { amplitude_kp: 275.0, amplitude_ki: 110_000.0, frequency_kp: 900.0, frequency_ki: 400_000.0 };
+    let fixed = Configure { gains: Some(gains), start_frequency_mhz: 32_307_654, ..*base };
+    let start = |name| {
+        let mut builder = Builder::new(name, CONFIGURED_TOLERANCE, factor);
+        builder.configure(fixed);
+        builder
+    };
+    let mut all = vec![
+        repeated_samples(start("a repeated sample"), fixed),
+        gaps(start("numbers of samples with gaps")),
+        rest(start("samples at rest and negative components")),
+        hello(start("hello and 0 V while running"), fixed),
+        ignored(start("messages that only a controller sends"), identity),
+        counter(start("the counter of rejected frames"), fixed),
+        damaged(start("one damaged bit in every byte of a frame")),
+        invalid_bodies(start("invalid messages with a valid CRC")),
+        watchdog(start("the watchdog with its own timeout"), fixed),
+        invalid_configurations(start("configurations that are rejected as messages"), fixed),
+    ];
+    all.extend((0..3).map(|component| not_finite(start("values that are not finite"), component, fixed)));
+    all.extend(unusable(&fixed).into_iter().map(|configure| {
+        let mut builder = start("a configuration that is not accepted");
+        builder.sample(2.0, 0.0, 0.0);
+        builder.sample(2.0, 1.2, -0.2);
+        builder.configure(configure);
+        builder.sample(2.0, 1.2, -0.2);
+        builder.configure(fixed);
+        builder.sample(2.0, 1.2, -0.2);
+        builder.finish()
+    }));
+    for number in 0..RANDOM_SCRIPTS {
+        let mut random = ChaCha8Rng::seed_from_u64(number);
+        let (mut with_gains, mut own_design) = (
+            Builder::new("random samples with configured gains", CONFIGURED_TOLERANCE, factor),
+            Builder::new("random samples with the law's own design", OWN_DESIGN_TOLERANCE, factor),
+        );
+        with_gains.configure(random_configuration(&mut random, base, true));
+        random_samples(&mut random, &mut with_gains);
+        own_design.configure(random_configuration(&mut random, base, false));
+        random_samples(&mut random, &mut own_design);
+        all.extend([with_gains.finish(), own_design.finish()]);
+    }
+    all
+}
+
+fn repeated_samples(mut builder: Builder, configure: Configure) -> Script {
+    builder.sample(2.0, 0.0, 0.0);
+    builder.repeat_sample();
+    builder.sample(2.0, 1.1, -0.2);
+    builder.repeat_sample();
+    builder.repeat_sample();
+    builder.sample(2.0, 1.6, -0.3);
+    builder.ask(Message::Safe);
+    // 0 V and the state, under the number of the sample.
+    builder.repeat_sample();
+    builder.configure(configure);
+    builder.sample(2.0, 0.3, 0.1);
+    builder.configure(configure);
+    builder.repeat_sample();
+    builder.sample(2.0, 1.0, 0.1);
+    builder.finish()
+}
+
+fn gaps(mut builder: Builder) -> Script {
+    for (step, ahead) in [1, 5, 1, 127, 128, 255, 2].into_iter().enumerate() {
+        builder.sample_after(ahead, 2.0, 0.05 + 0.3 * step as f32, -0.1);
+        // Number 0 among them.
+        builder.repeat_sample();
+    }
+    builder.finish()
+}
+
+fn rest(mut builder: Builder) -> Script {
+    for (setpoint, wd, wq) in [
+        (2.0, 0.0, 0.0),
+        (2.0, -1.2, 0.4),
+        (2.0, -0.5, -0.8),
+        (2.0, 0.9, 0.4),
+        (0.0, 1.5, 0.3),
+        (0.0, -0.4, 0.3),
+        (0.5, 0.045, 0.2),
+        (0.5, 0.06, 0.2),
+        (-1.0, 0.5, 0.2),
+        (0.02, 0.01, 0.004),
+        (2.0, 0.25, -3.0),
+        (4.0, 3.9, 0.1),
+    ] {
+        builder.sample(setpoint, wd, wq);
+    }
+    builder.finish()
+}
+
+fn hello(mut builder: Builder, configure: Configure) -> Script {
+    builder.sample(2.0, 0.0, 0.0);
+    builder.ask(Message::Hello);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.ask(Message::Safe);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.ask(Message::Hello);
+    builder.ask(Message::Safe);
+    builder.sample(2.0, f32::NAN, -0.2);
+    builder.configure(configure);
+    builder.ask(Message::Safe);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.configure(configure);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.finish()
+}
+
+fn ignored(mut builder: Builder, identity: &Identity) -> Script {
+    let command = Command {
+        target_time_us: 1,
+        drive_vpp: 100.0,
+        frequency_mhz: 32_300_000,
+        state: ControllerState::Running,
+        cause: StateCause::None,
+        flags: 0,
+        compute_us: 0,
+    };
+    let mut messages = vec![
+        Message::Identity(*identity),
+        Message::Configured(Configured { outcome: Err(Rejection::Value) }),
+        Message::Command(command),
+        Message::Tick(Tick { target_time_us: 5 }),
+    ];
+    if !identity.has_capability(capabilities::OWN_PLATE) {
+        messages.push(Message::Setpoint(Setpoint { setpoint_um: 1.0 }));
+    }
+    builder.sample(2.0, 0.0, 0.0);
+    for message in messages {
+        // Six rejected frames would stop the controller.
+        for _ in 0..6 {
+            builder.add_message(message);
+        }
+        builder.sample(2.0, 1.2, -0.2);
+    }
+    builder.add(&[0; 8]);
+    builder.sample(2.0, 1.3, -0.2);
+    builder.finish()
+}
+
+/// Each rejected frame adds two, each control step subtracts one, and ten stops.
+fn counter(mut builder: Builder, configure: Configure) -> Script {
+    // In idle nothing counts.
+    (0..6).for_each(|_| builder.add_damaged(5));
+    for _ in 0..20 {
+        builder.sample(2.0, 1.2, -0.2);
+    }
+    (0..4).for_each(|_| builder.add_damaged(5));
+    builder.sample(2.0, 1.3, -0.2);
+    builder.add_damaged(5);
+    builder.repeat_sample();
+    builder.repeat_sample();
+    builder.sample(2.0, 1.4, -0.2);
+    // 8 - 1 + 2 - 1 = 8 before it.
+    builder.add_damaged(5);
+    builder.sample(2.0, 1.4, -0.2);
+    builder.configure(configure);
+    (0..3).for_each(|_| builder.add_damaged(5));
+    builder.sample(2.0, 1.2, -0.2);
+    (0..4).for_each(|_| builder.add_damaged(5));
+    builder.sample(2.0, 1.3, -0.2);
+    builder.add_damaged(5);
+    builder.sample(2.0, 1.3, -0.2);
+    builder.add_damaged(5);
+    builder.sample(2.0, 1.3, -0.2);
+    builder.sample(2.0, f32::NAN, -0.2);
+    builder.ask(Message::Safe);
+    builder.configure(configure);
+    builder.sample(2.0, 1.2, -0.2);
+    // One overlong rejected frame.
+    builder.add(&[[7; 100].as_slice(), &[0]].concat());
+    builder.sample(2.0, 1.3, -0.2);
+    (0..4).for_each(|_| builder.add_damaged(5));
+    builder.sample(2.0, 1.3, -0.2);
+    builder.finish()
+}
+
+/// Waits are far from the timeouts, because a PC may stall.
+fn watchdog(mut builder: Builder, configure: Configure) -> Script {
+    // Five periods of 50 ms.
+    builder.configure(Configure { period_us: 50_000, watchdog_timeout_ms: 0, ..configure });
+    builder.sample(2.0, 0.0, 0.0);
+    builder.wait_ms(120);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.wait_ms(150);
+    builder.repeat_sample();
+    builder.wait_ms(150);
+    builder.sample(2.0, 1.3, -0.2);
+    builder.sample(2.0, 1.3, -0.2);
+    // More than eight bits; before the first sample there is no timeout.
+    builder.configure(Configure { watchdog_timeout_ms: 300, ..configure });
+    builder.wait_ms(400);
+    builder.sample(2.0, 0.0, 0.0);
+    builder.wait_ms(150);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.wait_ms(400);
+    builder.sample(2.0, f32::NAN, -0.2);
+    builder.finish()
+}
+
+fn damaged(mut builder: Builder) -> Script {
+    builder.sample(2.0, 0.0, 0.0);
+    for position in 0..SAMPLE_FRAME - 1 {
+        builder.add_damaged(position);
+        builder.sample(2.0, 1.2, -0.2);
+        builder.sample(2.0, 1.3, -0.2);
+    }
+    builder.finish()
+}
+
+fn invalid_bodies(mut builder: Builder) -> Script {
+    let zeros = [0; 16];
+    builder.sample(2.0, 0.0, 0.0);
+    for body in [
+        [[0x25, 90].as_slice(), &zeros].concat(),
+        [[0x05, 91].as_slice(), &zeros].concat(),
+        [[0x15, 92].as_slice(), &zeros, &[0]].concat(),
+        [[0x15, 93].as_slice(), &zeros[1..]].concat(),
+        vec![0x17, 94, 0],
+        vec![0x11],
+        vec![0x1c, 95],
+        vec![0x10, 96],
+    ] {
+        builder.add_body(&body);
+        builder.sample(2.0, 1.2, -0.2);
+        builder.sample(2.0, 1.3, -0.2);
+    }
+    // Each of them counts.
+    (0..5).for_each(|_| builder.add_body(&[0x1c, 97]));
+    builder.sample(2.0, 1.3, -0.2);
+    builder.finish()
+}
+
+fn invalid_configurations(mut builder: Builder, configure: Configure) -> Script {
+    let body = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut writer = vec![0x13, 80, 1, 1];
+        writer.extend_from_slice(&configure.watchdog_timeout_ms.to_le_bytes());
+        for number in [configure.period_us, configure.start_frequency_mhz] {
+            writer.extend_from_slice(&number.to_le_bytes());
+        }
+        for value in [0.007_f32, 0.0019, 0.0, 900.0, 250.0, 50.0, 200.0, 90_000.0, 700.0, 300_000.0] {
+            writer.extend_from_slice(&value.to_le_bytes());
+        }
+        change(&mut writer);
+        writer
+    };
+    let set = |at: usize, value: u8| {
+        move |bytes: &mut Vec<u8>| {
+            if let Some(byte) = bytes.get_mut(at) {
+                *byte = value;
+            }
+        }
+    };
+    let bodies = [
+        body(&set(2, 9)),
+        body(&set(2, 200)),
+        body(&set(3, 0x10)),
+        body(&set(3, 0x81)),
+        body(&|bytes| bytes.push(0)),
+        body(&|bytes| {
+            bytes.pop();
+        }),
+        body(&|bytes| {
+            set(3, 4)(bytes);
+            bytes.extend_from_slice(&[0; 4]);
+        }),
+    ];
+    builder.sample(2.0, 0.0, 0.0);
+    for body in bodies {
+        builder.add_body(&body);
+        builder.sample(2.0, 1.2, -0.2);
+        builder.sample(2.0, 1.3, -0.2);
+    }
+    builder.finish()
+}
+
+fn not_finite(mut builder: Builder, component: usize, configure: Configure) -> Script {
+    let with = |value: f32| {
+        let mut values = [2.0, 1.2, -0.2];
+        if let Some(place) = values.get_mut(component) {
+            *place = value;
+        }
+        values
+    };
+    for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        builder.sample(2.0, 0.0, 0.0);
+        builder.sample(2.0, 1.2, -0.4);
+        let [setpoint, wd, wq] = with(value);
+        builder.sample(setpoint, wd, wq);
+        builder.sample(2.0, 1.2, -0.2);
+        builder.repeat_sample();
+        builder.ask(Message::Safe);
+        builder.sample(setpoint, wd, wq);
+        builder.configure(configure);
+    }
+    // At rest the law may not use the value.
+    builder.sample(0.0, 1.0, 0.0);
+    let [_, wd, wq] = with(f32::NAN);
+    builder.sample(0.0, wd, wq);
+    builder.finish()
+}
+
+fn unusable(base: &Configure) -> Vec<Configure> {
+    let gains =
+        base.gains.unwrap_or(Gains { amplitude_kp: 1.0, amplitude_ki: 1.0, frequency_kp: 1.0, frequency_ki: 1.0 });
+    let mut all = vec![
+        Configure { period_us: 0, ..*base },
+        Configure { start_frequency_mhz: 0, ..*base },
+        Configure { response_time_s: -0.001, ..*base },
+        Configure { response_time_s: f32::INFINITY, ..*base },
+        Configure { gains: Some(Gains { amplitude_kp: f32::NAN, ..gains }), ..*base },
+        Configure { gains: Some(Gains { frequency_ki: f32::INFINITY, ..gains }), ..*base },
+    ];
+    for value in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        all.extend([
+            Configure { gain_um_per_vpp: value, ..*base },
+            Configure { time_constant_s: value, ..*base },
+            Configure { drive_limit_vpp: value, ..*base },
+            Configure { frequency_range_hz: value, ..*base },
+            Configure { frequency_slew_hz: value, ..*base },
+        ]);
+    }
+    all
+}
+
+/// In `low..high`.
+fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
+    low + (high - low) * ((random.next_u32() >> 8) as f32 / (1_u32 << 24) as f32)
+}
+
+fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bool) -> Configure {
+    let mut range = |low, high| uniform(random, low, high);
+    let period_us = range(300.0, 4000.0) as u32;
+    let time_constant_s = range(0.001, 0.004);
+    let gains = Gains {
+        amplitude_kp: range(-60.0, 600.0),
+        amplitude_ki: range(0.0, 150_000.0),
+        frequency_kp: range(-200.0, 2000.0),
+        frequency_ki: range(0.0, 600_000.0),
+    };
+    Configure {
+        period_us,
+        start_frequency_mhz: range(32_100_000.0, 32_500_000.0) as u32,
+        gain_um_per_vpp: range(0.004, 0.012),
+        time_constant_s,
+        response_time_s: if has_gains { 0.0 } else { range(0.0009, 0.006) },
+        drive_limit_vpp: range(300.0, 1500.0),
+        frequency_range_hz: range(20.0, 400.0),
+        frequency_slew_hz: range(2.0, 200.0),
+        gains: has_gains.then_some(gains),
+        ..*base
+    }
+}
+
+/// Setpoints that last some samples; W follows them with jumps, and is sometimes negative.
+fn random_samples(random: &mut ChaCha8Rng, builder: &mut Builder) {
+    let (mut setpoint, mut wd, mut wq) = (1.0, 0.0, 0.0);
+    for _ in 0..RANDOM_SAMPLES {
+        if random.next_u32().is_multiple_of(5) {
+            setpoint = if random.next_u32().is_multiple_of(5) { 0.0 } else { uniform(random, 0.1, 4.0) };
+        }
+        let share = uniform(random, 0.1, 0.9);
+        wd += (setpoint - wd) * share + uniform(random, -0.2, 0.2) * setpoint;
+        wq += uniform(random, -0.3, 0.3) * setpoint - 0.3 * wq;
+        if random.next_u32().is_multiple_of(17) {
+            wd = -wd;
+        }
+        builder.sample(setpoint, wd, wq);
+    }
+}
