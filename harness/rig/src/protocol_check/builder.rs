@@ -12,6 +12,19 @@ pub(super) struct Script {
     pub(super) exchanges: Vec<Exchange>,
 }
 
+/// Factors on what a script sends. Scripts of two variations have equal lengths.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Variation {
+    /// On Wd and Wq.
+    pub(super) components: f32,
+    /// On K1 of configurations without gains.
+    pub(super) gain: f32,
+}
+
+impl Variation {
+    pub(super) const NONE: Self = Self { components: 1.0, gain: 1.0 };
+}
+
 #[derive(Debug, Clone)]
 pub(super) struct Exchange {
     /// Silence before it.
@@ -22,8 +35,7 @@ pub(super) struct Exchange {
 #[derive(Debug)]
 pub(super) struct Builder {
     script: Script,
-    /// On Wd and Wq.
-    factor: f32,
+    variation: Variation,
     period_us: u32,
     sequence: u8,
     time_us: u32,
@@ -33,12 +45,12 @@ pub(super) struct Builder {
 }
 
 impl Builder {
-    pub(super) fn new(name: &'static str, tolerance: f64, factor: f32) -> Self {
+    pub(super) fn new(name: &'static str, tolerance: f64, variation: Variation) -> Self {
         let script = Script { name, tolerance, exchanges: Vec::new() };
         let (unanswered, last_sample) = (Vec::new(), Vec::new());
         // The first numbers pass the wrap.
         let (period_us, time_us, wait) = (0, 0, Duration::ZERO);
-        Self { script, factor, period_us, sequence: 248, time_us, unanswered, wait, last_sample }
+        Self { script, variation, period_us, sequence: 248, time_us, unanswered, wait, last_sample }
     }
 
     pub(super) fn finish(self) -> Script {
@@ -87,7 +99,9 @@ impl Builder {
 
     pub(super) fn configure(&mut self, configure: Configure) {
         (self.period_us, self.time_us) = (configure.period_us, 0);
-        self.ask(Message::Configure(configure));
+        let gain = if configure.gains.is_none() { self.variation.gain } else { 1.0 };
+        let gain_um_per_vpp = configure.gain_um_per_vpp * gain;
+        self.ask(Message::Configure(Configure { gain_um_per_vpp, ..configure }));
     }
 
     pub(super) fn sample(&mut self, setpoint_um: f32, wd_um: f32, wq_um: f32) {
@@ -108,7 +122,7 @@ impl Builder {
     }
 
     fn sample_with(&mut self, sequence: u8, setpoint_um: f32, wd_um: f32, wq_um: f32) {
-        let [wd_um, wq_um] = [wd_um, wq_um].map(|value| value * self.factor);
+        let [wd_um, wq_um] = [wd_um, wq_um].map(|value| value * self.variation.components);
         let sample = Sample { time_us: self.time_us, setpoint_um, wd_um, wq_um };
         self.time_us = self.time_us.wrapping_add(self.period_us);
         self.last_sample = Packet { sequence, message: Message::Sample(sample) }.encode().as_bytes().to_vec();

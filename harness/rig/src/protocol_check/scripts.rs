@@ -1,6 +1,6 @@
 //! Scripts of messages that are legal and that no closed loop with a plate sends.
 
-use super::builder::{Builder, Script};
+use super::builder::{Builder, Script, Variation};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, Gains, Identity, Message, Rejection, Setpoint, StateCause, Tick,
     capabilities,
@@ -9,18 +9,19 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// Gains that act 10 % off change a drive by about so much of its limit.
-const TOLERANCE: f64 = 0.15;
+const OWN_DESIGN_TOLERANCE: f64 = 0.15;
+/// Gains of the configuration leave no room but that of single precision.
+const CONFIGURED_TOLERANCE: f64 = 0.005;
 const RANDOM_SCRIPTS: u64 = 24;
 const RANDOM_SAMPLES: usize = 40;
 /// Bytes of a sample's frame.
 const SAMPLE_FRAME: usize = 24;
 
-/// `factor` multiplies Wd and Wq; scripts of two factors have equal lengths.
-pub(super) fn scripts(base: &Configure, identity: &Identity, factor: f32) -> Vec<Script> {
+pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation) -> Vec<Script> {
     let gains = Gains { amplitude_kp: 275.0, amplitude_ki: 110_000.0, frequency_kp: 900.0, frequency_ki: 400_000.0 };
     let fixed = Configure { gains: Some(gains), start_frequency_mhz: 32_307_654, ..*base };
     let start = |name| {
-        let mut builder = Builder::new(name, TOLERANCE, factor);
+        let mut builder = Builder::new(name, CONFIGURED_TOLERANCE, variation);
         builder.configure(fixed);
         builder
     };
@@ -50,8 +51,8 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, factor: f32) -> Vec
     for number in 0..RANDOM_SCRIPTS {
         let mut random = ChaCha8Rng::seed_from_u64(number);
         let (mut with_gains, mut own_design) = (
-            Builder::new("random samples with configured gains", TOLERANCE, factor),
-            Builder::new("random samples with the law's own design", TOLERANCE, factor),
+            Builder::new("random samples with configured gains", CONFIGURED_TOLERANCE, variation),
+            Builder::new("random samples with the law's own design", OWN_DESIGN_TOLERANCE, variation),
         );
         with_gains.configure(random_configuration(&mut random, base, true));
         random_samples(&mut random, &mut with_gains);
@@ -307,6 +308,8 @@ fn not_finite(mut builder: Builder, component: usize, configure: Configure) -> S
         builder.sample(2.0, 1.2, -0.4);
         let [setpoint, wd, wq] = with(value);
         builder.sample(setpoint, wd, wq);
+        // The cause stays, and nothing is reported again.
+        (0..6).for_each(|_| builder.add_damaged(5));
         builder.sample(2.0, 1.2, -0.2);
         builder.repeat_sample();
         builder.ask(Message::Safe);
