@@ -117,7 +117,7 @@ const NOISE_SIGMAS: f64 = 6.0;
 /// Shortest steady window, control periods.
 const STEADY_PERIODS: u32 = 4;
 const STATIC_ERROR_PERCENT: f64 = 0.2;
-const RIPPLE_PERCENT: f64 = 0.2;
+const RIPPLE_PERCENT: f64 = 0.25;
 /// Shares of a wrong damping in static error and ripple while the law tracks it.
 const STATIC_OF_MISMATCH: f64 = 0.5;
 const RIPPLE_OF_MISMATCH: f64 = 1.0;

@@ -138,7 +138,7 @@ fn select_applicable(
     laws: Vec<LawId>,
     session: &mut RigSession,
 ) -> Result<(RunPlan, Vec<LawId>, Vec<NotApplicable>), RunError> {
-    let identity = &{ *session.identity() };
+    let identity = *session.identity();
     let mut selected = RunPlan { scenarios: Vec::new(), ..plan.clone() };
     let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
     for (scenario, law) in plan.scenarios.iter().zip(laws) {
@@ -148,8 +148,8 @@ fn select_applicable(
         let missing = (is_compared && !matches!(plan.clock, Clock::Lockstep { .. }))
             .then(|| "the comparison with the reference needs the clock lockstep".to_owned())
             .or(missing_chip_faults(plan, scenario, session)?)
-            .or_else(|| configure::missing_capability(scenario, law, identity))
-            .or_else(|| between.find_map(|(scene, law)| configure::missing_capability(scene, law, identity)));
+            .or_else(|| configure::missing_capability(scenario, law, &identity))
+            .or_else(|| between.find_map(|(scene, law)| configure::missing_capability(scene, law, &identity)));
         match missing {
             None => {
                 selected.scenarios.push(scenario.clone());
