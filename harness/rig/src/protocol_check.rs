@@ -88,26 +88,28 @@ impl Player<'_> {
         let scripts: Vec<_> = [script].into_iter().chain(varied.iter().copied()).collect();
         let mut references = vec![HostedLink::new(); scripts.len()];
         let mut comparison = Comparison::new(self.identity, script.tolerance);
-        let (start, mut is_stalled) = (self.now, false);
+        let (mut since_start, mut is_stalled) = (Duration::ZERO, false);
         for (number, exchange) in script.exchanges.iter().enumerate() {
             let began = Instant::now();
             let mut answer = Vec::new();
             let mut expected = vec![Vec::new(); scripts.len()];
             self.now += exchange.wait;
+            since_start += exchange.wait;
             if !exchange.wait.is_zero() {
                 if self.own_clock {
                     thread::sleep(exchange.wait);
                 }
                 self.link.advance_to(self.now, &mut answer)?;
                 for (reference, expected) in references.iter_mut().zip(&mut expected) {
-                    reference.advance_to(self.now - start, expected)?;
+                    reference.advance_to(since_start, expected)?;
                 }
             }
             self.now += self.period;
+            since_start += self.period;
             self.link.exchange(self.now, &exchange.bytes, &mut answer)?;
             let requests = scripts.iter().filter_map(|script| script.exchanges.get(number));
             for ((reference, request), expected) in references.iter_mut().zip(requests).zip(&mut expected) {
-                reference.exchange(self.now - start, &request.bytes, expected)?;
+                reference.exchange(since_start, &request.bytes, expected)?;
             }
             is_stalled |= self.own_clock && began.elapsed() > exchange.wait + STALL;
             let number_of_request = comparison.observe_requests(&exchange.bytes);
@@ -286,7 +288,9 @@ mod tests {
             self.exchanges += 1;
             let mut packets = packets(&own);
             (self.change)(self.exchanges, &mut packets);
-            packets.iter().for_each(|packet| answer.extend_from_slice(packet.encode().as_bytes()));
+            for packet in packets {
+                answer.extend_from_slice(packet.encode().as_bytes());
+            }
             Ok(Duration::ZERO)
         }
 

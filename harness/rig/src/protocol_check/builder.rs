@@ -79,6 +79,12 @@ impl Builder {
         self.add(Packet { sequence, message }.encode().as_bytes());
     }
 
+    pub(super) fn add_rejected(&mut self, count: usize) {
+        for _ in 0..count {
+            self.add_damaged(5);
+        }
+    }
+
     /// A sample that the receiver rejects: one bit of byte `position` is flipped. It has a number and values of its own.
     pub(super) fn add_damaged(&mut self, position: usize) {
         let sequence = self.next_sequence();

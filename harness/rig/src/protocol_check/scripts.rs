@@ -162,27 +162,27 @@ fn ignored(mut builder: Builder, identity: &Identity) -> Script {
 /// Each rejected frame adds two, each control step subtracts one, and ten stops.
 fn counter(mut builder: Builder, configure: Configure) -> Script {
     // In idle nothing counts.
-    (0..6).for_each(|_| builder.add_damaged(5));
+    builder.add_rejected(6);
     for _ in 0..20 {
         builder.sample(2.0, 1.2, -0.2);
     }
-    (0..4).for_each(|_| builder.add_damaged(5));
+    builder.add_rejected(4);
     builder.sample(2.0, 1.3, -0.2);
-    builder.add_damaged(5);
+    builder.add_rejected(1);
     builder.repeat_sample();
     builder.repeat_sample();
     builder.sample(2.0, 1.4, -0.2);
     // 8 - 1 + 2 - 1 = 8 before it.
-    builder.add_damaged(5);
+    builder.add_rejected(1);
     builder.sample(2.0, 1.4, -0.2);
     builder.configure(configure);
-    (0..3).for_each(|_| builder.add_damaged(5));
+    builder.add_rejected(3);
     builder.sample(2.0, 1.2, -0.2);
-    (0..4).for_each(|_| builder.add_damaged(5));
+    builder.add_rejected(4);
     builder.sample(2.0, 1.3, -0.2);
-    builder.add_damaged(5);
+    builder.add_rejected(1);
     builder.sample(2.0, 1.3, -0.2);
-    builder.add_damaged(5);
+    builder.add_rejected(1);
     builder.sample(2.0, 1.3, -0.2);
     builder.sample(2.0, f32::NAN, -0.2);
     builder.ask(Message::Safe);
@@ -191,7 +191,7 @@ fn counter(mut builder: Builder, configure: Configure) -> Script {
     // One overlong rejected frame.
     builder.add(&[[7; 100].as_slice(), &[0]].concat());
     builder.sample(2.0, 1.3, -0.2);
-    (0..4).for_each(|_| builder.add_damaged(5));
+    builder.add_rejected(4);
     builder.sample(2.0, 1.3, -0.2);
     builder.finish()
 }
@@ -247,7 +247,9 @@ fn invalid_bodies(mut builder: Builder) -> Script {
         builder.sample(2.0, 1.3, -0.2);
     }
     // Each of them counts.
-    (0..5).for_each(|_| builder.add_body(&[0x1c, 97]));
+    for _ in 0..5 {
+        builder.add_body(&[0x1c, 97]);
+    }
     builder.sample(2.0, 1.3, -0.2);
     builder.finish()
 }
@@ -309,7 +311,7 @@ fn not_finite(mut builder: Builder, component: usize, configure: Configure) -> S
         let [setpoint, wd, wq] = with(value);
         builder.sample(setpoint, wd, wq);
         // The cause stays, and nothing is reported again.
-        (0..6).for_each(|_| builder.add_damaged(5));
+        builder.add_rejected(6);
         builder.sample(2.0, 1.2, -0.2);
         builder.repeat_sample();
         builder.ask(Message::Safe);
