@@ -26,7 +26,7 @@ SATURATED, FREQUENCY_LIMITED, FREQUENCY_HELD = 1, 2, 4
 LAWS = DQ_PI, DQ_PI_FIXED = 1, 8
 LONGEST = 70  # bytes of a frame, delimiter included
 BODY_BYTES = {HELLO: 2, CONFIGURE: 54, SAMPLE: 18, SAFE: 2}
-FROM_CONTROLLER = {IDENTITY: 50, CONFIGURED: 20, COMMAND: 18, 8: 20, 9: 6}
+IGNORED = {IDENTITY: 50, CONFIGURED: 20, COMMAND: 18, 8: 20, 9: 6, 10: 6, 11: 37}
 
 
 def now_us():
@@ -185,10 +185,10 @@ class Controller:
         if len(body) < 2 or body[0] >> 4 != VERSION:
             raise ValueError("version")
         kind, number = body[0] & 0x0F, body[1]
-        if len(body) != {**BODY_BYTES, **FROM_CONTROLLER}.get(kind):
+        if len(body) != {**BODY_BYTES, **IGNORED}.get(kind):
             raise ValueError("kind or length")
-        if kind in FROM_CONTROLLER:
-            return None  # an echo
+        if kind in IGNORED:
+            return None  # an echo, or for a controller with its own plate
         if kind == HELLO:
             name = b"python-example".ljust(16, b"\0")
             laws = 1 << DQ_PI | 1 << DQ_PI_FIXED
@@ -208,7 +208,7 @@ class Controller:
     def configure(self, body):
         law, bits, timeout_ms, period_us, start = struct.unpack_from("<BBHII", body, 2)
         k1, tau, response, limit, reach, slew, *gains = struct.unpack_from("<10f", body, 14)
-        if law > 8 or bits > 3:
+        if law > 8 or bits & 0xF4:
             raise ValueError("field")
         self.law, self.number, self.noise = None, None, 0
         self.stop(IDLE)
@@ -216,9 +216,9 @@ class Controller:
             return 2, (0.0,) * 4
         positive = all(math.isfinite(value) and value > 0 for value in (k1, tau, limit, reach, slew))
         usable = positive and period_us and start and math.isfinite(response) and response >= 0
-        if not usable or not all(map(math.isfinite, gains)) or bits & 2:
+        gains = tuple(gains) if bits & 1 else ()
+        if not usable or not all(map(math.isfinite, gains)) or bits & 0x0A:
             return 1, (0.0,) * 4
-        gains = tuple(gains) if bits & 1 else None
         self.law = DqPi(law, period_us * 1e-6, k1, tau, response, limit, reach, slew, gains)
         self.start = self.frequency = start
         self.timeout = timeout_ms * 1000 or 5 * period_us

@@ -2,30 +2,30 @@
 //! the hosted reference (docs/wire-protocol.md).
 
 mod builder;
+mod comparison;
+mod limits;
 mod scripts;
+mod timing;
 
 use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError};
 use builder::{Script, Variation};
-use platebench_wire::{
-    Command, Configure, ControllerState, Gains, Identity, Message, Packet, PacketReader, StateCause,
-};
+use comparison::{Comparison, Difference, Doubt, Received};
+use platebench_wire::{Configure, Identity};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Further references, and the share of the tolerance by which their commands may differ. If they differ more, no command
-/// is compared until the next configuration: rounding decides, or a design that is 5 % off.
-const VARIATIONS: [(Variation, f64); 3] = [
-    (Variation { components: 1.0 + 2e-6, gain: 1.0 }, 0.05),
-    (Variation { components: 1.0, gain: 1.05 }, 0.5),
-    (Variation { components: 1.0, gain: 0.95 }, 0.5),
+/// Further references. If their commands differ from those of the reference, no command is compared until the next
+/// configuration: rounding decides, or a design that is 5 % off.
+const VARIATIONS: [Variation; 3] = [
+    Variation { components: 1.0 + 2e-6, gain: 1.0 },
+    Variation { components: 1.0, gain: 1.05 },
+    Variation { components: 1.0, gain: 0.95 },
 ];
-/// Relative difference of reported gains.
-const GAIN_TOLERANCE: f32 = 1e-5;
 /// A script with a lost answer or a stall of the host is played again.
 const ATTEMPTS: usize = 3;
-/// Longest time of an exchange beyond its wait; later the controller's watchdog may act.
-const STALL: Duration = Duration::from_millis(80);
+/// Target and reference advance in steps: a reference sends at most one tick in each.
+const STEP: Duration = Duration::from_millis(10);
 
 /// Plays every script on `link`, which stays in any state without a drive or with another configuration; samples have no
 /// plate. `base` gives law, watchdog timeout and plate. `own_clock` is true if the controller's clock runs while the
@@ -44,7 +44,7 @@ pub fn protocol_differences(
     let period = Duration::from_micros(base.period_us.into());
     let mut player = Player { link, identity, period, own_clock, now: Duration::ZERO };
     let mut differences = Vec::new();
-    let varied = VARIATIONS.map(|(variation, _)| scripts::scripts(&base, identity, variation));
+    let varied = VARIATIONS.map(|variation| scripts::scripts(&base, identity, variation));
     for (position, script) in scripts::scripts(&base, identity, Variation::NONE).iter().enumerate() {
         let varied: Vec<_> = varied.iter().filter_map(|scripts| scripts.get(position)).collect();
         let mut difference = None;
@@ -62,22 +62,10 @@ pub fn protocol_differences(
     Ok(differences)
 }
 
-struct Difference {
-    text: String,
-    doubt: Option<Doubt>,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Doubt {
-    /// The line may have lost an answer.
-    NoAnswer,
-    /// The host was late.
-    Stall,
-}
-
 struct Player<'a> {
     link: &'a mut dyn Link,
     identity: &'a Identity,
+    /// Simulated time from one exchange to the next.
     period: Duration,
     own_clock: bool,
     now: Duration,
@@ -87,35 +75,39 @@ impl Player<'_> {
     fn play(&mut self, script: &Script, varied: &[&Script]) -> Result<Option<Difference>, LinkError> {
         let scripts: Vec<_> = [script].into_iter().chain(varied.iter().copied()).collect();
         let mut references = vec![HostedLink::new(); scripts.len()];
-        let mut comparison = Comparison::new(self.identity, script.tolerance);
+        let mut comparison = Comparison::new(self.identity);
         let (mut since_start, mut is_stalled) = (Duration::ZERO, false);
+        let mut last_request = Instant::now();
         for (number, exchange) in script.exchanges.iter().enumerate() {
-            let began = Instant::now();
-            let mut answer = Vec::new();
+            let mut received = Vec::new();
             let mut expected = vec![Vec::new(); scripts.len()];
-            self.now += exchange.wait;
-            since_start += exchange.wait;
-            if !exchange.wait.is_zero() {
-                if self.own_clock {
-                    thread::sleep(exchange.wait);
-                }
-                self.link.advance_to(self.now, &mut answer)?;
+            if self.own_clock {
+                thread::sleep(exchange.wait);
+            }
+            let mut rest = exchange.wait.max(self.period);
+            while !rest.is_zero() {
+                let step = rest.min(STEP);
+                rest -= step;
+                self.now += step;
+                since_start += step;
+                self.link.advance_to(self.now, &mut received)?;
                 for (reference, expected) in references.iter_mut().zip(&mut expected) {
                     reference.advance_to(since_start, expected)?;
                 }
             }
-            self.now += self.period;
-            since_start += self.period;
-            self.link.exchange(self.now, &exchange.bytes, &mut answer)?;
+            let since_request = last_request;
+            last_request = Instant::now();
+            self.link.exchange(self.now, &exchange.bytes, &mut received)?;
             let requests = scripts.iter().filter_map(|script| script.exchanges.get(number));
             for ((reference, request), expected) in references.iter_mut().zip(requests).zip(&mut expected) {
                 reference.exchange(since_start, &request.bytes, expected)?;
             }
-            is_stalled |= self.own_clock && began.elapsed() > exchange.wait + STALL;
-            let number_of_request = comparison.observe_requests(&exchange.bytes);
-            let expected: Vec<_> = expected.iter().map(|bytes| answers(bytes, number_of_request)).collect();
-            let compared = comparison.compare(&answers(&answer, number_of_request), &expected);
-            if let Err(Difference { text, doubt }) = compared {
+            let longest = if self.own_clock { since_request.elapsed() } else { exchange.wait.max(self.period) + STEP };
+            is_stalled |= self.own_clock && longest > exchange.wait + script.stall;
+            let request = comparison.observe_requests(&exchange.bytes);
+            let expected: Vec<_> = expected.iter().map(|bytes| Received::new(bytes, request)).collect();
+            let received = Received::new(&received, request);
+            if let Err(Difference { text, doubt }) = comparison.compare(&received, &expected, exchange.wait..=longest) {
                 let doubt = if is_stalled { Some(Doubt::Stall) } else { doubt };
                 return Ok(Some(Difference { text: format!("exchange {}: {text}", number + 1), doubt }));
             }
@@ -124,154 +116,13 @@ impl Player<'_> {
     }
 }
 
-/// Without the report of the watchdog: a controller that receives a sample first reports the stop in its answer.
-fn answers(bytes: &[u8], request: u8) -> Vec<Packet> {
-    let is_report = |packet: &Packet| {
-        matches!(packet.message, Message::Command(command) if command.cause == StateCause::SampleTimeout)
-            && packet.sequence != request
-    };
-    packets(bytes).into_iter().filter(|packet| !is_report(packet)).collect()
-}
-
-fn packets(bytes: &[u8]) -> Vec<Packet> {
-    PacketReader::new().packets(bytes).flatten().collect()
-}
-
-struct Comparison<'a> {
-    identity: &'a Identity,
-    tolerance: f64,
-    configuration: Option<Configure>,
-    /// Frequency of the last running command of target and reference, mHz.
-    last_mhz: Option<[u32; 2]>,
-    /// True if a variation of the reference differs.
-    is_doubtful: bool,
-}
-
-impl<'a> Comparison<'a> {
-    fn new(identity: &'a Identity, tolerance: f64) -> Self {
-        Self { identity, tolerance, configuration: None, last_mhz: None, is_doubtful: false }
-    }
-
-    /// Returns the number of the last request.
-    fn observe_requests(&mut self, bytes: &[u8]) -> u8 {
-        let requests = packets(bytes);
-        let last = requests.last().map_or(0, |packet| packet.sequence);
-        for packet in requests {
-            if let Message::Configure(configure) = packet.message {
-                (self.configuration, self.is_doubtful) = (Some(configure), false);
-            }
-        }
-        last
-    }
-
-    /// `expected`: the answers of the reference, then those of its variations.
-    fn compare(&mut self, answers: &[Packet], expected: &[Vec<Packet>]) -> Result<(), Difference> {
-        let Some((expected, varied)) = expected.split_first() else { return Ok(()) };
-        let differs = |text: String| Err(Difference { text, doubt: None });
-        for (position, expected) in expected.iter().enumerate() {
-            let Some(answer) = answers.get(position) else {
-                let text = format!("no answer, expected {}", show(expected));
-                return Err(Difference { text, doubt: Some(Doubt::NoAnswer) });
-            };
-            for (other, (_, share)) in varied.iter().zip(VARIATIONS) {
-                self.is_doubtful |= other.get(position).is_none_or(|other| self.is_far(expected, other, share));
-            }
-            if !self.is_equal(answer, expected) {
-                return differs(format!("{}, expected {}", show(answer), show(expected)));
-            }
-            if let (Message::Command(answer), Message::Command(expected)) = (&answer.message, &expected.message)
-                && expected.state == ControllerState::Running
-            {
-                self.last_mhz = Some([answer.frequency_mhz, expected.frequency_mhz]);
-            }
-        }
-        match answers.get(expected.len()) {
-            Some(answer) => differs(format!("{}, expected no further message", show(answer))),
-            None => Ok(()),
-        }
-    }
-
-    fn is_far(&self, expected: &Packet, other: &Packet, share: f64) -> bool {
-        match (&expected.message, &other.message) {
-            (Message::Command(expected), Message::Command(other)) => {
-                expected.state != other.state || self.distance(expected, other) > self.tolerance * share
-            }
-            _ => false,
-        }
-    }
-
-    fn is_equal(&self, answer: &Packet, expected: &Packet) -> bool {
-        let has_number = answer.sequence == expected.sequence;
-        has_number
-            && match (&answer.message, &expected.message) {
-                (Message::Identity(answer), Message::Identity(_)) => answer == self.identity,
-                (Message::Configured(answer), Message::Configured(expected)) => {
-                    match (answer.outcome, expected.outcome) {
-                        (Err(_), Err(_)) => true,
-                        (Ok(answer), Ok(expected)) => {
-                            let is_close =
-                                |(one, other): (f32, f32)| (one - other).abs() <= GAIN_TOLERANCE * other.abs();
-                            let numbers = |gains: Gains| {
-                                [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki]
-                            };
-                            // The design is the law's own.
-                            self.configuration.is_none_or(|configuration| configuration.gains.is_none())
-                                || numbers(answer).into_iter().zip(numbers(expected)).all(is_close)
-                        }
-                        _ => false,
-                    }
-                }
-                (Message::Command(answer), Message::Command(expected)) => self.is_equal_command(answer, expected),
-                _ => false,
-            }
-    }
-
-    fn is_equal_command(&self, answer: &Command, expected: &Command) -> bool {
-        if (answer.state, answer.cause) != (expected.state, expected.cause) {
-            return self.is_doubtful && expected.state == ControllerState::Running;
-        }
-        if expected.state == ControllerState::Running {
-            return self.is_doubtful || self.distance(answer, expected) <= self.tolerance;
-        }
-        let expected_mhz = match self.last_mhz {
-            // The last one is that of the controller itself.
-            Some([own, reference]) if expected.frequency_mhz == reference => own,
-            _ => expected.frequency_mhz,
-        };
-        answer.drive_vpp == 0.0 && answer.frequency_mhz == expected_mhz
-    }
-
-    /// The larger one of drive relative to its limit and frequency relative to its range.
-    fn distance(&self, one: &Command, other: &Command) -> f64 {
-        let Some(configuration) = self.configuration else { return 0.0 };
-        let drive = f64::from(one.drive_vpp - other.drive_vpp).abs() / f64::from(configuration.drive_limit_vpp);
-        let frequency_hz = f64::from(one.frequency_mhz.abs_diff(other.frequency_mhz)) * 1e-3;
-        let frequency = frequency_hz / f64::from(configuration.frequency_range_hz);
-        if drive.is_finite() { drive.max(frequency) } else { f64::INFINITY }
-    }
-}
-
-fn show(packet: &Packet) -> String {
-    match &packet.message {
-        Message::Command(Command { drive_vpp, frequency_mhz, state, cause, .. }) => {
-            let frequency_hz = f64::from(*frequency_mhz) / 1e3;
-            let number = packet.sequence;
-            format!("command {number} ({state:?}, cause {cause:?}, {drive_vpp:.3} Vpp, {frequency_hz:.3} Hz)")
-        }
-        Message::Configured(configured) => match configured.outcome {
-            Ok(gains) => format!("accepted with {gains:?}"),
-            Err(rejection) => format!("rejected as {rejection:?}"),
-        },
-        Message::Identity(_) => "identity".to_owned(),
-        other => format!("{other:?}"),
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::comparison::packets;
     use super::*;
     use crate::session::Session;
     use platebench_test_kit::CONFIGURE;
+    use platebench_wire::{Command, ControllerState, Gains, Message, Packet, StateCause};
     use rstest::rstest;
 
     /// Changes the answers of the reference, or loses them.
@@ -281,21 +132,30 @@ mod tests {
         change: F,
     }
 
+    impl<F: FnMut(usize, &mut Vec<Packet>)> Changed<F> {
+        fn append(&mut self, own: &[u8], received: &mut Vec<u8>) {
+            let mut packets = packets(own);
+            (self.change)(self.exchanges, &mut packets);
+            for packet in packets {
+                received.extend_from_slice(packet.encode().as_bytes());
+            }
+        }
+    }
+
     impl<F: FnMut(usize, &mut Vec<Packet>) + Send> Link for Changed<F> {
         fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
             let mut own = Vec::new();
             self.device.exchange(now, bytes, &mut own)?;
             self.exchanges += 1;
-            let mut packets = packets(&own);
-            (self.change)(self.exchanges, &mut packets);
-            for packet in packets {
-                answer.extend_from_slice(packet.encode().as_bytes());
-            }
+            self.append(&own, answer);
             Ok(Duration::ZERO)
         }
 
         fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-            self.device.advance_to(now, received)
+            let mut own = Vec::new();
+            self.device.advance_to(now, &mut own)?;
+            self.append(&own, received);
+            Ok(())
         }
     }
 
@@ -305,21 +165,126 @@ mod tests {
         protocol_differences(&mut link, &identity, &CONFIGURE, false).unwrap()
     }
 
-    fn scale_drive(packets: &mut [Packet], factor: f32) {
-        for packet in packets {
-            if let Message::Command(command) = &mut packet.message {
-                command.drive_vpp *= factor;
+    /// Designs for another K1.
+    struct OtherGain(HostedLink, f32);
+
+    impl Link for OtherGain {
+        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            match packets(bytes).as_slice() {
+                [Packet { sequence, message: Message::Configure(configure) }] => {
+                    let gain_um_per_vpp = configure.gain_um_per_vpp * self.1;
+                    let message = Message::Configure(Configure { gain_um_per_vpp, ..*configure });
+                    self.0.exchange(now, Packet { sequence: *sequence, message }.encode().as_bytes(), answer)
+                }
+                _ => self.0.exchange(now, bytes, answer),
             }
+        }
+
+        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+            self.0.advance_to(now, received)
         }
     }
 
     #[rstest]
+    #[case::lower(1.05, &[])]
+    #[case::higher(1.0 / 1.05, &[])]
+    #[case::another_plate(1.0 / 1.2, &["random samples with the law's own design", "gains of the law's own design", "gains that are not used"])]
+    fn a_design_may_be_five_percent_off(#[case] gain: f32, #[case] expected: &[&str]) {
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut link = OtherGain(HostedLink::new(), gain);
+        let mut found = protocol_differences(&mut link, &identity, &CONFIGURE, false).unwrap();
+        found.sort_unstable();
+        assert_eq!(names(&found).iter().filter(|name| !expected.contains(name)).count(), 0, "{found:?}");
+        assert_eq!(found.is_empty(), expected.is_empty());
+    }
+
+    fn commands(packets: &mut [Packet]) -> impl Iterator<Item = &mut Command> {
+        packets.iter_mut().filter_map(|packet| match &mut packet.message {
+            Message::Command(command) => Some(command),
+            _ => None,
+        })
+    }
+
+    fn names(found: &[String]) -> Vec<&str> {
+        let mut names: Vec<_> = found.iter().filter_map(|text| text.split(':').next()).collect();
+        names.dedup();
+        names
+    }
+
+    #[rstest]
     #[case::same(1.0, false)]
-    #[case::just_inside(0.9951, false)]
-    #[case::just_outside(0.994, true)]
-    fn a_drive_may_differ_by_half_a_percent_of_its_limit(#[case] factor: f32, #[case] differs: bool) {
-        let found = differences(|_, packets| scale_drive(packets, factor));
+    #[case::just_inside(0.9991, false)]
+    #[case::just_outside(0.998, true)]
+    fn a_drive_may_differ_by_a_thousandth_of_its_limit(#[case] factor: f32, #[case] differs: bool) {
+        let found = differences(|_, packets| {
+            for command in commands(packets) {
+                command.drive_vpp *= factor;
+            }
+        });
         assert_eq!(!found.is_empty(), differs, "{found:?}");
+    }
+
+    #[test]
+    fn a_limit_of_whole_volts_differs() {
+        let found = differences(|_, packets| {
+            for command in commands(packets).filter(|command| command.drive_vpp == 9.75) {
+                command.drive_vpp = 9.0;
+            }
+        });
+        assert_eq!(names(&found), ["a drive limit with a fraction"]);
+    }
+
+    #[test]
+    fn one_millihertz_differs_if_the_range_is_small() {
+        let found = differences(|_, packets| {
+            for command in commands(packets).filter(|command| command.state == ControllerState::Running) {
+                command.frequency_mhz += 1;
+            }
+        });
+        assert!(names(&found).contains(&"frequency limits of a few mHz"), "{found:?}");
+    }
+
+    #[rstest]
+    #[case::within_ten_percent(1.1, false)]
+    #[case::another_design(1.13, true)]
+    fn a_design_may_differ_by_ten_percent(#[case] factor: f32, #[case] differs: bool) {
+        let mut has_own_design = false;
+        let found = differences(|_, packets| {
+            for packet in packets {
+                if let Message::Configured(configured) = &mut packet.message
+                    && let Ok(Gains { amplitude_kp, .. }) = &mut configured.outcome
+                    && *amplitude_kp != scripts::CONFIGURED_GAINS.amplitude_kp
+                {
+                    has_own_design = true;
+                    *amplitude_kp *= factor;
+                }
+            }
+        });
+        assert!(has_own_design);
+        let is_found = names(&found).contains(&"gains of the law's own design");
+        assert_eq!(is_found, differs, "{found:?}");
+    }
+
+    #[test]
+    fn a_clock_that_counts_other_units_differs() {
+        let found = differences(|_, packets| {
+            for command in commands(packets) {
+                command.target_time_us /= 2;
+            }
+        });
+        assert!(found.iter().any(|text| text.contains("its clock advanced by")), "{found:?}");
+    }
+
+    #[rstest]
+    #[case::missing(|packets: &mut Vec<Packet>| packets.retain(|packet| !matches!(packet.message, Message::Tick(_))))]
+    #[case::from_zero(|packets: &mut Vec<Packet>| {
+        for packet in packets.iter_mut().filter(|packet| matches!(packet.message, Message::Tick(_))) {
+            packet.sequence = packet.sequence.wrapping_sub(1);
+        }
+    })]
+    fn ticks_have_their_own_numbers(#[case] change: fn(&mut Vec<Packet>)) {
+        let found = differences(|_, packets| change(packets));
+        assert_eq!(names(&found), ["ticks"]);
     }
 
     #[test]

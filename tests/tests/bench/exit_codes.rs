@@ -126,6 +126,17 @@ fn a_law_that_the_controller_lacks_is_not_applicable(#[case] options: &[&str], #
     folder.bench(["run", "--out", "run", "--rig", &rig].iter().chain(options)).assert_exit(expected);
 }
 
+#[test]
+fn the_example_controller_answers_as_the_protocol_says() {
+    let Some(python) = platebench_test_kit::python_with_pyserial() else { return };
+    let folder = TestFolder::with_step(SETTLING);
+    let controller = workspace_root().join("docs/examples/controller.py");
+    let rig = format!("exec:{python} '{}' {{port}}", controller.display());
+    let scenario = workspace_root().join("scenarios/reference/protocol.toml");
+    let scenario = scenario.to_string_lossy();
+    folder.bench(["run", &*scenario, "--out", "run", "--rig", &rig]).assert_exit(0);
+}
+
 const REFERENCE: &str = "metric = \"reference_difference_percent\"\nat_most = 1.0\n";
 
 #[rstest]

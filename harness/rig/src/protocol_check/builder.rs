@@ -7,10 +7,14 @@ use std::time::Duration;
 #[derive(Debug, Clone)]
 pub(super) struct Script {
     pub(super) name: &'static str,
-    /// Largest difference of a running command: drive relative to its limit, frequency relative to its range.
-    pub(super) tolerance: f64,
+    /// Longest time from a request to the next answer beyond the wait; later the controller's watchdog may act.
+    pub(super) stall: Duration,
     pub(super) exchanges: Vec<Exchange>,
 }
+
+/// Within a frame.
+const PAUSE: Duration = Duration::from_millis(5);
+const STALL: Duration = Duration::from_millis(80);
 
 /// Factors on what a script sends. Scripts of two variations have equal lengths.
 #[derive(Debug, Clone, Copy)]
@@ -45,8 +49,8 @@ pub(super) struct Builder {
 }
 
 impl Builder {
-    pub(super) fn new(name: &'static str, tolerance: f64, variation: Variation) -> Self {
-        let script = Script { name, tolerance, exchanges: Vec::new() };
+    pub(super) fn new(name: &'static str, variation: Variation) -> Self {
+        let script = Script { name, stall: STALL, exchanges: Vec::new() };
         let (unanswered, last_sample) = (Vec::new(), Vec::new());
         // The first numbers pass the wrap.
         let (period_us, time_us, wait) = (0, 0, Duration::ZERO);
@@ -57,9 +61,24 @@ impl Builder {
         self.script
     }
 
+    /// For scripts with short timeouts.
+    pub(super) fn set_stall_us(&mut self, us: u64) {
+        self.script.stall = Duration::from_micros(us);
+    }
+
     /// Silence before the next message.
+    pub(super) fn wait_us(&mut self, us: u64) {
+        self.wait = Duration::from_micros(us);
+    }
+
     pub(super) fn wait_ms(&mut self, ms: u64) {
-        self.wait = Duration::from_millis(ms);
+        self.wait_us(ms * 1_000);
+    }
+
+    /// Only waits.
+    pub(super) fn pass_ms(&mut self, ms: u64) {
+        self.wait_ms(ms);
+        self.close(&[]);
     }
 
     /// Bytes before the next message.
@@ -98,6 +117,13 @@ impl Builder {
         self.add(&frame);
     }
 
+    /// A frame with a valid CRC that is answered.
+    pub(super) fn ask_body(&mut self, body: &[u8]) {
+        if let Some(frame) = EncodedFrame::new(body) {
+            self.close(frame.as_bytes());
+        }
+    }
+
     pub(super) fn ask(&mut self, message: Message) {
         let sequence = self.next_sequence();
         self.ask_with(sequence, message);
@@ -115,10 +141,21 @@ impl Builder {
         self.sample_with(sequence, setpoint_um, wd_um, wq_um);
     }
 
-    /// A sample with the number of the last message plus `ahead`.
+    /// A sample with the number of the last message plus `ahead`, and as many periods later.
     pub(super) fn sample_after(&mut self, ahead: u8, setpoint_um: f32, wd_um: f32, wq_um: f32) {
         self.sequence = self.sequence.wrapping_add(ahead);
+        self.time_us = self.time_us.wrapping_add(self.period_us.wrapping_mul(ahead.into()));
         self.sample_with(self.sequence, setpoint_um, wd_um, wq_um);
+    }
+
+    /// A sample in two pieces: its first `at` bytes, silence, the others.
+    pub(super) fn sample_in_pieces(&mut self, at: usize, setpoint_um: f32, wd_um: f32, wq_um: f32) {
+        self.sample(setpoint_um, wd_um, wq_um);
+        if let Some(whole) = self.script.exchanges.pop() {
+            let (first, second) = whole.bytes.split_at(at.min(whole.bytes.len()));
+            self.script.exchanges.push(Exchange { wait: whole.wait, bytes: first.to_vec() });
+            self.script.exchanges.push(Exchange { wait: PAUSE, bytes: second.to_vec() });
+        }
     }
 
     /// The last sample once more.
@@ -149,4 +186,17 @@ impl Builder {
         self.sequence = self.sequence.wrapping_add(1);
         self.sequence
     }
+}
+
+/// Body of a configuration, from byte 2 on under number 80: `values` are the floats from byte 14 on.
+pub(super) fn configuration_body(configure: &Configure, bits: u8, values: [f32; 10]) -> Vec<u8> {
+    let mut body = vec![0x13, 80, configure.law as u8, bits];
+    body.extend_from_slice(&configure.watchdog_timeout_ms.to_le_bytes());
+    for number in [configure.period_us, configure.start_frequency_mhz] {
+        body.extend_from_slice(&number.to_le_bytes());
+    }
+    for value in values {
+        body.extend_from_slice(&value.to_le_bytes());
+    }
+    body
 }

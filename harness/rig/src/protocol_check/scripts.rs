@@ -1,27 +1,25 @@
 //! Scripts of messages that are legal and that no closed loop with a plate sends.
 
-use super::builder::{Builder, Script, Variation};
+use super::builder::{Builder, Script, Variation, configuration_body};
+use super::{limits, timing};
 use platebench_wire::{
-    Command, Configure, Configured, ControllerState, Gains, Identity, Message, Rejection, Setpoint, StateCause, Tick,
-    capabilities,
+    Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Rejection, Setpoint,
+    StateCause, Tick, capabilities,
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Gains that act 10 % off change a drive by about so much of its limit.
-const OWN_DESIGN_TOLERANCE: f64 = 0.15;
-/// Gains of the configuration leave no room but that of single precision.
-const CONFIGURED_TOLERANCE: f64 = 0.005;
-const RANDOM_SCRIPTS: u64 = 24;
+const RANDOM_SCRIPTS: u64 = 40;
 const RANDOM_SAMPLES: usize = 40;
+pub(super) const CONFIGURED_GAINS: Gains =
+    Gains { amplitude_kp: 275.0, amplitude_ki: 110_000.0, frequency_kp: 900.0, frequency_ki: 400_000.0 };
 /// Bytes of a sample's frame.
 const SAMPLE_FRAME: usize = 24;
 
 pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation) -> Vec<Script> {
-    let gains = Gains { amplitude_kp: 275.0, amplitude_ki: 110_000.0, frequency_kp: 900.0, frequency_ki: 400_000.0 };
-    let fixed = Configure { gains: Some(gains), start_frequency_mhz: 32_307_654, ..*base };
+    let fixed = Configure { gains: Some(CONFIGURED_GAINS), start_frequency_mhz: 32_307_654, ..*base };
     let start = |name| {
-        let mut builder = Builder::new(name, CONFIGURED_TOLERANCE, variation);
+        let mut builder = Builder::new(name, variation);
         builder.configure(fixed);
         builder
     };
@@ -34,11 +32,17 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
         counter(start("the counter of rejected frames"), fixed),
         damaged(start("one damaged bit in every byte of a frame")),
         invalid_bodies(start("invalid messages with a valid CRC")),
-        watchdog(start("the watchdog with its own timeout"), fixed),
+        timing::watchdog(start("the watchdog with its own timeout"), fixed),
+        timing::short_watchdog(start("a watchdog of five short periods"), fixed),
+        pieces(start("frames in two pieces")),
         invalid_configurations(start("configurations that are rejected as messages"), fixed),
     ];
+    all.extend(limits::scripts(&fixed, variation));
+    if identity.has_capability(capabilities::TARGET_PACED) {
+        all.push(timing::ticks(start("ticks"), fixed));
+    }
     all.extend((0..3).map(|component| not_finite(start("values that are not finite"), component, fixed)));
-    all.extend(unusable(&fixed).into_iter().map(|configure| {
+    all.extend(unusable(&fixed, identity).into_iter().map(|configure| {
         let mut builder = start("a configuration that is not accepted");
         builder.sample(2.0, 0.0, 0.0);
         builder.sample(2.0, 1.2, -0.2);
@@ -50,13 +54,15 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
     }));
     for number in 0..RANDOM_SCRIPTS {
         let mut random = ChaCha8Rng::seed_from_u64(number);
+        // With configured gains the prediction would use K1.
+        let has_delay = number % 4 == 3 && identity.has_capability(capabilities::LOOP_DELAY);
         let (mut with_gains, mut own_design) = (
-            Builder::new("random samples with configured gains", CONFIGURED_TOLERANCE, variation),
-            Builder::new("random samples with the law's own design", OWN_DESIGN_TOLERANCE, variation),
+            Builder::new("random samples with configured gains", variation),
+            Builder::new("random samples with the law's own design", variation),
         );
-        with_gains.configure(random_configuration(&mut random, base, true));
+        with_gains.configure(random_configuration(&mut random, base, true, false));
         random_samples(&mut random, &mut with_gains);
-        own_design.configure(random_configuration(&mut random, base, false));
+        own_design.configure(random_configuration(&mut random, base, false, has_delay));
         random_samples(&mut random, &mut own_design);
         all.extend([with_gains.finish(), own_design.finish()]);
     }
@@ -69,6 +75,8 @@ fn repeated_samples(mut builder: Builder, configure: Configure) -> Script {
     builder.sample(2.0, 1.1, -0.2);
     builder.repeat_sample();
     builder.repeat_sample();
+    // Only the number decides.
+    builder.sample_after(0, 2.5, 1.9, 0.4);
     builder.sample(2.0, 1.6, -0.3);
     builder.ask(Message::Safe);
     // 0 V and the state, under the number of the sample.
@@ -86,6 +94,13 @@ fn gaps(mut builder: Builder) -> Script {
         builder.sample_after(ahead, 2.0, 0.05 + 0.3 * step as f32, -0.1);
         // Number 0 among them.
         builder.repeat_sample();
+    }
+    builder.finish()
+}
+
+fn pieces(mut builder: Builder) -> Script {
+    for at in [1, 2, 7, 12, SAMPLE_FRAME - 2, SAMPLE_FRAME - 1] {
+        builder.sample_in_pieces(at, 2.0, 0.05 * at as f32, -0.1);
     }
     builder.finish()
 }
@@ -142,6 +157,7 @@ fn ignored(mut builder: Builder, identity: &Identity) -> Script {
         Message::Configured(Configured { outcome: Err(Rejection::Value) }),
         Message::Command(command),
         Message::Tick(Tick { target_time_us: 5 }),
+        Message::Fault(FaultReport { code: 2, pc: 0x0800_1234, lr: 1, cfsr: 0, address: 0 }),
     ];
     if !identity.has_capability(capabilities::OWN_PLATE) {
         messages.push(Message::Setpoint(Setpoint { setpoint_um: 1.0 }));
@@ -196,29 +212,6 @@ fn counter(mut builder: Builder, configure: Configure) -> Script {
     builder.finish()
 }
 
-/// Waits are far from the timeouts, because a PC may stall.
-fn watchdog(mut builder: Builder, configure: Configure) -> Script {
-    // Five periods of 50 ms.
-    builder.configure(Configure { period_us: 50_000, watchdog_timeout_ms: 0, ..configure });
-    builder.sample(2.0, 0.0, 0.0);
-    builder.wait_ms(120);
-    builder.sample(2.0, 1.2, -0.2);
-    builder.wait_ms(150);
-    builder.repeat_sample();
-    builder.wait_ms(150);
-    builder.sample(2.0, 1.3, -0.2);
-    builder.sample(2.0, 1.3, -0.2);
-    // More than eight bits; before the first sample there is no timeout.
-    builder.configure(Configure { watchdog_timeout_ms: 300, ..configure });
-    builder.wait_ms(400);
-    builder.sample(2.0, 0.0, 0.0);
-    builder.wait_ms(150);
-    builder.sample(2.0, 1.2, -0.2);
-    builder.wait_ms(400);
-    builder.sample(2.0, f32::NAN, -0.2);
-    builder.finish()
-}
-
 fn damaged(mut builder: Builder) -> Script {
     builder.sample(2.0, 0.0, 0.0);
     for position in 0..SAMPLE_FRAME - 1 {
@@ -256,16 +249,10 @@ fn invalid_bodies(mut builder: Builder) -> Script {
 
 fn invalid_configurations(mut builder: Builder, configure: Configure) -> Script {
     let body = |change: &dyn Fn(&mut Vec<u8>)| {
-        let mut writer = vec![0x13, 80, 1, 1];
-        writer.extend_from_slice(&configure.watchdog_timeout_ms.to_le_bytes());
-        for number in [configure.period_us, configure.start_frequency_mhz] {
-            writer.extend_from_slice(&number.to_le_bytes());
-        }
-        for value in [0.007_f32, 0.0019, 0.0, 900.0, 250.0, 50.0, 200.0, 90_000.0, 700.0, 300_000.0] {
-            writer.extend_from_slice(&value.to_le_bytes());
-        }
-        change(&mut writer);
-        writer
+        let values = [0.007, 0.0019, 0.0, 900.0, 250.0, 50.0, 200.0, 90_000.0, 700.0, 300_000.0];
+        let mut body = configuration_body(&configure, 1, values);
+        change(&mut body);
+        body
     };
     let set = |at: usize, value: u8| {
         move |bytes: &mut Vec<u8>| {
@@ -325,7 +312,7 @@ fn not_finite(mut builder: Builder, component: usize, configure: Configure) -> S
     builder.finish()
 }
 
-fn unusable(base: &Configure) -> Vec<Configure> {
+fn unusable(base: &Configure, identity: &Identity) -> Vec<Configure> {
     let gains =
         base.gains.unwrap_or(Gains { amplitude_kp: 1.0, amplitude_ki: 1.0, frequency_kp: 1.0, frequency_ki: 1.0 });
     let mut all = vec![
@@ -336,6 +323,9 @@ fn unusable(base: &Configure) -> Vec<Configure> {
         Configure { gains: Some(Gains { amplitude_kp: f32::NAN, ..gains }), ..*base },
         Configure { gains: Some(Gains { frequency_ki: f32::INFINITY, ..gains }), ..*base },
     ];
+    if !identity.has_capability(capabilities::OWN_PLATE) {
+        all.push(Configure { drives_own_plate: true, ..*base });
+    }
     for value in [0.0, -1.0, f32::NAN, f32::INFINITY] {
         all.extend([
             Configure { gain_um_per_vpp: value, ..*base },
@@ -353,7 +343,7 @@ fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
     low + (high - low) * ((random.next_u32() >> 8) as f32 / (1_u32 << 24) as f32)
 }
 
-fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bool) -> Configure {
+fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bool, has_delay: bool) -> Configure {
     let mut range = |low, high| uniform(random, low, high);
     let period_us = range(300.0, 4000.0) as u32;
     let time_constant_s = range(0.001, 0.004);
@@ -373,6 +363,7 @@ fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bo
         frequency_range_hz: range(20.0, 400.0),
         frequency_slew_hz: range(2.0, 200.0),
         gains: has_gains.then_some(gains),
+        loop_delay_us: if has_delay { period_us / 3 } else { 0 },
         ..*base
     }
 }

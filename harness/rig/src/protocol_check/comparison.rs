@@ -1,0 +1,285 @@
+//! Compares the answers of a controller with those of the hosted reference.
+
+use platebench_wire::{
+    Command, Configure, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, StateCause,
+};
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+/// Relative difference of reported gains from configured ones.
+const GAIN_TOLERANCE: f32 = 1e-5;
+/// Relative difference of the gains that a `dq-pi` law designs from those of this page's design.
+const DESIGN_TOLERANCE: f32 = 0.12;
+/// Designs that report such gains are the design of the page.
+const SAME_DESIGN: f32 = 1e-4;
+/// Of a running command, if the gains are those of the reference: drive relative to its limit, frequency relative to its
+/// range. Single precision needs less.
+pub(super) const SAME_GAINS_TOLERANCE: f64 = 1e-3;
+/// Of another design: gains that act 10 % off change a drive by about so much of its limit.
+const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
+/// Share of the tolerance by which the commands of a reference with the components or gains of a variation may differ.
+const ROUNDING_SHARE: f64 = 0.25;
+const OTHER_DESIGN_SHARE: f64 = 0.5;
+/// The first variation differs by rounding; the others have another design.
+const ROUNDING_VARIATIONS: usize = 1;
+/// Ticks before and after a message that another clock may exchange.
+const TICKS_AROUND: usize = 1;
+/// Shortest silence over which the time stamps of commands are compared, and the relative tolerance.
+const COMPARED_SILENCE: Duration = Duration::from_millis(100);
+const CLOCK_TOLERANCE: f64 = 0.1;
+
+pub(super) struct Difference {
+    pub(super) text: String,
+    pub(super) doubt: Option<Doubt>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Doubt {
+    /// The line may have lost an answer.
+    NoAnswer,
+    /// The host was late.
+    Stall,
+}
+
+/// What the controller sent until the end of an exchange.
+pub(super) struct Received {
+    answers: Vec<Packet>,
+    ticks: Vec<Packet>,
+}
+
+impl Received {
+    /// Without the report of the watchdog: a controller that receives a sample first reports the stop in its answer.
+    pub(super) fn new(bytes: &[u8], request: u8) -> Self {
+        let is_report = |packet: &Packet| {
+            matches!(packet.message, Message::Command(command) if command.cause == StateCause::SampleTimeout)
+                && packet.sequence != request
+        };
+        let (ticks, answers): (Vec<_>, Vec<_>) =
+            packets(bytes).into_iter().partition(|packet| matches!(packet.message, Message::Tick(_)));
+        Self { answers: answers.into_iter().filter(|packet| !is_report(packet)).collect(), ticks }
+    }
+}
+
+pub(super) fn packets(bytes: &[u8]) -> Vec<Packet> {
+    PacketReader::new().packets(bytes).flatten().collect()
+}
+
+pub(super) struct Comparison<'a> {
+    identity: &'a Identity,
+    configuration: Option<Configure>,
+    has_other_design: bool,
+    /// True if a variation of the reference differs.
+    is_doubtful: bool,
+    /// The last running commands of target and reference.
+    running: Option<[Command; 2]>,
+    /// The same if they came in the exchange before.
+    previous: Option<[Command; 2]>,
+    /// Ticks since the configuration, of target and reference.
+    ticks: [usize; 2],
+}
+
+impl<'a> Comparison<'a> {
+    pub(super) fn new(identity: &'a Identity) -> Self {
+        Self {
+            identity,
+            configuration: None,
+            has_other_design: false,
+            is_doubtful: false,
+            running: None,
+            previous: None,
+            ticks: [0; 2],
+        }
+    }
+
+    /// Returns the number of the last request.
+    pub(super) fn observe_requests(&mut self, bytes: &[u8]) -> u8 {
+        let requests = packets(bytes);
+        let last = requests.last().map_or(0, |packet| packet.sequence);
+        for packet in requests {
+            if let Message::Configure(configure) = packet.message {
+                let running = self.running;
+                *self = Self { configuration: Some(configure), running, ..Self::new(self.identity) };
+            }
+        }
+        last
+    }
+
+    /// `expected`: what the reference sent, then its variations. `silence`: time without a sample before this exchange, by
+    /// the clock of the controller.
+    pub(super) fn compare(
+        &mut self,
+        received: &Received,
+        expected: &[Received],
+        silence: RangeInclusive<Duration>,
+    ) -> Result<(), Difference> {
+        let Some((reference, varied)) = expected.split_first() else { return Ok(()) };
+        let previous = self.previous.take();
+        self.compare_ticks(&received.ticks, &reference.ticks)?;
+        for (position, expected) in reference.answers.iter().enumerate() {
+            let Some(answer) = received.answers.get(position) else {
+                let text = format!("no answer, expected {}", show(expected));
+                return Err(Difference { text, doubt: Some(Doubt::NoAnswer) });
+            };
+            self.observe_design(answer, expected);
+            for (number, other) in varied.iter().enumerate() {
+                self.is_doubtful |=
+                    other.answers.get(position).is_none_or(|other| self.is_far(expected, other, number));
+            }
+            if !self.is_equal(answer, expected) {
+                return differs(format!("{}, expected {}", show(answer), show(expected)));
+            }
+            if let (Message::Command(answer), Message::Command(expected)) = (&answer.message, &expected.message)
+                && expected.state == ControllerState::Running
+            {
+                let commands = [*answer, *expected];
+                if let Some(previous) = previous {
+                    compare_clocks(previous, commands, &silence)?;
+                }
+                (self.running, self.previous) = (Some(commands), Some(commands));
+            }
+        }
+        match received.answers.get(reference.answers.len()) {
+            Some(answer) => differs(format!("{}, expected no further message", show(answer))),
+            None => Ok(()),
+        }
+    }
+
+    fn compare_ticks(&mut self, ticks: &[Packet], expected: &[Packet]) -> Result<(), Difference> {
+        let [own, reference] = &mut self.ticks;
+        *reference += expected.len();
+        for tick in ticks {
+            *own += 1;
+            let number = *own as u8;
+            if tick.sequence != number {
+                return differs(format!("tick {}, expected tick {number}", tick.sequence));
+            }
+        }
+        let around = if *reference == 0 { 0 } else { TICKS_AROUND };
+        if own.abs_diff(*reference) > around {
+            return differs(format!("{own} ticks since the configuration, expected {reference}"));
+        }
+        Ok(())
+    }
+
+    fn observe_design(&mut self, answer: &Packet, expected: &Packet) {
+        if let (Message::Configured(answer), Message::Configured(expected)) = (&answer.message, &expected.message)
+            && let (Ok(answer), Ok(expected)) = (answer.outcome, expected.outcome)
+        {
+            self.has_other_design = !are_close(answer, expected, SAME_DESIGN);
+        }
+    }
+
+    fn tolerance(&self) -> f64 {
+        if self.has_other_design { OTHER_DESIGN_TOLERANCE } else { SAME_GAINS_TOLERANCE }
+    }
+
+    fn is_far(&self, expected: &Packet, other: &Packet, variation: usize) -> bool {
+        let share = if variation < ROUNDING_VARIATIONS { ROUNDING_SHARE } else { OTHER_DESIGN_SHARE };
+        if variation >= ROUNDING_VARIATIONS && !self.has_other_design {
+            return false;
+        }
+        match (&expected.message, &other.message) {
+            (Message::Command(expected), Message::Command(other)) => {
+                expected.state != other.state || self.distance(expected, other) > self.tolerance() * share
+            }
+            _ => false,
+        }
+    }
+
+    fn is_equal(&self, answer: &Packet, expected: &Packet) -> bool {
+        let has_number = answer.sequence == expected.sequence;
+        has_number
+            && match (&answer.message, &expected.message) {
+                (Message::Identity(answer), Message::Identity(_)) => answer == self.identity,
+                (Message::Configured(answer), Message::Configured(expected)) => {
+                    match (answer.outcome, expected.outcome) {
+                        (Err(_), Err(_)) => true,
+                        (Ok(answer), Ok(expected)) => self.are_gains_equal(answer, expected),
+                        _ => false,
+                    }
+                }
+                (Message::Command(answer), Message::Command(expected)) => self.is_equal_command(answer, expected),
+                _ => false,
+            }
+    }
+
+    fn are_gains_equal(&self, answer: Gains, expected: Gains) -> bool {
+        let Some(configuration) = self.configuration else { return true };
+        let uses_four = matches!(configuration.law, LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
+        if configuration.gains.is_some() {
+            are_close(answer, expected, GAIN_TOLERANCE)
+        } else {
+            !uses_four || are_close(answer, expected, DESIGN_TOLERANCE)
+        }
+    }
+
+    fn is_equal_command(&self, answer: &Command, expected: &Command) -> bool {
+        if (answer.state, answer.cause) != (expected.state, expected.cause) {
+            return self.is_doubtful && expected.state == ControllerState::Running;
+        }
+        if expected.state == ControllerState::Running {
+            return self.is_doubtful || self.distance(answer, expected) <= self.tolerance();
+        }
+        let expected_mhz = match &self.running {
+            // The last one is that of the controller itself.
+            Some([own, reference]) if expected.frequency_mhz == reference.frequency_mhz => own.frequency_mhz,
+            _ => expected.frequency_mhz,
+        };
+        answer.drive_vpp == 0.0 && answer.frequency_mhz == expected_mhz
+    }
+
+    /// The larger one of drive relative to its limit and frequency relative to its range.
+    fn distance(&self, one: &Command, other: &Command) -> f64 {
+        let Some(configuration) = self.configuration else { return 0.0 };
+        let drive = f64::from(one.drive_vpp - other.drive_vpp).abs() / f64::from(configuration.drive_limit_vpp);
+        let frequency_hz = f64::from(one.frequency_mhz.abs_diff(other.frequency_mhz)) * 1e-3;
+        let frequency = frequency_hz / f64::from(configuration.frequency_range_hz);
+        if drive.is_finite() { drive.max(frequency) } else { f64::INFINITY }
+    }
+}
+
+fn differs<T>(text: String) -> Result<T, Difference> {
+    Err(Difference { text, doubt: None })
+}
+
+/// Compares the time stamps of commands of target and reference before and after a long silence.
+fn compare_clocks(
+    previous: [Command; 2],
+    present: [Command; 2],
+    silence: &RangeInclusive<Duration>,
+) -> Result<(), Difference> {
+    let (shortest, longest) = (*silence.start(), *silence.end());
+    let mut advances = previous.into_iter().zip(present).map(|(previous, present)| {
+        Duration::from_micros(present.target_time_us.wrapping_sub(previous.target_time_us).into())
+    });
+    let (own, expected) = (advances.next().unwrap_or_default(), advances.next().unwrap_or_default());
+    // A repeated command has the time of the first one.
+    if shortest < COMPARED_SILENCE || expected < shortest {
+        return Ok(());
+    }
+    if own >= shortest.mul_f64(1.0 - CLOCK_TOLERANCE) && own <= longest.mul_f64(1.0 + CLOCK_TOLERANCE) {
+        return Ok(());
+    }
+    differs(format!("its clock advanced by {own:.1?}, expected {shortest:.1?} to {longest:.1?}"))
+}
+
+fn are_close(one: Gains, other: Gains, tolerance: f32) -> bool {
+    let numbers = |gains: Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
+    numbers(one).into_iter().zip(numbers(other)).all(|(one, other)| (one - other).abs() <= tolerance * other.abs())
+}
+
+fn show(packet: &Packet) -> String {
+    match &packet.message {
+        Message::Command(Command { drive_vpp, frequency_mhz, state, cause, .. }) => {
+            let frequency_hz = f64::from(*frequency_mhz) / 1e3;
+            let number = packet.sequence;
+            format!("command {number} ({state:?}, cause {cause:?}, {drive_vpp:.3} Vpp, {frequency_hz:.3} Hz)")
+        }
+        Message::Configured(configured) => match configured.outcome {
+            Ok(gains) => format!("accepted with {gains:?}"),
+            Err(rejection) => format!("rejected as {rejection:?}"),
+        },
+        Message::Identity(_) => "identity".to_owned(),
+        other => format!("{other:?}"),
+    }
+}

@@ -1,0 +1,96 @@
+//! Scripts of configured values: limits with fractions, gains that are not used, comparisons at their threshold.
+
+use super::builder::{Builder, Script, Variation, configuration_body};
+use platebench_wire::Configure;
+
+pub(super) fn scripts(fixed: &Configure, variation: Variation) -> Vec<Script> {
+    let start = |name, configure| {
+        let mut builder = Builder::new(name, variation);
+        builder.configure(configure);
+        builder
+    };
+    let own_design = Configure { gains: None, ..*fixed };
+    // The comparison is exact: a variation would decide it.
+    let exact = Variation { components: 1.0, ..variation };
+    vec![
+        drive_limit(start("a drive limit with a fraction", Configure { drive_limit_vpp: 9.75, ..*fixed })),
+        // No multiple of the slew lies between two mHz.
+        frequency_limits(start(
+            "frequency limits of a few mHz",
+            Configure { frequency_range_hz: 0.0506, frequency_slew_hz: 0.0014, ..*fixed },
+        )),
+        ratio(start(
+            "Wq/Wd beyond its limits",
+            Configure { frequency_range_hz: 5_000.0, frequency_slew_hz: 5_000.0, ..*fixed },
+        )),
+        unused_gains(start("gains that are not used", own_design), &own_design),
+        designs(Builder::new("gains of the law's own design", variation), &own_design),
+        threshold(Builder::new("Wd of a tenth of the setpoint", exact), fixed),
+    ]
+}
+
+fn drive_limit(mut builder: Builder) -> Script {
+    for wd in [0.0, 1.0, 3.0, 1.9, 1.99, 1.0] {
+        builder.sample(2.0, wd, -0.1);
+    }
+    builder.finish()
+}
+
+fn frequency_limits(mut builder: Builder) -> Script {
+    for _ in 0..40 {
+        builder.sample(2.0, 1.0, 2.5);
+    }
+    for _ in 0..80 {
+        builder.sample(2.0, 1.0, -2.5);
+    }
+    builder.finish()
+}
+
+fn ratio(mut builder: Builder) -> Script {
+    for wq in [1.9, -1.9, 2.2, -2.2, 9.0, -9.0, 0.5] {
+        builder.sample(2.0, 1.0, wq);
+    }
+    builder.finish()
+}
+
+/// They are ignored without bit 0, whatever they are.
+fn unused_gains(mut builder: Builder, configure: &Configure) -> Script {
+    let Configure { gain_um_per_vpp, time_constant_s, drive_limit_vpp, .. } = *configure;
+    for gain in [f32::NAN, f32::INFINITY, -7e5] {
+        let values = [gain_um_per_vpp, time_constant_s, 0.0, drive_limit_vpp, 250.0, 50.0, gain, gain, gain, gain];
+        builder.ask_body(&configuration_body(configure, 0, values));
+        builder.sample(2.0, 0.0, 0.0);
+        builder.sample(2.0, 1.2, -0.2);
+    }
+    builder.finish()
+}
+
+/// Response times and periods outside those of a closed loop.
+fn designs(mut builder: Builder, configure: &Configure) -> Script {
+    for (period_us, response_time_s, time_constant_s) in [
+        (1_000, 0.000_3, 0.0019),
+        (1_000, 0.000_9, 0.0019),
+        (1_000, 0.02, 0.0019),
+        (1_000, 0.5, 0.0019),
+        (100, 0.0019, 0.0019),
+        (20_000, 0.03, 0.05),
+        (70_000, 0.0, 0.2),
+        (1_000, 0.0, 0.000_2),
+        (250, 0.004, 0.03),
+    ] {
+        builder.configure(Configure { period_us, response_time_s, time_constant_s, ..*configure });
+        for (wd, wq) in [(0.0, 0.0), (0.15, 0.05), (0.9, -0.3), (1.6, -0.2), (1.95, 0.1)] {
+            builder.sample(2.0, wd, wq);
+        }
+    }
+    builder.finish()
+}
+
+/// At most a tenth is too small; the next f32 above is not.
+fn threshold(mut builder: Builder, configure: &Configure) -> Script {
+    builder.configure(*configure);
+    builder.sample(2.5, 0.25, 0.1);
+    builder.sample(2.5, 0.26, 0.1);
+    builder.sample(0.0, 0.25, 0.1);
+    builder.finish()
+}

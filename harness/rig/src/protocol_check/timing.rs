@@ -1,0 +1,68 @@
+//! Scripts of silences: watchdog and ticks.
+
+use super::builder::{Builder, Script};
+use platebench_wire::{Configure, Message};
+
+/// Waits are far from the timeouts, because a PC may stall.
+pub(super) fn watchdog(mut builder: Builder, configure: Configure) -> Script {
+    // Five periods of 50 ms.
+    builder.configure(Configure { period_us: 50_000, watchdog_timeout_ms: 0, ..configure });
+    builder.sample(2.0, 0.0, 0.0);
+    builder.wait_ms(120);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.wait_ms(150);
+    builder.repeat_sample();
+    builder.wait_ms(150);
+    builder.sample(2.0, 1.3, -0.2);
+    builder.sample(2.0, 1.3, -0.2);
+    // More than eight bits; before the first sample there is no timeout.
+    builder.configure(Configure { watchdog_timeout_ms: 300, ..configure });
+    builder.wait_ms(400);
+    builder.sample(2.0, 0.0, 0.0);
+    builder.wait_ms(150);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.wait_ms(400);
+    builder.sample(2.0, f32::NAN, -0.2);
+    builder.repeat_sample();
+    // More than 15 bits.
+    builder.configure(Configure { watchdog_timeout_ms: 40_000, ..configure });
+    builder.sample(2.0, 0.0, 0.0);
+    builder.wait_ms(150);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.finish()
+}
+
+/// Five periods of 300 µs are not whole milliseconds.
+pub(super) fn short_watchdog(mut builder: Builder, configure: Configure) -> Script {
+    builder.set_stall_us(250);
+    let configure = Configure { period_us: 300, watchdog_timeout_ms: 0, ..configure };
+    builder.configure(configure);
+    builder.sample(2.0, 0.0, 0.0);
+    builder.wait_us(1_200);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.configure(configure);
+    builder.sample(2.0, 0.0, 0.0);
+    builder.wait_us(1_800);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.finish()
+}
+
+pub(super) fn ticks(mut builder: Builder, configure: Configure) -> Script {
+    let paced = Configure { paced_by_target: true, period_us: 50_000, ..configure };
+    builder.configure(paced);
+    builder.pass_ms(225);
+    builder.sample(2.0, 0.0, 0.0);
+    builder.pass_ms(120);
+    builder.sample(2.0, 1.2, -0.2);
+    builder.ask(Message::Safe);
+    builder.pass_ms(150);
+    builder.configure(paced);
+    builder.pass_ms(125);
+    builder.configure(configure);
+    builder.pass_ms(150);
+    // Ticks end one second after the configuration.
+    builder.configure(paced);
+    builder.pass_ms(1_175);
+    builder.sample(2.0, 0.0, 0.0);
+    builder.finish()
+}
