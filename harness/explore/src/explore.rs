@@ -5,7 +5,7 @@ use crate::envelope::Envelope;
 use crate::error::ExploreError;
 use crate::generator::Generator;
 use crate::player::{Connect, Failure, Player, SceneResult};
-use crate::properties::{Demand, Property, demands, reference_demand};
+use crate::properties::{Demand, Property, demands, reference_demands};
 use crate::scenario_file::{ScenarioText, ScenarioWriter};
 use crate::scene::Scene;
 use crate::staging::Staging;
@@ -56,8 +56,11 @@ impl ExploreConfig {
     }
 
     pub fn demands(&self, scene: &Scene) -> Vec<Demand> {
-        let of_plate = demands(scene, &self.envelope.plate);
-        of_plate.into_iter().chain(self.compares_reference.then(|| reference_demand(scene))).collect()
+        let mut demands = demands(scene, &self.envelope.plate);
+        if self.compares_reference {
+            demands.extend(reference_demands(scene));
+        }
+        demands
     }
 
     pub fn scene_text(&self, scene: &Scene, title: &str) -> ScenarioText {

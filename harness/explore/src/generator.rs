@@ -101,7 +101,9 @@ impl<'a> Generator<'a> {
             (true, true) => 4,
             (true, false) => 1,
         };
-        Scene { earlier, judged, count }
+        // A scenario file contains seeds up to 2^63.
+        let script_seed = stratum.scripts.map(|index| index.wrapping_add(self.seed) & (u64::MAX >> 1));
+        Scene { earlier, judged, count, script_seed }
     }
 
     fn configuration(&self, draw: &ConfigurationDraw, law: LawId) -> Configuration {

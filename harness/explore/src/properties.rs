@@ -36,10 +36,12 @@ pub enum Property {
     Protocol,
     /// The commands are those of the reference.
     Reference,
+    /// The answers to scripts of messages are those of the reference.
+    Answers,
 }
 
 impl Property {
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Settling,
         Self::Overshoot,
         Self::StaticError,
@@ -51,6 +53,7 @@ impl Property {
         Self::SameResponse,
         Self::Protocol,
         Self::Reference,
+        Self::Answers,
     ];
 
     /// Its name in scenarios and reports.
@@ -67,6 +70,7 @@ impl Property {
             Self::SameResponse => "same-response",
             Self::Protocol => "protocol",
             Self::Reference => "reference",
+            Self::Answers => "answers",
         }
     }
 
@@ -81,6 +85,7 @@ impl Property {
             Self::Deviation => Metric::PeakDeviation,
             Self::Recovery => Metric::RecoveryTime,
             Self::Reference => Metric::ReferenceDifference,
+            Self::Answers => Metric::ProtocolDifferences,
             Self::SameResponse | Self::Protocol => return None,
         })
     }
@@ -142,15 +147,17 @@ const DEVIATION_PERCENT: f64 = 1.0;
 /// hundredth of it.
 const REFERENCE_DIFFERENCE_PERCENT: f64 = 0.1;
 
-/// The demand that the commands of the judged trial of `scene` are those of the reference.
-pub fn reference_demand(scene: &Scene) -> Demand {
-    Demand {
-        property: Property::Reference,
+/// The demands that commands and answers in the judged trial of `scene` are those of the reference.
+pub fn reference_demands(scene: &Scene) -> Vec<Demand> {
+    let demand = |property, at_most| Demand {
+        property,
         from_us: 0,
         until_us: scene.judged.duration_us,
-        at_most: REFERENCE_DIFFERENCE_PERCENT,
+        at_most,
         band_percent: None,
-    }
+    };
+    let answers = scene.script_seed.map(|_| demand(Property::Answers, 0.0));
+    [demand(Property::Reference, REFERENCE_DIFFERENCE_PERCENT)].into_iter().chain(answers).collect()
 }
 
 /// The demands on the judged trial of `scene` that follow from the plate.

@@ -79,6 +79,9 @@ impl ScenarioWriter<'_> {
             writeln!(text, "{key} = {value}")?;
         }
         writeln!(text, "\n[trials]\ncount = {}", scene.count)?;
+        if let Some(seed) = scene.script_seed {
+            writeln!(text, "seed = {seed}")?;
+        }
         for earlier in &scene.earlier {
             writeln!(text, "\n[[between]]\nduration_ms = {:?}", ms(earlier.duration_us))?;
             writeln!(text, "plate = {:?}", self.plate_file(earlier.plate, plates))?;

@@ -16,6 +16,8 @@ pub struct Scene {
     pub judged: SceneTrial,
     /// How often the judged trial is played; each further time starts at another time stamp.
     pub count: u32,
+    /// Seed of the scripts of messages before a judged trial; none without scripts.
+    pub script_seed: Option<u64>,
 }
 
 #[derive(Debug, Clone, PartialEq)]

@@ -174,6 +174,9 @@ impl<'a, 'p> Shrinker<'a, 'p> {
 /// Variants of `scene` that are simpler in one respect.
 fn simpler_scenes(scene: &Scene, end_us: Option<u32>) -> Vec<Scene> {
     let mut scenes = Vec::new();
+    if scene.script_seed.is_some() {
+        scenes.push(Scene { script_seed: None, ..scene.clone() });
+    }
     if scene.count > 1 && scene.earlier.is_empty() {
         scenes.push(Scene { count: scene.count - 1, ..scene.clone() });
     }

@@ -26,6 +26,8 @@ pub(crate) struct Stratum {
     pub(crate) sine: Option<SineOf>,
     /// The time stamps of further trials pass the ends of their counters.
     pub(crate) shifts_time: bool,
+    /// Number of the scene if scripts of messages come before the trial; they take as long as a hundred scenes.
+    pub(crate) scripts: Option<u64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,6 +43,7 @@ const PAIR_STRIDE: u64 = 37;
 /// One scene of so many is long.
 const LONG_EVERY: u64 = 41;
 const SINE_EVERY: u64 = 17;
+const SCRIPTS_EVERY: u64 = 512;
 
 impl Stratum {
     /// The stratum of scene `index`.
@@ -65,6 +68,7 @@ impl Stratum {
                 _ => None,
             },
             shifts_time: index % 6 == 2,
+            scripts: index.is_multiple_of(SCRIPTS_EVERY).then_some(index),
         }
     }
 

@@ -29,13 +29,14 @@ const STEP: Duration = Duration::from_millis(10);
 
 /// Plays every script on `link`, which stays in any state without a drive or with another configuration; samples have no
 /// plate. `base` gives law, watchdog timeout and plate. `own_clock` is true if the controller's clock runs while the
-/// bench waits. Returns one sentence per script whose answers differ from the reference.
+/// bench waits. `seed` selects the random samples. Returns one sentence per script whose answers differ from the reference.
 /// Fails if the link is lost.
 pub fn protocol_differences(
     link: &mut dyn Link,
     identity: &Identity,
     base: &Configure,
     own_clock: bool,
+    seed: u64,
 ) -> Result<Vec<String>, LinkError> {
     if !link.restart()? {
         link.continue_trial();
@@ -44,8 +45,8 @@ pub fn protocol_differences(
     let period = Duration::from_micros(base.period_us.into());
     let mut player = Player { link, identity, period, own_clock, now: Duration::ZERO };
     let mut differences = Vec::new();
-    let varied = VARIATIONS.map(|variation| scripts::scripts(&base, identity, variation));
-    for (position, script) in scripts::scripts(&base, identity, Variation::NONE).iter().enumerate() {
+    let varied = VARIATIONS.map(|variation| scripts::scripts(&base, identity, variation, seed));
+    for (position, script) in scripts::scripts(&base, identity, Variation::NONE, seed).iter().enumerate() {
         let varied: Vec<_> = varied.iter().filter_map(|scripts| scripts.get(position)).collect();
         let mut difference = None;
         for _ in 0..ATTEMPTS {
@@ -162,7 +163,7 @@ mod tests {
     fn differences(change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = Changed { device: HostedLink::new(), exchanges: 0, change };
-        protocol_differences(&mut link, &identity, &CONFIGURE, false).unwrap()
+        protocol_differences(&mut link, &identity, &CONFIGURE, false, 1).unwrap()
     }
 
     /// Designs for another K1.
@@ -192,7 +193,7 @@ mod tests {
     fn a_design_may_be_five_percent_off(#[case] gain: f32, #[case] expected: &[&str]) {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = OtherGain(HostedLink::new(), gain);
-        let mut found = protocol_differences(&mut link, &identity, &CONFIGURE, false).unwrap();
+        let mut found = protocol_differences(&mut link, &identity, &CONFIGURE, false, 1).unwrap();
         found.sort_unstable();
         assert_eq!(names(&found).iter().filter(|name| !expected.contains(name)).count(), 0, "{found:?}");
         assert_eq!(found.is_empty(), expected.is_empty());

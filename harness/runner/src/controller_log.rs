@@ -6,7 +6,7 @@ use crate::fault::needs_reconfiguration;
 use platebench_plate::Time;
 use platebench_record::{Telemetry, ViolationKind};
 use platebench_rig::{FaultInjector, Link, LinkError, RigError, Session, protocol_differences};
-use platebench_scenario::{FaultKind, Metric, Scenario};
+use platebench_scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -120,12 +120,15 @@ impl<'a> ControllerLog<'a> {
         session: &mut Session<FaultInjector<L>>,
         base: &Configure,
         own_clock: bool,
+        index: u32,
     ) -> Result<(), RigError> {
         if !self.scenario.expects(Metric::ProtocolDifferences) {
             return Ok(());
         }
         let identity = *session.identity();
-        let differences = protocol_differences(session.link_mut().inner_mut(), &identity, base, own_clock)?;
+        let seed = Variation::of_trial(self.scenario, index).seed;
+        let link = session.link_mut().inner_mut();
+        let differences = protocol_differences(link, &identity, base, own_clock, seed)?;
         for difference in &differences {
             warn!(scenario = self.scenario.file, "protocol: {difference}");
         }

@@ -122,7 +122,7 @@ impl<'a, L: Link> Trial<'a, L> {
             return trial;
         }
         let configure = trial.configuration();
-        if let Err(error) = trial.controller.check_protocol(trial.session, &configure, spec.own_clock) {
+        if let Err(error) = trial.controller.check_protocol(trial.session, &configure, spec.own_clock, spec.index) {
             trial.end_on_link_error(error);
             return trial;
         }

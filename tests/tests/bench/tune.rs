@@ -161,12 +161,12 @@ class Serial:
 "#;
 
 #[rstest]
-#[case::takes_them("tuple(gains) if bits & 1 else None", 0, "accepted the gains")]
-#[case::keeps_its_own("None", 2, "reports other gains than those sent")]
+#[case::takes_them("tuple(gains) if bits & 1 else ()", 0, "accepted the gains")]
+#[case::keeps_its_own("()", 2, "reports other gains than those sent")]
 fn a_controller_that_ignores_the_gains_is_an_error(#[case] gains: &str, #[case] expected: i32, #[case] message: &str) {
     let folder = TestFolder::new();
     fs::copy(workspace_root().join("docs/examples/controller.py"), folder.join("mine.py")).unwrap();
-    folder.replace("mine.py", "tuple(gains) if bits & 1 else None", gains);
+    folder.replace("mine.py", "tuple(gains) if bits & 1 else ()", gains);
     folder.write("serial.py", SERIAL);
     run_tune(&folder, &["--send", "exec:python3 mine.py {port}", "--out", "run"])
         .assert_exit(expected)

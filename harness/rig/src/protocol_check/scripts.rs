@@ -16,7 +16,7 @@ pub(super) const CONFIGURED_GAINS: Gains =
 /// Bytes of a sample's frame.
 const SAMPLE_FRAME: usize = 24;
 
-pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation) -> Vec<Script> {
+pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation, seed: u64) -> Vec<Script> {
     let fixed = Configure { gains: Some(CONFIGURED_GAINS), start_frequency_mhz: 32_307_654, ..*base };
     let start = |name| {
         let mut builder = Builder::new(name, variation);
@@ -53,7 +53,8 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
         builder.finish()
     }));
     for number in 0..RANDOM_SCRIPTS {
-        let mut random = ChaCha8Rng::seed_from_u64(number);
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        random.set_stream(number);
         // With configured gains the prediction would use K1.
         let has_delay = number % 4 == 3 && identity.has_capability(capabilities::LOOP_DELAY);
         let (mut with_gains, mut own_design) = (
