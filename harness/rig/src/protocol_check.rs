@@ -17,11 +17,14 @@ use std::time::{Duration, Instant};
 
 /// Further references. If their commands differ from those of the reference, no command is compared until the next
 /// configuration: rounding decides, or a design that is 5 % off.
-const VARIATIONS: [Variation; 3] = [
-    Variation { components: 1.0 + 2e-6, gain: 1.0 },
-    Variation { components: 1.0, gain: 1.05 },
-    Variation { components: 1.0, gain: 0.95 },
+const VARIATIONS: [Variation; 4] = [
+    Variation { components: ROUNDING, gain: 1.0 },
+    Variation { components: -ROUNDING, gain: 1.0 },
+    Variation { components: 0.0, gain: 1.05 },
+    Variation { components: 0.0, gain: 0.95 },
 ];
+/// Some tens of the resolution of single precision.
+const ROUNDING: f32 = 2e-6;
 /// A script with a lost answer or a stall of the host is played again.
 const ATTEMPTS: usize = 3;
 /// Target and reference advance in steps: a reference sends at most one tick in each.

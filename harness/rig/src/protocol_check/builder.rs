@@ -16,17 +16,17 @@ pub(super) struct Script {
 const PAUSE: Duration = Duration::from_millis(5);
 const STALL: Duration = Duration::from_millis(80);
 
-/// Factors on what a script sends. Scripts of two variations have equal lengths.
+/// Changes of what a script sends. Scripts of two variations have equal lengths.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Variation {
-    /// On Wd and Wq.
+    /// Relative change of Wd and Wq, with signs that alternate from sample to sample.
     pub(super) components: f32,
-    /// On K1 of configurations without gains.
+    /// Factor on K1 of configurations without gains.
     pub(super) gain: f32,
 }
 
 impl Variation {
-    pub(super) const NONE: Self = Self { components: 1.0, gain: 1.0 };
+    pub(super) const NONE: Self = Self { components: 0.0, gain: 1.0 };
 }
 
 #[derive(Debug, Clone)]
@@ -165,7 +165,9 @@ impl Builder {
     }
 
     fn sample_with(&mut self, sequence: u8, setpoint_um: f32, wd_um: f32, wq_um: f32) {
-        let [wd_um, wq_um] = [wd_um, wq_um].map(|value| value * self.variation.components);
+        let components = self.variation.components;
+        let change = |number: u8| if number.is_multiple_of(2) { components } else { -components };
+        let (wd_um, wq_um) = (wd_um * (1.0 + change(sequence)), wq_um * (1.0 + change(sequence / 2)));
         let sample = Sample { time_us: self.time_us, setpoint_um, wd_um, wq_um };
         self.time_us = self.time_us.wrapping_add(self.period_us);
         self.last_sample = Packet { sequence, message: Message::Sample(sample) }.encode().as_bytes().to_vec();

@@ -20,8 +20,8 @@ const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
 /// Share of the tolerance by which the commands of a reference with the components or gains of a variation may differ.
 const ROUNDING_SHARE: f64 = 0.25;
 const OTHER_DESIGN_SHARE: f64 = 0.5;
-/// The first variation differs by rounding; the others have another design.
-const ROUNDING_VARIATIONS: usize = 1;
+/// The first variations differ by rounding; the others have another design.
+const ROUNDING_VARIATIONS: usize = 2;
 /// Ticks before and after a message that another clock may exchange.
 const TICKS_AROUND: usize = 1;
 /// Shortest silence over which the time stamps of commands are compared, and the relative tolerance.

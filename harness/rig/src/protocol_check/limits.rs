@@ -11,7 +11,7 @@ pub(super) fn scripts(fixed: &Configure, variation: Variation) -> Vec<Script> {
     };
     let own_design = Configure { gains: None, ..*fixed };
     // The comparison is exact: a variation would decide it.
-    let exact = Variation { components: 1.0, ..variation };
+    let exact = Variation { components: 0.0, ..variation };
     vec![
         drive_limit(start("a drive limit with a fraction", Configure { drive_limit_vpp: 9.75, ..*fixed })),
         // No multiple of the slew lies between two mHz.

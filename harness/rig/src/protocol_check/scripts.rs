@@ -346,8 +346,10 @@ fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
 
 fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bool, has_delay: bool) -> Configure {
     let mut range = |low, high| uniform(random, low, high);
-    let period_us = range(300.0, 4000.0) as u32;
+    let longest_us = range(300.0, 4000.0);
     let time_constant_s = range(0.001, 0.004);
+    // Over more than six time constants, e^z of the identification is below the resolution of single precision.
+    let period_us = if has_gains { longest_us } else { longest_us.min(time_constant_s * 1e6) } as u32;
     let gains = Gains {
         amplitude_kp: range(-60.0, 600.0),
         amplitude_ki: range(0.0, 150_000.0),
