@@ -39,10 +39,12 @@ pub enum ViolationKind {
     DriveAfterSafe,
     /// A running state or a drive in the answer to the request for 0 V.
     IgnoredSafe,
+    /// A command whose time stamp is before that of the command before it.
+    ClockBackwards,
 }
 
 impl ViolationKind {
-    pub const COUNT: usize = 9;
+    pub const COUNT: usize = 10;
 }
 
 impl fmt::Display for Violation {
@@ -71,6 +73,7 @@ impl fmt::Display for Violation {
                 write!(formatter, "commanded drive of {} after 0 V was confirmed", worst("Vpp"))
             }
             ViolationKind::IgnoredSafe => write!(formatter, "request for 0 V answered with a running state or a drive"),
+            ViolationKind::ClockBackwards => write!(formatter, "time stamp of a command before that of the last one"),
         }?;
         write!(formatter, ", first at {:.1} ms, {count} in total", at_s * 1e3)
     }

@@ -19,6 +19,9 @@ pub(crate) struct CommandChecks {
     slew_hz: f64,
     /// `None` after a stop, from which the frequency may start anew.
     last_hz: Option<f64>,
+    /// Faults of the line may deliver an earlier command again.
+    checks_clock: bool,
+    last_us: Option<u32>,
     violations: [Option<Violation>; ViolationKind::COUNT],
 }
 
@@ -31,6 +34,8 @@ impl CommandChecks {
             range_hz: scenario.controller.frequency_range_hz,
             slew_hz: scenario.controller.frequency_slew_hz,
             last_hz: Some(start_hz),
+            checks_clock: scenario.faults.is_empty(),
+            last_us: None,
             violations: [None; ViolationKind::COUNT],
         }
     }
@@ -43,6 +48,11 @@ impl CommandChecks {
             self.record(ViolationKind::DriveAboveLimit, now, Some(drive.into()), Some(limit));
         } else if drive.is_finite() && drive < 0.0 {
             self.record(ViolationKind::DriveBelowZero, now, Some(drive.into()), Some(0.0));
+        }
+        let time_us = command.target_time_us;
+        let last_us = self.last_us.replace(time_us);
+        if self.checks_clock && last_us.is_some_and(|last_us| time_us.wrapping_sub(last_us).cast_signed() < 0) {
+            self.record(ViolationKind::ClockBackwards, now, None, None);
         }
         if command.state != ControllerState::Running {
             self.last_hz = None;
@@ -153,6 +163,28 @@ mod tests {
         let found: Vec<_> = checks.violations().iter().map(|violation| (violation.kind, violation.count)).collect();
         assert_eq!(found, expected);
         assert!(checks.violations().iter().all(|violation| violation.at_s == 1e-3));
+    }
+
+    #[rstest]
+    #[case::forwards(&[5, 6, 6], false, 0)]
+    #[case::wraps(&[u32::MAX - 5, 5], false, 0)]
+    #[case::backwards(&[5, 4, 5, 4], false, 2)]
+    #[case::wraps_early(&[0x00FF_FFFF, 5], false, 1)]
+    #[case::a_line_with_faults(&[5, 4], true, 0)]
+    fn checks_the_clock(#[case] times_us: &[u32], #[case] has_faults: bool, #[case] count: u64) {
+        let mut scenario = scenario();
+        if has_faults {
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/faults/lost-command.toml");
+            scenario.faults =
+                platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}")).faults;
+        }
+        let mut checks = CommandChecks::new(&scenario);
+        for (number, &target_time_us) in (1..).zip(times_us) {
+            let command = Command { target_time_us, ..command(0.0, 0, ControllerState::Running) };
+            checks.check_command(&command, 1, at(number));
+        }
+        let found = checks.violations().iter().map(|violation| violation.count).sum::<u64>();
+        assert_eq!(found, count);
     }
 
     #[test]

@@ -17,7 +17,7 @@ const PAUSE: Duration = Duration::from_millis(5);
 const STALL: Duration = Duration::from_millis(80);
 
 /// Changes of what a script sends. Scripts of two variations have equal lengths.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Variation {
     /// Relative change of Wd and Wq, with signs that alternate from sample to sample.
     pub(super) components: f32,
@@ -55,6 +55,15 @@ impl Builder {
         // The first numbers pass the wrap.
         let (period_us, time_us, wait) = (0, 0, Duration::ZERO);
         Self { script, variation, period_us, sequence: 248, time_us, unanswered, wait, last_sample }
+    }
+
+    pub(super) fn has_variation(&self) -> bool {
+        self.variation != Variation::NONE
+    }
+
+    /// A script that is not played.
+    pub(super) fn empty(self) -> Script {
+        Script { exchanges: Vec::new(), ..self.script }
     }
 
     pub(super) fn finish(self) -> Script {

@@ -1,5 +1,6 @@
 //! Compares the answers of a controller with those of the hosted reference.
 
+use super::ticks::TickComparison;
 use platebench_wire::{
     Command, Configure, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, StateCause,
 };
@@ -22,8 +23,6 @@ const ROUNDING_SHARE: f64 = 0.25;
 const OTHER_DESIGN_SHARE: f64 = 0.5;
 /// The first variations differ by rounding; the others have another design.
 const ROUNDING_VARIATIONS: usize = 2;
-/// Ticks before and after a message that another clock may exchange.
-const TICKS_AROUND: usize = 1;
 /// Shortest silence over which the time stamps of commands are compared, and the relative tolerance.
 const COMPARED_SILENCE: Duration = Duration::from_millis(100);
 const CLOCK_TOLERANCE: f64 = 0.1;
@@ -35,8 +34,10 @@ pub(super) struct Difference {
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Doubt {
-    /// The line may have lost an answer.
+    /// The line may have lost an answer, or delivered it late.
     NoAnswer,
+    /// The host may have sent the ticks late.
+    LateTicks,
     /// The host was late.
     Stall,
 }
@@ -74,8 +75,7 @@ pub(super) struct Comparison<'a> {
     running: Option<[Command; 2]>,
     /// The same if they came in the exchange before.
     previous: Option<[Command; 2]>,
-    /// Ticks since the configuration, of target and reference.
-    ticks: [usize; 2],
+    ticks: TickComparison,
 }
 
 impl<'a> Comparison<'a> {
@@ -87,7 +87,7 @@ impl<'a> Comparison<'a> {
             is_doubtful: false,
             running: None,
             previous: None,
-            ticks: [0; 2],
+            ticks: TickComparison::default(),
         }
     }
 
@@ -97,15 +97,15 @@ impl<'a> Comparison<'a> {
         let last = requests.last().map_or(0, |packet| packet.sequence);
         for packet in requests {
             if let Message::Configure(configure) = packet.message {
-                let running = self.running;
-                *self = Self { configuration: Some(configure), running, ..Self::new(self.identity) };
+                let (running, ticks) = (self.running, TickComparison::new(&configure));
+                *self = Self { configuration: Some(configure), running, ticks, ..Self::new(self.identity) };
             }
         }
         last
     }
 
-    /// `expected`: what the reference sent, then its variations. `silence`: time without a sample before this exchange, by
-    /// the clock of the controller.
+    /// `expected`: what the reference sent, then its variations. `silence`: shortest and longest time since the exchange
+    /// before, by the clock of the controller.
     pub(super) fn compare(
         &mut self,
         received: &Received,
@@ -114,7 +114,14 @@ impl<'a> Comparison<'a> {
     ) -> Result<(), Difference> {
         let Some((reference, varied)) = expected.split_first() else { return Ok(()) };
         let previous = self.previous.take();
-        self.compare_ticks(&received.ticks, &reference.ticks)?;
+        let late = silence.end().saturating_sub(*silence.start());
+        if let Some(text) = self.ticks.add(&received.ticks, reference.ticks.len(), late) {
+            return Err(Difference { text, doubt: Some(Doubt::LateTicks) });
+        }
+        if let Some(drift) = self.ticks.drift() {
+            let text = format!("ticks drift by {drift:.1?} from their periods");
+            return Err(Difference { text, doubt: Some(Doubt::LateTicks) });
+        }
         for (position, expected) in reference.answers.iter().enumerate() {
             let Some(answer) = received.answers.get(position) else {
                 let text = format!("no answer, expected {}", show(expected));
@@ -126,7 +133,9 @@ impl<'a> Comparison<'a> {
                     other.answers.get(position).is_none_or(|other| self.is_far(expected, other, number));
             }
             if !self.is_equal(answer, expected) {
-                return differs(format!("{}, expected {}", show(answer), show(expected)));
+                let text = format!("{}, expected {}", show(answer), show(expected));
+                let doubt = (answer.sequence != expected.sequence).then_some(Doubt::NoAnswer);
+                return Err(Difference { text, doubt });
             }
             if let (Message::Command(answer), Message::Command(expected)) = (&answer.message, &expected.message)
                 && expected.state == ControllerState::Running
@@ -142,23 +151,6 @@ impl<'a> Comparison<'a> {
             Some(answer) => differs(format!("{}, expected no further message", show(answer))),
             None => Ok(()),
         }
-    }
-
-    fn compare_ticks(&mut self, ticks: &[Packet], expected: &[Packet]) -> Result<(), Difference> {
-        let [own, reference] = &mut self.ticks;
-        *reference += expected.len();
-        for tick in ticks {
-            *own += 1;
-            let number = *own as u8;
-            if tick.sequence != number {
-                return differs(format!("tick {}, expected tick {number}", tick.sequence));
-            }
-        }
-        let around = if *reference == 0 { 0 } else { TICKS_AROUND };
-        if own.abs_diff(*reference) > around {
-            return differs(format!("{own} ticks since the configuration, expected {reference}"));
-        }
-        Ok(())
     }
 
     fn observe_design(&mut self, answer: &Packet, expected: &Packet) {

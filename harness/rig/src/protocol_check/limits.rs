@@ -13,7 +13,9 @@ pub(super) fn scripts(fixed: &Configure, variation: Variation) -> Vec<Script> {
     // The comparison is exact: a variation would decide it.
     let exact = Variation { components: 0.0, ..variation };
     vec![
-        drive_limit(start("a drive limit with a fraction", Configure { drive_limit_vpp: 9.75, ..*fixed })),
+        drive_limit(start("a drive limit with a fraction", Configure { drive_limit_vpp: 9.75, ..*fixed }), 1.0),
+        // In 0.1 V it needs more than 16 bits.
+        drive_limit(start("a drive limit of 70 kV", Configure { drive_limit_vpp: 70_000.25, ..*fixed }), 500.0),
         // No multiple of the slew lies between two mHz.
         frequency_limits(start(
             "frequency limits of a few mHz",
@@ -29,9 +31,9 @@ pub(super) fn scripts(fixed: &Configure, variation: Variation) -> Vec<Script> {
     ]
 }
 
-fn drive_limit(mut builder: Builder) -> Script {
+fn drive_limit(mut builder: Builder, scale: f32) -> Script {
     for wd in [0.0, 1.0, 3.0, 1.9, 1.99, 1.0] {
-        builder.sample(2.0, wd, -0.1);
+        builder.sample(2.0 * scale, wd * scale, -0.1 * scale);
     }
     builder.finish()
 }

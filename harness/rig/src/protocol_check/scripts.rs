@@ -1,16 +1,12 @@
 //! Scripts of messages that are legal and that no closed loop with a plate sends.
 
 use super::builder::{Builder, Script, Variation, configuration_body};
-use super::{limits, timing};
+use super::{limits, random, timing};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Rejection, Setpoint,
     StateCause, Tick, capabilities,
 };
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
 
-const RANDOM_SCRIPTS: u64 = 40;
-const RANDOM_SAMPLES: usize = 40;
 pub(super) const CONFIGURED_GAINS: Gains =
     Gains { amplitude_kp: 275.0, amplitude_ki: 110_000.0, frequency_kp: 900.0, frequency_ki: 400_000.0 };
 /// Bytes of a sample's frame.
@@ -28,18 +24,21 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
         gaps(start("numbers of samples with gaps")),
         rest(start("samples at rest and negative components")),
         hello(start("hello and 0 V while running"), fixed),
+        numbers(start("samples with the number of another message"), fixed),
         ignored(start("messages that only a controller sends"), identity),
         counter(start("the counter of rejected frames"), fixed),
         damaged(start("one damaged bit in every byte of a frame")),
         invalid_bodies(start("invalid messages with a valid CRC")),
         timing::watchdog(start("the watchdog with its own timeout"), fixed),
         timing::short_watchdog(start("a watchdog of five short periods"), fixed),
+        timing::many_samples(start("more samples than sixteen bits count")),
         pieces(start("frames in two pieces")),
         invalid_configurations(start("configurations that are rejected as messages"), fixed),
     ];
     all.extend(limits::scripts(&fixed, variation));
     if identity.has_capability(capabilities::TARGET_PACED) {
         all.push(timing::ticks(start("ticks"), fixed));
+        all.push(timing::short_ticks(start("ticks of a short period"), fixed));
     }
     all.extend((0..3).map(|component| not_finite(start("values that are not finite"), component, fixed)));
     all.extend(unusable(&fixed, identity).into_iter().map(|configure| {
@@ -52,21 +51,7 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
         builder.sample(2.0, 1.2, -0.2);
         builder.finish()
     }));
-    for number in 0..RANDOM_SCRIPTS {
-        let mut random = ChaCha8Rng::seed_from_u64(seed);
-        random.set_stream(number);
-        // With configured gains the prediction would use K1.
-        let has_delay = number % 4 == 3 && identity.has_capability(capabilities::LOOP_DELAY);
-        let (mut with_gains, mut own_design) = (
-            Builder::new("random samples with configured gains", variation),
-            Builder::new("random samples with the law's own design", variation),
-        );
-        with_gains.configure(random_configuration(&mut random, base, true, false));
-        random_samples(&mut random, &mut with_gains);
-        own_design.configure(random_configuration(&mut random, base, false, has_delay));
-        random_samples(&mut random, &mut own_design);
-        all.extend([with_gains.finish(), own_design.finish()]);
-    }
+    all.extend(random::scripts(base, identity, variation, seed));
     all
 }
 
@@ -140,6 +125,23 @@ fn hello(mut builder: Builder, configure: Configure) -> Script {
     builder.sample(2.0, 1.2, -0.2);
     builder.configure(configure);
     builder.sample(2.0, 1.2, -0.2);
+    builder.finish()
+}
+
+/// Only the number of the last sample marks a repetition.
+fn numbers(mut builder: Builder, configure: Configure) -> Script {
+    builder.sample_after(0, 2.0, 0.0, 0.0);
+    builder.ask(Message::Hello);
+    builder.sample_after(0, 2.0, 1.2, -0.2);
+    builder.add_damaged(5);
+    builder.sample_after(0, 2.0, 1.3, -0.1);
+    builder.add_message(Message::Tick(Tick { target_time_us: 5 }));
+    builder.sample_after(0, 2.0, 1.4, 0.1);
+    builder.ask(Message::Safe);
+    builder.sample_after(0, 2.0, 1.2, -0.2);
+    builder.configure(configure);
+    builder.sample_after(0, 2.0, 1.1, 0.2);
+    builder.sample(2.0, 1.2, 0.1);
     builder.finish()
 }
 
@@ -337,53 +339,4 @@ fn unusable(base: &Configure, identity: &Identity) -> Vec<Configure> {
         ]);
     }
     all
-}
-
-/// In `low..high`.
-fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
-    low + (high - low) * ((random.next_u32() >> 8) as f32 / (1_u32 << 24) as f32)
-}
-
-fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bool, has_delay: bool) -> Configure {
-    let mut range = |low, high| uniform(random, low, high);
-    let longest_us = range(300.0, 4000.0);
-    let time_constant_s = range(0.001, 0.004);
-    // Over more than six time constants, e^z of the identification is below the resolution of single precision.
-    let period_us = if has_gains { longest_us } else { longest_us.min(time_constant_s * 1e6) } as u32;
-    let gains = Gains {
-        amplitude_kp: range(-60.0, 600.0),
-        amplitude_ki: range(0.0, 150_000.0),
-        frequency_kp: range(-200.0, 2000.0),
-        frequency_ki: range(0.0, 600_000.0),
-    };
-    Configure {
-        period_us,
-        start_frequency_mhz: range(32_100_000.0, 32_500_000.0) as u32,
-        gain_um_per_vpp: range(0.004, 0.012),
-        time_constant_s,
-        response_time_s: if has_gains { 0.0 } else { range(0.0009, 0.006) },
-        drive_limit_vpp: range(300.0, 1500.0),
-        frequency_range_hz: range(20.0, 400.0),
-        frequency_slew_hz: range(2.0, 200.0),
-        gains: has_gains.then_some(gains),
-        loop_delay_us: if has_delay { period_us / 3 } else { 0 },
-        ..*base
-    }
-}
-
-/// Setpoints that last some samples; W follows them with jumps, and is sometimes negative.
-fn random_samples(random: &mut ChaCha8Rng, builder: &mut Builder) {
-    let (mut setpoint, mut wd, mut wq) = (1.0, 0.0, 0.0);
-    for _ in 0..RANDOM_SAMPLES {
-        if random.next_u32().is_multiple_of(5) {
-            setpoint = if random.next_u32().is_multiple_of(5) { 0.0 } else { uniform(random, 0.1, 4.0) };
-        }
-        let share = uniform(random, 0.1, 0.9);
-        wd += (setpoint - wd) * share + uniform(random, -0.2, 0.2) * setpoint;
-        wq += uniform(random, -0.3, 0.3) * setpoint - 0.3 * wq;
-        if random.next_u32().is_multiple_of(17) {
-            wd = -wd;
-        }
-        builder.sample(setpoint, wd, wq);
-    }
 }

@@ -1,4 +1,4 @@
-//! Scripts of silences: watchdog and ticks.
+//! Scripts of time: watchdog, ticks, and a long trial.
 
 use super::builder::{Builder, Script};
 use platebench_wire::{Configure, Message};
@@ -64,5 +64,25 @@ pub(super) fn ticks(mut builder: Builder, configure: Configure) -> Script {
     builder.configure(paced);
     builder.pass_ms(1_175);
     builder.sample(2.0, 0.0, 0.0);
+    builder.finish()
+}
+
+/// So many that their number wraps and that delays of some microseconds add up to a large part of a period.
+pub(super) fn short_ticks(mut builder: Builder, configure: Configure) -> Script {
+    builder.configure(Configure { paced_by_target: true, period_us: 3_000, ..configure });
+    builder.pass_ms(900);
+    builder.configure(configure);
+    builder.finish()
+}
+
+/// The drive stays at what the first sample made of the integrals. Without variations: nothing depends on rounding.
+pub(super) fn many_samples(mut builder: Builder) -> Script {
+    if builder.has_variation() {
+        return builder.empty();
+    }
+    builder.sample(2.0, 1.9, 0.05);
+    for _ in 0..=u16::MAX {
+        builder.sample(2.0, 2.0, 0.0);
+    }
     builder.finish()
 }

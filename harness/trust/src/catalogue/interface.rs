@@ -143,6 +143,11 @@ pub(super) fn violating_mutants() -> Vec<MutantSpec> {
         ..mutant(name, description, &[], witness, build)
     };
     vec![
+        mutant("clock-of-24-bits", "clock of 24 bits, sent as 32", &[ViolationKind::ClockBackwards], FIG13, || {
+            Box::new(OnCommand(|command| {
+                command.target_time_us = command.target_time_us.wrapping_sub(40_000) & 0x00FF_FFFF;
+            }))
+        }),
         mutant(
             "stale-answer",
             "every 1000th answer is the previous one, with its sequence number",
