@@ -19,7 +19,7 @@ pub(crate) struct CommandChecks {
     slew_hz: f64,
     /// `None` after a stop, from which the frequency may start anew.
     last_hz: Option<f64>,
-    /// Faults of the line may deliver an earlier command again.
+    /// Faults may deliver an earlier command again or stop the clock.
     checks_clock: bool,
     last_us: Option<u32>,
     violations: [Option<Violation>; ViolationKind::COUNT],
@@ -34,7 +34,7 @@ impl CommandChecks {
             range_hz: scenario.controller.frequency_range_hz,
             slew_hz: scenario.controller.frequency_slew_hz,
             last_hz: Some(start_hz),
-            checks_clock: scenario.faults.is_empty(),
+            checks_clock: scenario.faults.is_empty() && scenario.chip_faults.is_empty(),
             last_us: None,
             violations: [None; ViolationKind::COUNT],
         }
@@ -166,18 +166,15 @@ mod tests {
     }
 
     #[rstest]
-    #[case::forwards(&[5, 6, 6], false, 0)]
-    #[case::wraps(&[u32::MAX - 5, 5], false, 0)]
-    #[case::backwards(&[5, 4, 5, 4], false, 2)]
-    #[case::wraps_early(&[0x00FF_FFFF, 5], false, 1)]
-    #[case::a_line_with_faults(&[5, 4], true, 0)]
-    fn checks_the_clock(#[case] times_us: &[u32], #[case] has_faults: bool, #[case] count: u64) {
-        let mut scenario = scenario();
-        if has_faults {
-            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/faults/lost-command.toml");
-            scenario.faults =
-                platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}")).faults;
-        }
+    #[case::forwards("paper/fig13-closed-loop.toml", &[5, 6, 6], 0)]
+    #[case::wraps("paper/fig13-closed-loop.toml", &[u32::MAX - 5, 5], 0)]
+    #[case::backwards("paper/fig13-closed-loop.toml", &[5, 4, 5, 4], 2)]
+    #[case::wraps_early("paper/fig13-closed-loop.toml", &[0x00FF_FFFF, 5], 1)]
+    #[case::a_line_with_faults("faults/lost-command.toml", &[5, 4], 0)]
+    #[case::a_chip_with_faults("chip/stuck-microseconds.toml", &[5, 4], 0)]
+    fn checks_the_clock(#[case] file: &str, #[case] times_us: &[u32], #[case] count: u64) {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
+        let scenario = platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
         let mut checks = CommandChecks::new(&scenario);
         for (number, &target_time_us) in (1..).zip(times_us) {
             let command = Command { target_time_us, ..command(0.0, 0, ControllerState::Running) };

@@ -50,13 +50,19 @@ pub(super) struct Received {
 
 impl Received {
     /// Without the report of the watchdog: a controller that receives a sample first reports the stop in its answer.
+    /// Without ticks before the answer to a configuration, which belong to the one before.
     pub(super) fn new(bytes: &[u8], request: u8) -> Self {
         let is_report = |packet: &Packet| {
             matches!(packet.message, Message::Command(command) if command.cause == StateCause::SampleTimeout)
                 && packet.sequence != request
         };
-        let (ticks, answers): (Vec<_>, Vec<_>) =
-            packets(bytes).into_iter().partition(|packet| matches!(packet.message, Message::Tick(_)));
+        let is_tick = |packet: &Packet| matches!(packet.message, Message::Tick(_));
+        let mut packets = packets(bytes);
+        if let Some(at) = packets.iter().position(|packet| matches!(packet.message, Message::Configured(_))) {
+            let earlier: Vec<_> = packets.drain(..at).filter(|packet| !is_tick(packet)).collect();
+            packets.splice(0..0, earlier);
+        }
+        let (ticks, answers): (Vec<_>, Vec<_>) = packets.into_iter().partition(is_tick);
         Self { answers: answers.into_iter().filter(|packet| !is_report(packet)).collect(), ticks }
     }
 }
