@@ -1,10 +1,10 @@
 //! Derives a verdict for each requirement and one for the session from stored runs.
 
 use crate::decision::PlanDecision;
-use crate::plan::Requirement;
 use crate::session_record::{EvidenceRecord, RequirementRecord, StepRecord};
 use platebench_record::{ExpectationRecord, RunRecord, Verdict};
 use platebench_report::format;
+use platebench_scenario::Requirement;
 
 /// `runs` are those of the scenario steps, by their identifier.
 pub(crate) fn judge_requirements(

@@ -3,7 +3,7 @@
 //! A plan has the text of each requirement; expectations of scenarios refer to its identifier.
 
 use crate::decision::PlanDecision;
-use platebench_scenario::{Diagnostic, Limit, Scenario, find, input, schema};
+use platebench_scenario::{Diagnostic, Limit, Requirement, Scenario, find, input, schema};
 use platebench_uncertainty::{Budget, DecisionRule, known_quantities};
 use schemars::{JsonSchema, Schema};
 use serde::Deserialize;
@@ -59,18 +59,6 @@ struct RawDecision {
 
 const fn thirty() -> u32 {
     30
-}
-
-/// A requirement.
-#[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Requirement {
-    /// Identifier, as in the expectations of scenarios.
-    #[schemars(regex(pattern = "^[A-Za-z0-9-]+$"))]
-    pub id: String,
-    /// Its text.
-    #[schemars(length(min = 1))]
-    pub text: String,
 }
 
 #[derive(Debug, Clone, Deserialize, JsonSchema)]

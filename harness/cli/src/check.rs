@@ -11,7 +11,9 @@ use platebench_boards::Inventory;
 use platebench_campaign::Campaign;
 use platebench_explore::Envelope;
 use platebench_runner::law;
-use platebench_scenario::{Diagnostic, FileKind, list_files, load, load_with_all_errors, unjudged_changes};
+use platebench_scenario::{
+    Diagnostic, FileKind, list_files, load, load_with_all_errors, read_requirements, unjudged_changes,
+};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -71,6 +73,7 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
         FileKind::Envelope => Envelope::load(path).err().unwrap_or_default(),
         FileKind::Campaign => Campaign::load(path).err().unwrap_or_default(),
         FileKind::Boards => Inventory::read(path).err().unwrap_or_default(),
+        FileKind::Requirements => read_requirements(path).err().unwrap_or_default(),
         FileKind::Config => Config::read(path, definition).err().unwrap_or_default(),
     }
 }

@@ -12,6 +12,7 @@ use crate::trial_record::TrialRecord;
 use crate::verdict::{Cause, Verdict};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 
@@ -102,6 +103,9 @@ pub struct ScenarioRecord {
     /// Every input file; the first is the scenario.
     pub inputs: Vec<InputRecord>,
     pub expectations: Vec<ExpectationRecord>,
+    /// Texts of its requirements by identifier, from `requirements.toml`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub requirement_texts: BTreeMap<String, String>,
     pub trials: Vec<TrialRecord>,
 }
 

@@ -150,16 +150,27 @@ pub(crate) fn limit_text(limit: Limit) -> String {
     }
 }
 
+/// As many windows are counted instead of listed.
+const COUNTED_WINDOWS: usize = 4;
+
 /// The judged windows: `1 … 60 ms`, `1 … 10, 30 … 40 ms` or `12 windows, 1 … 190 ms`.
 pub(crate) fn windows(expectation: &ExpectationRecord) -> Option<String> {
     window_list(&expectation.windows_ms)
+}
+
+/// `window 1 … 60 ms`, or `12 windows, 1 … 190 ms`.
+pub(crate) fn in_window(expectation: &ExpectationRecord) -> Option<String> {
+    let list = windows(expectation)?;
+    Some(if expectation.windows_ms.len() < COUNTED_WINDOWS { format!("window {list}") } else { list })
 }
 
 pub(crate) fn window_list(windows_ms: &[[f64; 2]]) -> Option<String> {
     let range = |from: f64, until: f64| format!("{} … {}", number(from), number(until));
     match (windows_ms, windows_ms.len()) {
         ([], _) => None,
-        ([[from, _], .., [_, until]], count @ 4..) => Some(format!("{count} windows, {} ms", range(*from, *until))),
+        ([[from, _], .., [_, until]], count @ COUNTED_WINDOWS..) => {
+            Some(format!("{count} windows, {} ms", range(*from, *until)))
+        }
         (few, _) => {
             let few: Vec<String> = few.iter().map(|[from, until]| range(*from, *until)).collect();
             Some(format!("{} ms", few.join(", ")))
@@ -309,6 +320,9 @@ mod tests {
     fn windows_are_listed_up_to_three(#[case] windows_ms: &[[f64; 2]], #[case] expected: Option<&str>) {
         let expectation = ExpectationRecord { windows_ms: windows_ms.to_vec(), ..failed_settling_time() };
         assert_eq!(windows(&expectation).as_deref(), expected);
+        let with_word =
+            expected.map(|text| if text.contains("windows") { text.to_owned() } else { format!("window {text}") });
+        assert_eq!(in_window(&expectation), with_word);
     }
 
     #[test]

@@ -180,6 +180,7 @@ mod tests {
             period_ms: None,
             inputs: Vec::new(),
             expectations: vec![expectation],
+            requirement_texts: std::collections::BTreeMap::new(),
             trials: vec![trial_of(0, 1.0), trial_of(1, 3.0), trial_of(2, 3.0), trial_of(3, 2.0)],
         };
         assert_eq!(trial_to_inspect(&scenario, 0).unwrap().index, 1);

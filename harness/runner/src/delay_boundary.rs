@@ -18,6 +18,8 @@ const TRIAL_PERIODS: u32 = 400;
 const WINDOW_PERIODS: u32 = 40;
 /// Half width, as a share of the setpoint.
 const BAND: f64 = 0.05;
+/// In setpoints.
+const DIVERGED: f64 = 10.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DelayBoundary {
@@ -112,6 +114,22 @@ impl DelayedLoop {
         })
     }
 
+    /// The first control instant from which |W| stays in the band until `end` s, in s; `None` if it does
+    /// not stay there for the last quarter.
+    pub fn settling_time(mut self, delay: Time, end: f64) -> Option<f64> {
+        let period = self.period.seconds();
+        let periods = (end / period).ceil() as u32;
+        let mut settled = None;
+        for number in 0..=periods {
+            let deviation = (self.step(delay, 0.0)?.norm() / self.setpoint - 1.0).abs();
+            settled = if deviation <= BAND { settled.or(Some(number)) } else { None };
+            if deviation > DIVERGED {
+                return None;
+            }
+        }
+        settled.filter(|number| *number <= periods - periods / 4).map(|number| f64::from(number) * period)
+    }
+
     /// Searches up to `longest` s.
     pub fn settling_boundary(&self, longest: f64) -> DelayBoundary {
         search_boundary(self.period.seconds(), longest, |delay| self.clone().settles(delay))
@@ -165,6 +183,21 @@ mod tests {
         scenario.plate.drive_limit_vpp = 1e5;
         let boundary = scenario_delay_boundary(&scenario, law).unwrap();
         boundary.seconds() / scenario.controller.period.seconds()
+    }
+
+    #[test]
+    fn settles_from_rest_only_below_the_boundary() {
+        let name = "paper/fig13-closed-loop.toml";
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
+        let scenario = load(&path, name).unwrap_or_else(|fault| panic!("{fault}"));
+        let configure = configure(&scenario, LawId::DqPi);
+        let conditions = scenario.conditions.at(Time::ZERO);
+        let start = DelayedLoop::new(&configure, &scenario.plate, conditions, scenario.tier, 2.0).unwrap();
+        let settling = |delay_ms: f64| start.clone().settling_time(Time::from_ms(delay_ms).unwrap(), 0.05);
+        assert_eq!(settling(0.0), Some(2e-3));
+        let late = settling(0.8).unwrap();
+        assert!((5e-3..20e-3).contains(&late), "{late}");
+        assert_eq!(settling(2.0), None);
     }
 
     #[test]

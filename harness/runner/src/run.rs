@@ -333,6 +333,7 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
         period_ms: Some(scenario.controller.period.seconds() * 1e3),
         inputs,
         expectations: Vec::new(),
+        requirement_texts: scenario.requirement_texts.clone(),
         trials: Vec::new(),
     }
 }

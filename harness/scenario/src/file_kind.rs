@@ -1,5 +1,6 @@
 //! Recognises the kind of a TOML file.
 
+use crate::requirements::REQUIREMENTS_FILE;
 use platebench_plate::input;
 use std::path::Path;
 use toml::de::DeTable;
@@ -15,6 +16,7 @@ pub enum FileKind {
     Campaign,
     Config,
     Boards,
+    Requirements,
 }
 
 impl FileKind {
@@ -22,6 +24,9 @@ impl FileKind {
     pub fn detect(path: &Path) -> Self {
         if path.file_name().is_some_and(|name| name == SETTINGS_FILE) {
             return Self::Config;
+        }
+        if path.file_name().is_some_and(|name| name == REQUIREMENTS_FILE) {
+            return Self::Requirements;
         }
         let text = input::read(path).map(|content| String::from_utf8_lossy(&content).into_owned()).unwrap_or_default();
         let (document, _) = DeTable::parse_recoverable(&text);
@@ -52,6 +57,7 @@ impl FileKind {
             Self::Campaign => "campaign",
             Self::Config => "settings file",
             Self::Boards => "board inventory",
+            Self::Requirements => "list of requirements",
         }
     }
 }

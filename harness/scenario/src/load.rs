@@ -19,6 +19,7 @@ pub use template::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate};
 use crate::diagnostic::Diagnostic;
 use crate::parse::{parse, with_truncation_note};
 use crate::raw::RawScenario;
+use crate::requirements::requirement_texts;
 use crate::scenario::Scenario;
 use checker::{Checker, Diagnostics};
 use std::path::{Path, PathBuf};
@@ -64,7 +65,14 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
     let mut faults = Diagnostics::default();
     match (Checker { path, text: &text, prefix: String::new(), plates: &[] }.scenario(raw, file, &mut faults), faults.0)
     {
-        (Some(scenario), faults) if faults.is_empty() => Ok(scenario),
+        (Some(mut scenario), faults) if faults.is_empty() => {
+            // The record of a run has the texts; above its copies there is no file of the scenario.
+            if copies.is_empty() {
+                let used = scenario.expectations.iter().filter_map(|expectation| expectation.requirement.as_deref());
+                scenario.requirement_texts = requirement_texts(path, used)?;
+            }
+            Ok(scenario)
+        }
         (_, faults) => Err(with_truncation_note(path, faults)),
     }
 }

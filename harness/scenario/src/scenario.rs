@@ -8,6 +8,7 @@ use crate::fault::Fault;
 use platebench_plate::{ConditionProfiles, Plate, Profile, Tier, Time};
 use schemars::JsonSchema;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 pub const AUTO_MODEL: &str = "auto";
@@ -45,6 +46,8 @@ pub struct Scenario {
     pub between: Vec<Self>,
     /// At least one.
     pub expectations: Vec<Expectation>,
+    /// Of the requirements of the expectations, by identifier, if a `requirements.toml` has them.
+    pub requirement_texts: BTreeMap<String, String>,
 }
 
 #[derive(Debug, Clone, PartialEq)]

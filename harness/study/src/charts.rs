@@ -3,6 +3,7 @@
 
 pub mod ladder;
 mod law_results;
+mod law_variants;
 pub mod laws;
 mod measured_run;
 pub mod precision;

@@ -34,6 +34,7 @@ mod real_plate;
 mod real_time;
 mod remote_line;
 mod replay;
+mod report_content;
 mod rigs;
 mod run_selection;
 mod safe_exit;

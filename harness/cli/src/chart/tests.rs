@@ -232,6 +232,24 @@ fn law_table_equals_the_documented_one() {
     {
         assert!(svg.contains(text), "{text}");
     }
+    let variants = parse_csv(&fs::read_to_string(folder.path().join("new/law-variants.csv")).unwrap());
+    assert_eq!(variants.len(), 1 + 9 * 5 * 4 * 3);
+    let response = |law: &str, known: &str, gain: &str, delay: &str| {
+        let wanted = [law, "Fig. 13: at resonance", known, gain, delay];
+        let row = variants.iter().find(|row| row[..5] == wanted).unwrap();
+        (parse_number(&row[5]), parse_number(&row[6]))
+    };
+    // As in the table of delays of docs/laws.md.
+    let (unknown, known) = (response("dq-pi", "false", "1", "0.8"), response("dq-pi", "true", "1", "0.8"));
+    assert!((unknown.0 - 13.8).abs() < 0.1 && (unknown.1 - 47.0).abs() < 1.0, "{unknown:?}");
+    assert!((known.0 - 2.76).abs() < 0.01 && known.1 < 0.1, "{known:?}");
+    let stronger = response("deadbeat", "true", "1.1", "0");
+    assert!(stronger.1 > response("deadbeat", "true", "1", "0").1 + 5.0, "{stronger:?}");
+    let drawing = |path: &Path| fs::read_to_string(path).unwrap();
+    assert!(
+        drawing(&folder.path().join("new/law-variants.svg")) == drawing(&scenario("../docs/charts/law-variants.svg")),
+        "docs/charts/law-variants.svg differs"
+    );
     // Scenes with noise ran fewer trials here than in docs/laws.md.
     let without_noise = |text: &str| {
         let lines = text.lines().filter(|line| line.starts_with("| "));

@@ -1,4 +1,5 @@
-//! Draws the spectral radius over control period and loop delay, with measured boundaries.
+//! Draws the settling time over control period and loop delay, with predicted and measured boundaries
+//! of stability.
 
 use super::svg::{Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, length, svg_document, text_style};
 use crate::error::ReportError;
@@ -8,8 +9,8 @@ use plotters::style::text_anchor::HPos;
 /// CSS pixels.
 const PANEL_SIZE: (i32, i32) = (330, 262);
 const LEGEND_LINE_HEIGHT: i32 = 22;
-/// Upper edges of the classes of spectral radius; 1 is the stability boundary.
-const CLASS_EDGES: [f64; 9] = [0.3, 0.5, 0.7, 0.8, 0.9, 1.0, 1.05, 1.2, 1.5];
+/// Upper edges of the classes of settling time, ms; the last class does not settle.
+const CLASS_EDGES: [f64; 9] = [1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 15.0, 25.0, 40.0];
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigDelay {
@@ -27,6 +28,8 @@ pub struct MapPanel {
     pub delays_ms: Vec<f64>,
     /// Spectral radius by column and then by row.
     pub radius: Vec<Vec<f64>>,
+    /// Likewise; `None` if it does not settle.
+    pub settling_ms: Vec<Vec<Option<f64>>>,
     /// Measured boundary: period and delay, ms.
     pub measured: Vec<(f64, f64)>,
 }
@@ -71,9 +74,9 @@ impl MapPanel {
             .set_label_area_size(LabelAreaPosition::Left, 40 * UNITS_PER_PIXEL)
             .set_label_area_size(LabelAreaPosition::Bottom, 40 * UNITS_PER_PIXEL)
             .build_cartesian_2d(columns.low..columns.high, rows.low..rows.high)?;
-        for (period, radius) in self.periods_ms.iter().zip(&self.radius) {
+        for (period, settling) in self.periods_ms.iter().zip(&self.settling_ms) {
             let x = columns.cell(*period);
-            for (class, from, to) in class_runs(radius) {
+            for (class, from, to) in class_runs(settling) {
                 let (Some(first), Some(last)) = (self.delays_ms.get(from), self.delays_ms.get(to)) else { continue };
                 let cell = [(x.0, rows.cell(*first).0), (x.1, rows.cell(*last).1)];
                 chart.draw_series([Rectangle::new(cell, Role::Radius(class).colour().filled())])?;
@@ -149,16 +152,17 @@ impl MapAxis {
     }
 }
 
-/// The class of a spectral radius; NaN belongs to the last one.
-fn radius_class(radius: f64) -> usize {
-    CLASS_EDGES.iter().position(|edge| radius < *edge).unwrap_or(CLASS_EDGES.len())
+/// The last class does not settle.
+fn settling_class(settling_ms: Option<f64>) -> usize {
+    let edge = settling_ms.and_then(|ms| CLASS_EDGES.iter().position(|edge| ms < *edge));
+    edge.unwrap_or(CLASS_EDGES.len())
 }
 
 /// Runs of rows in one class: class, first row, last row.
-fn class_runs(radius: &[f64]) -> Vec<(usize, usize, usize)> {
+fn class_runs(settling_ms: &[Option<f64>]) -> Vec<(usize, usize, usize)> {
     let mut runs: Vec<(usize, usize, usize)> = Vec::new();
-    for (row, radius) in radius.iter().enumerate() {
-        let class = radius_class(*radius);
+    for (row, settling) in settling_ms.iter().enumerate() {
+        let class = settling_class(*settling);
         match runs.last_mut() {
             Some(run) if run.0 == class => run.2 = row,
             _ => runs.push((class, row, row)),
@@ -179,13 +183,13 @@ impl LegendEntry {
     fn text(&self) -> String {
         let edge = |class: usize| CLASS_EDGES.get(class).copied();
         match *self {
-            Self::Heading => "spectral radius:".to_owned(),
+            Self::Heading => "settling time, ms:".to_owned(),
             Self::Class(class) => match (class.checked_sub(1).and_then(edge), edge(class)) {
                 (Some(low), Some(high)) => format!("{low} to {high}"),
-                (Some(low), None) => format!("from {low}"),
+                (Some(low), None) => format!("longer than {low}, or never"),
                 (None, high) => format!("below {}", high.unwrap_or(f64::INFINITY)),
             },
-            Self::Boundary => "predicted boundary".to_owned(),
+            Self::Boundary => "predicted boundary of stability".to_owned(),
             Self::Measured => "measured boundary".to_owned(),
             Self::Delay => "measured loop delay of the rig: median and maximum".to_owned(),
         }

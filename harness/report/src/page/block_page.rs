@@ -7,8 +7,9 @@ use crate::text::Table;
 use maud::{Markup, PreEscaped, html};
 use std::path::Path;
 
-const STYLE: &str = "figure{margin:1.5rem 0}figure>img{max-width:100%;height:auto;border:1px solid var(--hair);\
-                     border-radius:.5rem}p{max-width:70ch;margin:.6rem 0}pre{white-space:pre-wrap}";
+const STYLE: &str = "figure{margin:1.5rem 0}figure img{max-width:100%;height:auto;border:1px solid var(--hair);\
+                     border-radius:.5rem}p{max-width:70ch;margin:.6rem 0}pre{white-space:pre-wrap}\
+                     @media screen and (max-width:40rem){figure img{max-width:none;width:44rem}}";
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct BlockPage {
@@ -51,10 +52,15 @@ impl PageBlock {
             @match self {
                 Self::Heading(text) => h2 { (text) },
                 Self::Text(text) => p { (text) },
-                Self::Preformatted(text) => div.scroll { pre { (text) } },
+                Self::Preformatted(text) => div.scroll role="group" aria-label="Text" tabindex="0" { pre { (text) } },
                 Self::Drawings(drawings) => div.figures {
                     @for (svg, caption) in drawings {
-                        figure { img src={ "data:image/svg+xml," (percent_encode(svg)) } alt=(caption); figcaption { (caption) } }
+                        figure {
+                            div.scroll role="group" aria-label=(caption) tabindex="0" {
+                                img src={ "data:image/svg+xml," (percent_encode(svg)) } alt=(caption);
+                            }
+                            figcaption { (caption) }
+                        }
                     }
                 },
                 Self::Table(table) => (text_table(table)),

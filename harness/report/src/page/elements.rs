@@ -65,10 +65,17 @@ pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Ma
 
 pub(super) fn text_table(table: &Table) -> Markup {
     html! {
-        div.scroll {
-            table {
+        div.scroll role="group" aria-label="Table" tabindex="0" {
+            table.stacked {
                 thead { tr { @for cell in &table.header { th scope="col" { (cell) } } } }
-                tbody { @for row in &table.rows { tr { @for cell in row { td { (cell) } } } } }
+                tbody { @for row in &table.rows { tr {
+                    @for (column, cell) in row.iter().enumerate() {
+                        @match (column, table.header.get(column)) {
+                            (0, _) => th scope="row" { (cell) },
+                            (_, name) => td data-label=[name] { (cell) },
+                        }
+                    }
+                } } }
             }
         }
     }

@@ -57,6 +57,7 @@ pub(super) fn scenario_article(
             }
             @if let Some(sentence) = timing::summary(scenario) { p { (sentence) } }
             (expectations_table(scenario, &parts.trends))
+            (requirement_texts(scenario))
             (overshoot_remark(scenario, parts.data))
             (golden_difference(parts.data))
             (unreadable_traces(parts.data))
@@ -143,6 +144,14 @@ fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> 
         h3 { "Expectations" }
         @if scenario.expectations.is_empty() { p.notice { "No expectation was judged." } }
         @else { (scroll_table("Expectations", "expectations stacked", &columns, &rows)) }
+    }
+}
+
+fn requirement_texts(scenario: &ScenarioRecord) -> Markup {
+    html! {
+        @if !scenario.requirement_texts.is_empty() {
+            dl { @for (id, text) in &scenario.requirement_texts { div { dt { (id) } dd { (text) } } } }
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use crate::text::history::RunHistory;
 use crate::text::traceability::{self, RequirementLink};
 use crate::{format, record_queries};
 use maud::{Markup, html};
-use platebench_record::{RunRecord, ScenarioRecord, Statistic, Verdict};
+use platebench_record::{ExpectationRecord, RunRecord, ScenarioRecord, Statistic, Verdict};
 use std::collections::BTreeSet;
 
 const MAX_CLOSEST: usize = 5;
@@ -141,11 +141,12 @@ fn not_passed_item(
                     (None, None) => "expected ",
                 }
                 span.number { (format::limit(expectation)) @if !unit.is_empty() { " " (unit) } }
-                @if let Some(windows) = format::windows(expectation) { ", window " (windows) }
+                @if let Some(window) = format::in_window(expectation) { ", " (window) }
                 @if let Some((kind, worst)) = worst { "; " (kind) ": " strong { (worst.text) } }
                 @if let Some(requirement) = &expectation.requirement { " · " (requirement) }
                 @if let Some(reason) = format::remaining_reason(expectation) { span.reason { (reason) } }
             }
+            @if let Some(text) = requirement_text(scenario, expectation) { p.requirement { (text) } }
             p.where {
                 @if let Some(since) = history.not_passed_since(record, scenario, index) { span.since { (since) } " " }
                 @if let Some(trial) = trial {
@@ -155,6 +156,10 @@ fn not_passed_item(
             }
         }
     }
+}
+
+fn requirement_text<'a>(scenario: &'a ScenarioRecord, expectation: &ExpectationRecord) -> Option<&'a str> {
+    scenario.requirement_texts.get(expectation.requirement.as_ref()?).map(String::as_str)
 }
 
 /// The passed expectations with the smallest margins.
@@ -201,7 +206,7 @@ pub(super) fn requirements(record: &RunRecord) -> Markup {
     let links = traceability::requirement_links(record);
     let all: usize = record.scenarios.iter().map(|scenario| scenario.expectations.len()).sum();
     let rows = html! {
-        @for links in links.chunk_by(|a, b| a.requirement == b.requirement) { (requirement_row(links)) }
+        @for links in links.chunk_by(|a, b| a.requirement == b.requirement) { (requirement_row(record, links)) }
     };
     let columns = ["Requirement", "Verdict", "#Expectations passed", "Not passed, or else the first"];
     html! {
@@ -218,13 +223,19 @@ pub(super) fn requirements(record: &RunRecord) -> Markup {
     }
 }
 
-fn requirement_row(links: &[RequirementLink]) -> Markup {
+fn requirement_row(record: &RunRecord, links: &[RequirementLink]) -> Markup {
+    let text = links
+        .iter()
+        .find_map(|link| record.scenarios.get(link.scenario_index)?.requirement_texts.get(&link.requirement));
     let verdict = Verdict::combine(links.iter().map(|link| link.verdict));
     let open: Vec<&RequirementLink> = links.iter().filter(|link| link.verdict != Verdict::Pass).collect();
     let named: Vec<&RequirementLink> = if open.is_empty() { links.iter().take(1).collect() } else { open.clone() };
     html! {
         tr {
-            th scope="row" { (links.first().map_or("", |link| link.requirement.as_str())) }
+            th scope="row" {
+                (links.first().map_or("", |link| link.requirement.as_str()))
+                @if let Some(text) = text { span.text { (text) } }
+            }
             td data-label="Verdict" { (verdict_badge(verdict, verdict.name())) }
             td.number data-label="Expectations passed" { (links.len() - open.len()) " of " (links.len()) }
             td data-label="Expectations" { div {

@@ -41,7 +41,7 @@ pub(crate) struct TraceData {
     /// With the reason.
     pub(crate) unreadable: Vec<String>,
     pub(crate) band: Option<Band>,
-    /// Of the first trial at its first setpoint step.
+    /// Of the first trial at its first setpoint step, until the finger or the next setpoint changes it.
     pub(crate) overshoot_percent: Option<f64>,
     pub(crate) grid: TimeGrid,
     pub(crate) sampled_trials: Vec<SampledTrial>,
@@ -174,7 +174,7 @@ impl TraceData {
         resolution: PlotResolution,
     ) {
         self.first_trial = trial.index;
-        self.overshoot_percent = ResponseFeatures::of(rows).overshoot_percent;
+        self.overshoot_percent = ResponseFeatures::of(rows_before_touch(rows)).overshoot_percent;
         let steps = curves::setpoint_steps_ms(rows);
         let expected = markers::settling_expectation(scenario);
         let definition = expected.and_then(|index| Some(&scenario.expectations.get(index)?.definition));
@@ -229,6 +229,16 @@ fn deciding_trials(scenario: &ScenarioRecord, shown: &[(usize, &TrialRecord)]) -
         }
     }
     found
+}
+
+/// Up to the first change of the finger force after the setpoint's first step.
+fn rows_before_touch(rows: &[Row]) -> &[Row] {
+    let is_step = |pair: &[Row]| matches!(pair, [a, b] if a.setpoint_um != b.setpoint_um);
+    let is_touch = |pair: &[Row]| matches!(pair, [a, b] if (a.finger_force_n - b.finger_force_n).abs() > 0.0);
+    let step = rows.windows(2).position(is_step).map_or(0, |before| before + 1);
+    let after = rows.get(step..).unwrap_or_default();
+    let count = after.windows(2).position(is_touch).map_or(after.len(), |before| before + 1);
+    rows.get(..step + count).unwrap_or(rows)
 }
 
 fn whole_window(rows: &[Row]) -> TimeWindow {

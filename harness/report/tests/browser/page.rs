@@ -4,6 +4,7 @@ use crate::driver::{Browser, BrowserOptions};
 use crate::fixtures;
 use platebench_record::Verdict;
 use platebench_report::page;
+use platebench_report::text::Table;
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -197,6 +198,32 @@ fn assert_accessible(browser: &Browser) {
          html.slice(0, 200) + failureSummary).join(' | ')))",
     );
     assert_eq!(found, json!([]), "{found:#}");
+}
+
+#[rstest]
+#[case::phone(PHONE)]
+#[case::phone_dark(BrowserOptions { dark: true, ..PHONE })]
+#[case::desk(DESKTOP)]
+#[case::desk_dark(BrowserOptions { dark: true, ..DESKTOP })]
+fn pages_of_charts_fit_and_are_accessible(#[case] options: BrowserOptions) {
+    let Some(browser) = Browser::start_if_installed(options) else { return };
+    let folder = TempDir::new().unwrap();
+    let wide = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 900 100\" width=\"900\" height=\"100\"/>";
+    let columns: Vec<_> = (0..9).map(|column| format!("response time of scene {column}")).collect();
+    let mut table = Table::new(columns.iter().map(String::as_str));
+    table.rows = vec![(0..9).map(|column| format!("{column}.55 ms, < 0.01 %")).collect(); 9];
+    let blocks = vec![
+        page::PageBlock::Heading("Laws".to_owned()),
+        page::PageBlock::Drawings(vec![(wide.to_owned(), "Response times".to_owned())]),
+        page::PageBlock::Table(table),
+    ];
+    let path = folder.path().join("charts.html");
+    page::BlockPage { title: "Charts".to_owned(), intro: String::new(), blocks }.write(&path).unwrap();
+    browser.open(&path);
+    let stacked = browser.evaluate("getComputedStyle(document.querySelector('td')).display");
+    assert_eq!(stacked, if options.width < 640 { "flex" } else { "table-cell" });
+    assert_eq!(browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), true);
+    assert_accessible(&browser);
 }
 
 #[test]

@@ -56,6 +56,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
             input("inputs/plates/aluminium-198x138.toml".to_owned(), "a"),
         ],
         expectations: with_default_names(expectations),
+        requirement_texts: std::collections::BTreeMap::new(),
         trials: Vec::new(),
     }
 }

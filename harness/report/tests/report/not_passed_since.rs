@@ -139,3 +139,42 @@ fn names_how_the_earlier_expectation_differed(#[case] change: fn(&mut Expectatio
     let text = not_passed_since(&now);
     assert_eq!(text.starts_with("Since then (2026-03-04T00:00:00Z) or before"), !expected.is_empty(), "{text}");
 }
+
+#[test]
+fn the_trend_shows_value_and_margin_of_earlier_runs() {
+    let runs = RunFolders::new();
+    let measured = |value: f64| {
+        move |record: &mut RunRecord| {
+            let expectation = &mut record.scenarios[0].expectations[0];
+            expectation.value = Some(value);
+            expectation.margin = Some(expectation.limit.margin(value, 10.0));
+            expectation.verdict = if value <= 2.0 { Verdict::Pass } else { Verdict::Fail };
+        }
+    };
+    let trend = |(record, folder): &(RunRecord, PathBuf)| {
+        let path = folder.join(page::FILE);
+        page::ReportPage::new(record, folder).with_earlier_runs().write(&path).unwrap();
+        let text = fs::read_to_string(&path).unwrap();
+        text.split_once("<svg class=\"trend\"").map(|(_, rest)| rest.split_once("</svg>").unwrap().0.to_owned())
+    };
+    let now = runs.write("now", "2026-03-05T00:00:00Z", measured(1.9));
+    assert_eq!(trend(&now), None, "a single run has no trend");
+    runs.write("a", "2026-03-01T00:00:00Z", measured(2.4));
+    runs.write("b", "2026-03-02T00:00:00Z", measured(1.6));
+    runs.write("other-limit", "2026-03-03T00:00:00Z", |record| {
+        measured(1.0)(record);
+        record.scenarios[0].expectations[0].limit = Limit::AtMost(9.0);
+    });
+    let drawing = trend(&now).unwrap();
+    let label = "a: 2.4 ms, margin -20 %; b: 1.6 ms, margin 20 %; this run: 1.9 ms, margin 5 %";
+    assert!(drawing.contains(label), "{drawing}");
+    let heights: Vec<f64> =
+        drawing.split("cy=\"").skip(1).map(|part| part.split('"').next().unwrap().parse().unwrap()).collect();
+    let limit = drawing.split_once("class=\"end\" d=\"M0 ").unwrap().1.split_once('H').unwrap().0;
+    let limit: f64 = limit.parse().unwrap();
+    assert!(heights[0] < limit && limit < heights[2] && heights[2] < heights[1], "{drawing}");
+    assert_eq!(
+        (drawing.matches("circle class=\"fail\"").count(), drawing.matches("circle class=\"pass\"").count()),
+        (1, 2)
+    );
+}

@@ -329,15 +329,21 @@ fn lists_failed_scenarios_first() {
 }
 
 #[rstest]
-#[case::small(1.1, false)]
-#[case::large(1.3, true)]
-fn remarks_on_a_settling_time_that_passes_with_a_large_overshoot(#[case] peak: f64, #[case] expected: bool) {
+#[case::small(40, 1.1, false)]
+#[case::large(40, 1.3, true)]
+#[case::after_a_touch(900, 1.3, false)]
+fn remarks_on_a_settling_time_that_passes_with_a_large_overshoot(
+    #[case] row: usize,
+    #[case] peak: f64,
+    #[case] expected: bool,
+) {
     let folder = tempfile::tempdir().unwrap();
     let mut closed = closed_loop();
-    fixtures::write_trials(&mut closed, folder.path(), 1, Response::default(), 0.0);
+    let touched = Response { force_n: 0.1, ..Response::default() };
+    fixtures::write_trials(&mut closed, folder.path(), 1, touched, 0.0);
     let path = folder.path().join(&closed.trials[0].trace);
     let mut rows = platebench_trace::read_trace(&path).unwrap();
-    rows[40].amplitude_um = 2.0 * peak;
+    rows[row].amplitude_um = 2.0 * peak;
     let mut writer = TraceWriter::create(&path).unwrap();
     for row in &rows {
         writer.write(row).unwrap();

@@ -33,6 +33,7 @@ fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
         period_ms: Some(1.0),
         inputs: vec![InputRecord { file: "inputs/s.toml".to_owned(), sha256: input.to_owned() }],
         expectations: Vec::new(),
+        requirement_texts: std::collections::BTreeMap::new(),
         trials: worst.iter().enumerate().map(trial).collect(),
     }
 }

@@ -11,6 +11,7 @@ use crate::raw::{RawFault, RawScenario, RawTrials};
 use crate::scenario::{AUTO_MODEL, InputFile, Scenario, Spread, Trials};
 use crate::window::ProfileChanges;
 use platebench_plate::{Plate, Tier, Time};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
@@ -80,6 +81,7 @@ impl Checker<'_> {
             tier: tier?,
             expected_exit: expected_exit?,
             expectations: expected,
+            requirement_texts: BTreeMap::new(),
             faults: line_faults,
             chip_faults,
             between: Vec::new(),

@@ -2,6 +2,7 @@
 
 use crate::charts::section::{ChartError, play_hosted};
 use platebench_plate::{Profile, Tier, Time};
+use platebench_runner::trial::TrialResult;
 use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Scenario, Window, load};
 use platebench_verdict::statistics::SampleSummary;
 use platebench_verdict::{Measure, metrics};
@@ -62,6 +63,16 @@ impl LawScenario {
 
     pub(crate) fn is_noisy(&self) -> bool {
         self.scenario.plate.noise_um_rms > 0.0
+    }
+
+    /// Response time in ms, `None` if it does not stay in the band, and overshoot in percent.
+    pub(crate) fn response(&self, played: &TrialResult) -> (Option<f64>, f64) {
+        let response = match metrics::measure(&self.response_expectation, &played.trace_rows, &played.telemetry) {
+            Measure::Value(value) => Some(value),
+            Measure::Interval(_) | Measure::Samples(_) | Measure::Missing(_) | Measure::Undefined(_) => None,
+        };
+        let peak = played.trace_rows.iter().map(|row| row.amplitude_um).fold(0.0, f64::max);
+        (response, ((peak / self.scenario.setpoint.range().1 - 1.0) * 100.0).max(0.0))
     }
 
     fn window_samples(&self) -> f64 {

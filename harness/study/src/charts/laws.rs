@@ -1,6 +1,7 @@
 //! Draws the response time of laws against static error and repeatability, with absolute limits.
 
 use crate::charts::law_results::{LawResult, LawScenario};
+use crate::charts::law_variants;
 use crate::charts::section::{ChartError, ChartSection};
 use platebench_plate::Time;
 use platebench_report::chart::{ScatterChart, ScatterPanel, ScatterPoint};
@@ -23,17 +24,25 @@ pub fn build_chart(scenes: &[LawScenario]) -> Result<ChartSection, ChartError> {
     let table = result_table(scenes, &results);
     let svg = scatter_chart(scenes, &results).svg()?;
     let summary = format_console(&table);
+    let quiet: Vec<&LawScenario> = scenes.iter().filter(|scene| !scene.is_noisy()).collect();
+    let variants = law_variants::measure(&quiet)?;
+    let multiples = law_variants::svg(&quiet, &variants)?;
     let files = [(FILE, csv_table(scenes, &results).csv()), (TABLE, format_markdown(&table)), (DRAWING, svg.clone())];
+    let variant_files =
+        [(law_variants::CSV, law_variants::csv(&quiet, &variants)), (law_variants::DRAWING, multiples.clone())];
     let mut blocks: Vec<PageBlock> = EXPLANATION.map(|text| PageBlock::Text(text.to_owned())).into();
     let caption = "Control laws: response time, static error, repeatability".to_owned();
     blocks.push(PageBlock::Drawings(vec![(svg, caption)]));
+    blocks.push(PageBlock::Text(VARIANTS_EXPLANATION.to_owned()));
+    let caption = "Control laws: response time at loop delays of 0, 0.4 and 0.8 periods".to_owned();
+    blocks.push(PageBlock::Drawings(vec![(multiples, caption)]));
     blocks.push(PageBlock::Table(table));
-    blocks.extend([FILE, TABLE].map(|name| PageBlock::File(name.to_owned())));
+    blocks.extend([FILE, TABLE, law_variants::CSV].map(|name| PageBlock::File(name.to_owned())));
     Ok(ChartSection {
         title: "Control laws: speed and accuracy of what is under test",
         summary,
         blocks,
-        files: files.map(|(name, text)| (name.to_owned(), text)).into(),
+        files: files.into_iter().chain(variant_files).map(|(name, text)| (name.to_owned(), text)).collect(),
     })
 }
 
@@ -49,6 +58,10 @@ const EXPLANATION: [&str; 3] = [
      samples in the window: a lower limit for laws that follow the samples. A slow law, or one that ignores the plate, \
      has less.",
 ];
+
+const VARIANTS_EXPLANATION: &str = "The same scenes at loop delays of 0, 0.4 and 0.8 control periods. The delay is \
+    unknown to the law, or configured. In the two columns on the right the plate's gain is 10 % lower and higher than \
+    the one that the law is designed for. A hollow point overshoots the setpoint by more than 20 %.";
 
 fn result_table(scenes: &[LawScenario], results: &[LawResult]) -> Table {
     let name = |scene: &LawScenario| {

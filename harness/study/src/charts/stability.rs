@@ -70,9 +70,14 @@ fn build_map(study: &Study, law: LawId, rig: Option<RigDelay>) -> Option<MapFigu
         periods_ms: map.periods.iter().map(ms).collect(),
         delays_ms: map.delays.iter().map(ms).collect(),
         radius: map.spectral_radius.clone(),
+        settling_ms: map
+            .settling
+            .iter()
+            .map(|column| column.iter().map(|time| time.as_ref().map(ms)).collect())
+            .collect(),
         measured: map.measured.iter().map(|(period, delay)| (ms(period), ms(delay))).collect(),
     });
-    let title = format!("{}: spectral radius over control period and loop delay, ms", law.name());
+    let title = format!("{}: settling time from rest over control period and loop delay, ms", law.name());
     (!maps.is_empty()).then(|| MapFigure { title, panels: panels.collect(), columns, rig })
 }
 

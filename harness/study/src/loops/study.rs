@@ -4,7 +4,7 @@ use crate::loops::case::{LoopCase, OperatingCondition};
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
 use crate::loops::margins::delay_boundary;
 use crate::loops::measured_boundary;
-use platebench_plate::{Plate, Tier};
+use platebench_plate::{Plate, Tier, Time};
 use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_wire::LawId;
 use std::sync::Mutex;
@@ -16,6 +16,8 @@ const MAP_PERIODS_US: [u32; 2] = [200, 2_000];
 const MAX_MAP_DELAY_S: f64 = 3e-3;
 const MAP_COLUMNS: u32 = 37;
 const MAP_ROWS: u32 = 40;
+/// A start that is not in its band after three quarters of this time has not settled.
+const MAX_SETTLING_S: f64 = 53e-3;
 /// µs.
 const MEASURED_PERIODS_US: [u32; 7] = [250, 500, 750, 1_000, 1_300, 1_600, 1_900];
 /// Response times of the maps relative to the law's default.
@@ -70,6 +72,9 @@ pub struct StabilityMap {
     pub delays: Vec<f64>,
     /// By column and then by row.
     pub spectral_radius: Vec<Vec<f64>>,
+    /// 5 % settling time of the firmware from rest, s, by column and then by row; `None`: not within
+    /// [`MAX_SETTLING_S`].
+    pub settling: Vec<Vec<Option<f64>>>,
     /// Period and delay, s.
     pub measured: Vec<(f64, f64)>,
 }
@@ -177,7 +182,7 @@ fn stability_map(
         (0..MAP_COLUMNS).map(|column| first + (last - first) * column / (MAP_COLUMNS - 1)).collect();
     let delays: Vec<f64> =
         (0..MAP_ROWS).map(|row| MAX_MAP_DELAY_S * f64::from(row) / f64::from(MAP_ROWS - 1)).collect();
-    let mut radius = Vec::with_capacity(periods.len());
+    let (mut radius, mut settling) = (Vec::with_capacity(periods.len()), Vec::with_capacity(periods.len()));
     for &period_us in &periods {
         let case = LoopCase { period_us, ..case };
         let Some((plant, controller)) = case.linearise(Tier::Modal) else { return Ok(None) };
@@ -185,6 +190,9 @@ fn stability_map(
             let timing = LoopTiming { period: case.period(), delay };
             ClosedLoop::new(plant.clone(), controller, timing)?.spectral_radius()
         };
+        let at_rest = measured_boundary::loop_at_rest(&case);
+        let settles = |&delay: &f64| at_rest.clone()?.settling_time(Time::from_seconds(delay)?, MAX_SETTLING_S);
+        settling.push(delays.iter().map(settles).collect());
         radius.push(delays.iter().map(of).collect::<Result<_, _>>()?);
     }
     let at = |&period_us: &u32| {
@@ -193,5 +201,5 @@ fn stability_map(
     };
     let measured = MEASURED_PERIODS_US.iter().filter_map(at).collect();
     let periods = periods.into_iter().map(|period_us| f64::from(period_us) * 1e-6).collect();
-    Ok(Some(StabilityMap { law, condition, response, periods, delays, spectral_radius: radius, measured }))
+    Ok(Some(StabilityMap { law, condition, response, periods, delays, spectral_radius: radius, settling, measured }))
 }

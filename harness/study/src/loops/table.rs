@@ -131,16 +131,18 @@ fn boundary_seconds(boundary: DelayBoundary) -> f64 {
 
 /// Every point: `kind` is `predicted` with a spectral radius, or `measured` for a boundary.
 pub fn maps_csv(study: &Study) -> String {
-    let mut text = String::from("law,condition,response_ms,kind,period_us,delay_us,spectral_radius\n");
+    let mut text = String::from("law,condition,response_ms,kind,period_us,delay_us,spectral_radius,settling_ms\n");
     for map in &study.maps {
         let head = format!("{},{},{}", map.law.name(), map.condition.name(), map.response * 1e3);
-        for (period, column) in map.periods.iter().zip(&map.spectral_radius) {
-            for (delay, radius) in map.delays.iter().zip(column) {
-                let _ = writeln!(text, "{head},predicted,{:.0},{:.1},{radius}", period * 1e6, delay * 1e6);
+        let columns = map.spectral_radius.iter().zip(&map.settling);
+        for (period, (radii, settling)) in map.periods.iter().zip(columns) {
+            for ((delay, radius), settling) in map.delays.iter().zip(radii).zip(settling) {
+                let settling = settling.map_or_else(String::new, |seconds| format!("{:.3}", seconds * 1e3));
+                let _ = writeln!(text, "{head},predicted,{:.0},{:.1},{radius},{settling}", period * 1e6, delay * 1e6);
             }
         }
         for (period, delay) in &map.measured {
-            let _ = writeln!(text, "{head},measured,{:.0},{:.1},1", period * 1e6, delay * 1e6);
+            let _ = writeln!(text, "{head},measured,{:.0},{:.1},1,", period * 1e6, delay * 1e6);
         }
     }
     text

@@ -7,6 +7,11 @@ fn map() -> MapFigure {
         periods_ms: vec![0.5, 1.0, 1.5],
         delays_ms: vec![0.0, 1.0, 2.0, 3.0],
         radius: vec![vec![0.2, 0.9, 1.1, 1.6], vec![0.2, 0.2, 0.8, 1.2], vec![0.4, 0.4, 0.4, 0.4]],
+        settling_ms: vec![
+            vec![Some(1.0), Some(12.0), None, None],
+            vec![Some(1.0), Some(1.0), Some(5.0), None],
+            vec![Some(2.5); 4],
+        ],
         measured: vec![(0.5, 1.5), (1.0, 2.5), (1.0, 99.0)],
     };
     MapFigure {
@@ -32,21 +37,20 @@ fn interpolates_the_boundary_between_rows() {
 }
 
 #[rstest]
-#[case(0.0, 0)]
-#[case(0.2999, 0)]
-#[case(0.3, 1)]
-#[case(0.9999, 5)]
-#[case(1.0, 6)]
-#[case(1.5, 9)]
-#[case(f64::INFINITY, 9)]
-#[case(f64::NAN, 9)]
-fn a_class_ends_below_its_edge(#[case] radius: f64, #[case] expected: usize) {
-    assert_eq!(radius_class(radius), expected);
+#[case(Some(0.0), 0)]
+#[case(Some(1.4999), 0)]
+#[case(Some(1.5), 1)]
+#[case(Some(9.999), 5)]
+#[case(Some(10.0), 6)]
+#[case(Some(40.0), 9)]
+#[case(None, 9)]
+fn a_class_ends_below_its_edge(#[case] settling_ms: Option<f64>, #[case] expected: usize) {
+    assert_eq!(settling_class(settling_ms), expected);
 }
 
 #[test]
 fn joins_rows_of_one_class() {
-    assert_eq!(class_runs(&[0.1, 0.2, 0.9, 0.1]), [(0, 0, 1), (5, 2, 2), (0, 3, 3)]);
+    assert_eq!(class_runs(&[Some(0.1), Some(0.2), Some(9.0), None]), [(0, 0, 1), (5, 2, 2), (9, 3, 3)]);
     assert!(class_runs(&[]).is_empty());
 }
 
@@ -54,6 +58,6 @@ fn joins_rows_of_one_class() {
 fn skips_a_panel_without_numbers() {
     let mut empty = map();
     empty.panels[0] = MapPanel { periods_ms: vec![1.0], ..empty.panels[0].clone() };
-    empty.panels[1] = MapPanel { radius: Vec::new(), measured: Vec::new(), ..empty.panels[1].clone() };
+    empty.panels[1] = MapPanel { settling_ms: Vec::new(), measured: Vec::new(), ..empty.panels[1].clone() };
     assert_eq!(empty.svg().unwrap().matches("<circle").count(), 1);
 }

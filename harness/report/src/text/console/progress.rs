@@ -8,6 +8,8 @@ use std::io::{self, IsTerminal as _, Write};
 use std::time::Duration;
 
 const TICK: Duration = Duration::from_millis(500);
+/// The message is cut at the width of the terminal.
+const TRIALS: &str = "  {bar:24} {pos}/{len} trials  {elapsed}  {wide_msg}";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProgressKind {
@@ -41,7 +43,7 @@ impl Progress {
         let sink = match kind {
             ProgressKind::Bar => {
                 let target = ProgressDrawTarget::stderr();
-                let bar = ProgressBar::with_draw_target(Some(0), target).with_style(bar_style());
+                let bar = ProgressBar::with_draw_target(Some(0), target).with_style(style(TRIALS));
                 Sink::Bar { bar, under_way: Vec::new(), not_passed: 0 }
             }
             ProgressKind::Lines => Sink::Lines(Box::new(io::stderr())),
@@ -67,6 +69,8 @@ impl Progress {
     #[must_use]
     pub fn with_elapsed_time(self, title: &str) -> Self {
         if let Sink::Bar { bar, .. } = &self.sink {
+            // Without trials there is no share to draw.
+            bar.set_style(style("  {elapsed}  {wide_msg}"));
             bar.set_message(printable(title).into_owned());
             bar.enable_steady_tick(TICK);
         }
@@ -76,6 +80,7 @@ impl Progress {
     pub fn scenario_started(&mut self, name: &str, trials: u32) {
         match &mut self.sink {
             Sink::Bar { bar, under_way, not_passed } => {
+                bar.set_style(style(TRIALS));
                 bar.set_length(bar.length().unwrap_or(0).max(bar.position() + u64::from(trials)));
                 under_way.push(name.to_owned());
                 bar.set_message(message(under_way, *not_passed));
@@ -132,9 +137,7 @@ fn write_line(out: &mut dyn Write, text: &str) {
     let _ = writeln!(out, "{text}");
 }
 
-fn bar_style() -> ProgressStyle {
-    // The message is cut at the width of the terminal.
-    let template = "  {bar:24} {pos}/{len} trials  {elapsed}  {wide_msg}";
+fn style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("━╸ ")
 }
 

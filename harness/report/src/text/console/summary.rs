@@ -131,6 +131,6 @@ fn result(expectation: &ExpectationRecord) -> String {
         Some(value) => format!("{value} {unit}"),
         None => format::value_or_not_reached(expectation).unwrap_or_else(|| "no value".to_owned()),
     };
-    let window = format::windows(expectation).map_or_else(String::new, |windows| format!(", window {windows}"));
+    let window = format::in_window(expectation).map_or_else(String::new, |window| format!(", {window}"));
     format!("{}: {}, limit {}{window}", expectation.name, value.trim_end(), format::limit(expectation))
 }
