@@ -47,7 +47,11 @@ fn the_key_reference_matches_the_loader() {
     for (title, files, top) in [
         ("Scenario file", &["harness/scenario/src/raw.rs", "harness/scenario/src/scenario.rs"][..], "RawScenario"),
         ("Plate file", &["harness/plate/src/raw_plate.rs"], "RawPlate"),
-        ("Plan of an acceptance session", &["harness/acceptance/src/plan.rs"], "RawPlan"),
+        (
+            "Plan of an acceptance session",
+            &["harness/acceptance/src/plan.rs", "harness/scenario/src/requirements.rs"],
+            "RawPlan",
+        ),
     ] {
         write!(page, "\n## {title}\n").unwrap();
         let types = files.iter().flat_map(|file| structs_by_name(file)).collect();
