@@ -72,8 +72,7 @@ pub struct StabilityMap {
     pub delays: Vec<f64>,
     /// By column and then by row.
     pub spectral_radius: Vec<Vec<f64>>,
-    /// 5 % settling time of the firmware from rest, s, by column and then by row; `None`: not within
-    /// [`MAX_SETTLING_S`].
+    /// 5 % settling time of the firmware from rest, s, by column and then by row; `None`: not within 53 ms.
     pub settling: Vec<Vec<Option<f64>>>,
     /// Period and delay, s.
     pub measured: Vec<(f64, f64)>,
