@@ -184,7 +184,7 @@ pub(crate) fn load_stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Re
         return Err(Diagnostic::for_file(&folder.join(platebench_record::RECORD_FILE), message).into());
     }
     let copies: Vec<_> = stored.inputs.iter().map(|input| folder.join(&input.file)).collect();
-    let scenario = load_copies(&copies, &stored.file)?;
+    let mut scenario = load_copies(&copies, &stored.file)?;
     if scenario.inputs.len() != stored.inputs.len() {
         let message = format!("the record of {} does not name all inputs", stored.file);
         return Err(Diagnostic::for_file(&folder.join(platebench_record::RECORD_FILE), message).into());
@@ -192,6 +192,7 @@ pub(crate) fn load_stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Re
     for ((now, then), copy) in scenario.inputs.iter().zip(&stored.inputs).zip(&copies) {
         check_hash(copy, &now.bytes, &then.sha256)?;
     }
+    scenario.requirement_texts.clone_from(&stored.requirement_texts);
     Ok(scenario)
 }
 
