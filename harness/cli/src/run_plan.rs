@@ -9,7 +9,6 @@ use platebench_report::page::{KeptRows, MAX_TRIALS};
 use platebench_report::{Progress, ProgressKind};
 use platebench_rig::{ConnectOptions, RigSpec};
 use platebench_runner::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
-use std::time::Duration;
 
 pub(crate) struct EventSinks<'a> {
     pub(crate) progress: Progress,
@@ -51,12 +50,12 @@ pub(crate) fn run_plan(
     operator: TerminalOperator,
     live_tap: LiveTap,
     mut sinks: EventSinks<'_>,
-    reply_timeout: Duration,
+    connect_options: ConnectOptions,
 ) -> Result<RunRecord, (RunError, Option<u8>)> {
     let cancel = CancelToken::default();
     let trials_with_rows = if sinks.rows.is_some() { MAX_TRIALS } else { 0 };
     let (folder, run_cancel) = (folder.clone(), cancel.clone());
-    let connect_options = ConnectOptions { reply_timeout, cancel: cancel.clone() };
+    let connect_options = ConnectOptions { cancel: cancel.clone(), ..connect_options };
     let run = move |events: &mut EventSender<_, Event>| {
         let hooks = RunHooks {
             cancel: run_cancel,

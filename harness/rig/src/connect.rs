@@ -69,7 +69,7 @@ impl ConnectError {
                 | ExecError::Cancelled(_)
                 | ExecError::Link(_) => false,
             },
-            Self::Emulated(EmulatedError::Target(_))
+            Self::Emulated(EmulatedError::Target(_) | EmulatedError::Debugger(_))
             | Self::Network(_)
             | Self::Serial(SerialError::Open { .. } | SerialError::InUse { .. }) => false,
         }
@@ -144,7 +144,7 @@ impl RigSpec {
     pub fn connect_with(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         Ok(match self {
             Self::Hosted => Box::new(HostedLink::new()),
-            Self::Emulated(_) => Box::new(self.open_emulated()?),
+            Self::Emulated(_) => Box::new(self.open_emulated(options)?),
             Self::Exec(command) => Box::new(ExecLink::start_with(command, options)?),
             Self::Serial { port, baud } => {
                 let link = SerialLink::open(Path::new(port), baud.unwrap_or(DEFAULT_BAUD))?;
@@ -165,7 +165,7 @@ impl RigSpec {
     pub fn connect_real_time_with(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         match self {
             Self::Hosted => Ok(Box::new(WallClockLink::new(HostedLink::new()))),
-            Self::Emulated(_) => Ok(Box::new(WallClockLink::new(self.open_emulated()?))),
+            Self::Emulated(_) => Ok(Box::new(WallClockLink::new(self.open_emulated(options)?))),
             Self::Probe { port: None, .. } => Err(ConnectError::NoRealTime(self.clone())),
             Self::Exec(_) | Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } | Self::Probe { .. } => {
                 self.connect_with(options)
@@ -173,7 +173,10 @@ impl RigSpec {
         }
     }
 
-    fn open_emulated(&self) -> Result<EmulatedLink, EmulatedError> {
+    fn open_emulated(&self, options: &ConnectOptions) -> Result<EmulatedLink, EmulatedError> {
+        if let Some(port) = &options.debug_port {
+            return EmulatedLink::open_with_debugger(self.image(), port, &options.cancel);
+        }
         self.image().map_or_else(EmulatedLink::built_in, EmulatedLink::open)
     }
 }

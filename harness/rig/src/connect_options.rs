@@ -1,6 +1,7 @@
 //! Defines options for connecting to a controller.
 
 use crate::cancel::CancelToken;
+use crate::debug_port::DebugPort;
 use crate::tty::DEFAULT_REPLY_TIMEOUT;
 use std::time::Duration;
 
@@ -10,10 +11,12 @@ pub struct ConnectOptions {
     pub reply_timeout: Duration,
     /// Ends the wait for a program that does not answer its handshake.
     pub cancel: CancelToken,
+    /// The first emulated chip waits for a debugger there.
+    pub debug_port: Option<DebugPort>,
 }
 
 impl Default for ConnectOptions {
     fn default() -> Self {
-        Self { reply_timeout: DEFAULT_REPLY_TIMEOUT, cancel: CancelToken::never() }
+        Self { reply_timeout: DEFAULT_REPLY_TIMEOUT, cancel: CancelToken::never(), debug_port: None }
     }
 }

@@ -17,30 +17,38 @@
 mod board;
 mod bus;
 mod chip_faults;
+mod chip_injection;
+mod debug_control;
+mod debug_target;
+mod debugger;
 mod execution_recorder;
 mod image;
 mod machine;
 mod memory;
 mod options;
+mod panic;
 mod post_mortem;
 mod target;
 
 pub use image::ImageError;
+#[cfg(feature = "probe")]
+pub(crate) use image::read_elf;
 pub use options::{EmulatedError, EmulatedOptions};
 
+use crate::cancel::CancelToken;
 use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
+use crate::debug_port::DebugPort;
 use crate::link::{Link, LinkError};
 use crate::pending_requests::{PendingRequests, Request};
 use crate::target_error::TargetError;
 use chip_faults::ChipFaults;
+use debug_control::DebugStop;
+use debugger::Debugger;
 use image::Image;
 use machine::{Machine, MachineConfig};
+use panic::catch_emulator_panic;
 use platebench_wire::{MAX_ENCODED, Message, Packet};
-use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::io;
-use std::panic::{self, AssertUnwindSafe};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -68,7 +76,8 @@ const BAUD_TOLERANCE_PERCENT: u64 = 2;
 
 #[derive(Debug)]
 pub struct EmulatedLink {
-    target: Box<dyn Target>,
+    target: Box<Machine>,
+    debugger: Option<Debugger>,
     options: EmulatedOptions,
     trial_start_ns: u64,
     /// 0 before the firmware's first frame.
@@ -93,15 +102,34 @@ impl EmulatedLink {
 
     /// Runs the firmware in the file `elf`, at any baud rate.
     pub fn open(elf: &Path) -> Result<Self, EmulatedError> {
-        let content = read_elf(elf).map_err(|error| EmulatedError::Read { path: elf.to_owned(), error })?;
-        Self::new(&content, EmulatedOptions::default())
+        Self::new(&options::read_image(elf)?, EmulatedOptions::default())
+    }
+
+    /// Lets the debugger that connects to `port` control the chip; `elf`: `None` for the bench's image.
+    pub fn open_with_debugger(
+        elf: Option<&Path>,
+        port: &DebugPort,
+        cancel: &CancelToken,
+    ) -> Result<Self, EmulatedError> {
+        let content = elf.map_or_else(|| Ok(BUILT_IN_IMAGE.to_vec()), options::read_image)?;
+        Self::start_with(&content, EmulatedOptions::default(), Some((port, cancel)))
     }
 
     pub fn new(elf: &[u8], options: EmulatedOptions) -> Result<Self, EmulatedError> {
+        Self::start_with(elf, options, None)
+    }
+
+    /// With a port, waits for a debugger first; the chip then stands before its first instruction.
+    fn start_with(
+        elf: &[u8],
+        options: EmulatedOptions,
+        debugger: Option<(&DebugPort, &CancelToken)>,
+    ) -> Result<Self, EmulatedError> {
         let image = Image::new(Arc::from(elf))?;
         let config = MachineConfig { crystal_hz: options.crystal_hz, stop_at_traps: options.stop_at_traps };
         let mut emulated = Self {
             target: Box::new(catch_emulator_panic(|| Machine::new(image, config))?),
+            debugger: None,
             options,
             trial_start_ns: 0,
             byte_ns: 0,
@@ -112,6 +140,11 @@ impl EmulatedLink {
             chip_faults: ChipFaults::default(),
             has_started: false,
         };
+        if let Some((port, cancel)) = debugger
+            && let Some(stream) = port.accept(cancel)?
+        {
+            emulated.debugger = Some(Debugger::attach(stream, &mut emulated.target, cancel)?);
+        }
         catch_emulator_panic(|| emulated.start())?;
         Ok(emulated)
     }
@@ -162,7 +195,7 @@ impl EmulatedLink {
             if self.run_until_answer(attempt_ends)?.is_some() {
                 break;
             }
-            if attempt_ends >= HANDSHAKE_TIMEOUT_NS || Instant::now() > deadline {
+            if attempt_ends >= HANDSHAKE_TIMEOUT_NS || (Instant::now() > deadline && self.debugger.is_none()) {
                 let status = self.target.status();
                 return Err(TargetError::NoHandshake {
                     waited_ms: self.target.now_ns() / NS_PER_MS,
@@ -201,12 +234,31 @@ impl EmulatedLink {
             if at_ns > until_ns {
                 break;
             }
-            if self.target.now_ns() < at_ns && self.target.run(at_ns)? {
+            if self.target.now_ns() < at_ns && self.run_machine(at_ns)? {
                 return Ok(true);
             }
             self.chip_faults.apply_next(&mut *self.target)?;
         }
-        self.target.run(until_ns)
+        self.run_machine(until_ns)
+    }
+
+    /// Like [`Target::run`]; a debugger may stop the chip, also before an error ends the trial.
+    fn run_machine(&mut self, until_ns: u64) -> Result<bool, TargetError> {
+        let mut stop = None;
+        loop {
+            if let Some(debugger) = &mut self.debugger {
+                debugger.serve(&mut self.target, stop);
+            }
+            let result = self.target.run(until_ns);
+            stop = self.target.debug.stop.take();
+            if result.is_ok() && stop.is_some() {
+                continue;
+            }
+            if let (Err(_), Some(debugger)) = (&result, &mut self.debugger) {
+                debugger.serve(&mut self.target, Some(DebugStop::Error));
+            }
+            return result;
+        }
     }
 
     fn run_to(&mut self, until_ns: u64) -> Result<(), TargetError> {
@@ -305,15 +357,6 @@ impl EmulatedLink {
     }
 }
 
-fn catch_emulator_panic<T>(run: impl FnOnce() -> Result<T, TargetError>) -> Result<T, TargetError> {
-    let panicked = |cause: Box<dyn Any + Send>| {
-        let text = cause.downcast_ref::<String>().map(String::as_str);
-        let text = text.or_else(|| cause.downcast_ref::<&str>().copied()).unwrap_or("no message");
-        TargetError::Emulator(format!("it panicked: {text}"))
-    };
-    panic::catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|cause| Err(panicked(cause)))
-}
-
 impl Link for EmulatedLink {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         self.run_unless_failed(answer, |emulated| emulated.send_and_wait(now, bytes))
@@ -350,33 +393,5 @@ impl Link for EmulatedLink {
         plan.faults.iter().try_for_each(|fault| self.target.check_fault(&fault.kind))?;
         self.chip_faults.plan = plan.clone();
         Ok(())
-    }
-}
-
-/// Rejects pipes and devices, whose reading may never end.
-pub(crate) fn read_elf(elf: &Path) -> io::Result<Vec<u8>> {
-    let kind = fs::metadata(elf)?.file_type();
-    if !kind.is_file() && !kind.is_dir() {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is a pipe or a device, expected an ELF file"));
-    }
-    fs::read(elf)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rejects_a_device_as_firmware() {
-        let error = read_elf(Path::new("/dev/zero")).unwrap_err().to_string();
-        assert_eq!(error, "it is a pipe or a device, expected an ELF file");
-        assert_eq!(read_elf(Path::new("/")).unwrap_err().kind(), io::ErrorKind::IsADirectory);
-    }
-
-    #[test]
-    fn reports_a_panic_of_the_emulator_as_an_error() {
-        let result =
-            catch_emulator_panic(|| if BUILT_IN_IMAGE.is_empty() { Ok(()) } else { panic!("checked at construction") });
-        assert_eq!(result, Err(TargetError::Emulator("it panicked: checked at construction".to_owned())));
     }
 }

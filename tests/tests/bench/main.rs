@@ -17,6 +17,7 @@ mod campaign_chains;
 mod chip_faults;
 mod closed_loop;
 mod crate_layers;
+mod debugger;
 mod determinism;
 mod exit_codes;
 mod explore;

@@ -15,7 +15,7 @@ fn starter() -> PathBuf {
     workspace_root().join("firmware-under-test/starter-c")
 }
 
-fn has_cross_compiler() -> bool {
+pub(crate) fn has_cross_compiler() -> bool {
     let path = |arguments: &[&str]| {
         let output = Command::new("arm-none-eabi-gcc").args(arguments).output().ok()?;
         String::from_utf8(output.stdout).ok()
@@ -24,7 +24,7 @@ fn has_cross_compiler() -> bool {
     has_make && path(&["--print-file-name=nano.specs"]).is_some_and(|file| Path::new(file.trim()).is_file())
 }
 
-fn build_starter(folder: &Path) -> PathBuf {
+pub(crate) fn build_starter(folder: &Path) -> PathBuf {
     let output =
         Command::new("make").arg("-C").arg(starter()).arg(format!("BUILD={}", folder.display())).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

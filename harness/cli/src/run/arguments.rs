@@ -84,6 +84,9 @@ pub(crate) struct RunArgs {
     /// Trials that run at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(crate) jobs: Option<u16>,
+    /// Emulated rig: wait for a debugger on this port of the local host; it controls the chip while the plate waits
+    #[arg(long, value_name = "PORT", conflicts_with_all = ["watch", "jobs", "board", "list"])]
+    pub(crate) gdb: Option<u16>,
     /// Run the K-th of N parts of the scenarios
     #[arg(long, value_name = "K/N")]
     pub(crate) shard: Option<Shard>,

@@ -14,6 +14,7 @@ use platebench_record::{RunFolder, RunRecord, Verdict};
 use platebench_report::events::EventWriter;
 use platebench_report::page::KeptRows;
 use platebench_report::{Detail, Progress, ProgressKind, junit, page, traceability};
+use platebench_rig::{ConnectOptions, DebugPort, RigSpec};
 use platebench_runner::{Clock, RunError, RunPlan, rejudge};
 use platebench_scenario::{Diagnostic, Scenario};
 use std::path::Path;
@@ -23,6 +24,11 @@ use tracing::info;
 pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Exit> {
     let clock = arguments.clock().resolve().map_err(|fault| stdio::reject(&fault))?;
     arguments.rig.check().map_err(|fault| stdio::reject(&fault))?;
+    if arguments.gdb.is_some()
+        && (!matches!(arguments.rig, RigSpec::Emulated(_)) || !matches!(clock, Clock::Lockstep { .. }))
+    {
+        return Err(stdio::reject(&"--gdb: expected --rig emulated[:ELF] and --clock lockstep"));
+    }
     arguments.outputs.check(arguments.format).map_err(|fault| stdio::reject(&fault))?;
     Ok(clock)
 }
@@ -68,6 +74,12 @@ pub(super) fn play(
     events: &mut Option<EventWriter>,
 ) -> Result<(Exit, RunRecord), Exit> {
     check_line_speed(&arguments.rig, clock, &scenarios).map_err(|fault| stdio::reject(&fault))?;
+    let debug_port = arguments.gdb.map(DebugPort::bind).transpose().map_err(|fault| stdio::reject(&fault))?;
+    if let Some(port) = &debug_port {
+        stdio::note(&format!("the chip waits for a debugger: target remote :{}", port.number()));
+    }
+    let connect_options =
+        ConnectOptions { reply_timeout: arguments.reply_timeout, debug_port, ..ConnectOptions::default() };
     let folder = match &arguments.out {
         Some(folder) => RunFolder::create(Some(folder)),
         None => RunFolder::create_below(&arguments.runs),
@@ -79,7 +91,7 @@ pub(super) fn play(
     let is_real = clock == Clock::RealPlate;
     // A serial line and a board carry one trial. In real time only --jobs lets work compete with the loop.
     let jobs = match arguments.jobs {
-        _ if !arguments.board.allows_parallel_links(&arguments.rig) || is_real => 1,
+        _ if !arguments.board.allows_parallel_links(&arguments.rig) || is_real || arguments.gdb.is_some() => 1,
         None if !matches!(clock, Clock::Lockstep { .. }) => 1,
         jobs => job_count(jobs),
     };
@@ -118,7 +130,7 @@ pub(super) fn play(
     let progress = Progress::new(progress).with_planned_trials(planned_trials);
     let mut rows = KeptRows::default();
     let sinks = EventSinks { progress, view: view.as_ref(), events: events.as_mut(), rows: Some(&mut rows) };
-    let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, arguments.reply_timeout);
+    let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, connect_options);
     drop(view);
     let end = RunEnd::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
     let released = release(reservation, end, Exit::Passed);

@@ -9,7 +9,7 @@ use crate::run_plan::{EventSinks, run_plan};
 use crate::stdio;
 use platebench_boards::RunEnd;
 use platebench_record::{Overrides, RunFolder, TrialRecord};
-use platebench_rig::{ConnectOptions, DEFAULT_REPLY_TIMEOUT, RigSpec, Session, check_baud};
+use platebench_rig::{ConnectOptions, RigSpec, Session, check_baud};
 use platebench_runner::{Clock, LiveTap, Pacing, RunError, RunPlan, TimeBase, configure};
 use platebench_scenario::Scenario;
 use platebench_study::loops::tuning::verification::{VerificationStep, gains_match, step_scenario};
@@ -86,7 +86,7 @@ fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -
         TerminalOperator::at_plate(false),
         LiveTap::default(),
         EventSinks::none(),
-        DEFAULT_REPLY_TIMEOUT,
+        ConnectOptions::default(),
     );
     let of_run = RunEnd::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
     *end = RunEnd { quarantine: end.quarantine.take().or(of_run.quarantine), ..of_run };

@@ -2,6 +2,9 @@
 
 use object::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _};
+use std::fs;
+use std::io;
+use std::path::Path;
 use std::sync::Arc;
 
 pub(super) const FLASH_START: u64 = 0x0800_0000;
@@ -122,5 +125,26 @@ fn check_header(elf: &[u8]) -> Result<(), ImageError> {
         (2, _) => Err(ImageError::Class("64-bit")),
         (_, 2) => Err(ImageError::Class("big-endian")),
         _ => Err(ImageError::Damaged("the header names no class".to_owned())),
+    }
+}
+
+/// Rejects pipes and devices, whose reading may never end.
+pub(crate) fn read_elf(elf: &Path) -> io::Result<Vec<u8>> {
+    let kind = fs::metadata(elf)?.file_type();
+    if !kind.is_file() && !kind.is_dir() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is a pipe or a device, expected an ELF file"));
+    }
+    fs::read(elf)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rejects_a_device_as_firmware() {
+        let error = read_elf(Path::new("/dev/zero")).unwrap_err().to_string();
+        assert_eq!(error, "it is a pipe or a device, expected an ELF file");
+        assert_eq!(read_elf(Path::new("/")).unwrap_err().kind(), io::ErrorKind::IsADirectory);
     }
 }

@@ -2,6 +2,7 @@
 
 use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND};
 use super::bus::{BusGuard, SystemBus};
+use super::debug_control::{DebugControl, DebugStop};
 use super::execution_recorder::ExecutionRecorder;
 use super::image::Image;
 use super::memory::{self, Memory, POWER_ON_FILL};
@@ -25,11 +26,6 @@ const MAX_ROUNDS_WITHOUT_PROGRESS: u32 = 100_000;
 const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
 const FLASH_KIB: (u64, [u8; 2]) = (0x1FFF_7A22, 2048_u16.to_le_bytes());
 
-/// Address and code of `cpsid i; b .`, in the last bytes of flash, which a firmware hardly uses.
-const HANG: (u64, [u8; 4]) = (0x081F_FFFC, [0x72, 0xB6, 0xFE, 0xE7]);
-/// Register number of the debugger's protocol.
-const PC: usize = 15;
-
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MachineConfig {
     pub(super) crystal_hz: u64,
@@ -38,10 +34,10 @@ pub(super) struct MachineConfig {
 
 pub(super) struct Machine {
     // Declared before `bus`, whose memory it points into: fields are dropped in this order.
-    core: Box<dyn Processor>,
-    bus: SystemBus,
-    session: Session<EmulatedBoard>,
-    image: Image,
+    pub(super) core: Box<dyn Processor>,
+    pub(super) bus: SystemBus,
+    pub(super) session: Session<EmulatedBoard>,
+    pub(super) image: Image,
     config: MachineConfig,
     handlers: FaultHandlers,
     recorder: ExecutionRecorder,
@@ -49,7 +45,8 @@ pub(super) struct Machine {
     power_on_state: Vec<u8>,
     reported_resets: usize,
     /// A planned fault of the chip acted: traps and resets are the firmware's to handle.
-    is_faulted: bool,
+    pub(super) is_faulted: bool,
+    pub(super) debug: DebugControl,
 }
 
 impl fmt::Debug for Machine {
@@ -58,7 +55,7 @@ impl fmt::Debug for Machine {
     }
 }
 
-fn emulator_error(error: &dyn fmt::Display) -> TargetError {
+pub(super) fn emulator_error(error: &dyn fmt::Display) -> TargetError {
     TargetError::Emulator(error.to_string())
 }
 
@@ -103,6 +100,7 @@ impl Machine {
             power_on_state,
             reported_resets: 0,
             is_faulted: false,
+            debug: DebugControl::default(),
         };
         machine.power_on()?;
         Ok(machine)
@@ -119,21 +117,6 @@ impl Machine {
         let Self { core, bus, .. } = self;
         core.reset();
         core.boot(super::image::FLASH_START, &|address, width| bus.memory.value(address, width));
-    }
-
-    /// Start and length; `None` for a fault elsewhere.
-    fn flipped_memory(&self, fault: &ChipFaultKind) -> Result<Option<(u32, u32)>, ChipFaultError> {
-        let (start, length) = match fault {
-            ChipFaultKind::FlipRam { start, length, .. } => (*start, *length),
-            ChipFaultKind::FlipVariable { name, .. } => {
-                Symbols::variable(&self.image.elf, name).ok_or_else(|| ChipFaultError::NoVariable(name.clone()))?
-            }
-            _ => return Ok(None),
-        };
-        let at = u64::from(start);
-        let is_ram =
-            self.bus.memory.is_writable(at) == Some(true) && self.bus.memory.slice(at, length as usize).is_some();
-        if is_ram { Ok(Some((start, length))) } else { Err(ChipFaultError::NoRam { start, length }) }
     }
 
     fn symbols(&self) -> Symbols {
@@ -170,10 +153,16 @@ impl Machine {
 
     fn step(&mut self) -> Result<(), TargetError> {
         let target = self.bus.next_event(self.core.next_event());
-        let budget = self.bus.instructions_until(self.core.retired(), target);
+        let single_step = std::mem::take(&mut self.debug.single_step);
+        let budget = if single_step { 1 } else { self.bus.instructions_until(self.core.retired(), target) };
         let mut guard = BusGuard { bus: &mut self.bus, session: &mut self.session };
         let (exit, ran) = self.core.run(budget, &mut guard);
         self.bus.notify_core(&mut *self.core);
+        if single_step && ran == 0 {
+            self.debug.single_step = true;
+        } else if single_step {
+            self.debug.stop = Some(DebugStop::Step);
+        }
         match exit {
             Exit::Breakpoint => {
                 let pc = self.core.pc();
@@ -182,7 +171,11 @@ impl Machine {
                 if let Some(crash) = crash.filter(|_| !self.is_faulted) {
                     return Err(TargetError::Trap(Box::new(crash)));
                 }
-                self.core.pass_breakpoint(pc);
+                if self.debug.has_breakpoint(pc) {
+                    self.debug.stop = Some(DebugStop::Breakpoint);
+                } else {
+                    self.core.pass_breakpoint(pc);
+                }
             }
             // Semihosting without a debugger has no effect.
             Exit::HostCall => self.core.answer_host_call(None),
@@ -290,6 +283,9 @@ impl Target for Machine {
                 }
             } else {
                 self.step()?;
+                if self.debug.stop.is_some() {
+                    return Ok(false);
+                }
             }
         }
     }
@@ -299,42 +295,7 @@ impl Target for Machine {
     }
 
     fn inject(&mut self, fault: &ChipFaultKind) -> Result<(), TargetError> {
-        self.is_faulted = true;
-        let now = VirtualNanos(self.now_ns());
-        match *fault {
-            ChipFaultKind::FlipRam { draw, .. } | ChipFaultKind::FlipVariable { draw, .. } => {
-                let memory = self.flipped_memory(fault).map_err(|error| emulator_error(&error))?;
-                if let Some((start, length)) = memory {
-                    let bit = draw % (u64::from(length) * 8);
-                    let address = u64::from(start) + bit / 8;
-                    let byte = self.bus.memory.slice(address, 1).and_then(<[u8]>::first).copied().unwrap_or_default();
-                    self.bus.memory.store(address, &[byte ^ 1 << (bit % 8)]);
-                }
-            }
-            ChipFaultKind::FlipRegister { number, draw } => {
-                let mut bytes = self.core.gdb_register(number).unwrap_or_default();
-                let bit = draw as usize % (8 * bytes.len().max(1));
-                if let Some(byte) = bytes.get_mut(bit / 8) {
-                    *byte ^= 1 << (bit % 8);
-                }
-                self.core.set_gdb_register(number, &bytes);
-            }
-            ChipFaultKind::Reset | ChipFaultKind::PowerCut => {
-                if *fault == ChipFaultKind::PowerCut {
-                    self.bus.memory.power_off();
-                }
-                let instructions = self.core.retired();
-                self.session.reset_by_pin(now, instructions, &mut self.bus);
-            }
-            ChipFaultKind::Hang => {
-                self.bus.memory.store(HANG.0, &HANG.1);
-                self.core.set_gdb_register(PC, &(HANG.0 as u32).to_le_bytes());
-            }
-            ChipFaultKind::Stuck { address, value } => self.bus.stuck.push((address, value)),
-            ChipFaultKind::ClockDrift { .. } => {}
-        }
-        self.bus.notify_core(&mut *self.core);
-        Ok(())
+        self.apply_fault(fault)
     }
 
     fn amplifier_enabled(&self) -> bool {

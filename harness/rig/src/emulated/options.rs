@@ -1,8 +1,9 @@
-//! Defines the options of an emulated board and why it may not start.
+//! Defines the options of an emulated board and why it may not start; reads its image.
 
-use super::image::ImageError;
+use super::image::{ImageError, read_elf};
+use crate::debug_port::DebuggerError;
 use crate::target_error::TargetError;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EmulatedOptions {
@@ -31,5 +32,11 @@ pub enum EmulatedError {
     #[error("not a firmware for the emulated board: {0}")]
     Image(#[from] ImageError),
     #[error(transparent)]
+    Debugger(#[from] DebuggerError),
+    #[error(transparent)]
     Target(#[from] TargetError),
+}
+
+pub(super) fn read_image(elf: &Path) -> Result<Vec<u8>, EmulatedError> {
+    read_elf(elf).map_err(|error| EmulatedError::Read { path: elf.to_owned(), error })
 }

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
+mod debugger;
 mod equivalence;
 mod faults;
 mod images;

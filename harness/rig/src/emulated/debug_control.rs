@@ -1,0 +1,47 @@
+//! Keeps a debugger's breakpoints and how the chip should run.
+
+use rigless::emulator::Processor;
+use std::collections::BTreeSet;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum DebugStop {
+    Breakpoint,
+    Step,
+    /// The trial is about to end with an error: trap, lock-up, reset, access without a model.
+    Error,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct DebugControl {
+    breakpoints: BTreeSet<u64>,
+    /// Stop after the next instruction.
+    pub(super) single_step: bool,
+    /// Set by the run loop, taken by its caller.
+    pub(super) stop: Option<DebugStop>,
+}
+
+impl DebugControl {
+    pub(super) fn has_breakpoint(&self, address: u64) -> bool {
+        self.breakpoints.contains(&address)
+    }
+
+    pub(super) fn add(&mut self, address: u64, core: &mut dyn Processor) -> bool {
+        self.breakpoints.contains(&address) || core.add_breakpoint(address) && self.breakpoints.insert(address)
+    }
+
+    pub(super) fn remove(&mut self, address: u64, core: &mut dyn Processor) -> bool {
+        let removed = self.breakpoints.remove(&address);
+        if removed {
+            core.remove_breakpoint(address);
+        }
+        removed
+    }
+
+    /// The chip runs on without a debugger.
+    pub(super) fn end(&mut self, core: &mut dyn Processor) {
+        for address in std::mem::take(&mut self.breakpoints) {
+            core.remove_breakpoint(address);
+        }
+        *self = Self::default();
+    }
+}
