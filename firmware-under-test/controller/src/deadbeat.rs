@@ -38,7 +38,7 @@ use platebench_wire::{Configure, Gains, flags};
 
 /// Share of the setpoint: a plate with 8 % more gain stays within the 5 % band.
 const FIRST_TARGET_SHARE: f32 = 0.97;
-/// Share of the setpoint: half a percent of noise causes a third of it.
+/// Share of the setpoint, or of the last amplitude if that is more: half a percent of noise causes a third of it.
 const PREDICTION_TOLERANCE: f32 = 0.08;
 /// A larger relative change is steered to, a smaller one is left to the PI loops.
 const SETPOINT_STEP: f32 = 0.02;
@@ -46,7 +46,7 @@ const SETPOINT_STEP: f32 = 0.02;
 const ARRIVAL_BAND: f32 = 0.03;
 /// Share of the setpoint: the largest amplitude of a plate at rest.
 const REST_BAND: f32 = 0.1;
-/// The PI loops take over after these periods, for example at the drive limit.
+/// The PI loops take over after these periods with a drive, for example at the drive limit.
 const MAX_STEERING_PERIODS: u8 = 12;
 /// The PI loops take over after these drives.
 const MAX_ATTEMPTS: u8 = 3;
@@ -153,7 +153,7 @@ impl Deadbeat {
     pub(crate) fn step(&mut self, measurement: &Measurement) -> Actuation {
         let w = Complex::new(measurement.wd_um, measurement.wq_um);
         let setpoint = measurement.setpoint_um;
-        let missed = setpoint > 0.0 && (w - self.expected).norm() > PREDICTION_TOLERANCE * setpoint;
+        let missed = setpoint > 0.0 && (w - self.expected).norm() > self.tolerance(setpoint);
         self.update_miss_score(missed);
         let mut flags = 0;
         if setpoint > 0.0 {
@@ -179,6 +179,11 @@ impl Deadbeat {
         self.drives = [drive, self.drives[0], self.drives[1]];
         self.setpoint = setpoint;
         Actuation { drive_vpp: drive.vpp, frequency_offset_hz: self.excitation.offset_hz(), flags }
+    }
+
+    /// Of the prediction of a sample, µm.
+    fn tolerance(&self, setpoint: f32) -> f32 {
+        PREDICTION_TOLERANCE * self.samples[0].norm().max(setpoint)
     }
 
     /// Tolerates one missed prediction in three periods, not several in a row.
@@ -258,7 +263,9 @@ impl Deadbeat {
         if arrived || gives_up {
             return self.start_holding(setpoint);
         }
-        Phase::Steering(Steering { periods: periods + 1, attempts, is_commanded })
+        // A plate that decays to a lower setpoint is on its way.
+        let periods = periods + u8::from(self.drives[0].vpp > 0.0);
+        Phase::Steering(Steering { periods, attempts, is_commanded })
     }
 
     fn identify_mode(&self, w: Complex) -> PlateMode {
@@ -273,7 +280,7 @@ impl Deadbeat {
             let begins = self.envelope.propagate(mode, self.samples[0], self.drives[1], delay);
             self.envelope.propagate(mode, begins, self.drives[0], self.period - delay)
         };
-        let explains = |delay: f32| (predicted(delay) - w).norm() < 0.5 * PREDICTION_TOLERANCE * setpoint;
+        let explains = |delay: f32| (predicted(delay) - w).norm() < 0.5 * self.tolerance(setpoint);
         // No delay, but a finger above `MAX_FINGER_DAMPING`.
         if explains(0.0) {
             return Some(0.0);

@@ -64,6 +64,17 @@ fn a_new_setpoint_is_reached_in_one_period() {
 }
 
 #[test]
+fn a_long_fall_is_steered_to_its_end() {
+    let mut simulation = LawSimulation::new(&DEADBEAT, 1.0, 0.0);
+    simulation.run_periods(2.5, 24);
+    let periods = simulation.run_periods(0.002, 24);
+    let falling = periods.iter().take_while(|period| period.actuation.drive_vpp == 0.0).count();
+    assert!(falling > usize::from(super::MAX_STEERING_PERIODS), "{periods:?}");
+    assert!(periods.iter().all(|period| period.amplitude > 0.00198), "{periods:?}");
+    assert!(periods[falling + 1..].iter().all(|period| period.amplitude < 0.00202), "{periods:?}");
+}
+
+#[test]
 fn drive_stays_at_its_limit_until_the_setpoint_is_near() {
     let mut simulation = LawSimulation::new(&Configure { drive_limit_vpp: 400.0, ..DEADBEAT }, 1.0, 0.0);
     let periods = simulation.run_periods(2.0, 20);
