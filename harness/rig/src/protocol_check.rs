@@ -29,6 +29,8 @@ const VARIATIONS: [Variation; 4] = [
 const ROUNDING: f32 = 2e-6;
 /// A script with a lost answer or a stall of the host is played again.
 const ATTEMPTS: usize = 3;
+/// Of scripts that are not about the watchdog. On an emulated line the frames of an exchange take milliseconds.
+const MIN_WATCHDOG_MS: u16 = 1_000;
 /// Target and reference advance in steps: a reference sends at most one tick in each.
 const STEP: Duration = Duration::from_millis(3);
 
@@ -46,7 +48,14 @@ pub fn protocol_differences(
     if !link.restart()? {
         link.continue_trial();
     }
-    let base = Configure { paced_by_target: false, drives_own_plate: false, loop_delay_us: 0, gains: None, ..*base };
+    let base = Configure {
+        paced_by_target: false,
+        drives_own_plate: false,
+        loop_delay_us: 0,
+        gains: None,
+        watchdog_timeout_ms: base.watchdog_timeout_ms.max(MIN_WATCHDOG_MS),
+        ..*base
+    };
     let period = Duration::from_micros(base.period_us.into());
     let mut player = Player { link, identity, period, own_clock, now: Duration::ZERO };
     let mut differences = Vec::new();
