@@ -2,6 +2,7 @@
 
 use crate::correlation::{Correlation, RawCorrelation};
 use crate::distribution::{Choice, Distribution, RawDistribution};
+use platebench_rig::RigSpec;
 use platebench_scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
 use platebench_scenario::{Diagnostic, Metric, Scenario, input, parse};
 use schemars::JsonSchema;
@@ -55,6 +56,9 @@ pub struct RawPlan {
     #[serde(default = "one")]
     #[schemars(range(min = 0))]
     seed: i64,
+    /// Rig on which some trials of the hosted rig are played again: the failing, the worst and a random 1 %.
+    #[schemars(regex(pattern = "^emulated(:.+)?$"))]
+    confirm: Option<String>,
 }
 
 const fn one() -> i64 {
@@ -133,6 +137,8 @@ pub struct Campaign {
     /// Number of combinations of listed values; 0 without listed values.
     pub cells: u64,
     pub seed: u64,
+    /// Rig on which some trials are played again.
+    pub confirm: Option<RigSpec>,
     /// Largest share of failing trials.
     pub at_most: Option<f64>,
     pub confidence: f64,
@@ -172,9 +178,10 @@ impl Campaign {
             variables.iter().map(|variable| (&*variable.key, variable.distribution.is_normal())).collect();
         let correlation =
             Correlation::new(&raw.correlate, &keys).map_err(|message| faults.push(checker.fault("correlate", message)));
+        let confirm = checker.confirming_rig(&raw.plan).map_err(|fault| faults.push(fault));
         let counts = checker.counts(&raw.plan, &variables).map_err(|fault| faults.push(fault));
-        let (Some(template), Ok([trials, cells]), Ok(correlation), true) =
-            (template, counts, correlation, faults.is_empty())
+        let (Some(template), Ok([trials, cells]), Ok(correlation), Ok(confirm), true) =
+            (template, counts, correlation, confirm, faults.is_empty())
         else {
             return Err(faults);
         };
@@ -187,6 +194,7 @@ impl Campaign {
             trials_per_cell: raw.plan.trials.unsigned_abs(),
             cells,
             seed: raw.plan.seed.unsigned_abs(),
+            confirm,
             at_most: raw.judge.at_most,
             confidence: raw.judge.confidence.unwrap_or(DEFAULT_CONFIDENCE),
             correlation,
@@ -284,6 +292,25 @@ impl Checker<'_> {
             }
         }
         variables
+    }
+
+    /// An ELF is relative to the campaign file.
+    fn confirming_rig(&self, plan: &RawPlan) -> Result<Option<RigSpec>, Diagnostic> {
+        let Some(text) = &plan.confirm else { return Ok(None) };
+        match text.parse() {
+            Ok(RigSpec::Emulated(elf)) => {
+                let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+                let elf = elf.map(|elf| folder.join(elf));
+                match elf.as_ref().filter(|elf| !elf.is_file()) {
+                    Some(missing) => {
+                        let message = format!("{}: no such file, expected an ELF", missing.display());
+                        Err(self.fault("plan.confirm", message))
+                    }
+                    None => Ok(Some(RigSpec::Emulated(elf))),
+                }
+            }
+            _ => Err(self.fault("plan.confirm", format!("`{text}`, expected emulated or emulated:ELF"))),
+        }
     }
 
     /// A rare failure needs a density.

@@ -32,6 +32,8 @@ pub enum CampaignError {
     OtherBench { found: String, planned: String },
     #[error("{rig}: the firmware is not the one of the plan; its SHA-256 is {found}, plan.json has {planned}")]
     OtherFirmware { rig: String, found: String, planned: String },
+    #[error("{0}: `plan.confirm` plays trials of the hosted rig again, expected --rig hosted")]
+    ConfirmedRig(String),
     #[error("shard {shard}, expected 1 to {shards}")]
     NoShard { shard: u32, shards: u32 },
     #[error("trial {trial} cannot be played with the values {values}: {fault}")]

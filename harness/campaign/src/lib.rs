@@ -4,6 +4,7 @@
 //! * `chain`: trials that depend on the ones before: `search` and `rare`. `correlation`: correlated normals.
 //! * [`outcome`]: what chains found.
 //! * [`sample`]: quantiles and sensitivities. [`sequential`]: decisions before the last trial.
+//! * [`confirm`](mod@confirm): replays some trials on the emulated firmware.
 //! * [`submit`]: commands of engines for many machines.
 //! * [`plan`]: what a campaign folder pins. [`play`]: plays a shard. [`row`], `part`: its results.
 //! * [`merge()`]: joins the parts to `results`, [`summary`], `report` and `counterexample`.
@@ -12,6 +13,7 @@
 
 pub mod campaign;
 mod chain;
+pub mod confirm;
 mod correlation;
 mod counterexample;
 pub mod distribution;
@@ -32,8 +34,10 @@ mod search;
 pub mod sequential;
 pub mod submit;
 pub mod summary;
+pub mod tally;
 
 pub use campaign::{Campaign, RawCampaign};
+pub use confirm::{Agreement, confirm};
 pub use error::CampaignError;
 pub use merge::{Status, merge, status};
 pub use plan::{Plan, shards_of_run};

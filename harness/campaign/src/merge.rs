@@ -1,6 +1,7 @@
 //! Joins the parts of a campaign to its results.
 
 use crate::campaign::Campaign;
+use crate::confirm::Agreement;
 use crate::counterexample;
 use crate::error::CampaignError;
 use crate::part::PartReader;
@@ -12,8 +13,14 @@ use platebench_trace::write_atomically;
 use std::path::Path;
 
 /// Writes results, summary, report and counterexamples. A damaged part leaves earlier results as they are.
-pub fn merge<'a>(folder: &Path, plan: &Plan, campaign: &'a Campaign) -> Result<Summary<'a>, CampaignError> {
+pub fn merge<'a>(
+    folder: &Path,
+    plan: &Plan,
+    campaign: &'a Campaign,
+    agreement: Option<Agreement>,
+) -> Result<Summary<'a>, CampaignError> {
     let mut summary = Summary::new(campaign);
+    summary.agreement = agreement;
     let mut results = ResultsWriter::new(folder, campaign)?;
     for shard in 1..=plan.shards {
         if !plan.part_path(folder, shard).exists() {

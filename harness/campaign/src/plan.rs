@@ -187,7 +187,7 @@ fn bench_digest() -> Result<String, CampaignError> {
     sha256_of_file(&path).map_err(CampaignError::io(&path))
 }
 
-fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
+pub(crate) fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
     let read = |path: &Path| fs::read(path).map_err(CampaignError::io(path));
     let content = match rig {
         RigSpec::Emulated(None) => EmulatedLink::built_in_image().to_vec(),

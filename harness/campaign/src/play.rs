@@ -35,6 +35,12 @@ pub struct PlayConfig {
     pub unconfirmed: Arc<AtomicBool>,
 }
 
+impl PlayConfig {
+    pub fn new(rig: RigSpec, jobs: usize) -> Self {
+        Self { rig, jobs, cancel: CancelToken::default(), unconfirmed: Arc::default() }
+    }
+}
+
 /// A trial was played.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TrialEvent {
@@ -68,7 +74,8 @@ pub fn play_shard(
     let mut part = PartWriter::new(path, plan, campaign, shard)?;
     let options = ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
     let connect = || config.rig.connect_with(&options);
-    play(campaign, plan.trials_of(shard), config, &connect, &mut |row| {
+    let source = Source::Numbers(plan.trials_of(shard));
+    play(campaign, &source, config, &connect, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
         part.push(row)
     })?;
@@ -76,19 +83,56 @@ pub fn play_shard(
     Ok(true)
 }
 
+/// Plays the values of these rows again. Results are in the same order; their number is their place.
+pub(crate) fn replay(
+    campaign: &Campaign,
+    rows: &[&Row],
+    config: &PlayConfig,
+    on_trial: &mut dyn FnMut(TrialEvent),
+) -> Result<Vec<Row>, CampaignError> {
+    let options = ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
+    let connect = || config.rig.connect_with(&options);
+    let mut replayed = Vec::new();
+    play(campaign, &Source::Rows(rows), config, &connect, &mut |row| {
+        on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
+        replayed.push(row);
+        Ok(())
+    })?;
+    Ok(replayed)
+}
+
+/// Where the values of trials come from.
+enum Source<'a> {
+    /// Drawn by the number of the trial.
+    Numbers(Range<u64>),
+    /// Of these rows; a trial has the number of its place.
+    Rows(&'a [&'a Row]),
+}
+
+impl Source<'_> {
+    fn places(&self) -> Range<u64> {
+        match self {
+            Self::Numbers(trials) => trials.clone(),
+            Self::Rows(rows) => 0..rows.len() as u64,
+        }
+    }
+}
+
 /// Calls `on_row` in the order of the trials.
 fn play(
     campaign: &Campaign,
-    trials: Range<u64>,
+    source: &Source<'_>,
     config: &PlayConfig,
     connect: &Connect<'_>,
     on_row: &mut dyn FnMut(Row) -> Result<(), CampaignError>,
 ) -> Result<(), CampaignError> {
+    let trials = source.places();
     let next = AtomicU64::new(trials.start);
     let (sender, results) = mpsc::sync_channel(RESULT_QUEUE);
     let outcome = thread::scope(|scope| {
         for _ in 0..config.jobs.max(1) {
-            let worker = Worker { campaign, config, connect, next: &next, end: trials.end, session: None, losses: 0 };
+            let next = &next;
+            let worker = Worker { campaign, source, config, connect, next, end: trials.end, session: None, losses: 0 };
             let sender = sender.clone();
             scope.spawn(move || {
                 let mut worker = worker;
@@ -128,6 +172,7 @@ fn collect(
 
 struct Worker<'a> {
     campaign: &'a Campaign,
+    source: &'a Source<'a>,
     config: &'a PlayConfig,
     connect: &'a Connect<'a>,
     next: &'a AtomicU64,
@@ -138,7 +183,7 @@ struct Worker<'a> {
 
 impl Worker<'_> {
     fn run(&mut self, results: &SyncSender<Result<Row, CampaignError>>) {
-        let count = self.campaign.chain_trials();
+        let count = if matches!(self.source, Source::Rows(_)) { 1 } else { self.campaign.chain_trials() };
         loop {
             let first = self.next.fetch_add(count, Ordering::Relaxed);
             if first >= self.end || self.config.cancel.is_cancelled() {
@@ -156,7 +201,15 @@ impl Worker<'_> {
 
     /// False if it was cancelled, or an error was sent.
     fn play_one(&mut self, number: u64, results: &SyncSender<Result<Row, CampaignError>>) -> bool {
-        let row = self.campaign.trial(number).and_then(|trial| self.play(&trial));
+        let trial = match self.source {
+            Source::Numbers(_) => self.campaign.trial(number),
+            Source::Rows(rows) => match rows.get(number as usize) {
+                Some(row) => self.campaign.trial_with(row.trial, row.draws.clone(), row.redraws),
+                None => return false,
+            },
+        };
+        let row = trial.and_then(|trial| self.play(&trial));
+        let row = row.map(|row| row.map(|row| Row { trial: number, ..row }));
         let Some(row) = row.transpose() else { return false };
         let is_row = row.is_ok();
         results.send(row).is_ok() && is_row

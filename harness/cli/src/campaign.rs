@@ -1,145 +1,27 @@
 //! `platebench campaign`: sweeps and Monte Carlo in shards, on one machine or many.
 
+mod arguments;
 mod progress;
+
+pub(crate) use arguments::CampaignArgs;
 
 use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
 use crate::options::{OutputFormat, job_count};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
-use clap::{Args, Subcommand, ValueEnum};
+use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
 use platebench_boards::RunEnd;
 use platebench_campaign::submit::{Engine, command_line, submission};
 use platebench_campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, Summary, merge, play_shard, shards_of_run, status,
+    Campaign, CampaignError, Plan, PlayConfig, Summary, confirm, merge, play_shard, shards_of_run, status,
 };
 use platebench_rig::{CancelToken, RigError, RigSpec};
 use progress::{PlayEvent, Progress};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// `platebench campaign`
-#[derive(Debug, Args)]
-#[command(after_help = "\
-Examples:
-  platebench campaign run scenarios/campaigns/laws.toml --out C
-  platebench campaign plan my.toml --out C --shards 64
-  platebench campaign play C --shard 7             on any machine that sees C
-  platebench campaign submit C --on slurm          prints the commands of an array
-  platebench campaign status C
-  platebench campaign merge C
-
-Exit codes: 0 passed (play: the shard is complete), 1 failed, 2 invalid input, or a damaged or foreign part or plan,
-3 inconclusive, or a shard is missing, 5 the rig could not be reached or was lost")]
-pub(crate) struct CampaignArgs {
-    #[command(subcommand)]
-    command: CampaignCommand,
-}
-
-#[derive(Debug, Subcommand)]
-enum CampaignCommand {
-    /// Plan, play and merge on this machine; the same command resumes
-    Run(RunArgs),
-    /// Write plan.json for a number of shards
-    Plan(PlanArgs),
-    /// Play one shard; a complete one is not played again
-    Play(PlayArgs),
-    /// Join the parts: results, summary, report, counterexamples
-    Merge(MergeArgs),
-    /// Print the commands that play all shards on many machines, or run them
-    Submit(SubmitArgs),
-    /// Show which shards are complete
-    Status(FolderArgs),
-}
-
-#[derive(Debug, Args)]
-struct RunArgs {
-    /// The campaign file
-    file: PathBuf,
-    /// The campaign folder
-    #[arg(long, value_name = "FOLDER")]
-    out: PathBuf,
-    /// Trials that are played at once; default: one per core
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    jobs: Option<u16>,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
-    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP
-    #[arg(long, default_value = "hosted", conflicts_with = "board")]
-    rig: RigSpec,
-    #[command(flatten)]
-    board: BoardArgs,
-    /// Format of standard output
-    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
-    format: OutputFormat,
-}
-
-#[derive(Debug, Args)]
-struct PlanArgs {
-    /// The campaign file
-    file: PathBuf,
-    /// The campaign folder
-    #[arg(long, value_name = "FOLDER")]
-    out: PathBuf,
-    /// Number of shards
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    shards: u32,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
-    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP
-    #[arg(long, default_value = "hosted")]
-    rig: RigSpec,
-}
-
-#[derive(Debug, Args)]
-struct PlayArgs {
-    /// The campaign folder
-    folder: PathBuf,
-    /// Number of the shard, from 1
-    #[arg(long, value_name = "K")]
-    shard: u32,
-    /// Trials that are played at once; default: one per core
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    jobs: Option<u16>,
-    /// Rig with the planned firmware; default: the rig of the plan
-    #[arg(long, conflicts_with = "board")]
-    rig: Option<RigSpec>,
-    #[command(flatten)]
-    board: BoardArgs,
-}
-
-#[derive(Debug, Args)]
-struct MergeArgs {
-    /// The campaign folder
-    folder: PathBuf,
-    /// Format of standard output
-    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
-    format: OutputFormat,
-}
-
-#[derive(Debug, Args)]
-struct SubmitArgs {
-    /// The campaign folder
-    folder: PathBuf,
-    /// Engine that starts the shards
-    #[arg(long, value_enum)]
-    on: EngineName,
-    /// Run the commands
-    #[arg(long)]
-    run: bool,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum EngineName {
-    Slurm,
-    Hyperqueue,
-}
-
-#[derive(Debug, Args)]
-struct FolderArgs {
-    /// The campaign folder
-    folder: PathBuf,
-}
 
 /// Runs the command.
 pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> Exit {
@@ -152,8 +34,8 @@ pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> Exit {
                 Exit::Passed
             }),
         CampaignCommand::Play(arguments) => play_one(arguments, quiet),
-        CampaignCommand::Merge(arguments) => merge_folder(&arguments.folder, arguments.format),
-        CampaignCommand::Submit(arguments) => submit(arguments),
+        CampaignCommand::Merge(arguments) => merge_folder(&arguments.folder, arguments.jobs, quiet, arguments.format),
+        CampaignCommand::Submit(arguments) => submit(arguments, quiet),
         CampaignCommand::Status(arguments) => show_status(&arguments.folder),
     };
     result.unwrap_or_else(|error| reject(&error))
@@ -165,6 +47,9 @@ fn load(file: &Path) -> Result<Campaign, CampaignError> {
 
 fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Plan, CampaignError> {
     rig.check()?;
+    if campaign.confirm.is_some() && *rig != RigSpec::Hosted {
+        return Err(CampaignError::ConfirmedRig(rig.to_string()));
+    }
     let plan = Plan::new(campaign, folder, rig, shards)?;
     plan.write(folder)?;
     Ok(plan)
@@ -184,8 +69,7 @@ fn run(arguments: &RunArgs, quiet: bool) -> Result<Exit, CampaignError> {
     if let Some(exit) = play_on_board(&arguments.board, &arguments.out, context, shards, &rig, arguments.jobs, quiet)? {
         return Ok(exit);
     }
-    let summary = merge(&arguments.out, &plan, &campaign)?;
-    Ok(show(&summary, &arguments.out, arguments.format))
+    merge_and_show(&arguments.out, (plan, campaign), arguments.jobs, quiet, arguments.format)
 }
 
 fn play_one(arguments: &PlayArgs, quiet: bool) -> Result<Exit, CampaignError> {
@@ -209,7 +93,7 @@ fn play_one(arguments: &PlayArgs, quiet: bool) -> Result<Exit, CampaignError> {
     Ok(played.unwrap_or(Exit::Passed))
 }
 
-fn submit(arguments: &SubmitArgs) -> Result<Exit, CampaignError> {
+fn submit(arguments: &SubmitArgs, quiet: bool) -> Result<Exit, CampaignError> {
     let plan = Plan::read(&arguments.folder)?;
     let engine = match arguments.on {
         EngineName::Slurm => Engine::Slurm,
@@ -224,7 +108,7 @@ fn submit(arguments: &SubmitArgs) -> Result<Exit, CampaignError> {
     let [array, _] = &commands;
     let [program, words @ ..] = &**array else { return Ok(Exit::Invalid) };
     match Command::new(program).args(words).status() {
-        Ok(status) if status.success() => merge_folder(&arguments.folder, OutputFormat::Human),
+        Ok(status) if status.success() => merge_folder(&arguments.folder, None, quiet, OutputFormat::Human),
         Ok(status) => {
             stdio::error(&format!("{program} ended with {status}; `campaign status` lists the missing shards"));
             Ok(Exit::Unreachable)
@@ -236,9 +120,33 @@ fn submit(arguments: &SubmitArgs) -> Result<Exit, CampaignError> {
     }
 }
 
-fn merge_folder(folder: &Path, format: OutputFormat) -> Result<Exit, CampaignError> {
+fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFormat) -> Result<Exit, CampaignError> {
     let (plan, campaign) = Plan::open(folder)?;
-    let summary = merge(folder, &plan, &campaign)?;
+    merge_and_show(folder, (plan, Arc::new(campaign)), jobs, quiet, format)
+}
+
+/// Plays trials again first, if the campaign has `plan.confirm`.
+fn merge_and_show(
+    folder: &Path,
+    (plan, campaign): (Plan, Arc<Campaign>),
+    jobs: Option<u16>,
+    quiet: bool,
+    format: OutputFormat,
+) -> Result<Exit, CampaignError> {
+    let mut agreement = None;
+    if campaign.confirm.is_some() {
+        let config = PlayConfig::new(RigSpec::Hosted, job_count(jobs));
+        let (folder, plan, campaign) = (folder.to_owned(), plan.clone(), Arc::clone(&campaign));
+        let cancel = config.cancel.clone();
+        let work = move |events: &mut EventSender<_, PlayEvent>| {
+            confirm(&folder, &plan, &campaign, &config, &mut |event| events.send(PlayEvent::Trial(event)))
+        };
+        match run_campaign_work(&cancel, work, Progress::new(0, quiet))? {
+            Ok(found) => agreement = found,
+            Err(exit) => return Ok(exit),
+        }
+    }
+    let summary = merge(folder, &plan, &campaign, agreement)?;
     Ok(show(&summary, folder, format))
 }
 
@@ -279,13 +187,8 @@ fn play(
     unconfirmed: &Arc<AtomicBool>,
 ) -> Result<Option<Exit>, CampaignError> {
     let total: u64 = shards.iter().map(|shard| plan.trials_of(*shard)).map(|trials| trials.end - trials.start).sum();
-    let cancel = CancelToken::default();
-    let config = PlayConfig {
-        rig: rig.clone(),
-        jobs: job_count(jobs),
-        cancel: cancel.clone(),
-        unconfirmed: Arc::clone(unconfirmed),
-    };
+    let config = PlayConfig { unconfirmed: Arc::clone(unconfirmed), ..PlayConfig::new(rig.clone(), job_count(jobs)) };
+    let cancel = config.cancel.clone();
     let folder = folder.to_owned();
     let work = move |events: &mut EventSender<_, PlayEvent>| {
         shards.into_iter().try_for_each(|shard| {
@@ -298,17 +201,25 @@ fn play(
             Ok(())
         })
     };
-    let mut progress = Progress::new(total, quiet);
-    match run_until_signal(&cancel, None, work, |event| progress.add(event)) {
-        Ok(WorkResult::Finished(Ok(()), None)) => Ok(None),
+    Ok(run_campaign_work(&cancel, work, Progress::new(total, quiet))?.err())
+}
+
+/// The result, or the exit code if a signal ended the work.
+fn run_campaign_work<R: Send + 'static>(
+    cancel: &CancelToken,
+    work: impl FnOnce(&mut EventSender<Result<R, CampaignError>, PlayEvent>) -> Result<R, CampaignError> + Send + 'static,
+    mut progress: Progress,
+) -> Result<Result<R, Exit>, CampaignError> {
+    match run_until_signal(cancel, None, work, |event| progress.add(event)) {
+        Ok(WorkResult::Finished(Ok(result), None)) => Ok(Ok(result)),
         Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => {
             stdio::note("stopped; complete shards are kept, the same command continues");
-            Ok(Some(Exit::Signal(signal)))
+            Ok(Err(Exit::Signal(signal)))
         }
         Ok(WorkResult::Finished(Err(error), None)) => Err(error),
         Err(error) => {
             stdio::error(&error.to_string());
-            Ok(Some(Exit::Inconclusive))
+            Ok(Err(Exit::Inconclusive))
         }
     }
 }

@@ -228,6 +228,12 @@ fn a_counterexample_fails_under_run_with_the_same_values() {
 #[case::type_of_value(GRID, "\"duration_ms\" = { each = [\"long\"] }\n", &["campaign.toml:8", "duration_ms"])]
 #[case::unknown_distribution(GRID, "\"duration_ms\" = { poisson = 3.0 }\n", &["campaign.toml:8", "poisson"])]
 #[case::unknown_key("[plan]\nmethod = \"grid\"\ntrials = 5\nshards = 3\n", "", &["campaign.toml:11", "unknown key `shards`"])]
+#[case::confirm("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"hosted\"\n", "", &[
+    "campaign.toml:11", "`hosted`, expected emulated or emulated:ELF",
+])]
+#[case::no_elf("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"emulated:no.elf\"\n", "", &[
+    "campaign.toml:11", "no.elf: no such file, expected an ELF",
+])]
 #[case::share("[plan]\nmethod = \"grid\"\ntrials = 5\n[judge]\nat_most = 1.5\n", "", &["campaign.toml:12", "1.5"])]
 fn a_wrong_campaign_is_refused_with_its_line(#[case] plan: &str, #[case] vary: &str, #[case] messages: &[&str]) {
     let folder = folder("");
@@ -235,6 +241,33 @@ fn a_wrong_campaign_is_refused_with_its_line(#[case] plan: &str, #[case] vary: &
     let refused = run_bench(folder.path(), ["campaign", "plan", "campaign.toml", "--out", "c"]);
     refused.assert_exit(2).assert_stderr(messages);
     assert!(!folder.path().join("c").exists());
+}
+
+#[test]
+fn some_trials_are_confirmed_on_the_emulated_firmware() {
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 400\nconfirm = \"emulated\"\n");
+    let folder = folder.path();
+    plan(folder, "a", 3);
+    (1..=2).for_each(|shard| play(folder, "a", shard, 2));
+    run_bench(folder, ["campaign", "merge", "a"]).assert_exit(3);
+    assert_eq!(summary(folder, "a").get("confirm"), None, "a shard is missing");
+    play(folder, "a", 3, 1);
+    let merged = run_bench(folder, ["campaign", "merge", "a", "--jobs", "1"]);
+    merged.assert_stdout(&["trials replayed on emulated", "random: 0 of "]);
+    let result = summary(folder, "a");
+    let confirmed = &result["confirm"];
+    let failures = result["overall"]["failures"].as_u64().unwrap();
+    assert!(failures > 0, "{result}");
+    assert_eq!(confirmed["failing"]["replayed"].as_u64(), Some(failures));
+    assert_eq!(confirmed["worst"]["replayed"], 20);
+    let sampled = confirmed["random"]["replayed"].as_u64().unwrap();
+    assert!((1..=15).contains(&sampled), "{confirmed}");
+    assert!(confirmed["random"]["interval"][1].as_f64().unwrap() > 0.1, "few trials prove little: {confirmed}");
+    assert_eq!((&confirmed["missed_failures"], &confirmed["differences"]), (&0.into(), &Value::Array(Vec::new())));
+    run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "b", "--jobs", "2"]);
+    assert_eq!(results(folder, "a"), results(folder, "b"));
+    let other_rig = ["campaign", "run", "campaign.toml", "--out", "c", "--rig", "emulated"];
+    run_bench(folder, other_rig).assert_exit(2).assert_stderr(&["expected --rig hosted"]);
 }
 
 #[test]

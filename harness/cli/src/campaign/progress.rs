@@ -27,6 +27,7 @@ pub(super) struct Progress {
 }
 
 impl Progress {
+    /// `total`: 0 if it is not known.
     pub(super) fn new(total: u64, quiet: bool) -> Self {
         let now = Instant::now();
         Self { started: now, last: now, quiet, total, played: 0, skipped: 0, failures: 0 }
@@ -42,13 +43,16 @@ impl Progress {
         }
         if !self.quiet && self.last.elapsed() >= PROGRESS_INTERVAL {
             self.last = Instant::now();
+            let failures = self.failures;
+            if self.total == 0 {
+                return stdio::note(&format!("{} trials played again, {failures} failed", self.played));
+            }
             let rate = self.played as f64 / self.started.elapsed().as_secs_f64();
             let left = self.total.saturating_sub(self.played + self.skipped) as f64 / rate.max(1e-9);
             stdio::note(&format!(
-                "{} of {} trials, {} failed, {rate:.0} trials/s, {left:.0} s left",
+                "{} of {} trials, {failures} failed, {rate:.0} trials/s, {left:.0} s left",
                 self.played + self.skipped,
-                self.total,
-                self.failures
+                self.total
             ));
         }
     }
