@@ -62,7 +62,7 @@ impl RunEnd {
         end
     }
 
-    /// Of all runs in and below `folder` that started at `since` or later.
+    /// Of all runs in and below `folder` that started at `since` or later; `last_run` is the newest.
     pub fn of_runs_below(folder: &Path, since: &str) -> Self {
         let mut end = Self::untouched();
         end.add_runs_below(folder, since, MAX_DEPTH);
@@ -77,11 +77,16 @@ impl RunEnd {
                 Err(_) => Self::unconfirmed(),
             };
             self.quarantine = self.quarantine.take().or(run.quarantine);
-            self.last_run = run.last_run.or(self.last_run.take());
+            // Of two runs in the same second the later one by name.
+            if run.last_run.as_ref().map(|run| &run.started) >= self.last_run.as_ref().map(|run| &run.started) {
+                self.last_run = run.last_run;
+            }
             return;
         }
         let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-        for below in entries.filter(|path| depth > 0 && path.is_dir()) {
+        let mut folders: Vec<_> = entries.filter(|path| depth > 0 && path.is_dir()).collect();
+        folders.sort_unstable();
+        for below in folders {
             self.add_runs_below(&below, since, depth - 1);
         }
     }

@@ -4,11 +4,16 @@
 //! commands used one board at once, the second controller would not start and its run would end with 5.
 
 mod hyperqueue;
+mod labgrid;
 
 use crate::boards::{inventory, state_of};
 use crate::test_folder::{ChildGuard, SETTLING, TestFolder, bench_command, start_bench, step_text, wait_until};
 use platebench_record::Verdict;
-use std::process::Command;
+use platebench_test_kit::workspace_root;
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 const HEALTHY: [&str; 5] = ["b1", "b2", "b3", "b4", "b5"];
 /// A healthy board whose first worker is killed.
@@ -49,6 +54,16 @@ fn lab(count: usize) -> TestFolder {
     folder
 }
 
+/// An acceptance plan for the first scenario.
+fn write_plan(folder: &TestFolder) {
+    folder.replace("scenarios/s1.toml", "at_most = 2.0", "at_most = 2.0\nrequirement = \"R-1\"");
+    folder.write(
+        "plan.toml",
+        "title = \"Eight boards\"\nrepetitions = 2\n[[requirement]]\nid = \"R-1\"\ntext = \"It settles.\"\n\
+         [[scenario]]\nfile = \"scenarios/s1.toml\"\n[bench]\ntiming_trials = 1\nclean_runs = 1\n",
+    );
+}
+
 fn start_shard(folder: &TestFolder, board: &str, shard: &str) -> ChildGuard {
     let out = format!("{board}-{}", &shard[..1]);
     let run = ["run", "--board", board, "--shard", shard, "--wait", "500", "--out", &out];
@@ -59,6 +74,33 @@ fn start_session(folder: &TestFolder, board: &str) -> ChildGuard {
     let out = format!("record-{board}");
     let session = ["accept", "--plan", "plan.toml", "--board", board, "--yes", "--wait", "500", "--out", &out];
     start_bench(folder.path(), session.into_iter().chain(LOCKSTEP))
+}
+
+/// A shell reads `line` as it would at a prompt. The programs of the pages are in its path.
+fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) -> ChildGuard {
+    let programs = folder.join("bin");
+    if !programs.exists() {
+        fs::create_dir(&programs).unwrap();
+        symlink(env!("CARGO_BIN_EXE_platebench-under-test"), programs.join("platebench")).unwrap();
+        let wrapper = "with-labgrid-place";
+        symlink(workspace_root().join("ci/templates").join(wrapper), programs.join(wrapper)).unwrap();
+    }
+    let readers = workspace_root().join("target/test-readers/bin");
+    let path = format!("{}:{}:{}", programs.display(), std::env::var("PATH").unwrap(), readers.display());
+    let mut shell = Command::new("sh");
+    shell.args(["-c", &format!("exec {line}")]).current_dir(folder).env("PATH", path);
+    shell.envs(variables.iter().copied());
+    ChildGuard(shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
+}
+
+/// The first bench that uses the board for a run is killed by the board's own program.
+fn kill_first_bench(folder: &TestFolder) {
+    let script = format!(
+        "if grep -q '\"process\"' boards.state/{KILLED}.json && mkdir killed; then kill -KILL $PPID; fi 2>/dev/null\nexec \"$@\"\n"
+    );
+    folder.write("kill.sh", &script);
+    let controller = format!("flock --nonblock --no-fork '{}'", folder.join(&format!("{KILLED}.use")).display());
+    folder.replace("boards.toml", &controller, &format!("sh kill.sh {controller}"));
 }
 
 #[track_caller]
@@ -134,12 +176,7 @@ fn eight_boards_share_a_regression() {
 #[test]
 fn eight_boards_share_an_acceptance() {
     let folder = lab(1);
-    folder.replace("scenarios/s1.toml", "at_most = 2.0", "at_most = 2.0\nrequirement = \"R-1\"");
-    folder.write(
-        "plan.toml",
-        "title = \"Eight boards\"\nrepetitions = 2\n[[requirement]]\nid = \"R-1\"\ntext = \"It settles.\"\n\
-         [[scenario]]\nfile = \"scenarios/s1.toml\"\n[bench]\ntiming_trials = 1\nclean_runs = 1\n",
-    );
+    write_plan(&folder);
     let mut worker = start_session(&folder, KILLED);
     let is_marked = |state: &serde_json::Value| state["state"] == "held" && !state["since"].is_null();
     wait_until("the session never began", || is_marked(&state_of(&folder, HEALTHY.len())));
@@ -161,7 +198,9 @@ fn eight_boards_share_an_acceptance() {
             ["accept", "--plan", "plan.toml", "--board", KILLED, "--yes", again, &record].into_iter().chain(LOCKSTEP),
         )
         .assert_exit(0);
-    for board in HEALTHY.into_iter().chain([KILLED]) {
+    for (number, board) in HEALTHY.into_iter().chain([KILLED]).enumerate() {
         folder.bench(["accept", "verify", &format!("record-{board}")]).assert_exit(0);
+        let last = state_of(&folder, number)["last_run"]["folder"].clone();
+        assert!(last.as_str().is_some_and(|last| last.ends_with("-s1")), "the last step: {last}");
     }
 }

@@ -16,6 +16,27 @@ fn relative_deviation(values: &[f64]) -> f64 {
     (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (values.len() - 1) as f64).sqrt() / mean
 }
 
+/// The budget adds timing and temperature to the standard error of the resonance.
+fn assert_budget(folder: &Path, identified: &Value) {
+    let budget = workspace_root().join("docs/examples/amplitude-budget.toml");
+    let arguments = ["identify", "run", "--format", "json", "--budget", budget.to_str().unwrap()];
+    let budgeted = run_bench(folder, arguments).assert_exit(0).json();
+    assert_eq!(budgeted["resonance_hz"], identified["resonance_hz"]);
+    let quantities = budgeted["uncertainties"].as_array().unwrap();
+    assert_eq!(quantities.len(), 1, "{quantities:?}");
+    let combined = &quantities[0]["combined"];
+    let contributions = combined["contributions"].as_array().unwrap();
+    let kinds: Vec<_> = contributions.iter().filter_map(|one| one["kind"].as_str()).collect();
+    assert_eq!(
+        (quantities[0]["quantity"].as_str(), kinds),
+        (Some("resonance_hz"), vec!["timing", "temperature", "repeatability"])
+    );
+    let standards: Vec<_> = contributions.iter().filter_map(|one| one["standard"].as_f64()).collect();
+    assert_eq!(Some(standards[2]), identified["resonance_hz"]["error"].as_f64());
+    let sum = standards.iter().map(|standard| standard.powi(2)).sum::<f64>().sqrt();
+    assert!((combined["standard"].as_f64().unwrap() / sum - 1.0).abs() < 1e-12, "{combined}");
+}
+
 #[test]
 fn identified_tables_match_the_paper() {
     let folder = tempfile::tempdir().unwrap();
@@ -45,6 +66,7 @@ fn identified_tables_match_the_paper() {
     assert!((value("time_constant_s") / 1.88e-3 - 1.0).abs() < 0.033, "{}", value("time_constant_s"));
     assert!((value("frequency_gain_s") / 1.88e-3 - 1.0).abs() < 0.033, "{}", value("frequency_gain_s"));
     assert_eq!(identified["frequency_steps"].as_array().unwrap().len(), 180, "six steps of thirty plates");
+    assert_budget(folder.path(), &identified);
     let plate = fs::read_to_string(folder.path().join("plate.toml")).unwrap();
     assert!(plate.starts_with("name = \"found\"\n"), "{plate}");
     let page = fs::read_to_string(folder.path().join("page.html")).unwrap();

@@ -10,7 +10,7 @@ use std::thread;
 use std::time::Instant;
 
 /// A board behind a server that takes one connection after the other.
-fn serve_board() -> SocketAddr {
+pub(crate) fn serve_board() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     thread::spawn(move || {

@@ -83,3 +83,44 @@ fn the_steps_of_the_composite_action_run() {
         assert!(at(out).join(file).is_file(), "{file}");
     }
 }
+
+#[test]
+fn the_hook_of_pre_commit_checks_changed_scenarios() {
+    let program = workspace_root().join("target/test-readers/bin/pre-commit");
+    if !program.exists() {
+        return skip_without(&format!("{}", program.display()));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let git = |folder: &Path, arguments: &[&str]| {
+        let identity = ["-c", "user.name=t", "-c", "user.email=t@example.org"];
+        let output = Command::new("git").args(identity).args(arguments).current_dir(folder).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    };
+    for folder in ["hooks", "project/scenarios/plates", "bin"] {
+        fs::create_dir_all(at(folder)).unwrap();
+    }
+    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_platebench-under-test"), at("bin/platebench")).unwrap();
+    fs::copy(workspace_root().join(".pre-commit-hooks.yaml"), at("hooks/.pre-commit-hooks.yaml")).unwrap();
+    let plate = "plates/aluminium-198x138.toml";
+    fs::copy(workspace_root().join("scenarios").join(plate), at("project/scenarios").join(plate)).unwrap();
+    let scenario = fs::read_to_string(workspace_root().join("scenarios/paper/fig13-closed-loop.toml")).unwrap();
+    let scenario = scenario.replace("../plates", "plates");
+    fs::write(at("project/scenarios/good.toml"), &scenario).unwrap();
+    fs::write(at("project/scenarios/bad.toml"), scenario.replacen("plate = ", "plat = ", 1)).unwrap();
+    for repository in ["hooks", "project"] {
+        git(&at(repository), &["init", "--quiet"]);
+        git(&at(repository), &["add", "."]);
+        git(&at(repository), &["commit", "--quiet", "-m", "content"]);
+    }
+    let path = format!("{}:{}", at("bin").display(), std::env::var("PATH").unwrap());
+    for (file, expected) in [("good.toml", true), ("bad.toml", false)] {
+        let mut hook = Command::new(&program);
+        hook.args(["try-repo", "../hooks", "platebench-check", "--files", &format!("scenarios/{file}")]);
+        hook.current_dir(at("project")).env("PATH", &path).env("PRE_COMMIT_HOME", at("home"));
+        let output = hook.output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert_eq!(output.status.success(), expected, "{text}{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(text.contains("plat = "), !expected, "{text}");
+    }
+}

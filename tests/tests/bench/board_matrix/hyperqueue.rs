@@ -1,13 +1,12 @@
 //! Tests the `hq submit` lines of the documentation and of `campaign submit` on `HyperQueue`.
 
-use super::{DEAD, HEALTHY, KILLED, WRONG_CHIP, boards, clear_killed, lab};
+use super::{DEAD, HEALTHY, KILLED, WRONG_CHIP, boards, clear_killed, kill_first_bench, lab, start_line};
 use crate::boards::state_of;
 use crate::campaign::{self, results};
 use crate::test_folder::{ChildGuard, TestFolder, run_bench};
 use platebench_record::{RunRecord, Verdict};
 use platebench_test_kit::{skip_without, workspace_root};
 use std::fs;
-use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -25,17 +24,9 @@ fn has_hyperqueue() -> bool {
     exists
 }
 
-/// A shell reads `line` as it would at a prompt.
+/// `names` are the boards of the worker.
 fn start_submission(folder: &Path, names: &str, line: &str) -> ChildGuard {
-    let programs = folder.join("bin");
-    if !programs.exists() {
-        fs::create_dir(&programs).unwrap();
-        symlink(env!("CARGO_BIN_EXE_platebench-under-test"), programs.join("platebench")).unwrap();
-    }
-    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
-    let mut shell = Command::new("sh");
-    shell.args(["-c", &format!("exec '{PYTHON}' '{SUBMIT}' {names} {line}")]).current_dir(folder).env("PATH", path);
-    ChildGuard(shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
+    start_line(folder, &format!("'{PYTHON}' '{SUBMIT}' {names} {line}"), &[])
 }
 
 fn failed_tasks(folder: &TestFolder) -> Vec<String> {
@@ -45,16 +36,6 @@ fn failed_tasks(folder: &TestFolder) -> Vec<String> {
 fn errors(folder: &TestFolder, tasks: &[String]) -> String {
     let errors: Vec<_> = tasks.iter().map(|task| folder.read(&format!("hq-{task}.err"))).collect();
     errors.concat()
-}
-
-/// The first bench that uses the board for a run is killed by the board's own program.
-fn kill_first_bench(folder: &TestFolder) {
-    let script = format!(
-        "if grep -q '\"process\"' boards.state/{KILLED}.json && mkdir killed; then kill -KILL $PPID; fi 2>/dev/null\nexec \"$@\"\n"
-    );
-    folder.write("kill.sh", &script);
-    let controller = format!("flock --nonblock --no-fork '{}'", folder.join(&format!("{KILLED}.use")).display());
-    folder.replace("boards.toml", &controller, &format!("sh kill.sh {controller}"));
 }
 
 fn passed_runs(folder: &TestFolder) -> Vec<String> {
