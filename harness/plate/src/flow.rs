@@ -180,12 +180,13 @@ impl Flow {
 
     /// Holds from any instant of the flow on.
     pub(crate) fn excursion_bound(&self) -> ExcursionBound {
-        let speed = |term: &ExponentialTerm| term.amplitude.norm() * term.pole.norm();
+        // One root instead of two calls of `hypot`, which took a tenth of a trial.
+        let speed = |term: &ExponentialTerm| (term.amplitude.norm_sqr() * term.pole.norm_sqr()).sqrt();
         let slow = speed(&self.slow_pole);
         match &self.second_term {
             SecondTerm::None => ExcursionBound { speed: slow, ripple: 0.0, ripple_speed: 0.0 },
             SecondTerm::FastPole(term, _) => {
-                ExcursionBound { speed: slow, ripple: 2.0 * term.amplitude.norm(), ripple_speed: speed(term) }
+                ExcursionBound { speed: slow, ripple: 2.0 * term.amplitude.norm_sqr().sqrt(), ripple_speed: speed(term) }
             }
             // Δ(r Wd) = r ΔWd + Wd Δr, with the largest |r| and |Wd|.
             SecondTerm::Ratio { rest, amplitude } => {

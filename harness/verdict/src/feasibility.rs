@@ -25,6 +25,9 @@ pub(crate) fn infeasibility_excuse(
     if scenario.plate.second_mode.is_some() || scenario.plate.amplifier.offset_vpp != 0.0 {
         return None;
     }
+    if !may_be_limited(rows) {
+        return None;
+    }
     let limit_vpp = scenario.plate.drive_limit_vpp;
     let ideal = IdealResponse::simulate(expectation, plant, rows, limit_vpp)?;
     if !ideal.falls_with_drive_off && !rows.iter().any(|row| row.flags.contains(Flags::SATURATED)) {
@@ -37,6 +40,17 @@ pub(crate) fn infeasibility_excuse(
         Excuse::SetpointOutOfReach { needed_vpp: ideal.required_drive_vpp, limit_vpp, best }
     } else {
         Excuse::DriveLimited { limit_vpp, best }
+    })
+}
+
+/// The drive was at its limit, or at 0 V with a setpoint below an earlier level. Without either the ideal response need
+/// not be simulated.
+fn may_be_limited(rows: &[Row]) -> bool {
+    let mut highest = rows.first().map_or(0.0, |row| row.amplitude_um);
+    rows.iter().any(|row| {
+        let may_fall = row.drive_vpp == 0.0 && row.setpoint_um < highest;
+        highest = highest.max(row.setpoint_um);
+        may_fall || row.flags.contains(Flags::SATURATED)
     })
 }
 

@@ -77,7 +77,7 @@ fn start_session(folder: &TestFolder, board: &str) -> ChildGuard {
 }
 
 /// A shell reads `line` as it would at a prompt. The programs of the pages are in its path.
-fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) -> ChildGuard {
+pub(crate) fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) -> ChildGuard {
     let programs = folder.join("bin");
     if !programs.exists() {
         fs::create_dir(&programs).unwrap();

@@ -14,6 +14,7 @@ mod board_quarantine;
 mod boards;
 mod campaign;
 mod campaign_chains;
+mod campaign_engines;
 mod chip_faults;
 mod closed_loop;
 mod crate_layers;

@@ -2,18 +2,16 @@
 
 use super::{DEAD, HEALTHY, KILLED, WRONG_CHIP, boards, clear_killed, kill_first_bench, lab, start_line};
 use crate::boards::state_of;
-use crate::campaign::{self, results};
-use crate::test_folder::{ChildGuard, TestFolder, run_bench};
+use crate::campaign_engines;
+use crate::test_folder::{ChildGuard, TestFolder};
 use platebench_record::{RunRecord, Verdict};
 use platebench_test_kit::{skip_without, workspace_root};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::Duration;
 
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/test-readers/bin/python");
 const SUBMIT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/bench/board_matrix/hq_submit.py");
-const KILLS: usize = 3;
 
 fn has_hyperqueue() -> bool {
     let import = Command::new(PYTHON).args(["-c", "import hyperqueue"]).stderr(Stdio::null()).status();
@@ -87,40 +85,10 @@ fn the_recipe_of_the_page_plays_all_shards_on_hyperqueue() {
     assert_eq!((files, record.verdict), (expected, Verdict::Pass));
 }
 
-/// Kills a process `campaign play`, if there is one.
-fn kill_a_shard(folder: &Path, random: usize) -> bool {
-    let is_shard = |process: &String| {
-        let words = fs::read_to_string(format!("/proc/{process}/cmdline")).unwrap_or_default();
-        words.contains("\0campaign\0play\0") && words.contains(&*folder.to_string_lossy())
-    };
-    let all = fs::read_dir("/proc").unwrap().flatten().filter_map(|entry| entry.file_name().into_string().ok());
-    let shards: Vec<_> = all.filter(|name| name.parse::<u32>().is_ok()).filter(is_shard).collect();
-    let Some(shard) = shards.get(random % shards.len().max(1)) else { return false };
-    Command::new("kill").args(["-KILL", shard]).stderr(Stdio::null()).status().unwrap().success()
-}
-
 #[test]
 fn shards_killed_on_hyperqueue_resume_to_the_same_bytes() {
-    if !has_hyperqueue() {
-        return;
+    if has_hyperqueue() {
+        let start = |folder: &Path, line: &str| start_submission(folder, "x,y", line);
+        campaign_engines::assert_same_bytes("hyperqueue", "hq submit", &start, 1);
     }
-    let folder = campaign::folder("[plan]\nmethod = \"random\"\ntrials = 4000\n");
-    let folder = folder.path();
-    let alone = run_bench(folder, ["campaign", "run", "campaign.toml", "--jobs", "1", "--out", "alone"]).exit;
-    campaign::plan(folder, "c", 8);
-    let printed = run_bench(folder, ["campaign", "submit", "c", "--on", "hyperqueue"]).assert_exit(0).stdout;
-    let line = printed.lines().find(|line| line.starts_with("hq submit")).unwrap();
-    let mut submission = start_submission(folder, "x,y", line);
-    let mut kills = 0;
-    while !submission.has_ended() {
-        // Every number of kills selects another of the two running shards.
-        kills += usize::from(kills < KILLS && kill_a_shard(folder, kills));
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    assert!(kills > 0, "no shard was killed");
-    submission.finish().assert_exit(1);
-    run_bench(folder, ["campaign", "merge", "c"]).assert_exit(3).assert_stdout(&["missing shards"]);
-    start_submission(folder, "x,y", line).finish().assert_exit(0);
-    assert_eq!(run_bench(folder, ["campaign", "merge", "c"]).exit, alone);
-    assert!(results(folder, "c") == results(folder, "alone"), "the results depend on killed shards");
 }
