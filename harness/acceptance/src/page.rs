@@ -18,13 +18,15 @@ pub fn render(session: &SessionRecord) -> String {
             p.lead { (badge(session.verdict)) " " (summary(session)) }
             @if let Some(line) = session.no_board_notice() { p.notice { (line) "." } }
         }
-        (people_section(session))
-        (requirements(session))
-        (steps(session))
-        (evidence(session))
-        (decision_section(session))
-        (environment(session))
-        (signatures(session))
+        main {
+            (people_section(session))
+            (requirements(session))
+            (steps(session))
+            (evidence(session))
+            (decision_section(session))
+            (environment(session))
+            (signatures(session))
+        }
         footer {
             p {
                 "manifest.sha256 lists every file of this record. platebench accept verify judges the traces again; "
@@ -73,7 +75,7 @@ fn people_section(session: &SessionRecord) -> Markup {
 
 fn requirements(session: &SessionRecord) -> Markup {
     html! {
-        section {
+        section tabindex="0" {
             h2 { "Requirements" }
             table {
                 thead { tr { th { "Requirement" } th { "Text" } th { "Expectations met" } th { "Verdict" } } }
@@ -100,7 +102,7 @@ fn evidence_summary(requirement: &RequirementRecord) -> String {
 
 fn steps(session: &SessionRecord) -> Markup {
     html! {
-        section {
+        section tabindex="0" {
             h2 { "Steps" }
             @if !session.resumed.is_empty() {
                 p.notice { "The session was interrupted and resumed: " (session.resumed.join(", ")) "." }
@@ -155,7 +157,7 @@ fn mutant_description(name: &str) -> String {
 
 fn evidence(session: &SessionRecord) -> Markup {
     html! {
-        section {
+        section tabindex="0" {
             h2 { "Evidence" }
             table.evidence {
                 thead { tr {
@@ -189,7 +191,7 @@ fn uncertainty_line(evidence: &EvidenceRecord) -> Option<String> {
 fn decision_section(session: &SessionRecord) -> Markup {
     html! {
         @if let Some(decision) = &session.decision {
-            section {
+            section tabindex="0" {
                 h2 { "Decision rule and instruments" }
                 p {
                     "Rule: " (decision.rule) ". Budget: " (decision.title) ". Expanded uncertainties cover "
@@ -237,7 +239,7 @@ fn environment(session: &SessionRecord) -> Markup {
     hashes.push((session.plan.file.clone(), session.plan.sha256.clone()));
     hashes.extend(session.inputs.iter().map(|input| (input.file.clone(), input.sha256.clone())));
     html! {
-        section {
+        section tabindex="0" {
             h2 { "Environment" }
             dl.facts { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } }
             table.hashes {
