@@ -185,9 +185,11 @@ impl Flow {
         let slow = speed(&self.slow_pole);
         match &self.second_term {
             SecondTerm::None => ExcursionBound { speed: slow, ripple: 0.0, ripple_speed: 0.0 },
-            SecondTerm::FastPole(term, _) => {
-                ExcursionBound { speed: slow, ripple: 2.0 * term.amplitude.norm_sqr().sqrt(), ripple_speed: speed(term) }
-            }
+            SecondTerm::FastPole(term, _) => ExcursionBound {
+                speed: slow,
+                ripple: 2.0 * term.amplitude.norm_sqr().sqrt(),
+                ripple_speed: speed(term),
+            },
             // Δ(r Wd) = r ΔWd + Wd Δr, with the largest |r| and |Wd|.
             SecondTerm::Ratio { rest, amplitude } => {
                 let in_phase = self.steady_state.re.abs() + self.slow_pole.amplitude.re.abs();
