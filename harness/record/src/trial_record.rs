@@ -60,6 +60,9 @@ pub struct Telemetry {
     /// The controller's first report why it stopped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stopped: Option<String>,
+    /// Text that the firmware wrote by RTT.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub firmware_output: Option<String>,
     /// Messages changed by planned faults, by kind of fault.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub faults: BTreeMap<String, u64>,

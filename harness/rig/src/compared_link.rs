@@ -68,6 +68,10 @@ impl<L: Link> Link for ComparedLink<L> {
         self.inner.instruction_count()
     }
 
+    fn firmware_output(&self) -> Option<String> {
+        self.inner.firmware_output()
+    }
+
     fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
         self.inner.set_chip_faults(plan)
     }

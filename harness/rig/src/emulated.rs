@@ -22,6 +22,7 @@ mod debug_control;
 mod debug_target;
 mod debugger;
 mod execution_recorder;
+mod firmware_output;
 mod image;
 mod machine;
 mod memory;
@@ -71,8 +72,6 @@ const HANDSHAKE_TIMEOUT_NS: u64 = 1_000 * NS_PER_MS;
 const HANDSHAKE_WALL_TIMEOUT: Duration = Duration::from_secs(20);
 /// Minimum time from the handshake to time zero of a trial.
 const START_DELAY_NS: u64 = NS_PER_MS;
-/// From 5 % for both ends together, a UART misreads the tenth bit.
-const BAUD_TOLERANCE_PERCENT: u64 = 2;
 
 #[derive(Debug)]
 pub struct EmulatedLink {
@@ -217,12 +216,7 @@ impl EmulatedLink {
         let (Some(first), Some(last)) = (self.received.first(), self.received.last()) else { return Ok(()) };
         let gaps = self.received.len() as u64 - 1;
         self.byte_ns = (last.at_ns - first.at_ns + gaps / 2).checked_div(gaps).unwrap_or(0);
-        let Some(expected) = self.options.baud else { return Ok(()) };
-        let measured = self.baud();
-        if u64::from(measured.abs_diff(expected)) * 100 > u64::from(expected) * BAUD_TOLERANCE_PERCENT {
-            return Err(TargetError::BaudMismatch { expected, measured });
-        }
-        Ok(())
+        self.options.check_baud(self.baud())
     }
 
     /// Like [`Target::run`]; faults of the chip act at their instants.
@@ -377,6 +371,7 @@ impl Link for EmulatedLink {
 
     fn continue_trial(&mut self) {
         self.trial_start_ns = self.target.now_ns();
+        self.target.clear_output();
     }
 
     fn instruction_count(&self) -> Option<u64> {
@@ -387,6 +382,10 @@ impl Link for EmulatedLink {
         let enabled = self.target.amplifier_enabled();
         self.chip_faults.uses_amplifier |= enabled;
         self.chip_faults.uses_amplifier.then_some(enabled)
+    }
+
+    fn firmware_output(&self) -> Option<String> {
+        self.target.firmware_output()
     }
 
     fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {

@@ -47,6 +47,11 @@ pub trait Link: Send {
         None
     }
 
+    /// Text that the firmware wrote for people in this trial. `None` without any, or if the rig does not see it.
+    fn firmware_output(&self) -> Option<String> {
+        None
+    }
+
     /// Applies to the next trial, from its restart on. Call it before the trial's configuration.
     fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
         if plan.faults.is_empty() { Ok(()) } else { Err(ChipFaultError::Unsupported) }
@@ -85,6 +90,10 @@ macro_rules! forward_link {
 
             fn instruction_count(&self) -> Option<u64> {
                 (**self).instruction_count()
+            }
+
+            fn firmware_output(&self) -> Option<String> {
+                (**self).firmware_output()
             }
 
             fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {

@@ -191,6 +191,7 @@ impl<'a> ControllerLog<'a> {
             violations: self.checks.violations(),
             reference_difference_percent: session.link().reference_difference_percent(),
             protocol_differences: self.protocol_differences.clone(),
+            firmware_output: session.link().firmware_output(),
             ..Telemetry::default()
         }
     }

@@ -23,6 +23,7 @@ mod determinism;
 mod exit_codes;
 mod explore;
 mod extreme_inputs;
+mod firmware_output;
 mod fmi;
 mod golden;
 mod identify;

@@ -12,7 +12,7 @@ use crate::text::history::TrendPoint;
 use crate::text::timing;
 use crate::{format, record_queries};
 use maud::{Markup, html};
-use platebench_record::{ExpectationRecord, Metric, ScenarioRecord, Statistic, Verdict};
+use platebench_record::{ExpectationRecord, Metric, ScenarioRecord, Statistic, TrialRecord, Verdict};
 use serde_json::Value;
 
 /// A longer table would slow the page down.
@@ -65,6 +65,7 @@ pub(super) fn scenario_article(
             (drawings)
             @if !parts.figures.is_empty() { (script::figure_data(&scenario.title, t_ms, views, &parts.figures)) }
             (trials_table(scenario))
+            (firmware_output(scenario))
         }
     })
 }
@@ -233,6 +234,21 @@ fn trials_table(scenario: &ScenarioRecord) -> Markup {
                 summary { (format::count(count, "trial")) " in numbers" }
                 @if shown < count { p { "The first " (shown) " trials; " code { "run.json" } " has all." } }
                 (scroll_table("Trials", "trials", &columns, &rows))
+            }
+        }
+    }
+}
+
+/// Of the first trial with a remark, otherwise of the first one that has any.
+fn firmware_output(scenario: &ScenarioRecord) -> Markup {
+    let has_output = |trial: &&TrialRecord| trial.telemetry.firmware_output.is_some();
+    let with_remark = scenario.trials.iter().filter(|trial| trial.reason.is_some()).find(has_output);
+    let trial = with_remark.or_else(|| scenario.trials.iter().find(has_output));
+    html! {
+        @if let Some((index, text)) = trial.and_then(|trial| Some((trial.index, trial.telemetry.firmware_output.as_ref()?))) {
+            details {
+                summary { "Output of the firmware, trial " (index) }
+                div.scroll role="group" aria-label="Output of the firmware" tabindex="0" { pre { (text) } }
             }
         }
     }

@@ -4,6 +4,7 @@ use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND};
 use super::bus::{BusGuard, SystemBus};
 use super::debug_control::{DebugControl, DebugStop};
 use super::execution_recorder::ExecutionRecorder;
+use super::firmware_output::FirmwareOutput;
 use super::image::Image;
 use super::memory::{self, Memory, POWER_ON_FILL};
 use super::post_mortem::{self, FaultHandlers};
@@ -41,6 +42,7 @@ pub(super) struct Machine {
     config: MachineConfig,
     handlers: FaultHandlers,
     recorder: ExecutionRecorder,
+    output: FirmwareOutput,
     /// State right after power-on. Loading it keeps the translated code, unlike a reset.
     power_on_state: Vec<u8>,
     reported_resets: usize,
@@ -89,6 +91,7 @@ impl Machine {
         core.boot(boot, &|address, width| bus.memory.value(address, width));
         let power_on_state = core.save();
         let recorder = ExecutionRecorder::default();
+        let output = FirmwareOutput::new(&image.elf);
         let mut machine = Self {
             core,
             bus,
@@ -97,6 +100,7 @@ impl Machine {
             config,
             handlers,
             recorder,
+            output,
             power_on_state,
             reported_resets: 0,
             is_faulted: false,
@@ -219,6 +223,7 @@ impl Target for Machine {
         self.bus.deadline = self.session.next_deadline();
         self.reported_resets = 0;
         self.is_faulted = false;
+        self.output.clear();
         Ok(())
     }
 
@@ -306,6 +311,17 @@ impl Target for Machine {
         if let Some(wire) = self.session.board_mut().wire() {
             into.append(&mut wire.received);
         }
+        if self.output.drain(&mut self.bus.memory) {
+            self.bus.notify_core(&mut *self.core);
+        }
+    }
+
+    fn firmware_output(&self) -> Option<String> {
+        self.output.text(&self.bus.memory)
+    }
+
+    fn clear_output(&mut self) {
+        self.output.clear();
     }
 
     fn watch(&mut self, addresses: &BTreeSet<u32>) {

@@ -5,6 +5,9 @@ use crate::debug_port::DebuggerError;
 use crate::target_error::TargetError;
 use std::path::{Path, PathBuf};
 
+/// From 5 % for both ends together, a UART misreads the tenth bit.
+const BAUD_TOLERANCE_PERCENT: u64 = 2;
+
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EmulatedOptions {
     /// Crystal on PH0 and PH1; 0: no crystal.
@@ -18,6 +21,16 @@ pub struct EmulatedOptions {
 impl Default for EmulatedOptions {
     fn default() -> Self {
         Self { crystal_hz: 8_000_000, baud: None, stop_at_traps: true }
+    }
+}
+
+impl EmulatedOptions {
+    pub(super) fn check_baud(&self, measured: u32) -> Result<(), TargetError> {
+        let Some(expected) = self.baud else { return Ok(()) };
+        if u64::from(measured.abs_diff(expected)) * 100 > u64::from(expected) * BAUD_TOLERANCE_PERCENT {
+            return Err(TargetError::BaudMismatch { expected, measured });
+        }
+        Ok(())
     }
 }
 

@@ -52,6 +52,11 @@ pub(super) trait Target: Send + fmt::Debug {
 
     fn amplifier_enabled(&self) -> bool;
 
+    /// Text that the firmware wrote since power-on or [`Target::clear_output`].
+    fn firmware_output(&self) -> Option<String>;
+
+    fn clear_output(&mut self);
+
     fn status(&self) -> TargetStatus;
 
     /// In bytes since power-on, if the image defines `_stack_end`.

@@ -20,6 +20,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     protocol_differences: None,
     ended: None,
     stopped: None,
+    firmware_output: None,
     faults: BTreeMap::new(),
     not_finite: None,
     watchdog_timeout_ms: None,

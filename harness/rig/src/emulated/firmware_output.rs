@@ -1,0 +1,77 @@
+//! Collects the text that the firmware writes to channel 0 of RTT (SEGGER, *Real Time Transfer*).
+//!
+//! The control block is the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of channels in both
+//! directions, and per channel 24 bytes: name, buffer, size, write offset, read offset, flags.
+
+use super::memory::Memory;
+use crate::symbols::Symbols;
+
+const CONTROL_BLOCK: &str = "_SEGGER_RTT";
+const IDENTIFIER: &[u8] = b"SEGGER RTT\0";
+const CHANNEL_COUNT: u64 = 16;
+const BUFFER: u64 = 28;
+const SIZE: u64 = 32;
+const WRITE_OFFSET: u64 = 36;
+const READ_OFFSET: u64 = 40;
+/// The rest of a trial is dropped.
+const MAX_BYTES: usize = 16 * 1024;
+
+#[derive(Debug, Default)]
+pub(super) struct FirmwareOutput {
+    control_block: Option<u64>,
+    bytes: Vec<u8>,
+    is_cut: bool,
+}
+
+impl FirmwareOutput {
+    pub(super) fn new(elf: &[u8]) -> Self {
+        let control_block = Symbols::variable(elf, CONTROL_BLOCK).map(|(address, _)| u64::from(address));
+        Self { control_block, ..Self::default() }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.bytes.clear();
+        self.is_cut = false;
+    }
+
+    /// Empties the ring, as a debug probe does. True if it wrote to the memory.
+    pub(super) fn drain(&mut self, memory: &mut Memory) -> bool {
+        let Some(block) = self.control_block else { return false };
+        let Some((text, write_offset)) = read_ring(memory, block) else { return false };
+        let room = MAX_BYTES - self.bytes.len();
+        self.is_cut |= text.len() > room;
+        self.bytes.extend(text.into_iter().take(room));
+        memory.store(block + READ_OFFSET, &write_offset.to_le_bytes())
+    }
+
+    /// Also what is still in the ring: a trap ends a trial before it is drained. `None` if the firmware wrote nothing.
+    pub(super) fn text(&self, memory: &Memory) -> Option<String> {
+        let rest = self.control_block.and_then(|block| read_ring(memory, block)).map(|(rest, _)| rest);
+        let mut bytes = self.bytes.clone();
+        bytes.extend(rest.into_iter().flatten().take(MAX_BYTES - self.bytes.len()));
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        let end = if self.is_cut { "\n(cut after 16 KiB)" } else { "" };
+        (!text.is_empty()).then(|| text + end)
+    }
+}
+
+/// The unread text, and the offset at its end. `None` without text or with an invalid control block.
+fn read_ring(memory: &Memory, block: u64) -> Option<(Vec<u8>, u32)> {
+    // RAM is undefined until the firmware has initialised the block.
+    if memory.slice(block, IDENTIFIER.len())? != IDENTIFIER || memory.word(block + CHANNEL_COUNT)? == 0 {
+        return None;
+    }
+    let [buffer, size, write_offset, read_offset] =
+        [BUFFER, SIZE, WRITE_OFFSET, READ_OFFSET].map(|field| memory.word(block + field));
+    let (buffer, size, write_offset, read_offset) = (buffer?, size?, write_offset?, read_offset?);
+    if write_offset == read_offset || write_offset >= size || read_offset >= size {
+        return None;
+    }
+    let part = |from: u32, to: u32| memory.slice(u64::from(buffer) + u64::from(from), (to - from) as usize);
+    let text = if read_offset < write_offset {
+        part(read_offset, write_offset)?.to_vec()
+    } else {
+        [part(read_offset, size)?, part(0, write_offset)?].concat()
+    };
+    Some((text, write_offset))
+}
