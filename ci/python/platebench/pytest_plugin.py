@@ -50,6 +50,9 @@ class ScenarioFailure(Exception):
 
 
 class ScenarioItem(pytest.Item):
+    # Other plugins, such as labgrid's, read it of every test.
+    fixturenames: tuple[str, ...] = ()
+
     def __init__(self, *, content: dict[str, Any], **arguments: Any) -> None:
         super().__init__(**arguments)
         self.title = str(content["title"])
