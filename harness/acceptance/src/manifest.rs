@@ -22,7 +22,7 @@ pub enum Difference {
     Missing(String),
     #[error("{0}: added, or its line was taken out of the manifest")]
     Added(String),
-    #[error("{0}: neither a file nor a folder, expected only these in a record")]
+    #[error("{0}: neither a file nor a folder, or its name is not UTF-8, or it is more than 32 folders deep")]
     NotAFile(String),
     #[error("{0}: cannot be read: {1}")]
     Unreadable(String, String),

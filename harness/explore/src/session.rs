@@ -20,7 +20,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Time for all minimal scenes together.
+/// Limit of the wall time in which failing scenes are reduced, for all properties together.
 const SHRINK_TIME: Duration = Duration::from_mins(1);
 /// More failing scenes show nothing new.
 const ENOUGH_FAILURES: u64 = 10;

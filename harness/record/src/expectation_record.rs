@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ExpectationRecord {
-    /// Unique in the scenario; it does not depend on the limit.
+    /// The key `name`, otherwise the metric, `metric 2`, `metric 3`. It does not depend on the limit.
     pub name: String,
     pub metric: Metric,
     pub verdict: Verdict,

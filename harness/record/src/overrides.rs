@@ -35,7 +35,8 @@ pub enum KeepTraces {
     All,
     /// Trials are judged in memory.
     None,
-    /// Trials that miss a limit, break a rule or do not count.
+    /// Trials in which a metric misses its limit or has no value, that broke a rule, diverged, lost the link or do not
+    /// count. Limits over several trials have no effect.
     Failing,
     /// This many trials of each scenario, those with the smallest margins.
     Worst(u32),

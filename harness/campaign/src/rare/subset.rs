@@ -120,7 +120,7 @@ pub(crate) fn estimate(
         let threshold = *scores.get(kept.saturating_sub(1))?;
         let is_last = threshold <= 0.0 || used + (kept * 9) > budget;
         if is_last {
-            // All remaining trials improve the last level.
+            // The last level uses all remaining trials, which reduces the error of its estimate.
             while used < budget {
                 let before = level.samples();
                 if number == 0 {

@@ -29,7 +29,7 @@ pub enum ProbeError {
         /// As typed.
         chip: String,
     },
-    #[error("no description of a chip `{chip}`: {cause}")]
+    #[error("no description of a chip `{chip}`, expected a full part number such as STM32F407VG: {cause}")]
     UnknownChip {
         chip: String,
         /// Message of the chip registry.
@@ -54,7 +54,7 @@ pub enum ProbeError {
     },
     #[error("no permission to open the debug probe {probe}; on Linux a udev rule is missing (docs/attach-a-board.md)")]
     PermissionDenied {
-        /// Selector and type.
+        /// Name of the probe: its selector (VID:PID[:SERIAL]) and its type.
         probe: String,
     },
     #[error("the debug probe {probe} is in use by another program: {cause}")]
@@ -97,7 +97,9 @@ pub enum ProbeError {
         path: PathBuf,
         error: std::io::Error,
     },
-    #[error("the image has {bytes} bytes at {address:#010x}, where {chip} has no flash; link it for this chip")]
+    #[error(
+        "the image has {bytes} bytes from {address:#010x}, which do not fit into the flash of {chip}; link it for this chip"
+    )]
     NotInFlash {
         chip: String,
         /// Start of the segment.
@@ -150,7 +152,7 @@ pub enum ProbeError {
         /// `to the bench` or `from the bench`.
         direction: &'static str,
     },
-    #[error("RTT failed: {0}")]
+    #[error("the RTT connection to the firmware failed: {0}")]
     Rtt(String),
     #[error("{doing} failed: {}", error_chain(.cause))]
     Line {

@@ -5,8 +5,8 @@ use crate::tube::{Tube, TubePoint};
 /// Of the tolerance that removed points may cost.
 const TOLERANCE_SHARE: f64 = 0.1;
 
-/// D. H. Douglas and T. K. Peucker, *Cartographica* 10, 1973, pp. 112-122, with the distance along
-/// the values; the same instants of all tubes are removed.
+/// Removes points near the line between their neighbours, by the algorithm of D. H. Douglas and T. K. Peucker
+/// (*Cartographica* 10, 1973, pp. 112-122). The distance is that of the values. An instant is removed from every tube.
 pub(super) fn thin(tubes: &mut [Tube]) {
     let count = tubes.first().map_or(0, |tube| tube.points.len());
     let mut kept = vec![false; count];
