@@ -4,7 +4,9 @@ mod decision;
 mod operator;
 mod tampering;
 
-use crate::test_folder::{ProgramOutput, TestFolder, controller_rig, step_scenario, step_text, workspace_root};
+use crate::test_folder::{
+    ProgramOutput, TestFolder, controller_rig, run_bench, step_scenario, step_text, workspace_root,
+};
 use ed25519_dalek::SigningKey;
 use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
 use ed25519_dalek::pkcs8::{EncodePrivateKey, EncodePublicKey};
@@ -296,6 +298,19 @@ fn the_supplied_plan_has_every_acceptance_scenario() {
     let expectations = plan.scenarios.iter().flat_map(|planned| &planned.scenario.expectations);
     let named: Vec<_> = expectations.filter_map(|expectation| expectation.requirement.as_deref()).collect();
     assert!(plan.requirements.iter().all(|requirement| named.contains(&requirement.id.as_str())));
+}
+
+/// A plan that demands more than its scenarios reach would leave every session inconclusive.
+#[test]
+fn the_scenarios_of_the_supplied_plan_reach_its_kill_rate() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().to_str().unwrap();
+    let arguments =
+        ["trust", "scenarios/paper", "--tag", "acceptance", "--clean", "1", "--format", "json", "--out", out];
+    let trust = run_bench(&workspace_root(), arguments).assert_exit(1).json();
+    let lowest = trust["kill_rate"]["bounds"][0].as_f64().unwrap() * 100.0;
+    let demanded = supplied_plan().bench.least_kill_rate_percent;
+    assert!(demanded > 0.0 && lowest >= demanded, "{lowest} % of the demanded {demanded} %");
 }
 
 #[test]
