@@ -25,6 +25,6 @@ pub use decision::PlanDecision;
 pub use error::AcceptError;
 pub use plan::Plan;
 pub use session_record::SessionRecord;
-pub use session_runner::conduct;
+pub use session_runner::play_session;
 pub use signature::{PublicKey, SecretKey};
 pub use verify::{Finding, Signer, Verification, verify};

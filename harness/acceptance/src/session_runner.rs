@@ -33,7 +33,7 @@ use tracing::info;
 
 /// Starts the session, or resumes it if it was interrupted. After an error the record holds the
 /// steps that are done, and the same call resumes the session.
-pub fn conduct(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Result<SessionRecord, AcceptError> {
+pub fn play_session(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Result<SessionRecord, AcceptError> {
     let mut session = SessionRunner::open(config, hooks)?;
     let actions = step_actions(&config.plan);
     if session.record.steps.len() != actions.len() {

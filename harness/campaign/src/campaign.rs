@@ -1,7 +1,8 @@
 //! Reads and checks campaign files.
 
 use crate::correlation::{Correlation, RawCorrelation};
-use crate::distribution::{Choice, Distribution, RawDistribution};
+use crate::distribution::RawDistribution;
+use crate::variable::Variable;
 use platebench_rig::RigSpec;
 use platebench_scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
 use platebench_scenario::{Diagnostic, Metric, Scenario, input, parse};
@@ -105,20 +106,6 @@ impl Method {
             Self::Search => SEARCH_CHAIN_TRIALS,
             Self::Rare => RARE_CHAIN_TRIALS,
         }
-    }
-}
-
-/// A varied value.
-#[derive(Debug, Clone)]
-pub struct Variable {
-    pub key: String,
-    pub distribution: Distribution,
-}
-
-impl Variable {
-    /// True if its values are numbers.
-    pub fn is_number(&self) -> bool {
-        self.distribution.choices().is_none_or(|list| list.iter().all(Choice::is_number))
     }
 }
 

@@ -1,8 +1,9 @@
 //! Draws the values of a trial. They depend on the campaign and the number of the trial alone.
 
-use crate::campaign::{Campaign, Method, Variable};
+use crate::campaign::{Campaign, Method};
 use crate::correlation::Correlation;
 use crate::error::CampaignError;
+use crate::variable::Variable;
 use platebench_scenario::load::ScenarioTables;
 use platebench_scenario::{Diagnostic, Scenario};
 use rand_chacha::ChaCha8Rng;
@@ -71,6 +72,13 @@ impl Campaign {
             values.map(|(variable, value)| format!("{} = {}", variable.key, variable.distribution.text(*value)));
         let values = values.collect::<Vec<_>>().join(", ");
         Err(CampaignError::Trial { trial: number, values, fault: Box::new(fault) })
+    }
+
+    /// Number and values of a trial, one line.
+    pub(crate) fn title_of(&self, trial: &Trial) -> String {
+        let values = self.variables.iter().zip(&trial.values);
+        let values = values.map(|(variable, value)| format!("{} {}", variable.short_name(), variable.text(*value)));
+        format!("Trial {}: {}", trial.number, values.collect::<Vec<_>>().join(", "))
     }
 
     /// A further attempt draws the normal values alone.

@@ -1,8 +1,10 @@
 //! Defines the errors of campaigns.
 
 use parquet::errors::ParquetError;
+use platebench_record::FolderError;
 use platebench_report::ReportError;
 use platebench_rig::{ConnectError, RigError};
+use platebench_runner::RunError;
 use platebench_scenario::Diagnostic;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -44,6 +46,10 @@ pub enum CampaignError {
     Connect(#[from] ConnectError),
     #[error(transparent)]
     Rig(#[from] RigError),
+    #[error(transparent)]
+    Run(#[from] RunError),
+    #[error(transparent)]
+    Folder(#[from] FolderError),
     #[error("the controller was lost in {0} trials in a row")]
     Lost(u32),
     #[error("cancelled")]

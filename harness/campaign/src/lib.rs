@@ -7,7 +7,8 @@
 //! * [`confirm`](mod@confirm): replays some trials on the emulated firmware.
 //! * [`submit`]: commands of engines for many machines.
 //! * [`plan`]: what a campaign folder pins. [`play`]: plays a shard. [`row`], `part`: its results.
-//! * [`merge()`]: joins the parts to `results`, [`summary`], `report` and `counterexample`.
+//! * [`merge()`]: joins the parts to `results`, [`summary`] and counterexamples (`scenario_files`).
+//! * [`worst_run`]: plays the worst trials again for their responses. [`report`]: page with `maps`.
 //!
 //! Engines of other projects start and restart shards; this crate has no scheduler and no network.
 
@@ -15,11 +16,11 @@ pub mod campaign;
 mod chain;
 pub mod confirm;
 mod correlation;
-mod counterexample;
 pub mod distribution;
 pub mod draw;
 pub mod error;
 mod first_order;
+mod maps;
 pub mod merge;
 pub mod outcome;
 mod part;
@@ -30,11 +31,14 @@ pub mod report;
 pub mod results;
 pub mod row;
 pub mod sample;
+mod scenario_files;
 mod search;
 pub mod sequential;
 pub mod submit;
 pub mod summary;
 pub mod tally;
+pub mod variable;
+pub mod worst_run;
 
 pub use campaign::{Campaign, RawCampaign};
 pub use confirm::{Agreement, confirm};
@@ -43,3 +47,4 @@ pub use merge::{Status, merge, status};
 pub use plan::{Plan, shards_of_run};
 pub use play::{PlayConfig, TrialEvent, play_shard};
 pub use summary::Summary;
+pub use worst_run::{ResponseLinks, play_worst, worst_trials};

@@ -2,17 +2,18 @@
 
 use crate::campaign::Campaign;
 use crate::confirm::Agreement;
-use crate::counterexample;
 use crate::error::CampaignError;
 use crate::part::PartReader;
 use crate::plan::Plan;
-use crate::report;
 use crate::results::ResultsWriter;
+use crate::scenario_files;
 use crate::summary::{SUMMARY_FILE, Summary};
 use platebench_trace::write_atomically;
 use std::path::Path;
 
-/// Writes results, summary, report and counterexamples. A damaged part leaves earlier results as they are.
+const COUNTEREXAMPLES: &str = "counterexamples";
+
+/// Writes results, summary and counterexamples. A damaged part leaves earlier results as they are.
 pub fn merge<'a>(
     folder: &Path,
     plan: &Plan,
@@ -36,8 +37,8 @@ pub fn merge<'a>(
     let path = folder.join(SUMMARY_FILE);
     let text = serde_json::to_string_pretty(&summary.json()).unwrap_or_default();
     write_atomically(&path, format!("{text}\n").as_bytes()).map_err(CampaignError::io(&path))?;
-    counterexample::write(folder, campaign, &summary.failing)?;
-    report::write(folder, &summary)?;
+    let failing = summary.failing.iter().map(|row| campaign.trial_with(row.trial, row.draws.clone(), row.redraws));
+    scenario_files::write(&folder.join(COUNTEREXAMPLES), campaign, &failing.collect::<Result<Vec<_>, _>>()?)?;
     Ok(summary)
 }
 

@@ -72,7 +72,7 @@ impl Sample {
     /// Strongest first. Without values that are not numbers or never vary.
     pub fn sensitivities(&self, campaign: &Campaign) -> Vec<Sensitivity> {
         let scores = ranks(&self.scores);
-        let sensitivity = |(variable, draws): (&crate::campaign::Variable, &Vec<f64>)| {
+        let sensitivity = |(variable, draws): (&crate::variable::Variable, &Vec<f64>)| {
             let is_number = draws.iter().all(|draw| draw.is_finite()) && draws.len() >= MIN_TRIALS;
             let correlation = correlation(&ranks(draws), &scores).filter(|_| is_number)?;
             let interval = bounds(correlation, draws.len(), campaign.confidence);

@@ -1,12 +1,13 @@
 //! Counts the trials of a campaign and judges the share that fails.
 
-use crate::campaign::{Campaign, Method, Variable};
+use crate::campaign::{Campaign, Method};
 use crate::confirm::Agreement;
 use crate::outcome::ChainOutcome;
 use crate::row::Row;
 use crate::sample::Sample;
 use crate::sequential::SequentialDecision;
 use crate::tally::{Tally, keep_worst};
+use crate::variable::Variable;
 use platebench_record::{Cause, Verdict};
 use serde::Serialize;
 use serde_json::{Map, Value, json};

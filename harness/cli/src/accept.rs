@@ -12,8 +12,8 @@ use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
 use clap::{Args, Subcommand};
 use platebench_acceptance::{
-    AcceptError, Plan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionRecord, Signer,
-    conduct, page, verify,
+    AcceptError, Plan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionRecord, Signer, page,
+    play_session, verify,
 };
 use platebench_boards::RunEnd;
 use platebench_report::ProgressKind;
@@ -132,7 +132,7 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> Exit {
     let session_cancel = cancel.clone();
     let session = move |_: &mut EventSender<_, ()>| {
         let mut hooks = SessionHooks { operator: &operator, observer: &mut progress, cancel: &session_cancel };
-        conduct(&config, &mut hooks)
+        play_session(&config, &mut hooks)
     };
     let ended = run_until_signal(&cancel, None, session, |()| {});
     view.close();

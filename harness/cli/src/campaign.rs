@@ -14,7 +14,8 @@ use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
 use platebench_boards::RunEnd;
 use platebench_campaign::submit::{Engine, command_line, submission};
 use platebench_campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, Summary, confirm, merge, play_shard, shards_of_run, status,
+    Campaign, CampaignError, Plan, PlayConfig, Summary, confirm, merge, play_shard, play_worst, report, shards_of_run,
+    status, worst_trials,
 };
 use platebench_rig::{CancelToken, RigError, RigSpec};
 use progress::{PlayEvent, Progress};
@@ -125,7 +126,7 @@ fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFor
     merge_and_show(folder, (plan, Arc::new(campaign)), jobs, quiet, format)
 }
 
-/// Plays trials again first, if the campaign has `plan.confirm`.
+/// Plays trials again: before the merge those of `plan.confirm`, after it the worst.
 fn merge_and_show(
     folder: &Path,
     (plan, campaign): (Plan, Arc<Campaign>),
@@ -147,6 +148,16 @@ fn merge_and_show(
         }
     }
     let summary = merge(folder, &plan, &campaign, agreement)?;
+    let config =
+        PlayConfig::new(plan.rig.parse().map_err(|_| CampaignError::NoPlan(folder.to_owned()))?, job_count(jobs));
+    let (trials, out, played) = (worst_trials(&summary)?, folder.to_owned(), Arc::clone(&campaign));
+    let cancel = config.cancel.clone();
+    let work = move |_: &mut EventSender<_, PlayEvent>| play_worst(&out, &played, &trials, &config);
+    let links = match run_campaign_work(&cancel, work, Progress::new(0, true))? {
+        Ok(links) => links,
+        Err(exit) => return Ok(exit),
+    };
+    report::write(folder, &summary, &links)?;
     Ok(show(&summary, folder, format))
 }
 
@@ -229,7 +240,7 @@ fn show(summary: &Summary<'_>, folder: &Path, format: OutputFormat) -> Exit {
         OutputFormat::Human => stdio::show(&summary.text()),
         OutputFormat::Json => stdio::show_json(&summary.json()),
     }
-    stdio::note(&format!("report: {}", folder.join(platebench_campaign::report::REPORT_FILE).display()));
+    stdio::note(&format!("report: {}", folder.join(report::REPORT_FILE).display()));
     Exit::of_verdict(summary.verdict())
 }
 
@@ -266,6 +277,7 @@ fn reject(error: &CampaignError) -> Exit {
         CampaignError::Connect(error) if error.is_invalid_input() => Exit::Invalid,
         CampaignError::Rig(RigError::ConfigurationRejected(_)) => Exit::Invalid,
         CampaignError::Connect(_) | CampaignError::Rig(_) | CampaignError::Lost(_) => Exit::Unreachable,
+        CampaignError::Run(error) => Exit::of_error(error),
         CampaignError::Cancelled => Exit::Inconclusive,
         _ => Exit::Invalid,
     }

@@ -13,6 +13,7 @@ use platebench_wire::LawId;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
@@ -35,6 +36,8 @@ pub(crate) struct Outcome {
     pub(crate) verdict: Verdict,
     pub(crate) detection: Option<Detection>,
     pub(crate) closest_margin: Option<Margin>,
+    /// Hash of every drive and frequency of the trials.
+    pub(crate) commands: u64,
 }
 
 #[derive(Debug, Clone)]
@@ -88,9 +91,12 @@ pub(crate) fn play(
     cancel: &CancelToken,
 ) -> Option<Result<Outcome, AnalysisError>> {
     let mut trials = Vec::new();
+    let mut commands = DefaultHasher::new();
     loop {
         let goal = match judge_sequentially(scenario, &trials) {
-            SequentialDecision::Stop(judgement) => return Some(Ok(outcome(scenario, &judgement))),
+            SequentialDecision::Stop(judgement) => {
+                return Some(Ok(Outcome { commands: commands.finish(), ..outcome(scenario, &judgement) }));
+            }
             SequentialDecision::Continue { trials } => trials,
         };
         for index in trials.len() as u32..goal {
@@ -110,6 +116,9 @@ pub(crate) fn play(
             if let Some(detection) = detection(&result) {
                 return Some(Ok(detection.into()));
             }
+            for row in &result.trace_rows {
+                (row.drive_vpp.to_bits(), row.frequency_hz.to_bits()).hash(&mut commands);
+            }
             trials.push(measure(scenario, index, &result.trace_rows, &result.telemetry));
         }
     }
@@ -117,7 +126,7 @@ pub(crate) fn play(
 
 impl From<Detection> for Outcome {
     fn from(detection: Detection) -> Self {
-        Self { verdict: Verdict::Fail, detection: Some(detection), closest_margin: None }
+        Self { verdict: Verdict::Fail, detection: Some(detection), closest_margin: None, commands: 0 }
     }
 }
 
@@ -153,6 +162,7 @@ fn outcome(scenario: &Scenario, judgement: &Judgement) -> Outcome {
             expectation,
             margin,
         }),
+        commands: 0,
     }
 }
 

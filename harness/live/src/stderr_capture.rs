@@ -92,9 +92,9 @@ impl StderrCapture {
             let (kept, over) = (Arc::clone(&kept), Arc::clone(&over));
             thread::Builder::new().name("stderr".to_owned()).spawn(move || read_pipe(reading.into(), &kept, &over))?
         };
-        let diverted = Self { original, captured_lines: kept, is_stopped: over, reader: Some(reader) };
+        let capture = Self { original, captured_lines: kept, is_stopped: over, reader: Some(reader) };
         dup2_stderr(&writing)?;
-        Ok(Some(diverted))
+        Ok(Some(capture))
     }
 
     pub(crate) fn lines(&self) -> Arc<Mutex<CapturedLines>> {

@@ -26,8 +26,8 @@ mod summary;
 mod trace_data;
 mod trend;
 
-pub use block_page::{BlockPage, PageBlock};
-pub use elements::verdict_badge;
+pub use block_page::{AreaLink, BlockPage, LinkedDrawing, PageBlock};
+pub use elements::{scenario_anchor, verdict_badge};
 pub use frame::page_frame;
 pub use kept_rows::KeptRows;
 pub use report_page::{COMPARISON_FILE, FILE, IsTraceChanged, ReportPage, write};

@@ -14,7 +14,8 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Which instructions are changed.
 #[derive(Debug, Clone, Default)]
 pub struct MutantFilter {
-    /// Parts of names, also of inlined functions; if both lists are empty, the functions of the control step.
+    /// Parts of names, also of inlined functions; if both lists are empty, the functions of the control step without
+    /// those that the compiler adds, such as `memcpy`.
     pub functions: Vec<String>,
     /// Parts of paths.
     pub files: Vec<String>,
@@ -46,7 +47,8 @@ pub fn all_mutants(
             for change in changes(map, instruction, context) {
                 // Several instructions may load one constant.
                 if seen.insert((change.address, change.bytes.clone())) {
-                    mutants.extend(mutant(map, disassembler, instruction, change, place));
+                    let mutant = mutant(map, disassembler, instruction, change, place);
+                    mutants.extend(mutant.map(|mutant| Mutant { in_control_step: in_step(address), ..mutant }));
                 }
             }
         }
@@ -63,7 +65,7 @@ pub fn all_mutants(
 impl MutantFilter {
     fn selects(&self, place: &Place, step_functions: &BTreeSet<&str>) -> bool {
         if self.functions.is_empty() && self.files.is_empty() {
-            return step_functions.contains(&*place.function);
+            return !place.is_of_compiler && step_functions.contains(&*place.function);
         }
         let by_function = self.functions.iter().any(|part| place.names.iter().any(|name| name.contains(part)));
         let file = place.frame.as_ref().and_then(|frame| frame.line.as_ref()).map_or("", |line| &line.file);
@@ -72,6 +74,8 @@ impl MutantFilter {
 }
 
 struct Place {
+    /// No line of the project or its dependencies belongs to it.
+    is_of_compiler: bool,
     /// Of the innermost function outside the standard library.
     function: String,
     frame: Option<SourceFrame>,
@@ -85,9 +89,12 @@ fn places(map: &CodeMap, symbols: &Symbols) -> BTreeMap<u32, Place> {
         let symbol = map.function_at(address).map_or_else(String::new, |function| function.name.clone());
         let frames = sources.frames(address);
         let is_own = |frame: &&SourceFrame| frame.line.as_ref().is_some_and(|line| !is_standard_library(&line.file));
+        let is_of_compiler =
+            frames.iter().any(|frame| frame.line.is_some()) && !frames.iter().any(|frame| is_own(&frame));
         let frame = frames.iter().find(is_own).or(frames.last()).cloned();
         let names = frames.into_iter().map(|frame| frame.function).chain([symbol.clone()]).collect();
-        (address, Place { function: frame.as_ref().map_or(symbol, |frame| frame.function.clone()), frame, names })
+        let function = frame.as_ref().map_or(symbol, |frame| frame.function.clone());
+        (address, Place { is_of_compiler, function, frame, names })
     };
     map.instructions.keys().map(place).collect()
 }
@@ -116,6 +123,7 @@ fn mutant(
         address: change.address,
         original,
         bytes: change.bytes,
+        in_control_step: false,
         function: place.function.clone(),
         line: place.frame.as_ref().and_then(|frame| frame.line.clone()),
         before,

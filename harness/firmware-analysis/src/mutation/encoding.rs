@@ -179,7 +179,11 @@ fn literals(map: &CodeMap, instruction: &Instruction) -> Vec<Change> {
     if let Some(address) = float_literal(instruction) {
         let Some(word) = map.word(address) else { return Vec::new() };
         let value = f32::from_bits(word);
-        let other = if value.is_finite() && value != 0.0 { 2.0 * value } else { 1.0 };
+        if value == 0.0 {
+            // The other zero has no effect.
+            return vec![change(address, 1.0_f32.to_bits())];
+        }
+        let other = if value.is_finite() { 2.0 * value } else { 1.0 };
         return vec![change(address, word ^ 1 << 31), change(address, other.to_bits())];
     }
     let Some((address, word)) = integer_literal(instruction).and_then(|address| Some((address, map.word(address)?)))

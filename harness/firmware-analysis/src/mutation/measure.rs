@@ -38,6 +38,7 @@ pub struct MutationConfig {
 struct Baseline {
     executed: BTreeMap<u32, bool>,
     duration: Duration,
+    commands: u64,
     /// Fails without a mutant, as it should: it detects nothing.
     fails: bool,
 }
@@ -100,7 +101,8 @@ fn baselines(config: &MutationConfig, map: &CodeMap) -> Result<Vec<Baseline>, An
         let outcome = play(session, scenario, *law, &config.cancel).ok_or(AnalysisError::Cancelled)??;
         check_baseline(scenario, &outcome)?;
         let executed = session.link_mut().inner_mut().executed().clone();
-        Ok(Baseline { executed, duration: start.elapsed(), fails: outcome.detection.is_some() })
+        let (commands, fails) = (outcome.commands, outcome.detection.is_some());
+        Ok(Baseline { executed, duration: start.elapsed(), commands, fails })
     };
     in_parallel(config.jobs, scenarios.len(), work, |baseline| {
         baselines.push(baseline);
@@ -159,6 +161,7 @@ impl MutantRunner<'_> {
 
     fn play_until_detected(&self, session: &mut BoardSession, covering: &[usize]) -> Result<Status, AnalysisError> {
         let mut closest: Option<Margin> = None;
+        let mut same_commands = true;
         for &index in covering {
             let (Some((scenario, law)), Some(baseline)) =
                 (self.config.suite.scenarios.get(index), self.baselines.get(index))
@@ -172,7 +175,8 @@ impl MutantRunner<'_> {
             }
             let by = scenario.file.clone();
             let Some(outcome) = played.transpose()? else { return Ok(Status::Timeout { by }) };
-            let Outcome { detection, closest_margin, .. } = outcome;
+            let Outcome { detection, closest_margin, commands, .. } = outcome;
+            same_commands &= commands == baseline.commands;
             match detection {
                 Some(detection) if detection.emulator_failed => {
                     return Ok(Status::RuntimeError { by, reason: detection.reason });
@@ -183,7 +187,7 @@ impl MutantRunner<'_> {
             closest =
                 closest.into_iter().chain(closest_margin).min_by(|one, other| one.margin.total_cmp(&other.margin));
         }
-        Ok(Status::Survived { closest })
+        Ok(Status::Survived { closest, same_commands })
     }
 }
 

@@ -66,6 +66,8 @@ pub struct Mutant {
     pub address: u32,
     pub original: Vec<u8>,
     pub bytes: Vec<u8>,
+    /// The instruction ran while the firmware answered a sample.
+    pub in_control_step: bool,
     pub function: String,
     pub line: Option<SourceLine>,
     /// Disassembly, or the value of a constant.

@@ -16,6 +16,8 @@ pub enum Status {
     },
     Survived {
         closest: Option<Margin>,
+        /// Every drive and frequency is that of the unchanged firmware.
+        same_commands: bool,
     },
     NoCoverage,
     /// A scenario took much longer than with the unchanged firmware.
@@ -106,5 +108,20 @@ impl MutationReport {
     /// Without mutants that no scenario executes.
     pub fn score_of_executed(&self) -> Score {
         Score::of(self.results.iter().map(|result| &result.status).filter(|status| **status != Status::NoCoverage))
+    }
+
+    /// Survivors, and those among them with the commands of the unchanged firmware.
+    pub fn survivors(&self) -> [usize; 2] {
+        let same = self.results.iter().filter_map(|result| match result.status {
+            Status::Survived { same_commands, .. } => Some(same_commands),
+            _ => None,
+        });
+        same.fold([0, 0], |[all, unchanged], same| [all + 1, unchanged + usize::from(same)])
+    }
+
+    /// Of instructions that ran while the firmware answered a sample.
+    pub fn score_of_control_step(&self) -> Score {
+        let in_step = self.results.iter().filter(|result| result.mutant.in_control_step);
+        Score::of(in_step.map(|result| &result.status))
     }
 }

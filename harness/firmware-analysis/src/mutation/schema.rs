@@ -52,11 +52,12 @@ fn mutant(number: usize, result: &MutantResult, ids: &BTreeMap<&str, usize>) -> 
     let (by, reason) = match &result.status {
         Status::Killed { by, reason } | Status::RuntimeError { by, reason } => (Some(by), Some(reason.clone())),
         Status::Timeout { by } => (Some(by), None),
-        Status::Survived { closest: Some(closest) } => {
+        Status::Survived { same_commands: true, .. } => (None, Some("no drive and no frequency changed".to_owned())),
+        Status::Survived { closest: Some(closest), .. } => {
             let text = format!("closest margin {:.4}: {} {}", closest.margin, closest.scenario, closest.expectation);
             (None, Some(text))
         }
-        Status::Survived { closest: None } | Status::NoCoverage => (None, None),
+        Status::Survived { closest: None, .. } | Status::NoCoverage => (None, None),
     };
     if let Some(by) = by.and_then(id).filter(|_| result.status.is_detected()) {
         value["killedBy"] = json!([by]);

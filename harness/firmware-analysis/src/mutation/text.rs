@@ -34,17 +34,24 @@ fn write_summary(text: &mut String, report: &MutationReport) -> fmt::Result {
         }
     }
     writeln!(text, "\n{} of {} mutants", report.results.len(), report.population)?;
+    let [survivors, unchanged] = report.survivors();
+    writeln!(text, "{survivors} survived, {unchanged} of them without a change of any drive or frequency")?;
     writeln!(text, "mutation score: {}", format_score(report.score()))?;
-    writeln!(text, "of executed mutants: {}", format_score(report.score_of_executed()))
+    writeln!(text, "of executed mutants: {}", format_score(report.score_of_executed()))?;
+    writeln!(text, "of mutants in the control step: {}", format_score(report.score_of_control_step()))
 }
 
 fn write_survivor(text: &mut String, result: &MutantResult) -> fmt::Result {
     let mutant = &result.mutant;
     let line = mutant.line.as_ref().map_or_else(|| "no line".to_owned(), |line| format!("{}:{}", line.file, line.line));
-    writeln!(text, "\nsurvived: {:#010x} {line} in {}", mutant.instruction, mutant.function)?;
+    let place = if mutant.in_control_step { ", control step" } else { "" };
+    writeln!(text, "\nsurvived: {:#010x} {line} in {}{place}", mutant.instruction, mutant.function)?;
     writeln!(text, "    {}: {} -> {}", mutant.operator, mutant.before, mutant.after)?;
     match &result.status {
-        Status::Survived { closest: Some(closest) } => writeln!(
+        Status::Survived { same_commands: true, .. } => {
+            writeln!(text, "    {} scenarios; no drive and no frequency changed", result.covered_by.len())
+        }
+        Status::Survived { closest: Some(closest), .. } => writeln!(
             text,
             "    {} scenarios; closest margin {:.3}: {} {}",
             result.covered_by.len(),

@@ -56,19 +56,45 @@ impl HeatFigure {
         }
     }
 
-    pub fn svg(&self) -> Result<String, ReportError> {
+    /// Columns and rows of panels.
+    fn panel_grid(&self) -> (usize, usize) {
         let columns = self.panels.len().clamp(1, 2);
-        let rows = self.panels.len().div_ceil(columns).max(1);
-        let (width, height) = (PANEL_SIZE.0 * count_factor(columns), PANEL_SIZE.1 * count_factor(rows));
-        let per_line = if columns == 1 { 2 } else { 5 };
-        let legend_lines = count_factor(CLASSES.div_ceil(per_line));
+        (columns, self.panels.len().div_ceil(columns).max(1))
+    }
+
+    fn classes_per_line(&self) -> usize {
+        if self.panel_grid().0 == 1 { 2 } else { 5 }
+    }
+
+    /// Width of the drawing, height of the panels, height of the drawing; CSS pixels.
+    fn size(&self) -> (i32, i32, i32) {
+        let (columns, rows) = self.panel_grid();
+        let height = PANEL_SIZE.1 * count_factor(rows);
+        let legend_lines = count_factor(CLASSES.div_ceil(self.classes_per_line()));
+        (PANEL_SIZE.0 * count_factor(columns), height, height + legend_lines * LEGEND_LINE_HEIGHT)
+    }
+
+    /// Left, top, width and height of a cell, as shares of the drawing. `None` without such a cell.
+    pub fn cell_area(&self, panel: usize, column: usize, row: usize) -> Option<[f64; 4]> {
+        let [(left, bottom), (right, top)] = cell_corners(self.panels.get(panel)?, column, row);
+        let (width, _, height) = self.size();
+        let columns = self.panel_grid().0;
+        let origin =
+            (PANEL_SIZE.0 * count_factor(panel % columns) + left, PANEL_SIZE.1 * count_factor(panel / columns) + top);
+        let share = |pixels: i32, whole: i32| f64::from(pixels) / f64::from(whole);
+        Some([share(origin.0, width), share(origin.1, height), share(right - left, width), share(bottom - top, height)])
+    }
+
+    pub fn svg(&self) -> Result<String, ReportError> {
+        let (columns, rows) = self.panel_grid();
+        let (width, panel_height, height) = self.size();
         let scale = self.scale();
-        svg_document(&self.title, (width, height + legend_lines * LEGEND_LINE_HEIGHT), |root| {
-            let (maps, below) = root.split_vertically(height * UNITS_PER_PIXEL);
+        svg_document(&self.title, (width, height), |root| {
+            let (maps, below) = root.split_vertically(panel_height * UNITS_PER_PIXEL);
             for (area, panel) in maps.split_evenly((rows, columns)).iter().zip(&self.panels) {
                 self.draw_panel(area, panel, scale)?;
             }
-            self.draw_legend(&Canvas(&below), scale, (per_line, width))
+            self.draw_legend(&Canvas(&below), scale, (self.classes_per_line(), width))
         })
     }
 
@@ -81,29 +107,25 @@ impl HeatFigure {
     fn draw_panel(&self, area: &DrawArea<'_>, panel: &HeatPanel, scale: (f64, f64)) -> DrawResult {
         let canvas = Canvas(area);
         let (right, bottom) = (PANEL_SIZE.0 - RIGHT, PANEL_SIZE.1 - BOTTOM);
-        let (columns, rows) = (panel.x.values.len().max(1), panel.y.values.len().max(1));
-        let edge =
-            |from: i32, to: i32, at: usize, count: usize| from + (to - from) * count_factor(at) / count_factor(count);
-        let x = |column: usize| edge(LEFT, right, column, columns);
-        // The first value of the vertical axis is at the bottom.
-        let y = |row: usize| edge(bottom, TOP, row, rows);
         for (row, values) in panel.values.iter().enumerate() {
             for (column, value) in values.iter().enumerate() {
                 if let Some(value) = value {
-                    let corners = [(x(column), y(row + 1)), (x(column + 1), y(row))];
-                    canvas.rectangle(self.role(*value, scale), corners)?;
+                    let [(left, bottom), (right, top)] = cell_corners(panel, column, row);
+                    canvas.rectangle(self.role(*value, scale), [(left, top), (right, bottom)])?;
                 }
             }
         }
         for ends in [[(LEFT, TOP), (LEFT, bottom)], [(LEFT, bottom), (right, bottom)]] {
             canvas.line(Role::Axis, ends)?;
         }
-        for tick in ticks(columns) {
-            let at = i32::midpoint(x(tick), x(tick + 1));
+        for tick in ticks(panel.x.values.len().max(1)) {
+            let [(left, _), (right, _)] = cell_corners(panel, tick, 0);
+            let at = i32::midpoint(left, right);
             canvas.text(Role::Text, HPos::Center, (at, bottom + 12), short(panel.x.values.get(tick)))?;
         }
-        for tick in ticks(rows) {
-            let at = i32::midpoint(y(tick), y(tick + 1));
+        for tick in ticks(panel.y.values.len().max(1)) {
+            let [(_, bottom), (_, top)] = cell_corners(panel, 0, tick);
+            let at = i32::midpoint(bottom, top);
             canvas.text(Role::Text, HPos::Right, (LEFT - 6, at), short(panel.y.values.get(tick)))?;
         }
         canvas.text(Role::Title, HPos::Left, (LEFT, 10), &panel.title)?;
@@ -125,6 +147,16 @@ impl HeatFigure {
         }
         Ok(())
     }
+}
+
+/// Lower left and upper right corner in the panel, CSS pixels. The first value of the vertical axis is at the bottom.
+fn cell_corners(panel: &HeatPanel, column: usize, row: usize) -> [(i32, i32); 2] {
+    let edge = |from: i32, to: i32, at: usize, count: usize| {
+        from + (to - from) * count_factor(at) / count_factor(count.max(1))
+    };
+    let x = |column| edge(LEFT, PANEL_SIZE.0 - RIGHT, column, panel.x.values.len());
+    let y = |row| edge(PANEL_SIZE.1 - BOTTOM, TOP, row, panel.y.values.len());
+    [(x(column), y(row)), (x(column + 1), y(row + 1))]
 }
 
 /// At most [`MAX_TICKS`] positions, the first one among them.
@@ -168,6 +200,20 @@ mod tests {
         // The lowest class twice and the highest once, each once more in the legend.
         assert_eq!((svg.matches("class=\"f-radius-9\"").count(), svg.matches("class=\"f-radius-0\"").count()), (3, 2));
         assert!(svg.contains("finger_force_n, N") && svg.contains("dq-pi"));
+    }
+
+    /// Of two panels with 2×2 cells side by side; the legend has two lines.
+    #[test]
+    fn a_cell_is_where_it_is_drawn() {
+        let mut figure = figure(vec![vec![Some(0.0), None], vec![Some(1.0), Some(2.0)]]);
+        figure.panels.push(figure.panels[0].clone());
+        let (width, height) = (720.0, 324.0);
+        // Upper right cell of the right panel: columns 205 to 346 of 360, rows 36 to 136 of 280.
+        let expected = [(360.0 + 205.0) / width, 36.0 / height, 141.0 / width, 100.0 / height];
+        assert_eq!(figure.cell_area(1, 1, 1), Some(expected));
+        assert_eq!(figure.cell_area(2, 0, 0), None);
+        let svg = figure.svg().unwrap();
+        assert!(svg.contains("x=\"2260\" y=\"144\" width=\"564\" height=\"400\""), "{svg}");
     }
 
     #[test]

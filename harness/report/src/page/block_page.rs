@@ -9,7 +9,10 @@ use std::path::Path;
 
 const STYLE: &str = "figure{margin:1.5rem 0}figure img{max-width:100%;height:auto;border:1px solid var(--hair);\
                      border-radius:.5rem}p{max-width:70ch;margin:.6rem 0}pre{white-space:pre-wrap}\
-                     @media screen and (max-width:40rem){figure img{max-width:none;width:44rem}}";
+                     @media screen and (max-width:40rem){figure img{max-width:none;width:44rem}\
+                     figure .linked{width:44rem}}.linked{position:relative;display:inline-block}\
+                     .linked img{display:block}.linked a{position:absolute}\
+                     .linked a:hover,.linked a:focus-visible{outline:2px solid var(--ink)}";
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct BlockPage {
@@ -17,6 +20,22 @@ pub struct BlockPage {
     /// May be empty.
     pub intro: String,
     pub blocks: Vec<PageBlock>,
+}
+
+/// A drawing of which some areas open pages.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LinkedDrawing {
+    pub svg: String,
+    pub caption: String,
+    pub links: Vec<AreaLink>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct AreaLink {
+    /// Left, top, width and height, as shares of the drawing.
+    pub area: [f64; 4],
+    pub href: String,
+    pub title: String,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +46,10 @@ pub enum PageBlock {
     Preformatted(String),
     /// Drawings side by side: an SVG file and its caption each.
     Drawings(Vec<(String, String)>),
+    LinkedDrawings(Vec<LinkedDrawing>),
     Table(Table),
+    /// A table, and for each row the page that its first cell opens.
+    LinkedTable(Table, Vec<Option<String>>),
     /// A link to a file in the page's folder.
     File(String),
 }
@@ -54,20 +76,45 @@ impl PageBlock {
                 Self::Text(text) => p { (text) },
                 Self::Preformatted(text) => div.scroll role="group" aria-label="Text" tabindex="0" { pre { (text) } },
                 Self::Drawings(drawings) => div.figures {
-                    @for (svg, caption) in drawings {
-                        figure {
-                            div.scroll role="group" aria-label=(caption) tabindex="0" {
-                                img src={ "data:image/svg+xml," (percent_encode(svg)) } alt=(caption);
-                            }
-                            figcaption { (caption) }
-                        }
-                    }
+                    @for (svg, caption) in drawings { (figure(caption, &image(svg, caption))) }
                 },
-                Self::Table(table) => (text_table(table)),
+                Self::LinkedDrawings(drawings) => div.figures {
+                    @for drawing in drawings { (figure(&drawing.caption, &drawing.html())) }
+                },
+                Self::Table(table) => (text_table(table, &[])),
+                Self::LinkedTable(table, links) => (text_table(table, links)),
                 Self::File(name) => p { a href=(name) { code { (name) } } },
             }
         }
     }
+}
+
+impl LinkedDrawing {
+    fn html(&self) -> Markup {
+        html! {
+            div.linked {
+                (image(&self.svg, &self.caption))
+                @for AreaLink { area, href, title } in &self.links {
+                    @let [left, top, width, height] = area.map(|share| format!("{:.3}%", share * 100.0));
+                    a href=(href) title=(title) aria-label=(title)
+                        style={ "left:" (left) ";top:" (top) ";width:" (width) ";height:" (height) } {}
+                }
+            }
+        }
+    }
+}
+
+fn figure(caption: &str, content: &Markup) -> Markup {
+    html! {
+        figure {
+            div.scroll role="group" aria-label=(caption) tabindex="0" { (content) }
+            figcaption { (caption) }
+        }
+    }
+}
+
+fn image(svg: &str, caption: &str) -> Markup {
+    html! { img src={ "data:image/svg+xml," (percent_encode(svg)) } alt=(caption); }
 }
 
 fn percent_encode(svg: &str) -> String {
@@ -87,6 +134,16 @@ mod tests {
             PageBlock::Text("\u{202e}".to_owned()),
             PageBlock::Preformatted("<1>\n<2>".to_owned()),
             PageBlock::Drawings(vec![("<svg fill=\"#fff\" width=\"100%\"/>".to_owned(), "drawn".to_owned())]),
+            PageBlock::LinkedDrawings(vec![LinkedDrawing {
+                svg: "<svg/>".to_owned(),
+                caption: "<map>".to_owned(),
+                links: vec![AreaLink {
+                    area: [0.25, 0.5, 0.125, 0.1],
+                    href: "worst/run/report.html#scenario-0".to_owned(),
+                    title: "<trial 0>".to_owned(),
+                }],
+            }]),
+            PageBlock::LinkedTable(table.clone(), vec![Some("a.html".to_owned())]),
             PageBlock::Table(table),
             PageBlock::File("precision.csv".to_owned()),
         ];

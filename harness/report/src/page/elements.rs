@@ -3,14 +3,15 @@
 use crate::format;
 use crate::text::Table;
 use maud::{Markup, html};
-use platebench_record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use std::fmt::Write as _;
 
 pub fn verdict_badge(verdict: Verdict, text: &str) -> Markup {
     html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (format::sign(verdict)) } " " (text) } }
 }
 
-pub(super) fn scenario_anchor(index: usize) -> String {
+/// Of a scenario in `report.html`, by its index in the record.
+pub fn scenario_anchor(index: usize) -> String {
     format!("scenario-{index}")
 }
 
@@ -27,6 +28,11 @@ pub(super) fn sorted_by_verdict(record: &RunRecord) -> Vec<(usize, &ScenarioReco
 
 pub(super) fn file_link(path: &str) -> Markup {
     html! { @if !path.is_empty() { a href={ "./" (percent_encode_path(path)) } { (path) } } }
+}
+
+/// Nothing if the trace is not stored.
+pub(super) fn trace_link(trial: &TrialRecord) -> Markup {
+    html! { @if trial.sha256.is_some() { (file_link(&trial.trace)) } }
 }
 
 /// A relative path as a URL without scheme, query and fragment.
@@ -63,15 +69,21 @@ pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Ma
     }
 }
 
-pub(super) fn text_table(table: &Table) -> Markup {
+/// The first cell of a row opens its link.
+pub(super) fn text_table(table: &Table, links: &[Option<String>]) -> Markup {
     html! {
         div.scroll role="group" aria-label="Table" tabindex="0" {
             table.stacked {
                 thead { tr { @for cell in &table.header { th scope="col" { (cell) } } } }
-                tbody { @for row in &table.rows { tr {
+                tbody { @for (index, row) in table.rows.iter().enumerate() { tr {
                     @for (column, cell) in row.iter().enumerate() {
                         @match (column, table.header.get(column)) {
-                            (0, _) => th scope="row" { (cell) },
+                            (0, _) => th scope="row" {
+                                @match links.get(index) {
+                                    Some(Some(link)) => a href=(link) { (cell) },
+                                    _ => (cell),
+                                }
+                            },
                             (_, name) => td data-label=[name] { (cell) },
                         }
                     }

@@ -1,7 +1,7 @@
 //! Writes the section of a scenario: expectations, figures, trials.
 
 use super::drawing::drawings;
-use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, verdict_badge, with_unit};
+use super::elements::{MAX_NAMED, scenario_anchor, scroll_table, trace_link, verdict_badge, with_unit};
 use super::figure::Figure;
 use super::navigation::margin_text;
 use super::script;
@@ -52,7 +52,7 @@ pub(super) fn scenario_article(
                 span { "Plate model: " (scenario.model) }
                 span {
                     (format::count(scenario.trials.len(), "trial"))
-                    @if let [only] = scenario.trials.as_slice() { ": " (file_link(&only.trace)) }
+                    @if let [only] = scenario.trials.as_slice() { " " (trace_link(only)) }
                 }
             }
             @if let Some(sentence) = timing::summary(scenario) { p { (sentence) } }
@@ -219,7 +219,7 @@ fn trials_table(scenario: &ScenarioRecord) -> Markup {
                 th.number scope="row" { (trial.index) }
                 td.number { (trial.seed) }
                 @for metric in &metrics { td.number { (with_unit(number(trial.metrics.get(metric)), "")) } }
-                td.file { (file_link(&trial.trace)) }
+                td.file { (trace_link(trial)) }
                 td {
                     @if let Some(cause) = trial.cause { strong { (cause) } }
                     @if let Some(reason) = &trial.reason { " " (reason) }

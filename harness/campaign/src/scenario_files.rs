@@ -1,33 +1,36 @@
-//! Writes failing trials as scenarios that `platebench run` plays.
+//! Writes trials as scenarios that `platebench run` plays.
 
 use crate::campaign::Campaign;
+use crate::draw::Trial;
 use crate::error::CampaignError;
-use crate::row::Row;
 use platebench_trace::write_atomically;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
-const FOLDER: &str = "counterexamples";
 const PLATES: &str = "plates";
 const PROFILES: &str = "profiles";
 
-/// Replaces the folder's scenarios by those of `rows`.
-pub(crate) fn write(folder: &Path, campaign: &Campaign, rows: &[Row]) -> Result<(), CampaignError> {
-    let folder = folder.join(FOLDER);
+/// Name of a trial's file.
+pub(crate) fn file_name(trial: u64) -> String {
+    format!("{trial}.toml")
+}
+
+/// Replaces the folder, or removes it if there are no trials.
+pub(crate) fn write(folder: &Path, campaign: &Campaign, trials: &[Trial]) -> Result<(), CampaignError> {
     if folder.exists() {
-        fs::remove_dir_all(&folder).map_err(CampaignError::io(&folder))?;
+        fs::remove_dir_all(folder).map_err(CampaignError::io(folder))?;
     }
-    if rows.is_empty() {
+    if trials.is_empty() {
         return Ok(());
     }
     for name in [PLATES, PROFILES] {
         let path = folder.join(name);
         fs::create_dir_all(&path).map_err(CampaignError::io(path))?;
     }
-    let mut copies = Copies { folder: &folder, source: source_folder(campaign), names: BTreeMap::new() };
-    rows.iter().try_for_each(|row| write_trial(&folder, campaign, row, &mut copies))?;
+    let mut copies = Copies { folder, source: source_folder(campaign), names: BTreeMap::new() };
+    trials.iter().try_for_each(|trial| write_trial(folder, campaign, trial, &mut copies))?;
     let profiles = folder.join(PROFILES);
     // Fails if a profile has been copied.
     let _ = fs::remove_dir(profiles);
@@ -39,14 +42,19 @@ fn source_folder(campaign: &Campaign) -> PathBuf {
     scenario.parent().map(Path::to_owned).unwrap_or_default()
 }
 
-fn write_trial(folder: &Path, campaign: &Campaign, row: &Row, copies: &mut Copies<'_>) -> Result<(), CampaignError> {
-    let trial = campaign.trial_with(row.trial, row.draws.clone(), row.redraws)?;
-    let mut scenario = trial.tables.scenario;
+fn write_trial(
+    folder: &Path,
+    campaign: &Campaign,
+    trial: &Trial,
+    copies: &mut Copies<'_>,
+) -> Result<(), CampaignError> {
+    let mut scenario = trial.tables.scenario.clone();
+    scenario.insert("title".to_owned(), Value::String(campaign.title_of(trial)));
     if let Some(controller) = scenario.get_mut("controller").and_then(Value::as_table_mut) {
         copies.copy(controller, "design_plate", PLATES)?;
     }
     if let Some(plate) = &trial.tables.plate {
-        let name = format!("{PLATES}/trial-{}.toml", row.trial);
+        let name = format!("{PLATES}/trial-{}.toml", trial.number);
         write_toml(&folder.join(&name), plate, "")?;
         scenario.insert("plate".to_owned(), Value::String(name));
     } else {
@@ -58,8 +66,8 @@ fn write_trial(folder: &Path, campaign: &Campaign, row: &Row, copies: &mut Copie
             copies.copy(shape, "csv", PROFILES)?;
         }
     }
-    let comment = format!("# Written by platebench campaign: trial {} of {:?}.\n", row.trial, campaign.title);
-    write_toml(&folder.join(format!("{}.toml", row.trial)), &scenario, &comment)
+    let comment = format!("# Written by platebench campaign: trial {} of {:?}.\n", trial.number, campaign.title);
+    write_toml(&folder.join(file_name(trial.number)), &scenario, &comment)
 }
 
 fn write_toml(path: &Path, table: &Table, comment: &str) -> Result<(), CampaignError> {
@@ -67,7 +75,7 @@ fn write_toml(path: &Path, table: &Table, comment: &str) -> Result<(), CampaignE
     write_atomically(path, format!("{comment}{text}").as_bytes()).map_err(CampaignError::io(path))
 }
 
-/// Copies of the named files next to the counterexamples.
+/// Copies of the named files next to the scenarios.
 struct Copies<'a> {
     folder: &'a Path,
     source: PathBuf,

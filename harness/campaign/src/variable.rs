@@ -1,0 +1,30 @@
+//! Defines a varied value.
+
+use crate::distribution::{Choice, Distribution};
+
+/// A varied value.
+#[derive(Debug, Clone)]
+pub struct Variable {
+    pub key: String,
+    pub distribution: Distribution,
+}
+
+impl Variable {
+    /// True if its values are numbers.
+    pub fn is_number(&self) -> bool {
+        self.distribution.choices().is_none_or(|list| list.iter().all(Choice::is_number))
+    }
+
+    /// The last part of the key.
+    pub fn short_name(&self) -> &str {
+        self.key.rsplit('.').next().unwrap_or_default()
+    }
+
+    /// A drawn value with at most six decimals.
+    pub fn text(&self, drawn: f64) -> String {
+        match self.distribution.number(drawn) {
+            Some(number) => format!("{number:.6}").trim_end_matches('0').trim_end_matches('.').to_owned(),
+            None => self.distribution.text(drawn),
+        }
+    }
+}
