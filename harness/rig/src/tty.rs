@@ -2,6 +2,7 @@
 //! End of file, `EIO`, a broken pipe and a hang-up all become [`LinkError::Disconnected`]. A
 //! successful write does not prove that the other side is there.
 
+use crate::line_reader::LineReader;
 use crate::link::{LinkError, RealTimeLine};
 use crate::pending_requests::{PendingRequests, Request};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -28,6 +29,11 @@ pub(crate) trait Tty: Send {
 
     /// Writes as much as fits; `None` if nothing fits by `until`.
     fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError>;
+
+    /// Another handle of the line, for a thread that reads. `None` if a read changes more than the line.
+    fn for_reading(&self) -> Option<Box<dyn Tty>> {
+        None
+    }
 }
 
 impl Tty for OwnedFd {
@@ -41,6 +47,10 @@ impl Tty for OwnedFd {
 
     fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
         retry_until(self, PollFlags::OUT, until, |file| rustix::io::write(file, bytes)).map_err(disconnected)
+    }
+
+    fn for_reading(&self) -> Option<Box<dyn Tty>> {
+        self.try_clone().ok().map(|line| -> Box<dyn Tty> { Box::new(line) })
     }
 }
 
@@ -64,7 +74,7 @@ fn retry_until(
 }
 
 /// True if there may be events: the next read or write finds out.
-fn poll_until(file: &OwnedFd, events: PollFlags, instant: Instant) -> rustix::io::Result<bool> {
+pub(crate) fn poll_until(file: &OwnedFd, events: PollFlags, instant: Instant) -> rustix::io::Result<bool> {
     let left = instant.saturating_duration_since(Instant::now());
     let left =
         Timespec { tv_sec: i64::try_from(left.as_secs()).unwrap_or(i64::MAX), tv_nsec: left.subsec_nanos().into() };
@@ -86,6 +96,10 @@ impl Tty for TTYPort {
     fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
         with_timeout(self, until, |port| Write::write(port, bytes))
     }
+
+    fn for_reading(&self) -> Option<Box<dyn Tty>> {
+        self.try_clone_native().ok().map(|port| -> Box<dyn Tty> { Box::new(port) })
+    }
 }
 
 fn with_timeout(
@@ -104,12 +118,14 @@ fn with_timeout(
     }
 }
 
-fn disconnected(cause: impl std::fmt::Display) -> LinkError {
+pub(crate) fn disconnected(cause: impl std::fmt::Display) -> LinkError {
     LinkError::Disconnected(cause.to_string())
 }
 
 #[derive(Debug)]
 pub(crate) struct Port<T> {
+    // Declared before `terminal`: its handle closes first, so the line hangs up with the port.
+    reader: Option<LineReader>,
     terminal: T,
     pending_requests: PendingRequests,
     reply_timeout: Duration,
@@ -127,6 +143,7 @@ impl Port<OwnedFd> {
 impl<T: Tty> Port<T> {
     pub(crate) fn new(terminal: T) -> Self {
         Self {
+            reader: None,
             terminal,
             pending_requests: PendingRequests::default(),
             reply_timeout: DEFAULT_REPLY_TIMEOUT,
@@ -162,6 +179,17 @@ impl<T: Tty> Port<T> {
         Ok(())
     }
 
+    fn read(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
+        if let Some(reader) = &mut self.reader {
+            return reader.read(until, bytes);
+        }
+        let mut chunk = [0; READ_CHUNK_BYTES];
+        let Some(count) = self.terminal.read(&mut chunk, until)? else { return Ok(None) };
+        let at = Instant::now();
+        bytes.extend_from_slice(chunk.get(..count).unwrap_or_default());
+        Ok(Some(at))
+    }
+
     /// The delay is wall time up to the last byte of the answer.
     pub(crate) fn exchange(&mut self, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let request = self.pending_requests.send(bytes);
@@ -169,7 +197,7 @@ impl<T: Tty> Port<T> {
         self.write(bytes, start + WRITE_TIMEOUT)?;
         let deadline = Instant::now() + self.answer_timeout(request);
         let mut read = answer.len();
-        while let Some(at) = self.receive(deadline, answer)? {
+        while let Some(at) = self.read(deadline, answer)? {
             let mut is_answered = false;
             for &byte in answer.get(read..).unwrap_or_default() {
                 is_answered |= self.pending_requests.is_answered_by(byte);
@@ -189,7 +217,7 @@ impl<T: Tty> Port<T> {
 
     pub(crate) fn read_available(&mut self, received: &mut Vec<u8>) -> Result<(), LinkError> {
         let now = Instant::now();
-        while self.receive(now, received)?.is_some_and(|at| at < now + OPTIONAL_ANSWER_TIMEOUT) {}
+        while self.read(now, received)?.is_some_and(|at| at < now + OPTIONAL_ANSWER_TIMEOUT) {}
         Ok(())
     }
 }
@@ -199,11 +227,13 @@ impl<T: Tty> RealTimeLine for Port<T> {
         self.write(bytes, Instant::now())
     }
 
+    /// From the first call on, a separate thread reads.
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
-        let mut chunk = [0; READ_CHUNK_BYTES];
-        let Some(count) = self.terminal.read(&mut chunk, until)? else { return Ok(None) };
-        let at = Instant::now();
-        bytes.extend_from_slice(chunk.get(..count).unwrap_or_default());
-        Ok(Some(at))
+        if self.reader.is_none()
+            && let Some(line) = self.terminal.for_reading()
+        {
+            self.reader = Some(LineReader::start(line).map_err(disconnected)?);
+        }
+        self.read(until, bytes)
     }
 }

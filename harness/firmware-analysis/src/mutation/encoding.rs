@@ -7,6 +7,8 @@ use crate::thumb::{Flow, Instruction};
 
 const NOP: u16 = 0xBF00;
 const WIDE_NOP: (u16, Option<u16>) = (0xF3AF, Some(0x8000));
+/// Compilers place `MOVT` at most some instructions after its `MOVW`.
+const MAX_MOVT_DISTANCE: usize = 8;
 const SP: u16 = 13;
 const PC: u16 = 15;
 
@@ -33,7 +35,8 @@ pub(super) fn changes(map: &CodeMap, instruction: &Instruction, context: Context
         (Operator::RemovedSaturation, saturation(instruction).or_else(|| is_clamp.then(nop))),
     ];
     let codes = codes.into_iter().filter_map(|(operator, code)| Some((operator, code?)));
-    let immediates = immediates(instruction).into_iter().map(|code| (Operator::Constant, code));
+    let immediates = if is_half_of_address(map, instruction) { Vec::new() } else { immediates(instruction) };
+    let immediates = immediates.into_iter().map(|code| (Operator::Constant, code));
     let change = |(operator, (first, second)): (Operator, Code)| {
         let changed = Instruction { address: instruction.address, first, second };
         Change { operator, address: instruction.address, bytes: changed.bytes() }
@@ -151,6 +154,32 @@ fn immediates(instruction: &Instruction) -> Vec<Code> {
     }
     let is_mov = first & 0xFBEF == 0xF04F || first & 0xFBF0 == 0xF240;
     if is_mov && second & 0x8000 == 0 { vec![(first, Some(second ^ 1))] } else { Vec::new() }
+}
+
+/// The lower half of an address, of which a `MOVT` sets the upper one.
+fn is_half_of_address(map: &CodeMap, instruction: &Instruction) -> bool {
+    let Some((register, low)) = moved_immediate(instruction) else { return false };
+    let next = map.instructions.range(instruction.address + 1..).map(|(_, next)| next).take(MAX_MOVT_DISTANCE);
+    let upper = next.filter_map(|next| {
+        let second = next.second.filter(|second| second & 0x8000 == 0 && second >> 8 & 0xF == register)?;
+        (next.first & 0xFBF0 == 0xF2C0).then(|| split_immediate(next.first, second))
+    });
+    upper.take(1).any(|high| is_address(u32::from(high) << 16 | u32::from(low)))
+}
+
+/// Register and value of `MOVW`, or of `MOVS` with an immediate.
+fn moved_immediate(instruction: &Instruction) -> Option<(u16, u16)> {
+    let first = instruction.first;
+    match instruction.second {
+        None => (first & 0xF800 == 0x2000).then_some((first >> 8 & 7, first & 0xFF)),
+        Some(second) => (first & 0xFBF0 == 0xF240 && second & 0x8000 == 0)
+            .then(|| (second >> 8 & 0xF, split_immediate(first, second))),
+    }
+}
+
+/// Of `MOVW` and `MOVT`.
+const fn split_immediate(first: u16, second: u16) -> u16 {
+    (first & 0xF) << 12 | (first >> 10 & 1) << 11 | (second >> 12 & 7) << 8 | second & 0xFF
 }
 
 fn literal_address(instruction: &Instruction, adds: bool, offset: u32) -> u32 {

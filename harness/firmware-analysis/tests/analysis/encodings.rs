@@ -135,16 +135,50 @@ fn constants_in_the_literal_pool_change_their_value() {
     }
 }
 
+/// The shipped image as binutils reads it.
+fn disassembly() -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("firmware.elf");
+    fs::write(&path, platebench_rig::EmulatedLink::built_in_image()).unwrap();
+    let output = Command::new(OBJDUMP).arg("-d").arg(&path).output().unwrap();
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn no_half_of_an_address_changes() {
+    if Command::new(OBJDUMP).arg("--version").output().is_err() {
+        return skip_without(OBJDUMP);
+    }
+    let text = disassembly();
+    let lines: Vec<&str> = text.lines().collect();
+    // `movw r1, #36052` and then `movt r1, #2048`: 0x08008cd4 in flash.
+    let value = |operand: &str| operand.split_whitespace().next()?.parse::<u32>().ok();
+    let operands = |line: &str, name: &str| {
+        let (register, immediate) = line.split_once(name)?.1.trim().split_once(", #")?;
+        Some((register.to_owned(), value(immediate)?))
+    };
+    let halves = lines.iter().enumerate().filter_map(|(index, line)| {
+        let (register, _) = operands(line, "\tmovw")?;
+        let next = lines[index + 1..].iter().take(5).filter_map(|next| operands(next, "\tmovt"));
+        let high = next.filter(|(other, _)| *other == register).map(|(_, high)| high).next()?;
+        let address = u32::from_str_radix(line.trim().split_once(":\t")?.0, 16).ok()?;
+        [0x0800, 0x2000, 0x4002].contains(&high).then_some(address)
+    });
+    let halves: BTreeSet<u32> = halves.collect();
+    assert!(halves.len() > 20, "{halves:?}");
+    let constants = shipped_mutants().into_iter().filter(|mutant| mutant.operator == Operator::Constant);
+    let (moves, others): (Vec<_>, Vec<_>) = constants.partition(|mutant| mutant.before.starts_with("movw"));
+    assert!(!moves.is_empty() && others.len() > 100);
+    let changed: Vec<_> = moves.iter().filter(|mutant| halves.contains(&mutant.instruction)).collect();
+    assert!(changed.is_empty(), "{changed:?}");
+}
+
 #[test]
 fn splits_code_where_binutils_does() {
     if Command::new(OBJDUMP).arg("--version").output().is_err() {
         return skip_without(OBJDUMP);
     }
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("firmware.elf");
-    fs::write(&path, platebench_rig::EmulatedLink::built_in_image()).unwrap();
-    let output = Command::new(OBJDUMP).arg("-d").arg(&path).output().unwrap();
-    let text = String::from_utf8(output.stdout).unwrap();
+    let text = disassembly();
     let starts: BTreeSet<u32> = text
         .lines()
         .filter(|line| !line.contains("\t.word\t") && !line.contains("\t.short\t") && !line.contains("\t.byte\t"))

@@ -264,7 +264,8 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         if sampled.is_some() && command.state == ControllerState::Idle {
             return Err(RigError::Restarted.into());
         }
-        let instant = self.plate_time(received.received_at).min(self.duration);
+        // A control instant may have come after the arrival.
+        let instant = self.plate_time(received.received_at).max(self.plant.time()).min(self.duration);
         self.plant.advance_through(instant);
         if let Some(sampled) = sampled {
             let delay = instant.since(sampled);
