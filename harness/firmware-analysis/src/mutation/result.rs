@@ -102,12 +102,12 @@ impl Score {
 
 impl MutationReport {
     pub fn score(&self) -> Score {
-        Score::of(self.results.iter().map(|result| &result.status))
+        self.score_if(|_| true)
     }
 
     /// Without mutants that no scenario executes.
     pub fn score_of_executed(&self) -> Score {
-        Score::of(self.results.iter().map(|result| &result.status).filter(|status| **status != Status::NoCoverage))
+        self.score_if(|result| result.status != Status::NoCoverage)
     }
 
     /// Survivors, and those among them with the commands of the unchanged firmware.
@@ -121,7 +121,16 @@ impl MutationReport {
 
     /// Of instructions that ran while the firmware answered a sample.
     pub fn score_of_control_step(&self) -> Score {
-        let in_step = self.results.iter().filter(|result| result.mutant.in_control_step);
-        Score::of(in_step.map(|result| &result.status))
+        self.score_if(|result| result.mutant.in_control_step)
+    }
+
+    /// As [`Self::score_of_control_step`], without survivors that change no drive and no frequency.
+    pub fn score_of_changed_control_step(&self) -> Score {
+        let is_same = |status: &Status| matches!(status, Status::Survived { same_commands: true, .. });
+        self.score_if(|result| result.mutant.in_control_step && !is_same(&result.status))
+    }
+
+    fn score_if(&self, is_counted: impl Fn(&MutantResult) -> bool) -> Score {
+        Score::of(self.results.iter().filter(|result| is_counted(result)).map(|result| &result.status))
     }
 }

@@ -38,7 +38,9 @@ fn write_summary(text: &mut String, report: &MutationReport) -> fmt::Result {
     writeln!(text, "{survivors} survived, {unchanged} of them without a change of any drive or frequency")?;
     writeln!(text, "mutation score: {}", format_score(report.score()))?;
     writeln!(text, "of executed mutants: {}", format_score(report.score_of_executed()))?;
-    writeln!(text, "of mutants in the control step: {}", format_score(report.score_of_control_step()))
+    writeln!(text, "of mutants in the control step: {}", format_score(report.score_of_control_step()))?;
+    let changed = format_score(report.score_of_changed_control_step());
+    writeln!(text, "of these, without survivors that change no drive and no frequency: {changed}")
 }
 
 fn write_survivor(text: &mut String, result: &MutantResult) -> fmt::Result {
