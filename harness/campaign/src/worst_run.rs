@@ -46,7 +46,12 @@ pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<Trial>, CampaignError> 
     trials.into_iter().take(MAX_TRIALS).map(trial).collect()
 }
 
-/// Writes the trials as scenarios to `worst`, and plays them if the rig needs no hardware and no other program.
+/// True if the rig needs no hardware and no other program.
+pub const fn plays_worst(rig: &RigSpec) -> bool {
+    matches!(rig, RigSpec::Hosted | RigSpec::Emulated(_))
+}
+
+/// Writes the trials as scenarios to `worst`, and plays them if [`plays_worst`].
 pub fn play_worst(
     folder: &Path,
     campaign: &Campaign,
@@ -55,7 +60,7 @@ pub fn play_worst(
 ) -> Result<ResponseLinks, CampaignError> {
     let scenario_folder = folder.join(FOLDER);
     scenario_files::write(&scenario_folder, campaign, trials)?;
-    if trials.is_empty() || !matches!(config.rig, RigSpec::Hosted | RigSpec::Emulated(_)) {
+    if trials.is_empty() || !plays_worst(&config.rig) {
         return Ok(ResponseLinks::new());
     }
     let files = trials.iter().map(|trial| scenario_files::file_name(trial.number));

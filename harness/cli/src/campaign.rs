@@ -14,8 +14,8 @@ use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
 use platebench_boards::RunEnd;
 use platebench_campaign::submit::{Engine, command_line, submission};
 use platebench_campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, Summary, confirm, merge, play_shard, play_worst, report, shards_of_run,
-    status, worst_trials,
+    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, Summary, confirm, merge, play_shard, play_worst,
+    plays_worst, report, shards_of_run, status, worst_trials,
 };
 use platebench_rig::{CancelToken, RigError, RigSpec};
 use progress::{PlayEvent, Progress};
@@ -70,7 +70,7 @@ fn run(arguments: &RunArgs, quiet: bool) -> Result<Exit, CampaignError> {
     if let Some(exit) = play_on_board(&arguments.board, &arguments.out, context, shards, &rig, arguments.jobs, quiet)? {
         return Ok(exit);
     }
-    merge_and_show(&arguments.out, (plan, campaign), arguments.jobs, quiet, arguments.format)
+    merge_and_show(&arguments.out, (plan, campaign), Ok(()), arguments.jobs, quiet, arguments.format)
 }
 
 fn play_one(arguments: &PlayArgs, quiet: bool) -> Result<Exit, CampaignError> {
@@ -123,13 +123,22 @@ fn submit(arguments: &SubmitArgs, quiet: bool) -> Result<Exit, CampaignError> {
 
 fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFormat) -> Result<Exit, CampaignError> {
     let (plan, campaign) = Plan::open(folder)?;
-    merge_and_show(folder, (plan, Arc::new(campaign)), jobs, quiet, format)
+    let rig = plan_rig(&plan, folder)?;
+    // The shards may have been played elsewhere.
+    let bench = if plays_worst(&rig) { plan.check_bench(&rig) } else { Ok(()) };
+    merge_and_show(folder, (plan, Arc::new(campaign)), bench, jobs, quiet, format)
 }
 
-/// Plays trials again: before the merge those of `plan.confirm`, after it the worst.
+fn plan_rig(plan: &Plan, folder: &Path) -> Result<RigSpec, CampaignError> {
+    plan.rig.parse().map_err(|_| CampaignError::NoPlan(folder.to_owned()))
+}
+
+/// Plays trials again: before the merge those of `plan.confirm`, after it the worst, if `bench` and firmware are those
+/// of the plan.
 fn merge_and_show(
     folder: &Path,
     (plan, campaign): (Plan, Arc<Campaign>),
+    bench: Result<(), CampaignError>,
     jobs: Option<u16>,
     quiet: bool,
     format: OutputFormat,
@@ -148,14 +157,17 @@ fn merge_and_show(
         }
     }
     let summary = merge(folder, &plan, &campaign, agreement)?;
-    let config =
-        PlayConfig::new(plan.rig.parse().map_err(|_| CampaignError::NoPlan(folder.to_owned()))?, job_count(jobs));
+    let config = PlayConfig::new(plan_rig(&plan, folder)?, job_count(jobs));
     let (trials, out, played) = (worst_trials(&summary)?, folder.to_owned(), Arc::clone(&campaign));
     let cancel = config.cancel.clone();
     let work = move |_: &mut EventSender<_, PlayEvent>| play_worst(&out, &played, &trials, &config);
-    let links = match run_campaign_work(&cancel, work, Progress::new(0, true))? {
-        Ok(links) => links,
-        Err(exit) => return Ok(exit),
+    let links = match bench.and_then(|()| run_campaign_work(&cancel, work, Progress::new(0, true))) {
+        Ok(Ok(links)) => links,
+        Ok(Err(exit)) => return Ok(exit),
+        Err(error) => {
+            stdio::note(&format!("no responses of the worst trials: {error}"));
+            ResponseLinks::new()
+        }
     };
     report::write(folder, &summary, &links)?;
     Ok(show(&summary, folder, format))

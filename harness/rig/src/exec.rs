@@ -171,6 +171,10 @@ impl Link for ExecLink {
 }
 
 impl RealTimeLine for ExecLink {
+    fn start(&mut self) -> Result<(), LinkError> {
+        self.with_port(RealTimeLine::start)
+    }
+
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         self.with_port(|port| port.send(bytes))
     }

@@ -17,6 +17,11 @@ pub enum LinkError {
 
 /// One thread sends and receives.
 pub trait RealTimeLine: Send {
+    /// Call it before a trial, on the thread of its loop: a thread that reads the line inherits the scheduling class.
+    fn start(&mut self) -> Result<(), LinkError> {
+        Ok(())
+    }
+
     /// Returns at once. Drops what a full line does not take.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 

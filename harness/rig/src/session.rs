@@ -209,6 +209,11 @@ impl<L: Link> Session<L> {
         self.link.real_time_line().is_some()
     }
 
+    /// Call it before a trial in real time, on the thread of its loop.
+    pub fn start_line(&mut self) -> Result<(), RigError> {
+        Ok(self.link.real_time_line().ok_or(RigError::NoRealTime)?.start()?)
+    }
+
     /// Does not wait for the answer. Returns the sequence number. Neither allocates nor logs.
     pub fn send(&mut self, message: Message) -> Result<u8, RigError> {
         let frame = Packet { sequence: self.sequence.wrapping_add(1), message }.encode();

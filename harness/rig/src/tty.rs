@@ -223,17 +223,21 @@ impl<T: Tty> Port<T> {
 }
 
 impl<T: Tty> RealTimeLine for Port<T> {
-    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.write(bytes, Instant::now())
-    }
-
-    /// From the first call on, a separate thread reads.
-    fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
+    /// From now on a separate thread reads.
+    fn start(&mut self) -> Result<(), LinkError> {
         if self.reader.is_none()
             && let Some(line) = self.terminal.for_reading()
         {
             self.reader = Some(LineReader::start(line).map_err(disconnected)?);
         }
+        Ok(())
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.write(bytes, Instant::now())
+    }
+
+    fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
         self.read(until, bytes)
     }
 }

@@ -87,7 +87,8 @@ fn run_loop<L: Link, T>(
             let scheduling = ThreadScheduling::request();
             // A self-pacing target ticks from its configuration on, so this comes last.
             let configuration = time_base.with_target_timing(configure(spec.scenario, spec.law));
-            let started = session.begin_trial(&configuration, spec.continues).map_err(TrialAbort::Lost);
+            let started = session.start_line().and_then(|()| session.begin_trial(&configuration, spec.continues));
+            let started = started.map_err(TrialAbort::Lost);
             let mut real_time = RealTimeLoop::new(session, spec, time_base, plant, manual);
             let abort = started.and_then(|gains| real_time.run(&configuration, &gains, cancel)).err();
             real_time.finish(abort, &scheduling)

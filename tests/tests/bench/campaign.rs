@@ -31,7 +31,7 @@ pub(crate) fn folder(plan: &str) -> TempDir {
     folder
 }
 
-const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 22\nseed = 5\n";
+pub(crate) const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 22\nseed = 5\n";
 
 pub(crate) fn plan(folder: &Path, out: &str, shards: u32) {
     let shards = shards.to_string();
@@ -98,33 +98,6 @@ fn the_cells_of_a_grid_are_in_the_order_of_its_keys() {
     assert!(csv.lines().nth(23).unwrap().starts_with("22,27,dq-pi,0.5,"), "{csv}");
     let total: u64 = cells.iter().map(|cell| cell["failures"].as_u64().unwrap()).sum();
     assert_eq!(summary["overall"]["failures"], total);
-}
-
-#[test]
-fn a_cell_opens_the_response_of_its_worst_trial() {
-    let folder = folder(GRID);
-    run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
-    let summary = summary(folder.path(), "c");
-    let read = |name: &str| fs::read_to_string(folder.path().join("c").join(name)).unwrap();
-    let (csv, maps, responses) = (read("results.csv"), read("report.html"), read("worst/run/report.html"));
-    let played: Value = serde_json::from_str(&read("worst/run/run.json")).unwrap();
-    let played = played["scenarios"].as_array().unwrap();
-    for cell in summary["cells"].as_array().unwrap() {
-        let trial = cell["worst_trial"].to_string();
-        let index = played.iter().position(|scenario| scenario["file"] == *format!("{trial}.toml")).unwrap();
-        let row = csv.lines().find(|line| line.starts_with(&format!("{trial},"))).unwrap();
-        let row: Vec<_> = row.split(',').collect();
-        for (expectation, value) in played[index]["expectations"].as_array().unwrap().iter().zip([row[6], row[8]]) {
-            assert_eq!(expectation["value"].as_f64(), value.parse().ok(), "{trial}: {expectation}");
-        }
-        let (law, force) = (row[2], row[3].trim_end_matches(".0"));
-        let link = format!(
-            "href=\"worst/run/report.html#scenario-{index}\" title=\"law {law}, finger_force_n {force}; trial {trial}\""
-        );
-        // Share of failing trials, smallest margin, and one map for each of two expectations.
-        assert_eq!(maps.matches(&link).count(), 4, "{link}");
-        assert!(responses.contains(&format!("id=\"scenario-{index}\"")), "{trial}");
-    }
 }
 
 #[test]

@@ -15,6 +15,7 @@ mod boards;
 mod campaign;
 mod campaign_chains;
 mod campaign_engines;
+mod campaign_responses;
 mod chip_faults;
 mod closed_loop;
 mod crate_layers;

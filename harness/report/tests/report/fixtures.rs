@@ -150,7 +150,7 @@ pub(crate) fn trial(file: &str, index: u32, metrics: &[(&str, Value)]) -> TrialR
         metrics: metrics.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect(),
         cause: None,
         reason: None,
-        sha256: None,
+        sha256: Some("00".repeat(32)),
         telemetry: Telemetry::default(),
         diverged_at_s: None,
         wall_ms: Some(12.5),

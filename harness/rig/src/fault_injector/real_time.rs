@@ -40,6 +40,10 @@ impl<L: Link> FaultInjector<L> {
 }
 
 impl<L: Link> RealTimeLine for FaultInjector<L> {
+    fn start(&mut self) -> Result<(), LinkError> {
+        self.inner_line()?.start()
+    }
+
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         match self.clock {
             Some(clock) if self.active_faults.has_faults() && is_sample(bytes) => {

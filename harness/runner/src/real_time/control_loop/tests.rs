@@ -53,6 +53,7 @@ fn count_allocations<L: Link>(
     let stage = PlantSimulation::new(scenario, 0, queue, lent.tap());
     session.link_mut().set_faults(&wire_faults(scenario, 0));
     let configuration = pace.with_target_timing(configure(scenario, law));
+    session.start_line().unwrap();
     let gains = session.start_trial(&configuration).unwrap();
     let mut live = RealTimeLoop::new(session, &order, pace, stage, None);
     let mut outcome = Ok(());

@@ -1,0 +1,48 @@
+//! Tests the responses of the worst trials of a campaign.
+
+use crate::campaign::{GRID, folder, summary};
+use crate::test_folder::{run_bench, workspace_root};
+use serde_json::Value;
+use std::fs;
+
+#[test]
+fn a_cell_opens_the_response_of_its_worst_trial() {
+    let folder = folder(GRID);
+    run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
+    let summary = summary(folder.path(), "c");
+    let read = |name: &str| fs::read_to_string(folder.path().join("c").join(name)).unwrap();
+    let (csv, maps, responses) = (read("results.csv"), read("report.html"), read("worst/run/report.html"));
+    let played: Value = serde_json::from_str(&read("worst/run/run.json")).unwrap();
+    let played = played["scenarios"].as_array().unwrap();
+    for cell in summary["cells"].as_array().unwrap() {
+        let trial = cell["worst_trial"].to_string();
+        let index = played.iter().position(|scenario| scenario["file"] == *format!("{trial}.toml")).unwrap();
+        let row = csv.lines().find(|line| line.starts_with(&format!("{trial},"))).unwrap();
+        let row: Vec<_> = row.split(',').collect();
+        for (expectation, value) in played[index]["expectations"].as_array().unwrap().iter().zip([row[6], row[8]]) {
+            assert_eq!(expectation["value"].as_f64(), value.parse().ok(), "{trial}: {expectation}");
+        }
+        let (law, force) = (row[2], row[3].trim_end_matches(".0"));
+        let link = format!(
+            "href=\"worst/run/report.html#scenario-{index}\" title=\"law {law}, finger_force_n {force}; trial {trial}\""
+        );
+        // Share of failing trials, smallest margin, and one map for each of two expectations.
+        assert_eq!(maps.matches(&link).count(), 4, "{link}");
+        assert!(responses.contains(&format!("id=\"scenario-{index}\"")), "{trial}");
+    }
+}
+
+#[test]
+fn a_merge_without_the_firmware_of_the_plan_shows_no_responses() {
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 2\n");
+    let elf = folder.path().join("firmware.elf");
+    fs::copy(workspace_root().join("firmware-under-test/images/platebench-stm32f4.elf"), &elf).unwrap();
+    let run = ["campaign", "run", "campaign.toml", "--rig", "emulated:firmware.elf", "--out", "c"];
+    let exit = run_bench(folder.path(), run).exit;
+    let page = || fs::read_to_string(folder.path().join("c/report.html")).unwrap();
+    assert!(page().contains("href=\"worst/run/report.html#scenario-"));
+    fs::write(&elf, [fs::read(&elf).unwrap(), vec![0]].concat()).unwrap();
+    let merged = run_bench(folder.path(), ["campaign", "merge", "c"]);
+    assert_eq!(merged.assert_stderr(&["no responses of the worst trials", "not the one of the plan"]).exit, exit);
+    assert!(!page().contains("href=\"worst/run"));
+}
