@@ -2,7 +2,7 @@
 
 use crate::cancel::CancelToken;
 use crate::debug_port::DebugPort;
-use crate::tty::DEFAULT_REPLY_TIMEOUT;
+use crate::port::DEFAULT_REPLY_TIMEOUT;
 use std::time::Duration;
 
 #[derive(Debug, Clone)]

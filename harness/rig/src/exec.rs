@@ -12,9 +12,9 @@
 use crate::cancel::CancelToken;
 use crate::connect_options::ConnectOptions;
 use crate::link::{Link, LinkError, RealTimeLine};
+use crate::port::Port;
 use crate::program::Program;
 use crate::pty::open_pseudo_terminal;
-use crate::tty::Port;
 use platebench_wire::{Message, Packet, PacketReader};
 use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};

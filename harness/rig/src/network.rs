@@ -8,7 +8,8 @@ mod rfc2217;
 pub use error::NetworkError;
 
 use crate::link::{Link, LinkError, RealTimeLine};
-use crate::tty::{Port, Tty};
+use crate::port::Port;
+use crate::tty::Tty;
 use error::CONNECT_TIMEOUT;
 use rfc2217::Rfc2217;
 use rustix::fd::OwnedFd;

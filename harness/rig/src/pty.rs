@@ -1,7 +1,7 @@
 //! Opens pseudo-terminals, for a program or for a controller that is started by hand.
 
 use crate::link::{Link, LinkError, RealTimeLine};
-use crate::tty::Port;
+use crate::port::Port;
 use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};

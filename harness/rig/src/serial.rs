@@ -1,8 +1,8 @@
 //! Connects to a controller on a serial port.
 
 use crate::link::{Link, LinkError, RealTimeLine};
+use crate::port::Port;
 use crate::port_lock::{self, LockHolder};
-use crate::tty::Port;
 use rustix::fs::{Mode, OFlags};
 use rustix::io::Errno;
 use serialport::{ClearBuffer, SerialPort as _, TTYPort};

@@ -1,0 +1,139 @@
+//! Exchanges messages over an open terminal and waits for answers.
+
+use crate::line_reader::LineReader;
+use crate::link::{LinkError, RealTimeLine};
+use crate::pending_requests::{PendingRequests, Request};
+use crate::tty::{Tty, disconnected};
+use rustix::fd::OwnedFd;
+use std::time::{Duration, Instant};
+
+/// Counts from the last byte of a hello, a configuration or a sample. Longer than a busy computer
+/// usually needs to run the controller's process.
+pub const DEFAULT_REPLY_TIMEOUT: Duration = Duration::from_millis(500);
+/// Applies to other answers, and to a reply after one that did not come.
+const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
+/// Applies to a message that needs no answer.
+const OPTIONAL_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
+/// Time without progress.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
+const READ_CHUNK_BYTES: usize = 512;
+
+#[derive(Debug)]
+pub(crate) struct Port<T> {
+    // Declared before `terminal`: its handle closes first, so the line hangs up with the port.
+    reader: Option<LineReader>,
+    terminal: T,
+    pending_requests: PendingRequests,
+    reply_timeout: Duration,
+    /// True from a missed reply to the next answer.
+    is_silent: bool,
+}
+
+impl Port<OwnedFd> {
+    pub(crate) fn from_fd(file: OwnedFd) -> rustix::io::Result<Self> {
+        rustix::io::ioctl_fionbio(&file, true)?;
+        Ok(Self::new(file))
+    }
+}
+
+impl<T: Tty> Port<T> {
+    pub(crate) fn new(terminal: T) -> Self {
+        Self {
+            reader: None,
+            terminal,
+            pending_requests: PendingRequests::default(),
+            reply_timeout: DEFAULT_REPLY_TIMEOUT,
+            is_silent: false,
+        }
+    }
+
+    pub(crate) fn set_reply_timeout(&mut self, timeout: Duration) {
+        self.reply_timeout = timeout;
+    }
+
+    /// Uses the short wait until the first answer, because the controller is still starting.
+    pub(crate) fn expect_silence(&mut self) {
+        self.is_silent = true;
+    }
+
+    /// A silent controller costs the long wait once.
+    fn answer_timeout(&self, request: Request) -> Duration {
+        match request {
+            Request::None => OPTIONAL_ANSWER_TIMEOUT,
+            Request::Sample | Request::Setup if !self.is_silent => self.reply_timeout,
+            Request::Sample | Request::Setup | Request::Other => self.reply_timeout.min(ANSWER_TIMEOUT),
+        }
+    }
+
+    fn write(&mut self, mut bytes: &[u8], deadline: Instant) -> Result<(), LinkError> {
+        while !bytes.is_empty() {
+            match self.terminal.write(bytes, deadline)? {
+                Some(written) => bytes = bytes.get(written..).unwrap_or_default(),
+                None => return Ok(()),
+            }
+        }
+        Ok(())
+    }
+
+    fn read(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
+        if let Some(reader) = &mut self.reader {
+            return reader.read(until, bytes);
+        }
+        let mut chunk = [0; READ_CHUNK_BYTES];
+        let Some(count) = self.terminal.read(&mut chunk, until)? else { return Ok(None) };
+        let at = Instant::now();
+        bytes.extend_from_slice(chunk.get(..count).unwrap_or_default());
+        Ok(Some(at))
+    }
+
+    /// The delay is wall time up to the last byte of the answer.
+    pub(crate) fn exchange(&mut self, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let request = self.pending_requests.send(bytes);
+        let start = Instant::now();
+        self.write(bytes, start + WRITE_TIMEOUT)?;
+        let deadline = Instant::now() + self.answer_timeout(request);
+        let mut read = answer.len();
+        while let Some(at) = self.read(deadline, answer)? {
+            let mut is_answered = false;
+            for &byte in answer.get(read..).unwrap_or_default() {
+                is_answered |= self.pending_requests.is_answered_by(byte);
+            }
+            if is_answered {
+                self.is_silent = false;
+                return Ok(at.saturating_duration_since(start));
+            }
+            if at >= deadline {
+                break;
+            }
+            read = answer.len();
+        }
+        self.is_silent |= request != Request::None;
+        Ok(Duration::ZERO)
+    }
+
+    pub(crate) fn read_available(&mut self, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        let now = Instant::now();
+        while self.read(now, received)?.is_some_and(|at| at < now + OPTIONAL_ANSWER_TIMEOUT) {}
+        Ok(())
+    }
+}
+
+impl<T: Tty> RealTimeLine for Port<T> {
+    /// From now on a separate thread reads.
+    fn start(&mut self) -> Result<(), LinkError> {
+        if self.reader.is_none()
+            && let Some(line) = self.terminal.for_reading()
+        {
+            self.reader = Some(LineReader::start(line).map_err(disconnected)?);
+        }
+        Ok(())
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.write(bytes, Instant::now())
+    }
+
+    fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
+        self.read(until, bytes)
+    }
+}
