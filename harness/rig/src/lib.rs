@@ -19,7 +19,7 @@ pub mod exec;
 pub mod fault_injector;
 pub mod hosted;
 mod line_reader;
-mod link;
+pub mod link;
 mod network;
 mod pending_requests;
 mod port;
