@@ -11,7 +11,7 @@ use crate::steps::step_records;
 use platebench_record::sha256;
 use platebench_record::{self as record, Verdict};
 use platebench_record::{Firmware, Host, InputRecord, Tool};
-use platebench_rig::{EmulatedLink, RigSpec};
+use platebench_rig::{BUILT_IN_IMAGE, RigSpec};
 use platebench_runner::{Clock, Pacing};
 use std::fs;
 use std::io;
@@ -79,7 +79,7 @@ fn bench_record() -> Result<BenchRecord, AcceptError> {
 /// SHA-256 of the image that the bench loads; `None` if the rig has its own.
 pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError> {
     match rig {
-        RigSpec::Emulated(None) | RigSpec::Probe { elf: None, .. } => Ok(Some(sha256(EmulatedLink::built_in_image()))),
+        RigSpec::Emulated(None) | RigSpec::Probe { elf: None, .. } => Ok(Some(sha256(BUILT_IN_IMAGE))),
         RigSpec::Emulated(Some(elf)) | RigSpec::Probe { elf: Some(elf), .. } => {
             fs::read(elf).map(|bytes| Some(sha256(&bytes))).map_err(AcceptError::io(elf))
         }

@@ -3,7 +3,7 @@
 use crate::campaign::{Campaign, Method};
 use crate::error::CampaignError;
 use platebench_record::{sha256, sha256_of_file, to_hex};
-use platebench_rig::{EmulatedLink, FaultInjector, RigSpec, Session, printable_name};
+use platebench_rig::{BUILT_IN_IMAGE, FaultInjector, RigSpec, Session, printable_name};
 use platebench_trace::{read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -190,7 +190,7 @@ fn bench_digest() -> Result<String, CampaignError> {
 pub(crate) fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
     let read = |path: &Path| fs::read(path).map_err(CampaignError::io(path));
     let content = match rig {
-        RigSpec::Emulated(None) => EmulatedLink::built_in_image().to_vec(),
+        RigSpec::Emulated(None) => BUILT_IN_IMAGE.to_vec(),
         RigSpec::Emulated(Some(path)) => read(path)?,
         RigSpec::Hosted
         | RigSpec::Serial { .. }

@@ -5,9 +5,15 @@ use crate::color;
 use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
-    accept, baseline, boards, campaign, chart, check, compare, completions, coverage, emulate, explore, export,
-    export_fmu, identify, judge, man, merge, mutate, new, replay, report, run, schema, soak, stability, trust, tune,
+    accept, baseline, boards, check, compare, completions, emulate, explore, identify, judge, man, merge, new, replay,
+    report, run, schema, soak, trust,
 };
+#[cfg(feature = "export")]
+use crate::{campaign, export, export_fmu};
+#[cfg(feature = "study")]
+use crate::{chart, stability, tune};
+#[cfg(feature = "emulated")]
+use crate::{coverage, mutate};
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use platebench_scenario::Diagnostic;
@@ -66,26 +72,34 @@ pub(crate) enum Command {
     /// Play scenarios in rotation on a board for hours
     Soak(soak::SoakArgs),
     /// Show which lines of the firmware the scenarios execute (emulated rig)
+    #[cfg(feature = "emulated")]
     Coverage(coverage::CoverageArgs),
     /// Change the firmware's machine code and check whether the scenarios notice (emulated rig)
+    #[cfg(feature = "emulated")]
     Mutate(mutate::MutateArgs),
     /// List the boards of a lab, or end the quarantine of one
     Boards(boards::BoardsArgs),
     /// Play a scenario with many values: sweeps and Monte Carlo, on one machine or many
+    #[cfg(feature = "export")]
     Campaign(campaign::CampaignArgs),
     /// Show where methods and loops become unstable: predicted and measured limits, margins, maps
+    #[cfg(feature = "study")]
     Stability(stability::StabilityArgs),
     /// Identify plate parameters from recorded steps
     Identify(identify::IdentifyArgs),
     /// Chart speed against accuracy of plant methods, models and laws
+    #[cfg(feature = "study")]
     Chart(chart::ChartArgs),
     /// Conduct a lab acceptance session and seal its record
     Accept(accept::AcceptArgs),
     /// Design controller gains for a plate, with their margins and limits
+    #[cfg(feature = "study")]
     Tune(tune::TuneArgs),
     /// Export the traces of a stored run as Parquet, MDF4, MCAP or CSV
+    #[cfg(feature = "export")]
     Export(export::ExportArgs),
     /// Export a plate as an FMU (FMI 3.0) for other simulators
+    #[cfg(feature = "export")]
     ExportFmu(export_fmu::ExportFmuArgs),
     /// Write a commented scenario as a starting point
     New(new::NewArgs),
@@ -116,12 +130,29 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
         if let Some(variable) = variable_of(&error) {
             crate::stdio::note(&format!("the value comes from the environment variable {variable}"));
         }
+        if let Some(feature) = missing_feature(&error) {
+            crate::stdio::note(&format!(
+                "this bench was built without the feature `{feature}`, which has this command"
+            ));
+        }
         error.exit()
     });
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     color::set(arguments.logging.color);
     let needs_config = !matches!(arguments.command, Command::Schema(_) | Command::Completions(_) | Command::Man(_));
     if needs_config && !faults.is_empty() { Err(faults) } else { Ok((arguments, config)) }
+}
+
+/// The cargo feature of a command that this build does not contain.
+fn missing_feature(error: &clap::Error) -> Option<&'static str> {
+    let Some(ContextValue::String(command)) = error.get(ContextKind::InvalidSubcommand) else { return None };
+    let (feature, is_built) = match &**command {
+        "chart" | "stability" | "tune" => ("study", cfg!(feature = "study")),
+        "coverage" | "mutate" => ("emulated", cfg!(feature = "emulated")),
+        "campaign" | "export" | "export-fmu" => ("export", cfg!(feature = "export")),
+        _ => return None,
+    };
+    (!is_built).then_some(feature)
 }
 
 fn variable_of(error: &clap::Error) -> Option<&'static str> {

@@ -8,6 +8,7 @@ use crate::tags::TagFilter;
 use clap::{Args, Command};
 use platebench_acceptance::Plan;
 use platebench_boards::Inventory;
+#[cfg(feature = "export")]
 use platebench_campaign::Campaign;
 use platebench_explore::Envelope;
 use platebench_runner::law;
@@ -71,6 +72,9 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
         FileKind::Plate => load::load_plate(path).err().unwrap_or_default(),
         FileKind::Plan => Plan::load(path).err().unwrap_or_default(),
         FileKind::Envelope => Envelope::load(path).err().unwrap_or_default(),
+        #[cfg(not(feature = "export"))]
+        FileKind::Campaign => vec![Diagnostic::for_file(path, "this bench was built without the feature `export`")],
+        #[cfg(feature = "export")]
         FileKind::Campaign => Campaign::load(path).err().unwrap_or_default(),
         FileKind::Boards => Inventory::read(path).err().unwrap_or_default(),
         FileKind::Requirements => read_requirements(path).err().unwrap_or_default(),

@@ -1,14 +1,22 @@
 //! The command line: arguments, wiring and exit codes. The other crates decide and measure.
 //! A library so that the whole-bench tests can build the same program.
 
+#![cfg_attr(
+    not(all(feature = "emulated", feature = "export", feature = "live", feature = "study")),
+    allow(dead_code, unused_imports)
+)]
+
 mod accept;
 mod args;
 mod baseline;
 mod board_args;
 mod boards;
 mod build_info;
+#[cfg(feature = "export")]
 mod campaign;
+#[cfg(feature = "study")]
 mod chart;
+#[cfg(feature = "study")]
 mod chart_page;
 mod check;
 mod clock;
@@ -16,11 +24,14 @@ mod color;
 mod compare;
 mod completions;
 mod config;
+#[cfg(feature = "emulated")]
 mod coverage;
 mod emulate;
 mod exit;
 mod explore;
+#[cfg(feature = "export")]
 mod export;
+#[cfg(feature = "export")]
 mod export_fmu;
 mod identify;
 mod judge;
@@ -28,6 +39,7 @@ mod live;
 mod logging;
 mod man;
 mod merge;
+#[cfg(feature = "emulated")]
 mod mutate;
 mod new;
 mod options;
@@ -42,10 +54,12 @@ mod run_plan;
 mod schema;
 mod shutdown;
 mod soak;
+#[cfg(feature = "study")]
 mod stability;
 mod stdio;
 mod tags;
 mod trust;
+#[cfg(feature = "study")]
 mod tune;
 
 pub use program::{command, main};

@@ -6,7 +6,10 @@ use clap::{Args, ValueEnum};
 use platebench_report::Detail;
 use std::env::VarError;
 use std::io::stderr;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{Layer, fmt, registry};
 
 const VARIABLE: &str = "PLATEBENCH_LOG";
 const EXPECTED: &str = "expected a filter such as `debug` or `platebench_rig=trace,warn`";
@@ -49,25 +52,25 @@ pub(crate) enum LogFormat {
 /// The filter is `PLATEBENCH_LOG`, or else the level of -v and -q.
 pub(crate) fn start(arguments: &LoggingArgs) -> Result<(), String> {
     let level = match (arguments.quiet, arguments.verbose) {
-        (true, _) => "error",
-        (false, 0) => "warn",
-        (false, 1) => "info",
-        (false, 2) => "debug",
-        (false, _) => "trace",
+        (true, _) => LevelFilter::ERROR,
+        (false, 0) => LevelFilter::WARN,
+        (false, 1) => LevelFilter::INFO,
+        (false, 2) => LevelFilter::DEBUG,
+        (false, _) => LevelFilter::TRACE,
     };
     let filter = match std::env::var(VARIABLE) {
-        Ok(text) => EnvFilter::try_new(&text).map_err(|error| format!("{VARIABLE}: {text:?}: {error}, {EXPECTED}"))?,
-        Err(VarError::NotPresent) => EnvFilter::new(level),
+        Ok(text) => text.parse::<Targets>().map_err(|error| format!("{VARIABLE}: {text:?}: {error}, {EXPECTED}"))?,
+        Err(VarError::NotPresent) => Targets::new().with_default(level),
         Err(VarError::NotUnicode(_)) => return Err(format!("{VARIABLE}: not UTF-8, {EXPECTED}")),
     };
     // The thread that talks to the controller logs too: a slow reader must not delay it.
     // The subscriber's complaint about a closed terminal would panic, so it is off.
-    let builder =
-        tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| NonBlockingStderr).log_internal_errors(false);
-    // A second start, as in a test, changes nothing.
-    let _ = match arguments.log_format {
-        LogFormat::Human => builder.with_ansi(color::applies_to(&stderr())).try_init(),
-        LogFormat::Json => builder.json().try_init(),
+    let lines = fmt::layer().with_writer(|| NonBlockingStderr).log_internal_errors(false);
+    let lines = match arguments.log_format {
+        LogFormat::Human => lines.with_ansi(color::applies_to(&stderr())).boxed(),
+        LogFormat::Json => lines.json().boxed(),
     };
+    // A second start, as in a test, changes nothing.
+    let _ = registry().with(filter).with(lines).try_init();
     Ok(())
 }

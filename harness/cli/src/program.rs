@@ -5,10 +5,15 @@ use crate::build_info;
 use crate::config::{self, Config};
 use crate::exit::Exit;
 use crate::{
-    accept, args, baseline, boards, campaign, chart, check, compare, completions, coverage, emulate, explore, export,
-    export_fmu, identify, judge, logging, man, merge, mutate, new, replay, report, run, schema, soak, stability, stdio,
-    trust, tune,
+    accept, args, baseline, boards, check, compare, completions, emulate, explore, identify, judge, logging, man,
+    merge, new, replay, report, run, schema, soak, stdio, trust,
 };
+#[cfg(feature = "export")]
+use crate::{campaign, export, export_fmu};
+#[cfg(feature = "study")]
+use crate::{chart, stability, tune};
+#[cfg(feature = "emulated")]
+use crate::{coverage, mutate};
 use clap::CommandFactory;
 use std::process::ExitCode;
 
@@ -56,18 +61,26 @@ fn dispatch(arguments: &Arguments) -> Exit {
         Command::Baseline(arguments) => baseline::baseline(arguments),
         Command::Trust(arguments) => trust::trust(arguments),
         Command::Explore(arguments) => explore::explore(arguments, quiet),
+        #[cfg(feature = "emulated")]
         Command::Coverage(arguments) => coverage::coverage(arguments),
         Command::Merge(arguments) => merge::merge(arguments, detail),
         Command::Soak(arguments) => soak::soak(arguments),
+        #[cfg(feature = "emulated")]
         Command::Mutate(arguments) => mutate::mutate(arguments, quiet),
         Command::Boards(arguments) => boards::boards(arguments),
+        #[cfg(feature = "export")]
         Command::Campaign(arguments) => campaign::campaign(arguments, quiet),
+        #[cfg(feature = "study")]
         Command::Stability(arguments) => stability::stability(arguments),
         Command::Identify(arguments) => identify::identify(arguments),
+        #[cfg(feature = "study")]
         Command::Chart(arguments) => chart::chart(arguments),
         Command::Accept(arguments) => accept::accept(arguments, quiet),
+        #[cfg(feature = "study")]
         Command::Tune(arguments) => tune::tune(arguments),
+        #[cfg(feature = "export")]
         Command::Export(arguments) => export::export(arguments),
+        #[cfg(feature = "export")]
         Command::ExportFmu(arguments) => export_fmu::export_fmu(arguments),
         Command::New(arguments) => new::new(arguments),
         Command::Check(arguments) => check::check(arguments, &command()),

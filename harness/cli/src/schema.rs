@@ -6,6 +6,7 @@ use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_acceptance::plan::plan_schema;
 use platebench_boards::RawInventory;
+#[cfg(feature = "export")]
 use platebench_campaign::RawCampaign;
 use platebench_explore::RawEnvelope;
 use platebench_record::RunRecord;
@@ -45,6 +46,7 @@ pub(crate) enum SchemaKind {
     /// Operating envelopes
     Envelope,
     /// Campaigns
+    #[cfg(feature = "export")]
     Campaign,
     /// boards.toml
     Boards,
@@ -63,6 +65,7 @@ impl SchemaKind {
             Self::Plate => "plate.json",
             Self::Plan => "plan.json",
             Self::Envelope => "envelope.json",
+            #[cfg(feature = "export")]
             Self::Campaign => "campaign.json",
             Self::Boards => "boards.json",
             Self::Config => "config.json",
@@ -98,6 +101,7 @@ impl SchemaKind {
             Self::Plate => schema::plate_schema(),
             Self::Plan => plan_schema(),
             Self::Envelope => schema::schema_of::<RawEnvelope>("Operating envelope"),
+            #[cfg(feature = "export")]
             Self::Campaign => schema::schema_of::<RawCampaign>("Campaign"),
             Self::Boards => schema::schema_of::<RawInventory>("boards.toml"),
             Self::Config => schema::schema_of::<RawConfig>("platebench.toml"),

@@ -21,7 +21,7 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
     let format_error = ExportError::format::<McapError>(path);
     let library = format!("{} {}", source.run.tool.name, source.run.tool.version);
     let options =
-        WriteOptions::new().compression(Some(Compression::Zstd)).chunk_size(Some(CHUNK_BYTES)).library(library);
+        WriteOptions::new().compression(Some(Compression::Lz4)).chunk_size(Some(CHUNK_BYTES)).library(library);
     let mut writer = options.create(BufWriter::new(file)).map_err(&format_error)?;
     let facts = source.metadata().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
     writer.write_metadata(&Metadata { name: "platebench".to_owned(), metadata: facts }).map_err(&format_error)?;

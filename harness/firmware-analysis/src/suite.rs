@@ -3,7 +3,8 @@
 use crate::error::AnalysisError;
 use platebench_record::Verdict;
 use platebench_rig::{
-    CancelToken, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError, RigSpec, Session, TargetError,
+    BUILT_IN_IMAGE, CancelToken, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError, RigSpec, Session,
+    TargetError,
 };
 use platebench_runner::trial::{self, TrialSpec};
 use platebench_runner::{law, missing_capability};
@@ -73,7 +74,7 @@ impl Suite {
     }
 
     pub(crate) fn elf(&self) -> Result<Vec<u8>, AnalysisError> {
-        let Some(path) = &self.elf else { return Ok(EmulatedLink::built_in_image().to_vec()) };
+        let Some(path) = &self.elf else { return Ok(BUILT_IN_IMAGE.to_vec()) };
         fs::read(path).map_err(|error| EmulatedError::Read { path: path.clone(), error }.into())
     }
 

@@ -3,15 +3,20 @@
 use std::io;
 
 /// Largest terminal in cells: a frame is in memory twice, and a terminal may claim any size.
+#[cfg(feature = "screen")]
 pub(crate) const MAX_CELLS: u32 = 1 << 20;
 
 /// Reason why the view cannot open. The run continues without it.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveViewError {
+    #[cfg(not(feature = "screen"))]
+    #[error("this bench was built without it; build it with the feature `live`")]
+    NotBuilt,
     #[error("standard output is not a terminal")]
     NoTerminal,
     #[error("TERM=dumb: the terminal has no cursor control")]
     Dumb,
+    #[cfg(feature = "screen")]
     #[error("the terminal reports {columns} x {rows} cells, expected at most {MAX_CELLS} in total")]
     Size {
         columns: u16,

@@ -10,17 +10,30 @@
 //!
 //! This crate judges and records nothing. If it cannot draw, the run continues without it.
 
+#![cfg_attr(not(feature = "screen"), allow(dead_code))]
+
+#[cfg(feature = "screen")]
 mod draw;
 pub mod error;
+mod keys;
 pub mod run_description;
+#[cfg(feature = "screen")]
 mod screen;
+#[cfg(feature = "screen")]
 mod signal_history;
+#[cfg(feature = "screen")]
 mod stderr_capture;
+#[cfg(feature = "screen")]
+pub mod view;
+#[cfg(not(feature = "screen"))]
+#[path = "without_screen.rs"]
 pub mod view;
 pub mod view_event;
+#[cfg(feature = "screen")]
 mod view_state;
 
 pub use error::LiveViewError;
+pub use keys::{INTERRUPT, watch_keys};
 pub use run_description::{RunDescription, ScenarioDescription};
-pub use view::{INTERRUPT, LiveView, ViewSender, watch_keys};
+pub use view::{LiveView, ViewSender};
 pub use view_event::ViewEvent;

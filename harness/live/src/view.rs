@@ -2,18 +2,18 @@
 
 use crate::draw::draw;
 use crate::error::{LiveViewError, MAX_CELLS};
+use crate::keys::watch_keys;
 use crate::run_description::RunDescription;
 use crate::screen::Screen;
 use crate::stderr_capture::{CapturedLines, StderrCapture};
 use crate::view_event::ViewEvent;
 use crate::view_state::ViewState;
-use crossterm::event::{Event, KeyCode, KeyEventKind, KeyModifiers, poll, read};
 use crossterm::terminal::size;
 use platebench_runner::TapReader;
 use ratatui::Terminal;
 use ratatui::backend::{Backend, CrosstermBackend};
 use rustix::process::{Signal, getpid, kill_process};
-use std::io::{BufWriter, IsTerminal, stdin};
+use std::io::BufWriter;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -28,7 +28,6 @@ const MAX_ROWS_PER_POLL: usize = 1 << 15;
 const FRAME_CAPACITY: usize = 1 << 16;
 const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(500);
 const MAX_MESSAGES: usize = 64;
-const KEY_POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 #[derive(Debug)]
 enum ViewMessage {
@@ -178,30 +177,6 @@ impl ViewThread {
 
 fn is_drawable(columns: u16, rows: u16) -> bool {
     u32::from(columns) * u32::from(rows) <= MAX_CELLS
-}
-
-/// Ctrl-C in a raw terminal. In the view Ctrl-C is a signal.
-pub const INTERRUPT: char = '\u{3}';
-
-/// Returns at once if standard input is not a terminal.
-pub fn watch_keys(is_over: impl Fn() -> bool, mut typed: impl FnMut(char)) {
-    if !stdin().is_terminal() {
-        return;
-    }
-    while !is_over() {
-        match poll(KEY_POLL_INTERVAL) {
-            Ok(true) => {}
-            Ok(false) => continue,
-            Err(_) => return,
-        }
-        if let Ok(Event::Key(key)) = read()
-            && key.kind != KeyEventKind::Release
-            && let KeyCode::Char(letter) = key.code
-        {
-            let is_interrupt = letter == 'c' && key.modifiers.contains(KeyModifiers::CONTROL);
-            typed(if is_interrupt { INTERRUPT } else { letter });
-        }
-    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Opens the link that `--rig` names.
 
 use crate::connect_options::ConnectOptions;
+#[cfg(feature = "emulated")]
 use crate::emulated::{EmulatedError, EmulatedLink};
 use crate::exec::{CommandLine, ExecError, ExecLink};
 use crate::hosted::HostedLink;
@@ -20,6 +21,9 @@ pub enum ConnectError {
          --ignore-rust-version --package platebench-cli --features probe`"
     )]
     ProbeSupportMissing(RigSpec),
+    #[cfg(not(feature = "emulated"))]
+    #[error("`{0}`: this bench was built without the emulated target; build it with the feature `emulated`")]
+    EmulationMissing(RigSpec),
     #[error(
         "`{0}`: RTT through a debug probe does not keep real time; use --clock lockstep, or add the board's \
          serial port as ,port=PORT[@BAUD]"
@@ -28,6 +32,7 @@ pub enum ConnectError {
     #[cfg(feature = "probe")]
     #[error(transparent)]
     Probe(ProbeError),
+    #[cfg(feature = "emulated")]
     #[error(transparent)]
     Emulated(#[from] EmulatedError),
     #[error(transparent)]
@@ -54,8 +59,11 @@ impl ConnectError {
         match self {
             Self::ProbeSupportMissing(_)
             | Self::NoRealTime(_)
-            | Self::Emulated(EmulatedError::Read { .. } | EmulatedError::Image(_))
             | Self::Serial(SerialError::NotATerminal { .. } | SerialError::Settings { .. }) => true,
+            #[cfg(not(feature = "emulated"))]
+            Self::EmulationMissing(_) => true,
+            #[cfg(feature = "emulated")]
+            Self::Emulated(error) => matches!(error, EmulatedError::Read { .. } | EmulatedError::Image(_)),
             #[cfg(feature = "probe")]
             Self::Probe(error) => error.is_invalid_input(),
             Self::Exec(error) => match error {
@@ -69,9 +77,7 @@ impl ConnectError {
                 | ExecError::Cancelled(_)
                 | ExecError::Link(_) => false,
             },
-            Self::Emulated(EmulatedError::Target(_) | EmulatedError::Debugger(_))
-            | Self::Network(_)
-            | Self::Serial(SerialError::Open { .. } | SerialError::InUse { .. }) => false,
+            Self::Network(_) | Self::Serial(SerialError::Open { .. } | SerialError::InUse { .. }) => false,
         }
     }
 }
@@ -80,7 +86,11 @@ impl RigSpec {
     /// Checks what can be checked without starting a program or opening a device.
     pub fn check(&self) -> Result<(), ConnectError> {
         match self {
-            Self::Hosted | Self::Emulated(_) | Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } => Ok(()),
+            #[cfg(not(feature = "emulated"))]
+            Self::Emulated(_) => Err(ConnectError::EmulationMissing(self.clone())),
+            #[cfg(feature = "emulated")]
+            Self::Emulated(_) => Ok(()),
+            Self::Hosted | Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } => Ok(()),
             Self::Exec(command) => Ok(CommandLine::parse(command).map(drop)?),
             #[cfg(feature = "probe")]
             Self::Probe { .. } => Ok(ProbeSetup::from_spec(self).map(drop)?),
@@ -173,10 +183,16 @@ impl RigSpec {
         }
     }
 
+    #[cfg(feature = "emulated")]
     fn open_emulated(&self, options: &ConnectOptions) -> Result<EmulatedLink, EmulatedError> {
         if let Some(port) = &options.debug_port {
             return EmulatedLink::open_with_debugger(self.image(), port, &options.cancel);
         }
         self.image().map_or_else(EmulatedLink::built_in, EmulatedLink::open)
+    }
+
+    #[cfg(not(feature = "emulated"))]
+    fn open_emulated(&self, _: &ConnectOptions) -> Result<HostedLink, ConnectError> {
+        Err(ConnectError::EmulationMissing(self.clone()))
     }
 }

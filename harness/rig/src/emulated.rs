@@ -36,6 +36,7 @@ pub use image::ImageError;
 pub(crate) use image::read_elf;
 pub use options::{EmulatedError, EmulatedOptions};
 
+use crate::built_in_image::BUILT_IN_IMAGE;
 use crate::cancel::CancelToken;
 use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::debug_port::DebugPort;
@@ -55,8 +56,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use target::{ReceivedByte, Target};
 
-/// An ELF for STM32F405, F407 and F427; built from `firmware-under-test/stm32f4`.
-pub(crate) const BUILT_IN_IMAGE: &[u8] = include_bytes!("../../../firmware-under-test/images/platebench-stm32f4.elf");
 const BUILT_IN_BAUD: u32 = 1_000_000;
 
 const NS_PER_MS: u64 = 1_000_000;
@@ -93,10 +92,6 @@ pub struct EmulatedLink {
 impl EmulatedLink {
     pub fn built_in() -> Result<Self, EmulatedError> {
         Self::new(BUILT_IN_IMAGE, EmulatedOptions { baud: Some(BUILT_IN_BAUD), ..EmulatedOptions::default() })
-    }
-
-    pub const fn built_in_image() -> &'static [u8] {
-        BUILT_IN_IMAGE
     }
 
     /// Runs the firmware in the file `elf`, at any baud rate.

@@ -2,10 +2,13 @@
 //! or debug probe. All rigs carry the same bytes. Plate, profiles and verdicts do not belong here.
 //! Time is an argument.
 
+#![cfg_attr(not(feature = "emulated"), allow(dead_code))]
+
 #[cfg(not(target_os = "linux"))]
 compile_error!("the bench needs Linux: pseudo-terminals, signals and real-time scheduling are those of Linux");
 
 pub mod baud;
+mod built_in_image;
 pub mod cancel;
 pub mod chip_fault;
 mod command_audit;
@@ -14,6 +17,7 @@ pub mod connect;
 mod connect_options;
 pub mod crash_report;
 mod debug_port;
+#[cfg(feature = "emulated")]
 pub mod emulated;
 pub mod exec;
 pub mod fault_injector;
@@ -39,12 +43,14 @@ mod tty;
 pub mod wall_clock;
 
 pub use baud::{BaudTooLow, check_baud, minimum_baud};
+pub use built_in_image::BUILT_IN_IMAGE;
 pub use cancel::CancelToken;
 pub use chip_fault::{ChipFault, ChipFaultError, ChipFaultKind, ChipFaultPlan};
 pub use connect::ConnectError;
 pub use connect_options::ConnectOptions;
 pub use crash_report::CrashReport;
 pub use debug_port::{DebugPort, DebuggerError};
+#[cfg(feature = "emulated")]
 pub use emulated::{EmulatedError, EmulatedLink};
 pub use exec::{ExecError, ExecLink};
 pub use fault_injector::{Direction, FaultInjector, WireFault, WireFaultKind};

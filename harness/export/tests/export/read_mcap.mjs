@@ -4,7 +4,7 @@ import { open } from "node:fs/promises";
 
 const require = createRequire(`${process.argv[2]}/`);
 const { McapIndexedReader } = require("@mcap/core");
-const { decompress } = require("fzstd");
+const { decompress } = require("lz4js");
 
 const file = await open(process.argv[3], "r");
 const readable = {
@@ -15,7 +15,7 @@ const readable = {
     return buffer;
   },
 };
-const decompressHandlers = { zstd: (data, size) => decompress(data, new Uint8Array(Number(size))) };
+const decompressHandlers = { lz4: (data, size) => decompress(data, Number(size)) };
 const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers });
 const parse = (data) => JSON.parse(new TextDecoder().decode(data));
 const topics = {};

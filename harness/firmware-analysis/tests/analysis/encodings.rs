@@ -139,7 +139,7 @@ fn constants_in_the_literal_pool_change_their_value() {
 fn disassembly() -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("firmware.elf");
-    fs::write(&path, platebench_rig::EmulatedLink::built_in_image()).unwrap();
+    fs::write(&path, platebench_rig::BUILT_IN_IMAGE).unwrap();
     let output = Command::new(OBJDUMP).arg("-d").arg(&path).output().unwrap();
     String::from_utf8(output.stdout).unwrap()
 }

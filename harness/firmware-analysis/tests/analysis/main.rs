@@ -7,7 +7,7 @@ mod encodings;
 mod mutation;
 
 use platebench_firmware_analysis::{CodeMap, Suite};
-use platebench_rig::{EmulatedLink, RigSpec, Symbols};
+use platebench_rig::{BUILT_IN_IMAGE, RigSpec, Symbols};
 use platebench_scenario::load;
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,7 @@ fn suite(scenarios: &[&str]) -> Suite {
 }
 
 fn shipped_code() -> (CodeMap, Symbols) {
-    let elf = EmulatedLink::built_in_image();
+    let elf = BUILT_IN_IMAGE;
     let symbols = Symbols::read(elf);
     (CodeMap::read(elf, &symbols), symbols)
 }
