@@ -35,6 +35,9 @@ pub struct TimingRecord {
     pub target_clock_ppm: Option<f64>,
     pub target_clock_error_ppm: Option<f64>,
     pub safe_confirmed: bool,
+    /// Time that the hypervisor took from this machine's processors during the trial, ms; `None` if unknown.
+    #[serde(default)]
+    pub steal_ms: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]

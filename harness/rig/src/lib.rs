@@ -2,7 +2,7 @@
 //! or debug probe. All rigs carry the same bytes. Plate, profiles and verdicts do not belong here.
 //! Time is an argument.
 
-#![cfg_attr(not(feature = "emulated"), allow(dead_code))]
+#![cfg_attr(not(feature = "emulated"), allow(dead_code, unused_imports))]
 
 #[cfg(not(target_os = "linux"))]
 compile_error!("the bench needs Linux: pseudo-terminals, signals and real-time scheduling are those of Linux");

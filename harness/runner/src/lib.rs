@@ -25,6 +25,7 @@ mod reply_stats;
 mod row_queue;
 pub mod run;
 mod scheduling;
+mod steal_time;
 pub mod stored_trials;
 mod timing_stats;
 mod trend;

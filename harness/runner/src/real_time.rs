@@ -20,6 +20,7 @@ use crate::live_tap::TapWriter;
 use crate::plant_simulation::{PlantSimulation, expected_rows};
 use crate::row_queue::{RowQueue, collect_rows};
 use crate::scheduling::ThreadScheduling;
+use crate::steal_time::StealTime;
 use crate::trial::{TrialResult, TrialSpec};
 use control_loop::RealTimeLoop;
 use platebench_record::Telemetry;
@@ -82,6 +83,7 @@ fn run_loop<L: Link, T>(
     let (queue, consumer) = RowQueue::new();
     let plant = PlantSimulation::new(spec.scenario, spec.index, queue, tap);
     session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
+    let steal_before = StealTime::now();
     thread::scope(|scope| {
         let real_time = scope.spawn(move || {
             let scheduling = ThreadScheduling::request();
@@ -95,7 +97,12 @@ fn run_loop<L: Link, T>(
         });
         let consumed = consume(consumer);
         match real_time.join() {
-            Ok(end) => (consumed, end),
+            Ok(mut end) => {
+                if let Some(timing) = end.as_mut().and_then(|(telemetry, _)| telemetry.timing.as_mut()) {
+                    timing.steal_ms = steal_before.ms_until(StealTime::now());
+                }
+                (consumed, end)
+            }
             Err(panic) => resume_unwind(panic),
         }
     })

@@ -49,6 +49,10 @@ pub(crate) fn summary(scenario: &ScenarioRecord) -> Option<String> {
             .zip(first.target_clock_error_ppm)
             .map(|(ppm, error)| format!("controller's clock {ppm:+.0} ± {error:.0} ppm")),
     );
+    let steal_ms: f64 = trials.iter().filter_map(|timing| timing.steal_ms).sum();
+    if steal_ms > 0.0 {
+        parts.push(format!("the hypervisor took {steal_ms:.0} ms from this machine"));
+    }
     if first.scheduling != "SCHED_FIFO" {
         parts.push(first.scheduling.clone());
     }

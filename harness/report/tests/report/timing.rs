@@ -23,6 +23,7 @@ fn timing() -> TimingRecord {
         target_clock_ppm: Some(12.4),
         target_clock_error_ppm: Some(3.1),
         safe_confirmed: true,
+        steal_ms: Some(0.0),
     }
 }
 
@@ -52,12 +53,12 @@ fn summary(trials: impl IntoIterator<Item = Option<TimingRecord>>) -> Option<Str
 
 #[test]
 fn compares_the_delay_with_the_budget() {
-    let second = TimingRecord { overruns: 2, missed_replies: 1, ..timing() };
+    let second = TimingRecord { overruns: 2, missed_replies: 1, steal_ms: Some(20.0), ..timing() };
     assert_eq!(
         summary([Some(timing()), Some(second)]).unwrap(),
         "real time, paced by the bench; loop delay 210 µs median, 525 µs maximum, 20 % and 50 % of the 1050 µs of the \
          law's budget; samples late by 4 µs median, 61 µs maximum; 2 overruns, 1 missed replies in 120 periods; \
-         controller's clock +12 ± 3 ppm"
+         controller's clock +12 ± 3 ppm; the hypervisor took 20 ms from this machine"
     );
 }
 
