@@ -34,3 +34,10 @@ impl ViewSender {
         match *self {}
     }
 }
+
+/// As that of the view.
+impl Drop for LiveView {
+    fn drop(&mut self) {
+        match *self {}
+    }
+}
