@@ -37,10 +37,10 @@ impl FileKind {
             Self::Plan
         } else if has(&["board"]) {
             Self::Boards
-        } else if has(&["vary"]) {
-            Self::Campaign
         } else if has(&["range"]) {
             Self::Envelope
+        } else if has(&["vary", "scenario", "plan"]) {
+            Self::Campaign
         } else if has(&["mode", "drive", "sensor"]) {
             Self::Plate
         } else {
@@ -58,6 +58,31 @@ impl FileKind {
             Self::Config => "settings file",
             Self::Boards => "board inventory",
             Self::Requirements => "list of requirements",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_keys_of_a_file_decide_its_kind() {
+        let folder = tempfile::tempdir().unwrap();
+        for (text, kind) in [
+            ("title = \"a\"", FileKind::Scenario),
+            ("[profile]", FileKind::Scenario),
+            ("scenario = \"a.toml\"", FileKind::Campaign),
+            ("[vary]", FileKind::Campaign),
+            ("[plan]", FileKind::Campaign),
+            ("[range]", FileKind::Envelope),
+            ("[bench]", FileKind::Plan),
+            ("[[board]]", FileKind::Boards),
+            ("[mode]", FileKind::Plate),
+        ] {
+            let path = folder.path().join("file.toml");
+            std::fs::write(&path, text).unwrap();
+            assert_eq!(FileKind::detect(&path), kind, "{text}");
         }
     }
 }
