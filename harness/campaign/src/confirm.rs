@@ -13,6 +13,7 @@ use crate::tally::{Tally, keep_worst};
 use platebench_record::Verdict;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -121,7 +122,7 @@ pub struct GroupAgreement {
 }
 
 /// A trial with two verdicts.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
     pub trial: u64,
     pub screened: Verdict,
@@ -196,17 +197,13 @@ impl Agreement {
     }
 
     pub(crate) fn json(&self, confidence: f64) -> Value {
-        let finite = |value: f64| Some(value).filter(|value| value.is_finite());
         let mut json = json!({
             "rig": self.rig,
             "firmware": self.firmware,
             "replayed": self.replayed,
             "missed_failures": self.missed_failures,
             "largest_margin_difference": self.largest_margin_difference,
-            "differences": self.differences.iter().map(|difference| json!({
-                "trial": difference.trial, "screened": difference.screened, "emulated": difference.emulated,
-                "margins": difference.margins.map(finite),
-            })).collect::<Vec<_>>(),
+            "differences": self.differences,
         });
         for GroupAgreement { name, candidates, tally } in &self.groups {
             json[name] = json!({

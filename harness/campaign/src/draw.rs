@@ -2,6 +2,7 @@
 
 use crate::campaign::{Campaign, Method};
 use crate::correlation::Correlation;
+use crate::distribution::Distribution;
 use crate::error::CampaignError;
 use crate::variable::Variable;
 use platebench_scenario::load::ScenarioTables;
@@ -9,8 +10,6 @@ use platebench_scenario::{Diagnostic, Scenario};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution as _, Open01};
-
-use crate::distribution::Distribution;
 
 /// Attempts to draw values that the scenario accepts.
 const MAX_ATTEMPTS: u32 = 100;

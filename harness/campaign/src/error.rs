@@ -26,15 +26,26 @@ pub enum CampaignError {
     Damaged { path: PathBuf, why: &'static str },
     #[error("{}: belongs to another plan or shard", .0.display())]
     Foreign(PathBuf),
-    #[error("{}: another campaign is planned here, or the same with other files, program or firmware; use another folder", .0.display())]
+    #[error(
+        "{}: another campaign is planned here, or the same with other files, program or firmware; \
+         use another folder",
+        .0.display()
+    )]
     OtherPlan(PathBuf),
-    #[error("{}: changed since the campaign was planned; restore it, or plan again in another folder", .0.display())]
+    #[error(
+        "{}: changed since the campaign was planned; restore it, or plan again in another \
+         folder",
+        .0.display()
+    )]
     ChangedInput(PathBuf),
     #[error(
         "this platebench program is not the one that planned the campaign; its SHA-256 is {found}, plan.json has {planned}"
     )]
     OtherBench { found: String, planned: String },
-    #[error("{rig}: the firmware is not the one of the plan; its SHA-256 is {found}, plan.json has {planned}")]
+    #[error(
+        "{rig}: the firmware is not the one of the plan; its SHA-256 is {found}, plan.json has \
+         {planned}"
+    )]
     OtherFirmware { rig: String, found: String, planned: String },
     #[error("{0}: `plan.confirm` plays trials of the hosted rig again, expected --rig hosted")]
     ConfirmedRig(String),

@@ -37,8 +37,8 @@ pub fn merge<'a>(
     let path = folder.join(SUMMARY_FILE);
     let text = serde_json::to_string_pretty(&summary.json()).unwrap_or_default();
     write_atomically(&path, format!("{text}\n").as_bytes()).map_err(CampaignError::io(&path))?;
-    let failing = summary.failing.iter().map(|row| campaign.trial_with(row.trial, row.draws.clone(), row.redraws));
-    scenario_files::write(&folder.join(COUNTEREXAMPLES), campaign, &failing.collect::<Result<Vec<_>, _>>()?)?;
+    let failing = summary.failing.iter().map(|row| row.trial_in(campaign)).collect::<Result<Vec<_>, _>>()?;
+    scenario_files::write(&folder.join(COUNTEREXAMPLES), campaign, &failing)?;
     Ok(summary)
 }
 

@@ -7,7 +7,7 @@ use crate::part::{PartReader, PartWriter};
 use crate::plan::Plan;
 use crate::row::Row;
 use platebench_record::Verdict;
-use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, FaultInjector, RigError, RigSpec, Session};
+use platebench_rig::{BoxedLink, CancelToken, ConnectOptions, FaultInjector, RigError, RigSpec, Session};
 use platebench_runner::law;
 use platebench_runner::trial::{self, TrialSpec};
 use platebench_trace::Row as TraceRow;
@@ -47,8 +47,6 @@ pub struct TrialEvent {
     pub is_failure: bool,
 }
 
-type Connect<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync + 'a;
-
 /// Plays a shard, unless its part is whole. A damaged part is replaced. False if the part was whole.
 pub fn play_shard(
     folder: &Path,
@@ -72,10 +70,7 @@ pub fn play_shard(
     let parts = path.parent().unwrap_or(folder);
     std::fs::create_dir_all(parts).map_err(CampaignError::io(parts))?;
     let mut part = PartWriter::new(path, plan, campaign, shard)?;
-    let options = ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
-    let connect = || config.rig.connect_with(&options);
-    let source = Source::Numbers(plan.trials_of(shard));
-    play(campaign, &source, config, &connect, &mut |row| {
+    play(campaign, &Source::Numbers(plan.trials_of(shard)), config, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
         part.push(row)
     })?;
@@ -90,10 +85,8 @@ pub(crate) fn replay(
     config: &PlayConfig,
     on_trial: &mut dyn FnMut(TrialEvent),
 ) -> Result<Vec<Row>, CampaignError> {
-    let options = ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
-    let connect = || config.rig.connect_with(&options);
     let mut replayed = Vec::new();
-    play(campaign, &Source::Rows(rows), config, &connect, &mut |row| {
+    play(campaign, &Source::Rows(rows), config, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
         replayed.push(row);
         Ok(())
@@ -123,16 +116,16 @@ fn play(
     campaign: &Campaign,
     source: &Source<'_>,
     config: &PlayConfig,
-    connect: &Connect<'_>,
     on_row: &mut dyn FnMut(Row) -> Result<(), CampaignError>,
 ) -> Result<(), CampaignError> {
+    let options = &ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
     let trials = source.places();
     let next = AtomicU64::new(trials.start);
     let (sender, results) = mpsc::sync_channel(RESULT_QUEUE);
     let outcome = thread::scope(|scope| {
         for _ in 0..config.jobs.max(1) {
             let next = &next;
-            let worker = Worker { campaign, source, config, connect, next, end: trials.end, session: None, losses: 0 };
+            let worker = Worker { campaign, source, config, options, next, end: trials.end, session: None, losses: 0 };
             let sender = sender.clone();
             scope.spawn(move || {
                 let mut worker = worker;
@@ -174,7 +167,7 @@ struct Worker<'a> {
     campaign: &'a Campaign,
     source: &'a Source<'a>,
     config: &'a PlayConfig,
-    connect: &'a Connect<'a>,
+    options: &'a ConnectOptions,
     next: &'a AtomicU64,
     end: u64,
     session: Option<Session<FaultInjector<BoxedLink>>>,
@@ -204,7 +197,7 @@ impl Worker<'_> {
         let trial = match self.source {
             Source::Numbers(_) => self.campaign.trial(number),
             Source::Rows(rows) => match rows.get(number as usize) {
-                Some(row) => self.campaign.trial_with(row.trial, row.draws.clone(), row.redraws),
+                Some(row) => row.trial_in(self.campaign),
                 None => return false,
             },
         };
@@ -242,7 +235,9 @@ impl Worker<'_> {
         let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
         let open = match &mut self.session {
             Some(open) => open,
-            None => self.session.insert(Session::open(FaultInjector::new((self.connect)()?))?),
+            None => {
+                self.session.insert(Session::open(FaultInjector::new(self.config.rig.connect_with(self.options)?))?)
+            }
         };
         let spec = TrialSpec { own_clock: self.config.rig.has_own_clock(), ..TrialSpec::new(&trial.scenario, law, 0) };
         let Some(played) = trial::play(open, &spec, &self.config.cancel, None) else { return Ok(None) };

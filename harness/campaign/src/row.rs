@@ -1,11 +1,13 @@
 //! Defines the result of a trial.
 
+use crate::campaign::Campaign;
 use crate::draw::Trial;
+use crate::error::CampaignError;
 use platebench_record::{Cause, Verdict};
 use platebench_verdict::{Judgement, TrialMeasures, judge};
 
 const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
-const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
+pub(crate) const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
 /// Verdict, cause, redraws, score.
 const FIXED_COLUMNS: usize = 4;
 /// Score of a trial without a value, less the distance from its setpoint. Only the order of scores matters.
@@ -57,6 +59,11 @@ impl Row {
     /// Smallest margin of all expectations.
     pub fn margin(&self) -> f64 {
         self.margins.iter().copied().fold(f64::INFINITY, f64::min)
+    }
+
+    /// The trial with these values.
+    pub(crate) fn trial_in(&self, campaign: &Campaign) -> Result<Trial, CampaignError> {
+        campaign.trial_with(self.trial, self.draws.clone(), self.redraws)
     }
 
     pub(crate) const fn column_count(variables: usize, expectations: usize) -> usize {

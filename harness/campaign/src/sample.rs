@@ -4,6 +4,7 @@ use crate::campaign::{Campaign, Method};
 use crate::first_order::first_order;
 use crate::row::Row;
 use platebench_verdict::statistics::quantile::quantile_bounds;
+use serde::Serialize;
 use serde_json::{Value, json};
 use statrs::distribution::{ContinuousCDF, Normal};
 use std::fmt::Write as _;
@@ -25,7 +26,7 @@ pub struct Sample {
 }
 
 /// Quantile of an expectation's values. Ends are infinite if the trials are too few.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Quantile {
     pub expectation: String,
     pub share: f64,
@@ -88,11 +89,6 @@ impl Sample {
 
     /// JSON has no infinite number: `null`.
     pub(crate) fn json(&self, campaign: &Campaign) -> Value {
-        let finite = |value: f64| Some(value).filter(|value| value.is_finite());
-        let quantiles = self.quantiles(campaign).into_iter().map(|quantile| {
-            json!({ "expectation": quantile.expectation, "share": quantile.share, "value": finite(quantile.value),
-                "interval": quantile.interval.map(finite) })
-        });
         let sensitivities = self.sensitivities(campaign).into_iter().map(|sensitivity| {
             json!({ "key": sensitivity.key, "rank_correlation": sensitivity.correlation,
                 "interval": sensitivity.interval,
@@ -100,7 +96,7 @@ impl Sample {
                     json!({ "index": index, "interval": interval })
                 }) })
         });
-        json!({ "trials": self.scores.len(), "quantiles": quantiles.collect::<Vec<_>>(),
+        json!({ "trials": self.scores.len(), "quantiles": self.quantiles(campaign),
             "sensitivities": sensitivities.collect::<Vec<_>>() })
     }
 

@@ -3,7 +3,7 @@
 use crate::campaign::{Campaign, Method};
 use crate::confirm::Agreement;
 use crate::outcome::ChainOutcome;
-use crate::row::Row;
+use crate::row::{CAUSES, Row};
 use crate::sample::Sample;
 use crate::sequential::SequentialDecision;
 use crate::tally::{Tally, keep_worst};
@@ -37,8 +37,6 @@ pub struct Summary<'a> {
     /// Of the trials that were replayed on the rig of `plan.confirm`.
     pub agreement: Option<Agreement>,
 }
-
-const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
 
 impl<'a> Summary<'a> {
     pub(crate) fn new(campaign: &'a Campaign) -> Self {

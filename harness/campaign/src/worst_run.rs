@@ -7,6 +7,7 @@ use crate::play::PlayConfig;
 use crate::row::Row;
 use crate::scenario_files;
 use crate::summary::Summary;
+use crate::tally::MAX_WORST;
 use platebench_record::{KeepTraces, Overrides, RunFolder};
 use platebench_report::page::{self, KeptRows, ReportPage, scenario_anchor};
 use platebench_rig::{ConnectOptions, RigSpec};
@@ -21,7 +22,7 @@ const RUN: &str = "run";
 /// About 4 MB of report.
 const MAX_TRIALS: usize = 500;
 /// Of more trials no trace is stored.
-const MAX_TRACES: usize = 40;
+const MAX_TRACES: usize = 2 * MAX_WORST;
 
 /// Page that shows the response of a trial, relative to the campaign folder; by the number of the trial.
 pub type ResponseLinks = BTreeMap<u64, String>;
@@ -40,7 +41,7 @@ pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<Trial>, CampaignError> 
     let mut trials: Vec<_> = trials.into_iter().collect();
     trials.sort_by(|(_, (a, _)), (_, (b, _))| a.partial_cmp(b).unwrap_or(Ordering::Equal));
     let trial = |(number, (_, row)): (u64, (f64, Option<&Row>))| match row {
-        Some(row) => campaign.trial_with(number, row.draws.clone(), row.redraws),
+        Some(row) => row.trial_in(campaign),
         None => campaign.trial(number),
     };
     trials.into_iter().take(MAX_TRIALS).map(trial).collect()
