@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use platebench_report::Detail;
 use std::env::VarError;
 use std::io::stderr;
-use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::filter::{LevelFilter, ParseError, Targets};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{Layer, fmt, registry};
@@ -59,7 +59,7 @@ pub(crate) fn start(arguments: &LoggingArgs) -> Result<(), String> {
         (false, _) => LevelFilter::TRACE,
     };
     let filter = match std::env::var(VARIABLE) {
-        Ok(text) => text.parse::<Targets>().map_err(|error| format!("{VARIABLE}: {text:?}: {error}, {EXPECTED}"))?,
+        Ok(text) => parse(&text).map_err(|error| format!("{VARIABLE}: {text:?}: {error}, {EXPECTED}"))?,
         Err(VarError::NotPresent) => Targets::new().with_default(level),
         Err(VarError::NotUnicode(_)) => return Err(format!("{VARIABLE}: not UTF-8, {EXPECTED}")),
     };
@@ -73,4 +73,13 @@ pub(crate) fn start(arguments: &LoggingArgs) -> Result<(), String> {
     // A second start, as in a test, changes nothing.
     let _ = registry().with(filter).with(lines).try_init();
     Ok(())
+}
+
+fn parse(text: &str) -> Result<Targets, String> {
+    let filter: Targets = text.parse().map_err(|error: ParseError| error.to_string())?;
+    let is_path = |target: &str| !target.is_empty() && target.chars().all(|c| c.is_alphanumeric() || "_:".contains(c));
+    match filter.iter().find(|(target, _)| !is_path(target)) {
+        Some((target, _)) => Err(format!("invalid target `{target}`")),
+        None => Ok(filter),
+    }
 }
