@@ -1,7 +1,7 @@
 //! Implements the textbook methods with a fixed step.
 
 use crate::integration::failure::MethodFailure;
-use crate::integration::problem::Problem;
+use crate::integration::problem::{Problem, Split};
 use std::array::from_fn;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -22,18 +22,29 @@ pub enum FixedStepMethod {
     Exponential,
     /// Störmer's and Verlet's leapfrog, order 2; only for problems of second order.
     Verlet,
+    /// Strang splitting, order 2: half a step of damping and drive, the exact rotation of the
+    /// undamped oscillation, half a step of damping and drive. Rotation and decay once per interval.
+    Splitting,
 }
 
 impl FixedStepMethod {
-    pub const ALL: [Self; 7] =
-        [Self::Euler, Self::RungeKutta4, Self::Midpoint, Self::Gauss4, Self::Gauss6, Self::Exponential, Self::Verlet];
+    pub const ALL: [Self; 8] = [
+        Self::Euler,
+        Self::RungeKutta4,
+        Self::Midpoint,
+        Self::Gauss4,
+        Self::Gauss6,
+        Self::Exponential,
+        Self::Verlet,
+        Self::Splitting,
+    ];
 
     /// `None` if the step does not limit the accuracy. With a matrix that varies, the methods with a
     /// step matrix have order 2: they freeze it in the middle of a step.
     pub const fn order(self) -> Option<u32> {
         match self {
             Self::Euler => Some(1),
-            Self::Midpoint | Self::Verlet => Some(2),
+            Self::Midpoint | Self::Verlet | Self::Splitting => Some(2),
             Self::RungeKutta4 | Self::Gauss4 => Some(4),
             Self::Gauss6 => Some(6),
             Self::Exponential => None,
@@ -45,7 +56,7 @@ impl FixedStepMethod {
     fn increment<const N: usize>(self, matrix: &[[f64; N]; N], step: f64) -> Option<[[f64; N]; N]> {
         let z = scaled(matrix, step);
         match self {
-            Self::Euler | Self::RungeKutta4 | Self::Verlet => None,
+            Self::Euler | Self::RungeKutta4 | Self::Verlet | Self::Splitting => None,
             Self::Midpoint => inverse(&polynomial(&z, [1.0, -0.5, 0.0, 0.0])),
             Self::Gauss4 => inverse(&polynomial(&z, [1.0, -1.0 / 2.0, 1.0 / 12.0, 0.0])),
             Self::Gauss6 => {
@@ -102,6 +113,22 @@ impl FixedStepMethod {
                     x = problem.leapfrog(&x, step).ok_or(MethodFailure::UnsupportedProblem)?;
                 }
             }
+            Self::Splitting => {
+                let mut known = problem.matrix(&x);
+                let mut parts = problem.split(&x, step);
+                for _ in 0..steps {
+                    let mut middle = x;
+                    if let Some(clock) = P::CLOCK.and_then(|clock| middle.get_mut(clock)) {
+                        *clock += 0.5 * step;
+                        let matrix = problem.matrix(&middle);
+                        if matrix != known {
+                            known = matrix;
+                            parts = problem.split(&middle, step);
+                        }
+                    }
+                    x = split_step(problem, &parts, &x, step);
+                }
+            }
         }
         Ok(x)
     }
@@ -110,6 +137,23 @@ impl FixedStepMethod {
 #[inline]
 fn add_scaled<const N: usize>(x: &[f64; N], step: f64, rate: &[f64; N]) -> [f64; N] {
     from_fn(|i| x[i] + step * rate[i])
+}
+
+#[inline]
+fn split_step<const N: usize, P: Problem<N>>(problem: &P, parts: &Split<N>, x: &[f64; N], step: f64) -> [f64; N] {
+    let kick = |x: &[f64; N]| -> [f64; N] {
+        let force = problem.forcing(x);
+        from_fn(|i| parts.decay[i] * x[i] + parts.gain[i] * force[i])
+    };
+    let mut turned = multiply(&parts.rotation, &kick(x));
+    if let Some(clock) = P::CLOCK {
+        turned[clock] = x[clock] + step;
+    }
+    let mut after = kick(&turned);
+    if let Some(clock) = P::CLOCK {
+        after[clock] = turned[clock];
+    }
+    after
 }
 
 #[inline]

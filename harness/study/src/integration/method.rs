@@ -28,6 +28,7 @@ impl IntegrationMethod {
             Self::Fixed(FixedStepMethod::Gauss6) => "Gauss-Legendre 6",
             Self::Fixed(FixedStepMethod::Exponential) => "matrix exponential",
             Self::Fixed(FixedStepMethod::Verlet) => "Störmer-Verlet",
+            Self::Fixed(FixedStepMethod::Splitting) => "rotation splitting",
             Self::Adaptive(AdaptiveMethod::Dopri5) => "ode_solvers DOPRI5",
             Self::Adaptive(AdaptiveMethod::Dop853) => "ode_solvers DOP853",
             Self::Adaptive(AdaptiveMethod::DeDop853) => "differential-equations DOP853",

@@ -19,10 +19,33 @@ pub trait Problem<const N: usize>: Copy {
     /// A at the time of `x`, per s; row and column of the clock are zero.
     fn matrix(&self, x: &[f64; N]) -> [[f64; N]; N];
 
+    /// Parts of a splitting step of `step` s; the mode is that at the time of `x`.
+    fn split(&self, x: &[f64; N], step: f64) -> Split<N>;
+
+    /// b at the time of `x`: the rate that does not depend on the state, except the clock's.
+    fn forcing(&self, x: &[f64; N]) -> [f64; N];
+
     /// One Störmer-Verlet step, s; `None` if the problem is not of second order in a real position.
     fn leapfrog(&self, _x: &[f64; N], _step: f64) -> Option<[f64; N]> {
         None
     }
+}
+
+/// Strang splitting of `x' = A x + b`: A is a rotation without damping, and a diagonal damping.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Split<const N: usize> {
+    /// Exact solution of the undamped oscillation over a step. The clock is not included.
+    pub rotation: [[f64; N]; N],
+    /// Exact solution of `x' = -d x + b` over half a step: `decay x + gain b`.
+    pub decay: [f64; N],
+    /// s.
+    pub gain: [f64; N],
+}
+
+/// Decay and gain of `x' = -damping x + b` over `seconds`.
+fn relaxation(damping: f64, seconds: f64) -> (f64, f64) {
+    let change = (-damping * seconds).exp_m1();
+    (1.0 + change, if damping == 0.0 { seconds } else { -change / damping })
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,6 +116,17 @@ impl Problem<2> for EnvelopeProblem {
         let detuning = self.omega - self.omega0;
         [[-self.sigma, detuning], [-detuning, -self.sigma]]
     }
+
+    fn split(&self, _: &[f64; 2], step: f64) -> Split<2> {
+        let (sin, cos) = ((self.omega - self.omega0) * step).sin_cos();
+        let (decay, gain) = relaxation(self.sigma, 0.5 * step);
+        Split { rotation: [[cos, sin], [-sin, cos]], decay: [decay; 2], gain: [gain; 2] }
+    }
+
+    #[inline]
+    fn forcing(&self, _: &[f64; 2]) -> [f64; 2] {
+        [self.force, 0.0]
+    }
 }
 
 impl Problem<3> for TimeVarying<EnvelopeProblem> {
@@ -106,6 +140,17 @@ impl Problem<3> for TimeVarying<EnvelopeProblem> {
 
     fn matrix(&self, &[re, im, t]: &[f64; 3]) -> [[f64; 3]; 3] {
         with_clock_row(&self.at(t).matrix(&[re, im]))
+    }
+
+    fn split(&self, &[re, im, t]: &[f64; 3], step: f64) -> Split<3> {
+        let Split { rotation, decay: [d, _], gain: [g, _] } = self.at(t).split(&[re, im], step);
+        Split { rotation: with_clock_row(&rotation), decay: [d, d, 1.0], gain: [g, g, 0.0] }
+    }
+
+    #[inline]
+    fn forcing(&self, &[re, im, t]: &[f64; 3]) -> [f64; 3] {
+        let [re, im] = self.at(t).forcing(&[re, im]);
+        [re, im, 0.0]
     }
 }
 
@@ -166,6 +211,27 @@ impl Problem<4> for ModalProblem {
             [0.0, -stiffness, -omega, -damping],
         ]
     }
+
+    fn split(&self, _: &[f64; 4], step: f64) -> Split<4> {
+        let Self { sigma, omega0, omega, scale, .. } = *self;
+        let (sin, cos) = (omega0 * step).sin_cos();
+        // The rotating frame turns by -ωh; the oscillation is the same in both directions.
+        let (s, c) = (omega * step).sin_cos();
+        let (up, down) = (sin * scale / omega0, -sin * omega0 / scale);
+        let rotation = [
+            [cos * c, cos * s, up * c, up * s],
+            [-cos * s, cos * c, -up * s, up * c],
+            [down * c, down * s, cos * c, cos * s],
+            [-down * s, down * c, -cos * s, cos * c],
+        ];
+        let (decay, gain) = relaxation(2.0 * sigma, 0.5 * step);
+        Split { rotation, decay: [1.0, 1.0, decay, decay], gain: [0.0, 0.0, gain, gain] }
+    }
+
+    #[inline]
+    fn forcing(&self, _: &[f64; 4]) -> [f64; 4] {
+        [0.0, 0.0, 0.0, self.force / self.scale]
+    }
 }
 
 impl Problem<5> for TimeVarying<ModalProblem> {
@@ -179,6 +245,18 @@ impl Problem<5> for TimeVarying<ModalProblem> {
 
     fn matrix(&self, &[a, b, c, d, t]: &[f64; 5]) -> [[f64; 5]; 5] {
         with_clock_row(&self.at(t).matrix(&[a, b, c, d]))
+    }
+
+    fn split(&self, &[a, b, c, d, t]: &[f64; 5], step: f64) -> Split<5> {
+        let Split { rotation, decay, gain } = self.at(t).split(&[a, b, c, d], step);
+        let pad = |[a, b, c, d]: [f64; 4], clock: f64| [a, b, c, d, clock];
+        Split { rotation: with_clock_row(&rotation), decay: pad(decay, 1.0), gain: pad(gain, 0.0) }
+    }
+
+    #[inline]
+    fn forcing(&self, &[a, b, c, d, t]: &[f64; 5]) -> [f64; 5] {
+        let [a, b, c, d] = self.at(t).forcing(&[a, b, c, d]);
+        [a, b, c, d, 0.0]
     }
 }
 
@@ -248,6 +326,19 @@ impl Problem<3> for CarrierProblem {
     fn matrix(&self, x: &[f64; 3]) -> [[f64; 3]; 3] {
         let (sigma, omega0) = self.mode_at(x[2]);
         [[0.0, self.scale, 0.0], [-omega0 * omega0 / self.scale, -2.0 * sigma, 0.0], [0.0; 3]]
+    }
+
+    fn split(&self, x: &[f64; 3], step: f64) -> Split<3> {
+        let (sigma, omega0) = self.mode_at(x[2]);
+        let (sin, cos) = (omega0 * step).sin_cos();
+        let rotation = [[cos, sin * self.scale / omega0, 0.0], [-sin * omega0 / self.scale, cos, 0.0], [0.0; 3]];
+        let (decay, gain) = relaxation(2.0 * sigma, 0.5 * step);
+        Split { rotation, decay: [1.0, decay, 1.0], gain: [0.0, gain, 0.0] }
+    }
+
+    #[inline]
+    fn forcing(&self, x: &[f64; 3]) -> [f64; 3] {
+        [0.0, self.drive_at(x[2]) / self.scale, 0.0]
     }
 
     /// Kick, drift, kick, with the damping taken at the middle:

@@ -265,13 +265,17 @@ fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
                 FixedStepMethod::RungeKutta4
                 | FixedStepMethod::Midpoint
                 | FixedStepMethod::Gauss4
-                | FixedStepMethod::Gauss6,
+                | FixedStepMethod::Gauss6
+                | FixedStepMethod::Splitting,
             ),
             EquationForm::Modal,
         )
         | (
             IntegrationMethod::Fixed(
-                FixedStepMethod::RungeKutta4 | FixedStepMethod::Midpoint | FixedStepMethod::Verlet,
+                FixedStepMethod::RungeKutta4
+                | FixedStepMethod::Midpoint
+                | FixedStepMethod::Verlet
+                | FixedStepMethod::Splitting,
             ),
             EquationForm::Carrier,
         ) => halved(&[5, 6, 7, 8, 9, 10, 11, 12, 13, 14]),
