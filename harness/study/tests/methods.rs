@@ -121,11 +121,13 @@ fn splitting_without_damping_does_not_drift() {
     let w = Complex64::new(2.0, 0.0);
     let state = State { w, u: Complex64::I * mode.omega0 * w };
     let splitting = FixedStepMethod::Splitting;
-    let envelope = splitting.advance(&EnvelopeProblem::new(&free), EnvelopeProblem::pack(&state), 4.0, 4_000).unwrap();
-    let modal =
-        splitting.advance(&ModalProblem::new(&free, scale), ModalProblem::pack(&state, scale), 4.0, 4_000).unwrap();
+    let envelope =
+        splitting.advance(&EnvelopeProblem::new(&free), EnvelopeProblem::pack(&state), 4.0, 4_000, &mut None).unwrap();
+    let modal = splitting
+        .advance(&ModalProblem::new(&free, scale), ModalProblem::pack(&state, scale), 4.0, 4_000, &mut None)
+        .unwrap();
     let carrier = CarrierProblem::new(&free, 0.0, scale);
-    let last = splitting.advance(&carrier, CarrierProblem::pack(&state, 0.0, scale), 4.0, 4_000).unwrap();
+    let last = splitting.advance(&carrier, CarrierProblem::pack(&state, 0.0, scale), 4.0, 4_000, &mut None).unwrap();
     let amplitudes = [
         EnvelopeProblem::unpack(&envelope).w.norm(),
         ModalProblem::unpack(&modal, scale).w.norm(),
@@ -135,11 +137,12 @@ fn splitting_without_damping_does_not_drift() {
 }
 
 #[rstest]
-#[case(EquationForm::Envelope)]
-#[case(EquationForm::Modal)]
-fn the_matrix_exponential_is_exact_to_rounding(#[case] frame: EquationForm) {
+fn the_matrix_exponential_is_exact_to_rounding(
+    #[values(EquationForm::Envelope, EquationForm::Modal)] frame: EquationForm,
+    #[values(FixedStepMethod::Exponential, FixedStepMethod::KeptExponential)] method: FixedStepMethod,
+) {
     let passage = replay_from_rest(&constant_scene(), 40);
-    let method = IntegrationMethod::Fixed(FixedStepMethod::Exponential);
+    let method = IntegrationMethod::Fixed(method);
     let error = integration_error(&passage, frame, method, 1e-3, &passage.exact_samples(frame));
     assert!(error < 1e-10, "{error:e}");
 }

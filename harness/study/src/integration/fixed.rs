@@ -20,6 +20,8 @@ pub enum FixedStepMethod {
     Gauss6,
     /// The matrix exponential by scaling and squaring, once per interval; exact up to rounding.
     Exponential,
+    /// As above, but the step matrix of the interval before is used again if the equations are the same.
+    KeptExponential,
     /// Störmer's and Verlet's leapfrog, order 2; only for problems of second order.
     Verlet,
     /// Strang splitting, order 2: half a step of damping and drive, the exact rotation of the
@@ -27,14 +29,26 @@ pub enum FixedStepMethod {
     Splitting,
 }
 
+/// The step matrix of an interval, for [`FixedStepMethod::KeptExponential`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepMatrix<const N: usize> {
+    /// A, per s.
+    matrix: [[f64; N]; N],
+    /// s.
+    step: f64,
+    /// M of `x(h) = x + h M(hA) (Ax + b)`.
+    increment: [[f64; N]; N],
+}
+
 impl FixedStepMethod {
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Euler,
         Self::RungeKutta4,
         Self::Midpoint,
         Self::Gauss4,
         Self::Gauss6,
         Self::Exponential,
+        Self::KeptExponential,
         Self::Verlet,
         Self::Splitting,
     ];
@@ -47,7 +61,7 @@ impl FixedStepMethod {
             Self::Midpoint | Self::Verlet | Self::Splitting => Some(2),
             Self::RungeKutta4 | Self::Gauss4 => Some(4),
             Self::Gauss6 => Some(6),
-            Self::Exponential => None,
+            Self::Exponential | Self::KeptExponential => None,
         }
     }
 
@@ -63,7 +77,7 @@ impl FixedStepMethod {
                 let denominator = inverse(&polynomial(&z, [1.0, -1.0 / 2.0, 1.0 / 10.0, -1.0 / 120.0]))?;
                 Some(product(&denominator, &polynomial(&z, [1.0, 0.0, 1.0 / 60.0, 0.0])))
             }
-            Self::Exponential => {
+            Self::Exponential | Self::KeptExponential => {
                 // Below this norm the approximant of order 6 is exact to rounding.
                 let largest = z.iter().map(|row| row.iter().map(|value| value.abs()).sum()).fold(0.0, f64::max);
                 let doublings = (largest / 0.02_f64).log2().ceil().max(0.0) as i32;
@@ -81,20 +95,25 @@ impl FixedStepMethod {
         }
     }
 
+    /// `kept` is the step matrix of the interval before, if any; only `KeptExponential` sets it.
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
         problem: &P,
         mut x: [f64; N],
         seconds: f64,
         steps: u32,
+        kept: &mut Option<StepMatrix<N>>,
     ) -> Result<[f64; N], MethodFailure> {
         let step = seconds / f64::from(steps.max(1));
         match self {
             Self::Euler => (0..steps).for_each(|_| x = add_scaled(&x, step, &problem.rate(&x))),
             Self::RungeKutta4 => (0..steps).for_each(|_| x = runge_kutta_4(problem, &x, step)),
-            Self::Midpoint | Self::Gauss4 | Self::Gauss6 | Self::Exponential => {
+            Self::Midpoint | Self::Gauss4 | Self::Gauss6 | Self::Exponential | Self::KeptExponential => {
                 let mut known = problem.matrix(&x);
-                let mut increment = self.increment(&known, step).ok_or(MethodFailure::Singular)?;
+                let mut increment = match kept {
+                    Some(before) if before.matrix == known && before.step == step => before.increment,
+                    _ => self.increment(&known, step).ok_or(MethodFailure::Singular)?,
+                };
                 for _ in 0..steps {
                     let mut middle = x;
                     if let Some(clock) = P::CLOCK.and_then(|clock| middle.get_mut(clock)) {
@@ -106,6 +125,9 @@ impl FixedStepMethod {
                         }
                     }
                     x = add_scaled(&x, step, &multiply(&increment, &problem.rate(&middle)));
+                }
+                if self == Self::KeptExponential {
+                    *kept = Some(StepMatrix { matrix: known, step, increment });
                 }
             }
             Self::Verlet => {

@@ -2,7 +2,7 @@
 
 use crate::integration::adaptive::AdaptiveMethod;
 use crate::integration::failure::MethodFailure;
-use crate::integration::fixed::FixedStepMethod;
+use crate::integration::fixed::{FixedStepMethod, StepMatrix};
 use crate::integration::problem::Problem;
 
 /// Largest magnitude of a component, µm.
@@ -27,6 +27,7 @@ impl IntegrationMethod {
             Self::Fixed(FixedStepMethod::Gauss4) => "Gauss-Legendre 4",
             Self::Fixed(FixedStepMethod::Gauss6) => "Gauss-Legendre 6",
             Self::Fixed(FixedStepMethod::Exponential) => "matrix exponential",
+            Self::Fixed(FixedStepMethod::KeptExponential) => "matrix exponential, kept",
             Self::Fixed(FixedStepMethod::Verlet) => "Störmer-Verlet",
             Self::Fixed(FixedStepMethod::Splitting) => "rotation splitting",
             Self::Adaptive(AdaptiveMethod::Dopri5) => "ode_solvers DOPRI5",
@@ -44,7 +45,7 @@ impl IntegrationMethod {
     }
 
     /// `setting`: of a fixed-step method the longest step, s, shortened to a whole number of steps;
-    /// of an adaptive one the tolerance, relative and in µm.
+    /// of an adaptive one the tolerance, relative and in µm. `kept` as in [`FixedStepMethod::advance`].
     #[inline]
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
@@ -52,9 +53,10 @@ impl IntegrationMethod {
         x: [f64; N],
         seconds: f64,
         setting: f64,
+        kept: &mut Option<StepMatrix<N>>,
     ) -> Result<[f64; N], MethodFailure> {
         let x = match self {
-            Self::Fixed(method) => method.advance(problem, x, seconds, step_count(seconds, setting))?,
+            Self::Fixed(method) => method.advance(problem, x, seconds, step_count(seconds, setting), kept)?,
             Self::Adaptive(method) => method.advance(problem, x, seconds, setting)?,
         };
         if x.iter().all(|component| component.abs() < DIVERGENCE_LIMIT_UM) {

@@ -181,16 +181,21 @@ impl Replay {
         setting: f64,
         outcome: &mut ReplayResult,
     ) -> Result<(), MethodFailure> {
-        let mut x = [0.0; 2];
+        let (mut x, mut kept) = ([0.0; 2], None);
         for ReplayInterval { seconds, situation, ends_at_control, .. } in &self.intervals {
             outcome.seconds += seconds;
             let problem = EnvelopeProblem::new(situation);
             x = if situation.is_time_varying() {
-                let [re, im, _] =
-                    method.advance(&TimeVarying::new(problem, situation), [x[0], x[1], 0.0], *seconds, setting)?;
+                let [re, im, _] = method.advance(
+                    &TimeVarying::new(problem, situation),
+                    [x[0], x[1], 0.0],
+                    *seconds,
+                    setting,
+                    &mut None,
+                )?;
                 [re, im]
             } else {
-                method.advance(&problem, x, *seconds, setting)?
+                method.advance(&problem, x, *seconds, setting, &mut kept)?
             };
             if *ends_at_control {
                 outcome.samples.push(EnvelopeProblem::unpack(&x).w);
@@ -205,17 +210,22 @@ impl Replay {
         setting: f64,
         outcome: &mut ReplayResult,
     ) -> Result<(), MethodFailure> {
-        let mut x = [0.0; 4];
+        let (mut x, mut kept) = ([0.0; 4], None);
         for ReplayInterval { seconds, situation, ends_at_control, .. } in &self.intervals {
             outcome.seconds += seconds;
             let problem = ModalProblem::new(situation, self.scale);
             x = if situation.is_time_varying() {
                 let [a, b, c, d] = x;
-                let [a, b, c, d, _] =
-                    method.advance(&TimeVarying::new(problem, situation), [a, b, c, d, 0.0], *seconds, setting)?;
+                let [a, b, c, d, _] = method.advance(
+                    &TimeVarying::new(problem, situation),
+                    [a, b, c, d, 0.0],
+                    *seconds,
+                    setting,
+                    &mut None,
+                )?;
                 [a, b, c, d]
             } else {
-                method.advance(&problem, x, *seconds, setting)?
+                method.advance(&problem, x, *seconds, setting, &mut kept)?
             };
             if *ends_at_control {
                 outcome.samples.push(ModalProblem::unpack(&x, self.scale).w);
@@ -234,7 +244,7 @@ impl Replay {
         for ReplayInterval { seconds, situation, theta, ends_at_control, .. } in &self.intervals {
             outcome.seconds += seconds;
             let problem = CarrierProblem::new(situation, *theta, self.scale);
-            x = method.advance(&problem, x, *seconds, setting)?;
+            x = method.advance(&problem, x, *seconds, setting, &mut None)?;
             if *ends_at_control {
                 outcome.samples.push(problem.phasor(&x));
             }

@@ -213,7 +213,7 @@ fn free_step<const N: usize, P: Problem<N>>(
         }
     };
     reset(&mut x);
-    let mut after = method.advance(problem, x, step, 1).unwrap_or([f64::NAN; N]);
+    let mut after = method.advance(problem, x, step, 1, &mut None).unwrap_or([f64::NAN; N]);
     reset(&mut after);
     after
 }
@@ -273,7 +273,8 @@ impl MatchedPiLoop {
     fn step(&self, mode: &Mode, [w, integral]: [f64; 2]) -> [f64; 2] {
         let drive = Drive { vpp: integral - self.kp * w, omega: mode.omega0 };
         let problem = EnvelopeProblem::new(&ProblemParameters::constant(*mode, drive));
-        let [after, _] = FixedStepMethod::Euler.advance(&problem, [w, 0.0], self.period, 1).unwrap_or([f64::NAN; 2]);
+        let [after, _] =
+            FixedStepMethod::Euler.advance(&problem, [w, 0.0], self.period, 1, &mut None).unwrap_or([f64::NAN; 2]);
         [after, integral - self.kp * (1.0 - self.zero) * w]
     }
 }

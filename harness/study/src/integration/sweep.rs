@@ -250,12 +250,18 @@ fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
         // The step matrix needs equations without the carrier's time.
         (IntegrationMethod::Fixed(FixedStepMethod::Verlet), EquationForm::Envelope | EquationForm::Modal)
         | (
-            IntegrationMethod::Fixed(FixedStepMethod::Gauss4 | FixedStepMethod::Gauss6 | FixedStepMethod::Exponential),
+            IntegrationMethod::Fixed(
+                FixedStepMethod::Gauss4
+                | FixedStepMethod::Gauss6
+                | FixedStepMethod::Exponential
+                | FixedStepMethod::KeptExponential,
+            ),
             EquationForm::Carrier,
         ) => Vec::new(),
-        (IntegrationMethod::Fixed(FixedStepMethod::Exponential), EquationForm::Envelope | EquationForm::Modal) => {
-            halved(&[0])
-        }
+        (
+            IntegrationMethod::Fixed(FixedStepMethod::Exponential | FixedStepMethod::KeptExponential),
+            EquationForm::Envelope | EquationForm::Modal,
+        ) => halved(&[0]),
         (IntegrationMethod::Fixed(_), EquationForm::Envelope) => halved(&[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12]),
         // Stable from 155 000 steps per ms; 39 000 on the carrier.
         (IntegrationMethod::Fixed(FixedStepMethod::Euler), EquationForm::Modal) => halved(&[8, 12, 16, 17, 18, 19]),
