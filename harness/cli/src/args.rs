@@ -116,7 +116,8 @@ pub(crate) enum Command {
 /// Ends the process on wrong usage and after help. Errors: the faults of `platebench.toml`.
 pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     let words = std::env::args_os().map(|word| word.to_string_lossy().into_owned());
-    let definition = Arguments::command().version(build_info::version()).color(color::requested(words).for_clap());
+    let definition =
+        Arguments::command().version(build_info::version()).color(color::choice_of_arguments(words).for_clap());
     let found = match std::env::current_dir() {
         Ok(folder) => Config::find_above(&folder, &definition),
         Err(_) => Ok(Config::default()),

@@ -6,7 +6,7 @@ const COMMIT: &str = env!("PLATEBENCH_BUILD_COMMIT");
 const PROFILE: &str = env!("PLATEBENCH_BUILD_PROFILE");
 const FEATURES: &str = env!("PLATEBENCH_BUILD_FEATURES");
 
-fn known(text: &str) -> Option<String> {
+fn non_empty(text: &str) -> Option<String> {
     (!text.is_empty()).then(|| text.to_owned())
 }
 
@@ -14,8 +14,8 @@ pub(crate) fn tool() -> Tool {
     Tool {
         name: "platebench".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        commit: known(COMMIT),
-        profile: known(PROFILE),
+        commit: non_empty(COMMIT),
+        profile: non_empty(PROFILE),
         features: FEATURES.split_whitespace().map(str::to_owned).collect(),
     }
 }

@@ -227,10 +227,13 @@ fn play(
     Ok(run_campaign_work(&cancel, work, Progress::new(total, quiet))?.err())
 }
 
+/// Sends the progress of a campaign's work, and its result at the end.
+type CampaignSender<R> = EventSender<Result<R, CampaignError>, PlayEvent>;
+
 /// The result, or the exit code if a signal ended the work.
 fn run_campaign_work<R: Send + 'static>(
     cancel: &CancelToken,
-    work: impl FnOnce(&mut EventSender<Result<R, CampaignError>, PlayEvent>) -> Result<R, CampaignError> + Send + 'static,
+    work: impl FnOnce(&mut CampaignSender<R>) -> Result<R, CampaignError> + Send + 'static,
     mut progress: Progress,
 ) -> Result<Result<R, Exit>, CampaignError> {
     match run_until_signal(cancel, None, work, |event| progress.add(event)) {

@@ -3,8 +3,8 @@
 use crate::config::Config;
 use crate::exit::Exit;
 use crate::options::{OutputFormat, SCENARIOS};
+use crate::selection::TagFilter;
 use crate::stdio;
-use crate::tags::TagFilter;
 use clap::{Args, Command};
 use platebench_acceptance::Plan;
 use platebench_boards::Inventory;

@@ -30,7 +30,7 @@ pub(crate) fn applies_to(output: &impl IsTerminal) -> bool {
 }
 
 /// Read before the command line is parsed: help and wrong usage have colours too.
-pub(crate) fn requested(words: impl Iterator<Item = String>) -> ColorArg {
+pub(crate) fn choice_of_arguments(words: impl Iterator<Item = String>) -> ColorArg {
     let words: Vec<_> = words.take_while(|word| word != "--").collect();
     let separate = words.windows(2).filter(|pair| pair.first().is_some_and(|word| word == "--color"));
     let separate = separate.filter_map(|pair| pair.last().map(String::as_str));
@@ -84,6 +84,6 @@ mod tests {
     #[case(&["run", "--", "--color=always"], ColorArg::Auto)]
     #[case(&["run", "--color", "blue"], ColorArg::Auto)]
     fn the_option_is_read_before_parsing(#[case] words: &[&str], #[case] expected: ColorArg) {
-        assert_eq!(requested(words.iter().map(ToString::to_string)), expected);
+        assert_eq!(choice_of_arguments(words.iter().map(ToString::to_string)), expected);
     }
 }

@@ -2,16 +2,14 @@
 
 use crate::exit::Exit;
 use crate::options::{SCENARIOS, job_count, parse_percent};
-use crate::run::report_if_empty;
+use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
-use crate::tags::TagFilter;
 use clap::Args;
 use platebench_firmware_analysis::{
     AnalysisError, Coverage, CoverageConfig, Suite, coverage_text, lcov, measure_coverage,
 };
 use platebench_rig::{CancelToken, RigSpec};
-use platebench_scenario::find;
 use platebench_trace::write_atomically;
 use std::fs;
 use std::io;
@@ -52,19 +50,15 @@ pub(crate) struct CoverageArgs {
 }
 
 pub(crate) fn coverage(arguments: &CoverageArgs) -> Exit {
-    let mut found = match find(&arguments.scenarios) {
-        Ok(found) => found,
-        Err(faults) => return stdio::reject_files(&faults),
+    let scenarios = match find_scenarios(&arguments.scenarios, &arguments.tags, |_| true) {
+        Ok(scenarios) => scenarios,
+        Err(exit) => return exit,
     };
-    arguments.tags.retain(&mut found.scenarios);
-    if report_if_empty(&found) {
-        return Exit::NothingToRun;
-    }
     let cancel = CancelToken::default();
     let (rig, only, jobs) = (arguments.rig.clone(), arguments.only.clone(), job_count(arguments.jobs));
     let work_cancel = cancel.clone();
     let work = move |_: &mut EventSender<_, ()>| {
-        let suite = Suite::new(&rig, found.scenarios)?;
+        let suite = Suite::new(&rig, scenarios)?;
         let config = CoverageConfig { suite, jobs, only, cancel: work_cancel };
         measure_coverage(&config).map(|coverage| (coverage, config.suite.not_applicable))
     };

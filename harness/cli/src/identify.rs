@@ -31,8 +31,9 @@ Examples:
   platebench identify runs/plate --out plate.toml --drive-limit-vpp 900 --page identification.html
   platebench identify telemetry.csv --columns time=t:ms,drive=V,frequency=f,wd=Wd,wq=Wq
 
-Columns: ROLE=NAME[:UNIT]; roles and units: time (s, ms, us), drive (Vpp, V for an amplitude), frequency (Hz, kHz, rad/s),
-wd and wq (um, nm, m, peak to peak), temperature (K above the reference) and force (N); the first unit is the default.
+Columns: ROLE=NAME[:UNIT]; roles and units: time (s, ms, us), drive (Vpp, V for an amplitude),
+frequency (Hz, kHz, rad/s), wd and wq (um, nm, m, peak to peak), temperature (K above the reference)
+and force (N); the first unit is the default.
 
 Exit codes: 0 identified, 2 unusable input, 3 the input does not determine the plate or is doubtful, 4 no recording")]
 pub(crate) struct IdentifyArgs {

@@ -52,12 +52,12 @@ mod report;
 mod run;
 mod run_plan;
 mod schema;
+mod selection;
 mod shutdown;
 mod soak;
 #[cfg(feature = "study")]
 mod stability;
 mod stdio;
-mod tags;
 mod trust;
 #[cfg(feature = "study")]
 mod tune;

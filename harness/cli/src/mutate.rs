@@ -3,15 +3,14 @@
 use crate::coverage::analysis_result;
 use crate::exit::Exit;
 use crate::options::{SCENARIOS, job_count, law_names, parse_percent};
-use crate::run::report_if_empty;
+use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, run_until_signal};
 use crate::stdio;
-use crate::tags::TagFilter;
 use clap::Args;
 use platebench_firmware_analysis::mutation::{MutantFilter, mutation_json, summary};
 use platebench_firmware_analysis::{MutationConfig, MutationReport, Suite, measure_mutation};
 use platebench_rig::{CancelToken, RigSpec};
-use platebench_scenario::find;
+use platebench_scenario::Scenario;
 use platebench_trace::write_atomically;
 use std::fs;
 use std::io;
@@ -27,7 +26,7 @@ Examples:
   platebench mutate --law dq-pi --until-width 5
   platebench mutate scenarios/paper --rig emulated:firmware.elf --function control_step --at-least 90
 
-Exit codes: 0 measured, 1 the mutation score is below --at-least, 2 invalid input or a scenario fails without a mutant")]
+Exit codes: 0 measured, 1 the mutation score is below --at-least, 2 invalid input or a scenario fails without mutants")]
 pub(crate) struct MutateArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
@@ -67,17 +66,11 @@ pub(crate) struct MutateArgs {
 }
 
 pub(crate) fn mutate(arguments: &MutateArgs, quiet: bool) -> Exit {
-    let mut found = match find(&arguments.scenarios) {
-        Ok(found) => found,
-        Err(faults) => return stdio::reject_files(&faults),
+    let has_law = |scenario: &Scenario| arguments.law.as_ref().is_none_or(|law| scenario.controller.law == *law);
+    let scenarios = match find_scenarios(&arguments.scenarios, &arguments.tags, has_law) {
+        Ok(scenarios) => scenarios,
+        Err(exit) => return exit,
     };
-    arguments.tags.retain(&mut found.scenarios);
-    if let Some(law) = &arguments.law {
-        found.scenarios.retain(|scenario| scenario.controller.law == *law);
-    }
-    if report_if_empty(&found) {
-        return Exit::NothingToRun;
-    }
     let cancel = CancelToken::default();
     let rig = arguments.rig.clone();
     let filter = MutantFilter { functions: arguments.function.clone(), files: arguments.file.clone() };
@@ -85,7 +78,7 @@ pub(crate) fn mutate(arguments: &MutateArgs, quiet: bool) -> Exit {
         (arguments.sample.map(|count| count as usize), arguments.until_width, arguments.seed);
     let (jobs, work_cancel) = (job_count(arguments.jobs), cancel.clone());
     let work = move |events: &mut EventSender<_, ()>| {
-        let suite = Suite::new(&rig, found.scenarios)?;
+        let suite = Suite::new(&rig, scenarios)?;
         let config = MutationConfig { suite, filter, sample, until_width, seed, jobs, cancel: work_cancel };
         measure_mutation(&config, &mut |_| events.send(()))
     };

@@ -8,9 +8,10 @@ pub(crate) use arguments::RunArgs;
 
 use crate::exit::Exit;
 use crate::options::{OutputFormat, SCENARIOS};
+use crate::selection::report_if_empty;
 use crate::stdio;
 use platebench_report::{Detail, scenario_list};
-use platebench_scenario::{FoundScenarios, Scenario, find};
+use platebench_scenario::{Scenario, find};
 use std::path::Path;
 
 pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> Exit {
@@ -74,16 +75,4 @@ fn find_scenarios(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>, 
         return Err(Exit::NothingToRun);
     }
     Ok(scenarios)
-}
-
-/// Reports and returns true if no scenario was found, or a named folder is empty.
-pub(crate) fn report_if_empty(found: &FoundScenarios) -> bool {
-    if found.scenarios.is_empty() {
-        stdio::error("there is nothing to run");
-        return true;
-    }
-    for folder in &found.empty_folders {
-        stdio::error(&format!("{}: there is nothing to run below it", folder.display()));
-    }
-    !found.empty_folders.is_empty()
 }

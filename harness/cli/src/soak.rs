@@ -4,7 +4,7 @@ use crate::board_args::{BoardArgs, release};
 use crate::clock::{ClockRequest, check_line_speed};
 use crate::exit::Exit;
 use crate::options::{ClockArg, PacingArg, PlateModeArg, SCENARIOS, law_names};
-use crate::run::report_if_empty;
+use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
 use clap::Args;
@@ -13,7 +13,6 @@ use platebench_record::Overrides;
 use platebench_report::page::{self, BlockPage, PageBlock};
 use platebench_rig::ConnectOptions;
 use platebench_runner::{CancelToken, RunError, RunPlan, rejudge};
-use platebench_scenario::find;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -71,11 +70,7 @@ fn play_on_board(arguments: &SoakArgs) -> Result<Exit, Exit> {
         wire_time: false,
     };
     let clock = request.resolve().map_err(|fault| stdio::reject(&fault))?;
-    let found = find(&arguments.scenarios).map_err(|faults| stdio::reject_files(&faults))?;
-    if report_if_empty(&found) {
-        return Err(Exit::NothingToRun);
-    }
-    let mut scenarios = found.scenarios;
+    let mut scenarios = find_scenarios(&arguments.scenarios, &TagFilter::default(), |_| true)?;
     let (law, name) = (arguments.law.clone(), Some(board.name.clone()));
     let overrides = Overrides { law, board: name, ..Overrides::default() };
     for scenario in &mut scenarios {

@@ -2,15 +2,14 @@
 
 use crate::exit::Exit;
 use crate::options::{OutputFormat, SCENARIOS, job_count};
-use crate::run::report_if_empty;
+use crate::selection::{TagFilter, find_scenarios};
 use crate::stdio;
-use crate::tags::TagFilter;
 use clap::Args;
 use platebench_explore::Envelope;
 use platebench_explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
 use platebench_record::Verdict;
 use platebench_rig::CancelToken;
-use platebench_scenario::{Diagnostic, find};
+use platebench_scenario::Diagnostic;
 use platebench_trace::write_atomically;
 use platebench_trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
 use std::fs;
@@ -57,16 +56,12 @@ pub(crate) struct TrustArgs {
 }
 
 pub(crate) fn trust(arguments: &TrustArgs) -> Exit {
-    let mut found = match find(&arguments.scenarios) {
-        Ok(found) => found,
-        Err(faults) => return stdio::reject_files(&faults),
+    let scenarios = match find_scenarios(&arguments.scenarios, &arguments.tags, |_| true) {
+        Ok(scenarios) => scenarios,
+        Err(exit) => return exit,
     };
-    arguments.tags.retain(&mut found.scenarios);
-    if report_if_empty(&found) {
-        return Exit::NothingToRun;
-    }
     let config = TrustConfig {
-        scenarios: found.scenarios,
+        scenarios,
         mutants: catalogue(),
         variants: clean_variants(),
         clean_runs: arguments.clean,

@@ -43,7 +43,8 @@ impl SessionObserver for SessionProgress {
         if let Some(mut progress) = self.progress.take() {
             progress.finish();
         }
-        let verdict = step.verdict.map_or("done", |verdict| verdict.name());
+        let is_answered = step.answer.as_ref().is_none_or(|answer| answer.text.is_some());
+        let verdict = step.verdict.map_or(if is_answered { "done" } else { "no answer" }, |verdict| verdict.name());
         let reason = step.reason.as_deref().map_or_else(String::new, |reason| format!(", {reason}"));
         self.print(&format!("{}  {verdict}{reason}", step.id));
     }

@@ -6,7 +6,7 @@ use crate::options::{
     ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_keep_traces, parse_time_scale,
 };
 use crate::outputs::Outputs;
-use crate::tags::TagFilter;
+use crate::selection::TagFilter;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use platebench_plate::Tier;

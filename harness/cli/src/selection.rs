@@ -1,9 +1,36 @@
-//! Selects scenarios by their tags.
+//! Finds the scenarios of a command and selects them by their tags.
 
+use crate::exit::Exit;
 use crate::stdio;
 use clap::Args;
-use platebench_scenario::{Scenario, suggestion};
+use platebench_scenario::{FoundScenarios, Scenario, find, suggestion};
 use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+/// Reports and returns true if no scenario was found, or a named folder is empty.
+pub(crate) fn report_if_empty(found: &FoundScenarios) -> bool {
+    if found.scenarios.is_empty() {
+        stdio::error("there is nothing to run");
+        return true;
+    }
+    for folder in &found.empty_folders {
+        stdio::error(&format!("{}: there is nothing to run below it", folder.display()));
+    }
+    !found.empty_folders.is_empty()
+}
+
+/// The scenarios at `paths`, files and folders, that `tags` and `keep` select: at least one. Otherwise reports every
+/// fault and returns the exit code.
+pub(crate) fn find_scenarios(
+    paths: &[PathBuf],
+    tags: &TagFilter,
+    keep: impl Fn(&Scenario) -> bool,
+) -> Result<Vec<Scenario>, Exit> {
+    let mut found = find(paths).map_err(|faults| stdio::reject_files(&faults))?;
+    tags.retain(&mut found.scenarios);
+    found.scenarios.retain(keep);
+    if report_if_empty(&found) { Err(Exit::NothingToRun) } else { Ok(found.scenarios) }
+}
 
 /// Tags of scenarios.
 #[derive(Debug, Clone, Default, Args)]
