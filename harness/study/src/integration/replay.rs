@@ -2,7 +2,9 @@
 
 use crate::integration::failure::MethodFailure;
 use crate::integration::method::IntegrationMethod;
-use crate::integration::problem::{CarrierProblem, EnvelopeProblem, ModalProblem, ProblemParameters, TimeVarying};
+use crate::integration::problem::{
+    CarrierProblem, EnvelopeProblem, ModalProblem, Problem, ProblemParameters, TimeVarying,
+};
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, State, Tier, Time};
 use std::f64::consts::TAU;
 
@@ -168,67 +170,51 @@ impl Replay {
         outcome.samples.clear();
         (outcome.seconds, outcome.failure) = (0.0, None);
         let played = match frame {
-            EquationForm::Envelope => self.integrate_envelope(method, setting, outcome),
-            EquationForm::Modal => self.integrate_modal(method, setting, outcome),
+            EquationForm::Envelope => self.integrate_phasors::<_, 2, 3>(
+                method,
+                setting,
+                outcome,
+                EnvelopeProblem::new,
+                EnvelopeProblem::unpack,
+            ),
+            EquationForm::Modal => self.integrate_phasors::<_, 4, 5>(
+                method,
+                setting,
+                outcome,
+                |situation| ModalProblem::new(situation, self.scale),
+                |x| ModalProblem::unpack(x, self.scale),
+            ),
             EquationForm::Carrier => self.integrate_carrier(method, setting, outcome),
         };
         outcome.failure = played.err();
     }
 
-    fn integrate_envelope(
+    /// For problems of N components in the rotating frame; M = N + 1 includes the clock of a mode that changes.
+    fn integrate_phasors<P: Problem<N>, const N: usize, const M: usize>(
         &self,
         method: IntegrationMethod,
         setting: f64,
         outcome: &mut ReplayResult,
-    ) -> Result<(), MethodFailure> {
-        let (mut x, mut kept) = ([0.0; 2], None);
+        problem: impl Fn(&ProblemParameters) -> P,
+        unpack: impl Fn(&[f64; N]) -> State,
+    ) -> Result<(), MethodFailure>
+    where
+        TimeVarying<P>: Problem<M>,
+    {
+        let (mut x, mut kept) = ([0.0; N], None);
         for ReplayInterval { seconds, situation, ends_at_control, .. } in &self.intervals {
             outcome.seconds += seconds;
-            let problem = EnvelopeProblem::new(situation);
-            x = if situation.is_time_varying() {
-                let [re, im, _] = method.advance(
-                    &TimeVarying::new(problem, situation),
-                    [x[0], x[1], 0.0],
-                    *seconds,
-                    setting,
-                    &mut None,
-                )?;
-                [re, im]
+            let problem = problem(situation);
+            if situation.is_time_varying() {
+                let mut with_clock = [0.0; M];
+                with_clock[..N].copy_from_slice(&x);
+                let varying = TimeVarying::new(problem, situation);
+                x.copy_from_slice(&method.advance(&varying, with_clock, *seconds, setting, &mut None)?[..N]);
             } else {
-                method.advance(&problem, x, *seconds, setting, &mut kept)?
-            };
-            if *ends_at_control {
-                outcome.samples.push(EnvelopeProblem::unpack(&x).w);
+                x = method.advance(&problem, x, *seconds, setting, &mut kept)?;
             }
-        }
-        Ok(())
-    }
-
-    fn integrate_modal(
-        &self,
-        method: IntegrationMethod,
-        setting: f64,
-        outcome: &mut ReplayResult,
-    ) -> Result<(), MethodFailure> {
-        let (mut x, mut kept) = ([0.0; 4], None);
-        for ReplayInterval { seconds, situation, ends_at_control, .. } in &self.intervals {
-            outcome.seconds += seconds;
-            let problem = ModalProblem::new(situation, self.scale);
-            x = if situation.is_time_varying() {
-                let [a, b, c, d] = x;
-                let [a, b, c, d, _] = method.advance(
-                    &TimeVarying::new(problem, situation),
-                    [a, b, c, d, 0.0],
-                    *seconds,
-                    setting,
-                    &mut None,
-                )?;
-                [a, b, c, d]
-            } else {
-                method.advance(&problem, x, *seconds, setting, &mut kept)?
-            };
             if *ends_at_control {
-                outcome.samples.push(ModalProblem::unpack(&x, self.scale).w);
+                outcome.samples.push(unpack(&x).w);
             }
         }
         Ok(())
