@@ -1,7 +1,7 @@
 //! Asks a question of the plan and records the answer.
 
 use crate::error::AcceptError;
-use crate::plan::{AnswerKind, Ask, When};
+use crate::plan::{AnswerKind, Ask, QuestionTime};
 use crate::session_record::{AnswerRecord, StepRecord, may_have_board};
 use platebench_record::Verdict;
 use platebench_rig::RigSpec;
@@ -25,7 +25,7 @@ pub(crate) fn ask_operator(
         return Err(AcceptError::Cancelled);
     }
     if ask.answer == AnswerKind::Confirm {
-        if ask.when == When::Before && !answer.is_yes() {
+        if ask.when == QuestionTime::Before && !answer.is_yes() {
             let question = ask.question.clone();
             match answer {
                 Answer::Absent if may_have_board(rig) => {
@@ -65,7 +65,12 @@ mod tests {
         }
     }
 
-    fn ask_with_answer(rig: &str, answer: AnswerKind, when: When, given: Answer) -> Result<StepRecord, AcceptError> {
+    fn ask_with_answer(
+        rig: &str,
+        answer: AnswerKind,
+        when: QuestionTime,
+        given: Answer,
+    ) -> Result<StepRecord, AcceptError> {
         let ask = Ask { id: "safe".to_owned(), question: "Is it safe?".to_owned(), answer, when };
         let mut step = StepRecord::new("02-ask-safe".to_owned(), &ask.question, StepKind::Ask);
         ask_operator(&ask, &rig.parse().unwrap(), &mut step, &FixedAnswer(given), &CancelToken::never()).map(|()| step)
@@ -78,13 +83,13 @@ mod tests {
     #[test]
     fn a_rig_with_a_board_needs_a_confirmation() {
         for rig in BOARD_RIGS {
-            let stopped = ask_with_answer(rig, AnswerKind::Confirm, When::Before, Answer::Absent).unwrap_err();
+            let stopped = ask_with_answer(rig, AnswerKind::Confirm, QuestionTime::Before, Answer::Absent).unwrap_err();
             assert!(matches!(&stopped, AcceptError::Unanswered { question, .. } if question == "Is it safe?"), "{rig}");
             let message = stopped.to_string();
             assert!(message.contains(rig) && message.contains("--yes"), "{message}");
         }
         for rig in SIMULATED_RIGS {
-            let step = ask_with_answer(rig, AnswerKind::Confirm, When::Before, Answer::Absent).unwrap();
+            let step = ask_with_answer(rig, AnswerKind::Confirm, QuestionTime::Before, Answer::Absent).unwrap();
             assert_eq!(step.verdict, Some(Verdict::Inconclusive), "{rig}");
         }
     }
@@ -94,9 +99,9 @@ mod tests {
     #[case::command_line(Answer::CommandLine("yes".to_owned()))]
     fn yes_continues_and_no_stops_on_every_rig(#[case] yes: Answer) {
         for rig in BOARD_RIGS.iter().chain(&SIMULATED_RIGS) {
-            let step = ask_with_answer(rig, AnswerKind::Confirm, When::Before, yes.clone()).unwrap();
+            let step = ask_with_answer(rig, AnswerKind::Confirm, QuestionTime::Before, yes.clone()).unwrap();
             assert_eq!(step.verdict, Some(Verdict::Pass), "{rig}");
-            let no = ask_with_answer(rig, AnswerKind::Confirm, When::Before, Answer::Terminal("no".to_owned()));
+            let no = ask_with_answer(rig, AnswerKind::Confirm, QuestionTime::Before, Answer::Terminal("no".to_owned()));
             assert!(matches!(no, Err(AcceptError::AnsweredNo(_))), "{rig}");
         }
     }
@@ -104,10 +109,10 @@ mod tests {
     #[test]
     fn a_no_after_the_last_scenario_does_not_stop() {
         for given in [Answer::Absent, Answer::Terminal("no".to_owned())] {
-            let step = ask_with_answer("serial:p", AnswerKind::Confirm, When::After, given).unwrap();
+            let step = ask_with_answer("serial:p", AnswerKind::Confirm, QuestionTime::After, given).unwrap();
             assert_eq!(step.verdict, Some(Verdict::Inconclusive));
         }
-        let step = ask_with_answer("serial:p", AnswerKind::Text, When::Before, Answer::Absent).unwrap();
+        let step = ask_with_answer("serial:p", AnswerKind::Text, QuestionTime::Before, Answer::Absent).unwrap();
         assert_eq!((step.verdict, step.answer.unwrap().text), (None, None), "a text decides nothing");
     }
 }

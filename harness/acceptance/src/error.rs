@@ -69,8 +69,8 @@ pub enum AcceptError {
     #[error("stopped at \"{0}\": the answer was no; resume the session when the answer is yes")]
     AnsweredNo(String),
     #[error(
-        "stopped at \"{question}\": no answer, and {rig} may drive a plate; answer at a terminal, or confirm beforehand \
-         with --yes"
+        "stopped at \"{question}\": no answer, and {rig} may drive a plate; answer at a terminal, or \
+         confirm beforehand with --yes"
     )]
     Unanswered {
         question: String,

@@ -161,13 +161,17 @@ fn evidence(session: &SessionRecord) -> Markup {
             h2 { "Evidence" }
             table.evidence {
                 thead { tr {
-                    th { "Requirement" } th { "Scenario" } th { "Metric" } th { "Limit" } th { "Value" } th { "Verdict" }
+                    th { "Requirement" } th { "Scenario" } th { "Metric" }
+                        th { "Limit" } th { "Value" } th { "Verdict" }
                 } }
                 tbody { @for requirement in &session.requirements { @for evidence in &requirement.evidence {
                     tr {
                         th scope="row" { (requirement.id) }
                         td { a href={ (STEPS) "/" (evidence.step) "/report.html" } { (evidence.scenario) } }
-                        td { code { (evidence.metric) } @if let Some(reason) = &evidence.reason { span.file { (reason) } } }
+                        td {
+                            code { (evidence.metric) }
+                            @if let Some(reason) = &evidence.reason { span.file { (reason) } }
+                        }
                         td.number { (evidence.demanded) }
                         td.number {
                             (evidence.found.as_deref().unwrap_or("–"))
@@ -257,7 +261,8 @@ fn signatures(session: &SessionRecord) -> Markup {
             p {
                 @match &session.signature {
                     Some(signature) => {
-                        "manifest.sha256 is signed with an " (signature.algorithm) " key; the public key is in session.json."
+                        "manifest.sha256 is signed with an " (signature.algorithm)
+                            " key; the public key is in session.json."
                     },
                     None => "This record has no electronic signature.",
                 }

@@ -33,7 +33,7 @@ struct RawPlan {
     /// Scenarios; at least one.
     #[serde(default)]
     #[schemars(length(min = 1))]
-    scenario: Vec<RawPlanned>,
+    scenario: Vec<RawPlannedScenario>,
     /// Questions to the operator.
     #[serde(default)]
     ask: Vec<Ask>,
@@ -63,7 +63,7 @@ const fn thirty() -> u32 {
 
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-struct RawPlanned {
+struct RawPlannedScenario {
     /// Scenario file, relative to the plan.
     file: PathBuf,
     /// Its trials; the plan's by default.
@@ -86,7 +86,7 @@ pub struct Ask {
     pub answer: AnswerKind,
     /// Time of the question.
     #[serde(default)]
-    pub when: When,
+    pub when: QuestionTime,
 }
 
 /// Kind of answer.
@@ -105,7 +105,7 @@ pub enum AnswerKind {
 /// Time of a question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum When {
+pub enum QuestionTime {
     /// Before the first scenario. A no stops the session; so does no answer if the rig may drive a plate.
     #[default]
     Before,

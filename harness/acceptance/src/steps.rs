@@ -1,6 +1,6 @@
 //! Lists the steps of a session.
 
-use crate::plan::{Ask, Plan, PlannedScenario, When};
+use crate::plan::{Ask, Plan, PlannedScenario, QuestionTime};
 use crate::session_record::{StepKind, StepRecord};
 
 #[derive(Debug, Clone, Copy)]
@@ -15,10 +15,10 @@ pub(crate) enum StepAction<'a> {
 pub(crate) fn step_actions(plan: &Plan) -> Vec<StepAction<'_>> {
     let asks = |when| plan.asks.iter().filter(move |ask| ask.when == when).map(StepAction::Ask);
     let mut actions = vec![StepAction::Identity];
-    actions.extend(asks(When::Before));
+    actions.extend(asks(QuestionTime::Before));
     actions.extend([StepAction::SelfTest, StepAction::Trust]);
     actions.extend(plan.scenarios.iter().map(StepAction::Scenario));
-    actions.extend(asks(When::After));
+    actions.extend(asks(QuestionTime::After));
     actions
 }
 

@@ -268,8 +268,8 @@ impl Checker<'_> {
         for (key, distribution) in raw {
             let first = key.split('.').next().unwrap_or_default();
             if FIXED_KEYS.contains(&first) && !key.starts_with(PLATE_PREFIX) {
-                let message = "cannot be varied; expected a key of the scenario's scene, controller or limits, or a key \
-                               of the plate file after `plate.`";
+                let message = "cannot be varied; expected a key of the scenario's scene, controller or limits, \
+                               or a key of the plate file after `plate.`";
                 faults.push(self.vary_fault(&key, message));
                 continue;
             }

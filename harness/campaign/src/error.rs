@@ -39,7 +39,8 @@ pub enum CampaignError {
     )]
     ChangedInput(PathBuf),
     #[error(
-        "this platebench program is not the one that planned the campaign; its SHA-256 is {found}, plan.json has {planned}"
+        "this platebench program is not the one that planned the campaign; \
+         its SHA-256 is {found}, plan.json has {planned}"
     )]
     OtherBench { found: String, planned: String },
     #[error(

@@ -1,7 +1,7 @@
 //! Collects what the chains of a campaign found.
 
 use crate::campaign::{Campaign, Method};
-use crate::rare::{ChainEstimate, Combined, RareMethod};
+use crate::rare::{ChainEstimate, CombinedEstimate, RareMethod};
 use crate::row::Row;
 use platebench_record::Verdict;
 use serde_json::{Value, json};
@@ -48,13 +48,13 @@ impl ChainOutcome {
     }
 
     /// `None` without estimates.
-    pub fn combined(&self) -> Option<Combined> {
-        (!self.estimates.is_empty()).then(|| Combined::new(&self.estimates))
+    pub fn combine_chains(&self) -> Option<CombinedEstimate> {
+        (!self.estimates.is_empty()).then(|| CombinedEstimate::new(&self.estimates))
     }
 
     /// Pass and fail as for any share; a chain without an estimate excludes a pass.
     pub(crate) fn rare_verdict(&self, at_most: Option<f64>, confidence: f64) -> Verdict {
-        let Some(combined) = self.combined() else { return Verdict::Inconclusive };
+        let Some(combined) = self.combine_chains() else { return Verdict::Inconclusive };
         let [low, high] = combined.interval(confidence);
         match at_most {
             Some(share) if low > share => Verdict::Fail,
@@ -86,7 +86,7 @@ impl ChainOutcome {
     }
 
     pub(crate) fn rare_json(&self, confidence: f64) -> Value {
-        let combined = self.combined();
+        let combined = self.combine_chains();
         let methods = self.methods().into_iter();
         let methods =
             methods.map(|(method, chains, reason)| json!({ "method": method, "chains": chains, "reason": reason }));
@@ -116,12 +116,13 @@ impl ChainOutcome {
     }
 
     pub(crate) fn rare_text(&self, confidence: f64) -> String {
-        let Some(combined) = self.combined() else {
+        let Some(combined) = self.combine_chains() else {
             return "no estimate: the trials of a chain are too few\n".to_owned();
         };
         let [low, high] = combined.interval(confidence);
         let mut text = format!(
-            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} %; coefficient of variation {:.3}\n",
+            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} %; \
+             coefficient of variation {:.3}\n",
             combined.probability,
             confidence * 100.0,
             combined.coefficient_of_variation

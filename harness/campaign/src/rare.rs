@@ -11,7 +11,7 @@ mod estimates;
 pub(crate) mod importance;
 pub(crate) mod subset;
 
-pub use estimates::{ChainEstimate, Combined, RareMethod};
+pub use estimates::{ChainEstimate, CombinedEstimate, RareMethod};
 
 /// Source of trials. `None` if the trials are used up, or the campaign was cancelled.
 pub(crate) type Score<'a> = dyn FnMut(&[f64]) -> Option<f64> + 'a;

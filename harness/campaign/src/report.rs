@@ -27,8 +27,8 @@ pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Res
     let worst_links = summary.worst.iter().map(|row| links.get(&row.trial).cloned());
     blocks.push(PageBlock::LinkedTable(worst_trials(summary), worst_links.collect()));
     if !summary.failing.is_empty() {
-        let text = "Each failing trial of this table is a scenario in the folder counterexamples; `platebench run` plays \
-                    it again.";
+        let text = "Each failing trial of this table is a scenario in the folder counterexamples; \
+                    `platebench run` plays it again.";
         blocks.push(PageBlock::Text(text.to_owned()));
     }
     blocks.push(PageBlock::Heading("Files".to_owned()));

@@ -119,7 +119,7 @@ impl<'a> Summary<'a> {
         let confidence = self.campaign.confidence;
         match self.campaign.method {
             Method::Search => None,
-            Method::Rare => self.chains.combined().map(|combined| combined.interval(confidence)),
+            Method::Rare => self.chains.combine_chains().map(|combined| combined.interval(confidence)),
             Method::Grid | Method::Random | Method::Sobol => self.overall.interval(confidence),
         }
     }

@@ -166,7 +166,7 @@ pub fn explore(
     let started = Instant::now();
     let mut exploration = Exploration::default();
     play_regressions(config, connect, cancel, &mut exploration)?;
-    let shared = Shared { config, connect, cancel, started, next: AtomicU64::new(0), failed: AtomicU64::new(0) };
+    let shared = WorkerState { config, connect, cancel, started, next: AtomicU64::new(0), failed: AtomicU64::new(0) };
     let (sender, results) = mpsc::channel();
     thread::scope(|scope| {
         for _ in 0..config.jobs.max(1) {
@@ -177,7 +177,7 @@ pub fn explore(
         let mut outcome = Ok(());
         for result in results {
             match result {
-                Ok(Played { index, scene, result, history }) => {
+                Ok(PlayedScene { index, scene, result, history }) => {
                     exploration.add(&scene, index, &result, &config.envelope);
                     if !result.failures.is_empty() {
                         exploration.failed.push(FailedScene { index, failures: result.failures, history });
@@ -218,14 +218,14 @@ fn play_regressions(
     Ok(())
 }
 
-struct Played {
+struct PlayedScene {
     index: u64,
     scene: Scene,
     result: SceneResult,
     history: Vec<u64>,
 }
 
-struct Shared<'a> {
+struct WorkerState<'a> {
     config: &'a ExploreConfig,
     connect: &'a Connect<'a>,
     cancel: &'a CancelToken,
@@ -234,7 +234,7 @@ struct Shared<'a> {
     failed: AtomicU64,
 }
 
-impl Shared<'_> {
+impl WorkerState<'_> {
     fn is_over(&self, index: u64) -> bool {
         let used = match self.config.budget {
             Budget::Time(time) => self.started.elapsed() >= time,
@@ -243,14 +243,14 @@ impl Shared<'_> {
         used || self.cancel.is_cancelled() || self.failed.load(Ordering::Relaxed) >= self.config.max_failed
     }
 
-    fn run_worker(&self, results: &mpsc::Sender<Result<Played, ExploreError>>) {
+    fn run_worker(&self, results: &mpsc::Sender<Result<PlayedScene, ExploreError>>) {
         if let Err(error) = self.play_scenes(results) {
             // The receiver ends after the last worker.
             let _ = results.send(Err(error));
         }
     }
 
-    fn play_scenes(&self, results: &mpsc::Sender<Result<Played, ExploreError>>) -> Result<(), ExploreError> {
+    fn play_scenes(&self, results: &mpsc::Sender<Result<PlayedScene, ExploreError>>) -> Result<(), ExploreError> {
         let generator = self.config.generator();
         let mut staging = Staging::new()?;
         let mut player = Player::new(self.connect, self.config.own_clock, self.cancel);
@@ -270,7 +270,7 @@ impl Shared<'_> {
             if !result.failures.is_empty() {
                 self.failed.fetch_add(1, Ordering::Relaxed);
             }
-            let played = Played { index, scene, result, history: history.clone() };
+            let played = PlayedScene { index, scene, result, history: history.clone() };
             history.push(index);
             if history.len() > MAX_HISTORY {
                 history.remove(0);

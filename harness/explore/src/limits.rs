@@ -182,8 +182,8 @@ impl<'a> Limits<'a> {
         if self.properties.adapts_to_damping { mismatch.min(MAX_MISMATCH) } else { 0.0 }
     }
 
-    /// Share of a wrong damping that is left after `time_us`.
-    pub(crate) fn tracked(&self, time_us: u32) -> f64 {
+    /// Share of an error of damping or resonance that the law has not corrected after `time_us`.
+    pub(crate) fn tracking_remainder(&self, time_us: u32) -> f64 {
         (-f64::from(time_us) * 1e-6 / (self.period_s * self.properties.tracking_periods.max(1.0))).exp()
     }
 

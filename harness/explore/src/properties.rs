@@ -206,8 +206,8 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
         }
         let is_driven = trial.setpoint_at(change.to_us) > 0.0;
         if is_driven {
-            mismatch *= limits.tracked(window.quiet_us());
-            moved_hz *= limits.tracked(window.quiet_us());
+            mismatch *= limits.tracking_remainder(window.quiet_us());
+            moved_hz *= limits.tracking_remainder(window.quiet_us());
         }
         was_steady = window.quiet_us() >= judge.steady_us();
         // At rest nothing is learned.
@@ -339,8 +339,8 @@ impl WindowJudge<'_> {
             return;
         }
         let noise = self.noise_percent(level);
-        let mismatch = self.mismatch * self.limits.tracked(from_us - change.to_us) * 100.0;
-        let moved_hz = self.moved_hz * self.limits.tracked(until_us - change.to_us);
+        let mismatch = self.mismatch * self.limits.tracking_remainder(from_us - change.to_us) * 100.0;
+        let moved_hz = self.moved_hz * self.limits.tracking_remainder(until_us - change.to_us);
         let pairs = [
             (Property::StaticError, STATIC_ERROR_PERCENT + STATIC_OF_MISMATCH * mismatch + noise),
             (Property::Ripple, RIPPLE_PERCENT + RIPPLE_OF_MISMATCH * mismatch + 2.0 * noise),

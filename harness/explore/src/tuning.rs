@@ -63,7 +63,8 @@ impl Tuning {
             };
             let ([kp, ki], [frequency_kp, frequency_ki]) = (scaled(design.gain, amplitude), scaled(tau, frequency));
             let gains = format!(
-                "{{ amplitude_kp = {kp}, amplitude_ki = {ki}, frequency_kp = {frequency_kp}, frequency_ki = {frequency_ki} }}"
+                "{{ amplitude_kp = {kp}, amplitude_ki = {ki}, \
+                 frequency_kp = {frequency_kp}, frequency_ki = {frequency_ki} }}"
             );
             keys.push(("gains", gains));
         }

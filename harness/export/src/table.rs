@@ -66,7 +66,10 @@ pub(crate) fn write_description(file: &File, path: &Path) -> Result<(), ExportEr
         .iter()
         .map(|(name, kind, meaning)| json!({"name": name, "datatype": kind, "dc:description": meaning}));
     let numbers = NUMBER_COLUMNS.iter().map(|number| {
-        json!({"name": number.name, "datatype": "double", "schema:unitText": number.unit, "dc:description": number.meaning})
+        json!({
+            "name": number.name,
+            "datatype": "double", "schema:unitText": number.unit,
+            "dc:description": number.meaning})
     });
     let flags = FLAG_COLUMNS
         .iter()

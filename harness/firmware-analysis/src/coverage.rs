@@ -163,7 +163,7 @@ pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisErr
         };
         let outcome = play(session, scenario, *law, &config.cancel).ok_or(AnalysisError::Cancelled)??;
         check_baseline(scenario, &outcome)?;
-        Ok(session.link_mut().inner_mut().executed().clone())
+        Ok(session.link_mut().inner_mut().executed_instructions().clone())
     };
     in_parallel(config.jobs, order.len(), work, |ran| {
         for (address, in_step) in ran {

@@ -242,7 +242,8 @@ pub unsafe extern "C" fn fmi3FreeFMUState(_instance: *mut c_void, state: *mut *m
     OK
 }
 
-/// Functions that only return a status. In the C convention of Linux the caller owns the arguments, so none is declared.
+/// Functions that only return a status. In the C convention of Linux the caller owns the arguments, so none is
+/// declared.
 macro_rules! status_functions {
     ($status:expr => $($name:ident)*) => {
         $(

@@ -79,12 +79,12 @@ impl fmt::Display for Doubt {
 }
 
 pub(crate) fn doubtful_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec<Doubt> {
-    let mut doubts: Vec<Doubt> = fitted.iter().flat_map(|(recording, _)| clipped(recording)).collect();
+    let mut doubts: Vec<Doubt> = fitted.iter().flat_map(|(recording, _)| find_clipping(recording)).collect();
     let coloured: Vec<_> = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).collect();
     let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
     if !coloured.is_empty() && !is_explained_by_chance(coloured.len(), tested) {
         doubts.push(Doubt::Residuals { rejected: coloured.len(), tested });
-        let swapped = coloured.iter().filter(|(recording, fit)| fits_better_exchanged(recording, fit));
+        let swapped = coloured.iter().filter(|(recording, fit)| fits_better_with_exchanged_components(recording, fit));
         doubts.extend(swapped.map(|(recording, _)| Doubt::Swapped { recording: recording.name.clone() }));
     }
     doubts
@@ -117,7 +117,7 @@ pub(crate) fn is_coloured(recording: &Recording, fit: &DirectFit) -> bool {
     fit.whiteness.is_some_and(|white| white.is_rejected()) && fit.noise_um > ROUNDING * largest
 }
 
-fn clipped(recording: &Recording) -> Vec<Doubt> {
+fn find_clipping(recording: &Recording) -> Vec<Doubt> {
     type Component = fn(&Complex64) -> f64;
     let components: [(&str, Component); 2] = [("Wd", |w| w.re), ("Wq", |w| w.im)];
     let mut doubts = Vec::new();
@@ -137,7 +137,7 @@ fn clipped(recording: &Recording) -> Vec<Doubt> {
     doubts
 }
 
-fn fits_better_exchanged(recording: &Recording, fit: &DirectFit) -> bool {
+fn fits_better_with_exchanged_components(recording: &Recording, fit: &DirectFit) -> bool {
     let exchange = |output: &RecordedSample| RecordedSample { w: Complex64::new(output.w.im, output.w.re), ..*output };
     let exchanged = Recording { outputs: recording.outputs.iter().map(exchange).collect(), ..recording.clone() };
     fit_direct(&exchanged).is_ok_and(|other| other.noise_um < 0.5 * fit.noise_um)

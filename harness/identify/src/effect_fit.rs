@@ -112,7 +112,7 @@ impl EffectModel<'_> {
     }
 
     /// The first mode is the one with the larger gain: start parameters with the modes exchanged, if they are not so.
-    fn exchanged(&self, theta: &DVector<f64>) -> Option<DVector<f64>> {
+    fn exchange_modes(&self, theta: &DVector<f64>) -> Option<DVector<f64>> {
         if self.kind != EffectKind::SecondMode || theta[7].abs() <= 1.0 {
             return None;
         }
@@ -127,7 +127,7 @@ impl EffectModel<'_> {
         let residuals = |theta: &DVector<f64>| self.residuals(theta);
         let found = self.start_points(one_mode)?.into_iter().filter_map(|start| minimise(&residuals, start));
         let (theta, squares) = found.min_by(|a, b| a.1.total_cmp(&b.1))?;
-        let (theta, squares) = match self.exchanged(&theta) {
+        let (theta, squares) = match self.exchange_modes(&theta) {
             Some(exchanged) => minimise(&residuals, exchanged)?,
             None => (theta, squares),
         };

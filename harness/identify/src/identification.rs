@@ -147,8 +147,8 @@ pub fn identify(
     Ok((identification, fitted.into_iter().map(|(_, fit)| fit).collect()))
 }
 
-/// If more recordings than chance explains have residuals that are not white, replaces their fits by those with a second
-/// mode or self-heating that make them white.
+/// If more recordings than chance explains have residuals that are not white, replaces their fits by those with a
+/// second mode or self-heating that make them white.
 fn with_effects(mut fitted: Vec<(&Recording, DirectFit)>) -> Vec<(&Recording, DirectFit)> {
     let coloured = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).count();
     let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();

@@ -45,7 +45,8 @@ pub enum RecordingError {
     )]
     VaryingConditions,
     #[error(
-        "the response does not determine gain, time constant and resonance; expected steps of the drive or the frequency, each held for some 10 ms"
+        "the response does not determine gain, time constant and resonance; \
+         expected steps of the drive or the frequency, each held for some 10 ms"
     )]
     Undetermined,
 }

@@ -130,14 +130,15 @@ fn voltage_table(found: &Identification) -> IdentificationTable {
         table.rows.push(row);
     }
     table.notes.push(
-        "The paper's printed mean of K1, 6980 pm/V, is not the mean of its four trials, 6844.5 pm/V; neither is that of \
-         τ1, 1.88 ms (1.8925 ms). Its trials scatter by ±5 % and ±6 %."
+        "The paper's printed mean of K1, 6980 pm/V, is not the mean of its four trials, 6844.5 pm/V; \
+         neither is that of τ1, 1.88 ms (1.8925 ms). Its trials scatter by ±5 % and ±6 %."
             .to_owned(),
     );
     if let Some(change) = found.gain_change_percent {
         let Estimate { value, low, high, .. } = change;
         table.notes.push(format!(
-            "Linearity: from the lowest to the highest drive K1 changes by {value:.2} % (95 %: {low:.2} to {high:.2} %)."
+            "Linearity: from the lowest to the highest drive K1 changes by {value:.2} % \
+             (95 %: {low:.2} to {high:.2} %)."
         ));
     }
     table
@@ -215,8 +216,8 @@ fn frequency_table(found: &Identification) -> IdentificationTable {
     table.notes.push(
         "By equation 19 K2 = τ2 at the resonance, and by theory τ2 = τ1; the paper prints K2/τ2 = 1.116 and a τ2 14 % \
          below its τ1. Off resonance a step of Δω also disturbs Wd. While a loop corrects it, Wq/Wd is faster than the \
-         plate: an ARX model of Wq/Wd alone gives a τ2 that is too short, but the right K2. The direct fit uses the drive \
-         and is not affected."
+         plate: an ARX model of Wq/Wd alone gives a τ2 that is too short, but the right K2. The direct fit uses \
+         the drive and is not affected."
             .to_owned(),
     );
     table
@@ -369,13 +370,14 @@ fn heating_lines(found: &Identification, named: &PlateFileDetails, heating: Iden
     let rise = shift.value / slope;
     if !(rise.is_finite() && rise >= 0.0) {
         return format!(
-            "\n# Self-heating: {:.5} Hz/µm² with {:.4} s; [heating] needs the slope of the resonance, with the same sign\n",
+            "\n# Self-heating: {:.5} Hz/µm² with {:.4} s; \
+             [heating] needs the slope of the resonance, with the same sign\n",
             shift.value, seconds.value
         );
     }
     format!(
-        "\n[heating]\nrise_k_per_um2 = {rise:.6}    # {:.5} Hz/µm² over {slope:.4} Hz/K\ntime_constant_s = {:.5}    # 95 %: \
-         {:.5} to {:.5}\n",
+        "\n[heating]\nrise_k_per_um2 = {rise:.6}    # {:.5} Hz/µm² over {slope:.4} Hz/K\n\
+         time_constant_s = {:.5}    # 95 %: {:.5} to {:.5}\n",
         shift.value, seconds.value, seconds.low, seconds.high
     )
 }

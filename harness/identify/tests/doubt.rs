@@ -71,11 +71,15 @@ fn a_clean_capture_is_not_doubtful() {
 }
 
 #[rstest]
-#[case::clipped(Defect { clip_um: Some(2.0), ..Defect::default() }, |doubt: &Doubt| matches!(doubt, Doubt::Clipped { component: "Wd", .. }))]
+#[case::clipped(Defect { clip_um: Some(2.0), ..Defect::default() },
+    |doubt: &Doubt| matches!(doubt, Doubt::Clipped { component: "Wd", .. }))]
 #[case::swapped(Defect { swapped: true, ..Defect::default() }, |doubt: &Doubt| matches!(doubt, Doubt::Swapped { .. }))]
-#[case::seconds_for_milliseconds(Defect { time_factor: Some(1e3), ..Defect::default() }, |doubt: &Doubt| matches!(doubt, Doubt::QualityFactor { .. } | Doubt::Residuals { .. }))]
-#[case::damping_grows_with_the_amplitude(Defect { damping_per_um: 0.05, ..Defect::default() }, |doubt: &Doubt| matches!(doubt, Doubt::Residuals { .. }))]
-#[case::resonance_drifts(Defect { drift: -120.0, ..Defect::default() }, |doubt: &Doubt| matches!(doubt, Doubt::Residuals { .. }))]
+#[case::seconds_for_milliseconds(Defect { time_factor: Some(1e3), ..Defect::default() },
+    |doubt: &Doubt| matches!(doubt, Doubt::QualityFactor { .. } | Doubt::Residuals { .. }))]
+#[case::damping_grows_with_the_amplitude(Defect { damping_per_um: 0.05, ..Defect::default() },
+    |doubt: &Doubt| matches!(doubt, Doubt::Residuals { .. }))]
+#[case::resonance_drifts(Defect { drift: -120.0, ..Defect::default() },
+    |doubt: &Doubt| matches!(doubt, Doubt::Residuals { .. }))]
 fn a_capture_that_no_single_plate_produces_is_doubtful(#[case] defect: Defect, #[case] expected: fn(&Doubt) -> bool) {
     let found = identified(defect);
     assert!(found.doubts.iter().any(expected), "{:?}", found.doubts);

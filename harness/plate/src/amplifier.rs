@@ -95,7 +95,7 @@ impl Amplifier {
     }
 
     /// The converter's output for a command, Vpp.
-    pub(crate) fn converted(&self, vpp: f64) -> f64 {
+    pub(crate) fn converter_output(&self, vpp: f64) -> f64 {
         let Some(converter) = &self.converter else { return vpp };
         let step = converter.step_vpp();
         (vpp.clamp(0.0, converter.range_vpp) / step).round() * step
@@ -185,7 +185,7 @@ mod tests {
         let converter = Some(DriveConverter { bits: 10, range_vpp: 1023.0 });
         let amplifier = Amplifier { converter, ..Amplifier::default() };
         for (vpp, code) in [(0.0, 0.0), (0.49, 0.0), (0.51, 1.0), (286.5, 287.0), (1023.0, 1023.0), (2e3, 1023.0)] {
-            assert_eq!(amplifier.converted(vpp), code);
+            assert_eq!(amplifier.converter_output(vpp), code);
         }
     }
 }

@@ -66,7 +66,7 @@ impl Effects {
     }
 
     /// The reading at `now`, if the sensor without latency reads `w`.
-    pub(crate) fn sensed(&self, w: Complex64, now: Time) -> Complex64 {
+    pub(crate) fn sensor_reading(&self, w: Complex64, now: Time) -> Complex64 {
         let w = self.history.as_ref().map_or(w, |history| history.read(now));
         w * (1.0 + self.gain_drift_per_s * now.seconds())
     }

@@ -34,16 +34,16 @@ impl Heating {
         let kept = (-self.rate * seconds).exp();
         let mut sum = 0.0;
         for (index, (a, p)) in terms.iter().enumerate().filter(|(_, (a, _))| a.norm_sqr() > 0.0) {
-            sum += a.norm_sqr() * self.filtered(Complex64::from(2.0 * p.re), kept, seconds).re;
+            sum += a.norm_sqr() * self.exponential_convolution(Complex64::from(2.0 * p.re), kept, seconds).re;
             for (b, q) in terms.iter().skip(index + 1).filter(|(b, _)| b.norm_sqr() > 0.0) {
-                sum += 2.0 * (a * b.conj() * self.filtered(p + q.conj(), kept, seconds)).re;
+                sum += 2.0 * (a * b.conj() * self.exponential_convolution(p + q.conj(), kept, seconds)).re;
             }
         }
         start_k * kept + self.rate * self.rise_k_per_um2 * sum
     }
 
     /// `∫ e^{−κ(t−s)} e^{ps} ds` from 0 to t.
-    fn filtered(&self, pole: Complex64, kept: f64, seconds: f64) -> Complex64 {
+    fn exponential_convolution(&self, pole: Complex64, kept: f64, seconds: f64) -> Complex64 {
         let sum = pole + self.rate;
         let x = sum * seconds;
         if x.norm_sqr() < 1e-6 {

@@ -127,7 +127,7 @@ impl Plant {
     /// latency and drift.
     pub fn sensor_reading(&self) -> Complex64 {
         let w = self.demodulator.as_ref().map_or(self.state.w, |demodulator| demodulator.read(self.drive.omega));
-        self.effects.as_ref().map_or(w, |effects| effects.sensed(w, self.time))
+        self.effects.as_ref().map_or(w, |effects| effects.sensor_reading(w, self.time))
     }
 
     /// Commanded last; the amplifier's output may differ.

@@ -45,7 +45,7 @@ impl Plant {
                 self.apply_drive(drive);
             }
             let amplifier = &self.plate.amplifier;
-            let (forcing, span) = amplifier.segment(effects.output_vpp, amplifier.converted(self.drive.vpp));
+            let (forcing, span) = amplifier.segment(effects.output_vpp, amplifier.converter_output(self.drive.vpp));
             let interval = self.smooth_interval();
             let ends = [effects.next_command(), span.map(|span| self.time + span), Some(interval.end)];
             let piece_end = ends.into_iter().flatten().fold(end, Time::min);

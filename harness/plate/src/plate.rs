@@ -277,9 +277,9 @@ mod tests {
 
     #[test]
     fn reads_effects_in_the_units_of_the_equations() {
-        let keys = "converter_bits = 10\nconverter_range_vpp = 1023.0\nbandwidth_hz = 5000.0\nslew_rate_vpp_per_ms = 2.0\n\
-                    dead_time_us = 12.5\noffset_vpp = -1.5\n[second_mode]\nresonance_hz = 32607.6\ntime_constant_ms = 1.0\n\
-                    gain_um_per_vpp = -0.001";
+        let keys = "converter_bits = 10\nconverter_range_vpp = 1023.0\nbandwidth_hz = 5000.0\n\
+                    slew_rate_vpp_per_ms = 2.0\ndead_time_us = 12.5\noffset_vpp = -1.5\n\
+                    [second_mode]\nresonance_hz = 32607.6\ntime_constant_ms = 1.0\ngain_um_per_vpp = -0.001";
         let text = PAPER.replacen("limit_vpp = 900.0", &format!("limit_vpp = 900.0\n{keys} #"), 1);
         let plate = read(&text).unwrap();
         let converter = DriveConverter { bits: 10, range_vpp: 1023.0 };

@@ -241,7 +241,13 @@ mod tests {
             steps in proptest::collection::vec((1_u32..1_000_000, -5.0..5.0), 1..20), t in 0_u64..40_000_000_000,
         ) {
             let mut at = 0.0;
-            let points: Vec<_> = steps.iter().map(|(step, value)| { at += f64::from(*step) / 1e3; [at, *value] }).collect();
+            let points: Vec<_> = steps
+                .iter()
+                .map(|(step, value)| {
+                    at += f64::from(*step) / 1e3;
+                    [at, *value]
+                })
+                .collect();
             let profile = RawProfile::Shape(RawShape::Linear(points)).check(Path::new(".")).unwrap();
             let (low, high) = profile.range();
             let value = profile.at(Time::from_nanos(t));

@@ -88,7 +88,7 @@ pub struct RawHeating {
 #[serde(deny_unknown_fields)]
 pub struct RawFinger {
     /// Points [force N, σ/σ0], linear in between; the last segment is extended.
-    #[serde(default = "undamped")]
+    #[serde(default = "unit_damping")]
     #[schemars(length(min = 1))]
     pub damping_ratio: Vec<[f64; 2]>,
     /// Change of the resonance per newton, Hz.
@@ -98,11 +98,11 @@ pub struct RawFinger {
 
 impl Default for RawFinger {
     fn default() -> Self {
-        Self { damping_ratio: undamped(), resonance_shift_hz_per_n: 0.0 }
+        Self { damping_ratio: unit_damping(), resonance_shift_hz_per_n: 0.0 }
     }
 }
 
-fn undamped() -> Vec<[f64; 2]> {
+fn unit_damping() -> Vec<[f64; 2]> {
     vec![[0.0, 1.0]]
 }
 

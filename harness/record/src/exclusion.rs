@@ -21,7 +21,8 @@ pub enum Exclusion {
         first_ms: f64,
     },
     /// The controller's timer is off by more than an oscillator can be.
-    #[error("the controller's clock differs by {:+.0} % from the bench's: its periods are not the scenario's", ppm / 1e4)]
+    #[error("the controller's clock differs by {:+.0} % from the bench's: \
+        its periods are not the scenario's", ppm / 1e4)]
     WrongClock {
         /// Positive if the controller's clock is fast, parts per million.
         ppm: f64,

@@ -13,7 +13,8 @@ use thiserror::Error;
 #[serde(rename_all = "snake_case")]
 pub enum Excuse {
     #[error(
-        "saturated: holding the setpoint needs {needed_vpp:.0} Vpp, the amplifier gives {limit_vpp:.0} Vpp: at best {best}"
+        "saturated: holding the setpoint needs {needed_vpp:.0} Vpp, \
+         the amplifier gives {limit_vpp:.0} Vpp: at best {best}"
     )]
     SetpointOutOfReach {
         /// At resonance.

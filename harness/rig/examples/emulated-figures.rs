@@ -43,7 +43,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let seconds = before.elapsed().as_secs_f64();
         println!(
-            "{:<12} {:>6.0} exchanges/s ({:.1} us each, {:.1} times real time at 1 kHz); {:.0} instructions per step, worst {worst}; loop delay at most {:.3} us; restart {restart_ms:.2} ms",
+            "{:<12} {:>6.0} exchanges/s ({:.1} us each, {:.1} times real time at 1 kHz); \
+             {:.0} instructions per step, worst {worst}; loop delay at most {:.3} us; \
+             restart {restart_ms:.2} ms",
             law.name(),
             f64::from(EXCHANGES) / seconds,
             seconds * 1e6 / f64::from(EXCHANGES),

@@ -158,8 +158,8 @@ impl EmulatedLink {
     }
 
     /// Recorded instructions that ran; true if the firmware answered a sample then.
-    pub fn executed(&self) -> &BTreeMap<u32, bool> {
-        self.target.executed()
+    pub fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
+        self.target.executed_instructions()
     }
 
     /// Changes the firmware in flash until it is changed again. False without memory at `address`.

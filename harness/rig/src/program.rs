@@ -106,7 +106,8 @@ impl Drop for Program {
         let left = self.processes_outside_group();
         if !left.is_empty() {
             let name = &self.name;
-            warn!(program = name, pids = ?left, "processes that the program started have left its group and are left running");
+            warn!(program = name, pids = ?left,
+                "processes that the program started have left its group and are left running");
         }
         if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE)) {
             debug!(program = self.name, how, status = ?self.child.wait(), "program ended");
@@ -150,7 +151,8 @@ mod tests {
     #[test]
     fn kills_a_program_that_ignores_signals_and_its_group() {
         let folder = tempfile::tempdir().unwrap();
-        let text = r#"trap "" TERM HUP; sleep 60 & echo $$ >"$0"; echo $! >>"$0"; echo done >>"$0"; while :; do sleep 1; done"#;
+        let text = r#"trap "" TERM HUP; sleep 60 & echo $$ >"$0"; echo $! >>"$0"; echo done >>"$0"
+            while :; do sleep 1; done"#;
         let (program, pids) = script(&folder, text);
         assert_eq!(pids.len(), 2);
         assert!(pids.iter().all(|pid| is_running(pid)));

@@ -1,5 +1,5 @@
-//! Checks the rules of the protocol that no plate shows: plays scripts of messages and compares each answer with that of
-//! the hosted reference (docs/wire-protocol.md).
+//! Checks the rules of the protocol that no plate shows: plays scripts of messages and compares each answer with that
+//! of the hosted reference (docs/wire-protocol.md).
 
 mod builder;
 mod comparison;
@@ -12,7 +12,7 @@ mod timing;
 use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError};
 use builder::{Script, Variation};
-use comparison::{Comparison, Difference, Doubt, Received};
+use comparison::{Comparison, Difference, Doubt, ReceivedPackets};
 use platebench_wire::{Configure, Identity};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -34,10 +34,10 @@ const MIN_WATCHDOG_MS: u16 = 1_000;
 /// Target and reference advance in steps: a reference sends at most one tick in each.
 const STEP: Duration = Duration::from_millis(3);
 
-/// Plays every script on `link`, which stays in any state without a drive or with another configuration; samples have no
-/// plate. `base` gives law, watchdog timeout and plate. `own_clock` is true if the controller's clock runs while the
-/// bench waits. `seed` selects the random samples. Returns one sentence per script whose answers differ from the reference.
-/// Fails if the link is lost.
+/// Plays every script on `link`, which stays in any state without a drive or with another configuration; samples have
+/// no plate. `base` gives law, watchdog timeout and plate. `own_clock` is true if the controller's clock runs while the
+/// bench waits. `seed` selects the random samples. Returns one sentence per script whose answers differ from the
+/// reference. Fails if the link is lost.
 pub fn protocol_differences(
     link: &mut dyn Link,
     identity: &Identity,
@@ -125,8 +125,8 @@ impl Player<'_> {
             let longest = if self.own_clock { since_request.elapsed() } else { exchange.wait.max(self.period) + STEP };
             is_stalled |= self.own_clock && longest > exchange.wait + script.stall;
             let request = comparison.observe_requests(&exchange.bytes);
-            let expected: Vec<_> = expected.iter().map(|bytes| Received::new(bytes, request)).collect();
-            let received = Received::new(&received, request);
+            let expected: Vec<_> = expected.iter().map(|bytes| ReceivedPackets::new(bytes, request)).collect();
+            let received = ReceivedPackets::new(&received, request);
             let silence = exchange.wait.max(self.period)..=longest;
             if let Err(Difference { text, doubt }) = comparison.compare(&received, &expected, silence) {
                 // A stall ends with another answer, not without one.
@@ -148,13 +148,13 @@ mod tests {
     use rstest::rstest;
 
     /// Changes the answers of the reference, or loses them.
-    struct Changed<F> {
+    struct ChangedAnswers<F> {
         device: HostedLink,
         exchanges: usize,
         change: F,
     }
 
-    impl<F: FnMut(usize, &mut Vec<Packet>)> Changed<F> {
+    impl<F: FnMut(usize, &mut Vec<Packet>)> ChangedAnswers<F> {
         fn append(&mut self, own: &[u8], received: &mut Vec<u8>) {
             let mut packets = packets(own);
             (self.change)(self.exchanges, &mut packets);
@@ -164,7 +164,7 @@ mod tests {
         }
     }
 
-    impl<F: FnMut(usize, &mut Vec<Packet>) + Send> Link for Changed<F> {
+    impl<F: FnMut(usize, &mut Vec<Packet>) + Send> Link for ChangedAnswers<F> {
         fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
             let mut own = Vec::new();
             self.device.exchange(now, bytes, &mut own)?;
@@ -183,7 +183,7 @@ mod tests {
 
     fn differences(change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
-        let mut link = Changed { device: HostedLink::new(), exchanges: 0, change };
+        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, change };
         protocol_differences(&mut link, &identity, &CONFIGURE, false, 1).unwrap()
     }
 
@@ -210,7 +210,9 @@ mod tests {
     #[rstest]
     #[case::lower(1.05, &[])]
     #[case::higher(1.0 / 1.05, &[])]
-    #[case::another_plate(1.0 / 1.2, &["random samples with the law's own design", "gains of the law's own design", "gains that are not used"])]
+    #[case::another_plate(1.0 / 1.2,
+        &["random samples with the law's own design",
+        "gains of the law's own design", "gains that are not used"])]
     fn a_design_may_be_five_percent_off(#[case] gain: f32, #[case] expected: &[&str]) {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = OtherGain(HostedLink::new(), gain);
@@ -354,7 +356,11 @@ mod tests {
 
     #[test]
     fn an_answer_that_never_comes_is_the_controllers() {
-        let is_fault = |packet: &Packet| matches!(packet.message, Message::Command(command) if command.cause == StateCause::NonFinite);
+        let cause = |packet: &Packet| match &packet.message {
+            Message::Command(command) => Some(command.cause),
+            _ => None,
+        };
+        let is_fault = |packet: &Packet| cause(packet) == Some(StateCause::NonFinite);
         let found = differences(|_, packets| packets.retain(|packet| !is_fault(packet)));
         assert!(found.iter().any(|text| text.contains("no answer, expected command")), "{found:?}");
     }

@@ -113,8 +113,8 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// Plays the scripts of the protocol if the scenario expects them. The configuration that follows ends what they leave
-    /// behind.
+    /// Plays the scripts of the protocol if the scenario expects them. The configuration that follows ends what they
+    /// leave behind.
     pub(crate) fn check_protocol<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,

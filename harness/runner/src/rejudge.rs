@@ -41,7 +41,8 @@ pub enum RejudgeError {
         expected: String,
     },
     #[error(
-        "{}: the amplitude at {t_s} s is {amplitude_um} µm, its components give {expected_um} µm; the trace was changed",
+        "{}: the amplitude at {t_s} s is {amplitude_um} µm, its components give {expected_um} µm; \
+         the trace was changed",
         path.display()
     )]
     Contradiction {

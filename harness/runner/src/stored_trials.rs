@@ -16,7 +16,8 @@ pub enum CompareError {
     Stored(#[from] RejudgeError),
     #[error(transparent)]
     Baseline(#[from] BaselineError),
-    #[error("{}: this trace is not in a run folder, so its scenario is unknown; expected --against BASELINE.toml", .0.display())]
+    #[error("{}: this trace is not in a run folder, so its scenario is unknown; \
+        expected --against BASELINE.toml", .0.display())]
     NoScenario(PathBuf),
     #[error("{}: {count} scenarios, expected a run of one scenario as the reference of a trace", path.display())]
     SeveralScenarios {

@@ -344,11 +344,15 @@ mod tests {
         }
 
         #[test]
-        fn every_double_round_trips(bits in proptest::collection::vec(any::<f64>().prop_filter("finite", |x| x.is_finite()), 12), flags in 0_u8..64) {
+        fn every_double_round_trips(
+            bits in proptest::collection::vec(any::<f64>().prop_filter("finite", |x| x.is_finite()), 12),
+            flags in 0_u8..64,
+        ) {
             let row = Row {
-                t_s: 0.0, setpoint_um: bits[0], wd_um: bits[1], wq_um: bits[2], amplitude_um: bits[3], drive_vpp: bits[4],
-                frequency_hz: bits[5], resonance_hz: bits[6], temperature_offset_k: bits[7], finger_force_n: bits[8],
-                sensed_wd_um: bits[9], sensed_wq_um: bits[10], lateness_us: bits[11], flags: Flags::from_bits_truncate(flags),
+                t_s: 0.0, setpoint_um: bits[0], wd_um: bits[1], wq_um: bits[2], amplitude_um: bits[3],
+                drive_vpp: bits[4], frequency_hz: bits[5], resonance_hz: bits[6], temperature_offset_k: bits[7],
+                finger_force_n: bits[8], sensed_wd_um: bits[9], sensed_wq_um: bits[10], lateness_us: bits[11],
+                flags: Flags::from_bits_truncate(flags),
             };
             prop_assert_eq!(round_trip(&[row]).1, [row]);
         }

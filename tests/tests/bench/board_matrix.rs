@@ -97,7 +97,8 @@ pub(crate) fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) 
 /// bench may already have the pseudo-terminal of the killed one.
 fn kill_first_bench(folder: &TestFolder) {
     let script = format!(
-        "if grep -q '\"process\"' boards.state/{KILLED}.json && mkdir killed; then kill -KILL $PPID; exit 1; fi 2>/dev/null\nexec \"$@\"\n"
+        "if grep -q '\"process\"' boards.state/{KILLED}.json && mkdir killed; \
+         then kill -KILL $PPID; exit 1; fi 2>/dev/null\nexec \"$@\"\n"
     );
     folder.write("kill.sh", &script);
     let controller = format!("flock --nonblock --no-fork '{}'", folder.join(&format!("{KILLED}.use")).display());

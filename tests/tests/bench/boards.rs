@@ -155,7 +155,8 @@ fn other_commands_take_their_rig_from_the_board() {
         .assert_stderr(&["expected serial:"]);
     folder.write(
         "c.toml",
-        "title = \"c\"\nscenario = \"scenarios/s.toml\"\n[vary]\n\"controller.loop_delay_ms\" = { uniform = [0.0, 0.1] }\n\
+        "title = \"c\"\nscenario = \"scenarios/s.toml\"\n\
+         [vary]\n\"controller.loop_delay_ms\" = { uniform = [0.0, 0.1] }\n\
          [plan]\nmethod = \"random\"\ntrials = 3\n",
     );
     folder.bench(["campaign", "run", "c.toml", "--board", "left", "--out", "c"]).assert_exit_in(&[0, 1]);

@@ -32,7 +32,7 @@ pub struct ChainEstimate {
 
 /// Mean of independent chains, weighted by their trials.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Combined {
+pub struct CombinedEstimate {
     pub probability: f64,
     /// Infinite without a failing trial.
     pub coefficient_of_variation: f64,
@@ -41,7 +41,7 @@ pub struct Combined {
     spread_over: Option<usize>,
 }
 
-impl Combined {
+impl CombinedEstimate {
     /// `estimates` is not empty.
     pub fn new(estimates: &[ChainEstimate]) -> Self {
         let total: u64 = estimates.iter().map(|estimate| estimate.trials).sum();

@@ -48,7 +48,7 @@ fn repeat(limit: Limit, dimensions: usize, trials: u64) -> (RareMethod, f64, f64
     let exact = limit.probability();
     let estimates: Vec<_> = (0..SEEDS).map(|seed| run(limit, dimensions, seed, trials)).collect();
     let covered = estimates.iter().filter(|estimate| {
-        let [low, high] = Combined::new(std::slice::from_ref(estimate)).interval(0.95);
+        let [low, high] = CombinedEstimate::new(std::slice::from_ref(estimate)).interval(0.95);
         (low..=high).contains(&exact)
     });
     let covered = covered.count() as f64 / SEEDS as f64;

@@ -133,14 +133,16 @@ fn a_missing_trace_is_an_error() {
 fn rejects_paths_outside_the_run_folder() {
     let mut run = fixtures::stored_run();
     run.record.scenarios[0].file = "../../elsewhere.toml".to_owned();
-    assert!(
-        matches!(export_run(&run, &[], ExportFormat::Mf4), Err(ExportError::OutsideRunFolder { named, .. }) if named == "../../elsewhere.toml")
-    );
+    assert!(matches!(
+        export_run(&run, &[], ExportFormat::Mf4),
+        Err(ExportError::OutsideRunFolder { named, .. }) if named == "../../elsewhere.toml"
+    ));
     let mut run = fixtures::stored_run();
     run.record.scenarios[0].trials[0].trace = "/etc/passwd".to_owned();
-    assert!(
-        matches!(export_run(&run, &[], ExportFormat::Mf4), Err(ExportError::OutsideRunFolder { named, .. }) if named == "/etc/passwd")
-    );
+    assert!(matches!(
+        export_run(&run, &[], ExportFormat::Mf4),
+        Err(ExportError::OutsideRunFolder { named, .. }) if named == "/etc/passwd"
+    ));
 }
 
 #[test]

@@ -17,7 +17,7 @@ const ALWAYS: u16 = 14;
 type Code = (u16, Option<u16>);
 
 /// The condition decides something else: `EQ` and `NE`.
-pub(super) fn negated(instruction: &Instruction) -> Option<Code> {
+pub(super) fn negate(instruction: &Instruction) -> Option<Code> {
     match (condition(instruction), instruction.second) {
         (Some(condition), _) => Some(with_condition(instruction, condition ^ 1)),
         (None, None) if instruction.first & 0xF500 == 0xB100 => Some((instruction.first ^ 0x0800, None)),
@@ -26,7 +26,7 @@ pub(super) fn negated(instruction: &Instruction) -> Option<Code> {
 }
 
 /// The case of equality moves to the other side. After a comparison of floats, `MI` is `<` and `PL` is `≥`.
-pub(super) fn shifted(instruction: &Instruction, compares_floats: bool) -> Option<Code> {
+pub(super) fn shift_boundary(instruction: &Instruction, compares_floats: bool) -> Option<Code> {
     let shifted = match condition(instruction)? {
         GE => GT,
         GT => GE,

@@ -1,6 +1,6 @@
 //! Finds the changes of an instruction. Encodings: ARM DDI 0403E, sections A5.2, A5.3, A6.4 and A7.7.
 
-use super::condition::{negated, shifted};
+use super::condition::{negate, shift_boundary};
 use super::mutant::{Change, Operator};
 use crate::code_map::CodeMap;
 use crate::thumb::{Flow, Instruction};
@@ -28,8 +28,8 @@ pub(super) fn changes(map: &CodeMap, instruction: &Instruction, context: Context
     let calls = matches!(instruction.flow(), Flow::Call(_));
     let codes = [
         (Operator::Arithmetic, arithmetic(instruction)),
-        (Operator::Condition, negated(instruction)),
-        (Operator::Boundary, shifted(instruction, context.compares_floats)),
+        (Operator::Condition, negate(instruction)),
+        (Operator::Boundary, shift_boundary(instruction, context.compares_floats)),
         (Operator::RemovedCall, calls.then(nop)),
         (Operator::RemovedStore, is_store(instruction).then(nop)),
         (Operator::RemovedSaturation, saturation(instruction).or_else(|| is_clamp.then(nop))),

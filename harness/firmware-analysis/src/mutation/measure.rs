@@ -100,7 +100,7 @@ fn baselines(config: &MutationConfig, map: &CodeMap) -> Result<Vec<Baseline>, An
         let start = Instant::now();
         let outcome = play(session, scenario, *law, &config.cancel).ok_or(AnalysisError::Cancelled)??;
         check_baseline(scenario, &outcome)?;
-        let executed = session.link_mut().inner_mut().executed().clone();
+        let executed = session.link_mut().inner_mut().executed_instructions().clone();
         let (commands, fails) = (outcome.commands, outcome.detection.is_some());
         Ok(Baseline { executed, duration: start.elapsed(), commands, fails })
     };

@@ -42,7 +42,8 @@ fn mutant(number: usize, result: &MutantResult, ids: &BTreeMap<&str, usize>) -> 
     let mut value = json!({
         "id": number.to_string(),
         "mutatorName": mutant.operator.name(),
-        "description": format!("{:#010x} in {}: {} -> {}", mutant.instruction, mutant.function, mutant.before, mutant.after),
+        "description":
+            format!("{:#010x} in {}: {} -> {}", mutant.instruction, mutant.function, mutant.before, mutant.after),
         "replacement": mutant.after,
         "location": { "start": { "line": line, "column": 1 }, "end": { "line": line, "column": 2 } },
         "status": result.status.name(),

@@ -87,7 +87,8 @@ fn largest_error(plate: &Plate, scene: &ConditionProfiles, periods: u32) -> f64 
 })]
 #[case::all_of_the_drive(Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), Some(1500.0)) })]
 #[case::heating(heated(paper_plate()))]
-#[case::heating_with_two_modes_and_bandwidth(heated(Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) }))]
+#[case::heating_with_two_modes_and_bandwidth(
+    heated(Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) }))]
 fn effects_equal_the_reference(#[case] plate: Plate, #[values(false, true)] changing: bool) {
     let scene = if changing { ramps() } else { constant_conditions() };
     let error = largest_error(&plate, &scene, 40);

@@ -12,7 +12,10 @@ pub(crate) fn section(record: &RunRecord) -> Markup {
             h2 { "Boards" }
             @for line in missing_shards(merge) { p { (line) } }
             @if let Some(table) = verdict_matrix(record) { (text_table(&table, &[])) }
-            @if let Some(table) = difference_table(merge) { h3 { "Differences between boards" } (text_table(&table, &[])) }
+            @if let Some(table) = difference_table(merge) {
+                h3 { "Differences between boards" }
+                (text_table(&table, &[]))
+            }
         }
     }
 }

@@ -47,7 +47,9 @@ fn legend_swatch(layer: &Layer) -> Markup {
     html! {
         svg.swatch viewBox="0 0 24 10" aria-hidden="true" {
             @if layer.is_area() { rect width="24" height="10" rx="2" class={ "f-" (layer.role.name()) } {} }
-            @else if matches!(layer.content, Content::Points(_)) { circle cx="12" cy="5" r="4" class={ "f-" (layer.role.name()) } {} }
+            @else if matches!(layer.content, Content::Points(_)) {
+                circle cx="12" cy="5" r="4" class={ "f-" (layer.role.name()) } {}
+            }
             @else { path d="M0 5H24" class={ "s-" (layer.role.name()) } {} }
         }
     }

@@ -21,7 +21,8 @@ pub(super) fn list(record: &RunRecord, data: &[TraceData]) -> Markup {
         nav.list aria-label="Scenarios" {
             h1.home {
                 a href="#overview" {
-                    span class={ "sign " (record.verdict) } { (format::sign(record.verdict)) } " Run of " (record.started)
+                    span class={ "sign " (record.verdict) } { (format::sign(record.verdict)) }
+                    " Run of " (record.started)
                 }
             }
             div.filters {}
@@ -38,7 +39,8 @@ fn entry(index: usize, scenario: &ScenarioRecord, data: Option<&TraceData>) -> M
     let requirements: BTreeSet<&str> = requirements.collect();
     let requirements: Vec<&str> = requirements.into_iter().collect();
     html! {
-        li data-verdict=(scenario.verdict) data-folder=(folder) data-law=(scenario.law) data-tag=(scenario.tags.join("\n"))
+        li data-verdict=(scenario.verdict) data-folder=(folder)
+            data-law=(scenario.law) data-tag=(scenario.tags.join("\n"))
             data-requirement=(requirements.join("\n")) {
             a href={ "#" (scenario_anchor(index)) } {
                 span class={ "sign " (scenario.verdict) } { (format::sign(scenario.verdict)) }

@@ -103,12 +103,22 @@ fn format_build(record: &RunRecord) -> String {
 
 fn table_row(pair: &ExpectationPair<'_>) -> Markup {
     let verdict = |found: Option<&ExpectationRecord>| {
-        html! { @match found { Some(found) => (verdict_badge(found.verdict, &format::verdict(found))), None => span.nothing { "not played" } } }
+        html! {
+            @match found {
+                Some(found) => (verdict_badge(found.verdict, &format::verdict(found))),
+                None => span.nothing { "not played" },
+            }
+        }
     };
     let value = |found: Option<&ExpectationRecord>| {
         let unit =
             if found.is_some_and(|found| found.value.is_some()) { metric(pair).map_or("", format::unit) } else { "" };
-        html! { @match found.and_then(format::value_or_not_reached) { Some(value) => { (value) " " span.unit { (unit) } }, None => span.nothing { "–" } } }
+        html! {
+            @match found.and_then(format::value_or_not_reached) {
+                Some(value) => { (value) " " span.unit { (unit) } },
+                None => span.nothing { "–" },
+            }
+        }
     };
     html! {
         tr.changed[pair.verdict_changed()] {
@@ -123,7 +133,9 @@ fn table_row(pair: &ExpectationPair<'_>) -> Markup {
             td.number data-label="Other run measured" { span { (value(pair.other_run)) } }
             td data-label="This run" { (verdict(pair.this_run)) }
             td.number data-label="This run measured" { span { (value(pair.this_run)) } }
-            td.number data-label="Change" { @match pair.format_change() { Some(change) => (change), None => span.nothing { "–" } } }
+            td.number data-label="Change" {
+                @match pair.format_change() { Some(change) => (change), None => span.nothing { "–" } }
+            }
         }
     }
 }

@@ -119,7 +119,9 @@ fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> 
                 td.number data-label="Expected" {
                     span {
                         (with_unit(Some(format::limit(expectation)), unit))
-                        @if let Some(margin) = expectation.margin.filter(|_| expectation.verdict == Verdict::Pass) { span.statistic { "margin " (margin_text(margin)) } }
+                        @if let Some(margin) = expectation.margin.filter(|_| expectation.verdict == Verdict::Pass) {
+                            span.statistic { "margin " (margin_text(margin)) }
+                        }
                     }
                 }
                 @if has_interval {
@@ -181,7 +183,9 @@ fn golden_difference(data: &TraceData) -> Markup {
                 p { "This run differs from the golden trace:" }
                 ul {
                     @for worst in &data.golden.exceedances { li { (format::exceedance(data.first_trial, worst)) } }
-                    @for (name, before, after) in &data.golden.features { li { (name) ": " (number(before)) " → " (number(after)) } }
+                    @for (name, before, after) in &data.golden.features {
+                        li { (name) ": " (number(before)) " → " (number(after)) }
+                    }
                 }
             }
         }
@@ -244,8 +248,9 @@ fn firmware_output(scenario: &ScenarioRecord) -> Markup {
     let has_output = |trial: &&TrialRecord| trial.telemetry.firmware_output.is_some();
     let with_remark = scenario.trials.iter().filter(|trial| trial.reason.is_some()).find(has_output);
     let trial = with_remark.or_else(|| scenario.trials.iter().find(has_output));
+    let output = trial.and_then(|trial| Some((trial.index, trial.telemetry.firmware_output.as_ref()?)));
     html! {
-        @if let Some((index, text)) = trial.and_then(|trial| Some((trial.index, trial.telemetry.firmware_output.as_ref()?))) {
+        @if let Some((index, text)) = output {
             details {
                 summary { "Output of the firmware, trial " (index) }
                 div.scroll role="group" aria-label="Output of the firmware" tabindex="0" { pre { (text) } }

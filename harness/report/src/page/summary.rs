@@ -59,7 +59,9 @@ pub(super) fn not_passed_section(
             section aria-labelledby="open" {
                 h2 id="open" { @if open.is_empty() { "Changed traces" } @else { "What did not pass" } }
                 ol.open {
-                    @for (index, scenario) in record.scenarios.iter().enumerate() { (changed_traces(index, scenario, changed)) }
+                    @for (index, scenario) in record.scenarios.iter().enumerate() {
+                        (changed_traces(index, scenario, changed))
+                    }
                     @for (index, _) in open { (not_passed_card(record, index, data.get(index), history, changed)) }
                 }
             }
@@ -74,13 +76,17 @@ fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<St
     html! {
         @if !traces.is_empty() {
             li.inconclusive {
-                p.what { span class="badge inconclusive" { span aria-hidden="true" { "!" } " changed" } " " a href={ "#" (scenario_anchor(index)) } { (scenario.title) } }
+                p.what {
+                    span class="badge inconclusive" { span aria-hidden="true" { "!" } " changed" } " "
+                    a href={ "#" (scenario_anchor(index)) } { (scenario.title) }
+                }
                 p.why {
                     (format::count(traces.len(), "trace")) " " (TRACE_CHANGED)
                     ": the verdicts are those of the run; the changed traces are not drawn."
                 }
                 p.where {
-                    @for (place, trace) in named.iter().enumerate() { @if place > 0 { ", " } (file_link(trace)) } @if !further.is_empty() { " and " (further.len()) " more" }
+                    @for (place, trace) in named.iter().enumerate() { @if place > 0 { ", " } (file_link(trace)) }
+                    @if !further.is_empty() { " and " (further.len()) " more" }
                 }
             }
         }
@@ -136,7 +142,11 @@ fn not_passed_item(
                 (verdict_badge(expectation.verdict, &format::verdict(expectation))) " "
                 code { (expectation.name) } " "
                 @match (format::value(expectation), format::value_or_not_reached(expectation)) {
-                    (Some(value), _) => { strong { (value) @if !unit.is_empty() { " " (unit) } } @if let Some(index) = decided { " in trial " (index) } ", expected " },
+                    (Some(value), _) => {
+                        strong { (value) @if !unit.is_empty() { " " (unit) } }
+                        @if let Some(index) = decided { " in trial " (index) }
+                        ", expected "
+                    },
                     (None, Some(text)) => { strong { (text) } ", expected " },
                     (None, None) => "expected ",
                 }
@@ -168,19 +178,27 @@ pub(super) fn closest(record: &RunRecord) -> Markup {
     let rows = html! {
         @for (index, scenario, expectation, margin) in found.iter().take(MAX_CLOSEST) {
             tr {
-                th scope="row" { a href={ "#" (scenario_anchor(*index)) } { (scenario.title) } span.file { (scenario.file) } }
+                th scope="row" {
+                    a href={ "#" (scenario_anchor(*index)) } { (scenario.title) }
+                    span.file { (scenario.file) }
+                }
                 td data-label="Expectation" { code { (expectation.name) } }
-                td.number data-label="Measured" { (with_unit(format::value(expectation), format::unit(expectation.metric))) }
-                td.number data-label="Limit" { (with_unit(Some(format::limit(expectation)), format::unit(expectation.metric))) }
+                td.number data-label="Measured" {
+                    (with_unit(format::value(expectation), format::unit(expectation.metric)))
+                }
+                td.number data-label="Limit" {
+                    (with_unit(Some(format::limit(expectation)), format::unit(expectation.metric)))
+                }
                 td.number data-label="Margin" { (margin_text(*margin)) }
             }
         }
     };
+    let columns = ["Scenario", "Expectation", "#Measured", "#Limit", "#Margin"];
     html! {
         @if !found.is_empty() && record.scenarios.len() > 1 {
             section aria-labelledby="closest" {
                 h2 id="closest" { "Passed with the smallest margin" }
-                (scroll_table("Smallest margins", "contents stacked", &["Scenario", "Expectation", "#Measured", "#Limit", "#Margin"], &rows))
+                (scroll_table("Smallest margins", "contents stacked", &columns, &rows))
             }
         }
     }

@@ -31,7 +31,8 @@ fn escape(text: &str, is_escaped: fn(char) -> bool) -> Cow<'_, str> {
 /// Control characters, separators of lines and paragraphs, marks of the writing direction.
 fn is_active(character: char) -> bool {
     character.is_control()
-        || matches!(character, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
+        || matches!(character, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}')
+        || matches!(character, '\u{2060}'..='\u{206f}' | '\u{feff}')
 }
 
 const MAX_CELL_CHARS: usize = 400;

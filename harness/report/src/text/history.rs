@@ -86,9 +86,10 @@ impl RunHistory {
         Some(match (oldest_open, last_pass) {
             (None, None) if elsewhere => html! { "First run of this scenario " (comparable) " in this folder." },
             (None, None) => html! { "First run of this scenario in this folder." },
-            (None, Some(passed)) => {
-                html! { "New in this run. It last passed in " (passed.describe(now)) (describe_build_change(&record.rig, &passed.record.rig)) "." }
-            }
+            (None, Some(passed)) => html! {
+                "New in this run. It last passed in " (passed.describe(now))
+                (describe_build_change(&record.rig, &passed.record.rig)) "."
+            },
             (Some(first), Some(passed)) => html! {
                 "Since " (first.describe(now)) ", " (format::count(open, "run")) " ago. It last passed in "
                 (passed.describe(now)) (describe_build_change(&first.record.rig, &passed.record.rig)) "."

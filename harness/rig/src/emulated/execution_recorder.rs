@@ -39,7 +39,7 @@ impl ExecutionRecorder {
         }
     }
 
-    pub(super) fn executed(&self) -> &BTreeMap<u32, bool> {
+    pub(super) fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
         &self.executed
     }
 }

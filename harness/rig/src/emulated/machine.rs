@@ -332,8 +332,8 @@ impl Target for Machine {
         self.recorder.set_control_step(in_control_step, &mut *self.core);
     }
 
-    fn executed(&self) -> &BTreeMap<u32, bool> {
-        self.recorder.executed()
+    fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
+        self.recorder.executed_instructions()
     }
 
     fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {

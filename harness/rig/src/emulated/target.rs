@@ -39,7 +39,7 @@ pub(super) trait Target: Send + fmt::Debug {
     fn set_control_step(&mut self, in_control_step: bool);
 
     /// Watched instructions that ran; true if within a control step.
-    fn executed(&self) -> &BTreeMap<u32, bool>;
+    fn executed_instructions(&self) -> &BTreeMap<u32, bool>;
 
     /// Changes memory, also flash. False without memory there.
     fn patch(&mut self, address: u32, bytes: &[u8]) -> bool;

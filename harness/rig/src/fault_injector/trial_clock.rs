@@ -14,15 +14,15 @@ const MAX_TRIAL_DURATION: Duration = Duration::from_secs(1 << 30);
 
 impl TrialClock {
     pub(super) fn trial_time(&self, instant: Instant) -> Duration {
-        bounded(instant.saturating_duration_since(self.start).as_secs_f64() * self.scale)
+        bounded_duration(instant.saturating_duration_since(self.start).as_secs_f64() * self.scale)
     }
 
     pub(super) fn wall_instant(&self, time: Duration) -> Instant {
-        self.start + bounded(time.as_secs_f64() / self.scale)
+        self.start + bounded_duration(time.as_secs_f64() / self.scale)
     }
 }
 
-fn bounded(seconds: f64) -> Duration {
+fn bounded_duration(seconds: f64) -> Duration {
     Duration::try_from_secs_f64(seconds).unwrap_or(MAX_TRIAL_DURATION).min(MAX_TRIAL_DURATION)
 }
 

@@ -98,7 +98,8 @@ pub enum ProbeError {
         error: std::io::Error,
     },
     #[error(
-        "the image has {bytes} bytes from {address:#010x}, which do not fit into the flash of {chip}; link it for this chip"
+        "the image has {bytes} bytes from {address:#010x}, which do not fit into the flash of {chip}; \
+         link it for this chip"
     )]
     NotInFlash {
         chip: String,

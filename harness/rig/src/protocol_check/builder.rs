@@ -113,7 +113,8 @@ impl Builder {
         }
     }
 
-    /// A sample that the receiver rejects: one bit of byte `position` is flipped. It has a number and values of its own.
+    /// A sample that the receiver rejects: one bit of byte `position` is flipped. It has a number and values of its
+    /// own.
     pub(super) fn add_damaged(&mut self, position: usize) {
         let sequence = self.next_sequence();
         let sample = Sample { time_us: self.time_us, setpoint_um: 3.0, wd_um: 0.7, wq_um: -0.3 };

@@ -13,8 +13,8 @@ const GAIN_TOLERANCE: f32 = 1e-5;
 const DESIGN_TOLERANCE: f32 = 0.12;
 /// Designs that report such gains are the design of the page.
 const SAME_DESIGN: f32 = 1e-4;
-/// Of a running command, if the gains are those of the reference: drive relative to its limit, frequency relative to its
-/// range. Single precision needs less.
+/// Of a running command, if the gains are those of the reference: drive relative to its limit, frequency relative to
+/// its range. Single precision needs less.
 pub(super) const SAME_GAINS_TOLERANCE: f64 = 1e-3;
 /// Of another design: gains that act 10 % off change a drive by about so much of its limit.
 const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
@@ -43,12 +43,12 @@ pub(super) enum Doubt {
 }
 
 /// What the controller sent until the end of an exchange.
-pub(super) struct Received {
+pub(super) struct ReceivedPackets {
     answers: Vec<Packet>,
     ticks: Vec<Packet>,
 }
 
-impl Received {
+impl ReceivedPackets {
     /// Without the report of the watchdog: a controller that receives a sample first reports the stop in its answer.
     /// Without ticks before the answer to a configuration, which belong to the one before.
     pub(super) fn new(bytes: &[u8], request: u8) -> Self {
@@ -110,12 +110,12 @@ impl<'a> Comparison<'a> {
         last
     }
 
-    /// `expected`: what the reference sent, then its variations. `silence`: shortest and longest time since the exchange
-    /// before, by the clock of the controller.
+    /// `expected`: what the reference sent, then its variations. `silence`: shortest and longest time since the
+    /// exchange before, by the clock of the controller.
     pub(super) fn compare(
         &mut self,
-        received: &Received,
-        expected: &[Received],
+        received: &ReceivedPackets,
+        expected: &[ReceivedPackets],
         silence: RangeInclusive<Duration>,
     ) -> Result<(), Difference> {
         let Some((reference, varied)) = expected.split_first() else { return Ok(()) };

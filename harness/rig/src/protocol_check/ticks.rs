@@ -28,8 +28,8 @@ impl TickComparison {
         Self { period: Duration::from_micros(configure.period_us.into()), ..Self::default() }
     }
 
-    /// `expected`: number of ticks of the reference. `late`: time by which the bench was late. Returns the sentence about
-    /// a wrong tick; none if all are right.
+    /// `expected`: number of ticks of the reference. `late`: time by which the bench was late. Returns the sentence
+    /// about a wrong tick; none if all are right.
     pub(super) fn add(&mut self, ticks: &[Packet], expected: usize, late: Duration) -> Option<String> {
         self.expected += expected;
         self.late += late;

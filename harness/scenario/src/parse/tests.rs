@@ -5,7 +5,8 @@ use rstest::rstest;
 use std::path::Path;
 
 const BASE: &str = "title = \"t\"\nplate = \"p.toml\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 2.0\n\
-                    [[expect]]\nmetric = \"overruns\"\nat_most = 0.0\n[[expect]]\nmetric = \"overruns\"\nat_most = 1.0\n";
+                    [[expect]]\nmetric = \"overruns\"\nat_most = 0.0\n\
+                    [[expect]]\nmetric = \"overruns\"\nat_most = 1.0\n";
 
 fn parse_errors(text: &str) -> Vec<String> {
     let faults = super::parse::<RawScenario>(Path::new("s.toml"), text).err().unwrap_or_default();
@@ -22,9 +23,13 @@ fn parses_a_valid_file() {
 #[rstest]
 #[case::two_keys_of_a_table(&[("title", "titel"), ("plate", "plte")], &["1:1", "2:1"])]
 #[case::kinds(&[("\"t\"", "3"), ("60.0", "\"60\"")], &["1:9", "3:15"])]
-#[case::tables_of_an_array(&[("at_most = 0.0", "atmost = 0.0"), ("at_most = 1.0", "at_most = \"1\"")], &["8:1", "11:11"])]
+#[case::tables_of_an_array(&[("at_most = 0.0", "atmost = 0.0"), ("at_most = 1.0", "at_most = \"1\"")],
+    &["8:1", "11:11"])]
 #[case::a_number_of_a_list(&[("at_most = 0.0", "within = [0.0, \"1\"]"), ("60.0", "true")], &["3:15", "8:16"])]
-#[case::missing_in_an_element(&[("metric = \"overruns\"\nat_most = 0.0", "at_most = 0.0"), ("at_most = 1.0", "atmost = 1.0")], &["10:1", "6:1"])]
+#[case::missing_in_an_element(
+    &[("metric = \"overruns\"\nat_most = 0.0", "at_most = 0.0"), ("at_most = 1.0", "atmost = 1.0")],
+    &["10:1", "6:1"]
+)]
 #[case::missing_in_a_table(&[("setpoint_um = 2.0\n", ""), ("title", "titel")], &["1:1", "4:1"])]
 fn reports_every_error(#[case] changes: &[(&str, &str)], #[case] places: &[&str]) {
     let text = changes.iter().fold(BASE.to_owned(), |text, (good, bad)| {

@@ -132,10 +132,11 @@ impl RungResult {
 
 const EXPLANATION: [&str; 2] = [
     "Every rung plays the scenarios and judges them. The cost is processor time of the whole run per control period: \
-     plate, controller, trace and judgement. The difference is the largest one of any expectation with this metric from \
-     the emulated firmware, the most detailed rung with a transparent line; expectations without a number on one of both \
-     rungs count as a changed verdict only.",
-    "A rung in real time adds the delay of its line, which no other rung has: its difference is the effect of that delay.",
+     plate, controller, trace and judgement. The difference is the largest one of any expectation with this metric \
+     from the emulated firmware, the most detailed rung with a transparent line; expectations without a number on one \
+     of both rungs count as a changed verdict only.",
+    "A rung in real time adds the delay of its line, which no other rung has: its difference is the effect of that \
+     delay.",
 ];
 
 fn section(results: &[RungResult]) -> Result<ChartSection, ChartError> {

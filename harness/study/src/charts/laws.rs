@@ -47,9 +47,9 @@ pub fn build_chart(scenes: &[LawScenario]) -> Result<ChartSection, ChartError> {
 }
 
 const EXPLANATION: [&str; 3] = [
-    "Every law with its own design, no loop delay, period of 1 ms, setpoint 2 µm, drive up to the plate's limit, on the \
-     exact plate and the hosted rig. The response time runs from the setpoint step, or from the instant of the force, \
-     to the last entry of |W| into 5 % of the setpoint. The static error is |mean over the last third − \
+    "Every law with its own design, no loop delay, period of 1 ms, setpoint 2 µm, drive up to the plate's limit, on \
+     the exact plate and the hosted rig. The response time runs from the setpoint step, or from the instant of the \
+     force, to the last entry of |W| into 5 % of the setpoint. The static error is |mean over the last third − \
      setpoint|/setpoint.",
     "Repeatability is the standard deviation of that mean over trials with sensor noise; the response time of these \
      trials is the median. A law that does not stay in the band is at the right edge, with its name.",

@@ -163,12 +163,12 @@ fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Result<ChartSect
 }
 
 const EXPLANATION: [&str; 2] = [
-    "Every scenario runs on every model of the plate with the hosted controller and is judged. A model is compared with \
-     the most detailed one of the scenario: modal, or carrier if the plate has a converter. The difference of a metric \
-     is relative to its tolerance: half the distance of two limits, or the size of a single limit.",
-    "The table lists changed verdicts and differences of more than a tenth of the tolerance. The cost is processor time \
-     of the whole run per control period: plate, controller, trace and judgement. The ring in the drawing marks the \
-     model of the scenario.",
+    "Every scenario runs on every model of the plate with the hosted controller and is judged. A model is compared \
+     with the most detailed one of the scenario: modal, or carrier if the plate has a converter. The difference of a \
+     metric is relative to its tolerance: half the distance of two limits, or the size of a single limit.",
+    "The table lists changed verdicts and differences of more than a tenth of the tolerance. The cost is processor \
+     time of the whole run per control period: plate, controller, trace and judgement. The ring in the drawing marks \
+     the model of the scenario.",
 ];
 
 fn model_table(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Table {

@@ -14,7 +14,8 @@ pub fn boundary_table(study: &Study, delay: f64) -> String {
     let _ = writeln!(
         text,
         "Loops: longest stable loop delay of each law at 1 kHz, µs; margins at a loop delay of {:.0} µs\n\n\
-         law             condition   predicted   measured  difference   from rest   radius   gain   phase   delay margin",
+         law             condition   predicted   measured  difference   from rest   radius   gain   phase   \
+         delay margin",
         delay * 1e6
     );
     for row in &study.rows {

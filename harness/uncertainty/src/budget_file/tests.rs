@@ -89,7 +89,8 @@ fn a_calibration_is_valid_through_its_last_day() {
 #[case::coverage("[[instrument]]", "coverage_percent = 100.0\n[[instrument]]", "expected 50 to 99.9")]
 #[case::twice(
     "[[budget]]",
-    "[[instrument]]\nname = \"vibrometer\"\nserial = \"2\"\ncalibrated = \"2026-03-01\"\ndue = \"2026-03-01\"\n[[budget]]",
+    "[[instrument]]\nname = \"vibrometer\"\nserial = \"2\"\ncalibrated = \"2026-03-01\"\n\
+     due = \"2026-03-01\"\n[[budget]]",
     "named twice"
 )]
 fn an_invalid_budget_is_reported_with_its_line(#[case] good: &str, #[case] bad: &str, #[case] message: &str) {

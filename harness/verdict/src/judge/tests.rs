@@ -55,7 +55,8 @@ impl ScenarioBuilder<'_> {
         std::fs::write(folder.path().join("plate.toml"), plate).unwrap();
         let spread = if self.is_varied { "[trials.spread]\nsensor_gain_percent = 1.2\n" } else { "" };
         let text = format!(
-            "title = \"Synthetic\"\nplate = \"plate.toml\"\nduration_ms = 60.0\nexpect = [{}]\n[profile]\nsetpoint_um = {}\n\
+            "title = \"Synthetic\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n\
+             expect = [{}]\n[profile]\nsetpoint_um = {}\n\
              finger_force_n = {}\n[trials]\ncount = {}\nmax_count = {}\n{spread}",
             self.expect.iter().map(|expect| format!("{{ {expect} }}")).collect::<Vec<_>>().join(", "),
             self.setpoint,

@@ -8,7 +8,8 @@ fn scenario(duration_ms: f64, profile: &str, expect: &str) -> Scenario {
     let plate = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
     std::fs::write(folder.path().join("plate.toml"), plate).unwrap();
     let text = format!(
-        "title = \"Real\"\nplate = \"plate.toml\"\nduration_ms = {duration_ms:?}\nexpect = [{{ {expect} }}]\n[profile]\n{profile}\n"
+        "title = \"Real\"\nplate = \"plate.toml\"\nduration_ms = {duration_ms:?}\nexpect = [{{ {expect} }}]\n\
+         [profile]\n{profile}\n"
     );
     let path = folder.path().join("s.toml");
     std::fs::write(&path, text).unwrap();

@@ -37,7 +37,8 @@ fn load_expectation(expectation: &str) -> Result<Scenario, Diagnostic> {
 #[case("\"static_error_percent\"\nat_most = 2.0\nwindow_ms = [20.0, 30.0]", &[(20.0, 30.0)])]
 #[case("\"static_error_percent\"\nat_most = 2.0\nfrom_ms = 20.0\nuntil_ms = 30.0", &[(20.0, 30.0)])]
 // The last third of each window; the level of 0 has no relative error.
-#[case("\"static_error_percent\"\nat_most = 2.0\nafter = \"force\"", &[(16.666_666, 20.0), (26.666_666, 30.0), (46.666_666, 50.0)])]
+#[case("\"static_error_percent\"\nat_most = 2.0\nafter = \"force\"",
+    &[(16.666_666, 20.0), (26.666_666, 30.0), (46.666_666, 50.0)])]
 #[case("\"ripple_percent\"\nat_most = 2.0\nafter = \"setpoint\"", &[(8.333_332, 10.0), (32.666_666, 34.0)])]
 #[case("\"ripple_um\"\nat_most = 2.0\nwindow_ms = 5.0", &[(55.0, 60.0)])]
 #[case("\"rest_drive_vpp\"\nat_most = 0.0", &[(1.0, 5.0), (51.0, 60.0)])]

@@ -64,7 +64,8 @@ fn numbers_repeated_metrics_from_the_second() {
 
 #[rstest]
 #[case("metric = \"settling_time_ms\", at_most = 2.0", (None, Some(5.0), Some("amplitude_um")))]
-#[case("metric = \"settling_time_ms\", at_most = 2.0, from_ms = 20.0, band_percent = 1.0, signal = \"wd_um\"", (Some(20.0), Some(1.0), Some("wd_um")))]
+#[case("metric = \"settling_time_ms\", at_most = 2.0, from_ms = 20.0, band_percent = 1.0, signal = \"wd_um\"",
+    (Some(20.0), Some(1.0), Some("wd_um")))]
 #[case("metric = \"overshoot_percent\", at_most = 2.0, from_ms = 3.0", (Some(3.0), None, Some("amplitude_um")))]
 #[case("metric = \"drive_peak_vpp\", at_most = 900.0", (None, None, None))]
 fn records_the_options_of_a_metric(#[case] expect: &str, #[case] expected: (Option<f64>, Option<f64>, Option<&str>)) {

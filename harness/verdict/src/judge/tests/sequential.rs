@@ -105,7 +105,8 @@ fn sequential_pass_rate(expect: &str, count: u32, most: u32, runs: u32, draw: im
 #[rstest]
 #[case::mean("metric = \"static_error_percent\", at_most = 1.0", |z: f64| 1.0 + 0.3 * z)]
 #[case::deviation("metric = \"repeatability_percent\", at_most = 1.3", |z: f64| 100.0 + 1.3 * z)]
-#[case::quantile("metric = \"settling_time_ms\", at_most = 1.281551565545, over = \"quantile\", quantile = 0.9", |z: f64| z)]
+#[case::quantile("metric = \"settling_time_ms\", at_most = 1.281551565545, over = \"quantile\", quantile = 0.9",
+    |z: f64| z)]
 fn several_looks_keep_the_error_rate(#[case] expect: &str, #[case] draw: fn(f64) -> f64) {
     let (passed, failed, played) = sequential_pass_rate(expect, 20, 160, 2_000, draw);
     assert!(passed <= 0.05 && failed <= 0.05, "{passed} {failed}");
