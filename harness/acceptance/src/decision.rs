@@ -102,7 +102,7 @@ fn restrict(evidence: &mut EvidenceRecord, reason: String) {
     }
 }
 
-/// Of the true value, if only the measurement is known.
+/// Probability that the true value is outside the limits, if only the measurement is known.
 fn outside_probability(combined: &CombinedUncertainty, value: f64, (low, high): (f64, f64)) -> f64 {
     let above = if high.is_finite() { combined.probability_above(value, high) } else { 0.0 };
     let below = if low.is_finite() { 1.0 - combined.probability_above(value, low) } else { 0.0 };

@@ -56,7 +56,7 @@ pub struct SessionRecord {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BenchRecord {
     pub tool: Tool,
-    /// Of the program, hexadecimal.
+    /// SHA-256 of the program, hexadecimal.
     pub sha256: String,
     pub host: Host,
 }

@@ -42,7 +42,7 @@ pub(crate) fn differences(merge: &MergeRecord, scenarios: &[ScenarioRecord]) -> 
     found
 }
 
-/// Of the trials that count.
+/// Summary of the trials that count.
 fn summary(scenario: &ScenarioRecord, metric: &str) -> Option<SampleSummary> {
     let counted = scenario.trials.iter().filter(|trial| trial.cause.is_none());
     let values: Vec<f64> = counted.filter_map(|trial| trial.metrics.get(metric)?.as_f64()).collect();

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone)]
 pub(crate) struct BoardFiles {
     pub(crate) state: PathBuf,
-    /// Of the board, and of its probe.
+    /// Lock files of the board and of its probe.
     locks: Vec<PathBuf>,
 }
 

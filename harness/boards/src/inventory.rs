@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// The nearest one applies, from the working directory upwards.
 pub const INVENTORY_FILE: &str = "boards.toml";
-/// Of `Identity::unique`.
+/// Hexadecimal digits of `Identity::unique`.
 const CHIP_ID_DIGITS: usize = 24;
 const MAX_NAME_LENGTH: usize = 64;
 

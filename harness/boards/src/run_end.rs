@@ -62,7 +62,7 @@ impl RunEnd {
         end
     }
 
-    /// Of all runs in and below `folder` that started at `since` or later; `last_run` is the newest.
+    /// The end of all runs in and below `folder` that started at `since` or later; `last_run` is the newest.
     pub fn of_runs_below(folder: &Path, since: &str) -> Self {
         let mut end = Self::untouched();
         end.add_runs_below(folder, since, MAX_DEPTH);
@@ -77,7 +77,7 @@ impl RunEnd {
                 Err(_) => Self::unconfirmed(),
             };
             self.quarantine = self.quarantine.take().or(run.quarantine);
-            // Of two runs in the same second the later one by name.
+            // If two runs started in the same second, the later one by name is the last.
             if run.last_run.as_ref().map(|run| &run.started) >= self.last_run.as_ref().map(|run| &run.started) {
                 self.last_run = run.last_run;
             }

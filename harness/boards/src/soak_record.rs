@@ -21,12 +21,12 @@ pub struct SoakRecord {
     pub rig: String,
     pub started: String,
     pub updated: String,
-    /// Of all runs.
+    /// The most severe verdict of all runs.
     pub verdict: Verdict,
     /// Absent while it runs, and if it was killed.
     pub end: Option<SoakEnd>,
     pub runs: u64,
-    /// Of each run, the controller confirmed 0 V.
+    /// True if the controller confirmed 0 V after each run.
     pub safe_confirmed: bool,
     pub scenarios: BTreeMap<String, SoakScenario>,
     /// Folder of the newest run.

@@ -45,7 +45,7 @@ pub struct LastRun {
     pub verdict: Option<Verdict>,
 }
 
-/// By a person.
+/// End of a quarantine by a person.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Clearance {
     at: String,

@@ -17,7 +17,7 @@ use toml::{Spanned, Table, Value};
 const MAX_TRIALS: u64 = 10_000_000_000;
 const MAX_CELLS: u64 = 1_000_000;
 const DEFAULT_CONFIDENCE: f64 = 0.95;
-/// Of a long list, so many values are checked before the campaign starts.
+/// Values of a long list that are checked before the campaign starts.
 const MAX_CHECKED_VALUES: usize = 100;
 /// Parts of a scenario that do not change a trial.
 const FIXED_KEYS: [&str; 7] = ["title", "source", "tags", "trials", "between", "expected_exit", "plate"];
@@ -118,7 +118,7 @@ pub struct Campaign {
     /// In the order of the file.
     pub variables: Vec<Variable>,
     pub method: Method,
-    /// In all.
+    /// Number of trials in all.
     pub trials: u64,
     pub trials_per_cell: u64,
     /// Number of combinations of listed values; 0 without listed values.

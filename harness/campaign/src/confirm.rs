@@ -144,7 +144,7 @@ pub struct Agreement {
     pub differences: Vec<Difference>,
     /// Replayed trials that fail on the emulated firmware alone.
     pub missed_failures: u64,
-    /// Of two finite margins of one trial.
+    /// Largest difference of two finite margins of one trial.
     pub largest_margin_difference: f64,
 }
 

@@ -76,7 +76,7 @@ pub(crate) fn blocks(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec
 
 /// Where the cells are.
 struct Places {
-    /// Without values.
+    /// Panels without values.
     panels: Vec<HeatPanel>,
     /// Panel, column and row of each cell.
     cells: Vec<(usize, usize, usize)>,

@@ -38,7 +38,7 @@ pub struct Plan {
     /// Paths are relative to the campaign folder.
     campaign: PathBuf,
     pub method: Method,
-    /// In all.
+    /// Number of trials in all.
     pub trials: u64,
     pub shards: u32,
     pub rig: String,

@@ -98,7 +98,7 @@ pub(crate) fn replay(
 enum Source<'a> {
     /// Drawn by the number of the trial.
     Numbers(Range<u64>),
-    /// Of these rows; a trial has the number of its place.
+    /// The trials of these rows; a trial has the number of its place.
     Rows(&'a [&'a Row]),
 }
 

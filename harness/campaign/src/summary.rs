@@ -29,12 +29,12 @@ pub struct Summary<'a> {
     /// Failing trials, smallest margin first.
     pub failing: Vec<Row>,
     causes: [u64; 4],
-    /// Of `search` and `rare`.
+    /// Result of the chains of `search` and `rare`.
     pub chains: ChainOutcome,
-    /// Of the other methods.
+    /// Result of the other methods.
     pub sample: Sample,
     pub sequential: SequentialDecision,
-    /// Of the trials that were replayed on the rig of `plan.confirm`.
+    /// Comparison of the trials that were replayed on the rig of `plan.confirm`.
     pub agreement: Option<Agreement>,
 }
 
@@ -114,7 +114,7 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// Of the share of failing trials. `None` for a search, whose trials are no sample.
+    /// Interval of the share of failing trials. `None` for a search, whose trials are no sample.
     fn interval(&self) -> Option<[f64; 2]> {
         let confidence = self.campaign.confidence;
         match self.campaign.method {
@@ -128,7 +128,7 @@ impl<'a> Summary<'a> {
         tally.verdict(self.campaign.at_most, self.campaign.confidence)
     }
 
-    /// Of an inconclusive verdict: the most frequent cause of inconclusive trials, else too few trials.
+    /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials, else too few trials.
     pub fn cause(&self) -> Option<Cause> {
         if self.verdict() != Verdict::Inconclusive {
             return None;

@@ -65,7 +65,7 @@ impl Tally {
     }
 }
 
-/// Of equal margins the earlier trial is worse.
+/// Adds `row` if it is among the worst. If margins are equal, the earlier trial is worse.
 pub(crate) fn keep_worst(worst: &mut Vec<Row>, row: &Row) {
     let place = worst.partition_point(|kept| kept.margin() <= row.margin());
     if place < MAX_WORST {

@@ -21,7 +21,7 @@ const FOLDER: &str = "worst";
 const RUN: &str = "run";
 /// About 4 MB of report.
 const MAX_TRIALS: usize = 500;
-/// Of more trials no trace is stored.
+/// If more trials are played, no trace is stored.
 const MAX_TRACES: usize = 2 * MAX_WORST;
 
 /// Page that shows the response of a trial, relative to the campaign folder; by the number of the trial.

@@ -160,7 +160,7 @@ fn print_difference(
     Ok(compared.verdict)
 }
 
-/// Of every signal that leaves its tube, in the first trial that does.
+/// Prints a drawing of every signal that leaves its tube, in the first trial that does.
 fn print_drawings(trials: &ScenarioTrials, old: Option<&Baseline>) -> Result<(), CompareError> {
     let Some(old) = old else { return Ok(()) };
     for trial in &trials.trials {

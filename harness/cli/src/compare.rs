@@ -47,7 +47,7 @@ struct ComparisonOutput {
     scenario: String,
     #[serde(flatten)]
     comparison: TubeComparison,
-    /// Of the largest deviation.
+    /// Drawing of the largest deviation.
     drawing: Option<PathBuf>,
 }
 

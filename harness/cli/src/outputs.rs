@@ -59,7 +59,7 @@ fn is_stdout(file: &Path) -> bool {
 }
 
 impl Outputs {
-    /// Before the run.
+    /// Checks the outputs before the run.
     pub(crate) fn check(&self, format: OutputFormat) -> Result<(), String> {
         let to_stdout = [&self.summary, &self.tap].into_iter().flatten().filter(|file| is_stdout(file)).count();
         if to_stdout + usize::from(format == OutputFormat::Json) > 1 {

@@ -22,7 +22,7 @@ pub struct LineFault {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LineFaultDraw {
     kind: FaultKind,
-    /// Of a delay, in percent of a period.
+    /// Delay, percent of a period.
     delay: u32,
     to_controller: bool,
     /// Share of the trial before the fault, percent.

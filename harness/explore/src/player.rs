@@ -54,7 +54,7 @@ pub struct Player<'a> {
     own_clock: bool,
     cancel: &'a CancelToken,
     session: Option<Session<FaultInjector<BoxedLink>>>,
-    /// Of this controller.
+    /// Scenes that this controller has played.
     scenes: u32,
     controllers: usize,
     /// Trials in a row in which the controller was lost.

@@ -40,7 +40,7 @@ pub struct SceneTrial {
     /// Temperature offset, 0.01 K.
     pub temperature: Course,
     pub tuning: Tuning,
-    /// Of the judged trial only.
+    /// Faults of the judged trial only.
     pub faults: Vec<LineFault>,
 }
 

@@ -24,7 +24,7 @@ pub struct CoverageConfig {
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Coverage {
     pub files: BTreeMap<String, FileCoverage>,
-    /// Of all functions in flash, also without debug information.
+    /// Instructions of all functions in flash, also without debug information.
     pub instructions: Ratio,
 }
 

@@ -13,7 +13,7 @@ const LEVEL: f64 = 0.01;
 const ROUNDING: f64 = 1e-5;
 /// A value that is the largest or smallest in more than this share of samples is clipped.
 const CLIPPED_SHARE: f64 = 0.02;
-/// At a limit other than 0.
+/// Smallest number of samples at a limit other than 0.
 const MIN_CLIPPED: usize = 5;
 /// A hand on rubber to a bell in vacuum.
 const QUALITY: [f64; 2] = [5.0, 20_000.0];

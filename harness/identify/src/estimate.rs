@@ -15,7 +15,7 @@ pub struct Estimate {
     pub error: f64,
     pub low: f64,
     pub high: f64,
-    /// Of the error.
+    /// Degrees of freedom of the error.
     #[serde(skip)]
     pub freedom: f64,
 }
@@ -88,7 +88,7 @@ pub struct WhitenessTest {
     pub statistic: f64,
     /// Degrees of freedom: lags times components.
     pub freedom: usize,
-    /// Of a statistic at least this large for white residuals.
+    /// Probability of a statistic at least this large if the residuals are white.
     pub p_value: f64,
 }
 

@@ -23,7 +23,7 @@ const CONVERGENCE_TOLERANCE: f64 = 1e-10;
 const DIFFERENCE_STEP: f64 = 1e-6;
 /// Relative to the mean excitation frequency, rad/s.
 pub(crate) const OMEGA_UNIT: f64 = 500.0;
-/// Of K1 or τ.
+/// Largest relative error of K1 or τ of an estimate that counts.
 const MAX_RELATIVE_ERROR: f64 = 0.5;
 /// Fits with instants of touch: each takes the weight of a period from the noise of the previous.
 const TOUCH_FITS: usize = 2;
@@ -273,7 +273,7 @@ fn jacobian(
     DMatrix::from_columns(&(0..theta.len()).map(column).collect::<Vec<_>>())
 }
 
-/// Of the parameters, for residuals with the variance 1. `None` if they are not determined.
+/// Covariance of the parameters, for residuals with the variance 1. `None` if they are not determined.
 pub(crate) fn covariance_of(
     residuals: &impl Fn(&DVector<f64>) -> DVector<f64>,
     theta: &DVector<f64>,

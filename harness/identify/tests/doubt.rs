@@ -16,7 +16,7 @@ const NOISE_UM: f64 = 0.004;
 struct Defect {
     /// Relative increase per µm.
     damping_per_um: f64,
-    /// Of the resonance during the capture, rad/s.
+    /// Change of the resonance during the capture, rad/s.
     drift: f64,
     clip_um: Option<f64>,
     swapped: bool,

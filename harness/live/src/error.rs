@@ -20,7 +20,7 @@ pub enum LiveViewError {
     #[error("the terminal reports {columns} x {rows} cells, expected at most {MAX_CELLS} in total")]
     Size {
         columns: u16,
-        /// In cells.
+        /// Size of the terminal in cells.
         rows: u16,
     },
     #[error("the program runs in the background of its terminal")]

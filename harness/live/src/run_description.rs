@@ -4,7 +4,7 @@ use platebench_scenario::Scenario;
 
 /// Half width of the band in percent if no expectation has one: the paper's response time.
 const BAND_PERCENT: f64 = 5.0;
-/// Of a longer trial the view draws the last seconds only.
+/// Longest part of a trial that the view draws: the last seconds.
 const MAX_WINDOW_S: f64 = 10.0;
 
 #[derive(Debug, Clone)]

@@ -22,7 +22,7 @@ const NEGLIGIBLE_VPP: f64 = 1e-150;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveConverter {
     pub bits: u32,
-    /// Of the highest code.
+    /// Output of the highest code.
     pub range_vpp: f64,
 }
 

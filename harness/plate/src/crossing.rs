@@ -128,7 +128,7 @@ mod tests {
             let state = match tier {
                 Tier::Linear => State { w: w.re * Complex64::new(1.0, 0.4), u: 0.4.into() },
                 Tier::Envelope => State { w, u: Complex64::ZERO },
-                // Both poles.
+                // Both poles are free.
                 Tier::Modal | Tier::Carrier => State { w, u: Complex64::I * drive.omega * fast * w },
             };
             let monitor = BandMonitor { signal, low, high: low + width };

@@ -60,7 +60,7 @@ pub(crate) struct ExcursionBound {
 }
 
 impl ExcursionBound {
-    /// Of the sum of two motions.
+    /// Bound of the sum of two motions.
     pub(crate) fn plus(&self, other: &Self) -> Self {
         Self {
             speed: self.speed + other.speed,

@@ -18,7 +18,7 @@ const MIN_POLE_DISTANCE: f64 = 1e-8;
 pub(crate) struct ForcedFlow {
     omega: f64,
     rest: Complex64,
-    /// Of the ramp's response, µm/s.
+    /// Slope of the ramp's response, µm/s.
     slope: Complex64,
     /// Slow pole, fast pole, amplifier: amplitude in µm and pole in 1/s in the rotating frame.
     terms: [(Complex64, Complex64); 3],

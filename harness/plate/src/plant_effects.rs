@@ -90,7 +90,7 @@ impl Plant {
         scale * (rate + heating)
     }
 
-    /// Of `varying.rs`, s. A ramp of the drive over at least a step adds `|λ||λ'|h³/240`.
+    /// Longest step of `varying.rs`, s. A ramp of the drive over at least a step adds `|λ||λ'|h³/240`.
     fn longest_step(&self, effects: &Effects, forcing: &Forcing, rate: f64, frequency: f64) -> f64 {
         let modes = self.modes_at(self.time, effects.heat_k);
         let poles = modes.map(|mode| mode.sigma.hypot(mode.omega0 - self.drive.omega));

@@ -27,11 +27,11 @@ pub struct Plate {
     /// rad/s per newton.
     pub omega0_per_n: f64,
     pub drive_limit_vpp: f64,
-    /// Of the noise on each sensed component.
+    /// Noise on each sensed component.
     pub noise_um_rms: f64,
     /// `None` if W is sensed without delay. Only for the carrier tier.
     pub lockin: Option<Lockin>,
-    /// Of each sensed component, for a sensor without lock-in.
+    /// Resolution of each sensed component, for a sensor without lock-in.
     pub resolution: Option<ConverterResolution>,
     pub sensor_latency: Time,
     /// Change of the sensor's gain, as a share per second.

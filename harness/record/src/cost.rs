@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// Changes up to this size are not reported, percent.
 const MIN_CHANGE_PERCENT: f64 = 1.0;
 
-/// Of the emulated board: one per cycle of 168 MHz.
+/// Speed of the emulated board: one instruction per cycle of 168 MHz.
 const INSTRUCTIONS_PER_MS: f64 = 168_000.0;
 
 /// The control step that needs the largest share of its period.
@@ -18,7 +18,7 @@ pub struct TightestStep {
 }
 
 impl TightestStep {
-    /// Of the instructions that fit into the period at 168 MHz and one per cycle.
+    /// Share of the instructions that fit into the period at 168 MHz and one per cycle.
     pub fn share(&self) -> f64 {
         self.instructions / (INSTRUCTIONS_PER_MS * self.period_ms)
     }

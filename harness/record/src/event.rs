@@ -15,7 +15,7 @@ pub enum Event {
         file: String,
         /// Its trace is complete.
         trial: Box<TrialRecord>,
-        /// Of the first trials of each scenario, if they are wanted.
+        /// Rows of the first trials of each scenario, if the receiver wants them.
         rows: Vec<Row>,
     },
     /// All trials of a scenario ended and are judged.

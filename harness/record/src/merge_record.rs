@@ -63,7 +63,7 @@ pub struct BoardDifference {
 }
 
 impl MergeRecord {
-    /// Of the run that played the scenario `file`.
+    /// Overrides of the run that played the scenario `file`.
     pub fn overrides_of(&self, file: &str) -> Option<&Overrides> {
         let run = self.runs.iter().find(|run| run.scenarios.iter().any(|scenario| scenario.file == file))?;
         Some(&run.overrides)

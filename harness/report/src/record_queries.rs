@@ -67,7 +67,7 @@ pub(crate) fn smallest_margins(record: &RunRecord) -> Vec<(usize, &ScenarioRecor
     rated
 }
 
-/// Of a scenario: the expectation with the smallest margin, if its limit leaves one.
+/// The expectation with the smallest margin, if its limit leaves one.
 pub(crate) fn closest_expectation(scenario: &ScenarioRecord) -> Option<usize> {
     let rated = scenario.expectations.iter().enumerate().filter(|(_, found)| allows_margin(found));
     let rated = rated.filter_map(|(index, found)| Some((index, found.margin?)));
@@ -85,7 +85,7 @@ fn allows_margin(expectation: &ExpectationRecord) -> bool {
     }
 }
 
-/// Of several, with the sum of its trials, ms.
+/// The slowest of several scenarios, with the sum of its trials, ms.
 pub(crate) fn slowest_scenario(record: &RunRecord) -> Option<(&ScenarioRecord, f64)> {
     let wall_ms = |scenario: &ScenarioRecord| scenario.trials.iter().filter_map(|trial| trial.wall_ms).sum::<f64>();
     let timed = record.scenarios.iter().map(|scenario| (scenario, wall_ms(scenario)));

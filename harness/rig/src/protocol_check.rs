@@ -29,7 +29,8 @@ const VARIATIONS: [Variation; 4] = [
 const ROUNDING: f32 = 2e-6;
 /// A script with a lost answer or a stall of the host is played again.
 const ATTEMPTS: usize = 3;
-/// Of scripts that are not about the watchdog. On an emulated line the frames of an exchange take milliseconds.
+/// Watchdog timeout of scripts that do not test the watchdog. On an emulated line the frames of an exchange take
+/// milliseconds.
 const MIN_WATCHDOG_MS: u16 = 1_000;
 /// Target and reference advance in steps: a reference sends at most one tick in each.
 const STEP: Duration = Duration::from_millis(3);

@@ -46,7 +46,7 @@ pub struct Scenario {
     pub between: Vec<Self>,
     /// At least one.
     pub expectations: Vec<Expectation>,
-    /// Of the requirements of the expectations, by identifier, if a `requirements.toml` has them.
+    /// Texts of the requirements of the expectations, by identifier, if a `requirements.toml` has them.
     pub requirement_texts: BTreeMap<String, String>,
 }
 
@@ -99,16 +99,16 @@ pub struct Trials {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spread {
-    /// Of the plate's gain K1, percent.
+    /// Spread of the plate's gain K1, percent.
     #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub gain_percent: f64,
-    /// Of the plate's time constant, percent.
+    /// Spread of the plate's time constant, percent.
     #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub time_constant_percent: f64,
-    /// Of the sensor's gain, percent.
+    /// Spread of the sensor's gain, percent.
     #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub sensor_gain_percent: f64,
-    /// Of the temperature, kelvin.
+    /// Spread of the temperature, kelvin.
     #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
     pub temperature_k: f64,
 }

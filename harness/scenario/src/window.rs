@@ -43,9 +43,9 @@ impl ChangingProfile {
 
 #[derive(Debug, Clone)]
 pub(crate) struct ProfileChanges {
-    /// Of setpoint, force and temperature, before the end of the trial, in rising order.
+    /// Changes of setpoint, force and temperature, before the end of the trial, in rising order.
     starts: [Vec<Time>; 3],
-    /// Of all profiles.
+    /// Changes of all profiles.
     all: Vec<Time>,
     duration: Time,
 }

@@ -38,7 +38,7 @@ pub struct TraceWriter {
     hash: Sha256,
     /// Not yet in the file.
     buffer: Vec<u8>,
-    /// Of the last row: most numbers repeat.
+    /// Text of the last row's numbers: most numbers repeat.
     cells: [Cell; NUMBERS],
     path: PathBuf,
 }

@@ -18,13 +18,13 @@ pub struct TypeA {
 }
 
 impl TypeA {
-    /// Of the mean of `values`; `None` below two.
+    /// Uncertainty of the mean of `values`; `None` for fewer than two.
     pub fn of_mean(values: &[f64]) -> Option<Self> {
         let single = Self::of_single(values)?;
         Some(Self { standard: single.standard / (values.len() as f64).sqrt(), ..single })
     }
 
-    /// Of one value, by the scatter of all; `None` below two.
+    /// Uncertainty of one value, from the scatter of all; `None` for fewer than two.
     pub fn of_single(values: &[f64]) -> Option<Self> {
         let count = values.len() as f64;
         let mean = values.iter().sum::<f64>() / count;
@@ -33,7 +33,7 @@ impl TypeA {
         (values.len() > 1).then(|| Self { standard: (squares / degrees_of_freedom).sqrt(), degrees_of_freedom })
     }
 
-    /// Of a standard deviation over `count` values, for normal data: `s/√(2(n − 1))`; `None` below two.
+    /// Uncertainty of a standard deviation over `count` values, for normal data: `s/√(2(n − 1))`; `None` below two.
     pub fn of_stated_deviation(deviation: f64, count: usize) -> Option<Self> {
         let degrees_of_freedom = count.checked_sub(1).filter(|freedom| *freedom > 0)? as f64;
         Some(Self { standard: deviation / (2.0 * degrees_of_freedom).sqrt(), degrees_of_freedom })

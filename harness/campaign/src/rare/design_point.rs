@@ -9,7 +9,7 @@ use std::f64::consts::SQRT_2;
 const DIFFERENCE: f64 = 0.1;
 const MAX_ITERATIONS: usize = 12;
 const MAX_HALVINGS: u32 = 4;
-/// Of the score at the centre.
+/// Tolerance of the score at the design point, relative to the score at the centre.
 const SCORE_TOLERANCE: f64 = 0.02;
 const POINT_TOLERANCE: f64 = 0.15;
 /// Failures beyond have a probability below 10⁻¹⁴.

@@ -37,7 +37,7 @@ struct Sample {
 struct Level {
     threshold: f64,
     chains: Vec<Vec<Sample>>,
-    /// Of a step, 0 to 1.
+    /// Standard deviation of a step, 0 to 1.
     deviation: f64,
 }
 

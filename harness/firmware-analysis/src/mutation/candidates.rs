@@ -76,10 +76,10 @@ impl MutantFilter {
 struct Place {
     /// No line of the project or its dependencies belongs to it.
     is_of_compiler: bool,
-    /// Of the innermost function outside the standard library.
+    /// The innermost function outside the standard library.
     function: String,
     frame: Option<SourceFrame>,
-    /// Of all functions that were inlined here, and of the symbol.
+    /// Names of all functions that were inlined here, and of the symbol.
     names: Vec<String>,
 }
 

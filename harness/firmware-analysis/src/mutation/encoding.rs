@@ -177,7 +177,7 @@ fn moved_immediate(instruction: &Instruction) -> Option<(u16, u16)> {
     }
 }
 
-/// Of `MOVW` and `MOVT`.
+/// The immediate value of `MOVW` and `MOVT`.
 const fn split_immediate(first: u16, second: u16) -> u16 {
     (first & 0xF) << 12 | (first >> 10 & 1) << 11 | (second >> 12 & 7) << 8 | second & 0xFF
 }
@@ -222,7 +222,7 @@ fn literals(map: &CodeMap, instruction: &Instruction) -> Vec<Change> {
     if is_address(word) { Vec::new() } else { vec![change(address, word.wrapping_add(1))] }
 }
 
-/// Of flash, RAM, a peripheral or the processor.
+/// True for an address of flash, RAM, a peripheral or the processor.
 fn is_address(word: u32) -> bool {
     matches!(word >> 24, 0x08 | 0x10 | 0x20 | 0x40 | 0x42 | 0x50 | 0xE0)
 }

@@ -119,7 +119,7 @@ impl MutationReport {
         same.fold([0, 0], |[all, unchanged], same| [all + 1, unchanged + usize::from(same)])
     }
 
-    /// Of instructions that ran while the firmware answered a sample.
+    /// Score of the instructions that ran while the firmware answered a sample.
     pub fn score_of_control_step(&self) -> Score {
         self.score_if(|result| result.mutant.in_control_step)
     }

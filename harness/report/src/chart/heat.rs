@@ -202,7 +202,7 @@ mod tests {
         assert!(svg.contains("finger_force_n, N") && svg.contains("dq-pi"));
     }
 
-    /// Of two panels with 2×2 cells side by side; the legend has two lines.
+    /// A map of two panels with 2×2 cells side by side; the legend has two lines.
     #[test]
     fn a_cell_is_where_it_is_drawn() {
         let mut figure = figure(vec![vec![Some(0.0), None], vec![Some(1.0), Some(2.0)]]);

@@ -71,7 +71,7 @@ impl MultiplesChart {
         })
     }
 
-    /// Of all panels.
+    /// Range of all panels.
     fn scale(&self) -> (f64, f64) {
         let values = self.panels.iter().flatten().flatten().filter_map(|point| point.value);
         let drawn = values.filter(|value| value.is_finite() && *value > 0.0);

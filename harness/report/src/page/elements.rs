@@ -10,7 +10,7 @@ pub fn verdict_badge(verdict: Verdict, text: &str) -> Markup {
     html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (format::sign(verdict)) } " " (text) } }
 }
 
-/// Of a scenario in `report.html`, by its index in the record.
+/// Anchor of a scenario in `report.html`, by its index in the record.
 pub fn scenario_anchor(index: usize) -> String {
     format!("scenario-{index}")
 }

@@ -8,7 +8,7 @@ use platebench_trace::Row;
 
 const LAST_OUTSIDE: &str = "last outside the band";
 
-/// Of the window that decided.
+/// Limits of the window that decided.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LimitMark {
     /// `peak_deviation_percent ≤ 12 %`

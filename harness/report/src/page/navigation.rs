@@ -71,7 +71,7 @@ fn sparkline(data: &TraceData) -> Markup {
     html! { svg.spark viewBox={ "0 0 " (width) " " (height) } aria-hidden="true" { path d=(path) {} } }
 }
 
-/// Of the expectation with the smallest margin.
+/// Bar of the expectation with the smallest margin.
 pub(super) fn margin_bar(scenario: &ScenarioRecord) -> Markup {
     let closest = record_queries::closest_expectation(scenario).and_then(|index| scenario.expectations.get(index));
     let Some((closest, margin)) = closest.and_then(|found| Some((found, found.margin?))) else {

@@ -26,7 +26,7 @@ pub(super) struct ScenarioParts<'a> {
     pub(super) baseline_error: Option<String>,
     pub(super) line_points: usize,
     pub(super) has_drawings: bool,
-    /// Of each expectation.
+    /// Earlier values of each expectation.
     pub(super) trends: Vec<Vec<TrendPoint>>,
 }
 
@@ -243,7 +243,7 @@ fn trials_table(scenario: &ScenarioRecord) -> Markup {
     }
 }
 
-/// Of the first trial with a remark, otherwise of the first one that has any.
+/// Output of the first trial with a remark, otherwise of the first one that has any.
 fn firmware_output(scenario: &ScenarioRecord) -> Markup {
     let has_output = |trial: &&TrialRecord| trial.telemetry.firmware_output.is_some();
     let with_remark = scenario.trials.iter().filter(|trial| trial.reason.is_some()).find(has_output);

@@ -27,7 +27,7 @@ const MAX_OVERRUN_MARKS: usize = 200;
 pub(crate) struct TraceData {
     /// Missed limits, the response if the trial is much longer, the whole trial; empty without a trace.
     pub(crate) views: Vec<View>,
-    /// Of the expectations that did not pass, or else of the one with the smallest margin.
+    /// Limits of the expectations that did not pass, or else of the one with the smallest margin.
     pub(crate) limits: Vec<LimitMark>,
     /// Drawn as a line.
     pub(crate) first_trial: u32,
@@ -36,18 +36,18 @@ pub(crate) struct TraceData {
     /// Trials that decided missed expectations, with these, without the first trial.
     pub(crate) deciding_trials: Vec<(u32, String)>,
     pub(crate) trial_count: usize,
-    /// Of the first trial.
+    /// Instants of the first trial.
     pub(crate) markers: Vec<TimeMarker>,
     /// With the reason.
     pub(crate) unreadable: Vec<String>,
     pub(crate) band: Option<Band>,
-    /// Of the first trial at its first setpoint step, until the finger or the next setpoint changes it.
+    /// Overshoot of the first trial at its first setpoint step, until the finger or the next setpoint changes it.
     pub(crate) overshoot_percent: Option<f64>,
     pub(crate) grid: TimeGrid,
     pub(crate) sampled_trials: Vec<SampledTrial>,
     pub(crate) saturated: Vec<TimeWindow>,
     pub(crate) link_lost: Vec<TimeWindow>,
-    /// Of all trials, ms.
+    /// Instants of overruns in all trials, ms.
     pub(crate) overruns: Vec<f64>,
 }
 

@@ -21,7 +21,7 @@ pub(crate) struct RequirementLink {
     pub(crate) exact: Option<f64>,
     pub(crate) unit: &'static str,
     pub(crate) interval: Option<[f64; 2]>,
-    /// Of the trial that decided, or the first.
+    /// Trace of the trial that decided, or of the first.
     pub(crate) trace: String,
 }
 

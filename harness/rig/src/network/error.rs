@@ -14,7 +14,7 @@ pub enum NetworkError {
     #[error("{address}: cannot connect: {error}")]
     Connect {
         address: String,
-        /// Of the last address that the name has.
+        /// Error of the last address that the name has.
         error: io::Error,
     },
     #[error("{address}: no connection within {} s", CONNECT_TIMEOUT.as_secs())]

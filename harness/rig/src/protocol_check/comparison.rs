@@ -13,10 +13,10 @@ const GAIN_TOLERANCE: f32 = 1e-5;
 const DESIGN_TOLERANCE: f32 = 0.12;
 /// Designs that report such gains are the design of the page.
 const SAME_DESIGN: f32 = 1e-4;
-/// Of a running command, if the gains are those of the reference: drive relative to its limit, frequency relative to
-/// its range. Single precision needs less.
+/// Tolerance of a running command, if the gains are those of the reference: drive relative to its limit, frequency
+/// relative to its range. Single precision needs less.
 pub(super) const SAME_GAINS_TOLERANCE: f64 = 1e-3;
-/// Of another design: gains that act 10 % off change a drive by about so much of its limit.
+/// Tolerance for a law's own design: gains with an error of 10 % change a drive by about so much of its limit.
 const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
 /// Share of the tolerance by which the commands of a reference with the components or gains of a variation may differ.
 const ROUNDING_SHARE: f64 = 0.25;

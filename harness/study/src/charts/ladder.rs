@@ -29,7 +29,7 @@ const METRICS: [(Metric, &str, &str); 3] = [
 
 #[derive(Debug, Clone, PartialEq)]
 enum Rung {
-    /// On the hosted rig.
+    /// A model of the plate on the hosted rig.
     Model(Tier),
     Rig(RigSpec, Clock),
 }

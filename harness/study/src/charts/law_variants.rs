@@ -21,7 +21,7 @@ const LARGE_OVERSHOOT_PERCENT: f64 = 20.0;
 struct Variant {
     name: &'static str,
     is_delay_known: bool,
-    /// Of the plate, relative to the one that the law is designed for.
+    /// Gain of the plate, relative to the one that the law is designed for.
     gain_factor: f64,
 }
 
@@ -53,7 +53,7 @@ pub(crate) struct VariantResult {
     overshoot_percent: f64,
 }
 
-/// Of the scenes without noise.
+/// Measures the variants in the scenes without noise.
 pub(crate) fn measure(scenes: &[&LawScenario]) -> Result<Vec<VariantResult>, ChartError> {
     let mut results = Vec::new();
     for (scene_index, scene) in scenes.iter().enumerate() {

@@ -50,7 +50,7 @@ struct SceneResult<'a> {
 struct ModelCost {
     tier: Tier,
     scenario_count: usize,
-    /// Per control period.
+    /// CPU time per control period.
     period_us: f64,
 }
 

@@ -296,7 +296,7 @@ fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
     }
 }
 
-/// Of all methods but the closed form.
+/// Cheapest of all methods except the closed form.
 pub fn cheapest_method<'a>(measured: &'a [SweepResult], problem: &str, error: f64) -> Option<&'a SweepResult> {
     cheapest(measured, problem, error, |solver| matches!(solver, Solver::General(..)))
 }

@@ -15,7 +15,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Of a column with a learned width.
+/// Suffix of a column with a learned width.
 const WIDTH: &str = "_width";
 const TIME: &str = "t_ms";
 const MAX_BYTES: u64 = 64 << 20;

@@ -2,7 +2,7 @@
 
 use crate::tube::{Tube, TubePoint};
 
-/// Of the tolerance that removed points may cost.
+/// Share of the tolerance that removed points may cost.
 const TOLERANCE_SHARE: f64 = 0.1;
 
 /// Removes points near the line between their neighbours, by the algorithm of D. H. Douglas and T. K. Peucker

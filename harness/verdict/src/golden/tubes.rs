@@ -13,9 +13,9 @@ const PROBABILITY_ROUNDING: f64 = 1e-12;
 #[derive(Debug, Clone, PartialEq)]
 pub struct GoldenTubes {
     pub tubes: Vec<Tube>,
-    /// Of the instants that are compared in addition to the curves' own.
+    /// Distance of the instants that are compared in addition to the curves' own.
     pub step_ms: Option<f64>,
-    /// Of unchanged trials that leave a learned tube; `None` for a tube that was not learned.
+    /// Share of unchanged trials that leave a learned tube; `None` for a tube that was not learned.
     pub false_alarm_rate: Option<f64>,
 }
 

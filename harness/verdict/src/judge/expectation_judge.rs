@@ -13,7 +13,7 @@ use platebench_record::{
 };
 use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Scenario};
 
-/// Of the setpoint: twice the bound of the plate's propagation error.
+/// Percent of the setpoint: twice the bound of the plate's propagation error.
 const SIMULATION_ERROR_PERCENT: f64 = 2e-4;
 
 /// The true motion of a real plate is not known.

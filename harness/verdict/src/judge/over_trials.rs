@@ -57,7 +57,7 @@ impl OverTrials<'_> {
         spans.first().copied().filter(|_| self.is_deterministic && all_equal(spans))
     }
 
-    /// Of absolute values: errors of opposite sign do not cancel.
+    /// Judges the mean of absolute values: errors of opposite sign do not cancel.
     fn judge_mean(&self, spans: &[[f64; 2]]) -> Outcome {
         let (lows, highs) = (column(spans, 0), column(spans, 1));
         let Some(summary) = SampleSummary::of(&highs) else { return self.too_few_trials(None, 1) };

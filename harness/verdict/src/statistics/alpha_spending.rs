@@ -17,7 +17,7 @@ pub struct Look {
 impl Look {
     pub const SINGLE: Self = Self { number: 1, planned_looks: 1, trials: 0, error_share: 1.0 };
 
-    /// Of a bound at this look, if all looks together have `confidence`.
+    /// Confidence of a bound at this look, if all looks together have `confidence`.
     pub fn confidence(&self, confidence: f64) -> f64 {
         if self.error_share >= 1.0 {
             confidence

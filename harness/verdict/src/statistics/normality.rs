@@ -3,7 +3,7 @@
 use super::sample_summary::SampleSummary;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// Of the modified statistic at the level of 5 % (Stephens 1986, table 4.7, case 3).
+/// Critical value of the modified statistic at the level of 5 % (Stephens 1986, table 4.7, case 3).
 const CRITICAL_VALUE: f64 = 0.752;
 /// For the correction for small samples (Stephens 1986).
 const MIN_VALUES: usize = 8;

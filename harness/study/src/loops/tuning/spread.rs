@@ -29,7 +29,7 @@ pub struct PlateVariant {
     pub time_constant_percent: f64,
     /// N.
     pub force_n: f64,
-    /// Within the drive limit.
+    /// Result within the drive limit.
     pub plate: StepEvaluation,
     /// The smaller gain margin of both loops, each with the other closed.
     pub gain_margin: Option<f64>,

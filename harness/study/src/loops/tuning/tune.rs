@@ -15,7 +15,7 @@ use serde::Serialize;
 pub enum InfeasibilityCause {
     /// The drive limit cannot hold the setpoint.
     OutOfReach {
-        /// To hold the setpoint.
+        /// Drive that holds the setpoint.
         needed_vpp: f64,
     },
     /// The drive limit does not allow the response time.
@@ -26,7 +26,7 @@ pub enum InfeasibilityCause {
     },
     /// The response time ends before the first command with feedback acts.
     Period {
-        /// From the step to the first command with feedback in it.
+        /// Time from the step to the first command with feedback.
         first_feedback_ms: f64,
     },
     /// Equation 24 for this response is unstable at this delay.
@@ -36,7 +36,7 @@ pub enum InfeasibilityCause {
     },
     /// Only designs with less phase margin meet the target.
     PhaseMargin {
-        /// Of the fastest stable design.
+        /// Phase margin of the fastest stable design, degrees.
         found_deg: f64,
     },
     /// No design of this reading is fast enough at this period and delay.
