@@ -84,15 +84,16 @@ impl Exponentials {
     fn of(z: Complex, doublings: u32) -> Self {
         // 1/(n+1)! of φ(y) = Σ yⁿ/(n+1)!: at |y| = 0.5 the first omitted term is 2e-7.
         const COEFFICIENTS: [f32; 7] = [1.0 / 5040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0];
-        let mut y = z.scaled(1.0 / (1_u32 << doublings) as f32);
+        let mut half_y = z.scaled(0.5 / (1_u32 << doublings) as f32);
+        let y = half_y + half_y;
         let mut phi = Complex::default();
         for coefficient in COEFFICIENTS {
             phi = phi * y + Complex::new(coefficient, 0.0);
         }
         for _ in 0..doublings {
             // φ(2y) = φ(y) (1 + e^y)/2, e^y = 1 + yφ(y)
-            phi = phi * (Complex::ONE + (y * phi).scaled(0.5));
-            y = y + y;
+            phi = phi * (Complex::ONE + half_y * phi);
+            half_y = half_y + half_y;
         }
         let exp = Complex::ONE + z * phi;
         // φ' = (e^z − φ)/z loses digits for small z; there φ' = 1/2 + z/3.
@@ -198,16 +199,26 @@ impl EnvelopeModel {
     ) -> PlateMode {
         let mut mode = mode;
         for _ in 0..ITERATIONS {
-            let mut motion = (before, Complex::default());
-            for (drive, seconds) in drives {
-                if seconds > 0.0 {
-                    motion = self.propagate_with_derivative(mode, motion, drive, seconds);
-                }
+            let next = self.newton_step(mode, before, drives, after);
+            let is_final = next == mode;
+            mode = next;
+            // Further iterations would give the same mode. A board calculates them: its time is constant.
+            if cfg!(not(target_os = "none")) && is_final {
+                break;
             }
-            let step = (after - motion.0).divided_by(motion.1);
-            mode = self.clamped(PlateMode { sigma: mode.sigma - step.re, resonance: mode.resonance + step.im });
         }
         mode
+    }
+
+    fn newton_step(&self, mode: PlateMode, before: Complex, drives: [(Drive, f32); 2], after: Complex) -> PlateMode {
+        let mut motion = (before, Complex::default());
+        for (drive, seconds) in drives {
+            if seconds > 0.0 {
+                motion = self.propagate_with_derivative(mode, motion, drive, seconds);
+            }
+        }
+        let step = (after - motion.0).divided_by(motion.1);
+        self.clamped(PlateMode { sigma: mode.sigma - step.re, resonance: mode.resonance + step.im })
     }
 
     /// Static gains b/σ (equation 13) and 1/σ (equation 19).

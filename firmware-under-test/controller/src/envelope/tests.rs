@@ -118,6 +118,24 @@ proptest! {
         prop_assert!((f64::from(mode.resonance) + detuning).abs() < 0.2, "{} instead of {}", mode.resonance, -detuning);
     }
 
+    /// From a wrong start the last iterations may change nothing; from the result the first ones may.
+    #[test]
+    fn an_early_end_gives_the_same_mode(
+        damping in 0.8_f64..3.0, detuning in -1000.0_f64..1000.0, vpp in 200.0_f64..900.0,
+    ) {
+        let envelope = envelope();
+        let (force, sigma) = (f64::from(envelope.force), damping / f64::from(TAU));
+        let (re, im) = reference_propagation((1.0, 0.5), force, sigma, detuning, vpp, f64::from(PERIOD));
+        let drives = [(Drive::default(), 0.0), (Drive { vpp: vpp as f32, offset: 0.0 }, PERIOD)];
+        let (before, after) = (Complex::new(1.0, 0.5), Complex::new(re as f32, im as f32));
+        let mut mode = envelope.nominal(0.0);
+        for _ in 0..3 {
+            let all = (0..ITERATIONS).fold(mode, |mode, _| envelope.newton_step(mode, before, drives, after));
+            mode = envelope.identify(mode, before, drives, after);
+            prop_assert_eq!((mode.sigma.to_bits(), mode.resonance.to_bits()), (all.sigma.to_bits(), all.resonance.to_bits()));
+        }
+    }
+
     #[test]
     fn steering_ends_on_the_setpoint(
         damping in 0.8_f64..2.4, resonance in -600.0_f32..600.0, wd in 1.0_f64..2.0, wq in -0.6_f64..0.6,
