@@ -48,7 +48,7 @@ impl KeyType {
             "RawProfile" => "number or profile",
             "RawWindow" => "number or [number, number]",
             "AnswerKind" => "`confirm` or `text`",
-            "When" => "`before` or `after`",
+            "QuestionTime" => "`before` or `after`",
             _ => "value",
         };
         let word = if self.pair { format!("[{word}, {word}]") } else { word.to_owned() };
