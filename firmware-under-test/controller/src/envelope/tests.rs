@@ -132,7 +132,8 @@ proptest! {
         for _ in 0..3 {
             let all = (0..ITERATIONS).fold(mode, |mode, _| envelope.newton_step(mode, before, drives, after));
             mode = envelope.identify(mode, before, drives, after);
-            prop_assert_eq!((mode.sigma.to_bits(), mode.resonance.to_bits()), (all.sigma.to_bits(), all.resonance.to_bits()));
+            let bits = |mode: PlateMode| [mode.sigma, mode.resonance].map(f32::to_bits);
+            prop_assert_eq!(bits(mode), bits(all));
         }
     }
 

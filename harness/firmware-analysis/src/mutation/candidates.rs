@@ -21,7 +21,8 @@ pub struct MutantFilter {
     pub files: Vec<String>,
 }
 
-/// All mutants in the order of their addresses. `executed` as in [`platebench_rig::EmulatedLink::executed`].
+/// All mutants in the order of their addresses. `executed` as in
+/// [`platebench_rig::EmulatedLink::executed_instructions`].
 pub fn all_mutants(
     map: &CodeMap,
     symbols: &Symbols,
