@@ -1,4 +1,4 @@
-//! Checks numbers of a plate file.
+//! Checks numbers of a plate file and defines the error of an invalid one.
 
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("`{key}` is {value}, expected {expected}")]

@@ -52,7 +52,8 @@ impl CommandAudit {
     }
 
     pub(crate) fn record_command(&mut self, last_sent: u8, sequence: u8, command: &Command) {
-        // A delayed reply to an earlier message has an older number.
+        // Counts only the reply to the newest message: a late reply to an earlier one has an older number and may have
+        // a drive.
         if self.is_safe && sequence == last_sent && command.drive_vpp != 0.0 {
             self.drives_after_safe += 1;
         }

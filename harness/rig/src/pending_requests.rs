@@ -36,8 +36,8 @@ impl PendingRequests {
         self.request
     }
 
-    /// True at the end of the answer, and of a message after which none comes: a fault report, or a
-    /// command with a number not sent yet. Ticks and telemetry have their own numbers.
+    /// True if `byte` ends the answer, or a message that shows that no answer will come: a fault report, or a command
+    /// of a running controller with a number that was not sent yet. Ticks and telemetry have their own numbers.
     pub(crate) fn is_answered_by(&mut self, byte: u8) -> bool {
         let (Some(Ok(packet)), Some(expected)) = (self.answers.push(byte), self.expected) else { return false };
         // Half of the numbers are behind the expected one: late answers.

@@ -212,7 +212,7 @@ impl<'a, L: Link> Trial<'a, L> {
         self.plant.report_counts(0, self.session.rejected_frames());
         let mut flags = Flags::CONTROL;
         match reply {
-            // An idle controller has lost its configuration.
+            // The trial has configured the controller. If it is idle now, it has restarted.
             Ok(Some(reply)) if reply.command.state == Mode::Idle => self.end_on_link_error(RigError::Restarted),
             Ok(Some(reply)) => {
                 flags.set(Flags::OVERRUN, host_stalled && reply.command.cause == StateCause::SampleTimeout);

@@ -13,7 +13,8 @@ const HANG: (u64, [u8; 4]) = (0x081F_FFFC, [0x72, 0xB6, 0xFE, 0xE7]);
 const PC: usize = 15;
 
 impl Machine {
-    /// Start and length; `None` for a fault elsewhere.
+    /// Start address and length in bytes of the RAM in which the fault flips a bit; `None` if it flips none. Fails if
+    /// this is not RAM.
     pub(super) fn flipped_memory(&self, fault: &ChipFaultKind) -> Result<Option<(u32, u32)>, ChipFaultError> {
         let (start, length) = match fault {
             ChipFaultKind::FlipRam { start, length, .. } => (*start, *length),

@@ -1,7 +1,8 @@
 //! Collects the text that the firmware writes to channel 0 of RTT (SEGGER, *Real Time Transfer*).
 //!
-//! The control block is the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of channels in both
-//! directions, and per channel 24 bytes: name, buffer, size, write offset, read offset, flags.
+//! The control block is the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of channels to the bench
+//! (4 bytes), the number from the bench (4 bytes), and per channel 24 bytes: name, buffer, size, write offset, read
+//! offset, flags.
 
 use super::memory::Memory;
 use crate::symbols::Symbols;

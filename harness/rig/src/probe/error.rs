@@ -79,7 +79,10 @@ pub enum ProbeError {
         probe: String,
         cause: Box<probe_rs::Error>,
     },
-    #[error("the chip has identity {found:#05x} ({family}), expected a {expected}; nothing was written to it")]
+    #[error(
+        "the connected chip has the device code {found:#05x} ({family}), expected a {expected}; \
+         nothing was written to it"
+    )]
     WrongChip {
         expected: String,
         /// Lower twelve bits of `DBGMCU_IDCODE`.
@@ -142,15 +145,15 @@ pub enum ProbeError {
         /// Counts from the reset.
         waited: Duration,
     },
-    #[error("{}: {cause}", port.display())]
+    #[error("the serial port {} failed during the handshake: {cause}", port.display())]
     Port {
         port: PathBuf,
         /// Error of the line.
         cause: String,
     },
-    #[error("the firmware's RTT has no channel 0 {direction}")]
+    #[error("the firmware's RTT has no {direction}")]
     RttChannel {
-        /// `to the bench` or `from the bench`.
+        /// `up channel 0 (to the bench)` or `down channel 0 (from the bench)`.
         direction: &'static str,
     },
     #[error("the RTT connection to the firmware failed: {0}")]

@@ -16,8 +16,8 @@ impl RttChannels {
         let up = rtt.up_channels.into_iter().find(|channel| channel.number() == 0);
         let down = rtt.down_channels.into_iter().find(|channel| channel.number() == 0);
         Ok(Self {
-            up: up.ok_or(ProbeError::RttChannel { direction: "to the bench" })?,
-            down: down.ok_or(ProbeError::RttChannel { direction: "from the bench" })?,
+            up: up.ok_or(ProbeError::RttChannel { direction: "up channel 0 (to the bench)" })?,
+            down: down.ok_or(ProbeError::RttChannel { direction: "down channel 0 (from the bench)" })?,
         })
     }
 

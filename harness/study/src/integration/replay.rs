@@ -14,7 +14,7 @@ pub enum EquationForm {
     Envelope,
     /// Second order in the rotating frame.
     Modal,
-    /// Second order on the carrier.
+    /// Second order in the fixed frame, with the oscillation itself.
     Carrier,
 }
 

@@ -30,8 +30,8 @@ pub enum LearnError {
         count: usize,
         needed: usize,
     },
-    #[error("trial {0} has other instants than the first one")]
-    InstantsDiffer(usize),
+    #[error("trial {0} has no rows or ends at another time than the first trial; expected trials of equal length")]
+    EndDiffers(usize),
     #[error("the trials differ so much that no tolerance tube can be learned from them")]
     TrialsDiffer,
 }
@@ -57,7 +57,7 @@ impl GoldenTubes {
         let end_ms = |rows: &Vec<Row>| rows.last().map_or(0.0, |row| row.t_s * 1e3);
         let end = trials.first().map_or(0.0, end_ms);
         if let Some(other) = trials.iter().position(|rows| rows.is_empty() || end_ms(rows) != end) {
-            return Err(LearnError::InstantsDiffer(other));
+            return Err(LearnError::EndDiffers(other));
         }
         let (curve, scored) = trials.split_at(curve_trial_count(trials.len()));
         let mut tubes: Vec<Tube> = TUBE_SIGNALS
@@ -201,7 +201,7 @@ mod tests {
     fn rejects_trials_that_are_not_comparable() {
         let mut all = trials(&mut ChaCha8Rng::seed_from_u64(2), 29);
         all[4].pop();
-        assert_eq!(GoldenTubes::learn(&all, 0.5, 0.05), Err(LearnError::InstantsDiffer(4)));
+        assert_eq!(GoldenTubes::learn(&all, 0.5, 0.05), Err(LearnError::EndDiffers(4)));
         let mut all = trials(&mut ChaCha8Rng::seed_from_u64(2), 29);
         all[20][7].frequency_hz = 1e12;
         assert_eq!(GoldenTubes::learn(&all, 0.5, 0.05), Err(LearnError::TrialsDiffer));
