@@ -94,12 +94,12 @@ pub enum Method {
     Rare,
 }
 
-/// Several searches find more than one long search.
+/// Trials of one search. A campaign runs several searches, because they find more than one long search.
 const SEARCH_CHAIN_TRIALS: u64 = 256;
 const RARE_CHAIN_TRIALS: u64 = 2_048;
 
 impl Method {
-    /// Trials of a chain; 1 if trials are independent.
+    /// Number of consecutive trials that depend on each other, a chain; 1 if trials are independent.
     pub const fn chain_trials(self) -> u64 {
         match self {
             Self::Grid | Self::Random | Self::Sobol => 1,

@@ -47,7 +47,7 @@ fn note_changed_verdicts(arguments: &JudgeArgs, again: &RunRecord) {
         for (before, after) in then.expectations.iter().zip(&now.expectations) {
             if before.verdict != after.verdict {
                 let (file, metric) = (&then.file, &before.metric);
-                stdio::note(&format!("{file}: {metric}: {} now, {} in the record", after.verdict, before.verdict));
+                stdio::note(&format!("{file}: {metric}: {} in the record, {} now", before.verdict, after.verdict));
             }
         }
     }

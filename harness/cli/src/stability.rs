@@ -34,7 +34,7 @@ pub(crate) struct StabilityArgs {
     /// The plate file
     #[arg(long, value_name = "FILE", default_value = "scenarios/plates/aluminium-198x138.toml")]
     plate: PathBuf,
-    /// Loop delay of a rig, µs, for margins and maps
+    /// Measured loop delay of a rig, µs; margins and maps include it
     #[arg(long, value_name = "X", conflicts_with = "run", value_parser = parse_delay_us)]
     measured_delay_us: Option<f64>,
     /// Take the loop delay from a stored run

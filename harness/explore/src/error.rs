@@ -20,10 +20,10 @@ pub enum ExploreError {
     #[error("{0} has no declared properties, expected dq-pi, dq-pi-fixed or deadbeat")]
     LawWithoutProperties(&'static str),
     /// A generated scenario is not valid.
-    #[error("the bench generated an invalid scenario, please report it: {0}")]
+    #[error("internal error: the bench generated an invalid scenario; report this message with the seed: {0}")]
     Generated(Box<Diagnostic>),
     /// The strategy library rejected a scene.
-    #[error("the bench generated no scene, please report it: {0}")]
+    #[error("internal error: the bench generated no scene; report this message with the seed: {0}")]
     Strategy(String),
     #[error("{}: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },

@@ -50,9 +50,9 @@ pub struct PlateChoice {
     pub limit_vpp: u32,
     /// Sensor noise, pm.
     pub noise_pm: u32,
-    /// Gain relative to the envelope's plate, configured as well, 0.1 %.
+    /// Gain relative to the envelope's plate, 0.1 %; the controller is configured with it too.
     pub nominal_gain_permille: i32,
-    /// Time constant relative to the envelope's plate, configured as well, 0.1 %.
+    /// Time constant relative to the envelope's plate, 0.1 %; the controller is configured with it too.
     pub nominal_time_constant_permille: i32,
     /// Gain relative to the configured one, 0.1 %.
     pub gain_permille: i32,

@@ -37,7 +37,7 @@ pub enum RecordingError {
     TooLong(usize),
     #[error("the drive is 0 V throughout, expected a step")]
     NoDrive,
-    #[error("times that do not rise at sample {0}")]
+    #[error("the time of sample {0} is not later than the time before it")]
     NotInOrder(usize),
     #[error(
         "temperature or force changes: more than {MOST_CONDITIONS} levels, or one of fewer than {FEWEST_HELD} samples; \

@@ -1,10 +1,9 @@
 //! Advances a plate with a second mode, an amplifier, self-heating or a sensor with latency.
 //!
-//! A step ends at commands, at points of the profiles and at the end of the amplifier's ramp. While
-//! the modes are constant it is exact for any length. If the conditions change or the plate warms
-//! up, the modes follow a parabola as in `varying.rs`. The warming is the closed form for |W|² on modes
-//! that are frozen at the middle of the step, ripple included. Freezing changes |W|² by a share of up to
-//! `|λ'|h²/8`; this smooth difference is integrated by Simpson's rule.
+//! A step ends at commands, at points of the profiles and at the end of the amplifier's ramp. With constant modes a
+//! step is exact for any length. If the conditions change or the plate warms up, the modes follow a parabola as in
+//! `varying.rs`. The warming uses the closed form of |W|², with its ripple, for the modes of the middle of the step.
+//! Constant modes change |W|² by a share of up to `|λ'|h²/8`; Simpson's rule integrates this difference.
 
 use crate::amplifier::Forcing;
 use crate::crossing::{BandMonitor, Crossing};

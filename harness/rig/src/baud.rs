@@ -33,8 +33,8 @@ pub fn minimum_baud(period: Duration, time_scale: f64) -> Option<u32> {
     STANDARD_RATES.into_iter().find(|&rate| f64::from(rate) >= needed)
 }
 
-/// Fails if one frame each way per control period does not fit. Both directions run at once: the
-/// limit of what works at all; the loop delay may still be too long for a law.
+/// Fails if a frame in one direction takes longer than a control period. Both directions transmit at the same time. A
+/// law can still fail at this rate, because the loop delay is too long.
 pub fn check_baud(baud: u32, period: Duration, time_scale: f64) -> Result<(), BaudTooLow> {
     let wall = wall_seconds(period, time_scale);
     let frame = CYCLIC_FRAME_BYTES * BITS_PER_BYTE / f64::from(baud);

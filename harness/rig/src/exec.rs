@@ -41,7 +41,7 @@ pub enum ExecError {
         program: String,
         error: std::io::Error,
     },
-    #[error("no pseudo-terminal: {0}")]
+    #[error("cannot open a pseudo-terminal: {0}")]
     Terminal(std::io::Error),
     #[error("`{program}` {how} before the handshake")]
     Exited {

@@ -51,7 +51,7 @@ pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], record: Option<&
         .or_else(|| wrong_setpoint(scenario, rows))
 }
 
-/// What a real plate needs is not known.
+/// The drive that a real plate needs is unknown, so every saturation excuses a metric that a drive limits.
 pub(crate) fn saturation_excuse(expectation: &Expectation, rows: &[Row]) -> Option<Excuse> {
     let saturated = rows.iter().find(|row| row.flags.contains(Flags::SATURATED))?;
     is_drive_limited(expectation.metric).then(|| Excuse::SaturatedRealPlate { at_ms: rounded_ms(saturated.t_s) })

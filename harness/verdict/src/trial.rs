@@ -24,7 +24,7 @@ pub struct TrialMeasures {
     /// Explains a failure.
     pub divergence: Option<Divergence>,
     pub exclusion: Option<Exclusion>,
-    /// Only the controller's own sensor observes a real plate.
+    /// True for a real plate, which only the controller's own sensor measures.
     pub is_real_plate: bool,
 }
 

@@ -97,7 +97,7 @@ fn draw(dimensions: usize, random: &mut ChaCha8Rng, score: &mut dyn FnMut(&[f64]
     Some(Sample { point, score })
 }
 
-/// Uses all trials of the plan. `None` if there are too few for the first level.
+/// Uses all trials of the plan. `None` if there are too few for the first level, a threshold of the score.
 pub(crate) fn estimate(
     plan: &SubsetPlan,
     random: &mut ChaCha8Rng,

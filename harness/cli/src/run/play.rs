@@ -196,7 +196,7 @@ fn report_run_error(error: &RunError, folder: &RunFolder) {
     }
     stdio::note(&format!("run folder: {}", folder.path().display()));
     if let Ok(record) = RunRecord::read(folder.path()) {
-        stdio::note(&format!("complete trials: platebench report {}", folder.path().display()));
+        stdio::note(&format!("`platebench report {}` shows the complete trials", folder.path().display()));
         warn_if_not_safe(&record);
     }
 }
