@@ -162,7 +162,7 @@ fn evidence(session: &SessionRecord) -> Markup {
             table.evidence {
                 thead { tr {
                     th { "Requirement" } th { "Scenario" } th { "Metric" }
-                        th { "Limit" } th { "Value" } th { "Verdict" }
+                    th { "Limit" } th { "Value" } th { "Verdict" }
                 } }
                 tbody { @for requirement in &session.requirements { @for evidence in &requirement.evidence {
                     tr {
@@ -262,7 +262,7 @@ fn signatures(session: &SessionRecord) -> Markup {
                 @match &session.signature {
                     Some(signature) => {
                         "manifest.sha256 is signed with an " (signature.algorithm)
-                            " key; the public key is in session.json."
+                        " key; the public key is in session.json."
                     },
                     None => "This record has no electronic signature.",
                 }

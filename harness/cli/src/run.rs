@@ -31,13 +31,13 @@ pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> Exit {
     }
     play::with_events(arguments, |events| {
         let clock = clock?;
-        let scenarios = find_scenarios(arguments, detail)?;
+        let scenarios = scenarios_to_run(arguments, detail)?;
         play::play(arguments, clock, scenarios, detail, events)
     })
 }
 
 fn list(arguments: &RunArgs, detail: Detail) -> Exit {
-    let scenarios = match find_scenarios(arguments, detail) {
+    let scenarios = match scenarios_to_run(arguments, detail) {
         Ok(scenarios) => scenarios,
         Err(exit) => return exit,
     };
@@ -49,7 +49,7 @@ fn list(arguments: &RunArgs, detail: Detail) -> Exit {
 }
 
 /// At least one. Reports every fault of every file, or a named folder without a scenario.
-fn find_scenarios(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>, Exit> {
+fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>, Exit> {
     let found = find(&arguments.scenarios).map_err(|faults| {
         let exit = stdio::reject_files(&faults);
         if arguments.scenarios == [Path::new(SCENARIOS)] && !Path::new(SCENARIOS).exists() {

@@ -166,12 +166,12 @@ pub fn explore(
     let started = Instant::now();
     let mut exploration = Exploration::default();
     play_regressions(config, connect, cancel, &mut exploration)?;
-    let shared = WorkerState { config, connect, cancel, started, next: AtomicU64::new(0), failed: AtomicU64::new(0) };
+    let state = WorkerState { config, connect, cancel, started, next: AtomicU64::new(0), failed: AtomicU64::new(0) };
     let (sender, results) = mpsc::channel();
     thread::scope(|scope| {
         for _ in 0..config.jobs.max(1) {
-            let (shared, sender) = (&shared, sender.clone());
-            scope.spawn(move || shared.run_worker(&sender));
+            let (state, sender) = (&state, sender.clone());
+            scope.spawn(move || state.run_worker(&sender));
         }
         drop(sender);
         let mut outcome = Ok(());
@@ -185,7 +185,7 @@ pub fn explore(
                     on_scene(exploration.scenes, exploration.failed.len() as u64);
                 }
                 Err(error) => {
-                    shared.next.store(u64::MAX / 2, Ordering::Relaxed);
+                    state.next.store(u64::MAX / 2, Ordering::Relaxed);
                     outcome = outcome.and(Err(error));
                 }
             }

@@ -68,8 +68,10 @@ pub(crate) fn write_description(file: &File, path: &Path) -> Result<(), ExportEr
     let numbers = NUMBER_COLUMNS.iter().map(|number| {
         json!({
             "name": number.name,
-            "datatype": "double", "schema:unitText": number.unit,
-            "dc:description": number.meaning})
+            "datatype": "double",
+            "schema:unitText": number.unit,
+            "dc:description": number.meaning,
+        })
     });
     let flags = FLAG_COLUMNS
         .iter()

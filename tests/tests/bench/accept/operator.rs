@@ -1,6 +1,6 @@
 //! Tests sessions with an operator at a terminal, a board on a pseudo-terminal, and a killed bench.
 
-use super::{copy_folder, plan_text, read_session_record, session_folder, verify};
+use super::{copy_folder, plan_text, read_session_record, run_session, session_folder, verify};
 use crate::test_folder::{ChildGuard, TestFolder, bench_command, controller_rig, step_text, wait_until};
 use platebench_acceptance::SessionRecord;
 use platebench_record::Verdict;
@@ -162,6 +162,15 @@ fn end_of_input_does_not_confirm() {
         let record = SessionRecord::read(&folder.join(name)).unwrap();
         assert_eq!(record.steps.iter().filter(|step| step.done).count(), steps);
     }
+}
+
+#[test]
+fn a_question_without_an_answer_is_not_called_done() {
+    let folder = session_folder();
+    let number = "[[ask]]\nid = \"degrees\"\nquestion = \"Which temperature?\"\nanswer = \"number\"\n";
+    folder.write("plan.toml", &folder.read("plan.toml").replace("[[scenario]]", &format!("{number}[[scenario]]")));
+    let session = run_session(&folder, &["--yes"]);
+    session.assert_output(&["02-ask-safe  pass", "03-ask-degrees  no answer"]);
 }
 
 #[test]
