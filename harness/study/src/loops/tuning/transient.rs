@@ -56,8 +56,6 @@ pub struct TransientResponse {
     pub overshoot: f64,
     /// Vpp.
     pub peak_drive: f64,
-    /// Highest drive before the limit, Vpp.
-    pub requested_drive: f64,
     pub saturated_periods: u32,
 }
 
