@@ -3,7 +3,7 @@
 //! A plan has the text of each requirement; expectations of scenarios refer to its identifier.
 
 use crate::decision::PlanDecision;
-use platebench_scenario::{Diagnostic, Limit, Requirement, Scenario, find, input, schema};
+use platebench_scenario::{Diagnostic, Limit, Requirement, Scenario, find, parse_bytes, parse_file, schema};
 use platebench_uncertainty::{Budget, DecisionRule, known_quantities};
 use schemars::{JsonSchema, Schema};
 use serde::Deserialize;
@@ -154,9 +154,7 @@ pub struct Plan {
 
 impl Plan {
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let bytes =
-            input::read(path).map_err(|error| vec![Diagnostic::for_file(path, format!("cannot be read: {error}"))])?;
-        let (text, raw) = parse(path, &bytes)?;
+        let (text, raw) = parse_file::<RawPlan>(path)?;
         let mut faults = plan_diagnostics(path, &text, &raw);
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut scenarios: Vec<PlannedScenario> = Vec::new();
@@ -194,7 +192,7 @@ impl Plan {
             return Err(faults);
         }
         let RawPlan { title, requirement, ask, bench, .. } = raw;
-        Ok(Self { bytes, title, requirements: requirement, scenarios, asks: ask, bench, decision })
+        Ok(Self { bytes: text.into_bytes(), title, requirements: requirement, scenarios, asks: ask, bench, decision })
     }
 }
 
@@ -207,10 +205,10 @@ impl RawDecision {
 /// Requirements and decision of a recorded plan, with the budget at `budget`.
 pub(crate) fn read_recorded_plan(
     path: &Path,
-    bytes: &[u8],
+    bytes: Vec<u8>,
     budget: &Path,
 ) -> Result<(Vec<Requirement>, Option<PlanDecision>), Vec<Diagnostic>> {
-    let (_, raw) = parse(path, bytes)?;
+    let (_, raw) = parse_bytes::<RawPlan>(path, bytes)?;
     let decision = match raw.decision {
         Some(raw) => Some(raw.with_budget(Budget::load(budget, &known_quantities())?)),
         None => None,
@@ -249,13 +247,6 @@ fn decision_diagnostics(
         }
     }
     faults
-}
-
-fn parse(path: &Path, bytes: &[u8]) -> Result<(String, RawPlan), Vec<Diagnostic>> {
-    let text = String::from_utf8(bytes.to_vec())
-        .map_err(|_| vec![Diagnostic::for_file(path, "not UTF-8, expected a text file in UTF-8")])?;
-    let raw = platebench_scenario::parse(path, &text)?;
-    Ok((text, raw))
 }
 
 pub fn plan_schema() -> Schema {

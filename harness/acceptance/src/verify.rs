@@ -166,7 +166,7 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
     }
     let path = folder.join(PLAN);
     let plan = fs::read(&path).ok().filter(|bytes| sha256(bytes) == session.plan.sha256);
-    let read = |bytes: Vec<u8>| plan::read_recorded_plan(&path, &bytes, &folder.join(BUDGET)).ok();
+    let read = |bytes: Vec<u8>| plan::read_recorded_plan(&path, bytes, &folder.join(BUDGET)).ok();
     let Some((requirements, decision)) = plan.and_then(read) else {
         findings.push(contradiction(PLAN, "not the plan of the session".to_owned()));
         return findings;

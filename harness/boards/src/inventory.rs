@@ -3,7 +3,7 @@
 use crate::error::BoardError;
 use jiff::civil::Date;
 use platebench_rig::RigSpec;
-use platebench_scenario::{Diagnostic, find_file_above, input, parse};
+use platebench_scenario::{Diagnostic, find_file_above, parse_file};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeSet;
@@ -124,11 +124,7 @@ impl Inventory {
 
     /// Errors: every fault of the file.
     pub fn read(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let refused = |why: String| vec![Diagnostic::for_file(path, why)];
-        let content = input::read(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
-        let text =
-            String::from_utf8(content).map_err(|_| refused("not UTF-8, expected a text file in UTF-8".to_owned()))?;
-        let raw: RawInventory = parse(path, &text)?;
+        let (text, raw) = parse_file::<RawInventory>(path)?;
         let mut faults = Vec::new();
         let mut names = BTreeSet::new();
         let mut boards = Vec::new();

@@ -5,7 +5,7 @@ use crate::distribution::RawDistribution;
 use crate::variable::Variable;
 use platebench_rig::RigSpec;
 use platebench_scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
-use platebench_scenario::{Diagnostic, Metric, Scenario, input, parse};
+use platebench_scenario::{Diagnostic, Metric, Scenario, parse_file};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -142,10 +142,7 @@ impl Campaign {
     /// # Errors
     /// Every wrong key, else every wrong value.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let unreadable = |error| vec![Diagnostic::for_file(path, format!("cannot be read: {error}"))];
-        let text = String::from_utf8(input::read(path).map_err(unreadable)?)
-            .map_err(|_| vec![Diagnostic::for_file(path, "not UTF-8, expected a text file in UTF-8")])?;
-        let raw: RawCampaign = parse(path, &text)?;
+        let (text, raw) = parse_file::<RawCampaign>(path)?;
         let checker = Checker { path, text: &text };
         let mut faults = checker.plain_faults(&raw);
         let scenario_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.scenario);

@@ -4,9 +4,9 @@
 //! 0 to n − 1 for planned n, whatever the order in which they ended. Each look spends a share of the error.
 
 use crate::row::Row;
+use crate::tally::Tally;
 use platebench_record::Verdict;
 use platebench_verdict::statistics::alpha_spending::{Look, plan_looks};
-use platebench_verdict::statistics::proportion::clopper_pearson;
 
 const FIRST_LOOK: u32 = 32;
 
@@ -17,9 +17,7 @@ pub struct SequentialDecision {
     confidence: f64,
     looks: std::vec::IntoIter<Look>,
     next: Option<Look>,
-    trials: u32,
-    failures: u32,
-    inconclusive: u32,
+    tally: Tally,
     decision: Option<(u32, Verdict)>,
 }
 
@@ -28,28 +26,19 @@ impl SequentialDecision {
         let trials = u32::try_from(trials).unwrap_or(u32::MAX);
         let mut looks = plan_looks(FIRST_LOOK.min(trials), trials).into_iter();
         let next = looks.next();
-        Self { at_most, confidence, looks, next, trials: 0, failures: 0, inconclusive: 0, decision: None }
+        Self { at_most, confidence, looks, next, tally: Tally::new(0), decision: None }
     }
 
     /// Ignores a trial behind a missing one.
     pub(crate) fn add(&mut self, row: &Row) {
-        let (Some(share), Some(look)) = (self.at_most, self.next) else { return };
-        if row.trial != u64::from(self.trials) || self.decision.is_some() {
+        let (Some(_), Some(look)) = (self.at_most, self.next) else { return };
+        if row.trial != self.tally.trials || self.decision.is_some() {
             return;
         }
-        self.trials += 1;
-        self.failures += u32::from(row.verdict == Verdict::Fail);
-        self.inconclusive += u32::from(row.verdict == Verdict::Inconclusive);
-        if self.trials == look.trials {
-            let confidence = look.confidence(self.confidence);
-            let low = clopper_pearson(self.failures, self.trials, confidence).map(|[low, _]| low);
-            let worst = self.failures + self.inconclusive;
-            let high = clopper_pearson(worst, self.trials, confidence).map(|[_, high]| high);
-            if low.is_some_and(|low| low > share) {
-                self.decision = Some((self.trials, Verdict::Fail));
-            } else if self.inconclusive == 0 && high.is_some_and(|high| high <= share) {
-                self.decision = Some((self.trials, Verdict::Pass));
-            }
+        self.tally.add(row);
+        if self.tally.trials == u64::from(look.trials) {
+            let verdict = self.tally.verdict(self.at_most, look.confidence(self.confidence));
+            self.decision = (verdict != Verdict::Inconclusive).then_some((look.trials, verdict));
             self.next = self.looks.next();
         }
     }

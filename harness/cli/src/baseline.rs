@@ -1,7 +1,7 @@
 //! `platebench baseline`: accepts, reviews, lists and compares golden traces.
 
 use crate::exit::Exit;
-use crate::options::BASELINES;
+use crate::options::{BASELINES, parse_number};
 use crate::{prompt, stdio};
 use clap::{Args, Subcommand};
 use platebench_record::{RunRecord, ScenarioRecord, Verdict};
@@ -28,16 +28,7 @@ pub(crate) struct BaselineArgs {
 #[derive(Debug, Subcommand)]
 enum BaselineAction {
     /// Make the traces of a run golden, if it passed, and list the changes
-    Accept {
-        /// The run folder
-        run: PathBuf,
-        /// Folder of the baselines
-        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
-        baselines: PathBuf,
-        /// If trials differ: the share of later unchanged trials that may leave the learned tube
-        #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
-        false_alarm_rate: f64,
-    },
+    Accept(ReviewArgs),
     /// List the golden traces of all scenarios, or of the scenarios of a run
     List {
         /// The run folder
@@ -47,48 +38,33 @@ enum BaselineAction {
         baselines: PathBuf,
     },
     /// Show each difference with a drawing, and ask: accept, reject or skip
-    Review {
-        /// The run folder
-        run: PathBuf,
-        /// Folder of the baselines
-        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
-        baselines: PathBuf,
-        /// As for accept
-        #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
-        false_alarm_rate: f64,
-    },
+    Review(ReviewArgs),
     /// List what accepting a run would change
-    Diff {
-        /// The run folder
-        run: PathBuf,
-        /// Folder of the baselines
-        #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
-        baselines: PathBuf,
-        /// As for accept
-        #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
-        false_alarm_rate: f64,
-    },
+    Diff(ReviewArgs),
+}
+
+#[derive(Debug, Args)]
+struct ReviewArgs {
+    /// The run folder
+    run: PathBuf,
+    /// Folder of the baselines
+    #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
+    baselines: PathBuf,
+    /// If trials differ: the share of later unchanged trials that may leave the learned tube
+    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
+    false_alarm_rate: f64,
 }
 
 fn parse_share(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(share) if (1e-4..=0.5).contains(&share) => Ok(share),
-        _ => Err("expected a share from 0.0001 to 0.5".to_owned()),
-    }
+    parse_number(text, |share| (1e-4..=0.5).contains(&share), "a share from 0.0001 to 0.5")
 }
 
 pub(crate) fn baseline(arguments: &BaselineArgs) -> Exit {
     let done = match &arguments.action {
         BaselineAction::List { run, baselines } => list_baselines(run.as_deref(), baselines),
-        BaselineAction::Diff { run, baselines, false_alarm_rate } => RunRecord::read(run)
-            .map_err(CompareError::from)
-            .map(|record| review(run, &record, baselines, *false_alarm_rate, Action::Show)),
-        BaselineAction::Accept { run, baselines, false_alarm_rate } => RunRecord::read(run)
-            .map_err(CompareError::from)
-            .map(|record| review(run, &record, baselines, *false_alarm_rate, Action::Accept)),
-        BaselineAction::Review { run, baselines, false_alarm_rate } => RunRecord::read(run)
-            .map_err(CompareError::from)
-            .map(|record| review(run, &record, baselines, *false_alarm_rate, Action::Ask)),
+        BaselineAction::Accept(arguments) => review(arguments, Action::Accept),
+        BaselineAction::Review(arguments) => review(arguments, Action::Ask),
+        BaselineAction::Diff(arguments) => review(arguments, Action::Show),
     };
     done.unwrap_or_else(|error| stdio::reject(&error))
 }
@@ -100,18 +76,20 @@ enum Action {
     Ask,
 }
 
-fn review(run: &Path, record: &RunRecord, baselines: &Path, rate: f64, action: Action) -> Exit {
+fn review(arguments: &ReviewArgs, action: Action) -> Result<Exit, CompareError> {
+    let ReviewArgs { run, baselines, false_alarm_rate: rate } = arguments;
+    let record = &RunRecord::read(run)?;
     if record.scenarios.is_empty() {
         stdio::error("the run has no scenario");
-        return Exit::NothingToRun;
+        return Ok(Exit::NothingToRun);
     }
     let (mut invalid, mut verdicts) = (false, Vec::new());
     for scenario in &record.scenarios {
         let trials = read_scenario_trials(run, scenario);
         let old = Baseline::read(baselines, &scenario.file).map_err(CompareError::from);
         let reviewed = old.map_err(BaselineAcceptError::from).and_then(|old| {
-            let show = || print_difference(record, scenario, &trials, old.as_ref(), rate);
-            let accept = || accept_scenario(record, scenario, &trials, old.as_ref(), baselines, rate);
+            let show = || print_difference(record, scenario, &trials, old.as_ref(), *rate);
+            let accept = || accept_scenario(record, scenario, &trials, old.as_ref(), baselines, *rate);
             match action {
                 Action::Show => Ok(show()?),
                 Action::Accept => accept(),
@@ -136,7 +114,7 @@ fn review(run: &Path, record: &RunRecord, baselines: &Path, rate: f64, action: A
             }
         }
     }
-    if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts)) }
+    Ok(if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts)) })
 }
 
 fn print_difference(

@@ -1,6 +1,7 @@
 //! Defines the options that name a board, and reserves it for a command.
 
 use crate::exit::Exit;
+use crate::options::parse_seconds;
 use crate::shutdown::{self, received_signal};
 use crate::stdio;
 use clap::Args;
@@ -30,8 +31,7 @@ pub(crate) struct BoardArgs {
 }
 
 fn parse_wait(text: &str) -> Result<Duration, String> {
-    let seconds = text.parse().ok().filter(|seconds| (0.0..=1e7).contains(seconds));
-    seconds.map(Duration::from_secs_f64).ok_or_else(|| "expected a number of seconds from 0 to 1e7".to_owned())
+    parse_seconds(text).map(Duration::from_secs_f64)
 }
 
 impl BoardSelection {

@@ -4,7 +4,7 @@
 //! the `env` of its option, its value in the file the default.
 
 use clap::Command;
-use platebench_scenario::{Diagnostic, find_file_above, input, parse};
+use platebench_scenario::{Diagnostic, find_file_above, parse, parse_file};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -129,11 +129,7 @@ impl Config {
 
     /// `definition` checks the values. Errors: every fault of the file.
     pub(crate) fn read(path: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
-        let refused = |why: String| vec![Diagnostic::for_file(path, why)];
-        let content = input::read(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
-        let text =
-            String::from_utf8(content).map_err(|_| refused("not UTF-8, expected a text file in UTF-8".to_owned()))?;
-        parse::<RawConfig>(path, &text)?;
+        let (text, _) = parse_file::<RawConfig>(path)?;
         let document: toml::Table = parse(path, &text)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut faults = Vec::new();

@@ -2,7 +2,7 @@
 
 use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
-use crate::options::{PacingArg, law_names};
+use crate::options::{PacingArg, law_names, parse_seconds};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::{live, stdio};
 use clap::Args;
@@ -50,11 +50,6 @@ pub(crate) struct EmulateArgs {
     /// Live view in the terminal; ignored without a terminal
     #[arg(long)]
     live: bool,
-}
-
-fn parse_seconds(text: &str) -> Result<f64, String> {
-    let seconds = text.parse().ok().filter(|seconds| (0.0..=1e7).contains(seconds));
-    seconds.ok_or_else(|| "expected a number of seconds from 0 to 1e7".to_owned())
 }
 
 /// Between two greetings, and between two attempts to open a port that disappeared.

@@ -2,7 +2,7 @@
 
 use crate::board_args::BoardSelection;
 use crate::exit::Exit;
-use crate::options::OutputFormat;
+use crate::options::{OutputFormat, parse_number};
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_boards::Board;
@@ -87,18 +87,15 @@ enum SignalSource {
 }
 
 fn parse_finite(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| "expected a finite number".to_owned())
+    parse_number(text, f64::is_finite, "a finite number")
 }
 
 fn parse_positive(text: &str) -> Result<f64, String> {
-    parse_finite(text).ok().filter(|value| *value > 0.0).ok_or_else(|| "expected a finite number above 0".to_owned())
+    parse_number(text, |value| value.is_finite() && value > 0.0, "a finite number above 0")
 }
 
 fn parse_temperature(text: &str) -> Result<f64, String> {
-    parse_finite(text)
-        .ok()
-        .filter(|value| *value > -273.15)
-        .ok_or_else(|| "expected a temperature above -273.15".to_owned())
+    parse_number(text, |value| value.is_finite() && value > -273.15, "a temperature above -273.15")
 }
 
 #[derive(Debug, thiserror::Error)]

@@ -56,14 +56,21 @@ pub(crate) fn parse_keep_traces(text: &str) -> Result<KeepTraces, String> {
     }
 }
 
+pub(crate) fn parse_number(text: &str, is_valid: impl Fn(f64) -> bool, expected: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| is_valid(*number));
+    number.ok_or_else(|| format!("expected {expected}"))
+}
+
 pub(crate) fn parse_time_scale(text: &str) -> Result<f64, String> {
-    let scale = text.parse().ok().filter(|scale| (0.001..=10.0).contains(scale));
-    scale.ok_or_else(|| "expected a number from 0.001 to 10".to_owned())
+    parse_number(text, |scale| (0.001..=10.0).contains(&scale), "a number from 0.001 to 10")
 }
 
 pub(crate) fn parse_percent(text: &str) -> Result<f64, String> {
-    let percent = text.parse().ok().filter(|percent| (0.0..=100.0).contains(percent));
-    percent.ok_or_else(|| "expected a number from 0 to 100".to_owned())
+    parse_number(text, |percent| (0.0..=100.0).contains(&percent), "a number from 0 to 100")
+}
+
+pub(crate) fn parse_seconds(text: &str) -> Result<f64, String> {
+    parse_number(text, |seconds| (0.0..=1e7).contains(&seconds), "a number of seconds from 0 to 1e7")
 }
 
 pub(crate) fn job_count(jobs: Option<u16>) -> usize {

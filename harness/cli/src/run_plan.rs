@@ -28,16 +28,12 @@ impl EventSinks<'_> {
             kept.add(&trial.trace, std::mem::take(rows));
         }
         let event = &event;
-        show_progress(&mut self.progress, event);
+        self.progress.show(event);
         if let (Some(view), Some(event)) = (self.view, ViewEvent::of(event)) {
             view.send(event);
         }
         if let Some(events) = &mut self.events {
-            match event {
-                Event::ScenarioStarted { file, trials } => events.scenario_started(file, *trials),
-                Event::TrialFinished { file, trial, .. } => events.trial_finished(file, trial),
-                Event::ScenarioFinished(record) => events.scenario_finished(record),
-            }
+            events.event(event);
         }
     }
 }
@@ -72,13 +68,5 @@ pub(crate) fn run_plan(
         Ok(WorkResult::Finished(result, signal)) => result.map_err(|error| (error, signal)),
         Ok(WorkResult::Abandoned(signal)) => Err((RunError::Cancelled, Some(signal))),
         Err(error) => Err((RunError::Internal(error.to_string()), None)),
-    }
-}
-
-pub(crate) fn show_progress(progress: &mut Progress, event: &Event) {
-    match event {
-        Event::ScenarioStarted { file, trials } => progress.scenario_started(file, *trials),
-        Event::TrialFinished { .. } => progress.trial_finished(),
-        Event::ScenarioFinished(record) => progress.scenario_finished(record),
     }
 }

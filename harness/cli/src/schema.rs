@@ -59,21 +59,6 @@ pub(crate) enum SchemaKind {
 }
 
 impl SchemaKind {
-    const fn file_name(self) -> &'static str {
-        match self {
-            Self::Scenario => "scenario.json",
-            Self::Plate => "plate.json",
-            Self::Plan => "plan.json",
-            Self::Envelope => "envelope.json",
-            #[cfg(feature = "export")]
-            Self::Campaign => "campaign.json",
-            Self::Boards => "boards.json",
-            Self::Config => "config.json",
-            Self::Run => "run.json",
-            Self::Events => "events.json",
-        }
-    }
-
     /// With an identifier, by which validators and other schemas refer to it.
     fn schema(self) -> schemars::Schema {
         let mut named = serde_json::Map::new();
@@ -84,8 +69,12 @@ impl SchemaKind {
         named.into()
     }
 
-    fn name(self) -> &'static str {
-        self.file_name().trim_end_matches(".json")
+    fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+    }
+
+    fn file_name(self) -> String {
+        format!("{}.json", self.name())
     }
 
     fn content(self) -> schemars::Schema {

@@ -3,7 +3,7 @@
 use crate::board_args::{BoardArgs, release};
 use crate::clock::{ClockRequest, check_line_speed};
 use crate::exit::Exit;
-use crate::options::{ClockArg, PacingArg, PlateModeArg, SCENARIOS, law_names};
+use crate::options::{ClockArg, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_number};
 use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
@@ -48,10 +48,8 @@ pub(crate) struct SoakArgs {
 }
 
 fn parse_hours(text: &str) -> Result<Duration, String> {
-    let hours = text.parse().ok().filter(|hours: &f64| *hours > 0.0 && *hours <= 1e5);
-    hours
-        .map(|hours| Duration::from_secs_f64(hours * 3_600.0))
-        .ok_or_else(|| "expected hours above 0, at most 1e5".to_owned())
+    let hours = parse_number(text, |hours| hours > 0.0 && hours <= 1e5, "hours above 0, at most 1e5")?;
+    Ok(Duration::from_secs_f64(hours * 3_600.0))
 }
 
 pub(crate) fn soak(arguments: &SoakArgs) -> Exit {

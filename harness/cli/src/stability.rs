@@ -2,7 +2,7 @@
 
 use crate::chart_page::{WriteError, create_folder, write_page};
 use crate::exit::Exit;
-use crate::options::{job_count, law_names};
+use crate::options::{job_count, law_names, parse_number};
 use crate::plate_file;
 use crate::stdio;
 use clap::Args;
@@ -46,10 +46,8 @@ pub(crate) struct StabilityArgs {
 }
 
 fn parse_delay_us(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(delay) if (0.0..=HIGHEST_DELAY_US).contains(&delay) => Ok(delay),
-        _ => Err(format!("expected a delay in µs from 0 to {HIGHEST_DELAY_US}")),
-    }
+    let expected = format!("a delay in µs from 0 to {HIGHEST_DELAY_US}");
+    parse_number(text, |delay| (0.0..=HIGHEST_DELAY_US).contains(&delay), &expected)
 }
 
 #[derive(Debug, thiserror::Error)]

@@ -10,7 +10,8 @@ use std::f64::consts::TAU;
 /// Intervals of a range.
 const BINS: usize = 10;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::VariantArray, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "snake_case")]
 pub enum ChangeKind {
     Up,
     Down,
@@ -26,21 +27,10 @@ pub enum ChangeKind {
 }
 
 impl ChangeKind {
-    pub const ALL: [Self; 9] =
-        [Self::Up, Self::Down, Self::Rest, Self::Start, Self::Press, Self::Lift, Self::Heat, Self::Cool, Self::Several];
+    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Up => "up",
-            Self::Down => "down",
-            Self::Rest => "rest",
-            Self::Start => "start",
-            Self::Press => "press",
-            Self::Lift => "lift",
-            Self::Heat => "heat",
-            Self::Cool => "cool",
-            Self::Several => "several",
-        }
+        self.into_str()
     }
 
     fn of(trial: &SceneTrial, window: &Window) -> Self {

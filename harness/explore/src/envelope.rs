@@ -1,7 +1,7 @@
 //! Reads the operating envelope.
 
-use platebench_plate::{Plate, input};
-use platebench_scenario::{Diagnostic, load, parse};
+use platebench_plate::Plate;
+use platebench_scenario::{Diagnostic, load, parse_file};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
@@ -135,11 +135,7 @@ impl Envelope {
     /// # Errors
     /// Every wrong key, else every wrong value.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let unreadable = |error| vec![Diagnostic::for_file(path, format!("cannot be read: {error}"))];
-        let bytes = input::read(path).map_err(unreadable)?;
-        let text = String::from_utf8(bytes)
-            .map_err(|_| vec![Diagnostic::for_file(path, "not UTF-8, expected a text file in UTF-8")])?;
-        let raw: RawEnvelope = parse(path, &text)?;
+        let (text, raw) = parse_file::<RawEnvelope>(path)?;
         let mut faults = raw.faults(path, &text);
         let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.plate);
         let plate = load::load_plate(&plate_path).map_err(|found| faults.extend(found)).ok();

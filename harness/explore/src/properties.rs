@@ -11,8 +11,11 @@ use platebench_scenario::Metric;
 use serde::Serialize;
 use std::fmt;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, strum::VariantArray, strum::IntoStaticStr,
+)]
 #[serde(rename_all = "kebab-case")]
+#[strum(const_into_str, serialize_all = "kebab-case")]
 pub enum Property {
     /// A setpoint step settles in time.
     Settling,
@@ -41,37 +44,11 @@ pub enum Property {
 }
 
 impl Property {
-    pub const ALL: [Self; 12] = [
-        Self::Settling,
-        Self::Overshoot,
-        Self::StaticError,
-        Self::Ripple,
-        Self::Frequency,
-        Self::RestDrive,
-        Self::Deviation,
-        Self::Recovery,
-        Self::SameResponse,
-        Self::Protocol,
-        Self::Reference,
-        Self::Answers,
-    ];
+    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
     /// Its name in scenarios and reports.
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Settling => "settling",
-            Self::Overshoot => "overshoot",
-            Self::StaticError => "static-error",
-            Self::Ripple => "ripple",
-            Self::Frequency => "frequency",
-            Self::RestDrive => "rest-drive",
-            Self::Deviation => "deviation",
-            Self::Recovery => "recovery",
-            Self::SameResponse => "same-response",
-            Self::Protocol => "protocol",
-            Self::Reference => "reference",
-            Self::Answers => "answers",
-        }
+        self.into_str()
     }
 
     pub(crate) const fn metric(self) -> Option<Metric> {
@@ -93,7 +70,7 @@ impl Property {
     /// The property of an expectation's name, which may end with a number.
     pub fn of_name(name: &str) -> Option<Self> {
         let name = name.split_once(' ').map_or(name, |(name, _)| name);
-        Self::ALL.into_iter().find(|property| property.name() == name)
+        Self::ALL.iter().copied().find(|property| property.name() == name)
     }
 }
 

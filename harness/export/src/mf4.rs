@@ -24,20 +24,12 @@ pub(crate) fn write(
     path: &Path,
 ) -> Result<(), ExportError> {
     let mut blocks = BlockWriter::start(file).map_err(ExportError::io(path))?;
-    let signals = write_header(source, &mut blocks).map_err(ExportError::io(path))?;
-    write_group(trial, &signals, &mut blocks, path)?;
+    let channels = write_header(source, &mut blocks).map_err(ExportError::io(path))?;
+    write_group(trial, &channels, &mut blocks, path)?;
     blocks.finish().map_err(ExportError::io(path))
 }
 
-/// Positions of the texts of a channel.
-struct ChannelTemplate {
-    name: u64,
-    unit: u64,
-    meaning: u64,
-    kind: ChannelKind,
-}
-
-fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io::Result<Vec<ChannelTemplate>> {
+fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io::Result<Vec<Channel>> {
     let facts = source.metadata();
     let mut properties = String::new();
     for (name, value) in &facts {
@@ -56,46 +48,37 @@ fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io
         escape_xml(&tool.version)
     );
     blocks.write_header(source.started_ns, &comment, &history)?;
-    let mut signals = Vec::with_capacity(NUMBER_COLUMNS.len() + FLAG_COLUMNS.len());
+    let mut channels = Vec::with_capacity(NUMBER_COLUMNS.len() + FLAG_COLUMNS.len());
     for (place, number) in NUMBER_COLUMNS.iter().enumerate() {
         let byte = (place * 8) as u32;
-        signals.push(ChannelTemplate {
+        channels.push(Channel {
             name: blocks.write_text(number.name)?,
             unit: blocks.write_text(number.unit)?,
-            meaning: blocks.write_text(number.meaning)?,
+            comment: blocks.write_text(number.meaning)?,
             kind: if place == 0 { ChannelKind::Time { byte } } else { ChannelKind::Real { byte } },
         });
     }
     for (flag, bit) in FLAG_COLUMNS.iter().zip(0..) {
-        signals.push(ChannelTemplate {
+        channels.push(Channel {
             name: blocks.write_text(flag.name)?,
             unit: 0,
-            meaning: blocks.write_text(flag.meaning)?,
+            comment: blocks.write_text(flag.meaning)?,
             kind: ChannelKind::Bit { byte: (NUMBER_COLUMNS.len() * 8) as u32, bit },
         });
     }
-    Ok(signals)
+    Ok(channels)
 }
 
 fn write_group(
     trial: &ExportTrial,
-    signals: &[ChannelTemplate],
+    channels: &[Channel],
     blocks: &mut BlockWriter<'_>,
     path: &Path,
 ) -> Result<(), ExportError> {
     let name = format!("trial {:03}", trial.index);
     let comment = format!("seed {}", trial.seed);
-    let channels: Vec<Channel> = signals
-        .iter()
-        .map(|ChannelTemplate { name, unit, meaning, kind }| Channel {
-            name: *name,
-            unit: *unit,
-            comment: *meaning,
-            kind: *kind,
-        })
-        .collect();
     let mut group =
-        blocks.start_group(&name, &comment, &channels, RECORD_BYTES as u32).map_err(ExportError::io(path))?;
+        blocks.start_group(&name, &comment, channels, RECORD_BYTES as u32).map_err(ExportError::io(path))?;
     for row in trial.rows()? {
         let row = row?;
         let mut record = [0; RECORD_BYTES];

@@ -41,17 +41,18 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
         .build();
     let schema = schema().map_err(&format_error)?;
     let mut writer = SerializedFileWriter::new(file, schema, Arc::new(properties)).map_err(&format_error)?;
-    let mut group = RowGroup::default();
+    let mut rows = Vec::new();
     for trial in &source.trials {
         for row in trial.rows()? {
-            group.push(trial.index, trial.seed, row?);
-            if group.rows.len() == ROW_GROUP_ROWS {
-                group.write(source.name, &mut writer).map_err(&format_error)?;
+            rows.push((trial.index, trial.seed, row?));
+            if rows.len() == ROW_GROUP_ROWS {
+                write_group(&rows, source.name, &mut writer).map_err(&format_error)?;
+                rows.clear();
             }
         }
     }
-    if !group.rows.is_empty() {
-        group.write(source.name, &mut writer).map_err(&format_error)?;
+    if !rows.is_empty() {
+        write_group(&rows, source.name, &mut writer).map_err(&format_error)?;
     }
     writer.close().map_err(&format_error)?;
     Ok(())
@@ -79,44 +80,28 @@ fn schema() -> Result<TypePtr, ParquetError> {
     Type::group_type_builder("trace").with_fields(fields).build().map(Arc::new)
 }
 
-#[derive(Default)]
-struct RowGroup {
-    trials: Vec<i32>,
-    seeds: Vec<i64>,
-    rows: Vec<Row>,
-}
-
-impl RowGroup {
-    fn push(&mut self, trial: u32, seed: u64, row: Row) {
-        // Parquet stores unsigned numbers in the bits of signed ones.
-        self.trials.push(trial.cast_signed());
-        self.seeds.push(seed.cast_signed());
-        self.rows.push(row);
-    }
-
-    /// Writes the row group and clears it.
-    fn write(&mut self, scenario: &str, writer: &mut SerializedFileWriter<&File>) -> Result<(), ParquetError> {
-        let mut group = writer.next_row_group()?;
-        let names = vec![ByteArray::from(scenario); self.rows.len()];
-        write_column::<ByteArrayType>(&mut group, &names)?;
-        write_column::<Int32Type>(&mut group, &self.trials)?;
-        write_column::<Int64Type>(&mut group, &self.seeds)?;
-        for number in NUMBER_COLUMNS {
-            if number.can_be_unknown {
-                let values = self.rows.iter().map(|row| number.known_value(row));
-                write_optional_column::<DoubleType>(&mut group, values)?;
-            } else {
-                write_column::<DoubleType>(&mut group, &self.rows.iter().map(number.of).collect::<Vec<_>>())?;
-            }
+/// `rows`: number and seed of the trial, and the row.
+fn write_group(
+    rows: &[(u32, u64, Row)],
+    scenario: &str,
+    writer: &mut SerializedFileWriter<&File>,
+) -> Result<(), ParquetError> {
+    let mut group = writer.next_row_group()?;
+    write_column::<ByteArrayType>(&mut group, &vec![ByteArray::from(scenario); rows.len()])?;
+    // Parquet stores unsigned numbers in the bits of signed ones.
+    write_column::<Int32Type>(&mut group, &rows.iter().map(|(trial, ..)| trial.cast_signed()).collect::<Vec<_>>())?;
+    write_column::<Int64Type>(&mut group, &rows.iter().map(|(_, seed, _)| seed.cast_signed()).collect::<Vec<_>>())?;
+    let rows = || rows.iter().map(|(_, _, row)| row);
+    for number in NUMBER_COLUMNS {
+        if number.can_be_unknown {
+            write_optional_column::<DoubleType>(&mut group, rows().map(|row| number.known_value(row)))?;
+        } else {
+            write_column::<DoubleType>(&mut group, &rows().map(number.of).collect::<Vec<_>>())?;
         }
-        for flag in FLAG_COLUMNS {
-            let set: Vec<bool> = self.rows.iter().map(|row| row.flags.contains(flag.flag)).collect();
-            write_column::<BoolType>(&mut group, &set)?;
-        }
-        group.close()?;
-        self.trials.clear();
-        self.seeds.clear();
-        self.rows.clear();
-        Ok(())
     }
+    for flag in FLAG_COLUMNS {
+        let set: Vec<bool> = rows().map(|row| row.flags.contains(flag.flag)).collect();
+        write_column::<BoolType>(&mut group, &set)?;
+    }
+    group.close().map(drop)
 }

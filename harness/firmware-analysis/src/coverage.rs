@@ -3,9 +3,10 @@
 use crate::code_map::CodeMap;
 use crate::error::AnalysisError;
 use crate::source_map::SourceMap;
-use crate::suite::{BoardSession, Outcome, Suite, in_parallel, play};
+use crate::suite::{BoardSession, Outcome, Suite, play};
 use platebench_record::Verdict;
 use platebench_rig::{CancelToken, Symbols};
+use platebench_runner::parallel::in_parallel;
 use platebench_scenario::Scenario;
 use platebench_wire::LawId;
 use std::collections::BTreeMap;
@@ -152,8 +153,7 @@ pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisErr
         std::cmp::Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count))
     });
     let mut executed = BTreeMap::new();
-    let work = |session: &mut Option<BoardSession>, index: usize| {
-        let Some((scenario, law)) = order.get(index) else { return Err(AnalysisError::Internal) };
+    let work = |session: &mut Option<BoardSession>, (scenario, law): &&(Scenario, LawId)| {
         let session = if let Some(session) = session {
             session
         } else {
@@ -163,9 +163,9 @@ pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisErr
         };
         let outcome = play(session, scenario, *law, &config.cancel).ok_or(AnalysisError::Cancelled)??;
         check_baseline(scenario, &outcome)?;
-        Ok(session.link_mut().inner_mut().executed_instructions().clone())
+        Ok::<_, AnalysisError>(session.link_mut().inner_mut().executed_instructions().clone())
     };
-    in_parallel(config.jobs, order.len(), work, |ran| {
+    in_parallel(config.jobs, &order, work, |ran| {
         for (address, in_step) in ran {
             *executed.entry(address).or_default() |= in_step;
         }

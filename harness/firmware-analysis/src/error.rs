@@ -27,13 +27,11 @@ pub enum AnalysisError {
     Disassembler(String),
     #[error("cancelled")]
     Cancelled,
-    #[error("internal error: a worker thread ended early; please report it")]
-    Internal,
 }
 
 impl AnalysisError {
     /// False if the run was cancelled or the bench has a defect.
     pub fn is_invalid_input(&self) -> bool {
-        !matches!(self, Self::Cancelled | Self::Internal | Self::Disassembler(_))
+        !matches!(self, Self::Cancelled | Self::Disassembler(_))
     }
 }

@@ -12,14 +12,9 @@ use platebench_scenario::Scenario;
 use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
 use platebench_wire::LawId;
 use serde::Serialize;
-use std::collections::BTreeMap;
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc;
-use std::thread;
-use tracing::subscriber::{NoSubscriber, with_default};
 
 pub(crate) type BoardSession = Session<FaultInjector<EmulatedLink>>;
 
@@ -165,49 +160,4 @@ fn outcome(scenario: &Scenario, judgement: &Judgement) -> Outcome {
         }),
         commands: 0,
     }
-}
-
-/// Calls `work` for each index on `jobs` threads, each with its own state, and passes the results in order of
-/// their index to `receive` until that returns false.
-pub(crate) fn in_parallel<S, R: Send>(
-    jobs: usize,
-    count: usize,
-    work: impl Fn(&mut Option<S>, usize) -> Result<R, AnalysisError> + Sync,
-    mut receive: impl FnMut(R) -> bool,
-) -> Result<(), AnalysisError> {
-    let next = AtomicUsize::new(0);
-    let (sender, results) = mpsc::channel();
-    thread::scope(|scope| {
-        for _ in 0..jobs.clamp(1, count.max(1)) {
-            let (sender, next, work) = (sender.clone(), &next, &work);
-            scope.spawn(move || {
-                let mut state = None;
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    if index >= count {
-                        break;
-                    }
-                    // Lost controllers and damaged frames are part of the experiment: suppress their warnings.
-                    let result = with_default(NoSubscriber::default(), || work(&mut state, index));
-                    if sender.send(result.map(|result| (index, result))).is_err() {
-                        break;
-                    }
-                }
-            });
-        }
-        drop(sender);
-        let (mut waiting, mut expected) = (BTreeMap::new(), 0);
-        for result in results {
-            let (index, result) = result.inspect_err(|_| next.store(count, Ordering::Relaxed))?;
-            waiting.insert(index, result);
-            while let Some(result) = waiting.remove(&expected) {
-                expected += 1;
-                if !receive(result) {
-                    next.store(count, Ordering::Relaxed);
-                    return Ok(());
-                }
-            }
-        }
-        if expected == count { Ok(()) } else { Err(AnalysisError::Internal) }
-    })
 }

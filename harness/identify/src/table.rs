@@ -178,26 +178,13 @@ fn frequency_table(found: &Identification) -> IdentificationTable {
     }
     for (from, to, group) in rows {
         let strays = group.iter().map(|step| step.wd_percent).fold(0.0, f64::max);
-        let squares = |index| {
-            Estimate::pool_by_recording(&estimates_of_steps(
-                group,
-                |step| Some((&step.recording, step.least_squares?)),
-                index,
-            ))
+        let pooled = |of: fn(&FrequencyStep) -> Option<[Estimate; 2]>, index| {
+            let named = estimates_of_steps(group, |step| Some((&step.recording, of(step)?)), index);
+            Estimate::pool_by_recording(&named)
         };
-        let instruments = |index| {
-            Estimate::pool_by_recording(&estimates_of_steps(
-                group,
-                |step| Some((&step.recording, step.instruments?)),
-                index,
-            ))
-        };
-        let direct = Estimate::pool_by_recording(&estimates_of_steps(
-            group,
-            |step| Some((&step.recording, [step.direct?; 2])),
-            0,
-        ));
-        let (k2, tau2) = (instruments(0), instruments(1));
+        let squares = |index| pooled(|step| step.least_squares, index);
+        let direct = pooled(|step| Some([step.direct?; 2]), 0);
+        let (k2, tau2) = (pooled(|step| step.instruments, 0), pooled(|step| step.instruments, 1));
         let quotient = k2.zip(tau2).map_or(String::new(), |(k2, tau2)| format!("{:.3}", k2.value / tau2.value));
         table.rows.push(vec![
             from,

@@ -2,10 +2,14 @@
 
 use platebench_record::{ExpectationRecord, Limit, Metric, Reason, RunRecord, Statistic, TrialFinding, Verdict};
 use platebench_verdict::tube::{Exceedance, TubeSignal};
+use schemars::JsonSchema;
+use serde::Serialize;
 use std::fmt;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct VerdictCounts {
+/// Numbers of verdicts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
+#[schemars(rename = "Counts")]
+pub struct VerdictCounts {
     pub(crate) passed: usize,
     pub(crate) failed: usize,
     pub(crate) inconclusive: usize,

@@ -3,25 +3,20 @@
 //! The reference receives what the target receives, so both laws act on the same samples: their
 //! difference does not grow through the plate.
 
-use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::hosted::HostedLink;
-use crate::link::{Link, LinkError, RealTimeLine};
+use crate::link::{Link, LinkError};
 use platebench_wire::{Command, Configure, ControllerState, Message, Packet, PacketReader, StateCause};
 use std::time::Duration;
 
 #[derive(Debug)]
 pub(crate) struct ComparedLink<L> {
-    inner: L,
+    pub(crate) link: L,
     comparison: Option<Box<Comparison>>,
 }
 
 impl<L: Link> ComparedLink<L> {
-    pub(crate) fn new(inner: L) -> Self {
-        Self { inner, comparison: None }
-    }
-
-    pub(crate) fn inner_mut(&mut self) -> &mut L {
-        &mut self.inner
+    pub(crate) fn new(link: L) -> Self {
+        Self { link, comparison: None }
     }
 
     /// Starts a new comparison, or ends it. Call it before the trial's configuration.
@@ -33,12 +28,15 @@ impl<L: Link> ComparedLink<L> {
     pub(crate) fn reference_difference_percent(&self) -> Option<f64> {
         self.comparison.as_ref()?.largest_percent
     }
-}
 
-impl<L: Link> Link for ComparedLink<L> {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+    pub(crate) fn exchange(
+        &mut self,
+        now: Duration,
+        bytes: &[u8],
+        answer: &mut Vec<u8>,
+    ) -> Result<Duration, LinkError> {
         let start = answer.len();
-        let delay = self.inner.exchange(now, bytes, answer)?;
+        let delay = self.link.exchange(now, bytes, answer)?;
         if let Some(comparison) = &mut self.comparison {
             comparison.send_to_reference(now, bytes)?;
             comparison.compare(answer.get(start..).unwrap_or_default());
@@ -46,42 +44,14 @@ impl<L: Link> Link for ComparedLink<L> {
         Ok(delay)
     }
 
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+    pub(crate) fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         let start = received.len();
-        self.inner.advance_to(now, received)?;
+        self.link.advance_to(now, received)?;
         if let Some(comparison) = &mut self.comparison {
             comparison.reference.advance_to(now, &mut Vec::new())?;
             comparison.compare(received.get(start..).unwrap_or_default());
         }
         Ok(())
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.inner.restart()
-    }
-
-    fn continue_trial(&mut self) {
-        self.inner.continue_trial();
-    }
-
-    fn instruction_count(&self) -> Option<u64> {
-        self.inner.instruction_count()
-    }
-
-    fn firmware_output(&self) -> Option<String> {
-        self.inner.firmware_output()
-    }
-
-    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
-        self.inner.set_chip_faults(plan)
-    }
-
-    fn amplifier_enabled(&mut self) -> Option<bool> {
-        self.inner.amplifier_enabled()
-    }
-
-    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
-        self.inner.real_time_line()
     }
 }
 

@@ -6,7 +6,7 @@ use crate::emulated::{EmulatedError, EmulatedLink};
 use crate::exec::{CommandLine, ExecError, ExecLink};
 use crate::hosted::HostedLink;
 use crate::link::BoxedLink;
-use crate::network::{NetworkError, Rfc2217Link, TcpLink};
+use crate::network::{NetworkError, connect_rfc2217, connect_tcp};
 #[cfg(feature = "probe")]
 use crate::probe::{Lister, ProbeError, ProbeSetup, Timeouts};
 use crate::serial::{DEFAULT_BAUD, SerialError, SerialLink};
@@ -160,9 +160,9 @@ impl RigSpec {
                 let link = SerialLink::open(Path::new(port), baud.unwrap_or(DEFAULT_BAUD))?;
                 Box::new(link.with_reply_timeout(options.reply_timeout))
             }
-            Self::Tcp(address) => Box::new(TcpLink::open(address)?.with_reply_timeout(options.reply_timeout)),
+            Self::Tcp(address) => Box::new(connect_tcp(address)?.with_reply_timeout(options.reply_timeout)),
             Self::Rfc2217 { address, baud } => {
-                let link = Rfc2217Link::open(address, baud.unwrap_or(DEFAULT_BAUD))?;
+                let link = connect_rfc2217(address, baud.unwrap_or(DEFAULT_BAUD))?;
                 Box::new(link.with_reply_timeout(options.reply_timeout))
             }
             #[cfg(feature = "probe")]

@@ -7,8 +7,7 @@
 //!
 //! ```text
 //!   EmulatedLink   trial time to virtual time, handshake, time-outs   this file
-//!      └ Target    power_on, send, run, received bytes                target.rs, hides the emulator
-//!          └ Machine   event loop, board, memory, crashes             machine, board, bus, memory, post_mortem
+//!      └ Machine   event loop, board, memory, crashes                 machine, board, bus, memory, post_mortem
 //! ```
 //!
 //! An access without a model ends the trial, as do traps, lock-ups, resets and silence. Each
@@ -29,7 +28,6 @@ mod memory;
 mod options;
 mod panic;
 mod post_mortem;
-mod target;
 
 pub use image::ImageError;
 #[cfg(feature = "probe")]
@@ -43,20 +41,19 @@ use crate::debug_port::DebugPort;
 use crate::link::{Link, LinkError};
 use crate::pending_requests::{PendingRequests, Request};
 use crate::target_error::TargetError;
+use board::ReceivedByte;
 use chip_faults::ChipFaults;
 use debug_control::DebugStop;
 use debugger::Debugger;
+use gdbstub::common::Signal;
 use image::Image;
-use machine::{Machine, MachineConfig};
+use machine::Machine;
 use panic::catch_emulator_panic;
 use platebench_wire::{MAX_ENCODED, Message, Packet};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use target::{ReceivedByte, Target};
-
-const BUILT_IN_BAUD: u32 = 1_000_000;
 
 const NS_PER_MS: u64 = 1_000_000;
 const BITS_PER_BYTE: u64 = 10;
@@ -76,7 +73,6 @@ const START_DELAY_NS: u64 = NS_PER_MS;
 pub struct EmulatedLink {
     target: Box<Machine>,
     debugger: Option<Debugger>,
-    options: EmulatedOptions,
     trial_start_ns: u64,
     /// 0 before the firmware's first frame.
     byte_ns: u64,
@@ -91,7 +87,7 @@ pub struct EmulatedLink {
 
 impl EmulatedLink {
     pub fn built_in() -> Result<Self, EmulatedError> {
-        Self::new(BUILT_IN_IMAGE, EmulatedOptions { baud: Some(BUILT_IN_BAUD), ..EmulatedOptions::default() })
+        Self::new(BUILT_IN_IMAGE, EmulatedOptions::default())
     }
 
     /// Runs the firmware in the file `elf`, at any baud rate.
@@ -120,11 +116,9 @@ impl EmulatedLink {
         debugger: Option<(&DebugPort, &CancelToken)>,
     ) -> Result<Self, EmulatedError> {
         let image = Image::new(Arc::from(elf))?;
-        let config = MachineConfig { crystal_hz: options.crystal_hz, stop_at_traps: options.stop_at_traps };
         let mut emulated = Self {
-            target: Box::new(catch_emulator_panic(|| Machine::new(image, config))?),
+            target: Box::new(catch_emulator_panic(|| Machine::new(image, options))?),
             debugger: None,
-            options,
             trial_start_ns: 0,
             byte_ns: 0,
             received: Vec::with_capacity(2 * MAX_ENCODED),
@@ -190,15 +184,14 @@ impl EmulatedLink {
                 break;
             }
             if attempt_ends >= HANDSHAKE_TIMEOUT_NS || (Instant::now() > deadline && self.debugger.is_none()) {
-                let status = self.target.status();
                 return Err(TargetError::NoHandshake {
                     waited_ms: self.target.now_ns() / NS_PER_MS,
-                    instances: status.instances,
-                    place: status.place,
+                    instances: self.target.used_instances(),
+                    place: self.target.code_location(),
                 });
             }
         }
-        self.check_baud()?;
+        self.measure_byte_time();
         self.received.clear();
         self.target.mark_booted();
         self.trial_start_ns = (self.target.now_ns() + START_DELAY_NS).next_multiple_of(NS_PER_MS);
@@ -207,14 +200,13 @@ impl EmulatedLink {
         Ok(())
     }
 
-    fn check_baud(&mut self) -> Result<(), TargetError> {
-        let (Some(first), Some(last)) = (self.received.first(), self.received.last()) else { return Ok(()) };
+    fn measure_byte_time(&mut self) {
+        let (Some(first), Some(last)) = (self.received.first(), self.received.last()) else { return };
         let gaps = self.received.len() as u64 - 1;
         self.byte_ns = (last.at_ns - first.at_ns + gaps / 2).checked_div(gaps).unwrap_or(0);
-        self.options.check_baud(self.baud())
     }
 
-    /// Like [`Target::run`]; faults of the chip act at their instants.
+    /// Like [`Machine::run`]; faults of the chip act at their instants.
     fn run_target(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         while self.has_started
             && let Some(at) = self.chip_faults.next()
@@ -226,12 +218,12 @@ impl EmulatedLink {
             if self.target.now_ns() < at_ns && self.run_machine(at_ns)? {
                 return Ok(true);
             }
-            self.chip_faults.apply_next(&mut *self.target)?;
+            self.chip_faults.apply_next(&mut self.target)?;
         }
         self.run_machine(until_ns)
     }
 
-    /// Like [`Target::run`]; a debugger may stop the chip, also before an error ends the trial.
+    /// Like [`Machine::run`]; a debugger may stop the chip, also before an error ends the trial.
     fn run_machine(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let mut stop = None;
         loop {
@@ -244,7 +236,7 @@ impl EmulatedLink {
                 continue;
             }
             if let (Err(_), Some(debugger)) = (&result, &mut self.debugger) {
-                debugger.serve(&mut self.target, Some(DebugStop::Error));
+                debugger.serve(&mut self.target, Some(DebugStop::Signal(Signal::SIGSEGV)));
             }
             return result;
         }
@@ -321,7 +313,7 @@ impl EmulatedLink {
             None if !asks || self.chip_faults.is_active() => Ok(Duration::ZERO),
             None => {
                 let waited_us = (self.target.now_ns() - arrived_ns) / 1_000;
-                Err(TargetError::Silent { waited_us, place: self.target.status().place })
+                Err(TargetError::Silent { waited_us, place: self.target.code_location() })
             }
         }
     }
@@ -384,7 +376,7 @@ impl Link for EmulatedLink {
     }
 
     fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
-        plan.faults.iter().try_for_each(|fault| self.target.check_fault(&fault.kind))?;
+        plan.faults.iter().try_for_each(|fault| self.target.flipped_memory(&fault.kind).map(drop))?;
         self.chip_faults.plan = plan.clone();
         Ok(())
     }

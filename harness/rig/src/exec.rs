@@ -104,8 +104,7 @@ impl ExecLink {
         let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
         let program = Program::start(words.program(), words.arguments(&name), &name)
             .map_err(|error| ExecError::Start { program: words.program().to_owned(), error })?;
-        let mut exec = Self { port: master, program };
-        exec.port.set_reply_timeout(options.reply_timeout);
+        let mut exec = Self { port: master.with_reply_timeout(options.reply_timeout), program };
         exec.port.expect_silence();
         exec.wait_for_handshake(&name, &options.cancel)?;
         // From now on the line hangs up when the program ends.
@@ -124,7 +123,7 @@ impl ExecLink {
         while Instant::now() < deadline {
             let asked = Instant::now();
             answer.clear();
-            let delay = self.port.exchange(hello.as_bytes(), &mut answer)?;
+            let delay = self.port.exchange(Duration::ZERO, hello.as_bytes(), &mut answer)?;
             let is_identity = |packet: Packet| matches!(packet.message, Message::Identity(_));
             if PacketReader::new().packets(&answer).flatten().any(is_identity) {
                 debug!(?delay, pid = self.program.process_id(), "program started");
@@ -157,12 +156,12 @@ impl ExecLink {
 }
 
 impl Link for ExecLink {
-    fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.with_port(|port| port.exchange(bytes, answer))
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        self.with_port(|port| port.exchange(now, bytes, answer))
     }
 
-    fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.with_port(|port| port.read_available(received))
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.with_port(|port| port.advance_to(now, received))
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -7,9 +7,7 @@ mod rfc2217;
 
 pub use error::NetworkError;
 
-use crate::link::{Link, LinkError, RealTimeLine};
 use crate::port::Port;
-use crate::tty::Tty;
 use error::CONNECT_TIMEOUT;
 use rfc2217::Rfc2217;
 use rustix::fd::OwnedFd;
@@ -17,40 +15,17 @@ use std::io;
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
 use std::sync::mpsc;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-/// A line over TCP.
-#[derive(Debug)]
-pub(crate) struct NetworkLink<T> {
-    port: Port<T>,
+/// `address` is `HOST:PORT`.
+pub(crate) fn connect_tcp(address: &str) -> Result<Port<OwnedFd>, NetworkError> {
+    Ok(Port::new(connect(address, Instant::now() + CONNECT_TIMEOUT)?))
 }
 
-pub(crate) type TcpLink = NetworkLink<OwnedFd>;
-pub(crate) type Rfc2217Link = NetworkLink<Rfc2217>;
-
-impl TcpLink {
-    /// `address` is `HOST:PORT`.
-    pub(crate) fn open(address: &str) -> Result<Self, NetworkError> {
-        let file = connect(address, Instant::now() + CONNECT_TIMEOUT)?;
-        Ok(Self { port: Port::new(file) })
-    }
-}
-
-impl Rfc2217Link {
-    /// Sets 8N1 without flow control at `baud`.
-    pub(crate) fn open(address: &str, baud: u32) -> Result<Self, NetworkError> {
-        let deadline = Instant::now() + CONNECT_TIMEOUT;
-        let line = Rfc2217::start(connect(address, deadline)?, address, baud, deadline)?;
-        Ok(Self { port: Port::new(line) })
-    }
-}
-
-impl<T: Tty> NetworkLink<T> {
-    #[must_use]
-    pub(crate) fn with_reply_timeout(mut self, timeout: Duration) -> Self {
-        self.port.set_reply_timeout(timeout);
-        self
-    }
+/// Sets 8N1 without flow control at `baud`.
+pub(crate) fn connect_rfc2217(address: &str, baud: u32) -> Result<Port<Rfc2217>, NetworkError> {
+    let deadline = Instant::now() + CONNECT_TIMEOUT;
+    Ok(Port::new(Rfc2217::start(connect(address, deadline)?, address, baud, deadline)?))
 }
 
 /// Non-blocking, without delay of small packets.
@@ -87,19 +62,5 @@ fn resolve(address: &str, deadline: Instant) -> Result<Vec<SocketAddr>, NetworkE
     match receiver.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
         Ok(found) => found.map_err(|error| NetworkError::Resolve { address: address.to_owned(), error }),
         Err(_) => Err(NetworkError::TimedOut { address: address.to_owned() }),
-    }
-}
-
-impl<T: Tty> Link for NetworkLink<T> {
-    fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.port.exchange(bytes, answer)
-    }
-
-    fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.port.read_available(received)
-    }
-
-    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
-        Some(&mut self.port)
     }
 }

@@ -1,7 +1,7 @@
 //! Exchanges messages over an open terminal and waits for answers.
 
 use crate::line_reader::LineReader;
-use crate::link::{LinkError, RealTimeLine};
+use crate::link::{Link, LinkError, RealTimeLine};
 use crate::pending_requests::{PendingRequests, Request};
 use crate::tty::{Tty, disconnected};
 use rustix::fd::OwnedFd;
@@ -19,7 +19,7 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 const READ_CHUNK_BYTES: usize = 512;
 
 #[derive(Debug)]
-pub(crate) struct Port<T> {
+pub struct Port<T> {
     // Declared before `terminal`: its handle closes first, so the line hangs up with the port.
     reader: Option<LineReader>,
     terminal: T,
@@ -47,8 +47,10 @@ impl<T: Tty> Port<T> {
         }
     }
 
-    pub(crate) fn set_reply_timeout(&mut self, timeout: Duration) {
+    #[must_use]
+    pub fn with_reply_timeout(mut self, timeout: Duration) -> Self {
         self.reply_timeout = timeout;
+        self
     }
 
     /// Uses the short wait until the first answer, because the controller is still starting.
@@ -85,9 +87,11 @@ impl<T: Tty> Port<T> {
         bytes.extend_from_slice(chunk.get(..count).unwrap_or_default());
         Ok(Some(at))
     }
+}
 
+impl<T: Tty> Link for Port<T> {
     /// The delay is wall time up to the last byte of the answer.
-    pub(crate) fn exchange(&mut self, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+    fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let request = self.pending_requests.send(bytes);
         let start = Instant::now();
         self.write(bytes, start + WRITE_TIMEOUT)?;
@@ -111,10 +115,14 @@ impl<T: Tty> Port<T> {
         Ok(Duration::ZERO)
     }
 
-    pub(crate) fn read_available(&mut self, received: &mut Vec<u8>) -> Result<(), LinkError> {
+    fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         let now = Instant::now();
         while self.read(now, received)?.is_some_and(|at| at < now + OPTIONAL_ANSWER_TIMEOUT) {}
         Ok(())
+    }
+
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+        Some(self)
     }
 }
 

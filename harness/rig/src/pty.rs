@@ -45,12 +45,12 @@ impl PtyLink {
 }
 
 impl Link for PtyLink {
-    fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.port.exchange(bytes, answer)
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        self.port.exchange(now, bytes, answer)
     }
 
-    fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.port.read_available(received)
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.port.advance_to(now, received)
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -1,6 +1,5 @@
 //! Connects to a controller on a serial port.
 
-use crate::link::{Link, LinkError, RealTimeLine};
 use crate::port::Port;
 use crate::port_lock::{self, LockHolder};
 use rustix::fs::{Mode, OFlags};
@@ -8,7 +7,6 @@ use rustix::io::Errno;
 use serialport::{ClearBuffer, SerialPort as _, TTYPort};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 use tracing::{debug, info};
 
 /// Rate of the bench's firmware.
@@ -43,10 +41,7 @@ pub enum SerialError {
 }
 
 /// Uses 8N1 without flow control; locked against other processes.
-#[derive(Debug)]
-pub struct SerialLink {
-    port: Port<TTYPort>,
-}
+pub type SerialLink = Port<TTYPort>;
 
 impl SerialLink {
     /// Discards the bytes that the port holds.
@@ -64,19 +59,7 @@ impl SerialLink {
         if let Err(error) = port.clear(ClearBuffer::All) {
             debug!(port = %path.display(), %error, "bytes from before are not discarded");
         }
-        Ok(Self { port: Port::new(port) })
-    }
-
-    /// Uses the short wait until the first answer, because the controller is still starting.
-    #[cfg(feature = "probe")]
-    pub(crate) fn expect_silence(&mut self) {
-        self.port.expect_silence();
-    }
-
-    #[must_use]
-    pub fn with_reply_timeout(mut self, timeout: Duration) -> Self {
-        self.port.set_reply_timeout(timeout);
-        self
+        Ok(Self::new(port))
     }
 }
 
@@ -113,19 +96,5 @@ fn set_low_latency(path: &Path) {
             let ms = before.trim();
             info!(%error, "{} is {ms} ms and cannot be changed: answers arrive up to {ms} ms later", timer.display());
         }
-    }
-}
-
-impl Link for SerialLink {
-    fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.port.exchange(bytes, answer)
-    }
-
-    fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.port.read_available(received)
-    }
-
-    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
-        Some(&mut self.port)
     }
 }

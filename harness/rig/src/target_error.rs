@@ -36,12 +36,6 @@ pub enum TargetError {
         instances: Vec<&'static str>,
         place: CodeLocation,
     },
-    #[error("the firmware sends at {measured} baud, expected {expected}")]
-    BaudMismatch {
-        expected: u32,
-        /// From the arrival of the bytes of a frame.
-        measured: u32,
-    },
     #[error("the emulator failed: {0}")]
     Emulator(String),
 }

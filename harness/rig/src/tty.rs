@@ -10,7 +10,7 @@ use serialport::{SerialPort as _, TTYPort};
 use std::io::{self, Read, Write};
 use std::time::Instant;
 
-pub(crate) trait Tty: Send {
+pub trait Tty: Send {
     /// `None` if no bytes arrive by `until`.
     fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError>;
 

@@ -14,6 +14,7 @@ mod fault;
 pub mod live_tap;
 mod loop_delay;
 pub mod operator;
+pub mod parallel;
 pub mod plan;
 mod plant_simulation;
 pub mod real_plate;

@@ -14,7 +14,7 @@ use platebench_wire::{Command, ControllerState as Mode, Sample};
 use std::f64::consts::TAU;
 
 /// The wire carries the limit as f32.
-const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
+pub(crate) const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
 
 pub(crate) trait RowSink {
     /// Must not wait.

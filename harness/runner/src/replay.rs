@@ -10,6 +10,7 @@ pub use input::ReplayInput;
 pub use recorded_trace::read_recorded_trace;
 pub use telemetry_table::read_telemetry_table;
 
+use crate::abort::TrialAbort;
 use crate::configure::{configure, law, missing_capability};
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
 use crate::plan::{LinkFactory, RunError};
@@ -46,25 +47,14 @@ pub fn replay(
     };
     let lost = match player.play(&input.recording.steps, law, own_clock, cancel) {
         Ok(()) => None,
-        Err(PlayEnd::Cancelled) => return Err(RunError::Cancelled.into()),
-        Err(PlayEnd::Rig(refused @ RigError::ConfigurationRejected(_))) => {
+        Err(TrialAbort::Cancelled) => return Err(RunError::Cancelled.into()),
+        Err(TrialAbort::Lost(refused @ RigError::ConfigurationRejected(_))) => {
             return Err(RunError::Rig(refused).into());
         }
-        Err(PlayEnd::Rig(error)) => Some(error),
+        Err(TrialAbort::Lost(error)) => Some(error),
     };
     let replay = player.finish(rig, firmware, law, own_clock, lost.as_ref());
     Ok(ReplayResult::new(&input.recording, replay))
-}
-
-enum PlayEnd {
-    Cancelled,
-    Rig(RigError),
-}
-
-impl From<RigError> for PlayEnd {
-    fn from(error: RigError) -> Self {
-        Self::Rig(error)
-    }
 }
 
 struct Player<'a> {
@@ -77,7 +67,13 @@ struct Player<'a> {
 
 impl Player<'_> {
     /// The session requests 0 V if this ends early.
-    fn play(&mut self, steps: &[ReplayStep], law: LawId, own_clock: bool, cancel: &CancelToken) -> Result<(), PlayEnd> {
+    fn play(
+        &mut self,
+        steps: &[ReplayStep],
+        law: LawId,
+        own_clock: bool,
+        cancel: &CancelToken,
+    ) -> Result<(), TrialAbort> {
         let watchdog_timeout_ms = if own_clock { OWN_CLOCK_WATCHDOG_TIMEOUT_MS } else { 0 };
         let configure = Configure { watchdog_timeout_ms, ..configure(self.scenario, law) };
         let gains = self.session.start_trial(&configure)?;
@@ -85,7 +81,7 @@ impl Player<'_> {
         let first_s = steps.first().map_or(0.0, |step| step.t_s);
         for step in steps {
             if cancel.is_cancelled() {
-                return Err(PlayEnd::Cancelled);
+                return Err(TrialAbort::Cancelled);
             }
             self.last = Time::from_seconds(step.t_s - first_s).unwrap_or(self.last);
             let reply = self.exchange(&sample(step, self.last))?;

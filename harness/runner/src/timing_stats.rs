@@ -9,12 +9,14 @@ const MAX_DURATION_NS: u64 = 60_000_000_000;
 
 pub(crate) struct DurationHistogram(Histogram<u64>);
 
-impl DurationHistogram {
-    pub(crate) fn new() -> Self {
+impl Default for DurationHistogram {
+    fn default() -> Self {
         let histogram = Histogram::new_with_bounds(1, MAX_DURATION_NS, 3);
         Self(histogram.unwrap_or_else(|_| unreachable!()))
     }
+}
 
+impl DurationHistogram {
     pub(crate) fn record(&mut self, span: Duration) {
         self.0.saturating_record(u64::try_from(span.as_nanos()).unwrap_or(u64::MAX).max(1));
     }
@@ -71,12 +73,10 @@ impl ClockDrift {
     }
 }
 
+#[derive(Default)]
 pub(crate) struct TimingStats {
-    pub(crate) periods: u64,
-    pub(crate) overruns: u64,
-    pub(crate) skipped: u64,
-    pub(crate) missed_replies: u64,
-    pub(crate) lost_replies: u64,
+    /// Only its counts; [`TimingStats::timing`] adds the rest.
+    pub(crate) counts: TimingRecord,
     pub(crate) lateness: DurationHistogram,
     /// In plate time.
     pub(crate) loop_delay: DurationHistogram,
@@ -86,33 +86,14 @@ pub(crate) struct TimingStats {
 }
 
 impl TimingStats {
-    pub(crate) fn new() -> Self {
-        Self {
-            periods: 0,
-            overruns: 0,
-            skipped: 0,
-            missed_replies: 0,
-            lost_replies: 0,
-            lateness: DurationHistogram::new(),
-            loop_delay: DurationHistogram::new(),
-            longest_rig_delay: Duration::ZERO,
-            drift: ClockDrift::default(),
-        }
-    }
-
     pub(crate) fn timing(&self) -> TimingRecord {
         let drift = self.drift.ppm();
         TimingRecord {
-            periods: self.periods,
-            overruns: self.overruns,
-            skipped: self.skipped,
-            missed_replies: self.missed_replies,
-            lost_replies: self.lost_replies,
             lateness_us: self.lateness.quantiles_us().unwrap_or_default(),
             loop_delay_us: self.loop_delay.quantiles_us(),
             target_clock_ppm: drift.map(|(ppm, _)| ppm),
             target_clock_error_ppm: drift.map(|(_, error)| error),
-            ..TimingRecord::default()
+            ..self.counts.clone()
         }
     }
 }
@@ -123,7 +104,7 @@ mod tests {
 
     #[test]
     fn quantiles_match_the_values() {
-        let mut spans = DurationHistogram::new();
+        let mut spans = DurationHistogram::default();
         assert_eq!(spans.quantiles_us(), None);
         (1..=1000).for_each(|micros| spans.record(Duration::from_micros(micros)));
         let found = spans.quantiles_us().unwrap();

@@ -8,110 +8,94 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
 /// A quantity that is measured in a trial or over trials. Definitions: `docs/verdicts.md`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    strum::VariantArray,
+    strum::VariantNames,
+    strum::IntoStaticStr,
+)]
+#[strum(const_into_str, serialize_all = "snake_case")]
 pub enum Metric {
     /// From the setpoint step to the last entry into the band.
+    #[strum(serialize = "settling_time_ms")]
     SettlingTime,
     /// |mean over the window − setpoint| / setpoint.
+    #[strum(serialize = "static_error_percent")]
     StaticError,
     /// Standard deviation over trials of the window's mean, relative to the setpoint.
+    #[strum(serialize = "repeatability_percent")]
     Repeatability,
     /// Largest excess over the setpoint, relative to the step.
+    #[strum(serialize = "overshoot_percent")]
     Overshoot,
     /// Largest distance from the setpoint once the band was entered.
+    #[strum(serialize = "peak_deviation_percent")]
     PeakDeviation,
     /// From a disturbance to the last entry into the band.
+    #[strum(serialize = "recovery_time_ms")]
     RecoveryTime,
     /// |excitation − resonance| at the end.
+    #[strum(serialize = "frequency_error_hz")]
     FrequencyError,
     /// |Wq/Wd| at the end.
     QuadratureRatio,
     /// |W| at the end.
+    #[strum(serialize = "final_amplitude_um")]
     FinalAmplitude,
     /// Highest drive.
+    #[strum(serialize = "drive_peak_vpp")]
     DrivePeak,
     /// Share of time at the limit of the amplifier.
+    #[strum(serialize = "saturated_percent")]
     Saturated,
     /// Sampling to actuation.
+    #[strum(serialize = "loop_delay_us")]
     LoopDelay,
     /// Instructions per sample on the target, worst of the trial.
     InstructionsPerStep,
     /// Control instants at which the bench was too late.
     Overruns,
     /// From a disturbance to 0 V.
+    #[strum(serialize = "shutdown_time_ms")]
     ShutdownTime,
     /// Control instants without an answer.
     MissedReplies,
     /// Largest minus smallest value of the signal over the window, relative to the setpoint.
     RipplePercent,
     /// Largest minus smallest value of the signal over the window.
+    #[strum(serialize = "ripple_um")]
     Ripple,
     /// Largest drive while the setpoint is 0, from one period and loop delay after it became 0.
+    #[strum(serialize = "rest_drive_vpp")]
     RestDrive,
     /// Largest difference of the signal from the first trial at the same control instant.
+    #[strum(serialize = "trial_difference_um")]
     TrialDifference,
     /// Largest difference of a command from that of the reference for the same samples: drive over
     /// its limit or frequency over its range.
+    #[strum(serialize = "reference_difference_percent")]
     ReferenceDifference,
     /// Scripts of messages, played before the trial, with another answer than that of the reference.
     ProtocolDifferences,
 }
 
 impl Metric {
-    pub const ALL: [Self; 22] = [
-        Self::SettlingTime,
-        Self::StaticError,
-        Self::Repeatability,
-        Self::Overshoot,
-        Self::PeakDeviation,
-        Self::RecoveryTime,
-        Self::FrequencyError,
-        Self::QuadratureRatio,
-        Self::FinalAmplitude,
-        Self::DrivePeak,
-        Self::Saturated,
-        Self::LoopDelay,
-        Self::InstructionsPerStep,
-        Self::Overruns,
-        Self::ShutdownTime,
-        Self::MissedReplies,
-        Self::RipplePercent,
-        Self::Ripple,
-        Self::RestDrive,
-        Self::TrialDifference,
-        Self::ReferenceDifference,
-        Self::ProtocolDifferences,
-    ];
+    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
+    pub const NAMES: &[&str] = <Self as strum::VariantNames>::VARIANTS;
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::SettlingTime => "settling_time_ms",
-            Self::StaticError => "static_error_percent",
-            Self::Repeatability => "repeatability_percent",
-            Self::Overshoot => "overshoot_percent",
-            Self::PeakDeviation => "peak_deviation_percent",
-            Self::RecoveryTime => "recovery_time_ms",
-            Self::FrequencyError => "frequency_error_hz",
-            Self::QuadratureRatio => "quadrature_ratio",
-            Self::FinalAmplitude => "final_amplitude_um",
-            Self::DrivePeak => "drive_peak_vpp",
-            Self::Saturated => "saturated_percent",
-            Self::LoopDelay => "loop_delay_us",
-            Self::InstructionsPerStep => "instructions_per_step",
-            Self::Overruns => "overruns",
-            Self::ShutdownTime => "shutdown_time_ms",
-            Self::MissedReplies => "missed_replies",
-            Self::RipplePercent => "ripple_percent",
-            Self::Ripple => "ripple_um",
-            Self::RestDrive => "rest_drive_vpp",
-            Self::TrialDifference => "trial_difference_um",
-            Self::ReferenceDifference => "reference_difference_percent",
-            Self::ProtocolDifferences => "protocol_differences",
-        }
+        self.into_str()
     }
 
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|metric| metric.name() == name)
+        Self::ALL.iter().copied().find(|metric| metric.name() == name)
     }
 
     pub const fn value_range(self) -> (f64, f64) {
@@ -198,7 +182,7 @@ impl JsonSchema for Metric {
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "type": "string", "enum": Self::ALL.map(Self::name).to_vec() })
+        json_schema!({ "type": "string", "enum": Self::NAMES })
     }
 }
 

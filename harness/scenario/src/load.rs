@@ -11,7 +11,6 @@ mod profile;
 mod scenario;
 mod scene;
 mod template;
-mod text;
 
 pub use plate::{load_plate, require_no_effects};
 pub use template::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate};
@@ -23,7 +22,6 @@ use crate::requirements::requirement_texts;
 use crate::scenario::Scenario;
 use checker::{Checker, Diagnostics};
 use std::path::{Path, PathBuf};
-use text::read_text;
 
 /// Records call the scenario at `path` `file`. Returns the first error of its files.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
@@ -56,7 +54,7 @@ fn first_diagnostic(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {
 }
 
 fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec<Diagnostic>> {
-    let text = read_text(path).map_err(|fault| vec![fault])?;
+    let text = crate::text::read_text(path).map_err(|fault| vec![fault])?;
     let mut raw: RawScenario = parse(path, &text)?;
     for (named, copy) in raw.files().zip(copies) {
         // Relative names start at the scenario.

@@ -1,6 +1,7 @@
 //! Parses TOML to a raw type and reports every wrong key.
 
 use crate::diagnostic::Diagnostic;
+use crate::text::{decode_text, read_text};
 use serde::de::DeserializeOwned;
 use std::ops::Range;
 use std::path::Path;
@@ -9,6 +10,20 @@ use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 
 /// Each reported error takes another pass over the whole file.
 pub(crate) const MAX_DIAGNOSTICS: usize = 50;
+
+/// Returns the text too. Errors as for [`parse`], or the file cannot be read.
+pub fn parse_file<T: DeserializeOwned>(path: &Path) -> Result<(String, T), Vec<Diagnostic>> {
+    let text = read_text(path).map_err(|fault| vec![fault])?;
+    let raw = parse(path, &text)?;
+    Ok((text, raw))
+}
+
+/// For the content of a file that was read; otherwise like [`parse_file`].
+pub fn parse_bytes<T: DeserializeOwned>(path: &Path, bytes: Vec<u8>) -> Result<(String, T), Vec<Diagnostic>> {
+    let text = decode_text(path, bytes).map_err(|fault| vec![fault])?;
+    let raw = parse(path, &text)?;
+    Ok((text, raw))
+}
 
 /// Errors: all syntax errors; if none, all unknown keys and wrong types in the order of the file,
 /// then all missing keys.

@@ -1,8 +1,7 @@
 //! Reads the texts of requirements from the `requirements.toml` nearest above a scenario.
 
 use crate::diagnostic::Diagnostic;
-use crate::parse::parse;
-use platebench_plate::input;
+use crate::parse::parse_file;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -31,10 +30,7 @@ struct RawRequirements {
 
 /// All requirements of a file; each identifier once, no empty text.
 pub fn read_requirements(path: &Path) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
-    let fault = |message: String| vec![Diagnostic::for_file(path, message)];
-    let bytes = input::read(path).map_err(|error| fault(format!("cannot be read: {error}")))?;
-    let text = String::from_utf8(bytes).map_err(|_| fault("not UTF-8, expected a text file in UTF-8".to_owned()))?;
-    let raw: RawRequirements = parse(path, &text)?;
+    let (text, raw) = parse_file::<RawRequirements>(path)?;
     let mut known = BTreeSet::new();
     let mut faults = Vec::new();
     for (number, requirement) in raw.requirement.iter().enumerate() {

@@ -87,13 +87,13 @@ impl Transform for TomlTransform {
     }
 }
 
-fn name_schema<const N: usize>(names: [&str; N]) -> Schema {
-    json_schema!({ "type": "string", "enum": names.to_vec() })
+fn name_schema(names: &[&str]) -> Schema {
+    json_schema!({ "type": "string", "enum": names })
 }
 
 pub(crate) fn models(_: &mut SchemaGenerator) -> Schema {
     let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
-    name_schema([AUTO_MODEL, linear, envelope, modal, carrier])
+    name_schema(&[AUTO_MODEL, linear, envelope, modal, carrier])
 }
 
 pub(crate) fn kinds(_: &mut SchemaGenerator) -> Schema {
@@ -101,23 +101,23 @@ pub(crate) fn kinds(_: &mut SchemaGenerator) -> Schema {
 }
 
 pub(crate) fn directions(_: &mut SchemaGenerator) -> Schema {
-    name_schema(Direction::ALL.map(Direction::name))
+    name_schema(&Direction::ALL.map(Direction::name))
 }
 
 pub(crate) fn metrics(_: &mut SchemaGenerator) -> Schema {
-    name_schema(Metric::ALL.map(Metric::name))
+    name_schema(Metric::NAMES)
 }
 
 pub(crate) fn overs(_: &mut SchemaGenerator) -> Schema {
-    name_schema(Aggregation::NAMES)
+    name_schema(&Aggregation::NAMES)
 }
 
 pub(crate) fn changing_profiles(_: &mut SchemaGenerator) -> Schema {
-    name_schema(ChangingProfile::ALL.map(ChangingProfile::name))
+    name_schema(&ChangingProfile::ALL.map(ChangingProfile::name))
 }
 
 pub(crate) fn signals(_: &mut SchemaGenerator) -> Schema {
-    name_schema(SIGNALS)
+    name_schema(&SIGNALS)
 }
 
 /// Rule: if `key` is none of `names`, none of `rejected` may be present.
@@ -161,7 +161,8 @@ fn add_rules(schema: &mut Schema, rules: Vec<Schema>) {
 }
 
 pub(crate) fn expectations(schema: &mut Schema) {
-    let named = |has: fn(Metric) -> bool| Metric::ALL.into_iter().filter(move |metric| has(*metric)).map(Metric::name);
+    let named =
+        |has: fn(Metric) -> bool| Metric::ALL.iter().filter(move |metric| has(**metric)).map(|metric| metric.name());
     add_rules(
         schema,
         vec![

@@ -41,110 +41,60 @@ impl Flags {
     }
 }
 
-/// The state of a trial at an instant. Amplitudes and voltages are peak to peak.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Row {
-    /// Since the start of the trial.
-    pub t_s: f64,
-    pub setpoint_um: f64,
-    /// In-phase component of the plate's vibration.
-    pub wd_um: f64,
-    /// Quadrature component.
-    pub wq_um: f64,
-    /// |W|.
-    pub amplitude_um: f64,
-    pub drive_vpp: f64,
-    pub frequency_hz: f64,
-    /// The plate's true resonance ω0/2π; NaN, and empty in the file, if unknown.
-    pub resonance_hz: f64,
-    /// Kelvin above the plate's reference temperature; NaN, and empty in the file, if not measured.
-    pub temperature_offset_k: f64,
-    /// Normal force of the finger, N; NaN, and empty in the file, if not measured.
-    pub finger_force_n: f64,
-    /// In-phase component that the controller received last.
-    pub sensed_wd_um: f64,
-    /// Quadrature component that the controller received last.
-    pub sensed_wq_um: f64,
-    pub lateness_us: f64,
-    pub flags: Flags,
+macro_rules! define_row {
+    ($($(#[$doc:meta])* $column:ident,)+) => {
+        /// The state of a trial at an instant. Amplitudes and voltages are peak to peak.
+        #[derive(Debug, Clone, Copy, PartialEq, Default)]
+        pub struct Row {
+            $($(#[$doc])* pub $column: f64,)+
+            pub flags: Flags,
+        }
+
+        pub const COLUMNS: [&str; NUMBERS + 1] = [$(stringify!($column),)+ "flags"];
+
+        /// Numbers of a row, in the order of [`COLUMNS`] without `flags`.
+        pub(crate) const NUMBERS: usize = [$(stringify!($column)),+].len();
+
+        impl Row {
+            pub(crate) const fn numbers(&self) -> [f64; NUMBERS] {
+                [$(self.$column),+]
+            }
+
+            pub(crate) const fn from_numbers([$($column),+]: [f64; NUMBERS], flags: Flags) -> Self {
+                Self { $($column,)+ flags }
+            }
+        }
+    };
 }
 
-/// Numbers of a row, in the order of [`COLUMNS`] without `flags`.
-pub(crate) const NUMBERS: usize = COLUMNS.len() - 1;
-
-impl Row {
-    pub(crate) const fn numbers(&self) -> [f64; NUMBERS] {
-        [
-            self.t_s,
-            self.setpoint_um,
-            self.wd_um,
-            self.wq_um,
-            self.amplitude_um,
-            self.drive_vpp,
-            self.frequency_hz,
-            self.resonance_hz,
-            self.temperature_offset_k,
-            self.finger_force_n,
-            self.sensed_wd_um,
-            self.sensed_wq_um,
-            self.lateness_us,
-        ]
-    }
-
-    pub(crate) const fn from_numbers(numbers: [f64; NUMBERS], flags: Flags) -> Self {
-        let [
-            t_s,
-            setpoint_um,
-            wd_um,
-            wq_um,
-            amplitude_um,
-            drive_vpp,
-            frequency_hz,
-            resonance_hz,
-            temperature_offset_k,
-            finger_force_n,
-            sensed_wd_um,
-            sensed_wq_um,
-            lateness_us,
-        ] = numbers;
-        Self {
-            t_s,
-            setpoint_um,
-            wd_um,
-            wq_um,
-            amplitude_um,
-            drive_vpp,
-            frequency_hz,
-            resonance_hz,
-            temperature_offset_k,
-            finger_force_n,
-            sensed_wd_um,
-            sensed_wq_um,
-            lateness_us,
-            flags,
-        }
-    }
+// Names and order of the columns in a file.
+define_row! {
+    /// Since the start of the trial.
+    t_s,
+    setpoint_um,
+    /// In-phase component of the plate's vibration.
+    wd_um,
+    /// Quadrature component.
+    wq_um,
+    /// |W|.
+    amplitude_um,
+    drive_vpp,
+    frequency_hz,
+    /// The plate's true resonance ω0/2π; NaN, and empty in the file, if unknown.
+    resonance_hz,
+    /// Kelvin above the plate's reference temperature; NaN, and empty in the file, if not measured.
+    temperature_offset_k,
+    /// Normal force of the finger, N; NaN, and empty in the file, if not measured.
+    finger_force_n,
+    /// In-phase component that the controller received last.
+    sensed_wd_um,
+    /// Quadrature component that the controller received last.
+    sensed_wq_um,
+    lateness_us,
 }
 
 /// Columns that may be empty in a row with the flag `sensed`.
 pub const OPTIONAL_COLUMNS: [&str; 3] = ["resonance_hz", "temperature_offset_k", "finger_force_n"];
-
-pub const COLUMNS: [&str; 14] = [
-    "t_s",
-    "setpoint_um",
-    "wd_um",
-    "wq_um",
-    "amplitude_um",
-    "drive_vpp",
-    "frequency_hz",
-    "resonance_hz",
-    "temperature_offset_k",
-    "finger_force_n",
-    "sensed_wd_um",
-    "sensed_wq_um",
-    "lateness_us",
-    "flags",
-];
 
 /// A column in µm, which can be compared with the setpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

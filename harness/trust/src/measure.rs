@@ -9,11 +9,8 @@ use crate::report::{
 };
 use platebench_record::{Verdict, ViolationKind};
 use platebench_rig::BoxedLink;
+use platebench_runner::parallel::collect_in_parallel;
 use platebench_scenario::{Metric, Scenario, Spread};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc;
-use std::thread;
-use tracing::subscriber::{NoSubscriber, with_default};
 
 /// Standard deviations of the plate in clean runs, if the scenario has none.
 const GAIN_PERCENT: f64 = 0.3;
@@ -153,7 +150,7 @@ fn measure_false_alarms(order: &TrustConfig, alarms: &mut Vec<FalseAlarm>) -> Re
     let varied: Vec<(&Scenario, Scenario)> =
         order.scenarios.iter().filter_map(|scenario| Some((scenario, with_plate_spread(scenario)?))).collect();
     let runs: Vec<u32> = if varied.is_empty() { Vec::new() } else { (0..order.clean_runs).collect() };
-    let judged = in_parallel(order.jobs, &runs, |&run| {
+    let judged = collect_in_parallel(order.jobs, &runs, |&run| {
         let Some(scenario) = varied.get(run as usize % varied.len().max(1)) else { return Err(TrustError::Internal) };
         let (scenario, varied) = scenario;
         let mut scene = varied.clone();
@@ -210,44 +207,9 @@ fn run_suite<T: Sync>(
     }
     let pairs: Vec<(&T, &Scenario)> =
         controllers.iter().flat_map(|controller| suite.iter().map(move |scenario| (controller, scenario))).collect();
-    let judged = in_parallel(jobs, &pairs, |(controller, scenario)| {
+    let judged = collect_in_parallel(jobs, &pairs, |(controller, scenario)| {
         let (name, link) = link(controller);
         play(scenario, name, link)
     })?;
     Ok(judged.chunks(suite.len()).map(<[PlayResult]>::to_vec).collect())
-}
-
-/// Returns the results in the order of the tasks.
-fn in_parallel<T: Sync, R: Send>(
-    jobs: usize,
-    tasks: &[T],
-    work: impl Fn(&T) -> Result<R, TrustError> + Sync,
-) -> Result<Vec<R>, TrustError> {
-    let next = AtomicUsize::new(0);
-    let (sender, results) = mpsc::channel();
-    let mut done: Vec<(usize, R)> = thread::scope(|scope| {
-        for _ in 0..jobs.clamp(1, tasks.len().max(1)) {
-            let (sender, next, work) = (sender.clone(), &next, &work);
-            scope.spawn(move || {
-                loop {
-                    let number = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(task) = tasks.get(number) else { break };
-                    // Damaged frames are part of the experiment: suppress their warnings.
-                    let result = with_default(NoSubscriber::default(), || work(task)).map(|done| (number, done));
-                    let failed = result.is_err();
-                    if sender.send(result).is_err() || failed {
-                        break;
-                    }
-                }
-            });
-        }
-        drop(sender);
-        results.iter().collect::<Result<_, TrustError>>()
-    })?;
-    done.sort_by_key(|(number, _)| *number);
-    if done.len() == tasks.len() {
-        Ok(done.into_iter().map(|(_, done)| done).collect())
-    } else {
-        Err(TrustError::Internal)
-    }
 }

@@ -53,7 +53,7 @@ impl MutantSpec {
         Self {
             name: "unmutated",
             description: "none",
-            detecting_metrics: &Metric::ALL,
+            detecting_metrics: Metric::ALL,
             detecting_violations: &[],
             witness_scenario: "paper/fig13-closed-loop.toml",
             reference: ReferenceController::Firmware,

@@ -2,7 +2,7 @@
 
 use crate::budget::{Budget, Component, ComponentKind, Distribution, Instrument, QuantityBudget};
 use jiff::civil::Date;
-use platebench_scenario::{Diagnostic, Metric, input, parse};
+use platebench_scenario::{Diagnostic, Metric, parse_file};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -70,23 +70,15 @@ const PLATE_QUANTITIES: [&str; 4] = ["gain_um_per_vpp", "time_constant_s", "reso
 
 /// Metrics of scenarios and parameters of a plate.
 pub fn known_quantities() -> Vec<&'static str> {
-    Metric::ALL.map(Metric::name).into_iter().chain(PLATE_QUANTITIES).collect()
+    Metric::NAMES.iter().copied().chain(PLATE_QUANTITIES).collect()
 }
 
 impl Budget {
     /// `quantities`: the known names.
     pub fn load(path: &Path, quantities: &[&str]) -> Result<Self, Vec<Diagnostic>> {
-        let bytes =
-            input::read(path).map_err(|error| vec![Diagnostic::for_file(path, format!("cannot be read: {error}"))])?;
-        Self::from_bytes(path, bytes, quantities)
-    }
-
-    pub fn from_bytes(path: &Path, bytes: Vec<u8>, quantities: &[&str]) -> Result<Self, Vec<Diagnostic>> {
-        let text = String::from_utf8(bytes.clone())
-            .map_err(|_| vec![Diagnostic::for_file(path, "not UTF-8, expected a text file in UTF-8")])?;
-        let raw: RawBudget = parse(path, &text)?;
+        let (text, raw) = parse_file::<RawBudget>(path)?;
         let mut checker = BudgetChecker { path, text: &text, quantities, faults: Vec::new() };
-        let budget = checker.check(raw, bytes);
+        let budget = checker.check(raw);
         if checker.faults.is_empty() { Ok(budget) } else { Err(checker.faults) }
     }
 }
@@ -103,7 +95,7 @@ impl BudgetChecker<'_> {
         self.faults.push(Diagnostic::at_key(self.path, self.text, key, message));
     }
 
-    fn check(&mut self, raw: RawBudget, bytes: Vec<u8>) -> Budget {
+    fn check(&mut self, raw: RawBudget) -> Budget {
         self.check_text("title", &raw.title);
         if !(50.0..=99.9).contains(&raw.coverage_percent) {
             self.report("coverage_percent", format!("{}, expected 50 to 99.9", raw.coverage_percent));
@@ -138,6 +130,7 @@ impl BudgetChecker<'_> {
                 .collect();
             quantities.push(QuantityBudget { quantity: raw.quantity, components });
         }
+        let bytes = self.text.as_bytes().to_vec();
         Budget { bytes, title: raw.title, coverage: raw.coverage_percent / 100.0, instruments, quantities }
     }
 

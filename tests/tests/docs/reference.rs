@@ -74,7 +74,7 @@ fn append_metrics(page: &mut String) {
         .collect();
     assert_eq!(docs.len(), Metric::ALL.len(), "a metric is missing in `Metric::ALL`");
     page.push_str("## Metrics\n\n| metric | what | options | trials come to |\n|---|---|---|---|\n");
-    for metric in Metric::ALL {
+    for &metric in Metric::ALL {
         let options = [
             (metric.has_band(), "`band_percent`"),
             (metric.has_from_ms(), "`from_ms`"),

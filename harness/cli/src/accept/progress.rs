@@ -1,7 +1,6 @@
 //! Shows the progress of a session.
 
 use crate::live::SessionView;
-use crate::run_plan::show_progress;
 use crate::stdio;
 use platebench_acceptance::SessionObserver;
 use platebench_acceptance::session_record::{StepKind, StepRecord};
@@ -68,7 +67,7 @@ impl SessionObserver for SessionProgress {
                 let (trials, s) = (record.trials.len(), if record.trials.len() == 1 { "" } else { "s" });
                 self.print(&format!("  {} measured in {trials} trial{s}, not judged", record.file));
             }
-            event => show_progress(progress, event),
+            event => progress.show(event),
         }
     }
 }

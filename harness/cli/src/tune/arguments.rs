@@ -1,7 +1,7 @@
 //! Defines the arguments of `platebench tune` and the design target that they state.
 
 use crate::board_args::BoardArgs;
-use crate::options::OutputFormat;
+use crate::options::{OutputFormat, parse_number};
 use crate::plate_file;
 use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args};
@@ -89,11 +89,6 @@ pub(crate) struct TuneArgs {
     /// Format of standard output
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
     pub(super) format: OutputFormat,
-}
-
-fn parse_number(text: &str, is_valid: impl Fn(f64) -> bool, expected: &str) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|number| is_valid(*number));
-    number.ok_or_else(|| format!("expected {expected}"))
 }
 
 fn parse_positive_ms(text: &str) -> Result<f64, String> {

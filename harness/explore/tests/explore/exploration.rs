@@ -59,7 +59,7 @@ fn correct_laws_violate_nothing(#[case] law: LawId) {
     assert_eq!((result.scenes, result.undecided), (240, 0));
     assert!(result.failed.is_empty(), "{:?}", result.failed);
     let judged = |property| result.properties.get(&property).map_or(0, |tally| tally.windows);
-    let judged: Vec<_> = Property::ALL.into_iter().map(judged).collect();
+    let judged: Vec<_> = Property::ALL.iter().copied().map(judged).collect();
     let (answers, others) = judged.split_last().unwrap();
     assert_eq!(*answers, 1);
     assert!(others.iter().all(|windows| *windows > 20), "{judged:?}");

@@ -44,7 +44,7 @@ fn a_hundred_scenes_cover_every_kind_of_change_and_history() {
         coverage.add(&config.generator().tree(index).unwrap().current(), &config.envelope);
     }
     let followed = |second: ChangeKind| ChangeKind::ALL.iter().any(|first| coverage.pair(*first, second) > 0);
-    let missing: Vec<_> = ChangeKind::ALL.into_iter().filter(|kind| !followed(*kind)).collect();
+    let missing: Vec<_> = ChangeKind::ALL.iter().filter(|kind| !followed(**kind)).collect();
     assert!(missing.is_empty(), "{missing:?}");
     let lengths: BTreeSet<usize> = coverage.histories.keys().copied().collect();
     assert_eq!(lengths, BTreeSet::from([0, 1, 2]));

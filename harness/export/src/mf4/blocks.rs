@@ -28,6 +28,7 @@ pub(super) enum ChannelKind {
     },
 }
 
+/// Positions of the texts of a channel.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Channel {
     pub(super) name: u64,
@@ -46,13 +47,11 @@ pub(super) struct ChannelGroup {
 pub(super) struct BlockWriter<'a> {
     file: BufWriter<&'a File>,
     position: u64,
-    next_group_link: u64,
 }
 
 impl<'a> BlockWriter<'a> {
     pub(super) fn start(file: &'a File) -> io::Result<Self> {
-        let mut blocks =
-            Self { file: BufWriter::new(file), position: 0, next_group_link: HEADER_POSITION + BLOCK_HEADER_BYTES };
+        let mut blocks = Self { file: BufWriter::new(file), position: 0 };
         let mut identification = Vec::with_capacity(64);
         identification.extend(b"MDF     4.10    platebch");
         identification.extend([0; 4]);
@@ -86,7 +85,7 @@ impl<'a> BlockWriter<'a> {
         self.write_string(*b"TX", text)
     }
 
-    /// The records of the group must follow.
+    /// A file has one group. Its records must follow.
     pub(super) fn start_group(
         &mut self,
         name: &str,
@@ -105,8 +104,7 @@ impl<'a> BlockWriter<'a> {
         data.extend([0; 4]);
         let channel_group = self.write_block(*b"CG", &[0, first, name, 0, 0, comment], &data)?;
         let group = self.write_block(*b"DG", &[0, channel_group, 0, 0], &[0; 8])?;
-        self.write_number_at(self.next_group_link, group)?;
-        self.next_group_link = group + BLOCK_HEADER_BYTES;
+        self.set_link(HEADER_POSITION, 0, group)?;
         let data = self.write_block(*b"DT", &[], &[])?;
         self.set_link(group, 2, data)?;
         Ok(ChannelGroup { channels: channel_group, data, records: 0, record_bytes: record_bytes.into() })

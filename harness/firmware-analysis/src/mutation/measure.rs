@@ -7,8 +7,11 @@ use super::result::{MutantResult, MutationReport, Score, Status};
 use crate::code_map::CodeMap;
 use crate::coverage::check_baseline;
 use crate::error::AnalysisError;
-use crate::suite::{BoardSession, Margin, Outcome, Suite, in_parallel, play};
+use crate::suite::{BoardSession, Margin, Outcome, Suite, play};
 use platebench_rig::{CancelToken, Symbols};
+use platebench_runner::parallel::in_parallel;
+use platebench_scenario::Scenario;
+use platebench_wire::LawId;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::collections::BTreeMap;
@@ -73,11 +76,8 @@ pub fn measure_mutation(
     order.sort_by_key(|&index| baselines.get(index).map(|baseline| baseline.duration));
     let runner = MutantRunner { config, map: &map, baselines: &baselines, order: &order };
     let mut results: Vec<MutantResult> = Vec::new();
-    let work = |session: &mut Option<BoardSession>, index: usize| match mutants.get(index) {
-        Some(mutant) => runner.run(session, mutant),
-        None => Err(AnalysisError::Internal),
-    };
-    in_parallel(config.jobs, mutants.len(), work, |result| {
+    let work = |session: &mut Option<BoardSession>, mutant: &Mutant| runner.run(session, mutant);
+    in_parallel(config.jobs, &mutants, work, |result| {
         on_result(&result);
         results.push(result);
         let score = Score::of(results.iter().map(|result| &result.status));
@@ -90,8 +90,7 @@ pub fn measure_mutation(
 fn baselines(config: &MutationConfig, map: &CodeMap) -> Result<Vec<Baseline>, AnalysisError> {
     let scenarios = &config.suite.scenarios;
     let mut baselines = Vec::new();
-    let work = |session: &mut Option<BoardSession>, index: usize| {
-        let Some((scenario, law)) = scenarios.get(index) else { return Err(AnalysisError::Internal) };
+    let work = |session: &mut Option<BoardSession>, (scenario, law): &(Scenario, LawId)| {
         let session = match session {
             Some(session) => session,
             None => session.insert(config.suite.connect()?),
@@ -102,9 +101,9 @@ fn baselines(config: &MutationConfig, map: &CodeMap) -> Result<Vec<Baseline>, An
         check_baseline(scenario, &outcome)?;
         let executed = session.link_mut().inner_mut().executed_instructions().clone();
         let (commands, fails) = (outcome.commands, outcome.detection.is_some());
-        Ok(Baseline { executed, duration: start.elapsed(), commands, fails })
+        Ok::<_, AnalysisError>(Baseline { executed, duration: start.elapsed(), commands, fails })
     };
-    in_parallel(config.jobs, scenarios.len(), work, |baseline| {
+    in_parallel(config.jobs, scenarios, work, |baseline| {
         baselines.push(baseline);
         true
     })?;

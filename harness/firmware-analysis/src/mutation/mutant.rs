@@ -3,43 +3,33 @@
 use platebench_rig::symbols::SourceLine;
 use std::fmt;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, strum::VariantArray, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "snake_case")]
 pub enum Operator {
     /// Addition and subtraction, multiplication and division, sign.
     Arithmetic,
     /// A condition and its negation.
+    #[strum(serialize = "negated condition")]
     Condition,
     /// `<` and `≤`, `>` and `≥`.
+    #[strum(serialize = "comparison off by one")]
     Boundary,
     /// An immediate value, or a value in the literal pool.
     Constant,
+    #[strum(serialize = "removed call")]
     RemovedCall,
+    #[strum(serialize = "removed store")]
     RemovedStore,
     /// `SSAT`, `USAT`, and moves on the condition of a comparison of floats, as `clamp` compiles to.
+    #[strum(serialize = "removed saturation")]
     RemovedSaturation,
 }
 
 impl Operator {
-    pub const ALL: [Self; 7] = [
-        Self::Arithmetic,
-        Self::Condition,
-        Self::Boundary,
-        Self::Constant,
-        Self::RemovedCall,
-        Self::RemovedStore,
-        Self::RemovedSaturation,
-    ];
+    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Arithmetic => "arithmetic",
-            Self::Condition => "negated condition",
-            Self::Boundary => "comparison off by one",
-            Self::Constant => "constant",
-            Self::RemovedCall => "removed call",
-            Self::RemovedStore => "removed store",
-            Self::RemovedSaturation => "removed saturation",
-        }
+        self.into_str()
     }
 }
 

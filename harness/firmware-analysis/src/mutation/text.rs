@@ -13,7 +13,7 @@ pub fn summary(report: &MutationReport) -> String {
 
 fn write_summary(text: &mut String, report: &MutationReport) -> fmt::Result {
     writeln!(text, "{:<22} {:>8} {:>8} {:>8}  {:>7}", "operator", "detected", "survived", "not run", "score")?;
-    for operator in Operator::ALL {
+    for &operator in Operator::ALL {
         let of_operator = || report.results.iter().filter(|result| result.mutant.operator == operator);
         let statuses = || of_operator().map(|result| &result.status);
         let score = Score::of(statuses());

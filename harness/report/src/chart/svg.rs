@@ -8,6 +8,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::error::Error;
 use std::ops::Range;
+use strum::IntoEnumIterator as _;
 
 /// Plotters puts points on whole numbers only.
 pub(crate) const UNITS_PER_PIXEL: i32 = 4;
@@ -16,7 +17,8 @@ pub(crate) type DrawArea<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(crate) type DrawResult = Result<(), Box<dyn Error + Send + Sync>>;
 
 /// What an element is. The style sheet gives it colour, width and dashes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::EnumIter, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub(crate) enum Role {
     Text,
     Title,
@@ -46,6 +48,7 @@ pub(crate) enum Role {
     Delay,
     Measured,
     Limit,
+    #[strum(serialize = "window")]
     JudgedWindow,
     Worst,
     OpenLoop,
@@ -56,47 +59,13 @@ pub(crate) enum Role {
 /// A higher number begins again with the first colour.
 const COLOURS: usize = 10;
 
-const NAMED: [(Role, &str); 31] = [
-    (Role::Text, "text"),
-    (Role::Title, "title"),
-    (Role::Grid, "grid"),
-    (Role::Axis, "axis"),
-    (Role::Mark, "mark"),
-    (Role::Shape, "shape"),
-    (Role::First, "first"),
-    (Role::Second, "second"),
-    (Role::Exhibit, "exhibit"),
-    (Role::Other, "other"),
-    (Role::Setpoint, "setpoint"),
-    (Role::Band, "band"),
-    (Role::Spread, "spread"),
-    (Role::SecondSpread, "second-spread"),
-    (Role::Saturated, "saturated"),
-    (Role::Settling, "settling"),
-    (Role::Deadline, "deadline"),
-    (Role::Golden, "golden"),
-    (Role::Tube, "tube"),
-    (Role::Trial, "trial"),
-    (Role::Median, "median"),
-    (Role::Resonance, "resonance"),
-    (Role::Overrun, "overrun"),
-    (Role::Lost, "lost"),
-    (Role::Boundary, "boundary"),
-    (Role::Delay, "delay"),
-    (Role::Measured, "measured"),
-    (Role::Limit, "limit"),
-    (Role::JudgedWindow, "window"),
-    (Role::Worst, "worst"),
-    (Role::OpenLoop, "open-loop"),
-];
-
 impl Role {
     /// Drawings put `s-` before it for a stroke and `f-` for a filling.
     pub(crate) fn name(self) -> String {
         match self {
             Self::Series(number) => format!("series-{}", number % COLOURS),
             Self::Radius(number) => format!("radius-{}", number % COLOURS),
-            named => NAMED.iter().find(|(role, _)| *role == named).map_or("", |(_, name)| name).to_owned(),
+            named => <&str>::from(named).to_owned(),
         }
     }
 
@@ -104,7 +73,7 @@ impl Role {
         match self {
             Self::Series(number) => RGBColor(1, 1, (number % COLOURS) as u8),
             Self::Radius(number) => RGBColor(1, 2, (number % COLOURS) as u8),
-            named => RGBColor(1, 0, NAMED.iter().position(|(role, _)| *role == named).unwrap_or(0) as u8),
+            named => RGBColor(1, 0, Self::iter().position(|role| role == named).unwrap_or(0) as u8),
         }
     }
 
@@ -114,7 +83,7 @@ impl Role {
         match code.get(..2)? {
             "01" => Some(Self::Series(number)),
             "02" => Some(Self::Radius(number)),
-            _ => NAMED.get(number).map(|(role, _)| *role),
+            _ => Self::iter().nth(number),
         }
     }
 }
@@ -327,7 +296,7 @@ mod tests {
     #[test]
     fn every_role_has_its_own_class() {
         let numbered = (0..COLOURS).flat_map(|number| [Role::Series(number), Role::Radius(number)]);
-        for role in NAMED.iter().map(|(role, _)| *role).chain(numbered) {
+        for role in Role::iter().chain(numbered) {
             let RGBColor(_, green, blue) = role.colour();
             assert_eq!(Role::from_code(&format!("{green:02X}{blue:02X}")), Some(role));
             let name = role.name();

@@ -4,31 +4,31 @@ use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use platebench_trace::{Flags, Row};
 use platebench_verdict::metrics::setpoint_steps;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+/// A signal of a figure, by its column in the trace.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::VariantArray, strum::EnumString)]
 pub(crate) enum PlotSignal {
+    #[strum(serialize = "amplitude_um")]
     Amplitude,
+    #[strum(serialize = "wd_um")]
     InPhase,
+    #[strum(serialize = "wq_um")]
     Quadrature,
+    #[strum(serialize = "setpoint_um")]
     Setpoint,
+    #[strum(serialize = "drive_vpp")]
     Drive,
+    #[strum(serialize = "frequency_hz")]
     Frequency,
+    #[strum(serialize = "resonance_hz")]
     Resonance,
+    #[strum(serialize = "finger_force_n")]
     Force,
+    #[strum(serialize = "temperature_offset_k")]
     Temperature,
 }
 
 impl PlotSignal {
-    pub(crate) const ALL: [Self; 9] = [
-        Self::Amplitude,
-        Self::InPhase,
-        Self::Quadrature,
-        Self::Setpoint,
-        Self::Drive,
-        Self::Frequency,
-        Self::Resonance,
-        Self::Force,
-        Self::Temperature,
-    ];
+    pub(crate) const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
     pub(crate) fn value_in(self, row: &Row) -> f64 {
         match self {

@@ -43,19 +43,6 @@ impl GoldenDifference {
     }
 }
 
-/// The signals that a figure shows, by their columns.
-const SIGNALS: [(&str, PlotSignal); 5] = [
-    ("amplitude_um", PlotSignal::Amplitude),
-    ("wd_um", PlotSignal::InPhase),
-    ("wq_um", PlotSignal::Quadrature),
-    ("drive_vpp", PlotSignal::Drive),
-    ("frequency_hz", PlotSignal::Frequency),
-];
-
-pub(crate) fn plot_signal(column: &str) -> Option<PlotSignal> {
-    SIGNALS.iter().find(|(name, _)| *name == column).map(|(_, signal)| *signal)
-}
-
 impl GoldenCurves {
     /// `None` if no baseline was accepted.
     pub(crate) fn read(folder: &Path, file: &str, grid: &TimeGrid) -> Result<Option<Self>, BaselineError> {
@@ -64,7 +51,7 @@ impl GoldenCurves {
 
     fn from_baseline(accepted: &Baseline, grid: &TimeGrid) -> Self {
         let tubes = accepted.golden.tubes.iter().filter_map(|tube| {
-            let signal = plot_signal(&tube.signal)?;
+            let signal = tube.signal.parse().ok()?;
             let (from_ms, to_ms) = tube.span_ms();
             let inside = |t_ms: &f64| (from_ms..=to_ms).contains(t_ms).then_some(*t_ms);
             let sampled = |value: &dyn Fn(f64) -> f64| grid.t_ms.iter().map(|t_ms| inside(t_ms).map(value)).collect();

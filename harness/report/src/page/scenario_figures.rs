@@ -2,7 +2,7 @@
 
 use super::curves::PlotSignal;
 use super::figure::{Content, Figure, SampledLine};
-use super::golden::{GoldenCurves, plot_signal};
+use super::golden::GoldenCurves;
 use super::grid::percentiles;
 use super::trace_data::{SampledTrial, TraceData};
 use crate::chart::svg::Role;
@@ -75,8 +75,7 @@ impl FigureBuilder<'_> {
             let area = Content::Area { is_stepped: signal.is_zero_order_hold(), upper, lower };
             figure.add(Role::Tube, format!("tolerance tube of the {}", golden.text), area);
             figure.add(Role::Golden, &golden.text, one_line(signal, tube.line.clone()));
-            let outside =
-                self.data.golden.exceedances.iter().filter(|worst| plot_signal(&worst.signal) == Some(signal));
+            let outside = self.data.golden.exceedances.iter().filter(|worst| worst.signal.parse() == Ok(signal));
             let point = |worst: &Exceedance| {
                 let (distance, unit) = (format::number(worst.distance), signal.unit());
                 (worst.t_ms, worst.value, format!("{distance} {unit} outside the tube"))
@@ -223,7 +222,7 @@ impl FigureBuilder<'_> {
             self.add_spread(&mut figure, signal, spread, &format!("{name}: "));
             let text = format!("{name}, {}", self.first_trial_name());
             figure.add(role, text, one_line(signal, self.first_trial_line(signal)));
-            if self.data.golden.exceedances.iter().any(|worst| plot_signal(&worst.signal) == Some(signal)) {
+            if self.data.golden.exceedances.iter().any(|worst| worst.signal.parse() == Ok(signal)) {
                 self.add_references(&mut figure, signal);
             }
             self.add_limits(&mut figure, signal);

@@ -157,7 +157,7 @@ impl TraceData {
         let room = MAX_OVERRUN_MARKS.saturating_sub(self.overruns.len());
         self.overruns.extend(curves::overrun_instants(rows).take(room));
         let rows = self.grid.align(rows);
-        let signals = PlotSignal::ALL.into_iter();
+        let signals = PlotSignal::ALL.iter().copied();
         self.sampled_trials.push(SampledTrial {
             index: trial.index,
             peak_lines: signals.clone().map(|signal| (signal, rows.sample_peaks(signal))).collect(),

@@ -2,7 +2,7 @@
 
 use super::escape::json_line;
 use crate::format::VerdictCounts;
-use platebench_record::{ExpectationRecord, RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_record::{Event, ExpectationRecord, RunRecord, TrialRecord, Verdict};
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::io::Write;
@@ -51,8 +51,8 @@ pub enum EventLine<'a> {
         exit_code: u8,
         /// Why there is no verdict.
         error: Option<&'a str>,
-        scenarios: Counts,
-        expectations: Counts,
+        scenarios: VerdictCounts,
+        expectations: VerdictCounts,
     },
 }
 
@@ -60,20 +60,6 @@ pub enum EventLine<'a> {
 pub struct PlannedScenario<'a> {
     scenario: &'a str,
     trials: u32,
-}
-
-/// Numbers of verdicts.
-#[derive(Debug, Serialize, JsonSchema)]
-pub struct Counts {
-    passed: usize,
-    failed: usize,
-    inconclusive: usize,
-}
-
-impl From<VerdictCounts> for Counts {
-    fn from(counts: VerdictCounts) -> Self {
-        Self { passed: counts.passed, failed: counts.failed, inconclusive: counts.inconclusive }
-    }
 }
 
 /// A closed pipe is no error.
@@ -91,22 +77,18 @@ impl EventWriter {
         self.write(&EventLine::RunStarted { format: FORMAT, folder, rig, clock, scenarios: scenarios.collect() });
     }
 
-    pub fn scenario_started(&mut self, file: &str, trials: u32) {
-        self.write(&EventLine::ScenarioStarted { scenario: file, trials });
-    }
-
-    pub fn trial_finished(&mut self, file: &str, trial: &TrialRecord) {
-        self.write(&EventLine::TrialFinished { scenario: file, trial });
-    }
-
-    pub fn scenario_finished(&mut self, scenario: &ScenarioRecord) {
-        self.write(&EventLine::ScenarioFinished {
-            scenario: &scenario.file,
-            title: &scenario.title,
-            law: &scenario.law,
-            verdict: scenario.verdict,
-            trials: scenario.trials.len(),
-            expectations: &scenario.expectations,
+    pub fn event(&mut self, event: &Event) {
+        self.write(&match event {
+            Event::ScenarioStarted { file, trials } => EventLine::ScenarioStarted { scenario: file, trials: *trials },
+            Event::TrialFinished { file, trial, .. } => EventLine::TrialFinished { scenario: file, trial },
+            Event::ScenarioFinished(scenario) => EventLine::ScenarioFinished {
+                scenario: &scenario.file,
+                title: &scenario.title,
+                law: &scenario.law,
+                verdict: scenario.verdict,
+                trials: scenario.trials.len(),
+                expectations: &scenario.expectations,
+            },
         });
     }
 
@@ -117,8 +99,8 @@ impl EventWriter {
             complete: record.is_some_and(|record| record.complete),
             exit_code,
             error,
-            scenarios: record.map(VerdictCounts::of_scenarios).unwrap_or_default().into(),
-            expectations: record.map(VerdictCounts::of_expectations).unwrap_or_default().into(),
+            scenarios: record.map(VerdictCounts::of_scenarios).unwrap_or_default(),
+            expectations: record.map(VerdictCounts::of_expectations).unwrap_or_default(),
         });
     }
 

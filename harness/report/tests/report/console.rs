@@ -2,7 +2,7 @@
 
 use crate::fixtures;
 use crate::hostile_text::written;
-use platebench_record::{NotApplicable, Overrides, RunRecord};
+use platebench_record::{Event, NotApplicable, Overrides, RunRecord};
 use platebench_report::{Detail, Progress, Style, console};
 use rstest::rstest;
 use serde_json::json;
@@ -147,9 +147,11 @@ fn progress_has_a_line_at_start_and_end() {
     let record = fixtures::mixed_run();
     let text = written(|out| {
         let mut progress = Progress::to_writer(out);
-        progress.scenario_started("paper/fig13-open-loop.toml", 3);
-        progress.trial_finished();
-        progress.scenario_finished(&record.scenarios[1]);
+        let scenario = &record.scenarios[1];
+        let (file, trial) = (scenario.file.clone(), Box::new(scenario.trials[0].clone()));
+        progress.show(&Event::ScenarioStarted { file: file.clone(), trials: 3 });
+        progress.show(&Event::TrialFinished { file, trial, rows: Vec::new() });
+        progress.show(&Event::ScenarioFinished(Box::new(scenario.clone())));
         progress.finish();
     });
     assert_eq!(text, "… paper/fig13-open-loop.toml: 3 trials\n✗ paper/fig13-open-loop.toml: fail, 3 trials\n");

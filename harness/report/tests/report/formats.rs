@@ -1,7 +1,7 @@
 //! Tests TAP, Markdown, annotations and JSON lines.
 
 use crate::fixtures;
-use platebench_record::{MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict};
+use platebench_record::{Event, MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict};
 use platebench_report::annotations::{self, SourceLocation};
 use platebench_report::events::EventWriter;
 use platebench_report::markdown;
@@ -129,9 +129,10 @@ fn every_event_is_one_flushed_line() {
     let mut events = EventWriter::new(log.clone());
     let scenario = &record.scenarios[0];
     events.run_started("runs/x", "hosted", "lockstep", &[(scenario.file.clone(), 1)]);
-    events.scenario_started(&scenario.file, 1);
-    events.trial_finished(&scenario.file, &scenario.trials[0]);
-    events.scenario_finished(scenario);
+    let (file, trial) = (scenario.file.clone(), Box::new(scenario.trials[0].clone()));
+    events.event(&Event::ScenarioStarted { file: file.clone(), trials: 1 });
+    events.event(&Event::TrialFinished { file, trial, rows: Vec::new() });
+    events.event(&Event::ScenarioFinished(Box::new(scenario.clone())));
     events.run_finished(Some(&record), None, 1);
     events.run_finished(None, Some("nothing to run"), 4);
     let (bytes, flushes) = log.0.lock().unwrap().clone();

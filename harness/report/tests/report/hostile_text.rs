@@ -1,7 +1,7 @@
 //! Tests every report with ESC, right-to-left override, a workflow command and a formula.
 
 use crate::fixtures;
-use platebench_record::{MissingValue, Reason, RunRecord, TrialFinding};
+use platebench_record::{Event, MissingValue, Reason, RunRecord, TrialFinding};
 use platebench_report::events::EventWriter;
 use platebench_report::tap::TapVersion;
 use platebench_report::{Progress, Style, annotations, console, junit, markdown, page, tap, traceability};
@@ -71,13 +71,13 @@ fn file(write: impl FnOnce(&std::path::Path)) -> String {
 }))]
 #[case::events(|record: &RunRecord| written(|out| {
     let mut events = EventWriter::new(out);
-    events.scenario_finished(&record.scenarios[1]);
+    events.event(&Event::ScenarioFinished(Box::new(record.scenarios[1].clone())));
     events.run_finished(None, Some(HOSTILE), 2);
 }))]
 #[case::progress(|record: &RunRecord| written(|out| {
     let mut progress = Progress::to_writer(out);
-    progress.scenario_started(HOSTILE, 1);
-    progress.scenario_finished(&record.scenarios[1]);
+    progress.show(&Event::ScenarioStarted { file: HOSTILE.to_owned(), trials: 1 });
+    progress.show(&Event::ScenarioFinished(Box::new(record.scenarios[1].clone())));
 }))]
 fn no_text_acts_on_a_terminal_a_ci_system_or_a_spreadsheet(#[case] render: fn(&RunRecord) -> String) {
     let text = render(&hostile_run());

@@ -13,8 +13,6 @@ use rigless::time::VirtualNanos;
 use std::collections::VecDeque;
 use std::num::{NonZeroU32, NonZeroU64};
 
-use super::target::ReceivedByte;
-
 /// One cycle per instruction: a fixed rate, no model of pipeline and flash.
 pub(super) const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(168_000_000).unwrap();
 
@@ -22,6 +20,13 @@ const INTERRUPT_PRIORITY_BITS: u8 = 4;
 const SYSTICK_DIVIDER: NonZeroU32 = NonZeroU32::new(8).unwrap();
 const SUPPLY_MV: u32 = 3_300;
 const USART2: usize = 1;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct ReceivedByte {
+    pub(super) byte: u8,
+    /// End of the stop bit since power-on.
+    pub(super) at_ns: u64,
+}
 
 #[derive(Debug, Default)]
 pub(super) struct UartPeer {

@@ -1,6 +1,6 @@
 //! Applies planned faults of the chip at their instants.
 
-use super::target::Target;
+use super::machine::Machine;
 use crate::chip_fault::{ChipFault, ChipFaultKind, ChipFaultPlan};
 use crate::target_error::TargetError;
 use std::collections::VecDeque;
@@ -45,14 +45,14 @@ impl ChipFaults {
         self.pending.front().map(|fault| fault.at)
     }
 
-    pub(super) fn apply_next(&mut self, target: &mut dyn Target) -> Result<(), TargetError> {
+    pub(super) fn apply_next(&mut self, machine: &mut Machine) -> Result<(), TargetError> {
         let Some(fault) = self.pending.pop_front() else { return Ok(()) };
         match fault.kind {
             ChipFaultKind::ClockDrift { ppm } => {
                 self.drift = Some((fault.at, ppm));
                 Ok(())
             }
-            kind => target.inject(&kind),
+            kind => machine.apply_fault(&kind),
         }
     }
 }

@@ -1,7 +1,6 @@
 //! Applies faults to the emulated chip: flipped bits, resets, a hang, stuck registers.
 
 use super::machine::{Machine, emulator_error};
-use super::target::Target as _;
 use crate::chip_fault::{ChipFaultError, ChipFaultKind};
 use crate::symbols::Symbols;
 use crate::target_error::TargetError;

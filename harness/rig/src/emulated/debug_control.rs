@@ -1,15 +1,10 @@
 //! Keeps a debugger's breakpoints and how the chip should run.
 
+use gdbstub::stub::SingleThreadStopReason;
 use rigless::emulator::Processor;
 use std::collections::BTreeSet;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum DebugStop {
-    Breakpoint,
-    Step,
-    /// The trial is about to end with an error: trap, lock-up, reset, access without a model.
-    Error,
-}
+pub(super) type DebugStop = SingleThreadStopReason<u32>;
 
 #[derive(Debug, Default)]
 pub(super) struct DebugControl {

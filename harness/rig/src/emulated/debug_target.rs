@@ -1,7 +1,6 @@
 //! Shows registers, memory and breakpoints of the emulated chip to a debugger.
 
 use super::machine::Machine;
-use super::target::Target as _;
 use gdbstub::arch::{Arch, RegId, Registers};
 use gdbstub::common::Signal;
 use gdbstub::target::ext::base::BaseOps;

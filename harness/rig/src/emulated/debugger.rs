@@ -5,8 +5,8 @@ use super::machine::Machine;
 use crate::cancel::CancelToken;
 use crate::debug_port::{DebuggerError, POLL};
 use gdbstub::common::Signal;
+use gdbstub::stub::GdbStub;
 use gdbstub::stub::state_machine::GdbStubStateMachine;
-use gdbstub::stub::{BaseStopReason, GdbStub};
 use std::fmt;
 use std::io::{self, Read as _};
 use std::net::TcpStream;
@@ -15,7 +15,6 @@ use std::time::{Duration, Instant};
 /// The chip runs on without a debugger that was silent so long while it had stopped the chip.
 const COMMAND_TIMEOUT: Duration = Duration::from_hours(1);
 
-type StopReason = BaseStopReason<(), u32>;
 type Stub = GdbStubStateMachine<'static, Machine, TcpStream>;
 
 pub(super) struct Debugger {
@@ -54,7 +53,7 @@ impl Debugger {
         while let Some(stub) = self.stub.take() {
             let next = match stub {
                 GdbStubStateMachine::Running(running) => match stop.take() {
-                    Some(stop) => running.report_stop(machine, stop_reason(stop)),
+                    Some(stop) => running.report_stop(machine, stop),
                     None => match self.pending_byte() {
                         Ok(Some(byte)) => running.incoming_data(machine, byte),
                         Ok(None) => {
@@ -65,7 +64,7 @@ impl Debugger {
                     },
                 },
                 GdbStubStateMachine::CtrlCInterrupt(interrupt) => {
-                    interrupt.interrupt_handled(machine, Some(StopReason::Signal(Signal::SIGINT)))
+                    interrupt.interrupt_handled(machine, Some(DebugStop::Signal(Signal::SIGINT)))
                 }
                 GdbStubStateMachine::Idle(idle) => {
                     if self.cancel.is_cancelled() || Instant::now() > deadline {
@@ -101,14 +100,6 @@ impl Debugger {
             Err(error) if is_timeout(&error) => Ok(None),
             Err(error) => Err(error),
         }
-    }
-}
-
-fn stop_reason(stop: DebugStop) -> StopReason {
-    match stop {
-        DebugStop::Breakpoint => StopReason::SwBreak(()),
-        DebugStop::Step => StopReason::DoneStep,
-        DebugStop::Error => StopReason::Signal(Signal::SIGSEGV),
     }
 }
 

@@ -1,15 +1,15 @@
-//! Runs an image on the emulated board from event to event in virtual time.
+//! Runs an image on the emulated board from event to event in virtual time. Equal calls give equal results, bit for
+//! bit.
 
-use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND};
+use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND, ReceivedByte};
 use super::bus::{BusGuard, SystemBus};
 use super::debug_control::{DebugControl, DebugStop};
 use super::execution_recorder::ExecutionRecorder;
 use super::firmware_output::FirmwareOutput;
 use super::image::Image;
 use super::memory::{self, Memory, POWER_ON_FILL};
+use super::options::EmulatedOptions;
 use super::post_mortem::{self, FaultHandlers};
-use super::target::{ReceivedByte, Target, TargetStatus};
-use crate::chip_fault::{ChipFaultError, ChipFaultKind};
 use crate::symbols::{CodeLocation, Symbols};
 use crate::target_error::TargetError;
 use rigless::emulator::{Exit, Processor, Stop, StopReason};
@@ -27,19 +27,13 @@ const MAX_ROUNDS_WITHOUT_PROGRESS: u32 = 100_000;
 const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
 const FLASH_KIB: (u64, [u8; 2]) = (0x1FFF_7A22, 2048_u16.to_le_bytes());
 
-#[derive(Debug, Clone, Copy)]
-pub(super) struct MachineConfig {
-    pub(super) crystal_hz: u64,
-    pub(super) stop_at_traps: bool,
-}
-
 pub(super) struct Machine {
     // Declared before `bus`, whose memory it points into: fields are dropped in this order.
     pub(super) core: Box<dyn Processor>,
     pub(super) bus: SystemBus,
     pub(super) session: Session<EmulatedBoard>,
     pub(super) image: Image,
-    config: MachineConfig,
+    options: EmulatedOptions,
     handlers: FaultHandlers,
     recorder: ExecutionRecorder,
     output: FirmwareOutput,
@@ -61,14 +55,14 @@ pub(super) fn emulator_error(error: &dyn fmt::Display) -> TargetError {
     TargetError::Emulator(error.to_string())
 }
 
-fn session(config: MachineConfig) -> Result<Session<EmulatedBoard>, TargetError> {
-    let board = EmulatedBoard::new(config.crystal_hz).map_err(|error| emulator_error(&error))?;
+fn session(options: EmulatedOptions) -> Result<Session<EmulatedBoard>, TargetError> {
+    let board = EmulatedBoard::new(options.crystal_hz).map_err(|error| emulator_error(&error))?;
     Session::new(Box::new(board), 0, NO_DEADLINE).map_err(|error| emulator_error(&error))
 }
 
 impl Machine {
-    pub(super) fn new(image: Image, config: MachineConfig) -> Result<Self, TargetError> {
-        let mut session = session(config)?;
+    pub(super) fn new(image: Image, options: EmulatedOptions) -> Result<Self, TargetError> {
+        let mut session = session(options)?;
         let mut targets = session.board_mut().targets();
         let target = targets.pop().ok_or_else(|| emulator_error(&"the board has no processor"))?;
         let mut core = (target.core.processor)(target.mcu.cpu().endian).map_err(|error| emulator_error(&error))?;
@@ -84,7 +78,7 @@ impl Machine {
             }
         }
         let handlers =
-            if config.stop_at_traps { FaultHandlers::from_image(&memory, &image) } else { FaultHandlers::none() };
+            if options.stop_at_traps { FaultHandlers::from_image(&memory, &image) } else { FaultHandlers::none() };
         handlers.set_breakpoints(&mut *core);
         let mut bus = SystemBus::new(memory, INSTRUCTIONS_PER_SECOND);
         bus.notify_core(&mut *core);
@@ -97,7 +91,7 @@ impl Machine {
             bus,
             session,
             image,
-            config,
+            options,
             handlers,
             recorder,
             output,
@@ -127,7 +121,7 @@ impl Machine {
         Symbols::read(&self.image.elf)
     }
 
-    fn code_location(&self) -> CodeLocation {
+    pub(super) fn code_location(&self) -> CodeLocation {
         self.symbols().locate(self.core.pc() as u32)
     }
 
@@ -148,7 +142,7 @@ impl Machine {
         if let Some(reset) = resets.get(self.reported_resets) {
             let (cause, at_us) = (post_mortem::reset_cause(reset.cause), reset.at.0 / 1_000);
             self.reported_resets = resets.len();
-            if self.config.stop_at_traps && !self.is_faulted {
+            if self.options.stop_at_traps && !self.is_faulted {
                 return Err(TargetError::Reset { cause, at_us, place: self.code_location() });
             }
         }
@@ -165,7 +159,7 @@ impl Machine {
         if single_step && ran == 0 {
             self.debug.single_step = true;
         } else if single_step {
-            self.debug.stop = Some(DebugStop::Step);
+            self.debug.stop = Some(DebugStop::DoneStep);
         }
         match exit {
             Exit::Breakpoint => {
@@ -176,7 +170,7 @@ impl Machine {
                     return Err(TargetError::Trap(Box::new(crash)));
                 }
                 if self.debug.has_breakpoint(pc) {
-                    self.debug.stop = Some(DebugStop::Breakpoint);
+                    self.debug.stop = Some(DebugStop::SwBreak(()));
                 } else {
                     self.core.pass_breakpoint(pc);
                 }
@@ -213,9 +207,10 @@ fn map_memory(memory: &Memory, core: &mut dyn Processor) -> Result<(), TargetErr
     unsafe { memory::map_into_core(memory, core) }.map_err(|problem| emulator_error(&problem))
 }
 
-impl Target for Machine {
-    fn power_on(&mut self) -> Result<(), TargetError> {
-        self.session = session(self.config)?;
+impl Machine {
+    /// Switches the supply off and on: time zero, RAM undefined, line idle.
+    pub(super) fn power_on(&mut self) -> Result<(), TargetError> {
+        self.session = session(self.options)?;
         let _ = self.core.take_reset_request();
         self.core.load(&self.power_on_state).map_err(|error| emulator_error(&error))?;
         self.bus.reset();
@@ -227,19 +222,20 @@ impl Target for Machine {
         Ok(())
     }
 
-    fn mark_booted(&mut self) {
+    /// The firmware has started and will hardly use further peripherals. Affects only the speed.
+    pub(super) fn mark_booted(&mut self) {
         self.session.board_mut().part.booted = true;
     }
 
-    fn now_ns(&self) -> u64 {
+    pub(super) fn now_ns(&self) -> u64 {
         self.bus.time_at(self.core.retired()).0
     }
 
-    fn instructions(&self) -> u64 {
+    pub(super) fn instructions(&self) -> u64 {
         self.core.retired()
     }
 
-    fn send(&mut self, bytes: &[u8]) {
+    pub(super) fn send(&mut self, bytes: &[u8]) {
         let now = VirtualNanos(self.now_ns());
         let board = self.session.board_mut();
         if let Some(wire) = board.wire() {
@@ -251,7 +247,8 @@ impl Target for Machine {
         self.bus.notify_core(&mut *self.core);
     }
 
-    fn run(&mut self, until_ns: u64) -> Result<bool, TargetError> {
+    /// True at the end of a frame from the target. Fails if time does not advance, so it always returns.
+    pub(super) fn run(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let until = VirtualNanos(until_ns);
         self.session.run_until(until);
         self.bus.deadline = self.session.next_deadline();
@@ -295,19 +292,11 @@ impl Target for Machine {
         }
     }
 
-    fn check_fault(&self, fault: &ChipFaultKind) -> Result<(), ChipFaultError> {
-        self.flipped_memory(fault).map(drop)
-    }
-
-    fn inject(&mut self, fault: &ChipFaultKind) -> Result<(), TargetError> {
-        self.apply_fault(fault)
-    }
-
-    fn amplifier_enabled(&self) -> bool {
+    pub(super) fn amplifier_enabled(&self) -> bool {
         self.session.board().amplifier_enabled()
     }
 
-    fn take_received(&mut self, into: &mut Vec<ReceivedByte>) {
+    pub(super) fn take_received(&mut self, into: &mut Vec<ReceivedByte>) {
         if let Some(wire) = self.session.board_mut().wire() {
             into.append(&mut wire.received);
         }
@@ -316,37 +305,42 @@ impl Target for Machine {
         }
     }
 
-    fn firmware_output(&self) -> Option<String> {
+    /// Text that the firmware wrote since power-on or [`Machine::clear_output`].
+    pub(super) fn firmware_output(&self) -> Option<String> {
         self.output.text(&self.bus.memory)
     }
 
-    fn clear_output(&mut self) {
+    pub(super) fn clear_output(&mut self) {
         self.output.clear();
     }
 
-    fn watch(&mut self, addresses: &BTreeSet<u32>) {
+    /// Starts a new recording of the instructions at `addresses`.
+    pub(super) fn watch(&mut self, addresses: &BTreeSet<u32>) {
         self.recorder.watch(addresses, &mut *self.core);
     }
 
-    fn set_control_step(&mut self, in_control_step: bool) {
+    pub(super) fn set_control_step(&mut self, in_control_step: bool) {
         self.recorder.set_control_step(in_control_step, &mut *self.core);
     }
 
-    fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
+    /// Watched instructions that ran; true if within a control step.
+    pub(super) fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
         self.recorder.executed_instructions()
     }
 
-    fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {
+    /// Changes memory, also flash. False without memory there.
+    pub(super) fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {
         let stored = self.bus.memory.store(u64::from(address), bytes);
         self.bus.notify_core(&mut *self.core);
         stored
     }
 
-    fn status(&self) -> TargetStatus {
-        TargetStatus { place: self.code_location(), instances: self.session.board().part.instances_the_firmware_used() }
+    pub(super) fn used_instances(&self) -> Vec<&'static str> {
+        self.session.board().part.instances_the_firmware_used()
     }
 
-    fn stack_used(&self) -> Option<u32> {
+    /// In bytes since power-on, if the image defines `_stack_end`.
+    pub(super) fn stack_used(&self) -> Option<u32> {
         let symbols = self.symbols();
         let top = self.image.initial_stack;
         let bottom = u32::try_from(symbols.address("_stack_end")?).ok()?;

@@ -5,32 +5,17 @@ use crate::debug_port::DebuggerError;
 use crate::target_error::TargetError;
 use std::path::{Path, PathBuf};
 
-/// From 5 % for both ends together, a UART misreads the tenth bit.
-const BAUD_TOLERANCE_PERCENT: u64 = 2;
-
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EmulatedOptions {
     /// Crystal on PH0 and PH1; 0: no crystal.
     pub crystal_hz: u64,
-    /// `None`: any rate.
-    pub baud: Option<u32>,
     /// False: the firmware handles traps, panics and resets, as on a board.
     pub stop_at_traps: bool,
 }
 
 impl Default for EmulatedOptions {
     fn default() -> Self {
-        Self { crystal_hz: 8_000_000, baud: None, stop_at_traps: true }
-    }
-}
-
-impl EmulatedOptions {
-    pub(super) fn check_baud(&self, measured: u32) -> Result<(), TargetError> {
-        let Some(expected) = self.baud else { return Ok(()) };
-        if u64::from(measured.abs_diff(expected)) * 100 > u64::from(expected) * BAUD_TOLERANCE_PERCENT {
-            return Err(TargetError::BaudMismatch { expected, measured });
-        }
-        Ok(())
+        Self { crystal_hz: 8_000_000, stop_at_traps: true }
     }
 }
 

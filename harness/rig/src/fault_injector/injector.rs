@@ -48,7 +48,7 @@ impl<L: Link> FaultInjector<L> {
 
     /// The link to the controller, without faults.
     pub fn inner_mut(&mut self) -> &mut L {
-        self.inner.inner_mut()
+        &mut self.inner.link
     }
 
     /// Applies to the next trial and clears the counts. Call it before the trial's configuration.
@@ -167,32 +167,32 @@ impl<L: Link> Link for FaultInjector<L> {
 
     fn restart(&mut self) -> Result<bool, LinkError> {
         self.clear();
-        self.inner.restart()
+        self.inner.link.restart()
     }
 
     fn continue_trial(&mut self) {
         self.clear();
-        self.inner.continue_trial();
+        self.inner.link.continue_trial();
     }
 
     fn instruction_count(&self) -> Option<u64> {
-        self.inner.instruction_count()
+        self.inner.link.instruction_count()
     }
 
     fn firmware_output(&self) -> Option<String> {
-        self.inner.firmware_output()
+        self.inner.link.firmware_output()
     }
 
     fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
-        self.inner.set_chip_faults(plan)
+        self.inner.link.set_chip_faults(plan)
     }
 
     fn amplifier_enabled(&mut self) -> Option<bool> {
-        self.inner.amplifier_enabled()
+        self.inner.link.amplifier_enabled()
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
-        if self.inner.real_time_line().is_some() { Some(self) } else { None }
+        if self.inner.link.real_time_line().is_some() { Some(self) } else { None }
     }
 }
 

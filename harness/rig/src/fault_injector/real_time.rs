@@ -14,6 +14,7 @@ impl<L: Link> FaultInjector<L> {
 
     fn inner_line(&mut self) -> Result<&mut dyn RealTimeLine, LinkError> {
         self.inner
+            .link
             .real_time_line()
             .ok_or_else(|| LinkError::Disconnected("the link cannot be used in real time".to_owned()))
     }

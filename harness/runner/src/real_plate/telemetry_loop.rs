@@ -3,7 +3,7 @@
 //! One thread, no allocation from the first setpoint on. Setpoints follow the profile by the
 //! controller's clock and are repeated to keep it alive. Every trial ends with a request for 0 V.
 
-use super::telemetry_rows::{TelemetryRows, TelemetryUpdate};
+use super::telemetry_rows::TelemetryRows;
 use crate::abort::TrialAbort;
 use crate::configure::configure;
 use crate::controller_log::is_controller_failure;
@@ -76,7 +76,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
             last_telemetry: Instant::now(),
             last_setpoint: None,
             pending_setpoints: [None; 256],
-            acknowledge_time: DurationHistogram::new(),
+            acknowledge_time: DurationHistogram::default(),
             setpoints: 0,
             unacknowledged: 0,
             drift: ClockDrift::default(),
@@ -192,7 +192,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
     fn handle_message(&mut self, sequence: u8, message: &Message, at: Instant) -> Result<(), TrialAbort> {
         match message {
             Message::Telemetry(telemetry) => {
-                let TelemetryUpdate::Row(row) = self.telemetry.accept(telemetry) else { return Ok(()) };
+                let Some(row) = self.telemetry.accept(telemetry) else { return Ok(()) };
                 self.last_telemetry = at;
                 let since = at.saturating_duration_since(*self.first_telemetry.get_or_insert(at));
                 self.drift.record(since, telemetry.target_time_us);

@@ -1,17 +1,9 @@
 //! Turns telemetry into trace rows.
 
+use crate::plant_simulation::SATURATION_THRESHOLD;
 use platebench_plate::Time;
 use platebench_trace::{Flags, Row};
 use platebench_wire::{ControllerState, Telemetry};
-
-/// The wire carries the limit as f32.
-const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
-
-pub(super) enum TelemetryUpdate {
-    Row(Row),
-    /// A duplicate, an older period, or a value that is not finite.
-    Ignored,
-}
 
 /// Orders by the target's clock, which starts with its period 0.
 pub(super) struct TelemetryRows {
@@ -40,10 +32,11 @@ impl TelemetryRows {
         self.last.map(|last| Time::from_nanos(last.since_start_us * 1_000))
     }
 
-    pub(super) fn accept(&mut self, telemetry: &Telemetry) -> TelemetryUpdate {
+    /// `None` for a duplicate, an older period, or a value that is not finite.
+    pub(super) fn accept(&mut self, telemetry: &Telemetry) -> Option<Row> {
         let numbers = [telemetry.setpoint_um, telemetry.wd_um, telemetry.wq_um, telemetry.drive_vpp];
         if !numbers.iter().all(|number| number.is_finite()) {
-            return TelemetryUpdate::Ignored;
+            return None;
         }
         let since_start_us = match self.last {
             // Periods before the first telemetry have elapsed too.
@@ -55,7 +48,7 @@ impl TelemetryRows {
                 );
                 // A step of more than half the range is a step back.
                 if periods == 0 || span == 0 || periods > u32::MAX / 2 || span > u32::MAX / 2 {
-                    return TelemetryUpdate::Ignored;
+                    return None;
                 }
                 self.missing += u64::from(periods - 1);
                 last.since_start_us + u64::from(span)
@@ -68,10 +61,9 @@ impl TelemetryRows {
         let force = telemetry.force_n.filter(|force| force.is_finite());
         self.force_measured |= force.is_some();
         let [setpoint_um, wd_um, wq_um, drive_vpp] = numbers.map(f64::from);
-        let also = [
-            (drive_vpp >= self.limit_vpp * SATURATION_THRESHOLD, Flags::SATURATED),
-            (telemetry.state != ControllerState::Running, Flags::SAFE),
-        ];
+        let mut flags = Flags::CONTROL | Flags::SENSED;
+        flags.set(Flags::SATURATED, drive_vpp >= self.limit_vpp * SATURATION_THRESHOLD);
+        flags.set(Flags::SAFE, telemetry.state != ControllerState::Running);
         let row = Row {
             t_s: since_start_us as f64 / 1e6,
             setpoint_um,
@@ -86,14 +78,11 @@ impl TelemetryRows {
             sensed_wd_um: wd_um,
             sensed_wq_um: wq_um,
             lateness_us: 0.0,
-            flags: also
-                .into_iter()
-                .filter(|(holds, _)| *holds)
-                .fold(Flags::CONTROL | Flags::SENSED, |flags, (_, flag)| flags | flag),
+            flags,
         };
         let Telemetry { period, target_time_us, .. } = *telemetry;
         self.last = Some(LastPeriod { period, target_time_us, since_start_us, row });
-        TelemetryUpdate::Row(row)
+        Some(row)
     }
 
     /// 0 V, one period after the last telemetry of a stopped controller.
@@ -125,32 +114,23 @@ mod tests {
         }
     }
 
-    fn row(rows: &mut TelemetryRows, telemetry: &Telemetry) -> Option<Row> {
-        match rows.accept(telemetry) {
-            TelemetryUpdate::Row(row) => Some(row),
-            TelemetryUpdate::Ignored => None,
-        }
-    }
-
     #[test]
     fn uses_the_target_s_clock_from_period_0() {
         let mut rows = TelemetryRows::new(1_000, 900.0);
-        let first = row(&mut rows, &telemetry(0, u32::MAX - 499)).unwrap();
+        let first = rows.accept(&telemetry(0, u32::MAX - 499)).unwrap();
         assert_eq!((first.t_s, first.amplitude_um, first.flags), (0.0, 2.5, Flags::CONTROL | Flags::SENSED));
         assert!(first.finger_force_n.is_nan() && first.resonance_hz.is_nan());
-        assert_eq!(row(&mut rows, &telemetry(1, 510)).unwrap().t_s, 0.001_010);
-        assert!(
-            row(&mut rows, &telemetry(1, 510)).is_none() && row(&mut rows, &telemetry(0, u32::MAX - 499)).is_none()
-        );
-        assert!(row(&mut rows, &Telemetry { wd_um: f32::NAN, ..telemetry(2, 1_500) }).is_none());
-        assert_eq!(row(&mut rows, &telemetry(4, 3_500)).unwrap().t_s, 0.004);
+        assert_eq!(rows.accept(&telemetry(1, 510)).unwrap().t_s, 0.001_010);
+        assert!(rows.accept(&telemetry(1, 510)).is_none() && rows.accept(&telemetry(0, u32::MAX - 499)).is_none());
+        assert!(rows.accept(&Telemetry { wd_um: f32::NAN, ..telemetry(2, 1_500) }).is_none());
+        assert_eq!(rows.accept(&telemetry(4, 3_500)).unwrap().t_s, 0.004);
         assert_eq!((rows.received, rows.missing), (3, 2));
     }
 
     #[test]
     fn counts_periods_before_the_first_as_missing() {
         let mut rows = TelemetryRows::new(1_000, 900.0);
-        assert_eq!(row(&mut rows, &telemetry(3, 77)).unwrap().t_s, 0.003);
+        assert_eq!(rows.accept(&telemetry(3, 77)).unwrap().t_s, 0.003);
         assert_eq!(rows.missing, 3);
     }
 
@@ -158,16 +138,16 @@ mod tests {
     fn records_force_and_saturation() {
         let mut rows = TelemetryRows::new(1_000, 900.0);
         let at_limit = Telemetry { drive_vpp: 900.0, force_n: Some(0.5), ..telemetry(0, 0) };
-        let seen = row(&mut rows, &at_limit).unwrap();
+        let seen = rows.accept(&at_limit).unwrap();
         assert_eq!(seen.finger_force_n, 0.5);
         assert!(seen.flags.contains(Flags::SATURATED) && rows.force_measured);
         let broken = Telemetry { force_n: Some(f32::NAN), ..telemetry(1, 1_000) };
-        assert!(row(&mut rows, &broken).unwrap().finger_force_n.is_nan());
+        assert!(rows.accept(&broken).unwrap().finger_force_n.is_nan());
         let stopped = rows.stop_row().unwrap();
         assert_eq!((stopped.t_s, stopped.drive_vpp), (0.002, 0.0));
         assert_eq!(stopped.flags, Flags::SENSED | Flags::SAFE);
         let fault = Telemetry { state: ControllerState::Fault, drive_vpp: 0.0, ..telemetry(2, 2_000) };
-        assert!(row(&mut rows, &fault).unwrap().flags.contains(Flags::SAFE));
+        assert!(rows.accept(&fault).unwrap().flags.contains(Flags::SAFE));
         assert!(rows.stop_row().is_none(), "its telemetry has that row");
     }
 }

@@ -71,7 +71,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             unanswered: [None; 256],
             last_sent: None,
             last_received: now,
-            timing: TimingStats::new(),
+            timing: TimingStats::default(),
         }
     }
 
@@ -132,9 +132,9 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.plant.advance_through(due);
         if now >= self.wall_instant(self.next_control) {
             // This sample would only add to the delay of the next.
-            self.timing.periods += 1;
-            self.timing.overruns += 1;
-            self.timing.skipped += 1;
+            self.timing.counts.periods += 1;
+            self.timing.counts.overruns += 1;
+            self.timing.counts.skipped += 1;
             self.timing.lateness.record(lateness);
             self.plant.push_row(to_micros(lateness), Flags::OVERRUN);
             return Ok(());
@@ -192,7 +192,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         let has_stopped = self.controller.stop_cause().is_some_and(|cause| cause != StateCause::SampleTimeout);
         let missing = periods.saturating_sub(2);
         if missing > 0 && !has_stopped {
-            self.timing.missed_replies += missing;
+            self.timing.counts.missed_replies += missing;
             self.plant.report_counts(missing, self.session.rejected_frames());
             self.plant.push_row(0.0, Flags::LINK_LOST);
         }
@@ -221,10 +221,10 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         let overrun = lateness.as_secs_f64() > OVERRUN_SHARE * self.time_base.wall_duration(self.period).as_secs_f64();
         let missed =
             self.last_sent.is_some_and(|last| self.unanswered.get(usize::from(last)).is_some_and(Option::is_some));
-        self.timing.periods += 1;
-        self.timing.overruns += u64::from(overrun);
+        self.timing.counts.periods += 1;
+        self.timing.counts.overruns += u64::from(overrun);
         let misses = u64::from(missed) + missing;
-        self.timing.missed_replies += misses;
+        self.timing.counts.missed_replies += misses;
         self.plant.report_counts(misses, self.session.rejected_frames());
         self.timing.lateness.record(lateness);
         self.controller.record_missed_reply();
@@ -236,7 +236,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         let sequence = outcome?;
         if let Some(unanswered) = self.unanswered.get_mut(usize::from(sequence)) {
             // Numbers repeat after 256 samples: an older reply would be taken for this sample's.
-            self.timing.lost_replies += u64::from(unanswered.replace(now).is_some());
+            self.timing.counts.lost_replies += u64::from(unanswered.replace(now).is_some());
         }
         self.last_sent = Some(sequence);
         if self.scenario.explains_silence(now) {
@@ -306,7 +306,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         }
         self.plant.advance_through(self.duration);
         let missed = u64::from(self.is_last_reply_missing());
-        self.timing.missed_replies += missed;
+        self.timing.counts.missed_replies += missed;
         self.plant.report_counts(missed, self.session.rejected_frames());
         self.plant.push_row(0.0, if missed > 0 { Flags::LINK_LOST } else { Flags::empty() });
         Ok(())
@@ -343,7 +343,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             self.plant.advance_through(self.duration);
             self.plant.push_row(0.0, flags);
         }
-        self.timing.lost_replies += self.unanswered.iter().flatten().count() as u64;
+        self.timing.counts.lost_replies += self.unanswered.iter().flatten().count() as u64;
         self.plant.report_counts(0, self.session.rejected_frames());
         let mut timing = self.timing.timing();
         timing.time_scale = self.time_base.time_scale;

@@ -52,7 +52,7 @@ impl Checker<'_> {
     ) -> Result<Expectation, Diagnostic> {
         let key = |name: &str| format!("expect.{index}.{name}");
         let Some(metric) = Metric::from_name(&raw.metric) else {
-            return self.unknown_name(&key("metric"), "unknown metric ", &raw.metric, &Metric::ALL.map(Metric::name));
+            return self.unknown_name(&key("metric"), "unknown metric ", &raw.metric, Metric::NAMES);
         };
         for (name, given, used) in [
             ("band_percent", raw.band_percent.is_some(), metric.has_band()),

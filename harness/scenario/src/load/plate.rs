@@ -1,11 +1,11 @@
 //! Checks plate files.
 
 use super::checker::{Checker, Diagnostics};
-use super::text::{decode_text, read_text};
 use crate::bounds::MAX_QUALITY;
 use crate::diagnostic::Diagnostic;
 use crate::parse::parse;
 use crate::scenario::InputFile;
+use crate::text::{decode_text, read_text};
 use platebench_plate::{Plate, RawPlate, input};
 use std::path::Path;
 

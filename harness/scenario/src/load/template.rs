@@ -2,10 +2,10 @@
 
 use super::checker::{Checker, Diagnostics, KnownPlate};
 use super::plate::{check_plate, load_plate};
-use super::text::read_text;
 use crate::diagnostic::Diagnostic;
 use crate::raw::RawScenario;
 use crate::scenario::{InputFile, Scenario};
+use crate::text::read_text;
 use platebench_plate::RawPlate;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};

@@ -43,20 +43,25 @@ macro_rules! integrate_sparse {
     }};
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::VariantArray, strum::IntoStaticStr)]
+#[strum(const_into_str)]
 pub enum AdaptiveMethod {
     /// Dormand and Prince 5(4) of `ode_solvers`.
+    #[strum(serialize = "ode_solvers DOPRI5")]
     Dopri5,
     /// Dormand and Prince 8(5,3) of `ode_solvers`.
+    #[strum(serialize = "ode_solvers DOP853")]
     Dop853,
     /// Dormand and Prince 8(5,3) of `differential-equations`.
+    #[strum(serialize = "differential-equations DOP853")]
     DeDop853,
     /// Verner 9(8), "most efficient", of `differential-equations`.
+    #[strum(serialize = "differential-equations RKV98")]
     DeVerner98,
 }
 
 impl AdaptiveMethod {
-    pub const ALL: [Self; 4] = [Self::Dopri5, Self::Dop853, Self::DeDop853, Self::DeVerner98];
+    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
     /// `tolerance` is relative and in µm.
     pub fn advance<const N: usize, P: Problem<N>>(

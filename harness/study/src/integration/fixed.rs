@@ -4,28 +4,38 @@ use crate::integration::failure::MethodFailure;
 use crate::integration::problem::{Problem, Split};
 use std::array::from_fn;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::VariantArray, strum::IntoStaticStr)]
+#[strum(const_into_str)]
 pub enum FixedStepMethod {
     /// Explicit Euler, order 1.
+    #[strum(serialize = "explicit Euler")]
     Euler,
     /// The classical Runge-Kutta method, order 4.
+    #[strum(serialize = "RK4")]
     RungeKutta4,
     /// The implicit midpoint rule, order 2; solves its linear system once per interval, or per step
     /// if the matrix varies.
+    #[strum(serialize = "implicit midpoint")]
     Midpoint,
     /// Gauss-Legendre collocation with two stages, order 4: the step matrix is a Padé approximant of
     /// the exponential (Hairer, Wanner: Solving ODEs II, IV.3), computed once per interval.
+    #[strum(serialize = "Gauss-Legendre 4")]
     Gauss4,
     /// As above with three stages, order 6.
+    #[strum(serialize = "Gauss-Legendre 6")]
     Gauss6,
     /// The matrix exponential by scaling and squaring, once per interval; exact up to rounding.
+    #[strum(serialize = "matrix exponential")]
     Exponential,
     /// As above, but the step matrix of the interval before is used again if the equations are the same.
+    #[strum(serialize = "matrix exponential, kept")]
     KeptExponential,
     /// Störmer's and Verlet's leapfrog, order 2; only for problems of second order.
+    #[strum(serialize = "Störmer-Verlet")]
     Verlet,
     /// Strang splitting, order 2: half a step of damping and drive, the exact rotation of the
     /// undamped oscillation, half a step of damping and drive. Rotation and decay once per interval.
+    #[strum(serialize = "rotation splitting")]
     Splitting,
 }
 
@@ -41,17 +51,7 @@ pub struct StepMatrix<const N: usize> {
 }
 
 impl FixedStepMethod {
-    pub const ALL: [Self; 9] = [
-        Self::Euler,
-        Self::RungeKutta4,
-        Self::Midpoint,
-        Self::Gauss4,
-        Self::Gauss6,
-        Self::Exponential,
-        Self::KeptExponential,
-        Self::Verlet,
-        Self::Splitting,
-    ];
+    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
     /// `None` if the step does not limit the accuracy. With a matrix that varies, the methods with a
     /// step matrix have order 2: they freeze it in the middle of a step.

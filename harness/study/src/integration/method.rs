@@ -16,24 +16,14 @@ pub enum IntegrationMethod {
 
 impl IntegrationMethod {
     pub fn all() -> impl Iterator<Item = Self> {
-        FixedStepMethod::ALL.map(Self::Fixed).into_iter().chain(AdaptiveMethod::ALL.map(Self::Adaptive))
+        let fixed = FixedStepMethod::ALL.iter().copied().map(Self::Fixed);
+        fixed.chain(AdaptiveMethod::ALL.iter().copied().map(Self::Adaptive))
     }
 
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Fixed(FixedStepMethod::Euler) => "explicit Euler",
-            Self::Fixed(FixedStepMethod::RungeKutta4) => "RK4",
-            Self::Fixed(FixedStepMethod::Midpoint) => "implicit midpoint",
-            Self::Fixed(FixedStepMethod::Gauss4) => "Gauss-Legendre 4",
-            Self::Fixed(FixedStepMethod::Gauss6) => "Gauss-Legendre 6",
-            Self::Fixed(FixedStepMethod::Exponential) => "matrix exponential",
-            Self::Fixed(FixedStepMethod::KeptExponential) => "matrix exponential, kept",
-            Self::Fixed(FixedStepMethod::Verlet) => "Störmer-Verlet",
-            Self::Fixed(FixedStepMethod::Splitting) => "rotation splitting",
-            Self::Adaptive(AdaptiveMethod::Dopri5) => "ode_solvers DOPRI5",
-            Self::Adaptive(AdaptiveMethod::Dop853) => "ode_solvers DOP853",
-            Self::Adaptive(AdaptiveMethod::DeDop853) => "differential-equations DOP853",
-            Self::Adaptive(AdaptiveMethod::DeVerner98) => "differential-equations RKV98",
+            Self::Fixed(method) => method.into_str(),
+            Self::Adaptive(method) => method.into_str(),
         }
     }
 

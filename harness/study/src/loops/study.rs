@@ -6,9 +6,8 @@ use crate::loops::margins::delay_boundary;
 use crate::loops::measured_boundary;
 use platebench_plate::{Plate, Tier, Time};
 use platebench_runner::delay_boundary::DelayBoundary;
+use platebench_runner::parallel::collect_in_parallel;
 use platebench_wire::LawId;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 pub const MAX_DELAY_S: f64 = 12e-3;
 /// Periods in µs, delays in s.
@@ -106,8 +105,14 @@ pub fn study(config: &StudyConfig) -> Result<Study, AnalysisError> {
     });
     let tasks: Vec<StudyTask> = rows.chain(maps).collect();
     let mut study = Study::default();
-    for (task, done) in tasks.iter().zip(run_tasks(config, &tasks)) {
-        match (task, done?) {
+    let results = collect_in_parallel(config.jobs, &tasks, |task| match *task {
+        StudyTask::Row(law, condition) => study_row(config, law, condition).map(TaskResult::Row),
+        StudyTask::Map(law, condition, response) => {
+            stability_map(config, law, condition, response).map(TaskResult::Map)
+        }
+    })?;
+    for (task, result) in tasks.iter().zip(results) {
+        match (task, result) {
             (_, TaskResult::Row(Some(row))) => study.rows.push(row),
             (StudyTask::Row(law, condition), TaskResult::Row(None)) => study.out_of_reach.push((*law, *condition)),
             (_, TaskResult::Map(map)) => study.maps.extend(map),
@@ -115,33 +120,6 @@ pub fn study(config: &StudyConfig) -> Result<Study, AnalysisError> {
         }
     }
     Ok(study)
-}
-
-fn run_tasks(config: &StudyConfig, tasks: &[StudyTask]) -> Vec<Result<TaskResult, AnalysisError>> {
-    let next = AtomicUsize::new(0);
-    let outcomes = Mutex::new(Vec::with_capacity(tasks.len()));
-    std::thread::scope(|scope| {
-        for _ in 0..config.jobs.max(1) {
-            scope.spawn(|| {
-                loop {
-                    let number = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(task) = tasks.get(number) else { break };
-                    let done = match *task {
-                        StudyTask::Row(law, condition) => study_row(config, law, condition).map(TaskResult::Row),
-                        StudyTask::Map(law, condition, response) => {
-                            stability_map(config, law, condition, response).map(TaskResult::Map)
-                        }
-                    };
-                    if let Ok(mut outcomes) = outcomes.lock() {
-                        outcomes.push((number, done));
-                    }
-                }
-            });
-        }
-    });
-    let mut outcomes = outcomes.into_inner().unwrap_or_default();
-    outcomes.sort_by_key(|(number, _)| *number);
-    outcomes.into_iter().map(|(_, done)| done).collect()
 }
 
 fn study_row(

@@ -34,9 +34,14 @@ date = \"2026-04-01\"
 ";
 
 fn load(text: &str) -> Result<Budget, String> {
-    let path = Path::new("budget.toml");
-    Budget::from_bytes(path, text.as_bytes().to_vec(), &["static_error_percent", "resonance_hz"])
-        .map_err(|faults| faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("budget.toml");
+    std::fs::write(&path, text).unwrap();
+    let loaded = Budget::load(&path, &["static_error_percent", "resonance_hz"]);
+    let place = format!("{}/", folder.path().display());
+    loaded.map_err(|faults| {
+        faults.iter().map(|fault| fault.to_string().replace(&place, "")).collect::<Vec<_>>().join("\n")
+    })
 }
 
 #[test]

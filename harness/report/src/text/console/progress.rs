@@ -3,7 +3,7 @@
 use crate::format;
 use crate::text::escape::printable;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use platebench_record::{ScenarioRecord, Verdict};
+use platebench_record::{Event, Verdict};
 use std::io::{self, IsTerminal as _, Write};
 use std::time::Duration;
 
@@ -77,43 +77,34 @@ impl Progress {
         self
     }
 
-    pub fn scenario_started(&mut self, name: &str, trials: u32) {
-        match &mut self.sink {
-            Sink::Bar { bar, under_way, not_passed } => {
+    pub fn show(&mut self, event: &Event) {
+        match (&mut self.sink, event) {
+            (Sink::Bar { bar, under_way, not_passed }, Event::ScenarioStarted { file, trials }) => {
                 bar.set_style(style(TRIALS));
-                bar.set_length(bar.length().unwrap_or(0).max(bar.position() + u64::from(trials)));
-                under_way.push(name.to_owned());
+                bar.set_length(bar.length().unwrap_or(0).max(bar.position() + u64::from(*trials)));
+                under_way.push(file.clone());
                 bar.set_message(message(under_way, *not_passed));
             }
-            Sink::Lines(out) => {
-                let trials = format::count(usize::try_from(trials).unwrap_or(usize::MAX), "trial");
-                write_line(out.as_mut(), &format!("… {}: {trials}", printable(name)));
+            (Sink::Bar { bar, .. }, Event::TrialFinished { .. }) => {
+                // A scenario may play more trials than planned until its verdicts are conclusive.
+                bar.set_length(bar.length().unwrap_or(0).max(bar.position() + 1));
+                bar.inc(1);
             }
-            Sink::Quiet => {}
-        }
-    }
-
-    pub fn trial_finished(&mut self) {
-        if let Sink::Bar { bar, .. } = &self.sink {
-            // A scenario may play more trials than planned until its verdicts are conclusive.
-            bar.set_length(bar.length().unwrap_or(0).max(bar.position() + 1));
-            bar.inc(1);
-        }
-    }
-
-    pub fn scenario_finished(&mut self, scenario: &ScenarioRecord) {
-        match &mut self.sink {
-            Sink::Bar { bar, under_way, not_passed } => {
+            (Sink::Bar { bar, under_way, not_passed }, Event::ScenarioFinished(scenario)) => {
                 under_way.retain(|name| *name != scenario.file);
                 *not_passed += usize::from(scenario.verdict != Verdict::Pass);
                 bar.set_message(message(under_way, *not_passed));
             }
-            Sink::Lines(out) => {
+            (Sink::Lines(out), Event::ScenarioStarted { file, trials }) => {
+                let trials = format::count(usize::try_from(*trials).unwrap_or(usize::MAX), "trial");
+                write_line(out.as_mut(), &format!("… {}: {trials}", printable(file)));
+            }
+            (Sink::Lines(out), Event::ScenarioFinished(scenario)) => {
                 let (sign, verdict) = (format::sign(scenario.verdict), scenario.verdict);
                 let trials = format::count(scenario.trials.len(), "trial");
                 write_line(out.as_mut(), &format!("{sign} {}: {verdict}, {trials}", printable(&scenario.file)));
             }
-            Sink::Quiet => {}
+            (Sink::Lines(_), Event::TrialFinished { .. }) | (Sink::Quiet, _) => {}
         }
     }
 
@@ -160,8 +151,7 @@ mod tests {
     #[test]
     fn a_closed_pipe_is_nobodys_problem() {
         let mut progress = Progress::to_writer(Closed);
-        progress.scenario_started("a.toml", 3);
-        progress.trial_finished();
+        progress.show(&Event::ScenarioStarted { file: "a.toml".to_owned(), trials: 3 });
         progress.finish();
         super::super::print("text", &mut Closed).unwrap();
     }

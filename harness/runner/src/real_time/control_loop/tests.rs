@@ -60,13 +60,28 @@ fn count_allocations<L: Link>(
     let cancel = CancelToken::never();
     let allocated = measure(|| outcome = live.run(&configuration, &gains, &cancel));
     assert!(outcome.is_ok(), "it came to its end");
-    let periods = live.timing.periods;
+    let periods = live.timing.counts.periods;
     drop(live);
     let rows = collector.join().unwrap();
     assert!(rows.len() as u64 > periods);
     let seen = std::iter::from_fn(|| viewer.next_row()).map(|sight| sight.row).collect::<Vec<_>>();
     assert!(!seen.is_empty() && rows.starts_with(&seen), "the live view gets the rows of the record");
     (allocated, periods)
+}
+
+/// Plays until there were more than 10 periods: a busy machine leaves out control instants.
+fn assert_no_allocations<L: Link>(name: &str, session: &mut Session<FaultInjector<L>>, pacing: Pacing) {
+    let scenario = scenario(name);
+    let mut periods = 0;
+    for _ in 0..100 {
+        let (allocated, played) = count_allocations(&scenario, session, pacing);
+        assert_eq!(allocated, AllocationInfo::default(), "{name}, paced by {}", pacing.name());
+        periods += played;
+        if periods > 10 {
+            return;
+        }
+    }
+    panic!("{name}: {periods} periods in 100 trials");
 }
 
 #[test]
@@ -78,12 +93,9 @@ fn the_loop_allocates_nothing_in_process() {
         ("faults/noise-storm.toml", Pacing::Bench),
         ("faults/late-commands.toml", Pacing::Bench),
     ] {
-        let scenario = scenario(name);
         let mut session =
             Session::open(FaultInjector::new(WallClockLink::new(UncountedLink(HostedLink::new())))).unwrap();
-        let (allocated, periods) = count_allocations(&scenario, &mut session, pacing);
-        assert!(periods > 10, "{name}: {periods}");
-        assert_eq!(allocated, AllocationInfo::default(), "{name}, paced by {}", pacing.name());
+        assert_no_allocations(name, &mut session, pacing);
     }
 }
 
@@ -115,10 +127,7 @@ fn the_loop_allocates_nothing_over_a_terminal() {
     let called = (0..100).find_map(|_| Session::open(FaultInjector::new(&mut terminal)).ok().map(|_| ()));
     assert!(called.is_some(), "the controller does not send its identity");
     let mut session = Session::open(FaultInjector::new(terminal)).unwrap();
-    let (allocated, periods) =
-        count_allocations(&scenario("paper/fig13-closed-loop.toml"), &mut session, Pacing::Bench);
-    assert!(periods > 10, "{periods}");
-    assert_eq!(allocated, AllocationInfo::default());
+    assert_no_allocations("paper/fig13-closed-loop.toml", &mut session, Pacing::Bench);
     drop(session);
     board.join().unwrap();
 }

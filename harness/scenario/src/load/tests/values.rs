@@ -84,7 +84,7 @@ fn the_statistic_over_trials_can_be_chosen() {
 
 #[test]
 fn finds_each_metric_by_its_name() {
-    for metric in Metric::ALL {
+    for &metric in Metric::ALL {
         assert_eq!(Metric::from_name(metric.name()), Some(metric));
     }
 }

@@ -3,8 +3,7 @@
 use crate::loops::tuning::design::TuningTarget;
 use platebench_scenario::{Diagnostic, Scenario, load};
 use platebench_wire::{Gains, LawId};
-use serde::Serialize;
-use std::collections::BTreeMap;
+use serde_json::json;
 use std::fs;
 use std::io;
 use std::path::Path;
@@ -32,55 +31,33 @@ pub enum VerificationError {
 
 /// A step on the tuned plate, written to `folder` so that `judge` can read it from there.
 pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -> Result<Scenario, VerificationError> {
-    #[derive(Serialize)]
-    struct StepScenario {
-        title: &'static str,
-        plate: &'static str,
-        duration_ms: f64,
-        controller: StepController,
-        profile: BTreeMap<&'static str, f64>,
-        expect: [StepExpectation; 3],
-    }
-    #[derive(Serialize)]
-    struct StepController {
-        law: &'static str,
-        period_ms: f64,
-        loop_delay_ms: f64,
-        gains: BTreeMap<&'static str, f64>,
-    }
-    #[derive(Serialize)]
-    struct StepExpectation {
-        metric: &'static str,
-        at_most: f64,
-    }
     let TuningTarget { force_n, setpoint, response, period_us, delay, plate: tuned, .. } = *step.target;
     let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } = step.gains;
-    let gains = [
-        ("amplitude_kp", amplitude_kp),
-        ("amplitude_ki", amplitude_ki),
-        ("frequency_kp", frequency_kp),
-        ("frequency_ki", frequency_ki),
-    ];
     let period_ms = f64::from(period_us) * 1e-3;
-    let content = StepScenario {
-        title: "Verification of gains",
-        plate: "plate.toml",
-        duration_ms: f64::from(step.target.horizon()) * period_ms,
-        controller: StepController {
-            law: step.law.name(),
-            period_ms,
+    let content = json!({
+        "title": "Verification of gains",
+        "plate": "plate.toml",
+        "duration_ms": f64::from(step.target.horizon()) * period_ms,
+        "controller": {
+            "law": step.law.name(),
+            "period_ms": period_ms,
             // In real time the rig has its own delay.
-            loop_delay_ms: if step.real_time { 0.0 } else { delay * 1e3 },
-            gains: gains.into_iter().map(|(key, gain)| (key, shortest_decimal(gain))).collect(),
+            "loop_delay_ms": if step.real_time { 0.0 } else { delay * 1e3 },
+            "gains": {
+                "amplitude_ki": shortest_decimal(amplitude_ki),
+                "amplitude_kp": shortest_decimal(amplitude_kp),
+                "frequency_ki": shortest_decimal(frequency_ki),
+                "frequency_kp": shortest_decimal(frequency_kp),
+            },
         },
-        profile: BTreeMap::from([("setpoint_um", setpoint), ("finger_force_n", force_n)]),
-        expect: [
-            StepExpectation { metric: "settling_time_ms", at_most: response * 1e3 },
-            StepExpectation { metric: "overshoot_percent", at_most: 100.0 },
+        "profile": { "finger_force_n": force_n, "setpoint_um": setpoint },
+        "expect": [
+            { "metric": "settling_time_ms", "at_most": response * 1e3 },
+            { "metric": "overshoot_percent", "at_most": 100.0 },
             // The f32 of the wire may be larger than the limit in the file.
-            StepExpectation { metric: "drive_peak_vpp", at_most: tuned.drive_limit_vpp * (1.0 + 1e-6) },
+            { "metric": "drive_peak_vpp", "at_most": tuned.drive_limit_vpp * (1.0 + 1e-6) },
         ],
-    };
+    });
     fs::copy(plate, folder.join("plate.toml"))?;
     let path = folder.join("tune.toml");
     fs::write(&path, toml::to_string(&content)?)?;

@@ -142,7 +142,7 @@ fn a_killed_run_can_fail_but_not_pass() {
 #[test]
 fn a_stopped_controller_fails() {
     let expect: Vec<String> = Metric::ALL
-        .into_iter()
+        .iter()
         .filter(|metric| {
             !matches!(metric, Metric::Overruns | Metric::ShutdownTime | Metric::MissedReplies | Metric::RestDrive)
         })

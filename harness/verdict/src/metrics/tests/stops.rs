@@ -14,7 +14,7 @@ fn a_stopped_controller_has_no_values() {
         ..EMPTY_TELEMETRY
     };
     let of_the_line = [Metric::ShutdownTime, Metric::MissedReplies];
-    let others = || Metric::ALL.into_iter().filter(|metric| !of_the_line.contains(metric));
+    let others = || Metric::ALL.iter().copied().filter(|metric| !of_the_line.contains(metric));
     for metric in others().filter(|metric| *metric != Metric::QuadratureRatio) {
         let measure = measure(&expectation_with_from(metric, 0.0), &trace, &reported);
         let has_value = measure.value().is_some() || matches!(measure, Measure::Samples(_));
@@ -123,7 +123,7 @@ fn a_time_of_a_real_plate_is_an_interval() {
 #[test]
 fn unknown_quantities_of_a_real_plate_are_undefined() {
     let rows = as_real_plate(&trace_at(grid(1.0, 60.0), |_| 2.0, |_| 2.0));
-    for metric in Metric::ALL {
+    for &metric in Metric::ALL {
         let unknown = matches!(measure(&expectation_for(metric), &rows, &EMPTY_TELEMETRY), Measure::Undefined(_));
         let expected = matches!(
             metric,

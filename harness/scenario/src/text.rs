@@ -7,17 +7,16 @@ use std::path::Path;
 /// A TOML document takes some fifty times its size in memory.
 const MAX_TOML_BYTES: usize = 4 << 20;
 
-pub(super) fn read_text(path: &Path) -> Result<String, Diagnostic> {
+pub(crate) fn read_text(path: &Path) -> Result<String, Diagnostic> {
     let bytes = input::read(path).map_err(|error| Diagnostic::for_file(path, format!("cannot be read: {error}")))?;
     if bytes.len() > MAX_TOML_BYTES {
-        let message =
-            format!("is larger than {} MiB; write the points of a profile to a CSV file", MAX_TOML_BYTES >> 20);
+        let message = format!("is larger than {} MiB; points of a profile belong in a CSV file", MAX_TOML_BYTES >> 20);
         return Err(Diagnostic::for_file(path, message));
     }
     decode_text(path, bytes)
 }
 
-pub(super) fn decode_text(path: &Path, bytes: Vec<u8>) -> Result<String, Diagnostic> {
+pub(crate) fn decode_text(path: &Path, bytes: Vec<u8>) -> Result<String, Diagnostic> {
     String::from_utf8(bytes).map_err(|error| {
         // Before the first invalid byte, the replaced text has the same bytes.
         let start = error.utf8_error().valid_up_to();
