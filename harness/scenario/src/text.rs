@@ -10,7 +10,8 @@ const MAX_TOML_BYTES: usize = 4 << 20;
 pub(crate) fn read_text(path: &Path) -> Result<String, Diagnostic> {
     let bytes = input::read(path).map_err(|error| Diagnostic::for_file(path, format!("cannot be read: {error}")))?;
     if bytes.len() > MAX_TOML_BYTES {
-        let message = format!("is larger than {} MiB; points of a profile belong in a CSV file", MAX_TOML_BYTES >> 20);
+        let message =
+            format!("is larger than {} MiB; write the points of a profile to a CSV file", MAX_TOML_BYTES >> 20);
         return Err(Diagnostic::for_file(path, message));
     }
     decode_text(path, bytes)
