@@ -7,12 +7,10 @@
 
 mod band;
 mod measure;
-mod ripple;
 mod shutdown;
 mod signal;
 mod steps;
 mod window;
-mod window_rows;
 
 pub use measure::Measure;
 pub use steps::setpoint_steps;
@@ -21,8 +19,7 @@ use platebench_record::{MissingValue, Telemetry, UndefinedValue};
 use platebench_scenario::{Expectation, Metric, Window};
 use platebench_trace::{Flags, Row};
 use signal::MetricSignal;
-use window::{flagged_share, window_mean_ratio};
-use window_rows::{window_rows, window_rows_with_previous};
+use window::{flagged_share, ripple_um, window_mean_ratio, window_rows, window_rows_with_previous};
 
 /// The worst window decides. [`Metric::Repeatability`] gives the window mean in percent of the
 /// setpoint. A trial with a command that its trace cannot show has no number.
@@ -49,7 +46,7 @@ fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry)
     }
     let signal = MetricSignal::from_name(expectation.signal, sensed);
     let measures = expectation.windows.iter().map(|window| {
-        let measure = measure_window(expectation, window, signal, rows, telemetry);
+        let measure = measure_window(expectation, window, signal, rows, telemetry).unwrap_or_else(Measure::Undefined);
         (severity(expectation, &measure), measure)
     });
     let worst = measures.reduce(|worst, other| if other.0 > worst.0 { other } else { worst });
@@ -77,60 +74,57 @@ fn measure_window(
     signal: MetricSignal,
     rows: &[Row],
     telemetry: &Telemetry,
-) -> Measure {
+) -> Result<Measure, UndefinedValue> {
     let window_mean = || window_mean_ratio(signal, window, rows);
-    let value_or_undefined = |value: Result<f64, UndefinedValue>| value.map_or_else(Measure::Undefined, Measure::Value);
     let inside = window_rows(window, rows);
-    let at_end =
-        |value: &dyn Fn(&Row) -> Measure| inside.last().map_or(Measure::Undefined(UndefinedValue::EmptyWindow), value);
+    let last = || inside.last().ok_or(UndefinedValue::EmptyWindow);
     let in_force = || window_rows_with_previous(window, rows);
-    let ripple = || ripple::ripple_um(inside, |row| signal.value_in(row)).ok_or(UndefinedValue::EmptyWindow);
-    let setpoint = || inside.first().map(|row| row.setpoint_um).filter(|setpoint| *setpoint > 0.0);
-    match expectation.metric {
-        Metric::SettlingTime => band::settling_time(expectation, window, signal, rows),
-        Metric::RecoveryTime => band::recovery_time(expectation, window, signal, rows),
-        Metric::Overshoot => band::overshoot(window, signal, rows),
-        Metric::PeakDeviation => band::peak_deviation(window, signal, rows),
-        Metric::StaticError => value_or_undefined(window_mean().map(|ratio| (ratio - 1.0) * 100.0)),
-        Metric::Repeatability => value_or_undefined(window_mean().map(|ratio| ratio * 100.0)),
-        Metric::FrequencyError => at_end(&|row| Measure::Value((row.frequency_hz - row.resonance_hz).abs())),
-        Metric::QuadratureRatio => at_end(&|row| {
-            if row.wd_um == 0.0 {
-                Measure::Undefined(UndefinedValue::NoInPhaseComponent)
-            } else {
-                Measure::Value((row.wq_um / row.wd_um).abs())
-            }
-        }),
-        Metric::FinalAmplitude => at_end(&|row| Measure::Value(row.amplitude_um)),
-        Metric::DrivePeak => Measure::Value(in_force().iter().map(|row| row.drive_vpp).fold(0.0, f64::max)),
-        Metric::Saturated => Measure::Value(flagged_share(in_force(), Flags::SATURATED) * 100.0),
-        Metric::LoopDelay => value_or_undefined(telemetry.loop_delay_us.ok_or(UndefinedValue::NotReported)),
-        Metric::InstructionsPerStep => {
-            value_or_undefined(telemetry.instructions_worst.ok_or(UndefinedValue::NotReported))
-        }
-        Metric::ReferenceDifference => {
-            value_or_undefined(telemetry.reference_difference_percent.ok_or(UndefinedValue::NotReported))
-        }
-        Metric::ProtocolDifferences => {
-            let differences = telemetry.protocol_differences.as_ref().ok_or(UndefinedValue::NotReported);
-            value_or_undefined(differences.map(|differences| differences.len() as f64))
-        }
-        Metric::Overruns => count_flagged(inside, Flags::OVERRUN),
-        Metric::ShutdownTime => shutdown::shutdown_time(window, rows),
-        Metric::MissedReplies => count_flagged(inside, Flags::CONTROL | Flags::LINK_LOST),
-        Metric::Ripple => value_or_undefined(ripple()),
-        Metric::RipplePercent => {
-            value_or_undefined(ripple().and_then(|um| Ok(um / setpoint().ok_or(UndefinedValue::ZeroSetpoint)? * 100.0)))
-        }
+    let ripple = || ripple_um(signal, inside).ok_or(UndefinedValue::EmptyWindow);
+    let reported = |value: Option<f64>| value.ok_or(UndefinedValue::NotReported);
+    let value = match expectation.metric {
+        Metric::SettlingTime => return band::settling_time(expectation, window, signal, rows),
+        Metric::RecoveryTime => return band::recovery_time(expectation, window, signal, rows),
+        Metric::ShutdownTime => return Ok(shutdown::shutdown_time(window, rows)),
         Metric::TrialDifference => {
             let control = inside.iter().filter(|row| row.flags.contains(Flags::CONTROL));
-            Measure::Samples(control.map(|row| signal.value_in(row)).collect())
+            return Ok(Measure::Samples(control.map(|row| signal.value_in(row)).collect()));
         }
+        Metric::Overshoot => band::overshoot(window, signal, rows)?,
+        Metric::PeakDeviation => band::peak_deviation(window, signal, rows)?,
+        Metric::StaticError => (window_mean()? - 1.0) * 100.0,
+        Metric::Repeatability => window_mean()? * 100.0,
+        Metric::FrequencyError => {
+            let row = last()?;
+            (row.frequency_hz - row.resonance_hz).abs()
+        }
+        Metric::QuadratureRatio => {
+            let row = last()?;
+            if row.wd_um == 0.0 {
+                return Err(UndefinedValue::NoInPhaseComponent);
+            }
+            (row.wq_um / row.wd_um).abs()
+        }
+        Metric::FinalAmplitude => last()?.amplitude_um,
+        Metric::DrivePeak => in_force().iter().map(|row| row.drive_vpp).fold(0.0, f64::max),
         Metric::RestDrive => {
             let highest = in_force().iter().map(|row| row.drive_vpp).reduce(f64::max);
-            value_or_undefined(highest.ok_or(UndefinedValue::EmptyWindow))
+            highest.ok_or(UndefinedValue::EmptyWindow)?
         }
-    }
+        Metric::Saturated => flagged_share(in_force(), Flags::SATURATED) * 100.0,
+        Metric::LoopDelay => reported(telemetry.loop_delay_us)?,
+        Metric::InstructionsPerStep => reported(telemetry.instructions_worst)?,
+        Metric::ReferenceDifference => reported(telemetry.reference_difference_percent)?,
+        Metric::ProtocolDifferences => reported(telemetry.protocol_differences.as_ref().map(|all| all.len() as f64))?,
+        Metric::Overruns => count_flagged(inside, Flags::OVERRUN),
+        Metric::MissedReplies => count_flagged(inside, Flags::CONTROL | Flags::LINK_LOST),
+        Metric::Ripple => ripple()?,
+        Metric::RipplePercent => {
+            let um = ripple()?;
+            let setpoint = inside.first().map(|row| row.setpoint_um).filter(|setpoint| *setpoint > 0.0);
+            um / setpoint.ok_or(UndefinedValue::ZeroSetpoint)? * 100.0
+        }
+    };
+    Ok(Measure::Value(value))
 }
 
 /// A real plate's controller reports only what it knows.
@@ -161,8 +155,8 @@ const fn unknown_on_a_real_plate(metric: Metric) -> Option<UndefinedValue> {
     }
 }
 
-fn count_flagged(rows: &[Row], flags: Flags) -> Measure {
-    Measure::Value(rows.iter().filter(|row| row.flags.contains(flags)).count() as f64)
+fn count_flagged(rows: &[Row], flags: Flags) -> f64 {
+    rows.iter().filter(|row| row.flags.contains(flags)).count() as f64
 }
 
 #[cfg(test)]

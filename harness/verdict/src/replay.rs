@@ -2,7 +2,7 @@
 //!
 //! Open loop: the recorded samples do not react to the commands.
 
-use crate::tube::{Exceedance, TUBE_SIGNALS, Tube, TubePoint};
+use crate::tube::{Exceedance, Tube, TubePoint, TubeSignal};
 use platebench_record::{Telemetry, Verdict, Violation};
 use serde::Serialize;
 use std::fmt;
@@ -152,7 +152,7 @@ fn compare_commands(pairs: &[(f64, ReplayCommand, ReplayCommand)]) -> Vec<Comman
     let values: [(&str, Value); 2] =
         [("drive_vpp", |command| command.drive_vpp), ("frequency_hz", |command| command.frequency_hz)];
     let compared = values.into_iter().filter_map(|(name, value)| {
-        let signal = TUBE_SIGNALS.iter().find(|signal| signal.name == name)?;
+        let signal = TubeSignal::from_name(name)?;
         let point = |&(t_s, recorded, _): &(f64, ReplayCommand, _)| TubePoint {
             t_ms: t_s * 1e3,
             value: value(&recorded),

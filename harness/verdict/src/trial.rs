@@ -12,7 +12,7 @@ use serde_json::{Map, json};
 use std::collections::BTreeMap;
 
 /// Everything about a trial that verdicts depend on.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct TrialMeasures {
     /// Counted from 0.
     pub index: u32,

@@ -89,6 +89,11 @@ impl Exceedance {
     pub fn ratio(&self) -> f64 {
         1.0 + self.distance / self.allowed
     }
+
+    /// The first one with the largest ratio.
+    pub(crate) fn worst(all: impl Iterator<Item = Self>) -> Option<Self> {
+        all.reduce(|worst, other| if other.ratio() > worst.ratio() { other } else { worst })
+    }
 }
 
 impl Tube {
@@ -151,7 +156,7 @@ impl Tube {
             let (signal, allowed) = (self.signal.clone(), self.half_height(golden));
             Some(Exceedance { signal, t_ms, value, golden: golden.value, distance, allowed })
         });
-        outside.reduce(|worst, other| if other.ratio() > worst.ratio() { other } else { worst })
+        Exceedance::worst(outside)
     }
 }
 

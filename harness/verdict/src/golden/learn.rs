@@ -11,7 +11,7 @@ use super::thin::thin;
 use super::tubes::GoldenTubes;
 use crate::bisection::bisect;
 use crate::statistics::SampleSummary;
-use crate::tube::{TUBE_SIGNALS, Tube, TubePoint, signal_response};
+use crate::tube::{TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
 use platebench_trace::Row;
 
 /// Share of the largest width: a constant signal may vary a little.
@@ -60,40 +60,29 @@ impl GoldenTubes {
             return Err(LearnError::EndDiffers(other));
         }
         let (curve, scored) = trials.split_at(curve_trial_count(trials.len()));
-        let mut tubes: Vec<Tube> = TUBE_SIGNALS
-            .iter()
-            .map(|signal| {
-                let curves: Vec<Tube> = curve
-                    .iter()
-                    .map(|rows| Tube {
-                        signal: signal.name.to_owned(),
-                        tolerance: signal.tolerance,
-                        points: signal_response(signal, rows)
-                            .into_iter()
-                            .map(|(t_ms, value)| TubePoint { t_ms, value, width: 0.0 })
-                            .collect(),
-                    })
-                    .collect();
-                let steps = (end / step_ms).round() as u64;
-                let points = (0..=steps).map(|index| {
-                    let t_ms = (index as f64 * step_ms).min(end);
-                    let values: Vec<f64> = curves.iter().map(|curve| curve.point_at(t_ms).value).collect();
-                    let summary = SampleSummary::of(&values);
-                    TubePoint {
-                        t_ms,
-                        value: summary.map_or(0.0, |of| of.mean),
-                        width: summary.map_or(0.0, |of| of.deviation),
-                    }
-                });
-                let mut points: Vec<TubePoint> = points.collect();
-                let widest = points.iter().map(|point| point.width).fold(0.0, f64::max);
-                let least = (widest * MIN_SHAPE_SHARE).max(signal.tolerance.absolute * MIN_SHAPE_SHARE);
-                for point in &mut points {
-                    point.width = point.width.max(least);
+        let curves: Vec<Self> = curve.iter().filter_map(|rows| Self::from_rows(rows)).collect();
+        let steps = (end / step_ms).round() as u64;
+        let shape = |(number, signal): (usize, &TubeSignal)| {
+            let curves = || curves.iter().filter_map(|curve| curve.tubes.get(number));
+            let point = |index: u64| {
+                let t_ms = (index as f64 * step_ms).min(end);
+                let values: Vec<f64> = curves().map(|curve| curve.point_at(t_ms).value).collect();
+                let summary = SampleSummary::of(&values);
+                TubePoint {
+                    t_ms,
+                    value: summary.map_or(0.0, |of| of.mean),
+                    width: summary.map_or(0.0, |of| of.deviation),
                 }
-                Tube { signal: signal.name.to_owned(), tolerance: signal.tolerance, points }
-            })
-            .collect();
+            };
+            let mut points: Vec<TubePoint> = (0..=steps).map(point).collect();
+            let widest = points.iter().map(|point| point.width).fold(0.0, f64::max);
+            let least = (widest * MIN_SHAPE_SHARE).max(signal.tolerance.absolute * MIN_SHAPE_SHARE);
+            for point in &mut points {
+                point.width = point.width.max(least);
+            }
+            Tube { signal: signal.name.to_owned(), tolerance: signal.tolerance, points }
+        };
+        let mut tubes: Vec<Tube> = TUBE_SIGNALS.iter().enumerate().map(shape).collect();
         thin(&mut tubes);
         let shape = Self { tubes, step_ms: Some(step_ms), false_alarm_rate: Some(rate) };
         let mut scores: Vec<f64> = scored.iter().map(|rows| shape.nonconformity_score(rows)).collect();

@@ -44,16 +44,11 @@ pub struct TubeComparison {
 impl GoldenTubes {
     /// With the default tolerances; `None` without rows.
     pub fn from_rows(rows: &[Row]) -> Option<Self> {
-        let points = |signal: &TubeSignal| {
-            signal_response(signal, rows)
-                .into_iter()
-                .map(|(t_ms, value)| TubePoint { t_ms, value, width: 0.0 })
-                .collect()
-        };
+        let point = |(t_ms, value)| TubePoint { t_ms, value, width: 0.0 };
         let tube = |signal: &TubeSignal| Tube {
             signal: signal.name.to_owned(),
             tolerance: signal.tolerance,
-            points: points(signal),
+            points: signal_response(signal, rows).into_iter().map(point).collect(),
         };
         (!rows.is_empty()).then(|| Self {
             tubes: TUBE_SIGNALS.iter().map(tube).collect(),
@@ -72,10 +67,7 @@ impl GoldenTubes {
     }
 
     pub fn match_trial(&self, rows: &[Row]) -> TubeMatch {
-        let exceedances = self.exceedances(rows).into_iter();
-        if let Some(worst) =
-            exceedances.reduce(|worst, other| if other.ratio() > worst.ratio() { other } else { worst })
-        {
+        if let Some(worst) = Exceedance::worst(self.exceedances(rows).into_iter()) {
             return TubeMatch::Outside(worst);
         }
         let ms = |row: Option<&Row>| row.map_or(f64::NAN, |row| row.t_s * 1e3);

@@ -3,56 +3,62 @@
 use super::measure::Measure;
 use super::signal::MetricSignal;
 use super::steps::step_response;
-use super::window_rows::window_rows;
+use super::window::window_rows;
 use platebench_record::{MissingValue, UndefinedValue};
 use platebench_scenario::{Expectation, Window};
 use platebench_trace::{Flags, Row};
 
-pub(super) fn settling_time(expectation: &Expectation, window: &Window, signal: MetricSignal, rows: &[Row]) -> Measure {
-    let Some((rows, _)) = step_response(window, rows) else {
-        return Measure::Undefined(UndefinedValue::NoSetpointStep);
-    };
-    let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
-        return Measure::Undefined(UndefinedValue::EmptyTrace);
-    };
+pub(super) fn settling_time(
+    expectation: &Expectation,
+    window: &Window,
+    signal: MetricSignal,
+    rows: &[Row],
+) -> Result<Measure, UndefinedValue> {
+    let (rows, _) = step_response(window, rows).ok_or(UndefinedValue::NoSetpointStep)?;
+    let (first, last) = rows.first().zip(rows.last()).ok_or(UndefinedValue::EmptyTrace)?;
     if last.setpoint_um == 0.0 {
-        return Measure::Undefined(UndefinedValue::NoBand);
+        return Err(UndefinedValue::NoBand);
     }
-    match last_band_entry(expectation, signal, rows) {
+    Ok(match last_band_entry(expectation, signal, rows) {
         Some(entry) => elapsed_ms(first.t_s, entry),
         None => Measure::Missing(MissingValue::NeverSettles),
-    }
+    })
 }
 
-pub(super) fn recovery_time(expectation: &Expectation, window: &Window, signal: MetricSignal, rows: &[Row]) -> Measure {
+pub(super) fn recovery_time(
+    expectation: &Expectation,
+    window: &Window,
+    signal: MetricSignal,
+    rows: &[Row],
+) -> Result<Measure, UndefinedValue> {
     let rows = window_rows(window, rows);
     if rows.last().is_none_or(|row| row.setpoint_um == 0.0) {
-        return Measure::Undefined(UndefinedValue::NoSetpointToRecoverTo);
+        return Err(UndefinedValue::NoSetpointToRecoverTo);
     }
-    match last_band_entry(expectation, signal, rows) {
+    Ok(match last_band_entry(expectation, signal, rows) {
         Some(entry) if rows.first().is_some_and(|first| entry == [first.t_s; 2]) => Measure::Value(0.0),
         Some(entry) => elapsed_ms(window.from.seconds(), entry),
         None => Measure::Missing(MissingValue::NeverRecovers),
-    }
+    })
 }
 
-pub(super) fn overshoot(window: &Window, signal: MetricSignal, rows: &[Row]) -> Measure {
-    let Some((rows, before)) = step_response(window, rows) else {
-        return Measure::Undefined(UndefinedValue::NoSetpointStep);
-    };
-    let Some(last) = rows.last() else { return Measure::Undefined(UndefinedValue::EmptyTrace) };
+/// Percent of the step.
+pub(super) fn overshoot(window: &Window, signal: MetricSignal, rows: &[Row]) -> Result<f64, UndefinedValue> {
+    let (rows, before) = step_response(window, rows).ok_or(UndefinedValue::NoSetpointStep)?;
+    let last = rows.last().ok_or(UndefinedValue::EmptyTrace)?;
     let step = last.setpoint_um - before;
     if step == 0.0 {
-        return Measure::Undefined(UndefinedValue::NoNetStep);
+        return Err(UndefinedValue::NoNetStep);
     }
     let beyond = rows.iter().map(|row| (signal.value_in(row) - last.setpoint_um) / step).fold(0.0, f64::max);
-    Measure::Value(beyond * 100.0)
+    Ok(beyond * 100.0)
 }
 
-pub(super) fn peak_deviation(window: &Window, signal: MetricSignal, rows: &[Row]) -> Measure {
+/// Percent of the setpoint.
+pub(super) fn peak_deviation(window: &Window, signal: MetricSignal, rows: &[Row]) -> Result<f64, UndefinedValue> {
     let deviations = window_rows(window, rows).iter().filter(|row| row.setpoint_um > 0.0);
     let peak = deviations.map(|row| (signal.value_in(row) - row.setpoint_um).abs() / row.setpoint_um).reduce(f64::max);
-    peak.map_or(Measure::Undefined(UndefinedValue::NoSetpointToDeviateFrom), |peak| Measure::Value(peak * 100.0))
+    Ok(peak.ok_or(UndefinedValue::NoSetpointToDeviateFrom)? * 100.0)
 }
 
 /// The interval, s, with the last entry into the band; equal ends for a signal that is known

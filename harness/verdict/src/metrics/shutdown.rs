@@ -2,17 +2,16 @@
 
 use super::band::rounded_ms;
 use super::measure::Measure;
+use super::window::end_index;
 use platebench_record::MissingValue;
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
 
 /// To the first row from which the controller is stopped at 0 V until the window ends.
 pub(super) fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {
-    let (from, to) = (window.from.seconds(), window.to.seconds());
+    let from = window.from.seconds();
     let has_stopped = |row: &Row| row.flags.contains(Flags::SAFE) && row.drive_vpp == 0.0;
-    let is_last = to >= rows.last().map_or(0.0, |row| row.t_s);
-    let end = if is_last { rows.len() } else { rows.partition_point(|row| row.t_s < to) };
-    let rows = rows.get(..end).unwrap_or_default();
+    let rows = rows.get(..end_index(window.to.seconds(), rows)).unwrap_or_default();
     let Some(ran) = rows.iter().rposition(|row| !has_stopped(row)) else {
         return Measure::Missing(MissingValue::NeverRan);
     };

@@ -1,5 +1,6 @@
 //! Finds the setpoint steps of a trace.
 
+use super::window::end_index;
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
 
@@ -46,13 +47,12 @@ const MAX_TELEMETRY_DELAY_S: f64 = 0.1;
 /// Rows up to the next step or the end of the window, and the setpoint before the step.
 pub(super) fn step_response<'a>(window: &Window, rows: &'a [Row]) -> Option<(&'a [Row], f64)> {
     let delay = if rows.iter().any(|row| row.flags.contains(Flags::SENSED)) { MAX_TELEMETRY_DELAY_S } else { 0.0 };
-    let (from, to) = (window.from.seconds(), window.to.seconds() + delay);
+    let from = window.from.seconds();
     let steps = setpoint_steps(rows);
     let is_after = |step: &&usize| rows.get(**step).is_some_and(|row| row.t_s >= from);
     let position = steps.iter().position(|step| is_after(&step)).unwrap_or(steps.len().saturating_sub(1));
     let start = *steps.get(position)?;
-    let is_last = rows.last().is_none_or(|row| to >= row.t_s);
-    let window_end = if is_last { rows.len() } else { rows.partition_point(|row| row.t_s < to) };
+    let window_end = end_index(window.to.seconds() + delay, rows);
     let end = steps.get(position + 1).copied().unwrap_or(rows.len()).min(window_end);
     let before = start.checked_sub(1).and_then(|index| rows.get(index)).map_or(0.0, |row| row.setpoint_um);
     rows.get(start..end).map(|part| (part, before))

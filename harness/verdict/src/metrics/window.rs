@@ -1,9 +1,38 @@
-//! Averages over a window.
+//! Selects the rows of a window and evaluates them.
 
 use super::signal::MetricSignal;
 use platebench_record::UndefinedValue;
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
+
+/// The row at the end belongs to the next window, except at the end of the trace.
+pub(super) fn window_rows<'a>(window: &Window, rows: &'a [Row]) -> &'a [Row] {
+    let start = rows.partition_point(|row| row.t_s < window.from.seconds());
+    rows.get(start..end_index(window.to.seconds(), rows)).unwrap_or_default()
+}
+
+/// Number of rows before `to_s`; all rows if the trace ends by then.
+pub(super) fn end_index(to_s: f64, rows: &[Row]) -> usize {
+    let is_last = rows.last().is_none_or(|row| to_s >= row.t_s);
+    if is_last { rows.len() } else { rows.partition_point(|row| row.t_s < to_s) }
+}
+
+/// With the row before, whose drive and flags are in force at the start of the window.
+pub(super) fn window_rows_with_previous<'a>(window: &Window, rows: &'a [Row]) -> &'a [Row] {
+    let inside = window_rows(window, rows);
+    let from = window.from.seconds();
+    if inside.first().is_some_and(|row| row.t_s == from) {
+        return inside;
+    }
+    let start = rows.partition_point(|row| row.t_s < from);
+    rows.get(start.saturating_sub(1)..start + inside.len()).unwrap_or_default()
+}
+
+/// Largest minus smallest value.
+pub(super) fn ripple_um(signal: MetricSignal, rows: &[Row]) -> Option<f64> {
+    let values = || rows.iter().map(|row| signal.value_in(row));
+    Some(values().reduce(f64::max)? - values().reduce(f64::min)?)
+}
 
 /// Time-weighted mean divided by the setpoint, which must be constant: a mean over a moving one
 /// could be right for a signal that is stuck.
