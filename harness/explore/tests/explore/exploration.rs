@@ -14,6 +14,9 @@ use rstest::rstest;
 use std::path::PathBuf;
 use std::time::Duration;
 
+/// So long that the number of replays ends a search, also on a busy machine.
+const SHRINK_TIME: Duration = Duration::from_hours(1);
+
 #[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
 fn firmware() -> Result<BoxedLink, ConnectError> {
     Ok(Box::new(HostedLink::new()))
@@ -77,7 +80,7 @@ fn the_reference_finds_what_the_limits_allow(#[case] compares_reference: bool, #
     for (property, failed) in found {
         assert!(matches!(property, Property::Reference | Property::Answers));
         let mut player = Player::new(&low_drive, false, &cancel);
-        let mut shrinker = Shrinker::new(&config, &mut player, Duration::from_mins(1)).unwrap();
+        let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME).unwrap();
         let minimal = shrinker.shrink(failed, property).unwrap();
         assert_eq!((minimal.is_reproduced, minimal.demands.len()), (true, 1));
         assert!(minimal.failure.value > Some(0.1), "{:?}", minimal.failure);
@@ -92,7 +95,7 @@ fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
     let (_, failed) =
         violated_properties(&result).into_iter().find(|(property, _)| *property == Property::StaticError).unwrap();
     let mut player = Player::new(&mutant, false, &cancel);
-    let mut shrinker = Shrinker::new(&config, &mut player, Duration::from_mins(1)).unwrap();
+    let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME).unwrap();
     let minimal = shrinker.shrink(failed, Property::StaticError).unwrap();
     assert!(minimal.is_reproduced);
     assert!(minimal.scene.earlier.is_empty(), "{:?}", minimal.scene);
