@@ -13,5 +13,5 @@ pub use configuration::CONFIGURE;
 pub use identity::IDENTITY;
 pub use process::{ChildGuard, skip_without};
 pub use python::python_with_pyserial;
-pub use scenarios::{PLATE, load_scenario, parse_scenario, scenario_path, workspace_root, write_scenario};
+pub use scenarios::{PLATE, load_scenario, paper_plate, parse_scenario, scenario_path, workspace_root, write_scenario};
 pub use terminal::open_terminal;

@@ -2,11 +2,19 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on ends by panicking")]
 
+use platebench_plate::{Plate, RawPlate};
 use platebench_scenario::{Scenario, load};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 pub const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
+
+/// # Panics
+/// If the repository's plate file is invalid.
+#[must_use]
+pub fn paper_plate() -> Plate {
+    toml::from_str::<RawPlate>(PLATE).unwrap().check().unwrap()
+}
 
 /// # Panics
 /// If the sources have been moved since the build.

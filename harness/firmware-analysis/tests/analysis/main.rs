@@ -8,17 +8,12 @@ mod mutation;
 
 use platebench_firmware_analysis::{CodeMap, Suite};
 use platebench_rig::{BUILT_IN_IMAGE, RigSpec, Symbols};
-use platebench_scenario::load;
-use std::path::{Path, PathBuf};
-
-fn workspace_root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
-}
+use platebench_test_kit::{load_scenario, workspace_root};
 
 fn suite(scenarios: &[&str]) -> Suite {
     // Relative paths of the debug information start here.
     std::env::set_current_dir(workspace_root()).unwrap();
-    let scenarios = scenarios.iter().map(|name| load(&workspace_root().join("scenarios").join(name), name).unwrap());
+    let scenarios = scenarios.iter().map(|name| load_scenario(name));
     Suite::new(&RigSpec::Emulated(None), scenarios.collect()).unwrap()
 }
 

@@ -1,8 +1,8 @@
 //! Checks that each mutant is caught by its witness, and that a correct controller is not.
 
-use crate::repository_scenarios::{load_scenario, workspace_root};
 use platebench_record::Verdict;
 use platebench_scenario::Metric;
+use platebench_test_kit::{load_scenario, workspace_root};
 use platebench_trust::report::MutantOutcome;
 use platebench_trust::{MutantSpec, TrustConfig, TrustReport, catalogue, measure};
 use std::collections::BTreeSet;

@@ -1,9 +1,9 @@
 //! Compares verdicts in memory with those of a run and of its stored traces.
 
-use crate::repository_scenarios::load_scenario;
 use platebench_record::Overrides;
 use platebench_record::RunFolder;
 use platebench_runner::{Clock, RunHooks, RunPlan, rejudge};
+use platebench_test_kit::load_scenario;
 use platebench_trust::{catalogue, play};
 
 #[test]

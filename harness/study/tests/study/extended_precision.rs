@@ -1,12 +1,11 @@
 //! Measures the error of the exact propagation, the reference of the sweep, in double-double
 //! arithmetic: about 31 decimal digits.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
-
-use platebench_plate::{Complex64, ConditionProfiles, Drive, Mode, Plate, Profile, RawPlate, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Drive, Mode, Profile, Time};
 use platebench_study::integration::{
     AdaptiveMethod, EquationForm, IntegrationMethod, Replay, ReplayResult, ReplaySpec,
 };
+use platebench_test_kit::paper_plate;
 use rstest::rstest;
 use std::array::from_fn;
 use twofloat::TwoFloat;
@@ -82,8 +81,7 @@ fn modal(mode: &Mode, drive: &Drive) -> Matrix<5> {
 
 /// An excitation that changes in every period, like that of a controller, under 0.5 N.
 fn case() -> (Replay, Vec<(Mode, Drive)>) {
-    let text = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
-    let plate: Plate = toml::from_str::<RawPlate>(text).unwrap().check().unwrap();
+    let plate = paper_plate();
     let scene =
         ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.5) };
     let drive = |k: u32| Drive {

@@ -1,21 +1,17 @@
-//! Loops, held against known figures, against each other and against the firmware's own code.
+//! Compares integration methods and loops with known figures, with each other and with the firmware's own code.
+
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
 mod detuned_start;
+mod extended_precision;
 mod firmware_agreement;
 mod known_values;
 mod linear_plant;
+mod methods;
 mod tables;
 mod tuning;
 
-use platebench_plate::Plate;
-use platebench_plate::RawPlate;
 use platebench_study::loops::PiGains;
-
-fn paper_plate() -> Plate {
-    let text = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
-    toml::from_str::<RawPlate>(text).unwrap().check().unwrap()
-}
 
 #[track_caller]
 fn assert_close(found: f64, expected: f64, tolerance: f64) {

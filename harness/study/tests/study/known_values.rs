@@ -1,12 +1,13 @@
 //! Figures that were derived by hand or elsewhere.
 
-use crate::{assert_close, paper_plate, scaled};
+use crate::{assert_close, scaled};
 use platebench_plate::{Conditions, Drive, Tier};
 use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_study::loops::{
     AnalysisError, ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopTiming, PiGains,
     delay_boundary,
 };
+use platebench_test_kit::paper_plate;
 use rstest::rstest;
 
 const PERIOD: f64 = 1e-3;

@@ -1,11 +1,11 @@
 //! Predicted boundaries against those of the firmware's own code on the exact plate.
 
-use crate::paper_plate;
 use platebench_plate::{Tier, Time};
 use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_study::loops::{
     ClosedLoop, LoopCase, LoopMotion, LoopSimulation, LoopTiming, OperatingCondition, delay_boundary, measured_boundary,
 };
+use platebench_test_kit::paper_plate;
 use platebench_wire::LawId;
 use rstest::rstest;
 

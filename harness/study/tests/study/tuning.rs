@@ -1,6 +1,6 @@
 //! Compares tunings with known figures and at the edges of feasibility.
 
-use crate::{assert_close, paper_plate, scaled};
+use crate::{assert_close, scaled};
 use platebench_plate::{Plate, Tier};
 use platebench_study::loops::Discretisation;
 use platebench_study::loops::tuning::design::{GainDesign, TuningTarget};
@@ -8,6 +8,7 @@ use platebench_study::loops::tuning::spread::{PlateSpread, evaluate_sensitivity}
 use platebench_study::loops::tuning::{
     DesignEvaluation, InfeasibilityCause, TuningResult, evaluate_design, format, tune,
 };
+use platebench_test_kit::paper_plate;
 use rstest::rstest;
 
 const SPREAD: PlateSpread = PlateSpread { gain_percent: 5.0, time_constant_percent: 6.0, samples: 0, seed: 1 };

@@ -1,9 +1,9 @@
 //! The plant's linear form against the exact nonlinear flow.
 
-use crate::paper_plate;
 use platebench_plate::{Complex64, Drive, Flow, State, Tier};
 use platebench_study::loops::plant::steady_state;
 use platebench_study::loops::{LinearPlant, OperatingCondition};
+use platebench_test_kit::paper_plate;
 use rstest::rstest;
 
 fn propagated(tier: Tier, condition: OperatingCondition, from: &Drive, drive: &Drive, seconds: f64) -> Complex64 {

@@ -1,9 +1,7 @@
 //! Checks that recordings that no single plate can produce are doubtful, and clean ones are not.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
-
-use platebench_identify::{Doubt, Identification, PlateFileDetails, RecordedInput, RecordedSample, Recording};
-use platebench_identify::{identify, plate_file};
+use crate::simulation::details;
+use platebench_identify::{Doubt, Identification, RecordedInput, RecordedSample, Recording, identify, plate_file};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Sensor, State, Tier};
 use rstest::rstest;
 
@@ -88,14 +86,7 @@ fn a_capture_that_no_single_plate_produces_is_doubtful(#[case] defect: Defect, #
 #[test]
 fn a_doubtful_plate_file_states_the_doubt_and_has_wider_intervals() {
     let found = identified(Defect { damping_per_um: 0.05, ..Defect::default() });
-    let details = PlateFileDetails {
-        name: "plate".to_owned(),
-        source: "capture".to_owned(),
-        reference_temperature_c: 24.0,
-        limit_vpp: None,
-        slope_hz_per_k: None,
-    };
-    let text = plate_file(&found, &details).unwrap();
+    let text = plate_file(&found, &details("plate")).unwrap();
     assert!(text.starts_with("# DOUBTFUL: 3 of 3 recordings have residuals that are not white"), "{text}");
     assert!(text.contains("[uncertainty]    # doubtful: at least 25 %"), "{text}");
     let percent = |key: &str| -> f64 {

@@ -1,7 +1,5 @@
 //! Reads CSV tables of other programs: units, and errors with line and column.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
-
 use platebench_identify::{ColumnMapping, external_csv};
 use rstest::rstest;
 use std::f64::consts::TAU;

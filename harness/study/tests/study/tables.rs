@@ -1,8 +1,8 @@
 //! The study as a table and as CSV.
 
-use crate::paper_plate;
 use platebench_study::loops::study::StudyConfig;
 use platebench_study::loops::{Study, study, table};
+use platebench_test_kit::paper_plate;
 use platebench_wire::LawId;
 
 fn study_of(laws: &[LawId], delay: f64, jobs: usize) -> Study {

@@ -1,59 +1,33 @@
 //! Tables and plate file of simulated recordings.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
-
+use crate::simulation::{STILL, details, scene, simulate};
 use platebench_identify::{
-    PlateFileDetails, RecordedInput, RecordedSample, Recording, RecordingError, SampleSource, identify, plate_file,
-    tables,
+    RecordedInput, RecordedSample, Recording, RecordingError, SampleSource, identify, plate_file, tables,
 };
-use platebench_plate::RawPlate;
-use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Plate, RawPlate};
+use platebench_test_kit::paper_plate;
 use platebench_trace::{Flags, Row};
 use std::f64::consts::TAU;
 
-const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
+const RESONANCE: f64 = 32_307.6;
 
-fn paper_plate() -> Plate {
-    toml::from_str::<RawPlate>(PAPER).unwrap().check().unwrap()
-}
-
-fn hold_profile(points: &[(u32, f64)]) -> Profile {
-    Profile::Hold(points.iter().map(|(ms, value)| (Time::from_ms(f64::from(*ms)).unwrap(), *value)).collect())
-}
-
-/// `drive` returns Vpp and Hz at a sample, from the millisecond and Wd.
+/// `drive` returns Vpp and Hz from the millisecond and Wd.
 fn simulate_recording(
-    name: &str,
     scene: &ConditionProfiles,
     samples: u32,
     mut drive: impl FnMut(u32, f64) -> (f64, f64),
 ) -> Recording {
-    let mut plant = Plant::new(paper_plate(), scene.clone(), Tier::Modal);
-    let mut sensor = Sensor::new(1.0, 0.004, 7);
-    let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
-    for sample in 0..samples {
-        let time = Time::from_ms(f64::from(sample)).unwrap();
-        plant.advance(time, &[], &mut Vec::new());
-        let w = sensor.measure(plant.state().w);
-        let (vpp, hz) = drive(sample, w.re);
-        plant.set_drive(Drive { vpp, omega: hz * TAU });
-        inputs.push(RecordedInput { t: time.seconds(), vpp, omega: hz * TAU, conditions: scene.at(time) });
-        outputs.push(RecordedSample { t: time.seconds(), w });
-    }
-    Recording::new(name.to_owned(), inputs, outputs).unwrap()
+    let plate = Plate { noise_um_rms: 0.004, ..paper_plate() };
+    simulate(&plate, 7, scene, samples, |ms, wd| {
+        let (vpp, hz) = drive(ms, wd);
+        (vpp, hz * TAU)
+    })
 }
-
-fn scene(temperature: &[(u32, f64)], force: &[(u32, f64)]) -> ConditionProfiles {
-    ConditionProfiles { temperature_offset_k: hold_profile(temperature), finger_force_n: hold_profile(force) }
-}
-
-const STILL: &[(u32, f64)] = &[(0, 0.0)];
-const RESONANCE: f64 = 32_307.6;
 
 fn voltage_recording() -> Recording {
     let level =
         |ms: u32, _| (if ms % 40 < 20 { 0.0 } else { [120.0, 208.0, 312.0, 370.0][(ms / 40) as usize % 4] }, RESONANCE);
-    simulate_recording("voltage", &scene(STILL, STILL), 160, level)
+    simulate_recording(&scene(STILL, STILL), 160, level)
 }
 
 #[test]
@@ -88,15 +62,10 @@ fn amplitude_controller(hz: impl Fn(u32) -> f64) -> impl FnMut(u32, f64) -> (f64
 fn frequency_and_temperature_steps_agree() {
     let step_hz = 77.0 / TAU;
     let level = |ms: u32| 3.0 - f64::from((ms.max(20) - 20) / 20).min(6.0);
-    let by_frequency = simulate_recording(
-        "frequency",
-        &scene(STILL, STILL),
-        160,
-        amplitude_controller(|ms| RESONANCE + step_hz * level(ms)),
-    );
-    let warm: Vec<(u32, f64)> = (0..8).map(|k| (k * 20, level(k * 20) * step_hz / 9.638)).collect();
-    let by_temperature =
-        simulate_recording("temperature", &scene(&warm, STILL), 160, amplitude_controller(|_| RESONANCE));
+    let by_frequency =
+        simulate_recording(&scene(STILL, STILL), 160, amplitude_controller(|ms| RESONANCE + step_hz * level(ms)));
+    let warm: Vec<(f64, f64)> = (0..8).map(|k| (f64::from(k * 20), level(k * 20) * step_hz / 9.638)).collect();
+    let by_temperature = simulate_recording(&scene(&warm, STILL), 160, amplitude_controller(|_| RESONANCE));
     for recording in [by_frequency, by_temperature] {
         let (found, _) = identify(std::slice::from_ref(&recording), None).unwrap();
         assert_eq!(found.frequency_steps.len(), 6, "{}", recording.name);
@@ -115,22 +84,16 @@ fn frequency_and_temperature_steps_agree() {
 
 #[test]
 fn a_sweep_and_forces_complete_the_plate_file() {
-    let warm = [(0, 0.0), (25, 3.0), (45, 6.0), (65, 9.0)];
+    let warm = [(0.0, 0.0), (25.0, 3.0), (45.0, 6.0), (65.0, 9.0)];
     let constant = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, 32_264.2);
-    let sweep = simulate_recording("sweep", &scene(&warm, STILL), 90, constant);
-    let pressed = [(0, 0.0), (25, 0.5), (45, 1.5)];
+    let sweep = simulate_recording(&scene(&warm, STILL), 90, constant);
+    let pressed = [(0.0, 0.0), (25.0, 0.5), (45.0, 1.5)];
     let press = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, RESONANCE);
-    let forces = simulate_recording("forces", &scene(STILL, &pressed), 70, press);
+    let forces = simulate_recording(&scene(STILL, &pressed), 70, press);
     let (found, _) = identify(&[voltage_recording(), sweep, forces], None).unwrap();
     assert!(found.slope_hz_per_k.unwrap().contains(-9.638), "{:?}", found.slope_hz_per_k);
     assert!((found.slope_hz_per_k.unwrap().value + 9.638).abs() < 0.1);
-    let named = PlateFileDetails {
-        name: "mine \"one\"".to_owned(),
-        source: "a test".to_owned(),
-        reference_temperature_c: 24.0,
-        limit_vpp: None,
-        slope_hz_per_k: None,
-    };
+    let named = details("mine \"one\"");
     let text = plate_file(&found, &named).unwrap();
     let plate = toml::from_str::<RawPlate>(&text).unwrap().check().unwrap();
     assert_eq!((plate.name.as_str(), plate.drive_limit_vpp), ("mine \"one\"", 370.0));
@@ -194,20 +157,14 @@ fn a_trace_gives_the_samples_of_the_controller() {
 fn parameters_without_evidence_stay_empty() {
     // 3 K throughout, without a slope: the resonance at the reference is not known.
     let level = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, RESONANCE);
-    let warm = simulate_recording("warm", &scene(&[(0, 3.0)], STILL), 40, level);
-    let named = PlateFileDetails {
-        name: String::new(),
-        source: String::new(),
-        reference_temperature_c: 24.0,
-        limit_vpp: None,
-        slope_hz_per_k: None,
-    };
+    let warm = simulate_recording(&scene(&[(0.0, 3.0)], STILL), 40, level);
+    let named = details("");
     let (found, _) = identify(std::slice::from_ref(&warm), None).unwrap();
     assert_eq!((found.resonance_hz, plate_file(&found, &named)), (None, None));
     let (found, _) = identify(&[warm], Some(-9.638)).unwrap();
     assert!((found.resonance_hz.unwrap().value - RESONANCE).abs() < 0.5);
     // Steady from the first sample: two numbers for three unknowns.
-    let whole = simulate_recording("settled", &scene(STILL, STILL), 80, |_, _| (300.0, RESONANCE));
+    let whole = simulate_recording(&scene(STILL, STILL), 80, |_, _| (300.0, RESONANCE));
     assert_eq!(identify(&[whole.slice(50, 80).unwrap()], None).unwrap_err(), RecordingError::Undetermined);
     let jumping = |held: u32| {
         let mut inputs = whole.inputs.clone();

@@ -1,9 +1,10 @@
 //! A loop of small spectral radius that never settles.
 
-use crate::{assert_close, paper_plate};
+use crate::assert_close;
 use platebench_plate::Time;
 use platebench_study::loops::measured_boundary::loop_at_rest;
 use platebench_study::loops::{Discretisation, LoopCase, OperatingCondition, PlainLoops, StartResult};
+use platebench_test_kit::paper_plate;
 use platebench_wire::{Gains, LawId};
 
 const PERIOD: f64 = 1e-3;

@@ -1,16 +1,14 @@
 //! Checks the coverage of intervals over random plates, and that the check detects wrong intervals.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
-
-use platebench_identify::{ArxMethod, Estimate, RecordedInput, RecordedSample, Recording, arx, fit_direct, identify};
-use platebench_plate::RawPlate;
-use platebench_plate::{ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
+use crate::simulation::{STILL, scene, simulate};
+use platebench_identify::{ArxMethod, Estimate, Recording, arx, fit_direct, identify};
+use platebench_plate::{ConditionProfiles, Conditions, Plate};
+use platebench_test_kit::paper_plate;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};
 use std::f64::consts::TAU;
 
-const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const PLATES: u64 = 300;
 /// µm: 0.1 to 1 % of 2 µm …
 const LOW_NOISE_UM: [f64; 2] = [0.002, 0.02];
@@ -26,7 +24,7 @@ struct RandomPlate {
 fn random_plate(seed: u64, farthest_hz: f64, noise_um: [f64; 2]) -> RandomPlate {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut between = |low: f64, high: f64| Uniform::new_inclusive(low, high).unwrap().sample(&mut random);
-    let nominal = toml::from_str::<RawPlate>(PAPER).unwrap().check().unwrap();
+    let nominal = paper_plate();
     let plate = Plate {
         gain: nominal.gain * between(0.8, 1.2),
         sigma0: 1e3 / between(1.0, 3.0),
@@ -38,24 +36,12 @@ fn random_plate(seed: u64, farthest_hz: f64, noise_um: [f64; 2]) -> RandomPlate 
     RandomPlate { plate, omega, seed }
 }
 
-/// Controller period 1 ms; `levels` are [ms, Vpp].
+/// `levels` are [ms, Vpp].
 fn simulate_recording(drawn: &RandomPlate, levels: &[[f64; 2]], scene: &ConditionProfiles, samples: u32) -> Recording {
-    let mut plant = Plant::new(drawn.plate.clone(), scene.clone(), Tier::Modal);
-    let mut sensor = Sensor::new(1.0, drawn.plate.noise_um_rms, drawn.seed);
-    let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
-    for sample in 0..samples {
-        let time = Time::from_ms(f64::from(sample)).unwrap();
-        plant.advance(time, &[], &mut Vec::new());
-        let level = levels.iter().rev().find(|level| level[0] <= f64::from(sample)).unwrap();
-        plant.set_drive(Drive { vpp: level[1], omega: drawn.omega });
-        inputs.push(RecordedInput { t: time.seconds(), vpp: level[1], omega: drawn.omega, conditions: scene.at(time) });
-        outputs.push(RecordedSample { t: time.seconds(), w: sensor.measure(plant.state().w) });
-    }
-    Recording::new("drawn".to_owned(), inputs, outputs).unwrap()
-}
-
-fn constant_scene() -> ConditionProfiles {
-    ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) }
+    simulate(&drawn.plate, drawn.seed, scene, samples, |ms, _| {
+        let level = levels.iter().rev().find(|level| level[0] <= f64::from(ms)).unwrap();
+        (level[1], drawn.omega)
+    })
 }
 
 fn check_coverage(results: &[(Estimate, f64)]) -> Result<(), String> {
@@ -90,7 +76,7 @@ fn direct_fit_intervals_cover_random_plates() {
     let (mut gain, mut time_constant, mut resonance, mut white) = (Vec::new(), Vec::new(), Vec::new(), 0);
     for seed in 0..PLATES {
         let drawn = random_plate(seed, 80.0, LOW_NOISE_UM);
-        let fit = fit_direct(&simulate_recording(&drawn, &LEVELS, &constant_scene(), 50)).unwrap();
+        let fit = fit_direct(&simulate_recording(&drawn, &LEVELS, &scene(STILL, STILL), 50)).unwrap();
         gain.push((fit.gain, drawn.plate.gain));
         time_constant.push((fit.time_constant().unwrap(), 1.0 / drawn.plate.sigma0));
         resonance.push((fit.resonances[0].1, drawn.plate.omega0));
@@ -115,7 +101,7 @@ fn instrumental_variables_cover_under_high_noise() {
     let levels: Vec<[f64; 2]> = (0..20).map(|k| [f64::from(k) * 10.0, f64::from(k % 2) * 300.0]).collect();
     for seed in 1000..1000 + PLATES {
         let drawn = random_plate(seed, 0.0, HIGH_NOISE_UM);
-        let recording = simulate_recording(&drawn, &levels, &constant_scene(), 200);
+        let recording = simulate_recording(&drawn, &levels, &scene(STILL, STILL), 200);
         let wd: Vec<f64> = recording.outputs.iter().map(|output| output.w.re).collect();
         let drive: Vec<f64> = recording.inputs_at_samples().iter().map(|input| input.vpp).collect();
         let by = |method| arx(&wd, std::slice::from_ref(&drive), 1e-3, method).unwrap().time_constant;
@@ -131,13 +117,7 @@ fn instrumental_variables_cover_under_high_noise() {
 
 #[test]
 fn effects_of_temperature_and_force_are_separated() {
-    let points = |pairs: &[(f64, f64)]| {
-        Profile::Hold(pairs.iter().map(|(ms, value)| (Time::from_ms(*ms).unwrap(), *value)).collect())
-    };
-    let scene = ConditionProfiles {
-        temperature_offset_k: points(&[(0.0, 0.0), (40.0, 3.0), (60.0, 6.0), (80.0, 0.0)]),
-        finger_force_n: points(&[(0.0, 0.0), (80.0, 0.5), (110.0, 1.5)]),
-    };
+    let scene = scene(&[(0.0, 0.0), (40.0, 3.0), (60.0, 6.0), (80.0, 0.0)], &[(0.0, 0.0), (80.0, 0.5), (110.0, 1.5)]);
     let (mut warm, mut slopes, mut halves) = (Vec::new(), Vec::new(), Vec::new());
     for seed in 2000..2000 + PLATES {
         let drawn = random_plate(seed, 20.0, LOW_NOISE_UM);

@@ -1,62 +1,36 @@
 //! Identification of plates with a second mode or self-heating.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
-
-use platebench_identify::{
-    Identification, PlateFileDetails, RecordedInput, RecordedSample, Recording, identify, plate_file, tables,
-};
-use platebench_plate::{
-    ConditionProfiles, Conditions, Drive, Heating, Plant, Plate, Profile, RawPlate, SecondMode, Sensor, Tier, Time,
-};
+use crate::simulation::{STILL, details, scene, simulate};
+use platebench_identify::{Identification, PlateFileDetails, Recording, identify, plate_file, tables};
+use platebench_plate::{Heating, Plate, RawPlate, SecondMode};
+use platebench_test_kit::paper_plate;
 use std::f64::consts::TAU;
 
 const NOISE_UM: f64 = 0.002;
 
-fn paper_plate() -> Plate {
-    let text = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
-    toml::from_str::<RawPlate>(text).unwrap().check().unwrap()
+fn quiet_plate() -> Plate {
+    Plate { noise_um_rms: NOISE_UM, ..paper_plate() }
 }
 
-/// Levels of the drive from rest, 20 ms on and 20 ms off, at the resonance.
+/// 60 rad/s above the resonance.
 fn record(plate: &Plate, seed: u64, samples: u32, level: impl Fn(u32) -> f64) -> Recording {
-    let still = || Profile::constant(0.0);
-    let scene = ConditionProfiles { temperature_offset_k: still(), finger_force_n: still() };
-    let mut plant = Plant::new(plate.clone(), scene, Tier::Modal);
-    let mut sensor = Sensor::new(1.0, NOISE_UM, seed);
-    let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
-    for sample in 0..samples {
-        let time = Time::from_ms(f64::from(sample)).unwrap();
-        plant.advance(time, &[], &mut Vec::new());
-        outputs.push(RecordedSample { t: time.seconds(), w: sensor.measure(plant.state().w) });
-        let (vpp, omega) = (level(sample), plate.omega0 + 60.0);
-        plant.set_drive(Drive { vpp, omega });
-        inputs.push(RecordedInput { t: time.seconds(), vpp, omega, conditions: Conditions::default() });
-    }
-    Recording::new(format!("recording {seed}"), inputs, outputs).unwrap()
+    simulate(plate, seed, &scene(STILL, STILL), samples, |ms, _| (level(ms), plate.omega0 + 60.0))
 }
 
+/// Levels from rest, 20 ms on and 20 ms off.
 fn steps(sample: u32) -> f64 {
     if sample % 40 < 20 { 0.0 } else { [208.0, 312.0, 370.0][(sample / 40) as usize % 3] }
 }
 
-fn details(slope_hz_per_k: Option<f64>) -> PlateFileDetails {
-    PlateFileDetails {
-        name: "found".to_owned(),
-        source: "test".to_owned(),
-        reference_temperature_c: 24.0,
-        limit_vpp: Some(900.0),
-        slope_hz_per_k,
-    }
-}
-
-fn written_plate(found: &Identification, slope: Option<f64>) -> Plate {
-    toml::from_str::<RawPlate>(&plate_file(found, &details(slope)).unwrap()).unwrap().check().unwrap()
+fn written_plate(found: &Identification, slope_hz_per_k: Option<f64>) -> Plate {
+    let details = PlateFileDetails { limit_vpp: Some(900.0), slope_hz_per_k, ..details("found") };
+    toml::from_str::<RawPlate>(&plate_file(found, &details).unwrap()).unwrap().check().unwrap()
 }
 
 #[test]
 fn finds_a_second_mode_and_writes_it() {
     let second = SecondMode { omega0: TAU * 32_607.6, sigma0: 1e3 / 1.5, gain: 0.0021 };
-    let plate = Plate { second_mode: Some(second), ..paper_plate() };
+    let plate = Plate { second_mode: Some(second), ..quiet_plate() };
     let recordings: Vec<Recording> = (0..3).map(|seed| record(&plate, seed, 120, steps)).collect();
     let (found, fits) = identify(&recordings, None).unwrap();
     let mode = found.second_mode.unwrap();
@@ -76,7 +50,7 @@ fn finds_a_second_mode_and_writes_it() {
 #[test]
 fn finds_self_heating_and_writes_it() {
     let heating = Heating { rise_k_per_um2: 0.8, rate: 1.0 / 0.15 };
-    let plate = Plate { heating: Some(heating), ..paper_plate() };
+    let plate = Plate { heating: Some(heating), ..quiet_plate() };
     let level = |sample: u32| if (20..400).contains(&sample) { 370.0 } else { 0.0 };
     let recordings: Vec<Recording> = (0..2).map(|seed| record(&plate, seed, 500, level)).collect();
     let (found, _) = identify(&recordings, None).unwrap();
@@ -93,7 +67,7 @@ fn finds_self_heating_and_writes_it() {
 
 #[test]
 fn finds_no_effect_on_a_plate_of_one_mode() {
-    let plate = paper_plate();
+    let plate = quiet_plate();
     for first in 0..6 {
         let recordings: Vec<Recording> =
             (0..4).map(|number| record(&plate, 100 + 4 * first + number, 120, steps)).collect();

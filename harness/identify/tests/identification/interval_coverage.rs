@@ -1,17 +1,15 @@
 //! Counts how often intervals contain the truth: τ with and without a finger, τ2 of frequency steps.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
-
-use platebench_identify::{Estimate, RecordedInput, RecordedSample, Recording, fit_direct, identify};
-use platebench_plate::RawPlate;
-use platebench_plate::{ConditionProfiles, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
+use crate::simulation::{STILL, scene, simulate};
+use platebench_identify::{Estimate, fit_direct, identify};
+use platebench_plate::Plate;
+use platebench_test_kit::paper_plate;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};
 use rstest::rstest;
 use std::f64::consts::TAU;
 
-const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const RECORDINGS: u64 = 200;
 const FORCES_N: [f64; 4] = [0.0, 0.5, 1.5, 2.0];
 
@@ -26,7 +24,7 @@ struct Draw {
 fn draw(seed: u64, noise_um: f64, [gain, tau]: [f64; 2]) -> Draw {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut between = |low: f64, high: f64| Uniform::new_inclusive(low, high).unwrap().sample(&mut random);
-    let nominal = toml::from_str::<RawPlate>(PAPER).unwrap().check().unwrap();
+    let nominal = paper_plate();
     let plate = Plate {
         gain: nominal.gain * between(1.0 - gain, 1.0 + gain),
         sigma0: nominal.sigma0 / between(1.0 - tau, 1.0 + tau),
@@ -37,31 +35,12 @@ fn draw(seed: u64, noise_um: f64, [gain, tau]: [f64; 2]) -> Draw {
     Draw { plate, seed, phase: between(0.0, 1.0) }
 }
 
-/// A table with one row per millisecond. `drive` returns Vpp and rad/s from the millisecond and Wd.
-fn simulate(drawn: &Draw, force: Profile, samples: u32, mut drive: impl FnMut(f64, f64) -> (f64, f64)) -> Recording {
-    let scene = ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: force };
-    let mut plant = Plant::new(drawn.plate.clone(), scene.clone(), Tier::Modal);
-    let mut sensor = Sensor::new(1.0, drawn.plate.noise_um_rms, drawn.seed);
-    let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
-    for ms in (0..samples).map(f64::from) {
-        let time = Time::from_ms(ms).unwrap();
-        plant.advance(time, &[], &mut Vec::new());
-        let w = sensor.measure(plant.state().w);
-        let (vpp, omega) = drive(ms, w.re);
-        plant.set_drive(Drive { vpp, omega });
-        inputs.push(RecordedInput { t: time.seconds(), vpp, omega, conditions: scene.at(time) });
-        outputs.push(RecordedSample { t: time.seconds(), w });
-    }
-    Recording::new(format!("recording {}", drawn.seed), inputs, outputs).unwrap()
-}
-
 /// τ under a force from 40 ms on, touched at any instant of the period before.
 fn finger_case(seed: u64, noise_um: f64, force_n: f64) -> bool {
     let drawn = draw(seed, noise_um, [0.2, 0.4]);
-    let at = |ms: f64| Time::from_ms(ms).unwrap();
-    let force = Profile::Hold(vec![(at(0.0), 0.0), (at(39.001 + 0.999 * drawn.phase), force_n)]);
-    let omega = drawn.plate.omega0;
-    let recording = simulate(&drawn, force, 80, |ms, _| (if ms < 5.0 { 0.0 } else { 300.0 }, omega));
+    let scene = scene(STILL, &[(0.0, 0.0), (39.001 + 0.999 * drawn.phase, force_n)]);
+    let level = |ms, _| (if ms < 5 { 0.0 } else { 300.0 }, drawn.plate.omega0);
+    let recording = simulate(&drawn.plate, drawn.seed, &scene, 80, level);
     let (_, tau) = *fit_direct(&recording).unwrap().time_constants.last().unwrap();
     tau.contains(1.0 / drawn.plate.sigma0 / drawn.plate.damping_ratio_at(force_n))
 }
@@ -71,10 +50,10 @@ fn frequency_case(seed: u64, noise_um: f64) -> bool {
     let drawn = draw(seed, noise_um, [0.06, 0.12]);
     let omega0 = drawn.plate.omega0;
     let mut integral = 0.0;
-    let recording = simulate(&drawn, Profile::constant(0.0), 100, |ms, wd| {
+    let recording = simulate(&drawn.plate, drawn.seed, &scene(STILL, STILL), 100, |ms, wd| {
         let error = 2.0 - wd;
         integral += 75.6 * error;
-        let level = 3.0 - ((ms - 20.0) / 20.0).floor().max(0.0);
+        let level = 3.0 - f64::from((ms.max(20) - 20) / 20);
         ((107.4 * error + integral).max(0.0), omega0 + 77.0 * level)
     });
     let (found, _) = identify(&[recording], None).unwrap();

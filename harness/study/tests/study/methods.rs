@@ -1,9 +1,6 @@
 //! Tests order, stability and tolerance of the methods.
 
-#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
-
-use platebench_plate::RawPlate;
-use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Mode, Plate, Profile, State, Tier, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Mode, Profile, State, Tier, Time};
 use platebench_study::integration::problem::{CarrierProblem, EnvelopeProblem, ModalProblem, ProblemParameters};
 use platebench_study::integration::stability::{self, StepLimitRow};
 use platebench_study::integration::sweep::cheapest_from_a_crate;
@@ -11,13 +8,9 @@ use platebench_study::integration::{
     AdaptiveMethod, EquationForm, FixedStepMethod, IntegrationMethod, Replay, ReplayResult, ReplaySpec, Solver,
     SolverStatus, StepLimit, SweepConfig, sweep,
 };
+use platebench_test_kit::paper_plate;
 use rstest::rstest;
 use std::time::Duration;
-
-fn paper_plate() -> Plate {
-    let text = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
-    toml::from_str::<RawPlate>(text).unwrap().check().unwrap()
-}
 
 fn ms(ms: f64) -> Time {
     Time::from_ms(ms).unwrap()

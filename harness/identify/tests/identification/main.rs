@@ -1,0 +1,11 @@
+//! Tests of identification: simulated recordings, coverage of intervals, doubts, tables of other programs.
+
+#![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
+
+mod coverage;
+mod doubt;
+mod effects;
+mod interval_coverage;
+mod plate;
+mod simulation;
+mod telemetry;
