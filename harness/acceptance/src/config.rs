@@ -12,7 +12,6 @@ pub struct SessionConfig {
     pub plan: Plan,
     pub rig: RigSpec,
     pub clock: Clock,
-    /// Trials that may run at once.
     pub jobs: usize,
     pub out: PathBuf,
     /// If true, the folder must hold a session to resume.

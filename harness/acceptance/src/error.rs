@@ -11,21 +11,12 @@ pub enum AcceptError {
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Plan(Vec<Diagnostic>),
     #[error("{}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     #[error(
         "{what} is {now}, but the session was started with {then}; a record contains only one, expected a new --out \
          FOLDER"
     )]
-    Changed {
-        /// The thing that differs from the start of the session.
-        what: String,
-        then: String,
-        now: String,
-    },
+    Changed { what: String, then: String, now: String },
     #[error("{} contains a finished session, expected a new folder", .0.display())]
     Finished(PathBuf),
     #[error("{} contains other files than an acceptance session, expected a new folder", .0.display())]
@@ -35,17 +26,9 @@ pub enum AcceptError {
     #[error("{}: contains no session, expected a folder that `platebench accept` wrote", .0.display())]
     NoSession(PathBuf),
     #[error("{}: {message}", path.display())]
-    InvalidRecord {
-        /// The file.
-        path: PathBuf,
-        message: String,
-    },
+    InvalidRecord { path: PathBuf, message: String },
     #[error("{}: not the expected ed25519 key in PEM: {message}", path.display())]
-    Key {
-        /// The file.
-        path: PathBuf,
-        message: String,
-    },
+    Key { path: PathBuf, message: String },
     #[error(
         "{instrument}: its calibration of {calibrated} was valid until {due}; expected a valid calibration, or \
          --waive-calibration NAME, which the record states"

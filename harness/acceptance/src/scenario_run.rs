@@ -17,7 +17,6 @@ pub(crate) struct ScenarioRun<'a> {
 }
 
 impl ScenarioRun<'_> {
-    /// Plays the scenario into the new run folder at `folder`.
     pub(crate) fn play(&self, folder: &Path, hooks: &mut SessionHooks<'_>) -> Result<RunRecord, AcceptError> {
         let overrides = Overrides { trials: Some(self.trials), ..Overrides::default() };
         let mut scenario = self.scenario.clone();

@@ -28,11 +28,7 @@ pub enum Finding {
     #[error("{file}: wrong, {0}", file = signature::FILE)]
     WrongSignature(&'static str),
     #[error("{file}: {message}")]
-    Contradiction {
-        file: String,
-        /// The contradiction between file and traces.
-        message: String,
-    },
+    Contradiction { file: String, message: String },
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]

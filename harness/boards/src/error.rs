@@ -25,11 +25,7 @@ pub enum BoardError {
         source: io::Error,
     },
     #[error("{}: {source}; expected the state that platebench wrote", path.display())]
-    State {
-        path: PathBuf,
-        /// The parser's error.
-        source: serde_json::Error,
-    },
+    State { path: PathBuf, source: serde_json::Error },
     #[error("board {name} is held by {holder}{since}; --wait SECONDS waits for it")]
     Held {
         name: String,

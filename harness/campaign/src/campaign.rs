@@ -109,7 +109,6 @@ impl Method {
     }
 }
 
-/// A checked campaign.
 #[derive(Debug)]
 pub struct Campaign {
     pub path: PathBuf,
@@ -118,7 +117,6 @@ pub struct Campaign {
     /// In the order of the file.
     pub variables: Vec<Variable>,
     pub method: Method,
-    /// Number of trials in all.
     pub trials: u64,
     pub trials_per_cell: u64,
     /// Number of combinations of listed values; 0 without listed values.
@@ -139,8 +137,7 @@ struct Checker<'a> {
 }
 
 impl Campaign {
-    /// # Errors
-    /// Every wrong key, else every wrong value.
+    /// Errors: every wrong key, else every wrong value.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawCampaign>(path)?;
         let checker = Checker { path, text: &text };
@@ -198,7 +195,6 @@ impl Campaign {
         self.template.tables(changes.chain([seed]))
     }
 
-    /// Trials that depend on each other.
     pub const fn chain_trials(&self) -> u64 {
         self.method.chain_trials()
     }

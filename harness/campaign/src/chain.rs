@@ -1,4 +1,4 @@
-//! Chains of trials: each point depends on the scores of earlier ones.
+//! Runs chains of trials: each point depends on the scores of earlier ones.
 //!
 //! A chain depends on the campaign and its number alone. Its scores determine its points, so that a merge repeats the
 //! decisions of a chain from the scores in its part.

@@ -21,7 +21,7 @@ use std::path::Path;
 
 /// Replayed failing trials, and replayed trials of the random sample.
 const MAX_REPLAYED: usize = 10_000;
-/// One in so many trials belongs to the random sample.
+/// One in this many trials belongs to the random sample.
 const SAMPLED_ONE_IN: u64 = 100;
 /// Trials in the list of different verdicts.
 const MAX_LISTED: usize = 20;

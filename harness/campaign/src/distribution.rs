@@ -87,7 +87,6 @@ pub struct RawNormal {
     truncate: Option<[f64; 2]>,
 }
 
-/// A checked distribution.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Distribution {
     /// At least one value.

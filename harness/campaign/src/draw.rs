@@ -13,10 +13,9 @@ use rand_distr::{Distribution as _, Open01};
 
 /// Attempts to draw values that the scenario accepts.
 const MAX_ATTEMPTS: u32 = 100;
-/// The crate has points for 16 bits; each further block of a sequence is scrambled anew.
+/// The crate has points for 16 bits; each further block of a sequence has another scrambling.
 const SOBOL_BLOCK: u64 = 1 << 16;
 
-/// A trial with its values.
 #[derive(Debug)]
 pub struct Trial {
     pub number: u64,

@@ -74,7 +74,7 @@ pub(crate) fn blocks(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec
     Ok(blocks)
 }
 
-/// Where the cells are.
+/// Positions of the cells.
 struct Places {
     /// Panels without values.
     panels: Vec<HeatPanel>,

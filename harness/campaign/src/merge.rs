@@ -42,7 +42,6 @@ pub fn merge<'a>(
     Ok(summary)
 }
 
-/// State of the parts.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Status {
     pub whole: Vec<u32>,

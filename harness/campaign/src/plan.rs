@@ -38,7 +38,6 @@ pub struct Plan {
     /// Paths are relative to the campaign folder.
     campaign: PathBuf,
     pub method: Method,
-    /// Number of trials in all.
     pub trials: u64,
     pub shards: u32,
     pub rig: String,
@@ -59,7 +58,7 @@ struct PinnedInput {
 }
 
 impl Plan {
-    /// `folder` is where the plan will be.
+    /// `folder` is the campaign folder; it may not exist yet.
     pub fn new(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Self, CampaignError> {
         let relative = |path: &Path| relative_path(path, folder).map_err(CampaignError::io(path));
         let own = PinnedInput { path: relative(&campaign.path)?, sha256: sha256(campaign.text.as_bytes()) };

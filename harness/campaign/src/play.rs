@@ -24,7 +24,6 @@ const MAX_LOSSES: u32 = 5;
 /// Results that wait for an earlier trial or for the disk.
 const RESULT_QUEUE: usize = 256;
 
-/// How trials are played.
 #[derive(Debug, Clone)]
 pub struct PlayConfig {
     pub rig: RigSpec,
@@ -41,7 +40,6 @@ impl PlayConfig {
     }
 }
 
-/// A trial was played.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TrialEvent {
     pub is_failure: bool,
@@ -94,7 +92,6 @@ pub(crate) fn replay(
     Ok(replayed)
 }
 
-/// Where the values of trials come from.
 enum Source<'a> {
     /// Drawn by the number of the trial.
     Numbers(Range<u64>),

@@ -27,7 +27,7 @@ pub(crate) fn estimate(dimensions: usize, seed: u64, trials: u64, score: &mut Sc
         score(point)
     };
     let estimate = estimate_from(dimensions, seed, trials, &mut counted);
-    // Trials that no method wants.
+    // Every chain has this many scores, even if no method needs them.
     while counted(&vec![0.0; dimensions]).is_some() {}
     estimate
 }

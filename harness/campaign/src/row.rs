@@ -15,7 +15,6 @@ const NO_VALUE_SCORE: f64 = -1e3;
 const MAX_DISTANCE: f64 = 1e3;
 const SMALLEST_SCORE: f64 = 1e-12;
 
-/// The result of a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
     pub trial: u64,
@@ -61,7 +60,6 @@ impl Row {
         self.margins.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// The trial with these values.
     pub(crate) fn trial_in(&self, campaign: &Campaign) -> Result<Trial, CampaignError> {
         campaign.trial_with(self.trial, self.draws.clone(), self.redraws)
     }

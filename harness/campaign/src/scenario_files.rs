@@ -12,7 +12,6 @@ use toml::{Table, Value};
 const PLATES: &str = "plates";
 const PROFILES: &str = "profiles";
 
-/// Name of a trial's file.
 pub(crate) fn file_name(trial: u64) -> String {
     format!("{trial}.toml")
 }

@@ -1,7 +1,7 @@
 //! Decides on the prefix of trial numbers, before all trials are played.
 //!
 //! Trials that end first are a biased sample: a trial that settles late may take longer. So a decision counts trials
-//! 0 to n − 1 for planned n, whatever the order in which they ended. Each look spends a share of the error.
+//! 0 to n − 1 for planned n, in any order of their ends. Each look spends a share of the error.
 
 use crate::row::Row;
 use crate::tally::Tally;

@@ -14,7 +14,6 @@ use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 
 pub const SUMMARY_FILE: &str = "summary.json";
-/// The result of a campaign.
 #[derive(Debug)]
 pub struct Summary<'a> {
     pub campaign: &'a Campaign,

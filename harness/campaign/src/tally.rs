@@ -7,7 +7,6 @@ use platebench_verdict::statistics::proportion::clopper_pearson;
 /// Trials in the report and in the folder of counterexamples.
 pub const MAX_WORST: usize = 20;
 
-/// Counts over trials.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tally {
     pub trials: u64,

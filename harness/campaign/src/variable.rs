@@ -2,7 +2,6 @@
 
 use crate::distribution::{Choice, Distribution};
 
-/// A varied value.
 #[derive(Debug, Clone)]
 pub struct Variable {
     pub key: String,
@@ -10,7 +9,6 @@ pub struct Variable {
 }
 
 impl Variable {
-    /// True if its values are numbers.
     pub fn is_number(&self) -> bool {
         self.distribution.choices().is_none_or(|list| list.iter().all(Choice::is_number))
     }

@@ -49,7 +49,7 @@ impl BoardArgs {
         self.selection.find().map(|board| board.map(|board| board.rig))
     }
 
-    /// A board carries one trial at a time, whatever starts its controller.
+    /// False for a board, which carries one trial at a time.
     pub(crate) fn allows_parallel_links(&self, rig: &RigSpec) -> bool {
         self.selection.board.is_none() && rig.allows_parallel_links()
     }

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench boards                         free, held by whom, in quarantine and why, last run
+  platebench boards                         state, holder, reason of a quarantine, last run
   platebench boards --format json
   platebench boards clear left --reason 'amplifier checked, 0 V measured'
 

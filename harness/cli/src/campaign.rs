@@ -1,4 +1,4 @@
-//! `platebench campaign`: sweeps and Monte Carlo in shards, on one machine or many.
+//! `platebench campaign`: plays sweeps and Monte Carlo in shards, on one machine or many.
 
 mod arguments;
 mod progress;
@@ -24,7 +24,6 @@ use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Runs the command.
 pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> Exit {
     let result = match &arguments.command {
         CampaignCommand::Run(arguments) => run(arguments, quiet),

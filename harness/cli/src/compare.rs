@@ -117,7 +117,7 @@ fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, Compare
     Ok(comparisons)
 }
 
-/// A smaller comparison passes as easily.
+/// Names what the comparison omits: fewer trials pass more easily.
 fn note_missing(arguments: &CompareArgs, subject: &[ScenarioTrials]) -> Result<(), CompareError> {
     let against = Path::new(&arguments.against);
     if arguments.against == BASELINE_KEYWORD || !is_run_folder(&arguments.subject) || !is_run_folder(against) {

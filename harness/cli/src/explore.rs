@@ -67,7 +67,6 @@ pub(crate) struct ExploreArgs {
     format: OutputFormat,
 }
 
-/// Explores and prints the result.
 pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> Exit {
     let session = match prepare(arguments) {
         Ok(session) => session,
@@ -85,7 +84,7 @@ pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> Exit {
     };
     let mut last = Duration::ZERO;
     let result = run_until_signal(&cancel, None, work, |event| {
-        // A line every ten seconds tells a log that the work goes on.
+        // A line every ten seconds shows in a log that the work continues.
         if !quiet && event.elapsed >= last + Duration::from_secs(10) {
             last = event.elapsed;
             stdio::note(&event.to_string());

@@ -52,7 +52,7 @@ pub(crate) struct IdentifyArgs {
     /// Write a page: Markdown if the name ends in .md, else HTML with the fitted curves
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
-    /// Write the plate file although the recordings are doubtful; the file states the doubt
+    /// Write the plate file although the recordings are doubtful; the file states the reasons
     #[arg(long)]
     even_if_doubtful: bool,
     /// Name of the plate in its file
@@ -177,7 +177,7 @@ fn identify_plate(arguments: &IdentifyArgs) -> Result<Exit, IdentifyError> {
     let Some(path) = &arguments.out else { return Ok(exit) };
     if exit != Exit::Passed && !arguments.even_if_doubtful {
         stdio::error(
-            "no plate file: the identification is doubtful; --even-if-doubtful writes it with the doubt in it",
+            "no plate file: the identification is doubtful; --even-if-doubtful writes it with the reasons in it",
         );
         return Ok(exit);
     }
@@ -216,7 +216,7 @@ fn write_file(path: &Path, text: &str) -> Result<(), IdentifyError> {
     write_atomically(path, text.as_bytes()).map_err(|source| IdentifyError::Io { path: path.to_owned(), source })
 }
 
-/// Sorted by name; a file is itself.
+/// Adds the tables below `path`, sorted by name, or the file `path`.
 fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), IdentifyError> {
     let refused = |source| IdentifyError::Io { path: path.to_owned(), source };
     if !path.is_dir() {

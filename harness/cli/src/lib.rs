@@ -1,4 +1,4 @@
-//! The command line: arguments, wiring and exit codes. The other crates decide and measure.
+//! Defines the command line: arguments, wiring and exit codes. The other crates decide and measure.
 //! A library so that the whole-bench tests can build the same program.
 
 #![cfg_attr(

@@ -63,8 +63,8 @@ pub(crate) fn start(arguments: &LoggingArgs) -> Result<(), String> {
         Err(VarError::NotPresent) => Targets::new().with_default(level),
         Err(VarError::NotUnicode(_)) => return Err(format!("{VARIABLE}: not UTF-8, {EXPECTED}")),
     };
-    // The thread that talks to the controller logs too: a slow reader must not delay it.
-    // The subscriber's complaint about a closed terminal would panic, so it is off.
+    // The thread of the controller logs too: a slow reader must not delay it.
+    // Internal errors are off: the report of a closed terminal would panic.
     let lines = fmt::layer().with_writer(|| NonBlockingStderr).log_internal_errors(false);
     let lines = match arguments.log_format {
         LogFormat::Human => lines.with_ansi(color::applies_to(&stderr())).boxed(),

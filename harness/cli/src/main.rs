@@ -1,4 +1,4 @@
-//! The bench on the command line.
+//! Starts the program.
 
 use std::process::ExitCode;
 

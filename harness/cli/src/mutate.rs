@@ -16,7 +16,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A line every so many mutants tells a log that the work goes on.
+/// Mutants per line of progress, which shows in a log that the work continues.
 const PROGRESS_INTERVAL: usize = 50;
 
 #[derive(Debug, Args)]

@@ -78,7 +78,7 @@ impl Outputs {
         Ok(())
     }
 
-    /// People then read standard error.
+    /// If true, text for people goes to standard error.
     pub(crate) fn use_stdout(&self) -> bool {
         [&self.summary, &self.tap].into_iter().flatten().any(|file| is_stdout(file))
     }

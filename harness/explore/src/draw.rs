@@ -19,7 +19,7 @@ pub(crate) enum Target {
     At(i32),
     /// Offset from the last value, in small steps.
     Near(i32),
-    /// The value before so many others.
+    /// The value of this many values before.
     Back(usize),
     Least,
     Most,
@@ -100,7 +100,6 @@ pub(crate) const DETUNING_STEP_HZ: f64 = 1.0;
 /// Usual values: offset 0 of the grids.
 pub(crate) const USUAL_LEVEL_UM: f64 = 1.0;
 pub(crate) const USUAL_PERIOD_MS: f64 = 1.0;
-/// Largest number of laws that a scene may use.
 pub(crate) const MAX_LAWS: usize = 8;
 
 /// The grid steps of `range` around `usual`, which is moved into the range.

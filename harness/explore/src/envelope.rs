@@ -78,18 +78,13 @@ pub struct Counts {
     pub earlier_trials: [u32; 2],
 }
 
-/// A checked envelope.
 #[derive(Debug, Clone)]
 pub struct Envelope {
-    /// The file.
     pub path: PathBuf,
-    /// One line of text.
     pub title: String,
     /// The configured plate.
     pub plate: Plate,
-    /// Ranges of the quantities.
     pub range: Ranges,
-    /// Numbers of events and trials.
     pub count: Counts,
     /// SHA-256 of the envelope file and its plate file.
     pub digest: [u8; 32],
@@ -130,10 +125,7 @@ impl Ranges {
 }
 
 impl Envelope {
-    /// Reads and checks the envelope at `path`.
-    ///
-    /// # Errors
-    /// Every wrong key, else every wrong value.
+    /// Errors: every wrong key, else every wrong value.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawEnvelope>(path)?;
         let mut faults = raw.faults(path, &text);

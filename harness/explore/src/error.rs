@@ -1,4 +1,4 @@
-//! Why an exploration ends early.
+//! Defines why an exploration ends early.
 
 use platebench_rig::{ConnectError, RigError};
 use platebench_scenario::Diagnostic;
@@ -9,7 +9,6 @@ use std::path::PathBuf;
 pub enum ExploreError {
     #[error(transparent)]
     Report(#[from] platebench_report::ReportError),
-    /// The rig could not be opened.
     #[error(transparent)]
     Connect(#[from] ConnectError),
     /// The controller does not answer, or rejects a configuration of the envelope.
@@ -19,10 +18,8 @@ pub enum ExploreError {
     LawNotAnnounced(&'static str),
     #[error("{0} has no declared properties, expected dq-pi, dq-pi-fixed or deadbeat")]
     LawWithoutProperties(&'static str),
-    /// A generated scenario is not valid.
     #[error("internal error: the bench generated an invalid scenario; report this message with the seed: {0}")]
     Generated(Box<Diagnostic>),
-    /// The strategy library rejected a scene.
     #[error("internal error: the bench generated no scene; report this message with the seed: {0}")]
     Strategy(String),
     #[error("{}: {source}", path.display())]
@@ -30,7 +27,6 @@ pub enum ExploreError {
     /// The controller was lost in several scenes in a row.
     #[error("the controller was lost in {0} scenes in a row")]
     Lost(u32),
-    /// A signal ended the exploration.
     #[error("the exploration was cancelled")]
     Cancelled,
     /// A worker ended early.

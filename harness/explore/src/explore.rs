@@ -38,7 +38,7 @@ pub struct ExploreConfig {
     /// Laws that earlier trials may use.
     pub laws: Vec<LawId>,
     pub budget: Budget,
-    /// Ends after so many failing scenes.
+    /// Ends after this number of failing scenes.
     pub max_failed: u64,
     /// Number of workers, each with its own controller.
     pub jobs: usize,

@@ -1,4 +1,4 @@
-//! Planned faults of the line in the judged trial.
+//! Defines planned faults of the line in the judged trial.
 
 use platebench_plate::Time;
 use platebench_runner::wire_fault_kind;
@@ -42,7 +42,7 @@ const FEW_FLIPS: u32 = 2;
 const PERIODS_BETWEEN: u32 = 5;
 /// A controller that stopped is configured again and runs at the end of the trial.
 const MIN_PERIODS_AFTER: u32 = 8;
-/// Periods after a fault until limits apply again: the law learns damping and resonance anew.
+/// Periods after a fault until limits apply again: the law first measures damping and resonance again.
 const RECOVERY_PERIODS: u32 = 60;
 
 impl LineFaultDraw {

@@ -46,7 +46,6 @@ pub enum Property {
 impl Property {
     pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
-    /// Its name in scenarios and reports.
     pub const fn name(self) -> &'static str {
         self.into_str()
     }
@@ -92,7 +91,7 @@ pub struct Demand {
     pub band_percent: Option<f64>,
 }
 
-/// Drive at rest, Vpp: what is left of the integral, which decays with the plate.
+/// Drive at rest, Vpp: the remainder of the integral, which decays with the plate.
 const REST_DRIVE_VPP: f64 = 0.5;
 /// Standard deviations of noise that a value may add.
 const NOISE_SIGMAS: f64 = 6.0;
@@ -112,7 +111,7 @@ const UNKNOWN_OVERSHOOT_PERCENT: f64 = 30.0;
 const OVERSHOOT_OF_SETPOINT_PERCENT: f64 = 1.0;
 /// Factor on the effect of a disturbance within one period and the delay.
 const DEVIATION_FACTOR: f64 = 2.0;
-/// A law that steers takes a change of the damping so soon after a step for a late drive, control periods.
+/// Control periods after a step within which a law that steers mistakes a change of the damping for a late drive.
 const STEERING_PERIODS: u32 = 6;
 /// Time constant of the slowest holding loop, µs.
 const CLOSED_LOOP_US: u32 = 1_000;
@@ -124,7 +123,7 @@ const DEVIATION_PERCENT: f64 = 1.0;
 /// hundredth of it.
 const REFERENCE_DIFFERENCE_PERCENT: f64 = 0.1;
 
-/// The demands that commands and answers in the judged trial of `scene` are those of the reference.
+/// Demands that commands and answers in the judged trial of `scene` equal those of the reference.
 pub fn reference_demands(scene: &Scene) -> Vec<Demand> {
     let demand = |property, at_most| Demand {
         property,
@@ -165,7 +164,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
         let change = window.change;
         let since_last = last_from_us..=change.from_us;
         if trial.faults.iter().any(|fault| fault.may_stop() && since_last.contains(&fault.until_us)) {
-            // A controller that was configured again knows nothing.
+            // A new configuration discards what the controller has measured.
             is_known = false;
             mismatch = f64::max(mismatch, limits.initial_mismatch());
             moved_hz = f64::max(moved_hz, limits.initial_detuning_hz());
@@ -280,7 +279,7 @@ impl WindowJudge<'_> {
             demands.push(self.demand(Property::Settling, change.to_us, until_us, allowed * 1e3));
         }
         if self.window.quiet_us() > 2 * self.trial.period_us {
-            // At rest a sample tells nothing about the plate.
+            // At rest a sample contains no information about the plate.
             let is_known = self.is_known && before > 0.0;
             let of_step = if is_known { OVERSHOOT_PERCENT } else { UNKNOWN_OVERSHOOT_PERCENT };
             let of_mismatch = STATIC_OF_MISMATCH * self.mismatch * 100.0;

@@ -25,13 +25,11 @@ pub struct SceneTrial {
     pub law: LawId,
     /// Differences of the plate from the envelope's.
     pub plate: PlateChoice,
-    /// Control period, µs.
     pub period_us: u32,
     /// Loop delay, also configured in the law, µs.
     pub delay_us: u32,
     /// Excitation frequency at the start, 0.1 Hz.
     pub start_frequency_tenths: u32,
-    /// Length, µs.
     pub duration_us: u32,
     /// Instants, µs, and setpoints, nm; each holds until the next one. The first instant is 0.
     pub setpoint: Vec<(u32, u32)>,
@@ -46,9 +44,7 @@ pub struct SceneTrial {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PlateChoice {
-    /// Limit of the drive, Vpp.
     pub limit_vpp: u32,
-    /// Sensor noise, pm.
     pub noise_pm: u32,
     /// Gain relative to the envelope's plate, 0.1 %; the controller is configured with it too.
     pub nominal_gain_permille: i32,

@@ -27,7 +27,7 @@ const ENOUGH_FAILURES: u64 = 10;
 /// Properties for which a minimal scene is written.
 const MAX_MINIMAL: usize = 3;
 
-/// An exploration as the user asks for it.
+/// The exploration that the user requests.
 #[derive(Debug, Clone)]
 pub struct ExploreSession {
     pub envelope: Envelope,

@@ -40,7 +40,7 @@ pub(crate) enum SineOf {
 const PAIRS: u64 = (EventKind::ALL.len() * EventKind::ALL.len()) as u64;
 /// Without a common divisor with [`PAIRS`]: neighbouring scenes differ in both kinds.
 const PAIR_STRIDE: u64 = 37;
-/// One scene of so many is long.
+/// One scene of this many is long.
 const LONG_EVERY: u64 = 41;
 const SINE_EVERY: u64 = 17;
 const SCRIPTS_EVERY: u64 = 512;

@@ -5,7 +5,6 @@ use crate::page::properties;
 use crate::report::ExploreReport;
 use std::fmt::Write as _;
 
-/// The result for the terminal.
 pub fn summary(report: &ExploreReport) -> String {
     let mut text = String::new();
     let _ = write_summary(&mut text, report);

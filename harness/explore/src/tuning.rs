@@ -1,4 +1,4 @@
-//! Settings of a configuration other than plate, period and delay.
+//! Defines settings of a configuration other than plate, period and delay.
 
 use crate::envelope::Ranges;
 use platebench_controller::design::{PiGains, default_response_time_s};

@@ -11,11 +11,7 @@ pub enum ExportError {
     #[error(transparent)]
     Trace(#[from] TraceError),
     #[error("{}: {source}", path.display())]
-    Io {
-        /// A file or a folder.
-        path: PathBuf,
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     #[error("{}: {source}", path.display())]
     Format {
         path: PathBuf,

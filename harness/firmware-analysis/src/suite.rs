@@ -126,7 +126,7 @@ impl From<Detection> for Outcome {
     }
 }
 
-/// A trial that fails, or ends the run, whatever its metrics are.
+/// A trial that fails, or ends the run, independently of its metrics.
 fn detection(result: &trial::TrialResult) -> Option<Detection> {
     if let Some(error) = &result.link_error {
         let emulator_failed = matches!(

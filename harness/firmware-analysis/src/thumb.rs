@@ -18,7 +18,7 @@ pub(crate) enum Flow {
     Conditional(u32),
     Jump(u32),
     Call(Option<u32>),
-    /// A table with entries of so many bytes follows.
+    /// A table follows, with entries of this many bytes.
     Table(u32),
     /// To an address in a register or on the stack.
     Elsewhere,

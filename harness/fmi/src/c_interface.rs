@@ -1,4 +1,4 @@
-//! The C interface of FMI 3.0 for co-simulation. Source: `fmi3FunctionTypes.h` of the standard.
+//! Implements the C interface of FMI 3.0 for co-simulation. Source: `fmi3FunctionTypes.h` of the standard.
 //!
 //! Variables are real numbers, so functions for other types and for event mode report an error.
 

@@ -13,11 +13,11 @@ const SAME_DRIVE: f64 = 0.01;
 const SMALLEST_STEP: f64 = 0.05;
 /// Wd alone is of first order only near the resonance: |τΔω| at most this.
 const MAX_TAU_DETUNING: f64 = 0.1;
-/// Wd counts as constant if it deviates by less than this share …
+/// Wd counts as constant if it deviates by less than this share.
 const HELD_BAND: f64 = 0.1;
-/// … and the loop has started when it is this close …
+/// The loop has started when the deviation of Wd is below this share,
 const STARTED_BAND: f64 = 0.03;
-/// … or as close as the noise allows, in its standard deviations.
+/// or below this many standard deviations of the noise.
 const NOISE_BAND: f64 = 4.0;
 const SAME_DETUNING: f64 = 1.0;
 

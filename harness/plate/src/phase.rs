@@ -40,8 +40,8 @@ impl Phase {
 }
 
 impl PhaseRate {
-    /// `omega` in rad/s, exact to 2⁻¹²⁸ turns/ns. Zero if ω is NaN, infinite or above 2⁸⁵ rad/s,
-    /// where a double cannot resolve a turn.
+    /// `omega` in rad/s, exact to 2⁻¹²⁸ turns/ns. Zero if ω is NaN, infinite or above 2⁸⁵ rad/s:
+    /// a double cannot resolve a turn there.
     pub const fn from_omega(omega: f64) -> Self {
         const MANTISSA: u64 = (1 << 52) - 1;
         let bits = omega.abs().to_bits();

@@ -52,47 +52,32 @@ pub struct RawSine {
     phase_deg: f64,
 }
 
-/// Reason to refuse a profile.
 #[derive(Debug, thiserror::Error)]
 pub enum ProfileError {
-    /// No points.
     #[error("the profile has no points, expected at least one [t_ms, value]")]
     Empty,
-    /// A value that is NaN or infinite.
     #[error("point {index}: {value} is not a finite number")]
     NotFinite {
         /// Counted from 1.
         index: usize,
-        /// The value.
         value: f64,
     },
-    /// A time that is negative or too large.
     #[error("point {index}: time {t_ms} ms is not between 0 and 9.0e9 ms")]
     Time {
         /// Counted from 1.
         index: usize,
-        /// The value.
         t_ms: f64,
     },
-    /// Times that do not increase.
     #[error("point {index}: time {t_ms} ms is not after the previous point; times must increase")]
     Unordered {
         /// Counted from 1.
         index: usize,
-        /// The value.
         t_ms: f64,
     },
-    /// A sine wave with an invalid number.
     #[error("a sine requires finite numbers and a frequency_hz above 0")]
     Sine,
-    /// A profile file that cannot be read.
     #[error("{}: {source}", path.display())]
-    Csv {
-        /// The file.
-        path: PathBuf,
-        /// Error of the reader, with the line.
-        source: csv::Error,
-    },
+    Csv { path: PathBuf, source: csv::Error },
 }
 
 impl RawProfile {
@@ -112,10 +97,7 @@ impl RawProfile {
         }
     }
 
-    /// Checks the profile; file names are relative to `folder`.
-    ///
-    /// # Errors
-    /// [`ProfileError`] with the first invalid point.
+    /// File names are relative to `folder`. Errors: the first invalid point.
     pub fn check(&self, folder: &Path) -> Result<Profile, ProfileError> {
         match self {
             Self::Number(value) => points(&[[0.0, *value]]).map(Profile::Hold),

@@ -60,7 +60,7 @@ pub struct EarlierCost {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CostChange<'a> {
-    /// What is compared: `worst` or `mean`.
+    /// The compared quantity: `worst` or `mean`.
     pub statistic: &'static str,
     pub now: f64,
     pub then: f64,

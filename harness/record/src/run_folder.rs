@@ -24,11 +24,7 @@ pub enum FolderError {
     #[error("{} is in use by another run, expected a new folder", .0.display())]
     InUse(PathBuf),
     #[error("{}: {source}", path.display())]
-    Io {
-        path: PathBuf,
-        /// The operating system's error.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
 }
 
 #[derive(Debug, Clone)]

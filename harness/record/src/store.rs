@@ -19,17 +19,9 @@ const MAX_EARLIER_RUNS: usize = 20;
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     #[error("{}: {source}", path.display())]
-    Io {
-        /// Run folder's record.
-        path: PathBuf,
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     #[error("{}:{}:{}: {source}", path.display(), source.line(), source.column())]
-    Content {
-        path: PathBuf,
-        /// The parser's error.
-        source: serde_json::Error,
-    },
+    Content { path: PathBuf, source: serde_json::Error },
     #[error("{}: format {found}, expected {FORMAT}", path.display())]
     Format {
         path: PathBuf,
@@ -37,12 +29,7 @@ pub enum RecordError {
         found: u32,
     },
     #[error("{}: {what} `{found}`, expected a path below the run folder", path.display())]
-    OutsidePath {
-        path: PathBuf,
-        /// Which path.
-        what: &'static str,
-        found: String,
-    },
+    OutsidePath { path: PathBuf, what: &'static str, found: String },
 }
 
 impl RunRecord {

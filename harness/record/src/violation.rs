@@ -1,4 +1,4 @@
-//! Breaches of the protocol that fail a trial, whatever its expectations are.
+//! Names breaches of the protocol, which fail a trial independently of its expectations.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -7,23 +7,11 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     #[error("{}: {source}", path.display())]
-    Io {
-        /// Cannot be written.
-        path: PathBuf,
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     #[error("{}: {source}", path.display())]
-    Junit {
-        /// Cannot be written as XML.
-        path: PathBuf,
-        source: quick_junit::SerializeError,
-    },
+    Junit { path: PathBuf, source: quick_junit::SerializeError },
     #[error("the drawing of {title}: {source}")]
-    Plot {
-        title: String,
-        /// The plotting library's error.
-        source: Box<dyn std::error::Error + Send + Sync>,
-    },
+    Plot { title: String, source: Box<dyn std::error::Error + Send + Sync> },
 }
 
 impl ReportError {

@@ -50,11 +50,7 @@ pub enum ExecError {
         how: String,
     },
     #[error("`{program}` runs, but did not answer the handshake on {port} within {} s", HANDSHAKE_TIMEOUT.as_secs())]
-    Silent {
-        program: String,
-        /// Path of the pseudo-terminal.
-        port: String,
-    },
+    Silent { program: String, port: String },
     #[error("cancelled while waiting for the handshake of `{0}`")]
     Cancelled(String),
     #[error(transparent)]

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 const CHUNK_BYTES: usize = 256;
 const CHUNKS: usize = 256;
-/// The thread ends at most so long after the reader was dropped.
+/// The thread ends at most this time after the drop of the reader.
 const STOP_INTERVAL: Duration = Duration::from_millis(20);
 /// Wait of the thread if the loop does not take the bytes.
 const FULL_WAIT: Duration = Duration::from_millis(1);

@@ -36,7 +36,7 @@ pub trait Link: Send {
     /// Returns the delay on the target's clock; zero for a transparent link.
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError>;
 
-    /// Advances the target's time to `now` and appends the bytes that it sends meanwhile.
+    /// Advances the target's time to `now` and appends the bytes that it sends until then.
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError>;
 
     /// Restarts the target as after power-on, and the trial's time. False if the link cannot.
@@ -47,7 +47,7 @@ pub trait Link: Send {
     /// Starts the time of another trial without a restart: the next `now` is zero again.
     fn continue_trial(&mut self) {}
 
-    /// From the first bit of the last [`Link::exchange`] to the last bit of its answer.
+    /// Instructions from the first bit of the last [`Link::exchange`] to the last bit of its answer.
     fn instruction_count(&self) -> Option<u64> {
         None
     }

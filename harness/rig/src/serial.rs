@@ -32,12 +32,7 @@ pub enum SerialError {
         port: PathBuf,
     },
     #[error("{} cannot be set to {baud} baud: {error}", port.display())]
-    Settings {
-        port: PathBuf,
-        baud: u32,
-        /// Error of the driver.
-        error: std::io::Error,
-    },
+    Settings { port: PathBuf, baud: u32, error: std::io::Error },
 }
 
 /// Uses 8N1 without flow control; locked against other processes.

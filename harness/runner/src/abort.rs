@@ -1,4 +1,4 @@
-//! Says why a trial on the wall clock, or a replay, ended early.
+//! Defines why a trial on the wall clock, or a replay, ended early.
 
 use platebench_rig::RigError;
 

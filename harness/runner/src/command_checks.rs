@@ -17,7 +17,7 @@ pub(crate) struct CommandChecks {
     start_hz: f64,
     range_hz: f64,
     slew_hz: f64,
-    /// `None` after a stop, from which the frequency may start anew.
+    /// `None` after a stop, after which the frequency may start at any value.
     last_hz: Option<f64>,
     /// Faults may deliver an earlier command again or stop the clock.
     checks_clock: bool,

@@ -24,7 +24,6 @@ impl LoopDelay {
         Self { smallest: controller.loop_delay, jitter: controller.loop_delay_jitter, random }
     }
 
-    /// Delay of the next command.
     pub(crate) fn draw(&mut self) -> Time {
         if self.jitter == Time::ZERO {
             return self.smallest;

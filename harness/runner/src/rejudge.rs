@@ -62,11 +62,7 @@ pub enum RejudgeError {
     #[error("{}: the run did not keep all traces (--keep-traces), expected a run with all of them", .0.display())]
     NotKept(PathBuf),
     #[error("{}: none of the run's scenarios has this name ({known})", path.display())]
-    NoSuchScenario {
-        path: PathBuf,
-        /// Scenarios of the run.
-        known: String,
-    },
+    NoSuchScenario { path: PathBuf, known: String },
 }
 
 impl From<Diagnostic> for RejudgeError {

@@ -20,11 +20,7 @@ pub enum CompareError {
         expected --against BASELINE.toml", .0.display())]
     NoScenario(PathBuf),
     #[error("{}: {count} scenarios, expected a run of one scenario as the reference of a trace", path.display())]
-    SeveralScenarios {
-        /// Path of the run folder.
-        path: PathBuf,
-        count: usize,
-    },
+    SeveralScenarios { path: PathBuf, count: usize },
     #[error("{}: {source}", path.display())]
     Io {
         /// File or folder.

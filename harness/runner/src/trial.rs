@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 pub(crate) const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
 /// Applies to a trial with a planned silence that should trigger the watchdog.
 const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
-/// The bench waits so much longer than the watchdog's time-out.
+/// The bench waits for this time after the watchdog's time-out.
 const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Clone, Copy)]

@@ -1,4 +1,4 @@
-//! Bounds that reading, checking and the JSON Schemas share.
+//! Defines bounds that reading, checking and the JSON Schemas share.
 
 pub(crate) const MAX_PERIOD_MS: f64 = 1_000.0;
 pub(crate) const MAX_DELAY_PERIODS: u64 = 100;

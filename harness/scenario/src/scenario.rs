@@ -19,7 +19,6 @@ pub struct InputFile {
     pub bytes: Vec<u8>,
 }
 
-/// A checked scenario.
 #[derive(Debug, Clone)]
 pub struct Scenario {
     /// The file's name below the scenario folder, with `/`: `paper/fig13-closed-loop.toml`.

@@ -39,7 +39,6 @@ fn remove_formats(schema: &mut Schema) {
     transform_subschemas(&mut remove_formats, schema);
 }
 
-/// The schema of scenario files.
 pub fn scenario_schema() -> Schema {
     let mut schema = schema_of::<RawScenario>("platebench scenario");
     // `load` rejects a scenario without expectations with a reason.
@@ -49,7 +48,6 @@ pub fn scenario_schema() -> Schema {
     schema
 }
 
-/// The schema of plate files.
 pub fn plate_schema() -> Schema {
     schema_of::<RawPlate>("platebench plate")
 }
@@ -60,7 +58,6 @@ struct TomlTransform;
 
 impl Transform for TomlTransform {
     fn transform(&mut self, schema: &mut Schema) {
-        // Formats describe the size of a number in memory.
         schema.remove("format");
         if schema.get("default").is_some_and(|default| default.is_null() || default.is_object()) {
             schema.remove("default");

@@ -17,11 +17,7 @@ const MAX_ROW_BYTES: usize = 400;
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
     #[error("{}: {source}", path.display())]
-    Io {
-        /// The trace.
-        path: PathBuf,
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     #[error("{}:{line}: {message}", path.display())]
     Content {
         path: PathBuf,

@@ -4,7 +4,6 @@ use crate::mutant_controller::{Mutant, MutantController};
 use crate::mutants::clean::{ByteWiseReads, OtherGains, OwnClock, ReportedComputeTime};
 use platebench_rig::{BoxedLink, HostedLink};
 
-/// A correct controller that differs from the firmware.
 #[derive(Debug, Clone, Copy)]
 pub struct CleanVariant {
     pub name: &'static str,

@@ -13,18 +13,9 @@ use std::collections::BTreeSet;
 #[derive(Debug, thiserror::Error)]
 pub enum TrustError {
     #[error("{file}: unknown law `{law}`")]
-    UnknownLaw {
-        /// The scenario.
-        file: String,
-        law: String,
-    },
+    UnknownLaw { file: String, law: String },
     #[error("{file}, {controller}: {source}")]
-    Rig {
-        /// The scenario.
-        file: String,
-        controller: String,
-        source: RigError,
-    },
+    Rig { file: String, controller: String, source: RigError },
     #[error("internal error: a worker thread ended early; please report it")]
     Internal,
 }

@@ -79,7 +79,6 @@ pub struct Component {
     pub degrees_of_freedom: f64,
     pub source: String,
     pub date: Date,
-    /// Name of the instrument.
     pub instrument: Option<String>,
 }
 

@@ -12,7 +12,7 @@ use platebench_trace::{Flags, Row};
 
 /// In units of the setpoint.
 const BAND_HALF_WIDTH: f64 = 0.05;
-/// A swing within so many deviations of the sensor's noise may be noise: 10⁵ samples reach 4.5, and
+/// A swing within this many deviations of the sensor's noise may be noise: 10⁵ samples reach 4.5, and
 /// a settled loop amplifies it.
 const NOISE_DEVIATIONS: f64 = 25.0;
 /// In each third of the time after the last event.

@@ -2,7 +2,7 @@
 //!
 //! A scenario with `max_count` is judged after `count` trials, after twice as many and so on. The
 //! looks depend on the scenario alone, and a decision depends on the trials up to its look: a
-//! stored run is judged as live, whatever the order in which its trials were played.
+//! stored run is judged as live, for any order of play.
 
 mod expectation_judge;
 mod outcome;

@@ -1,1 +1,1 @@
-//! Place of the project's own code. `tests/scenarios.rs` runs its scenarios.
+//! Holds the project's own code. `tests/scenarios.rs` runs its scenarios.

@@ -3,10 +3,9 @@
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
-/// From so many chains on, their spread is the standard error.
+/// From this number of chains on, their spread is the standard error.
 const MIN_CHAINS_FOR_SPREAD: usize = 8;
 
-/// How a chain estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RareMethod {
@@ -14,7 +13,6 @@ pub enum RareMethod {
     SubsetSimulation,
 }
 
-/// Estimate of one chain.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChainEstimate {
     pub probability: f64,

@@ -1,4 +1,4 @@
-//! Importance sampling with a standard normal distribution around the design point.
+//! Estimates by importance sampling with a standard normal distribution around the design point.
 
 use super::design_point::dot;
 use rand_chacha::ChaCha8Rng;

@@ -1,4 +1,4 @@
-//! Subset simulation: a product of conditional probabilities of about 0.1 each.
+//! Estimates by subset simulation: a product of conditional probabilities of about 0.1 each.
 //!
 //! S.-K. Au and J. L. Beck, *Probabilistic Engineering Mechanics* 16, 2001, pp. 263-277; the Markov chains by
 //! conditional sampling with an adapted correlation: I. Papaioannou and others, same journal 41, 2015, pp. 89-103.

@@ -156,7 +156,7 @@ fn immediates(instruction: &Instruction) -> Vec<Code> {
     if is_mov && second & 0x8000 == 0 { vec![(first, Some(second ^ 1))] } else { Vec::new() }
 }
 
-/// The lower half of an address, of which a `MOVT` sets the upper one.
+/// True if the instruction loads the lower half of an address and a `MOVT` loads the upper half.
 fn is_half_of_address(map: &CodeMap, instruction: &Instruction) -> bool {
     let Some((register, low)) = moved_immediate(instruction) else { return false };
     let next = map.instructions.range(instruction.address + 1..).map(|(_, next)| next).take(MAX_MOVT_DISTANCE);

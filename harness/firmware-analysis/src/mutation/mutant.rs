@@ -52,7 +52,7 @@ pub struct Mutant {
     pub operator: Operator,
     /// The instruction whose effect changes.
     pub instruction: u32,
-    /// Where `bytes` replace `original`: the instruction, or its constant.
+    /// Address of `original`: the instruction, or its constant.
     pub address: u32,
     pub original: Vec<u8>,
     pub bytes: Vec<u8>,

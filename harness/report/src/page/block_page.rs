@@ -22,7 +22,7 @@ pub struct BlockPage {
     pub blocks: Vec<PageBlock>,
 }
 
-/// A drawing of which some areas open pages.
+/// A drawing with areas that open pages.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinkedDrawing {
     pub svg: String,

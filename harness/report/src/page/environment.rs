@@ -1,4 +1,4 @@
-//! Writes the section on the environment: what is needed to repeat the run.
+//! Writes the section on the environment, which a repetition of the run needs.
 
 use super::elements::scroll_table;
 use crate::format;

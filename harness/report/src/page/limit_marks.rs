@@ -80,7 +80,7 @@ impl LimitMark {
         })
     }
 
-    /// The window if it is short, or else the surroundings of the worst instant.
+    /// The window if it is short, or else the time around the worst instant.
     pub(crate) fn view(&self, whole: TimeWindow) -> Option<TimeWindow> {
         let around = |from_ms: f64, to_ms: f64| TimeWindow {
             from_ms: from_ms.max(whole.from_ms),

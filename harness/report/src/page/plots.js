@@ -226,7 +226,7 @@
     range(panel, low, high) {
       if (low == null || high == null) return [0, 1];
       const whole = this.from <= this.first && this.to >= this.last;
-      // Zoomed in, the curve is what is looked at, not its distance from zero.
+      // Zoomed in, the range shows the form of the curve, not its distance from zero.
       if (panel.zero && whole) { low = Math.min(low, 0); high = Math.max(high, 0); }
       const span = Math.max(high - low, panel.least * (this.to - this.from) / (this.last - this.first));
       const air = panel.zero && whole ? 0 : (span - (high - low)) / 2;

@@ -16,7 +16,6 @@ use platebench_record::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
-/// How much of a run is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Detail {
     /// What did not pass; nothing if everything passed.

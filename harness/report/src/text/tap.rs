@@ -1,6 +1,6 @@
 //! Writes TAP: a subtest per scenario, a test point per expectation. A reader of version 13 ignores
 //! the subtests. Inconclusive is `not ok`, because readers count `SKIP` and `TODO` as passed. `SKIP`
-//! marks what is not applicable.
+//! marks scenarios that are not applicable.
 
 use super::escape::tap_description;
 use crate::error::{ReportError, write_file};

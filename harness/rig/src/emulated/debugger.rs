@@ -12,7 +12,7 @@ use std::io::{self, Read as _};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// The chip runs on without a debugger that was silent so long while it had stopped the chip.
+/// The chip runs on if the debugger has stopped it and is silent for this time.
 const COMMAND_TIMEOUT: Duration = Duration::from_hours(1);
 
 type Stub = GdbStubStateMachine<'static, Machine, TcpStream>;

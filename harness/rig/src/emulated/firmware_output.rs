@@ -45,7 +45,8 @@ impl FirmwareOutput {
         memory.store(block + READ_OFFSET, &write_offset.to_le_bytes())
     }
 
-    /// Also what is still in the ring: a trap ends a trial before it is drained. `None` if the firmware wrote nothing.
+    /// Includes the unread part of the ring: a trap may end a trial before the bench drains it. `None` if the firmware
+    /// wrote nothing.
     pub(super) fn text(&self, memory: &Memory) -> Option<String> {
         let rest = self.control_block.and_then(|block| read_ring(memory, block)).map(|(rest, _)| rest);
         let mut bytes = self.bytes.clone();

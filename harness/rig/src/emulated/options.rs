@@ -22,11 +22,7 @@ impl Default for EmulatedOptions {
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatedError {
     #[error("{}: {error}", path.display())]
-    Read {
-        /// Path of the ELF.
-        path: PathBuf,
-        error: std::io::Error,
-    },
+    Read { path: PathBuf, error: std::io::Error },
     #[error("not a firmware for the emulated board: {0}")]
     Image(#[from] ImageError),
     #[error(transparent)]

@@ -26,7 +26,7 @@ pub(super) struct ActiveFaults {
 struct ActiveFault {
     fault: WireFault,
     random: ChaCha8Rng,
-    /// In the fault's window: to the controller, from it.
+    /// Messages in the fault's window: to the controller, from the controller.
     message_counts: [u64; 2],
     frozen: Option<[f32; 2]>,
 }

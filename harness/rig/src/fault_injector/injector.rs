@@ -123,7 +123,7 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
-    /// Delivers what is due and advances to `now`. Returns the target's delay for the last message.
+    /// Delivers the messages that are due and advances to `now`. Returns the target's delay for the last message.
     fn deliver_until(&mut self, now: Duration, answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let mut last = None;
         while let Some(packet) = pop_due(&mut self.to_controller, now) {

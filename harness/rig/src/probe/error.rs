@@ -58,17 +58,9 @@ pub enum ProbeError {
         probe: String,
     },
     #[error("the debug probe {probe} is in use by another program: {cause}")]
-    Busy {
-        probe: String,
-        /// Message of the operating system.
-        cause: String,
-    },
+    Busy { probe: String, cause: String },
     #[error("the debug probe {probe} cannot be opened: {}; unplug it and plug it in again", error_chain(.cause))]
-    Open {
-        probe: String,
-        /// Error of the driver.
-        cause: Box<DebugProbeError>,
-    },
+    Open { probe: String, cause: Box<DebugProbeError> },
     #[error(
         "no answer from a {chip} through the debug probe {probe}; check power, SWDIO, SWCLK and ground: {}",
         error_chain(.cause)
@@ -95,21 +87,12 @@ pub enum ProbeError {
         problem: String,
     },
     #[error("{}: {error}", path.display())]
-    Read {
-        /// Path of the ELF.
-        path: PathBuf,
-        error: std::io::Error,
-    },
+    Read { path: PathBuf, error: std::io::Error },
     #[error(
         "the image has {bytes} bytes from {address:#010x}, which do not fit into the flash of {chip}; \
          link it for this chip"
     )]
-    NotInFlash {
-        chip: String,
-        /// Start of the segment.
-        address: u32,
-        bytes: usize,
-    },
+    NotInFlash { chip: String, address: u32, bytes: usize },
     #[error("flashing failed: {}", error_chain(.0))]
     Flash(Box<FlashError>),
     #[error("flash verification failed at {address:#010x}: found {found:#04x}, expected {expected:#04x}")]
@@ -146,11 +129,7 @@ pub enum ProbeError {
         waited: Duration,
     },
     #[error("the serial port {} failed during the handshake: {cause}", port.display())]
-    Port {
-        port: PathBuf,
-        /// Error of the line.
-        cause: String,
-    },
+    Port { port: PathBuf, cause: String },
     #[error("the firmware's RTT has no {direction}")]
     RttChannel {
         /// `up channel 0 (to the bench)` or `down channel 0 (from the bench)`.

@@ -1,4 +1,4 @@
-//! Scripts of configured values: limits with fractions, gains that are not used, comparisons at their threshold.
+//! Builds scripts of configured values: limits with fractions, gains that are not used, comparisons at their threshold.
 
 use super::builder::{Builder, Script, Variation, configuration_body};
 use platebench_wire::Configure;
@@ -55,7 +55,7 @@ fn ratio(mut builder: Builder) -> Script {
     builder.finish()
 }
 
-/// They are ignored without bit 0, whatever they are.
+/// Without bit 0 any gains are ignored.
 fn unused_gains(mut builder: Builder, configure: &Configure) -> Script {
     let Configure { gain_um_per_vpp, time_constant_s, drive_limit_vpp, .. } = *configure;
     for gain in [f32::NAN, f32::INFINITY, -7e5] {

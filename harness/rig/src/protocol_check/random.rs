@@ -1,4 +1,4 @@
-//! Scripts of random configurations and samples.
+//! Builds scripts of random configurations and samples.
 
 use super::builder::{Builder, Script, Variation};
 use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};

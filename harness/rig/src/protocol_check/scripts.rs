@@ -1,4 +1,4 @@
-//! Scripts of messages that are legal and that no closed loop with a plate sends.
+//! Builds scripts of messages that are legal and that no closed loop with a plate sends.
 
 use super::builder::{Builder, Script, Variation, configuration_body};
 use super::{limits, random, timing};

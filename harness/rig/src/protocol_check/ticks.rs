@@ -7,7 +7,7 @@ use std::time::Duration;
 const AROUND: Duration = Duration::from_millis(50);
 /// Fewer ticks show no drift.
 const MIN_TICKS: usize = 100;
-/// One in so many of the first and of the last quarter of all ticks was sent in time even on a busy host.
+/// Of the first and of the last quarter of all ticks, one in this many is sent in time even on a busy host.
 const IN_TIME_SHARE: usize = 10;
 /// Largest drift, as a share of the period.
 const DRIFT_SHARE: f64 = 0.25;

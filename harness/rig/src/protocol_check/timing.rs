@@ -1,4 +1,4 @@
-//! Scripts of time: watchdog, ticks, and a long trial.
+//! Builds scripts of time: watchdog, ticks, and a long trial.
 
 use super::builder::{Builder, Script};
 use platebench_wire::{Configure, Message};
@@ -75,7 +75,7 @@ pub(super) fn short_ticks(mut builder: Builder, configure: Configure) -> Script 
     builder.finish()
 }
 
-/// The drive stays at what the first sample made of the integrals. Without variations: nothing depends on rounding.
+/// The drive keeps the value that the first sample gave the integrals. Without variations: nothing depends on rounding.
 pub(super) fn many_samples(mut builder: Builder) -> Script {
     if builder.has_variation() {
         return builder.empty();

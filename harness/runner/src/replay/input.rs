@@ -1,4 +1,4 @@
-//! Defines what is replayed.
+//! Defines the input of a replay.
 
 use platebench_scenario::Scenario;
 use platebench_verdict::replay::Recording;

@@ -16,7 +16,7 @@ const BISECTIONS: u32 = 60;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum OperatingCondition {
     Resonant,
-    /// Untouched, excitation starting where the resonance is at 33 °C: 545 rad/s too low (Fig. 14).
+    /// Untouched; the excitation starts at the resonance of 33 °C, 545 rad/s too low (Fig. 14).
     Detuned,
     /// Under a finger of 2 N (Fig. 16).
     Finger,

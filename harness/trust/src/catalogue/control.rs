@@ -1,4 +1,4 @@
-//! Mutants of sample, drive, frequency, timing and control law.
+//! Lists mutants of sample, drive, frequency, timing and control law.
 
 use crate::mutant_spec::{
     AMPLITUDE, DISTURBANCE, DRUMMING_FINGER, DYNAMICS, FIG13, FIG14, FIG15, FIG16, MutantSpec, RESONANCE,

@@ -1,4 +1,4 @@
-//! Mutants of protocol and limits, and mutants that show only in special scenarios.
+//! Lists mutants of protocol and limits, and mutants that show only in special scenarios.
 
 use crate::mutant_spec::{
     AMPLITUDE, DYNAMICS, FIG13, MutantSpec, NOISE_STORM, REFERENCE, RESPONSE, ReferenceController, SHUTDOWN, SILENCE,

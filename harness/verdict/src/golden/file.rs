@@ -23,11 +23,7 @@ const MAX_BYTES: u64 = 64 << 20;
 #[derive(Debug, thiserror::Error)]
 pub enum BaselineError {
     #[error("{}: {source}", path.display())]
-    Io {
-        /// Cannot be read or written.
-        path: PathBuf,
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     #[error("{}:{line}: {message}", path.display())]
     Content {
         path: PathBuf,

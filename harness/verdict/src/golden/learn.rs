@@ -24,12 +24,7 @@ const MAX_SCORE: f64 = 1e6;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LearnError {
     #[error("a false-alarm rate of {rate} needs at least {needed} trials, this run has {count}")]
-    TooFewTrials {
-        /// The declared rate.
-        rate: f64,
-        count: usize,
-        needed: usize,
-    },
+    TooFewTrials { rate: f64, count: usize, needed: usize },
     #[error("trial {0} has no rows or ends at another time than the first trial; expected trials of equal length")]
     EndDiffers(usize),
     #[error("the trials differ so much that no tolerance tube can be learned from them")]

@@ -84,7 +84,7 @@ impl GoldenTubes {
         }
     }
 
-    /// A learned tube fails if the probability of so many trials outside is at most 5 %.
+    /// A learned tube fails if the probability of at least this many trials outside is at most 5 %.
     pub fn compare<R: AsRef<[Row]>>(&self, trials: impl IntoIterator<Item = (u32, R)>) -> TubeComparison {
         let mut comparison =
             TubeComparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: None };

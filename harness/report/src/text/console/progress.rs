@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_pipe_is_nobodys_problem() {
+    fn a_closed_pipe_is_no_error() {
         let mut progress = Progress::to_writer(Closed);
         progress.show(&Event::ScenarioStarted { file: "a.toml".to_owned(), trials: 3 });
         progress.finish();
