@@ -134,38 +134,21 @@ impl Symbols {
 
     /// Names the innermost inlined function, too.
     pub(crate) fn locate(&self, address: u32) -> CodeLocation {
-        let at = u64::from(address);
-        let mut symbol = self.function(at).map(|function| function.name.clone());
-        let mut line = None;
+        let mut symbol = self.function(u64::from(address)).map(|function| function.name.clone());
         // Functions that the linker removed stay in the line table at address 0: a line is not
         // valid outside of known functions.
-        let lines = self.lines.as_ref().filter(|_| symbol.is_some() || self.functions.is_empty());
-        let mut frames = lines.and_then(|lines| lines.find_frames(at).skip_all_loads().ok());
-        let mut inlined = Vec::new();
-        while let Some(Ok(Some(frame))) = frames.as_mut().map(addr2line::FrameIter::next) {
-            // The innermost line outside the standard library: the reader's own code.
-            if let Some(location) = frame.location
-                && line.as_ref().is_none_or(|(own, _)| !own)
-                && let (Some(file), Some(number)) = (location.file, location.line)
-            {
-                let own = !file.contains("/library/");
-                if own || line.is_none() {
-                    line = Some((own, format!("{file}:{number}")));
-                }
-            }
-            if let Some(function) = &frame.function
-                && let Ok(name) = function.demangle()
-            {
-                inlined.push(strip_hash(&name));
-            }
-        }
+        let mut frames = if symbol.is_some() || self.functions.is_empty() { self.frames(address) } else { Vec::new() };
+        // The innermost line outside the standard library: the reader's own code.
+        let mut lines = frames.iter().filter_map(|frame| frame.line.as_ref());
+        let line = lines.clone().find(|line| !line.file.contains("/library/")).or_else(|| lines.next());
+        let line = line.map(|line| format!("{}:{}", line.file, line.line));
         // The outermost frame is the function itself.
-        inlined.pop();
-        if let (Some(symbol), Some(innermost)) = (&mut symbol, inlined.iter().find(|name| !name.starts_with("core::")))
-        {
+        frames.pop();
+        let innermost = frames.iter().map(|frame| &frame.function).find(|name| !name.starts_with("core::"));
+        if let (Some(symbol), Some(innermost)) = (&mut symbol, innermost) {
             *symbol = format!("{innermost} inlined into {symbol}");
         }
-        CodeLocation { address, symbol, line: line.map(|(_, line)| line) }
+        CodeLocation { address, symbol, line }
     }
 }
 
