@@ -95,13 +95,13 @@ impl ActiveFault {
     }
 
     fn apply(&mut self, mut packet: QueuedPacket) -> Option<QueuedPacket> {
-        let length = packet.bytes().len();
+        let length = packet.bytes.len();
         match self.fault.kind {
             WireFaultKind::Drop | WireFaultKind::Disconnect => return None,
             WireFaultKind::Flip => packet.flip(self.random.next_u32() as usize % (8 * length)),
             WireFaultKind::Duplicate => packet.duplicate(),
             WireFaultKind::Delay(delay) => packet.due += delay,
-            WireFaultKind::Truncate => packet.truncate(length / 2),
+            WireFaultKind::Truncate => packet.bytes.truncate(length / 2),
             WireFaultKind::Babble => packet.prepend(&self.noise()),
             WireFaultKind::Freeze => {
                 let frozen = &mut self.frozen;
@@ -125,7 +125,7 @@ impl ActiveFault {
 }
 
 fn with_components(packet: QueuedPacket, change: impl FnOnce([f32; 2]) -> [f32; 2]) -> Option<QueuedPacket> {
-    let Some(Packet { sequence, message: Message::Sample(sample) }) = decode_first_packet(packet.bytes()) else {
+    let Some(Packet { sequence, message: Message::Sample(sample) }) = decode_first_packet(&packet.bytes) else {
         return Some(packet);
     };
     let [wd_um, wq_um] = change([sample.wd_um, sample.wq_um]);

@@ -118,7 +118,7 @@ impl<L: Link> FaultInjector<L> {
     }
 
     pub(super) fn record_delivered(&mut self, packet: &QueuedPacket) {
-        if let Some(Packet { message: Message::Sample(sample), .. }) = decode_first_packet(packet.bytes()) {
+        if let Some(Packet { message: Message::Sample(sample), .. }) = decode_first_packet(&packet.bytes) {
             self.delivered_sample = [sample.wd_um, sample.wq_um];
         }
     }
@@ -128,7 +128,7 @@ impl<L: Link> FaultInjector<L> {
         let mut last = None;
         while let Some(packet) = pop_due(&mut self.to_controller, now) {
             self.record_delivered(&packet);
-            let delay = self.inner.exchange(packet.due, packet.bytes(), &mut self.scratch)?;
+            let delay = self.inner.exchange(packet.due, &packet.bytes, &mut self.scratch)?;
             last = Some((packet.due, delay));
             self.queue_answers(packet.due);
         }
@@ -137,7 +137,7 @@ impl<L: Link> FaultInjector<L> {
             self.queue_answers(now);
         }
         while let Some(packet) = pop_due(&mut self.from_controller, now) {
-            answer.extend_from_slice(packet.bytes());
+            answer.extend_from_slice(&packet.bytes);
         }
         Ok(last.map_or(Duration::ZERO, |(_, delay)| delay))
     }

@@ -23,7 +23,7 @@ impl<L: Link> FaultInjector<L> {
         let now = clock.trial_time(Instant::now());
         while let Some(packet) = pop_due(&mut self.to_controller, now) {
             self.record_delivered(&packet);
-            self.inner_line()?.send(packet.bytes())?;
+            self.inner_line()?.send(&packet.bytes)?;
         }
         Ok(())
     }
@@ -33,7 +33,7 @@ impl<L: Link> FaultInjector<L> {
         let now = clock.trial_time(Instant::now());
         let mut first = None;
         while let Some(packet) = pop_due(&mut self.from_controller, now) {
-            bytes.extend_from_slice(packet.bytes());
+            bytes.extend_from_slice(&packet.bytes);
             first = first.or(Some(packet.due));
         }
         first.map(|due| clock.wall_instant(due))
