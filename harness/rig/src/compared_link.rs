@@ -126,12 +126,15 @@ impl Comparison {
 
 /// A drive that is not finite is a fault of its own and gives no difference.
 fn difference_percent(command: &Command, expected: &Command, configuration: &Configure) -> f64 {
-    let drive = (f64::from(command.drive_vpp) - f64::from(expected.drive_vpp)).abs();
-    let frequency_hz = f64::from(command.frequency_mhz.abs_diff(expected.frequency_mhz)) * 1e-3;
-    let of_limit = drive / f64::from(configuration.drive_limit_vpp);
-    let of_range = frequency_hz / f64::from(configuration.frequency_range_hz);
-    let largest = if of_limit.is_finite() { of_limit.max(of_range) } else { of_range };
-    largest * 100.0
+    let [drive, frequency] = command_difference(command, expected, configuration);
+    100.0 * if drive.is_finite() { drive.max(frequency) } else { frequency }
+}
+
+/// Difference of the drive over its limit and of the frequency over its range.
+pub(crate) fn command_difference(one: &Command, other: &Command, configuration: &Configure) -> [f64; 2] {
+    let drive = (f64::from(one.drive_vpp) - f64::from(other.drive_vpp)).abs();
+    let frequency_hz = f64::from(one.frequency_mhz.abs_diff(other.frequency_mhz)) * 1e-3;
+    [drive / f64::from(configuration.drive_limit_vpp), frequency_hz / f64::from(configuration.frequency_range_hz)]
 }
 
 #[cfg(test)]

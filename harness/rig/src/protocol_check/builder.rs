@@ -12,6 +12,13 @@ pub(super) struct Script {
     pub(super) exchanges: Vec<Exchange>,
 }
 
+/// Writes a script.
+pub(super) fn script(name: &'static str, variation: Variation, write: impl FnOnce(&mut Builder)) -> Script {
+    let mut builder = Builder::new(name, variation);
+    write(&mut builder);
+    builder.script
+}
+
 /// Within a frame.
 const PAUSE: Duration = Duration::from_millis(5);
 const STALL: Duration = Duration::from_millis(80);
@@ -49,25 +56,27 @@ pub(super) struct Builder {
 }
 
 impl Builder {
-    pub(super) fn new(name: &'static str, variation: Variation) -> Self {
-        let script = Script { name, stall: STALL, exchanges: Vec::new() };
-        let (unanswered, last_sample) = (Vec::new(), Vec::new());
-        // The first numbers pass the wrap.
-        let (period_us, time_us, wait) = (0, 0, Duration::ZERO);
-        Self { script, variation, period_us, sequence: 248, time_us, unanswered, wait, last_sample }
+    fn new(name: &'static str, variation: Variation) -> Self {
+        Self {
+            script: Script { name, stall: STALL, exchanges: Vec::new() },
+            variation,
+            period_us: 0,
+            // The first numbers pass the wrap.
+            sequence: 248,
+            time_us: 0,
+            unanswered: Vec::new(),
+            wait: Duration::ZERO,
+            last_sample: Vec::new(),
+        }
     }
 
     pub(super) fn has_variation(&self) -> bool {
         self.variation != Variation::NONE
     }
 
-    /// A script that is not played.
-    pub(super) fn empty(self) -> Script {
-        Script { exchanges: Vec::new(), ..self.script }
-    }
-
-    pub(super) fn finish(self) -> Script {
-        self.script
+    /// The script is not played.
+    pub(super) fn discard(&mut self) {
+        self.script.exchanges.clear();
     }
 
     /// For scripts with short timeouts.
@@ -136,7 +145,7 @@ impl Builder {
 
     pub(super) fn ask(&mut self, message: Message) {
         let sequence = self.next_sequence();
-        self.ask_with(sequence, message);
+        self.close(Packet { sequence, message }.encode().as_bytes());
     }
 
     pub(super) fn configure(&mut self, configure: Configure) {
@@ -182,10 +191,6 @@ impl Builder {
         self.time_us = self.time_us.wrapping_add(self.period_us);
         self.last_sample = Packet { sequence, message: Message::Sample(sample) }.encode().as_bytes().to_vec();
         self.repeat_sample();
-    }
-
-    fn ask_with(&mut self, sequence: u8, message: Message) {
-        self.close(Packet { sequence, message }.encode().as_bytes());
     }
 
     fn close(&mut self, request: &[u8]) {

@@ -1,6 +1,7 @@
 //! Compares the answers of a controller with those of the hosted reference.
 
 use super::ticks::TickComparison;
+use crate::compared_link::command_difference;
 use platebench_wire::{
     Command, Configure, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, StateCause,
 };
@@ -229,9 +230,7 @@ impl<'a> Comparison<'a> {
     /// The larger one of drive relative to its limit and frequency relative to its range.
     fn distance(&self, one: &Command, other: &Command) -> f64 {
         let Some(configuration) = self.configuration else { return 0.0 };
-        let drive = f64::from(one.drive_vpp - other.drive_vpp).abs() / f64::from(configuration.drive_limit_vpp);
-        let frequency_hz = f64::from(one.frequency_mhz.abs_diff(other.frequency_mhz)) * 1e-3;
-        let frequency = frequency_hz / f64::from(configuration.frequency_range_hz);
+        let [drive, frequency] = command_difference(one, other, &configuration);
         if drive.is_finite() { drive.max(frequency) } else { f64::INFINITY }
     }
 }

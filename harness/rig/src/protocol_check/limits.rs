@@ -1,62 +1,66 @@
 //! Builds scripts of configured values: limits with fractions, gains that are not used, comparisons at their threshold.
 
-use super::builder::{Builder, Script, Variation, configuration_body};
+use super::builder::{Builder, Script, Variation, configuration_body, script};
 use platebench_wire::Configure;
 
 pub(super) fn scripts(fixed: &Configure, variation: Variation) -> Vec<Script> {
-    let start = |name, configure| {
-        let mut builder = Builder::new(name, variation);
-        builder.configure(configure);
-        builder
+    let start = |name, configure, write: &dyn Fn(&mut Builder)| {
+        script(name, variation, |builder| {
+            builder.configure(configure);
+            write(builder);
+        })
     };
     let own_design = Configure { gains: None, ..*fixed };
     // The comparison is exact: a variation would decide it.
     let exact = Variation { components: 0.0, ..variation };
     vec![
-        drive_limit(start("a drive limit with a fraction", Configure { drive_limit_vpp: 9.75, ..*fixed }), 1.0),
+        start("a drive limit with a fraction", Configure { drive_limit_vpp: 9.75, ..*fixed }, &|builder| {
+            drive_limit(builder, 1.0);
+        }),
         // In 0.1 V it needs more than 16 bits.
-        drive_limit(start("a drive limit of 70 kV", Configure { drive_limit_vpp: 70_000.25, ..*fixed }), 500.0),
+        start("a drive limit of 70 kV", Configure { drive_limit_vpp: 70_000.25, ..*fixed }, &|builder| {
+            drive_limit(builder, 500.0);
+        }),
         // No multiple of the slew lies between two mHz.
-        frequency_limits(start(
+        start(
             "frequency limits of a few mHz",
             Configure { frequency_range_hz: 0.0506, frequency_slew_hz: 0.0014, ..*fixed },
-        )),
-        ratio(start(
+            &frequency_limits,
+        ),
+        start(
             "Wq/Wd beyond its limits",
             Configure { frequency_range_hz: 5_000.0, frequency_slew_hz: 5_000.0, ..*fixed },
-        )),
-        unused_gains(start("gains that are not used", own_design), &own_design),
-        designs(Builder::new("gains of the law's own design", variation), &own_design),
-        threshold(Builder::new("Wd of a tenth of the setpoint", exact), fixed),
+            &ratio,
+        ),
+        start("gains that are not used", own_design, &|builder| unused_gains(builder, &own_design)),
+        script("gains of the law's own design", variation, |builder| designs(builder, &own_design)),
+        script("Wd of a tenth of the setpoint", exact, |builder| threshold(builder, fixed)),
     ]
 }
 
-fn drive_limit(mut builder: Builder, scale: f32) -> Script {
+fn drive_limit(builder: &mut Builder, scale: f32) {
     for wd in [0.0, 1.0, 3.0, 1.9, 1.99, 1.0] {
         builder.sample(2.0 * scale, wd * scale, -0.1 * scale);
     }
-    builder.finish()
 }
 
-fn frequency_limits(mut builder: Builder) -> Script {
+fn frequency_limits(builder: &mut Builder) {
     for _ in 0..40 {
         builder.sample(2.0, 1.0, 2.5);
     }
     for _ in 0..80 {
         builder.sample(2.0, 1.0, -2.5);
     }
-    builder.finish()
 }
 
-fn ratio(mut builder: Builder) -> Script {
+fn ratio(builder: &mut Builder) {
     for wq in [1.9, -1.9, 2.2, -2.2, 9.0, -9.0, 0.5] {
         builder.sample(2.0, 1.0, wq);
     }
-    builder.finish()
 }
 
 /// Without bit 0 any gains are ignored.
-fn unused_gains(mut builder: Builder, configure: &Configure) -> Script {
+fn unused_gains(builder: &mut Builder, configure: &Configure) {
     let Configure { gain_um_per_vpp, time_constant_s, drive_limit_vpp, .. } = *configure;
     for gain in [f32::NAN, f32::INFINITY, -7e5] {
         let values = [gain_um_per_vpp, time_constant_s, 0.0, drive_limit_vpp, 250.0, 50.0, gain, gain, gain, gain];
@@ -64,11 +68,10 @@ fn unused_gains(mut builder: Builder, configure: &Configure) -> Script {
         builder.sample(2.0, 0.0, 0.0);
         builder.sample(2.0, 1.2, -0.2);
     }
-    builder.finish()
 }
 
 /// Response times and periods outside those of a closed loop.
-fn designs(mut builder: Builder, configure: &Configure) -> Script {
+fn designs(builder: &mut Builder, configure: &Configure) {
     for (period_us, response_time_s, time_constant_s) in [
         (1_000, 0.000_3, 0.0019),
         (1_000, 0.000_9, 0.0019),
@@ -85,14 +88,12 @@ fn designs(mut builder: Builder, configure: &Configure) -> Script {
             builder.sample(2.0, wd, wq);
         }
     }
-    builder.finish()
 }
 
 /// At most a tenth is too small; the next f32 above is not.
-fn threshold(mut builder: Builder, configure: &Configure) -> Script {
+fn threshold(builder: &mut Builder, configure: &Configure) {
     builder.configure(*configure);
     builder.sample(2.5, 0.25, 0.1);
     builder.sample(2.5, 0.26, 0.1);
     builder.sample(0.0, 0.25, 0.1);
-    builder.finish()
 }

@@ -1,6 +1,6 @@
 //! Builds scripts of random configurations and samples.
 
-use super::builder::{Builder, Script, Variation};
+use super::builder::{Builder, Script, Variation, script};
 use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -16,22 +16,20 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
         random.set_stream(number);
         // With configured gains the prediction would use K1.
         let has_delay = number % 4 == 3 && identity.has_capability(capabilities::LOOP_DELAY);
-        let (mut with_gains, mut own_design) = (
-            Builder::new("random samples with configured gains", variation),
-            Builder::new("random samples with the law's own design", variation),
-        );
-        with_gains.configure(random_configuration(&mut random, base, true, false));
-        random_samples(&mut random, &mut with_gains);
+        all.push(script("random samples with configured gains", variation, |builder| {
+            builder.configure(random_configuration(&mut random, base, true, false));
+            random_samples(&mut random, builder);
+        }));
         // Every eighth script has another law that the controller announces.
         let law = match number % 8 {
             1 if identity.has_law(LawId::DqPiFixed) => LawId::DqPiFixed,
             5 if identity.has_law(LawId::DqPiEuler) => LawId::DqPiEuler,
             _ => base.law,
         };
-        let configure = random_configuration(&mut random, base, false, has_delay);
-        own_design.configure(Configure { law, ..configure });
-        random_samples(&mut random, &mut own_design);
-        all.extend([with_gains.finish(), own_design.finish()]);
+        all.push(script("random samples with the law's own design", variation, |builder| {
+            builder.configure(Configure { law, ..random_configuration(&mut random, base, false, has_delay) });
+            random_samples(&mut random, builder);
+        }));
     }
     all
 }

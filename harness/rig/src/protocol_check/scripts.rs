@@ -1,6 +1,6 @@
 //! Builds scripts of messages that are legal and that no closed loop with a plate sends.
 
-use super::builder::{Builder, Script, Variation, configuration_body};
+use super::builder::{Builder, Script, Variation, configuration_body, script};
 use super::{limits, random, timing};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Rejection, Setpoint,
@@ -14,48 +14,51 @@ const SAMPLE_FRAME: usize = 24;
 
 pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation, seed: u64) -> Vec<Script> {
     let fixed = Configure { gains: Some(CONFIGURED_GAINS), start_frequency_mhz: 32_307_654, ..*base };
-    let start = |name| {
-        let mut builder = Builder::new(name, variation);
-        builder.configure(fixed);
-        builder
+    let start = |name, write: &dyn Fn(&mut Builder)| {
+        script(name, variation, |builder| {
+            builder.configure(fixed);
+            write(builder);
+        })
     };
     let mut all = vec![
-        repeated_samples(start("a repeated sample"), fixed),
-        gaps(start("numbers of samples with gaps")),
-        rest(start("samples at rest and negative components")),
-        hello(start("hello and 0 V while running"), fixed),
-        numbers(start("samples with the number of another message"), fixed),
-        ignored(start("messages that only a controller sends"), identity),
-        counter(start("the counter of rejected frames"), fixed),
-        damaged(start("one damaged bit in every byte of a frame")),
-        invalid_bodies(start("invalid messages with a valid CRC")),
-        timing::watchdog(start("the watchdog with its own timeout"), fixed),
-        timing::short_watchdog(start("a watchdog of five short periods"), fixed),
-        timing::many_samples(start("more samples than sixteen bits count")),
-        pieces(start("frames in two pieces")),
-        invalid_configurations(start("configurations that are rejected as messages"), fixed),
+        start("a repeated sample", &|builder| repeated_samples(builder, fixed)),
+        start("numbers of samples with gaps", &gaps),
+        start("samples at rest and negative components", &rest),
+        start("hello and 0 V while running", &|builder| hello(builder, fixed)),
+        start("samples with the number of another message", &|builder| numbers(builder, fixed)),
+        start("messages that only a controller sends", &|builder| ignored(builder, identity)),
+        start("the counter of rejected frames", &|builder| counter(builder, fixed)),
+        start("one damaged bit in every byte of a frame", &damaged),
+        start("invalid messages with a valid CRC", &invalid_bodies),
+        start("the watchdog with its own timeout", &|builder| timing::watchdog(builder, fixed)),
+        start("a watchdog of five short periods", &|builder| timing::short_watchdog(builder, fixed)),
+        start("more samples than sixteen bits count", &timing::many_samples),
+        start("frames in two pieces", &pieces),
+        start("configurations that are rejected as messages", &|builder| invalid_configurations(builder, fixed)),
     ];
     all.extend(limits::scripts(&fixed, variation));
     if identity.has_capability(capabilities::TARGET_PACED) {
-        all.push(timing::ticks(start("ticks"), fixed));
-        all.push(timing::short_ticks(start("ticks of a short period"), fixed));
+        all.push(start("ticks", &|builder| timing::ticks(builder, fixed)));
+        all.push(start("ticks of a short period", &|builder| timing::short_ticks(builder, fixed)));
     }
-    all.extend((0..3).map(|component| not_finite(start("values that are not finite"), component, fixed)));
-    all.extend(unusable(&fixed, identity).into_iter().map(|configure| {
-        let mut builder = start("a configuration that is not accepted");
-        builder.sample(2.0, 0.0, 0.0);
-        builder.sample(2.0, 1.2, -0.2);
-        builder.configure(configure);
-        builder.sample(2.0, 1.2, -0.2);
-        builder.configure(fixed);
-        builder.sample(2.0, 1.2, -0.2);
-        builder.finish()
-    }));
+    for component in 0..3 {
+        all.push(start("values that are not finite", &|builder| not_finite(builder, component, fixed)));
+    }
+    for configure in unusable(&fixed, identity) {
+        all.push(start("a configuration that is not accepted", &|builder| {
+            builder.sample(2.0, 0.0, 0.0);
+            builder.sample(2.0, 1.2, -0.2);
+            builder.configure(configure);
+            builder.sample(2.0, 1.2, -0.2);
+            builder.configure(fixed);
+            builder.sample(2.0, 1.2, -0.2);
+        }));
+    }
     all.extend(random::scripts(base, identity, variation, seed));
     all
 }
 
-fn repeated_samples(mut builder: Builder, configure: Configure) -> Script {
+fn repeated_samples(builder: &mut Builder, configure: Configure) {
     builder.sample(2.0, 0.0, 0.0);
     builder.repeat_sample();
     builder.sample(2.0, 1.1, -0.2);
@@ -72,26 +75,23 @@ fn repeated_samples(mut builder: Builder, configure: Configure) -> Script {
     builder.configure(configure);
     builder.repeat_sample();
     builder.sample(2.0, 1.0, 0.1);
-    builder.finish()
 }
 
-fn gaps(mut builder: Builder) -> Script {
+fn gaps(builder: &mut Builder) {
     for (step, ahead) in [1, 5, 1, 127, 128, 255, 2].into_iter().enumerate() {
         builder.sample_after(ahead, 2.0, 0.05 + 0.3 * step as f32, -0.1);
         // Number 0 among them.
         builder.repeat_sample();
     }
-    builder.finish()
 }
 
-fn pieces(mut builder: Builder) -> Script {
+fn pieces(builder: &mut Builder) {
     for at in [1, 2, 7, 12, SAMPLE_FRAME - 2, SAMPLE_FRAME - 1] {
         builder.sample_in_pieces(at, 2.0, 0.05 * at as f32, -0.1);
     }
-    builder.finish()
 }
 
-fn rest(mut builder: Builder) -> Script {
+fn rest(builder: &mut Builder) {
     for (setpoint, wd, wq) in [
         (2.0, 0.0, 0.0),
         (2.0, -1.2, 0.4),
@@ -108,10 +108,9 @@ fn rest(mut builder: Builder) -> Script {
     ] {
         builder.sample(setpoint, wd, wq);
     }
-    builder.finish()
 }
 
-fn hello(mut builder: Builder, configure: Configure) -> Script {
+fn hello(builder: &mut Builder, configure: Configure) {
     builder.sample(2.0, 0.0, 0.0);
     builder.ask(Message::Hello);
     builder.sample(2.0, 1.2, -0.2);
@@ -125,11 +124,10 @@ fn hello(mut builder: Builder, configure: Configure) -> Script {
     builder.sample(2.0, 1.2, -0.2);
     builder.configure(configure);
     builder.sample(2.0, 1.2, -0.2);
-    builder.finish()
 }
 
 /// Only the number of the last sample marks a repetition.
-fn numbers(mut builder: Builder, configure: Configure) -> Script {
+fn numbers(builder: &mut Builder, configure: Configure) {
     builder.sample_after(0, 2.0, 0.0, 0.0);
     builder.ask(Message::Hello);
     builder.sample_after(0, 2.0, 1.2, -0.2);
@@ -142,10 +140,9 @@ fn numbers(mut builder: Builder, configure: Configure) -> Script {
     builder.configure(configure);
     builder.sample_after(0, 2.0, 1.1, 0.2);
     builder.sample(2.0, 1.2, 0.1);
-    builder.finish()
 }
 
-fn ignored(mut builder: Builder, identity: &Identity) -> Script {
+fn ignored(builder: &mut Builder, identity: &Identity) {
     let command = Command {
         target_time_us: 1,
         drive_vpp: 100.0,
@@ -175,11 +172,10 @@ fn ignored(mut builder: Builder, identity: &Identity) -> Script {
     }
     builder.add(&[0; 8]);
     builder.sample(2.0, 1.3, -0.2);
-    builder.finish()
 }
 
 /// Each rejected frame adds two, each control step subtracts one, and ten stops.
-fn counter(mut builder: Builder, configure: Configure) -> Script {
+fn counter(builder: &mut Builder, configure: Configure) {
     // In idle nothing counts.
     builder.add_rejected(6);
     for _ in 0..20 {
@@ -212,20 +208,18 @@ fn counter(mut builder: Builder, configure: Configure) -> Script {
     builder.sample(2.0, 1.3, -0.2);
     builder.add_rejected(4);
     builder.sample(2.0, 1.3, -0.2);
-    builder.finish()
 }
 
-fn damaged(mut builder: Builder) -> Script {
+fn damaged(builder: &mut Builder) {
     builder.sample(2.0, 0.0, 0.0);
     for position in 0..SAMPLE_FRAME - 1 {
         builder.add_damaged(position);
         builder.sample(2.0, 1.2, -0.2);
         builder.sample(2.0, 1.3, -0.2);
     }
-    builder.finish()
 }
 
-fn invalid_bodies(mut builder: Builder) -> Script {
+fn invalid_bodies(builder: &mut Builder) {
     let zeros = [0; 16];
     builder.sample(2.0, 0.0, 0.0);
     for body in [
@@ -247,10 +241,9 @@ fn invalid_bodies(mut builder: Builder) -> Script {
         builder.add_body(&[0x1c, 97]);
     }
     builder.sample(2.0, 1.3, -0.2);
-    builder.finish()
 }
 
-fn invalid_configurations(mut builder: Builder, configure: Configure) -> Script {
+fn invalid_configurations(builder: &mut Builder, configure: Configure) {
     let body = |change: &dyn Fn(&mut Vec<u8>)| {
         let values = [0.007, 0.0019, 0.0, 900.0, 250.0, 50.0, 200.0, 90_000.0, 700.0, 300_000.0];
         let mut body = configuration_body(&configure, 1, values);
@@ -284,10 +277,9 @@ fn invalid_configurations(mut builder: Builder, configure: Configure) -> Script 
         builder.sample(2.0, 1.2, -0.2);
         builder.sample(2.0, 1.3, -0.2);
     }
-    builder.finish()
 }
 
-fn not_finite(mut builder: Builder, component: usize, configure: Configure) -> Script {
+fn not_finite(builder: &mut Builder, component: usize, configure: Configure) {
     let with = |value: f32| {
         let mut values = [2.0, 1.2, -0.2];
         if let Some(place) = values.get_mut(component) {
@@ -312,7 +304,6 @@ fn not_finite(mut builder: Builder, component: usize, configure: Configure) -> S
     builder.sample(0.0, 1.0, 0.0);
     let [_, wd, wq] = with(f32::NAN);
     builder.sample(0.0, wd, wq);
-    builder.finish()
 }
 
 fn unusable(base: &Configure, identity: &Identity) -> Vec<Configure> {

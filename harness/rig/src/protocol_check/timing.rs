@@ -1,10 +1,10 @@
 //! Builds scripts of time: watchdog, ticks, and a long trial.
 
-use super::builder::{Builder, Script};
+use super::builder::Builder;
 use platebench_wire::{Configure, Message};
 
 /// Waits are far from the timeouts, because a PC may stall.
-pub(super) fn watchdog(mut builder: Builder, configure: Configure) -> Script {
+pub(super) fn watchdog(builder: &mut Builder, configure: Configure) {
     // Five periods of 50 ms.
     builder.configure(Configure { period_us: 50_000, watchdog_timeout_ms: 0, ..configure });
     builder.sample(2.0, 0.0, 0.0);
@@ -29,11 +29,10 @@ pub(super) fn watchdog(mut builder: Builder, configure: Configure) -> Script {
     builder.sample(2.0, 0.0, 0.0);
     builder.wait_ms(150);
     builder.sample(2.0, 1.2, -0.2);
-    builder.finish()
 }
 
 /// Five periods of 300 µs are not whole milliseconds.
-pub(super) fn short_watchdog(mut builder: Builder, configure: Configure) -> Script {
+pub(super) fn short_watchdog(builder: &mut Builder, configure: Configure) {
     builder.set_stall_us(250);
     let configure = Configure { period_us: 300, watchdog_timeout_ms: 0, ..configure };
     builder.configure(configure);
@@ -44,10 +43,9 @@ pub(super) fn short_watchdog(mut builder: Builder, configure: Configure) -> Scri
     builder.sample(2.0, 0.0, 0.0);
     builder.wait_us(1_800);
     builder.sample(2.0, 1.2, -0.2);
-    builder.finish()
 }
 
-pub(super) fn ticks(mut builder: Builder, configure: Configure) -> Script {
+pub(super) fn ticks(builder: &mut Builder, configure: Configure) {
     let paced = Configure { paced_by_target: true, period_us: 50_000, ..configure };
     builder.configure(paced);
     builder.pass_ms(225);
@@ -64,25 +62,23 @@ pub(super) fn ticks(mut builder: Builder, configure: Configure) -> Script {
     builder.configure(paced);
     builder.pass_ms(1_175);
     builder.sample(2.0, 0.0, 0.0);
-    builder.finish()
 }
 
 /// So many that their number wraps and that delays of some microseconds add up to a large part of a period.
-pub(super) fn short_ticks(mut builder: Builder, configure: Configure) -> Script {
+pub(super) fn short_ticks(builder: &mut Builder, configure: Configure) {
     builder.configure(Configure { paced_by_target: true, period_us: 3_000, ..configure });
     builder.pass_ms(900);
     builder.configure(configure);
-    builder.finish()
 }
 
 /// The drive keeps the value that the first sample gave the integrals. Without variations: nothing depends on rounding.
-pub(super) fn many_samples(mut builder: Builder) -> Script {
+pub(super) fn many_samples(builder: &mut Builder) {
     if builder.has_variation() {
-        return builder.empty();
+        builder.discard();
+        return;
     }
     builder.sample(2.0, 1.9, 0.05);
     for _ in 0..=u16::MAX {
         builder.sample(2.0, 2.0, 0.0);
     }
-    builder.finish()
 }
