@@ -1,7 +1,7 @@
 //! Lists correct controllers that differ from the firmware.
 
 use crate::mutant_controller::{Mutant, MutantController};
-use crate::mutants::clean::{ByteWiseReads, OtherGains, OwnClock, ReportedComputeTime};
+use crate::mutants::clean::{ByteWiseReads, other_gains, own_clock, reported_compute_time};
 use platebench_rig::{BoxedLink, HostedLink};
 
 #[derive(Debug, Clone, Copy)]
@@ -20,9 +20,9 @@ impl CleanVariant {
 pub fn clean_variants() -> Vec<CleanVariant> {
     let variant = |name, description, build| CleanVariant { name, description, build };
     vec![
-        variant("gains-plus-5", "amplitude gains 5 % higher", || Box::new(OtherGains(1.0 / 1.05))),
-        variant("compute-time", "reports 200 µs per control step", || Box::new(ReportedComputeTime)),
-        variant("own-clock", "clock with another start, which wraps and is 100 ppm fast", || Box::new(OwnClock)),
+        variant("gains-plus-5", "amplitude gains 5 % higher", || other_gains(1.0 / 1.05)),
+        variant("compute-time", "reports 200 µs per control step", reported_compute_time),
+        variant("own-clock", "clock with another start, which wraps and is 100 ppm fast", own_clock),
         variant("byte-wise", "reads and writes byte by byte", || Box::new(ByteWiseReads)),
     ]
 }

@@ -87,8 +87,8 @@ fn write_matrix(text: &mut String, report: &TrustReport) -> fmt::Result {
     }
     writeln!(text, "\n| scenario | mutants caught | which |\n|---|---|---|")?;
     for scenario in &report.scenarios {
-        let catches = |fault: &&MutantResult| fault.right.iter().any(|cell| cell.scenario == scenario.file);
-        let names: BTreeSet<&str> = report.faults.iter().filter(catches).map(|fault| fault.name.as_str()).collect();
+        let catching = report.faults.iter().filter(|fault| fault.is_caught_by(&scenario.file));
+        let names: BTreeSet<&str> = catching.map(|fault| fault.name.as_str()).collect();
         let names = names.into_iter().collect::<Vec<_>>().join(", ");
         let Rate { seen, count, .. } = scenario.kill_rate;
         writeln!(text, "| {} | {seen} of {count} | {names} |", scenario.file)?;

@@ -35,41 +35,22 @@ pub fn measure(order: &TrustConfig) -> Result<TrustReport, TrustError> {
     let (suite, faults) = (&order.scenarios, &order.mutants);
     let references =
         run_suite(order.jobs, suite, &ReferenceController::ALL, |reference| ("reference", reference.link()))?;
-    let failed_without = |reference: ReferenceController| {
-        ReferenceController::ALL.iter().position(|other| *other == reference).and_then(|row| references.get(row))
-    };
+    let of_reference =
+        |reference: ReferenceController| references.get(reference as usize).map_or(&[][..], Vec::as_slice);
     let played = run_suite(order.jobs, suite, faults, |entry| (entry.name, entry.link()))?;
-    let outcomes: Vec<MutantResult> = faults
-        .iter()
-        .zip(&played)
-        .map(|(entry, judged)| {
-            mutant_result(entry, suite, judged, failed_without(entry.reference).map_or(&[], Vec::as_slice))
-        })
-        .collect();
-    let mut alarms: Vec<FalseAlarm> = failed_without(ReferenceController::Firmware)
-        .into_iter()
-        .flat_map(|judged| suite.iter().zip(judged))
-        .flat_map(|(scenario, judged)| failures(scenario, judged).map(|cell| (scenario.trials.seed, cell)))
-        .map(|(seed, (_, cell))| FalseAlarm { controller: "reference".to_owned(), run: None, seed, cell })
-        .collect();
+    let results = faults.iter().zip(&played);
+    let outcomes: Vec<MutantResult> =
+        results.map(|(entry, judged)| mutant_result(entry, suite, judged, of_reference(entry.reference))).collect();
+    let mut alarms = suite_alarms("reference", suite, of_reference(ReferenceController::Firmware));
     let by_firmware: Vec<FailedExpectation> = alarms.iter().map(|alarm| alarm.cell.clone()).collect();
     let variants = run_suite(order.jobs, suite, &order.variants, |variant| (variant.name, variant.link()))?;
     for (variant, judged) in order.variants.iter().zip(&variants) {
-        for (scenario, judged) in suite.iter().zip(judged) {
-            let own = failures(scenario, judged).map(|(_, cell)| cell);
-            let seed = scenario.trials.seed;
-            let controller = variant.name;
-            alarms.extend(own.filter(|cell| !by_firmware.contains(cell)).map(|cell| FalseAlarm {
-                controller: controller.to_owned(),
-                run: None,
-                seed,
-                cell,
-            }));
-        }
+        let own = suite_alarms(variant.name, suite, judged).into_iter();
+        alarms.extend(own.filter(|alarm| !by_firmware.contains(&alarm.cell)));
     }
-    let clean = measure_false_alarms(order, &mut alarms)?;
+    let clean = measure_false_alarms(order, alarms)?;
     let caught = outcomes.iter().filter(|fault| fault.outcome == MutantOutcome::Caught).count();
-    let passes = caught == faults.len() && !faults.is_empty() && alarms.is_empty();
+    let passes = caught == faults.len() && !faults.is_empty() && clean.alarms.is_empty();
     Ok(TrustReport {
         format: 1,
         verdict: if passes { Verdict::Pass } else { Verdict::Fail },
@@ -77,16 +58,23 @@ pub fn measure(order: &TrustConfig) -> Result<TrustReport, TrustError> {
         kill_rate: Rate::new(caught, faults.len()),
         scenarios: suite.iter().map(|scenario| scenario_rate(scenario, &outcomes)).collect(),
         faults: outcomes,
-        clean: FalseAlarmResult { alarms, ..clean },
+        clean,
     })
 }
 
+/// What `controller` fails in the unmodified suite.
+fn suite_alarms(controller: &str, suite: &[Scenario], results: &[PlayResult]) -> Vec<FalseAlarm> {
+    let alarms = suite.iter().zip(results).flat_map(|(scenario, result)| {
+        let alarm =
+            move |cell| FalseAlarm { controller: controller.to_owned(), run: None, seed: scenario.trials.seed, cell };
+        failures(scenario, result).map(move |(_, cell)| alarm(cell))
+    });
+    alarms.collect()
+}
+
 fn scenario_rate(scenario: &Scenario, outcomes: &[MutantResult]) -> ScenarioRate {
-    let catches = |fault: &&MutantResult| fault.right.iter().any(|cell| cell.scenario == scenario.file);
-    ScenarioRate {
-        file: scenario.file.clone(),
-        kill_rate: Rate::new(outcomes.iter().filter(catches).count(), outcomes.len()),
-    }
+    let caught = outcomes.iter().filter(|fault| fault.is_caught_by(&scenario.file)).count();
+    ScenarioRate { file: scenario.file.clone(), kill_rate: Rate::new(caught, outcomes.len()) }
 }
 
 fn mutant_result(
@@ -139,14 +127,12 @@ fn failures<'a>(
     let by_metric = failed.map(move |((expectation, _), number)| {
         (Reason::Metric(expectation.metric), cell(number, expectation.metric.to_string()))
     });
-    by_metric.chain(result.violations.iter().map(move |&kind| (Reason::Violation(kind), cell(0, violation_name(kind)))))
+    let violation = move |&kind: &ViolationKind| (Reason::Violation(kind), cell(0, format!("violation {kind:?}")));
+    by_metric.chain(result.violations.iter().map(violation))
 }
 
-fn violation_name(kind: ViolationKind) -> String {
-    format!("violation {kind:?}")
-}
-
-fn measure_false_alarms(order: &TrustConfig, alarms: &mut Vec<FalseAlarm>) -> Result<FalseAlarmResult, TrustError> {
+/// Adds those of the clean runs to `alarms`.
+fn measure_false_alarms(order: &TrustConfig, mut alarms: Vec<FalseAlarm>) -> Result<FalseAlarmResult, TrustError> {
     let varied: Vec<(&Scenario, Scenario)> =
         order.scenarios.iter().filter_map(|scenario| Some((scenario, with_plate_spread(scenario)?))).collect();
     let runs: Vec<u32> = if varied.is_empty() { Vec::new() } else { (0..order.clean_runs).collect() };
@@ -173,7 +159,7 @@ fn measure_false_alarms(order: &TrustConfig, alarms: &mut Vec<FalseAlarm>) -> Re
         inconclusive: count(Verdict::Inconclusive) as u32,
         scenarios: varied.len() as u32,
         seed: order.seed,
-        alarms: Vec::new(),
+        alarms,
     })
 }
 

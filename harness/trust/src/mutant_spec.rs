@@ -2,7 +2,6 @@
 
 use crate::mutant_controller::{Mutant, MutantController};
 use crate::mutants::loops::{HandwrittenLoops, Omission};
-use crate::mutants::values::NoMutation;
 use platebench_record::ViolationKind;
 use platebench_rig::{BoxedLink, HostedLink};
 use platebench_scenario::Metric;
@@ -46,19 +45,6 @@ pub struct MutantSpec {
 impl MutantSpec {
     pub fn link(&self) -> BoxedLink {
         Box::new(MutantController::new(HostedLink::new(), self.build))
-    }
-
-    /// Must survive.
-    pub fn unmutated() -> Self {
-        Self {
-            name: "unmutated",
-            description: "none",
-            detecting_metrics: Metric::ALL,
-            detecting_violations: &[],
-            witness_scenario: "paper/fig13-closed-loop.toml",
-            reference: ReferenceController::Firmware,
-            build: || Box::new(NoMutation),
-        }
     }
 }
 

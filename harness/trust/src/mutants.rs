@@ -2,6 +2,7 @@
 
 pub(crate) mod clean;
 pub(crate) mod excitation;
+pub(crate) mod hooks;
 pub(crate) mod line;
 pub(crate) mod loops;
 pub(crate) mod plate_changes;

@@ -54,6 +54,13 @@ pub struct MutantResult {
     pub wrong: Vec<FailedExpectation>,
 }
 
+impl MutantResult {
+    /// For the right reason.
+    pub(crate) fn is_caught_by(&self, scenario: &str) -> bool {
+        self.right.iter().any(|cell| cell.scenario == scenario)
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MutantOutcome {

@@ -131,12 +131,16 @@ fn an_interrupted_exploration_writes_its_result() {
     assert!(folder.path().join("explore.json").exists() && folder.path().join("report.html").exists());
 }
 
+struct Unmutated;
+
+impl Mutant for Unmutated {}
+
 #[test]
 fn the_kill_rate_names_a_survivor_and_a_found_mutant() {
     let gain = platebench_trust::catalogue().into_iter().find(|mutant| mutant.name == "drive-gain-doubled").unwrap();
     let config = KillRateConfig {
         envelope: configuration(LawId::DqPi, 1).envelope,
-        mutants: vec![gain, MutantSpec::unmutated()],
+        mutants: vec![gain, MutantSpec { name: "unmutated", build: || Box::new(Unmutated), ..gain }],
         variants: clean_variants(),
         scenes: 12,
         seed: 1,

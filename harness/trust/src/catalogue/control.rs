@@ -5,9 +5,10 @@ use crate::mutant_spec::{
     TEMPERATURE_RAMP, handwritten_mutant, mutant,
 };
 use crate::mutants::excitation::{InvertedFrequency, SinglePrecisionPhase, round_to_timer_ticks};
+use crate::mutants::hooks::{on_command, on_configure, on_sample};
 use crate::mutants::loops::{HandwrittenLoops, Omission};
-use crate::mutants::timing::{CommandJitter, LowPassFilter, RepeatedCommand, SlowSetpoint, StaleSample};
-use crate::mutants::values::{OnCommand, OnConfigure, SampleMutation, TightPlausibilityLimit, round_to_step};
+use crate::mutants::timing::{CommandJitter, low_pass_filter, repeated_command, slow_setpoint, stale_sample};
+use crate::mutants::values::{TightPlausibilityLimit, round_to_step};
 use platebench_scenario::Metric;
 use platebench_wire::LawId;
 use std::time::Duration;
@@ -19,17 +20,17 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
             "drive computed in peak, sent as peak to peak: a gain of 2",
             DYNAMICS,
             FIG13,
-            || Box::new(OnCommand(|command| command.drive_vpp *= 2.0)),
+            || on_command(|command| command.drive_vpp *= 2.0),
         ),
         mutant("drive-gain-halved", "amplifier set to half of its gain", DYNAMICS, FIG13, || {
-            Box::new(OnCommand(|command| command.drive_vpp *= 0.5))
+            on_command(|command| command.drive_vpp *= 0.5)
         }),
         mutant(
             "setpoint-scale",
             "setpoint scaled by the calibration of another plate, 2 % off",
             AMPLITUDE,
             FIG13,
-            || Box::new(SampleMutation(|sample| sample.setpoint_um *= 1.02)),
+            || on_sample(|sample| sample.setpoint_um *= 1.02),
         ),
         mutant(
             "peak-for-peak-to-peak",
@@ -37,10 +38,10 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
             AMPLITUDE,
             FIG13,
             || {
-                Box::new(SampleMutation(|sample| {
+                on_sample(|sample| {
                     sample.wd_um *= 0.5;
                     sample.wq_um *= 0.5;
-                }))
+                })
             },
         ),
         mutant(
@@ -48,14 +49,14 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
             "demodulator offset not trimmed: 10 nm on Wd, 0.5 % of 2 µm",
             AMPLITUDE,
             FIG13,
-            || Box::new(SampleMutation(|sample| sample.wd_um += 0.01)),
+            || on_sample(|sample| sample.wd_um += 0.01),
         ),
         mutant(
             "setpoint-drift",
             "reference voltage of the setpoint drifts, 0.5 % in a minute",
             &[Metric::StaticError, Metric::PeakDeviation],
             TEMPERATURE_RAMP,
-            || Box::new(SampleMutation(|sample| sample.setpoint_um *= 1.0 + 0.005 * sample.time_us as f32 / 60e6)),
+            || on_sample(|sample| sample.setpoint_um *= 1.0 + 0.005 * sample.time_us as f32 / 60e6),
         ),
         mutant(
             "coarse-sensor",
@@ -63,10 +64,10 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
             &[Metric::StaticError, Metric::PeakDeviation],
             FIG13,
             || {
-                Box::new(SampleMutation(|sample| {
+                on_sample(|sample| {
                     sample.wd_um = round_to_step(sample.wd_um, 0.02);
                     sample.wq_um = round_to_step(sample.wq_um, 0.02);
-                }))
+                })
             },
         ),
         mutant(
@@ -74,7 +75,7 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
             "8-bit converter for 900 Vpp: steps of 3.5 Vpp",
             &[Metric::StaticError, Metric::PeakDeviation],
             TEMPERATURE_RAMP,
-            || Box::new(OnCommand(|command| command.drive_vpp = round_to_step(command.drive_vpp, 900.0 / 255.0))),
+            || on_command(|command| command.drive_vpp = round_to_step(command.drive_vpp, 900.0 / 255.0)),
         ),
     ]
 }
@@ -82,7 +83,7 @@ pub(super) fn amplitude_mutants() -> Vec<MutantSpec> {
 pub(super) fn resonance_mutants() -> Vec<MutantSpec> {
     vec![
         mutant("swapped-components", "Wd and Wq swapped", AMPLITUDE, FIG13, || {
-            Box::new(SampleMutation(|sample| std::mem::swap(&mut sample.wd_um, &mut sample.wq_um)))
+            on_sample(|sample| std::mem::swap(&mut sample.wd_um, &mut sample.wq_um))
         }),
         mutant("frequency-sign", "frequency loop with the wrong sign", RESONANCE, FIG15, || {
             Box::new(InvertedFrequency::default())
@@ -92,7 +93,7 @@ pub(super) fn resonance_mutants() -> Vec<MutantSpec> {
             "excitation from a timer at 84 MHz: whole ticks, steps of 12 Hz",
             RESONANCE,
             FIG15,
-            || Box::new(OnCommand(|command| command.frequency_mhz = round_to_timer_ticks(command.frequency_mhz, 84e6))),
+            || on_command(|command| command.frequency_mhz = round_to_timer_ticks(command.frequency_mhz, 84e6)),
         ),
         mutant(
             "single-phase",
@@ -102,25 +103,23 @@ pub(super) fn resonance_mutants() -> Vec<MutantSpec> {
             || Box::new(SinglePrecisionPhase::default()),
         ),
         mutant("only-at-24-degrees", "frequency fixed at the resonance of 24 °C", RESONANCE, TEMPERATURE_RAMP, || {
-            Box::new(OnCommand(|command| command.frequency_mhz = 32_307_600))
+            on_command(|command| command.frequency_mhz = 32_307_600)
         }),
     ]
 }
 
 pub(super) fn timing_mutants() -> Vec<MutantSpec> {
     vec![
-        mutant("stale-sample", "uses the sample of the previous period", DYNAMICS, FIG13, || {
-            Box::new(StaleSample::default())
-        }),
+        mutant("stale-sample", "uses the sample of the previous period", DYNAMICS, FIG13, stale_sample),
         mutant("late-every-100th", "every 100th command one period late", DISTURBANCE, DRUMMING_FINGER, || {
-            Box::new(RepeatedCommand::every(100))
+            repeated_command(100)
         }),
         mutant(
             "half-rate",
             "control step in every second period, with the gains of every period",
             DYNAMICS,
             FIG13,
-            || Box::new(RepeatedCommand::every(2)),
+            || repeated_command(2),
         ),
         mutant(
             "jitter",
@@ -130,10 +129,10 @@ pub(super) fn timing_mutants() -> Vec<MutantSpec> {
             || Box::new(CommandJitter::up_to(Duration::from_micros(400))),
         ),
         mutant("slow-setpoint", "setpoint read in a task of 10 ms", &[Metric::SettlingTime], FIG13, || {
-            Box::new(SlowSetpoint::every(10))
+            slow_setpoint(10)
         }),
         mutant("smoothed-sample", "low-pass on the sample that the design ignores", DYNAMICS, FIG13, || {
-            Box::new(LowPassFilter::new(0.5))
+            low_pass_filter(0.5)
         }),
     ]
 }
@@ -145,14 +144,14 @@ pub(super) fn drive_limit_mutants() -> Vec<MutantSpec> {
             "drive limit of an older amplifier, 600 Vpp",
             &[Metric::StaticError, Metric::SettlingTime, Metric::DrivePeak, Metric::PeakDeviation],
             FIG16,
-            || Box::new(OnCommand(|command| command.drive_vpp = command.drive_vpp.min(600.0))),
+            || on_command(|command| command.drive_vpp = command.drive_vpp.min(600.0)),
         ),
         mutant(
             "limit-ignored",
             "law designed without the amplifier's limit",
             DYNAMICS,
             "guards/out-of-reach.toml",
-            || Box::new(OnConfigure(|configure| configure.drive_limit_vpp *= 10.0)),
+            || on_configure(|configure| configure.drive_limit_vpp *= 10.0),
         ),
         mutant(
             "only-untouched",
@@ -167,18 +166,18 @@ pub(super) fn drive_limit_mutants() -> Vec<MutantSpec> {
 pub(super) fn law_mutants() -> Vec<MutantSpec> {
     vec![
         mutant("untouched-gains", "gains of the untouched plate under a finger", DYNAMICS, FIG16, || {
-            Box::new(OnConfigure(|configure| {
+            on_configure(|configure| {
                 if configure.law == LawId::DqPi {
                     configure.law = LawId::DqPiFixed;
                 }
-            }))
+            })
         }),
         mutant("printed-gains", "equation 24 as printed, not matched to the period of 1 ms", DYNAMICS, FIG13, || {
-            Box::new(OnConfigure(|configure| {
+            on_configure(|configure| {
                 if configure.law == LawId::DqPi {
                     configure.law = LawId::DqPiEuler;
                 }
-            }))
+            })
         }),
         handwritten_mutant("integral-missing", "amplitude loop without its integral", AMPLITUDE, FIG13, || {
             Box::new(HandwrittenLoops::without(Omission::AmplitudeIntegral))

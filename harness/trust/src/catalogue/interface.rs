@@ -4,24 +4,24 @@ use crate::mutant_spec::{
     AMPLITUDE, DYNAMICS, FIG13, MutantSpec, NOISE_STORM, REFERENCE, RESPONSE, ReferenceController, SHUTDOWN, SILENCE,
     mutant,
 };
+use crate::mutants::hooks::{on_command, on_configure, on_sample};
 use crate::mutants::line::{NoBadFrameCount, NoChecksumCheck, NoSequenceCheck, RestartAfterStop};
-use crate::mutants::plate_changes::{AlternatingDrive, PressLatch, RisingDampingOnly};
-use crate::mutants::protocol::{IgnoredGains, LimitAfterLaw, OnConfigured, StaleAnswer, WrappingCounter};
-use crate::mutants::values::{OnCommand, OnConfigure, SampleMutation};
+use crate::mutants::plate_changes::{PressLatch, RisingDampingOnly, alternating_drive};
+use crate::mutants::protocol::{IgnoredGains, LimitAfterLaw, WrappingCounter, gains_not_finite, stale_answer};
 use platebench_record::ViolationKind;
 use platebench_scenario::Metric;
 
 pub(super) fn protocol_mutants() -> Vec<MutantSpec> {
     vec![
         mutant("no-watchdog", "no watchdog: holds its drive when samples stop", SHUTDOWN, SILENCE, || {
-            Box::new(OnConfigure(|configure| configure.watchdog_timeout_ms = u16::MAX))
+            on_configure(|configure| configure.watchdog_timeout_ms = u16::MAX)
         }),
         mutant(
             "nervous-watchdog",
             "watchdog timeout of two periods instead of five",
             &[Metric::PeakDeviation, Metric::RecoveryTime],
             "faults/four-periods-of-silence.toml",
-            || Box::new(OnConfigure(|configure| configure.watchdog_timeout_ms = (configure.period_us / 500) as u16)),
+            || on_configure(|configure| configure.watchdog_timeout_ms = (configure.period_us / 500) as u16),
         ),
         mutant("restart-after-timeout", "restarts without a configuration after a timeout", SHUTDOWN, SILENCE, || {
             Box::new(RestartAfterStop::default())
@@ -48,7 +48,7 @@ pub(super) fn blind_spot_mutants() -> Vec<MutantSpec> {
             "smallest drive of 10 Vpp, also at setpoint 0",
             &[Metric::RestDrive],
             "guards/rest-drive.toml",
-            || Box::new(OnCommand(|command| command.drive_vpp = command.drive_vpp.max(10.0))),
+            || on_command(|command| command.drive_vpp = command.drive_vpp.max(10.0)),
         ),
         mutant(
             "low-level-error",
@@ -56,11 +56,11 @@ pub(super) fn blind_spot_mutants() -> Vec<MutantSpec> {
             AMPLITUDE,
             "guards/low-setpoints.toml",
             || {
-                Box::new(SampleMutation(|sample| {
+                on_sample(|sample| {
                     if sample.wd_um.abs() < 0.5 {
                         sample.wd_um *= 0.97;
                     }
-                }))
+                })
             },
         ),
         mutant(
@@ -85,10 +85,10 @@ pub(super) fn blind_spot_mutants() -> Vec<MutantSpec> {
             "drive alternates by ±2 % from period to period",
             &[Metric::Ripple, Metric::RipplePercent],
             "guards/steady-ripple.toml",
-            || Box::new(AlternatingDrive::new(0.02)),
+            || alternating_drive(0.02),
         ),
         mutant("fixed-period", "designed for 1 ms at every period", DYNAMICS, "guards/period-2ms.toml", || {
-            Box::new(OnConfigure(|configure| configure.period_us = 1_000))
+            on_configure(|configure| configure.period_us = 1_000)
         }),
         mutant(
             "ignored-gains",
@@ -144,16 +144,16 @@ pub(super) fn violating_mutants() -> Vec<MutantSpec> {
     };
     vec![
         mutant("clock-of-24-bits", "clock of 24 bits, sent as 32", &[ViolationKind::ClockBackwards], FIG13, || {
-            Box::new(OnCommand(|command| {
+            on_command(|command| {
                 command.target_time_us = command.target_time_us.wrapping_sub(40_000) & 0x00FF_FFFF;
-            }))
+            })
         }),
         mutant(
             "stale-answer",
             "every 1000th answer is the previous one, with its sequence number",
             &[ViolationKind::WrongSequence, ViolationKind::SecondReply],
             "guards/stale-answers.toml",
-            || Box::new(StaleAnswer::every(1_000)),
+            || stale_answer(1_000),
         ),
         mutant(
             "drive-beyond-limit",
@@ -161,11 +161,11 @@ pub(super) fn violating_mutants() -> Vec<MutantSpec> {
             &[ViolationKind::DriveAboveLimit],
             FIG13,
             || {
-                Box::new(OnCommand(|command| {
+                on_command(|command| {
                     if command.drive_vpp > 500.0 {
                         command.drive_vpp *= 10.0;
                     }
-                }))
+                })
             },
         ),
         mutant(
@@ -174,11 +174,11 @@ pub(super) fn violating_mutants() -> Vec<MutantSpec> {
             &[ViolationKind::DriveBelowZero],
             "guards/rest-drive.toml",
             || {
-                Box::new(OnCommand(|command| {
+                on_command(|command| {
                     if command.drive_vpp == 0.0 {
                         command.drive_vpp = -0.5;
                     }
-                }))
+                })
             },
         ),
         mutant(
@@ -186,11 +186,15 @@ pub(super) fn violating_mutants() -> Vec<MutantSpec> {
             "frequency sent in Hz instead of mHz",
             &[ViolationKind::FrequencyOutOfRange, ViolationKind::FrequencySlew],
             FIG13,
-            || Box::new(OnCommand(|command| command.frequency_mhz /= 1_000)),
+            || on_command(|command| command.frequency_mhz /= 1_000),
         ),
-        mutant("gains-not-finite", "reports gains that are NaN", &[ViolationKind::WrongConfiguration], FIG13, || {
-            Box::new(OnConfigured(|gains| gains.amplitude_ki = f32::NAN))
-        }),
+        mutant(
+            "gains-not-finite",
+            "reports gains that are NaN",
+            &[ViolationKind::WrongConfiguration],
+            FIG13,
+            gains_not_finite,
+        ),
     ]
 }
 
@@ -201,23 +205,23 @@ pub(super) fn configuration_mutants() -> Vec<MutantSpec> {
             "configured response time ignored",
             REFERENCE,
             "reference/response-8ms.toml",
-            || Box::new(OnConfigure(|configure| configure.response_time_s = 0.0)),
+            || on_configure(|configure| configure.response_time_s = 0.0),
         ),
         mutant("start-in-whole-hz", "start frequency in whole Hz", REFERENCE, "reference/limits.toml", || {
-            Box::new(OnConfigure(|configure| configure.start_frequency_mhz -= configure.start_frequency_mhz % 1_000))
+            on_configure(|configure| configure.start_frequency_mhz -= configure.start_frequency_mhz % 1_000)
         }),
         mutant("range-in-whole-hz", "frequency range and slew in whole Hz", REFERENCE, "reference/limits.toml", || {
-            Box::new(OnConfigure(|configure| {
+            on_configure(|configure| {
                 configure.frequency_range_hz = configure.frequency_range_hz.trunc();
                 configure.frequency_slew_hz = configure.frequency_slew_hz.trunc();
-            }))
+            })
         }),
         mutant(
             "limit-of-1000-vpp",
             "drive limits above 1000 Vpp taken as 1000 Vpp",
             REFERENCE,
             "reference/high-limit.toml",
-            || Box::new(OnConfigure(|configure| configure.drive_limit_vpp = configure.drive_limit_vpp.min(1e3))),
+            || on_configure(|configure| configure.drive_limit_vpp = configure.drive_limit_vpp.min(1e3)),
         ),
         mutant(
             "infinite-sample-ignored",
@@ -225,11 +229,11 @@ pub(super) fn configuration_mutants() -> Vec<MutantSpec> {
             REFERENCE,
             "reference/stops.toml",
             || {
-                Box::new(SampleMutation(|sample| {
+                on_sample(|sample| {
                     if !sample.wd_um.is_finite() {
                         sample.wd_um = 0.0;
                     }
-                }))
+                })
             },
         ),
     ]

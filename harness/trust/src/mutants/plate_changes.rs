@@ -1,26 +1,18 @@
 //! Mutates the reaction to a finger that leaves and to a steady state.
 
+use super::hooks::on_command;
 use crate::mutant_controller::Mutant;
 use platebench_controller::design::PiGains;
 use platebench_controller::pi::{Pi, Tracking};
 use platebench_wire::{Command, Configure, LawId, Sample};
 
-pub(crate) struct AlternatingDrive {
-    share: f32,
-    is_positive: bool,
-}
-
-impl AlternatingDrive {
-    pub(crate) fn new(share: f32) -> Self {
-        Self { share, is_positive: false }
-    }
-}
-
-impl Mutant for AlternatingDrive {
-    fn on_command(&mut self, command: &mut Command) {
-        self.is_positive = !self.is_positive;
-        command.drive_vpp *= if self.is_positive { 1.0 + self.share } else { 1.0 - self.share };
-    }
+/// Alternates by ±`share` from period to period.
+pub(crate) fn alternating_drive(share: f32) -> Box<dyn Mutant> {
+    let mut is_positive = false;
+    on_command(move |command| {
+        is_positive = !is_positive;
+        command.drive_vpp *= if is_positive { 1.0 + share } else { 1.0 - share };
+    })
 }
 
 /// Keeps most of the drive of a finger after the finger has left, until the setpoint changes.

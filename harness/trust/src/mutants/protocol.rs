@@ -1,5 +1,6 @@
 //! Mutates what the protocol demands of configurations, time stamps and answers.
 
+use super::hooks::on_send;
 use crate::mutant_controller::Mutant;
 use platebench_wire::{Command, Configure, Configured, Gains, Message, Packet, Sample};
 
@@ -23,43 +24,28 @@ impl Mutant for IgnoredGains {
     }
 }
 
-pub(crate) struct OnConfigured(pub(crate) fn(&mut Gains));
-
-impl Mutant for OnConfigured {
-    fn on_send(&mut self, packet: &mut Packet) {
+/// Reports gains that are not finite.
+pub(crate) fn gains_not_finite() -> Box<dyn Mutant> {
+    on_send(|packet| {
         if let Message::Configured(Configured { outcome: Ok(gains) }) = &mut packet.message {
-            (self.0)(gains);
+            gains.amplitude_ki = f32::NAN;
         }
-    }
+    })
 }
 
 /// Replaces every n-th command by the previous answer, sequence number included.
-pub(crate) struct StaleAnswer {
-    every: u32,
-    count: u32,
-    last: Option<Packet>,
-}
-
-impl StaleAnswer {
-    pub(crate) fn every(every: u32) -> Self {
-        Self { every, count: 0, last: None }
-    }
-}
-
-impl Mutant for StaleAnswer {
-    fn on_send(&mut self, packet: &mut Packet) {
+pub(crate) fn stale_answer(every: u32) -> Box<dyn Mutant> {
+    let (mut count, mut last) = (0_u32, None);
+    on_send(move |packet| {
         if !matches!(packet.message, Message::Command(_)) {
             return;
         }
-        self.count += 1;
-        let current = *packet;
-        if self.count.is_multiple_of(self.every)
-            && let Some(last) = self.last
-        {
-            *packet = last;
+        count += 1;
+        let before = last.replace(*packet);
+        if let Some(before) = before.filter(|_| count.is_multiple_of(every)) {
+            *packet = before;
         }
-        self.last = Some(current);
-    }
+    })
 }
 
 /// Ignores samples whose time stamp, read as a counter that wraps, is older than the last one: the

@@ -1,46 +1,31 @@
 //! Mutates the time at which samples and commands act.
 
+use super::hooks::{on_command, on_sample};
 use crate::mutant_controller::Mutant;
-use platebench_wire::{Command, Sample};
+use platebench_wire::Command;
 use std::time::Duration;
 
 /// Uses the components of the previous sample.
-#[derive(Default)]
-pub(crate) struct StaleSample {
-    previous: Option<[f32; 2]>,
-}
-
-impl Mutant for StaleSample {
-    fn on_sample(&mut self, sample: &mut Sample) {
+pub(crate) fn stale_sample() -> Box<dyn Mutant> {
+    let mut previous = None;
+    on_sample(move |sample| {
         let now = [sample.wd_um, sample.wq_um];
-        [sample.wd_um, sample.wq_um] = self.previous.replace(now).unwrap_or(now);
-    }
+        [sample.wd_um, sample.wq_um] = previous.replace(now).unwrap_or(now);
+    })
 }
 
 /// Repeats the previous drive and frequency in every n-th period.
-pub(crate) struct RepeatedCommand {
-    every: u32,
-    count: u32,
-    last: Option<(f32, u32)>,
-}
-
-impl RepeatedCommand {
-    pub(crate) fn every(every: u32) -> Self {
-        Self { every, count: 0, last: None }
-    }
-}
-
-impl Mutant for RepeatedCommand {
-    fn on_command(&mut self, command: &mut Command) {
-        self.count += 1;
-        if self.count.is_multiple_of(self.every)
-            && let Some((drive_vpp, frequency_mhz)) = self.last
-        {
-            *command = Command { drive_vpp, frequency_mhz, ..*command };
-        } else {
-            self.last = Some((command.drive_vpp, command.frequency_mhz));
+pub(crate) fn repeated_command(every: u32) -> Box<dyn Mutant> {
+    let (mut count, mut last) = (0_u32, None);
+    on_command(move |command| {
+        count += 1;
+        match last {
+            Some((drive_vpp, frequency_mhz)) if count.is_multiple_of(every) => {
+                *command = Command { drive_vpp, frequency_mhz, ..*command };
+            }
+            _ => last = Some((command.drive_vpp, command.frequency_mhz)),
         }
-    }
+    })
 }
 
 /// Delays commands by 0 to `max_delay`, uniformly, in order.
@@ -64,46 +49,25 @@ impl Mutant for CommandJitter {
 }
 
 /// Reads a new setpoint only in every n-th period.
-pub(crate) struct SlowSetpoint {
-    every: u32,
-    count: u32,
-    last_setpoint: f32,
-}
-
-impl SlowSetpoint {
-    pub(crate) fn every(every: u32) -> Self {
-        Self { every, count: 0, last_setpoint: 0.0 }
-    }
-}
-
-impl Mutant for SlowSetpoint {
-    fn on_sample(&mut self, sample: &mut Sample) {
-        if self.count.is_multiple_of(self.every) {
-            self.last_setpoint = sample.setpoint_um;
+pub(crate) fn slow_setpoint(every: u32) -> Box<dyn Mutant> {
+    let (mut count, mut last) = (0_u32, 0.0);
+    on_sample(move |sample| {
+        if count.is_multiple_of(every) {
+            last = sample.setpoint_um;
         }
-        self.count += 1;
-        sample.setpoint_um = self.last_setpoint;
-    }
+        count += 1;
+        sample.setpoint_um = last;
+    })
 }
 
 /// Filters the sample by a first-order low-pass with gain `share` per period.
-pub(crate) struct LowPassFilter {
-    share: f32,
-    state: Option<[f32; 2]>,
-}
-
-impl LowPassFilter {
-    pub(crate) fn new(share: f32) -> Self {
-        Self { share, state: None }
-    }
-}
-
-impl Mutant for LowPassFilter {
-    fn on_sample(&mut self, sample: &mut Sample) {
+pub(crate) fn low_pass_filter(share: f32) -> Box<dyn Mutant> {
+    let mut state = None;
+    on_sample(move |sample| {
         let now = [sample.wd_um, sample.wq_um];
-        let [d, q] = self.state.unwrap_or(now);
-        let smooth = [d + self.share * (now[0] - d), q + self.share * (now[1] - q)];
-        self.state = Some(smooth);
+        let [d, q] = state.unwrap_or(now);
+        let smooth = [d + share * (now[0] - d), q + share * (now[1] - q)];
+        state = Some(smooth);
         [sample.wd_um, sample.wq_um] = smooth;
-    }
+    })
 }

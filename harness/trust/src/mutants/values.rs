@@ -3,34 +3,6 @@
 use crate::mutant_controller::Mutant;
 use platebench_wire::{Command, Configure, Sample};
 
-pub(crate) struct NoMutation;
-
-impl Mutant for NoMutation {}
-
-pub(crate) struct OnConfigure(pub(crate) fn(&mut Configure));
-
-impl Mutant for OnConfigure {
-    fn on_configure(&mut self, configure: &mut Configure) {
-        (self.0)(configure);
-    }
-}
-
-pub(crate) struct SampleMutation(pub(crate) fn(&mut Sample));
-
-impl Mutant for SampleMutation {
-    fn on_sample(&mut self, sample: &mut Sample) {
-        (self.0)(sample);
-    }
-}
-
-pub(crate) struct OnCommand(pub(crate) fn(&mut Command));
-
-impl Mutant for OnCommand {
-    fn on_command(&mut self, command: &mut Command) {
-        (self.0)(command);
-    }
-}
-
 /// Limits the drive to `share` of the untouched plate's: a plausibility check that ignores the
 /// finger.
 pub(crate) struct TightPlausibilityLimit {

@@ -4,7 +4,7 @@ use platebench_record::Verdict;
 use platebench_scenario::Metric;
 use platebench_test_kit::{load_scenario, workspace_root};
 use platebench_trust::report::MutantOutcome;
-use platebench_trust::{MutantSpec, TrustConfig, TrustReport, catalogue, measure};
+use platebench_trust::{Mutant, MutantSpec, TrustConfig, TrustReport, catalogue, measure};
 use std::collections::BTreeSet;
 use std::fs;
 
@@ -33,10 +33,15 @@ fn every_mutant_is_caught_by_its_witness_scenario() {
     assert!(missed.is_empty(), "{missed:?}");
 }
 
+struct Unmutated;
+
+impl Mutant for Unmutated {}
+
 #[test]
 fn an_unmutated_controller_survives_and_fails_the_suite() {
     let scenarios = ["paper/fig13-closed-loop.toml", "faults/doubled-messages.toml", "faults/flipped-bit.toml"];
-    let report = measure_suite(&scenarios, vec![MutantSpec::unmutated()], 0);
+    let unmutated = MutantSpec { build: || Box::new(Unmutated), ..catalogue()[0] };
+    let report = measure_suite(&scenarios, vec![MutantSpec { detecting_metrics: Metric::ALL, ..unmutated }], 0);
     assert_eq!(report.faults[0].outcome, MutantOutcome::Survived, "{:?}", report.faults[0]);
     assert_eq!((report.kill_rate.seen, report.kill_rate.count, report.verdict), (0, 1, Verdict::Fail));
 }
