@@ -5,6 +5,7 @@ use crate::fit::{DirectFit, fit_direct};
 use crate::recording::{RecordedSample, Recording};
 use platebench_plate::Complex64;
 use serde::Serialize;
+use statrs::distribution::{Binomial, DiscreteCDF};
 use std::f64::consts::PI;
 use std::fmt;
 
@@ -145,12 +146,9 @@ fn fits_better_with_exchanged_components(recording: &Recording, fit: &DirectFit)
 
 /// True if a probability above 1 % explains the rejections of white residuals in independent tests.
 pub(crate) fn is_explained_by_chance(rejected: usize, tests: usize) -> bool {
-    let (mut fewer, mut term) = (0.0, (1.0 - LEVEL).powi(i32::try_from(tests).unwrap_or(i32::MAX)));
-    for count in 0..rejected {
-        fewer += term;
-        term *= (tests.saturating_sub(count)) as f64 / (count + 1) as f64 * LEVEL / (1.0 - LEVEL);
-    }
-    1.0 - fewer > LEVEL * (1.0 + 1e-9)
+    let Some(fewer) = (rejected as u64).checked_sub(1) else { return true };
+    // A probability of 1 % is rounded.
+    Binomial::new(LEVEL, tests as u64).is_ok_and(|count| count.sf(fewer) > LEVEL * (1.0 + 1e-9))
 }
 
 #[cfg(test)]

@@ -9,27 +9,18 @@ const MAX_STRENGTH_ERROR: f64 = 0.2;
 const MAX_TIME_CONSTANT_ERROR: f64 = 0.5;
 
 /// What a recording shows besides one mode.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[serde(rename_all = "kebab-case", tag = "kind")]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EffectFit {
-    SecondMode {
-        resonance_hz: Estimate,
-        time_constant_s: Estimate,
-        gain_um_per_vpp: Estimate,
-    },
-    Heating {
-        /// Shift of the resonance in the steady state, Hz per µm².
-        shift_hz_per_um2: Estimate,
-        time_constant_s: Estimate,
-    },
+    SecondMode(IdentifiedSecondMode),
+    Heating(IdentifiedHeating),
 }
 
 impl EffectFit {
     /// True if the errors are small enough to exclude a chance fit.
     pub(crate) fn is_determined(&self) -> bool {
         let (strength, time_constant) = match self {
-            Self::SecondMode { time_constant_s, gain_um_per_vpp, .. } => (gain_um_per_vpp, time_constant_s),
-            Self::Heating { shift_hz_per_um2, time_constant_s } => (shift_hz_per_um2, time_constant_s),
+            Self::SecondMode(mode) => (&mode.gain_um_per_vpp, &mode.time_constant_s),
+            Self::Heating(heating) => (&heating.shift_hz_per_um2, &heating.time_constant_s),
         };
         let is_within = |part: &Estimate, share: f64| part.error < share * part.value.abs();
         is_within(strength, MAX_STRENGTH_ERROR) && is_within(time_constant, MAX_TIME_CONSTANT_ERROR)
@@ -54,24 +45,27 @@ pub struct IdentifiedHeating {
 
 /// Means over the recordings that show a second mode.
 pub(crate) fn pool_second_modes(effects: &[EffectFit]) -> Option<IdentifiedSecondMode> {
-    let parts = effects.iter().filter_map(|effect| match effect {
-        EffectFit::SecondMode { resonance_hz, time_constant_s, gain_um_per_vpp } => {
-            Some([*resonance_hz, *time_constant_s, *gain_um_per_vpp])
-        }
-        EffectFit::Heating { .. } => None,
-    });
-    let parts: Vec<_> = parts.collect();
-    let pooled = |index: usize| Estimate::pool(&parts.iter().map(|part| part[index]).collect::<Vec<_>>());
-    Some(IdentifiedSecondMode { resonance_hz: pooled(0)?, time_constant_s: pooled(1)?, gain_um_per_vpp: pooled(2)? })
+    let [resonance_hz, time_constant_s, gain_um_per_vpp] = pool(effects, |effect| match effect {
+        EffectFit::SecondMode(mode) => Some([mode.resonance_hz, mode.time_constant_s, mode.gain_um_per_vpp]),
+        EffectFit::Heating(_) => None,
+    })?;
+    Some(IdentifiedSecondMode { resonance_hz, time_constant_s, gain_um_per_vpp })
 }
 
 /// Means over the recordings that show self-heating.
 pub(crate) fn pool_heating(effects: &[EffectFit]) -> Option<IdentifiedHeating> {
-    let parts = effects.iter().filter_map(|effect| match effect {
-        EffectFit::Heating { shift_hz_per_um2, time_constant_s } => Some([*shift_hz_per_um2, *time_constant_s]),
-        EffectFit::SecondMode { .. } => None,
-    });
-    let parts: Vec<_> = parts.collect();
-    let pooled = |index: usize| Estimate::pool(&parts.iter().map(|part| part[index]).collect::<Vec<_>>());
-    Some(IdentifiedHeating { shift_hz_per_um2: pooled(0)?, time_constant_s: pooled(1)? })
+    let [shift_hz_per_um2, time_constant_s] = pool(effects, |effect| match effect {
+        EffectFit::Heating(heating) => Some([heating.shift_hz_per_um2, heating.time_constant_s]),
+        EffectFit::SecondMode(_) => None,
+    })?;
+    Some(IdentifiedHeating { shift_hz_per_um2, time_constant_s })
+}
+
+fn pool<const N: usize>(
+    effects: &[EffectFit],
+    parameters: impl Fn(&EffectFit) -> Option<[Estimate; N]>,
+) -> Option<[Estimate; N]> {
+    let found: Vec<_> = effects.iter().filter_map(parameters).collect();
+    let pooled = |index: usize| Estimate::pool(&found.iter().map(|each| each[index]).collect::<Vec<_>>());
+    (0..N).map(pooled).collect::<Option<Vec<_>>>()?.try_into().ok()
 }

@@ -4,7 +4,7 @@
 //! same drive, and W is their sum. Self-heating: `T' = (|W|² − T)/τ_h` in µm² and `ω0 + s T`; T is 0 at the first
 //! sample, and the mode is frozen at the middle of each interval between samples or inputs.
 
-use crate::effect::EffectFit;
+use crate::effect::{EffectFit, IdentifiedHeating, IdentifiedSecondMode};
 use crate::estimate::{Estimate, WhitenessTest};
 use crate::fit::{DirectFit, OMEGA_UNIT, covariance_of, minimise};
 use crate::recording::Recording;
@@ -142,16 +142,16 @@ impl EffectModel<'_> {
                 // The gain is a product of two parameters.
                 let variance =
                     share * share * covariance[(0, 0)] + covariance[(7, 7)] + 2.0 * share * covariance[(0, 7)];
-                EffectFit::SecondMode {
+                EffectFit::SecondMode(IdentifiedSecondMode {
                     resonance_hz: resonance(6).scaled(1.0 / TAU),
                     time_constant_s: positive(5),
                     gain_um_per_vpp: Estimate::new(gain * share, gain * variance.max(0.0).sqrt(), freedom),
-                }
+                })
             }
-            EffectKind::Heating => EffectFit::Heating {
+            EffectKind::Heating => EffectFit::Heating(IdentifiedHeating {
                 shift_hz_per_um2: Estimate::new(theta[5], error(5), freedom).scaled(SHIFT_UNIT / TAU),
                 time_constant_s: positive(6),
-            },
+            }),
         };
         if !effect.is_determined() {
             return None;

@@ -40,6 +40,11 @@ impl Estimate {
         Self { value: self.value * factor, error: (self.error * factor).abs(), low: a.min(b), high: a.max(b), ..self }
     }
 
+    #[must_use]
+    pub(crate) fn shifted(self, by: f64) -> Self {
+        Self { value: self.value + by, low: self.low + by, high: self.high + by, ..self }
+    }
+
     pub fn contains(&self, truth: f64) -> bool {
         (self.low..=self.high).contains(&truth)
     }

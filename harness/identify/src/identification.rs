@@ -91,9 +91,7 @@ pub fn identify(
         match (own_slope, known_slope) {
             (Some(_), _) => Some(at_reference),
             (None, slope) if warmer == 0.0 || slope.is_some() => {
-                let shift = slope.unwrap_or(0.0) * warmer;
-                let Estimate { value, low, high, .. } = at_reference;
-                Some(Estimate { value: value - shift, low: low - shift, high: high - shift, ..at_reference })
+                Some(at_reference.shifted(-slope.unwrap_or(0.0) * warmer))
             }
             _ => None,
         }
@@ -166,19 +164,13 @@ fn with_effects(mut fitted: Vec<(&Recording, DirectFit)>) -> Vec<(&Recording, Di
 fn summarise_fit(recording: &Recording, fit: &DirectFit) -> Option<RecordingFit> {
     let resonance_hz = fit.resonances.first()?.1.scaled(1.0 / TAU);
     let excitation_hz = recording.inputs.first()?.omega / TAU;
-    let Estimate { value, low, high, .. } = resonance_hz;
     Some(RecordingFit {
         recording: recording.name.clone(),
         samples: recording.outputs.len(),
         gain_um_per_vpp: fit.gain,
         time_constant_s: fit.time_constant()?,
         resonance_hz,
-        detuning_hz: Estimate {
-            value: excitation_hz - value,
-            low: excitation_hz - high,
-            high: excitation_hz - low,
-            ..resonance_hz
-        },
+        detuning_hz: resonance_hz.scaled(-1.0).shifted(excitation_hz),
         noise_um: fit.noise_um,
         whiteness: fit.whiteness,
     })
