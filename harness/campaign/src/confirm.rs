@@ -254,8 +254,7 @@ mod tests {
 
     fn row(trial: u64, margin: f64) -> Row {
         let verdict = if margin < 0.0 { Verdict::Fail } else { Verdict::Pass };
-        let (values, margins) = (Vec::new(), vec![margin]);
-        Row { trial, draws: vec![trial as f64], values, margins, verdict, cause: None, redraws: 0, score: margin }
+        Row::example(trial, verdict, margin)
     }
 
     #[test]

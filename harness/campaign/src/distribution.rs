@@ -92,17 +92,17 @@ pub enum Distribution {
     /// At least one value.
     Choices(Vec<Choice>),
     Uniform([f64; 2]),
-    Normal {
-        mean: f64,
-        sd: f64,
-        truncate: Option<[f64; 2]>,
-    },
-    /// Mean, standard deviation and range of the logarithm.
-    Lognormal {
-        mean: f64,
-        sd: f64,
-        truncate: Option<[f64; 2]>,
-    },
+    Normal(NormalDistribution),
+}
+
+/// A normal distribution of a value, or of its logarithm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NormalDistribution {
+    mean: f64,
+    sd: f64,
+    truncate: Option<[f64; 2]>,
+    /// Mean, standard deviation and range are those of the logarithm.
+    is_logarithm: bool,
 }
 
 impl RawDistribution {
@@ -140,14 +140,14 @@ impl RawDistribution {
                 let error = || format!("uniform = [{low}, {high}], expected [low, high] with low below high");
                 if holds { Ok(Distribution::Uniform([low, high])) } else { Err(error()) }
             }
-            Self::Normal(raw) => raw.check(),
-            Self::Lognormal(raw) => raw.check_lognormal(),
+            Self::Normal(raw) => raw.check().map(Distribution::Normal),
+            Self::Lognormal(raw) => raw.check_lognormal().map(Distribution::Normal),
         }
     }
 }
 
 impl RawNormal {
-    fn check(&self) -> Result<Distribution, String> {
+    fn check(&self) -> Result<NormalDistribution, String> {
         let sd = match (self.sd, self.sd_percent) {
             (Some(sd), None) => sd,
             (None, Some(percent)) => self.mean.abs() * percent / 100.0,
@@ -162,16 +162,12 @@ impl RawNormal {
                 return Err(format!("truncate = [{low}, {high}], expected a range that contains values of the normal"));
             }
         }
-        Ok(Distribution::Normal { mean: self.mean, sd, truncate: self.truncate })
+        Ok(NormalDistribution { mean: self.mean, sd, truncate: self.truncate, is_logarithm: false })
     }
-}
 
-impl RawNormal {
     /// `σ² = ln(1 + (sd/mean)²)`, `µ = ln mean − σ²/2`
-    fn check_lognormal(&self) -> Result<Distribution, String> {
-        let Distribution::Normal { mean, sd, .. } = (Self { truncate: None, ..self.clone() }).check()? else {
-            return Err("lognormal, expected a mean and sd or sd_percent".to_owned());
-        };
+    fn check_lognormal(&self) -> Result<NormalDistribution, String> {
+        let NormalDistribution { mean, sd, .. } = (Self { truncate: None, ..self.clone() }).check()?;
         if mean <= 0.0 || self.truncate.is_some_and(|[low, _]| low <= 0.0) {
             return Err(format!("lognormal with mean {mean}, expected a mean and a range above 0"));
         }
@@ -182,10 +178,7 @@ impl RawNormal {
             sd_percent: None,
             truncate: self.truncate.map(|ends| ends.map(f64::ln)),
         };
-        match logarithm.check()? {
-            Distribution::Normal { mean, sd, truncate } => Ok(Distribution::Lognormal { mean, sd, truncate }),
-            other => Ok(other),
-        }
+        Ok(NormalDistribution { is_logarithm: true, ..logarithm.check()? })
     }
 }
 
@@ -202,45 +195,50 @@ pub(crate) fn quantile(p: f64) -> f64 {
     -SQRT_2 * erfc_inv(2.0 * p)
 }
 
+impl NormalDistribution {
+    fn at(&self, u: f64) -> f64 {
+        let ends = self.truncate.map(|ends| ends.map(|end| below((end - self.mean) / self.sd)));
+        let [from, to] = ends.unwrap_or([0.0, 1.0]);
+        self.value(self.mean + self.sd * quantile(from + (to - from) * u))
+    }
+
+    fn at_score(&self, z: f64) -> f64 {
+        if self.truncate.is_some() { self.at(below(z)) } else { self.value(self.mean + self.sd * z) }
+    }
+
+    fn score(&self, value: f64) -> f64 {
+        let score = |value: f64| (value - self.mean) / self.sd;
+        let value = if self.is_logarithm { value.ln() } else { value };
+        let Some(ends) = self.truncate else { return score(value) };
+        let [from, to] = ends.map(|end| below(score(end)));
+        quantile(((below(score(value)) - from) / (to - from)).clamp(f64::EPSILON, 1.0 - f64::EPSILON))
+    }
+
+    /// Within the range.
+    fn value(&self, normal: f64) -> f64 {
+        let normal = self.truncate.map_or(normal, |[low, high]| normal.clamp(low, high));
+        if self.is_logarithm { normal.exp() } else { normal }
+    }
+}
+
 impl Distribution {
     /// The value at `u` in (0, 1); the number of the choice for [`Self::Choices`].
     pub fn at(&self, u: f64) -> f64 {
         match self {
-            Self::Lognormal { mean, sd, truncate } => {
-                Self::Normal { mean: *mean, sd: *sd, truncate: *truncate }.at(u).exp()
-            }
             Self::Choices(values) => (u * values.len() as f64).floor().min(values.len() as f64 - 1.0),
             Self::Uniform([low, high]) => low + (high - low) * u,
-            Self::Normal { mean, sd, truncate: None } => mean + sd * quantile(u),
-            Self::Normal { mean, sd, truncate: Some([low, high]) } => {
-                let (from, to) = (below((low - mean) / sd), below((high - mean) / sd));
-                (mean + sd * quantile(from + (to - from) * u)).clamp(*low, *high)
-            }
+            Self::Normal(normal) => normal.at(u),
         }
     }
 
     /// The value at the standard normal score `z`.
     pub fn at_score(&self, z: f64) -> f64 {
-        match self {
-            Self::Normal { mean, sd, truncate: None } => mean + sd * z,
-            Self::Lognormal { mean, sd, truncate: None } => (mean + sd * z).exp(),
-            _ => self.at(below(z)),
-        }
+        if let Self::Normal(normal) = self { normal.at_score(z) } else { self.at(below(z)) }
     }
 
     /// The standard normal score of a normal value; 0 for others.
     pub(crate) fn score(&self, value: f64) -> f64 {
-        match self {
-            Self::Choices(_) | Self::Uniform(_) => 0.0,
-            Self::Normal { mean, sd, truncate: None } => (value - mean) / sd,
-            Self::Normal { mean, sd, truncate: Some([low, high]) } => {
-                let (from, to) = (below((low - mean) / sd), below((high - mean) / sd));
-                quantile(((below((value - mean) / sd) - from) / (to - from)).clamp(f64::EPSILON, 1.0 - f64::EPSILON))
-            }
-            Self::Lognormal { mean, sd, truncate } => {
-                Self::Normal { mean: *mean, sd: *sd, truncate: *truncate }.score(value.ln())
-            }
-        }
+        if let Self::Normal(normal) = self { normal.score(value) } else { 0.0 }
     }
 
     /// The value at `share` of the range that a search covers.
@@ -248,26 +246,20 @@ impl Distribution {
         match self {
             Self::Choices(_) => self.at(share),
             Self::Uniform([low, high]) => (low + (high - low) * share).clamp(*low, *high),
-            Self::Normal { mean, sd, truncate } => {
-                let value = mean + sd * SEARCH_DEVIATIONS * (2.0 * share - 1.0);
-                truncate.map_or(value, |[low, high]| value.clamp(low, high))
-            }
-            Self::Lognormal { mean, sd, truncate } => {
-                Self::Normal { mean: *mean, sd: *sd, truncate: *truncate }.at_share_of_range(share).exp()
-            }
+            Self::Normal(normal) => normal.value(normal.mean + normal.sd * SEARCH_DEVIATIONS * (2.0 * share - 1.0)),
         }
     }
 
     /// True if a value that the scenario refuses is drawn again.
     pub const fn is_normal(&self) -> bool {
-        matches!(self, Self::Normal { .. } | Self::Lognormal { .. })
+        matches!(self, Self::Normal(_))
     }
 
     /// As a value of a scenario.
     pub fn value(&self, drawn: f64) -> Value {
         match self {
             Self::Choices(values) => values.get(drawn as usize).map_or(Value::Float(f64::NAN), Value::from),
-            Self::Uniform(_) | Self::Normal { .. } | Self::Lognormal { .. } => Value::Float(drawn),
+            Self::Uniform(_) | Self::Normal(_) => Value::Float(drawn),
         }
     }
 
@@ -275,14 +267,14 @@ impl Distribution {
     pub fn number(&self, drawn: f64) -> Option<f64> {
         match self {
             Self::Choices(values) => values.get(drawn as usize)?.number(),
-            Self::Uniform(_) | Self::Normal { .. } | Self::Lognormal { .. } => Some(drawn),
+            Self::Uniform(_) | Self::Normal(_) => Some(drawn),
         }
     }
 
     pub fn text(&self, drawn: f64) -> String {
         match self {
             Self::Choices(values) => values.get(drawn as usize).map(ToString::to_string).unwrap_or_default(),
-            Self::Uniform(_) | Self::Normal { .. } | Self::Lognormal { .. } => drawn.to_string(),
+            Self::Uniform(_) | Self::Normal(_) => drawn.to_string(),
         }
     }
 
@@ -295,8 +287,9 @@ impl Distribution {
         match self {
             Self::Choices(values) => values.iter().map(Value::from).collect(),
             Self::Uniform(ends) => ends.iter().copied().map(Value::Float).collect(),
-            Self::Normal { mean, .. } => vec![Value::Float(*mean)],
-            Self::Lognormal { mean, .. } => vec![Value::Float(mean.exp())],
+            Self::Normal(NormalDistribution { mean, is_logarithm, .. }) => {
+                vec![Value::Float(if *is_logarithm { mean.exp() } else { *mean })]
+            }
         }
     }
 }

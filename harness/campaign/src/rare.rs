@@ -3,8 +3,10 @@
 //! A trial with score g(u) fails if g ≤ 0. FORM searches the design point, the failing point with the smallest norm β.
 //! Importance sampling around it is used if it is the only one; otherwise subset simulation.
 
+use crate::distribution::below;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use std::cell::Cell;
 
 pub(crate) mod design_point;
 mod estimates;
@@ -18,33 +20,35 @@ pub(crate) type Score<'a> = dyn FnMut(&[f64]) -> Option<f64> + 'a;
 
 /// Uses `trials` scores. `None` if they are too few for an estimate.
 pub(crate) fn estimate(dimensions: usize, seed: u64, trials: u64, score: &mut Score<'_>) -> Option<ChainEstimate> {
-    let mut used = 0;
+    let used = Cell::new(0);
     let mut counted = |point: &[f64]| {
-        if used == trials {
+        if used.get() == trials {
             return None;
         }
-        used += 1;
+        used.set(used.get() + 1);
         score(point)
     };
-    let estimate = estimate_from(dimensions, seed, trials, &mut counted);
+    let estimate = estimate_from(dimensions, seed, trials, &used, &mut counted);
     // Every chain has this many scores, even if no method needs them.
     while counted(&vec![0.0; dimensions]).is_some() {}
     estimate
 }
 
-fn estimate_from(dimensions: usize, seed: u64, trials: u64, score: &mut Score<'_>) -> Option<ChainEstimate> {
+/// `used`: how many of the `trials` have been played.
+fn estimate_from(
+    dimensions: usize,
+    seed: u64,
+    trials: u64,
+    used: &Cell<u64>,
+    score: &mut Score<'_>,
+) -> Option<ChainEstimate> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut used = 0;
-    let mut counted = |point: &[f64]| {
-        used += 1;
-        score(point)
-    };
-    let found = design_point::find(dimensions, &mut counted)?;
+    let found = design_point::find(dimensions, score)?;
     let mut index = None;
     let reason = match found {
         Ok(point) => {
             index = Some(point.reliability_index);
-            match importance::estimate(&point.point, &mut random, &mut counted)? {
+            match importance::estimate(&point.point, &mut random, score)? {
                 Ok((probability, coefficient_of_variation)) => {
                     return Some(ChainEstimate {
                         probability,
@@ -61,8 +65,8 @@ fn estimate_from(dimensions: usize, seed: u64, trials: u64, score: &mut Score<'_
         }
         Err(reason) => reason,
     };
-    let levels = index.map(|index| -design_point::below(-index).log10());
-    let plan = subset::SubsetPlan { dimensions, trials: trials.saturating_sub(used), levels };
+    let levels = index.map(|index| -below(-index).log10());
+    let plan = subset::SubsetPlan { dimensions, trials: trials.saturating_sub(used.get()), levels };
     let found = subset::estimate(&plan, &mut random, score)?;
     Some(ChainEstimate {
         probability: found.probability,

@@ -100,6 +100,14 @@ impl Row {
 mod tests {
     use super::*;
 
+    impl Row {
+        /// A trial without values.
+        pub(crate) fn example(trial: u64, verdict: Verdict, margin: f64) -> Self {
+            let (draws, values, margins) = (vec![trial as f64], Vec::new(), vec![margin]);
+            Self { trial, draws, values, margins, verdict, cause: None, redraws: 0, score: margin }
+        }
+    }
+
     #[test]
     fn a_row_survives_its_part() {
         let row = Row {

@@ -54,16 +54,7 @@ mod tests {
     use super::*;
 
     fn row(trial: u64, verdict: Verdict) -> Row {
-        Row {
-            trial,
-            draws: Vec::new(),
-            values: Vec::new(),
-            margins: Vec::new(),
-            verdict,
-            cause: None,
-            redraws: 0,
-            score: 1.0,
-        }
+        Row::example(trial, verdict, 1.0)
     }
 
     fn decide(rows: impl IntoIterator<Item = Row>) -> Option<(u32, Verdict)> {

@@ -9,11 +9,11 @@ use crate::sequential::SequentialDecision;
 use crate::tally::{Tally, keep_worst};
 use crate::variable::Variable;
 use platebench_record::{Cause, Verdict};
-use serde::Serialize;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 use std::fmt::Write as _;
 
 pub const SUMMARY_FILE: &str = "summary.json";
+
 #[derive(Debug)]
 pub struct Summary<'a> {
     pub campaign: &'a Campaign,
@@ -139,40 +139,42 @@ impl<'a> Summary<'a> {
 
     pub fn json(&self) -> Value {
         let campaign = self.campaign;
-        let tally = |tally: &Tally| {
-            json!({
-                "trials": tally.trials, "failures": tally.failures, "inconclusive": tally.inconclusive,
-                "interval": tally.interval(campaign.confidence), "verdict": self.verdict_of(tally),
-            })
+        let add_counts = |mut entry: Value, tally: &Tally| {
+            entry["trials"] = json!(tally.trials);
+            entry["failures"] = json!(tally.failures);
+            entry["inconclusive"] = json!(tally.inconclusive);
+            entry["interval"] = json!(tally.interval(campaign.confidence));
+            entry["verdict"] = json!(self.verdict_of(tally));
+            entry
         };
         let cells = self.cells.iter().enumerate().map(|(number, cell)| {
-            let mut entry = Map::new();
-            entry.insert("values".to_owned(), self.cell_values(number));
-            if let Value::Object(counts) = tally(cell) {
-                entry.extend(counts);
-            }
+            let mut entry = add_counts(json!({ "values": self.cell_values(number) }), cell);
             if cell.trials > 0 {
                 // JSON has no infinite number.
                 let margin = Some(cell.smallest_margin).filter(|margin| margin.is_finite());
-                entry.insert("smallest_margin".to_owned(), json!(margin));
-                entry.insert("worst_trial".to_owned(), json!(cell.worst_trial));
+                entry["smallest_margin"] = json!(margin);
+                entry["worst_trial"] = json!(cell.worst_trial);
             }
-            Value::Object(entry)
+            entry
         });
         let cells: Vec<_> = cells.collect();
-        let mut overall = tally(&self.overall);
+        let mut overall = add_counts(json!({}), &self.overall);
         overall["verdict"] = json!(self.verdict());
         overall["interval"] = json!(self.interval());
-        let head = Head { format: 1, title: &campaign.title, method: campaign.method, verdict: self.verdict() };
-        let mut summary = serde_json::to_value(head).unwrap_or_default();
-        summary["cause"] = json!(self.cause());
-        summary["planned_trials"] = json!(campaign.trials);
-        summary["missing_shards"] = json!(self.missing);
-        summary["at_most"] = json!(campaign.at_most);
-        summary["confidence"] = json!(campaign.confidence);
-        summary["redrawn"] = json!(self.redraws);
-        summary["overall"] = overall;
-        summary["cells"] = json!(cells);
+        let mut summary = json!({
+            "format": 1,
+            "title": campaign.title,
+            "method": campaign.method,
+            "verdict": self.verdict(),
+            "cause": self.cause(),
+            "planned_trials": campaign.trials,
+            "missing_shards": self.missing,
+            "at_most": campaign.at_most,
+            "confidence": campaign.confidence,
+            "redrawn": self.redraws,
+            "overall": overall,
+            "cells": cells,
+        });
         if let Some(agreement) = &self.agreement {
             summary["confirm"] = agreement.json(campaign.confidence);
         }
@@ -252,12 +254,4 @@ impl<'a> Summary<'a> {
         }
         text
     }
-}
-
-#[derive(Serialize)]
-struct Head<'a> {
-    format: u32,
-    title: &'a str,
-    method: Method,
-    verdict: Verdict,
 }

@@ -114,19 +114,9 @@ mod tests {
 
     #[test]
     fn the_worst_rows_are_sorted_by_margin() {
-        let row = |trial: u64, margin: f64| Row {
-            trial,
-            draws: Vec::new(),
-            values: Vec::new(),
-            margins: vec![margin],
-            verdict: Verdict::Fail,
-            cause: None,
-            redraws: 0,
-            score: margin,
-        };
         let mut worst = Vec::new();
         for trial in 0..100 {
-            keep_worst(&mut worst, &row(trial, -((trial % 10) as f64)));
+            keep_worst(&mut worst, &Row::example(trial, Verdict::Fail, -((trial % 10) as f64)));
         }
         assert_eq!(worst.len(), MAX_WORST);
         assert_eq!((worst[0].trial, worst[9].trial, worst[10].trial), (9, 99, 8));

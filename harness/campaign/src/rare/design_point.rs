@@ -2,8 +2,7 @@
 //!
 //! R. Rackwitz and B. Fiessler, *Computers and Structures* 9, 1978, pp. 489-494, with halved steps.
 
-use statrs::function::erf::erfc;
-use std::f64::consts::SQRT_2;
+use super::Score;
 
 /// Step of the difference quotients; a larger one averages noise.
 const DIFFERENCE: f64 = 0.1;
@@ -24,10 +23,7 @@ pub(crate) struct DesignPoint {
 }
 
 /// The only design point, or why there is none. `None` if the trials are used up.
-pub(crate) fn find(
-    dimensions: usize,
-    score: &mut dyn FnMut(&[f64]) -> Option<f64>,
-) -> Option<Result<DesignPoint, &'static str>> {
+pub(crate) fn find(dimensions: usize, score: &mut Score<'_>) -> Option<Result<DesignPoint, &'static str>> {
     let centre = vec![0.0; dimensions];
     let at_centre = score(&centre)?;
     if at_centre <= 0.0 {
@@ -67,7 +63,7 @@ fn descend(
     mut point: Vec<f64>,
     mut value: f64,
     at_centre: f64,
-    score: &mut dyn FnMut(&[f64]) -> Option<f64>,
+    score: &mut Score<'_>,
 ) -> Option<Result<DesignPoint, &'static str>> {
     for _ in 0..MAX_ITERATIONS {
         let mut gradient = Vec::with_capacity(point.len());
@@ -120,9 +116,4 @@ pub(crate) fn dot(one: &[f64], other: &[f64]) -> f64 {
 
 fn distance(one: &[f64], other: &[f64]) -> f64 {
     one.iter().zip(other).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt()
-}
-
-/// Φ(z)
-pub(crate) fn below(z: f64) -> f64 {
-    0.5 * erfc(-z / SQRT_2)
 }

@@ -1,5 +1,6 @@
 //! Estimates by importance sampling with a standard normal distribution around the design point.
 
+use super::Score;
 use super::design_point::dot;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
@@ -13,7 +14,7 @@ const MIN_PILOT_FAILURES: u32 = 4;
 pub(crate) fn estimate(
     design_point: &[f64],
     random: &mut ChaCha8Rng,
-    score: &mut dyn FnMut(&[f64]) -> Option<f64>,
+    score: &mut Score<'_>,
 ) -> Option<Result<(f64, f64), &'static str>> {
     let half_square = dot(design_point, design_point) / 2.0;
     let (mut trials, mut failures, mut sum, mut squares) = (0_u32, 0_u32, 0.0_f64, 0.0_f64);

@@ -3,6 +3,7 @@
 //! S.-K. Au and J. L. Beck, *Probabilistic Engineering Mechanics* 16, 2001, pp. 263-277; the Markov chains by
 //! conditional sampling with an adapted correlation: I. Papaioannou and others, same journal 41, 2015, pp. 89-103.
 
+use super::Score;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal, StandardUniform};
 
@@ -56,12 +57,7 @@ impl Level {
     }
 
     /// Adds one sample to each chain.
-    fn extend(
-        &mut self,
-        random: &mut ChaCha8Rng,
-        score: &mut dyn FnMut(&[f64]) -> Option<f64>,
-        end: usize,
-    ) -> Option<()> {
+    fn extend(&mut self, random: &mut ChaCha8Rng, score: &mut Score<'_>, end: usize) -> Option<()> {
         let mut accepted = 0.0_f64;
         let mut tried = 0.0_f64;
         let mut left = end.saturating_sub(self.samples());
@@ -91,18 +87,14 @@ impl Level {
     }
 }
 
-fn draw(dimensions: usize, random: &mut ChaCha8Rng, score: &mut dyn FnMut(&[f64]) -> Option<f64>) -> Option<Sample> {
+fn draw(dimensions: usize, random: &mut ChaCha8Rng, score: &mut Score<'_>) -> Option<Sample> {
     let point: Vec<f64> = (0..dimensions).map(|_| StandardNormal.sample(random)).collect();
     let score = score(&point)?;
     Some(Sample { point, score })
 }
 
 /// Uses all trials of the plan. `None` if there are too few for the first level, a threshold of the score.
-pub(crate) fn estimate(
-    plan: &SubsetPlan,
-    random: &mut ChaCha8Rng,
-    score: &mut dyn FnMut(&[f64]) -> Option<f64>,
-) -> Option<SubsetEstimate> {
+pub(crate) fn estimate(plan: &SubsetPlan, random: &mut ChaCha8Rng, score: &mut Score<'_>) -> Option<SubsetEstimate> {
     let budget = usize::try_from(plan.trials).unwrap_or(usize::MAX);
     let levels = plan.levels.map_or(DEFAULT_LEVELS, |digits| digits.max(1.0) + 0.5);
     let planned = budget as f64 / (1.0 + (1.0 - LEVEL_SHARE) * (levels - 1.0));

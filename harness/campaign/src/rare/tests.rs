@@ -1,6 +1,5 @@
 //! Compares estimates with closed forms.
 
-use super::design_point::below;
 use super::*;
 
 const SEEDS: u64 = 200;
