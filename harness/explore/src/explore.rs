@@ -4,7 +4,7 @@ use crate::coverage::Coverage;
 use crate::envelope::Envelope;
 use crate::error::ExploreError;
 use crate::generator::Generator;
-use crate::player::{Connect, Failure, Player, SceneResult};
+use crate::player::{Connect, Failure, Player, SceneResult, violated};
 use crate::properties::{Demand, Property, demands, reference_demands};
 use crate::scenario_file::{ScenarioText, ScenarioWriter};
 use crate::scene::Scene;
@@ -79,6 +79,12 @@ pub struct FailedScene {
     pub history: Vec<u64>,
 }
 
+impl FailedScene {
+    pub(crate) fn failure_of(&self, property: Property) -> Option<&Failure> {
+        self.failures.iter().find(|failure| failure.property == property)
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct UndecidedScene {
     pub scene: u64,
@@ -86,17 +92,17 @@ pub struct UndecidedScene {
     pub cause: String,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct FailedRegression {
     pub file: String,
-    pub failures: Vec<Failure>,
+    pub properties: Vec<Property>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PropertyTally {
     pub windows: u64,
     pub violations: u64,
-    /// Smallest distance from the limit, relative to the limit.
+    /// Smallest distance from the limit, relative to the limit; not finite (in JSON `null`) if a value is missing.
     pub smallest_margin: f64,
     pub tightest_scene: u64,
 }
@@ -211,8 +217,8 @@ fn play_regressions(
         let Some(result) = player.play(scenario)? else { return Ok(()) };
         exploration.regressions += 1;
         if !result.failures.is_empty() {
-            let (file, failures) = (scenario.file.clone(), result.failures);
-            exploration.failed_regressions.push(FailedRegression { file, failures });
+            let (file, properties) = (scenario.file.clone(), violated(&result.failures));
+            exploration.failed_regressions.push(FailedRegression { file, properties });
         }
     }
     Ok(())

@@ -5,6 +5,7 @@ use crate::error::ExploreError;
 use crate::explore::{Budget, Exploration, ExploreConfig, explore};
 use crate::law_properties::LawProperties;
 use crate::properties::Property;
+use crate::report::format_value;
 use platebench_rig::{BoxedLink, CancelToken, HostedLink};
 use platebench_trust::format::format_rate;
 use platebench_trust::report::{MutantOutcome, Rate, TrustReport};
@@ -124,9 +125,7 @@ impl KillRateReport {
         }
         lines.extend(self.alarms.iter().map(|alarm| {
             let SceneAlarm { controller, law, scene, property, value, limit } = alarm;
-            let number =
-                |value: Option<f64>| value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.4}"));
-            let (value, limit) = (number(*value), number(*limit));
+            let [value, limit] = [value, limit].map(|value| format_value(*value, 4));
             format!("false alarm: {controller}, {law}, scene {scene}: {property} {value}, limit {limit}")
         }));
         lines.join("\n") + "\n"

@@ -1,7 +1,7 @@
 //! Renders `report.html`: properties, violations with their scenes, and coverage.
 
 use crate::coverage::RangeCoverage;
-use crate::report::{CoverageReport, ExploreReport, ViolationReport};
+use crate::report::{CoverageReport, ExploreReport, PropertyReport, ViolationReport, format_value};
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_report::text::Table;
 use std::fmt::Write as _;
@@ -36,23 +36,21 @@ pub fn page(report: &ExploreReport) -> BlockPage {
 
 pub(crate) fn properties(report: &ExploreReport) -> Table {
     let mut table = Table::new(["property", "windows", "violations", "smallest margin", "in scene"]);
-    table.rows.extend(report.properties.iter().map(|property| {
-        let margin =
-            property.smallest_margin.map_or_else(|| "–".to_owned(), |margin| format!("{:.1} %", margin * 100.0));
+    table.rows.extend(report.properties.iter().map(|PropertyReport { property, tally }| {
+        let margin = tally.smallest_margin;
         vec![
-            property.property.to_string(),
-            property.windows.to_string(),
-            property.violations.to_string(),
-            margin,
-            property.tightest_scene.to_string(),
+            property.to_string(),
+            tally.windows.to_string(),
+            tally.violations.to_string(),
+            if margin.is_finite() { format!("{:.1} %", margin * 100.0) } else { "–".to_owned() },
+            tally.tightest_scene.to_string(),
         ]
     }));
     table
 }
 
 fn violation_blocks(violation: &ViolationReport) -> [PageBlock; 6] {
-    let number = |value: Option<f64>| value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.6}"));
-    let measured = |value, limit| format!("measured {}, limit {}", number(value), number(limit));
+    let measured = |value, limit| format!("measured {}, limit {}", format_value(value, 6), format_value(limit, 6));
     let reproduced = if violation.is_reproduced { "" } else { " It did not fail again with a new controller." };
     [
         PageBlock::Heading(format!("Violated: {}", violation.property)),

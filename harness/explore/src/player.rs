@@ -2,12 +2,13 @@
 
 use crate::error::ExploreError;
 use crate::properties::Property;
-use platebench_record::{Cause, ExpectationRecord, Telemetry, Verdict, Violation};
+use platebench_record::{Cause, Reason, Telemetry, Verdict, Violation};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, FaultInjector, RigError, Session};
 use platebench_runner::law;
 use platebench_runner::trial::{self, TrialResult, TrialSpec};
 use platebench_scenario::{Limit, Scenario};
 use platebench_verdict::{TrialMeasures, judge, measure};
+use std::collections::BTreeSet;
 
 pub type Connect<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync + 'a;
 
@@ -42,6 +43,12 @@ impl SceneResult {
     pub fn failure_of(&self, property: Property) -> Option<&Failure> {
         self.failures.iter().find(|failure| failure.property == property)
     }
+}
+
+/// Each property once.
+pub(crate) fn violated(failures: &[Failure]) -> Vec<Property> {
+    let properties: BTreeSet<_> = failures.iter().map(|failure| failure.property).collect();
+    properties.into_iter().collect()
 }
 
 /// Scenes of a controller before the next one starts, in turn: many meet a young controller, some an old one.
@@ -143,7 +150,6 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
         let limit = match record.limit {
             Limit::AtMost(limit) | Limit::Within(_, limit) | Limit::AtLeast(limit) | Limit::About(limit) => limit,
         };
-        let has_own_failure = record.verdict == Verdict::Fail && !is_violation(record);
         let margin = match record.verdict {
             Verdict::Inconclusive => None,
             Verdict::Pass => record.margin,
@@ -151,7 +157,7 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
             Verdict::Fail => record.margin.or(Some(f64::NEG_INFINITY)),
         };
         result.windows.push(WindowResult { property, margin });
-        if has_own_failure {
+        if record.verdict == Verdict::Fail && !matches!(record.reason, Some(Reason::Violation { .. })) {
             let (name, value) = (record.name.clone(), record.value);
             result.failures.push(Failure { property, name, value, limit: Some(limit) });
         }
@@ -163,15 +169,10 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
         }
     }
     if !breaks_protocol {
-        let count = trials.len();
         let passed = WindowResult { property: Property::Protocol, margin: Some(1.0) };
-        result.windows.extend(std::iter::repeat_n(passed, count));
+        result.windows.extend(std::iter::repeat_n(passed, trials.len()));
     }
     result
-}
-
-fn is_violation(record: &ExpectationRecord) -> bool {
-    matches!(record.reason, Some(platebench_record::Reason::Violation { .. }))
 }
 
 fn protocol_failure(violation: &Violation) -> Failure {

@@ -232,7 +232,7 @@ impl WindowJudge<'_> {
     }
 
     fn add_demands(&self, demands: &mut Vec<Demand>) {
-        let Window { change, until_us, .. } = self.window;
+        let Window { change, until_us } = self.window;
         let (before, after) = self.levels();
         if after == 0.0 {
             // The drive loop goes on from the amplitude before, so the drive may come back while the plate decays.
@@ -267,7 +267,7 @@ impl WindowJudge<'_> {
     }
 
     fn add_step(&self, demands: &mut Vec<Demand>, before: f64, after: f64) {
-        let Window { change, until_us, .. } = self.window;
+        let Window { change, until_us } = self.window;
         let is_first = change.from_us == 0;
         if !(is_first || self.was_steady) || change.from_us != change.to_us {
             return;
@@ -290,7 +290,7 @@ impl WindowJudge<'_> {
     }
 
     fn add_disturbance(&self, demands: &mut Vec<Demand>, level: f64) {
-        let Window { change, until_us, .. } = self.window;
+        let Window { change, until_us } = self.window;
         if !self.was_steady {
             return;
         }
@@ -309,7 +309,7 @@ impl WindowJudge<'_> {
     }
 
     fn add_steady_state(&self, demands: &mut Vec<Demand>, level: f64) {
-        let Window { change, until_us, .. } = self.window;
+        let Window { change, until_us } = self.window;
         let from_us = change.to_us + self.steady_us();
         if from_us + STEADY_PERIODS * self.trial.period_us > until_us {
             return;

@@ -1,8 +1,8 @@
 //! Defines `explore.json`.
 
 use crate::coverage::{ChangeKind, RangeCoverage};
-use crate::explore::{Exploration, ExploreConfig, FailedScene, UndecidedScene};
-use crate::player::Failure;
+use crate::explore::{Exploration, ExploreConfig, FailedRegression, FailedScene, PropertyTally, UndecidedScene};
+use crate::player::violated;
 use crate::properties::Property;
 use platebench_record::Verdict;
 use platebench_verdict::statistics::proportion::clopper_pearson;
@@ -39,7 +39,7 @@ pub struct ExploreReport {
     pub properties: Vec<PropertyReport>,
     /// Regression scenarios that were played first.
     pub regressions: usize,
-    pub failed_regressions: Vec<RegressionReport>,
+    pub failed_regressions: Vec<FailedRegression>,
     /// One per violated property, at most three.
     pub violations: Vec<ViolationReport>,
     pub coverage: CoverageReport,
@@ -48,17 +48,8 @@ pub struct ExploreReport {
 #[derive(Debug, Clone, Serialize)]
 pub struct PropertyReport {
     pub property: Property,
-    pub windows: u64,
-    pub violations: u64,
-    /// Smallest distance from the limit, relative to the limit; `null` if a value is missing.
-    pub smallest_margin: Option<f64>,
-    pub tightest_scene: u64,
-}
-
-#[derive(Debug, Clone, Serialize)]
-pub struct RegressionReport {
-    pub file: String,
-    pub properties: Vec<Property>,
+    #[serde(flatten)]
+    pub tally: PropertyTally,
 }
 
 #[derive(Debug, Clone, Serialize)]
@@ -125,20 +116,10 @@ impl ExploreReport {
             properties: exploration
                 .properties
                 .iter()
-                .map(|(property, tally)| PropertyReport {
-                    property: *property,
-                    windows: tally.windows,
-                    violations: tally.violations,
-                    smallest_margin: Some(tally.smallest_margin).filter(|margin| margin.is_finite()),
-                    tightest_scene: tally.tightest_scene,
-                })
+                .map(|(property, tally)| PropertyReport { property: *property, tally: *tally })
                 .collect(),
             regressions: exploration.regressions,
-            failed_regressions: exploration
-                .failed_regressions
-                .iter()
-                .map(|failed| RegressionReport { file: failed.file.clone(), properties: properties(&failed.failures) })
-                .collect(),
+            failed_regressions: exploration.failed_regressions.clone(),
             violations: Vec::new(),
             coverage: CoverageReport {
                 ranges: coverage.ranges().cloned().collect(),
@@ -153,9 +134,7 @@ impl ExploreReport {
             },
         }
     }
-}
 
-impl ExploreReport {
     /// One or two sentences.
     pub fn conclusion(&self) -> String {
         let Self { failed, scenes, .. } = self;
@@ -170,18 +149,16 @@ impl ExploreReport {
     }
 }
 
-fn properties(failures: &[Failure]) -> Vec<Property> {
-    let mut properties: Vec<_> = failures.iter().map(|failure| failure.property).collect();
-    properties.sort_unstable();
-    properties.dedup();
-    properties
+/// For a page or a text.
+pub(crate) fn format_value(value: Option<f64>, decimals: usize) -> String {
+    value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 /// The violated properties, each with the first scene that violates it; the most frequent first.
 pub fn violated_properties(exploration: &Exploration) -> Vec<(Property, &FailedScene)> {
     let mut first: BTreeMap<Property, (usize, &FailedScene)> = BTreeMap::new();
     for scene in &exploration.failed {
-        for property in properties(&scene.failures) {
+        for property in violated(&scene.failures) {
             first.entry(property).or_insert((0, scene)).0 += 1;
         }
     }

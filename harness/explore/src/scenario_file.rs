@@ -2,6 +2,7 @@
 
 use crate::properties::{Demand, Property};
 use crate::scene::{Course, PlateChoice, Scene, SceneTrial};
+use crate::tuning::rounded;
 use platebench_plate::Plate;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -152,6 +153,8 @@ impl ScenarioWriter<'_> {
 
     fn plate_text(&self, choice: PlateChoice) -> String {
         let plate = choice.apply(self.base);
+        // A product in double precision has more digits.
+        let rounded = |value| rounded(value, 9);
         let time_constant_ms = rounded(1e3 / plate.sigma0);
         let curve: Vec<_> =
             plate.damping_ratio.iter().map(|[force, ratio]| format!("[{force:?}, {ratio:?}]")).collect();
@@ -185,11 +188,6 @@ impl Scene {
 
 fn ms(us: u32) -> f64 {
     f64::from(us) / 1e3
-}
-
-/// Nine significant digits: a product in double precision has more.
-fn rounded(value: f64) -> f64 {
-    format!("{value:.9e}").parse().unwrap_or(value)
 }
 
 fn points<T: Copy>(points: &[(u32, T)], value: impl Fn(T) -> f64) -> String {
@@ -232,15 +230,10 @@ fn write_demand(text: &mut String, demand: &Demand, number: u32) -> std::fmt::Re
     if let Some(band) = demand.band_percent
         && band != 5.0
     {
-        writeln!(text, "band_percent = {:?}", rounded_limit(band))?;
+        writeln!(text, "band_percent = {:?}", rounded(band, 4))?;
     }
     if demand.property == Property::StaticError {
         writeln!(text, "over = \"each\"")?;
     }
-    writeln!(text, "at_most = {:?}", rounded_limit(demand.at_most))
-}
-
-/// Five significant digits.
-fn rounded_limit(value: f64) -> f64 {
-    format!("{value:.4e}").parse().unwrap_or(value)
+    writeln!(text, "at_most = {:?}", rounded(demand.at_most, 4))
 }

@@ -146,7 +146,7 @@ impl ExploreSession {
         let scenario = load(&path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)))?;
         player.renew();
         let again = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
-        let original = failed.failures.iter().find(|failure| failure.property == property);
+        let original = failed.failure_of(property);
         let tree = config.generator().tree(failed.index).map_err(ExploreError::Strategy)?;
         let title = format!("Scene {} of seed {}", failed.index, config.seed);
         Ok(ViolationReport {

@@ -47,8 +47,8 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         let mut tree = generator.tree(failed.index).map_err(ExploreError::Strategy)?;
         let original = tree.current();
         let Some((earlier, mut best)) = self.reproduce(&original, failed, property)? else {
-            let failure = failed.failures.iter().find(|failure| failure.property == property).cloned();
-            let failure = failure.unwrap_or(Failure { property, name: String::new(), value: None, limit: None });
+            let none = Failure { property, name: String::new(), value: None, limit: None };
+            let failure = failed.failure_of(property).cloned().unwrap_or(none);
             let demands = self.config.demands(&original);
             return Ok(MinimalScene { scene: original, demands, failure, is_reproduced: false, replays: self.replays });
         };

@@ -2,7 +2,7 @@
 
 use crate::explore::UndecidedScene;
 use crate::page::properties;
-use crate::report::ExploreReport;
+use crate::report::{ExploreReport, format_value};
 use std::fmt::Write as _;
 
 pub fn summary(report: &ExploreReport) -> String {
@@ -26,8 +26,7 @@ fn write_summary(text: &mut String, report: &ExploreReport) -> std::fmt::Result 
         writeln!(text, "{} fails again: {}", regression.file, properties.join(", "))?;
     }
     for violation in &report.violations {
-        let number = |value: Option<f64>| value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.6}"));
-        let (value, limit) = (number(violation.minimal_value), number(violation.minimal_limit));
+        let [value, limit] = [violation.minimal_value, violation.minimal_limit].map(|value| format_value(value, 6));
         writeln!(text, "{} violated: {value}, limit {limit}; minimal scene: {}", violation.property, violation.file)?;
         if !violation.is_reproduced {
             writeln!(text, "  it did not fail again with a new controller")?;

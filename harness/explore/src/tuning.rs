@@ -59,12 +59,12 @@ impl Tuning {
             let scaled = |plant_gain: f64, percent: u32| {
                 let PiGains { proportional, integral_per_period } =
                     PiGains::of_law(law, plant_gain, tau, response, period);
-                [proportional, integral_per_period / period].map(|gain| short(gain * f64::from(percent) / 100.0))
+                [proportional, integral_per_period / period].map(|gain| rounded(gain * f64::from(percent) / 100.0, 4))
             };
             let ([kp, ki], [frequency_kp, frequency_ki]) = (scaled(design.gain, amplitude), scaled(tau, frequency));
             let gains = format!(
-                "{{ amplitude_kp = {kp}, amplitude_ki = {ki}, \
-                 frequency_kp = {frequency_kp}, frequency_ki = {frequency_ki} }}"
+                "{{ amplitude_kp = {kp:?}, amplitude_ki = {ki:?}, \
+                 frequency_kp = {frequency_kp:?}, frequency_ki = {frequency_ki:?} }}"
             );
             keys.push(("gains", gains));
         }
@@ -72,7 +72,7 @@ impl Tuning {
     }
 }
 
-/// Five significant digits.
-fn short(value: f64) -> String {
-    format!("{:?}", format!("{value:.4e}").parse().unwrap_or(value))
+/// One more significant digit than `decimals`.
+pub(crate) fn rounded(value: f64, decimals: usize) -> f64 {
+    format!("{value:.decimals$e}").parse().unwrap_or(value)
 }

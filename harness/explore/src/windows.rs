@@ -17,8 +17,6 @@ pub(crate) struct Change {
 pub(crate) struct Window {
     pub(crate) change: Change,
     pub(crate) until_us: u32,
-    /// Time without a change before the change; 0 at the start.
-    pub(crate) quiet_before_us: u32,
 }
 
 impl Window {
@@ -63,12 +61,5 @@ fn changes(trial: &SceneTrial) -> Vec<Change> {
 pub(crate) fn windows(trial: &SceneTrial) -> Vec<Window> {
     let changes = changes(trial);
     let ends = changes.iter().skip(1).map(|next| next.from_us).chain([trial.duration_us]);
-    let starts = std::iter::once(0).chain(changes.iter().map(|change| change.to_us));
-    let both = changes.iter().zip(ends).zip(starts);
-    both.map(|((change, until_us), quiet_from)| Window {
-        change: *change,
-        until_us,
-        quiet_before_us: change.from_us.saturating_sub(quiet_from),
-    })
-    .collect()
+    changes.iter().zip(ends).map(|(change, until_us)| Window { change: *change, until_us }).collect()
 }
