@@ -9,8 +9,10 @@ use platebench_rig::{CancelToken, Symbols};
 use platebench_runner::parallel::in_parallel;
 use platebench_scenario::Scenario;
 use platebench_wire::LawId;
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 #[derive(Debug)]
 pub struct CoverageConfig {
@@ -140,46 +142,63 @@ pub(crate) fn is_standard_library(file: &str) -> bool {
 
 /// Plays the suite and records what it executes.
 pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisError> {
-    let suite = &config.suite;
-    let elf = suite.elf()?;
-    let symbols = Symbols::read(&elf);
-    let map = CodeMap::read(&elf, &symbols);
-    if map.functions.is_empty() {
-        return Err(AnalysisError::NoFunctions);
-    }
-    // The longest come first: no worker ends long after the others.
-    let mut order: Vec<&(Scenario, LawId)> = suite.scenarios.iter().collect();
-    order.sort_by_key(|(scenario, _)| {
-        std::cmp::Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count))
-    });
-    let mut executed = BTreeMap::new();
-    let work = |session: &mut Option<BoardSession>, (scenario, law): &&(Scenario, LawId)| {
-        let session = if let Some(session) = session {
-            session
-        } else {
-            let session = session.insert(suite.connect()?);
-            session.link_mut().inner_mut().record_execution(&map.leaders);
-            session
-        };
-        let outcome = play(session, scenario, *law, &config.cancel).ok_or(AnalysisError::Cancelled)??;
-        check_baseline(scenario, &outcome)?;
-        Ok::<_, AnalysisError>(session.link_mut().inner_mut().executed_instructions().clone())
-    };
-    in_parallel(config.jobs, &order, work, |ran| {
-        for (address, in_step) in ran {
-            *executed.entry(address).or_default() |= in_step;
-        }
-        true
-    })?;
-    let coverage = Coverage::new(&map, &symbols, &executed, &config.only);
+    let (symbols, map) = config.suite.code()?;
+    let baselines = play_baselines(&config.suite, &map, config.jobs, &config.cancel)?;
+    let coverage = Coverage::new(&map, &symbols, &executed_by_all(&baselines), &config.only);
     match config.only.iter().find(|_| coverage.files.is_empty()) {
         Some(only) => Err(AnalysisError::NoMatch(only.clone())),
         None => Ok(coverage),
     }
 }
 
+/// A scenario with the unchanged firmware.
+pub(crate) struct Baseline {
+    /// As in [`platebench_rig::EmulatedLink::executed_instructions`].
+    pub(crate) executed: BTreeMap<u32, bool>,
+    pub(crate) duration: Duration,
+    pub(crate) commands: u64,
+    /// Fails without a mutant, as it should: it detects nothing.
+    pub(crate) fails: bool,
+}
+
+/// In the order of the suite.
+pub(crate) fn play_baselines(
+    suite: &Suite,
+    map: &CodeMap,
+    jobs: usize,
+    cancel: &CancelToken,
+) -> Result<Vec<Baseline>, AnalysisError> {
+    // The longest come first: no worker ends long after the others.
+    let mut order: Vec<(usize, &(Scenario, LawId))> = suite.scenarios.iter().enumerate().collect();
+    order.sort_by_key(|(_, (scenario, _))| Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count)));
+    let work = |session: &mut Option<BoardSession>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
+        let session = suite.open(session)?;
+        session.link_mut().inner_mut().record_execution(&map.leaders);
+        let start = Instant::now();
+        let outcome = play(session, scenario, *law, cancel).ok_or(AnalysisError::Cancelled)??;
+        check_baseline(scenario, &outcome)?;
+        let executed = session.link_mut().inner_mut().executed_instructions().clone();
+        let (commands, fails) = (outcome.commands, outcome.detection.is_some());
+        Ok::<_, AnalysisError>((*number, Baseline { executed, duration: start.elapsed(), commands, fails }))
+    };
+    let mut baselines = BTreeMap::new();
+    in_parallel(jobs, &order, work, |(number, baseline)| {
+        baselines.insert(number, baseline);
+        true
+    })?;
+    Ok(baselines.into_values().collect())
+}
+
+pub(crate) fn executed_by_all(baselines: &[Baseline]) -> BTreeMap<u32, bool> {
+    let mut executed = BTreeMap::new();
+    for (&address, &in_step) in baselines.iter().flat_map(|baseline| &baseline.executed) {
+        *executed.entry(address).or_default() |= in_step;
+    }
+    executed
+}
+
 /// Fails if the scenario fails and should not.
-pub(crate) fn check_baseline(scenario: &Scenario, outcome: &Outcome) -> Result<(), AnalysisError> {
+fn check_baseline(scenario: &Scenario, outcome: &Outcome) -> Result<(), AnalysisError> {
     match &outcome.detection {
         Some(detection) if outcome.verdict == Verdict::Fail && scenario.expected_exit.is_none_or(|exit| exit == 0) => {
             Err(AnalysisError::FailingScenario { file: scenario.file.clone(), reason: detection.reason.clone() })

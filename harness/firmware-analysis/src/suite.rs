@@ -1,10 +1,11 @@
 //! Plays scenarios in memory on the emulated rig, with one emulated board per worker.
 
+use crate::code_map::CodeMap;
 use crate::error::AnalysisError;
 use platebench_record::Verdict;
 use platebench_rig::{
     BUILT_IN_IMAGE, CancelToken, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError, RigSpec, Session,
-    TargetError,
+    Symbols, TargetError,
 };
 use platebench_runner::trial::{self, TrialSpec};
 use platebench_runner::{law, missing_capability};
@@ -68,12 +69,30 @@ impl Suite {
         if suite.scenarios.is_empty() { Err(AnalysisError::NothingApplicable) } else { Ok(suite) }
     }
 
-    pub(crate) fn elf(&self) -> Result<Vec<u8>, AnalysisError> {
+    fn elf(&self) -> Result<Vec<u8>, AnalysisError> {
         let Some(path) = &self.elf else { return Ok(BUILT_IN_IMAGE.to_vec()) };
         fs::read(path).map_err(|error| EmulatedError::Read { path: path.clone(), error }.into())
     }
 
-    pub(crate) fn connect(&self) -> Result<BoardSession, AnalysisError> {
+    pub(crate) fn code(&self) -> Result<(Symbols, CodeMap), AnalysisError> {
+        let elf = self.elf()?;
+        let symbols = Symbols::read(&elf);
+        let map = CodeMap::read(&elf, &symbols);
+        if map.functions.is_empty() { Err(AnalysisError::NoFunctions) } else { Ok((symbols, map)) }
+    }
+
+    /// The board of a worker, which starts with its first use.
+    pub(crate) fn open<'a>(
+        &self,
+        session: &'a mut Option<BoardSession>,
+    ) -> Result<&'a mut BoardSession, AnalysisError> {
+        match session {
+            Some(open) => Ok(open),
+            None => Ok(session.insert(self.connect()?)),
+        }
+    }
+
+    fn connect(&self) -> Result<BoardSession, AnalysisError> {
         let link = self.elf.as_deref().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?;
         Ok(Session::open(FaultInjector::new(link))?)
     }

@@ -5,16 +5,13 @@ use super::disassembler::Disassembler;
 use super::mutant::Mutant;
 use super::result::{MutantResult, MutationReport, Score, Status};
 use crate::code_map::CodeMap;
-use crate::coverage::check_baseline;
+use crate::coverage::{Baseline, executed_by_all, play_baselines};
 use crate::error::AnalysisError;
 use crate::suite::{BoardSession, Margin, Outcome, Suite, play};
-use platebench_rig::{CancelToken, Symbols};
+use platebench_rig::CancelToken;
 use platebench_runner::parallel::in_parallel;
-use platebench_scenario::Scenario;
-use platebench_wire::LawId;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use std::collections::BTreeMap;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -37,31 +34,14 @@ pub struct MutationConfig {
     pub cancel: CancelToken,
 }
 
-/// A scenario with the unchanged firmware.
-struct Baseline {
-    executed: BTreeMap<u32, bool>,
-    duration: Duration,
-    commands: u64,
-    /// Fails without a mutant, as it should: it detects nothing.
-    fails: bool,
-}
-
 pub fn measure_mutation(
     config: &MutationConfig,
     on_result: &mut dyn FnMut(&MutantResult),
 ) -> Result<MutationReport, AnalysisError> {
     let suite = &config.suite;
-    let elf = suite.elf()?;
-    let symbols = Symbols::read(&elf);
-    let map = CodeMap::read(&elf, &symbols);
-    if map.functions.is_empty() {
-        return Err(AnalysisError::NoFunctions);
-    }
-    let baselines = baselines(config, &map)?;
-    let mut executed = BTreeMap::new();
-    for (&address, &in_step) in baselines.iter().flat_map(|baseline| &baseline.executed) {
-        *executed.entry(address).or_default() |= in_step;
-    }
+    let (symbols, map) = suite.code()?;
+    let baselines = play_baselines(suite, &map, config.jobs, &config.cancel)?;
+    let executed = executed_by_all(&baselines);
     let mut mutants = all_mutants(&map, &symbols, &Disassembler::new()?, &config.filter, &executed);
     if mutants.is_empty() {
         let wanted = config.filter.functions.iter().chain(&config.filter.files).next();
@@ -85,29 +65,6 @@ pub fn measure_mutation(
     })?;
     let scenarios = suite.scenarios.iter().map(|(scenario, _)| scenario.file.clone()).collect();
     Ok(MutationReport { results, population, scenarios })
-}
-
-fn baselines(config: &MutationConfig, map: &CodeMap) -> Result<Vec<Baseline>, AnalysisError> {
-    let scenarios = &config.suite.scenarios;
-    let mut baselines = Vec::new();
-    let work = |session: &mut Option<BoardSession>, (scenario, law): &(Scenario, LawId)| {
-        let session = match session {
-            Some(session) => session,
-            None => session.insert(config.suite.connect()?),
-        };
-        session.link_mut().inner_mut().record_execution(&map.leaders);
-        let start = Instant::now();
-        let outcome = play(session, scenario, *law, &config.cancel).ok_or(AnalysisError::Cancelled)??;
-        check_baseline(scenario, &outcome)?;
-        let executed = session.link_mut().inner_mut().executed_instructions().clone();
-        let (commands, fails) = (outcome.commands, outcome.detection.is_some());
-        Ok::<_, AnalysisError>(Baseline { executed, duration: start.elapsed(), commands, fails })
-    };
-    in_parallel(config.jobs, scenarios, work, |baseline| {
-        baselines.push(baseline);
-        true
-    })?;
-    Ok(baselines)
 }
 
 /// Fisher and Yates.
@@ -145,10 +102,7 @@ impl MutantRunner<'_> {
         mutant: &Mutant,
         covering: &[usize],
     ) -> Result<Status, AnalysisError> {
-        let open = match session {
-            Some(open) => open,
-            None => session.insert(self.config.suite.connect()?),
-        };
+        let open = self.config.suite.open(session)?;
         open.link_mut().inner_mut().patch(mutant.address, &mutant.bytes);
         let status = self.play_until_detected(open, covering)?;
         open.link_mut().inner_mut().patch(mutant.address, &mutant.original);
